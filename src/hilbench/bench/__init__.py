@@ -1,0 +1,1 @@
+"""The bench: config, processes, cycle, tension controller, load-model task, safety."""

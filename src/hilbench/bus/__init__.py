@@ -1,0 +1,1 @@
+"""The bus: frames, links, the embedded bus, wire timing and bus load."""

@@ -1,0 +1,23 @@
+"""The CAN frame of the cyclic path: a light tuple, and the kernel's ``struct can_frame`` layout."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+#: Flag bits of ``can_id`` as in <linux/can.h>.
+EXTENDED_FLAG = 0x80000000
+REMOTE_FLAG = 0x40000000
+ERROR_FLAG = 0x20000000
+
+
+class Frame(NamedTuple):
+    """One classical CAN frame.
+
+    `can_id` carries the identifier and the kernel's flag bits (`EXTENDED_FLAG`, `REMOTE_FLAG`,
+    `ERROR_FLAG`); a remote frame's `data` are dlc zero bytes. `time_ns` is the time of reception
+    (CLOCK_REALTIME, or the emulated bus' own time), 0 for a frame to be sent.
+    """
+
+    can_id: int
+    data: bytes
+    time_ns: int = 0

@@ -1,0 +1,32 @@
+"""What the cyclic path asks of a bus: frames out in order, all waiting frames in, losses counted."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Protocol
+
+from hilbench.bus.frame import Frame
+
+
+class Link(Protocol):
+    """A connection to one bus. Frames sent over it are not received back on it."""
+
+    #: Name of the channel, as it stands in a trace ("vcan0", "hilbench0").
+    channel: str
+    #: Frames this connection lost because it did not read fast enough, as far as the bus can tell.
+    dropped: int
+
+    def send(self, frames: Sequence[Frame]) -> None:
+        """Queue frames; they go onto the bus in this order. Raises BusError when the bus is lost."""
+
+    def receive(self, timeout_s: float) -> list[Frame]:
+        """All frames that are waiting; waits up to `timeout_s` for the first. Raises BusError when the bus is lost."""
+
+    def set_filters(self, identifiers: Sequence[tuple[int, int]] | None) -> None:
+        """Receive only frames for which ``can_id & mask == id & mask`` for one (id, mask); None: every frame."""
+
+    def fileno(self) -> int:
+        """A file descriptor that becomes readable when a frame waits (for select/poll)."""
+
+    def close(self) -> None:
+        """Leave the bus. Calling it twice is no error."""

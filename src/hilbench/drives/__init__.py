@@ -1,0 +1,1 @@
+"""CiA-402: state machine, drive object (master side), simulated drive, motor model."""

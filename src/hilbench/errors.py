@@ -1,0 +1,41 @@
+"""The errors that reach a person, and the exit code each of them means (design: exit codes)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+EXIT_PASSED = 0
+EXIT_CRITERION_FAILED = 1
+EXIT_UNUSABLE_INPUT = 2
+EXIT_BENCH_FAULT = 3
+EXIT_INTERRUPTED = 130
+
+
+class HilbenchError(Exception):
+    """Base of the errors that are shown to a person as one line."""
+
+    exit_code = EXIT_BENCH_FAULT
+
+
+class UnusableInputError(HilbenchError):
+    """A file or an argument that cannot be used: where, what was found, what was expected.
+
+    The text is always one line: ``place: found, expected ...``.
+    """
+
+    exit_code = EXIT_UNUSABLE_INPUT
+
+    def __init__(self, place: str | Path, problem: str) -> None:
+        super().__init__(f"{place}: {problem}")
+        self.place = str(place)
+        self.problem = problem
+
+
+class BenchFaultError(HilbenchError):
+    """The bench failed while it ran (a node that does not answer, a lost bus, a limit) and was made safe."""
+
+    exit_code = EXIT_BENCH_FAULT
+
+
+class BusError(BenchFaultError):
+    """The bus cannot be opened, or was lost."""

@@ -1,0 +1,1 @@
+"""Experiments: steps, criteria, metrics, the Python API."""

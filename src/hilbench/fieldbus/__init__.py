@@ -1,0 +1,1 @@
+"""CANopen: device runtime (slave side), master, PDO codec, EDS files."""

@@ -1,0 +1,1 @@
+"""The twin process: virtual axes, virtual I/O, synchronization."""

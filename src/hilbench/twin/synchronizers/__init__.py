@@ -1,0 +1,1 @@
+"""Synchronizers: one method a module, one interface (base)."""

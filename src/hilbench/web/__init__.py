@@ -1,0 +1,1 @@
+"""Web mechanics and effects: the one model kernel, its parameters and noise."""
