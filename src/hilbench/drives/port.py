@@ -1,0 +1,40 @@
+"""What a drive's firmware sees of its motor: set points one way, measured feedback the other; SI, motor side.
+
+The simulated drive (CiA-402 logic) writes the first group once per cycle or tick; the plant (the mechanics
+that turn the motor) reads it, advances, and writes the second group. Neither knows the other.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+from math import inf
+
+
+class MotorMode(IntEnum):
+    """What the drive's sampled control loop does with the set point."""
+
+    OFF = 0  #: power stage off: no torque, the shaft is free
+    TORQUE = 1  #: set point is a torque in N·m
+    VELOCITY = 2  #: set point is a velocity in rad/s
+    POSITION = 3  #: set point is a position in rad
+
+
+@dataclass(slots=True)
+class MotorPort:
+    """The border between a drive's firmware and its motor."""
+
+    # Written by the firmware.
+    mode: MotorMode = MotorMode.OFF
+    setpoint: float = 0.0  #: N·m, rad/s or rad, as `mode` says
+    slope: float = (
+        inf  #: the control loop's reference moves towards the set point at most so fast (unit of setpoint / s)
+    )
+    torque_limit_Nm: float = inf
+
+    # Written by the plant, as the drive's sensors show it.
+    reference: float = 0.0  #: where the reference is on its way to the set point (unit of setpoint)
+    position_rad: float = 0.0
+    velocity_rad_s: float = 0.0
+    torque_Nm: float = 0.0
+    torque_limited: bool = False  #: the torque limit was reached since the last advance
