@@ -64,6 +64,7 @@ class Medium:
 
     def __init__(self, bitrate: int, start_ns: int = 0) -> None:
         self.bitrate = bitrate
+        self.start_ns = start_ns
         self.free_ns = start_ns
         self.counters = Counters()
         self.disturber: Disturber | None = None
