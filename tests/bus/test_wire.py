@@ -71,9 +71,7 @@ def test_bits_are_those_of_the_frame_written_out(frame: tuple[int, bytes, bool])
     assert least_bits(carried, extended) <= bits <= worst_case_bits(carried, extended)
 
 
-@pytest.mark.parametrize(
-    ("data_bytes", "least", "worst"), [(0, 47, 55), (4, 79, 95), (6, 95, 115), (8, 111, 135)]
-)
+@pytest.mark.parametrize(("data_bytes", "least", "worst"), [(0, 47, 55), (4, 79, 95), (6, 95, 115), (8, 111, 135)])
 def test_limits_of_the_design(data_bytes: int, least: int, worst: int) -> None:
     assert least_bits(data_bytes) == least
     assert worst_case_bits(data_bytes) == worst

@@ -90,7 +90,7 @@ class Disturber:
         lost = next(numbers) < injection.lost
         duplicated = next(numbers) < injection.duplicated
         delay_ns = round(injection.delay_s * 1e9) if next(numbers) < injection.delayed else 0
-        broken_off = []
+        broken_off: list[int] = []
         while len(broken_off) < MAX_ATTEMPTS and next(numbers) < injection.corrupted:
             broken_off.append(1 + int(next(numbers) * (bits - 4)))  # somewhere before the intermission
         if len(broken_off) == MAX_ATTEMPTS:

@@ -26,7 +26,7 @@ def can_record(can_id: int, data: bytes) -> bytes:
 
 
 def send_packet(connection: socket.socket, channel: str, packet: bytes) -> None:
-    """Hand a packet to the hub; waits while the station's transmit queue is full. Raises BusError if the bus is lost."""
+    """Hand a packet to the hub; waits while the transmit queue is full. Raises BusError if the bus is lost."""
     while True:
         try:
             connection.send(packet)

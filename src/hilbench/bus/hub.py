@@ -3,10 +3,10 @@
 `python -m hilbench.bus.hub` is started by the first client (see `hub_client`) with a listening socket; it ends when no
 connection is left. Only the standard library is imported here, so that it starts fast and without site-packages.
 
-Flow of a frame: client's packet -> its station's transmit queue -> arbitration and bus time (`medium`) -> one packet for
-every other station that wants some of the frames that were over. A station whose transmit queue is full is not read
-until there is room: its socket fills up and its sender blocks. A receiver that does not read loses the newest frames,
-and is told how many.
+Flow of a frame: client's packet, its station's transmit queue, arbitration and bus time (`medium`), one packet for every
+other station that wants some of the frames that were over. A station whose transmit queue is full is not read until
+there is room: its socket fills up and its sender blocks. A receiver that does not read loses the newest frames, and is
+told how many.
 """
 
 from __future__ import annotations
@@ -50,9 +50,19 @@ class Client(Station):
     """One connection; a station on the wire once it has joined."""
 
     __slots__ = (
-        "connection", "joined", "filters", "passes", "receive_own", "fd", "single", "dropped", "waiting", "reading",
-        "blocked", "identity",
-    )  # fmt: skip
+        "blocked",
+        "connection",
+        "dropped",
+        "fd",
+        "filters",
+        "identity",
+        "joined",
+        "passes",
+        "reading",
+        "receive_own",
+        "single",
+        "waiting",
+    )
 
     def __init__(self, connection: socket.socket, identity: int) -> None:
         super().__init__()
@@ -194,7 +204,9 @@ class Hub:
         queue = self._medium.queue
         start = protocol.HEADER.size
         for can_id, length, flags, data in record.iter_unpack(body):
-            bits = self._classical_bits(can_id, length, data) if kind == 1 else self._fd_bits(can_id, length, flags, data)
+            bits = (
+                self._classical_bits(can_id, length, data) if kind == 1 else self._fd_bits(can_id, length, flags, data)
+            )
             if bits:
                 queue(client, can_id, packet[start : start + record.size], bits, arrival_ns)
             else:
@@ -241,7 +253,7 @@ class Hub:
             self._forget_departed()
 
     def _forget_departed(self) -> None:
-        """Take stations that have left off the wire, once their last frames are sent or nobody is there to hear them."""
+        """Take stations that left off the wire, once their last frames are sent or nobody is there to hear them."""
         if not any(client.joined for client in self._clients.values()):
             for client in self._departed:
                 client.queue.clear()

@@ -104,7 +104,7 @@ def set_filters(channel: str, station: int, filters: Filters) -> None:
 
 
 def inject_errors(channel: str, injection: ErrorInjection) -> None:
-    """Disturb all frames sent from now on, until the last station leaves. Raises BusError if nobody has the bus open."""
+    """Disturb the frames sent from now on, until the last station leaves. Raises BusError if nobody is on the bus."""
     _request(channel, {"request": "set_errors", **asdict(injection)})
 
 

@@ -110,8 +110,13 @@ def _join(content: dict[str, Any]) -> Join:
         None if content.get("data_bitrate") is None else _integer(content, "data_bitrate", 1000, 20_000_000),
         timing,
     )
-    flags = [content.get(name) is True for name in ("receive_own", "fd", "single")]
-    return Join(wanted, *flags, filters=_filters(content.get("filters")))
+    return Join(
+        wanted,
+        receive_own=content.get("receive_own") is True,
+        fd=content.get("fd") is True,
+        single=content.get("single") is True,
+        filters=_filters(content.get("filters")),
+    )
 
 
 def _injection(content: dict[str, Any]) -> ErrorInjection:
