@@ -20,7 +20,7 @@ from hilbench.errors import UnusableInputError
 
 _SECTION = re.compile(r"^\[([0-9A-Fa-f]{4})(?:sub([0-9A-Fa-f]{1,2}))?\]\s*$")
 _KEY = re.compile(r"^([A-Za-z0-9_ ]+?)\s*=(.*)$")
-_EMPTY_IS_ABSENT = ("datatype", "defaultvalue", "parametervalue", "lowlimit", "highlimit", "objecttype", "subnumber")
+_MAY_BE_EMPTY = ("parametername", "denotation")
 
 
 def load_eds(path: Path, node_id: int) -> canopen.ObjectDictionary:
@@ -64,7 +64,7 @@ def _without_empty_fields(text: str) -> str:
     kept = []
     for line in text.splitlines():
         match = _KEY.match(line.strip())
-        if match and not match.group(2).strip() and match.group(1).strip().lower() in _EMPTY_IS_ABSENT:
+        if match and not match.group(2).strip() and match.group(1).strip().lower() not in _MAY_BE_EMPTY:
             continue
         kept.append(line)
     return "\n".join(kept) + "\n"
