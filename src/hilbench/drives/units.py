@@ -22,10 +22,11 @@ from hilbench.errors import UnusableInputError
 #: Reads an object's value, ``read(index, sub)``; None when the device does not have the object.
 ObjectReader = Callable[[int, int], int | float | None]
 
-_RPM: Final = 2.0 * pi / 60.0
+#: rad/s of one revolution per minute, the unit of 6080h.
+RPM: Final = 2.0 * pi / 60.0
 #: Numerator and denominator codes of SI unit objects that a velocity can have, in rad/s.
 _VELOCITY_CODES: Final = {
-    0xB447: _RPM,  # revolutions per minute
+    0xB447: RPM,  # revolutions per minute
     0xB403: 2.0 * pi,  # revolutions per second
     0x1003: 1.0,  # radians per second
 }
@@ -41,13 +42,7 @@ class DriveUnits:
 
     position_rad: float  #: rad per position unit (6064h)
     velocity_rad_s: float  #: rad/s per velocity unit (606Ch, 60FFh)
-    rated_torque_Nm: float  #: 1000 per mille of 6071h, 6077h
-    motor_speed_rad_s: float = _RPM  #: rad/s per unit of 6080h, always 1 rpm
-
-    @property
-    def torque_Nm(self) -> float:
-        """N·m per torque unit, a thousandth of the rated torque (6071h, 6077h)."""
-        return self.rated_torque_Nm / 1000.0
+    torque_Nm: float  #: N·m per torque unit (6071h, 6077h), a thousandth of the rated torque
 
     @property
     def acceleration_rad_s2(self) -> float:
@@ -58,7 +53,7 @@ class DriveUnits:
     def from_objects(
         cls, read: ObjectReader, overrides: Mapping[str, float] | None = None, place: str = ""
     ) -> DriveUnits:
-        """Read the factors through `read`; `overrides` (names of the fields above) stand for what is not to be read.
+        """Read the factors through `read`; `overrides` (position_rad, velocity_rad_s, rated_torque_Nm) stand for what is not to be read.
 
         Raises UnusableInputError, at `place`, when neither the device nor the configuration tells a factor.
         """
@@ -76,7 +71,7 @@ class DriveUnits:
         if not rated:
             raise UnusableInputError(place, "6076h is absent or 0, expected it or the unit 'rated_torque_Nm'")
         velocity = given.get("velocity_rad_s") or _velocity_unit(read, gear, position, place)
-        return cls(position, velocity, rated)
+        return cls(position, velocity, rated / 1000.0)
 
 
 def _ratio(read: ObjectReader, index: int) -> float | None:
