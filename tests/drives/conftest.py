@@ -1,4 +1,5 @@
 import sys
+import sys
 import types
 from enum import Enum
 

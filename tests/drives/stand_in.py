@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from math import copysign, inf
+from math import copysign, inf, pi
 from pathlib import Path
 
 import canopen
 
 from hilbench.drives.port import MotorMode, MotorPort
 from hilbench.drives.simulated import SimulatedDrive
+from hilbench.fieldbus.device import NmtState
 
 EDS = Path(__file__).parents[2] / "eds" / "hilbench_servo.eds"
 CYCLE_S = 0.002
@@ -124,3 +125,21 @@ class DriveUnderTest:
         self.write(0x6060, mode)
         for value in (0x06, 0x07, 0x0F):
             self.controlword(value)
+
+    def slope_rpm_s(self) -> float | None:
+        """Ramp that the firmware asks of the velocity loop; None: as fast as it can."""
+        assert self.port.mode is MotorMode.VELOCITY
+        assert self.port.setpoint == 0.0
+        return None if self.port.slope == inf else self.port.slope * 60.0 / (2.0 * pi)
+
+    def emergency_codes(self) -> list[int]:
+        """Error codes of the EMCY messages so far."""
+        return self.device.emergencies
+
+    def lose_master(self, nmt: bool) -> None:
+        """The master is heard no more, or (`nmt`) takes the device out of OPERATIONAL."""
+        self.device.on_nmt(NmtState.OPERATIONAL)
+        if nmt:
+            self.device.on_nmt(NmtState.PRE_OPERATIONAL)
+        else:
+            self.device.on_communication_error(0x8130)

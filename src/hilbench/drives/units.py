@@ -53,7 +53,7 @@ class DriveUnits:
     def from_objects(
         cls, read: ObjectReader, overrides: Mapping[str, float] | None = None, place: str = ""
     ) -> DriveUnits:
-        """Read the factors through `read`; `overrides` (position_rad, velocity_rad_s, rated_torque_Nm) stand for what is not to be read.
+        """Read the factors through `read`; `overrides` stand for what is not to be read: position_rad, velocity_rad_s, rated_torque_Nm.
 
         Raises UnusableInputError, at `place`, when neither the device nor the configuration tells a factor.
         """
