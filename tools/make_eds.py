@@ -1,0 +1,466 @@
+"""Write the EDS files of the simulated devices (CiA 306) from the tables below: ``python tools/make_eds.py``.
+
+The tables are the one description of the devices' objects. REAL32 defaults are written as the hexadecimal
+digits of their IEEE 754 representation, as CiA 306 wants it; plain 0 reads the same either way.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Container, Iterable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from hilbench.web.effects import EFFECTS, STAND_DOMAINS, Domain, Effect
+
+EDS_FOLDER = Path(__file__).resolve().parent.parent / "eds"
+
+#: Data types of CiA 301 by their short names.
+TYPES = {
+    "I8": 0x02, "I16": 0x03, "I32": 0x04, "U8": 0x05, "U16": 0x06, "U32": 0x07, "REAL32": 0x08, "STRING": 0x09,
+}  # fmt: skip
+VAR, ARRAY, RECORD = 7, 8, 9
+
+Default = int | float | str | None
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One value: a whole object, or a sub-index of one."""
+
+    name: str
+    type: str
+    access: str
+    default: Default = None
+    mappable: bool = False
+    low: int | None = None
+    high: int | None = None
+
+
+@dataclass(frozen=True)
+class Object:
+    """One object: a variable (one entry, no sub-indices) or an array or record (entries by sub-index)."""
+
+    index: int
+    name: str
+    kind: int
+    entries: dict[int, Entry]
+
+
+@dataclass(frozen=True)
+class DeviceDescription:
+    """All that one EDS file says."""
+
+    file_name: str
+    description: str
+    product_name: str
+    product_number: int
+    device_type: int
+    rpdos: int
+    tpdos: int
+    objects: tuple[Object, ...]
+
+
+# --- building blocks -------------------------------------------------------------------------------------------------
+
+
+def var(
+    index: int, name: str, type_: str, access: str, default: Default = None, flags: str = "", **limits: int
+) -> Object:
+    """A simple variable; `flags` "map" makes it mappable into PDOs."""
+    entry = Entry(name, type_, access, default, flags == "map", **limits)
+    return Object(index, name, VAR, {0: entry})
+
+
+def compound(index: int, name: str, kind: int, entries: dict[int, Entry], count_access: str = "const") -> Object:
+    """An array or record: sub-index 0 holds the highest sub-index."""
+    count = Entry("Highest sub-index supported", "U8", count_access, max(entries))
+    return Object(index, name, kind, {0: count, **entries})
+
+
+def pair(index: int, name: str, first: tuple[str, int], second: tuple[str, int]) -> Object:
+    """A ratio of two UNSIGNED32."""
+    entries = {sub: Entry(text, "U32", "rw", value) for sub, (text, value) in enumerate((first, second), 1)}
+    return compound(index, name, ARRAY, entries)
+
+
+@dataclass(frozen=True)
+class Pdo:
+    """Defaults of one PDO: valid or not, transmission type, mapped (index, sub, bits)."""
+
+    valid: bool = False
+    transmission_type: int = 1
+    mapping: tuple[tuple[int, int, int], ...] = ()
+
+
+NO_REMOTE_REQUEST = 0x4000_0000
+INVALID = 0x8000_0000
+
+
+def pdo_objects(number: int, pdo: Pdo, transmit: bool) -> list[Object]:
+    """Communication and mapping parameter of PDO `number` (1 to 4) with its COB-ID of the predefined connection set."""
+    cob_id = (0x180 if transmit else 0x200) + 0x100 * (number - 1)
+    cob_id |= (0 if pdo.valid else INVALID) | (NO_REMOTE_REQUEST if transmit else 0)
+    communication = {
+        1: Entry("COB-ID", "U32", "rw", f"$NODEID+0x{cob_id:X}"),
+        2: Entry("Transmission type", "U8", "rw", pdo.transmission_type),
+        3: Entry("Inhibit time", "U16", "rw", 0),
+        5: Entry("Event timer", "U16", "rw", 0),
+    }
+    if transmit:
+        communication[6] = Entry("SYNC start value", "U8", "rw", 0, high=240)
+    mapped = [index << 16 | sub << 8 | bits for index, sub, bits in pdo.mapping] + [0] * (8 - len(pdo.mapping))
+    mapping = {sub: Entry(f"Mapped object {sub}", "U32", "rw", value) for sub, value in enumerate(mapped, 1)}
+    base, word = (0x1800, "TPDO") if transmit else (0x1400, "RPDO")
+    count = Entry("Number of mapped objects", "U8", "rw", len(pdo.mapping), high=8)
+    return [
+        compound(base + number - 1, f"{word}{number} communication parameter", RECORD, communication),
+        Object(base + 0x200 + number - 1, f"{word}{number} mapping parameter", RECORD, {0: count, **mapping}),
+    ]
+
+
+def communication_objects(
+    device_type: int, product_number: int, product_name: str, rpdos: Sequence[Pdo], tpdos: Sequence[Pdo]
+) -> list[Object]:
+    """The communication profile area (CiA 301) of all devices."""
+    objects = [
+        var(0x1000, "Device type", "U32", "const", device_type),
+        var(0x1001, "Error register", "U8", "ro", 0, "map"),
+        Object(
+            0x1003,
+            "Pre-defined error field",
+            ARRAY,
+            {
+                0: Entry("Number of errors", "U8", "rw", 0),
+                **{n: Entry(f"Standard error field {n}", "U32", "ro", 0) for n in range(1, 9)},
+            },
+        ),
+        var(0x1005, "COB-ID SYNC message", "U32", "rw", 0x80),
+        var(0x1006, "Communication cycle period", "U32", "rw", 0),
+        var(0x1007, "Synchronous window length", "U32", "rw", 0),
+        var(0x1008, "Manufacturer device name", "STRING", "const", product_name),
+        var(0x1009, "Manufacturer hardware version", "STRING", "const", "simulated"),
+        var(0x100A, "Manufacturer software version", "STRING", "const", "1.0"),
+        _by_group(0x1010, "Store parameters", "Save"),
+        _by_group(0x1011, "Restore default parameters", "Restore"),
+        var(0x1014, "COB-ID EMCY", "U32", "rw", "$NODEID+0x80"),
+        var(0x1015, "Inhibit time EMCY", "U16", "rw", 0),
+        compound(
+            0x1016,
+            "Consumer heartbeat time",
+            ARRAY,
+            {n: Entry(f"Consumer heartbeat time {n}", "U32", "rw", 0) for n in range(1, 5)},
+        ),
+        var(0x1017, "Producer heartbeat time", "U16", "rw", 0),
+        compound(
+            0x1018,
+            "Identity object",
+            RECORD,
+            {
+                1: Entry("Vendor-ID", "U32", "const", 0),
+                2: Entry("Product code", "U32", "const", product_number),
+                3: Entry("Revision number", "U32", "const", 0x0001_0000),
+                4: Entry("Serial number", "U32", "ro", 0),
+            },
+        ),
+        var(0x1019, "Synchronous counter overflow value", "U8", "rw", 0, high=240),
+        compound(0x1029, "Error behaviour", ARRAY, {1: Entry("Communication error", "U8", "rw", 0, high=2)}),
+        compound(
+            0x1200,
+            "SDO server parameter",
+            RECORD,
+            {
+                1: Entry("COB-ID client to server", "U32", "ro", "$NODEID+0x600"),
+                2: Entry("COB-ID server to client", "U32", "ro", "$NODEID+0x580"),
+            },
+        ),
+    ]
+    for transmit, pdos in ((False, rpdos), (True, tpdos)):
+        for number, pdo in enumerate(pdos, 1):
+            objects += pdo_objects(number, pdo, transmit)
+    return objects
+
+
+def _by_group(index: int, name: str, verb: str) -> Object:
+    groups = ("all parameters", "communication parameters", "application parameters")
+    return compound(
+        index, name, ARRAY, {sub: Entry(f"{verb} {group}", "U32", "rw", 1) for sub, group in enumerate(groups, 1)}
+    )
+
+
+# --- effects of the simulated hardware -------------------------------------------------------------------------------
+
+EFFECTS_INDEX = 0x2200
+
+
+def effect_objects(effects: Sequence[Effect], domains: Container[Domain]) -> list[Object]:
+    """One record per effect of `domains` at 2200h + its position in the table; sub-indices: its parameters, REAL32."""
+    return [
+        compound(
+            EFFECTS_INDEX + position,
+            effect.id,
+            RECORD,
+            {
+                sub: Entry(f"{parameter.name} [{_ascii(parameter.unit)}]", "REAL32", "rw", parameter.neutral)
+                for sub, parameter in enumerate(effect.parameters, 1)
+            },
+        )
+        for position, effect in enumerate(effects)
+        if effect.domain in domains
+    ]
+
+
+def _ascii(unit: str) -> str:
+    return (unit or "1").replace("·", " ").replace("²", "2").replace("³", "3")
+
+
+# --- the devices -----------------------------------------------------------------------------------------------------
+
+RPM = 10_000  #: one rpm in velocity units (0.0001 rpm)
+
+DRIVE_OBJECTS = (
+    var(0x2001, "Simulated fault: error code to fail with", "U16", "rw", 0),
+    var(0x6007, "Abort connection option code", "I16", "rw", 1, low=0, high=3),
+    var(0x603F, "Error code", "U16", "ro", 0, "map"),
+    var(0x6040, "Controlword", "U16", "rww", 0, "map"),
+    var(0x6041, "Statusword", "U16", "ro", 0, "map"),
+    var(0x605A, "Quick stop option code", "I16", "rw", 2, low=0, high=8),
+    var(0x605B, "Shutdown option code", "I16", "rw", 0, low=0, high=1),
+    var(0x605C, "Disable operation option code", "I16", "rw", 1, low=0, high=1),
+    var(0x605D, "Halt option code", "I16", "rw", 1, low=1, high=4),
+    var(0x605E, "Fault reaction option code", "I16", "rw", 2, low=0, high=4),
+    var(0x6060, "Modes of operation", "I8", "rww", 0, "map"),
+    var(0x6061, "Modes of operation display", "I8", "ro", 0, "map"),
+    var(0x6062, "Position demand value", "I32", "ro", 0, "map"),
+    var(0x6064, "Position actual value", "I32", "ro", 0, "map"),
+    var(0x6065, "Following error window", "U32", "rw", 1 << 20),
+    var(0x6066, "Following error time out", "U16", "rw", 10),
+    var(0x606B, "Velocity demand value", "I32", "ro", 0, "map"),
+    var(0x606C, "Velocity actual value", "I32", "ro", 0, "map"),
+    var(0x606D, "Velocity window", "U16", "rw", 1 * RPM),
+    var(0x606E, "Velocity window time", "U16", "rw", 10),
+    var(0x606F, "Velocity threshold", "U16", "rw", 5 * RPM),
+    var(0x6070, "Velocity threshold time", "U16", "rw", 10),
+    var(0x6071, "Target torque", "I16", "rww", 0, "map"),
+    var(0x6072, "Max torque", "U16", "rww", 3000, "map"),
+    var(0x6074, "Torque demand", "I16", "ro", 0, "map"),
+    var(0x6075, "Motor rated current", "U32", "rw", 4000),
+    var(0x6076, "Motor rated torque", "U32", "rw", 5000, low=1),
+    var(0x6077, "Torque actual value", "I16", "ro", 0, "map"),
+    var(0x6079, "DC link circuit voltage", "U32", "ro", 320_000, "map"),
+    var(0x607A, "Target position", "I32", "rww", 0, "map"),
+    var(0x607C, "Home offset", "I32", "rw", 0),
+    var(0x607F, "Max profile velocity", "U32", "rww", 3000 * RPM, "map"),
+    var(0x6080, "Max motor speed", "U32", "rww", 3000, "map"),
+    var(0x6083, "Profile acceleration", "U32", "rww", 1000 * RPM, "map", low=1),
+    var(0x6084, "Profile deceleration", "U32", "rww", 1000 * RPM, "map", low=1),
+    var(0x6085, "Quick stop deceleration", "U32", "rww", 3000 * RPM, "map", low=1),
+    var(0x6087, "Torque slope", "U32", "rww", 10_000, "map", low=1),
+    pair(0x608F, "Position encoder resolution", ("Encoder increments", 1 << 20), ("Motor revolutions", 1)),
+    pair(0x6091, "Gear ratio", ("Motor revolutions", 1), ("Shaft revolutions", 1)),
+    var(0x6098, "Homing method", "I8", "rw", 37),
+    var(0x60A8, "SI unit position", "U32", "const", 0x00B5_0000),  # increments
+    var(0x60A9, "SI unit velocity", "U32", "const", 0xFCB4_4700),  # 0.0001 rpm
+    var(0x60B1, "Velocity offset", "I32", "rww", 0, "map"),
+    var(0x60B2, "Torque offset", "I16", "rww", 0, "map"),
+    compound(
+        0x60C2,
+        "Interpolation time period",
+        RECORD,
+        {
+            1: Entry("Interpolation time period value", "U8", "rw", 2),
+            2: Entry("Interpolation time index", "I8", "rw", -3, low=-6, high=0),
+        },
+    ),
+    var(0x60F4, "Following error actual value", "I32", "ro", 0, "map"),
+    var(0x60FD, "Digital inputs", "U32", "ro", 0, "map"),
+    var(0x60FF, "Target velocity", "I32", "rww", 0, "map"),
+    # Profile velocity, torque, homing, cyclic synchronous position, velocity, torque.
+    var(0x6502, "Supported drive modes", "U32", "const", 1 << 2 | 1 << 3 | 1 << 5 | 1 << 7 | 1 << 8 | 1 << 9),
+    var(0x67FF, "Single device type", "U32", "const", 0x0002_0192),
+)
+
+VIRTUAL_IO_INPUTS = (
+    "Simulated tension [N]",
+    "Estimated Young's modulus [Pa]",
+    "Standard deviation of the estimated Young's modulus [Pa]",
+    "Simulated torque of axis 2 [N m]",
+    "Torque residual of axis 2 [N m]",
+)
+VIRTUAL_IO_OUTPUTS = ("Upstream strain [1]", "Downstream tension [N]")
+
+
+def servo() -> DeviceDescription:
+    """The CiA-402 servo drive: axes, load motor and virtual axes."""
+    name, product, device_type = "hilbench servo", 0x0402, 0x0002_0192
+    rpdos = [Pdo(True, 1, ((0x6040, 0, 16), (0x60FF, 0, 32))), Pdo(), Pdo(), Pdo()]
+    tpdos = [
+        Pdo(True, 1, ((0x6041, 0, 16), (0x6077, 0, 16), (0x6064, 0, 32))),
+        Pdo(True, 1, ((0x606C, 0, 32),)),
+        Pdo(),
+        Pdo(),
+    ]
+    return DeviceDescription(
+        "hilbench_servo.eds",
+        "Simulated CiA-402 servo drive: axis, load motor, virtual axis",
+        name,
+        product,
+        device_type,
+        len(rpdos),
+        len(tpdos),
+        (
+            *communication_objects(device_type, product, name, rpdos, tpdos),
+            *effect_objects(EFFECTS, STAND_DOMAINS),
+            *DRIVE_OBJECTS,
+        ),
+    )
+
+
+def virtual_io() -> DeviceDescription:
+    """The CiA-401-like device with the twin's answers as analogue inputs and the web's boundary as outputs."""
+    name, product, device_type = "hilbench virtual I/O", 0x0401, 0x000C_0191
+    rpdos = [Pdo(True, 1, ((0x6413, 1, 32), (0x6413, 2, 32))), Pdo(), Pdo(), Pdo()]
+    tpdos = [
+        Pdo(True, 1, ((0x6403, 1, 32), (0x6403, 2, 32))),
+        Pdo(True, 10, ((0x6403, 3, 32), (0x6403, 5, 32))),
+        Pdo(),
+        Pdo(),
+    ]
+    inputs = {sub: Entry(text, "REAL32", "ro", 0.0, True) for sub, text in enumerate(VIRTUAL_IO_INPUTS, 1)}
+    outputs = {sub: Entry(text, "REAL32", "rww", 0.0, True) for sub, text in enumerate(VIRTUAL_IO_OUTPUTS, 1)}
+    return DeviceDescription(
+        "hilbench_virtual_io.eds",
+        "Virtual I/O of the twin: simulated tension, estimated modulus, boundary of the web",
+        name,
+        product,
+        device_type,
+        len(rpdos),
+        len(tpdos),
+        (
+            *communication_objects(device_type, product, name, rpdos, tpdos),
+            compound(0x6403, "Read analogue input floating point", ARRAY, inputs),
+            compound(0x6413, "Write analogue output floating point", ARRAY, outputs),
+        ),
+    )
+
+
+# --- rendering -------------------------------------------------------------------------------------------------------
+
+
+def render(device: DeviceDescription) -> str:
+    """The text of the EDS file."""
+    sections = [_file_info(device), _device_info(device), _dummy_usage(), _section("Comments", [("Lines", "0")])]
+    objects = sorted(device.objects, key=lambda item: item.index)
+    mandatory = [item for item in objects if item.index in (0x1000, 0x1001, 0x1018)]
+    manufacturer = [item for item in objects if 0x2000 <= item.index < 0x6000]
+    optional = [item for item in objects if item not in mandatory and item not in manufacturer]
+    for title, group in (
+        ("MandatoryObjects", mandatory),
+        ("OptionalObjects", optional),
+        ("ManufacturerObjects", manufacturer),
+    ):
+        listing = [(str(number), f"0x{item.index:04X}") for number, item in enumerate(group, 1)]
+        sections.append(_section(title, [("SupportedObjects", str(len(group))), *listing]))
+        sections += [text for item in group for text in _object_sections(item)]
+    return "\n".join(sections)
+
+
+def _section(title: str, lines: Iterable[tuple[str, str]]) -> str:
+    return f"[{title}]\n" + "".join(f"{key}={value}\n" for key, value in lines)
+
+
+def _file_info(device: DeviceDescription) -> str:
+    made = [("Time", "10:00AM"), ("Date", "11-20-2026")]
+    lines = [
+        ("FileName", device.file_name),
+        ("FileVersion", "1"),
+        ("FileRevision", "0"),
+        ("EDSVersion", "4.0"),
+        ("Description", device.description),
+        *((f"Creation{key}", value) for key, value in made),
+        ("CreatedBy", "tools/make_eds.py"),
+        *((f"Modification{key}", value) for key, value in made),
+        ("ModifiedBy", "tools/make_eds.py"),
+    ]
+    return _section("FileInfo", lines)
+
+
+def _device_info(device: DeviceDescription) -> str:
+    lines = [
+        ("VendorName", "hilbench"),
+        ("VendorNumber", "0x00000000"),
+        ("ProductName", device.product_name),
+        ("ProductNumber", f"0x{device.product_number:08X}"),
+        ("RevisionNumber", "0x00010000"),
+        ("OrderCode", ""),
+        *((f"BaudRate_{rate}", "1") for rate in (10, 20, 50, 125, 250, 500, 800, 1000)),
+        ("SimpleBootUpMaster", "0"),
+        ("SimpleBootUpSlave", "1"),
+        ("Granularity", "8"),
+        ("DynamicChannelsSupported", "0"),
+        ("GroupMessaging", "0"),
+        ("NrOfRXPDO", str(device.rpdos)),
+        ("NrOfTXPDO", str(device.tpdos)),
+        ("LSS_Supported", "0"),
+    ]
+    return _section("DeviceInfo", lines)
+
+
+def _dummy_usage() -> str:
+    return _section("DummyUsage", [(f"Dummy{number:04d}", "0") for number in range(1, 8)])
+
+
+def _object_sections(item: Object) -> list[str]:
+    if item.kind == VAR:
+        return [_section(f"{item.index:04X}", _entry_lines(replace(item.entries[0], name=item.name)))]
+    head = [
+        ("ParameterName", item.name),
+        ("ObjectType", f"0x{item.kind:X}"),
+        ("SubNumber", str(len(item.entries))),
+    ]
+    sections = [_section(f"{item.index:04X}", head)]
+    for sub, entry in sorted(item.entries.items()):
+        sections.append(_section(f"{item.index:04X}sub{sub:X}", _entry_lines(entry)))
+    return sections
+
+
+def _entry_lines(entry: Entry) -> list[tuple[str, str]]:
+    lines = [
+        ("ParameterName", entry.name),
+        ("ObjectType", f"0x{VAR:X}"),
+        ("DataType", f"0x{TYPES[entry.type]:04X}"),
+        ("AccessType", entry.access),
+        ("DefaultValue", _default_text(entry)),
+        ("PDOMapping", str(int(entry.mappable))),
+    ]
+    if entry.low is not None:
+        lines.append(("LowLimit", str(entry.low)))
+    if entry.high is not None:
+        lines.append(("HighLimit", str(entry.high)))
+    return lines
+
+
+def _default_text(entry: Entry) -> str:
+    default = entry.default
+    if default is None:
+        return ""
+    if entry.type == "REAL32":
+        return f"0x{struct.pack('>f', default).hex().upper()}" if default else "0"
+    if entry.type == "U32" and isinstance(default, int):
+        return f"0x{default:08X}"
+    return str(default)
+
+
+def eds_files() -> dict[str, str]:
+    """Text of every EDS file by its name."""
+    return {device.file_name: render(device) for device in (servo(), virtual_io())}
+
+
+def main() -> None:
+    """Write the files into ``eds/``."""
+    for name, text in eds_files().items():
+        (EDS_FOLDER / name).write_text(text, encoding="ascii")
+
+
+if __name__ == "__main__":
+    main()
