@@ -28,7 +28,7 @@ NO_START_TIME = datetime(2000, 1, 1, tzinfo=UTC)
 
 _FORMATS = "expected a recording: .mf4, .csv or .csv.gz"
 _BLOCK_ROWS = 8192
-_MDF_HEAD_BYTES = 64 + 104  # identification block and header block (ASAM MDF 4.1, IDBLOCK and HDBLOCK)
+_MDF_HEAD_BYTES = 64 + 104  # identification block and header block (ASAM MDF 4: IDBLOCK, HDBLOCK)
 
 
 @dataclass(frozen=True)
@@ -271,14 +271,17 @@ def _read_mdf(path: Path) -> Recording:
 
 
 def _check_mdf_head(path: Path) -> None:
-    """Refuse early what the library would stumble over with a traceback on standard error."""
+    """Refuse early what the library's destructor would answer with a traceback on standard error."""
     try:
         with open(path, "rb") as file:
             head = file.read(_MDF_HEAD_BYTES)
+            size = os.fstat(file.fileno()).st_size
     except OSError as error:
         raise UnusableInputError(path, f"cannot be read ({error.strerror}), {_FORMATS}") from error
     if not head.startswith(b"MDF     4.") or len(head) < _MDF_HEAD_BYTES:
         raise UnusableInputError(path, f"not an MDF file of version 4, {_FORMATS}")
+    if any(link >= size for link in struct.unpack_from("<6Q", head, 64 + 24)):  # links of the header block
+        raise UnusableInputError(path, f"cut off after {size} bytes, expected a whole MDF file")
 
 
 def _mdf_channels(mdf: Any, path: Path) -> Recording:
