@@ -6,7 +6,20 @@ import pytest
 
 from hilbench.bench.signals import SIGNALS, unit_of
 
-DESIGN = "t_s v1_cmd_m_s v2_cmd_m_s x1_m x2_m v1_m_s v2_m_s tau1_Nm tau2_Nm strain_prev F_next_N F_ref_N".split()
+DESIGN = [
+    "t_s",
+    "v1_cmd_m_s",
+    "v2_cmd_m_s",
+    "x1_m",
+    "x2_m",
+    "v1_m_s",
+    "v2_m_s",
+    "tau1_Nm",
+    "tau2_Nm",
+    "strain_prev",
+    "F_next_N",
+    "F_ref_N",
+]
 
 
 def test_the_designs_channels_come_first_and_no_name_twice() -> None:

@@ -98,7 +98,7 @@ class RecordingBuilder:
 
     def _open_block(self, rows: int) -> None:
         self._block = np.full((rows, len(self.names)), np.nan)
-        self._bytes = memoryview(self._block).cast("B")
+        self._bytes = self._block.data.cast("B")
         self._offset = 0
 
     def append(self, row: Sequence[float]) -> None:

@@ -74,7 +74,9 @@ class TraceWriter:
             add(f"{self._seconds_text}{rest_ns // 1000:06d}{head}{body}\n")
 
     def _head(self, can_id: int) -> str:
-        identifier = f"{can_id & (_EXTENDED_MASK | ERROR_FLAG):08X}" if can_id & _LONG_FLAGS else f"{can_id & 0x7FF:03X}"
+        identifier = (
+            f"{can_id & (_EXTENDED_MASK | ERROR_FLAG):08X}" if can_id & _LONG_FLAGS else f"{can_id & 0x7FF:03X}"
+        )
         head = f") {self._channel} {identifier}#"
         if len(self._heads) < _KNOWN_HEADS:
             self._heads[can_id] = head
@@ -137,7 +139,7 @@ class TraceReader:
 
     def __iter__(self) -> Iterator[Frame]:
         try:
-            file = open(self.path, "rb")
+            file = open(self.path, "rb")  # noqa: SIM115 (closed by the generator below)
         except OSError as error:
             raise UnusableInputError(self.path, f"cannot be read ({error.strerror}), expected a trace") from error
         with file:
