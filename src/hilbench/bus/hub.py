@@ -3,10 +3,10 @@
 `python -m hilbench.bus.hub` is started by the first client (see `hub_client`) with a listening socket; it ends when no
 connection is left. Only the standard library is imported here, so that it starts fast and without site-packages.
 
-Flow of a frame: client's packet, its station's transmit queue, arbitration and bus time (`medium`), one packet for every
-other station that wants some of the frames that were over. A station whose transmit queue is full is not read until
-there is room: its socket fills up and its sender blocks. A receiver that does not read loses the newest frames, and is
-told how many.
+Flow of a frame: client's packet, its station's transmit queue, arbitration and bus time (`medium`), one packet for
+every other station that wants some of the frames that were over. A station whose transmit queue is full is not read
+until there is room: its socket fills up and its sender blocks. A receiver that does not read loses the newest frames,
+and is told how many.
 """
 
 from __future__ import annotations
