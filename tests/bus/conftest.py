@@ -11,40 +11,47 @@ from pathlib import Path
 import pytest
 
 
-def hub_processes(folder: Path) -> list[int]:
-    """Process ids of the hubs that serve sockets in `folder`."""
-    found = []
-    for entry in Path("/proc").iterdir():
-        if entry.name.isdigit():
-            try:
-                words = (entry / "cmdline").read_bytes().split(b"\0")
-            except OSError:  # it has just ended
-                continue
-            if b"hilbench.bus.hub" in words and bytes(folder) in words:
-                found.append(int(entry.name))
-    return found
+class Runtime:
+    """A directory for the embedded bus' sockets, and what goes on there."""
 
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
 
-def eventually(condition: Callable[[], bool]) -> bool:
-    """Whether `condition` comes true; gives a busy machine plenty of time."""
-    deadline = time.monotonic() + 20
-    while not condition():
-        if time.monotonic() > deadline:
-            return False
-        time.sleep(0.02)
-    return True
+    def hubs(self) -> list[int]:
+        """Process ids of the hubs that serve sockets here."""
+        found = []
+        for entry in Path("/proc").iterdir():
+            if entry.name.isdigit():
+                try:
+                    words = (entry / "cmdline").read_bytes().split(b"\0")
+                except OSError:  # it has just ended
+                    continue
+                if b"hilbench.bus.hub" in words and bytes(self.folder) in words:
+                    found.append(int(entry.name))
+        return found
+
+    @staticmethod
+    def eventually(condition: Callable[[], bool]) -> bool:
+        """Whether `condition` comes true; gives a busy machine plenty of time."""
+        deadline = time.monotonic() + 20
+        while not condition():
+            if time.monotonic() > deadline:
+                return False
+            time.sleep(0.02)
+        return True
 
 
 @pytest.fixture
-def runtime(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """The directory of the sockets; afterwards no hub runs and no socket is left. (Short: socket paths are.)"""
+def runtime(monkeypatch: pytest.MonkeyPatch) -> Iterator[Runtime]:
+    """A runtime directory; afterwards no hub runs and no socket is left. (Its name is short: socket paths are.)"""
     base = Path(tempfile.mkdtemp(prefix="hb", dir="/tmp"))
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(base))
-    folder = base / "hilbench"
-    yield folder
+    there = Runtime(base / "hilbench")
+    yield there
+    monkeypatch.undo()
     try:
-        assert eventually(lambda: not hub_processes(folder)), "a hub outlived its clients"
-        assert not list(folder.glob("*.sock"))
-        assert not list(folder.glob("*.log"))
+        assert there.eventually(lambda: not there.hubs()), "a hub outlived its clients"
+        assert not list(there.folder.glob("*.sock"))
+        assert not list(there.folder.glob("*.log"))
     finally:
         shutil.rmtree(base)

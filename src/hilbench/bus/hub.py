@@ -428,8 +428,9 @@ def main(arguments: list[str] | None = None) -> None:
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
     try:
         Hub(options.channel, listener).serve(lambda: _end(path, log, lock, listener))
-    except SystemExit:
+    except SystemExit:  # terminated: the listening socket is still ours, so nobody else can have taken the place
         path.unlink(missing_ok=True)
+        log.unlink(missing_ok=True)
         raise
 
 
