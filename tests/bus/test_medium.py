@@ -48,7 +48,7 @@ def test_priority_is_bitwise_arbitration(first: int, second: int) -> None:
 def test_base_data_base_remote_extended_data_extended_remote(base: int, extension: int) -> None:
     extended = EXTENDED_FLAG | base << 18 | extension
     ladder = [base, base | REMOTE_FLAG, extended, extended | REMOTE_FLAG]
-    assert sorted(reversed(ladder), key=priority) == ladder
+    assert sorted([ladder[n] for n in (2, 0, 3, 1)], key=priority) == ladder
 
 
 def medium_with(count: int, bitrate: int = 1_000_000) -> tuple[Medium, list[Station]]:

@@ -34,7 +34,7 @@ from hilbench.bus.medium import FOREVER, Delivery, Medium, Station
 from hilbench.bus.wire import FD_LENGTHS, bits_on_wire, fd_bits_on_wire
 
 #: The hub ends when nobody was connected for so long: time for a program to close one bus and open the next.
-GRACE_S = 0.3
+GRACE_S = 0.1
 #: Frames a station may have waiting for the wire before the hub stops reading from it.
 TRANSMIT_LIMIT = 512
 #: Frames that wait in the hub for a receiver whose socket is full, before they are dropped.
