@@ -7,11 +7,9 @@ from collections.abc import Sequence
 import can
 
 from hilbench.bus.arbitration import accepts
-from hilbench.bus.frame import EXTENDED_FLAG, Frame
+from hilbench.bus.frame import Frame
 from hilbench.bus.messages import to_frame, to_message
 from hilbench.errors import BusError
-
-_IDENTIFIER_BITS = 0x1FFFFFFF
 
 
 class PythonCanLink:
@@ -44,9 +42,8 @@ class PythonCanLink:
         return frames
 
     def set_filters(self, identifiers: Sequence[tuple[int, int]] | None) -> None:
-        # python-can's filters know no remote flag, and an empty list lets everything pass: the rest is done here.
+        # Not with python-can's filters: where they work in software, recv(0) stops at the first frame they reject.
         self._filters = identifiers
-        self._bus.set_filters([_can_filter(*pair) for pair in identifiers] if identifiers else None)
 
     def fileno(self) -> int:
         try:
@@ -59,10 +56,3 @@ class PythonCanLink:
 
     def _lost(self, error: Exception) -> BusError:
         return BusError(f"{self.channel}: {' '.join(str(error).split())}")
-
-
-def _can_filter(identifier: int, mask: int) -> can.typechecking.CanFilter:
-    entry = can.typechecking.CanFilter(can_id=identifier & _IDENTIFIER_BITS, can_mask=mask & _IDENTIFIER_BITS)
-    if mask & EXTENDED_FLAG:
-        entry["extended"] = bool(identifier & EXTENDED_FLAG)
-    return entry

@@ -18,7 +18,9 @@ _HEADER = protocol.HEADER.pack(protocol.KIND_CLASSICAL, 0)
 
 def can_record(can_id: int, data: bytes) -> bytes:
     """`struct can_frame` of a classical frame. Raises ValueError for one that cannot be on a wire."""
-    if can_id > 0x7FF and (can_id & ERROR_FLAG or (can_id & 0x1FFFF800 and not can_id & EXTENDED_FLAG)):
+    if can_id & ERROR_FLAG:
+        raise ValueError(f"0x{can_id:X}: an error frame, which the bus itself makes")
+    if can_id & 0x1FFFF800 and not can_id & EXTENDED_FLAG:
         raise ValueError(f"identifier 0x{can_id:X}: not an 11-bit one, and without the flag of a 29-bit one")
     if len(data) > 8:
         raise ValueError(f"frame 0x{can_id:X}: found {len(data)} data bytes, expected up to 8")

@@ -3,10 +3,10 @@
 `python -m hilbench.bus.hub` is started by the first client (see `hub_client`) with a listening socket; it ends when no
 connection is left. Only the standard library is imported here, so that it starts fast and without site-packages.
 
-Flow of a frame: client's packet, its station's transmit queue, arbitration and bus time (`medium`), one packet for every
-other station that wants some of the frames that were over. A station whose transmit queue is full is not read until
-there is room: its socket fills up and its sender blocks. A receiver that does not read loses the newest frames, and is
-told how many.
+Flow of a frame: client's packet, its station's transmit queue, arbitration and bus time (`medium`), one packet for
+every other station that wants some of the frames that were over. A station whose transmit queue is full is not read
+until there is room: its socket fills up and its sender blocks. A receiver that does not read loses the newest frames,
+and is told how many.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from hilbench.bus.medium import FOREVER, Delivery, Medium, Station
 from hilbench.bus.wire import FD_LENGTHS, bits_on_wire, fd_bits_on_wire
 
 #: The hub ends when nobody was connected for so long: time for a program to close one bus and open the next.
-GRACE_S = 0.3
+GRACE_S = 0.1
 #: Frames a station may have waiting for the wire before the hub stops reading from it.
 TRANSMIT_LIMIT = 512
 #: Frames that wait in the hub for a receiver whose socket is full, before they are dropped.
@@ -104,6 +104,7 @@ class Hub:
         self._clients: dict[int, Client] = {}  # connected, by file descriptor
         self._departed: list[Client] = []  # gone, with frames still to send
         self._identities = 0
+        self._fd = False  # whether a station that may send FD frames has joined
         self._epoll = select.epoll()
         self._epoll.register(listener, select.EPOLLIN)
         self._clock_offset_ns = time.time_ns() - time.monotonic_ns()
@@ -197,16 +198,16 @@ class Hub:
         kind = packet[0]
         body = memoryview(packet)[protocol.HEADER.size :]
         record = protocol.FD_RECORD if kind == protocol.KIND_FD else protocol.CAN_RECORD
-        if len(packet) < protocol.HEADER.size or kind not in (1, 2) or len(body) % record.size:
+        known = kind == protocol.KIND_CLASSICAL or (kind == protocol.KIND_FD and client.fd)
+        if len(packet) < protocol.HEADER.size or not known or len(body) % record.size:
             self.malformed += 1
             return
         arrival_ns = self._now_ns() if self.settings.timing == "real" else self._medium.free_ns
         queue = self._medium.queue
         start = protocol.HEADER.size
+        classical = kind == protocol.KIND_CLASSICAL
         for can_id, length, flags, data in record.iter_unpack(body):
-            bits = (
-                self._classical_bits(can_id, length, data) if kind == 1 else self._fd_bits(can_id, length, flags, data)
-            )
+            bits = _classical_bits(can_id, length, data) if classical else self._fd_bits(can_id, length, flags, data)
             if bits:
                 queue(client, can_id, packet[start : start + record.size], bits, arrival_ns)
             else:
@@ -214,12 +215,6 @@ class Hub:
             start += record.size
         if len(client.queue) >= TRANSMIT_LIMIT:
             self._pause(client)
-
-    def _classical_bits(self, can_id: int, length: int, data: bytes) -> int:
-        """Bit times of a classical record; 0: no frame that could be on a wire."""
-        if length > 8 or can_id & ERROR_FLAG or (can_id & 0x1FFFF800 and not can_id & EXTENDED_FLAG):
-            return 0
-        return bits_on_wire(can_id, data[:length])
 
     def _fd_bits(self, can_id: int, length: int, flags: int, data: bytes) -> int:
         """Time of an FD record in nominal bit times; 0: no frame that could be on a wire."""
@@ -262,26 +257,23 @@ class Hub:
             self._medium.leave(client)
 
     def _hand_out(self, delivered: list[Delivery]) -> None:
+        """Give every station the frames that are for it."""
         pack_time = protocol.STAMP.pack
         stamped = [
             (delivery.sender, delivery.can_id, delivery.payload + pack_time(delivery.time_ns)) for delivery in delivered
         ]
+        everything = [record for _, _, record in stamped]
+        senders = {delivery.sender for delivery in delivered}
         for client in self._clients.values():
             if not client.joined:
                 continue
-            wants = client.wants
-            records = [record for sender, can_id, record in stamped if sender is not client and wants(can_id)]
-            if client.receive_own and any(sender is client for sender, _, _ in stamped):
-                records = [
-                    record if sender is not client else _marked_own(record)
-                    for sender, can_id, record in stamped
-                    if wants(can_id)
-                ]
-            if records:
+            if client.filters is None and client not in senders:
+                self._deliver(client, everything)
+            elif records := _selected(client, stamped):
                 self._deliver(client, records)
 
     def _deliver(self, client: Client, records: list[bytes]) -> None:
-        if not client.fd:
+        if self._fd and not client.fd:
             records = [record for record in records if len(record) == protocol.STAMPED_CAN_RECORD.size]
         room = RECEIVE_LIMIT - len(client.waiting)
         if len(records) > room:
@@ -367,6 +359,7 @@ class Hub:
         client.set_filters(join.filters)
         client.receive_own, client.fd, client.single = join.receive_own, join.fd, join.single
         client.joined = True
+        self._fd = (self._fd and not alone) or client.fd
         self._medium.join(client)
         return {"version": protocol.VERSION, "station": client.identity, **self.settings.as_json()}
 
@@ -384,6 +377,21 @@ class Hub:
             "malformed": self.malformed,
             "time_ns": (self._now_ns() if real else self._medium.free_ns) - self._medium.start_ns,
         }
+
+
+def _classical_bits(can_id: int, length: int, data: bytes) -> int:
+    """Bit times of a classical record; 0: no frame that could be on a wire."""
+    if length > 8 or can_id & ERROR_FLAG or (can_id & 0x1FFFF800 and not can_id & EXTENDED_FLAG):
+        return 0
+    return bits_on_wire(can_id, data[:length])
+
+
+def _selected(client: Client, stamped: list[tuple[Station, int, bytes]]) -> list[bytes]:
+    """The records that pass the client's filters; its own ones only on request, and marked."""
+    wants = client.wants
+    if not client.receive_own:
+        return [record for sender, can_id, record in stamped if sender is not client and wants(can_id)]
+    return [_marked_own(record) if sender is client else record for sender, can_id, record in stamped if wants(can_id)]
 
 
 def _marked_own(record: bytes) -> bytes:
@@ -428,8 +436,9 @@ def main(arguments: list[str] | None = None) -> None:
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
     try:
         Hub(options.channel, listener).serve(lambda: _end(path, log, lock, listener))
-    except SystemExit:
+    except SystemExit:  # terminated: the listening socket is still ours, so nobody else can have taken the place
         path.unlink(missing_ok=True)
+        log.unlink(missing_ok=True)
         raise
 
 

@@ -109,19 +109,18 @@ class Medium:
         heads = [station for station in self._stations if station.queue]
         if not heads:
             return False
-        start = self.free_ns
-        earliest = min([station.queue[0].ready_ns for station in heads])
-        if earliest > start:
-            start = earliest
-        if start > until_ns:
-            return False
         winner = heads[0]
+        frame = winner.queue[0]
+        start = max(self.free_ns, frame.ready_ns)
         if len(heads) > 1:
+            start = max(self.free_ns, min([station.queue[0].ready_ns for station in heads]))
             winner = min(
                 (station for station in heads if station.queue[0].ready_ns <= start),
                 key=lambda station: station.queue[0].priority,
             )
-        frame = winner.queue[0]
+            frame = winner.queue[0]
+        if start > until_ns:
+            return False
         if frame.fate is not None and frame.fate.broken_off_after:
             bits = frame.fate.broken_off_after[0] + ERROR_FRAME_BITS
             self._end_ns = start + bits * 1_000_000_000 // self.bitrate

@@ -22,7 +22,7 @@ from hilbench.bus.disturbance import Disturber, ErrorInjection
 from hilbench.bus.embedded import can_record
 from hilbench.bus.frame import Frame
 from hilbench.bus.medium import FOREVER, Medium, Station
-from hilbench.bus.messages import to_frame, to_message
+from hilbench.bus.messages import kernel_filters, to_frame, to_message
 from hilbench.bus.waiting import wait_readable
 from hilbench.bus.wire import bits_on_wire
 from hilbench.errors import BusError
@@ -172,8 +172,11 @@ class MemoryCanBus(can.BusABC):
             except BusError as error:
                 raise can.CanOperationError(str(error)) from error
         if not self._received:
-            return None, False
-        return to_message(self._received.popleft(), self._link.channel), False
+            return None, True
+        return to_message(self._received.popleft(), self._link.channel), True
+
+    def _apply_filters(self, filters: can.typechecking.CanFilters | None) -> None:
+        self._link.set_filters(kernel_filters(filters))
 
     def shutdown(self) -> None:
         super().shutdown()

@@ -41,3 +41,17 @@ def to_message(frame: Frame, channel: str, is_rx: bool = True) -> can.Message:
         data=None if remote else frame.data,
         is_rx=is_rx,
     )
+
+
+def kernel_filters(filters: can.typechecking.CanFilters | None) -> list[tuple[int, int]] | None:
+    """python-can's filters as (identifier, mask) pairs with flag bits; as there, an empty list lets all pass."""
+    if not filters:
+        return None
+    pairs = []
+    for entry in filters:
+        identifier, mask = int(entry["can_id"]), int(entry["can_mask"])
+        if "extended" in entry:
+            mask |= EXTENDED_FLAG
+            identifier |= EXTENDED_FLAG if entry["extended"] else 0
+        pairs.append((identifier, mask))
+    return pairs

@@ -10,8 +10,8 @@ from can.typechecking import AutoDetectedConfig, CanFilters
 
 from hilbench.bus import hub_client, protocol
 from hilbench.bus.embedded import can_record, receive_packet, send_packet
-from hilbench.bus.frame import EXTENDED_FLAG, Frame
-from hilbench.bus.messages import identifier_with_flags, to_message
+from hilbench.bus.frame import Frame
+from hilbench.bus.messages import identifier_with_flags, kernel_filters, to_message
 from hilbench.bus.requests import Wanted
 from hilbench.bus.waiting import wait_readable
 from hilbench.errors import BusError
@@ -51,7 +51,7 @@ class EmbeddedBus(can.BusABC):
             membership = hub_client.join(
                 self.channel,
                 wanted,
-                filters=_hub_filters(can_filters),
+                filters=kernel_filters(can_filters),
                 receive_own=receive_own_messages,
                 fd=fd,
                 single=True,
@@ -105,7 +105,7 @@ class EmbeddedBus(can.BusABC):
 
     def _apply_filters(self, filters: CanFilters | None) -> None:
         try:
-            hub_client.set_filters(self.channel, self._station, _hub_filters(filters))
+            hub_client.set_filters(self.channel, self._station, kernel_filters(filters))
         except BusError as error:
             raise can.CanOperationError(str(error)) from error
 
@@ -120,17 +120,3 @@ class EmbeddedBus(can.BusABC):
     def _detect_available_configs() -> list[AutoDetectedConfig]:
         """The channels that somebody has open now."""
         return [AutoDetectedConfig(interface="hilbench", channel=name) for name in hub_client.running_channels()]
-
-
-def _hub_filters(filters: CanFilters | None) -> list[tuple[int, int]] | None:
-    """python-can's filters as (identifier, mask); as there, no filters at all let every frame pass."""
-    if not filters:
-        return None
-    pairs = []
-    for entry in filters:
-        identifier, mask = int(entry["can_id"]), int(entry["can_mask"])
-        if "extended" in entry:
-            mask |= EXTENDED_FLAG
-            identifier |= EXTENDED_FLAG if entry["extended"] else 0
-        pairs.append((identifier, mask))
-    return pairs
