@@ -49,7 +49,7 @@ class Device:
     """One CANopen device on the object dictionary of an EDS file.
 
     `cell(index, sub)` is the one place of an object's value. The application may set `on_nmt(state)` (told of every
-    change, INITIALISING for a reset), `on_communication_error(text)` (heartbeat of a watched node or an RPDO missed)
+    change, INITIALISING for a reset), `on_communication_error(code)` (EMCY code: a watched heartbeat or an RPDO missed)
     and `on_write` of cells.
     """
 
@@ -59,7 +59,7 @@ class Device:
         self.replies: list[Frame] = []
         self.outbox: list[Frame] = []
         self.on_nmt: Callable[[NmtState], None] | None = None
-        self.on_communication_error: Callable[[str], None] | None = None
+        self.on_communication_error: Callable[[int], None] | None = None
         self._clock = clock
         self._store = ObjectStore(od)
         self._storage = Storage(self._store, store)
@@ -162,7 +162,7 @@ class Device:
             return
         for rpdo in self._rpdos:
             if rpdo.poll(now_ns):
-                self._communication_error(RPDO_TIMED_OUT, f"RPDO {rpdo.number} missed")
+                self._communication_error(RPDO_TIMED_OUT, bytes([rpdo.number]))
         for tpdo in self._event_driven:
             tpdo.poll(now_ns)
 
@@ -249,16 +249,16 @@ class Device:
     # -- errors ------------------------------------------------------------------------------------------
 
     def _heartbeat_lost(self, node_id: int) -> None:
-        self._communication_error(HEARTBEAT_LOST, f"heartbeat of node {node_id} lost", bytes([node_id]))
+        self._communication_error(HEARTBEAT_LOST, bytes([node_id]))
 
     def _heartbeat_back(self, node_id: int) -> None:
         self.clear_emergency(HEARTBEAT_LOST)
 
-    def _communication_error(self, code: int, text: str, info: bytes = b"") -> None:
+    def _communication_error(self, code: int, info: bytes) -> None:
         """EMCY, the application's reaction (6007h), and the NMT reaction of 1029h sub 1."""
         self.emergency(code, COMMUNICATION_ERROR, info)
         if self.on_communication_error is not None:
-            self.on_communication_error(text)
+            self.on_communication_error(code)
         behaviour = self.cell(0x1029, 1).value if self.has(0x1029, 1) else 0
         if behaviour == 0 and self.nmt_state is NmtState.OPERATIONAL:
             self._enter(NmtState.PRE_OPERATIONAL)

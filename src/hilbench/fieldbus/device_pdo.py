@@ -283,7 +283,7 @@ class Tpdo(_Pdo):
 
     def _data(self) -> bytes:
         assert self.map is not None
-        return self.map.pack(*[cell.value for cell in self.cells])
+        return self.map.pack([cell.value for cell in self.cells])
 
     def _transmit(self, data: bytes) -> None:
         self._sent = data

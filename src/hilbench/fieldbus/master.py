@@ -109,7 +109,7 @@ class Master:
 
     # -- SDO ---------------------------------------------------------------------------------------------
 
-    def read(self, node_id: int, index: int, sub: int = 0) -> Any:
+    def sdo_read(self, node_id: int, index: int, sub: int = 0) -> Any:
         """The value of an object, decoded by its EDS type."""
         variable = self._variable(node_id, index, sub)
         try:
@@ -119,7 +119,7 @@ class Master:
             raise self._fault(node_id, variable, "reading", error) from error
         return variable.decode_raw(data)
 
-    def write(self, node_id: int, index: int, value: Any, sub: int = 0) -> None:
+    def sdo_write(self, node_id: int, index: int, value: Any, sub: int = 0) -> None:
         """Write an object, encoded by its EDS type."""
         variable = self._variable(node_id, index, sub)
         try:
@@ -131,8 +131,8 @@ class Master:
     def configure(self, node_id: int, writes: Mapping[tuple[int, int], Any]) -> None:
         """Write objects by (index, sub-index) and read each back. Raises BenchFaultError where they differ."""
         for (index, sub), value in writes.items():
-            self.write(node_id, index, value, sub)
-            found = self.read(node_id, index, sub)
+            self.sdo_write(node_id, index, value, sub)
+            found = self.sdo_read(node_id, index, sub)
             if found != value:
                 variable = self._variable(node_id, index, sub)
                 raise BenchFaultError(
@@ -141,7 +141,7 @@ class Master:
 
     def identity(self, node_id: int) -> Identity:
         """1018h of a node."""
-        return Identity(*(int(self.read(node_id, 0x1018, sub)) for sub in (1, 2, 3, 4)))
+        return Identity(*(int(self.sdo_read(node_id, 0x1018, sub)) for sub in (1, 2, 3, 4)))
 
     def has(self, node_id: int, index: int, sub: int = 0) -> bool:
         """Whether the node's EDS has the object."""
@@ -163,22 +163,22 @@ class Master:
 
     def disable_pdo(self, node_id: int, communication_index: int) -> None:
         """Make a PDO invalid (bit 31 of its COB-ID)."""
-        cob_id = int(self.read(node_id, communication_index, 1))
-        self.write(node_id, communication_index, cob_id | _INVALID, 1)
+        cob_id = int(self.sdo_read(node_id, communication_index, 1))
+        self.sdo_write(node_id, communication_index, cob_id | _INVALID, 1)
 
     def _write_pdo(self, node_id: int, communication: int, mapping: int, pdo: PdoMap) -> None:
         """The procedure of CiA 301: PDO invalid, number 0, entries, number, valid."""
         self.disable_pdo(node_id, communication)
         remote = _NO_REMOTE_REQUEST if communication >= 0x1800 else 0
-        self.write(node_id, mapping, 0, 0)
+        self.sdo_write(node_id, mapping, 0, 0)
         for sub, entry in enumerate(pdo.mapping, 1):
-            self.write(node_id, mapping, entry, sub)
-        self.write(node_id, mapping, len(pdo.mapping), 0)
-        self.write(node_id, communication, pdo.transmission_type, 2)
-        self.write(node_id, communication, pdo.cob_id | remote | _INVALID, 1)
-        self.write(node_id, communication, pdo.cob_id | remote, 1)
-        count = self.read(node_id, mapping, 0)
-        found = [self.read(node_id, mapping, sub) for sub in range(1, count + 1)]
+            self.sdo_write(node_id, mapping, entry, sub)
+        self.sdo_write(node_id, mapping, len(pdo.mapping), 0)
+        self.sdo_write(node_id, communication, pdo.transmission_type, 2)
+        self.sdo_write(node_id, communication, pdo.cob_id | remote | _INVALID, 1)
+        self.sdo_write(node_id, communication, pdo.cob_id | remote, 1)
+        count = self.sdo_read(node_id, mapping, 0)
+        found = [self.sdo_read(node_id, mapping, sub) for sub in range(1, count + 1)]
         if found != pdo.mapping:
             as_text = " ".join(f"{entry:08X}h" for entry in found)
             raise BenchFaultError(

@@ -49,7 +49,7 @@ def bit_length(variable: ODVariable) -> int:
 class PdoMap:
     """One PDO: its COB-ID, transmission type and mapped variables in order.
 
-    `pack(*values)` and `unpack(data)` translate between the values and the frame's data (`size` bytes), little
+    `pack(values)` and `unpack(data)` translate between the values and the frame's data (`size` bytes), little
     endian as CiA 301 has it. Raises ValueError when the variables take more than 8 bytes or can't be mapped.
     """
 
@@ -63,8 +63,8 @@ class PdoMap:
         self.transmission_type = transmission_type
         self.variables = tuple(variables)
         self.size = layout.size
-        self.pack = layout.pack
         self.unpack = layout.unpack
+        self._layout = layout
 
     @classmethod
     def from_names(
@@ -79,6 +79,10 @@ class PdoMap:
             if not variable.pdo_mappable:
                 raise ValueError(f"{variable.index:04X}h ('{variable.name}') is not mappable by its EDS")
         return cls(cob_id, transmission_type, variables)
+
+    def pack(self, values: Sequence[int | float]) -> bytes:
+        """The frame's data. Raises struct.error for a value that does not fit its object."""
+        return self._layout.pack(*values)
 
     @property
     def mapping(self) -> list[int]:
