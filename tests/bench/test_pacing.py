@@ -1,0 +1,33 @@
+"""Pacing by absolute deadlines, on times of our own."""
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hilbench.bench.pacing import Pacing, advance, start
+
+PERIOD = 2_000_000
+
+
+def test_deadlines_stay_on_their_grid_when_a_cycle_is_a_little_late():
+    pacing = Pacing(PERIOD)
+    start(pacing, 0)
+    advance(pacing, PERIOD + 300_000)
+    assert (pacing.deadline_ns, pacing.missed, pacing.lateness_ns) == (2 * PERIOD, 0, [300_000])
+
+
+def test_a_whole_period_late_counts_as_missed_and_is_not_made_up_for():
+    pacing = Pacing(PERIOD)
+    start(pacing, 0)
+    advance(pacing, PERIOD + 3 * PERIOD + 1)
+    assert pacing.missed == 3
+    assert pacing.deadline_ns == 5 * PERIOD
+
+
+@given(st.lists(st.integers(min_value=0, max_value=5 * PERIOD), min_size=1, max_size=50))
+def test_every_period_is_either_sent_or_missed(delays):
+    pacing = Pacing(PERIOD)
+    start(pacing, 0)
+    for delay in delays:
+        advance(pacing, pacing.deadline_ns + delay)
+    assert pacing.deadline_ns == PERIOD * (1 + len(delays) + pacing.missed)
+    assert len(pacing.lateness_ns) == len(delays)
