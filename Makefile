@@ -4,6 +4,9 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
+# python-can's own tests (they are in its source distribution only), in the version and with the hash of the lock file.
+SUITE := .cache/python-can
+
 .PHONY: setup demo test lint lock clean
 
 setup: $(STAMP)
@@ -14,10 +17,19 @@ $(STAMP): requirements.lock pyproject.toml
 	$(BIN)/python -m pip install --quiet --no-deps --no-build-isolation --editable .
 	touch $@
 
+$(SUITE)/.extracted: requirements.lock $(STAMP)
+	rm -rf $(SUITE)
+	mkdir -p $(SUITE)
+	awk '/^python-can==/ {on = 1} on {print} on && !/\\$$/ {exit}' requirements.lock > $(SUITE)/requirement.txt
+	$(BIN)/python -m pip download --quiet --no-deps --no-binary python-can --require-hashes \
+	    --requirement $(SUITE)/requirement.txt --dest $(SUITE)
+	tar -xzf $(SUITE)/python_can-*.tar.gz -C $(SUITE) --strip-components=1
+	touch $@
+
 demo: setup
 	$(BIN)/hilbench run bench_configs/web_section_step.yaml
 
-test: setup
+test: setup $(SUITE)/.extracted
 	$(BIN)/python -m pytest -q -n 2
 
 lint: setup

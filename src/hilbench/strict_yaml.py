@@ -68,7 +68,10 @@ def load(path: Path) -> Document:
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else "not UTF-8 text"
         raise UnusableInputError(path, f"cannot be read ({reason}), expected a YAML file") from error
-    loader = _Loader(text)
+    try:
+        loader = _Loader(text)
+    except yaml.reader.ReaderError as error:
+        raise UnusableInputError(path, f"not valid YAML: character {error.character!r} is not allowed") from error
     try:
         root = loader.get_single_node()
         lines: dict[Location, int] = {}
@@ -103,17 +106,19 @@ def _index(path: Path, node: yaml.Node, location: Location, lines: dict[Location
             _index(path, item, (*location, position), lines)
 
 
-def validate(document: Document, model: type[Model], location: Location = ()) -> Model:
+def validate(
+    document: Document, model: type[Model], location: Location = (), context: Mapping[str, Any] | None = None
+) -> Model:
     """Validate the data at `location` of a document against a pydantic model.
 
     Raises UnusableInputError that names file, line, key, what was found and what was expected (the first
-    error; the number of further ones is said).
+    error; the number of further ones is said). `context` is handed to the model's validators.
     """
     data = document.data
     for step in location:
         data = data[step]
     try:
-        return model.model_validate(data)
+        return model.model_validate(data, context=dict(context or {}))
     except ValidationError as error:
         raise _unusable(document, location, error) from error
 

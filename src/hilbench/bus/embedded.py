@@ -1,0 +1,94 @@
+"""A link to the embedded bus: its packets, as the cyclic path wants them."""
+
+from __future__ import annotations
+
+import socket
+from collections.abc import Sequence
+
+from hilbench.bus import hub_client, protocol
+from hilbench.bus.frame import ERROR_FLAG, EXTENDED_FLAG, Frame
+from hilbench.bus.requests import Wanted
+from hilbench.bus.waiting import wait_readable, wait_writable
+from hilbench.errors import BusError
+
+#: A sender that floods waits for the wire; a wire that takes nothing for so long is lost.
+_SEND_TIMEOUT_S = 5.0
+_HEADER = protocol.HEADER.pack(protocol.KIND_CLASSICAL, 0)
+
+
+def can_record(can_id: int, data: bytes) -> bytes:
+    """`struct can_frame` of a classical frame. Raises ValueError for one that cannot be on a wire."""
+    if can_id & ERROR_FLAG:
+        raise ValueError(f"0x{can_id:X}: an error frame, which the bus itself makes")
+    if can_id & 0x1FFFF800 and not can_id & EXTENDED_FLAG:
+        raise ValueError(f"identifier 0x{can_id:X}: not an 11-bit one, and without the flag of a 29-bit one")
+    if len(data) > 8:
+        raise ValueError(f"frame 0x{can_id:X}: found {len(data)} data bytes, expected up to 8")
+    return protocol.CAN_RECORD.pack(can_id, len(data), 0, data)
+
+
+def send_packet(connection: socket.socket, channel: str, packet: bytes) -> None:
+    """Hand a packet to the hub; waits while the transmit queue is full. Raises BusError if the bus is lost."""
+    while True:
+        try:
+            connection.send(packet)
+            return
+        except BlockingIOError:
+            if not wait_writable(connection.fileno(), _SEND_TIMEOUT_S):
+                raise BusError(f"embedded bus {channel}: took no frame for {_SEND_TIMEOUT_S:g} s") from None
+        except OSError:
+            raise hub_client.hub_lost(channel) from None
+
+
+def receive_packet(connection: socket.socket, channel: str) -> bytes | None:
+    """The next packet that waits, or None. Raises BusError if the bus is lost."""
+    try:
+        packet = connection.recv(protocol.PACKET_BYTES)
+    except BlockingIOError:
+        return None
+    except OSError:
+        raise hub_client.hub_lost(channel) from None
+    if not packet:
+        raise hub_client.hub_lost(channel)
+    return packet
+
+
+class EmbeddedLink:
+    """Link to one channel of the embedded bus; `timing` and `bitrate` must be those of the bus if it already runs."""
+
+    def __init__(self, channel: str, bitrate: int, timing: str) -> None:
+        self.channel = channel
+        self.dropped = 0
+        membership = hub_client.join(channel, Wanted(bitrate=bitrate, timing=timing))
+        self._station = membership.station
+        self._connection = membership.connection
+
+    def send(self, frames: Sequence[Frame]) -> None:
+        records = [can_record(frame.can_id, frame.data) for frame in frames]
+        for start in range(0, len(records), protocol.MAX_RECORDS):
+            packet = _HEADER + b"".join(records[start : start + protocol.MAX_RECORDS])
+            send_packet(self._connection, self.channel, packet)
+
+    def receive(self, timeout_s: float) -> list[Frame]:
+        packet = receive_packet(self._connection, self.channel)
+        if packet is None:
+            if timeout_s <= 0 or not wait_readable(self._connection.fileno(), timeout_s):
+                return []
+            packet = receive_packet(self._connection, self.channel)
+        frames: list[Frame] = []
+        while packet is not None:
+            body = memoryview(packet)[protocol.HEADER.size :]
+            for can_id, length, _, data, time_ns in protocol.STAMPED_CAN_RECORD.iter_unpack(body):
+                frames.append(Frame(can_id, data[:length], time_ns))
+            _, self.dropped = protocol.HEADER.unpack_from(packet)
+            packet = receive_packet(self._connection, self.channel)
+        return frames
+
+    def set_filters(self, identifiers: Sequence[tuple[int, int]] | None) -> None:
+        hub_client.set_filters(self.channel, self._station, identifiers)
+
+    def fileno(self) -> int:
+        return self._connection.fileno()
+
+    def close(self) -> None:
+        self._connection.close()

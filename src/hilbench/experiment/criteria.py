@@ -1,0 +1,101 @@
+"""Criteria: what a run has to show to pass, as a config states it, and their verdicts as `result.json` holds them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from math import isfinite
+from typing import Any, Self
+
+from pydantic import BaseModel, ConfigDict, Field, SerializerFunctionWrapHandler, model_serializer, model_validator
+
+from hilbench.experiment.metrics import METRICS
+
+
+class Criterion(BaseModel):
+    """A bound on one metric: `min`, `max` or both (inclusive), or a `target` with its `tolerance`.
+
+    `unit`, where given, must be the metric's own: it is there for the reader, nothing is converted.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    name: str = Field(min_length=1)
+    metric: str
+    min: float | None = None
+    max: float | None = None
+    target: float | None = None
+    tolerance: float | None = Field(default=None, ge=0)
+    unit: str | None = None
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if self.metric not in METRICS:
+            raise ValueError(f"metric '{self.metric}' is not known, one of {', '.join(METRICS)}")
+        if self.unit is not None and self.unit != METRICS[self.metric].unit:
+            raise ValueError(f"unit '{self.unit}' of metric {self.metric}, which is in '{METRICS[self.metric].unit}'")
+        if (self.target is None) != (self.tolerance is None):
+            raise ValueError("target and tolerance together")
+        bounded = self.min is not None or self.max is not None
+        if bounded == (self.target is not None):
+            raise ValueError("either min and/or max, or target and tolerance")
+        if self.min is not None and self.max is not None and self.min > self.max:
+            raise ValueError(f"min {self.min:g} at most max {self.max:g}")
+        return self
+
+    @property
+    def limit(self) -> str:
+        """The bound as text: ``≤ 25``, ``≥ 3``, ``3 … 5`` or ``80 ± 1``."""
+        if self.target is not None:
+            return f"{self.target:g} ± {self.tolerance:g}"
+        if self.min is not None and self.max is not None:
+            return f"{self.min:g} … {self.max:g}"
+        return f"≥ {self.min:g}" if self.min is not None else f"≤ {self.max:g}"
+
+    def holds(self, value: float) -> bool:
+        """Whether a finite value lies within the bound."""
+        if self.target is not None and self.tolerance is not None:
+            return abs(value - self.target) <= self.tolerance
+        return (self.min is None or value >= self.min) and (self.max is None or value <= self.max)
+
+
+class CriterionResult(BaseModel):
+    """The verdict on one criterion. `value` is None, and `reason` says why, where the run has no such value."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    name: str
+    value: float | None
+    limit: str
+    unit: str
+    passed: bool
+    reason: str | None = None
+
+    @model_serializer(mode="wrap")
+    def _without_empty_reason(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        fields: dict[str, Any] = serialize(self)
+        if self.reason is None:
+            del fields["reason"]
+        return fields
+
+
+def evaluate(criteria: Sequence[Criterion], metrics: Mapping[str, float | None]) -> list[CriterionResult]:
+    """Judge a run's metrics. A metric the run does not have, or that is no finite number, fails."""
+    return [_judge(criterion, metrics) for criterion in criteria]
+
+
+def _judge(criterion: Criterion, metrics: Mapping[str, float | None]) -> CriterionResult:
+    value, reason = metrics.get(criterion.metric), None
+    if criterion.metric not in metrics:
+        reason = f"metric {criterion.metric} was not evaluated in this run"
+    elif value is None:
+        reason = f"the run has no {criterion.metric}: {METRICS[criterion.metric].absent}"
+    elif not isfinite(value):
+        value, reason = None, f"{criterion.metric} is {value}, expected a finite number"
+    return CriterionResult(
+        name=criterion.name,
+        value=value,
+        limit=criterion.limit,
+        unit=METRICS[criterion.metric].unit,
+        passed=value is not None and criterion.holds(value),
+        reason=reason,
+    )

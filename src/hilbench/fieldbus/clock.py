@@ -1,0 +1,60 @@
+"""The time base of a device: the monotonic clock, or SYNC itself where nobody's clock is right."""
+
+from __future__ import annotations
+
+import time
+from typing import Protocol
+
+
+class Clock(Protocol):
+    """Time of a device in ns, never set back."""
+
+    def now_ns(self) -> int:
+        """The present time."""
+
+    def tick(self) -> None:
+        """A SYNC has come."""
+
+    def stalled_ns(self) -> int:
+        """Wall time since SYNC stopped, 0 while it runs or where that does not matter."""
+
+
+class MonotonicClock:
+    """Wall time."""
+
+    def __init__(self, stall_s: float = 0.1) -> None:
+        self._stall_ns = int(stall_s * 1e9)
+        self._last_sync_ns = -(1 << 62)
+
+    def now_ns(self) -> int:
+        return time.monotonic_ns()
+
+    def tick(self) -> None:
+        self._last_sync_ns = time.monotonic_ns()
+
+    def stalled_ns(self) -> int:
+        return max(0, time.monotonic_ns() - self._last_sync_ns - self._stall_ns)
+
+
+class SyncClock:
+    """One cycle per SYNC, so that timers fall into the same cycle on every machine.
+
+    Before the first SYNC, and when none has come for `stall_s` of wall time, it goes by the wall clock: a dead
+    master must be noticed.
+    """
+
+    def __init__(self, cycle_ns: int, stall_s: float = 1.0) -> None:
+        self._cycle_ns = cycle_ns
+        self._stall_ns = int(stall_s * 1e9)
+        self._time_ns = time.monotonic_ns()
+        self._last_sync_ns = self._time_ns - self._stall_ns
+
+    def now_ns(self) -> int:
+        return self._time_ns + self.stalled_ns()
+
+    def tick(self) -> None:
+        self._time_ns = self.now_ns() + self._cycle_ns
+        self._last_sync_ns = time.monotonic_ns()
+
+    def stalled_ns(self) -> int:
+        return max(0, time.monotonic_ns() - self._last_sync_ns - self._stall_ns)

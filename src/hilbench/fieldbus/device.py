@@ -1,0 +1,274 @@
+"""The CANopen device runtime, slave side (CiA 301): NMT states gate SDO, PDO, SYNC, EMCY and heartbeat.
+
+A device does nothing by itself: its host hands it frames (`handle`, `sync`) and time (`poll`) and sends what collects
+in `replies` (answers to a request, due at once) and `outbox` (what the device has to say on its own).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from enum import IntEnum
+from pathlib import Path
+
+import canopen
+
+from hilbench.bus.frame import EXTENDED_FLAG, REMOTE_FLAG, Frame
+from hilbench.fieldbus.clock import Clock
+from hilbench.fieldbus.device_pdo import RPDO_TIMED_OUT, Rpdo, Tpdo
+from hilbench.fieldbus.emcy import COMMUNICATION_ERROR, EmergencyProducer
+from hilbench.fieldbus.heartbeat import HeartbeatConsumer, HeartbeatProducer
+from hilbench.fieldbus.object_store import (
+    INVALID_VALUE,
+    PRESENT_STATE,
+    Cell,
+    ObjectStore,
+    SdoAbort,
+)
+from hilbench.fieldbus.sdo_server import DeviceSdoServer
+from hilbench.fieldbus.storage import Storage
+
+__all__ = ["Cell", "Device", "NmtState", "SdoAbort"]
+
+HEARTBEAT_LOST = 0x8130
+SYNC_LENGTH = 0x8240
+
+_COMMUNICATION_AREA = (0x1000, 0x1FFF)
+_ALL_AREAS = (0x1000, 0x9FFF)
+
+
+class NmtState(IntEnum):
+    """NMT states by the value that a heartbeat carries."""
+
+    INITIALISING = 0
+    STOPPED = 4
+    OPERATIONAL = 5
+    PRE_OPERATIONAL = 127
+
+
+class Device:
+    """One CANopen device on the object dictionary of an EDS file.
+
+    `cell(index, sub)` is the one place of an object's value. The application may set `on_nmt(state)` (told of every
+    change, INITIALISING for a reset), `on_communication_error(code)` (EMCY code: a watched heartbeat or an RPDO missed)
+    and `on_write` of cells.
+    """
+
+    def __init__(self, od: canopen.ObjectDictionary, node_id: int, clock: Clock, *, store: Path | None = None) -> None:
+        self.node_id = node_id
+        self.nmt_state = NmtState.INITIALISING
+        self.replies: list[Frame] = []
+        self.outbox: list[Frame] = []
+        self.on_nmt: Callable[[NmtState], None] | None = None
+        self.on_communication_error: Callable[[int], None] | None = None
+        self._clock = clock
+        self._store = ObjectStore(od)
+        self._storage = Storage(self._store, store)
+        self._sdo = DeviceSdoServer(node_id, self._store, self._reply)
+        self._emcy = EmergencyProducer(self._store, self._say, clock.now_ns)
+        self._producer = HeartbeatProducer(self._store, clock.now_ns)
+        self._consumer = HeartbeatConsumer(self._store, clock.now_ns, self._heartbeat_lost, self._heartbeat_back)
+        numbers = range(1, 513)
+        self._rpdos = [
+            Rpdo(self._store, n, self._emcy.raise_error, clock.now_ns)
+            for n in numbers
+            if (0x13FF + n, 1) in self._store and (0x15FF + n, 0) in self._store
+        ]
+        self._tpdos = [
+            Tpdo(self._store, n, self._say)
+            for n in numbers
+            if (0x17FF + n, 1) in self._store and (0x19FF + n, 0) in self._store
+        ]
+        self._receivers: dict[int, Rpdo] = {}
+        self._synchronous: list[Tpdo] = []
+        self._event_driven: list[Tpdo] = []
+        self._restrict_sync_objects()
+        self._reset(*_ALL_AREAS)
+
+    # -- application side --------------------------------------------------------------------------------
+
+    def cell(self, index: int, sub: int = 0) -> Cell:
+        """The cell of an object. Raises KeyError when the EDS lacks it."""
+        return self._store.cell(index, sub)
+
+    def has(self, index: int, sub: int = 0) -> bool:
+        """Whether the EDS has the object."""
+        return (index, sub) in self._store
+
+    def emergency(self, code: int, register_bits: int, info: bytes = b"") -> None:
+        """An error has come (EMCY, 1001h, 1003h); reported once until `clear_emergency`."""
+        if self.nmt_state in (NmtState.PRE_OPERATIONAL, NmtState.OPERATIONAL):
+            self._emcy.raise_error(code, register_bits, info)
+
+    def clear_emergency(self, code: int) -> None:
+        """An error has gone."""
+        self._emcy.clear_error(code)
+
+    # -- host side ---------------------------------------------------------------------------------------
+
+    def boot(self) -> None:
+        """Say boot-up and be pre-operational."""
+        self._say(0x700 + self.node_id, b"\0")
+        self._enter(NmtState.PRE_OPERATIONAL)
+
+    def handle(self, frame: Frame) -> None:
+        """Any frame of the bus but SYNC."""
+        can_id = frame.can_id
+        receiver = self._receivers.get(can_id)
+        if receiver is not None:
+            if self.nmt_state is NmtState.OPERATIONAL:
+                receiver.receive(frame.data)
+        elif can_id == 0x600 + self.node_id:
+            if self.nmt_state in (NmtState.PRE_OPERATIONAL, NmtState.OPERATIONAL):
+                self._sdo.handle(frame.data)
+                self._compile_pdos_if_changed()
+        elif can_id == 0:
+            self._nmt_command(frame.data)
+        elif 0x701 <= can_id <= 0x77F and len(frame.data) == 1:
+            self._consumer.heard(can_id - 0x700)
+        elif can_id & REMOTE_FLAG and not can_id & EXTENDED_FLAG and self.nmt_state is NmtState.OPERATIONAL:
+            for tpdo in self._tpdos:
+                if tpdo.valid and tpdo.cob_id == can_id & 0x7FF:
+                    tpdo.request()
+
+    @property
+    def sync_cob_id(self) -> int:
+        """Identifier of SYNC, 1005h."""
+        return int(self._sync_cob.value & 0x7FF)
+
+    def sync(self, data: bytes) -> None:
+        """SYNC: synchronous RPDOs act, synchronous TPDOs are sampled and sent."""
+        if self.nmt_state is not NmtState.OPERATIONAL:
+            return
+        counter: int | None = None
+        expected = 1 if self._sync_counter is not None and self._sync_counter.value else 0
+        if len(data) != expected:
+            self.emergency(SYNC_LENGTH, COMMUNICATION_ERROR)
+            return
+        if expected:
+            counter = data[0]
+        for rpdo in self._rpdos:
+            rpdo.sync()
+        for tpdo in self._synchronous:
+            tpdo.sync(counter)
+
+    def poll(self) -> None:
+        """Time has passed: heartbeats, time-outs, event-driven PDOs, held-back EMCYs."""
+        now_ns = self._clock.now_ns()
+        if self._producer.due(now_ns):
+            self._say(0x700 + self.node_id, bytes([self.nmt_state]))
+        self._consumer.poll(now_ns)
+        self._emcy.poll(now_ns)
+        if self.nmt_state is not NmtState.OPERATIONAL:
+            return
+        for rpdo in self._rpdos:
+            if rpdo.poll(now_ns):
+                self._communication_error(RPDO_TIMED_OUT, bytes([rpdo.number]))
+        for tpdo in self._event_driven:
+            tpdo.poll(now_ns)
+
+    def rephase(self) -> None:
+        """Count heartbeat periods from now: SYNC has begun, and with it a common time."""
+        self._producer.rephase()
+        self._consumer.rephase()
+
+    # -- NMT ---------------------------------------------------------------------------------------------
+
+    def _nmt_command(self, data: bytes) -> None:
+        if len(data) != 2 or data[1] not in (0, self.node_id):
+            return
+        command = data[0]
+        if command == 1:
+            self._enter(NmtState.OPERATIONAL)
+        elif command == 2:
+            self._enter(NmtState.STOPPED)
+        elif command == 128:
+            self._enter(NmtState.PRE_OPERATIONAL)
+        elif command in (129, 130):
+            self._enter(NmtState.INITIALISING)
+            self._reset(*(_ALL_AREAS if command == 129 else _COMMUNICATION_AREA))
+            self.boot()
+
+    def _enter(self, state: NmtState) -> None:
+        if state is self.nmt_state:
+            return
+        self.nmt_state = state
+        for rpdo in self._rpdos:
+            rpdo.reset()
+        if state is NmtState.OPERATIONAL:
+            for tpdo in self._tpdos:
+                tpdo.start()
+        if self.on_nmt is not None:
+            self.on_nmt(state)
+
+    def _reset(self, first: int, last: int) -> None:
+        self._store.reset(first, last)
+        self._storage.apply(first, last)
+        self._emcy.reset()
+        self._consumer.reset()
+        self._producer.rephase()
+        self._compile_pdos()
+
+    # -- PDOs --------------------------------------------------------------------------------------------
+
+    def _pdo_parameters(self) -> tuple[object, ...]:
+        pdos = (*self._rpdos, *self._tpdos)
+        return tuple((p._cob.value, p._type.value, p._count.value, *(e.value for e in p._entries)) for p in pdos)
+
+    def _compile_pdos_if_changed(self) -> None:
+        if self._pdo_parameters() != self._compiled:
+            self._compile_pdos()
+
+    def _compile_pdos(self) -> None:
+        for pdo in (*self._rpdos, *self._tpdos):
+            pdo.compile()
+        self._compiled = self._pdo_parameters()
+        self._receivers = {rpdo.cob_id: rpdo for rpdo in self._rpdos if rpdo.valid and rpdo.map is not None}
+        active = [tpdo for tpdo in self._tpdos if tpdo.valid and tpdo.map is not None]
+        self._synchronous = [tpdo for tpdo in active if tpdo.transmission_type <= 240]
+        self._event_driven = [tpdo for tpdo in active if tpdo.transmission_type > 240]
+
+    # -- SYNC objects ------------------------------------------------------------------------------------
+
+    def _restrict_sync_objects(self) -> None:
+        self._sync_cob = self.cell(0x1005)
+        self._sync_counter = self.cell(0x1019) if self.has(0x1019) else None
+        self._sync_cob.on_write = self._check_sync_cob
+        if self._sync_counter is not None:
+            self._sync_counter.on_write = self._check_sync_counter
+
+    def _check_sync_cob(self, value: int) -> None:
+        if value & 0x60000000 or not value & 0x7FF >= 1:
+            raise SdoAbort(INVALID_VALUE)  # this device produces no SYNC and knows no 29-bit identifier
+
+    def _check_sync_counter(self, value: int) -> None:
+        if self.has(0x1006) and self.cell(0x1006).value:
+            raise SdoAbort(PRESENT_STATE)
+        if value == 1 or value > 240:
+            raise SdoAbort(INVALID_VALUE)
+
+    # -- errors ------------------------------------------------------------------------------------------
+
+    def _heartbeat_lost(self, node_id: int) -> None:
+        self._communication_error(HEARTBEAT_LOST, bytes([node_id]))
+
+    def _heartbeat_back(self, node_id: int) -> None:
+        self.clear_emergency(HEARTBEAT_LOST)
+
+    def _communication_error(self, code: int, info: bytes) -> None:
+        """EMCY, the application's reaction (6007h), and the NMT reaction of 1029h sub 1."""
+        self.emergency(code, COMMUNICATION_ERROR, info)
+        if self.on_communication_error is not None:
+            self.on_communication_error(code)
+        behaviour = self.cell(0x1029, 1).value if self.has(0x1029, 1) else 0
+        if behaviour == 0 and self.nmt_state is NmtState.OPERATIONAL:
+            self._enter(NmtState.PRE_OPERATIONAL)
+        elif behaviour == 2:
+            self._enter(NmtState.STOPPED)
+
+    # -- frames out --------------------------------------------------------------------------------------
+
+    def _say(self, cob_id: int, data: bytes) -> None:
+        self.outbox.append(Frame(cob_id, bytes(data)))
+
+    def _reply(self, cob_id: int, data: bytes) -> None:
+        self.replies.append(Frame(cob_id, bytes(data)))

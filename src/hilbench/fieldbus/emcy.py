@@ -1,0 +1,93 @@
+"""Emergency producer: EMCY frames, error register 1001h and error history 1003h (CiA 301)."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+
+from hilbench.fieldbus.object_store import INVALID_VALUE, ObjectStore, SdoAbort
+
+GENERIC_ERROR = 0x01
+COMMUNICATION_ERROR = 0x10
+
+_EMCY = struct.Struct("<HB5s")
+_INVALID = 0x80000000
+
+
+class EmergencyProducer:
+    """Reports errors when they come and when they go; `send(cob_id, data)` puts a frame on the bus."""
+
+    def __init__(self, store: ObjectStore, send: Callable[[int, bytes], None], now_ns: Callable[[], int]) -> None:
+        self._send = send
+        self._now_ns = now_ns
+        self._active: dict[int, int] = {}
+        self._register = store.cell(0x1001)
+        self._cob_id = store.cell(0x1014) if (0x1014, 0) in store else None
+        self._inhibit = store.cell(0x1015) if (0x1015, 0) in store else None
+        self._count = store.cell(0x1003) if (0x1003, 0) in store else None
+        self._history = [store.cell(0x1003, n) for n in range(1, 255) if (0x1003, n) in store]
+        self._waiting: list[bytes] = []
+        self._free_ns = 0
+        if self._count is not None:
+            self._count.on_write = self._clear_history
+
+    def raise_error(self, code: int, register_bits: int, info: bytes = b"") -> None:
+        """An error has come: EMCY, register and history; an error that is there already is not reported again."""
+        if code in self._active:
+            return
+        self._active[code] = register_bits | GENERIC_ERROR
+        self._update_register()
+        self._remember(code, info)
+        self._report(_EMCY.pack(code, self._register.value, info[:5].ljust(5, b"\0")))
+
+    def clear_error(self, code: int) -> None:
+        """An error has gone: EMCY 0000h with what remains in the register, the code that went in its info."""
+        if self._active.pop(code, None) is None:
+            return
+        self._update_register()
+        self._report(_EMCY.pack(0, self._register.value, struct.pack("<H", code).ljust(5, b"\0")))
+
+    def reset(self) -> None:
+        """Forget what is active (reset node)."""
+        self._active.clear()
+        self._waiting.clear()
+        self._update_register()
+
+    def poll(self, now_ns: int) -> None:
+        """Send what the inhibit time held back."""
+        while self._waiting and now_ns >= self._free_ns:
+            self._transmit(self._waiting.pop(0), now_ns)
+
+    def _report(self, data: bytes) -> None:
+        now_ns = self._now_ns()
+        if self._waiting or now_ns < self._free_ns:
+            self._waiting.append(data)
+        else:
+            self._transmit(data, now_ns)
+
+    def _transmit(self, data: bytes, now_ns: int) -> None:
+        if self._cob_id is None or self._cob_id.value & _INVALID:
+            return
+        self._send(self._cob_id.value & 0x7FF, data)
+        if self._inhibit is not None:
+            self._free_ns = now_ns + self._inhibit.value * 100_000
+
+    def _update_register(self) -> None:
+        value = 0
+        for bits in self._active.values():
+            value |= bits
+        self._register.value = value
+
+    def _remember(self, code: int, info: bytes) -> None:
+        if self._count is None or not self._history:
+            return
+        for older, newer in zip(reversed(self._history[1:]), reversed(self._history[:-1]), strict=True):
+            older.value = newer.value
+        self._history[0].value = code | int.from_bytes(info[:2].ljust(2, b"\0"), "little") << 16
+        self._count.value = min(self._count.value + 1, len(self._history))
+
+    def _clear_history(self, value: int) -> None:
+        if value != 0:
+            raise SdoAbort(INVALID_VALUE)
+        for entry in self._history:
+            entry.value = 0

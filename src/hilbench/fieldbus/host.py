@@ -1,0 +1,119 @@
+"""The event loop of a process that holds devices: one link, one clock, one application behind them.
+
+Everything that the devices say for a SYNC goes out as one batch: what their timers and errors had pending first, then
+the synchronous TPDOs. With a clock that follows SYNC, what arises after that batch waits for the next one, so that a
+frame belongs to the same cycle on every machine; answers to SDO requests never wait.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from typing import Protocol
+
+from hilbench.bus.frame import Frame
+from hilbench.bus.link import Link
+from hilbench.fieldbus.clock import Clock, SyncClock
+from hilbench.fieldbus.device import Device
+
+_POLL_S = 0.005
+_TICK_S = 0.002
+_LONGEST_TICK_S = 0.05
+
+
+class Application(Protocol):
+    """What stands behind the devices of a host."""
+
+    def before_sync(self) -> None:
+        """A SYNC has come; the devices have not sampled yet."""
+
+    def after_sync(self) -> None:
+        """The TPDOs of this SYNC are out and set points have acted: advance to the next one."""
+
+    def on_frame(self, frame: Frame) -> None:
+        """Any frame but SYNC, after the devices have seen it."""
+
+    def tick(self, duration_s: float) -> None:
+        """No SYNC is running and `duration_s` of wall time has passed."""
+
+
+class DeviceHost:
+    """Runs devices and their application on a link until told to stop."""
+
+    def __init__(self, link: Link, devices: Sequence[Device], clock: Clock, application: Application) -> None:
+        self._link = link
+        self._devices = list(devices)
+        self._clock = clock
+        self._application = application
+        self._follows_sync = isinstance(clock, SyncClock)
+        self._sync_running = False
+        self._ticked_s = time.monotonic()
+
+    def run(self, stop: Callable[[], bool]) -> None:
+        """Boot the devices and serve until `stop()`. Raises BusError when the bus is lost."""
+        for device in self._devices:
+            device.boot()
+        self._flush_all()
+        while not stop():
+            self.serve(_POLL_S if self._sync_running else _TICK_S)
+
+    def serve(self, timeout_s: float) -> None:
+        """Handle what comes within `timeout_s`, and what time has made due."""
+        for frame in self._link.receive(timeout_s):
+            if frame.can_id == self._devices[0].sync_cob_id:
+                self._sync(frame)
+            else:
+                for device in self._devices:
+                    device.handle(frame)
+                self._application.on_frame(frame)
+                self._flush_replies()
+        self._time_passes()
+
+    def _sync(self, frame: Frame) -> None:
+        if not self._sync_running:
+            self._sync_running = True
+            self._clock.tick()
+            for device in self._devices:
+                device.rephase()
+        else:
+            self._clock.tick()
+        self._application.before_sync()
+        for device in self._devices:
+            device.poll()
+            device.sync(frame.data)
+        self._flush_all()
+        self._application.after_sync()
+        if not self._follows_sync:
+            self._flush_all()
+
+    def _time_passes(self) -> None:
+        if self._clock.stalled_ns():
+            self._sync_running = False
+            now_s = time.monotonic()
+            elapsed_s = min(now_s - self._ticked_s, _LONGEST_TICK_S)
+            if elapsed_s >= _TICK_S:
+                self._ticked_s = now_s
+                self._application.tick(round(elapsed_s, 3))
+        else:
+            self._ticked_s = time.monotonic()
+            if self._follows_sync:
+                return
+        for device in self._devices:
+            device.poll()
+        self._flush_all()
+
+    def _flush_replies(self) -> None:
+        for device in self._devices:
+            if device.replies:
+                frames, device.replies = device.replies, []
+                self._link.send(frames)
+
+    def _flush_all(self) -> None:
+        frames: list[Frame] = []
+        for device in self._devices:
+            if device.replies or device.outbox:
+                frames += device.replies
+                frames += device.outbox
+                device.replies, device.outbox = [], []
+        if frames:
+            self._link.send(frames)

@@ -1,0 +1,209 @@
+"""The master's half of configuration: SDO, NMT and PDO maps through canopen, with errors that name what failed."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import can
+import canopen
+from canopen.objectdictionary import ODVariable
+
+from hilbench.errors import BenchFaultError
+from hilbench.fieldbus import eds
+from hilbench.fieldbus.pdo import PdoMap
+
+#: NMT commands (CiA 301).
+START, STOP, PRE_OPERATIONAL, RESET_NODE, RESET_COMMUNICATION = 1, 2, 128, 129, 130
+
+_INVALID = 0x80000000
+_NO_REMOTE_REQUEST = 0x40000000
+
+
+@dataclass(frozen=True)
+class Identity:
+    """1018h of a node."""
+
+    vendor_id: int
+    product_code: int
+    revision_number: int
+    serial_number: int
+
+
+class Master:
+    """canopen's network on a python-can bus; one SDO transfer at a time.
+
+    Raises BenchFaultError, one line with node, object and reason, when a node does not answer or refuses.
+    """
+
+    def __init__(self, bus: can.BusABC, sdo_timeout_s: float = 1.0) -> None:
+        self._network = canopen.Network(bus)
+        self._network.connect()
+        self._timeout_s = sdo_timeout_s
+        self._lock = threading.Lock()
+        self._booted: set[int] = set()
+        self._boot_seen = threading.Condition()
+        self._names: dict[int, str] = {}
+
+    def add(self, node_id: int, od: canopen.ObjectDictionary, name: str) -> None:
+        """Make a node known by its object dictionary; `name` is used in messages."""
+        node = self._network.add_node(node_id, od)
+        node.sdo.RESPONSE_TIMEOUT = self._timeout_s
+        node.sdo.MAX_RETRIES = 0
+        self._names[node_id] = name
+        self._network.subscribe(0x700 + node_id, self._heartbeat)
+
+    def close(self) -> None:
+        """Leave the bus."""
+        self._network.disconnect()
+
+    # -- NMT ---------------------------------------------------------------------------------------------
+
+    def nmt(self, command: int, node_id: int = 0) -> None:
+        """Send an NMT command to one node, or to all (0)."""
+        self._network.send_message(0, bytes([command, node_id]))
+
+    def _heartbeat(self, can_id: int, data: bytearray, timestamp: float) -> None:
+        if len(data) == 1:
+            with self._boot_seen:
+                self._booted.add(can_id - 0x700)
+                self._boot_seen.notify_all()
+
+    def wait_for_boot(
+        self, node_ids: Iterable[int], timeout_s: float, check: Callable[[], None] = lambda: None
+    ) -> None:
+        """Wait until every node was heard (boot-up or heartbeat) or answers an SDO request.
+
+        `check` is called meanwhile and may raise. Raises BenchFaultError naming the nodes that stay silent and
+        what was tried.
+        """
+        waiting = set(node_ids)
+        deadline_s = time.monotonic() + timeout_s
+        while True:
+            with self._boot_seen:
+                self._boot_seen.wait(timeout=0.05)
+                waiting -= self._booted
+            check()
+            if not waiting:
+                return
+            if time.monotonic() > deadline_s:
+                break
+        silent = [node_id for node_id in sorted(waiting) if not self._answers(node_id)]
+        if silent:
+            names = ", ".join(f"{self._names[node_id]} (node {node_id})" for node_id in silent)
+            raise BenchFaultError(
+                f"no answer from {names}: no boot-up or heartbeat within {timeout_s:g} s and "
+                f"no answer to an SDO read of 1000h"
+            )
+
+    def _answers(self, node_id: int) -> bool:
+        try:
+            with self._lock:
+                self._network[node_id].sdo.upload(0x1000, 0)
+        except (canopen.SdoCommunicationError, canopen.SdoAbortedError):
+            return False
+        return True
+
+    # -- SDO ---------------------------------------------------------------------------------------------
+
+    def sdo_read(self, node_id: int, index: int, sub: int = 0) -> Any:
+        """The value of an object, decoded by its EDS type."""
+        variable = self._variable(node_id, index, sub)
+        try:
+            with self._lock:
+                data = self._network[node_id].sdo.upload(index, sub)
+        except (canopen.SdoCommunicationError, canopen.SdoAbortedError) as error:
+            raise self._fault(node_id, variable, "reading", error) from error
+        return variable.decode_raw(data)
+
+    def sdo_write(self, node_id: int, index: int, value: Any, sub: int = 0) -> None:
+        """Write an object, encoded by its EDS type."""
+        variable = self._variable(node_id, index, sub)
+        try:
+            with self._lock:
+                self._network[node_id].sdo.download(index, sub, variable.encode_raw(value))
+        except (canopen.SdoCommunicationError, canopen.SdoAbortedError) as error:
+            raise self._fault(node_id, variable, f"writing {value!r} to", error) from error
+
+    def configure(self, node_id: int, writes: Mapping[tuple[int, int], Any]) -> None:
+        """Write objects by (index, sub-index) and read each back. Raises BenchFaultError where they differ."""
+        for (index, sub), value in writes.items():
+            self.sdo_write(node_id, index, value, sub)
+            found = self.sdo_read(node_id, index, sub)
+            if found != value:
+                variable = self._variable(node_id, index, sub)
+                raise BenchFaultError(
+                    f"{self._place(node_id, variable)}: reads back {found!r}, expected {value!r} as written"
+                )
+
+    def identity(self, node_id: int) -> Identity:
+        """1018h of a node."""
+        return Identity(*(int(self.sdo_read(node_id, 0x1018, sub)) for sub in (1, 2, 3, 4)))
+
+    def has(self, node_id: int, index: int, sub: int = 0) -> bool:
+        """Whether the node's EDS has the object."""
+        try:
+            eds.variable(self._network[node_id].object_dictionary, index, sub)
+        except KeyError:
+            return False
+        return True
+
+    # -- PDOs --------------------------------------------------------------------------------------------
+
+    def write_rpdo(self, node_id: int, number: int, pdo: PdoMap) -> None:
+        """Give a node's RPDO its COB-ID, transmission type and map; read back and check."""
+        self._write_pdo(node_id, 0x1400 + number - 1, 0x1600 + number - 1, pdo)
+
+    def write_tpdo(self, node_id: int, number: int, pdo: PdoMap) -> None:
+        """Give a node's TPDO its COB-ID, transmission type and map; read back and check."""
+        self._write_pdo(node_id, 0x1800 + number - 1, 0x1A00 + number - 1, pdo)
+
+    def disable_pdo(self, node_id: int, communication_index: int) -> None:
+        """Make a PDO invalid (bit 31 of its COB-ID)."""
+        cob_id = int(self.sdo_read(node_id, communication_index, 1))
+        self.sdo_write(node_id, communication_index, cob_id | _INVALID, 1)
+
+    def _write_pdo(self, node_id: int, communication: int, mapping: int, pdo: PdoMap) -> None:
+        """The procedure of CiA 301: PDO invalid, number 0, entries, number, valid."""
+        self.disable_pdo(node_id, communication)
+        remote = _NO_REMOTE_REQUEST if communication >= 0x1800 else 0
+        self.sdo_write(node_id, mapping, 0, 0)
+        for sub, entry in enumerate(pdo.mapping, 1):
+            self.sdo_write(node_id, mapping, entry, sub)
+        self.sdo_write(node_id, mapping, len(pdo.mapping), 0)
+        self.sdo_write(node_id, communication, pdo.transmission_type, 2)
+        self.sdo_write(node_id, communication, pdo.cob_id | remote | _INVALID, 1)
+        self.sdo_write(node_id, communication, pdo.cob_id | remote, 1)
+        count = self.sdo_read(node_id, mapping, 0)
+        found = [self.sdo_read(node_id, mapping, sub) for sub in range(1, count + 1)]
+        if found != pdo.mapping:
+            as_text = " ".join(f"{entry:08X}h" for entry in found)
+            raise BenchFaultError(
+                f"{self._names[node_id]} (node {node_id}): {mapping:04X}h reads back {as_text or 'empty'}, "
+                f"expected {' '.join(f'{entry:08X}h' for entry in pdo.mapping)}"
+            )
+
+    # -- messages ----------------------------------------------------------------------------------------
+
+    def _variable(self, node_id: int, index: int, sub: int) -> ODVariable:
+        try:
+            return eds.variable(self._network[node_id].object_dictionary, index, sub)
+        except KeyError:
+            raise BenchFaultError(
+                f"{self._names[node_id]} (node {node_id}): its EDS has no object {index:04X}h sub {sub}"
+            ) from None
+
+    def _place(self, node_id: int, variable: ODVariable) -> str:
+        return (
+            f"{self._names[node_id]} (node {node_id}), {variable.index:04X}h sub {variable.subindex} '{variable.name}'"
+        )
+
+    def _fault(self, node_id: int, variable: ODVariable, doing: str, error: Exception) -> BenchFaultError:
+        if isinstance(error, canopen.SdoAbortedError):
+            reason = f"abort {error.code:08X}h ({canopen.SdoAbortedError.CODES.get(error.code, 'unknown code')})"
+        else:
+            reason = f"no answer within {self._timeout_s:g} s"
+        return BenchFaultError(f"{self._place(node_id, variable)}: {doing} it: {reason}")

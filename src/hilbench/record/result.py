@@ -1,0 +1,200 @@
+"""`result.json`: the verdict of a run, as a program reads it (design: files)."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Sequence
+from importlib import metadata
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+import numpy as np
+from numpy.typing import ArrayLike
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    SerializerFunctionWrapHandler,
+    ValidationError,
+    model_serializer,
+    model_validator,
+)
+
+from hilbench.errors import UnusableInputError
+from hilbench.experiment.criteria import CriterionResult
+
+Count = Annotated[int, Field(ge=0)]
+
+#: Libraries whose version a result depends on.
+LIBRARIES = ("numpy", "numba", "scipy", "canopen", "python-can", "asammdf", "pydantic", "matplotlib")
+_HISTOGRAM_BINS = 60
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class _PartWithOptions(_Part):
+    """A part whose optional members are left out, rather than null, where there is nothing to say."""
+
+    @model_serializer(mode="wrap")
+    def _without_absent_options(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        fields: dict[str, Any] = serialize(self)
+        return {name: value for name, value in fields.items() if value is not None or self._is_required(name)}
+
+    @classmethod
+    def _is_required(cls, name: str) -> bool:
+        return cls.model_fields[name].is_required()
+
+
+class Jitter(_Part):
+    """Lateness of SYNC against its absolute time, in µs: median, 99 %, 99.9 %, largest."""
+
+    p50: float
+    p99: float
+    p999: float
+    max: float
+
+
+class Histogram(_Part):
+    """How many cycles were how late: `counts[i]` between `edges_us[i]` and `edges_us[i + 1]`."""
+
+    edges_us: list[float]
+    counts: list[Count]
+
+    @model_validator(mode="after")
+    def _edges_enclose_counts(self) -> Self:
+        if len(self.edges_us) != len(self.counts) + 1:
+            raise ValueError("one edge more than counts")
+        return self
+
+
+class Timing(_PartWithOptions):
+    """How the cycles went. `cycle_us` is the nominal cycle; `jitter_us` is None where nobody measured it.
+
+    `realtime_factor` is bus time over wall time; `bus_load_pct` the mean share of the bus' capacity in use.
+    """
+
+    pace: Literal["realtime", "lockstep"]
+    cycle_us: float = Field(gt=0)
+    cycles: Count
+    missed: Count
+    jitter_us: Jitter | None
+    realtime_factor: float | None
+    bus_load_pct: float | None
+    jitter_histogram: Histogram | None = None
+
+    def metrics(self) -> dict[str, float | None]:
+        """The timing as metrics that criteria can bound."""
+        return {
+            "cycles_missed": float(self.missed),
+            "jitter_p99_us": self.jitter_us.p99 if self.jitter_us else None,
+            "jitter_max_us": self.jitter_us.max if self.jitter_us else None,
+            "realtime_factor": self.realtime_factor,
+            "bus_load_pct": self.bus_load_pct,
+        }
+
+
+def jitter(lateness_us: ArrayLike) -> tuple[Jitter, Histogram] | tuple[None, None]:
+    """Percentiles and histogram of every cycle's lateness (µs, one value per cycle); None without cycles."""
+    late = np.asarray(lateness_us, np.float64)
+    if not len(late):
+        return None, None
+    p50, p99, p999 = np.percentile(late, [50, 99, 99.9])
+    counts, edges = np.histogram(late, bins=_HISTOGRAM_BINS)
+    return (
+        Jitter(p50=float(p50), p99=float(p99), p999=float(p999), max=float(late.max())),
+        Histogram(edges_us=edges.tolist(), counts=counts.tolist()),
+    )
+
+
+class Fault(_Part):
+    """Something that went wrong in a run: when (s of bus time, None before the first cycle), where, what."""
+
+    time_s: float | None
+    source: str
+    text: str
+
+
+def _version(package: str) -> str:
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return "not installed"
+
+
+class Environment(_Part):
+    """What a run ran on, so that its result can be judged later and elsewhere."""
+
+    hilbench: str
+    python: str
+    platform: str
+    libraries: dict[str, str]
+    seed: int | None
+
+    @classmethod
+    def here(cls, seed: int | None) -> Self:
+        """The environment of this process."""
+        return cls(
+            hilbench=_version("hilbench"),
+            python=platform.python_version(),
+            platform=f"{platform.system()} {platform.release()} {platform.machine()}",
+            libraries={name: _version(name) for name in LIBRARIES},
+            seed=seed,
+        )
+
+
+class Result(_PartWithOptions):
+    """The verdict of one run. `passed` holds exactly when every criterion does and no fault stopped the run."""
+
+    passed: bool
+    criteria: list[CriterionResult]
+    metrics: dict[str, float | None]
+    timing: Timing
+    faults: list[Fault]
+    environment: Environment | None = None
+
+    @classmethod
+    def of(
+        cls,
+        criteria: Sequence[CriterionResult],
+        metrics: dict[str, float | None],
+        timing: Timing,
+        faults: Sequence[Fault],
+        environment: Environment | None = None,
+    ) -> Self:
+        """A result whose `passed` follows from its criteria and faults."""
+        passed = all(criterion.passed for criterion in criteria) and not faults
+        return cls(
+            passed=passed,
+            criteria=list(criteria),
+            metrics=metrics,
+            timing=timing,
+            faults=list(faults),
+            environment=environment,
+        )
+
+    def write(self, path: Path) -> None:
+        """Write as JSON; the file appears complete or not at all. Raises UnusableInputError if it cannot be."""
+        partial = path.with_name(f".{path.name}.partial")
+        try:
+            partial.write_text(self.model_dump_json(indent=2) + "\n", encoding="utf-8")
+            partial.replace(path)
+        except OSError as error:
+            raise UnusableInputError(
+                path, f"cannot be written ({error.strerror}), expected a file in a writable folder"
+            ) from error
+
+    @classmethod
+    def read(cls, path: Path) -> Self:
+        """Read and check. Raises UnusableInputError: file, key, what was found."""
+        try:
+            return cls.model_validate_json(path.read_bytes())
+        except OSError as error:
+            raise UnusableInputError(path, f"cannot be read ({error.strerror}), expected a run's result") from error
+        except ValidationError as error:
+            first = error.errors()[0]
+            key = ".".join(map(str, first["loc"])) or "the file"
+            raise UnusableInputError(
+                path, f"{key}: {' '.join(first['msg'].split())}, expected a run's result"
+            ) from error

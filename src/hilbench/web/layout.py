@@ -1,0 +1,315 @@
+"""Where everything stands in the kernel's flat arrays. Effects' places follow from the table of effects.
+
+Three vectors of float64 describe a line of N axes, M motors and K spans:
+
+- parameters: web row, N axis rows, M motor rows (the counts stand in front, so the vector describes itself);
+- state: sample counter, the integrated quantities (x, v, motor x, motor v per axis; material length and length per
+  span), per axis the friction direction and gear contact, M motor rows, M rows of past torques;
+- inputs: boundary, M motor rows (mode, set point, slope, limit), K rates of length.
+
+In a line motor k drives axis k; on the stand a further motor is coupled to the last axis.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import inf
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilbench.drives.port import MotorMode
+from hilbench.web.effects import EFFECTS, Domain, Effect, find_effect
+from hilbench.web.parameters import DriveParameters, ModelParameters, per_item
+
+Vector = NDArray[np.float64]
+
+# Web row.
+W_AXES: Final = 0
+W_MOTORS: Final = 1
+W_SPANS: Final = 2
+W_SAMPLE_TIME_S: Final = 3
+W_SUBSTEPS: Final = 4  #: integration steps per sample time
+W_SECTION_M2: Final = 5
+W_MODULUS_PA: Final = 6
+W_UPSTREAM_STIFFNESS_N: Final = 7
+# Axis rows.
+A_RADIUS_M: Final = 0
+A_MOTOR_MASS_KG: Final = 1  #: on the motor's side of the gear play
+A_ROLLER_MASS_KG: Final = 2  #: on the roller's side
+A_WEB_LOAD: Final = 3
+# Motor rows.
+M_AXIS: Final = 0  #: index of the axis it drives
+M_RAD_PER_M: Final = 1  #: i/r
+M_ROLLER_SIDE: Final = 2  #: 1: it sits beyond the gear play
+M_KP: Final = 3
+M_KI: Final = 4
+M_POSITION_KP: Final = 5
+M_LIMIT_NM: Final = 6
+M_CURRENT_S: Final = 7
+_FIXED = {"web": 8, "axis": 4, "motor": 8}
+
+# State.
+S_COUNT: Final = 0
+S_Y: Final = 1
+SA_DIRECTION: Final = 0  #: of the dry friction: -1, 1, or 0 (sticks)
+SA_CONTACT: Final = 1  #: gear flank: -1, 1, or 0 (in the play)
+SA_SIZE: Final = 2
+SM_TORQUE_NM: Final = 0
+SM_COMMAND_NM: Final = 1
+SM_INTEGRAL_NM: Final = 2
+SM_REFERENCE: Final = 3
+SM_LIMITED: Final = 4
+SM_MODE: Final = 5
+SM_SIZE: Final = 6
+RING: Final = 128  #: past torques kept per motor, one per sample time
+
+# Inputs.
+U_STRAIN_PREV: Final = 0
+U_F_NEXT_N: Final = 1
+U_MOTORS: Final = 2
+UM_MODE: Final = 0
+UM_SETPOINT: Final = 1
+UM_SLOPE: Final = 2
+UM_LIMIT_NM: Final = 3
+UM_SIZE: Final = 4
+
+
+def row_of(effect: Effect) -> str:
+    """Which row holds an effect's parameters: "web", "axis" or "motor"."""
+    if not effect.per_axis:
+        return "web"
+    return "motor" if effect.domain in (Domain.MOTOR_TORQUE, Domain.TORQUE_MEASUREMENT) else "axis"
+
+
+def _allocate() -> tuple[dict[str, int], dict[str, int]]:
+    sizes, first = dict(_FIXED), {}
+    for effect in EFFECTS:
+        first[effect.id] = sizes[row_of(effect)]
+        sizes[row_of(effect)] += effect.slots * len(effect.parameters)
+    return sizes, first
+
+
+_SIZES, _FIRST = _allocate()
+W_SIZE: Final = _SIZES["web"]
+A_SIZE: Final = _SIZES["axis"]
+M_SIZE: Final = _SIZES["motor"]
+
+
+def place(effect_id: str, parameter: str, slot: int = 0) -> int:
+    """Column of an effect's parameter in its row. Raises KeyError."""
+    effect = find_effect(effect_id)
+    names = [p.name for p in effect.parameters]
+    return _FIRST[effect_id] + slot * len(names) + names.index(parameter)
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """Sizes and views of the vectors of one line."""
+
+    axes: int
+    motors: int
+    spans: int
+
+    @classmethod
+    def of(cls, parameters: Vector) -> Layout:
+        """The layout a parameter vector describes."""
+        return cls(int(parameters[W_AXES]), int(parameters[W_MOTORS]), int(parameters[W_SPANS]))
+
+    @property
+    def parameter_size(self) -> int:
+        return W_SIZE + self.axes * A_SIZE + self.motors * M_SIZE
+
+    @property
+    def y_size(self) -> int:
+        """Integrated quantities."""
+        return 4 * self.axes + 2 * self.spans
+
+    @property
+    def state_size(self) -> int:
+        return S_Y + self.y_size + self.axes * SA_SIZE + self.motors * (SM_SIZE + RING)
+
+    @property
+    def input_size(self) -> int:
+        return U_MOTORS + self.motors * UM_SIZE + self.spans
+
+    @property
+    def output_size(self) -> int:
+        """Columns of `kernel.simulate`: see `columns`."""
+        return 3 * self.motors + 2 * self.spans
+
+    @property
+    def columns(self) -> dict[str, slice]:
+        """Columns of `kernel.simulate`: motor motion at the web, measured torque, tensions, strains."""
+        m, k = self.motors, self.spans
+        edges = {"x_m": m, "v_m_s": m, "tau_Nm": m, "F_N": k, "strain": k}
+        result, start = {}, 0
+        for name, width in edges.items():
+            result[name] = slice(start, start + width)
+            start += width
+        return result
+
+    def axis_rows(self, parameters: Vector) -> Vector:
+        """View (N, A_SIZE)."""
+        return parameters[W_SIZE : W_SIZE + self.axes * A_SIZE].reshape(self.axes, A_SIZE)
+
+    def motor_rows(self, parameters: Vector) -> Vector:
+        """View (M, M_SIZE)."""
+        return parameters[W_SIZE + self.axes * A_SIZE :].reshape(self.motors, M_SIZE)
+
+    def y(self, state: Vector) -> Vector:
+        """View of the integrated quantities."""
+        return state[S_Y : S_Y + self.y_size]
+
+    def axis_states(self, state: Vector) -> Vector:
+        """View (N, SA_SIZE)."""
+        start = S_Y + self.y_size
+        return state[start : start + self.axes * SA_SIZE].reshape(self.axes, SA_SIZE)
+
+    def motor_states(self, state: Vector) -> Vector:
+        """View (M, SM_SIZE)."""
+        start = S_Y + self.y_size + self.axes * SA_SIZE
+        return state[start : start + self.motors * SM_SIZE].reshape(self.motors, SM_SIZE)
+
+    def motor_inputs(self, inputs: Vector) -> Vector:
+        """View (M, UM_SIZE)."""
+        return inputs[U_MOTORS : U_MOTORS + self.motors * UM_SIZE].reshape(self.motors, UM_SIZE)
+
+    def length_rates(self, inputs: Vector) -> Vector:
+        """View (K,): m/s."""
+        return inputs[U_MOTORS + self.motors * UM_SIZE :]
+
+    def new_inputs(self) -> Vector:
+        """Inputs with every motor off."""
+        inputs = np.zeros(self.input_size)
+        motors = self.motor_inputs(inputs)
+        motors[:, UM_MODE] = MotorMode.OFF
+        motors[:, UM_SLOPE] = inf
+        motors[:, UM_LIMIT_NM] = inf
+        return inputs
+
+    def new_work(self) -> Vector:
+        """Scratch space of the kernel; one for each line that may run at the same time."""
+        return np.zeros((12, self.y_size + self.axes + self.motors + self.spans + 2))
+
+
+def write_effect(parameters: Vector, effect_id: str, axis: int | None, slot: int, values: dict[str, float]) -> None:
+    """Write an effect's (checked, complete) parameters into a parameter vector."""
+    layout, effect = Layout.of(parameters), find_effect(effect_id)
+    row = parameters
+    if effect.per_axis and axis is not None:
+        rows = layout.axis_rows(parameters) if row_of(effect) == "axis" else layout.motor_rows(parameters)
+        row = rows[axis - 1]
+    for name, value in values.items():
+        row[place(effect_id, name, slot)] = value
+
+
+def clear_effects(parameters: Vector) -> None:
+    """Set every effect of a parameter vector neutral."""
+    layout = Layout.of(parameters)
+    for effect in EFFECTS:
+        neutral = effect.filled({})
+        for axis in range(1, layout.axes + 1) if effect.per_axis else (None,):
+            for slot in range(effect.slots):
+                write_effect(parameters, effect.id, axis, slot, neutral)
+    _neutral_spare_motors(parameters, layout)
+
+
+def _neutral_spare_motors(parameters: Vector, layout: Layout) -> None:
+    for row in layout.motor_rows(parameters)[layout.axes :]:
+        for effect in EFFECTS:
+            if row_of(effect) == "motor":
+                for slot in range(effect.slots):
+                    for p in effect.parameters:
+                        row[place(effect.id, p.name, slot)] = p.neutral
+
+
+def write_drive(row: Vector, drives: DriveParameters | None, axis: int) -> None:
+    """Write the control loops of a motor row; without drives the motor has no loops and no limit."""
+    row[M_KP] = per_item(drives.velocity_kp_Nm_s_per_rad, axis) if drives else 0.0
+    row[M_KI] = per_item(drives.velocity_ki_Nm_per_rad, axis) if drives else 0.0
+    row[M_POSITION_KP] = per_item(drives.position_kp_per_s, axis) if drives else 0.0
+    row[M_LIMIT_NM] = per_item(drives.torque_limit_Nm, axis) if drives else inf
+    row[M_CURRENT_S] = per_item(drives.current_loop_time_constant_s, axis) if drives else 0.0
+
+
+def pack(model: ModelParameters, substeps: int = 1) -> Vector:
+    """The parameter vector of a model: `substeps` integration steps per drive sample time.
+
+    Raises ValueError for gear play without motor inertia and for a torque delay longer than is kept.
+    """
+    axes = model.axis_count
+    layout = Layout(axes, axes, model.span_count if model.web else 0)
+    parameters = np.zeros(layout.parameter_size)
+    parameters[[W_AXES, W_MOTORS, W_SPANS]] = layout.axes, layout.motors, layout.spans
+    parameters[W_SAMPLE_TIME_S] = model.drives.sample_time_s if model.drives else 0.001
+    parameters[W_SUBSTEPS] = substeps
+    if model.web is not None:
+        parameters[W_SECTION_M2] = model.web.section_m2
+        parameters[W_MODULUS_PA] = model.web.youngs_modulus_Pa
+        parameters[W_UPSTREAM_STIFFNESS_N] = model.upstream_stiffness_N
+    clear_effects(parameters)
+    for axis in range(1, axes + 1):
+        row = layout.axis_rows(parameters)[axis - 1]
+        row[A_RADIUS_M] = model.radius_m(axis)
+        row[A_MOTOR_MASS_KG] = model.motor_mass_kg(axis)
+        row[A_ROLLER_MASS_KG] = model.roller_mass_kg(axis)
+        row[A_WEB_LOAD] = model.carries_web_load(axis)
+        motor = layout.motor_rows(parameters)[axis - 1]
+        motor[M_AXIS] = axis - 1
+        motor[M_RAD_PER_M] = model.motor_rad_per_m(axis)
+        write_drive(motor, model.drives, axis)
+    write_effects(parameters, model)
+    return parameters
+
+
+def write_effects(parameters: Vector, model: ModelParameters) -> None:
+    """Write the effects of a model file; those that can be given several times fill their slots in order."""
+    used: dict[tuple[str, int | None], int] = {}
+    for entry in model.effects:
+        effect = find_effect(entry.effect)
+        key = (entry.effect, entry.axis if effect.per_axis else None)
+        slot = used.get(key, 0)
+        used[key] = slot + 1
+        write_effect(parameters, entry.effect, entry.axis, slot, effect.filled(entry.parameters))
+    check_effects(parameters)
+
+
+def check_effects(parameters: Vector) -> None:
+    """Raises ValueError for effects that this line cannot show: gear play without motor inertia, too long a delay."""
+    layout = Layout.of(parameters)
+    longest = (RING - 2) * parameters[W_SAMPLE_TIME_S]
+    for axis in range(layout.axes):
+        row, motor = layout.axis_rows(parameters)[axis], layout.motor_rows(parameters)[axis]
+        if row[place("backlash", "gap_rad")] > 0.0 and min(row[A_MOTOR_MASS_KG], row[A_ROLLER_MASS_KG]) <= 0.0:
+            raise ValueError(f"effect 'backlash' at axis {axis + 1}, expected inertia on both sides of the gear")
+        if motor[place("torque_delay", "delay_s")] > longest:
+            raise ValueError(f"effect 'torque_delay' at axis {axis + 1}, expected at most {longest:g} s")
+
+
+def new_state(parameters: Vector, strain: float | Vector = 0.0, length_m: float | Vector = 1.0) -> Vector:
+    """A state at rest, at position zero, with the given strains and (nominal) lengths of the spans."""
+    layout = Layout.of(parameters)
+    state = np.zeros(layout.state_size)
+    y, n, k = layout.y(state), layout.axes, layout.spans
+    y[4 * n + k :] = length_m
+    set_strain(parameters, state, strain)
+    return state
+
+
+def set_strain(parameters: Vector, state: Vector, strain: float | Vector) -> None:
+    """Set the strain of every span (state transfer): material length = length/(1 + strain)."""
+    layout = Layout.of(parameters)
+    y, n, k = layout.y(state), layout.axes, layout.spans
+    length = y[4 * n + k :] * (1.0 + parameters[place("span_length_error", "relative_change")])
+    y[4 * n : 4 * n + k] = length / (1.0 + np.asarray(strain))
+
+
+def strain_of(parameters: Vector, state: Vector) -> Vector:
+    """Strain of every span, from the state."""
+    layout = Layout.of(parameters)
+    y, n, k = layout.y(state), layout.axes, layout.spans
+    length = y[4 * n + k :] * (1.0 + parameters[place("span_length_error", "relative_change")])
+    strain: Vector = length / y[4 * n : 4 * n + k] - 1.0
+    return strain

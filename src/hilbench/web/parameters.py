@@ -1,0 +1,252 @@
+"""The model file (also the ``model:`` block of a bench config): what it may hold, and what follows from it.
+
+All quantities SI, units in the key names. A value that may differ from roller to roller (or span to span) is
+one number for all of them or a list. Without ``web:`` the model is a lone axis.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Self, TypeVar
+
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationInfo, field_validator, model_validator
+
+from hilbench import strict_yaml
+from hilbench.errors import UnusableInputError
+from hilbench.web.effects import find_effect
+
+Positive = Annotated[FiniteFloat, Field(gt=0.0)]
+NotNegative = Annotated[FiniteFloat, Field(ge=0.0)]
+Value = TypeVar("Value")
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class WebParameters(_Part):
+    """The web: elastic, of constant section; one length for every span or a list."""
+
+    youngs_modulus_Pa: Positive
+    width_m: Positive
+    thickness_m: Positive
+    span_length_m: Positive | Annotated[list[Positive], Field(min_length=1)]
+
+    @property
+    def section_m2(self) -> float:
+        """Cross-section S of the web."""
+        return self.width_m * self.thickness_m
+
+    @property
+    def stiffness_N(self) -> float:
+        """E·S: tension per strain, by the modulus of the model file."""
+        return self.youngs_modulus_Pa * self.section_m2
+
+
+class RollerParameters(_Part):
+    """Rollers and their gears (motor turns `gear_ratio` times as fast)."""
+
+    radius_m: Positive | list[Positive]
+    inertia_kg_m2: NotNegative | list[NotNegative]
+    gear_ratio: Positive | list[Positive] = 1.0
+
+
+class MotorParameters(_Part):
+    """Motors of the rollers, at the motor shaft."""
+
+    inertia_kg_m2: NotNegative | list[NotNegative] = 0.0
+
+
+class DriveParameters(_Part):
+    """Control loops of the drives, at the motor: position P above velocity PI above a first-order current loop."""
+
+    velocity_kp_Nm_s_per_rad: NotNegative | list[NotNegative]
+    velocity_ki_Nm_per_rad: NotNegative | list[NotNegative] = 0.0
+    position_kp_per_s: NotNegative | list[NotNegative] = 10.0
+    torque_limit_Nm: Positive | list[Positive]
+    current_loop_time_constant_s: NotNegative | list[NotNegative] = 0.0
+    sample_time_s: Annotated[Positive, Field(le=0.005)] = 0.001
+
+
+class BoundaryParameters(_Part):
+    """What the neighbouring sections do. Without `upstream_strain` it is upstream_tension_N/(E·S) by the file's E."""
+
+    upstream_tension_N: NotNegative = 0.0
+    downstream_tension_N: NotNegative = 0.0
+    upstream_strain: Annotated[FiniteFloat, Field(gt=-0.5, lt=1.0)] | None = None
+
+
+class EffectEntry(_Part):
+    """One effect with its parameter values, checked against `hilbench.web.effects`."""
+
+    effect: str
+    axis: int | None = None
+    parameters: dict[str, FiniteFloat] = Field(default_factory=dict)
+
+    @model_validator(mode="after")
+    def _known(self) -> Self:
+        try:
+            effect = find_effect(self.effect)
+        except KeyError as error:
+            raise ValueError(error.args[0]) from None
+        problem = effect.axis_problem(self.axis) or effect.problem(self.parameters)
+        if problem:
+            raise ValueError(problem)
+        return self
+
+
+def _count(name: str, value: object, expected: int) -> None:
+    if isinstance(value, list) and len(value) != expected:
+        raise ValueError(f"{name} has {len(value)} values, expected one or {expected}")
+
+
+class ModelParameters(_Part):
+    """One model: web, rollers, motors, drives, boundary and effects. Immutable; `model_copy(update=…)` varies it."""
+
+    web: WebParameters | None = None
+    rollers: RollerParameters
+    motors: MotorParameters = MotorParameters()
+    drives: DriveParameters | None = None
+    boundary: BoundaryParameters = BoundaryParameters()
+    #: Whether the web's tensions load the roller; one value or one per roller. The demonstrator's axis 1 carries none.
+    web_load: bool | list[bool] = True
+    effects: tuple[EffectEntry, ...] = ()
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        axes = self.axis_count
+        for part in (self.rollers, self.motors, self.drives):
+            for name, value in part or ():
+                _count(name, value, axes)
+        _count("web_load", self.web_load, axes)
+        if self.web is not None:
+            _count("span_length_m", self.web.span_length_m, axes - 1)
+        if self.web is None and (axes > 1 or self.boundary != BoundaryParameters()):
+            raise ValueError("several rollers or a boundary without a web, expected 'web' or a lone axis")
+        for axis in range(1, axes + 1):
+            if self.mass_kg(axis) <= 0.0:
+                raise ValueError(f"axis {axis} has no inertia, expected inertia of roller or motor above 0")
+        return self
+
+    @field_validator("effects")
+    @classmethod
+    def _effects_fit(cls, entries: tuple[EffectEntry, ...], info: ValidationInfo) -> tuple[EffectEntry, ...]:
+        if "rollers" not in info.data:
+            return entries  # the rollers' own error is the one to report
+        axes = _axis_count(info.data.get("web"), info.data["rollers"], info.data.get("motors"), info.data.get("drives"))
+        used: dict[tuple[str, int | None], int] = {}
+        for position, entry in enumerate(entries):
+            effect = find_effect(entry.effect)
+            place = (entry.effect, entry.axis if effect.per_axis else None)
+            used[place] = used.get(place, 0) + 1
+            problem = effect.axis_problem(entry.axis, axes if effect.per_axis else None)
+            if problem is None and info.data.get("web") is None and not effect.per_axis:
+                problem = f"effect '{effect.id}' in a model without a web"
+            if problem is None and used[place] > effect.slots:
+                problem = f"effect '{effect.id}' is given more than {effect.slots} times at one place"
+            if problem:
+                raise ValueError(f"entry {position + 1}: {problem}")
+        return entries
+
+    @property
+    def axis_count(self) -> int:
+        """N: driven rollers in the line (1 without a web)."""
+        return _axis_count(self.web, self.rollers, self.motors, self.drives)
+
+    @property
+    def span_count(self) -> int:
+        """Free spans between driven rollers."""
+        return self.axis_count - 1
+
+    def radius_m(self, axis: int) -> float:
+        """Nominal radius of the roller of `axis` (counted from 1)."""
+        return per_item(self.rollers.radius_m, axis)
+
+    def gear_ratio(self, axis: int) -> float:
+        """Motor speed over roller speed."""
+        return per_item(self.rollers.gear_ratio, axis)
+
+    def motor_rad_per_m(self, axis: int) -> float:
+        """i/r: motor angle per metre of web; also web force per motor torque."""
+        return self.gear_ratio(axis) / self.radius_m(axis)
+
+    def roller_mass_kg(self, axis: int) -> float:
+        """J_roller/r²: the roller alone, at the web."""
+        return per_item(self.rollers.inertia_kg_m2, axis) / self.radius_m(axis) ** 2
+
+    def motor_mass_kg(self, axis: int) -> float:
+        """i²·J_motor/r²: the motor alone, at the web."""
+        return per_item(self.motors.inertia_kg_m2, axis) * self.motor_rad_per_m(axis) ** 2
+
+    def mass_kg(self, axis: int) -> float:
+        """m = (J_roller + i²·J_motor)/r² (design section 5)."""
+        return self.roller_mass_kg(axis) + self.motor_mass_kg(axis)
+
+    def carries_web_load(self, axis: int) -> bool:
+        """Whether the tensions act on the roller of `axis`."""
+        return self.web is not None and per_item(self.web_load, axis)
+
+    def span_length_m(self, span: int) -> float:
+        """Nominal length of a span (counted from 1). Raises ValueError without a web."""
+        return per_item(self.required_web.span_length_m, span)
+
+    @property
+    def required_web(self) -> WebParameters:
+        """The web. Raises ValueError when the model is a lone axis."""
+        if self.web is None:
+            raise ValueError("the model has no web, expected 'web' in the model file")
+        return self.web
+
+    @property
+    def upstream_strain(self) -> float:
+        """Strain of the web that enters; stays what it is when E changes (0 without a web)."""
+        if self.boundary.upstream_strain is not None:
+            return self.boundary.upstream_strain
+        return self.boundary.upstream_tension_N / self.web.stiffness_N if self.web else 0.0
+
+    @property
+    def upstream_stiffness_N(self) -> float:
+        """Upstream tension per upstream strain: how F_prev follows a recorded strain."""
+        strain, tension = self.upstream_strain, self.boundary.upstream_tension_N
+        if tension > 0.0 and strain > 0.0:
+            return tension / strain
+        return self.web.stiffness_N if self.web else 0.0
+
+    def with_effects(self, *entries: EffectEntry) -> ModelParameters:
+        """The same model with further effects, validated. Raises pydantic.ValidationError."""
+        data = self.model_dump()
+        data["effects"] = [*data["effects"], *(entry.model_dump() for entry in entries)]
+        return ModelParameters.model_validate(data)
+
+
+def per_item(value: Value | list[Value], number: int) -> Value:
+    """The value for item `number` (counted from 1) of a parameter that is one for all, or a list."""
+    return value[number - 1] if isinstance(value, list) else value
+
+
+def _axis_count(web: WebParameters | None, *parts: BaseModel | None) -> int:
+    lengths = [len(value) for part in parts for _, value in part or () if isinstance(value, list)]
+    if web is not None and isinstance(web.span_length_m, list):
+        lengths.append(len(web.span_length_m) + 1)
+    return max(lengths, default=1 if web is None else 2)
+
+
+def load_model(path: str | Path) -> ModelParameters:
+    """Read a model file. Raises UnusableInputError (file, line, key, found, expected)."""
+    document = strict_yaml.load(Path(path))
+    if not isinstance(document.data, Mapping):
+        raise UnusableInputError(document.place(), "no mapping, expected a model file with the key 'rollers'")
+    return strict_yaml.validate(document, ModelParameters)
+
+
+def write_model(path: str | Path, parameters: ModelParameters) -> None:
+    """Write a model file that `load_model` reads back to an equal model. Raises UnusableInputError."""
+    data: dict[str, Any] = parameters.model_dump(mode="json", exclude_none=True, exclude_unset=True)
+    data["effects"] = [entry.model_dump(mode="json", exclude_none=True) for entry in parameters.effects]
+    text = yaml.safe_dump(data, sort_keys=False, allow_unicode=True)
+    try:
+        Path(path).write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise UnusableInputError(path, f"cannot be written ({error.strerror})") from error

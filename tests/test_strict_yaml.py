@@ -1,0 +1,90 @@
+"""Config files: what plain YAML lets through is refused, with file and line."""
+
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pydantic import BaseModel, ConfigDict
+
+from hilbench import strict_yaml
+from hilbench.errors import UnusableInputError
+
+
+class Inner(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+    gain: float
+
+
+class Outer(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+    name: str
+    items: list[Inner] = []
+
+
+def write(folder: Path, text: str) -> Path:
+    path = folder / "config.yaml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def test_numbers_without_a_dot_in_the_mantissa_are_numbers(tmp_path):
+    data = strict_yaml.load(write(tmp_path, "a: 1e-3\nb: 8.7e9\nc: 65e-6\nd: -2\ne: .5\n")).data
+    assert data == {"a": 1e-3, "b": 8.7e9, "c": 65e-6, "d": -2, "e": 0.5}
+    assert isinstance(data["a"], float)
+
+
+def test_words_of_yaml_1_1_stay_words(tmp_path):
+    assert strict_yaml.load(write(tmp_path, "a: on\nb: no\nc: true\nd: 1:30\n")).data == {
+        "a": "on",
+        "b": "no",
+        "c": True,
+        "d": "1:30",
+    }
+
+
+@given(st.floats(allow_nan=False, allow_infinity=False))
+def test_any_float_as_python_writes_it_is_read_back(tmp_path_factory, value):
+    path = write(tmp_path_factory.mktemp("float"), f"a: {value!r}\n")
+    assert strict_yaml.load(path).data["a"] == value
+
+
+def test_a_repeated_key_names_both_lines(tmp_path):
+    with pytest.raises(UnusableInputError, match=r"config\.yaml:3: key 'a' is repeated, first given in line 1"):
+        strict_yaml.load(write(tmp_path, "a: 1\nb: 2\na: 3\n"))
+
+
+def test_a_repeated_key_deep_inside_is_seen(tmp_path):
+    with pytest.raises(UnusableInputError, match=r"config\.yaml:4: key 'gain'"):
+        strict_yaml.load(write(tmp_path, "name: x\nitems:\n  - gain: 1\n    gain: 2\n"))
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("name: x\nitems:\n  - gain: 1\n  - gian: 2\n", r"config\.yaml:4: .*gain.* is missing \(and 1 more\)"),
+        ("name: x\nextra: 1\n", r"config\.yaml:2: unknown key 'extra'"),
+        ("name: x\nitems:\n  - gain: fast\n", r"config\.yaml:3: 'items\.0\.gain' is 'fast', expected: .*number"),
+        ("items: []\n", r"config\.yaml:1: 'name' is missing"),
+    ],
+)
+def test_errors_name_line_key_found_and_expected(tmp_path, text, message):
+    document = strict_yaml.load(write(tmp_path, text))
+    with pytest.raises(UnusableInputError, match=message):
+        strict_yaml.validate(document, Outer)
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["a: [1, 2\n", "a: b: c\n", "\ta: 1\n", "!!python/object/apply:os.system ['true']\n", "a: *nowhere\n", "\x00"],
+)
+def test_broken_or_hostile_text_is_one_line(tmp_path, text):
+    with pytest.raises(UnusableInputError) as caught:
+        strict_yaml.load(write(tmp_path, text))
+    assert "\n" not in str(caught.value)
+    assert "config.yaml" in str(caught.value)
+
+
+def test_unreadable_file(tmp_path):
+    with pytest.raises(UnusableInputError, match="cannot be read"):
+        strict_yaml.load(tmp_path / "absent.yaml")
