@@ -6,10 +6,10 @@ from math import copysign, inf, pi
 from pathlib import Path
 
 import canopen
+from hilbench.fieldbus.device import NmtState
 
 from hilbench.drives.port import MotorMode, MotorPort
 from hilbench.drives.simulated import SimulatedDrive
-from hilbench.fieldbus.device import NmtState
 
 EDS = Path(__file__).parents[2] / "eds" / "hilbench_servo.eds"
 CYCLE_S = 0.002

@@ -1,13 +1,13 @@
 """The simulated drive from outside: controlwords in, statusword, motor port and EMCY out."""
 
 import pytest
+from hilbench.fieldbus.device import NmtState, SdoAbort
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from tests.drives.stand_in import CYCLE_S, DriveUnderTest
 
 from hilbench.drives.port import MotorMode
 from hilbench.drives.state_machine import POWERED, State, decode_statusword
-from hilbench.fieldbus.device import NmtState, SdoAbort
-from tests.drives.stand_in import CYCLE_S, DriveUnderTest
 
 PV, TQ, HM, CSP, CSV, CST = 3, 4, 6, 8, 9, 10
 RPM = 10_000

@@ -53,9 +53,10 @@ class DriveUnits:
     def from_objects(
         cls, read: ObjectReader, overrides: Mapping[str, float] | None = None, place: str = ""
     ) -> DriveUnits:
-        """Read the factors through `read`; `overrides` stand for what is not to be read: position_rad, velocity_rad_s, rated_torque_Nm.
+        """Read the factors through `read`, except those that `overrides` gives.
 
-        Raises UnusableInputError, at `place`, when neither the device nor the configuration tells a factor.
+        Keys of `overrides`: position_rad, velocity_rad_s, rated_torque_Nm. Raises UnusableInputError, at `place`,
+        when neither the device nor the configuration tells a factor.
         """
         given = dict(overrides or {})
         unknown = sorted(given.keys() - {"position_rad", "velocity_rad_s", "rated_torque_Nm"})
@@ -118,14 +119,15 @@ class UnwrappingCounter:
     """
 
     def __init__(self) -> None:
-        self._last: int | None = None
-        self.value = 0
+        #: The unwrapped value after the last reading; None before the first.
+        self.value: int | None = None
+        self._last = 0
 
     def update(self, reading: int) -> int:
         """The unwrapped value after a new reading; the first reading is taken as it is."""
-        if self._last is None:
+        if self.value is None:
             self.value = reading
         else:
-            self.value += (reading - self._last + _HALF) % _WRAP - _HALF
+            self.value += wrap_int32(reading - self._last)
         self._last = reading
         return self.value

@@ -1,0 +1,226 @@
+"""How a drive is set up over SDO before it is started: identity, units, mode, parameters, heartbeat, PDOs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Final, Protocol
+
+from canopen.objectdictionary import ObjectDictionary, ODVariable
+
+from hilbench.drives import objects
+from hilbench.drives.objects import OperationMode
+from hilbench.drives.units import DriveUnits, ObjectReader
+from hilbench.errors import BenchFaultError, UnusableInputError
+from hilbench.fieldbus.pdo import PdoMap
+
+IDENTITY: Final = 0x1018
+CONSUMER_HEARTBEAT: Final = 0x1016
+PRODUCER_HEARTBEAT: Final = 0x1017
+RPDO1, TPDO1, TPDO2 = 0x1400, 0x1800, 0x1801
+
+#: The object that each mode with a cyclic set point takes it from.
+SETPOINT_OBJECTS: Final = {
+    OperationMode.PROFILE_VELOCITY: objects.TARGET_VELOCITY,
+    OperationMode.CYCLIC_SYNCHRONOUS_VELOCITY: objects.TARGET_VELOCITY,
+    OperationMode.TORQUE: objects.TARGET_TORQUE,
+    OperationMode.CYCLIC_SYNCHRONOUS_TORQUE: objects.TARGET_TORQUE,
+    OperationMode.CYCLIC_SYNCHRONOUS_POSITION: objects.TARGET_POSITION,
+}
+#: 6061h may lag behind 6060h: so often it is read before the mode counts as refused.
+_MODE_READS: Final = 50
+
+
+class Master(Protocol):
+    """What the set-up of a drive asks of the CANopen master; all of it blocks and raises BenchFaultError."""
+
+    def sdo_read(self, node_id: int, index: int, sub: int = 0) -> int | float | str | bytes:
+        """Value of an object of the node."""
+
+    def sdo_write(self, node_id: int, index: int, sub: int, value: int | float) -> None:
+        """Write an object of the node."""
+
+    def write_pdo_map(self, node_id: int, index: int, pdo: PdoMap | None) -> None:
+        """Write the PDO whose communication parameter is `index`, read it back and check it; None: disable it."""
+
+
+@dataclass(frozen=True)
+class DriveSettings:
+    """What the configuration says about one drive."""
+
+    name: str  #: for messages: "axis 1"
+    node_id: int
+    mode: OperationMode
+    cycle_s: float
+    has_velocity: bool = True  #: TPDO2 with 606Ch (axes); else velocity is taken from the position
+    #: Overrides of `DriveUnits.from_objects`, for drives whose objects do not tell their units.
+    units: Mapping[str, float] = field(default_factory=dict)
+    #: Objects written at configuration, in this order, by (index, sub): option codes, ramps, limits.
+    parameters: Mapping[tuple[int, int], int | float] = field(default_factory=dict)
+    #: (vendor-ID, product code) that the device must show; None: those of its EDS.
+    identity: tuple[int, int] | None = None
+    heartbeat_ms: int = 100  #: producer time of the drive; 0: none
+    #: Heartbeat that the drive expects of the master: (node-ID, time-out in ms); None: none.
+    master_heartbeat: tuple[int, int] | None = None
+    #: COB-ID of another drive's RPDO1 that this drive listens to (a virtual axis that mirrors it), or None.
+    listens_to: int | None = None
+    #: Further COB-IDs that get a copy of RPDO1 in the same cycle.
+    copies: tuple[int, ...] = ()
+    tpdo_type: int | None = 1  #: transmission type of the TPDOs; None: the drive sends none
+    time_out_s: float = 2.0  #: longest stay in one state on the way to a goal, s of cycle time
+    ramp_time_out_s: float = 20.0  #: the same for a state that may end by a ramp
+
+
+@dataclass(frozen=True)
+class DrivePdos:
+    """The PDOs of one drive."""
+
+    rpdo: PdoMap  #: controlword, target
+    rpdo_cob_ids: tuple[int, ...]  #: its COB-ID and those of its copies
+    #: Communication parameter, map, and mapped indices of each TPDO; empty when the drive sends none.
+    tpdos: tuple[tuple[int, PdoMap, tuple[int, ...]], ...]
+
+
+def drive_pdos(settings: DriveSettings, od: ObjectDictionary) -> DrivePdos:
+    """The PDO layout (design section 4) with the types of the EDS.
+
+    RPDO1: controlword and target; TPDO1: statusword, 6077h, 6064h; TPDO2 (axes): 606Ch. Raises UnusableInputError
+    when the mode has no target object, or the EDS lacks an object that is mapped.
+    """
+    if settings.mode not in SETPOINT_OBJECTS:
+        expected = ", ".join(str(int(mode)) for mode in SETPOINT_OBJECTS)
+        raise UnusableInputError(settings.name, f"mode of operation {int(settings.mode)}, expected one of {expected}")
+    node_id = settings.node_id
+    received = (objects.CONTROLWORD, SETPOINT_OBJECTS[settings.mode])
+    cob_id = settings.listens_to if settings.listens_to is not None else 0x200 + node_id
+    rpdo = _pdo_map(settings, od, cob_id, 1, received)
+    tpdos: list[tuple[int, PdoMap, tuple[int, ...]]] = []
+    if settings.tpdo_type is not None:
+        sent = (objects.STATUSWORD, objects.TORQUE_ACTUAL_VALUE, objects.POSITION_ACTUAL_VALUE)
+        tpdos.append((TPDO1, _pdo_map(settings, od, 0x180 + node_id, settings.tpdo_type, sent), sent))
+        if settings.has_velocity:
+            velocity = (objects.VELOCITY_ACTUAL_VALUE,)
+            tpdos.append((TPDO2, _pdo_map(settings, od, 0x280 + node_id, settings.tpdo_type, velocity), velocity))
+    return DrivePdos(rpdo, (cob_id, *settings.copies), tuple(tpdos))
+
+
+def _pdo_map(
+    settings: DriveSettings, od: ObjectDictionary, cob_id: int, transmission_type: int, indices: tuple[int, ...]
+) -> PdoMap:
+    entries = []
+    for index in indices:
+        variable = find_variable(od, index)
+        if variable is None:
+            raise UnusableInputError(settings.name, f"the EDS lacks {index:04X}h, expected it: it is mapped into a PDO")
+        entries.append(variable)
+    return PdoMap(cob_id, transmission_type, entries)
+
+
+def configure(master: Master, settings: DriveSettings, od: ObjectDictionary, pdos: DrivePdos) -> None:
+    """Set a drive in PRE-OPERATIONAL up for its part; blocks.
+
+    Raises BenchFaultError when the device is another one or does not take a value, UnusableInputError when the
+    configuration asks for what its EDS does not have.
+    """
+    check_identity(master, settings, od)
+    for (index, sub), value in settings.parameters.items():
+        _write(master, settings, od, index, sub, value)
+    set_mode(master, settings, od)
+    _set_interpolation_period(master, settings, od)
+    _write(master, settings, od, PRODUCER_HEARTBEAT, 0, settings.heartbeat_ms)
+    if settings.master_heartbeat is not None:
+        node_id, time_out_ms = settings.master_heartbeat
+        _write(master, settings, od, CONSUMER_HEARTBEAT, 1, node_id << 16 | time_out_ms)
+    master.write_pdo_map(settings.node_id, RPDO1, pdos.rpdo)
+    sent = {index: pdo for index, pdo, _ in pdos.tpdos}
+    for index in (TPDO1, TPDO2):
+        master.write_pdo_map(settings.node_id, index, sent.get(index))
+
+
+def check_identity(master: Master, settings: DriveSettings, od: ObjectDictionary) -> None:
+    """Raise BenchFaultError unless vendor-ID and product code (1018h) are those of the settings or the EDS.
+
+    An EDS that leaves one of them open (0) says nothing about it.
+    """
+    declared = default_reader(od)
+    expected = settings.identity or (declared(IDENTITY, 1), declared(IDENTITY, 2))
+    for sub, name, value in zip((1, 2), ("vendor-ID", "product code"), expected, strict=True):
+        if value:
+            found = int(master.sdo_read(settings.node_id, IDENTITY, sub))
+            if found != value:
+                raise _fault(settings, f"{name} (1018h:{sub}) is {found:08X}h, expected {int(value):08X}h")
+
+
+def set_mode(master: Master, settings: DriveSettings, od: ObjectDictionary) -> None:
+    """Write 6060h and see it in 6061h. Raises BenchFaultError when 6502h does not offer it or it is not taken."""
+    node_id, mode = settings.node_id, settings.mode
+    if objects.SUPPORTED_DRIVE_MODES in od:
+        supported = int(master.sdo_read(node_id, objects.SUPPORTED_DRIVE_MODES))
+        if not supported & mode.supported_bit:
+            raise _fault(
+                settings, f"supported drive modes (6502h) are {supported:08X}h, expected mode {int(mode)} in it"
+            )
+    master.sdo_write(node_id, objects.MODES_OF_OPERATION, 0, int(mode))
+    for _ in range(_MODE_READS):
+        shown = master.sdo_read(node_id, objects.MODES_OF_OPERATION_DISPLAY)
+        if shown == mode:
+            return
+    raise _fault(settings, f"mode of operation display (6061h) is {shown!r}, expected {int(mode)} as written to 6060h")
+
+
+def read_units(master: Master, settings: DriveSettings, od: ObjectDictionary) -> DriveUnits:
+    """The units as the device's objects tell them now."""
+
+    def read(index: int, sub: int) -> int | float | None:
+        if find_variable(od, index, sub) is None:
+            return None
+        value = master.sdo_read(settings.node_id, index, sub)
+        return value if isinstance(value, int | float) else None
+
+    return DriveUnits.from_objects(read, settings.units, settings.name)
+
+
+def default_reader(od: ObjectDictionary) -> ObjectReader:
+    """Read the default values of an EDS."""
+
+    def read(index: int, sub: int) -> int | float | None:
+        variable = find_variable(od, index, sub)
+        default = variable.default if variable is not None else None
+        return default if isinstance(default, int | float) else None
+
+    return read
+
+
+def find_variable(od: ObjectDictionary, index: int, sub: int = 0) -> ODVariable | None:
+    """The EDS entry of an object, or None; sub-index 0 of a plain variable is the variable."""
+    entry = od.get(index)
+    if isinstance(entry, ODVariable):
+        return entry if sub == 0 else None
+    return entry[sub] if entry is not None and sub in entry else None
+
+
+def _set_interpolation_period(master: Master, settings: DriveSettings, od: ObjectDictionary) -> None:
+    """60C2h: the cycle, in the unit in which it fits UNSIGNED8 without loss."""
+    if find_variable(od, objects.INTERPOLATION_TIME_PERIOD, 2) is None:
+        return
+    for exponent in (-3, -4, -5, -6):
+        value = settings.cycle_s / 10.0**exponent
+        if abs(value - round(value)) < 1e-6 and 0 < round(value) < 256:
+            master.sdo_write(settings.node_id, objects.INTERPOLATION_TIME_PERIOD, 1, round(value))
+            master.sdo_write(settings.node_id, objects.INTERPOLATION_TIME_PERIOD, 2, exponent)
+            return
+    raise UnusableInputError(settings.name, f"cycle {settings.cycle_s:g} s, expected one that 60C2h can express")
+
+
+def _write(
+    master: Master, settings: DriveSettings, od: ObjectDictionary, index: int, sub: int, value: int | float
+) -> None:
+    if find_variable(od, index, sub) is None:
+        raise UnusableInputError(
+            settings.name, f"the EDS lacks {index:04X}h:{sub}, expected it: it is to be set to {value}"
+        )
+    master.sdo_write(settings.node_id, index, sub, value)
+
+
+def _fault(settings: DriveSettings, problem: str) -> BenchFaultError:
+    return BenchFaultError(f"{settings.name} (node {settings.node_id}): {problem}")
