@@ -75,6 +75,20 @@ UM_SLOPE: Final = 2
 UM_LIMIT_NM: Final = 3
 UM_SIZE: Final = 4
 
+# Scratch space: blocks as long as the integrated quantities (present, stage, four slopes, saved), then parts.
+BLOCKS: Final = 7
+TORQUE: Final = 0
+SAVED_TORQUE: Final = 1
+TENSION: Final = 2
+SPEED: Final = 3
+NET: Final = 4
+DRIVE: Final = 5
+DECAY_HALF: Final = 6
+DECAY_FULL: Final = 7
+LENGTH_RATE: Final = 8
+STEPS: Final = 9
+PARTS: Final = 10
+
 
 def row_of(effect: Effect) -> str:
     """Which row holds an effect's parameters: "web", "axis" or "motor"."""
@@ -191,7 +205,8 @@ class Layout:
 
     def new_work(self) -> Vector:
         """Scratch space of the kernel; one for each line that may run at the same time."""
-        return np.zeros((12, self.y_size + self.axes + self.motors + self.spans + 2))
+        part = 2 * self.axes + self.motors + self.spans
+        return np.zeros(BLOCKS * self.y_size + PARTS * max(part, 1))
 
 
 def write_effect(parameters: Vector, effect_id: str, axis: int | None, slot: int, values: dict[str, float]) -> None:
