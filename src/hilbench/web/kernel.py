@@ -455,9 +455,10 @@ Observe = Callable[[Vector, Vector, Vector, Vector, Vector], None]
 Simulate = Callable[[Vector, Vector, Vector, Vector, Vector, Vector, int, Vector], None]
 
 
-def _sources() -> int:
-    """A number that changes with the source of anything that is compiled here."""
-    names = (loops.__file__, laws.__file__, lay.__file__, __file__, str(Path(__file__).with_name("effects.py")))
+def source_number(*further: str) -> int:
+    """A number that changes with the source of what is compiled here, and with `further` files."""
+    effects = str(Path(__file__).with_name("effects.py"))
+    names = (loops.__file__, laws.__file__, lay.__file__, __file__, effects, *further)
     text = b"".join(Path(name).read_bytes() for name in names)
     return int.from_bytes(sha256(text).digest()[:7], "big")
 
@@ -499,4 +500,4 @@ def _entry_points(sources: int) -> tuple[Advance, Observe, Simulate]:
 #: observe(parameters, state, inputs, work, out): measured motion and torque, tension, strain (`Layout.columns`).
 #: simulate(parameters (B, P), states (B, S), inputs, work, commands (n, M), boundary (n, 2), samples, out (B, n, C)):
 #: for each row observe, then advance `samples` with the row's set points, upstream strain and downstream tension.
-advance, observe, simulate = _entry_points(_sources())
+advance, observe, simulate = _entry_points(source_number())
