@@ -1,15 +1,14 @@
 """The laws of the web model, each effect's in one place: small compiled functions of parameter rows and state.
 
 Design sections 5 and 6. Every effect is skipped, or multiplies by exactly 1, while its parameters are neutral.
-`web` is the web row, `axis` an axis row, `motor` a motor row of `hilbench.web.layout`.
+`p` is the parameter vector of `hilbench.web.layout`; `axis` and `motor` are where a row begins in it.
 """
 
 from __future__ import annotations
 
 from math import cos, exp, pi, sin
 
-from numba import njit
-
+from hilbench.compiled import compiled
 from hilbench.web import layout as lay
 from hilbench.web.effects import find_effect
 from hilbench.web.layout import Vector, place
@@ -41,157 +40,163 @@ _LENGTH = place("span_length_error", "relative_change")
 
 #: Tension change (N) at which the iteration for damping with creep stops.
 _TENSION_TOLERANCE_N = 1e-10
+_MOST_PASSES = 100
 
 
-@njit
-def smooth_resistance_N(axis: Vector, v_m_s: float) -> float:
+@compiled
+def smooth_resistance_N(p: Vector, axis: int, v_m_s: float) -> float:
     """Resistance that is continuous in v: b·v + d·|v|."""
-    return axis[_VISCOUS] * v_m_s + axis[_ASYMMETRY] * abs(v_m_s)
+    return p[axis + _VISCOUS] * v_m_s + p[axis + _ASYMMETRY] * abs(v_m_s)
 
 
-@njit
-def breakaway_N(axis: Vector) -> float:
+@compiled
+def breakaway_N(p: Vector, axis: int) -> float:
     """Dry friction at standstill: Fc + Fs."""
-    return axis[_COULOMB_N] + axis[_STRIBECK_N]
+    return p[axis + _COULOMB_N] + p[axis + _STRIBECK_N]
 
 
-@njit
-def dry_friction_N(axis: Vector, v_m_s: float) -> float:
+@compiled
+def dry_friction_N(p: Vector, axis: int, v_m_s: float) -> float:
     """Size of the dry friction at speed v: Fc + Fs·exp(-(v/vs)²)."""
-    force = axis[_COULOMB_N]
-    if axis[_STRIBECK_N] != 0.0:
-        force += axis[_STRIBECK_N] * exp(-((v_m_s / axis[_STRIBECK_SPEED]) ** 2))
+    force = p[axis + _COULOMB_N]
+    if p[axis + _STRIBECK_N] != 0.0:
+        force += p[axis + _STRIBECK_N] * exp(-((v_m_s / p[axis + _STRIBECK_SPEED]) ** 2))
     return force
 
 
-@njit
-def web_speed_m_s(axis: Vector, x_m: float, v_m_s: float) -> float:
+@compiled
+def web_speed_m_s(p: Vector, axis: int, x_m: float, v_m_s: float) -> float:
     """Speed of the web at a roller whose surface turns at v: eccentricity; roller angle phi = x/r."""
-    if axis[_ECCENTRICITY_M] == 0.0:
+    if p[axis + _ECCENTRICITY_M] == 0.0:
         return v_m_s
-    radius = axis[lay.A_RADIUS_M]
-    return v_m_s * (1.0 + axis[_ECCENTRICITY_M] / radius * cos(x_m / radius + axis[_ECCENTRICITY_PHASE]))
+    radius = p[axis + lay.A_RADIUS_M]
+    return v_m_s * (1.0 + p[axis + _ECCENTRICITY_M] / radius * cos(x_m / radius + p[axis + _ECCENTRICITY_PHASE]))
 
 
-@njit
-def inertia_factor(axis: Vector) -> float:
+@compiled
+def inertia_factor(p: Vector, axis: int) -> float:
     """Factor on the moving mass."""
-    return 1.0 + axis[_INERTIA]
+    return 1.0 + p[axis + _INERTIA]
 
 
-@njit
-def half_gap_m(axis: Vector, motor_rad_per_m: float) -> float:
+@compiled
+def half_gap_m(p: Vector, axis: int, motor_rad_per_m: float) -> float:
     """Half the gear play, at the web."""
-    return 0.5 * axis[_GAP_RAD] / motor_rad_per_m
+    return 0.5 * p[axis + _GAP_RAD] / motor_rad_per_m
 
 
-@njit
-def has_gap(axis: Vector) -> bool:
+@compiled
+def has_gap(p: Vector, axis: int) -> bool:
     """Whether the gear has play."""
-    return axis[_GAP_RAD] > 0.0
+    return p[axis + _GAP_RAD] > 0.0
 
 
-@njit
-def shaft_torque_Nm(motor: Vector, torque_Nm: float, angle_rad: float) -> float:
+@compiled
+def shaft_torque_Nm(p: Vector, motor: int, torque_Nm: float, angle_rad: float) -> float:
     """Torque on the shaft from the torque the drive knows: scale, then ripple over the motor's angle."""
-    torque = (1.0 + motor[_SCALE]) * torque_Nm
+    torque = (1.0 + p[motor + _SCALE]) * torque_Nm
     for slot in range(_RIPPLES):
         at = _RIPPLE + 3 * slot
-        if motor[at] != 0.0:
-            torque += motor[at] * sin(motor[at + 1] * angle_rad + motor[at + 2])
+        if p[motor + at] != 0.0:
+            torque += p[motor + at] * sin(p[motor + at + 1] * angle_rad + p[motor + at + 2])
     return torque
 
 
-@njit
-def measured_torque_Nm(motor: Vector, torque_Nm: float, past: Vector, count: int, sample_time_s: float) -> float:
-    """Torque as the drive reports it: `past` holds the torque at sample k in place k % RING; linear in between."""
-    delay = motor[_DELAY_S] / sample_time_s
+@compiled
+def measured_torque_Nm(p: Vector, motor: int, torque_Nm: float, s: Vector, past: int, count: int) -> float:
+    """Torque as the drive reports it: `s` holds the torque of sample k at `past` + k % RING; linear between."""
+    delay = p[motor + _DELAY_S] / p[lay.W_SAMPLE_TIME_S]
     if delay > 0.0:
         whole = int(delay)
-        newer = past[(count - whole) % lay.RING] if count >= whole else past[0]
-        older = past[(count - whole - 1) % lay.RING] if count >= whole + 1 else past[0]
+        newer = s[past + max(count - whole, 0) % lay.RING]
+        older = s[past + max(count - whole - 1, 0) % lay.RING]
         torque_Nm = newer + (older - newer) * (delay - whole)
-    return torque_Nm + motor[_OFFSET_NM]
+    return torque_Nm + p[motor + _OFFSET_NM]
 
 
-@njit
-def step_factor(web: Vector, t_s: float, duration_s: float) -> float:
+@compiled
+def step_factor(p: Vector, t_s: float, duration_s: float) -> float:
     """Factor of the steps of E, averaged over [t, t + duration]: exact on the grid, continuous in the step's time."""
     factor = 1.0
     for slot in range(_STEPS):
         at = _STEP + 2 * slot
-        if web[at + 1] != 0.0:
-            share = min(max((t_s + duration_s - web[at]) / duration_s, 0.0), 1.0)
-            factor *= 1.0 + web[at + 1] * share
+        if p[at + 1] != 0.0:
+            share = min(max((t_s + duration_s - p[at]) / duration_s, 0.0), 1.0)
+            factor *= 1.0 + p[at + 1] * share
     return factor
 
 
-@njit
-def stiffness_N(web: Vector, t_s: float, factor_of_steps: float) -> float:
+@compiled
+def stiffness_N(p: Vector, t_s: float, factor_of_steps: float) -> float:
     """E·S with shift, steps and drift."""
-    modulus = web[lay.W_MODULUS_PA] * (1.0 + web[_SHIFT]) * factor_of_steps * (1.0 + web[_DRIFT] * t_s)
-    return modulus * web[lay.W_SECTION_M2]
+    modulus = p[lay.W_MODULUS_PA] * (1.0 + p[_SHIFT]) * factor_of_steps * (1.0 + p[_DRIFT] * t_s)
+    return modulus * p[lay.W_SECTION_M2]
 
 
-@njit
-def upstream_strain(web: Vector, strain_prev: float, t_s: float) -> float:
+@compiled
+def upstream_strain(p: Vector, strain_prev: float, t_s: float) -> float:
     """Strain of the web that enters, with the disturbance; F_prev is it times W_UPSTREAM_STIFFNESS_N."""
     strain = strain_prev
     for slot in range(_DISTURBANCES):
         at = _DISTURBANCE + 3 * slot
-        if web[at] != 0.0:
-            wave = web[at] * sin(2.0 * pi * web[at + 1] * t_s + web[at + 2])
-            strain += wave / web[lay.W_UPSTREAM_STIFFNESS_N]
+        if p[at] != 0.0:
+            wave = p[at] * sin(2.0 * pi * p[at + 1] * t_s + p[at + 2])
+            strain += wave / p[lay.W_UPSTREAM_STIFFNESS_N]
     return strain
 
 
-@njit
-def length_factor(web: Vector) -> float:
+@compiled
+def length_factor(p: Vector) -> float:
     """Factor on the nominal length of every span."""
-    return 1.0 + web[_LENGTH]
+    return 1.0 + p[_LENGTH]
 
 
-@njit
+@compiled
 def span_rates(
-    web: Vector,
+    p: Vector,
+    spans: int,
     stiffness: float,
     strain_prev: float,
     f_next_N: float,
-    speed_m_s: Vector,
-    material_m: Vector,
-    length_m: Vector,
-    length_rate_m_s: Vector,
-    tension_N: Vector,
-    rate_m_s: Vector,
+    w: Vector,
+    speed: int,
+    material: int,
+    length_rate: int,
+    tension: int,
+    rate: int,
 ) -> None:
-    """Tensions of the K spans and the rates of the unstretched web in them.
+    """Tensions of the K spans and the rates of the unstretched web in them, in the vector `w` at the given places.
 
-    The exact mass conservation of the design, written for the unstretched length w = L/(1 + strain) that lies in
-    a span: w' = v1/(1 + strain_prev) - v2/(1 + strain). It holds for any L(t), and a Runge-Kutta step conserves
-    the web to rounding. `speed_m_s` (K + 1) are the web speeds at the rollers without creep.
+    The exact mass conservation of the design, written for the unstretched length m = L/(1 + strain) that lies in
+    a span: m' = v1/(1 + strain_prev) - v2/(1 + strain). It holds for any L(t), and a Runge-Kutta step conserves
+    the web to rounding. Read: K + 1 speeds of the web at the rollers without creep (`speed`), unstretched and then
+    nominal lengths (`material`), rates of the nominal length. Written: `tension`, `rate`.
     """
-    spans = material_m.size
-    scale, offset = length_factor(web), web[_STRAIN_OFFSET]
-    damping, creep = web[_DAMPING_S], web[_CREEP]
+    scale, offset = length_factor(p), p[_STRAIN_OFFSET]
+    damping, creep = p[_DAMPING_S], p[_CREEP]
     for k in range(spans):
-        strain = length_m[k] * scale / material_m[k] - 1.0
-        tension_N[k] = max(stiffness * (strain - offset), 0.0)
+        strain = w[material + spans + k] * scale / w[material + k] - 1.0
+        w[tension + k] = max(stiffness * (strain - offset), 0.0)
     # Creep needs the tensions and damping needs the speeds: only both together take more than one pass.
-    for _ in range(50 if damping > 0.0 and creep > 0.0 else 1):
+    coupled = damping > 0.0 and creep > 0.0
+    for _ in range(_MOST_PASSES if coupled else 1):
         change = 0.0
-        inflow = speed_m_s[0] / (1.0 + strain_prev)
+        inflow = w[speed] / (1.0 + strain_prev)
         for k in range(spans):
-            length = length_m[k] * scale
-            behind = tension_N[k + 1] if k + 1 < spans else f_next_N
-            speed = speed_m_s[k + 1] * (1.0 - creep * (tension_N[k] - behind))
-            outflow = speed * (material_m[k] / length)
-            rate_m_s[k] = inflow - outflow
+            stretch = w[material + spans + k] * scale / w[material + k]
+            behind = w[tension + k + 1] if k + 1 < spans else f_next_N
+            roller_speed = w[speed + k + 1]
+            outflow = roller_speed * (1.0 - creep * (w[tension + k] - behind)) / stretch
+            w[rate + k] = inflow - outflow
             inflow = outflow
             if damping > 0.0:
-                stretch = length / material_m[k]
-                strain_rate = (length_rate_m_s[k] * scale - stretch * rate_m_s[k]) / material_m[k]
-                tension = max(stiffness * (stretch - 1.0 - offset + damping * strain_rate), 0.0)
-                change = max(change, abs(tension - tension_N[k]))
-                tension_N[k] = tension
+                strain_rate = (w[length_rate + k] * scale - stretch * w[rate + k]) / w[material + k]
+                force = max(stiffness * (stretch - 1.0 - offset + damping * strain_rate), 0.0)
+                if coupled:
+                    # Newton: the tension lowers the strain's rate by creep at the rollers around the span.
+                    slope = stiffness * damping * creep * abs(roller_speed) / w[material + k]
+                    force = w[tension + k] + (force - w[tension + k]) / (1.0 + slope * (2.0 if k > 0 else 1.0))
+                    change = max(change, abs(force - w[tension + k]))
+                w[tension + k] = force
         if change < _TENSION_TOLERANCE_N:
             break

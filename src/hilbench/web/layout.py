@@ -12,6 +12,7 @@ In a line motor k drives axis k; on the stand a further motor is coupled to the 
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from math import inf
 from typing import Final
@@ -21,7 +22,7 @@ from numpy.typing import NDArray
 
 from hilbench.drives.port import MotorMode
 from hilbench.web.effects import EFFECTS, Domain, Effect, find_effect
-from hilbench.web.parameters import DriveParameters, ModelParameters, per_item
+from hilbench.web.parameters import DriveParameters, EffectEntry, ModelParameters, per_item
 
 Vector = NDArray[np.float64]
 
@@ -74,6 +75,20 @@ UM_SETPOINT: Final = 1
 UM_SLOPE: Final = 2
 UM_LIMIT_NM: Final = 3
 UM_SIZE: Final = 4
+
+# Scratch space: blocks as long as the integrated quantities (present, stage, four slopes, saved), then parts.
+BLOCKS: Final = 7
+TORQUE: Final = 0
+SAVED_TORQUE: Final = 1
+TENSION: Final = 2
+SPEED: Final = 3
+NET: Final = 4
+DRIVE: Final = 5
+DECAY_HALF: Final = 6
+DECAY_FULL: Final = 7
+LENGTH_RATE: Final = 8
+STEPS: Final = 9
+PARTS: Final = 10
 
 
 def row_of(effect: Effect) -> str:
@@ -191,7 +206,8 @@ class Layout:
 
     def new_work(self) -> Vector:
         """Scratch space of the kernel; one for each line that may run at the same time."""
-        return np.zeros((12, self.y_size + self.axes + self.motors + self.spans + 2))
+        part = 2 * self.axes + self.motors + self.spans
+        return np.zeros(BLOCKS * self.y_size + PARTS * max(part, 1))
 
 
 def write_effect(parameters: Vector, effect_id: str, axis: int | None, slot: int, values: dict[str, float]) -> None:
@@ -260,18 +276,23 @@ def pack(model: ModelParameters, substeps: int = 1) -> Vector:
         motor[M_AXIS] = axis - 1
         motor[M_RAD_PER_M] = model.motor_rad_per_m(axis)
         write_drive(motor, model.drives, axis)
-    write_effects(parameters, model)
+    write_entries(parameters, model.effects)
     return parameters
 
 
-def write_effects(parameters: Vector, model: ModelParameters) -> None:
-    """Write the effects of a model file; those that can be given several times fill their slots in order."""
+def write_entries(parameters: Vector, entries: Iterable[EffectEntry]) -> None:
+    """Write the effects of a config; those that can be given several times fill their slots in order.
+
+    Raises ValueError as `check_effects`, and when there are more than slots.
+    """
     used: dict[tuple[str, int | None], int] = {}
-    for entry in model.effects:
+    for entry in entries:
         effect = find_effect(entry.effect)
         key = (entry.effect, entry.axis if effect.per_axis else None)
         slot = used.get(key, 0)
         used[key] = slot + 1
+        if slot >= effect.slots:
+            raise ValueError(f"effect '{effect.id}' is given more than {effect.slots} times at one place")
         write_effect(parameters, entry.effect, entry.axis, slot, effect.filled(entry.parameters))
     check_effects(parameters)
 
@@ -313,3 +334,14 @@ def strain_of(parameters: Vector, state: Vector) -> Vector:
     length = y[4 * n + k :] * (1.0 + parameters[place("span_length_error", "relative_change")])
     strain: Vector = length / y[4 * n : 4 * n + k] - 1.0
     return strain
+
+
+def refresh_modes(parameters: Vector, state: Vector) -> None:
+    """Make friction direction and gear contact fit the motion after state or effects were changed from outside."""
+    layout = Layout.of(parameters)
+    y, n = layout.y(state), layout.axes
+    modes, rows = layout.axis_states(state), layout.axis_rows(parameters)
+    modes[:, SA_DIRECTION] = np.sign(y[n : 2 * n])
+    rigid = rows[:, place("backlash", "gap_rad")] == 0.0
+    modes[rigid, SA_CONTACT] = 0.0
+    y[3 * n : 4 * n][rigid] = y[n : 2 * n][rigid]

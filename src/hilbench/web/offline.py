@@ -75,4 +75,11 @@ def simulate(
     if np.ndim(parameters) == 1:
         out, states = out[0], states[0]
     columns = layout.columns
-    return Simulation(*(out[..., columns[name]] for name in ("x_m", "v_m_s", "tau_Nm", "F_N", "strain")), states)
+    return Simulation(
+        x_m=out[..., columns["x_m"]],
+        v_m_s=out[..., columns["v_m_s"]],
+        tau_Nm=out[..., columns["tau_Nm"]],
+        F_N=out[..., columns["F_N"]],
+        strain=out[..., columns["strain"]],
+        state=states,
+    )
