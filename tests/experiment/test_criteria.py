@@ -26,6 +26,7 @@ def criterion(**fields: Any) -> Criterion:
         ({"min": 3, "max": 5}, 5.5, "3 … 5", False),
         ({"target": 20, "tolerance": 5}, 15.0, "20 ± 5", True),
         ({"target": 20, "tolerance": 5}, 14.9, "20 ± 5", False),
+        ({"target": 0, "tolerance": 5e-6}, 1e-6, "0 ± 5e-6", True),
         ({"target": -20, "tolerance": 5}, -24.0, "-20 ± 5", True),
     ],
 )

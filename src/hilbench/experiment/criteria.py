@@ -46,16 +46,20 @@ class Criterion(BaseModel):
     def limit(self) -> str:
         """The bound as text: ``≤ 25``, ``≥ 3``, ``3 … 5`` or ``80 ± 1``."""
         if self.target is not None:
-            return f"{self.target:g} ± {self.tolerance:g}"
+            return f"{_text(self.target)} ± {_text(self.tolerance)}"
         if self.min is not None and self.max is not None:
-            return f"{self.min:g} … {self.max:g}"
-        return f"≥ {self.min:g}" if self.min is not None else f"≤ {self.max:g}"
+            return f"{_text(self.min)} … {_text(self.max)}"
+        return f"≥ {_text(self.min)}" if self.min is not None else f"≤ {_text(self.max)}"
 
     def holds(self, value: float) -> bool:
         """Whether a finite value lies within the bound."""
         if self.target is not None and self.tolerance is not None:
             return abs(value - self.target) <= self.tolerance
         return (self.min is None or value >= self.min) and (self.max is None or value <= self.max)
+
+
+def _text(bound: float | None) -> str:
+    return f"{bound:g}".replace("e-0", "e-").replace("e+0", "e")
 
 
 class CriterionResult(BaseModel):

@@ -11,12 +11,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
+Number = TypeVar("Number", float, Array)
 Channels = Mapping[str, NDArray[Any]]
 
 #: Share of the working speed by which the command may differ from it inside the window.
@@ -211,8 +212,9 @@ def noise_pct(t_s: ArrayLike, estimate_Pa: ArrayLike, E_true_Pa: ArrayLike) -> f
     time_s, estimate = np.asarray(t_s, np.float64), np.asarray(estimate_Pa, np.float64)
     centred_s, centred = time_s - time_s.mean(), estimate - estimate.mean()
     slope = (centred_s @ centred) / (centred_s @ centred_s)
-    rms = np.sqrt(np.mean((centred - slope * centred_s) ** 2))
-    return _finite(100 * rms / np.mean(np.asarray(E_true_Pa, np.float64)))
+    residual = centred - slope * centred_s
+    rms_Pa = float(np.sqrt(residual @ residual / len(residual)))
+    return _finite(100 * rms_Pa / float(np.mean(np.asarray(E_true_Pa, np.float64))))
 
 
 def mean_velocity_m_s(t_s: ArrayLike, x_m: ArrayLike) -> float:
@@ -222,8 +224,8 @@ def mean_velocity_m_s(t_s: ArrayLike, x_m: ArrayLike) -> float:
     return float(centred_s @ (position_m - position_m.mean()) / (centred_s @ centred_s))
 
 
-def expected_v1_m_s(v2_m_s: float, strain_prev: float, strain: float) -> float:
-    """Steady state of mass conservation in the span, v1/(1+ε_prev) = v2/(1+ε) (design 5)."""
+def expected_v1_m_s(v2_m_s: Number, strain_prev: Number, strain: Number) -> Number:
+    """Steady state of mass conservation in the span, v1/(1+ε_prev) = v2/(1+ε) (design 5); numbers or arrays."""
     return v2_m_s * (1 + strain_prev) / (1 + strain)
 
 

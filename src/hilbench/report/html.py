@@ -1,0 +1,218 @@
+"""`report.html`: one self-contained page of a run, for the screen and for paper.
+
+Nothing in it is loaded from elsewhere and nothing runs; whatever comes from a file is escaped.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from html import escape
+from importlib import resources
+from pathlib import Path
+
+from hilbench.errors import UnusableInputError
+from hilbench.experiment.criteria import CriterionResult
+from hilbench.experiment.metrics import METRICS
+from hilbench.record.recording import Recording, read_recording
+from hilbench.record.result import Environment, Fault, Result, Timing
+from hilbench.record.run_folder import RunFolder
+from hilbench.report.plots import Picture, draw_histogram, draw_pictures
+
+_DASH = "–"
+
+
+def write_report(run_folder: RunFolder) -> Path:
+    """Write the report of a run from its config.yaml, result.json and recording.mf4; returns its path.
+
+    The same files give the same report. Raises UnusableInputError if one of them is missing or not readable,
+    or the report cannot be written.
+    """
+    page = render(
+        run_folder.name,
+        _read_text(run_folder.config),
+        Result.read(run_folder.result),
+        read_recording(run_folder.recording),
+    )
+    partial = run_folder.report.with_name(f".{run_folder.report.name}.partial")
+    try:
+        partial.write_text(page, encoding="utf-8")
+        partial.replace(run_folder.report)
+    except OSError as error:
+        raise UnusableInputError(
+            run_folder.report, f"cannot be written ({error.strerror}), expected a writable folder"
+        ) from error
+    return run_folder.report
+
+
+def _read_text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "not UTF-8 text"
+        raise UnusableInputError(path, f"cannot be read ({reason}), expected the run's config") from error
+
+
+def render(name: str, config: str, result: Result, recording: Recording) -> str:
+    """The page as text. `name` is the run's, `config` the text of its config file."""
+    style = resources.files("hilbench.report").joinpath("page.css").read_text(encoding="utf-8")
+    sections = (
+        _header(name, result, recording),
+        _criteria(result.criteria),
+        _faults(result.faults),
+        _pictures(draw_pictures(recording)),
+        _metrics(result.metrics),
+        _timing(result.timing),
+        _environment(result.environment),
+        _section("Config", f"<pre>{escape(config)}</pre>"),
+    )
+    return (
+        '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+        f"<title>{escape(name)}: {_verdict_word(result)}</title>\n<style>\n{style}</style>\n</head>\n<body>\n"
+        + "\n".join(filter(None, sections))
+        + "\n</body>\n</html>\n"
+    )
+
+
+def _verdict_word(result: Result) -> str:
+    return "passed" if result.passed else "failed"
+
+
+def _header(name: str, result: Result, recording: Recording) -> str:
+    duration_s = recording.time_s[-1] - recording.time_s[0]
+    facts = [f"{duration_s:.1f} s of bus time", f"{len(recording)} cycles of {result.timing.cycle_us / 1000:g} ms"]
+    facts.append(f"pace {result.timing.pace}")
+    if recording.start_time is not None:
+        facts.insert(0, f"{recording.start_time:%Y-%m-%d %H:%M:%S} UTC")
+    if result.environment is not None and result.environment.seed is not None:
+        facts.append(f"seed {result.environment.seed}")
+    return (
+        f"<header>\n<h1>{escape(name)}</h1>\n"
+        f'<p class="facts">{escape(" · ".join(facts))}</p>\n'
+        f'<p class="verdict {_verdict_word(result)}">{_mark(result.passed)} {_summary(result)}</p>\n</header>'
+    )
+
+
+def _summary(result: Result) -> str:
+    failed = sum(not criterion.passed for criterion in result.criteria)
+    parts = [_verdict_word(result).capitalize()]
+    if result.criteria:
+        parts.append(f"{len(result.criteria) - failed} of {len(result.criteria)} criteria met")
+    if result.faults:
+        parts.append(f"{len(result.faults)} fault{'s' if len(result.faults) > 1 else ''}")
+    return ", ".join(parts)
+
+
+def _mark(passed: bool) -> str:
+    return "✓" if passed else "✗"
+
+
+def _criteria(criteria: Sequence[CriterionResult]) -> str:
+    if not criteria:
+        return _section("Criteria", '<p class="note">The config sets none.</p>')
+    rows = []
+    for criterion in criteria:
+        reason = f'<span class="reason">{escape(criterion.reason)}</span>' if criterion.reason else ""
+        word = "passed" if criterion.passed else "failed"
+        rows.append(
+            f"<tr><td>{escape(criterion.name)}{reason}</td>"
+            f'<td class="number">{_number(criterion.value)}</td><td class="number">{escape(criterion.limit)}</td>'
+            f'<td>{escape(criterion.unit)}</td><td class="result {word}">{_mark(criterion.passed)} {word}</td></tr>'
+        )
+    return _section("Criteria", _table(("Criterion", ">Value", ">Limit", "Unit", "Result"), rows))
+
+
+def _faults(faults: Sequence[Fault]) -> str:
+    if not faults:
+        return ""
+    rows = [
+        f'<tr><td class="number">{_number(fault.time_s, 6)}</td><td>{escape(fault.source)}</td>'
+        f"<td>{escape(fault.text)}</td></tr>"
+        for fault in faults
+    ]
+    return _section("Faults", _table((">Time in s", "Where", "What"), rows))
+
+
+def _pictures(pictures: Sequence[Picture]) -> str:
+    return _section("What happened", "\n".join(map(_figure, pictures)))
+
+
+def _figure(picture: Picture) -> str:
+    drawn = picture.svg or '<p class="note">Not drawn: the recording lacks these signals.</p>'
+    caption = f"<figcaption>{escape(picture.caption)}</figcaption>" if picture.svg else ""
+    return f"<figure>\n<h3>{escape(picture.title)}</h3>\n{drawn}\n{caption}\n</figure>"
+
+
+def _metrics(metrics: dict[str, float | None]) -> str:
+    rows = []
+    for name, value in metrics.items():
+        known = METRICS.get(name)
+        rows.append(
+            f"<tr><td><code>{escape(name)}</code></td>"
+            f'<td class="number">{_number(value)}</td><td>{escape(known.unit if known else "")}</td>'
+            f'<td class="note">{escape(known.description if known else "")}</td></tr>'
+        )
+    return _section("Metrics", _table(("Metric", ">Value", "Unit", "Meaning"), rows)) if rows else ""
+
+
+def _timing(timing: Timing) -> str:
+    rows = [
+        ("pace", timing.pace, ""),
+        ("cycle", _number(timing.cycle_us), "µs"),
+        ("cycles", _number(timing.cycles, 12), ""),
+        ("cycles missed", _number(timing.missed, 12), ""),
+        ("bus time over wall time", _number(timing.realtime_factor), ""),
+        ("bus load, mean", _number(timing.bus_load_pct), "%"),
+    ]
+    if timing.jitter_us is not None:
+        late = timing.jitter_us
+        for label, value in (("median", late.p50), ("99 %", late.p99), ("99.9 %", late.p999), ("largest", late.max)):
+            rows.append((f"lateness of SYNC, {label}", _number(value), "µs"))
+    table = _table(
+        ("Quantity", ">Value", "Unit"),
+        [f'<tr><td>{name}</td><td class="number">{escape(value)}</td><td>{unit}</td></tr>' for name, value, unit in rows],
+    )
+    histogram = _figure(draw_histogram(timing.jitter_histogram)) if timing.jitter_histogram else ""
+    return _section("Timing", table + histogram)
+
+
+def _environment(environment: Environment | None) -> str:
+    if environment is None:
+        return _section("Versions", '<p class="note">Not recorded.</p>')
+    versions = {"hilbench": environment.hilbench, "Python": environment.python, "system": environment.platform}
+    rows = [
+        f"<tr><td>{escape(name)}</td><td>{escape(version)}</td></tr>"
+        for name, version in (versions | environment.libraries).items()
+    ]
+    seed = "none" if environment.seed is None else str(environment.seed)
+    return _section("Versions", _table(("What", "Version"), [*rows, f"<tr><td>seed</td><td>{seed}</td></tr>"]))
+
+
+def _section(title: str, body: str) -> str:
+    return f"<section>\n<h2>{title}</h2>\n{body}\n</section>"
+
+
+def _table(columns: Sequence[str], rows: Iterable[str]) -> str:
+    """A table; a column whose title begins with ">" is set flush right, as its numbers are."""
+    head = "".join(
+        f'<th scope="col" class="number">{title[1:]}</th>' if title[0] == ">" else f'<th scope="col">{title}</th>'
+        for title in columns
+    )
+    return f"<table>\n<thead><tr>{head}</tr></thead>\n<tbody>\n" + "\n".join(rows) + "\n</tbody>\n</table>"
+
+
+def _number(value: float | None, digits: int = 4) -> str:
+    """A number for the eye: `digits` significant ones, but never fewer than stand before the decimal point."""
+    if value is None:
+        return _DASH
+    if value == 0:
+        return "0"
+    whole = len(str(int(abs(value))))
+    text = f"{value:.{max(digits, whole)}g}"
+    if "e" in text:
+        mantissa, exponent = text.split("e")
+        text = f"{mantissa}·10{str(int(exponent)).translate(_SUPERSCRIPT)}"
+    return text.replace("-", "−")
+
+
+_SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
