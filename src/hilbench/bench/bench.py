@@ -1,0 +1,273 @@
+"""A running bench: one object that an experiment steers cycle by cycle."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Protocol
+
+from hilbench.bench import quantities
+from hilbench.bench.config import BenchConfig
+from hilbench.bench.cycle import CyclicExchange, FrameTap
+from hilbench.bench.load_model import LoadModel
+from hilbench.bench.safety import check_limits, quick_stop
+from hilbench.bench.sample import CycleSample
+from hilbench.bench.startup import Nodes, bring_up
+from hilbench.bench.tension_control import TensionController
+from hilbench.drives.drive import DriveGoal
+from hilbench.errors import EXIT_INTERRUPTED, BenchFaultError, HilbenchError
+
+
+class InterruptedByOperatorError(HilbenchError):
+    """The operator asked the run to end; the drives were stopped."""
+
+    exit_code = EXIT_INTERRUPTED
+
+
+class CycleObserver(Protocol):
+    """Sees a run as it happens: recorder, progress display, an experiment's own code."""
+
+    def sample(self, sample: CycleSample) -> None:
+        """One cycle of the enabled bench; the object is reused, so copy what is kept."""
+
+
+@dataclass(frozen=True)
+class StepEvent:
+    """A step change under test."""
+
+    time_s: float
+    path: str
+    before: float
+    after: float
+
+
+class Bench:
+    """Drives, load model, tension loop and twin of one config, running on its bus.
+
+    Use it as a context manager::
+
+        with Bench(config) as bench:
+            bench.ramp("line_speed_m_s", 3.0, duration_s=4.0)
+            bench.step("load.web.youngs_modulus_Pa", 10.5e9)
+            bench.run(40.0)
+
+    Entering starts the processes, configures the nodes and enables the drives; it raises BenchFaultError when
+    something does not answer or does not come up. Time passes only in `cycle`, `run`, `ramp` and `wait_until`;
+    what `set` changes acts from the next cycle on. Leaving brings the drives to a stop (by quick stop when it is
+    left through an exception), ends the processes and leaves the bus.
+
+    `tap` sees every frame on the bus; `work_folder` keeps the processes' config and logs (a temporary folder if not
+    given); `announce` is told what is being done.
+    """
+
+    def __init__(
+        self,
+        config: BenchConfig,
+        *,
+        observers: Sequence[CycleObserver] = (),
+        tap: FrameTap | None = None,
+        work_folder: Path | None = None,
+        announce: Callable[[str], None] = lambda text: None,
+    ) -> None:
+        self.config = config
+        self.events: list[StepEvent] = []
+        self.line_speed_m_s = 0.0
+        self.tension_set_point_N = config.tension_control.set_point_N
+        self.interrupt_requested = False
+        self.enabled = False
+        self.stopping = False
+        self.safe_state_problems: list[str] = []
+        self.last = CycleSample()
+        self.nodes: Nodes
+        self.exchange: CyclicExchange | None = None
+        self._observers = list(observers)
+        self._tap = tap
+        self._work_folder = work_folder
+        self._announce = announce
+        self._resources = ExitStack()
+        self._first_cycle = 0
+        web = config.model.required_web
+        self._load_model = LoadModel(config.model, config.load, config.cycle_time_s)
+        self._controller = TensionController(config.tension_control, config.model.span_length_m(1), web.section_m2)
+        self._modulus_Pa = web.youngs_modulus_Pa
+        self._strain_prev = config.model.upstream_strain
+        self._tension_next_N = config.model.boundary.downstream_tension_N
+
+    # -- start and end -----------------------------------------------------------------------------------
+
+    def __enter__(self) -> Bench:
+        try:
+            started = self._resources.enter_context(
+                bring_up(self.config, tap=self._tap, work_folder=self._work_folder, announce=self._announce)
+            )
+            self.nodes, self.exchange = started.nodes, started.exchange
+            self._announce("enable drives")
+            self._enable()
+        except BaseException:
+            self._safe_stop()
+            self._resources.close()
+            raise
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        try:
+            if kind is None:
+                self._announce("disable drives")
+                self._disable()
+            else:
+                self._announce("quick stop")
+                self._safe_stop()
+        finally:
+            self._resources.close()
+
+    def _enable(self) -> None:
+        for drive in self.nodes.drives:
+            drive.request(DriveGoal.ENABLED)
+        while not all(drive.reached for drive in self.nodes.drives):
+            self._exchange_once()
+        self.nodes.check_virtual_axes_enabled()
+        self.enabled = True
+        self._first_cycle = self._running().timing.cycles + 1
+
+    def _disable(self) -> None:
+        self.enabled, self.stopping = False, True
+        self._load_model.stop()
+        for drive in self.nodes.drives:
+            drive.request(DriveGoal.DISABLED)
+        while not all(drive.reached for drive in self.nodes.drives):
+            self._exchange_once()
+
+    def _safe_stop(self) -> None:
+        """Quick stop, as far as the bus still carries it. What fails here is kept in `safe_state_problems`: the
+        drives' own supervision of the bench's heartbeat stops them then."""
+        self.enabled, self.stopping = False, True
+        self._load_model.stop()
+        if self.exchange is None:
+            return
+        try:
+            quick_stop(self.nodes.drives, self._exchange_once, self.config.cycle_time_s)
+        except HilbenchError as error:
+            self.safe_state_problems.append(f"quick stop not confirmed: {error}")
+
+    # -- time --------------------------------------------------------------------------------------------
+
+    @property
+    def time_s(self) -> float:
+        """Experiment time: of the last sample, counted from the first cycle with all drives enabled."""
+        return self.last.t_s
+
+    def cycle(self) -> CycleSample:
+        """Run one cycle: set points and SYNC out, measurements in. Raises BenchFaultError on faults and limits."""
+        if self.interrupt_requested:
+            raise InterruptedByOperatorError("interrupted, drives were stopped")
+        self._exchange_once()
+        sample = self.last
+        self._follow_web(sample)
+        check_limits(sample, self.config.safety)
+        for observer in self._observers:
+            observer.sample(sample)
+        return sample
+
+    def run(self, duration_s: float) -> None:
+        """Run for a time, rounded to whole cycles; none for a duration of zero or less."""
+        for _ in range(round(duration_s / self.config.cycle_time_s)):
+            self.cycle()
+
+    def ramp(self, path: str, to: float, duration_s: float) -> None:
+        """Move a quantity linearly to `to` within `duration_s`."""
+        cycles = max(1, round(duration_s / self.config.cycle_time_s))
+        start = self.get(path)
+        for k in range(1, cycles + 1):
+            self.set(path, start + (to - start) * k / cycles)
+            self.cycle()
+
+    def wait_until(
+        self, condition: Callable[[CycleSample], bool], *, timeout_s: float, for_s: float = 0.0
+    ) -> bool:
+        """Run until `condition` has held for `for_s` without a break; False when it did not within `timeout_s`."""
+        cycle_s = self.config.cycle_time_s
+        needed = max(1, round(for_s / cycle_s))
+        held = 0
+        for _ in range(round(timeout_s / cycle_s)):
+            held = held + 1 if condition(self.cycle()) else 0
+            if held >= needed:
+                return True
+        return False
+
+    # -- what can be changed -----------------------------------------------------------------------------
+
+    def get(self, path: str) -> float:
+        """Present value of a quantity (see `hilbench.bench.quantities`). Raises ValueError for an unknown path."""
+        if path == quantities.LINE_SPEED:
+            return self.line_speed_m_s
+        if path == quantities.TENSION_SET_POINT:
+            return self.tension_set_point_N
+        if path == quantities.YOUNGS_MODULUS:
+            return self._load_model.web.youngs_modulus_Pa
+        if path == quantities.SPAN_LENGTH:
+            return self._load_model.web.span_length_m
+        effect = quantities.parse_effect_path(path)
+        if effect.place == "load":
+            return self._load_model.web.effect_value(effect.effect, effect.axis, effect.parameter)
+        return self.nodes.hardware_effect(effect)
+
+    def set(self, path: str, value: float) -> None:
+        """Give a quantity a value from the next cycle on. Raises ValueError for an unknown path."""
+        if path == quantities.LINE_SPEED:
+            self.line_speed_m_s = value
+        elif path == quantities.TENSION_SET_POINT:
+            self.tension_set_point_N = value
+        elif path == quantities.YOUNGS_MODULUS:
+            self._load_model.web.youngs_modulus_Pa = value
+        elif path == quantities.SPAN_LENGTH:
+            self._load_model.web.span_length_m = value
+        else:
+            effect = quantities.parse_effect_path(path)
+            if effect.place == "load":
+                self._load_model.web.set_effect(effect.effect, effect.axis, **{effect.parameter: value})
+            else:
+                self.nodes.set_hardware_effect(effect, value)
+
+    def step(self, path: str, to: float) -> None:
+        """`set`, noted as the event under test that metrics and report refer to."""
+        self.events.append(StepEvent(self.time_s, path, self.get(path), to))
+        self.set(path, to)
+
+    # -- one cycle ---------------------------------------------------------------------------------------
+
+    def _exchange_once(self) -> None:
+        exchange, sample = self._running(), self.last
+        self._command()
+        received = exchange.exchange(self.nodes.encode(self._strain_prev, self._tension_next_N))
+        self.nodes.decode(received)
+        self.nodes.fill(sample)
+        sample.cycle = exchange.timing.cycles
+        sample.t_s = (sample.cycle - self._first_cycle) * self.config.cycle_time_s
+        sample.F_ref_N = self.tension_set_point_N
+        sample.bus_bits = exchange.last_bits
+        sample.strain_prev, sample.F_next_N = self._strain_prev, self._tension_next_N
+
+    def _running(self) -> CyclicExchange:
+        if self.exchange is None:
+            raise RuntimeError("the bench is not running: use it as a context manager")
+        return self.exchange
+
+    def _command(self) -> None:
+        """Set points of this cycle from the last sample."""
+        nodes, sample = self.nodes, self.last
+        if not self.enabled:
+            nodes.command(0.0, 0.0, 0.0)
+            return
+        v1_m_s = self._controller.velocity(
+            self.line_speed_m_s, self.tension_set_point_N, sample.F_sim_N, self._modulus_Pa, self.config.cycle_time_s
+        )
+        sample.v1_cmd_m_s, sample.v2_cmd_m_s = v1_m_s, self.line_speed_m_s
+        nodes.command(v1_m_s, self.line_speed_m_s, sample.tau_load_cmd_Nm)
+
+    def _follow_web(self, sample: CycleSample) -> None:
+        web = self._load_model.web
+        sample.tau_load_cmd_Nm = self._load_model.update(sample.x1_m, sample.x2_m, sample.v2_m_s)
+        sample.F_true_N, sample.strain_true, sample.E_true_Pa = web.tension_N, web.strain, web.effective_modulus_Pa

@@ -1,0 +1,153 @@
+"""The bench config: everything the bench, the simulated hardware and the twin are built from.
+
+The experiment and its criteria stand in the same file; `hilbench.experiment.config` adds them.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, ValidationInfo, field_validator, model_validator
+
+from hilbench.bench.tension_control import TensionControlConfig
+from hilbench.bus.open import BusAddress
+from hilbench.twin.config import TwinConfig
+from hilbench.web.parameters import EffectEntry, ModelParameters
+from hilbench.web.stand import StandConfig
+
+Pace = Literal["lockstep", "realtime"]
+Mirroring = Literal["listen", "copy"]
+
+
+class _Block(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class BusConfig(_Block):
+    """Which bus: `embedded`, or any python-can interface and channel such as `socketcan:vcan0`."""
+
+    address: str = "embedded"
+    bitrate: int = Field(default=1_000_000, ge=10_000, le=1_000_000)
+
+    @field_validator("address")
+    @classmethod
+    def _parses(cls, value: str) -> str:
+        BusAddress.parse(value)
+        return value
+
+
+class NodeConfig(_Block):
+    """One CANopen node of the bench."""
+
+    node_id: int = Field(ge=1, le=127)
+    eds: Path = Field(description="EDS or DCF file; a relative path is taken from the config file's folder")
+    simulated: bool = Field(default=True, description="part of the simulated hardware; false: a real device")
+
+    @field_validator("eds")
+    @classmethod
+    def _from_config_folder(cls, value: Path, info: ValidationInfo) -> Path:
+        folder = (info.context or {}).get("folder")
+        return (Path(folder) / value).resolve() if folder else value
+
+
+class NodesConfig(_Block):
+    """The participants, by their part in the bench."""
+
+    axis1: NodeConfig
+    axis2: NodeConfig
+    load: NodeConfig
+    virtual_axis1: NodeConfig
+    virtual_axis2: NodeConfig
+    virtual_io: NodeConfig
+
+    @model_validator(mode="after")
+    def _ids_differ(self) -> NodesConfig:
+        seen: dict[int, str] = {}
+        for name, node in self:
+            if node.node_id in seen:
+                raise ValueError(f"node ids that differ: {seen[node.node_id]} and {name} both have {node.node_id}")
+            seen[node.node_id] = name
+        return self
+
+
+class MasterConfig(_Block):
+    """The bench's own part on the bus."""
+
+    node_id: int = Field(default=127, ge=1, le=127)
+    heartbeat_ms: int = Field(default=100, ge=0, le=32767, description="the bench's own heartbeat; 0: none")
+    node_heartbeat_ms: int = Field(default=100, ge=0, le=32767, description="heartbeat that the nodes produce")
+    boot_timeout_s: PositiveFloat = 20.0
+    sdo_timeout_s: PositiveFloat = 1.0
+
+
+class LoadWebConfig(_Block):
+    """Where the imitated web differs from the model; what is not given is as in `model:`."""
+
+    youngs_modulus_Pa: PositiveFloat | None = None
+    span_length_m: PositiveFloat | None = None
+
+
+class LoadConfig(_Block):
+    """The load-model task: the web that the load motor imitates."""
+
+    web: LoadWebConfig = LoadWebConfig()
+    effects: list[EffectEntry] = Field(default=[], description="hidden in the imitated mechanics")
+    emulation: Literal["torque"] = Field(
+        default="torque",
+        description="torque: the load motor applies the web's pull, the stand's flywheel is the roller",
+    )
+
+
+class SafetyConfig(_Block):
+    """Limits of a run and how the safe state is reached."""
+
+    cycle_timeout_s: PositiveFloat = Field(default=5.0, description="lockstep: wall time to wait for a participant")
+    missing_cycles: int = Field(default=5, ge=1, description="realtime: cycles in a row a PDO may be missing")
+    drive_timeout_s: PositiveFloat = Field(default=2.0, description="for a drive to reach a requested state")
+    quick_stop_m_s2: PositiveFloat = Field(default=3.0, description="deceleration of a quick stop, at the web")
+    tension_limit_N: PositiveFloat = Field(default=400.0, description="simulated tension that stops the bench")
+
+
+class BenchConfig(_Block):
+    """One bench. Keys that carry a unit say so in their name."""
+
+    name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")
+    description: str = ""
+    seed: int = Field(default=1, ge=0)
+    pace: Pace = "lockstep"
+    cycle_time_s: float = Field(default=0.002, ge=0.0005, le=0.1)
+    mirroring: Mirroring = "listen"
+    bus: BusConfig = BusConfig()
+    master: MasterConfig = MasterConfig()
+    nodes: NodesConfig
+    model: ModelParameters
+    hardware: StandConfig = StandConfig()
+    load: LoadConfig = LoadConfig()
+    twin: TwinConfig = TwinConfig()
+    tension_control: TensionControlConfig = TensionControlConfig()
+    safety: SafetyConfig = SafetyConfig()
+
+    @model_validator(mode="after")
+    def _web_is_there(self) -> BenchConfig:
+        if self.model.web is None:
+            raise ValueError("a model with a 'web:' block: a bench without a web has nothing to imitate")
+        return self
+
+    @field_validator("cycle_time_s")
+    @classmethod
+    def _whole_microseconds(cls, value: float) -> float:
+        if abs(value * 1e6 - round(value * 1e6)) > 1e-6:
+            raise ValueError("whole microseconds (1006h, communication cycle period)")
+        return value
+
+    @property
+    def bus_address(self) -> BusAddress:
+        """The bus with its bitrate; an embedded bus takes its timing from the pace."""
+        timing = "virtual" if self.pace == "lockstep" else "real"
+        return BusAddress.parse(self.bus.address, bitrate=self.bus.bitrate, timing=timing)
+
+    @property
+    def cycle_ns(self) -> int:
+        """The SYNC period in ns."""
+        return round(self.cycle_time_s * 1e6) * 1000

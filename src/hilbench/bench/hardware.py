@@ -1,0 +1,84 @@
+"""The simulated hardware: the drives of the bench on their test stand, a process of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from hilbench.bench.config import BenchConfig, NodeConfig
+from hilbench.bench.processes import stop_request
+from hilbench.bus.frame import Frame
+from hilbench.bus.open import open_link
+from hilbench.drives.port import MotorPort
+from hilbench.drives.simulated import SimulatedDrive
+from hilbench.fieldbus.clock import Clock, MonotonicClock, SyncClock
+from hilbench.fieldbus.device import Device
+from hilbench.fieldbus.eds import load_eds
+from hilbench.fieldbus.host import DeviceHost
+from hilbench.web.effect_objects import bind_effect_objects
+from hilbench.web.stand import TestStand
+
+
+class StandApplication:
+    """What the hardware does at a SYNC: the drives take their set points, then the stand moves on by one cycle."""
+
+    def __init__(self, drives: list[SimulatedDrive], stand: TestStand, cycle_s: float) -> None:
+        self._drives = drives
+        self._stand = stand
+        self._cycle_s = cycle_s
+
+    def before_sync(self) -> None:
+        """Nothing to do: the state at this SYNC is there since the last one."""
+
+    def after_sync(self) -> None:
+        """Advance to the time of the next SYNC."""
+        self.tick(self._cycle_s)
+
+    def tick(self, duration_s: float) -> None:
+        """Advance by a time, also when there is no SYNC."""
+        for drive in self._drives:
+            drive.sync(duration_s)
+        self._stand.advance(duration_s)
+        for drive in self._drives:
+            drive.publish()
+
+    def on_frame(self, frame: Frame) -> None:
+        """Frames for others don't concern the hardware."""
+
+
+def device_clock(config: BenchConfig) -> Clock:
+    """The time base of simulated devices: SYNC in lockstep, else the monotonic clock."""
+    return SyncClock(config.cycle_ns) if config.pace == "lockstep" else MonotonicClock()
+
+
+def simulate(config: BenchConfig) -> None:
+    """Simulate the nodes of the bench that are marked `simulated` until SIGTERM, SIGINT or the end of the bench."""
+    stop = stop_request()
+    clock = device_clock(config)
+    ports = (MotorPort(), MotorPort(), MotorPort())
+    stand = TestStand(config.model, config.hardware, ports, seed=config.seed)
+    devices, drives = [], []
+    parts: list[tuple[NodeConfig, MotorPort, int | None]] = [
+        (config.nodes.axis1, ports[0], 1),
+        (config.nodes.axis2, ports[1], 2),
+        (config.nodes.load, ports[2], None),
+    ]
+    for node, port, axis in parts:
+        if not node.simulated:
+            continue
+        device = Device(load_eds(node.eds, node.node_id), node.node_id, clock)
+        drives.append(SimulatedDrive(device, port))
+        devices.append(device)
+        if axis is not None:
+            bind_effect_objects(device, _effect_setter(stand, axis))
+    link = open_link(config.bus_address)
+    try:
+        DeviceHost(link, devices, clock, StandApplication(drives, stand, config.cycle_time_s)).run(stop)
+    finally:
+        link.close()
+
+
+def _effect_setter(stand: TestStand, axis: int) -> Callable[[str, str, float], None]:
+    def set_parameter(effect: str, parameter: str, value: float) -> None:
+        stand.set_effect(effect, axis, **{parameter: value})
+
+    return set_parameter

@@ -1,0 +1,245 @@
+"""The participants of a bench as the bench sees them: set points in, measurements out, each cycle."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import canopen
+
+from hilbench.bench.config import BenchConfig, NodeConfig, NodesConfig
+from hilbench.bench.cycle import ExpectedPdo
+from hilbench.bench.quantities import EffectPath
+from hilbench.bench.sample import CycleSample
+from hilbench.bus.frame import Frame
+from hilbench.bus.load import CyclicFrame
+from hilbench.drives import objects
+from hilbench.drives.configuration import DriveSettings, default_reader
+from hilbench.drives.drive import Drive
+from hilbench.drives.objects import OperationMode
+from hilbench.drives.state_machine import State, decode_statusword
+from hilbench.drives.units import DriveUnits
+from hilbench.errors import BenchFaultError
+from hilbench.fieldbus.eds import load_eds
+from hilbench.fieldbus.master import Master
+from hilbench.fieldbus.pdo import PdoMap
+from hilbench.web.effect_objects import effect_object
+
+_HEARTBEAT = 0x700
+_OPERATIONAL = 5
+_ABORT_BY_QUICK_STOP = 3
+_QUICK_STOP_RAMP = 2
+_DEVIATION_EVERY = 10  # SYNCs between two TPDO2 of the virtual I/O
+
+
+@dataclass(frozen=True)
+class IoMaps:
+    """PDOs of the virtual I/O, node 32."""
+
+    state: PdoMap  #: TPDO1: simulated tension, E
+    quality: PdoMap  #: TPDO2: deviation of E, torque residual
+    boundary: PdoMap  #: RPDO1: upstream strain, downstream tension
+
+    @classmethod
+    def of(cls, node: NodeConfig, od: canopen.ObjectDictionary) -> IoMaps:
+        """The maps by the EDS of the virtual I/O. Raises KeyError or ValueError for what it lacks."""
+        inputs, outputs = "0x6403sub", "0x6413sub"
+        return cls(
+            PdoMap.from_names(od, 0x180 + node.node_id, 1, [inputs + "1", inputs + "2"]),
+            PdoMap.from_names(od, 0x280 + node.node_id, _DEVIATION_EVERY, [inputs + "3", inputs + "5"]),
+            PdoMap.from_names(od, 0x200 + node.node_id, 1, [outputs + "1", outputs + "2"]),
+        )
+
+
+def drive_settings(config: BenchConfig, part: str, od: canopen.ObjectDictionary) -> DriveSettings:
+    """How the drive `part` (a field of `nodes:`) of a bench is configured."""
+    node: NodeConfig = getattr(config.nodes, part)
+    axis = 1 if part.endswith("1") else 2
+    virtual = part.startswith("virtual")
+    load = part == "load"
+    rad_per_m = config.model.motor_rad_per_m(axis)
+    units = DriveUnits.from_objects(default_reader(od), {}, part)
+    deceleration = round(config.safety.quick_stop_m_s2 * rad_per_m / units.acceleration_rad_s2)
+    parameters = {
+        (objects.QUICK_STOP_DECELERATION, 0): deceleration,
+        (objects.QUICK_STOP_OPTION_CODE, 0): _QUICK_STOP_RAMP,
+        (objects.ABORT_CONNECTION_OPTION_CODE, 0): _ABORT_BY_QUICK_STOP,
+    }
+    real = config.nodes.axis1 if axis == 1 else config.nodes.axis2
+    twin_node = config.nodes.virtual_axis1 if axis == 1 else config.nodes.virtual_axis2
+    copies = (0x200 + twin_node.node_id,) if config.mirroring == "copy" and not virtual and not load else ()
+    return DriveSettings(
+        name=part.replace("_", " "),
+        node_id=node.node_id,
+        mode=OperationMode.CYCLIC_SYNCHRONOUS_TORQUE if load else OperationMode.CYCLIC_SYNCHRONOUS_VELOCITY,
+        cycle_s=config.cycle_time_s,
+        has_velocity=not load,
+        parameters={key: value for key, value in parameters.items() if key[0] in od},
+        heartbeat_ms=config.master.node_heartbeat_ms,
+        master_heartbeat=_master_heartbeat(config, virtual),
+        listens_to=0x200 + real.node_id if virtual and config.mirroring == "listen" else None,
+        copies=copies,
+        tpdo_type=(config.twin.virtual_tpdo_every or None) if virtual else 1,
+        time_out_s=config.safety.drive_timeout_s,
+    )
+
+
+def _master_heartbeat(config: BenchConfig, virtual: bool) -> tuple[int, int] | None:
+    """What a real drive expects of the bench: its heartbeat, three periods late at most."""
+    period_ms = config.master.heartbeat_ms
+    return (config.master.node_id, 3 * period_ms) if period_ms and not virtual else None
+
+
+class Nodes:
+    """The drives and the virtual I/O of one bench."""
+
+    def __init__(self, config: BenchConfig) -> None:
+        self.config = config
+        nodes: NodesConfig = config.nodes
+        self._ods = {part: load_eds(node.eds, node.node_id) for part, node in nodes}
+        drives = {
+            part: Drive(drive_settings(config, part, od), od) for part, od in self._ods.items() if part != "virtual_io"
+        }
+        self.axis1, self.axis2, self.load = drives["axis1"], drives["axis2"], drives["load"]
+        self.virtual_axes = (drives["virtual_axis1"], drives["virtual_axis2"])
+        self.io = IoMaps.of(nodes.virtual_io, self._ods["virtual_io"])
+        self._rad_per_m = (config.model.motor_rad_per_m(1), config.model.motor_rad_per_m(2))
+        self._known = {node.node_id: part.replace("_", " ") for part, node in nodes}
+        self._master: Master | None = None
+        self._tension_N, self._modulus_Pa = 0.0, 0.0
+        self._deviation_Pa, self._residual_Nm = 0.0, 0.0
+        self._torque_before_Nm, self._torque_sim_Nm = 0.0, 0.0
+        self._effects: dict[EffectPath, float] = {}
+
+    @property
+    def drives(self) -> Sequence[Drive]:
+        """The real (or simulated) drives: axis 1, axis 2, load motor."""
+        return (self.axis1, self.axis2, self.load)
+
+    # -- configuration -----------------------------------------------------------------------------------
+
+    def introduce(self, master: Master) -> None:
+        """Make all nodes known to the master."""
+        self._master = master
+        for part, node in self.config.nodes:
+            master.add(node.node_id, self._ods[part], part.replace("_", " "))
+
+    def configure(self, master: Master) -> None:
+        """Configure every node by SDO. Raises BenchFaultError naming node, object and reason."""
+        for drive in (*self.drives, *self.virtual_axes):
+            drive.configure(master)
+        node_id = self.config.nodes.virtual_io.node_id
+        master.write_pdo_map(node_id, 0x1400, self.io.boundary)
+        master.write_pdo_map(node_id, 0x1800, self.io.state)
+        master.write_pdo_map(node_id, 0x1801, self.io.quality)
+        master.configure(node_id, {(0x1017, 0): self.config.master.node_heartbeat_ms})
+
+    def check_virtual_axes_enabled(self) -> None:
+        """Raise BenchFaultError when a virtual axis did not follow its real axis into OPERATION ENABLED."""
+        assert self._master is not None, "configured before it is enabled"
+        for drive in self.virtual_axes:
+            statusword = int(self._master.sdo_read(drive.settings.node_id, objects.STATUSWORD))
+            state = decode_statusword(statusword)
+            if state is not State.OPERATION_ENABLED:
+                raise BenchFaultError(
+                    f"{drive.settings.name} (node {drive.settings.node_id}) did not follow its real axis: "
+                    f"statusword {statusword:04X}h, expected OPERATION ENABLED"
+                )
+
+    def expected_pdos(self) -> list[ExpectedPdo]:
+        """The TPDOs that answer SYNC."""
+        expected = []
+        for drive in self.drives:
+            name = f"{drive.settings.name} (node {drive.settings.node_id})"
+            expected += [ExpectedPdo(pdo.cob_id, pdo.period, name) for _, pdo, _ in drive.pdos.tpdos]
+        io = f"virtual io (node {self.config.nodes.virtual_io.node_id})"
+        expected += [ExpectedPdo(pdo.cob_id, pdo.period, io) for pdo in (self.io.state, self.io.quality)]
+        return expected
+
+    def cyclic_frames(self) -> list[CyclicFrame]:
+        """Everything that goes over the bus each cycle, for the bus load."""
+        frames = [CyclicFrame("SYNC", 0x80, 0)]
+        for drive in (*self.drives, *self.virtual_axes):
+            name, pdos = drive.settings.name, drive.pdos
+            if drive not in self.virtual_axes:
+                frames += [CyclicFrame(f"{name} RPDO", cob, pdos.rpdo.size) for cob in pdos.rpdo_cob_ids]
+            frames += [CyclicFrame(f"{name} TPDO", pdo.cob_id, pdo.size, 1 / pdo.period) for _, pdo, _ in pdos.tpdos]
+        for name, pdo in (("state", self.io.state), ("quality", self.io.quality), ("boundary", self.io.boundary)):
+            frames.append(CyclicFrame(f"virtual io {name}", pdo.cob_id, pdo.size, 1 / pdo.period))
+        periods_ms = [self.config.master.heartbeat_ms, *[self.config.master.node_heartbeat_ms] * len(self._known)]
+        per_cycle = sum(1000.0 * self.config.cycle_time_s / period for period in periods_ms if period)
+        return [*frames, CyclicFrame("heartbeats", _HEARTBEAT + 1, 1, per_cycle)]
+
+    # -- each cycle --------------------------------------------------------------------------------------
+
+    def command(self, v1_m_s: float, v2_m_s: float, load_torque_Nm: float) -> None:
+        """Set points of this cycle: velocities at the web, torque at the load motor's shaft."""
+        self.axis1.setpoint = v1_m_s * self._rad_per_m[0]
+        self.axis2.setpoint = v2_m_s * self._rad_per_m[1]
+        self.load.setpoint = load_torque_Nm
+
+    def encode(self, strain_prev: float, tension_next_N: float) -> list[Frame]:
+        """RPDOs of this cycle, the twin's among them."""
+        frames: list[Frame] = []
+        for drive in self.drives:
+            frames += drive.encode()
+        frames.append(Frame(self.io.boundary.cob_id, self.io.boundary.pack((strain_prev, tension_next_N))))
+        return frames
+
+    def decode(self, frames: Sequence[Frame]) -> None:
+        """Take what came in this cycle. Raises BenchFaultError when a node rebooted or a drive has a fault."""
+        data = {frame.can_id: frame.data for frame in frames}
+        for can_id, content in data.items():
+            if _HEARTBEAT < can_id <= _HEARTBEAT + 0x7F and content[:1] != bytes([_OPERATIONAL]):
+                self._not_operational(can_id - _HEARTBEAT, content)
+        for drive in self.drives:
+            drive.decode(data)
+        state, quality = data.get(self.io.state.cob_id), data.get(self.io.quality.cob_id)
+        if state is not None:
+            self._tension_N, self._modulus_Pa = self.io.state.unpack(state)
+        if quality is not None:
+            self._deviation_Pa, self._residual_Nm = self.io.quality.unpack(quality)
+            # The residual is that of the cycle before: the twin compared after this cycle's TPDO was due.
+            self._torque_sim_Nm = self._torque_before_Nm - self._residual_Nm
+        self._torque_before_Nm = self.axis2.feedback.torque_Nm
+
+    def _not_operational(self, node_id: int, content: bytes) -> None:
+        name = self._known.get(node_id)
+        if name is None:
+            return
+        what = "has restarted (boot-up)" if content == b"\0" else f"has left OPERATIONAL (heartbeat {content.hex()}h)"
+        raise BenchFaultError(f"{name} (node {node_id}) {what} during the run")
+
+    def fill(self, sample: CycleSample) -> None:
+        """Put the measurements of this cycle into a sample; SI, positions and velocities at the web."""
+        one, two, load = self.axis1.feedback, self.axis2.feedback, self.load.feedback
+        first, second = self._rad_per_m
+        sample.x1_m, sample.x2_m = one.position_rad / first, two.position_rad / second
+        sample.v1_m_s, sample.v2_m_s = one.velocity_rad_s / first, two.velocity_rad_s / second
+        sample.tau1_Nm, sample.tau2_Nm, sample.tau_load_Nm = one.torque_Nm, two.torque_Nm, load.torque_Nm
+        sample.x_load_m = load.position_rad / second
+        sample.statusword1, sample.statusword2 = one.statusword, two.statusword
+        sample.statusword_load = load.statusword
+        sample.F_sim_N, sample.E_sim_Pa, sample.E_sd_Pa = self._tension_N, self._modulus_Pa, self._deviation_Pa
+        sample.tau2_residual_Nm, sample.tau2_sim_Nm = self._residual_Nm, self._torque_sim_Nm
+
+    # -- effects in the simulated hardware ---------------------------------------------------------------
+
+    def hardware_effect(self, path: EffectPath) -> float:
+        """A parameter of an effect in the simulated hardware, read by SDO."""
+        index, sub = effect_object(path.effect, path.parameter)
+        return float(self._sdo().sdo_read(self._effect_node(path), index, sub))
+
+    def set_hardware_effect(self, path: EffectPath, value: float) -> None:
+        """Change a parameter of an effect in the simulated hardware, by SDO."""
+        index, sub = effect_object(path.effect, path.parameter)
+        self._sdo().sdo_write(self._effect_node(path), index, sub, value)
+
+    def _effect_node(self, path: EffectPath) -> int:
+        node: Any = self.config.nodes.axis1 if path.axis == 1 else self.config.nodes.axis2
+        return int(node.node_id)
+
+    def _sdo(self) -> Master:
+        assert self._master is not None, "configured before an experiment changes anything"
+        return self._master

@@ -1,0 +1,45 @@
+"""Pacing of SYNC by the wall clock: absolute deadlines, missed cycles counted, jitter kept.
+
+Functions on a small state, so that each can be tested without a bus. `lockstep` needs none of it: there the next
+SYNC goes out as soon as every participant has answered.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field
+
+
+@dataclass
+class Pacing:
+    """State of the real-time pacing; times in ns of the monotonic clock."""
+
+    period_ns: int
+    deadline_ns: int = 0  #: when the next SYNC is due; 0 before the first
+    missed: int = 0  #: cycles whose deadline had passed by a whole period when they were ready
+    lateness_ns: list[int] = field(default_factory=list)  #: of every SYNC that was sent
+
+
+def start(pacing: Pacing, now_ns: int) -> None:
+    """The first SYNC is due one period from now."""
+    pacing.deadline_ns = now_ns + pacing.period_ns
+
+
+def advance(pacing: Pacing, sent_ns: int) -> None:
+    """Note when the SYNC due at the deadline was sent, and set the next deadline.
+
+    A cycle that comes late by whole periods skips them: they are counted as missed, and the grid of deadlines
+    stays where it is, so that one delay does not shift or bunch all that follow.
+    """
+    late_ns = sent_ns - pacing.deadline_ns
+    pacing.lateness_ns.append(late_ns)
+    skipped = max(0, late_ns // pacing.period_ns)
+    pacing.missed += skipped
+    pacing.deadline_ns += (1 + skipped) * pacing.period_ns
+
+
+def sleep_until(deadline_ns: int) -> int:
+    """Sleep to an absolute time of the monotonic clock; returns the time after it (ns)."""
+    while (remaining_ns := deadline_ns - time.monotonic_ns()) > 0:
+        time.sleep(remaining_ns * 1e-9)
+    return time.monotonic_ns()

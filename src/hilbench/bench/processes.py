@@ -1,0 +1,88 @@
+"""The processes beside the bench: simulated hardware and twin; they start with it and never outlive it.
+
+A child ends on SIGTERM, and by itself when its standard input closes, which the kernel does for us however the
+bench dies.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from hilbench.errors import BenchFaultError
+
+_END_TIMEOUT_S = 5.0
+
+
+class ChildProcess:
+    """One hilbench command running beside the bench; what it says goes to a log file."""
+
+    def __init__(self, name: str, arguments: Sequence[str], log_path: Path) -> None:
+        self.name = name
+        self._log_path = log_path
+        with log_path.open("wb") as log:
+            self._process = subprocess.Popen(
+                [sys.executable, "-m", "hilbench.cli", *arguments],
+                stdin=subprocess.PIPE,
+                stdout=log,
+                stderr=subprocess.STDOUT,
+                env={**os.environ, FOLLOW_PARENT: "1"},
+                # Ctrl-C at the terminal is the bench's to handle: it needs the drives to stop them.
+                start_new_session=True,
+            )
+
+    @property
+    def pid(self) -> int:
+        """Its process id."""
+        return self._process.pid
+
+    def check(self) -> None:
+        """Raise BenchFaultError with its last words when it has ended."""
+        code = self._process.poll()
+        if code is not None:
+            raise BenchFaultError(f"{self.name} ended by itself (exit code {code}): {self._last_words()}")
+
+    def end(self) -> None:
+        """Ask it to end, insist when it does not."""
+        if self._process.poll() is None:
+            self._process.terminate()
+            try:
+                self._process.wait(_END_TIMEOUT_S)
+            except subprocess.TimeoutExpired:
+                self._process.kill()
+                self._process.wait()
+        if self._process.stdin is not None:
+            self._process.stdin.close()
+
+    def _last_words(self) -> str:
+        lines = self._log_path.read_text(encoding="utf-8", errors="replace").strip().splitlines()
+        return lines[-1] if lines else "it said nothing"
+
+
+#: Set in a child's environment: its standard input is a pipe from the bench and says when the bench is gone.
+FOLLOW_PARENT = "HILBENCH_FOLLOW_PARENT"
+
+
+def stop_request() -> Callable[[], bool]:
+    """For a child: a function that says whether to end (SIGTERM, SIGINT, or the parent is gone)."""
+    requested = threading.Event()
+
+    def request(*_: object) -> None:
+        requested.set()
+
+    signal.signal(signal.SIGTERM, request)
+    signal.signal(signal.SIGINT, request)
+    if os.environ.get(FOLLOW_PARENT):
+
+        def follow_parent() -> None:
+            while os.read(0, 4096):
+                pass
+            requested.set()
+
+        threading.Thread(target=follow_parent, name="follow-parent", daemon=True).start()
+    return requested.is_set

@@ -1,0 +1,126 @@
+"""From nothing to nodes that answer SYNC: processes, boot-up, configuration, NMT start."""
+
+from __future__ import annotations
+
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import yaml
+
+from hilbench.bench.config import BenchConfig
+from hilbench.bench.cycle import CyclicExchange, FrameTap
+from hilbench.bench.nodes import Nodes
+from hilbench.bench.processes import ChildProcess
+from hilbench.bus.link import Link
+from hilbench.bus.open import open_link, open_python_can
+from hilbench.fieldbus import master as nmt
+from hilbench.fieldbus.master import Master
+
+
+@dataclass
+class StartedBench:
+    """What runs once the nodes are operational."""
+
+    nodes: Nodes
+    exchange: CyclicExchange
+    children: list[ChildProcess]
+
+
+@contextmanager
+def bring_up(
+    config: BenchConfig,
+    *,
+    tap: FrameTap | None,
+    work_folder: Path | None,
+    announce: Callable[[str], None],
+) -> Iterator[StartedBench]:
+    """Start the processes, configure the nodes and start them (NMT); everything is ended again on leaving.
+
+    Raises BenchFaultError when a process ends, a node does not answer, or refuses what it is told.
+    """
+    with ExitStack() as resources:
+        folder = work_folder or Path(resources.enter_context(tempfile.TemporaryDirectory(prefix="hilbench-")))
+        nodes = Nodes(config)
+        link = open_link(config.bus_address)
+        resources.callback(link.close)
+        master = Master(open_python_can(config.bus_address), config.master.sdo_timeout_s)
+        resources.callback(master.close)
+        nodes.introduce(master)
+        with _watched(link, tap):
+            announce("start simulated hardware and twin")
+            children = _start_children(config, folder)
+            for child in children:
+                resources.callback(child.end)
+            _wait_for_nodes(config, master, children)
+            announce("configure nodes")
+            nodes.configure(master)
+            master.nmt(nmt.START)
+            resources.callback(master.nmt, nmt.PRE_OPERATIONAL)
+        exchange = CyclicExchange(
+            link,
+            cycle_ns=config.cycle_ns,
+            bitrate=config.bus.bitrate,
+            lockstep=config.pace == "lockstep",
+            expected=nodes.expected_pdos(),
+            timeout_s=config.safety.cycle_timeout_s,
+            missing_limit=config.safety.missing_cycles,
+            heartbeat=(config.master.node_id, config.master.heartbeat_ms),
+            tap=tap,
+        )
+        yield StartedBench(nodes, exchange, children)
+
+
+def _start_children(config: BenchConfig, folder: Path) -> list[ChildProcess]:
+    path = folder / "config.yaml"
+    if not path.exists():
+        path.write_text(yaml.safe_dump(config.model_dump(mode="json", exclude_none=True), sort_keys=False))
+    children = []
+    if any(node.simulated for part, node in config.nodes if part in ("axis1", "axis2", "load")):
+        children.append(ChildProcess("simulated hardware", ["simulate-hardware", str(path)], folder / "hardware.log"))
+    children.append(ChildProcess("twin", ["twin", str(path)], folder / "twin.log"))
+    return children
+
+
+def _wait_for_nodes(config: BenchConfig, master: Master, children: list[ChildProcess]) -> None:
+    for _, node in config.nodes:
+        if not node.simulated:
+            master.nmt(nmt.RESET_NODE, node.node_id)
+
+    def check() -> None:
+        for child in children:
+            child.check()
+
+    master.wait_for_boot([node.node_id for _, node in config.nodes], config.master.boot_timeout_s, check)
+
+
+@contextmanager
+def _watched(link: Link, tap: FrameTap | None) -> Iterator[None]:
+    """Hand the frames of the configuration to the tap while somebody else talks."""
+    done = threading.Event()
+    failures: list[BaseException] = []
+
+    def drain() -> None:
+        try:
+            while not done.is_set():
+                frames = link.receive(0.02)
+                if frames and tap is not None:
+                    now_ns = time.time_ns()
+                    tap.write([frame._replace(time_ns=now_ns) for frame in frames])
+                    tap.end_cycle()
+        except BaseException as error:  # handed to the thread that waits for us
+            failures.append(error)
+
+    thread = threading.Thread(target=drain, name="configuration-trace", daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        done.set()
+        thread.join()
+    if failures:
+        raise failures[0]

@@ -1,0 +1,110 @@
+"""The `hilbench` command. Each command imports what it needs when it runs, so that `--help` is fast."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from hilbench.errors import EXIT_INTERRUPTED, HilbenchError
+
+app = typer.Typer(
+    name="hilbench",
+    help="Hardware-in-the-loop test bench over CAN/CANopen with a synchronized twin of a web-transport section.",
+    no_args_is_help=True,
+    add_completion=True,
+    pretty_exceptions_enable=False,
+)
+
+ConfigArgument = Annotated[Path, typer.Argument(metavar="CONFIG", help="bench config (YAML)")]
+BusOption = Annotated[
+    str | None, typer.Option("--bus", help="embedded[:NAME], socketcan:vcan0, or another python-can interface:channel")
+]
+PaceOption = Annotated[str | None, typer.Option("--pace", help="lockstep or realtime")]
+
+
+def _load(config: Path, **overrides: Any) -> Any:
+    from hilbench.experiment.config import load_with_overrides
+
+    return load_with_overrides(config, **overrides)
+
+
+@app.command()
+def run(
+    config: ConfigArgument,
+    bus: BusOption = None,
+    pace: PaceOption = None,
+    out: Annotated[Path, typer.Option("--out", help="folder in which the run folder is made")] = Path("runs"),
+    seed: Annotated[int | None, typer.Option("--seed", help="seed of every random number of the run")] = None,
+    json: Annotated[bool, typer.Option("--json", help="print result.json on standard output, nothing else")] = False,
+) -> None:
+    """Run a bench and its experiment; leaves a run folder with recording, trace, result and report.
+
+    Exit code: 0 passed, 1 a criterion failed, 2 unusable input, 3 bench fault, 130 interrupted.
+
+    Example: hilbench run bench_configs/web_section_step.yaml --seed 7
+    """
+    from hilbench.cli.run import run_command
+
+    loaded = _load(config, bus=bus, pace=pace, seed=seed)
+    raise typer.Exit(run_command(loaded, out, as_json=json))
+
+
+@app.command()
+def check(config: ConfigArgument, bus: BusOption = None) -> None:
+    """Check a config, its EDS files, PDO maps and bus load without starting anything.
+
+    Example: hilbench check bench_configs/web_section_step.yaml
+    """
+    from hilbench.cli.check import check_command
+
+    check_command(_load(config, bus=bus))
+
+
+@app.command("simulate-hardware")
+def simulate_hardware(config: ConfigArgument, bus: BusOption = None, pace: PaceOption = None) -> None:
+    """Simulate the drives of a bench (axis 1, axis 2, load motor) until interrupted.
+
+    Example: hilbench simulate-hardware bench_configs/web_section_step.yaml --bus socketcan:vcan0
+    """
+    from hilbench.bench.hardware import simulate
+
+    simulate(_load(config, bus=bus, pace=pace).config)
+
+
+@app.command()
+def twin(config: ConfigArgument, bus: BusOption = None, pace: PaceOption = None) -> None:
+    """Run the twin of a bench: virtual axes, virtual I/O and synchronizer, until interrupted.
+
+    Example: hilbench twin bench_configs/web_section_step.yaml --bus socketcan:vcan0
+    """
+    from hilbench.bench.hardware import twin_setup
+    from hilbench.bench.processes import stop_request
+    from hilbench.twin.process import run_twin
+
+    run_twin(twin_setup(_load(config, bus=bus, pace=pace).config), stop_request())
+
+
+@app.command()
+def report(run_folder: Annotated[Path, typer.Argument(metavar="RUN", help="run folder")]) -> None:
+    """Write the report of a run folder anew.
+
+    Example: hilbench report runs/web_section_step-20260101-120000
+    """
+    from hilbench.record.run_folder import RunFolder
+    from hilbench.report.html import write_report
+
+    typer.echo(write_report(RunFolder.open(run_folder)))
+
+
+def main() -> None:
+    """Entry point: errors meant for a person become one line on standard error and the exit code of their kind."""
+    try:
+        app()
+    except HilbenchError as error:
+        typer.echo(f"hilbench: {error}", err=True)
+        sys.exit(error.exit_code)
+    except KeyboardInterrupt:
+        sys.exit(EXIT_INTERRUPTED)

@@ -1,0 +1,125 @@
+"""`hilbench run`: live progress, the closing table of criteria, and where the report is."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+from rich.console import Console
+from rich.live import Live
+from rich.table import Table
+
+from hilbench.bench.bench import Bench
+from hilbench.bench.sample import CycleSample
+from hilbench.experiment.config import LoadedConfig
+from hilbench.experiment.runner import RunOutcome, run_experiment
+from hilbench.record.result import Result
+
+_REFRESH_S = 0.2
+_PLAIN_LINE_EVERY_S = 5.0
+
+
+def run_command(loaded: LoadedConfig, out: Path, *, as_json: bool) -> int:
+    """Run the experiment, show it, and return the exit code."""
+    if as_json:
+        outcome = run_experiment(loaded, out)
+        print(outcome.result.model_dump_json(indent=2))
+        return outcome.exit_code
+    console = Console(highlight=False)
+    console.print(f"[bold]{loaded.config.name}[/bold]  {loaded.config.bus.address}, {loaded.config.pace}")
+    with Progress(console, cycle_s=loaded.config.cycle_time_s, bitrate=loaded.config.bus.bitrate) as progress:
+        outcome = run_experiment(loaded, out, observers=[progress], announce=progress.announce)
+    show_outcome(console, outcome)
+    return outcome.exit_code
+
+
+class Progress:
+    """Observer that shows the state of the run: a live table on a terminal, a line now and then elsewhere."""
+
+    def __init__(self, console: Console, *, cycle_s: float, bitrate: int) -> None:
+        self._console = console
+        self._cycle_s = cycle_s
+        self._bits_per_cycle = bitrate * cycle_s
+        self._live = Live(console=console, auto_refresh=False, transient=True) if console.is_terminal else None
+        self._started_s = time.monotonic()
+        self._next_s = 0.0
+        self._phase = ""
+
+    def __enter__(self) -> Progress:
+        if self._live is not None:
+            self._live.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._live is not None:
+            self._live.stop()
+
+    def announce(self, text: str) -> None:
+        """Say what the bench is doing now."""
+        self._phase = text
+        if self._live is None:
+            self._console.print(text)
+        else:
+            self._live.update(text, refresh=True)
+
+    def started(self, bench: Bench) -> None:
+        """The cyclic path runs from now on."""
+        self._started_s = time.monotonic()
+
+    def sample(self, sample: CycleSample) -> None:
+        """Show the sample when it is time to (by the wall clock on a terminal, by experiment time elsewhere)."""
+        if self._live is not None:
+            now_s = time.monotonic()
+            if now_s >= self._next_s:
+                self._next_s = now_s + _REFRESH_S
+                self._live.update(self._table(sample), refresh=True)
+        elif sample.t_s >= self._next_s:
+            self._next_s = sample.t_s + _PLAIN_LINE_EVERY_S
+            self._console.print("  ".join(f"{name} {value}" for name, value in self._rows(sample)), soft_wrap=True)
+
+    def _rows(self, sample: CycleSample) -> list[tuple[str, str]]:
+        factor = max(0.0, sample.t_s) / max(1e-3, time.monotonic() - self._started_s)
+        return [
+            ("t", f"{sample.t_s:6.2f} s ({factor:.1f} x real time)"),
+            ("cycle", f"{sample.cycle:.0f}"),
+            ("line speed", f"{sample.v2_m_s:.3f} m/s"),
+            (
+                "tension true / simulated / set-point",
+                f"{sample.F_true_N:.1f} / {sample.F_sim_N:.1f} / {sample.F_ref_N:.1f} N",
+            ),
+            ("E true / estimated", f"{sample.E_true_Pa / 1e6:.0f} / {sample.E_sim_Pa / 1e6:.0f} N/mm²"),
+            ("bus load", f"{100 * sample.bus_bits / self._bits_per_cycle:.0f} %"),
+        ]
+
+    def _table(self, sample: CycleSample) -> Table:
+        table = Table(show_header=False, box=None, title=self._phase, title_justify="left")
+        for name, value in self._rows(sample):
+            table.add_row(name, value)
+        return table
+
+
+def show_outcome(console: Console, outcome: RunOutcome) -> None:
+    """Print the criteria, the timing, the faults and where everything is."""
+    result = outcome.result
+    if result.criteria:
+        console.print(_criteria_table(result))
+    timing = result.timing
+    line = f"{timing.cycles} cycles of {timing.cycle_us / 1000:g} ms, {timing.pace}, {timing.realtime_factor:.1f} x real time"
+    if timing.pace == "realtime" and timing.jitter_us is not None:
+        line += f", {timing.missed} missed, SYNC jitter p50 {timing.jitter_us.p50:.0f} / p99 {timing.jitter_us.p99:.0f} us"
+    console.print(line + f", bus load {timing.bus_load_pct:.0f} %")
+    for fault in result.faults:
+        console.print(f"[red]fault[/red] {fault}", soft_wrap=True)
+    verdict = "[green]passed[/green]" if result.passed else "[red]not passed[/red]"
+    console.print(f"{verdict}   report: {outcome.folder.report}", soft_wrap=True)
+
+
+def _criteria_table(result: Result) -> Table:
+    table = Table(title="Criteria", title_justify="left")
+    for heading in ("criterion", "value", "limit", "unit", ""):
+        table.add_column(heading, justify="right" if heading == "value" else "left")
+    for row in result.criteria:
+        value = "-" if row.value is None else f"{row.value:.6g}"
+        mark = "[green]passed[/green]" if row.passed else "[red]failed[/red]"
+        table.add_row(row.name, value, str(row.limit), row.unit, mark)
+    return table

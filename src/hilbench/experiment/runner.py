@@ -1,0 +1,159 @@
+"""Runs the experiment of a config on its bench and leaves a run folder behind, whatever happens."""
+
+from __future__ import annotations
+
+import signal
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from operator import attrgetter
+from pathlib import Path
+from types import FrameType
+
+import numpy as np
+
+from hilbench.bench.bench import Bench, CycleObserver, InterruptedByOperatorError
+from hilbench.bench.check import check_bench
+from hilbench.bench.sample import CycleSample
+from hilbench.bench.signals import SIGNALS
+from hilbench.errors import EXIT_BENCH_FAULT, EXIT_CRITERION_FAILED, EXIT_INTERRUPTED, EXIT_PASSED, BenchFaultError
+from hilbench.experiment import config as config_files
+from hilbench.experiment.config import LoadedConfig
+from hilbench.experiment.criteria import evaluate
+from hilbench.experiment.metrics import evaluate_metrics
+from hilbench.record.recording import Recording, RecordingBuilder, write_recording
+from hilbench.record.result import Environment, Fault, Result, Timing, jitter
+from hilbench.record.run_folder import RunFolder
+from hilbench.record.trace import TraceWriter
+from hilbench.report.html import write_report
+
+
+@dataclass
+class RunOutcome:
+    """What a run left: its folder, its result, and the exit code it means."""
+
+    folder: RunFolder
+    result: Result
+    exit_code: int
+
+
+class Recorder:
+    """Cycle observer that keeps every sample in memory."""
+
+    def __init__(self) -> None:
+        names = [signal.name for signal in SIGNALS]
+        self._builder = RecordingBuilder(names)
+        self._row = attrgetter(*names)
+
+    def sample(self, sample: CycleSample) -> None:
+        """Keep one cycle."""
+        self._builder.append(self._row(sample))
+
+    def recording(self, started: datetime, comment: str) -> Recording:
+        """What was kept so far."""
+        return self._builder.build(started, comment)
+
+
+def run_experiment(
+    loaded: LoadedConfig,
+    out: Path,
+    *,
+    observers: Sequence[CycleObserver] = (),
+    announce: Callable[[str], None] = lambda text: None,
+) -> RunOutcome:
+    """Run all steps of a config, evaluate its criteria, write the run folder and its report.
+
+    A bench fault or an interruption ends the run in the safe state; what was recorded until then is written, and
+    the fault is in the result. Raises UnusableInputError before anything is started.
+    """
+    config = loaded.config
+    check_bench(config, loaded.document)
+    folder = RunFolder.create(out, config.name)
+    config_files.dump(config, folder.config)
+    started = datetime.now(UTC)
+    recorder = Recorder()
+    exit_code, faults = EXIT_PASSED, list[Fault]()
+    with TraceWriter(folder.trace, config.bus_address.channel) as trace:
+        bench = Bench(config, observers=[recorder, *observers], tap=trace, work_folder=folder.path, announce=announce)
+        try:
+            with stop_on_signals(bench), bench:
+                announce("run the experiment")
+                for step in config.steps:
+                    step.run(bench)
+        except (InterruptedByOperatorError, KeyboardInterrupt) as error:
+            exit_code = EXIT_INTERRUPTED
+            faults.append(Fault(time_s=bench.time_s, source="operator", text=str(error) or "interrupted during start"))
+        except BenchFaultError as error:
+            exit_code = EXIT_BENCH_FAULT
+            faults.append(Fault(time_s=bench.time_s, source="bench", text=str(error)))
+    faults += [Fault(time_s=None, source="safe state", text=text) for text in bench.safe_state_problems]
+    announce("write recording and report")
+    recording = recorder.recording(started, config.description)
+    write_recording(recording, folder.recording)
+    timing = measure_timing(bench)
+    metrics = evaluate_metrics(recording.channels) | timing.metrics()
+    criteria = evaluate(config.criteria, metrics)
+    result = Result.of(criteria, metrics, timing, faults, Environment.here(config.seed))
+    result.write(folder.result)
+    write_report(folder)
+    if exit_code == EXIT_PASSED and not result.passed:
+        exit_code = EXIT_CRITERION_FAILED
+    return RunOutcome(folder, result, exit_code)
+
+
+def measure_timing(bench: Bench) -> Timing:
+    """Counts and times of the cyclic path of a run that has ended; lateness only where SYNC had a deadline."""
+    config, exchange = bench.config, bench.exchange
+    if exchange is None:
+        return Timing(
+            pace=config.pace,
+            cycle_us=config.cycle_time_s * 1e6,
+            cycles=0,
+            missed=0,
+            jitter_us=None,
+            realtime_factor=None,
+            bus_load_pct=None,
+        )
+    timing = exchange.timing
+    bus_s = timing.cycles * config.cycle_time_s
+    wall_s = (timing.ended_ns - timing.started_ns) * 1e-9
+    lateness_us = np.asarray(exchange.pacing.lateness_ns, float) / 1000.0
+    percentiles, histogram = jitter(lateness_us) if config.pace == "realtime" else (None, None)
+    return Timing(
+        pace=config.pace,
+        cycle_us=config.cycle_time_s * 1e6,
+        cycles=timing.cycles,
+        missed=exchange.pacing.missed,
+        jitter_us=percentiles,
+        realtime_factor=bus_s / wall_s if wall_s > 0 else None,
+        bus_load_pct=100.0 * timing.bits / (config.bus.bitrate * bus_s) if bus_s else None,
+        jitter_histogram=histogram,
+    )
+
+
+@contextmanager
+def stop_on_signals(bench: Bench) -> Iterator[None]:
+    """SIGINT and SIGTERM end the run between two cycles, so that the quick stop starts from a whole one.
+
+    Before the drives are enabled KeyboardInterrupt is raised at once. Once the stop has begun it is not interrupted
+    by further signals.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def request(number: int, frame: FrameType | None) -> None:
+        if bench.stopping:
+            return
+        if not bench.enabled:
+            raise KeyboardInterrupt
+        bench.interrupt_requested = True
+
+    previous = {number: signal.signal(number, request) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
+    finally:
+        for number, handler in previous.items():
+            signal.signal(number, handler)

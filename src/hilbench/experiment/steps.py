@@ -1,0 +1,148 @@
+"""The steps of an experiment as they stand in YAML, and how each is run on a bench."""
+
+from __future__ import annotations
+
+import operator
+import re
+from collections.abc import Callable
+from typing import Annotated
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, NonNegativeFloat, PositiveFloat, model_validator
+
+from hilbench.bench.bench import Bench
+from hilbench.bench.quantities import settable_path
+from hilbench.bench.signals import SIGNALS
+from hilbench.errors import BenchFaultError
+
+_COMPARISONS: dict[str, Callable[[float, float], bool]] = {
+    "<": operator.lt,
+    "<=": operator.le,
+    ">": operator.gt,
+    ">=": operator.ge,
+}
+_CONDITION = re.compile(r"^\s*(\w+)\s*(<=|>=|<|>)\s*([-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?)\s*$")
+
+Path = Annotated[str, AfterValidator(settable_path)]
+
+
+def parse_condition(text: str) -> tuple[str, str, float]:
+    """Split ``signal < value`` into its parts. Raises ValueError when it is no comparison of a known signal."""
+    match = _CONDITION.match(text)
+    if match is None:
+        raise ValueError("a comparison such as 'v1_m_s >= 2.9'")
+    signal, comparison, value = match.groups()
+    if signal not in {known.name for known in SIGNALS}:
+        raise ValueError(f"a signal of the recording, '{signal}' is none")
+    return signal, comparison, float(value)
+
+
+def _condition(text: str) -> str:
+    parse_condition(text)
+    return text
+
+
+class _Step(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Ramp(_Step):
+    """Move a quantity linearly: at `rate_per_s` (unit of the quantity per second) or within `duration_s`."""
+
+    path: Path
+    to: float
+    rate_per_s: PositiveFloat | None = None
+    duration_s: PositiveFloat | None = None
+
+    @model_validator(mode="after")
+    def _one_of_two(self) -> Ramp:
+        if (self.rate_per_s is None) == (self.duration_s is None):
+            raise ValueError("either rate_per_s or duration_s")
+        return self
+
+    def run(self, bench: Bench) -> None:
+        """Run cycles until the quantity has arrived."""
+        distance = abs(self.to - bench.get(self.path))
+        duration_s = self.duration_s or distance / (self.rate_per_s or 1.0)
+        bench.ramp(self.path, self.to, duration_s)
+
+
+class Hold(_Step):
+    """Let the bench run: for `duration_s`, or until experiment time `until_s`."""
+
+    duration_s: NonNegativeFloat | None = None
+    until_s: NonNegativeFloat | None = None
+
+    @model_validator(mode="after")
+    def _one_of_two(self) -> Hold:
+        if (self.duration_s is None) == (self.until_s is None):
+            raise ValueError("either duration_s or until_s")
+        return self
+
+    def run(self, bench: Bench) -> None:
+        """Run cycles for the time; an `until_s` that has passed already runs none."""
+        bench.run(self.duration_s if self.duration_s is not None else (self.until_s or 0.0) - bench.time_s)
+
+
+class Set(_Step):
+    """Give quantities a value from the next cycle on."""
+
+    path: Path
+    to: float
+
+    def run(self, bench: Bench) -> None:
+        """Set it; takes no time."""
+        bench.set(self.path, self.to)
+
+
+class Step(Set):
+    """A step change under test: as `set`, and marked as an event that metrics and report refer to."""
+
+    def run(self, bench: Bench) -> None:
+        """Set it and note the event."""
+        bench.step(self.path, self.to)
+
+
+class WaitUntil(_Step):
+    """Run until a signal of the recording fulfils a condition; a bench fault when it does not in time."""
+
+    condition: Annotated[str, AfterValidator(_condition)]
+    timeout_s: PositiveFloat
+    for_s: NonNegativeFloat = Field(default=0.0, description="the condition must hold so long without a break")
+
+    def run(self, bench: Bench) -> None:
+        """Run cycles until the condition has held for `for_s`."""
+        signal, comparison, value = parse_condition(self.condition)
+        holds = _COMPARISONS[comparison]
+        fulfilled = bench.wait_until(
+            lambda sample: holds(getattr(sample, signal), value), timeout_s=self.timeout_s, for_s=self.for_s
+        )
+        if not fulfilled:
+            raise BenchFaultError(f"wait_until: '{self.condition}' did not come true within {self.timeout_s:g} s")
+
+
+class ExperimentStep(_Step):
+    """One entry of `steps:`, a mapping with a single key that says what is done."""
+
+    ramp: Ramp | None = None
+    hold: Hold | None = None
+    set: Set | None = None
+    step: Step | None = None
+    wait_until: WaitUntil | None = None
+
+    @model_validator(mode="after")
+    def _single(self) -> ExperimentStep:
+        if len(self._given()) != 1:
+            raise ValueError("one of ramp, hold, set, step, wait_until in each step")
+        return self
+
+    def _given(self) -> list[tuple[str, Ramp | Hold | Set | Step | WaitUntil]]:
+        return [(name, value) for name, value in self if value is not None]
+
+    @property
+    def kind(self) -> str:
+        """Its key."""
+        return self._given()[0][0]
+
+    def run(self, bench: Bench) -> None:
+        """Run it on a bench."""
+        self._given()[0][1].run(bench)

@@ -1,0 +1,39 @@
+"""What every synchronizer is given each cycle, and what it answers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+
+@dataclass(slots=True)
+class SyncSample:
+    """What the twin knows at one SYNC; real and simulated values belong to the same instant."""
+
+    time_s: float  #: since the twin's web was released
+    cycle_s: float  #: time since the sample before
+    torque_real_Nm: float  #: measured motor torque of axis 2
+    torque_sim_Nm: float  #: the same quantity as the twin simulates it
+    x1_real_m: float  #: encoder positions at the web
+    x2_real_m: float
+    v2_sim_m_s: float
+    tension_sim_N: float
+    strain_sim: float
+    strain_prev: float
+    tension_next_N: float
+    torque_sim_sensitivity_Nm_per_Pa: float  #: ∂τ2/∂E of the simulated motor torque at constant strain
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """An estimate of Young's modulus and how sure the method is of it."""
+
+    youngs_modulus_Pa: float
+    deviation_Pa: float  #: standard deviation; infinite where the method can't say
+
+
+class Synchronizer(Protocol):
+    """Brings a model parameter to where simulation and measurement agree, one sample a cycle."""
+
+    def update(self, sample: SyncSample) -> Estimate:
+        """Take one sample in and return the estimate to simulate the next cycle with."""
