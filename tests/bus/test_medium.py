@@ -103,6 +103,15 @@ def test_a_frame_that_came_after_the_wire_was_free_did_not_compete() -> None:
     assert [delivery.can_id for delivery in medium.run(FOREVER)] == [0x700, 0x001]
 
 
+def test_a_frame_begins_no_sooner_than_it_is_there() -> None:
+    """Looking at the wire before a frame is there commits nothing: what comes in between competes."""
+    medium, (first, second) = medium_with(2)
+    medium.queue(first, 0x700, None, 100, 1_000)
+    assert medium.run(500) == []
+    medium.queue(second, 0x001, None, 100, 900)
+    assert [delivery.can_id for delivery in medium.run(FOREVER)] == [0x001, 0x700]
+
+
 def run_disturbed(injection: ErrorInjection, count: int = 200) -> tuple[list[int], Medium]:
     medium, (station,) = medium_with(1)
     medium.disturber = Disturber(injection)
