@@ -5,11 +5,11 @@ from __future__ import annotations
 from math import copysign, inf, pi
 from pathlib import Path
 
-import canopen
-from hilbench.fieldbus.device import NmtState
-
+from hilbench.bus.frame import Frame
 from hilbench.drives.port import MotorMode, MotorPort
 from hilbench.drives.simulated import SimulatedDrive
+from hilbench.fieldbus.device import Device
+from hilbench.fieldbus.eds import load_eds
 
 EDS = Path(__file__).parents[2] / "eds" / "hilbench_servo.eds"
 CYCLE_S = 0.002
@@ -62,49 +62,32 @@ class FirstOrderMotor:
         port.position_rad += port.velocity_rad_s * dt_s
 
 
-class FakeCell:
-    def __init__(self, value):
-        self.value = value
-        self.on_write = None
+class StandingClock:
+    """No timer of the device runs."""
 
+    def now_ns(self) -> int:
+        return 0
 
-class FakeDevice:
-    def __init__(self, od):
-        self._od = od
-        self._cells = {}
-        self.emergencies = []
-        self.on_nmt = None
-        self.on_communication_error = None
+    def tick(self) -> None:
+        pass
 
-    def cell(self, index, sub=0):
-        key = index, sub
-        if key not in self._cells:
-            entry = self._od[index]
-            variable = entry if isinstance(entry, canopen.objectdictionary.ODVariable) else entry[sub]
-            self._cells[key] = FakeCell(variable.default or 0)
-        return self._cells[key]
-
-    def emergency(self, code, register_bits, info=b""):
-        self.emergencies.append(code)
-
-    def clear_emergency(self, code):
-        self.emergencies.append(0)
+    def stalled_ns(self) -> int:
+        return 0
 
 
 class DriveUnderTest:
     """The simulated drive with its motor; objects are written as by SDO."""
 
     def __init__(self) -> None:
-        self.device = FakeDevice(canopen.import_od(str(EDS), 1))
+        self.device = Device(load_eds(EDS, 1), 1, StandingClock())
         self.port = MotorPort()
         self.motor = FirstOrderMotor(self.port)
         self.drive = SimulatedDrive(self.device, self.port)
+        self.device.boot()
+        self.device.outbox.clear()
 
     def write(self, index: int, value: int, sub: int = 0) -> None:
-        cell = self.device.cell(index, sub)
-        if cell.on_write:
-            cell.on_write(value)
-        cell.value = value
+        self.device.cell(index, sub).write(value)
 
     def read(self, index: int, sub: int = 0) -> int:
         return int(self.device.cell(index, sub).value)
@@ -134,12 +117,13 @@ class DriveUnderTest:
 
     def emergency_codes(self) -> list[int]:
         """Error codes of the EMCY messages so far."""
-        return self.device.emergencies
+        return [int.from_bytes(f.data[:2], "little") for f in self.device.outbox if f.can_id == 0x81]
 
     def lose_master(self, nmt: bool) -> None:
         """The master is heard no more, or (`nmt`) takes the device out of OPERATIONAL."""
-        self.device.on_nmt(NmtState.OPERATIONAL)
+        self.device.handle(Frame(0, bytes([1, 0])))
         if nmt:
-            self.device.on_nmt(NmtState.PRE_OPERATIONAL)
+            self.device.handle(Frame(0, bytes([128, 0])))
         else:
+            assert self.device.on_communication_error is not None
             self.device.on_communication_error(0x8130)

@@ -4,13 +4,13 @@ from math import nan, pi
 
 import canopen
 import pytest
+from tests.drives.stand_in import CYCLE_S, EDS, DriveUnderTest
 
 from hilbench.drives.configuration import DriveSettings
 from hilbench.drives.drive import Drive, DriveGoal
 from hilbench.drives.objects import OperationMode
 from hilbench.drives.state_machine import State
 from hilbench.errors import BenchFaultError, UnusableInputError
-from tests.drives.stand_in import CYCLE_S, EDS, DriveUnderTest
 
 RPM = 2.0 * pi / 60.0
 
@@ -29,7 +29,7 @@ class Loop:
         self.drive = Drive(self.chosen, canopen.import_od(str(EDS), 1))
         self.heard = True
         self.answering = True
-        self.sent = [frame for frame in self.drive.encode()]
+        self.sent = self.drive.encode()
 
     def frames(self) -> dict[int, bytes]:
         if not self.answering:

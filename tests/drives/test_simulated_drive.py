@@ -1,13 +1,14 @@
 """The simulated drive from outside: controlwords in, statusword, motor port and EMCY out."""
 
 import pytest
-from hilbench.fieldbus.device import NmtState, SdoAbort
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from tests.drives.stand_in import CYCLE_S, DriveUnderTest
 
+from hilbench.bus.frame import Frame
 from hilbench.drives.port import MotorMode
 from hilbench.drives.state_machine import POWERED, State, decode_statusword
+from hilbench.fieldbus.device import SdoAbort
 
 PV, TQ, HM, CSP, CSV, CST = 3, 4, 6, 8, 9, 10
 RPM = 10_000
@@ -401,6 +402,7 @@ class TestLimits:
 
 def test_nmt_reset_is_a_power_on() -> None:
     drive = running()
-    drive.device.on_nmt(NmtState.INITIALISING)
+    drive.device.handle(Frame(0, bytes([129, 1])))
     assert drive.read(0x6041) == DISABLED
+    assert (drive.read(0x6060), drive.read(0x6061)) == (0, 0)
     assert drive.port.mode is MotorMode.OFF

@@ -4,20 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Final, Protocol
+from typing import Final
 
-from canopen.objectdictionary import ObjectDictionary, ODVariable
+from canopen.objectdictionary import ObjectDictionary
 
 from hilbench.drives import objects
 from hilbench.drives.objects import OperationMode
 from hilbench.drives.units import DriveUnits, ObjectReader
 from hilbench.errors import BenchFaultError, UnusableInputError
+from hilbench.fieldbus import eds
+from hilbench.fieldbus.master import Master
 from hilbench.fieldbus.pdo import PdoMap
 
 IDENTITY: Final = 0x1018
 CONSUMER_HEARTBEAT: Final = 0x1016
 PRODUCER_HEARTBEAT: Final = 0x1017
-RPDO1, TPDO1, TPDO2 = 0x1400, 0x1800, 0x1801
+TPDO_COMMUNICATION: Final = 0x1800
 
 #: The object that each mode with a cyclic set point takes it from.
 SETPOINT_OBJECTS: Final = {
@@ -29,19 +31,6 @@ SETPOINT_OBJECTS: Final = {
 }
 #: 6061h may lag behind 6060h: so often it is read before the mode counts as refused.
 _MODE_READS: Final = 50
-
-
-class Master(Protocol):
-    """What the set-up of a drive asks of the CANopen master; all of it blocks and raises BenchFaultError."""
-
-    def sdo_read(self, node_id: int, index: int, sub: int = 0) -> int | float | str | bytes:
-        """Value of an object of the node."""
-
-    def sdo_write(self, node_id: int, index: int, sub: int, value: int | float) -> None:
-        """Write an object of the node."""
-
-    def write_pdo_map(self, node_id: int, index: int, pdo: PdoMap | None) -> None:
-        """Write the PDO whose communication parameter is `index`, read it back and check it; None: disable it."""
 
 
 @dataclass(frozen=True)
@@ -77,7 +66,7 @@ class DrivePdos:
 
     rpdo: PdoMap  #: controlword, target
     rpdo_cob_ids: tuple[int, ...]  #: its COB-ID and those of its copies
-    #: Communication parameter, map, and mapped indices of each TPDO; empty when the drive sends none.
+    #: Number, map, and mapped indices of each TPDO; empty when the drive sends none.
     tpdos: tuple[tuple[int, PdoMap, tuple[int, ...]], ...]
 
 
@@ -97,23 +86,25 @@ def drive_pdos(settings: DriveSettings, od: ObjectDictionary) -> DrivePdos:
     tpdos: list[tuple[int, PdoMap, tuple[int, ...]]] = []
     if settings.tpdo_type is not None:
         sent = (objects.STATUSWORD, objects.TORQUE_ACTUAL_VALUE, objects.POSITION_ACTUAL_VALUE)
-        tpdos.append((TPDO1, _pdo_map(settings, od, 0x180 + node_id, settings.tpdo_type, sent), sent))
+        tpdos.append((1, _pdo_map(settings, od, 0x180 + node_id, settings.tpdo_type, sent), sent))
         if settings.has_velocity:
             velocity = (objects.VELOCITY_ACTUAL_VALUE,)
-            tpdos.append((TPDO2, _pdo_map(settings, od, 0x280 + node_id, settings.tpdo_type, velocity), velocity))
+            tpdos.append((2, _pdo_map(settings, od, 0x280 + node_id, settings.tpdo_type, velocity), velocity))
     return DrivePdos(rpdo, (cob_id, *settings.copies), tuple(tpdos))
 
 
 def _pdo_map(
     settings: DriveSettings, od: ObjectDictionary, cob_id: int, transmission_type: int, indices: tuple[int, ...]
 ) -> PdoMap:
-    entries = []
-    for index in indices:
-        variable = find_variable(od, index)
-        if variable is None:
-            raise UnusableInputError(settings.name, f"the EDS lacks {index:04X}h, expected it: it is mapped into a PDO")
-        entries.append(variable)
-    return PdoMap(cob_id, transmission_type, entries)
+    try:
+        return PdoMap.from_names(od, cob_id, transmission_type, indices)
+    except KeyError:
+        missing = next(index for index in indices if index not in od)
+        raise UnusableInputError(
+            settings.name, f"the EDS lacks {missing:04X}h, expected it: it is mapped into a PDO"
+        ) from None
+    except ValueError as error:
+        raise UnusableInputError(settings.name, str(error)) from error
 
 
 def configure(master: Master, settings: DriveSettings, od: ObjectDictionary, pdos: DrivePdos) -> None:
@@ -122,6 +113,7 @@ def configure(master: Master, settings: DriveSettings, od: ObjectDictionary, pdo
     Raises BenchFaultError when the device is another one or does not take a value, UnusableInputError when the
     configuration asks for what its EDS does not have.
     """
+    node_id = settings.node_id
     check_identity(master, settings, od)
     for (index, sub), value in settings.parameters.items():
         _write(master, settings, od, index, sub, value)
@@ -129,12 +121,15 @@ def configure(master: Master, settings: DriveSettings, od: ObjectDictionary, pdo
     _set_interpolation_period(master, settings, od)
     _write(master, settings, od, PRODUCER_HEARTBEAT, 0, settings.heartbeat_ms)
     if settings.master_heartbeat is not None:
-        node_id, time_out_ms = settings.master_heartbeat
-        _write(master, settings, od, CONSUMER_HEARTBEAT, 1, node_id << 16 | time_out_ms)
-    master.write_pdo_map(settings.node_id, RPDO1, pdos.rpdo)
-    sent = {index: pdo for index, pdo, _ in pdos.tpdos}
-    for index in (TPDO1, TPDO2):
-        master.write_pdo_map(settings.node_id, index, sent.get(index))
+        master_id, time_out_ms = settings.master_heartbeat
+        _write(master, settings, od, CONSUMER_HEARTBEAT, 1, master_id << 16 | time_out_ms)
+    master.write_rpdo(node_id, 1, pdos.rpdo)
+    sent = {number: pdo for number, pdo, _ in pdos.tpdos}
+    for number in (1, 2):
+        if number in sent:
+            master.write_tpdo(node_id, number, sent[number])
+        elif _has(od, TPDO_COMMUNICATION + number - 1, 1):
+            master.disable_pdo(node_id, TPDO_COMMUNICATION + number - 1)
 
 
 def check_identity(master: Master, settings: DriveSettings, od: ObjectDictionary) -> None:
@@ -160,7 +155,7 @@ def set_mode(master: Master, settings: DriveSettings, od: ObjectDictionary) -> N
             raise _fault(
                 settings, f"supported drive modes (6502h) are {supported:08X}h, expected mode {int(mode)} in it"
             )
-    master.sdo_write(node_id, objects.MODES_OF_OPERATION, 0, int(mode))
+    master.sdo_write(node_id, objects.MODES_OF_OPERATION, int(mode))
     for _ in range(_MODE_READS):
         shown = master.sdo_read(node_id, objects.MODES_OF_OPERATION_DISPLAY)
         if shown == mode:
@@ -172,7 +167,7 @@ def read_units(master: Master, settings: DriveSettings, od: ObjectDictionary) ->
     """The units as the device's objects tell them now."""
 
     def read(index: int, sub: int) -> int | float | None:
-        if find_variable(od, index, sub) is None:
+        if not _has(od, index, sub):
             return None
         value = master.sdo_read(settings.node_id, index, sub)
         return value if isinstance(value, int | float) else None
@@ -184,30 +179,29 @@ def default_reader(od: ObjectDictionary) -> ObjectReader:
     """Read the default values of an EDS."""
 
     def read(index: int, sub: int) -> int | float | None:
-        variable = find_variable(od, index, sub)
-        default = variable.default if variable is not None else None
+        default = eds.variable(od, index, sub).default if _has(od, index, sub) else None
         return default if isinstance(default, int | float) else None
 
     return read
 
 
-def find_variable(od: ObjectDictionary, index: int, sub: int = 0) -> ODVariable | None:
-    """The EDS entry of an object, or None; sub-index 0 of a plain variable is the variable."""
-    entry = od.get(index)
-    if isinstance(entry, ODVariable):
-        return entry if sub == 0 else None
-    return entry[sub] if entry is not None and sub in entry else None
+def _has(od: ObjectDictionary, index: int, sub: int) -> bool:
+    try:
+        eds.variable(od, index, sub)
+    except KeyError:
+        return False
+    return True
 
 
 def _set_interpolation_period(master: Master, settings: DriveSettings, od: ObjectDictionary) -> None:
     """60C2h: the cycle, in the unit in which it fits UNSIGNED8 without loss."""
-    if find_variable(od, objects.INTERPOLATION_TIME_PERIOD, 2) is None:
+    if not _has(od, objects.INTERPOLATION_TIME_PERIOD, 2):
         return
     for exponent in (-3, -4, -5, -6):
         value = settings.cycle_s / 10.0**exponent
         if abs(value - round(value)) < 1e-6 and 0 < round(value) < 256:
-            master.sdo_write(settings.node_id, objects.INTERPOLATION_TIME_PERIOD, 1, round(value))
-            master.sdo_write(settings.node_id, objects.INTERPOLATION_TIME_PERIOD, 2, exponent)
+            for sub, number in ((1, round(value)), (2, exponent)):
+                master.sdo_write(settings.node_id, objects.INTERPOLATION_TIME_PERIOD, number, sub)
             return
     raise UnusableInputError(settings.name, f"cycle {settings.cycle_s:g} s, expected one that 60C2h can express")
 
@@ -215,11 +209,11 @@ def _set_interpolation_period(master: Master, settings: DriveSettings, od: Objec
 def _write(
     master: Master, settings: DriveSettings, od: ObjectDictionary, index: int, sub: int, value: int | float
 ) -> None:
-    if find_variable(od, index, sub) is None:
+    if not _has(od, index, sub):
         raise UnusableInputError(
             settings.name, f"the EDS lacks {index:04X}h:{sub}, expected it: it is to be set to {value}"
         )
-    master.sdo_write(settings.node_id, index, sub, value)
+    master.configure(settings.node_id, {(index, sub): value})
 
 
 def _fault(settings: DriveSettings, problem: str) -> BenchFaultError:

@@ -17,7 +17,6 @@ from hilbench.drives import objects
 from hilbench.drives.configuration import (
     SETPOINT_OBJECTS,
     DriveSettings,
-    Master,
     configure,
     default_reader,
     drive_pdos,
@@ -38,6 +37,8 @@ from hilbench.errors import BenchFaultError
 
 if TYPE_CHECKING:
     import canopen
+
+    from hilbench.fieldbus.master import Master
 
 EMERGENCY_COB_ID: Final = 0x80
 #: A reset bit that does not act is released and raised again after so many cycles.

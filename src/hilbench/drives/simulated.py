@@ -308,9 +308,12 @@ class SimulatedDrive:
 
     def _nmt_changed(self, state: NmtState) -> None:
         if state is NmtState.INITIALISING:
+            # The objects are reset after this: power off now, start anew when the device boots.
+            self._apply(Transition.T0_START)
             self._operational = False
-            self._power_on()
             return
+        if self._state is State.NOT_READY_TO_SWITCH_ON:
+            self._power_on()
         left = self._operational and state is not NmtState.OPERATIONAL
         self._operational = state is NmtState.OPERATIONAL
         if left and self._state is State.OPERATION_ENABLED:
@@ -336,10 +339,7 @@ def _reader(device: Device) -> ObjectReader:
     """Read the device's own objects; None for those it lacks."""
 
     def read(index: int, sub: int) -> float | None:
-        try:
-            value = device.cell(index, sub).value
-        except KeyError:
-            return None
+        value = device.cell(index, sub).value if device.has(index, sub) else None
         return value if isinstance(value, int | float) else None
 
     return read

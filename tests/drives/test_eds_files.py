@@ -1,0 +1,83 @@
+"""The EDS files: in step with their tables, valid for an independent checker, complete for the device runtime."""
+
+import importlib.util
+import subprocess
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+from tests.drives.stand_in import StandingClock
+
+from hilbench.drives.configuration import default_reader
+from hilbench.drives.units import DriveUnits
+from hilbench.fieldbus.device import Device
+from hilbench.fieldbus.eds import load_eds
+from hilbench.web.effects import EFFECTS, STAND_DOMAINS
+
+ROOT = Path(__file__).parents[2]
+FILES = ("hilbench_servo.eds", "hilbench_virtual_io.eds")
+
+
+@pytest.fixture(scope="module")
+def make_eds() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("make_eds", ROOT / "tools" / "make_eds.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules["make_eds"] = module  # its dataclasses look themselves up
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_files_are_what_the_tables_say(make_eds: ModuleType) -> None:
+    made = make_eds.eds_files()
+    assert sorted(made) == sorted(FILES)
+    for name, text in made.items():
+        found = (ROOT / "eds" / name).read_text(encoding="ascii")
+        assert found == text, f"eds/{name} is out of date: run tools/make_eds.py"
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_checker_has_nothing_to_say(name: str) -> None:
+    command = [sys.executable, "-c", "from dcf.cli import main; main()", "-n", "5", str(ROOT / "eds" / name)]
+    result = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (result.returncode, result.stdout, result.stderr) == (0, "", "")
+
+
+@pytest.mark.parametrize("node_id", [1, 17])
+def test_servo_starts_with_the_pdos_of_the_predefined_connection_set(node_id: int) -> None:
+    device = Device(load_eds(ROOT / "eds" / FILES[0], node_id), node_id, StandingClock())
+    cob_ids = {index: device.cell(index, 1).value for index in (0x1400, 0x1401, 0x1800, 0x1801, 0x1802)}
+    assert cob_ids[0x1400] == 0x200 + node_id
+    assert cob_ids[0x1401] == 0x80000300 + node_id
+    assert (cob_ids[0x1800], cob_ids[0x1801]) == (0x40000180 + node_id, 0x40000280 + node_id)
+    assert cob_ids[0x1802] == 0xC0000380 + node_id
+    mapped = [device.cell(0x1A00, sub).value for sub in range(1, 4)]
+    assert mapped == [0x60410010, 0x60770010, 0x60640020]
+
+
+def test_units_of_the_demonstrator() -> None:
+    units = DriveUnits.from_objects(default_reader(load_eds(ROOT / "eds" / FILES[0], 1)))
+    assert units.torque_Nm == pytest.approx(0.005)
+    assert units.position_rad == pytest.approx(5.992e-6, rel=1e-3)
+    assert units.velocity_rad_s == pytest.approx(1.0472e-5, rel=1e-4)
+
+
+def test_every_effect_of_the_stand_has_its_object() -> None:
+    od = load_eds(ROOT / "eds" / FILES[0], 1)
+    for position, effect in enumerate(EFFECTS):
+        index = 0x2200 + position
+        assert (index in od) == (effect.domain in STAND_DOMAINS)
+        if index in od:
+            assert od[index].name == effect.id
+            names = [od[index][sub].name.split(" ")[0] for sub in range(1, len(effect.parameters) + 1)]
+            assert names == [parameter.name for parameter in effect.parameters]
+
+
+def test_virtual_io_maps_what_the_design_says() -> None:
+    device = Device(load_eds(ROOT / "eds" / FILES[1], 32), 32, StandingClock())
+    assert [device.cell(0x1A00, sub).value for sub in (1, 2)] == [0x64030120, 0x64030220]
+    assert [device.cell(0x1A01, sub).value for sub in (1, 2)] == [0x64030320, 0x64030520]
+    assert [device.cell(0x1600, sub).value for sub in (1, 2)] == [0x64130120, 0x64130220]
+    assert (device.cell(0x1800, 2).value, device.cell(0x1801, 2).value) == (1, 10)
