@@ -13,12 +13,13 @@ from hilbench.bench import quantities
 from hilbench.bench.config import BenchConfig
 from hilbench.bench.cycle import CyclicExchange, FrameTap
 from hilbench.bench.load_model import LoadModel
+from hilbench.bench.nodes import Nodes
 from hilbench.bench.safety import check_limits, quick_stop
 from hilbench.bench.sample import CycleSample
-from hilbench.bench.startup import Nodes, bring_up
+from hilbench.bench.startup import bring_up
 from hilbench.bench.tension_control import TensionController
 from hilbench.drives.drive import DriveGoal
-from hilbench.errors import EXIT_INTERRUPTED, BenchFaultError, HilbenchError
+from hilbench.errors import EXIT_INTERRUPTED, HilbenchError
 
 
 class InterruptedByOperatorError(HilbenchError):
@@ -112,7 +113,9 @@ class Bench:
             raise
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
         try:
             if kind is None:
                 self._announce("disable drives")
@@ -184,9 +187,7 @@ class Bench:
             self.set(path, start + (to - start) * k / cycles)
             self.cycle()
 
-    def wait_until(
-        self, condition: Callable[[CycleSample], bool], *, timeout_s: float, for_s: float = 0.0
-    ) -> bool:
+    def wait_until(self, condition: Callable[[CycleSample], bool], *, timeout_s: float, for_s: float = 0.0) -> bool:
         """Run until `condition` has held for `for_s` without a break; False when it did not within `timeout_s`."""
         cycle_s = self.config.cycle_time_s
         needed = max(1, round(for_s / cycle_s))
@@ -207,11 +208,9 @@ class Bench:
             return self.tension_set_point_N
         if path == quantities.YOUNGS_MODULUS:
             return self._load_model.web.youngs_modulus_Pa
-        if path == quantities.SPAN_LENGTH:
-            return self._load_model.web.span_length_m
         effect = quantities.parse_effect_path(path)
         if effect.place == "load":
-            return self._load_model.web.effect_value(effect.effect, effect.axis, effect.parameter)
+            return self._load_model.effect_value(effect)
         return self.nodes.hardware_effect(effect)
 
     def set(self, path: str, value: float) -> None:
@@ -222,12 +221,10 @@ class Bench:
             self.tension_set_point_N = value
         elif path == quantities.YOUNGS_MODULUS:
             self._load_model.web.youngs_modulus_Pa = value
-        elif path == quantities.SPAN_LENGTH:
-            self._load_model.web.span_length_m = value
         else:
             effect = quantities.parse_effect_path(path)
             if effect.place == "load":
-                self._load_model.web.set_effect(effect.effect, effect.axis, **{effect.parameter: value})
+                self._load_model.set_effect_value(effect, value)
             else:
                 self.nodes.set_hardware_effect(effect, value)
 
@@ -270,4 +267,5 @@ class Bench:
     def _follow_web(self, sample: CycleSample) -> None:
         web = self._load_model.web
         sample.tau_load_cmd_Nm = self._load_model.update(sample.x1_m, sample.x2_m, sample.v2_m_s)
-        sample.F_true_N, sample.strain_true, sample.E_true_Pa = web.tension_N, web.strain, web.effective_modulus_Pa
+        sample.F_true_N, sample.strain_true = float(web.tension_N[0]), float(web.strain[0])
+        sample.E_true_Pa = web.effective_modulus_Pa

@@ -13,8 +13,10 @@ from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, ValidationInfo
 from hilbench.bench.tension_control import TensionControlConfig
 from hilbench.bus.open import BusAddress
 from hilbench.twin.config import TwinConfig
+from hilbench.web.effects import IMITATED_DOMAINS, Domain, find_effect
+from hilbench.web.noise import SensorParameters
 from hilbench.web.parameters import EffectEntry, ModelParameters
-from hilbench.web.stand import StandConfig
+from hilbench.web.stand import LoadMotorParameters, StandParameters, stand_effect_problem
 
 Pace = Literal["lockstep", "realtime"]
 Mirroring = Literal["listen", "copy"]
@@ -81,6 +83,23 @@ class MasterConfig(_Block):
     sdo_timeout_s: PositiveFloat = 1.0
 
 
+class HardwareConfig(_Block):
+    """The simulated hardware: the model's axes as motors with flywheels, and the load motor on the second shaft."""
+
+    load_motor: LoadMotorParameters = LoadMotorParameters(inertia_kg_m2=0.0005)
+    sensors: SensorParameters = SensorParameters(torque_noise_Nm=0.05, velocity_noise_rad_s=0.002)
+    effects: list[EffectEntry] = Field(default=[], description="hidden in the simulated axes")
+
+    @field_validator("effects")
+    @classmethod
+    def _of_axes(cls, entries: list[EffectEntry]) -> list[EffectEntry]:
+        for entry in entries:
+            problem = stand_effect_problem(entry.effect, entry.axis)
+            if problem:
+                raise ValueError(problem)
+        return entries
+
+
 class LoadWebConfig(_Block):
     """Where the imitated web differs from the model; what is not given is as in `model:`."""
 
@@ -93,10 +112,18 @@ class LoadConfig(_Block):
 
     web: LoadWebConfig = LoadWebConfig()
     effects: list[EffectEntry] = Field(default=[], description="hidden in the imitated mechanics")
-    emulation: Literal["torque"] = Field(
-        default="torque",
-        description="torque: the load motor applies the web's pull, the stand's flywheel is the roller",
-    )
+
+    @field_validator("effects")
+    @classmethod
+    def _imitable(cls, entries: list[EffectEntry]) -> list[EffectEntry]:
+        for entry in entries:
+            if find_effect(entry.effect).domain not in IMITATED_DOMAINS:
+                raise ValueError(
+                    f"an effect of the web or a roller's resistance; {entry.effect} belongs in 'hardware:'"
+                )
+            if find_effect(entry.effect).domain is Domain.ROLLER_RESISTANCE and entry.axis != 2:
+                raise ValueError(f"{entry.effect} of axis 2, where the load motor is; other axes' in 'hardware:'")
+        return entries
 
 
 class SafetyConfig(_Block):
@@ -122,17 +149,23 @@ class BenchConfig(_Block):
     master: MasterConfig = MasterConfig()
     nodes: NodesConfig
     model: ModelParameters
-    hardware: StandConfig = StandConfig()
+    hardware: HardwareConfig = HardwareConfig()
     load: LoadConfig = LoadConfig()
     twin: TwinConfig = TwinConfig()
     tension_control: TensionControlConfig = TensionControlConfig()
     safety: SafetyConfig = SafetyConfig()
 
     @model_validator(mode="after")
-    def _web_is_there(self) -> BenchConfig:
-        if self.model.web is None:
-            raise ValueError("a model with a 'web:' block: a bench without a web has nothing to imitate")
+    def _fits_the_stand(self) -> BenchConfig:
+        if self.model.web is None or self.model.drives is None or self.model.axis_count != 2:
+            raise ValueError("a model of two driven rollers with 'web:' and 'drives:'")
+        self.stand_parameters()  # raises ValueError for a load motor that is too heavy
         return self
+
+    def stand_parameters(self) -> StandParameters:
+        """The simulated hardware: the model's axes without the model's effects, with those hidden in the hardware."""
+        hardware = self.hardware
+        return StandParameters.matching(self.model, hardware.load_motor, hardware.sensors, hardware.effects)
 
     @field_validator("cycle_time_s")
     @classmethod

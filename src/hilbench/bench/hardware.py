@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from hilbench.bench.config import BenchConfig, NodeConfig
 from hilbench.bench.processes import stop_request
+from hilbench.bench.twin_setup import device_clock
 from hilbench.bus.frame import Frame
 from hilbench.bus.open import open_link
-from hilbench.drives.port import MotorPort
+from hilbench.drives.port import MotorMode, MotorPort
 from hilbench.drives.simulated import SimulatedDrive
-from hilbench.fieldbus.clock import Clock, MonotonicClock, SyncClock
 from hilbench.fieldbus.device import Device
 from hilbench.fieldbus.eds import load_eds
 from hilbench.fieldbus.host import DeviceHost
+from hilbench.fieldbus.object_store import INVALID_VALUE, SdoAbort
 from hilbench.web.effect_objects import bind_effect_objects
 from hilbench.web.stand import TestStand
 
@@ -21,8 +22,12 @@ from hilbench.web.stand import TestStand
 class StandApplication:
     """What the hardware does at a SYNC: the drives take their set points, then the stand moves on by one cycle."""
 
-    def __init__(self, drives: list[SimulatedDrive], stand: TestStand, cycle_s: float) -> None:
+    def __init__(
+        self, drives: list[SimulatedDrive], ports: Sequence[MotorPort], stand: TestStand, cycle_s: float
+    ) -> None:
         self._drives = drives
+        self._ports = ports
+        self._in_use = False
         self._stand = stand
         self._cycle_s = cycle_s
 
@@ -37,7 +42,10 @@ class StandApplication:
         """Advance by a time, also when there is no SYNC."""
         for drive in self._drives:
             drive.sync(duration_s)
-        self._stand.advance(duration_s)
+        # At rest with all power stages off nothing moves; the noise must not depend on how long that lasted.
+        if self._in_use or any(port.mode is not MotorMode.OFF for port in self._ports):
+            self._in_use = True
+            self._stand.advance(duration_s)
         for drive in self._drives:
             drive.publish()
 
@@ -45,17 +53,12 @@ class StandApplication:
         """Frames for others don't concern the hardware."""
 
 
-def device_clock(config: BenchConfig) -> Clock:
-    """The time base of simulated devices: SYNC in lockstep, else the monotonic clock."""
-    return SyncClock(config.cycle_ns) if config.pace == "lockstep" else MonotonicClock()
-
-
 def simulate(config: BenchConfig) -> None:
     """Simulate the nodes of the bench that are marked `simulated` until SIGTERM, SIGINT or the end of the bench."""
     stop = stop_request()
     clock = device_clock(config)
     ports = (MotorPort(), MotorPort(), MotorPort())
-    stand = TestStand(config.model, config.hardware, ports, seed=config.seed)
+    stand = TestStand(config.stand_parameters(), ports, config.seed)
     devices, drives = [], []
     parts: list[tuple[NodeConfig, MotorPort, int | None]] = [
         (config.nodes.axis1, ports[0], 1),
@@ -72,13 +75,16 @@ def simulate(config: BenchConfig) -> None:
             bind_effect_objects(device, _effect_setter(stand, axis))
     link = open_link(config.bus_address)
     try:
-        DeviceHost(link, devices, clock, StandApplication(drives, stand, config.cycle_time_s)).run(stop)
+        DeviceHost(link, devices, clock, StandApplication(drives, ports, stand, config.cycle_time_s)).run(stop)
     finally:
         link.close()
 
 
-def _effect_setter(stand: TestStand, axis: int) -> Callable[[str, str, float], None]:
-    def set_parameter(effect: str, parameter: str, value: float) -> None:
-        stand.set_effect(effect, axis, **{parameter: value})
+def _effect_setter(stand: TestStand, axis: int) -> Callable[[str, dict[str, float]], None]:
+    def apply(effect: str, parameters: dict[str, float]) -> None:
+        try:
+            stand.set_effect(effect, axis, slot=0, **parameters)
+        except ValueError:
+            raise SdoAbort(INVALID_VALUE) from None
 
-    return set_parameter
+    return apply

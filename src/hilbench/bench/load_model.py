@@ -8,25 +8,37 @@ flywheel), because imitating an inertia by torque over a sampled bus is stable o
 from __future__ import annotations
 
 from hilbench.bench.config import LoadConfig
+from hilbench.bench.quantities import EffectPath
+from hilbench.web.effects import find_effect
 from hilbench.web.parameters import ModelParameters
 from hilbench.web.span import SpanFollower
 
 
 def imitated_web(model: ModelParameters, load: LoadConfig) -> ModelParameters:
-    """The truth of the run: the model's machine without the model's effects, with what `load:` changes and hides."""
-    if model.web is None:
-        raise ValueError("the model has no web")
+    """The truth of the run: the model's machine without the model's effects, with what `load:` changes and hides.
+
+    The upstream strain stays the model's: it does not follow a change of E in the span.
+    """
     changes = load.web.model_dump(exclude_none=True)
-    return model.model_copy(update={"web": model.web.model_copy(update=changes), "effects": list(load.effects)})
+    data = model.model_dump()
+    data["web"] |= changes
+    data["boundary"]["upstream_strain"] = model.upstream_strain
+    data["effects"] = [entry.model_dump() for entry in load.effects]
+    return ModelParameters.model_validate(data)
 
 
 class LoadModel:
-    """Web on measured motion → torque set point of the load motor (N·m at its shaft)."""
+    """Web on measured motion → torque set point of the load motor (N·m at its shaft).
+
+    The torque acts from the next SYNC on, for a cycle: it is that of the tension in the middle of that cycle.
+    """
 
     def __init__(self, model: ModelParameters, load: LoadConfig, cycle_s: float) -> None:
-        self.web = SpanFollower(imitated_web(model, load), strain_prev=model.upstream_strain)
+        self.web = SpanFollower(imitated_web(model, load))
         self._cycle_s = cycle_s
+        self._lead_s = 1.5 * cycle_s
         self._running = False
+        self._effects = {(entry.effect, entry.axis): dict(entry.parameters) for entry in load.effects}
 
     def stop(self) -> None:
         """Drives are off: no pull; the web is as at the start when it runs again."""
@@ -42,4 +54,16 @@ class LoadModel:
             self._running = True
         else:
             self.web.advance((x1_m, x2_m), self._cycle_s)
-        return self.web.load_torque_Nm(v2_m_s)
+        return self.web.web_torque_Nm(2, v2_m_s, tension_N=self.web.predicted_tension_N(self._lead_s))
+
+    def effect_value(self, path: EffectPath) -> float:
+        """Present value of a parameter of a hidden effect."""
+        given = self._effects.get((path.effect, path.axis), {})
+        return find_effect(path.effect).filled(given)[path.parameter]
+
+    def set_effect_value(self, path: EffectPath, value: float) -> None:
+        """Change a parameter of a hidden effect from now on. Raises ValueError for an impossible value."""
+        parameters = find_effect(path.effect).filled(self._effects.get((path.effect, path.axis), {}))
+        parameters[path.parameter] = value
+        self.web.set_effect(path.effect, path.axis, slot=0, **parameters)
+        self._effects[path.effect, path.axis] = parameters

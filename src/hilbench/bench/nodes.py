@@ -130,9 +130,9 @@ class Nodes:
         for drive in (*self.drives, *self.virtual_axes):
             drive.configure(master)
         node_id = self.config.nodes.virtual_io.node_id
-        master.write_pdo_map(node_id, 0x1400, self.io.boundary)
-        master.write_pdo_map(node_id, 0x1800, self.io.state)
-        master.write_pdo_map(node_id, 0x1801, self.io.quality)
+        master.write_rpdo(node_id, 1, self.io.boundary)
+        master.write_tpdo(node_id, 1, self.io.state)
+        master.write_tpdo(node_id, 2, self.io.quality)
         master.configure(node_id, {(0x1017, 0): self.config.master.node_heartbeat_ms})
 
     def check_virtual_axes_enabled(self) -> None:
@@ -234,7 +234,7 @@ class Nodes:
     def set_hardware_effect(self, path: EffectPath, value: float) -> None:
         """Change a parameter of an effect in the simulated hardware, by SDO."""
         index, sub = effect_object(path.effect, path.parameter)
-        self._sdo().sdo_write(self._effect_node(path), index, sub, value)
+        self._sdo().sdo_write(self._effect_node(path), index, value, sub)
 
     def _effect_node(self, path: EffectPath) -> int:
         node: Any = self.config.nodes.axis1 if path.axis == 1 else self.config.nodes.axis2

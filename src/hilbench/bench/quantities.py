@@ -1,7 +1,6 @@
 """The quantities of a running bench that an experiment may change, by path.
 
-`line_speed_m_s`, `tension_control.set_point_N`, `load.web.youngs_modulus_Pa`, `load.web.span_length_m`, and any
-parameter of any effect, hidden in the imitated mechanics or in the simulated hardware:
+`line_speed_m_s`, `tension_control.set_point_N`, `load.web.youngs_modulus_Pa`, and any of any effect, hidden in the imitated mechanics or in the simulated hardware:
 `load.effects.elasticity_drift.rate_per_s`, `hardware.effects.coulomb_friction.axis1.force_N`.
 """
 
@@ -14,9 +13,8 @@ from hilbench.web.effects import find_effect
 LINE_SPEED = "line_speed_m_s"
 TENSION_SET_POINT = "tension_control.set_point_N"
 YOUNGS_MODULUS = "load.web.youngs_modulus_Pa"
-SPAN_LENGTH = "load.web.span_length_m"
 
-PLAIN_PATHS = (LINE_SPEED, TENSION_SET_POINT, YOUNGS_MODULUS, SPAN_LENGTH)
+PLAIN_PATHS = (LINE_SPEED, TENSION_SET_POINT, YOUNGS_MODULUS)
 
 
 @dataclass(frozen=True)

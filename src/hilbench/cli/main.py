@@ -80,8 +80,8 @@ def twin(config: ConfigArgument, bus: BusOption = None, pace: PaceOption = None)
 
     Example: hilbench twin bench_configs/web_section_step.yaml --bus socketcan:vcan0
     """
-    from hilbench.bench.hardware import twin_setup
     from hilbench.bench.processes import stop_request
+    from hilbench.bench.twin_setup import twin_setup
     from hilbench.twin.process import run_twin
 
     run_twin(twin_setup(_load(config, bus=bus, pace=pace).config), stop_request())

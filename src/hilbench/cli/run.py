@@ -106,7 +106,9 @@ def show_outcome(console: Console, outcome: RunOutcome) -> None:
     timing = result.timing
     line = f"{timing.cycles} cycles of {timing.cycle_us / 1000:g} ms, {timing.pace}, {timing.realtime_factor:.1f} x real time"
     if timing.pace == "realtime" and timing.jitter_us is not None:
-        line += f", {timing.missed} missed, SYNC jitter p50 {timing.jitter_us.p50:.0f} / p99 {timing.jitter_us.p99:.0f} us"
+        line += (
+            f", {timing.missed} missed, SYNC jitter p50 {timing.jitter_us.p50:.0f} / p99 {timing.jitter_us.p99:.0f} us"
+        )
     console.print(line + f", bus load {timing.bus_load_pct:.0f} %")
     for fault in result.faults:
         console.print(f"[red]fault[/red] {fault}", soft_wrap=True)

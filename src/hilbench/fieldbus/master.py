@@ -119,7 +119,7 @@ class Master:
             raise self._fault(node_id, variable, "reading", error) from error
         return variable.decode_raw(data)
 
-    def sdo_write(self, node_id: int, index: int, sub: int, value: Any) -> None:
+    def sdo_write(self, node_id: int, index: int, value: Any, sub: int = 0) -> None:
         """Write an object, encoded by its EDS type."""
         variable = self._variable(node_id, index, sub)
         try:
@@ -131,7 +131,7 @@ class Master:
     def configure(self, node_id: int, writes: Mapping[tuple[int, int], Any]) -> None:
         """Write objects by (index, sub-index) and read each back. Raises BenchFaultError where they differ."""
         for (index, sub), value in writes.items():
-            self.sdo_write(node_id, index, sub, value)
+            self.sdo_write(node_id, index, value, sub)
             found = self.sdo_read(node_id, index, sub)
             if found != value:
                 variable = self._variable(node_id, index, sub)
@@ -153,27 +153,30 @@ class Master:
 
     # -- PDOs --------------------------------------------------------------------------------------------
 
-    def write_pdo_map(self, node_id: int, index: int, pdo: PdoMap | None) -> None:
-        """Write the PDO whose communication parameter is `index`, read it back and check; None: make it invalid.
+    def write_rpdo(self, node_id: int, number: int, pdo: PdoMap) -> None:
+        """Give a node's RPDO its COB-ID, transmission type and map; read back and check."""
+        self._write_pdo(node_id, 0x1400 + number - 1, 0x1600 + number - 1, pdo)
 
-        The procedure of CiA 301: PDO invalid, number of entries 0, entries, number, PDO valid.
-        """
-        mapping = index + 0x200
-        cob_id = int(self.sdo_read(node_id, index, 1))
-        self.sdo_write(node_id, index, 1, cob_id | _INVALID)
-        if pdo is None:
-            return
-        remote = _NO_REMOTE_REQUEST if index >= 0x1800 else 0
+    def write_tpdo(self, node_id: int, number: int, pdo: PdoMap) -> None:
+        """Give a node's TPDO its COB-ID, transmission type and map; read back and check."""
+        self._write_pdo(node_id, 0x1800 + number - 1, 0x1A00 + number - 1, pdo)
+
+    def disable_pdo(self, node_id: int, communication_index: int) -> None:
+        """Make a PDO invalid (bit 31 of its COB-ID)."""
+        cob_id = int(self.sdo_read(node_id, communication_index, 1))
+        self.sdo_write(node_id, communication_index, cob_id | _INVALID, 1)
+
+    def _write_pdo(self, node_id: int, communication: int, mapping: int, pdo: PdoMap) -> None:
+        """The procedure of CiA 301: PDO invalid, number 0, entries, number, valid."""
+        self.disable_pdo(node_id, communication)
+        remote = _NO_REMOTE_REQUEST if communication >= 0x1800 else 0
         self.sdo_write(node_id, mapping, 0, 0)
         for sub, entry in enumerate(pdo.mapping, 1):
-            self.sdo_write(node_id, mapping, sub, entry)
-        self.sdo_write(node_id, mapping, 0, len(pdo.mapping))
-        self.sdo_write(node_id, index, 2, pdo.transmission_type)
-        self.sdo_write(node_id, index, 1, pdo.cob_id | remote | _INVALID)
-        self.sdo_write(node_id, index, 1, pdo.cob_id | remote)
-        self._check_map(node_id, mapping, pdo)
-
-    def _check_map(self, node_id: int, mapping: int, pdo: PdoMap) -> None:
+            self.sdo_write(node_id, mapping, entry, sub)
+        self.sdo_write(node_id, mapping, len(pdo.mapping), 0)
+        self.sdo_write(node_id, communication, pdo.transmission_type, 2)
+        self.sdo_write(node_id, communication, pdo.cob_id | remote | _INVALID, 1)
+        self.sdo_write(node_id, communication, pdo.cob_id | remote, 1)
         count = self.sdo_read(node_id, mapping, 0)
         found = [self.sdo_read(node_id, mapping, sub) for sub in range(1, count + 1)]
         if found != pdo.mapping:

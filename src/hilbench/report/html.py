@@ -170,7 +170,10 @@ def _timing(timing: Timing) -> str:
             rows.append((f"lateness of SYNC, {label}", _number(value), "µs"))
     table = _table(
         ("Quantity", ">Value", "Unit"),
-        [f'<tr><td>{name}</td><td class="number">{escape(value)}</td><td>{unit}</td></tr>' for name, value, unit in rows],
+        [
+            f'<tr><td>{name}</td><td class="number">{escape(value)}</td><td>{unit}</td></tr>'
+            for name, value, unit in rows
+        ],
     )
     histogram = _figure(draw_histogram(timing.jitter_histogram)) if timing.jitter_histogram else ""
     return _section("Timing", table + histogram)

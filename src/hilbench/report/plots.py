@@ -148,10 +148,7 @@ def _apart(places: Sequence[float], gap: float) -> list[float]:
 
 def draw_pictures(recording: Recording) -> list[Picture]:
     """The four pictures of the experiment, each drawn from the signals the recording has."""
-    return [
-        draw(recording)
-        for draw in (draw_velocities, draw_torques, draw_elasticity, draw_tension)
-    ]
+    return [draw(recording) for draw in (draw_velocities, draw_torques, draw_elasticity, draw_tension)]
 
 
 def draw_velocities(recording: Recording) -> Picture:
@@ -290,7 +287,9 @@ def draw_histogram(histogram: Histogram) -> Picture:
         return []
 
     title = "Lateness of SYNC"
-    return Picture(title, "Every cycle; logarithmic, so that the rare late one shows.", _render(draw, 2.2, "jitter", title))
+    return Picture(
+        title, "Every cycle; logarithmic, so that the rare late one shows.", _render(draw, 2.2, "jitter", title)
+    )
 
 
 def _get(recording: Recording, name: str) -> Array:

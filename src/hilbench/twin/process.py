@@ -12,13 +12,13 @@ from pathlib import Path
 
 from hilbench.bus.frame import Frame
 from hilbench.bus.open import BusAddress, open_link
-from hilbench.drives.drive import PositionAndTorqueTpdo
 from hilbench.drives.port import MotorMode, MotorPort
 from hilbench.drives.simulated import SimulatedDrive
 from hilbench.fieldbus.clock import Clock
 from hilbench.fieldbus.device import Device
 from hilbench.fieldbus.eds import load_eds
 from hilbench.fieldbus.host import DeviceHost
+from hilbench.twin.axis_listener import AxisListener
 from hilbench.twin.config import TwinConfig
 from hilbench.twin.synchronizers.base import Estimate, Synchronizer, SyncSample
 from hilbench.twin.synchronizers.pid import PidSynchronizer
@@ -78,9 +78,7 @@ class TwinApplication:
         model = setup.model
         self._section_m2 = model.required_web.section_m2
         self._torque_per_tension_m = 1.0 / model.motor_rad_per_m(2)
-        self._tpdos = [
-            PositionAndTorqueTpdo(load_eds(node.eds, node.node_id), node.node_id) for node in setup.real_axes
-        ]
+        self._listeners = [AxisListener(node.eds, node.node_id, setup.cycle_s) for node in setup.real_axes]
         self._metres_per_rad = [1.0 / model.motor_rad_per_m(axis) for axis in (1, 2)]
         self._measured: list[tuple[float, float] | None] = [None, None]  # position in rad, torque in N·m
         self._pending = False
@@ -104,9 +102,9 @@ class TwinApplication:
 
     def on_frame(self, frame: Frame) -> None:
         """Take the real axes' TPDOs; the last one that was waited for starts the simulation of the cycle."""
-        for axis, tpdo in enumerate(self._tpdos):
-            if frame.can_id == tpdo.cob_id:
-                self._measured[axis] = tpdo.decode(frame.data)
+        for axis, listener in enumerate(self._listeners):
+            if frame.can_id == listener.cob_id:
+                self._measured[axis] = listener.decode(frame.data)
                 if self._pending and None not in self._measured:
                     self._advance()
                 return
@@ -123,7 +121,7 @@ class TwinApplication:
             if not self._released:
                 self._release_web()
             self._compare()
-            self._line.set_boundary(strain_prev=self._io.strain_prev, tension_next_N=self._io.tension_next_N)
+            self._line.set_boundary(self._io.strain_prev, self._io.tension_next_N)
             self._line.advance(self._cycle_s)
             self._time_s += self._cycle_s
         else:
@@ -135,7 +133,7 @@ class TwinApplication:
 
     def _release_web(self) -> None:
         """The web starts as the bench's load model does: strained like the web upstream."""
-        self._line.set_strain(self._io.strain_prev)
+        self._line.set_state(strain=[self._io.strain_prev])
         self._released = True
         self._time_s = 0.0
 
@@ -144,6 +142,7 @@ class TwinApplication:
         if first is None or second is None or self._time_s == 0.0:
             return
         line, torque_sim_Nm = self._line, self._ports[1].torque_Nm
+        strain = float(line.strain[0])
         sample = SyncSample(
             time_s=self._time_s,
             cycle_s=self._cycle_s,
@@ -152,11 +151,11 @@ class TwinApplication:
             x1_real_m=first[0] * self._metres_per_rad[0],
             x2_real_m=second[0] * self._metres_per_rad[1],
             v2_sim_m_s=self._ports[1].velocity_rad_s * self._metres_per_rad[1],
-            tension_sim_N=line.tension_N,
-            strain_sim=line.strain,
+            tension_sim_N=float(line.tension_N[0]),
+            strain_sim=strain,
             strain_prev=self._io.strain_prev,
             tension_next_N=self._io.tension_next_N,
-            torque_sim_sensitivity_Nm_per_Pa=self._torque_per_tension_m * self._section_m2 * line.strain,
+            torque_sim_sensitivity_Nm_per_Pa=self._torque_per_tension_m * self._section_m2 * strain,
         )
         self._residual_Nm = sample.torque_real_Nm - torque_sim_Nm
         self._estimate = self._synchronizer.update(sample)
@@ -164,7 +163,7 @@ class TwinApplication:
 
     def _tell(self) -> None:
         self._io.tell(
-            tension_N=self._line.tension_N,
+            tension_N=float(self._line.tension_N[0]),
             modulus_Pa=self._estimate.youngs_modulus_Pa,
             deviation_Pa=self._estimate.deviation_Pa,
             torque_Nm=self._ports[1].torque_Nm,

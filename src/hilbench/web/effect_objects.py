@@ -1,11 +1,15 @@
-"""Effects of the simulated hardware as CANopen objects: the n-th effect of the table is 2200h + n, its parameters the sub-indices."""
+"""Effects of the simulated hardware as CANopen objects.
+
+The n-th effect of the table (from 0) is object 2200h + n, its parameters are the sub-indices in order.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Final
 
-from hilbench.fieldbus.device import Device
+from hilbench.fieldbus.device import Cell, Device
 from hilbench.web.effects import EFFECTS, STAND_DOMAINS
 
 EFFECTS_INDEX: Final = 0x2200
@@ -30,8 +34,10 @@ def bind_effect_objects(device: Device, apply: Callable[[str, dict[str, float]],
         cells = {parameter.name: device.cell(index, sub) for sub, parameter in enumerate(effect.parameters, 1)}
 
         for name, cell in cells.items():
+            cell.on_write = partial(_written, apply, effect.id, cells, name)
 
-            def written(value: float, effect_id: str = effect.id, name: str = name, cells: dict = cells) -> None:
-                apply(effect_id, {**{key: float(each.value) for key, each in cells.items()}, name: value})
 
-            cell.on_write = written
+def _written(
+    apply: Callable[[str, dict[str, float]], None], effect_id: str, cells: dict[str, Cell], name: str, value: float
+) -> None:
+    apply(effect_id, {**{key: float(cell.value) for key, cell in cells.items()}, name: value})

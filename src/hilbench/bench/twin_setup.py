@@ -1,0 +1,31 @@
+"""What of the bench config the twin needs, and the clock that simulated devices go by."""
+
+from __future__ import annotations
+
+from hilbench.bench.config import BenchConfig, NodeConfig
+from hilbench.fieldbus.clock import Clock, MonotonicClock, SyncClock
+from hilbench.twin.process import TwinNode, TwinSetup
+
+
+def device_clock(config: BenchConfig) -> Clock:
+    """The time base of simulated devices: SYNC in lockstep, else the monotonic clock."""
+    return SyncClock(config.cycle_ns) if config.pace == "lockstep" else MonotonicClock()
+
+
+def twin_setup(config: BenchConfig) -> TwinSetup:
+    """The twin's part of a bench config."""
+    nodes = config.nodes
+
+    def node(part: NodeConfig) -> TwinNode:
+        return TwinNode(part.node_id, part.eds)
+
+    return TwinSetup(
+        bus=config.bus_address,
+        clock=device_clock(config),
+        cycle_s=config.cycle_time_s,
+        model=config.model,
+        twin=config.twin,
+        real_axes=(node(nodes.axis1), node(nodes.axis2)),
+        virtual_axes=(node(nodes.virtual_axis1), node(nodes.virtual_axis2)),
+        virtual_io=node(nodes.virtual_io),
+    )

@@ -1,0 +1,21 @@
+"""`hilbench check`: says what a config means for the bus, or what is wrong with it."""
+
+from __future__ import annotations
+
+from hilbench.bench.check import check_bench
+from hilbench.experiment.config import LoadedConfig
+
+
+def check_command(loaded: LoadedConfig) -> None:
+    """Print a summary of a config that can be run."""
+    checked = check_bench(loaded.config, loaded.document)
+    config, load = loaded.config, checked.load
+    print(f"{config.name}: usable")
+    print(
+        f"bus {config.bus.address}, {config.bus.bitrate} bit/s, cycle {config.cycle_time_s * 1e3:g} ms, {config.pace}"
+    )
+    print(
+        f"{checked.frames_per_cycle:.1f} frames a cycle, at worst {load.bits:.0f} of {load.capacity_bits:.0f} bit times "
+        f"({100 * load.fraction:.0f} %)"
+    )
+    print(f"{len(config.steps)} steps, {len(config.criteria)} criteria")

@@ -1,0 +1,32 @@
+"""Hears a real axis' TPDO1 beside the bench: position and torque at the motor, in SI."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from hilbench.drives import objects
+from hilbench.drives.configuration import DriveSettings, default_reader, drive_pdos
+from hilbench.drives.objects import OperationMode
+from hilbench.drives.units import DriveUnits, UnwrappingCounter
+from hilbench.fieldbus.eds import load_eds
+
+
+class AxisListener:
+    """Decodes the TPDO1 of one real axis by its EDS."""
+
+    def __init__(self, eds: Path, node_id: int, cycle_s: float) -> None:
+        od = load_eds(eds, node_id)
+        settings = DriveSettings(f"axis of node {node_id}", node_id, OperationMode.CYCLIC_SYNCHRONOUS_VELOCITY, cycle_s)
+        _, pdo, indices = drive_pdos(settings, od).tpdos[0]
+        self.cob_id = pdo.cob_id
+        self._unpack = pdo.unpack
+        self._position = indices.index(objects.POSITION_ACTUAL_VALUE)
+        self._torque = indices.index(objects.TORQUE_ACTUAL_VALUE)
+        self._units = DriveUnits.from_objects(default_reader(od), {}, settings.name)
+        self._counter = UnwrappingCounter()
+
+    def decode(self, data: bytes) -> tuple[float, float]:
+        """Position in rad, unwrapped, and torque in N·m."""
+        values = self._unpack(data)
+        position = self._counter.update(int(values[self._position])) * self._units.position_rad
+        return position, float(values[self._torque]) * self._units.torque_Nm
