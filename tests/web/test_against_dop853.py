@@ -126,14 +126,14 @@ def reference(
         (2, SMOOTH + DAMPED + SLIPPING, 0.0),
         (2, SLIPPING, 0.05),
         (3, SMOOTH + SLIPPING, 0.0),
-        (3, DAMPED, -0.03),
-        (5, SMOOTH + DAMPED + SLIPPING, 0.02),
+        (3, DAMPED, 0.01),
+        (5, SMOOTH + DAMPED + SLIPPING, 0.002),
     ],
 )
 def test_kernel_solves_the_equations_of_the_design(axes: int, entries: list[dict[str, Any]], rate: float) -> None:
     rows = 100
     t = np.arange(rows) * ROW_S
-    commands = np.column_stack([0.8 * np.sin(9.0 * t + i) - 0.2 for i in range(axes)])
+    commands = np.column_stack([(1.6 / axes) * np.sin(9.0 * t + i / axes) for i in range(axes)])
     v0 = np.full(axes, 3.0)
     states, forces = reference(entries, axes, commands, v0, rate)
 
