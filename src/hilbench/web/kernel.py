@@ -383,6 +383,8 @@ def _drive_sample(p: Vector, s: Vector, u: Vector, motor: int, state: int, input
             wanted - velocity, s[state + lay.SM_INTEGRAL_NM], kp, ki, limit, period
         )
     s[state + lay.SM_COMMAND_NM] = command
+    if p[motor + lay.M_CURRENT_S] == 0.0:
+        s[state + lay.SM_TORQUE_NM] = command
     if limited:
         s[state + lay.SM_LIMITED] = 1.0
 

@@ -48,12 +48,13 @@ def simulate(
     boundary: NDArray[np.float64],
     dt_s: float,
     mode: MotorMode = MotorMode.VELOCITY,
+    length_rates_m_s: ArrayLike = 0.0,
 ) -> Simulation:
     """Simulate recorded commands.
 
     parameters: (P,) from `layout.pack`, or (B, P) for B variants; state: (S,) or (B, S), not changed.
     commands: (n, M) set points at the web by `mode`: m/s, m, or N·m (torque, motor side), each held for `dt_s`.
-    boundary: (n, 2) upstream strain and downstream tension (N).
+    boundary: (n, 2) upstream strain and downstream tension (N). length_rates_m_s: (K,) L' of the spans.
     Raises ValueError when `dt_s` is no multiple of the sample time, or shapes do not fit.
     """
     many = np.atleast_2d(np.ascontiguousarray(parameters))
@@ -67,6 +68,7 @@ def simulate(
         rows = rows * layout.motor_rows(many[0])[:, lay.M_RAD_PER_M]
     states = np.array(np.broadcast_to(np.atleast_2d(state), (len(many), layout.state_size)))
     inputs = layout.new_inputs()
+    layout.length_rates(inputs)[:] = length_rates_m_s
     layout.motor_inputs(inputs)[:, lay.UM_MODE] = mode
     samples = samples_per(dt_s, many[0, lay.W_SAMPLE_TIME_S])
     out = np.empty((len(many), len(rows), layout.output_size))

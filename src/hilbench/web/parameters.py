@@ -130,6 +130,11 @@ class ModelParameters(_Part):
                 raise ValueError(f"axis {axis} has no inertia, expected inertia of roller or motor above 0")
         return self
 
+    @field_validator("effects", mode="before")
+    @classmethod
+    def _nothing_is_no_effect(cls, value: object) -> object:
+        return () if value is None else value
+
     @field_validator("effects")
     @classmethod
     def _effects_fit(cls, entries: tuple[EffectEntry, ...], info: ValidationInfo) -> tuple[EffectEntry, ...]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -78,7 +78,12 @@ def _follow(
         out[j] = w[3 * n + k + j]
 
 
-def _entry_points(sources: int):  # type: ignore[no-untyped-def]
+FollowCycle = Callable[[Vector, Vector, Vector, Vector, float, float, float, Vector], None]
+FollowRows = Callable[[Vector, Vector, Vector, Vector, Vector, float, Vector, Vector], None]
+Resistance = Callable[[Vector, int, float, float], float]
+
+
+def _entry_points(sources: int) -> tuple[FollowCycle, FollowRows, Resistance]:
     """Compiled functions that are called from Python; `sources` as in the kernel."""
 
     @entry_point

@@ -2,8 +2,8 @@
 
 Linear model of one shaft: the axis' velocity PI (sampled), both current loops, and a torque that is computed once
 per bus cycle from measured motion and acts whole cycles later. Its monodromy over one bus cycle is built exactly
-(matrix exponential between samples); stable means that every eigenvalue lies inside the unit circle, except the one
-at 1 that any angle of standstill brings.
+(matrix exponential between samples); stable means that every eigenvalue lies inside the unit circle, except those
+at 1: standstill is possible at any angle.
 
 Two laws of imitation:
 
@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +26,8 @@ from hilbench.web.parameters import ModelParameters, per_item
 
 #: A current loop is never faster than this in the model (an ideal one would make the matrices singular).
 _FASTEST_S = 1e-6
+#: Eigenvalues so near to 1 belong to the freedom of angle (and of speed, without a velocity loop).
+_STANDSTILL = 1e-6
 _X, _V, _TAU, _TAU_LOAD, _COMMAND, _LOAD_COMMAND, _INTEGRAL, _V_BEFORE, _X_BEFORE, _QUEUE = range(10)
 
 
@@ -61,7 +64,7 @@ def spectral_radius(
 ) -> float:
     """Greatest magnitude of the loop's eigenvalues over one bus cycle while inertia or a spring is imitated."""
     eigenvalues = np.linalg.eigvals(_monodromy(shaft, inertia_kg_m2, stiffness_Nm_per_rad, lead_s))
-    rest = np.delete(eigenvalues, np.argmin(np.abs(eigenvalues - 1.0)))
+    rest = eigenvalues[np.abs(eigenvalues - 1.0) > _STANDSTILL]
     return float(np.max(np.abs(rest)))
 
 
@@ -139,7 +142,7 @@ def _bus_tick(shaft: SampledShaft, size: int, inertia: float, stiffness: float, 
     c[_V_BEFORE] = np.eye(size)[_V]
     c[_X_BEFORE] = np.eye(size)[_X]
     steps = [_LOAD_COMMAND, *range(_QUEUE, size)]
-    for place, source in zip(steps, steps[1:], strict=False):
+    for place, source in pairwise(steps):
         c[place] = np.eye(size)[source]
     c[steps[-1]] = law
     return c
