@@ -2,15 +2,16 @@
 
 from math import nan, pi
 
-import canopen
 import pytest
 from tests.drives.stand_in import CYCLE_S, EDS, DriveUnderTest
 
-from hilbench.drives.configuration import DriveSettings
+from hilbench.drives.configuration import SETPOINT_OBJECTS, DriveSettings, default_reader
 from hilbench.drives.drive import Drive, DriveGoal
 from hilbench.drives.objects import OperationMode
 from hilbench.drives.state_machine import State
+from hilbench.drives.units import DriveUnits
 from hilbench.errors import BenchFaultError, UnusableInputError
+from hilbench.fieldbus.eds import load_eds
 
 RPM = 2.0 * pi / 60.0
 
@@ -26,7 +27,10 @@ class Loop:
         self.chosen = chosen or settings()
         self.slave = DriveUnderTest()
         self.slave.write(0x6060, self.chosen.mode)
-        self.drive = Drive(self.chosen, canopen.import_od(str(EDS), 1))
+        od = load_eds(EDS, 1)
+        self.drive = Drive(self.chosen, od)
+        self.drive.units = DriveUnits.from_objects(default_reader(od))
+        self.target = SETPOINT_OBJECTS[self.chosen.mode]
         self.heard = True
         self.answering = True
         self.sent = self.drive.encode()
@@ -46,7 +50,7 @@ class Loop:
             if self.heard:
                 controlword, target = self.drive.pdos.rpdo.unpack(self.sent[0].data)
                 self.slave.write(0x6040, controlword)
-                self.slave.write(self.drive._target, target)
+                self.slave.write(self.target, target)
             self.slave.cycle()
 
     def go(self, goal: DriveGoal, most: int = 500) -> int:
@@ -229,7 +233,7 @@ def test_copies_carry_the_same_data() -> None:
 
 
 def test_a_mirroring_drive_listens_and_sends_nothing() -> None:
-    drive = Drive(settings(listens_to=0x201, tpdo_type=None), canopen.import_od(str(EDS), 17))
+    drive = Drive(settings(listens_to=0x201, tpdo_type=None), load_eds(EDS, 17))
     assert drive.pdos.rpdo.cob_id == 0x201
     assert drive.pdos.tpdos == ()
 
@@ -240,7 +244,7 @@ def test_mode_without_a_cyclic_set_point_is_refused() -> None:
 
 
 def test_eds_that_lacks_a_mapped_object_is_refused() -> None:
-    od = canopen.import_od(str(EDS), 1)
+    od = load_eds(EDS, 1)
     del od[0x6077]
     with pytest.raises(UnusableInputError, match="axis 1: the EDS lacks 6077h"):
         Drive(settings(), od)

@@ -406,3 +406,12 @@ def test_nmt_reset_is_a_power_on() -> None:
     assert drive.read(0x6041) == DISABLED
     assert (drive.read(0x6060), drive.read(0x6061)) == (0, 0)
     assert drive.port.mode is MotorMode.OFF
+
+
+def test_a_lost_heartbeat_is_not_taken_back_by_the_drive() -> None:
+    drive = running()
+    drive.lose_master(nmt=False)
+    drive.cycle(100)
+    drive.controlword(0x80)
+    assert drive.read(0x6041) & STATE_BITS == DISABLED
+    assert drive.emergency_codes() == []

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
-from math import isfinite
+from math import isfinite, nan
 from typing import TYPE_CHECKING, Final
 
 from hilbench.bus.frame import Frame
@@ -18,7 +18,6 @@ from hilbench.drives.configuration import (
     SETPOINT_OBJECTS,
     DriveSettings,
     configure,
-    default_reader,
     drive_pdos,
     read_units,
 )
@@ -88,6 +87,7 @@ class Drive:
         self.od = od
         self.pdos = drive_pdos(settings, od)
         self._tpdos = tuple((pdo.cob_id, pdo, indices) for _, pdo, indices in self.pdos.tpdos)
+        self._tpdo_period_s = (settings.tpdo_type or 1) * settings.cycle_s
         self.feedback = DriveFeedback()
         self.setpoint = 0.0
         self.goal = DriveGoal.COAST
@@ -103,7 +103,7 @@ class Drive:
         #: Last value of each object that the TPDOs bring.
         self._raw: dict[int, int | float] = {}
         self._emergency_cob_id = EMERGENCY_COB_ID + settings.node_id
-        self._use(DriveUnits.from_objects(default_reader(od), settings.units, settings.name))
+        self.units = DriveUnits(nan, nan, nan)
 
     def configure(self, master: Master) -> None:
         """Bring the drive from PRE-OPERATIONAL to where it can be started and enabled: see `configuration`.
@@ -111,10 +111,16 @@ class Drive:
         Blocks (SDO). Raises BenchFaultError when the device is not the one expected or does not take a value.
         """
         configure(master, self.settings, self.od, self.pdos)
-        self._use(read_units(master, self.settings, self.od))
+        self.units = read_units(master, self.settings, self.od)
 
-    def _use(self, units: DriveUnits) -> None:
-        self.units = units
+    @property
+    def units(self) -> DriveUnits:
+        """Device units of this drive; not numbers before `configure`."""
+        return self._units
+
+    @units.setter
+    def units(self, units: DriveUnits) -> None:
+        self._units = units
         self._setpoint_unit = {
             objects.TARGET_VELOCITY: units.velocity_rad_s,
             objects.TARGET_TORQUE: units.torque_Nm,
@@ -181,7 +187,7 @@ class Drive:
             self._show(raw)
 
     def _show(self, raw: Mapping[int, int | float]) -> None:
-        feedback, units = self.feedback, self.units
+        feedback, units = self.feedback, self._units
         feedback.statusword = statusword = int(raw[objects.STATUSWORD])
         feedback.state = decode_statusword(statusword)
         feedback.torque_Nm = raw[objects.TORQUE_ACTUAL_VALUE] * units.torque_Nm
@@ -190,7 +196,7 @@ class Drive:
         if self.settings.has_velocity:
             feedback.velocity_rad_s = raw.get(objects.VELOCITY_ACTUAL_VALUE, 0) * units.velocity_rad_s
         elif feedback.fresh and not first:
-            feedback.velocity_rad_s = (position_rad - feedback.position_rad) / self.settings.cycle_s
+            feedback.velocity_rad_s = (position_rad - feedback.position_rad) / self._tpdo_period_s
         feedback.position_rad = position_rad
 
     def _read_emergency(self, data: bytes | None) -> None:

@@ -112,7 +112,8 @@ class ProfileTorque(Mode):
     def status(self, dt_s: float) -> int:
         """Bit 10: the demand has reached the target."""
         port = self._firmware.port
-        return STATUS_TARGET_REACHED if port.reference == port.setpoint else 0
+        left_Nm = abs(port.setpoint - port.reference)
+        return STATUS_TARGET_REACHED if left_Nm < self._firmware.units.torque_Nm else 0
 
 
 class Homing(Mode):

@@ -3,8 +3,8 @@
 The simulated drive (CiA-402 logic) writes the first group once per cycle or tick; the plant (the mechanics
 that turn the motor) reads it, advances, and writes the second group. Neither knows the other.
 
-When `mode` changes, the loop starts its reference at what is measured (velocity, position; a torque starts at zero)
-and moves it from there to the set point, so that no mode begins with a jump; with `OFF` the reference is zero.
+When `mode` changes, the loop starts its reference at the present value of what the new mode controls and moves it from
+there to the set point, so that no mode begins with a jump. A ramp ends on its set point exactly.
 """
 
 from __future__ import annotations

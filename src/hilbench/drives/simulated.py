@@ -98,6 +98,8 @@ class SimulatedDrive:
         device.on_nmt = self._nmt_changed
         device.on_communication_error = self._communication_error
         self._operational = False
+        #: Error codes of EMCY messages that stand.
+        self._reported: list[int] = []
         self._power_on()
 
     def _power_on(self) -> None:
@@ -106,6 +108,7 @@ class SimulatedDrive:
         self._dt_s = 0.0
         self._outside_window = Held()
         self._error_code.value = 0
+        self._reported.clear()
         self._firmware.refresh()
         self._apply(Transition.T0_START)
         self._requested_mode = self._stored_mode()
@@ -271,8 +274,12 @@ class SimulatedDrive:
         during a fault is not noted.
         """
         if self._state not in (State.FAULT, State.FAULT_REACTION_ACTIVE):
-            self._device.emergency(code, register)
+            self._report(code, register)
             self._fail(code, coast)
+
+    def _report(self, code: int, register: int) -> None:
+        self._reported.append(code)
+        self._device.emergency(code, register)
 
     def _fail(self, code: int, coast: bool = False) -> None:
         reaction = StopKind(self._options[objects.FAULT_REACTION_OPTION_CODE].value)
@@ -293,7 +300,10 @@ class SimulatedDrive:
             return False
         self._error_code.value = 0
         self._outside_window = Held()
-        self._device.clear_emergency(code)
+        # What the device's runtime has reported (a lost heartbeat) is its to take back.
+        for reported in self._reported:
+            self._device.clear_emergency(reported)
+        self._reported.clear()
         return True
 
     def _simulated_fault_written(self, code: int) -> None:
@@ -318,7 +328,7 @@ class SimulatedDrive:
         self._operational = state is NmtState.OPERATIONAL
         if left and self._state is State.OPERATION_ENABLED:
             # Set points come no more: an enabled drive would run on with the last one.
-            self._device.emergency(ERROR_COMMUNICATION, REGISTER_COMMUNICATION)
+            self._report(ERROR_COMMUNICATION, REGISTER_COMMUNICATION)
             self._connection_lost(ERROR_COMMUNICATION)
 
     def _connection_lost(self, code: int) -> None:
