@@ -39,3 +39,7 @@ class BenchFaultError(HilbenchError):
 
 class BusError(BenchFaultError):
     """The bus cannot be opened, or was lost."""
+
+
+class NoAnswerError(BenchFaultError):
+    """A participant did not answer a SYNC."""

@@ -101,6 +101,8 @@ class Bench:
 
     def __enter__(self) -> Bench:
         try:
+            self._announce("prepare the model (compiled on first use)")
+            self._load_model.warm_up()
             started = self._resources.enter_context(
                 bring_up(self.config, tap=self._tap, work_folder=self._work_folder, announce=self._announce)
             )

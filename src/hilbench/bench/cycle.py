@@ -11,7 +11,7 @@ from hilbench.bench import pacing
 from hilbench.bus.frame import Frame
 from hilbench.bus.link import Link
 from hilbench.bus.wire import frame_bits
-from hilbench.errors import BenchFaultError
+from hilbench.errors import NoAnswerError
 
 SYNC_COB_ID = 0x080
 
@@ -55,7 +55,7 @@ class CyclicExchange:
     """One SYNC after the other, paced in lockstep or by the wall clock.
 
     `exchange` sends set points and SYNC and returns the frames that answered. In lockstep it waits until every
-    expected TPDO is there and raises BenchFaultError, naming who is missing, after `timeout_s` of wall time. In
+    expected TPDO is there and raises NoAnswerError, naming who is missing, after `timeout_s` of wall time. In
     real time it waits for them until shortly before the next deadline, and raises when one sender's PDO was
     missing `missing_limit` cycles in a row.
     """
@@ -148,15 +148,16 @@ class CyclicExchange:
         self.timing.missing_pdos += len(due)
         if self._lockstep:
             names = ", ".join(f"{sender} (COB-ID {cob_id:03X}h)" for cob_id, sender in due.items())
-            raise BenchFaultError(
+            raise NoAnswerError(
                 f"cycle {self.timing.cycles}: no answer to SYNC from {names} within {self._timeout_s:g} s"
             )
         for cob_id, sender in due.items():
             in_row = self._missed_in_row.get(cob_id, 0) + 1
             self._missed_in_row[cob_id] = in_row
             if in_row >= self._missing_limit:
-                raise BenchFaultError(
-                    f"cycle {self.timing.cycles}: {sender} (COB-ID {cob_id:03X}h) has not answered {in_row} SYNCs in a row"
+                raise NoAnswerError(
+                    f"cycle {self.timing.cycles}: no answer to {in_row} SYNCs in a row from {sender} "
+                    f"(COB-ID {cob_id:03X}h)"
                 )
 
     def _account(self, outgoing: Sequence[Frame], received: Sequence[Frame]) -> None:

@@ -58,7 +58,10 @@ def simulate(config: BenchConfig) -> None:
     stop = stop_request()
     clock = device_clock(config)
     ports = (MotorPort(), MotorPort(), MotorPort())
-    stand = TestStand(config.stand_parameters(), ports, config.seed)
+    stand_parameters = config.stand_parameters()
+    # A scratch stand runs first, so that compiling is over before the devices boot.
+    TestStand(stand_parameters, tuple(MotorPort() for _ in ports)).advance(config.cycle_time_s)
+    stand = TestStand(stand_parameters, ports, config.seed)
     devices, drives = [], []
     parts: list[tuple[NodeConfig, MotorPort, int | None]] = [
         (config.nodes.axis1, ports[0], 1),

@@ -12,6 +12,7 @@ from hilbench.bench.quantities import EffectPath
 from hilbench.web.effects import find_effect
 from hilbench.web.parameters import ModelParameters
 from hilbench.web.span import SpanFollower
+from hilbench.web.stability import SampledShaft, imitation_delay_s
 
 
 def imitated_web(model: ModelParameters, load: LoadConfig) -> ModelParameters:
@@ -30,15 +31,22 @@ def imitated_web(model: ModelParameters, load: LoadConfig) -> ModelParameters:
 class LoadModel:
     """Web on measured motion → torque set point of the load motor (N·m at its shaft).
 
-    The torque acts from the next SYNC on, for a cycle: it is that of the tension in the middle of that cycle.
+    The torque acts later than the motion was measured, so the tension is predicted over that delay: without it the
+    loop of web and sampled shaft is unstable on the demonstrator (`hilbench.web.stability`).
     """
 
     def __init__(self, model: ModelParameters, load: LoadConfig, cycle_s: float) -> None:
         self.web = SpanFollower(imitated_web(model, load))
         self._cycle_s = cycle_s
-        self._lead_s = 1.5 * cycle_s
+        self._lead_s = imitation_delay_s(SampledShaft.of_model(model, cycle_s=cycle_s))
         self._running = False
         self._effects = {(entry.effect, entry.axis): dict(entry.parameters) for entry in load.effects}
+
+    def warm_up(self) -> None:
+        """Compile (or load from the cache) what `update` runs, before a cycle has to wait for it."""
+        self.update(0.0, 0.0, 0.0)
+        self.update(0.0, 0.0, 0.0)
+        self.stop()
 
     def stop(self) -> None:
         """Drives are off: no pull; the web is as at the start when it runs again."""

@@ -1,7 +1,8 @@
 """The quantities of a running bench that an experiment may change, by path.
 
-`line_speed_m_s`, `tension_control.set_point_N`, `load.web.youngs_modulus_Pa`, and any of any effect, hidden in the imitated mechanics or in the simulated hardware:
-`load.effects.elasticity_drift.rate_per_s`, `hardware.effects.coulomb_friction.axis1.force_N`.
+`line_speed_m_s`, `tension_control.set_point_N`, `load.web.youngs_modulus_Pa`, and any parameter of any effect, hidden
+in the imitated mechanics or in the simulated hardware: `load.effects.elasticity_drift.rate_per_s`,
+`hardware.effects.coulomb_friction.axis1.force_N`.
 """
 
 from __future__ import annotations

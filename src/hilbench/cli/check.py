@@ -15,7 +15,7 @@ def check_command(loaded: LoadedConfig) -> None:
         f"bus {config.bus.address}, {config.bus.bitrate} bit/s, cycle {config.cycle_time_s * 1e3:g} ms, {config.pace}"
     )
     print(
-        f"{checked.frames_per_cycle:.1f} frames a cycle, at worst {load.bits:.0f} of {load.capacity_bits:.0f} bit times "
-        f"({100 * load.fraction:.0f} %)"
+        f"{checked.frames_per_cycle:.1f} frames a cycle, at worst {load.bits:.0f} of {load.capacity_bits:.0f} "
+        f"bit times ({100 * load.fraction:.0f} %)"
     )
     print(f"{len(config.steps)} steps, {len(config.criteria)} criteria")

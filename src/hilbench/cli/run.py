@@ -13,7 +13,7 @@ from hilbench.bench.bench import Bench
 from hilbench.bench.sample import CycleSample
 from hilbench.experiment.config import LoadedConfig
 from hilbench.experiment.runner import RunOutcome, run_experiment
-from hilbench.record.result import Result
+from hilbench.record.result import Result, Timing
 
 _REFRESH_S = 0.2
 _PLAIN_LINE_EVERY_S = 5.0
@@ -104,16 +104,23 @@ def show_outcome(console: Console, outcome: RunOutcome) -> None:
     if result.criteria:
         console.print(_criteria_table(result))
     timing = result.timing
-    line = f"{timing.cycles} cycles of {timing.cycle_us / 1000:g} ms, {timing.pace}, {timing.realtime_factor:.1f} x real time"
-    if timing.pace == "realtime" and timing.jitter_us is not None:
-        line += (
-            f", {timing.missed} missed, SYNC jitter p50 {timing.jitter_us.p50:.0f} / p99 {timing.jitter_us.p99:.0f} us"
-        )
-    console.print(line + f", bus load {timing.bus_load_pct:.0f} %")
+    console.print(_timing_line(timing))
     for fault in result.faults:
-        console.print(f"[red]fault[/red] {fault}", soft_wrap=True)
+        console.print(f"[red]fault[/red] {fault.source}: {fault.text}", soft_wrap=True)
     verdict = "[green]passed[/green]" if result.passed else "[red]not passed[/red]"
     console.print(f"{verdict}   report: {outcome.folder.report}", soft_wrap=True)
+
+
+def _timing_line(timing: Timing) -> str:
+    parts = [f"{timing.cycles} cycles of {timing.cycle_us / 1000:g} ms, {timing.pace}"]
+    if timing.realtime_factor is not None:
+        parts.append(f"{timing.realtime_factor:.1f} x real time")
+    if timing.jitter_us is not None:
+        jitter = timing.jitter_us
+        parts.append(f"{timing.missed} missed, SYNC late by {jitter.p50:.0f} µs (p50), {jitter.p99:.0f} µs (p99)")
+    if timing.bus_load_pct is not None:
+        parts.append(f"bus load {timing.bus_load_pct:.0f} %")
+    return ", ".join(parts)
 
 
 def _criteria_table(result: Result) -> Table:

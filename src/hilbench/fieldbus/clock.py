@@ -43,7 +43,7 @@ class SyncClock:
     master must be noticed.
     """
 
-    def __init__(self, cycle_ns: int, stall_s: float = 1.0) -> None:
+    def __init__(self, cycle_ns: int, stall_s: float = 5.0) -> None:
         self._cycle_ns = cycle_ns
         self._stall_ns = int(stall_s * 1e9)
         self._time_ns = time.monotonic_ns()

@@ -7,6 +7,7 @@ and axes as the page's text colour, so that one picture reads on white, on dark 
 from __future__ import annotations
 
 import io
+import itertools
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -137,11 +138,11 @@ def _apart(places: Sequence[float], gap: float) -> list[float]:
     """The places, moved as little as needed so that neighbours are `gap` apart and all lie between 0 and 1."""
     order = sorted(range(len(places)), key=lambda index: places[index])
     moved = list(places)
-    for before, after in zip(order, order[1:], strict=False):
+    for before, after in itertools.pairwise(order):
         moved[after] = max(moved[after], moved[before] + gap)
     if order and moved[order[-1]] > 1:
         moved[order[-1]] = 1.0
-        for before, after in reversed(list(zip(order, order[1:], strict=False))):
+        for before, after in reversed(list(itertools.pairwise(order))):
             moved[before] = min(moved[before], moved[after] - gap)
     return moved
 
@@ -297,7 +298,7 @@ def _get(recording: Recording, name: str) -> Array:
 
 
 def _samples(recording: Recording) -> int:
-    return max(int(round(SMOOTHING_S / float(np.median(np.diff(recording.time_s))))), 1)
+    return max(round(SMOOTHING_S / float(np.median(np.diff(recording.time_s)))), 1)
 
 
 def _inner_window(recording: Recording) -> slice:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -54,7 +56,7 @@ def thinned(t_s: ArrayLike, values: ArrayLike, columns: int) -> tuple[Array, Arr
         return time_s, data
     edges = np.linspace(0, len(data), columns + 1).astype(int)
     keep: list[int] = []
-    for start, stop in zip(edges[:-1], edges[1:], strict=True):
+    for start, stop in itertools.pairwise(edges):
         part = data[start:stop]
         known = np.flatnonzero(np.isfinite(part))
         if not len(known):

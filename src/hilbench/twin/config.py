@@ -8,16 +8,20 @@ from pydantic import BaseModel, ConfigDict, Field, PositiveFloat
 
 
 class PidConfig(BaseModel):
-    """Gains of the tracking simulation: dE/dt = Kp·e + Ki·∫e dt + Kd·de/dt, e in N·m of motor torque."""
+    """Gains of the tracking simulation: dE/dt = Kp·e + Ki·∫e dt + Kd·de/dt, e in N·m of motor torque.
+
+    The defaults reproduce the published behaviour on the demonstrator (about 20 s to 1 %): the velocity loop of
+    axis 2 gives way to a change of tension and takes it up with some seconds' lag, which Kd/Kp makes up for.
+    """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     method: Literal["pid"] = "pid"
-    kp_Pa_per_Nm_s: float = Field(default=3.9e8, ge=0)
+    kp_Pa_per_Nm_s: float = Field(default=4.2e8, ge=0)
     ki_Pa_per_Nm_s2: float = Field(default=2.0e7, ge=0)
-    kd_Pa_per_Nm: float = Field(default=1.0e6, ge=0)
-    integral_limit_Nm_s: PositiveFloat = 1.0
-    error_filter_s: float = Field(default=0.02, ge=0, description="first-order filter of the error")
+    kd_Pa_per_Nm: float = Field(default=2.0e9, ge=0)
+    integral_limit_Nm_s: PositiveFloat = 0.2
+    error_filter_s: float = Field(default=0.2, ge=0, description="first-order filter of the error")
     lower_limit_Pa: PositiveFloat = 1.0e8
     upper_limit_Pa: PositiveFloat = 1.0e11
 

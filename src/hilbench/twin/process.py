@@ -175,6 +175,8 @@ def run_twin(setup: TwinSetup, stop: Callable[[], bool]) -> None:
     """Run the twin on its bus until `stop` says so. Raises BusError when the bus is lost."""
     model = setup.model
     modulus_Pa = setup.twin.youngs_modulus_Pa or model.required_web.youngs_modulus_Pa
+    # A scratch line runs first, so that compiling is over before the devices boot.
+    Line(model, (MotorPort(), MotorPort())).advance(setup.cycle_s)
     ports = (MotorPort(), MotorPort())
     line = Line(model, ports)
     line.youngs_modulus_Pa = modulus_Pa
