@@ -12,8 +12,9 @@ from rich.table import Table
 from hilbench.bench.bench import Bench
 from hilbench.bench.sample import CycleSample
 from hilbench.experiment.config import LoadedConfig
-from hilbench.experiment.runner import RunOutcome, run_experiment
 from hilbench.record.result import Result, Timing
+from hilbench.record.run import RunOutcome, run_experiment
+from hilbench.report.html import write_report
 
 _REFRESH_S = 0.2
 _PLAIN_LINE_EVERY_S = 5.0
@@ -23,12 +24,15 @@ def run_command(loaded: LoadedConfig, out: Path, *, as_json: bool) -> int:
     """Run the experiment, show it, and return the exit code."""
     if as_json:
         outcome = run_experiment(loaded, out)
+        write_report(outcome.folder)
         print(outcome.result.model_dump_json(indent=2))
         return outcome.exit_code
     console = Console(highlight=False)
     console.print(f"[bold]{loaded.config.name}[/bold]  {loaded.config.bus.address}, {loaded.config.pace}")
     with Progress(console, cycle_s=loaded.config.cycle_time_s, bitrate=loaded.config.bus.bitrate) as progress:
         outcome = run_experiment(loaded, out, observers=[progress], announce=progress.announce)
+        progress.announce("write report")
+        write_report(outcome.folder)
     show_outcome(console, outcome)
     return outcome.exit_code
 

@@ -27,7 +27,6 @@ from hilbench.record.recording import Recording, RecordingBuilder, write_recordi
 from hilbench.record.result import Environment, Fault, Result, Timing, jitter
 from hilbench.record.run_folder import RunFolder
 from hilbench.record.trace import TraceWriter
-from hilbench.report.html import write_report
 
 
 @dataclass
@@ -63,7 +62,7 @@ def run_experiment(
     observers: Sequence[CycleObserver] = (),
     announce: Callable[[str], None] = lambda text: None,
 ) -> RunOutcome:
-    """Run all steps of a config, evaluate its criteria, write the run folder and its report.
+    """Run all steps of a config, evaluate its criteria, write the run folder (the report is made from it).
 
     A bench fault or an interruption ends the run in the safe state; what was recorded until then is written, and
     the fault is in the result. Raises UnusableInputError before anything is started.
@@ -89,7 +88,7 @@ def run_experiment(
             exit_code = EXIT_BENCH_FAULT
             faults.append(Fault(time_s=bench.time_s, source="bench", text=str(error)))
     faults += [Fault(time_s=None, source="safe state", text=text) for text in bench.safe_state_problems]
-    announce("write recording and report")
+    announce("write recording and result")
     recording = recorder.recording(started, config.description)
     write_recording(recording, folder.recording)
     timing = measure_timing(bench)
@@ -97,7 +96,6 @@ def run_experiment(
     criteria = evaluate(config.criteria, metrics)
     result = Result.of(criteria, metrics, timing, faults, Environment.here(config.seed))
     result.write(folder.result)
-    write_report(folder)
     if exit_code == EXIT_PASSED and not result.passed:
         exit_code = EXIT_CRITERION_FAILED
     return RunOutcome(folder, result, exit_code)
