@@ -233,4 +233,4 @@ def _finite(value: float | np.floating[Any]) -> float | None:
 
 
 def _size(value: float | np.floating[Any]) -> float | None:
-    return _finite(abs(value))
+    return _finite(abs(float(value)))
