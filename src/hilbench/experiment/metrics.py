@@ -211,9 +211,8 @@ def noise_pct(t_s: ArrayLike, estimate_Pa: ArrayLike, E_true_Pa: ArrayLike) -> f
     """Rms of the estimate about its least-squares straight line over time, as % of the mean true E."""
     time_s, estimate = np.asarray(t_s, np.float64), np.asarray(estimate_Pa, np.float64)
     centred_s, centred = time_s - time_s.mean(), estimate - estimate.mean()
-    slope = (centred_s @ centred) / (centred_s @ centred_s)
-    residual = centred - slope * centred_s
-    rms_Pa = float(np.sqrt(residual @ residual / len(residual)))
+    slope = float(centred_s @ centred) / float(centred_s @ centred_s)
+    rms_Pa = float(np.std(centred - slope * centred_s))
     return _finite(100 * rms_Pa / float(np.mean(np.asarray(E_true_Pa, np.float64))))
 
 
@@ -234,4 +233,4 @@ def _finite(value: float | np.floating[Any]) -> float | None:
 
 
 def _size(value: float | np.floating[Any]) -> float | None:
-    return _finite(abs(value))
+    return _finite(abs(float(value)))

@@ -114,9 +114,10 @@ def _criteria(criteria: Sequence[CriterionResult]) -> str:
     for criterion in criteria:
         reason = f'<span class="reason">{escape(criterion.reason)}</span>' if criterion.reason else ""
         word = "passed" if criterion.passed else "failed"
+        value = _number(criterion.value, _digits(criterion.unit))
         rows.append(
             f"<tr><td>{escape(criterion.name)}{reason}</td>"
-            f'<td class="number">{_number(criterion.value)}</td><td class="number">{escape(criterion.limit)}</td>'
+            f'<td class="number">{value}</td><td class="number">{escape(criterion.limit)}</td>'
             f'<td>{escape(criterion.unit)}</td><td class="result {word}">{_mark(criterion.passed)} {word}</td></tr>'
         )
     return _section("Criteria", _table(("Criterion", ">Value", ">Limit", "Unit", "Result"), rows))
@@ -147,9 +148,10 @@ def _metrics(metrics: dict[str, float | None]) -> str:
     rows = []
     for name, value in metrics.items():
         known = METRICS.get(name)
+        unit = known.unit if known else ""
         rows.append(
             f"<tr><td><code>{escape(name)}</code></td>"
-            f'<td class="number">{_number(value)}</td><td>{escape(known.unit if known else "")}</td>'
+            f'<td class="number">{_number(value, _digits(unit))}</td><td>{escape(unit)}</td>'
             f'<td class="note">{escape(known.description if known else "")}</td></tr>'
         )
     return _section("Metrics", _table(("Metric", ">Value", "Unit", "Meaning"), rows)) if rows else ""
@@ -168,13 +170,10 @@ def _timing(timing: Timing) -> str:
         late = timing.jitter_us
         for label, value in (("median", late.p50), ("99 %", late.p99), ("99.9 %", late.p999), ("largest", late.max)):
             rows.append((f"lateness of SYNC, {label}", _number(value), "µs"))
-    table = _table(
-        ("Quantity", ">Value", "Unit"),
-        [
-            f'<tr><td>{name}</td><td class="number">{escape(value)}</td><td>{unit}</td></tr>'
-            for name, value, unit in rows
-        ],
-    )
+    lines = [
+        f'<tr><td>{name}</td><td class="number">{escape(value)}</td><td>{unit}</td></tr>' for name, value, unit in rows
+    ]
+    table = _table(("Quantity", ">Value", "Unit"), lines)
     histogram = _figure(draw_histogram(timing.jitter_histogram)) if timing.jitter_histogram else ""
     return _section("Timing", table + histogram)
 
@@ -202,6 +201,11 @@ def _table(columns: Sequence[str], rows: Iterable[str]) -> str:
         for title in columns
     )
     return f"<table>\n<thead><tr>{head}</tr></thead>\n<tbody>\n" + "\n".join(rows) + "\n</tbody>\n</table>"
+
+
+def _digits(unit: str) -> int:
+    """Significant digits: what matters of a web's velocity begins at the fifth."""
+    return 7 if unit == "m/s" else 4
 
 
 def _number(value: float | None, digits: int = 4) -> str:

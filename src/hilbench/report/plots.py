@@ -7,10 +7,10 @@ and axes as the page's text colour, so that one picture reads on white, on dark 
 from __future__ import annotations
 
 import io
-import itertools
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Any, Final
 
 import numpy as np
@@ -119,7 +119,7 @@ class _Panel:
 
     def _name(self, values: Array, name: str, colour: str) -> None:
         known = values[np.isfinite(values)]
-        if len(known):
+        if name and len(known):
             self.names.append((name, colour, float(np.mean(known[-max(len(known) // 40, 1) :]))))
 
     def write_names(self) -> None:
@@ -138,11 +138,11 @@ def _apart(places: Sequence[float], gap: float) -> list[float]:
     """The places, moved as little as needed so that neighbours are `gap` apart and all lie between 0 and 1."""
     order = sorted(range(len(places)), key=lambda index: places[index])
     moved = list(places)
-    for before, after in itertools.pairwise(order):
+    for before, after in pairwise(order):
         moved[after] = max(moved[after], moved[before] + gap)
     if order and moved[order[-1]] > 1:
         moved[order[-1]] = 1.0
-        for before, after in reversed(list(itertools.pairwise(order))):
+        for before, after in reversed(list(pairwise(order))):
             moved[before] = min(moved[before], moved[after] - gap)
     return moved
 
@@ -163,16 +163,16 @@ def draw_velocities(recording: Recording) -> Picture:
         return Picture(title, caption, "")
     t_s, width = recording.time_s, _samples(recording)
     v1, v2 = (mean_velocity(t_s, _get(recording, name), width) for name in ("x1_m", "x2_m"))
+    commands = [_get(recording, name) for name in ("v2_cmd_m_s", "v1_cmd_m_s") if name in recording]
     part = _inner_window(recording)
 
     def draw(figure: Any) -> list[_Panel]:
         upper, lower = figure.subplots(2, 1, sharex=True, gridspec_kw={"height_ratios": (1, 1.25)})
         whole, fine = _Panel(upper, t_s), _Panel(lower, t_s)
-        for name, label in (("v2_cmd_m_s", "command 2"), ("v1_cmd_m_s", "command 1")):
-            if name in recording:
-                whole.line(_get(recording, name), label, INK, linewidth=0.9, linestyle=(0, (4, 2)))
-        whole.line(v2, "axis 2", VERMILLION, linewidth=2.2, alpha=0.8)
-        whole.line(v1, "axis 1", BLUE, linewidth=1.1)
+        whole.line(v2, "axis 2", VERMILLION, linewidth=2.6, alpha=0.8)
+        whole.line(v1, "axis 1", BLUE, linewidth=1.3)
+        for number, command in enumerate(commands):
+            whole.line(command, "" if number else "commands", INK, linewidth=0.8, linestyle=(0, (4, 4)))
         upper.set_ylabel("velocity in m/s")
         difference = np.full_like(v1, np.nan)
         difference[part] = 1e3 * (v1 - v2)[part]
@@ -182,7 +182,7 @@ def draw_velocities(recording: Recording) -> Picture:
             asked = np.full_like(v1, np.nan)
             strains = _get(recording, "strain_prev"), moving_average(_get(recording, "strain_true"), width)
             asked[part] = 1e3 * (expected_v1_m_s(v2, *strains) - v2)[part]
-            fine.line(asked, "mass conserv.", INK, linewidth=0.9, linestyle=(0, (4, 2)))
+            fine.line(asked, "mass balance", INK, linewidth=0.9, linestyle=(0, (4, 2)))
             shown.append(asked)
         fine.limits(*shown, part=part, least=0.05)
         lower.set_ylabel("v1 − line in mm/s")
@@ -346,7 +346,9 @@ def _render(draw: Callable[[Any], list[_Panel]], height_in: float, name: str, ti
     from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.figure import Figure
 
-    with matplotlib.rc_context({**matplotlib.rcParamsDefault, **_STYLE, "svg.hashsalt": f"hilbench-{name}"}):
+    # From matplotlib's own defaults, not the user's matplotlibrc: the same run gives the same picture anywhere.
+    style: Any = {**dict(matplotlib.rcParamsDefault), **_STYLE, "svg.hashsalt": f"hilbench-{name}"}
+    with matplotlib.rc_context(style):
         figure = Figure(figsize=(7.6, height_in))
         FigureCanvasSVG(figure)
         figure.subplots_adjust(left=0.095, right=0.865, top=1 - 0.26 / height_in, bottom=0.46 / height_in, hspace=0.14)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import itertools
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -24,12 +24,16 @@ def moving_average(values: ArrayLike, samples: int) -> Array:
 
 
 def mean_velocity(t_s: ArrayLike, x_m: ArrayLike, samples: int) -> Array:
-    """Velocity (m/s) as the change of position over `samples` about each sample: a moving average without noise."""
+    """Velocity (m/s) as a triangular moving average over `samples`, from the position: no differentiation noise.
+
+    The change of position over half of them is the plain average over that half; the average of it over the other
+    half also takes out the steps of the encoder.
+    """
     time_s, position_m = np.asarray(t_s, np.float64), np.asarray(x_m, np.float64)
-    half = min(max(samples // 2, 1), max(len(time_s) - 1, 1))
+    half = min(max(samples // 4, 1), max(len(time_s) - 1, 1))
     start = np.clip(np.arange(len(time_s)) - half, 0, None)
     stop = np.clip(np.arange(len(time_s)) + half, None, len(time_s) - 1)
-    return np.asarray((position_m[stop] - position_m[start]) / (time_s[stop] - time_s[start]), np.float64)
+    return moving_average((position_m[stop] - position_m[start]) / (time_s[stop] - time_s[start]), samples // 2)
 
 
 def envelope(t_s: ArrayLike, values: ArrayLike, columns: int) -> tuple[Array, Array, Array]:
@@ -56,7 +60,7 @@ def thinned(t_s: ArrayLike, values: ArrayLike, columns: int) -> tuple[Array, Arr
         return time_s, data
     edges = np.linspace(0, len(data), columns + 1).astype(int)
     keep: list[int] = []
-    for start, stop in itertools.pairwise(edges):
+    for start, stop in pairwise(edges.tolist()):
         part = data[start:stop]
         known = np.flatnonzero(np.isfinite(part))
         if not len(known):
