@@ -5,10 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from hilbench.bench.config import BenchConfig
+from hilbench.bench.load_model import imitated_web
 from hilbench.bench.nodes import Nodes
 from hilbench.bus.load import BusLoad, cycle_load
 from hilbench.errors import UnusableInputError
 from hilbench.strict_yaml import Document
+from hilbench.web.stability import (
+    SampledShaft,
+    imitation_delay_s,
+    largest_stiffness_Nm_per_rad,
+    web_stiffness_Nm_per_rad,
+)
 
 
 @dataclass(frozen=True)
@@ -17,13 +24,14 @@ class CheckedBench:
 
     load: BusLoad
     frames_per_cycle: float
+    stiffness_reserve: float  #: stiffest web that the load motor can imitate stably, over the stiffest in the config
 
 
 def check_bench(config: BenchConfig, document: Document) -> CheckedBench:
     """Check a config as far as can be without a bus.
 
     Raises UnusableInputError with the place in the config when an EDS can't be used or lacks an object that is
-    mapped, or when the PDO set does not fit on the bus at worst.
+    mapped, when the PDO set does not fit on the bus at worst, or when the web is too stiff to be imitated stably.
     """
     for part, node in config.nodes:
         if not node.eds.is_file():
@@ -48,4 +56,20 @@ def check_bench(config: BenchConfig, document: Document) -> CheckedBench:
             f"{config.cycle_time_s * 1e3:g} ms at {config.bus.bitrate} bit/s ({100 * load.fraction:.0f} %), "
             f"expected at most 100 %: a longer cycle, a higher bit rate or fewer PDOs",
         )
-    return CheckedBench(load, sum(frame.per_cycle for frame in frames))
+    reserve = stiffness_reserve(config)
+    if reserve < 1.0:
+        raise UnusableInputError(
+            document.place(("model", "web")),
+            f"the load motor can't imitate so stiff a web over a cycle of {config.cycle_time_s * 1e3:g} ms: the loop of "
+            f"web and sampled shaft is stable up to {100 * reserve:.0f} % of it, expected at least 100 %: a shorter "
+            f"cycle, a heavier axis 2 or a softer web",
+        )
+    return CheckedBench(load, sum(frame.per_cycle for frame in frames), reserve)
+
+
+def stiffness_reserve(config: BenchConfig) -> float:
+    """Largest stable stiffness of the imitated web over the largest that the config asks for at the start."""
+    web = imitated_web(config.model, config.load)
+    shaft = SampledShaft.of_model(config.model, cycle_s=config.cycle_time_s)
+    asked = max(web_stiffness_Nm_per_rad(web), web_stiffness_Nm_per_rad(config.model))
+    return largest_stiffness_Nm_per_rad(shaft, imitation_delay_s(shaft)) / asked

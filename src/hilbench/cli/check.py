@@ -18,4 +18,5 @@ def check_command(loaded: LoadedConfig) -> None:
         f"{checked.frames_per_cycle:.1f} frames a cycle, at worst {load.bits:.0f} of {load.capacity_bits:.0f} "
         f"bit times ({100 * load.fraction:.0f} %)"
     )
+    print(f"load motor: could imitate a web {checked.stiffness_reserve:.1f} times as stiff before its loop is unstable")
     print(f"{len(config.steps)} steps, {len(config.criteria)} criteria")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import sys
 from pathlib import Path
 from typing import Annotated, Any
@@ -101,6 +102,8 @@ def report(run_folder: Annotated[Path, typer.Argument(metavar="RUN", help="run f
 
 def main() -> None:
     """Entry point: errors meant for a person become one line on standard error and the exit code of their kind."""
+    # canopen logs what it also raises; the errors' own text is what a person needs.
+    logging.getLogger("canopen").addHandler(logging.NullHandler())
     try:
         app()
     except HilbenchError as error:

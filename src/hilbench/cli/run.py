@@ -24,15 +24,17 @@ def run_command(loaded: LoadedConfig, out: Path, *, as_json: bool) -> int:
     """Run the experiment, show it, and return the exit code."""
     if as_json:
         outcome = run_experiment(loaded, out)
-        write_report(outcome.folder)
+        if outcome.recorded:
+            write_report(outcome.folder)
         print(outcome.result.model_dump_json(indent=2))
         return outcome.exit_code
     console = Console(highlight=False)
     console.print(f"[bold]{loaded.config.name}[/bold]  {loaded.config.bus.address}, {loaded.config.pace}")
     with Progress(console, cycle_s=loaded.config.cycle_time_s, bitrate=loaded.config.bus.bitrate) as progress:
         outcome = run_experiment(loaded, out, observers=[progress], announce=progress.announce)
-        progress.announce("write report")
-        write_report(outcome.folder)
+        if outcome.recorded:
+            progress.announce("write report")
+            write_report(outcome.folder)
     show_outcome(console, outcome)
     return outcome.exit_code
 
@@ -112,7 +114,8 @@ def show_outcome(console: Console, outcome: RunOutcome) -> None:
     for fault in result.faults:
         console.print(f"[red]fault[/red] {fault.source}: {fault.text}", soft_wrap=True)
     verdict = "[green]passed[/green]" if result.passed else "[red]not passed[/red]"
-    console.print(f"{verdict}   report: {outcome.folder.report}", soft_wrap=True)
+    left = f"report: {outcome.folder.report}" if outcome.recorded else f"no recording; result: {outcome.folder.result}"
+    console.print(f"{verdict}   {left}", soft_wrap=True)
 
 
 def _timing_line(timing: Timing) -> str:

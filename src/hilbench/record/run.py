@@ -37,6 +37,15 @@ class RunOutcome:
     result: Result
     exit_code: int
 
+    @property
+    def recorded(self) -> bool:
+        """Whether the run got as far as a recording; a report can be made only then."""
+        return self.folder.recording.exists()
+
+
+#: A run that ended earlier leaves no recording: there is nothing to draw or to evaluate.
+_LEAST_SAMPLES = 2
+
 
 class Recorder:
     """Cycle observer that keeps every sample in memory."""
@@ -90,7 +99,8 @@ def run_experiment(
     faults += [Fault(time_s=None, source="safe state", text=text) for text in bench.safe_state_problems]
     announce("write recording and result")
     recording = recorder.recording(started, config.description)
-    write_recording(recording, folder.recording)
+    if len(recording) >= _LEAST_SAMPLES:
+        write_recording(recording, folder.recording)
     timing = measure_timing(bench)
     metrics = evaluate_metrics(recording.channels) | timing.metrics()
     criteria = evaluate(config.criteria, metrics)
