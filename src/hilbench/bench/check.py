@@ -60,8 +60,8 @@ def check_bench(config: BenchConfig, document: Document) -> CheckedBench:
     if reserve < 1.0:
         raise UnusableInputError(
             document.place(("model", "web")),
-            f"the load motor can't imitate so stiff a web over a cycle of {config.cycle_time_s * 1e3:g} ms: the loop of "
-            f"web and sampled shaft is stable up to {100 * reserve:.0f} % of it, expected at least 100 %: a shorter "
+            f"the load motor can't imitate so stiff a web over a cycle of {config.cycle_time_s * 1e3:g} ms: the loop "
+            f"of web and sampled shaft is stable up to {100 * reserve:.0f} % of it, expected at least 100 %: a shorter "
             f"cycle, a heavier axis 2 or a softer web",
         )
     return CheckedBench(load, sum(frame.per_cycle for frame in frames), reserve)
