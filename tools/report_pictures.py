@@ -1,9 +1,13 @@
-"""Write the pictures of a run's report as SVG files, for the README and the docs: report_pictures.py RUN FOLDER."""
+"""Write the pictures of a run's report as SVG files, for the README and the docs: report_pictures.py RUN FOLDER.
+
+On its own a picture has no page around it: its colours are those of the page's light scheme, on white.
+"""
 
 from __future__ import annotations
 
 import re
 import sys
+from importlib import resources
 from pathlib import Path
 
 from hilbench.record.recording import read_recording
@@ -11,13 +15,22 @@ from hilbench.record.run_folder import RunFolder
 from hilbench.report.plots import draw_pictures
 
 
+def standalone(svg: str, page_css: str) -> str:
+    """The SVG with the page's colours put in place of the variables, on a white ground."""
+    colours = dict(reversed(re.findall(r"--(\w+): (#\w+)", page_css)))
+    coloured = re.sub(r"var\(--(\w+)\)", lambda match: colours[match[1]], svg)
+    style = "<style>text { font-family: sans-serif; fill: #1b1f24 }</style>"
+    return re.sub(r"(<svg[^>]*>)", rf'\1{style}<rect width="100%" height="100%" fill="white"/>', coloured, count=1)
+
+
 def main() -> None:
-    """One file a picture, named after it."""
+    """One file a picture, named after its title."""
     run, folder = RunFolder.open(Path(sys.argv[1])), Path(sys.argv[2])
+    page_css = resources.files("hilbench.report").joinpath("page.css").read_text(encoding="utf-8")
     for picture in draw_pictures(read_recording(run.recording)):
         name = re.sub(r"[^a-z]+", "_", picture.title.lower()).strip("_")
         path = folder / f"{name}.svg"
-        path.write_text(picture.svg, encoding="utf-8")
+        path.write_text(standalone(picture.svg, page_css), encoding="utf-8")
         print(path)
 
 
