@@ -20,7 +20,7 @@ class PidConfig(BaseModel):
     kp_Pa_per_Nm_s: float = Field(default=4.2e8, ge=0)
     ki_Pa_per_Nm_s2: float = Field(default=2.0e7, ge=0)
     kd_Pa_per_Nm: float = Field(default=2.0e9, ge=0)
-    integral_limit_Nm_s: PositiveFloat = 0.2
+    integral_limit_Nm_s: PositiveFloat = 0.05
     error_filter_s: float = Field(default=0.2, ge=0, description="first-order filter of the error")
     lower_limit_Pa: PositiveFloat = 1.0e8
     upper_limit_Pa: PositiveFloat = 1.0e11
