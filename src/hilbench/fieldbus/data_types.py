@@ -104,8 +104,16 @@ class DataType:
 
         Raises ValueError when the text is no such value.
         """
+        try:
+            return self._parse(text, node_id)
+        except OverflowError as error:
+            raise ValueError(f"'{text}' does not fit data type {self.code:04X}h") from error
+
+    def _parse(self, text: str, node_id: int) -> Value:
         if self.is_float:
-            return float(int(text, 0)) if text.lower().startswith("0x") else float(text)
+            if not text.lower().startswith("0x"):
+                return float(text)
+            return self.decode(int(text, 0).to_bytes(self.width or 4, "little"))  # the bits of IEEE 754
         if self.is_integer:
             return self._parse_integer(text, node_id)
         return text if self.code in _STRINGS else bytes.fromhex(text.removeprefix("0x"))

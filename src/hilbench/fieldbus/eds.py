@@ -8,19 +8,18 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import canopen
-from canopen.objectdictionary import ODVariable
+from canopen.objectdictionary import ODArray, ODRecord, ODVariable
 
 from hilbench.errors import UnusableInputError
 from hilbench.fieldbus.data_types import Value, data_type
 
-#: An object: 0x60FF, (0x6403, 1), "0x6403sub1", "target_velocity", "identity_object.vendor_id".
-ObjectKey = int | str | tuple[int, int]
-
+#: Below it stand data types; 0001h to 0007h may be mapped as placeholders.
+_FIRST_OBJECT = 0x1000
+_VAR = 0x7
 _ARRAY_TYPES = (0x8, 0x9)  # ObjectType ARRAY, RECORD
 _ACCESS_TYPES = {"ro", "wo", "rw", "rwr", "rww", "const"}
 _OBJECT = re.compile(r"^([0-9A-Fa-f]{4})(?:sub([0-9A-Fa-f]{1,2}))?$", re.IGNORECASE)
@@ -58,80 +57,69 @@ def load_eds(path: Path | str, node_id: int) -> canopen.ObjectDictionary:
     od = canopen.import_od(text, node_id)
     od.node_id = node_id
     for (index, sub), section in objects.items():
-        variable = _variable(od, index, sub)
-        if variable is not None:
-            _take_values(path, section, variable, node_id)
+        if sub is not None or _integer(path, section, "ObjectType", _VAR) not in _ARRAY_TYPES:
+            _take_values(path, section, variable(od, index, sub or 0), node_id)
     return od
 
 
-def find(od: canopen.ObjectDictionary, key: ObjectKey, place: str = "EDS") -> ODVariable:
-    """The one object `key` stands for: an index, ``(index, sub)``, ``"0x6403sub1"``, or the parameter name in
-    snake_case (``"target_velocity"``; a sub-index as ``"record_name.sub_name"``).
+def find(od: canopen.ObjectDictionary, key: int | str) -> ODVariable:
+    """One variable: by index, by ``0x6403sub1``, or by its parameter name in snake case (``target_velocity``; an
+    entry of a record as ``identity_object.vendor_id``).
 
-    Raises UnusableInputError at `place` when there is no such object or several.
+    A record or array needs the sub-index. Raises KeyError, with a text for a person, when the dictionary has no such
+    variable or several of that name.
     """
-    index, sub = _parse_key(key)
-    if index is None:
-        return _find_by_name(od, str(key), place)
-    variable = _variable(od, index, sub)
-    if variable is None:
-        name = f"{index:04X}h" + ("" if sub is None else f":{sub:02X}")
-        if sub is None and index in od:
-            raise UnusableInputError(place, f"object {name} has sub-indices, expected one, such as '0x{index:04X}sub1'")
-        raise UnusableInputError(place, f"object {name} is not in the object dictionary, expected one that is")
-    return variable
+    if isinstance(key, int):
+        return variable(od, key, 0)
+    match = _INDEX_KEY.match(key.strip())
+    if match:
+        return variable(od, int(match[1], 16), int(match[2] or "0", 16))
+    return _find_by_name(od, key)
 
 
-def variables(od: canopen.ObjectDictionary) -> Iterator[ODVariable]:
-    """Every object of the dictionary that has a value, dummy entries (index below 1000h) excluded."""
+def variable(od: canopen.ObjectDictionary, index: int, sub: int) -> ODVariable:
+    """The variable at index and sub-index. Raises KeyError."""
+    entry = od.indices.get(index)
+    if entry is None:
+        raise KeyError(f"no object {index:04X}h")
+    # canopen's arrays invent members on access; only those of the file count.
+    found = (entry if sub == 0 else None) if isinstance(entry, ODVariable) else entry.subindices.get(sub)
+    if found is None:
+        raise KeyError(f"{index:04X}h has no sub-index {sub}")
+    return found
+
+
+def all_variables(od: canopen.ObjectDictionary) -> list[ODVariable]:
+    """Every variable of the dictionary, entries of records and arrays included, dummy types (below 1000h) excluded."""
+    found: list[ODVariable] = []
     for index in sorted(od.indices):
-        if index >= 0x1000:
-            entry = od.indices[index]
-            if isinstance(entry, ODVariable):
-                yield entry
-            else:
-                yield from (entry.subindices[sub] for sub in sorted(entry.subindices))
+        entry = od.indices[index]
+        if isinstance(entry, ODVariable):
+            found += [entry] if index >= _FIRST_OBJECT else []
+        else:
+            found += [entry.subindices[sub] for sub in sorted(entry.subindices)]
+    return found
 
 
 def snake_case(name: str) -> str:
-    """Parameter name as an identifier: "Target velocity" → "target_velocity"."""
+    """``Target velocity`` → ``target_velocity``."""
     return re.sub(r"[^0-9a-z]+", "_", name.lower()).strip("_")
 
 
-def _parse_key(key: ObjectKey) -> tuple[int | None, int | None]:
-    if isinstance(key, tuple):
-        return key
-    if isinstance(key, int):
-        return key, None
-    match = _INDEX_KEY.match(key.strip())
-    if match is None:
-        return None, None
-    return int(match[1], 16), int(match[2], 16) if match[2] else None
-
-
-def _find_by_name(od: canopen.ObjectDictionary, name: str, place: str) -> ODVariable:
-    wanted = ".".join(snake_case(part) for part in name.split("."))
-    found = [variable for variable in variables(od) if wanted == _full_name(variable)]
+def _find_by_name(od: canopen.ObjectDictionary, name: str) -> ODVariable:
+    found = [candidate for candidate in all_variables(od) if _full_name(candidate) == name]
     if len(found) == 1:
         return found[0]
     if not found:
-        raise UnusableInputError(place, f"no object is named '{name}', expected a parameter name of the EDS")
-    where = ", ".join(f"0x{variable.index:04X}sub{variable.subindex:X}" for variable in found)
-    raise UnusableInputError(place, f"'{name}' stands for several objects, expected one of {where}")
+        raise KeyError(f"no object named '{name}'")
+    where = ", ".join(f"0x{candidate.index:04X}sub{candidate.subindex:X}" for candidate in found)
+    raise KeyError(f"'{name}' names several objects: {where}")
 
 
-def _full_name(variable: ODVariable) -> str:
-    parent = variable.parent
-    own = snake_case(variable.name)
-    return own if isinstance(parent, canopen.ObjectDictionary) else f"{snake_case(parent.name)}.{own}"
-
-
-def _variable(od: canopen.ObjectDictionary, index: int, sub: int | None) -> ODVariable | None:
-    entry = od.indices.get(index)
-    if entry is None or isinstance(entry, ODVariable):
-        return entry if not sub else None
-    # canopen's arrays invent members on access; only those of the file count.
-    return None if sub is None else entry.subindices.get(sub)
+def _full_name(candidate: ODVariable) -> str:
+    parent: object = candidate.parent
+    own = snake_case(candidate.name)
+    return f"{snake_case(parent.name)}.{own}" if isinstance(parent, ODRecord | ODArray) else own
 
 
 def _read_sections(path: Path) -> dict[str, _Section]:
@@ -230,11 +218,11 @@ def _check_hierarchy(path: Path, objects: dict[tuple[int, int | None], _Section]
         place = f"{path}:{section.line}"
         if sub is not None:
             parent = objects.get((index, None))
-            if parent is None or _integer(path, parent, "ObjectType", 7) not in _ARRAY_TYPES:
+            if parent is None or _integer(path, parent, "ObjectType", _VAR) not in _ARRAY_TYPES:
                 raise UnusableInputError(place, f"[{section.name}] has no array or record [{index:04X}] it belongs to")
         if "ParameterName" not in section.options:
             raise UnusableInputError(place, f"[{section.name}] has no ParameterName")
-        if sub is None and _integer(path, section, "ObjectType", 7) in _ARRAY_TYPES:
+        if sub is None and _integer(path, section, "ObjectType", _VAR) in _ARRAY_TYPES:
             continue
         for key in ("DataType", "AccessType"):
             if key not in section.options:
@@ -276,8 +264,8 @@ def _write(section: _Section) -> str:
 _VALUES = {"DefaultValue": "default", "ParameterValue": "value", "LowLimit": "min", "HighLimit": "max"}
 
 
-def _take_values(path: Path, section: _Section, variable: ODVariable, node_id: int) -> None:
-    kind = data_type(variable.data_type or 0)
+def _take_values(path: Path, section: _Section, target: ODVariable, node_id: int) -> None:
+    kind = data_type(target.data_type or 0)
     for key, attribute in _VALUES.items():
         text = section.options.get(key)
         if text is None or (attribute in ("min", "max") and not kind.is_number):
@@ -291,4 +279,4 @@ def _take_values(path: Path, section: _Section, variable: ODVariable, node_id: i
             raise UnusableInputError(
                 place, f"{key} of [{section.name}] is '{text}', expected a value of data type {kind.code:04X}h"
             ) from None
-        setattr(variable, attribute, value)
+        setattr(target, attribute, value)
