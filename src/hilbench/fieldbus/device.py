@@ -13,10 +13,12 @@ from pathlib import Path
 import canopen
 
 from hilbench.bus.frame import EXTENDED_FLAG, REMOTE_FLAG, Frame
+from hilbench.errors import UnusableInputError
 from hilbench.fieldbus.clock import Clock
 from hilbench.fieldbus.device_pdo import RPDO_TIMED_OUT, Rpdo, Tpdo
 from hilbench.fieldbus.emcy import COMMUNICATION_ERROR, EmergencyProducer
 from hilbench.fieldbus.heartbeat import HeartbeatConsumer, HeartbeatProducer
+from hilbench.fieldbus.identifiers import is_restricted
 from hilbench.fieldbus.object_store import (
     INVALID_VALUE,
     PRESENT_STATE,
@@ -29,8 +31,17 @@ from hilbench.fieldbus.storage import Storage
 
 __all__ = ["Cell", "Device", "NmtState", "SdoAbort"]
 
+#: What 1029h sub 1 asks for when a heartbeat is lost; any other value: no change.
+_TO_PRE_OPERATIONAL, _TO_STOPPED = 0, 2
+
 HEARTBEAT_LOST = 0x8130
 SYNC_LENGTH = 0x8240
+
+_PRODUCE_SYNC = 0x40000000
+_USUAL_SYNC = 0x80  #: restricted for everything but SYNC
+
+#: Error register, COB-ID of SYNC, producer heartbeat time.
+_NEEDED = (0x1001, 0x1005, 0x1017)
 
 _COMMUNICATION_AREA = (0x1000, 0x1FFF)
 _ALL_AREAS = (0x1000, 0x9FFF)
@@ -50,7 +61,7 @@ class Device:
 
     `cell(index, sub)` is the one place of an object's value. The application may set `on_nmt(state)` (told of every
     change, INITIALISING for a reset), `on_communication_error(code)` (EMCY code: a watched heartbeat or an RPDO missed)
-    and `on_write` of cells.
+    and `on_write` of cells. Raises UnusableInputError when the EDS lacks what a device needs.
     """
 
     def __init__(self, od: canopen.ObjectDictionary, node_id: int, clock: Clock, *, store: Path | None = None) -> None:
@@ -62,14 +73,17 @@ class Device:
         self.on_communication_error: Callable[[int], None] | None = None
         self._clock = clock
         self._store = ObjectStore(od)
+        for index in _NEEDED:
+            if (index, 0) not in self._store:
+                raise UnusableInputError(f"EDS of node {node_id}", f"object {index:04X}h is missing, a device needs it")
         self._storage = Storage(self._store, store)
         self._sdo = DeviceSdoServer(node_id, self._store, self._reply)
-        self._emcy = EmergencyProducer(self._store, self._say, clock.now_ns)
+        self._emcy = EmergencyProducer(self._store, self._say, clock.now_ns, self._communicates)
         self._producer = HeartbeatProducer(self._store, clock.now_ns)
         self._consumer = HeartbeatConsumer(self._store, clock.now_ns, self._heartbeat_lost, self._heartbeat_back)
         numbers = range(1, 513)
         self._rpdos = [
-            Rpdo(self._store, n, self._emcy.raise_error, clock.now_ns)
+            Rpdo(self._store, n, self._emcy, clock.now_ns)
             for n in numbers
             if (0x13FF + n, 1) in self._store and (0x15FF + n, 0) in self._store
         ]
@@ -95,9 +109,9 @@ class Device:
         return (index, sub) in self._store
 
     def emergency(self, code: int, register_bits: int, info: bytes = b"") -> None:
-        """An error has come (EMCY, 1001h, 1003h); reported once until `clear_emergency`."""
-        if self.nmt_state in (NmtState.PRE_OPERATIONAL, NmtState.OPERATIONAL):
-            self._emcy.raise_error(code, register_bits, info)
+        """An error has come (1001h, 1003h, and EMCY where the NMT state allows it); reported once until
+        `clear_emergency`."""
+        self._emcy.raise_error(code, register_bits, info)
 
     def clear_emergency(self, code: int) -> None:
         """An error has gone."""
@@ -107,7 +121,7 @@ class Device:
 
     def boot(self) -> None:
         """Say boot-up and be pre-operational."""
-        self._say(0x700 + self.node_id, b"\0")
+        self._reply(0x700 + self.node_id, b"\0")
         self._enter(NmtState.PRE_OPERATIONAL)
 
     def handle(self, frame: Frame) -> None:
@@ -118,7 +132,7 @@ class Device:
             if self.nmt_state is NmtState.OPERATIONAL:
                 receiver.receive(frame.data)
         elif can_id == 0x600 + self.node_id:
-            if self.nmt_state in (NmtState.PRE_OPERATIONAL, NmtState.OPERATIONAL):
+            if self._communicates():
                 self._sdo.handle(frame.data)
                 self._compile_pdos_if_changed()
         elif can_id == 0:
@@ -142,8 +156,9 @@ class Device:
         counter: int | None = None
         expected = 1 if self._sync_counter is not None and self._sync_counter.value else 0
         if len(data) != expected:
-            self.emergency(SYNC_LENGTH, COMMUNICATION_ERROR)
+            self._emcy.raise_error(SYNC_LENGTH, COMMUNICATION_ERROR, bytes([len(data)]))
             return
+        self._emcy.clear_error(SYNC_LENGTH)
         if expected:
             counter = data[0]
         for rpdo in self._rpdos:
@@ -162,7 +177,7 @@ class Device:
             return
         for rpdo in self._rpdos:
             if rpdo.poll(now_ns):
-                self._communication_error(RPDO_TIMED_OUT, bytes([rpdo.number]))
+                self._communication_error(RPDO_TIMED_OUT, rpdo.number)
         for tpdo in self._event_driven:
             tpdo.poll(now_ns)
 
@@ -204,6 +219,7 @@ class Device:
         self._store.reset(first, last)
         self._storage.apply(first, last)
         self._emcy.reset()
+        self._sdo.reset()
         self._consumer.reset()
         self._producer.rephase()
         self._compile_pdos()
@@ -220,7 +236,13 @@ class Device:
 
     def _compile_pdos(self) -> None:
         for pdo in (*self._rpdos, *self._tpdos):
-            pdo.compile()
+            try:
+                pdo.compile()
+            except (SdoAbort, ValueError) as error:
+                # Writes are checked one by one, so this is what the device starts with.
+                raise UnusableInputError(
+                    f"EDS of node {self.node_id}", f"{pdo} cannot have its default mapping: {error}"
+                ) from error
         self._compiled = self._pdo_parameters()
         self._receivers = {rpdo.cob_id: rpdo for rpdo in self._rpdos if rpdo.valid and rpdo.map is not None}
         active = [tpdo for tpdo in self._tpdos if tpdo.valid and tpdo.map is not None]
@@ -237,8 +259,9 @@ class Device:
             self._sync_counter.on_write = self._check_sync_counter
 
     def _check_sync_cob(self, value: int) -> None:
-        if value & 0x60000000 or not value & 0x7FF >= 1:
-            raise SdoAbort(INVALID_VALUE)  # this device produces no SYNC and knows no 29-bit identifier
+        # This device produces no SYNC (bit 30).
+        if value & _PRODUCE_SYNC or (value & 0x7FFFFFFF != _USUAL_SYNC and is_restricted(value)):
+            raise SdoAbort(INVALID_VALUE)
 
     def _check_sync_counter(self, value: int) -> None:
         if self.has(0x1006) and self.cell(0x1006).value:
@@ -249,21 +272,25 @@ class Device:
     # -- errors ------------------------------------------------------------------------------------------
 
     def _heartbeat_lost(self, node_id: int) -> None:
-        self._communication_error(HEARTBEAT_LOST, bytes([node_id]))
+        self._communication_error(HEARTBEAT_LOST, node_id)
+        behaviour = self.cell(0x1029, 1).value if self.has(0x1029, 1) else _TO_PRE_OPERATIONAL
+        if behaviour == _TO_PRE_OPERATIONAL and self.nmt_state is NmtState.OPERATIONAL:
+            self._enter(NmtState.PRE_OPERATIONAL)
+        elif behaviour == _TO_STOPPED:
+            self._enter(NmtState.STOPPED)
 
     def _heartbeat_back(self, node_id: int) -> None:
-        self.clear_emergency(HEARTBEAT_LOST)
+        self._emcy.clear_error(HEARTBEAT_LOST, node_id)
 
-    def _communication_error(self, code: int, info: bytes) -> None:
-        """EMCY, the application's reaction (6007h), and the NMT reaction of 1029h sub 1."""
-        self.emergency(code, COMMUNICATION_ERROR, info)
+    def _communication_error(self, code: int, source: int) -> None:
+        """EMCY, and the application's reaction (6007h)."""
+        self._emcy.raise_error(code, COMMUNICATION_ERROR, bytes([source & 0xFF]), source)
         if self.on_communication_error is not None:
             self.on_communication_error(code)
-        behaviour = self.cell(0x1029, 1).value if self.has(0x1029, 1) else 0
-        if behaviour == 0 and self.nmt_state is NmtState.OPERATIONAL:
-            self._enter(NmtState.PRE_OPERATIONAL)
-        elif behaviour == 2:
-            self._enter(NmtState.STOPPED)
+
+    def _communicates(self) -> bool:
+        """SDO and EMCY live in PRE-OPERATIONAL and OPERATIONAL only (CiA 301, table 37)."""
+        return self.nmt_state in (NmtState.PRE_OPERATIONAL, NmtState.OPERATIONAL)
 
     # -- frames out --------------------------------------------------------------------------------------
 

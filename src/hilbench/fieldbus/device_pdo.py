@@ -6,15 +6,13 @@ from collections.abc import Callable
 
 from canopen.objectdictionary import ODVariable
 
-from hilbench.fieldbus.emcy import COMMUNICATION_ERROR
+from hilbench.fieldbus.emcy import COMMUNICATION_ERROR, EmergencyProducer
+from hilbench.fieldbus.identifiers import is_restricted
 from hilbench.fieldbus.object_store import (
     INVALID_VALUE,
-    NO_OBJECT,
-    NO_SUB_INDEX,
     NOT_MAPPABLE,
     PDO_LENGTH,
     UNSUPPORTED_ACCESS,
-    VALUE_TOO_HIGH,
     Cell,
     ObjectStore,
     SdoAbort,
@@ -22,7 +20,6 @@ from hilbench.fieldbus.object_store import (
 from hilbench.fieldbus.pdo import EVENT_DRIVEN_TYPES, PdoMap, bit_length
 
 _INVALID = 0x80000000
-_EXTENDED = 0x20000000
 _IDENTIFIER = 0x7FF
 _DUMMIES = range(0x0002, 0x0008)
 
@@ -31,20 +28,10 @@ PDO_TOO_LONG = 0x8220
 RPDO_TIMED_OUT = 0x8250
 
 
-def _restricted(cob_id: int) -> bool:
-    """Identifiers that CiA 301 keeps for other services (NMT, SYNC, EMCY, TIME, SDO, heartbeat)."""
-    return (
-        cob_id <= 0x080
-        or 0x101 <= cob_id <= 0x180
-        or 0x581 <= cob_id <= 0x5FF
-        or 0x601 <= cob_id <= 0x67F
-        or 0x6E0 <= cob_id <= 0x6FF
-        or cob_id >= 0x701
-    )
-
-
 class _Pdo:
     """What RPDO and TPDO share: their parameters, the rules for writing them, and the codec that follows."""
+
+    _dummies = False  #: whether placeholders may be mapped
 
     def __init__(self, store: ObjectStore, number: int, communication: int, mapping: int) -> None:
         self.number = number
@@ -65,6 +52,9 @@ class _Pdo:
         for sub in (3, 6):
             if (self._index, sub) in store:
                 store.cell(self._index, sub).on_write = self._only_while_invalid
+
+    def __str__(self) -> str:
+        return f"{type(self).__name__.upper()}{self.number}"
 
     @property
     def valid(self) -> bool:
@@ -94,13 +84,9 @@ class _Pdo:
     def _mapped(self, entry: int) -> Cell:
         """The cell that a mapping entry names. Raises SdoAbort."""
         index, sub, bits = entry >> 16, entry >> 8 & 0xFF, entry & 0xFF
-        if index not in self._store.od and index not in _DUMMIES:
-            raise SdoAbort(NO_OBJECT)
-        if (index, sub) not in self._store:
-            if index in _DUMMIES and self._dummies:
-                return self._dummy(index, bits)
-            raise SdoAbort(NOT_MAPPABLE if index in _DUMMIES else NO_SUB_INDEX)
-        cell = self._store.cell(index, sub)
+        if index in _DUMMIES:
+            return self._dummy(index, sub, bits)
+        cell = self._store.requested(index, sub)
         variable = cell.variable
         if not variable.pdo_mappable or not self._right_direction(variable):
             raise SdoAbort(NOT_MAPPABLE)
@@ -112,26 +98,21 @@ class _Pdo:
             raise SdoAbort(NOT_MAPPABLE)
         return cell
 
-    _dummies = False
-
     def _right_direction(self, variable: ODVariable) -> bool:
         raise NotImplementedError
 
-    def _dummy(self, index: int, bits: int) -> Cell:
-        variable = ODVariable(f"dummy {index:04X}h", index, 0)
-        variable.data_type = index
-        if bit_length(variable) != bits:
+    def _dummy(self, index: int, sub: int, bits: int) -> Cell:
+        """A placeholder: only what the DummyUsage of the EDS allows, and only in a receive PDO."""
+        variable = self._store.od.indices.get(index)
+        if not isinstance(variable, ODVariable) or sub or not self._dummies or bit_length(variable) != bits:
             raise SdoAbort(NOT_MAPPABLE)
         return Cell(variable)
 
     def _check_cob(self, value: int) -> None:
-        if value & _EXTENDED:
-            raise SdoAbort(INVALID_VALUE)
+        """Bits 0 to 29 may change only while the PDO is invalid, before and after the write."""
         if value & _INVALID:
             return
-        if self.valid and value & _IDENTIFIER != self.cob_id:
-            raise SdoAbort(INVALID_VALUE)
-        if _restricted(value & _IDENTIFIER):
+        if is_restricted(value) or (self.valid and value & _IDENTIFIER != self.cob_id):
             raise SdoAbort(INVALID_VALUE)
 
     def _check_type(self, value: int) -> None:
@@ -145,7 +126,7 @@ class _Pdo:
     def _check_count(self, value: int) -> None:
         self._only_while_invalid(value)
         if value > len(self._entries):
-            raise SdoAbort(VALUE_TOO_HIGH)
+            raise SdoAbort(PDO_LENGTH)
         cells = [self._mapped(entry.value) for entry in self._entries[:value]]
         if sum(bit_length(cell.variable) for cell in cells) > 64:
             raise SdoAbort(PDO_LENGTH)
@@ -163,34 +144,39 @@ class Rpdo(_Pdo):
 
     _dummies = True
 
-    def __init__(
-        self, store: ObjectStore, number: int, emergency: Callable[[int, int, bytes], None], now_ns: Callable[[], int]
-    ) -> None:
+    def __init__(self, store: ObjectStore, number: int, emcy: EmergencyProducer, now_ns: Callable[[], int]) -> None:
         super().__init__(store, number, 0x1400, 0x1600)
-        self._emergency = emergency
+        self._emcy = emcy
         self._now_ns = now_ns
         self._waiting: bytes | None = None
         self._deadline_ns: int | None = None
+        self._length_error: int | None = None  #: EMCY code of the last frame's wrong length
+        self._timer_ms = store.cell(self._index, 5) if (self._index, 5) in store else None
         self.refused = 0  #: values that an object refused
 
     def _right_direction(self, variable: ODVariable) -> bool:
         return bool(variable.access_type in ("rw", "rww", "wo"))
 
     def receive(self, data: bytes) -> None:
-        """Data of its frame."""
+        """Data of its frame. Too short: dropped. Too long: its beginning counts (CiA 301, 7.2.2.5.1)."""
         pdo_map = self.map
         if pdo_map is None:
             return
         if len(data) != pdo_map.size:
-            if len(data) < pdo_map.size:
-                self._emergency(PDO_TOO_SHORT, COMMUNICATION_ERROR, bytes([self.number]))
+            too_short = len(data) < pdo_map.size
+            code = PDO_TOO_SHORT if too_short else PDO_TOO_LONG
+            self._emcy.raise_error(code, COMMUNICATION_ERROR, bytes([self.number & 0xFF]), self.number)
+            self._length_error = code
+            if too_short:
                 return
-            self._emergency(PDO_TOO_LONG, COMMUNICATION_ERROR, bytes([self.number]))
             data = data[: pdo_map.size]
-        timer_ns = self._timer_ns(5, 1_000_000)
-        if timer_ns:
-            self._deadline_ns = self._now_ns() + timer_ns
-        if self.transmission_type <= 240:
+        elif self._length_error is not None:
+            self._emcy.clear_error(self._length_error, self.number)
+            self._length_error = None
+        if self._timer_ms is not None and self._timer_ms.value:
+            self._deadline_ns = self._now_ns() + self._timer_ms.value * 1_000_000
+            self._emcy.clear_error(RPDO_TIMED_OUT, self.number)
+        if self._type.value <= 240:
             self._waiting = data
         else:
             self._act(data)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable
 
+from hilbench.fieldbus.identifiers import is_restricted
 from hilbench.fieldbus.object_store import INVALID_VALUE, ObjectStore, SdoAbort
 
 GENERIC_ERROR = 0x01
@@ -15,52 +16,72 @@ _INVALID = 0x80000000
 
 
 class EmergencyProducer:
-    """Reports errors when they come and when they go; `send(cob_id, data)` puts a frame on the bus."""
+    """Reports errors when they come and when they go; `send(cob_id, data)` puts a frame on the bus.
 
-    def __init__(self, store: ObjectStore, send: Callable[[int, bytes], None], now_ns: Callable[[], int]) -> None:
+    An error is known by its code and its source (a node that fell silent, the number of an RPDO; 0: the device). It
+    counts in 1001h and 1003h whatever the NMT state is; `may_send()` says whether the state lets EMCY frames out.
+    """
+
+    def __init__(
+        self,
+        store: ObjectStore,
+        send: Callable[[int, bytes], None],
+        now_ns: Callable[[], int],
+        may_send: Callable[[], bool],
+    ) -> None:
         self._send = send
         self._now_ns = now_ns
-        self._active: dict[int, int] = {}
+        self._may_send = may_send
+        self._active: dict[tuple[int, int], int] = {}
         self._register = store.cell(0x1001)
         self._cob_id = store.cell(0x1014) if (0x1014, 0) in store else None
         self._inhibit = store.cell(0x1015) if (0x1015, 0) in store else None
         self._count = store.cell(0x1003) if (0x1003, 0) in store else None
         self._history = [store.cell(0x1003, n) for n in range(1, 255) if (0x1003, n) in store]
         self._waiting: list[bytes] = []
-        self._free_ns = 0
+        self._free_ns: int | None = None
         if self._count is not None:
             self._count.on_write = self._clear_history
+        if self._cob_id is not None:
+            self._cob_id.on_write = self._check_cob_id
 
-    def raise_error(self, code: int, register_bits: int, info: bytes = b"") -> None:
+    def raise_error(self, code: int, register_bits: int, info: bytes = b"", source: int = 0) -> None:
         """An error has come: EMCY, register and history; an error that is there already is not reported again."""
-        if code in self._active:
+        if (code, source) in self._active:
             return
-        self._active[code] = register_bits | GENERIC_ERROR
+        self._active[code, source] = register_bits | GENERIC_ERROR
         self._update_register()
         self._remember(code, info)
         self._report(_EMCY.pack(code, self._register.value, info[:5].ljust(5, b"\0")))
 
-    def clear_error(self, code: int) -> None:
+    def clear_error(self, code: int, source: int = 0) -> None:
         """An error has gone: EMCY 0000h with what remains in the register, the code that went in its info."""
-        if self._active.pop(code, None) is None:
+        if self._active.pop((code, source), None) is None:
             return
         self._update_register()
         self._report(_EMCY.pack(0, self._register.value, struct.pack("<H", code).ljust(5, b"\0")))
 
     def reset(self) -> None:
-        """Forget what is active (reset node)."""
+        """Forget what is active (reset of the node or of its communication); the history stays."""
         self._active.clear()
         self._waiting.clear()
+        self._free_ns = None
         self._update_register()
 
     def poll(self, now_ns: int) -> None:
         """Send what the inhibit time held back."""
-        while self._waiting and now_ns >= self._free_ns:
+        while self._waiting and self._is_free(now_ns):
             self._transmit(self._waiting.pop(0), now_ns)
 
+    def _is_free(self, now_ns: int) -> bool:
+        """Whether the inhibit time since the last EMCY is over."""
+        return self._free_ns is None or now_ns >= self._free_ns
+
     def _report(self, data: bytes) -> None:
+        if not self._may_send():
+            return
         now_ns = self._now_ns()
-        if self._waiting or now_ns < self._free_ns:
+        if self._waiting or not self._is_free(now_ns):
             self._waiting.append(data)
         else:
             self._transmit(data, now_ns)
@@ -91,3 +112,12 @@ class EmergencyProducer:
             raise SdoAbort(INVALID_VALUE)
         for entry in self._history:
             entry.value = 0
+
+    def _check_cob_id(self, value: int) -> None:
+        """1014h: 11-bit identifiers that CiA 301 leaves free; changed only while bit 31 is set."""
+        assert self._cob_id is not None
+        if value & _INVALID:
+            return
+        in_use = not self._cob_id.value & _INVALID
+        if is_restricted(value) or (in_use and value != self._cob_id.value):
+            raise SdoAbort(INVALID_VALUE)

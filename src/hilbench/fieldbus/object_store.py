@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Callable, Iterator
 from typing import Any
 
 import canopen
 from canopen import SdoAbortedError
-from canopen import objectdictionary as types
 from canopen.objectdictionary import ODVariable
 
 from hilbench.fieldbus import eds
-from hilbench.fieldbus.pdo import STRUCT_CODES
+from hilbench.fieldbus.data_types import data_type
 
 #: Abort codes of CiA 301 by what they mean.
 UNSUPPORTED_ACCESS = 0x06010000
@@ -29,6 +27,11 @@ INVALID_VALUE = 0x06090030
 VALUE_TOO_HIGH = 0x06090031
 VALUE_TOO_LOW = 0x06090032
 NO_DATA = 0x08000024
+TOGGLE = 0x05030000
+UNKNOWN_COMMAND = 0x05040001
+BLOCK_SIZE = 0x05040002
+SEQUENCE_NUMBER = 0x05040003
+CRC_ERROR = 0x05040004
 CANNOT_STORE = 0x08000020
 PRESENT_STATE = 0x08000022
 
@@ -42,32 +45,41 @@ class SdoAbort(SdoAbortedError):  # noqa: N818 - the service of CiA 301, not an 
 class Cell:
     """The value of one object. `on_write` is called with a new value before it is taken, by SDO and RPDO."""
 
-    __slots__ = ("_layout", "on_read", "on_write", "value", "variable")
+    __slots__ = ("_type", "on_read", "on_write", "value", "variable")
 
     def __init__(self, variable: ODVariable) -> None:
-        code = STRUCT_CODES.get(variable.data_type)
         self.variable = variable
-        self._layout = struct.Struct("<" + code) if code else None
-        self.value: Value = _initial(variable)
+        self._type = data_type(variable.data_type or 0)
+        self.value: Value = self.initial()
         self.on_write: Callable[[Value], None] | None = None
         self.on_read: Callable[[], Value] | None = None
 
+    def initial(self) -> Value:
+        """The value after a reset: the DCF's ParameterValue, the default, or zero."""
+        for value in (self.variable.value, self.variable.default):
+            if value is not None:
+                return value
+        return self._type.neutral
+
+    @property
+    def width(self) -> int | None:
+        """Bytes of its SDO data; None: as many as there are."""
+        return self._type.width
+
     def encode(self) -> bytes:
-        """The value as it goes over SDO."""
-        value = self.on_read() if self.on_read is not None else self.value
-        if self._layout is not None:
-            return self._layout.pack(value)
-        if isinstance(value, str):
-            return value.encode("latin-1", "replace")
-        return bytes(value)
+        """The value as it goes over SDO. Raises ValueError for a value that is none of the object's type."""
+        return self._type.encode(self.on_read() if self.on_read is not None else self.value)
 
     def decode(self, data: bytes) -> Value:
         """The value in SDO data. Raises SdoAbort for a wrong length."""
-        if self._layout is None:
-            return data.decode("latin-1") if self.variable.data_type == types.VISIBLE_STRING else bytes(data)
-        if len(data) != self._layout.size:
-            raise SdoAbort(TOO_LONG if len(data) > self._layout.size else TOO_SHORT)
-        return self._layout.unpack(data)[0]
+        self.check_length(len(data))
+        return self._type.decode(data)
+
+    def check_length(self, length: int) -> None:
+        """Raises SdoAbort when so many bytes are no value of the object."""
+        width = self._type.width
+        if width is not None and length != width:
+            raise SdoAbort(TOO_LONG if length > width else TOO_SHORT)
 
     def write(self, value: Value) -> None:
         """Take a value from the bus: limits, then `on_write`, then the store. Raises SdoAbort when refused."""
@@ -79,26 +91,6 @@ class Cell:
         if self.on_write is not None:
             self.on_write(value)
         self.value = value
-
-
-def _initial(variable: ODVariable) -> Value:
-    """The value of a device that was just reset: DCF's ParameterValue, the default, or zero."""
-    value = variable.value if variable.value is not None else variable.default
-    if variable.data_type in (types.REAL32, types.REAL64):
-        return _real(variable, value)
-    if variable.data_type in STRUCT_CODES:
-        return int(value) if value is not None else 0
-    if variable.data_type == types.VISIBLE_STRING:
-        return value if value is not None else ""
-    return value if isinstance(value, bytes) else b""
-
-
-def _real(variable: ODVariable, value: Value) -> float:
-    """CiA 306 writes REAL defaults as the hexadecimal digits of their IEEE 754 representation."""
-    if isinstance(value, int) and value != 0:
-        width, code = (4, "<f") if variable.data_type == types.REAL32 else (8, "<d")
-        return float(struct.unpack(code, value.to_bytes(width, "little"))[0])
-    return float(value or 0.0)
 
 
 class ObjectStore:
@@ -125,11 +117,11 @@ class ObjectStore:
         """The cell that a request names. Raises SdoAbort when there is none."""
         cell = self._cells.get((index, sub))
         if cell is None:
-            raise SdoAbort(NO_SUB_INDEX if index in self.od else NO_OBJECT)
+            raise SdoAbort(NO_SUB_INDEX if index >= 0x1000 and index in self.od else NO_OBJECT)
         return cell
 
     def reset(self, first: int, last: int) -> None:
         """Set all objects with first <= index <= last to their values after a reset."""
         for (index, _), cell in self._cells.items():
             if first <= index <= last:
-                cell.value = _initial(cell.variable)
+                cell.value = cell.initial()

@@ -3,28 +3,14 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import canopen
-from canopen import objectdictionary as types
 from canopen.objectdictionary import ODVariable
 
 from hilbench.fieldbus import eds
-
-#: struct characters of the types that the codec carries; sub-byte and odd-width types are refused.
-STRUCT_CODES: dict[int | None, str] = {
-    types.BOOLEAN: "?",
-    types.INTEGER8: "b",
-    types.INTEGER16: "h",
-    types.INTEGER32: "i",
-    types.INTEGER64: "q",
-    types.UNSIGNED8: "B",
-    types.UNSIGNED16: "H",
-    types.UNSIGNED32: "I",
-    types.UNSIGNED64: "Q",
-    types.REAL32: "f",
-    types.REAL64: "d",
-}
+from hilbench.fieldbus.data_types import BOOLEAN, STRUCT_CODES, data_type
 
 #: Transmission types (CiA 301, table of 1400h/1800h sub 2).
 EVENT_DRIVEN_TYPES = (254, 255)
@@ -36,35 +22,38 @@ def mapping_value(variable: ODVariable) -> int:
 
 
 def bit_length(variable: ODVariable) -> int:
-    """Length of a mapped variable in bits; a BOOLEAN takes a byte. Raises ValueError for types that can't be mapped."""
-    code = STRUCT_CODES.get(variable.data_type)
-    if code is None:
+    """Length of a mapped variable in bits. Raises ValueError for types that can't be mapped here."""
+    kind = data_type(variable.data_type or 0)
+    if kind.width is None or not kind.is_number or kind.code == BOOLEAN:
+        # A BOOLEAN is a single bit in a PDO (CiA 301, 7.4.7); this codec moves whole bytes.
         raise ValueError(
             f"{variable.index:04X}h sub {variable.subindex} ('{variable.name}') has data type "
             f"{variable.data_type:04X}h, expected an integer of 8 to 64 bits or a REAL"
         )
-    return 8 * struct.calcsize("<" + code)
+    return 8 * kind.width
 
 
 class PdoMap:
     """One PDO: its COB-ID, transmission type and mapped variables in order.
 
     `pack(values)` and `unpack(data)` translate between the values and the frame's data (`size` bytes), little
-    endian as CiA 301 has it. Raises ValueError when the variables take more than 8 bytes or can't be mapped.
+    endian as CiA 301 has it; unpack raises struct.error for data of another size. Raises ValueError when the
+    variables take more than 8 bytes or can't be mapped.
     """
 
     def __init__(self, cob_id: int, transmission_type: int, variables: Sequence[ODVariable]) -> None:
-        for variable in variables:
-            bit_length(variable)
-        layout = struct.Struct("<" + "".join(STRUCT_CODES[variable.data_type] for variable in variables))
-        if layout.size > 8:
-            raise ValueError(f"PDO {cob_id:03X}h maps {layout.size} bytes, expected at most 8")
+        size = sum(bit_length(variable) for variable in variables) // 8
+        if size > 8:
+            raise ValueError(f"PDO {cob_id:03X}h maps {size} bytes, expected at most 8")
+        kinds = [data_type(variable.data_type or 0) for variable in variables]
         self.cob_id = cob_id
         self.transmission_type = transmission_type
         self.variables = tuple(variables)
-        self.size = layout.size
-        self.unpack = layout.unpack
-        self._layout = layout
+        self.size = size
+        self._layout = struct.Struct("<" + "".join(STRUCT_CODES.get(kind.code, f"{kind.width}s") for kind in kinds))
+        #: Integers of 24, 40, 48 and 56 bits, which struct does not know: where they stand.
+        self._odd = tuple((place, kind) for place, kind in enumerate(kinds) if kind.code not in STRUCT_CODES)
+        self.unpack: Callable[[bytes], tuple[Any, ...]] = self._unpack_odd if self._odd else self._layout.unpack
 
     @classmethod
     def from_names(
@@ -81,8 +70,24 @@ class PdoMap:
         return cls(cob_id, transmission_type, variables)
 
     def pack(self, values: Sequence[int | float]) -> bytes:
-        """The frame's data. Raises struct.error for a value that does not fit its object."""
-        return self._layout.pack(*values)
+        """The frame's data. Raises ValueError for a value that does not fit its object."""
+        try:
+            return self._layout.pack(*self._with_odd_as_bytes(values)) if self._odd else self._layout.pack(*values)
+        except (struct.error, OverflowError) as error:
+            names = ", ".join(variable.name for variable in self.variables)
+            raise ValueError(f"PDO {self.cob_id:03X}h ({names}) cannot carry {tuple(values)}: {error}") from error
+
+    def _unpack_odd(self, data: bytes) -> tuple[Any, ...]:
+        values = list(self._layout.unpack(data))
+        for place, kind in self._odd:
+            values[place] = kind.decode(values[place])
+        return tuple(values)
+
+    def _with_odd_as_bytes(self, values: Sequence[int | float]) -> list[Any]:
+        encoded: list[Any] = list(values)
+        for place, kind in self._odd:
+            encoded[place] = kind.encode(encoded[place])
+        return encoded
 
     @property
     def mapping(self) -> list[int]:
