@@ -22,6 +22,10 @@ from hilbench.drives.drive import DriveGoal
 from hilbench.errors import EXIT_INTERRUPTED, HilbenchError
 
 
+#: Time for the axes to stand still again after the load motor has let go.
+_SETTLE_S = 0.3
+
+
 class InterruptedByOperatorError(HilbenchError):
     """The operator asked the run to end; the drives were stopped."""
 
@@ -61,7 +65,8 @@ class Bench:
     left through an exception), ends the processes and leaves the bus.
 
     `tap` sees every frame on the bus; `work_folder` keeps the processes' config and logs (a temporary folder if not
-    given); `announce` is told what is being done.
+    given); with `start_processes` false the simulated hardware and the twin were started by somebody else;
+    `announce` is told what is being done.
     """
 
     def __init__(
@@ -71,6 +76,7 @@ class Bench:
         observers: Sequence[CycleObserver] = (),
         tap: FrameTap | None = None,
         work_folder: Path | None = None,
+        start_processes: bool = True,
         announce: Callable[[str], None] = lambda text: None,
     ) -> None:
         self.config = config
@@ -87,6 +93,7 @@ class Bench:
         self._observers = list(observers)
         self._tap = tap
         self._work_folder = work_folder
+        self._start_processes = start_processes
         self._announce = announce
         self._resources = ExitStack()
         self._first_cycle = 0
@@ -104,7 +111,13 @@ class Bench:
             self._announce("prepare the model (compiled on first use)")
             self._load_model.warm_up()
             started = self._resources.enter_context(
-                bring_up(self.config, tap=self._tap, work_folder=self._work_folder, announce=self._announce)
+                bring_up(
+                    self.config,
+                    tap=self._tap,
+                    work_folder=self._work_folder,
+                    start_processes=self._start_processes,
+                    announce=self._announce,
+                )
             )
             self.nodes, self.exchange = started.nodes, started.exchange
             self._announce("enable drives")
@@ -140,6 +153,9 @@ class Bench:
     def _disable(self) -> None:
         self.enabled, self.stopping = False, True
         self._load_model.stop()
+        # The pull of the web has just gone: the axes take that up before they are let go.
+        for _ in range(round(_SETTLE_S / self.config.cycle_time_s)):
+            self._exchange_once()
         for drive in self.nodes.drives:
             drive.request(DriveGoal.DISABLED)
         while not all(drive.reached for drive in self.nodes.drives):

@@ -37,11 +37,13 @@ def bring_up(
     *,
     tap: FrameTap | None,
     work_folder: Path | None,
+    start_processes: bool,
     announce: Callable[[str], None],
 ) -> Iterator[StartedBench]:
-    """Start the processes, configure the nodes and start them (NMT); everything is ended again on leaving.
+    """Start the processes (unless they run already), configure the nodes and start them (NMT).
 
-    Raises BenchFaultError when a process ends, a node does not answer, or refuses what it is told.
+    Everything is ended again on leaving. Raises BenchFaultError when a process ends, a node does not answer, or
+    refuses what it is told.
     """
     with ExitStack() as resources:
         folder = work_folder or Path(resources.enter_context(tempfile.TemporaryDirectory(prefix="hilbench-")))
@@ -52,8 +54,12 @@ def bring_up(
         resources.callback(master.close)
         nodes.introduce(master)
         with _watched(link, tap):
-            announce("start simulated hardware and twin")
-            children = _start_children(config, folder)
+            children: list[ChildProcess] = []
+            if start_processes:
+                announce("start simulated hardware and twin")
+                children = _start_children(config, folder)
+            else:
+                announce("look for simulated hardware and twin")
             for child in children:
                 resources.callback(child.end)
             _wait_for_nodes(config, master, children)
@@ -88,7 +94,7 @@ def _start_children(config: BenchConfig, folder: Path) -> list[ChildProcess]:
 
 def _wait_for_nodes(config: BenchConfig, master: Master, children: list[ChildProcess]) -> None:
     for _, node in config.nodes:
-        if not node.simulated:
+        if not (children and node.simulated):  # it is there already: from its own reset on everything is known
             master.nmt(nmt.RESET_NODE, node.node_id)
 
     def check() -> None:

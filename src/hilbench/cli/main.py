@@ -39,6 +39,12 @@ def run(
     pace: PaceOption = None,
     out: Annotated[Path, typer.Option("--out", help="folder in which the run folder is made")] = Path("runs"),
     seed: Annotated[int | None, typer.Option("--seed", help="seed of every random number of the run")] = None,
+    start: Annotated[
+        bool,
+        typer.Option(
+            "--start/--no-start", help="start simulated hardware and twin, or use those that run on the bus already"
+        ),
+    ] = True,
     json: Annotated[bool, typer.Option("--json", help="print result.json on standard output, nothing else")] = False,
 ) -> None:
     """Run a bench and its experiment; leaves a run folder with recording, trace, result and report.
@@ -50,7 +56,7 @@ def run(
     from hilbench.cli.run import run_command
 
     loaded = _load(config, bus=bus, pace=pace, seed=seed)
-    raise typer.Exit(run_command(loaded, out, as_json=json))
+    raise typer.Exit(run_command(loaded, out, start_processes=start, as_json=json))
 
 
 @app.command()

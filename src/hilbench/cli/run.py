@@ -20,10 +20,10 @@ _REFRESH_S = 0.2
 _PLAIN_LINE_EVERY_S = 5.0
 
 
-def run_command(loaded: LoadedConfig, out: Path, *, as_json: bool) -> int:
+def run_command(loaded: LoadedConfig, out: Path, *, start_processes: bool, as_json: bool) -> int:
     """Run the experiment, show it, and return the exit code."""
     if as_json:
-        outcome = run_experiment(loaded, out)
+        outcome = run_experiment(loaded, out, start_processes=start_processes)
         if outcome.recorded:
             write_report(outcome.folder)
         print(outcome.result.model_dump_json(indent=2))
@@ -31,7 +31,9 @@ def run_command(loaded: LoadedConfig, out: Path, *, as_json: bool) -> int:
     console = Console(highlight=False)
     console.print(f"[bold]{loaded.config.name}[/bold]  {loaded.config.bus.address}, {loaded.config.pace}")
     with Progress(console, cycle_s=loaded.config.cycle_time_s, bitrate=loaded.config.bus.bitrate) as progress:
-        outcome = run_experiment(loaded, out, observers=[progress], announce=progress.announce)
+        outcome = run_experiment(
+            loaded, out, observers=[progress], start_processes=start_processes, announce=progress.announce
+        )
         if outcome.recorded:
             progress.announce("write report")
             write_report(outcome.folder)

@@ -69,6 +69,7 @@ def run_experiment(
     out: Path,
     *,
     observers: Sequence[CycleObserver] = (),
+    start_processes: bool = True,
     announce: Callable[[str], None] = lambda text: None,
 ) -> RunOutcome:
     """Run all steps of a config, evaluate its criteria, write the run folder (the report is made from it).
@@ -84,7 +85,14 @@ def run_experiment(
     recorder = Recorder()
     exit_code, faults = EXIT_PASSED, list[Fault]()
     with TraceWriter(folder.trace, config.bus_address.channel) as trace:
-        bench = Bench(config, observers=[recorder, *observers], tap=trace, work_folder=folder.path, announce=announce)
+        bench = Bench(
+            config,
+            observers=[recorder, *observers],
+            tap=trace,
+            work_folder=folder.path,
+            start_processes=start_processes,
+            announce=announce,
+        )
         try:
             with stop_on_signals(bench), bench:
                 announce("run the experiment")

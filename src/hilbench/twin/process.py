@@ -15,7 +15,7 @@ from hilbench.bus.open import BusAddress, open_link
 from hilbench.drives.port import MotorMode, MotorPort
 from hilbench.drives.simulated import SimulatedDrive
 from hilbench.fieldbus.clock import Clock
-from hilbench.fieldbus.device import Device
+from hilbench.fieldbus.device import Device, NmtState
 from hilbench.fieldbus.eds import load_eds
 from hilbench.fieldbus.host import DeviceHost
 from hilbench.twin.axis_listener import AxisListener
@@ -66,7 +66,7 @@ class TwinApplication:
         ports: Sequence[MotorPort],
         drives: Sequence[SimulatedDrive],
         virtual_io: VirtualIo,
-        synchronizer: Synchronizer,
+        new_synchronizer: Callable[[], Synchronizer],
     ) -> None:
         self.missed = 0
         self._cycle_s = setup.cycle_s
@@ -74,7 +74,9 @@ class TwinApplication:
         self._ports = ports
         self._drives = drives
         self._io = virtual_io
-        self._synchronizer = synchronizer
+        self._new_synchronizer = new_synchronizer
+        self._synchronizer = new_synchronizer()
+        self._initial_modulus_Pa = line.youngs_modulus_Pa
         model = setup.model
         self._section_m2 = model.required_web.section_m2
         self._torque_per_tension_m = 1.0 / model.motor_rad_per_m(2)
@@ -86,6 +88,17 @@ class TwinApplication:
         self._time_s = 0.0
         self._residual_Nm = 0.0
         self._estimate = Estimate(line.youngs_modulus_Pa, math.inf)
+        self._tell()
+
+    def reset(self) -> None:
+        """Start anew with what is assumed at the start (reset of the virtual I/O node)."""
+        self._synchronizer = self._new_synchronizer()
+        self._line.youngs_modulus_Pa = self._initial_modulus_Pa
+        self._line.set_state(strain=[self._io.strain_prev], v_m_s=[0.0, 0.0])
+        self._estimate = Estimate(self._initial_modulus_Pa, math.inf)
+        self._measured = [None, None]
+        self._pending = self._released = False
+        self._time_s = self._residual_Nm = 0.0
         self._tell()
 
     def before_sync(self) -> None:
@@ -187,8 +200,12 @@ def run_twin(setup: TwinSetup, stop: Callable[[], bool]) -> None:
     virtual_io = VirtualIo(
         io_device, strain_prev=model.upstream_strain, tension_next_N=model.boundary.downstream_tension_N
     )
-    synchronizer = PidSynchronizer(setup.twin.synchronizer, modulus_Pa)
-    application = TwinApplication(setup, line, ports, drives, virtual_io, synchronizer)
+
+    def new_synchronizer() -> Synchronizer:
+        return PidSynchronizer(setup.twin.synchronizer, modulus_Pa)
+
+    application = TwinApplication(setup, line, ports, drives, virtual_io, new_synchronizer)
+    io_device.on_nmt = lambda state: application.reset() if state is NmtState.INITIALISING else None
     link = open_link(setup.bus)
     try:
         DeviceHost(link, [*devices, io_device], setup.clock, application).run(stop)
