@@ -11,6 +11,7 @@ from collections.abc import Container, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from hilbench.web.effect_objects import EFFECTS_INDEX
 from hilbench.web.effects import EFFECTS, STAND_DOMAINS, Domain, Effect
 
 EDS_FOLDER = Path(__file__).resolve().parent.parent / "eds"
@@ -189,8 +190,6 @@ def _by_group(index: int, name: str, verb: str) -> Object:
 
 
 # --- effects of the simulated hardware -------------------------------------------------------------------------------
-
-EFFECTS_INDEX = 0x2200
 
 
 def effect_objects(effects: Sequence[Effect], domains: Container[Domain]) -> list[Object]:
