@@ -21,7 +21,6 @@ from hilbench.bench.tension_control import TensionController
 from hilbench.drives.drive import DriveGoal
 from hilbench.errors import EXIT_INTERRUPTED, HilbenchError
 
-
 #: Time for the axes to stand still again after the load motor has let go.
 _SETTLE_S = 0.3
 
