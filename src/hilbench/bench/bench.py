@@ -14,6 +14,7 @@ from hilbench.bench.config import BenchConfig
 from hilbench.bench.cycle import CyclicExchange, FrameTap
 from hilbench.bench.load_model import LoadModel
 from hilbench.bench.nodes import Nodes
+from hilbench.bench.processes import ChildProcess
 from hilbench.bench.safety import check_limits, quick_stop
 from hilbench.bench.sample import CycleSample
 from hilbench.bench.startup import bring_up
@@ -89,6 +90,7 @@ class Bench:
         self.last = CycleSample()
         self.nodes: Nodes
         self.exchange: CyclicExchange | None = None
+        self.children: list[ChildProcess] = []
         self._observers = list(observers)
         self._tap = tap
         self._work_folder = work_folder
@@ -118,7 +120,7 @@ class Bench:
                     announce=self._announce,
                 )
             )
-            self.nodes, self.exchange = started.nodes, started.exchange
+            self.nodes, self.exchange, self.children = started.nodes, started.exchange, started.children
             self._announce("enable drives")
             self._enable()
         except BaseException:

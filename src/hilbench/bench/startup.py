@@ -66,6 +66,7 @@ def bring_up(
             announce("configure nodes")
             nodes.configure(master)
             master.nmt(nmt.START)
+            master.hear_only_answers()
             resources.callback(master.nmt, nmt.PRE_OPERATIONAL)
         exchange = CyclicExchange(
             link,

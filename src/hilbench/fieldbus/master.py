@@ -56,6 +56,12 @@ class Master:
         self._names[node_id] = name
         self._network.subscribe(0x700 + node_id, self._heartbeat)
 
+    def hear_only_answers(self) -> None:
+        """From now on only SDO answers are received: the cyclic traffic is somebody else's to read."""
+        bus = self._network.bus
+        assert bus is not None, "connected since it was made"
+        bus.set_filters([{"can_id": 0x580, "can_mask": 0x780, "extended": False}])
+
     def close(self) -> None:
         """Leave the bus."""
         self._network.disconnect()

@@ -1,0 +1,98 @@
+"""How fast a config runs in lockstep and where a cycle's time goes: lockstep_profile.py [CONFIG] [--json].
+
+The bench's own time is split into waiting for answers and computing; CPU time is what the kernel counts for each
+process (in ticks of 10 ms), divided by the cycles in between.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import time
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+from hilbench.bench.bench import Bench
+from hilbench.experiment.config import load_with_overrides
+from hilbench.record.run import Recorder
+from hilbench.record.trace import TraceWriter
+
+_TICK_S = 1.0 / os.sysconf("SC_CLK_TCK")
+
+
+def cpu_s(pid: int) -> float:
+    """CPU time of a process so far, user and system."""
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) * _TICK_S
+
+
+def hub_pid(channel: str) -> int | None:
+    """The process that serves an embedded bus."""
+    for entry in Path("/proc").iterdir():
+        if entry.name.isdigit():
+            try:
+                words = (entry / "cmdline").read_bytes().split(b"\0")
+            except OSError:
+                continue
+            if b"hilbench.bus.hub" in words and channel.encode() in words:
+                return int(entry.name)
+    return None
+
+
+def measure(config_path: Path, seconds: float, folder: Path) -> dict[str, float]:
+    """Run the bench at 3 m/s for so much experiment time; µs per cycle of each part, and the real-time factor."""
+    config = load_with_overrides(config_path, bus=f"embedded:profile{os.getpid()}", pace="lockstep").config
+    recorder = Recorder()
+    with (
+        TraceWriter(folder / f"trace-{os.getpid()}.log", "profile") as trace,
+        Bench(config, observers=[recorder], tap=trace) as bench,
+    ):
+        bench.ramp("line_speed_m_s", 3.0, 1.0)
+        timing = bench.exchange.timing if bench.exchange else None
+        assert timing is not None
+        pids = {"bench": os.getpid()} | {child.name: child.pid for child in bench.children}
+        hub = hub_pid(config.bus_address.channel)
+        if hub is not None:
+            pids["hub"] = hub
+        cpu = {name: cpu_s(pid) for name, pid in pids.items()}
+        cycles, wait_ns, wall_ns = timing.cycles, timing.wait_ns, time.monotonic_ns()
+        bench.run(seconds)
+        cycles = timing.cycles - cycles
+        wall_us = (time.monotonic_ns() - wall_ns) / 1e3 / cycles
+        wait_us = (timing.wait_ns - wait_ns) / 1e3 / cycles
+        figures = {
+            "real-time factor": config.cycle_time_s * 1e6 / wall_us,
+            "wall time": wall_us,
+            "bench waits for answers": wait_us,
+            "bench computes and sends": wall_us - wait_us,
+        }
+        for name, pid in pids.items():
+            figures[f"CPU of {name}"] = (cpu_s(pid) - cpu[name]) * 1e6 / cycles
+    return figures
+
+
+def main() -> None:
+    """Print the figures."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("config", nargs="?", type=Path, default=Path("bench_configs/web_section_step.yaml"))
+    parser.add_argument("--seconds", type=float, default=20.0, help="experiment time to measure over")
+    parser.add_argument("--json", action="store_true")
+    parser.add_argument("--out", type=Path, default=Path("/tmp"), help="folder for the trace that is written meanwhile")
+    options = parser.parse_args()
+    figures = measure(options.config, options.seconds, options.out)
+    if options.json:
+        print(json.dumps(figures, indent=2))
+        return
+    table = Table(title=f"{options.config.name}, lockstep", title_justify="left")
+    table.add_column("what")
+    table.add_column("µs per cycle", justify="right")
+    for name, value in figures.items():
+        table.add_row(name, f"{value:.2f} x" if name == "real-time factor" else f"{value:.0f}")
+    Console().print(table)
+
+
+if __name__ == "__main__":
+    main()
