@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from tests.fieldbus.device_under_test import SECTIONS, DeviceUnderTest
 
 from hilbench.errors import UnusableInputError
 from hilbench.fieldbus.device import NmtState
-from tests.fieldbus.device_under_test import SECTIONS, DeviceUnderTest
 
 SAVE, LOAD = int.from_bytes(b"save", "little"), int.from_bytes(b"load", "little")
 

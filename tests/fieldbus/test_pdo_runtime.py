@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import pytest
+from tests.fieldbus.device_under_test import SECTIONS, DeviceUnderTest, mapping
 
 from hilbench.fieldbus.object_store import SdoAbort
-from tests.fieldbus.device_under_test import SECTIONS, DeviceUnderTest, mapping
 
 INVALID = 0x80000000
 TPDO1 = INVALID | 0x40000185

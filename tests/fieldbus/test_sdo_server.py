@@ -5,9 +5,9 @@ from __future__ import annotations
 from binascii import crc_hqx
 
 import pytest
+from tests.fieldbus.device_under_test import DeviceUnderTest
 
 from hilbench.fieldbus.object_store import SdoAbort
-from tests.fieldbus.device_under_test import DeviceUnderTest
 
 LONG = bytes(range(256)) * 5
 

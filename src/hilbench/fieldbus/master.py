@@ -14,6 +14,7 @@ from canopen.objectdictionary import ODVariable
 
 from hilbench.errors import BenchFaultError
 from hilbench.fieldbus import eds
+from hilbench.fieldbus.data_types import data_type
 from hilbench.fieldbus.pdo import PdoMap
 
 #: NMT commands (CiA 301).
@@ -52,7 +53,7 @@ class Master:
         """Make a node known by its object dictionary; `name` is used in messages."""
         node = self._network.add_node(node_id, od)
         node.sdo.RESPONSE_TIMEOUT = self._timeout_s
-        node.sdo.MAX_RETRIES = 0
+        node.sdo.MAX_RETRIES = 1  # canopen counts attempts; with 0 it would ask a silent node for ever
         self._names[node_id] = name
         self._network.subscribe(0x700 + node_id, self._heartbeat)
 
@@ -117,14 +118,21 @@ class Master:
                 data = self._network[node_id].sdo.upload(index, sub)
         except (canopen.SdoCommunicationError, canopen.SdoAbortedError) as error:
             raise self._fault(node_id, variable, "reading", error) from error
-        return variable.decode_raw(data)
+        try:
+            return data_type(variable.data_type or 0).decode(data)
+        except ValueError as error:
+            raise BenchFaultError(f"{self._place(node_id, variable)}: reading it: {error}") from error
 
     def sdo_write(self, node_id: int, index: int, value: Any, sub: int = 0) -> None:
         """Write an object, encoded by its EDS type."""
         variable = self._variable(node_id, index, sub)
         try:
+            data = data_type(variable.data_type or 0).encode(value)
+        except ValueError as error:
+            raise BenchFaultError(f"{self._place(node_id, variable)}: writing {value!r} to it: {error}") from error
+        try:
             with self._lock:
-                self._network[node_id].sdo.download(index, sub, variable.encode_raw(value))
+                self._network[node_id].sdo.download(index, sub, data)
         except (canopen.SdoCommunicationError, canopen.SdoAbortedError) as error:
             raise self._fault(node_id, variable, f"writing {value!r} to", error) from error
 
