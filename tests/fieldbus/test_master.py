@@ -95,6 +95,13 @@ def test_pdo_map_is_written_and_read_back(rig: Rig, master: Master) -> None:
     assert [master.sdo_read(NODE, 0x1A00, sub) for sub in (0, 1, 2)] == [2, 0x60770010, 0x60640020]
 
 
+def test_pdo_that_reads_back_otherwise_is_a_fault(rig: Rig, master: Master) -> None:
+    rig.device.cell(0x1800, 2).on_read = lambda: 9  # a device that has a will of its own
+    rig.start()
+    with pytest.raises(BenchFaultError, match=r"1800h reads back .* type 9, expected 1A5h, 2"):
+        master.write_tpdo(NODE, 1, PdoMap.from_names(rig.od, 0x1A5, 2, ["torque_actual_value"]))
+
+
 @pytest.mark.parametrize(
     ("index", "value", "message"),
     [

@@ -20,6 +20,9 @@ from hilbench.fieldbus.pdo import PdoMap
 #: NMT commands (CiA 301).
 START, STOP, PRE_OPERATIONAL, RESET_NODE, RESET_COMMUNICATION = 1, 2, 128, 129, 130
 
+#: How long canopen's thread may go on after `close`.
+_NOTIFIER_CYCLE_S = 0.1
+
 _INVALID = 0x80000000
 _NO_REMOTE_REQUEST = 0x40000000
 
@@ -42,6 +45,7 @@ class Master:
 
     def __init__(self, bus: can.BusABC, sdo_timeout_s: float = 1.0) -> None:
         self._network = canopen.Network(bus)
+        self._network.NOTIFIER_CYCLE = _NOTIFIER_CYCLE_S
         self._network.connect()
         self._timeout_s = sdo_timeout_s
         self._lock = threading.Lock()
@@ -185,13 +189,24 @@ class Master:
         self.sdo_write(node_id, communication, pdo.transmission_type, 2)
         self.sdo_write(node_id, communication, pdo.cob_id | remote | _INVALID, 1)
         self.sdo_write(node_id, communication, pdo.cob_id | remote, 1)
+        self._check_pdo(node_id, communication, mapping, pdo)
+
+    def _check_pdo(self, node_id: int, communication: int, mapping: int, pdo: PdoMap) -> None:
+        """What the device now says of the PDO, against what it was given."""
         count = self.sdo_read(node_id, mapping, 0)
         found = [self.sdo_read(node_id, mapping, sub) for sub in range(1, count + 1)]
+        place = f"{self._names[node_id]} (node {node_id})"
         if found != pdo.mapping:
             as_text = " ".join(f"{entry:08X}h" for entry in found)
             raise BenchFaultError(
-                f"{self._names[node_id]} (node {node_id}): {mapping:04X}h reads back {as_text or 'empty'}, "
+                f"{place}: {mapping:04X}h reads back {as_text or 'empty'}, "
                 f"expected {' '.join(f'{entry:08X}h' for entry in pdo.mapping)}"
+            )
+        cob_id, kind = (int(self.sdo_read(node_id, communication, sub)) for sub in (1, 2))
+        if cob_id & (_INVALID | 0x7FF) != pdo.cob_id or kind != pdo.transmission_type:
+            raise BenchFaultError(
+                f"{place}: {communication:04X}h reads back COB-ID {cob_id:X}h, transmission type {kind}, "
+                f"expected {pdo.cob_id:X}h, {pdo.transmission_type}"
             )
 
     # -- messages ----------------------------------------------------------------------------------------
