@@ -57,7 +57,7 @@ class Master:
         """Make a node known by its object dictionary; `name` is used in messages."""
         node = self._network.add_node(node_id, od)
         node.sdo.RESPONSE_TIMEOUT = self._timeout_s
-        node.sdo.MAX_RETRIES = 1  # canopen counts attempts; with 0 it would ask a silent node for ever
+        node.sdo.MAX_RETRIES = 1  # one try: canopen counts down to zero before it gives up
         self._names[node_id] = name
         self._network.subscribe(0x700 + node_id, self._heartbeat)
 
