@@ -182,9 +182,14 @@ class Device:
             tpdo.poll(now_ns)
 
     def rephase(self) -> None:
-        """Count heartbeat periods from now: SYNC has begun, and with it a common time."""
+        """Count all periods from now: SYNC has begun, and with it a common time."""
+        now_ns = self._clock.now_ns()
         self._producer.rephase()
         self._consumer.rephase()
+        for rpdo in self._rpdos:
+            rpdo.rephase(now_ns)
+        for tpdo in self._tpdos:
+            tpdo.rephase(now_ns)
 
     # -- NMT ---------------------------------------------------------------------------------------------
 

@@ -174,7 +174,7 @@ class Rpdo(_Pdo):
             self._emcy.clear_error(self._length_error, self.number)
             self._length_error = None
         if self._timer_ms is not None and self._timer_ms.value:
-            self._deadline_ns = self._now_ns() + self._timer_ms.value * 1_000_000
+            self._deadline_ns = self._now_ns() + self._timer_ns(5, 1_000_000)
             self._emcy.clear_error(RPDO_TIMED_OUT, self.number)
         if self._type.value <= 240:
             self._waiting = data
@@ -193,6 +193,11 @@ class Rpdo(_Pdo):
             return False
         self._deadline_ns = None
         return True
+
+    def rephase(self, now_ns: int) -> None:
+        """Give a running event timer its full time from now on."""
+        if self._deadline_ns is not None:
+            self._deadline_ns = now_ns + self._timer_ns(5, 1_000_000)
 
     def reset(self) -> None:
         """Forget what was received."""
@@ -261,6 +266,11 @@ class Tpdo(_Pdo):
             self._transmit(data)
             self._free_ns = now_ns + self._timer_ns(3, 100_000)
             self._event_ns = now_ns + timer_ns
+
+    def rephase(self, now_ns: int) -> None:
+        """Count inhibit time and event timer from now."""
+        self._free_ns = min(self._free_ns, now_ns)
+        self._event_ns = now_ns + self._timer_ns(5, 1_000_000)
 
     def request(self) -> None:
         """A remote request for it."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from math import floor
 from typing import Protocol
 
 from hilbench.bus.frame import Frame
@@ -18,6 +19,7 @@ from hilbench.fieldbus.device import Device
 
 _POLL_S = 0.005
 _TICK_S = 0.002
+_TICK_STEP_S = 0.001
 _LONGEST_TICK_S = 0.05
 
 
@@ -90,10 +92,11 @@ class DeviceHost:
         if self._clock.stalled_ns():
             self._sync_running = False
             now_s = time.monotonic()
-            elapsed_s = min(now_s - self._ticked_s, _LONGEST_TICK_S)
+            elapsed_s = now_s - self._ticked_s
             if elapsed_s >= _TICK_S:
-                self._ticked_s = now_s
-                self._application.tick(round(elapsed_s, 3))
+                whole_s = round(floor(elapsed_s / _TICK_STEP_S) * _TICK_STEP_S, 3)
+                self._ticked_s += whole_s  # the rest belongs to the next tick
+                self._application.tick(min(whole_s, _LONGEST_TICK_S))
         else:
             self._ticked_s = time.monotonic()
             if self._follows_sync:

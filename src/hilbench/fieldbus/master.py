@@ -14,10 +14,14 @@ from canopen.objectdictionary import ODVariable
 
 from hilbench.errors import BenchFaultError
 from hilbench.fieldbus import eds
+from hilbench.fieldbus.data_types import data_type
 from hilbench.fieldbus.pdo import PdoMap
 
 #: NMT commands (CiA 301).
 START, STOP, PRE_OPERATIONAL, RESET_NODE, RESET_COMMUNICATION = 1, 2, 128, 129, 130
+
+#: How long canopen's thread may go on after `close`.
+_NOTIFIER_CYCLE_S = 0.1
 
 _INVALID = 0x80000000
 _NO_REMOTE_REQUEST = 0x40000000
@@ -41,6 +45,7 @@ class Master:
 
     def __init__(self, bus: can.BusABC, sdo_timeout_s: float = 1.0) -> None:
         self._network = canopen.Network(bus)
+        self._network.NOTIFIER_CYCLE = _NOTIFIER_CYCLE_S
         self._network.connect()
         self._timeout_s = sdo_timeout_s
         self._lock = threading.Lock()
@@ -123,14 +128,21 @@ class Master:
                 data = self._network[node_id].sdo.upload(index, sub)
         except (canopen.SdoCommunicationError, canopen.SdoAbortedError) as error:
             raise self._fault(node_id, variable, "reading", error) from error
-        return variable.decode_raw(data)
+        try:
+            return data_type(variable.data_type or 0).decode(data)
+        except ValueError as error:
+            raise BenchFaultError(f"{self._place(node_id, variable)}: reading it: {error}") from error
 
     def sdo_write(self, node_id: int, index: int, value: Any, sub: int = 0) -> None:
         """Write an object, encoded by its EDS type."""
         variable = self._variable(node_id, index, sub)
         try:
+            data = data_type(variable.data_type or 0).encode(value)
+        except ValueError as error:
+            raise BenchFaultError(f"{self._place(node_id, variable)}: writing {value!r} to it: {error}") from error
+        try:
             with self._lock:
-                self._network[node_id].sdo.download(index, sub, variable.encode_raw(value))
+                self._network[node_id].sdo.download(index, sub, data)
         except (canopen.SdoCommunicationError, canopen.SdoAbortedError) as error:
             raise self._fault(node_id, variable, f"writing {value!r} to", error) from error
 
@@ -183,13 +195,24 @@ class Master:
         self.sdo_write(node_id, communication, pdo.transmission_type, 2)
         self.sdo_write(node_id, communication, pdo.cob_id | remote | _INVALID, 1)
         self.sdo_write(node_id, communication, pdo.cob_id | remote, 1)
+        self._check_pdo(node_id, communication, mapping, pdo)
+
+    def _check_pdo(self, node_id: int, communication: int, mapping: int, pdo: PdoMap) -> None:
+        """What the device now says of the PDO, against what it was given."""
         count = self.sdo_read(node_id, mapping, 0)
         found = [self.sdo_read(node_id, mapping, sub) for sub in range(1, count + 1)]
+        place = f"{self._names[node_id]} (node {node_id})"
         if found != pdo.mapping:
             as_text = " ".join(f"{entry:08X}h" for entry in found)
             raise BenchFaultError(
-                f"{self._names[node_id]} (node {node_id}): {mapping:04X}h reads back {as_text or 'empty'}, "
+                f"{place}: {mapping:04X}h reads back {as_text or 'empty'}, "
                 f"expected {' '.join(f'{entry:08X}h' for entry in pdo.mapping)}"
+            )
+        cob_id, kind = (int(self.sdo_read(node_id, communication, sub)) for sub in (1, 2))
+        if cob_id & (_INVALID | 0x7FF) != pdo.cob_id or kind != pdo.transmission_type:
+            raise BenchFaultError(
+                f"{place}: {communication:04X}h reads back COB-ID {cob_id:X}h, transmission type {kind}, "
+                f"expected {pdo.cob_id:X}h, {pdo.transmission_type}"
             )
 
     # -- messages ----------------------------------------------------------------------------------------

@@ -71,6 +71,7 @@ class DeviceSdoServer(SdoServer):
         super().__init__(0x600 + node_id, 0x580 + node_id, _Node(node_id, store))
         self.network = _Outlet(send)  # type: ignore[assignment]
         self._store = store
+        self._index, self._subindex = 0, 0  # named by an abort before the first transfer
         #: The one transfer that is under way: the specifier of its segments, or the block transfer itself.
         self._transfer: int | BlockDownload | BlockUpload | None = None
         self._announced: int | None = None

@@ -40,7 +40,13 @@ class Storage:
             index, sub = (int(part, 16) for part in key.split(":"))
             if first <= index <= last and (index, sub) in self._store:
                 cell = self._store.cell(index, sub)
-                cell.value = cell.decode(bytes.fromhex(text))
+                try:
+                    cell.value = cell.decode(bytes.fromhex(text))
+                except SdoAbort as error:
+                    raise UnusableInputError(
+                        self._path or "stored parameters",
+                        f"{key} is '{text}', expected a value of '{cell.variable.name}'",
+                    ) from error
 
     def _saver(self, area: tuple[int, int]) -> Callable[[int], None]:
         def save(signature: int) -> None:
