@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -147,9 +148,20 @@ class Bench:
             drive.request(DriveGoal.ENABLED)
         while not all(drive.reached for drive in self.nodes.drives):
             self._exchange_once()
-        self.nodes.check_virtual_axes_enabled()
+        self._check_virtual_axes()
         self.enabled = True
         self._first_cycle = self._running().timing.cycles + 1
+
+    def _check_virtual_axes(self) -> None:
+        """Ask the virtual axes by SDO whether they followed; in real time SYNC goes on meanwhile."""
+        if self.config.pace == "lockstep":
+            self.nodes.check_virtual_axes_enabled()
+            return
+        with ThreadPoolExecutor(1) as pool:
+            check = pool.submit(self.nodes.check_virtual_axes_enabled)
+            while not check.done():
+                self._exchange_once()
+            check.result()
 
     def _disable(self) -> None:
         self.enabled, self.stopping = False, True

@@ -130,7 +130,7 @@ class SafetyConfig(_Block):
     """Limits of a run and how the safe state is reached."""
 
     cycle_timeout_s: PositiveFloat = Field(default=5.0, description="lockstep: wall time to wait for a participant")
-    missing_cycles: int = Field(default=5, ge=1, description="realtime: cycles in a row a PDO may be missing")
+    missing_cycles: int = Field(default=25, ge=1, description="realtime: cycles in a row a PDO may be missing")
     drive_timeout_s: PositiveFloat = Field(default=2.0, description="for a drive to reach a requested state")
     quick_stop_m_s2: PositiveFloat = Field(default=3.0, description="deceleration of a quick stop, at the web")
     tension_limit_N: PositiveFloat = Field(default=400.0, description="simulated tension that stops the bench")

@@ -43,9 +43,10 @@ class LoadModel:
         self._effects = {(entry.effect, entry.axis): dict(entry.parameters) for entry in load.effects}
 
     def warm_up(self) -> None:
-        """Compile (or load from the cache) what `update` runs, before a cycle has to wait for it."""
+        """Compile (or load from the cache) what each cycle runs, before one has to wait for it."""
         self.update(0.0, 0.0, 0.0)
         self.update(0.0, 0.0, 0.0)
+        _ = self.web.effective_modulus_Pa
         self.stop()
 
     def stop(self) -> None:

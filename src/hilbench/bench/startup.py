@@ -21,6 +21,10 @@ from hilbench.bus.open import open_link, open_python_can
 from hilbench.fieldbus import master as nmt
 from hilbench.fieldbus.master import Master
 
+#: After the start command the nodes' clocks stand still until SYNC; what they said just before it must not arrive as
+#: part of the first cycle.
+_AFTER_START_S = 0.1
+
 
 @dataclass
 class StartedBench:
@@ -67,6 +71,7 @@ def bring_up(
             nodes.configure(master)
             master.nmt(nmt.START)
             master.hear_only_answers()
+            time.sleep(_AFTER_START_S)
             resources.callback(master.nmt, nmt.PRE_OPERATIONAL)
         exchange = CyclicExchange(
             link,

@@ -15,6 +15,9 @@ class Clock(Protocol):
     def tick(self) -> None:
         """A SYNC has come."""
 
+    def expect_sync(self) -> None:
+        """Nodes were started: SYNC is about to begin."""
+
     def stalled_ns(self) -> int:
         """Wall time since SYNC stopped, 0 while it runs or where that does not matter."""
 
@@ -32,6 +35,9 @@ class MonotonicClock:
     def tick(self) -> None:
         self._last_sync_ns = time.monotonic_ns()
 
+    def expect_sync(self) -> None:
+        """Wall time goes on whatever comes."""
+
     def stalled_ns(self) -> int:
         return max(0, time.monotonic_ns() - self._last_sync_ns - self._stall_ns)
 
@@ -39,7 +45,7 @@ class MonotonicClock:
 class SyncClock:
     """One cycle per SYNC, so that timers fall into the same cycle on every machine.
 
-    Before the first SYNC, and when none has come for `stall_s` of wall time, it goes by the wall clock: a dead
+    Before nodes are started, and when none has come for `stall_s` of wall time, it goes by the wall clock: a dead
     master must be noticed.
     """
 
@@ -54,6 +60,11 @@ class SyncClock:
 
     def tick(self) -> None:
         self._time_ns = self.now_ns() + self._cycle_ns
+        self._last_sync_ns = time.monotonic_ns()
+
+    def expect_sync(self) -> None:
+        """Stand still until the first SYNC: what is due by the wall clock must not fall into its cycle by chance."""
+        self._time_ns = self.now_ns()
         self._last_sync_ns = time.monotonic_ns()
 
     def stalled_ns(self) -> int:

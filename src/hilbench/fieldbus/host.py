@@ -15,8 +15,9 @@ from typing import Protocol
 from hilbench.bus.frame import Frame
 from hilbench.bus.link import Link
 from hilbench.fieldbus.clock import Clock, SyncClock
-from hilbench.fieldbus.device import Device
+from hilbench.fieldbus.device import Device, NmtState
 
+_NMT_COB_ID = 0x000
 _POLL_S = 0.005
 _TICK_S = 0.002
 _TICK_STEP_S = 0.001
@@ -69,7 +70,15 @@ class DeviceHost:
                     device.handle(frame)
                 self._application.on_frame(frame)
                 self._flush_replies()
+                if frame.can_id == _NMT_COB_ID:
+                    self._nmt_commanded()
         self._time_passes()
+
+    def _nmt_commanded(self) -> None:
+        """Started nodes wait for SYNC; what they had to say before goes out now, not with its first answers."""
+        self._flush_all()
+        if any(device.nmt_state is NmtState.OPERATIONAL for device in self._devices):
+            self._clock.expect_sync()
 
     def _sync(self, frame: Frame) -> None:
         if not self._sync_running:
