@@ -266,6 +266,15 @@ class TestModes:
         drive.cycle(100)
         assert drive.read(0x606B) == pytest.approx(100 * RPM, rel=0.01)
 
+    def test_pv_reverses_by_the_deceleration_first(self) -> None:
+        drive = running(PV, 100)
+        drive.write(0x6084, 500 * RPM)
+        drive.write(0x60FF, -100 * RPM)
+        drive.cycle(50)
+        assert drive.read(0x606B) == pytest.approx(50 * RPM, rel=0.01)
+        drive.cycle(50 + 25)
+        assert drive.read(0x606B) == pytest.approx(-50 * RPM, rel=0.02)
+
     def test_torque_mode_ramps_and_reports(self, drive: DriveUnderTest) -> None:
         drive.enable(TQ)
         drive.write(0x6071, 100)

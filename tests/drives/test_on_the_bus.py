@@ -13,6 +13,7 @@ from canopen.profiles.p402 import BaseNode402
 from tests.drives.stand_in import CYCLE_S, EDS, FirstOrderMotor
 
 from hilbench.bus.frame import Frame
+from hilbench.bus.link import Link
 from hilbench.bus.memory import MemoryBus
 from hilbench.drives.configuration import DriveSettings
 from hilbench.drives.drive import Drive, DriveGoal
@@ -20,7 +21,7 @@ from hilbench.drives.objects import OperationMode
 from hilbench.drives.port import MotorPort
 from hilbench.drives.simulated import SimulatedDrive
 from hilbench.drives.state_machine import State
-from hilbench.errors import BenchFaultError
+from hilbench.errors import BenchFaultError, UnusableInputError
 from hilbench.fieldbus.clock import MonotonicClock
 from hilbench.fieldbus.device import Device
 from hilbench.fieldbus.eds import load_eds
@@ -30,13 +31,13 @@ from hilbench.fieldbus.master import START, Master
 RPM = 10_000
 
 
-class OneDrive:
-    """Host application: one simulated drive and its motor."""
+class SimulatedDrives:
+    """Host application: simulated drives and their motors."""
 
-    def __init__(self, device: Device) -> None:
-        port = MotorPort()
-        self.motor = FirstOrderMotor(port)
-        self.drive = SimulatedDrive(device, port)
+    def __init__(self, devices: list[Device]) -> None:
+        ports = [MotorPort() for _ in devices]
+        self.motors = [FirstOrderMotor(port) for port in ports]
+        self.drives = [SimulatedDrive(device, port) for device, port in zip(devices, ports, strict=True)]
 
     def before_sync(self) -> None:
         pass
@@ -45,22 +46,23 @@ class OneDrive:
         self.tick(CYCLE_S)
 
     def tick(self, duration_s: float) -> None:
-        self.drive.sync(duration_s)
-        self.motor.advance(duration_s)
-        self.drive.publish()
+        for drive, motor in zip(self.drives, self.motors, strict=True):
+            drive.sync(duration_s)
+            motor.advance(duration_s)
+            drive.publish()
 
     def on_frame(self, frame: Frame) -> None:
         pass
 
 
 @contextmanager
-def hosted(bus: MemoryBus) -> Iterator[OneDrive]:
-    """A drive as node 1 on the bus, served by a thread."""
-    clock = MonotonicClock()
-    device = Device(load_eds(EDS, 1), 1, clock)
-    application = OneDrive(device)
+def hosted(bus: MemoryBus, *node_ids: int) -> Iterator[SimulatedDrives]:
+    """Drives on the bus (node 1 unless said), served by a thread."""
+    clock = MonotonicClock(stall_s=1.0)
+    devices = [Device(load_eds(EDS, node_id), node_id, clock) for node_id in node_ids or (1,)]
+    application = SimulatedDrives(devices)
     link = bus.open_link()
-    host = DeviceHost(link, [device], clock, application)
+    host = DeviceHost(link, devices, clock, application)
     stop = threading.Event()
     thread = threading.Thread(target=host.run, args=(stop.is_set,))
     thread.start()
@@ -70,6 +72,18 @@ def hosted(bus: MemoryBus) -> Iterator[OneDrive]:
         stop.set()
         thread.join()
         link.close()
+
+
+@contextmanager
+def mastered(bus: MemoryBus, *node_ids: int) -> Iterator[Master]:
+    """Our master, knowing these nodes (1 unless said) as axis 1, axis 2 and so on."""
+    master = Master(bus.open_python_can(), sdo_timeout_s=5.0)
+    try:
+        for number, node_id in enumerate(node_ids or (1,), 1):
+            master.add(node_id, load_eds(EDS, node_id), f"axis {number}")
+        yield master
+    finally:
+        master.close()
 
 
 def eventually(condition: Callable[[], bool], timeout_s: float = 5.0) -> None:
@@ -160,41 +174,62 @@ def test_canopens_client_homes_and_resets_a_fault(client: BaseNode402) -> None:
     client.rpdo[1].stop()
 
 
+def csv(name: str, node_id: int, **changes: object) -> Drive:
+    mode = OperationMode.CYCLIC_SYNCHRONOUS_VELOCITY
+    return Drive(DriveSettings(name, node_id, mode, CYCLE_S, **changes), load_eds(EDS, node_id))  # type: ignore[arg-type]
+
+
+def run_cycles(link: Link, drive: Drive, count: int) -> None:
+    """SYNC, all TPDOs, decode, RPDO."""
+    expected = {pdo.cob_id for _, pdo, _ in drive.pdos.tpdos}
+    for _ in range(count):
+        link.send([Frame(0x80, b"")])
+        frames: dict[int, bytes] = {}
+        deadline_s = time.monotonic() + 5.0
+        while not expected <= frames.keys() and time.monotonic() < deadline_s:
+            frames.update({frame.can_id: frame.data for frame in link.receive(0.01)})
+        drive.decode(frames)
+        link.send(drive.encode())
+
+
 def test_our_master_configures_and_drives_it() -> None:
     bus = MemoryBus()
-    with hosted(bus):
-        master = Master(bus.open_python_can(), sdo_timeout_s=5.0)
-        od = load_eds(EDS, 1)
-        master.add(1, od, "axis 1")
-        mode = OperationMode.CYCLIC_SYNCHRONOUS_VELOCITY
-        settings = DriveSettings("axis 1", 1, mode, CYCLE_S, parameters={(0x605A, 0): 6, (0x6076, 0): 2500})
-        drive = Drive(settings, od)
-        try:
+    with hosted(bus), mastered(bus) as master:
+        drive = csv("axis 1", 1, parameters={(0x605A, 0): 6, (0x6076, 0): 2500})
+        drive.configure(master)
+        assert drive.units.torque_Nm == pytest.approx(0.0025)
+        assert master.sdo_read(1, 0x605A) == 6
+        assert (master.sdo_read(1, 0x60C2, 1), master.sdo_read(1, 0x60C2, 2)) == (2, -3)
+        link = bus.open_link()
+        master.nmt(START)
+        drive.request(DriveGoal.ENABLED)
+        drive.setpoint = 20.0
+        run_cycles(link, drive, 100)
+        assert drive.feedback.state is State.OPERATION_ENABLED
+        assert drive.feedback.velocity_rad_s == pytest.approx(20.0, rel=1e-3)
+        link.close()
+
+
+@pytest.mark.parametrize("way", ["listen", "copy"])
+def test_a_virtual_axis_hears_the_same_commands(way: str) -> None:
+    bus = MemoryBus()
+    with hosted(bus, 1, 17) as plant, mastered(bus, 1, 17) as master:
+        axis = csv("axis 1", 1, copies=(0x211,) if way == "copy" else ())
+        virtual = csv("virtual axis 1", 17, listens_to=0x201 if way == "listen" else None, tpdo_type=None)
+        for drive in (axis, virtual):
             drive.configure(master)
-            assert drive.units.torque_Nm == pytest.approx(0.0025)
-            assert master.sdo_read(1, 0x605A) == 6
-            assert (master.sdo_read(1, 0x60C2, 1), master.sdo_read(1, 0x60C2, 2)) == (2, -3)
-            link = bus.open_link()
-            master.nmt(START)
-            drive.request(DriveGoal.ENABLED)
-            drive.setpoint = 20.0
-            for _ in range(300):
-                _cycle(link, drive)
-            assert drive.feedback.state is State.OPERATION_ENABLED
-            assert drive.feedback.velocity_rad_s == pytest.approx(20.0, rel=1e-3)
-            link.close()
-        finally:
-            master.close()
-
-
-def _cycle(link, drive: Drive) -> None:  # type: ignore[no-untyped-def]
-    link.send([Frame(0x80, b"")])
-    frames: dict[int, bytes] = {}
-    deadline_s = time.monotonic() + 5.0
-    while not {0x181, 0x281} <= frames.keys() and time.monotonic() < deadline_s:
-        frames.update({frame.can_id: frame.data for frame in link.receive(0.01)})
-    drive.decode(frames)
-    link.send(drive.encode())
+        link = bus.open_link()
+        master.nmt(START)
+        axis.request(DriveGoal.ENABLED)
+        axis.setpoint = 20.0
+        run_cycles(link, axis, 60)
+        real, mirror = (motor.port for motor in plant.motors)
+        assert mirror.velocity_rad_s == pytest.approx(20.0, rel=1e-3)
+        assert mirror.setpoint == real.setpoint
+        axis.request(DriveGoal.COAST)
+        run_cycles(link, axis, 4)
+        assert [drive.state for drive in plant.drives] == [State.SWITCH_ON_DISABLED] * 2
+        link.close()
 
 
 @pytest.mark.parametrize(
@@ -206,13 +241,11 @@ def _cycle(link, drive: Drive) -> None:  # type: ignore[no-untyped-def]
 )
 def test_what_the_device_refuses_is_named(changes: dict[str, object], message: str) -> None:
     bus = MemoryBus()
-    with hosted(bus):
-        master = Master(bus.open_python_can(), sdo_timeout_s=5.0)
-        od = load_eds(EDS, 1)
-        master.add(1, od, "axis 1")
-        mode = OperationMode.CYCLIC_SYNCHRONOUS_VELOCITY
-        try:
-            with pytest.raises(BenchFaultError, match=message):
-                Drive(DriveSettings("axis 1", 1, mode, CYCLE_S, **changes), od).configure(master)  # type: ignore[arg-type]
-        finally:
-            master.close()
+    with hosted(bus), mastered(bus) as master, pytest.raises(BenchFaultError, match=message):
+        csv("axis 1", 1, **changes).configure(master)
+
+
+def test_parameters_that_the_eds_lacks_are_unusable_input() -> None:
+    bus = MemoryBus()
+    with hosted(bus), mastered(bus) as master, pytest.raises(UnusableInputError, match="axis 1: the EDS lacks 6099h:1"):
+        csv("axis 1", 1, parameters={(0x6099, 1): 5}).configure(master)
