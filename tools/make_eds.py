@@ -322,10 +322,16 @@ def virtual_io() -> DeviceDescription:
     tpdos = [
         Pdo(True, 1, ((0x6403, 1, 32), (0x6403, 2, 32))),
         Pdo(True, 10, ((0x6403, 3, 32), (0x6403, 5, 32))),
-        Pdo(),
+        Pdo(True, 1, ((0x2100, 1, 16), (0x2100, 2, 8), (0x2100, 3, 8))),
         Pdo(),
     ]
     inputs = {sub: Entry(text, "REAL32", "ro", 0.0, True) for sub, text in enumerate(VIRTUAL_IO_INPUTS, 1)}
+    status = {
+        1: Entry("SYNC simulated for, counted from NMT start", "U16", "ro", 0, True),
+        2: Entry("Age in cycles", "U8", "ro", 0, True),
+        3: Entry("Status bits", "U8", "ro", 0, True),
+    }
+    synchronizer = {1: Entry("Method, 0 as configured", "U8", "rw", 0, False)}
     outputs = {sub: Entry(text, "REAL32", "rww", 0.0, True) for sub, text in enumerate(VIRTUAL_IO_OUTPUTS, 1)}
     return DeviceDescription(
         "hilbench_virtual_io.eds",
@@ -337,6 +343,8 @@ def virtual_io() -> DeviceDescription:
         len(tpdos),
         (
             *communication_objects(device_type, product, name, rpdos, tpdos),
+            compound(0x2100, "Twin status", RECORD, status),
+            compound(0x2101, "Synchronizer", RECORD, synchronizer),
             compound(0x6403, "Read analogue input floating point", ARRAY, inputs),
             compound(0x6413, "Write analogue output floating point", ARRAY, outputs),
         ),

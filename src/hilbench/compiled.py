@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from hashlib import sha256
+from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 import numba
@@ -23,3 +25,13 @@ else:
     # Division as in numpy and C (no check for zero); no fastmath: equal results on every machine.
     compiled = numba.njit(error_model="numpy")
     entry_point = numba.njit(error_model="numpy", cache=True, nogil=True)
+
+
+def number_of_sources(*files: str) -> int:
+    """A number that changes with the content of these source files.
+
+    numba keeps machine code by the file of the function alone, and would run old code after a change of what it calls;
+    what a closure holds is part of its key, so an entry point that calls other files' functions holds this number.
+    """
+    text = b"".join(Path(name).read_bytes() for name in files)
+    return int.from_bytes(sha256(text).digest()[:7], "big")

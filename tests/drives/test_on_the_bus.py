@@ -39,7 +39,7 @@ class SimulatedDrives:
         self.motors = [FirstOrderMotor(port) for port in ports]
         self.drives = [SimulatedDrive(device, port) for device, port in zip(devices, ports, strict=True)]
 
-    def before_sync(self) -> None:
+    def before_sync(self, behind: int) -> None:
         pass
 
     def after_sync(self) -> None:

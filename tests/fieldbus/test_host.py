@@ -73,7 +73,7 @@ class RecordingApplication:
         self.fails = False
         self.ticked_s = 0.0
 
-    def before_sync(self) -> None:
+    def before_sync(self, behind: int) -> None:
         self.calls.append("before")
 
     def after_sync(self) -> None:

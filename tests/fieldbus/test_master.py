@@ -25,7 +25,7 @@ from hilbench.fieldbus.pdo import PdoMap
 class Idle:
     """An application without a plant."""
 
-    def before_sync(self) -> None:
+    def before_sync(self, behind: int) -> None:
         pass
 
     def after_sync(self) -> None:

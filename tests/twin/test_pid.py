@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from hilbench.twin.config import PidConfig
 from hilbench.twin.synchronizers.base import SyncSample
 from hilbench.twin.synchronizers.pid import PidSynchronizer
+from hilbench.web.balance import BalanceSample
 
 CYCLE_S = 0.002
 SECTION_M2, STRAIN, METRES_PER_RAD, NEXT_N = 0.5 * 65e-6, 2.8e-4, 0.04, 70.0
@@ -24,14 +25,8 @@ def sample(real_Nm: float, sim_Nm: float, time_s: float = 1.0) -> SyncSample:
         cycle_s=CYCLE_S,
         torque_real_Nm=real_Nm,
         torque_sim_Nm=sim_Nm,
-        x1_real_m=0.0,
-        x2_real_m=0.0,
-        v2_sim_m_s=3.0,
-        tension_sim_N=80.0,
-        strain_sim=STRAIN,
-        strain_prev=STRAIN,
-        tension_next_N=NEXT_N,
         torque_sim_sensitivity_Nm_per_Pa=METRES_PER_RAD * SECTION_M2 * STRAIN,
+        balance=BalanceSample(0.0, real_Nm / METRES_PER_RAD + NEXT_N, SECTION_M2 * STRAIN, 3.0),
     )
 
 
@@ -62,11 +57,10 @@ def test_the_integral_is_limited():
     assert per_s == pytest.approx(1e8 * 0.1, rel=1e-9)
 
 
-def test_a_torque_that_is_no_number_holds_the_estimate():
+def test_a_held_cycle_leaves_the_estimate():
     synchronizer = PidSynchronizer(PidConfig(), 8.7e9)
-    before = synchronizer.update(sample(0.5, 0.4)).youngs_modulus_Pa
-    assert synchronizer.update(sample(math.nan, 0.4)).youngs_modulus_Pa == before
-    assert synchronizer.update(sample(math.inf, 0.4)).youngs_modulus_Pa == before
+    before = synchronizer.update(sample(0.5, 0.4))
+    assert synchronizer.hold(CYCLE_S) == before
 
 
 def test_the_deviation_speaks_of_the_gap_that_is_not_closed_yet():

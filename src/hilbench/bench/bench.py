@@ -22,6 +22,8 @@ from hilbench.bench.startup import bring_up
 from hilbench.bench.tension_control import TensionController
 from hilbench.drives.drive import DriveGoal
 from hilbench.errors import EXIT_INTERRUPTED, HilbenchError
+from hilbench.twin.synchronizers.create import METHODS
+from hilbench.twin.virtual_io import TwinStatus
 
 #: Time for the axes to stand still again after the load motor has let go.
 _SETTLE_S = 0.3
@@ -101,8 +103,14 @@ class Bench:
         self._first_cycle = 0
         web = config.model.required_web
         self._load_model = LoadModel(config.model, config.load, config.cycle_time_s)
-        self._controller = TensionController(config.tension_control, config.model.span_length_m(1), web.section_m2)
-        self._modulus_Pa = web.youngs_modulus_Pa
+        self._controller = TensionController(
+            config.tension_control,
+            config.model.span_length_m(1),
+            web.section_m2,
+            config.model.drive_stiffness_N_per_m(2),
+        )
+        self._twin_trusted = False
+        self._twin_started_cycle = 0
         self._strain_prev = config.model.upstream_strain
         self._tension_next_N = config.model.boundary.downstream_tension_N
 
@@ -264,6 +272,33 @@ class Bench:
         self.events.append(StepEvent(self.time_s, path, self.get(path), to))
         self.set(path, to)
 
+    def restart_twin(self) -> None:
+        """Reset the twin under way: it finds motion, tension and E anew, and the tension loop stays open until then.
+
+        In real time the bench goes on meanwhile; in lockstep the bus stands still.
+        """
+        exchange, nodes = self._running(), self.nodes
+        self._twin_trusted = False
+        exchange.expect([pdo for pdo in nodes.expected_pdos() if pdo.sender != nodes.twin_name])
+        if self.config.pace == "lockstep":
+            nodes.restart_twin()
+        else:
+            with ThreadPoolExecutor(1) as pool:
+                restart = pool.submit(nodes.restart_twin)
+                while not restart.done():
+                    self.cycle()
+                restart.result()
+        self._twin_started_cycle = exchange.timing.cycles
+        exchange.expect(nodes.expected_pdos(self._twin_started_cycle))
+        self.cycle()
+        nodes.twin_is_back()
+
+    def use_synchronizer(self, method: str) -> None:
+        """Let the twin go on with another method from its present E. Raises ValueError for an unknown one."""
+        if method not in METHODS:
+            raise ValueError(f"one of {', '.join(METHODS)}")
+        self.nodes.use_synchronizer(list(METHODS).index(method) + 1)
+
     # -- one cycle ---------------------------------------------------------------------------------------
 
     def _exchange_once(self) -> None:
@@ -273,6 +308,7 @@ class Bench:
         self.nodes.decode(received)
         self.nodes.fill(sample)
         sample.cycle = exchange.timing.cycles
+        sample.twin_age_cycles = self.nodes.twin_age(sample.cycle - self._twin_started_cycle)
         sample.t_s = (sample.cycle - self._first_cycle) * self.config.cycle_time_s
         sample.F_ref_N = self.tension_set_point_N
         sample.bus_bits = exchange.last_bits
@@ -289,11 +325,22 @@ class Bench:
         if not self.enabled:
             nodes.command(0.0, 0.0, 0.0)
             return
-        v1_m_s = self._controller.velocity(
-            self.line_speed_m_s, self.tension_set_point_N, sample.F_sim_N, self._modulus_Pa, self.config.cycle_time_s
-        )
+        if self._loop_closed(sample):
+            v1_m_s = self._controller.velocity(
+                self.line_speed_m_s, self.tension_set_point_N, sample.F_sim_N, sample.E_sim_Pa, self.config.cycle_time_s
+            )
+        else:
+            v1_m_s = self._controller.hold(self.line_speed_m_s)
         sample.v1_cmd_m_s, sample.v2_cmd_m_s = v1_m_s, self.line_speed_m_s
         nodes.command(v1_m_s, self.line_speed_m_s, sample.tau_load_cmd_Nm)
+
+    def _loop_closed(self, sample: CycleSample) -> bool:
+        """Whether the twin was synchronized since it was started, and its data are fresh."""
+        if self.nodes.twin_status & TwinStatus.SYNCHRONIZED:
+            self._twin_trusted = True
+        fresh = sample.twin_age_cycles <= self.config.tension_control.twin_age_limit_cycles
+        sample.loop_closed = int(self._twin_trusted and fresh)
+        return bool(sample.loop_closed)
 
     def _follow_web(self, sample: CycleSample) -> None:
         web = self._load_model.web

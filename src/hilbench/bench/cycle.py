@@ -32,11 +32,12 @@ class FrameTap(Protocol):
 
 @dataclass(frozen=True)
 class ExpectedPdo:
-    """A TPDO that must answer every `every`-th SYNC after the nodes were started."""
+    """A TPDO that must answer every `every`-th SYNC after its node was started (NMT), which was after SYNC `since`."""
 
     cob_id: int
     every: int
     sender: str  #: for messages: who should have sent it
+    since: int = 0
 
 
 @dataclass
@@ -119,9 +120,13 @@ class CyclicExchange:
         self._account(outgoing, received)
         return received
 
+    def expect(self, pdos: Sequence[ExpectedPdo]) -> None:
+        """From the next cycle on these TPDOs are waited for."""
+        self._expected = tuple(pdos)
+
     def _due(self) -> dict[int, str]:
         cycle = self.timing.cycles
-        return {pdo.cob_id: pdo.sender for pdo in self._expected if cycle % pdo.every == 0}
+        return {pdo.cob_id: pdo.sender for pdo in self._expected if (cycle - pdo.since) % pdo.every == 0}
 
     def _collect(self, due: dict[int, str]) -> list[Frame]:
         received: list[Frame] = []

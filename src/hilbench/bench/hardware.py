@@ -31,7 +31,7 @@ class StandApplication:
         self._stand = stand
         self._cycle_s = cycle_s
 
-    def before_sync(self) -> None:
+    def before_sync(self, behind: int) -> None:
         """Nothing to do: the state at this SYNC is there since the last one."""
 
     def after_sync(self) -> None:

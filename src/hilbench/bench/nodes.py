@@ -21,15 +21,19 @@ from hilbench.drives.objects import OperationMode
 from hilbench.drives.state_machine import State, decode_statusword
 from hilbench.drives.units import DriveUnits
 from hilbench.errors import BenchFaultError
+from hilbench.fieldbus import master as nmt
 from hilbench.fieldbus.eds import load_eds
 from hilbench.fieldbus.master import Master
 from hilbench.fieldbus.pdo import PdoMap
+from hilbench.twin.virtual_io import TwinStatus
 from hilbench.web.effect_objects import effect_object
 
 _HEARTBEAT = 0x700
 _OPERATIONAL = 5
 _ABORT_BY_QUICK_STOP = 3
 _QUICK_STOP_RAMP = 2
+#: Controlwords that lead from SWITCH ON DISABLED to OPERATION ENABLED: shutdown, switch on, enable operation.
+_ENABLE = (0x06, 0x07, 0x0F)
 _DEVIATION_EVERY = 10  # SYNCs between two TPDO2 of the virtual I/O
 
 
@@ -39,6 +43,7 @@ class IoMaps:
 
     state: PdoMap  #: TPDO1: simulated tension, E
     quality: PdoMap  #: TPDO2: deviation of E, torque residual
+    status: PdoMap  #: TPDO3: SYNC that the data are of, age, status bits
     boundary: PdoMap  #: RPDO1: upstream strain, downstream tension
 
     @classmethod
@@ -48,6 +53,7 @@ class IoMaps:
         return cls(
             PdoMap.from_names(od, 0x180 + node.node_id, 1, [inputs + "1", inputs + "2"]),
             PdoMap.from_names(od, 0x280 + node.node_id, _DEVIATION_EVERY, [inputs + "3", inputs + "5"]),
+            PdoMap.from_names(od, 0x380 + node.node_id, 1, [f"0x2100sub{n}" for n in (1, 2, 3)]),
             PdoMap.from_names(od, 0x200 + node.node_id, 1, [outputs + "1", outputs + "2"]),
         )
 
@@ -110,7 +116,14 @@ class Nodes:
         self._tension_N, self._modulus_Pa = 0.0, 0.0
         self._deviation_Pa, self._residual_Nm = 0.0, 0.0
         self._torque_before_Nm, self._torque_sim_Nm = 0.0, 0.0
+        self._twin_sync, self.twin_status = 0, TwinStatus(0)
+        self._expected_boots: set[int] = set()
         self._effects: dict[EffectPath, float] = {}
+
+    @property
+    def twin_name(self) -> str:
+        """Who the virtual I/O is, in messages and in `expected_pdos`."""
+        return f"virtual io (node {self.config.nodes.virtual_io.node_id})"
 
     @property
     def drives(self) -> Sequence[Drive]:
@@ -129,11 +142,46 @@ class Nodes:
         """Configure every node by SDO. Raises BenchFaultError naming node, object and reason."""
         for drive in (*self.drives, *self.virtual_axes):
             drive.configure(master)
+        self._configure_io(master)
+
+    def _configure_io(self, master: Master) -> None:
         node_id = self.config.nodes.virtual_io.node_id
         master.write_rpdo(node_id, 1, self.io.boundary)
-        master.write_tpdo(node_id, 1, self.io.state)
-        master.write_tpdo(node_id, 2, self.io.quality)
+        for number, pdo in enumerate((self.io.state, self.io.quality, self.io.status), 1):
+            master.write_tpdo(node_id, number, pdo)
         master.configure(node_id, {(0x1017, 0): self.config.master.node_heartbeat_ms})
+
+    def restart_twin(self) -> None:
+        """Reset the twin's nodes while the axes run, bring the virtual axes to where the axes are, start them (NMT).
+
+        The virtual axes are enabled by SDO before they hear the axes' RPDOs: these ask for OPERATION ENABLED already.
+        Raises BenchFaultError naming the node that does not answer.
+        """
+        master, nodes = self._sdo(), self.config.nodes
+        twin_nodes = [nodes.virtual_axis1.node_id, nodes.virtual_axis2.node_id, nodes.virtual_io.node_id]
+        self._expected_boots = set(twin_nodes)
+        self.twin_status = TwinStatus(0)
+        for node_id in twin_nodes:
+            master.nmt(nmt.RESET_NODE, node_id)
+        master.wait_for_answer(twin_nodes, self.config.master.boot_timeout_s)
+        for drive in self.virtual_axes:
+            drive.configure(master)
+        self._configure_io(master)
+        for drive in self.virtual_axes:
+            for command in _ENABLE:
+                master.sdo_write(drive.settings.node_id, objects.CONTROLWORD, command)
+        for node_id in twin_nodes:
+            master.nmt(nmt.START, node_id)
+        # Set points and SYNC come by another socket: an answer says that the command was there before them.
+        master.wait_for_answer(twin_nodes, self.config.master.boot_timeout_s)
+
+    def twin_is_back(self) -> None:
+        """From now on a boot-up of the twin is a fault again."""
+        self._expected_boots = set()
+
+    def use_synchronizer(self, method: int) -> None:
+        """Let the twin go on with another method, by its number (2101h); 0: the configured one."""
+        self._sdo().sdo_write(self.config.nodes.virtual_io.node_id, 0x2101, method, 1)
 
     def check_virtual_axes_enabled(self) -> None:
         """Raise BenchFaultError when a virtual axis did not follow its real axis into OPERATION ENABLED."""
@@ -147,14 +195,14 @@ class Nodes:
                     f"statusword {statusword:04X}h, expected OPERATION ENABLED"
                 )
 
-    def expected_pdos(self) -> list[ExpectedPdo]:
-        """The TPDOs that answer SYNC."""
+    def expected_pdos(self, twin_since: int = 0) -> list[ExpectedPdo]:
+        """The TPDOs that answer SYNC; `twin_since`: the SYNC before the twin was started."""
         expected = []
         for drive in self.drives:
             name = f"{drive.settings.name} (node {drive.settings.node_id})"
             expected += [ExpectedPdo(pdo.cob_id, pdo.period, name) for _, pdo, _ in drive.pdos.tpdos]
-        io = f"virtual io (node {self.config.nodes.virtual_io.node_id})"
-        expected += [ExpectedPdo(pdo.cob_id, pdo.period, io) for pdo in (self.io.state, self.io.quality)]
+        answers = (self.io.state, self.io.quality, self.io.status)
+        expected += [ExpectedPdo(pdo.cob_id, pdo.period, self.twin_name, twin_since) for pdo in answers]
         return expected
 
     def cyclic_frames(self) -> list[CyclicFrame]:
@@ -165,7 +213,8 @@ class Nodes:
             if drive not in self.virtual_axes:
                 frames += [CyclicFrame(f"{name} RPDO", cob, pdos.rpdo.size) for cob in pdos.rpdo_cob_ids]
             frames += [CyclicFrame(f"{name} TPDO", pdo.cob_id, pdo.size, 1 / pdo.period) for _, pdo, _ in pdos.tpdos]
-        for name, pdo in (("state", self.io.state), ("quality", self.io.quality), ("boundary", self.io.boundary)):
+        for name in ("state", "quality", "status", "boundary"):
+            pdo: PdoMap = getattr(self.io, name)
             frames.append(CyclicFrame(f"virtual io {name}", pdo.cob_id, pdo.size, 1 / pdo.period))
         periods_ms = [self.config.master.heartbeat_ms, *[self.config.master.node_heartbeat_ms] * len(self._known)]
         per_cycle = sum(1000.0 * self.config.cycle_time_s / period for period in periods_ms if period)
@@ -196,6 +245,10 @@ class Nodes:
         for drive in self.drives:
             drive.decode(data)
         state, quality = data.get(self.io.state.cob_id), data.get(self.io.quality.cob_id)
+        status = data.get(self.io.status.cob_id)
+        if status is not None:
+            self._twin_sync, _, bits = self.io.status.unpack(status)
+            self.twin_status = TwinStatus(bits)
         if state is not None:
             self._tension_N, self._modulus_Pa = self.io.state.unpack(state)
         if quality is not None:
@@ -204,9 +257,13 @@ class Nodes:
             self._torque_sim_Nm = self._torque_before_Nm - self._residual_Nm
         self._torque_before_Nm = self.axis2.feedback.torque_Nm
 
+    def twin_age(self, syncs: int) -> int:
+        """How many cycles old the twin's last answer is, `syncs` after the twin was started."""
+        return (syncs - self._twin_sync) & 0xFFFF
+
     def _not_operational(self, node_id: int, content: bytes) -> None:
         name = self._known.get(node_id)
-        if name is None:
+        if name is None or node_id in self._expected_boots:
             return
         what = "has restarted (boot-up)" if content == b"\0" else f"has left OPERATIONAL (heartbeat {content.hex()}h)"
         raise BenchFaultError(f"{name} (node {node_id}) {what} during the run")
@@ -222,6 +279,7 @@ class Nodes:
         sample.statusword1, sample.statusword2 = one.statusword, two.statusword
         sample.statusword_load = load.statusword
         sample.F_sim_N, sample.E_sim_Pa, sample.E_sd_Pa = self._tension_N, self._modulus_Pa, self._deviation_Pa
+        sample.twin_status = int(self.twin_status)
         sample.tau2_residual_Nm, sample.tau2_sim_Nm = self._residual_Nm, self._torque_sim_Nm
 
     # -- effects in the simulated hardware ---------------------------------------------------------------

@@ -30,6 +30,9 @@ class CycleSample:
     E_sd_Pa: float = 0.0
     tau2_sim_Nm: float = 0.0
     tau2_residual_Nm: float = 0.0
+    twin_age_cycles: int = 0
+    twin_status: int = 0
+    loop_closed: int = 0
     E_true_Pa: float = 0.0
     F_true_N: float = 0.0
     strain_true: float = 0.0

@@ -1,14 +1,22 @@
 """Upstream tension control: the velocity of axis 1 is set from the simulated tension; axis 2 holds the line speed.
 
-Linearized about F = ES·ε the span answers a velocity difference c = v2 − v1 with
-F' = (ES/L)·c − (v/L)·F. A PI controller that cancels the span's pole v/L leaves a first-order loop of the
-wanted bandwidth ω at every line speed: Kp = ω·L/ES, Ki = ω·v/ES. At standstill the span integrates by itself,
-so Ki vanishes with v.
+The loop is closed once the twin says that it is synchronized, and open while the twin's data are too old; an open
+loop keeps the ratio of speeds.
+
+Linearized about F = ES·ε the span answers a velocity difference c = v2 − v1 with F' = (ES/L)·c − (v/L)·F. But roller
+2 gives way to the web: below its velocity loop's bandwidth the integral part of the loop holds it like a spring of
+k = ki·(i/r)², which is soft beside the web's ES/L. So v2 falls by F'/k, and the span answers as one that is slower by
+1 + κ, κ = ES/(L·k): (1 + κ)·F' = (ES/L)·c − (v/L)·F. The gain Kp = ω·(1 + κ)·L/ES gives the wanted bandwidth ω at every
+line speed and stiffness. The integral time is that of the span, (1 + κ)·L/v, which cancels its pole, but 4/ω at most:
+a slower pole would be cancelled for the set point only, and a disturbance would stay for its time (Skogestad 2003).
 """
 
 from __future__ import annotations
 
 from pydantic import BaseModel, ConfigDict, Field, PositiveFloat
+
+#: Longest integral time, times the bandwidth.
+_LONGEST_INTEGRAL = 4.0
 
 
 class TensionControlConfig(BaseModel):
@@ -17,36 +25,61 @@ class TensionControlConfig(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     set_point_N: PositiveFloat = 80.0
-    bandwidth_rad_per_s: PositiveFloat = Field(default=3.0, description="of the closed tension loop")
+    bandwidth_rad_per_s: PositiveFloat = Field(default=6.0, description="of the closed tension loop")
+    twin_age_limit_cycles: int = Field(
+        default=10, ge=0, description="age of the twin's data up to which the loop stays closed on them"
+    )
     correction_limit_m_s: PositiveFloat = Field(default=0.02, description="largest |v1 - v2| the controller asks for")
 
 
 class TensionController:
-    """PI controller with its gains scheduled on line speed and stiffness; velocities at the web, m/s."""
+    """PI controller with its gains scheduled on line speed and stiffness; velocities at the web, m/s.
 
-    def __init__(self, config: TensionControlConfig, span_length_m: float, section_m2: float) -> None:
+    `roller_stiffness_N_per_m`: what holds roller 2 against the web at low frequency; inf for one that does not yield.
+    """
+
+    def __init__(
+        self, config: TensionControlConfig, span_length_m: float, section_m2: float, roller_stiffness_N_per_m: float
+    ) -> None:
         self._config = config
         self._length_m = span_length_m
         self._area_m2 = section_m2
-        self._integral_m_s = 0.0
+        self._roller_stiffness_N_per_m = roller_stiffness_N_per_m
+        self.reset()
 
     def reset(self) -> None:
-        """Forget the integral (loop opened, drives off)."""
+        """Forget the integral (drives off)."""
         self._integral_m_s = 0.0
+        self._ratio = 0.0
+        self._closed = True
+
+    def hold(self, line_speed_m_s: float) -> float:
+        """Velocity set point of axis 1 while the loop is open: the last ratio of speeds, and so the last strain."""
+        self._closed = False
+        return line_speed_m_s * (1.0 - self._ratio)
 
     def velocity(
         self, line_speed_m_s: float, set_point_N: float, tension_N: float, modulus_Pa: float, cycle_s: float
     ) -> float:
-        """Velocity set point of axis 1 in m/s from the (simulated) tension and Young's modulus."""
+        """Velocity set point of axis 1 in m/s from the (simulated) tension and Young's modulus.
+
+        After `hold` it goes on from the held ratio, without a jump.
+        """
         limit = self._config.correction_limit_m_s
         stiffness_N = modulus_Pa * self._area_m2
         error_N = set_point_N - tension_N
-        kp = self._config.bandwidth_rad_per_s * self._length_m / stiffness_N
-        ki = self._config.bandwidth_rad_per_s * abs(line_speed_m_s) / stiffness_N
+        gives_way = stiffness_N / (self._length_m * self._roller_stiffness_N_per_m)
+        kp = self._config.bandwidth_rad_per_s * (1.0 + gives_way) * self._length_m / stiffness_N
+        pole_per_s = abs(line_speed_m_s) / ((1.0 + gives_way) * self._length_m)
+        ki = kp * max(pole_per_s, self._config.bandwidth_rad_per_s / _LONGEST_INTEGRAL)
+        if not self._closed:
+            self._integral_m_s = self._ratio * line_speed_m_s - kp * error_N
+            self._closed = True
         integral = self._integral_m_s + ki * error_N * cycle_s
         correction = kp * error_N + integral
         if abs(correction) <= limit:
             self._integral_m_s = integral
         else:  # hold the integral while the limit is reached
             correction = limit if correction > 0 else -limit
+        self._ratio = self._integral_m_s / line_speed_m_s if line_speed_m_s else 0.0
         return line_speed_m_s - correction

@@ -106,6 +106,23 @@ def report(run_folder: Annotated[Path, typer.Argument(metavar="RUN", help="run f
     typer.echo(write_report(RunFolder.open(run_folder)))
 
 
+@app.command()
+def sync(
+    recording: Annotated[Path, typer.Argument(metavar="RECORDING", help="recording (.mf4, .csv, .csv.gz)")],
+    model: Annotated[Path, typer.Option("--model", help="model file (YAML)")],
+    method: Annotated[str, typer.Option("--method", help="methods, comma-separated, or all")] = "all",
+    out: Annotated[Path | None, typer.Option("--out", help="folder for the page with table and picture")] = None,
+    json: Annotated[bool, typer.Option("--json", help="print the figures as JSON, nothing else")] = False,
+) -> None:
+    """Compare synchronizers on a recording: time to 1 %, overshoot, noise, bias, honesty, cost, and the bound.
+
+    Example: hilbench sync runs/web_section_step-20260101-120000/recording.mf4 --model model.yaml --out comparison
+    """
+    from hilbench.cli.sync import sync_command
+
+    sync_command(recording, model, method, out, as_json=json)
+
+
 def main() -> None:
     """Entry point: errors meant for a person become one line on standard error and the exit code of their kind."""
     # canopen logs what it also raises; the errors' own text is what a person needs.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import operator
 import re
 from collections.abc import Callable
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, NonNegativeFloat, PositiveFloat, model_validator
 
@@ -120,6 +120,27 @@ class WaitUntil(_Step):
             raise BenchFaultError(f"wait_until: '{self.condition}' did not come true within {self.timeout_s:g} s")
 
 
+class RestartTwin(_Step):
+    """Reset the twin while the plant runs; the tension loop is open until it is synchronized again."""
+
+    def run(self, bench: Bench) -> None:
+        """Reset, configure and start the twin's nodes."""
+        bench.restart_twin()
+
+
+class UseSynchronizer(_Step):
+    """Let the twin go on with another method from its present E, with that method's defaults."""
+
+    method: Literal["pid", "lm", "global", "rls", "ekf", "changepoint"]
+
+    def run(self, bench: Bench) -> None:
+        """Switch; takes no time."""
+        bench.use_synchronizer(self.method)
+
+
+Action = Ramp | Hold | Set | Step | WaitUntil | RestartTwin | UseSynchronizer
+
+
 class ExperimentStep(_Step):
     """One entry of `steps:`, a mapping with a single key that says what is done."""
 
@@ -128,14 +149,16 @@ class ExperimentStep(_Step):
     set: Set | None = None
     step: Step | None = None
     wait_until: WaitUntil | None = None
+    restart_twin: RestartTwin | None = None
+    synchronizer: UseSynchronizer | None = None
 
     @model_validator(mode="after")
     def _single(self) -> ExperimentStep:
         if len(self._given()) != 1:
-            raise ValueError("one of ramp, hold, set, step, wait_until in each step")
+            raise ValueError("one of ramp, hold, set, step, wait_until, restart_twin, synchronizer in each step")
         return self
 
-    def _given(self) -> list[tuple[str, Ramp | Hold | Set | Step | WaitUntil]]:
+    def _given(self) -> list[tuple[str, Action]]:
         return [(name, value) for name, value in self if value is not None]
 
     @property

@@ -27,8 +27,8 @@ _LONGEST_TICK_S = 0.05
 class Application(Protocol):
     """What stands behind the devices of a host."""
 
-    def before_sync(self) -> None:
-        """A SYNC has come; the devices have not sampled yet."""
+    def before_sync(self, behind: int) -> None:
+        """A SYNC has come and `behind` more wait behind it; the devices have not sampled yet."""
 
     def after_sync(self) -> None:
         """The TPDOs of this SYNC are out and set points have acted: advance to the next one."""
@@ -62,9 +62,13 @@ class DeviceHost:
 
     def serve(self, timeout_s: float) -> None:
         """Handle what comes within `timeout_s`, and what time has made due."""
-        for frame in self._link.receive(timeout_s):
-            if frame.can_id == self._devices[0].sync_cob_id:
-                self._sync(frame)
+        frames = self._link.receive(timeout_s)
+        sync_cob_id = self._devices[0].sync_cob_id
+        behind = sum(frame.can_id == sync_cob_id for frame in frames)
+        for frame in frames:
+            if frame.can_id == sync_cob_id:
+                behind -= 1
+                self._sync(frame, behind)
             else:
                 for device in self._devices:
                     device.handle(frame)
@@ -80,7 +84,7 @@ class DeviceHost:
         if any(device.nmt_state is NmtState.OPERATIONAL for device in self._devices):
             self._clock.expect_sync()
 
-    def _sync(self, frame: Frame) -> None:
+    def _sync(self, frame: Frame, behind: int) -> None:
         if not self._sync_running:
             self._sync_running = True
             self._clock.tick()
@@ -88,7 +92,7 @@ class DeviceHost:
                 device.rephase()
         else:
             self._clock.tick()
-        self._application.before_sync()
+        self._application.before_sync(behind)
         for device in self._devices:
             device.poll()
             device.sync(frame.data)

@@ -110,6 +110,17 @@ class Master:
                 f"no answer to an SDO read of 1000h"
             )
 
+    def wait_for_answer(self, node_ids: Iterable[int], timeout_s: float) -> None:
+        """Ask nodes by SDO until each answers. Raises BenchFaultError naming the first that does not."""
+        for node_id in node_ids:
+            deadline_s = time.monotonic() + timeout_s
+            while not self._answers(node_id):
+                if time.monotonic() > deadline_s:
+                    raise BenchFaultError(
+                        f"no answer from {self._names[node_id]} (node {node_id}) to an SDO read of 1000h "
+                        f"within {timeout_s:g} s"
+                    )
+
     def _answers(self, node_id: int) -> bool:
         try:
             with self._lock:

@@ -10,9 +10,14 @@ from html import escape
 from importlib import resources
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from hilbench.errors import UnusableInputError
+from hilbench.experiment.config import load_with_overrides
 from hilbench.experiment.criteria import CriterionResult
 from hilbench.experiment.metrics import METRICS
+from hilbench.experiment.synchronization import reference_estimate
 from hilbench.record.recording import Recording, read_recording
 from hilbench.record.result import Environment, Fault, Result, Timing
 from hilbench.record.run_folder import RunFolder
@@ -27,21 +32,31 @@ def write_report(run_folder: RunFolder) -> Path:
     The same files give the same report. Raises UnusableInputError if one of them is missing or not readable,
     or the report cannot be written.
     """
-    page = render(
+    recording = read_recording(run_folder.recording)
+    text = render(
         run_folder.name,
         _read_text(run_folder.config),
         Result.read(run_folder.result),
-        read_recording(run_folder.recording),
+        recording,
+        _reference(run_folder.config, recording),
     )
     partial = run_folder.report.with_name(f".{run_folder.report.name}.partial")
     try:
-        partial.write_text(page, encoding="utf-8")
+        partial.write_text(text, encoding="utf-8")
         partial.replace(run_folder.report)
     except OSError as error:
         raise UnusableInputError(
             run_folder.report, f"cannot be written ({error.strerror}), expected a writable folder"
         ) from error
     return run_folder.report
+
+
+def _reference(config: Path, recording: Recording) -> NDArray[np.float64] | None:
+    """E by the published method; None also for the config of a run that is too old to be understood now."""
+    try:
+        return reference_estimate(load_with_overrides(config).config, recording)
+    except UnusableInputError:
+        return None
 
 
 def _read_text(path: Path) -> str:
@@ -52,23 +67,30 @@ def _read_text(path: Path) -> str:
         raise UnusableInputError(path, f"cannot be read ({reason}), expected the run's config") from error
 
 
-def render(name: str, config: str, result: Result, recording: Recording) -> str:
-    """The page as text. `name` is the run's, `config` the text of its config file."""
-    style = resources.files("hilbench.report").joinpath("page.css").read_text(encoding="utf-8")
+def render(
+    name: str, config: str, result: Result, recording: Recording, reference_Pa: NDArray[np.float64] | None = None
+) -> str:
+    """The page as text. `name` is the run's, `config` the text of its config file, `reference_Pa` as in the plots."""
     sections = (
         _header(name, result, recording),
         _criteria(result.criteria),
         _faults(result.faults),
-        _pictures(draw_pictures(recording)),
+        _pictures(draw_pictures(recording, reference_Pa)),
         _metrics(result.metrics),
         _timing(result.timing),
         _environment(result.environment),
-        _section("Config", f"<pre>{escape(config)}</pre>"),
+        section("Config", f"<pre>{escape(config)}</pre>"),
     )
+    return page(f"{name}: {_verdict_word(result)}", sections)
+
+
+def page(title: str, sections: Iterable[str]) -> str:
+    """A whole page with the reports' style sheet; `title` is escaped here, the sections are markup."""
+    style = resources.files("hilbench.report").joinpath("page.css").read_text(encoding="utf-8")
     return (
         '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f"<title>{escape(name)}: {_verdict_word(result)}</title>\n<style>\n{style}</style>\n</head>\n<body>\n"
+        f"<title>{escape(title)}</title>\n<style>\n{style}</style>\n</head>\n<body>\n"
         + "\n".join(filter(None, sections))
         + "\n</body>\n</html>\n"
     )
@@ -109,33 +131,33 @@ def _mark(passed: bool) -> str:
 
 def _criteria(criteria: Sequence[CriterionResult]) -> str:
     if not criteria:
-        return _section("Criteria", '<p class="note">The config sets none.</p>')
+        return section("Criteria", '<p class="note">The config sets none.</p>')
     rows = []
     for criterion in criteria:
         reason = f'<span class="reason">{escape(criterion.reason)}</span>' if criterion.reason else ""
         word = "passed" if criterion.passed else "failed"
-        value = _number(criterion.value, _digits(criterion.unit))
+        value = number(criterion.value, _digits(criterion.unit))
         rows.append(
             f"<tr><td>{escape(criterion.name)}{reason}</td>"
             f'<td class="number">{value}</td><td class="number">{escape(criterion.limit)}</td>'
             f'<td>{escape(criterion.unit)}</td><td class="result {word}">{_mark(criterion.passed)} {word}</td></tr>'
         )
-    return _section("Criteria", _table(("Criterion", ">Value", ">Limit", "Unit", "Result"), rows))
+    return section("Criteria", table(("Criterion", ">Value", ">Limit", "Unit", "Result"), rows))
 
 
 def _faults(faults: Sequence[Fault]) -> str:
     if not faults:
         return ""
     rows = [
-        f'<tr><td class="number">{_number(fault.time_s, 6)}</td><td>{escape(fault.source)}</td>'
+        f'<tr><td class="number">{number(fault.time_s, 6)}</td><td>{escape(fault.source)}</td>'
         f"<td>{escape(fault.text)}</td></tr>"
         for fault in faults
     ]
-    return _section("Faults", _table((">Time in s", "Where", "What"), rows))
+    return section("Faults", table((">Time in s", "Where", "What"), rows))
 
 
 def _pictures(pictures: Sequence[Picture]) -> str:
-    return _section("What happened", "\n".join(map(_figure, pictures)))
+    return section("What happened", "\n".join(map(_figure, pictures)))
 
 
 def _figure(picture: Picture) -> str:
@@ -151,50 +173,51 @@ def _metrics(metrics: dict[str, float | None]) -> str:
         unit = known.unit if known else ""
         rows.append(
             f"<tr><td><code>{escape(name)}</code></td>"
-            f'<td class="number">{_number(value, _digits(unit))}</td><td>{escape(unit)}</td>'
+            f'<td class="number">{number(value, _digits(unit))}</td><td>{escape(unit)}</td>'
             f'<td class="note">{escape(known.description if known else "")}</td></tr>'
         )
-    return _section("Metrics", _table(("Metric", ">Value", "Unit", "Meaning"), rows)) if rows else ""
+    return section("Metrics", table(("Metric", ">Value", "Unit", "Meaning"), rows)) if rows else ""
 
 
 def _timing(timing: Timing) -> str:
     rows = [
         ("pace", timing.pace, ""),
-        ("cycle", _number(timing.cycle_us), "µs"),
-        ("cycles", _number(timing.cycles, 12), ""),
-        ("cycles missed", _number(timing.missed, 12), ""),
-        ("bus time over wall time", _number(timing.realtime_factor), ""),
-        ("bus load, mean", _number(timing.bus_load_pct), "%"),
+        ("cycle", number(timing.cycle_us), "µs"),
+        ("cycles", number(timing.cycles, 12), ""),
+        ("cycles missed", number(timing.missed, 12), ""),
+        ("bus time over wall time", number(timing.realtime_factor), ""),
+        ("bus load, mean", number(timing.bus_load_pct), "%"),
     ]
     if timing.jitter_us is not None:
         late = timing.jitter_us
         for label, value in (("median", late.p50), ("99 %", late.p99), ("99.9 %", late.p999), ("largest", late.max)):
-            rows.append((f"lateness of SYNC, {label}", _number(value), "µs"))
+            rows.append((f"lateness of SYNC, {label}", number(value), "µs"))
     lines = [
         f'<tr><td>{name}</td><td class="number">{escape(value)}</td><td>{unit}</td></tr>' for name, value, unit in rows
     ]
-    table = _table(("Quantity", ">Value", "Unit"), lines)
+    figures = table(("Quantity", ">Value", "Unit"), lines)
     histogram = _figure(draw_histogram(timing.jitter_histogram)) if timing.jitter_histogram else ""
-    return _section("Timing", table + histogram)
+    return section("Timing", figures + histogram)
 
 
 def _environment(environment: Environment | None) -> str:
     if environment is None:
-        return _section("Versions", '<p class="note">Not recorded.</p>')
+        return section("Versions", '<p class="note">Not recorded.</p>')
     versions = {"hilbench": environment.hilbench, "Python": environment.python, "system": environment.platform}
     rows = [
         f"<tr><td>{escape(name)}</td><td>{escape(version)}</td></tr>"
         for name, version in (versions | environment.libraries).items()
     ]
     seed = "none" if environment.seed is None else str(environment.seed)
-    return _section("Versions", _table(("What", "Version"), [*rows, f"<tr><td>seed</td><td>{seed}</td></tr>"]))
+    return section("Versions", table(("What", "Version"), [*rows, f"<tr><td>seed</td><td>{seed}</td></tr>"]))
 
 
-def _section(title: str, body: str) -> str:
+def section(title: str, body: str) -> str:
+    """A titled section of markup."""
     return f"<section>\n<h2>{title}</h2>\n{body}\n</section>"
 
 
-def _table(columns: Sequence[str], rows: Iterable[str]) -> str:
+def table(columns: Sequence[str], rows: Iterable[str]) -> str:
     """A table; a column whose title begins with ">" is set flush right, as its numbers are."""
     head = "".join(
         f'<th scope="col" class="number">{title[1:]}</th>' if title[0] == ">" else f'<th scope="col">{title}</th>'
@@ -208,7 +231,7 @@ def _digits(unit: str) -> int:
     return 7 if unit == "m/s" else 4
 
 
-def _number(value: float | None, digits: int = 4) -> str:
+def number(value: float | None, digits: int = 4) -> str:
     """A number for the eye: `digits` significant ones, but never fewer than stand before the decimal point."""
     if value is None:
         return _DASH

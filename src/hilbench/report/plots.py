@@ -85,7 +85,7 @@ class Picture:
 
 
 @dataclass
-class _Panel:
+class Panel:
     """Draws the curves of one set of axes and puts their names at their right ends."""
 
     axes: Any
@@ -93,6 +93,7 @@ class _Panel:
     names: list[tuple[str, str, float]] = field(default_factory=list)
 
     def line(self, values: Array, name: str, colour: str, **style: Any) -> None:
+        """A curve, thinned to what the eye can see; `name` stands at its end."""
         x, y = thinned(self.t_s, values, _COLUMNS)
         self.axes.plot(x, y, color=colour, **style)
         self._name(values, name, colour)
@@ -147,9 +148,17 @@ def _apart(places: Sequence[float], gap: float) -> list[float]:
     return moved
 
 
-def draw_pictures(recording: Recording) -> list[Picture]:
-    """The four pictures of the experiment, each drawn from the signals the recording has."""
-    return [draw(recording) for draw in (draw_velocities, draw_torques, draw_elasticity, draw_tension)]
+def draw_pictures(recording: Recording, reference_Pa: Array | None = None) -> list[Picture]:
+    """The four pictures of the experiment, each drawn from the signals the recording has.
+
+    `reference_Pa`: what the published synchronizer would have made of the run.
+    """
+    return [
+        draw_velocities(recording),
+        draw_torques(recording),
+        draw_elasticity(recording, reference_Pa),
+        draw_tension(recording),
+    ]
 
 
 def draw_velocities(recording: Recording) -> Picture:
@@ -166,9 +175,9 @@ def draw_velocities(recording: Recording) -> Picture:
     commands = [_get(recording, name) for name in ("v2_cmd_m_s", "v1_cmd_m_s") if name in recording]
     part = _inner_window(recording)
 
-    def draw(figure: Any) -> list[_Panel]:
+    def draw(figure: Any) -> list[Panel]:
         upper, lower = figure.subplots(2, 1, sharex=True, gridspec_kw={"height_ratios": (1, 1.25)})
-        whole, fine = _Panel(upper, t_s), _Panel(lower, t_s)
+        whole, fine = Panel(upper, t_s), Panel(lower, t_s)
         whole.line(v2, "axis 2", VERMILLION, linewidth=2.6, alpha=0.8)
         whole.line(v1, "axis 1", BLUE, linewidth=1.3)
         for number, command in enumerate(commands):
@@ -202,8 +211,8 @@ def draw_torques(recording: Recording) -> Picture:
         return Picture(title, caption, "")
     measured = _get(recording, "tau2_Nm")
 
-    def draw(figure: Any) -> list[_Panel]:
-        panel = _Panel(figure.subplots(), recording.time_s)
+    def draw(figure: Any) -> list[Panel]:
+        panel = Panel(figure.subplots(), recording.time_s)
         panel.spread(measured, "measured", SKY)
         panel.line(moving_average(measured, _samples(recording)), "averaged", BLUE)
         if "tau2_sim_Nm" in recording:
@@ -214,20 +223,22 @@ def draw_torques(recording: Recording) -> Picture:
     return Picture(title, caption, _svg(recording, draw, 2.9, "torques", title))
 
 
-def draw_elasticity(recording: Recording) -> Picture:
-    """Young's modulus: true and estimated."""
+def draw_elasticity(recording: Recording, reference_Pa: Array | None = None) -> Picture:
+    """Young's modulus: true, estimated, and by the published method."""
     title = "Young’s modulus"
     caption = (
         f"Young’s modulus of the imitated web with a band of ±{100 * E_BAND:g} % (grey), and the twin’s estimate with"
         " a band of ±2 standard deviations where the twin states one."
     )
+    if reference_Pa is not None:
+        caption += " PID: what the published tracking simulation makes of the same measurements."
     if "E_sim_Pa" not in recording:
         return Picture(title, caption, "")
     estimate = _get(recording, "E_sim_Pa") / 1e6
     part = _inner_window(recording)
 
-    def draw(figure: Any) -> list[_Panel]:
-        panel = _Panel(figure.subplots(), recording.time_s)
+    def draw(figure: Any) -> list[Panel]:
+        panel = Panel(figure.subplots(), recording.time_s)
         shown = [estimate]
         if "E_true_Pa" in recording:
             true = _get(recording, "E_true_Pa") / 1e6
@@ -237,6 +248,9 @@ def draw_elasticity(recording: Recording) -> Picture:
         if "E_sd_Pa" in recording:
             deviation = _get(recording, "E_sd_Pa") / 1e6
             panel.band(estimate - 2 * deviation, estimate + 2 * deviation, VERMILLION, 0.25)
+        if reference_Pa is not None:
+            panel.line(reference_Pa / 1e6, "PID", SKY)
+            shown.append(reference_Pa / 1e6)
         panel.line(estimate, "estimated", VERMILLION)
         panel.limits(*shown, part=part, margin=0.15)
         panel.axes.set_ylabel("E in N/mm²")
@@ -262,8 +276,8 @@ def draw_tension(recording: Recording) -> Picture:
     }
     part = _inner_window(recording)
 
-    def draw(figure: Any) -> list[_Panel]:
-        panel = _Panel(figure.subplots(), recording.time_s)
+    def draw(figure: Any) -> list[Panel]:
+        panel = Panel(figure.subplots(), recording.time_s)
         for name in present:
             label, colour, style = styles[name]
             panel.line(_get(recording, name), label, colour, **style)
@@ -278,7 +292,7 @@ def draw_histogram(histogram: Histogram) -> Picture:
     """Lateness of SYNC over all cycles, logarithmic, so that the rare late one shows."""
     edges, counts = np.array(histogram.edges_us), np.array(histogram.counts, np.float64)
 
-    def draw(figure: Any) -> list[_Panel]:
+    def draw(figure: Any) -> list[Panel]:
         axes = figure.subplots()
         axes.stairs(counts, edges, baseline=0.5, fill=True, color=BLUE, alpha=0.8)
         axes.set_yscale("log")
@@ -289,7 +303,7 @@ def draw_histogram(histogram: Histogram) -> Picture:
 
     title = "Lateness of SYNC"
     return Picture(
-        title, "Every cycle; logarithmic, so that the rare late one shows.", _render(draw, 2.2, "jitter", title)
+        title, "Every cycle; logarithmic, so that the rare late one shows.", render_picture(draw, 2.2, "jitter", title)
     )
 
 
@@ -311,8 +325,8 @@ def _inner_window(recording: Recording) -> slice:
     return inner if inner.stop - inner.start > half else found
 
 
-def _svg(recording: Recording, draw: Callable[[Any], list[_Panel]], height_in: float, name: str, title: str) -> str:
-    def with_time_axis(figure: Any) -> list[_Panel]:
+def _svg(recording: Recording, draw: Callable[[Any], list[Panel]], height_in: float, name: str, title: str) -> str:
+    def with_time_axis(figure: Any) -> list[Panel]:
         panels = draw(figure)
         panels[-1].axes.set_xlabel("time in s")
         for panel in panels:
@@ -320,10 +334,10 @@ def _svg(recording: Recording, draw: Callable[[Any], list[_Panel]], height_in: f
         _mark_steps(recording, panels)
         return panels
 
-    return _render(with_time_axis, height_in, name, title)
+    return render_picture(with_time_axis, height_in, name, title)
 
 
-def _mark_steps(recording: Recording, panels: Sequence[_Panel]) -> None:
+def _mark_steps(recording: Recording, panels: Sequence[Panel]) -> None:
     if "E_true_Pa" not in recording:
         return
     for time_s, change in step_times_s(recording.time_s, recording["E_true_Pa"]):
@@ -341,7 +355,8 @@ def _mark_steps(recording: Recording, panels: Sequence[_Panel]) -> None:
         )
 
 
-def _render(draw: Callable[[Any], list[_Panel]], height_in: float, name: str, title: str) -> str:
+def render_picture(draw: Callable[[Any], list[Panel]], height_in: float, name: str, title: str) -> str:
+    """SVG text of what `draw` draws on a figure of page width; `name` keeps its identifiers apart from others'."""
     import matplotlib
     from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.figure import Figure

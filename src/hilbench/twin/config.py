@@ -2,19 +2,38 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, PositiveFloat
 
 
-class PidConfig(BaseModel):
+class _Block(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class AlsoEstimated(_Block):
+    """Parameters estimated beside E, each by what is believed of it: its standard deviation around 0; 0: not at all.
+
+    They also say how honest the deviation of E is: an offset that is believed to be possible, and that the data
+    can't tell from E, stands in the deviation of E.
+    """
+
+    torque_offset_Nm: float = Field(default=0.0, ge=0, description="of axis 2's torque measurement, motor side")
+    viscous_friction_N_s_per_m: float = Field(default=0.0, ge=0, description="of roller 2 beyond the model's")
+    dry_friction_N: float = Field(default=0.0, ge=0, description="of roller 2 beyond the model's")
+    inertia_share: float = Field(
+        default=0.005,
+        ge=0,
+        description="of the moving mass of axis 2, relative; also covers that torque is sampled, not averaged",
+    )
+
+
+class PidConfig(_Block):
     """Gains of the tracking simulation: dE/dt = Kp·e + Ki·∫e dt + Kd·de/dt, e in N·m of motor torque.
 
     The defaults reproduce the published behaviour on the demonstrator (about 20 s to 1 %): the velocity loop of
     axis 2 gives way to a change of tension and takes it up with some seconds' lag, which Kd/Kp makes up for.
     """
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     method: Literal["pid"] = "pid"
     kp_Pa_per_Nm_s: float = Field(default=4.2e8, ge=0)
@@ -26,14 +45,97 @@ class PidConfig(BaseModel):
     upper_limit_Pa: PositiveFloat = 1.0e11
 
 
-class TwinConfig(BaseModel):
+class _OnBalance(_Block):
+    """What the methods on the measured momentum balance of axis 2 have in common."""
+
+    torque_noise_Nm: PositiveFloat = Field(default=0.05, description="believed until it is measured (0.1 s)")
+    initial_deviation_pct: PositiveFloat = Field(default=20.0, description="of E at the start")
+    hold_growth_pct_per_s: PositiveFloat = Field(
+        default=2.0, description="growth of the deviation, as a random walk, while there is no usable sample"
+    )
+    also: AlsoEstimated = AlsoEstimated()
+
+
+class RlsConfig(_OnBalance):
+    """Recursive least squares with exponential forgetting."""
+
+    method: Literal["rls"] = "rls"
+    memory_s: PositiveFloat = Field(default=0.05, description="time constant of forgetting")
+
+
+class EkfConfig(_OnBalance):
+    """Extended Kalman filter of motion and parameters; the process noise of E follows the innovations."""
+
+    method: Literal["ekf"] = "ekf"
+    drift_pct_per_sqrt_s: PositiveFloat = Field(default=0.1, description="random walk of E while innovations are white")
+    jump_pct_per_sqrt_s: PositiveFloat = Field(default=100.0, description="the same when the innovations are far off")
+
+
+class LmConfig(_OnBalance):
+    """Levenberg–Marquardt on a moving window."""
+
+    method: Literal["lm"] = "lm"
+    window_s: PositiveFloat = 0.15
+    every_cycles: int = Field(default=10, ge=1, description="cycles between two solutions")
+
+
+class GlobalConfig(_OnBalance):
+    """Differential evolution on a window, beside the cyclic path; its result acts `latency_cycles` later."""
+
+    method: Literal["global"] = "global"
+    window_s: PositiveFloat = 0.4
+    latency_cycles: int = Field(default=100, ge=10, description="cycles from a window's end to its result")
+    lower_limit_Pa: PositiveFloat = 1.0e8
+    upper_limit_Pa: PositiveFloat = 1.0e11
+    seed: int = Field(default=1, ge=0)
+
+
+class ChangepointConfig(_OnBalance):
+    """A bank of Kalman filters, one for each hypothesis of when E last jumped or began to drift, mixed by evidence."""
+
+    method: Literal["changepoint"] = "changepoint"
+    jumps_per_s: PositiveFloat = Field(default=1e-3, description="how often E is believed to jump")
+    jump_pct: PositiveFloat = Field(default=20.0, description="standard deviation of a jump")
+    drift_onsets_per_s: PositiveFloat = Field(default=1e-3, description="how often a drift is believed to begin")
+    drift_pct_per_s: PositiveFloat = Field(default=2.0, description="standard deviation of a drift's rate")
+    cautious_pct: PositiveFloat = Field(
+        default=0.15, description="deviation of the mixture above which E is followed only in part, against overshoot"
+    )
+    wander_pct_per_sqrt_s: float = Field(default=0.02, ge=0, description="random walk of E at all times")
+
+
+SynchronizerConfig = Annotated[
+    PidConfig | RlsConfig | EkfConfig | LmConfig | GlobalConfig | ChangepointConfig, Field(discriminator="method")
+]
+
+
+class TransferConfig(_Block):
+    """Direct transfer of measured states into the simulation, each cycle, while they are plausible."""
+
+    strain: bool = Field(default=True, description="the span's strain, as the real axes' encoders show it")
+    axes: bool = Field(default=False, description="position and velocity of the real axes")
+    strain_limit: PositiveFloat = Field(default=2.0e-4, description="largest plausible difference of strain")
+    position_limit_m: PositiveFloat = Field(default=0.05, description="largest plausible difference of position")
+    velocity_limit_m_s: PositiveFloat = Field(default=0.2, description="largest plausible difference of velocity")
+
+
+class TwinConfig(_Block):
     """The twin: what it assumes and how it keeps in step with the bench."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    synchronizer: PidConfig = PidConfig()
+    synchronizer: SynchronizerConfig = ChangepointConfig()
+    transfer: TransferConfig = TransferConfig()
     youngs_modulus_Pa: PositiveFloat | None = Field(
         default=None, description="what the twin assumes at the start; the model's value if not given"
+    )
+    torque_delay: Literal["estimate", "model"] = Field(
+        default="model", description="delay of the measured torque: found from the data, or as in the model's effects"
+    )
+    synchronized_pct: PositiveFloat = Field(
+        default=1.0, description="deviation of E up to which the twin calls itself synchronized"
+    )
+    behind: Literal["catch_up", "hold"] = Field(
+        default="catch_up",
+        description="a late twin simulates the cycles it missed, or holds its state and goes on with the newest",
     )
     virtual_tpdo_every: int = Field(
         default=0, ge=0, le=240, description="the virtual axes send their TPDOs every n-th SYNC; 0: never"

@@ -5,7 +5,6 @@ It knows the bench only from the bus: it hears the real axes' TPDOs beside the c
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,16 +14,26 @@ from hilbench.bus.open import BusAddress, open_link
 from hilbench.drives.port import MotorMode, MotorPort
 from hilbench.drives.simulated import SimulatedDrive
 from hilbench.fieldbus.clock import Clock
-from hilbench.fieldbus.device import Device, NmtState
+from hilbench.fieldbus.device import Device, NmtState, SdoAbort
 from hilbench.fieldbus.eds import load_eds
 from hilbench.fieldbus.host import DeviceHost
 from hilbench.twin.axis_listener import AxisListener
 from hilbench.twin.config import TwinConfig
-from hilbench.twin.synchronizers.base import Estimate, Synchronizer, SyncSample
-from hilbench.twin.synchronizers.pid import PidSynchronizer
-from hilbench.twin.virtual_io import VirtualIo
+from hilbench.twin.plausibility import Problem
+from hilbench.twin.synchronizers.create import METHODS
+from hilbench.twin.tracking import Tracking
+from hilbench.twin.virtual_io import TwinStatus, VirtualIo
 from hilbench.web.line import Line
 from hilbench.web.parameters import ModelParameters
+
+#: Error register (1001h): generic and device profile.
+_PROFILE_SPECIFIC = 0x21
+_VALUE_TOO_HIGH = 0x06090031
+#: Above this speed of an axis the plant runs already when the twin joins.
+_MOVES_M_S = 1e-3
+#: How far off the upstream strain may be as a guess of the strain of a web that is found under way.
+_UNKNOWN_STRAIN = 0.3
+_WARM_UP_CYCLES = 100
 
 
 @dataclass(frozen=True)
@@ -52,11 +61,14 @@ class TwinSetup:
 class TwinApplication:
     """What the twin does in a cycle.
 
-    At SYNC k its TPDOs carry the state simulated for t_k. It then waits for what the real axes measured at t_k,
-    lets the synchronizer compare, and simulates to t_{k+1}. When a measurement has not come by the next SYNC the
-    cycle is simulated without it, and counted in `missed`.
+    At SYNC k its TPDOs carry the state simulated for t_k, and say so (2100h). It then waits for what the real axes
+    measured at t_k, lets the synchronizer compare, and simulates to t_{k+1}. When a measurement has not come by the
+    next SYNC the cycle is simulated without it, and counted in `missed`. When it is so late that further SYNCs are
+    waiting, it tells its age, and catches up or holds, as configured.
 
-    The web is held while an axis has its power stage off, as holding brakes would hold it.
+    The web is held while an axis has its power stage off, as holding brakes would hold it. A twin that is started
+    beside a running plant takes the axes' motion and torque over, and calls itself synchronized when the web that it
+    could not know has been transported out of the span and E is known.
     """
 
     def __init__(
@@ -65,47 +77,51 @@ class TwinApplication:
         line: Line,
         ports: Sequence[MotorPort],
         drives: Sequence[SimulatedDrive],
+        device: Device,
         virtual_io: VirtualIo,
-        new_synchronizer: Callable[[], Synchronizer],
     ) -> None:
         self.missed = 0
         self._cycle_s = setup.cycle_s
+        self._hold_when_behind = setup.twin.behind == "hold"
         self._line = line
         self._ports = ports
         self._drives = drives
+        self._device = device
         self._io = virtual_io
-        self._new_synchronizer = new_synchronizer
-        self._synchronizer = new_synchronizer()
-        self._initial_modulus_Pa = line.youngs_modulus_Pa
-        model = setup.model
-        self._section_m2 = model.required_web.section_m2
-        self._torque_per_tension_m = 1.0 / model.motor_rad_per_m(2)
         self._listeners = [AxisListener(node.eds, node.node_id, setup.cycle_s) for node in setup.real_axes]
-        self._metres_per_rad = [1.0 / model.motor_rad_per_m(axis) for axis in (1, 2)]
+        self._metres_per_rad = [1.0 / setup.model.motor_rad_per_m(axis) for axis in (1, 2)]
+        self._tracking = Tracking(setup.model, setup.twin, line, ports[1], setup.cycle_s)
         self._measured: list[tuple[float, float] | None] = [None, None]  # position in rad, torque in N·m
-        self._pending = False
-        self._released = False
+        self._positions_before: list[float] | None = None
+        self._reported: Problem | None = None
+        self._pending = self._released = False
+        self._sync_number = self._behind = 0
         self._time_s = 0.0
-        self._residual_Nm = 0.0
-        self._estimate = Estimate(line.youngs_modulus_Pa, math.inf)
+        virtual_io.on_method(self._use_method)
         self._tell()
 
     def reset(self) -> None:
         """Start anew with what is assumed at the start (reset of the virtual I/O node)."""
-        self._synchronizer = self._new_synchronizer()
-        self._line.youngs_modulus_Pa = self._initial_modulus_Pa
-        self._line.set_state(strain=[self._io.strain_prev], v_m_s=[0.0, 0.0])
-        self._estimate = Estimate(self._initial_modulus_Pa, math.inf)
+        self._tracking.reset()
+        self._line.set_state(strain=[self._io.strain_prev], x_m=[0.0, 0.0], v_m_s=[0.0, 0.0], tau_Nm=[0.0, 0.0])
         self._measured = [None, None]
+        self._positions_before = self._reported = None
         self._pending = self._released = False
-        self._time_s = self._residual_Nm = 0.0
+        self._time_s = 0.0
         self._tell()
 
-    def before_sync(self) -> None:
-        """The next SYNC is here: what is still waiting for a measurement goes on without."""
+    def start(self) -> None:
+        """NMT start: SYNCs are counted from here."""
+        self._sync_number = 0
+
+    def before_sync(self, behind: int) -> None:
+        """A SYNC is here, `behind` more are waiting: what still waits for a measurement goes on without."""
         if self._pending:
             self.missed += 1
             self._advance()
+        self._sync_number += 1
+        self._behind = behind
+        self._io.tell_status(self._sync_number, behind, self._status())
 
     def after_sync(self) -> None:
         """The TPDOs are out, the drives have new set points: simulate as soon as the measurements are there."""
@@ -130,69 +146,112 @@ class TwinApplication:
 
     def _advance(self) -> None:
         self._pending = False
-        if all(port.mode is not MotorMode.OFF for port in self._ports):
-            if not self._released:
-                self._release_web()
-            self._compare()
-            self._line.set_boundary(self._io.strain_prev, self._io.tension_next_N)
-            self._line.advance(self._cycle_s)
-            self._time_s += self._cycle_s
+        if self._behind and self._hold_when_behind:
+            self._tracking.skip()
+        elif all(port.mode is not MotorMode.OFF for port in self._ports):
+            if self._released or self._release_web():
+                self._compare()
+                self._line.set_boundary(self._io.strain_prev, self._io.tension_next_N)
+                self._line.advance(self._cycle_s)
+                self._time_s += self._cycle_s
         else:
             self._released = False
+            self._positions_before = None
         self._measured = [None, None]
         for drive in self._drives:
             drive.publish()
         self._tell()
 
-    def _release_web(self) -> None:
-        """The web starts as the bench's load model does: strained like the web upstream."""
-        self._line.set_state(strain=[self._io.strain_prev])
+    def _release_web(self) -> bool:
+        """Take over motion and torque of the axes from their first two measurements; whether both are there.
+
+        The web starts as the bench's load model does, strained like the web upstream. On axes that move already this
+        is a guess.
+        """
+        first, second = self._measured
+        if first is None or second is None:
+            return False
+        positions = [first[0] * self._metres_per_rad[0], second[0] * self._metres_per_rad[1]]
+        before, self._positions_before = self._positions_before, positions
+        if before is None:
+            return False
+        speeds = [(now - then) / self._cycle_s for now, then in zip(positions, before, strict=True)]
+        moves = max(map(abs, speeds)) > _MOVES_M_S
+        self._line.set_state(
+            strain=[self._io.strain_prev],
+            x_m=positions,
+            v_m_s=speeds if moves else [0.0, 0.0],
+            tau_Nm=[first[1], second[1]] if moves else [0.0, 0.0],
+        )
+        self._tracking.release(_UNKNOWN_STRAIN if moves else 0.0)
         self._released = True
         self._time_s = 0.0
+        return True
 
     def _compare(self) -> None:
         first, second = self._measured
-        if first is None or second is None or self._time_s == 0.0:
+        if first is None or second is None:
+            self._tracking.skip()
             return
-        line, torque_sim_Nm = self._line, self._ports[1].torque_Nm
-        strain = float(line.strain[0])
-        sample = SyncSample(
-            time_s=self._time_s,
-            cycle_s=self._cycle_s,
-            torque_real_Nm=second[1],
-            torque_sim_Nm=torque_sim_Nm,
-            x1_real_m=first[0] * self._metres_per_rad[0],
-            x2_real_m=second[0] * self._metres_per_rad[1],
-            v2_sim_m_s=self._ports[1].velocity_rad_s * self._metres_per_rad[1],
-            tension_sim_N=float(line.tension_N[0]),
-            strain_sim=strain,
-            strain_prev=self._io.strain_prev,
-            tension_next_N=self._io.tension_next_N,
-            torque_sim_sensitivity_Nm_per_Pa=self._torque_per_tension_m * self._section_m2 * strain,
+        self._tracking.compare(
+            self._time_s,
+            first[0] * self._metres_per_rad[0],
+            second[0] * self._metres_per_rad[1],
+            second[1],
+            self._io.strain_prev,
+            self._io.tension_next_N,
         )
-        self._residual_Nm = sample.torque_real_Nm - torque_sim_Nm
-        self._estimate = self._synchronizer.update(sample)
-        line.youngs_modulus_Pa = self._estimate.youngs_modulus_Pa
+        self._report_problem()
+
+    def _report_problem(self) -> None:
+        """Say by EMCY why a measurement can't be used, and when it can be again."""
+        problem = self._tracking.problem
+        if problem is self._reported:
+            return
+        if self._reported is not None:
+            self._device.clear_emergency(self._reported)
+        if problem is not None:
+            self._device.emergency(problem, _PROFILE_SPECIFIC)
+        self._reported = problem
+
+    def _use_method(self, number: int) -> None:
+        """Go on with another synchronizer, from the present E (2101h)."""
+        methods = list(METHODS.values())
+        if number > len(methods):
+            raise SdoAbort(_VALUE_TOO_HIGH)
+        self._tracking.use(methods[number - 1]() if number else None)
+
+    def _status(self) -> TwinStatus:
+        tracking, status = self._tracking, TwinStatus(0)
+        for bit, holds in (
+            (TwinStatus.RUNNING, self._released),
+            (TwinStatus.SYNCHRONIZED, self._released and tracking.synchronized),
+            (TwinStatus.HOLDING, tracking.problem is not None),
+            (TwinStatus.LATE, self._behind > 0),
+            (TwinStatus.TRANSFER_REFUSED, tracking.refused),
+            (TwinStatus.NOT_SEPARABLE, any(not n.separable for n in tracking.estimate.nuisances)),
+        ):
+            if holds:
+                status |= bit
+        return status
 
     def _tell(self) -> None:
+        tracking = self._tracking
         self._io.tell(
             tension_N=float(self._line.tension_N[0]),
-            modulus_Pa=self._estimate.youngs_modulus_Pa,
-            deviation_Pa=self._estimate.deviation_Pa,
+            modulus_Pa=tracking.estimate.youngs_modulus_Pa,
+            deviation_Pa=tracking.estimate.deviation_Pa,
             torque_Nm=self._ports[1].torque_Nm,
-            residual_Nm=self._residual_Nm,
+            residual_Nm=tracking.residual_Nm,
         )
 
 
 def run_twin(setup: TwinSetup, stop: Callable[[], bool]) -> None:
     """Run the twin on its bus until `stop` says so. Raises BusError when the bus is lost."""
     model = setup.model
-    modulus_Pa = setup.twin.youngs_modulus_Pa or model.required_web.youngs_modulus_Pa
-    # A scratch line runs first, so that compiling is over before the devices boot.
-    Line(model, (MotorPort(), MotorPort())).advance(setup.cycle_s)
+    warm_up(model, setup.twin, setup.cycle_s)
     ports = (MotorPort(), MotorPort())
     line = Line(model, ports)
-    line.youngs_modulus_Pa = modulus_Pa
     devices = [Device(load_eds(node.eds, node.node_id), node.node_id, setup.clock) for node in setup.virtual_axes]
     drives = [SimulatedDrive(device, port) for device, port in zip(devices, ports, strict=True)]
     io_node = setup.virtual_io
@@ -200,14 +259,27 @@ def run_twin(setup: TwinSetup, stop: Callable[[], bool]) -> None:
     virtual_io = VirtualIo(
         io_device, strain_prev=model.upstream_strain, tension_next_N=model.boundary.downstream_tension_N
     )
+    application = TwinApplication(setup, line, ports, drives, io_device, virtual_io)
 
-    def new_synchronizer() -> Synchronizer:
-        return PidSynchronizer(setup.twin.synchronizer, modulus_Pa)
+    def on_nmt(state: NmtState) -> None:
+        if state is NmtState.INITIALISING:
+            application.reset()
+        elif state is NmtState.OPERATIONAL:
+            application.start()
 
-    application = TwinApplication(setup, line, ports, drives, virtual_io, new_synchronizer)
-    io_device.on_nmt = lambda state: application.reset() if state is NmtState.INITIALISING else None
+    io_device.on_nmt = on_nmt
     link = open_link(setup.bus)
     try:
         DeviceHost(link, [*devices, io_device], setup.clock, application).run(stop)
     finally:
         link.close()
+
+
+def warm_up(model: ModelParameters, config: TwinConfig, cycle_s: float) -> None:
+    """Compile (or load) what a cycle runs on scratch objects, so that it is over before the devices boot."""
+    ports = (MotorPort(), MotorPort())
+    line = Line(model, ports)
+    tracking = Tracking(model, config, line, ports[1], cycle_s)
+    for k in range(_WARM_UP_CYCLES):
+        tracking.compare(k * cycle_s, 0.0, 0.0, 0.1 + 0.01 * (k % 7), model.upstream_strain, 0.0)
+        line.advance(cycle_s)

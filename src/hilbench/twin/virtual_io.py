@@ -2,10 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from enum import IntFlag
+
 from hilbench.fieldbus.device import Device
 
 _INPUTS = 0x6403  #: read analogue input float: what the twin tells
 _OUTPUTS = 0x6413  #: write analogue output float: what the twin is told
+_STATUS = 0x2100  #: manufacturer specific: of which SYNC the process data are, and whether they can be trusted
+_SYNCHRONIZER = 0x2101
+
+
+class TwinStatus(IntFlag):
+    """Bits of 2100h sub 3."""
+
+    RUNNING = 1  #: the web is released and simulated
+    SYNCHRONIZED = 2  #: the deviation of E is within the config's limit, and nothing is wrong
+    HOLDING = 4  #: the measurement can't be used: E is held (EMCY says why)
+    LATE = 8  #: further SYNCs are waiting already
+    TRANSFER_REFUSED = 16  #: a measured state was not plausible and was not taken over
+    NOT_SEPARABLE = 32  #: the data don't tell a parameter from E: it is held
 
 
 class VirtualIo:
@@ -19,6 +35,10 @@ class VirtualIo:
         self._residual_Nm = device.cell(_INPUTS, 5)
         self._strain_prev = device.cell(_OUTPUTS, 1)
         self._tension_next_N = device.cell(_OUTPUTS, 2)
+        self._sync_number = device.cell(_STATUS, 1)
+        self._age = device.cell(_STATUS, 2)
+        self._status = device.cell(_STATUS, 3)
+        self._method = device.cell(_SYNCHRONIZER, 1)
         self._strain_prev.value = strain_prev
         self._tension_next_N.value = tension_next_N
 
@@ -31,6 +51,16 @@ class VirtualIo:
         self._deviation_Pa.value = deviation_Pa
         self._torque_Nm.value = torque_Nm
         self._residual_Nm.value = residual_Nm
+
+    def tell_status(self, sync_number: int, age_cycles: int, status: TwinStatus) -> None:
+        """For which SYNC since NMT start the data are, how many more were waiting, and the twin's state."""
+        self._sync_number.value = sync_number & 0xFFFF
+        self._age.value = min(age_cycles, 0xFF)
+        self._status.value = int(status)
+
+    def on_method(self, act: Callable[[int], None]) -> None:
+        """Call `act` with the number of the method that is written (0: as configured)."""
+        self._method.on_write = act
 
     @property
     def strain_prev(self) -> float:

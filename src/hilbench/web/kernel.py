@@ -11,10 +11,9 @@ costs numba a reference count, and they would be most of the time of a step. Not
 from __future__ import annotations
 
 from collections.abc import Callable
-from hashlib import sha256
 from pathlib import Path
 
-from hilbench.compiled import compiled, entry_point
+from hilbench.compiled import compiled, entry_point, number_of_sources
 from hilbench.drives import motor as loops
 from hilbench.web import laws
 from hilbench.web import layout as lay
@@ -461,16 +460,11 @@ def source_number(*further: str) -> int:
     """A number that changes with the source of what is compiled here, and with `further` files."""
     effects = str(Path(__file__).with_name("effects.py"))
     names = (loops.__file__, laws.__file__, lay.__file__, __file__, effects, *further)
-    text = b"".join(Path(name).read_bytes() for name in names)
-    return int.from_bytes(sha256(text).digest()[:7], "big")
+    return number_of_sources(*names)
 
 
 def _entry_points(sources: int) -> tuple[Advance, Observe, Simulate]:
-    """The compiled functions others call.
-
-    numba keeps machine code by the file of the function alone, and would run old code after a change of a law;
-    what a closure holds is part of its key, so `sources` is held.
-    """
+    """The compiled functions others call; `sources` as in `number_of_sources`."""
 
     @entry_point
     def advance(p: Vector, s: Vector, u: Vector, work: Vector, samples: int) -> None:

@@ -115,6 +115,12 @@ def measured_torque_Nm(p: Vector, motor: int, torque_Nm: float, s: Vector, past:
 
 
 @compiled
+def true_torque_Nm(p: Vector, motor: int, measured_Nm: float) -> float:
+    """Torque that the drive produced, from what it reported: without the offset (the delay is not undone)."""
+    return measured_Nm - p[motor + _OFFSET_NM]
+
+
+@compiled
 def step_factor(p: Vector, t_s: float, duration_s: float) -> float:
     """Factor of the steps of E, averaged over [t, t + duration]: exact on the grid, continuous in the step's time."""
     factor = 1.0

@@ -121,9 +121,17 @@ class Line:
         self.set_effect(effect_id, axis, slot=slot, **neutral)
 
     def set_state(
-        self, *, strain: ArrayLike | None = None, x_m: ArrayLike | None = None, v_m_s: ArrayLike | None = None
+        self,
+        *,
+        strain: ArrayLike | None = None,
+        x_m: ArrayLike | None = None,
+        v_m_s: ArrayLike | None = None,
+        tau_Nm: ArrayLike | None = None,
     ) -> None:
-        """State transfer: strains (K,), positions and speeds at the web (N,); what is not given stays."""
+        """State transfer: strains (K,), positions and speeds at the web (N,), motor torques (N,).
+
+        What is not given stays. A control loop that is entered next goes on from the torque.
+        """
         n, y = self._layout.axes, self._layout.y(self._state)
         for start, values in ((0, x_m), (n, v_m_s)):
             if values is not None:
@@ -131,6 +139,8 @@ class Line:
                 y[start + 2 * n : start + 3 * n] = values
         if strain is not None:
             lay.set_strain(self._p, self._state, np.asarray(strain, dtype=float))
+        if tau_Nm is not None:
+            self._layout.motor_states(self._state)[:, lay.SM_TORQUE_NM] = tau_Nm
         lay.refresh_modes(self._p, self._state)
         self._observe()
 

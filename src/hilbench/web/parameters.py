@@ -189,6 +189,11 @@ class ModelParameters(_Part):
         """m = (J_roller + i²·J_motor)/r² (design section 5)."""
         return self.roller_mass_kg(axis) + self.motor_mass_kg(axis)
 
+    def drive_stiffness_N_per_m(self, axis: int) -> float:
+        """ki·(i/r)²: how stiffly the integral part of the velocity loop holds the roller; inf without one."""
+        ki = per_item(self.drives.velocity_ki_Nm_per_rad, axis) if self.drives else 0.0
+        return ki * self.motor_rad_per_m(axis) ** 2 if ki > 0.0 else float("inf")
+
     def carries_web_load(self, axis: int) -> bool:
         """Whether the tensions act on the roller of `axis`."""
         return self.web is not None and per_item(self.web_load, axis)

@@ -187,6 +187,11 @@ class SpanFollower:
         return self._tension.copy()
 
     @property
+    def speeds_m_s(self) -> Vector:
+        """Speeds of the rollers over the last cycle (N,)."""
+        return self._v.copy()
+
+    @property
     def strain(self) -> Vector:
         """Strain of each span (K,)."""
         n, k = self._layout.axes, self._layout.spans

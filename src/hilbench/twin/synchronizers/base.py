@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Protocol
 
+from hilbench.web.balance import BalanceSample
+
 
 @dataclass(slots=True)
 class SyncSample:
@@ -14,14 +16,18 @@ class SyncSample:
     cycle_s: float  #: time since the sample before
     torque_real_Nm: float  #: measured motor torque of axis 2
     torque_sim_Nm: float  #: the same quantity as the twin simulates it
-    x1_real_m: float  #: encoder positions at the web
-    x2_real_m: float
-    v2_sim_m_s: float
-    tension_sim_N: float
-    strain_sim: float
-    strain_prev: float
-    tension_next_N: float
     torque_sim_sensitivity_Nm_per_Pa: float  #: ∂τ2/∂E of the simulated motor torque at constant strain
+    balance: BalanceSample  #: of roller 2, from the measured motion
+
+
+@dataclass(frozen=True, slots=True)
+class Nuisance:
+    """A parameter estimated beside E. Not `separable`: the data don't tell it from E, its prior value is held."""
+
+    name: str  #: as in `hilbench.twin.config.AlsoEstimated`, with its unit
+    value: float
+    deviation: float
+    separable: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,6 +36,7 @@ class Estimate:
 
     youngs_modulus_Pa: float
     deviation_Pa: float  #: standard deviation; infinite where the method can't say
+    nuisances: tuple[Nuisance, ...] = ()
 
 
 class Synchronizer(Protocol):
@@ -37,3 +44,6 @@ class Synchronizer(Protocol):
 
     def update(self, sample: SyncSample) -> Estimate:
         """Take one sample in and return the estimate to simulate the next cycle with."""
+
+    def hold(self, duration_s: float) -> Estimate:
+        """A cycle without a usable sample: the estimate stays, its deviation grows."""

@@ -22,12 +22,11 @@ class PidSynchronizer:
         self._error_Nm = 0.0
         self._integral_Nm_s = 0.0
         self._scatter_Nm2 = 0.0
+        self._last = Estimate(youngs_modulus_Pa, math.inf)
 
     def update(self, sample: SyncSample) -> Estimate:
         c, dt = self._config, sample.cycle_s
         raw_Nm = sample.torque_real_Nm - sample.torque_sim_Nm
-        if not math.isfinite(raw_Nm):
-            return self._estimate(sample)
         error_Nm = self._error_Nm + dt / (c.error_filter_s + dt) * (raw_Nm - self._error_Nm)
         slope_Nm_per_s = (error_Nm - self._error_Nm) / dt
         self._scatter_Nm2 += dt / 1.0 * ((raw_Nm - error_Nm) ** 2 - self._scatter_Nm2)
@@ -40,8 +39,13 @@ class PidSynchronizer:
         self._modulus_Pa = min(c.upper_limit_Pa, max(c.lower_limit_Pa, self._modulus_Pa + rate_Pa_per_s * dt))
         return self._estimate(sample)
 
+    def hold(self, duration_s: float) -> Estimate:
+        """The loop stands still; what is lasting of the error is not known to grow."""
+        return self._last
+
     def _estimate(self, sample: SyncSample) -> Estimate:
-        return Estimate(self._modulus_Pa, self._deviation_Pa(sample))
+        self._last = Estimate(self._modulus_Pa, self._deviation_Pa(sample))
+        return self._last
 
     def _deviation_Pa(self, sample: SyncSample) -> float:
         """Scatter of E that the torque noise causes, and what of the present error is not worked off yet.

@@ -1,0 +1,58 @@
+"""Whether a measurement can be used to find E; if not, why (reported as EMCY, and as a bit of the twin's status)."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+from math import isfinite
+
+#: Cycles with exactly the same torque after which a noisy measurement counts as frozen.
+_FROZEN_CYCLES = 20
+#: Share of the drive's limit from which its torque counts as limited.
+_SATURATED = 0.995
+#: Share of the upstream strain below which the web counts as slack: no tension, nothing to learn.
+_SLACK = 0.02
+#: Speed below which a roller with dry friction stands: friction takes up the tension.
+_STANDSTILL_M_S = 1e-3
+
+
+class Problem(IntEnum):
+    """Why a measurement is not used. The value is the EMCY error code (CiA 301: FFxxh, device specific)."""
+
+    INVALID = 0xFF10  #: not a number
+    FROZEN = 0xFF11  #: the torque does not change any more
+    SATURATED = 0xFF12  #: the drive is at its torque limit
+    SLACK = 0xFF13  #: the web carries no tension
+    STANDSTILL = 0xFF14  #: the roller stands under dry friction
+
+
+class Plausibility:
+    """Looks at each cycle's measurement of axis 2; `torque_limit_Nm` and `dry_friction_N` as the model has them."""
+
+    def __init__(self, torque_limit_Nm: float, dry_friction_N: float, slack_per_Pa: float) -> None:
+        self._limit_Nm = _SATURATED * torque_limit_Nm
+        self._dry_friction = dry_friction_N > 0.0
+        self._slack_per_Pa = _SLACK * slack_per_Pa
+        self._last_Nm = float("nan")
+        self._same = 0
+        self._has_changed = False
+
+    def problem(self, torque_Nm: float, web_per_Pa: float, velocity_m_s: float) -> Problem | None:
+        """What is wrong with this cycle's torque, if anything."""
+        if not (isfinite(torque_Nm) and isfinite(web_per_Pa) and isfinite(velocity_m_s)):
+            return Problem.INVALID
+        if torque_Nm == self._last_Nm:
+            self._same += 1
+        else:
+            self._has_changed = self._has_changed or isfinite(self._last_Nm)
+            self._same = 0
+        self._last_Nm = torque_Nm
+        # A noiseless simulation at rest repeats itself too, but it has not moved before.
+        if self._same >= _FROZEN_CYCLES and self._has_changed:
+            return Problem.FROZEN
+        if abs(torque_Nm) >= self._limit_Nm:
+            return Problem.SATURATED
+        if web_per_Pa <= self._slack_per_Pa:
+            return Problem.SLACK
+        if self._dry_friction and abs(velocity_m_s) < _STANDSTILL_M_S:
+            return Problem.STANDSTILL
+        return None

@@ -1,0 +1,48 @@
+"""The synchronizer that a config asks for."""
+
+from __future__ import annotations
+
+from hilbench.twin.config import (
+    ChangepointConfig,
+    EkfConfig,
+    GlobalConfig,
+    LmConfig,
+    PidConfig,
+    RlsConfig,
+    SynchronizerConfig,
+)
+from hilbench.twin.synchronizers.base import Synchronizer
+from hilbench.twin.synchronizers.changepoint import ChangepointSynchronizer
+from hilbench.twin.synchronizers.ekf import EkfSynchronizer
+from hilbench.twin.synchronizers.global_search import GlobalSynchronizer
+from hilbench.twin.synchronizers.lm import LmSynchronizer
+from hilbench.twin.synchronizers.pid import PidSynchronizer
+from hilbench.twin.synchronizers.plant import Plant
+from hilbench.twin.synchronizers.rls import RlsSynchronizer
+
+#: Methods by their names in configs and on the command line.
+METHODS: dict[str, type[SynchronizerConfig]] = {
+    "pid": PidConfig,
+    "lm": LmConfig,
+    "global": GlobalConfig,
+    "rls": RlsConfig,
+    "ekf": EkfConfig,
+    "changepoint": ChangepointConfig,
+}
+
+
+def new_synchronizer(config: SynchronizerConfig, plant: Plant) -> Synchronizer:
+    """A fresh synchronizer for this plant, with the plant's E as its first guess."""
+    match config:
+        case PidConfig():
+            return PidSynchronizer(config, plant.youngs_modulus_Pa)
+        case RlsConfig():
+            return RlsSynchronizer(config, plant)
+        case EkfConfig():
+            return EkfSynchronizer(config, plant)
+        case LmConfig():
+            return LmSynchronizer(config, plant)
+        case GlobalConfig():
+            return GlobalSynchronizer(config, plant)
+        case ChangepointConfig():
+            return ChangepointSynchronizer(config, plant)

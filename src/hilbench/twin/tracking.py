@@ -1,0 +1,142 @@
+"""One cycle of keeping the simulation in step with the measurement: compare, estimate, transfer.
+
+The same for the twin on the bus and for a recording.
+"""
+
+from __future__ import annotations
+
+from math import exp, inf
+
+from hilbench.drives.port import MotorPort
+from hilbench.twin.config import PidConfig, SynchronizerConfig, TwinConfig
+from hilbench.twin.delay import DelayFinder, DelayLine
+from hilbench.twin.plausibility import Plausibility, Problem
+from hilbench.twin.synchronizers.base import Estimate, Synchronizer, SyncSample
+from hilbench.twin.synchronizers.create import new_synchronizer
+from hilbench.twin.synchronizers.plant import Plant
+from hilbench.web.balance import MeasuredBalance
+from hilbench.web.line import Line
+from hilbench.web.parameters import ModelParameters, per_item
+
+#: Relative uncertainty of the strain below which the web in the span counts as known.
+_KNOWN_STRAIN = 0.003
+#: Least deviation with which a method takes over the estimate of the one before.
+_LEAST_PRIOR_PCT = 0.1
+
+
+class Tracking:
+    """Moves E, and the transferred states, of `line` to where it agrees with what is measured.
+
+    `axis2` is the port of the line's second motor. Positions are at the web, torques at the motor.
+    """
+
+    def __init__(
+        self, model: ModelParameters, config: TwinConfig, line: Line, axis2: MotorPort, cycle_s: float
+    ) -> None:
+        self.config = config
+        self._line = line
+        self._axis2 = axis2
+        self._cycle_s = cycle_s
+        self._balance = MeasuredBalance(model)
+        self._initial_Pa = config.youngs_modulus_Pa or model.required_web.youngs_modulus_Pa
+        self._torque_limit_Nm = per_item(model.drives.torque_limit_Nm, 2) if model.drives else inf
+        self._strain_prev = model.upstream_strain
+        self._model_delay_s = next(
+            (e.parameters.get("delay_s", 0.0) for e in model.effects if (e.effect, e.axis) == ("torque_delay", 2)), 0.0
+        )
+        self._synchronizer: Synchronizer
+        self.reset()
+
+    def reset(self) -> None:
+        """Start anew, with E as assumed at the start."""
+        self._line.youngs_modulus_Pa = self._initial_Pa
+        self._synchronizer = new_synchronizer(self.config.synchronizer, Plant.of(self._balance, self._initial_Pa))
+        self._plausibility = Plausibility(
+            self._torque_limit_Nm, self._balance.dry_friction_N, self._balance.section_m2 * self._strain_prev
+        )
+        self._finder = DelayFinder(self._cycle_s) if self.config.torque_delay == "estimate" else None
+        self._delay_line = DelayLine(self._cycle_s)
+        self.delay_s = self._model_delay_s
+        self.estimate = Estimate(self._initial_Pa, inf)
+        self.residual_Nm = 0.0
+        self.problem: Problem | None = None
+        self.refused = False  #: a measured state was not plausible in this cycle
+        self.release()
+
+    def release(self, strain_uncertainty: float = 0.0) -> None:
+        """The web is released anew, strained as upstream but for an unknown share (relative)."""
+        self._balance.reset()
+        self._delay_line.reset()
+        self._strain_uncertainty = strain_uncertainty
+        self._running = False
+
+    def use(self, synchronizer: SynchronizerConfig | None) -> None:
+        """Go on with another method (None: the configured one) from the present E, without a jump."""
+        config, known = synchronizer or self.config.synchronizer, self.estimate
+        if not isinstance(config, PidConfig):
+            share_pct = 100.0 * known.deviation_Pa / known.youngs_modulus_Pa
+            known_pct = min(max(share_pct, _LEAST_PRIOR_PCT), config.initial_deviation_pct)
+            config = config.model_copy(update={"initial_deviation_pct": known_pct})
+        self._synchronizer = new_synchronizer(config, Plant.of(self._balance, known.youngs_modulus_Pa))
+
+    @property
+    def synchronized(self) -> bool:
+        """Whether E is known as well as the config asks for, and the web in the span is the one that was measured."""
+        limit = 0.01 * self.config.synchronized_pct * self.estimate.youngs_modulus_Pa
+        return self.problem is None and self._strain_uncertainty == 0.0 and self.estimate.deviation_Pa <= limit
+
+    def skip(self) -> None:
+        """A cycle without measurement."""
+        self.estimate = self._synchronizer.hold(self._cycle_s)
+
+    def compare(
+        self, time_s: float, x1_m: float, x2_m: float, torque_Nm: float, strain_prev: float, F_next_N: float
+    ) -> None:
+        """Take what was measured at the instant that the line has been simulated to; updates the line."""
+        line, balance = self._line, self._balance
+        balance.use_modulus(self.estimate.youngs_modulus_Pa)
+        now = balance.update(x1_m, x2_m, torque_Nm, strain_prev, F_next_N, self._cycle_s)
+        torque_sim_Nm = self._axis2.torque_Nm
+        self.residual_Nm = torque_Nm - torque_sim_Nm
+        self.problem = self._plausibility.problem(torque_Nm, now.web_per_Pa, now.velocity_m_s)
+        if self._finder is not None and self.problem is None:
+            self.delay_s = self._finder.update(torque_Nm, torque_sim_Nm)
+        paired = self._delay_line.pair(now, torque_Nm * balance.force_per_torque_per_m, self.delay_s)
+        if self._strain_uncertainty > 0.0:
+            self._transport_out(now.velocity_m_s)
+        if self.problem is not None or paired is None or self._strain_uncertainty > 0.0:
+            self.skip()
+        else:
+            strain = float(line.strain[0])
+            sensitivity = balance.section_m2 * strain / balance.force_per_torque_per_m
+            sample = SyncSample(time_s, self._cycle_s, torque_Nm, torque_sim_Nm, sensitivity, paired)
+            self.estimate = self._synchronizer.update(sample)
+        line.youngs_modulus_Pa = self.estimate.youngs_modulus_Pa
+        if self._running:
+            self._transfer(x1_m, x2_m)
+        self._running = True
+
+    def _transport_out(self, velocity_m_s: float) -> None:
+        """What is not known of the strain leaves with the web: it decays by exp(-v·t/L)."""
+        self._strain_uncertainty *= exp(-abs(velocity_m_s) * self._cycle_s / self._balance.span_length_m)
+        if self._strain_uncertainty < _KNOWN_STRAIN:
+            self._strain_uncertainty = 0.0
+
+    def _transfer(self, x1_m: float, x2_m: float) -> None:
+        """Put measured states in the place of simulated ones, unless they are too far off to be believed."""
+        transfer, line, web = self.config.transfer, self._line, self._balance.web
+        self.refused = False
+        if transfer.strain:
+            strain = float(web.strain[0])
+            if abs(strain - float(line.strain[0])) <= transfer.strain_limit:
+                line.set_state(strain=[strain])
+            else:
+                self.refused = True
+        if transfer.axes:
+            x_sim, v_sim, speeds = line.x_m, line.v_m_s, web.speeds_m_s
+            near = max(abs(x1_m - x_sim[0]), abs(x2_m - x_sim[1])) <= transfer.position_limit_m
+            slow = float(abs(speeds - v_sim).max()) <= transfer.velocity_limit_m_s
+            if near and slow:
+                line.set_state(x_m=[x1_m, x2_m], v_m_s=speeds)
+            else:
+                self.refused = True
