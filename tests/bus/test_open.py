@@ -70,6 +70,7 @@ def test_a_link_over_another_python_can_interface() -> None:
         a.send(sent)
         assert [frame.can_id for frame in b.receive(0.0)] == expected
     assert b.receive(0.0) == []
+    assert b.dropped is None  # python-can does not count
     a.close()
     b.close()
     b.close()
@@ -93,6 +94,8 @@ class KernelSocket:
         self.waiting: list[tuple[bytes, list[tuple[int, int, bytes]]]] = []
         self.sent: list[bytes] = []
         self.failures: list[int] = []
+        self.lost = 0
+        self.closed = False
 
     def setblocking(self, flag: bool) -> None:
         assert not flag
@@ -121,8 +124,15 @@ class KernelSocket:
         self.sent.append(record)
         return len(record)
 
+    def getsockopt(self, level: int, option: int, size: int) -> bytes:
+        assert (level, option, size) == (socket.SOL_SOCKET, 55, 36)  # SO_MEMINFO
+        return struct.pack("=9I", *range(8), self.lost)
+
+    def fileno(self) -> int:
+        return -1 if self.closed else 3
+
     def close(self) -> None:
-        pass
+        self.closed = True
 
 
 @pytest.fixture
@@ -152,7 +162,17 @@ def test_socketcan_receives_batches_times_and_the_drop_counter(kernel: KernelSoc
     ]
     assert link.receive(0.0) == [Frame(0x181, b"\x01\x02", 12_000_000_345), Frame(0x80, b"", 12_000_000_345)]
     assert link.dropped == 7
+
+
+def test_socketcan_learns_of_losses_after_the_last_frame(kernel: KernelSocket) -> None:
+    link = SocketCanLink("vcan0")
+    kernel.lost = 3
     assert link.receive(0.0) == []
+    assert link.dropped == 3
+    kernel.lost = 4
+    link.close()
+    link.close()
+    assert link.dropped == 4
 
 
 def test_socketcan_sends_in_order_and_waits_for_a_full_queue(kernel: KernelSocket) -> None:

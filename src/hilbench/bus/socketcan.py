@@ -1,6 +1,7 @@
 """A link to a SocketCAN interface through a raw socket of our own: it counts lost frames, python-can's cannot.
 
-See Linux, Documentation/networking/can.rst (CAN_RAW) and socket(7) (SO_RXQ_OVFL).
+See Linux, Documentation/networking/can.rst (CAN_RAW) and socket(7) (SO_RXQ_OVFL, SO_MEMINFO). With SO_RXQ_OVFL each
+frame brings the number of frames that were lost before it; when no frame comes any more the socket is asked.
 """
 
 from __future__ import annotations
@@ -21,10 +22,13 @@ from hilbench.errors import BusError
 _SO_RCVBUFFORCE = 33
 _SO_TIMESTAMPNS = 35
 _SO_RXQ_OVFL = 40
+_SO_MEMINFO = 55
 
 _RECEIVE_BUFFER_BYTES = 1 << 20  # about 1 s of a full 1 Mbit/s bus, kernel overhead included
 _TIMESPEC = struct.Struct("@ll")
 _COUNT = struct.Struct("=I")
+#: SO_MEMINFO gives nine counters (<linux/sock_diag.h>, SK_MEMINFO_VARS); the last is that of lost frames.
+_MEMINFO = struct.Struct("=9I")
 _FILTER = struct.Struct("=II")
 _ANCILLARY_BYTES = socket.CMSG_SPACE(_TIMESPEC.size) + socket.CMSG_SPACE(_COUNT.size)
 #: A full transmit queue (ENOBUFS) cannot be polled for: look again after about two frames, give up after so long.
@@ -59,7 +63,17 @@ class SocketCanLink:
         frames = self._waiting()
         if not frames and timeout_s > 0 and wait_readable(self._socket.fileno(), timeout_s):
             frames = self._waiting()
+        if not frames:
+            self._ask_for_losses()
         return frames
+
+    def _ask_for_losses(self) -> None:
+        """Losses that no later frame has brought yet."""
+        try:
+            counters = self._socket.getsockopt(socket.SOL_SOCKET, _SO_MEMINFO, _MEMINFO.size)
+        except OSError:  # Linux before 4.12: the next frame will tell
+            return
+        self.dropped = _MEMINFO.unpack(counters)[-1]
 
     def _waiting(self) -> list[Frame]:
         frames: list[Frame] = []
@@ -96,7 +110,9 @@ class SocketCanLink:
         return self._socket.fileno()
 
     def close(self) -> None:
-        self._socket.close()
+        if self._socket.fileno() >= 0:
+            self._ask_for_losses()
+            self._socket.close()
 
     def _lost(self, error: OSError) -> BusError:
         if error.errno == errno.ENETDOWN:

@@ -77,8 +77,9 @@ def simulate_hardware(config: ConfigArgument, bus: BusOption = None, pace: PaceO
     Example: hilbench simulate-hardware bench_configs/web_section_step.yaml --bus socketcan:vcan0
     """
     from hilbench.bench.hardware import simulate
+    from hilbench.bench.processes import report_lost_frames
 
-    simulate(_load(config, bus=bus, pace=pace).config)
+    report_lost_frames(simulate(_load(config, bus=bus, pace=pace).config))
 
 
 @app.command()
@@ -87,11 +88,11 @@ def twin(config: ConfigArgument, bus: BusOption = None, pace: PaceOption = None)
 
     Example: hilbench twin bench_configs/web_section_step.yaml --bus socketcan:vcan0
     """
-    from hilbench.bench.processes import stop_request
+    from hilbench.bench.processes import report_lost_frames, stop_request
     from hilbench.bench.twin_setup import twin_setup
     from hilbench.twin.process import run_twin
 
-    run_twin(twin_setup(_load(config, bus=bus, pace=pace).config), stop_request())
+    report_lost_frames(run_twin(twin_setup(_load(config, bus=bus, pace=pace).config), stop_request()))
 
 
 @app.command()

@@ -59,6 +59,7 @@ def render(name: str, config: str, result: Result, recording: Recording) -> str:
         _header(name, result, recording),
         _criteria(result.criteria),
         _faults(result.faults),
+        _warnings(result.timing.warnings()),
         _pictures(draw_pictures(recording)),
         _metrics(result.metrics),
         _timing(result.timing),
@@ -134,6 +135,14 @@ def _faults(faults: Sequence[Fault]) -> str:
     return _section("Faults", _table((">Time in s", "Where", "What"), rows))
 
 
+def _warnings(warnings: Sequence[str]) -> str:
+    return (
+        _section("Warnings", _table(("What",), [f"<tr><td>{escape(text)}</td></tr>" for text in warnings]))
+        if warnings
+        else ""
+    )
+
+
 def _pictures(pictures: Sequence[Picture]) -> str:
     return _section("What happened", "\n".join(map(_figure, pictures)))
 
@@ -165,6 +174,11 @@ def _timing(timing: Timing) -> str:
         ("cycles missed", _number(timing.missed, 12), ""),
         ("bus time over wall time", _number(timing.realtime_factor), ""),
         ("bus load, mean", _number(timing.bus_load_pct), "%"),
+        ("frames lost by the bench", _count(timing.lost_frames), ""),
+        *(
+            (f"frames lost by the {escape(name)}", _count(lost), "")
+            for name, lost in (timing.lost_frames_of or {}).items()
+        ),
     ]
     if timing.jitter_us is not None:
         late = timing.jitter_us
@@ -201,6 +215,10 @@ def _table(columns: Sequence[str], rows: Iterable[str]) -> str:
         for title in columns
     )
     return f"<table>\n<thead><tr>{head}</tr></thead>\n<tbody>\n" + "\n".join(rows) + "\n</tbody>\n</table>"
+
+
+def _count(value: int | None) -> str:
+    return "not known" if value is None else _number(value, 12)
 
 
 def _digits(unit: str) -> int:

@@ -184,8 +184,11 @@ class TwinApplication:
         )
 
 
-def run_twin(setup: TwinSetup, stop: Callable[[], bool]) -> None:
-    """Run the twin on its bus until `stop` says so. Raises BusError when the bus is lost."""
+def run_twin(setup: TwinSetup, stop: Callable[[], bool]) -> int | None:
+    """Run the twin on its bus until `stop` says so. Raises BusError when the bus is lost.
+
+    Returns how many frames were lost because they were not read in time (None: the bus cannot tell).
+    """
     model = setup.model
     modulus_Pa = setup.twin.youngs_modulus_Pa or model.required_web.youngs_modulus_Pa
     # A scratch line runs first, so that compiling is over before the devices boot.
@@ -211,3 +214,4 @@ def run_twin(setup: TwinSetup, stop: Callable[[], bool]) -> None:
         DeviceHost(link, [*devices, io_device], setup.clock, application).run(stop)
     finally:
         link.close()
+    return link.dropped
