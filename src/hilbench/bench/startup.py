@@ -61,7 +61,7 @@ def bring_up(
             children: list[ChildProcess] = []
             if start_processes:
                 announce("start simulated hardware and twin")
-                children = _start_children(config, folder)
+                children = start_children(config, folder)
             else:
                 announce("look for simulated hardware and twin")
             for child in children:
@@ -87,7 +87,8 @@ def bring_up(
         yield StartedBench(nodes, exchange, children)
 
 
-def _start_children(config: BenchConfig, folder: Path) -> list[ChildProcess]:
+def start_children(config: BenchConfig, folder: Path) -> list[ChildProcess]:
+    """Start the simulated hardware, where a node is simulated, and the twin; their logs go to `folder`."""
     path = folder / "config.yaml"
     if not path.exists():
         path.write_text(yaml.safe_dump(config.model_dump(mode="json", exclude_none=True), sort_keys=False))

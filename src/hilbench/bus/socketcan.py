@@ -24,7 +24,7 @@ _SO_TIMESTAMPNS = 35
 _SO_RXQ_OVFL = 40
 _SO_MEMINFO = 55
 
-_RECEIVE_BUFFER_BYTES = 1 << 20  # about 1 s of a full 1 Mbit/s bus, kernel overhead included
+RECEIVE_BUFFER_BYTES = 1 << 20  # about 1 s of a full 1 Mbit/s bus, kernel overhead included
 _TIMESPEC = struct.Struct("@ll")
 _COUNT = struct.Struct("=I")
 #: SO_MEMINFO gives nine counters (<linux/sock_diag.h>, SK_MEMINFO_VARS); the last is that of lost frames.
@@ -148,6 +148,6 @@ def _open(channel: str) -> socket.socket:
 
 def _enlarge_receive_buffer(raw: socket.socket) -> None:
     try:
-        raw.setsockopt(socket.SOL_SOCKET, _SO_RCVBUFFORCE, _RECEIVE_BUFFER_BYTES)
+        raw.setsockopt(socket.SOL_SOCKET, _SO_RCVBUFFORCE, RECEIVE_BUFFER_BYTES)
     except PermissionError:  # needs CAP_NET_ADMIN; without it the kernel cuts the size to net.core.rmem_max
-        raw.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER_BYTES)
+        raw.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER_BYTES)

@@ -1,0 +1,77 @@
+"""`hilbench doctor`: findings as a table for people, or as one JSON object."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from hilbench.bench.check import check_bench
+from hilbench.bus.open import BusAddress
+from hilbench.doctor.examination import Examination, Subject, examine, starter
+from hilbench.doctor.findings import Finding, Level
+from hilbench.errors import EXIT_CRITERION_FAILED, EXIT_PASSED
+from hilbench.experiment.config import LoadedConfig
+
+_COLOURS = {Level.OK: "green", Level.WARNING: "yellow", Level.ERROR: "red"}
+
+
+def doctor_command(loaded: LoadedConfig | None, bus: BusAddress, *, start: bool, as_json: bool) -> int:
+    """Examine a bench (or a bus alone), show what was found, and return the exit code."""
+    console = Console(highlight=False)
+    if loaded is None:
+        subject, start_nodes = Subject.of_bus(bus), None
+    else:
+        check_bench(loaded.config, loaded.document)
+        subject, start_nodes = Subject.of_config(loaded.config), starter(loaded.config) if start else None
+    if as_json:
+        examination = examine(subject, start=start_nodes, announce=lambda text: None)
+        print(json.dumps(as_data(examination), indent=2, ensure_ascii=False))
+    else:
+        with console.status("") as status:
+            examination = examine(subject, start=start_nodes, announce=status.update)
+        show(console, examination)
+    return EXIT_PASSED if examination.passed else EXIT_CRITERION_FAILED
+
+
+def as_data(examination: Examination) -> dict[str, object]:
+    """The examination for machines."""
+    return {
+        "passed": examination.passed,
+        "errors": examination.count(Level.ERROR),
+        "warnings": examination.count(Level.WARNING),
+        "findings": [asdict(finding) for finding in examination.findings],
+        "timer_lateness": asdict(examination.lateness),
+    }
+
+
+def show(console: Console, examination: Examination) -> None:
+    """Print the examination for a person: findings with what was expected, then what to do."""
+    table = Table(box=None, show_header=False, padding=(0, 2, 0, 0))
+    table.add_column(no_wrap=True)
+    table.add_column(no_wrap=True)
+    table.add_column(overflow="fold")
+    subject = None
+    for finding in examination.findings:
+        if finding.subject != subject:
+            subject = finding.subject
+            table.add_row("", "", f"[bold]{escape(subject)}[/bold]")
+        colour = _COLOURS[finding.level]
+        table.add_row(f"[{colour}]{finding.level}[/{colour}]", finding.check.replace("_", " "), _text(finding))
+    console.print(table)
+    advice = list(dict.fromkeys(finding.advice for finding in examination.findings if finding.advice))
+    if advice:
+        console.print("\n[bold]To do[/bold]")
+    for text in advice:
+        console.print(f"  {escape(text)}", soft_wrap=True)  # unbroken, to be copied
+    console.print()
+    errors, warnings = examination.count(Level.ERROR), examination.count(Level.WARNING)
+    colour = _COLOURS[Level.ERROR if errors else Level.WARNING if warnings else Level.OK]
+    console.print(f"[{colour}]{errors} errors, {warnings} warnings[/{colour}]; what is checked: docs/real_stand.md")
+
+
+def _text(finding: Finding) -> str:
+    return escape(f"{finding.found}\nexpected {finding.expected}" if finding.expected else finding.found)
