@@ -14,6 +14,7 @@ import yaml
 
 from hilbench.bench.config import BenchConfig
 from hilbench.bench.cycle import CyclicExchange, FrameTap
+from hilbench.bench.memory import locked_memory
 from hilbench.bench.nodes import Nodes
 from hilbench.bench.processes import ChildProcess
 from hilbench.bus.link import Link
@@ -73,6 +74,8 @@ def bring_up(
             master.hear_only_answers()
             time.sleep(_AFTER_START_S)
             resources.callback(master.nmt, nmt.PRE_OPERATIONAL)
+        if config.pace == "realtime":
+            resources.enter_context(locked_memory())
         exchange = CyclicExchange(
             link,
             cycle_ns=config.cycle_ns,
