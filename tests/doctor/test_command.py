@@ -77,7 +77,7 @@ def test_a_real_drive_that_is_silent_and_one_that_its_eds_does_not_fit(tmp_path:
         assert done.returncode == 1
         assert ("axis1 (node 1)", "error") in of_check(found, "node_answers")
         assert ("axis2 (node 2)", "ok") in of_check(found, "node_answers")
-        assert ("virtual io (node 32)", "warning") in of_check(found, "node_answers")
+        assert ("virtual io (node 32)", "error") in of_check(found, "node_answers")
         assert of_check(found, "identity") == [("axis2 (node 2)", "ok"), ("load (node 3)", "error")]
         shown = doctor(str(path), "--no-start")
         assert shown.returncode == 1

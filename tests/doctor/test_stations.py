@@ -156,8 +156,8 @@ def test_a_silent_node(bus: MemoryBus, nodes: list[ExpectedNode]) -> None:
     (real,) = examine(bus, replace(nodes[1], ours=False))
     assert (real.check, real.level) == (Check.NODE_ANSWERS, Level.ERROR)
     (ours,) = examine(bus, nodes[1])
-    assert ours.level is Level.WARNING
-    assert "--no-start" in ours.advice
+    assert ours.level is Level.ERROR
+    assert "hilbench simulate-hardware CONFIG" in ours.advice
 
 
 def test_who_is_there_is_asked_in_one_go(bus: MemoryBus) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import asdict
 
 from rich.console import Console
@@ -31,8 +32,8 @@ def doctor_command(loaded: LoadedConfig | None, bus: BusAddress, *, start: bool,
         examination = examine(subject, start=start_nodes, announce=lambda text: None)
         print(json.dumps(as_data(examination), indent=2, ensure_ascii=False))
     else:
-        with console.status("") as status:
-            examination = examine(subject, start=start_nodes, announce=status.update)
+        # Plain lines: what redraws itself meanwhile would disturb the measurement of the timer.
+        examination = examine(subject, start=start_nodes, announce=lambda text: console.print(f"{text} ..."))
         show(console, examination)
     return EXIT_PASSED if examination.passed else EXIT_CRITERION_FAILED
 
@@ -62,15 +63,23 @@ def show(console: Console, examination: Examination) -> None:
         colour = _COLOURS[finding.level]
         table.add_row(f"[{colour}]{finding.level}[/{colour}]", finding.check.replace("_", " "), _text(finding))
     console.print(table)
-    advice = list(dict.fromkeys(finding.advice for finding in examination.findings if finding.advice))
-    if advice:
-        console.print("\n[bold]To do[/bold]")
-    for text in advice:
-        console.print(f"  {escape(text)}", soft_wrap=True)  # unbroken, to be copied
-    console.print()
+    show_advice(console, examination.findings)
     errors, warnings = examination.count(Level.ERROR), examination.count(Level.WARNING)
     colour = _COLOURS[Level.ERROR if errors else Level.WARNING if warnings else Level.OK]
     console.print(f"[{colour}]{errors} errors, {warnings} warnings[/{colour}]; what is checked: docs/real_stand.md")
+
+
+def show_advice(console: Console, findings: Sequence[Finding]) -> None:
+    """Print what to do, each in a line of its own that can be copied, under a comment that says what for."""
+    concerned: dict[str, list[str]] = {}
+    for finding in findings:
+        if finding.advice:
+            concerned.setdefault(finding.advice, []).append(f"{finding.subject}: {finding.check.replace('_', ' ')}")
+    if concerned:
+        console.print("\n[bold]To do[/bold]")
+    for advice, places in concerned.items():
+        console.print(f"[dim]# {escape(', '.join(places))}[/dim]\n{escape(advice)}", soft_wrap=True)
+    console.print()
 
 
 def _text(finding: Finding) -> str:

@@ -14,6 +14,8 @@ from dataclasses import dataclass, field
 from math import ceil
 from pathlib import Path
 
+from can.typechecking import CanFilters
+
 from hilbench.bench.config import BenchConfig
 from hilbench.bench.nodes import Nodes
 from hilbench.bench.processes import ChildProcess
@@ -34,7 +36,7 @@ _LISTEN_S = 1.0
 _MEASURE_S = 0.5
 #: For nodes of simulated hardware and twin that run already to answer.
 _PRESENT_S = 0.5
-_SDO_ANSWERS = [{"can_id": 0x580, "can_mask": 0x780, "extended": False}]
+_SDO_ANSWERS: CanFilters = [{"can_id": 0x580, "can_mask": 0x780, "extended": False}]
 
 
 @dataclass(frozen=True)
@@ -45,6 +47,7 @@ class Subject:
     realtime: bool
     cycle_s: float = 0.002
     frames_per_cycle: int = 16
+    bitrate_source: str = "as bus: bitrate: in the config"
     master_id: int = 127
     sdo_timeout_s: float = 1.0
     boot_timeout_s: float = 20.0
@@ -68,7 +71,11 @@ class Subject:
     @classmethod
     def of_bus(cls, bus: BusAddress) -> Subject:
         """A bus of which nothing else is known."""
-        return cls(bus, realtime=bus.interface != "embedded")
+        return cls(
+            bus,
+            realtime=bus.interface != "embedded",
+            bitrate_source="which is a bench's when its config names none",
+        )
 
 
 @dataclass(frozen=True)
@@ -102,7 +109,7 @@ def examine(subject: Subject, *, start: Start | None, announce: Callable[[str], 
         what = "embedded" if bus.interface == "embedded" else f"python-can's {bus.interface}"
         interface = [ok(Check.INTERFACE, str(bus), f"{what}: nothing to check")]
         return Examination(machine + interface + _stations(subject, start, announce), lateness)
-    needs = InterfaceNeeds(bus.bitrate, subject.frames_per_cycle)
+    needs = InterfaceNeeds(bus.bitrate, subject.frames_per_cycle, subject.bitrate_source)
     before = read_interface(bus.channel)
     interface = judge_interface(before, before, needs)
     if any(finding.level is Level.ERROR for finding in interface):
@@ -135,11 +142,8 @@ def _on_bus(
     announce(f"listen on {subject.bus}")
     heard = listen(link, _LISTEN_S)
     findings = [ok(Check.BUS, str(subject.bus), "opens")]
-    heard_findings = judge_heard(heard, subject.nodes, subject.master_id, str(subject.bus))
-    findings += heard_findings
-    if not subject.nodes or any(
-        finding.check is Check.OTHER_MASTER and finding.level is not Level.OK for finding in heard_findings
-    ):
+    findings += judge_heard(heard, subject.nodes, subject.master_id, str(subject.bus))
+    if not subject.nodes or heard.another_master(subject.master_id):
         return findings
     ours = [node.node_id for node in subject.nodes if node.ours]
     if start is not None and ours and not present(link, ours, _PRESENT_S):
@@ -150,7 +154,7 @@ def _on_bus(
             resources.callback(child.end)
         _wait_for(link, ours, children, subject.boot_timeout_s)
     announce("ask the nodes")
-    with SdoReader(open_python_can(subject.bus, _SDO_ANSWERS), subject.sdo_timeout_s) as reader:  # type: ignore[arg-type]
+    with SdoReader(open_python_can(subject.bus, _SDO_ANSWERS), subject.sdo_timeout_s) as reader:
         for node in subject.nodes:
             findings += judge_node(node, ask(reader, node))
     return findings

@@ -37,6 +37,7 @@ class InterfaceNeeds:
 
     bitrate: int  #: bit/s
     frames_per_cycle: int  #: that may wait in the transmit queue at a time
+    bitrate_source: str = "as bus: bitrate: in the config"  #: why it is that one, for the finding
 
 
 def judge_interface(before: InterfaceFacts, after: InterfaceFacts, needs: InterfaceNeeds) -> list[Finding]:
@@ -83,7 +84,7 @@ def _up(facts: InterfaceFacts, needs: InterfaceNeeds) -> Finding:
 def _bitrate(facts: InterfaceFacts, needs: InterfaceNeeds) -> Finding:
     if facts.kind == "vcan":
         return ok(Check.BITRATE, facts.name, "none: a vcan has no wire")
-    wanted = f"{needs.bitrate} bit/s, as bus: bitrate: in the config"
+    wanted = f"{needs.bitrate} bit/s, {needs.bitrate_source}"
     if facts.bitrate is None:
         return warning(
             Check.BITRATE, facts.name, "not told by the driver", wanted, "set it where the adapter is configured"

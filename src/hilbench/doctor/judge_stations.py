@@ -15,7 +15,7 @@ _WRITE_ONLY = 0x06010001
 def judge_heard(heard: Heard, expected: Sequence[ExpectedNode], master_id: int, bus: str) -> list[Finding]:
     """Findings on who talks without having been asked."""
     findings = []
-    if heard.sync or master_id in heard.nodes:
+    if heard.another_master(master_id):
         what = "SYNC" if heard.sync else f"a heartbeat of node {master_id}, the bench's own id"
         advice = "end the other bench or master first; nodes are not asked meanwhile, so that nothing disturbs it"
         findings.append(warning(Check.OTHER_MASTER, bus, f"heard {what}", "no other master on the bus", advice))
@@ -49,14 +49,10 @@ def judge_node(node: ExpectedNode, answers: NodeAnswers) -> list[Finding]:
 def _silent(node: ExpectedNode) -> Finding:
     found = "no answer to an SDO read of 1000h"
     if node.ours:
-        return warning(
-            Check.NODE_ANSWERS,
-            node.subject,
-            found,
-            "an answer",
-            "hilbench run starts it; to have it started here too, leave out --no-start",
-        )
-    advice = f"check its power, node id {node.node_id}, bit rate and cable; what is heard: candump -t d INTERFACE"
+        command = "twin" if node.part.startswith("virtual") else "simulate-hardware"
+        advice = f"start it: hilbench {command} CONFIG (or leave out --no-start, and end what runs of the others)"
+    else:
+        advice = f"check its power, node id {node.node_id}, bit rate and cable; what is heard: candump -t d INTERFACE"
     return error(Check.NODE_ANSWERS, node.subject, found, "an answer", advice)
 
 

@@ -31,6 +31,10 @@ class Heard:
     nodes: Mapping[int, frozenset[int]] = field(default_factory=dict)  #: node id → COB-IDs it used
     sync: bool = False
 
+    def another_master(self, master_id: int) -> bool:
+        """Whether somebody else sends SYNC, or under the node id of the bench."""
+        return self.sync or master_id in self.nodes
+
 
 @dataclass(frozen=True)
 class MappedObject:
