@@ -61,6 +61,8 @@ def test_a_run_that_lost_frames_says_so_everywhere(tmp_path: Path, monkeypatch: 
     assert not outcome.result.criteria[0].passed
     page = write_report(outcome.folder).read_text()
     assert "Warnings" in page
+    for row in (f'by the bench</td><td class="number">{LOST}<', 'by the twin</td><td class="number">0<'):
+        assert f"frames lost {row}" in page
     assert f"the bench lost {LOST} frames, first noticed at t = " in page
     console = Console(width=200, record=True, file=(tmp_path / "out").open("w"))
     show_outcome(console, outcome)

@@ -66,7 +66,8 @@ def show(console: Console, examination: Examination) -> None:
     show_advice(console, examination.findings)
     errors, warnings = examination.count(Level.ERROR), examination.count(Level.WARNING)
     colour = _COLOURS[Level.ERROR if errors else Level.WARNING if warnings else Level.OK]
-    console.print(f"[{colour}]{errors} errors, {warnings} warnings[/{colour}]; what is checked: docs/real_stand.md")
+    counts = f"{_counted(errors, 'error')}, {_counted(warnings, 'warning')}"
+    console.print(f"[{colour}]{counts}[/{colour}]; what is checked: docs/real_stand.md")
 
 
 def show_advice(console: Console, findings: Sequence[Finding]) -> None:
@@ -80,6 +81,10 @@ def show_advice(console: Console, findings: Sequence[Finding]) -> None:
     for advice, places in concerned.items():
         console.print(f"[dim]# {escape(', '.join(places))}[/dim]\n{escape(advice)}", soft_wrap=True)
     console.print()
+
+
+def _counted(number: int, what: str) -> str:
+    return f"{number} {what}" if number == 1 else f"{number} {what}s"
 
 
 def _text(finding: Finding) -> str:
