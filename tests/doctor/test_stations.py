@@ -12,9 +12,10 @@ import pytest
 from hilbench.bench.nodes import Nodes
 from hilbench.bus.frame import Frame
 from hilbench.bus.memory import MemoryBus
+from hilbench.doctor.bench_subject import expected_nodes
 from hilbench.doctor.findings import Check, Finding, Level
 from hilbench.doctor.judge_stations import judge_heard, judge_node
-from hilbench.doctor.stations import ExpectedNode, NodeAnswers, ask, expected_nodes, present, sort_by_node
+from hilbench.doctor.stations import ExpectedNode, NodeAnswers, ask, present, sort_by_node
 from hilbench.experiment.config import load
 from hilbench.fieldbus.clock import MonotonicClock
 from hilbench.fieldbus.device import Device

@@ -5,17 +5,19 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from dataclasses import asdict
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from hilbench.bench.check import check_bench
 from hilbench.bus.open import BusAddress
-from hilbench.doctor.examination import Examination, Subject, examine, starter
+from hilbench.doctor.examination import Examination, Start, Subject, examine
 from hilbench.doctor.findings import Finding, Level
 from hilbench.errors import EXIT_CRITERION_FAILED, EXIT_PASSED
-from hilbench.experiment.config import LoadedConfig
+
+if TYPE_CHECKING:  # the models take their time to import; an examination without a config does not need them
+    from hilbench.experiment.config import LoadedConfig
 
 _COLOURS = {Level.OK: "green", Level.WARNING: "yellow", Level.ERROR: "red"}
 
@@ -23,11 +25,7 @@ _COLOURS = {Level.OK: "green", Level.WARNING: "yellow", Level.ERROR: "red"}
 def doctor_command(loaded: LoadedConfig | None, bus: BusAddress, *, start: bool, as_json: bool) -> int:
     """Examine a bench (or a bus alone), show what was found, and return the exit code."""
     console = Console(highlight=False)
-    if loaded is None:
-        subject, start_nodes = Subject.of_bus(bus), None
-    else:
-        check_bench(loaded.config, loaded.document)
-        subject, start_nodes = Subject.of_config(loaded.config), starter(loaded.config) if start else None
+    subject, start_nodes = (Subject.of_bus(bus), None) if loaded is None else _of_bench(loaded, start=start)
     if as_json:
         examination = examine(subject, start=start_nodes, announce=lambda text: None)
         print(json.dumps(as_data(examination), indent=2, ensure_ascii=False))
@@ -36,6 +34,14 @@ def doctor_command(loaded: LoadedConfig | None, bus: BusAddress, *, start: bool,
         examination = examine(subject, start=start_nodes, announce=lambda text: console.print(f"{text} ..."))
         show(console, examination)
     return EXIT_PASSED if examination.passed else EXIT_CRITERION_FAILED
+
+
+def _of_bench(loaded: LoadedConfig, *, start: bool) -> tuple[Subject, Start | None]:
+    from hilbench.bench.check import check_bench
+    from hilbench.doctor.bench_subject import starter, subject_of
+
+    check_bench(loaded.config, loaded.document)
+    return subject_of(loaded.config), starter(loaded.config) if start else None
 
 
 def as_data(examination: Examination) -> dict[str, object]:

@@ -11,15 +11,11 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
-from math import ceil
 from pathlib import Path
 
 from can.typechecking import CanFilters
 
-from hilbench.bench.config import BenchConfig
-from hilbench.bench.nodes import Nodes
 from hilbench.bench.processes import ChildProcess
-from hilbench.bench.startup import start_children
 from hilbench.bus.link import Link
 from hilbench.bus.open import BusAddress, open_link, open_python_can
 from hilbench.doctor.findings import Check, Finding, Level, error, ok, warning
@@ -28,7 +24,7 @@ from hilbench.doctor.judge_interface import InterfaceNeeds, judge_interface
 from hilbench.doctor.judge_machine import MachineNeeds, judge_machine
 from hilbench.doctor.judge_stations import judge_heard, judge_node
 from hilbench.doctor.machine import Lateness, measure_lateness, read_machine
-from hilbench.doctor.stations import ExpectedNode, ask, expected_nodes, listen, present
+from hilbench.doctor.stations import ExpectedNode, ask, listen, present
 from hilbench.errors import BenchFaultError
 from hilbench.fieldbus.sdo_reader import SdoReader
 
@@ -52,21 +48,6 @@ class Subject:
     sdo_timeout_s: float = 1.0
     boot_timeout_s: float = 20.0
     nodes: Sequence[ExpectedNode] = field(default=())
-
-    @classmethod
-    def of_config(cls, config: BenchConfig) -> Subject:
-        """The bench of a config. Raises UnusableInputError for an EDS file that cannot be used."""
-        nodes = Nodes(config)
-        return cls(
-            bus=config.bus_address,
-            realtime=config.pace == "realtime",
-            cycle_s=config.cycle_time_s,
-            frames_per_cycle=sum(ceil(frame.per_cycle) for frame in nodes.cyclic_frames()),
-            master_id=config.master.node_id,
-            sdo_timeout_s=config.master.sdo_timeout_s,
-            boot_timeout_s=config.master.boot_timeout_s,
-            nodes=expected_nodes(nodes),
-        )
 
     @classmethod
     def of_bus(cls, bus: BusAddress) -> Subject:
@@ -166,8 +147,3 @@ def _wait_for(link: Link, node_ids: Sequence[int], children: Sequence[ChildProce
     while len(present(link, node_ids, _PRESENT_S)) < len(node_ids) and time.monotonic() < deadline_s:
         for child in children:
             child.check()
-
-
-def starter(config: BenchConfig) -> Start:
-    """Starts what `hilbench run` starts."""
-    return lambda folder: start_children(config, folder)

@@ -7,13 +7,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import canopen
-
-from hilbench.bench.nodes import Nodes
 from hilbench.bus.frame import Frame
 from hilbench.bus.link import Link
-from hilbench.fieldbus import eds
-from hilbench.fieldbus.pdo import PdoMap, bit_length
 from hilbench.fieldbus.sdo_reader import Answer, SdoReader
 
 _SYNC = 0x080
@@ -108,23 +103,6 @@ def _frames(link: Link, duration_s: float) -> list[Frame]:
     return frames
 
 
-def expected_nodes(nodes: Nodes) -> list[ExpectedNode]:
-    """The nodes of a bench with what their EDS files promise."""
-    real = {part for part, node in nodes.config.nodes if not node.simulated}
-    return [
-        ExpectedNode(
-            part=part,
-            node_id=node.node_id,
-            eds=node.eds,
-            ours=part not in real or part.startswith("virtual"),
-            device_type=_default(nodes.dictionary(part), 0x1000, 0),
-            identity=_identity(nodes.dictionary(part)),
-            mapped=_mapped(nodes.pdo_maps(part)),
-        )
-        for part, node in nodes.config.nodes
-    ]
-
-
 def ask(reader: SdoReader, node: ExpectedNode) -> NodeAnswers:
     """Read device type, identity and the mapped objects of one node."""
     device_type = reader.read(node.node_id, 0x1000)
@@ -135,30 +113,3 @@ def ask(reader: SdoReader, node: ExpectedNode) -> NodeAnswers:
         tuple(reader.read(node.node_id, 0x1018, sub) for sub in range(1, 1 + _IDENTITY_ENTRIES)),
         {(item.index, item.sub): reader.read(node.node_id, item.index, item.sub) for item in node.mapped},
     )
-
-
-def _mapped(maps: Iterable[PdoMap]) -> tuple[MappedObject, ...]:
-    found = {
-        (variable.index, variable.subindex): MappedObject(
-            variable.index, variable.subindex, variable.name, bit_length(variable)
-        )
-        for pdo in maps
-        for variable in pdo.variables
-    }
-    return tuple(found[key] for key in sorted(found))
-
-
-def _identity(od: canopen.ObjectDictionary) -> tuple[frozenset[int], ...]:
-    device = od.device_information
-    header = (device.vendor_number, device.product_number, device.revision_number)
-    return tuple(
-        frozenset(value for value in (given, _default(od, 0x1018, sub)) if value) for sub, given in enumerate(header, 1)
-    )
-
-
-def _default(od: canopen.ObjectDictionary, index: int, sub: int) -> int | None:
-    try:
-        value = eds.variable(od, index, sub).default
-    except KeyError:
-        return None
-    return int(value) if isinstance(value, int) else None
