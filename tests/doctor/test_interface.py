@@ -105,6 +105,11 @@ def test_errors_that_happen_now_are_worse_than_old_ones() -> None:
     assert "bus_error" not in now.found
 
 
+def test_a_controller_that_turns_out_to_be_alone_when_it_sends() -> None:
+    findings = judge(captured("sja1000_error_active"), after=captured("sja1000_error_passive"))
+    assert not_ok(findings) == dict.fromkeys((Check.CAN_STATE, Check.ERROR_COUNTERS, Check.PAST_ERRORS), Level.ERROR)
+
+
 @pytest.mark.parametrize(("counts", "level"), [((0, 1), "warning"), ((95, 0), "warning"), ((0, 96), "error")])
 def test_error_counters(counts: tuple[int, int], level: str) -> None:
     facts = replace(captured("sja1000_error_active"), transmit_errors=counts[0], receive_errors=counts[1])

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
+import can
 import pytest
 
 from hilbench.bench.nodes import Nodes
@@ -16,6 +17,7 @@ from hilbench.doctor.bench_subject import expected_nodes
 from hilbench.doctor.findings import Check, Finding, Level
 from hilbench.doctor.judge_stations import judge_heard, judge_node
 from hilbench.doctor.stations import ExpectedNode, NodeAnswers, ask, present, sort_by_node
+from hilbench.errors import BusError
 from hilbench.experiment.config import load
 from hilbench.fieldbus.clock import MonotonicClock
 from hilbench.fieldbus.device import Device
@@ -159,6 +161,21 @@ def test_a_silent_node(bus: MemoryBus, nodes: list[ExpectedNode]) -> None:
     (ours,) = examine(bus, nodes[1])
     assert ours.level is Level.ERROR
     assert "hilbench simulate-hardware CONFIG" in ours.advice
+
+
+def test_a_bus_that_is_lost_is_no_silent_node() -> None:
+    can_bus = MemoryBus().open_python_can()
+    reader = SdoReader(can_bus, timeout_s=0.1)
+    try:
+        can_bus.send = lost  # type: ignore[method-assign]
+        with pytest.raises(BusError, match="node 5 could not be sent: Network is down"):
+            reader.read(5, 0x1000)
+    finally:
+        reader.close()
+
+
+def lost(message: can.Message, timeout: float | None = None) -> None:
+    raise can.CanOperationError("Network is down")
 
 
 def test_who_is_there_is_asked_in_one_go(bus: MemoryBus) -> None:

@@ -41,7 +41,10 @@ class InterfaceNeeds:
 
 
 def judge_interface(before: InterfaceFacts, after: InterfaceFacts, needs: InterfaceNeeds) -> list[Finding]:
-    """Findings on an interface, read `before` and `after` some traffic: counters that grow meanwhile are errors."""
+    """Findings on an interface, read `before` and `after` some traffic: counters that grow meanwhile are errors.
+
+    State and error counters are those after it: a controller that is alone on its wire is sound until it sends.
+    """
     name = before.name
     if not before.exists:
         advice = (
@@ -54,7 +57,7 @@ def judge_interface(before: InterfaceFacts, after: InterfaceFacts, needs: Interf
         return [error(Check.INTERFACE, name, "no CAN interface", "link type can (280)", "ip -brief link show type can")]
     findings = [ok(Check.INTERFACE, name, f"CAN interface ({before.kind or 'kind not known'})"), _up(before, needs)]
     if before.detailed:
-        findings += [_bitrate(before, needs), *_modes(before), *_state(before), *_error_counters(before)]
+        findings += [_bitrate(before, needs), *_modes(before), *_state(after), *_error_counters(after)]
         findings += [*_past_errors(before, after), *_restart(before)]
     else:
         findings.append(

@@ -8,6 +8,8 @@ from types import TracebackType
 import can
 import canopen
 
+from hilbench.errors import BusError
+
 
 @dataclass(frozen=True)
 class Refusal:
@@ -36,7 +38,10 @@ class SdoReader:
         self._timeout_s = timeout_s
 
     def read(self, node_id: int, index: int, sub: int = 0) -> Answer:
-        """The content of an object, the device's refusal, or None when it does not answer in time."""
+        """The content of an object, the device's refusal, or None when it does not answer in time.
+
+        Raises BusError when the request cannot be sent.
+        """
         if node_id not in self._network:
             node = self._network.add_node(node_id, canopen.ObjectDictionary())
             node.sdo.RESPONSE_TIMEOUT = self._timeout_s
@@ -47,6 +52,10 @@ class SdoReader:
             return Refusal(error.code)
         except canopen.SdoCommunicationError:
             return None
+        except (can.CanError, OSError) as error:
+            raise BusError(
+                f"SDO request to node {node_id} could not be sent: {' '.join(str(error).split())}"
+            ) from error
 
     def close(self) -> None:
         """Leave the bus."""
