@@ -5,11 +5,13 @@ from __future__ import annotations
 import errno
 import socket
 import struct
+from pathlib import Path
 from typing import Any
 
 import can
 import pytest
 
+from hilbench.bus import interface_losses
 from hilbench.bus.frame import EXTENDED_FLAG, REMOTE_FLAG, Frame
 from hilbench.bus.open import BusAddress, open_link, open_python_can
 from hilbench.bus.socketcan import SocketCanLink
@@ -173,6 +175,29 @@ def test_socketcan_learns_of_losses_after_the_last_frame(kernel: KernelSocket) -
     link.close()
     link.close()
     assert link.dropped == 4
+
+
+def statistics(folder: Path, **counters: int) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, count in counters.items():
+        (folder / name).write_text(f"{count}\n")
+
+
+def test_socketcan_counts_what_the_interface_lost(
+    kernel: KernelSocket, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(interface_losses, "SYSFS", tmp_path)
+    statistics(tmp_path / "can0" / "statistics", rx_over_errors=85, rx_dropped=2, rx_errors=90)
+    link = SocketCanLink("can0")
+    link.receive(0.0)
+    assert link.dropped == 0  # what was before is no loss of this link
+    statistics(tmp_path / "can0" / "statistics", rx_over_errors=88, rx_dropped=3, rx_errors=99)
+    kernel.lost = 10
+    link.receive(0.0)
+    assert link.dropped == 14
+    statistics(tmp_path / "can0" / "statistics", rx_over_errors=89)
+    link.close()
+    assert link.dropped == 15
 
 
 def test_socketcan_sends_in_order_and_waits_for_a_full_queue(kernel: KernelSocket) -> None:

@@ -28,7 +28,7 @@ class Link(Protocol):
 
     @property
     def dropped(self) -> int | None:
-        """Frames this connection lost because it was not read fast enough; None: this interface cannot tell.
+        """Frames lost on this side because they were not read fast enough; None: this interface cannot tell.
 
         Complete once the link is closed; while it is open, the latest losses may show with the next frame only.
         """

@@ -165,6 +165,6 @@ def _receive_buffer(facts: MachineFacts) -> Finding:
         Check.RECEIVE_BUFFER,
         SUBJECT,
         f"net.core.rmem_max {limit} bytes",
-        f"{RECEIVE_BUFFER_BYTES} bytes: about 1 s of a full bus",
+        f"{RECEIVE_BUFFER_BYTES} bytes: 0.3 s of a full bus",
         f"sudo sysctl -w net.core.rmem_max={RECEIVE_BUFFER_BYTES}",
     )
