@@ -67,7 +67,7 @@ METRICS: Final[dict[str, Metric]] = {
     "jitter_p99_us": Metric("µs", "99th percentile of the lateness of SYNC", _NO_TIMING),
     "jitter_max_us": Metric("µs", "largest lateness of SYNC", _NO_TIMING),
     "realtime_factor": Metric("", "bus time over wall time", _NO_TIMING),
-    "lost_frames": Metric("", "frames that the bench received and did not read in time", _NOT_COUNTED),
+    "lost_frames": Metric("", "frames that reached the interface of the bench and were not read in time", _NOT_COUNTED),
     "bus_load_pct": Metric("%", "bits on the bus over its capacity", _NO_TIMING),
 }
 
