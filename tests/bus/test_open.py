@@ -5,11 +5,13 @@ from __future__ import annotations
 import errno
 import socket
 import struct
+from pathlib import Path
 from typing import Any
 
 import can
 import pytest
 
+from hilbench.bus import interface_losses
 from hilbench.bus.frame import EXTENDED_FLAG, REMOTE_FLAG, Frame
 from hilbench.bus.open import BusAddress, open_link, open_python_can
 from hilbench.bus.socketcan import SocketCanLink
@@ -70,6 +72,7 @@ def test_a_link_over_another_python_can_interface() -> None:
         a.send(sent)
         assert [frame.can_id for frame in b.receive(0.0)] == expected
     assert b.receive(0.0) == []
+    assert b.dropped is None  # python-can does not count
     a.close()
     b.close()
     b.close()
@@ -93,6 +96,8 @@ class KernelSocket:
         self.waiting: list[tuple[bytes, list[tuple[int, int, bytes]]]] = []
         self.sent: list[bytes] = []
         self.failures: list[int] = []
+        self.lost = 0
+        self.closed = False
 
     def setblocking(self, flag: bool) -> None:
         assert not flag
@@ -121,8 +126,15 @@ class KernelSocket:
         self.sent.append(record)
         return len(record)
 
+    def getsockopt(self, level: int, option: int, size: int) -> bytes:
+        assert (level, option, size) == (socket.SOL_SOCKET, 55, 36)  # SO_MEMINFO
+        return struct.pack("=9I", *range(8), self.lost)
+
+    def fileno(self) -> int:
+        return -1 if self.closed else 3
+
     def close(self) -> None:
-        pass
+        self.closed = True
 
 
 @pytest.fixture
@@ -152,7 +164,40 @@ def test_socketcan_receives_batches_times_and_the_drop_counter(kernel: KernelSoc
     ]
     assert link.receive(0.0) == [Frame(0x181, b"\x01\x02", 12_000_000_345), Frame(0x80, b"", 12_000_000_345)]
     assert link.dropped == 7
+
+
+def test_socketcan_learns_of_losses_after_the_last_frame(kernel: KernelSocket) -> None:
+    link = SocketCanLink("vcan0")
+    kernel.lost = 3
     assert link.receive(0.0) == []
+    assert link.dropped == 3
+    kernel.lost = 4
+    link.close()
+    link.close()
+    assert link.dropped == 4
+
+
+def statistics(folder: Path, **counters: int) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, count in counters.items():
+        (folder / name).write_text(f"{count}\n")
+
+
+def test_socketcan_counts_what_the_interface_lost(
+    kernel: KernelSocket, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(interface_losses, "SYSFS", tmp_path)
+    statistics(tmp_path / "can0" / "statistics", rx_over_errors=85, rx_dropped=2, rx_errors=90)
+    link = SocketCanLink("can0")
+    link.receive(0.0)
+    assert link.dropped == 0  # what was before is no loss of this link
+    statistics(tmp_path / "can0" / "statistics", rx_over_errors=88, rx_dropped=3, rx_errors=99)
+    kernel.lost = 10
+    link.receive(0.0)
+    assert link.dropped == 14
+    statistics(tmp_path / "can0" / "statistics", rx_over_errors=89)
+    link.close()
+    assert link.dropped == 15
 
 
 def test_socketcan_sends_in_order_and_waits_for_a_full_queue(kernel: KernelSocket) -> None:

@@ -89,6 +89,7 @@ def test_timing_gives_metrics() -> None:
         "jitter_max_us": None,
         "realtime_factor": 4.2,
         "bus_load_pct": 61.5,
+        "lost_frames": None,
     }
     assert timing([5, 5]).metrics()["jitter_max_us"] == 5
 

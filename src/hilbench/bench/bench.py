@@ -201,6 +201,10 @@ class Bench:
         """Experiment time: of the last sample, counted from the first cycle with all drives enabled."""
         return self.last.t_s
 
+    def experiment_time_s(self, cycle: int) -> float:
+        """Experiment time of a cycle, counted as in `CycleSample`; negative before the drives were enabled."""
+        return (cycle - self._first_cycle) * self.config.cycle_time_s
+
     def cycle(self) -> CycleSample:
         """Run one cycle: set points and SYNC out, measurements in. Raises BenchFaultError on faults and limits."""
         if self.interrupt_requested:
@@ -309,7 +313,7 @@ class Bench:
         self.nodes.fill(sample)
         sample.cycle = exchange.timing.cycles
         sample.twin_age_cycles = self.nodes.twin_age(sample.cycle - self._twin_started_cycle)
-        sample.t_s = (sample.cycle - self._first_cycle) * self.config.cycle_time_s
+        sample.t_s = self.experiment_time_s(sample.cycle)
         sample.F_ref_N = self.tension_set_point_N
         sample.bus_bits = exchange.last_bits
         sample.strain_prev, sample.F_next_N = self._strain_prev, self._tension_next_N

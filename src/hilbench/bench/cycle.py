@@ -47,6 +47,7 @@ class CycleTiming:
     cycles: int = 0
     bits: int = 0
     missing_pdos: int = 0
+    first_loss_cycle: int | None = None  #: in which the link was first seen to have lost frames
     wait_ns: int = 0  #: spent waiting for answers
     started_ns: int = 0
     ended_ns: int = 0
@@ -117,12 +118,19 @@ class CyclicExchange:
         received = self._collect(self._due())
         timing.ended_ns = time.monotonic_ns()
         timing.wait_ns += timing.ended_ns - before_ns
+        if self._link.dropped and timing.first_loss_cycle is None:
+            timing.first_loss_cycle = timing.cycles
         self._account(outgoing, received)
         return received
 
     def expect(self, pdos: Sequence[ExpectedPdo]) -> None:
         """From the next cycle on these TPDOs are waited for."""
         self._expected = tuple(pdos)
+
+    @property
+    def lost_frames(self) -> int | None:
+        """Frames the bench's own connection has lost because it was not read in time; None: not known there."""
+        return self._link.dropped
 
     def _due(self) -> dict[int, str]:
         cycle = self.timing.cycles
@@ -154,7 +162,8 @@ class CyclicExchange:
         if self._lockstep:
             names = ", ".join(f"{sender} (COB-ID {cob_id:03X}h)" for cob_id, sender in due.items())
             raise NoAnswerError(
-                f"cycle {self.timing.cycles}: no answer to SYNC from {names} within {self._timeout_s:g} s"
+                f"cycle {self.timing.cycles}: no answer to SYNC from {names} "
+                f"within {self._timeout_s:g} s{self._losses()}"
             )
         for cob_id, sender in due.items():
             in_row = self._missed_in_row.get(cob_id, 0) + 1
@@ -162,8 +171,13 @@ class CyclicExchange:
             if in_row >= self._missing_limit:
                 raise NoAnswerError(
                     f"cycle {self.timing.cycles}: no answer to {in_row} SYNCs in a row from {sender} "
-                    f"(COB-ID {cob_id:03X}h)"
+                    f"(COB-ID {cob_id:03X}h){self._losses()}"
                 )
+
+    def _losses(self) -> str:
+        """For a missing answer: it may have come, and have been lost on this side."""
+        lost = self._link.dropped
+        return f"; the bench itself has lost {lost} frames in this run" if lost else ""
 
     def _account(self, outgoing: Sequence[Frame], received: Sequence[Frame]) -> None:
         """Count the bits, and hand the frames with their times to the tap.

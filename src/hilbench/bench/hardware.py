@@ -53,8 +53,11 @@ class StandApplication:
         """Frames for others don't concern the hardware."""
 
 
-def simulate(config: BenchConfig) -> None:
-    """Simulate the nodes of the bench that are marked `simulated` until SIGTERM, SIGINT or the end of the bench."""
+def simulate(config: BenchConfig) -> int | None:
+    """Simulate the nodes of the bench that are marked `simulated` until SIGTERM, SIGINT or the end of the bench.
+
+    Returns how many frames were lost because they were not read in time (None: the bus cannot tell).
+    """
     stop = stop_request()
     clock = device_clock(config)
     ports = (MotorPort(), MotorPort(), MotorPort())
@@ -81,6 +84,7 @@ def simulate(config: BenchConfig) -> None:
         DeviceHost(link, devices, clock, StandApplication(drives, ports, stand, config.cycle_time_s)).run(stop)
     finally:
         link.close()
+    return link.dropped
 
 
 def _effect_setter(stand: TestStand, axis: int) -> Callable[[str, dict[str, float]], None]:

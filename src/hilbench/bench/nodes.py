@@ -130,6 +130,18 @@ class Nodes:
         """The real (or simulated) drives: axis 1, axis 2, load motor."""
         return (self.axis1, self.axis2, self.load)
 
+    def dictionary(self, part: str) -> canopen.ObjectDictionary:
+        """What the EDS file of a participant (a field of `nodes:`) says."""
+        return self._ods[part]
+
+    def pdo_maps(self, part: str) -> list[PdoMap]:
+        """The PDOs of a participant (a field of `nodes:`) that the bench maps."""
+        if part == "virtual_io":
+            return [self.io.state, self.io.quality, self.io.boundary]
+        node_id = getattr(self.config.nodes, part).node_id
+        drive = next(drive for drive in (*self.drives, *self.virtual_axes) if drive.settings.node_id == node_id)
+        return [drive.pdos.rpdo, *(pdo for _, pdo, _ in drive.pdos.tpdos)]
+
     # -- configuration -----------------------------------------------------------------------------------
 
     def introduce(self, master: Master) -> None:

@@ -24,6 +24,8 @@ class ChildProcess:
 
     def __init__(self, name: str, arguments: Sequence[str], log_path: Path) -> None:
         self.name = name
+        #: Frames it lost because it did not read in time; None: it has not ended in order, or its bus cannot tell.
+        self.lost_frames: int | None = None
         self._log_path = log_path
         with log_path.open("wb") as log:
             self._process = subprocess.Popen(
@@ -48,7 +50,7 @@ class ChildProcess:
             raise BenchFaultError(f"{self.name} ended by itself (exit code {code}): {self._last_words()}")
 
     def end(self) -> None:
-        """Ask it to end, insist when it does not."""
+        """Ask it to end, insist when it does not; then `lost_frames` is known if it ended in order."""
         if self._process.poll() is None:
             self._process.terminate()
             try:
@@ -58,10 +60,21 @@ class ChildProcess:
                 self._process.wait()
         if self._process.stdin is not None:
             self._process.stdin.close()
+        said = self._last_words()
+        if said.startswith(_LOST_FRAMES) and said.removeprefix(_LOST_FRAMES).strip().isdecimal():
+            self.lost_frames = int(said.removeprefix(_LOST_FRAMES))
 
     def _last_words(self) -> str:
         lines = self._log_path.read_text(encoding="utf-8", errors="replace").strip().splitlines()
         return lines[-1] if lines else "it said nothing"
+
+
+_LOST_FRAMES = "lost frames:"
+
+
+def report_lost_frames(lost: int | None) -> None:
+    """For a child that ends in order: its last words, from which the bench knows what it has lost."""
+    print(_LOST_FRAMES, "not known" if lost is None else lost, flush=True)
 
 
 #: Set in a child's environment: its standard input is a pipe from the bench and says when the bench is gone.

@@ -14,6 +14,7 @@ import yaml
 
 from hilbench.bench.config import BenchConfig
 from hilbench.bench.cycle import CyclicExchange, FrameTap
+from hilbench.bench.memory import locked_memory
 from hilbench.bench.nodes import Nodes
 from hilbench.bench.processes import ChildProcess
 from hilbench.bus.link import Link
@@ -61,7 +62,7 @@ def bring_up(
             children: list[ChildProcess] = []
             if start_processes:
                 announce("start simulated hardware and twin")
-                children = _start_children(config, folder)
+                children = start_children(config, folder)
             else:
                 announce("look for simulated hardware and twin")
             for child in children:
@@ -73,6 +74,8 @@ def bring_up(
             master.hear_only_answers()
             time.sleep(_AFTER_START_S)
             resources.callback(master.nmt, nmt.PRE_OPERATIONAL)
+        if config.pace == "realtime":
+            resources.enter_context(locked_memory())
         exchange = CyclicExchange(
             link,
             cycle_ns=config.cycle_ns,
@@ -87,7 +90,8 @@ def bring_up(
         yield StartedBench(nodes, exchange, children)
 
 
-def _start_children(config: BenchConfig, folder: Path) -> list[ChildProcess]:
+def start_children(config: BenchConfig, folder: Path) -> list[ChildProcess]:
+    """Start the simulated hardware, where a node is simulated, and the twin; their logs go to `folder`."""
     path = folder / "config.yaml"
     if not path.exists():
         path.write_text(yaml.safe_dump(config.model_dump(mode="json", exclude_none=True), sort_keys=False))

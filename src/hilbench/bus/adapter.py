@@ -13,11 +13,11 @@ from hilbench.errors import BusError
 
 
 class PythonCanLink:
-    """Link over `bus`, which it owns. python-can cannot tell what an interface lost: `dropped` stays 0."""
+    """Link over `bus`, which it owns. python-can cannot tell what an interface lost: `dropped` is None."""
 
     def __init__(self, bus: can.BusABC, channel: str) -> None:
         self.channel = channel
-        self.dropped = 0
+        self.dropped: int | None = None
         self._bus = bus
         self._filters: Sequence[tuple[int, int]] | None = None
 

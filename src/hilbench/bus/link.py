@@ -13,8 +13,6 @@ class Link(Protocol):
 
     #: Name of the channel, as it stands in a trace ("vcan0", "hilbench0").
     channel: str
-    #: Frames this connection lost because it did not read fast enough, as far as the bus can tell.
-    dropped: int
 
     def send(self, frames: Sequence[Frame]) -> None:
         """Queue frames; they go onto the bus in this order. Raises BusError when the bus is lost."""
@@ -27,6 +25,13 @@ class Link(Protocol):
 
     def fileno(self) -> int:
         """A file descriptor that becomes readable when a frame waits (for select/poll)."""
+
+    @property
+    def dropped(self) -> int | None:
+        """Frames lost on this side because they were not read fast enough; None: this interface cannot tell.
+
+        Complete once the link is closed; while it is open, the latest losses may show with the next frame only.
+        """
 
     def close(self) -> None:
         """Leave the bus. Calling it twice is no error."""

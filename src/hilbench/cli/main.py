@@ -70,6 +70,33 @@ def check(config: ConfigArgument, bus: BusOption = None) -> None:
     check_command(_load(config, bus=bus))
 
 
+@app.command()
+def doctor(
+    config: Annotated[Path | None, typer.Argument(metavar="[CONFIG]", help="bench config (YAML)")] = None,
+    bus: BusOption = None,
+    pace: PaceOption = None,
+    start: Annotated[
+        bool,
+        typer.Option("--start/--no-start", help="start simulated hardware and twin when they don't run, as run does"),
+    ] = True,
+    json: Annotated[
+        bool, typer.Option("--json", help="print one JSON object on standard output, nothing else")
+    ] = False,
+) -> None:
+    """Examine machine, CAN interface and nodes; says what is wrong and what to type. Writes nothing to any device.
+
+    Exit code: 0 no error found (warnings may be), 1 errors found, 2 unusable input.
+
+    Example: hilbench doctor bench_configs/web_section_step.yaml --bus socketcan:can0
+    """
+    from hilbench.bus.open import BusAddress
+    from hilbench.cli.doctor import doctor_command
+
+    loaded = None if config is None else _load(config, bus=bus, pace=pace)
+    address = BusAddress.parse(bus or "embedded") if loaded is None else loaded.config.bus_address
+    raise typer.Exit(doctor_command(loaded, address, start=start, as_json=json))
+
+
 @app.command("simulate-hardware")
 def simulate_hardware(config: ConfigArgument, bus: BusOption = None, pace: PaceOption = None) -> None:
     """Simulate the drives of a bench (axis 1, axis 2, load motor) until interrupted.
@@ -77,8 +104,9 @@ def simulate_hardware(config: ConfigArgument, bus: BusOption = None, pace: PaceO
     Example: hilbench simulate-hardware bench_configs/web_section_step.yaml --bus socketcan:vcan0
     """
     from hilbench.bench.hardware import simulate
+    from hilbench.bench.processes import report_lost_frames
 
-    simulate(_load(config, bus=bus, pace=pace).config)
+    report_lost_frames(simulate(_load(config, bus=bus, pace=pace).config))
 
 
 @app.command()
@@ -87,11 +115,11 @@ def twin(config: ConfigArgument, bus: BusOption = None, pace: PaceOption = None)
 
     Example: hilbench twin bench_configs/web_section_step.yaml --bus socketcan:vcan0
     """
-    from hilbench.bench.processes import stop_request
+    from hilbench.bench.processes import report_lost_frames, stop_request
     from hilbench.bench.twin_setup import twin_setup
     from hilbench.twin.process import run_twin
 
-    run_twin(twin_setup(_load(config, bus=bus, pace=pace).config), stop_request())
+    report_lost_frames(run_twin(twin_setup(_load(config, bus=bus, pace=pace).config), stop_request()))
 
 
 @app.command()

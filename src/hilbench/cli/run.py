@@ -113,6 +113,8 @@ def show_outcome(console: Console, outcome: RunOutcome) -> None:
         console.print(_criteria_table(result))
     timing = result.timing
     console.print(_timing_line(timing))
+    for warning in timing.warnings():
+        console.print(f"[yellow]warning[/yellow] {warning}", soft_wrap=True)
     for fault in result.faults:
         console.print(f"[red]fault[/red] {fault.source}: {fault.text}", soft_wrap=True)
     verdict = "[green]passed[/green]" if result.passed else "[red]not passed[/red]"
@@ -129,6 +131,8 @@ def _timing_line(timing: Timing) -> str:
         parts.append(f"{timing.missed} missed, SYNC late by {jitter.p50:.0f} µs (p50), {jitter.p99:.0f} µs (p99)")
     if timing.bus_load_pct is not None:
         parts.append(f"bus load {timing.bus_load_pct:.0f} %")
+    if timing.lost_frames is not None:
+        parts.append(f"{timing.lost_frames} frames lost")
     return ", ".join(parts)
 
 

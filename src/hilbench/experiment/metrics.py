@@ -46,6 +46,9 @@ _NO_STEP = "E did not step, or the window ends before the value shows"
 _NOT_SHOWN = "no step of E in the window, or the band was not reached for good"
 _NO_WINDOW = "no working window, or signals that it needs are not recorded"
 _NO_TIMING = "the timing was not measured"
+_NOT_COUNTED = "this bus interface does not count them, or no cycle ran"
+
+_OF_THE_CYCLE = (_NO_TIMING, _NOT_COUNTED)
 
 METRICS: Final[dict[str, Metric]] = {
     "E_time_to_1pct_s": Metric("s", "time from the last step of E until the estimate stays within 1 %", _NOT_SHOWN),
@@ -64,6 +67,7 @@ METRICS: Final[dict[str, Metric]] = {
     "jitter_p99_us": Metric("µs", "99th percentile of the lateness of SYNC", _NO_TIMING),
     "jitter_max_us": Metric("µs", "largest lateness of SYNC", _NO_TIMING),
     "realtime_factor": Metric("", "bus time over wall time", _NO_TIMING),
+    "lost_frames": Metric("", "frames that reached the interface of the bench and were not read in time", _NOT_COUNTED),
     "bus_load_pct": Metric("%", "bits on the bus over its capacity", _NO_TIMING),
 }
 
@@ -74,7 +78,9 @@ def evaluate_metrics(channels: Channels, *, tension_band_N: float = TENSION_BAND
     `channels` are named as in `hilbench.bench.signals`, of equal length; which are missing decides which metrics
     are None.
     """
-    results: dict[str, float | None] = dict.fromkeys(name for name in METRICS if METRICS[name].absent != _NO_TIMING)
+    results: dict[str, float | None] = dict.fromkeys(
+        name for name in METRICS if METRICS[name].absent not in _OF_THE_CYCLE
+    )
     span = working_window(channels["t_s"], channels["v2_cmd_m_s"]) if "v2_cmd_m_s" in channels else None
     if span is None:
         return results

@@ -73,6 +73,9 @@ class Timing(_PartWithOptions):
     """How the cycles went. `cycle_us` is the nominal cycle; `jitter_us` is None where nobody measured it.
 
     `realtime_factor` is bus time over wall time; `bus_load_pct` the mean share of the bus' capacity in use.
+    `lost_frames` were received for the bench and not read in time (None: the bus interface does not count them),
+    `first_loss_s` is when the first was noticed, in experiment time; `lost_frames_of` has the same count of the
+    processes that the bench started.
     """
 
     pace: Literal["realtime", "lockstep"]
@@ -82,6 +85,9 @@ class Timing(_PartWithOptions):
     jitter_us: Jitter | None
     realtime_factor: float | None
     bus_load_pct: float | None
+    lost_frames: Count | None = None
+    first_loss_s: float | None = None
+    lost_frames_of: dict[str, Count | None] | None = None
     jitter_histogram: Histogram | None = None
 
     def metrics(self) -> dict[str, float | None]:
@@ -92,7 +98,19 @@ class Timing(_PartWithOptions):
             "jitter_max_us": self.jitter_us.max if self.jitter_us else None,
             "realtime_factor": self.realtime_factor,
             "bus_load_pct": self.bus_load_pct,
+            "lost_frames": None if self.lost_frames is None else float(self.lost_frames),
         }
+
+    def warnings(self) -> list[str]:
+        """What a reader of the run must know before trusting it: one line for each process that lost frames."""
+        told = []
+        if self.lost_frames:
+            since = "" if self.first_loss_s is None else f", first noticed at t = {self.first_loss_s:.3f} s"
+            told.append(f"the bench lost {self.lost_frames} frames{since}: they are missing in trace and measurements")
+        for process, lost in (self.lost_frames_of or {}).items():
+            if lost:
+                told.append(f"the {process} lost {lost} frames: set points or measurements are missing there")
+        return told
 
 
 def jitter(lateness_us: ArrayLike) -> tuple[Jitter, Histogram] | tuple[None, None]:

@@ -145,6 +145,9 @@ def measure_timing(bench: Bench) -> Timing:
         jitter_us=percentiles,
         realtime_factor=bus_s / wall_s if wall_s > 0 else None,
         bus_load_pct=100.0 * timing.bits / (config.bus.bitrate * bus_s) if bus_s else None,
+        lost_frames=exchange.lost_frames,
+        first_loss_s=bench.experiment_time_s(timing.first_loss_cycle) if timing.first_loss_cycle else None,
+        lost_frames_of={child.name: child.lost_frames for child in bench.children},
         jitter_histogram=histogram,
     )
 

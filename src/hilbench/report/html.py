@@ -75,6 +75,7 @@ def render(
         _header(name, result, recording),
         _criteria(result.criteria),
         _faults(result.faults),
+        _warnings(result.timing.warnings()),
         _pictures(draw_pictures(recording, reference_Pa)),
         _metrics(result.metrics),
         _timing(result.timing),
@@ -156,6 +157,14 @@ def _faults(faults: Sequence[Fault]) -> str:
     return section("Faults", table((">Time in s", "Where", "What"), rows))
 
 
+def _warnings(warnings: Sequence[str]) -> str:
+    return (
+        section("Warnings", table(("What",), [f"<tr><td>{escape(text)}</td></tr>" for text in warnings]))
+        if warnings
+        else ""
+    )
+
+
 def _pictures(pictures: Sequence[Picture]) -> str:
     return section("What happened", "\n".join(map(_figure, pictures)))
 
@@ -187,6 +196,11 @@ def _timing(timing: Timing) -> str:
         ("cycles missed", number(timing.missed, 12), ""),
         ("bus time over wall time", number(timing.realtime_factor), ""),
         ("bus load, mean", number(timing.bus_load_pct), "%"),
+        ("frames lost by the bench", _count(timing.lost_frames), ""),
+        *(
+            (f"frames lost by the {escape(name)}", _count(lost), "")
+            for name, lost in (timing.lost_frames_of or {}).items()
+        ),
     ]
     if timing.jitter_us is not None:
         late = timing.jitter_us
@@ -224,6 +238,10 @@ def table(columns: Sequence[str], rows: Iterable[str]) -> str:
         for title in columns
     )
     return f"<table>\n<thead><tr>{head}</tr></thead>\n<tbody>\n" + "\n".join(rows) + "\n</tbody>\n</table>"
+
+
+def _count(value: int | None) -> str:
+    return "not known" if value is None else number(value, 12)
 
 
 def _digits(unit: str) -> int:

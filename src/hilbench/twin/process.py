@@ -246,8 +246,11 @@ class TwinApplication:
         )
 
 
-def run_twin(setup: TwinSetup, stop: Callable[[], bool]) -> None:
-    """Run the twin on its bus until `stop` says so. Raises BusError when the bus is lost."""
+def run_twin(setup: TwinSetup, stop: Callable[[], bool]) -> int | None:
+    """Run the twin on its bus until `stop` says so. Raises BusError when the bus is lost.
+
+    Returns how many frames were lost because they were not read in time (None: the bus cannot tell).
+    """
     model = setup.model
     warm_up(model, setup.twin, setup.cycle_s)
     ports = (MotorPort(), MotorPort())
@@ -273,6 +276,7 @@ def run_twin(setup: TwinSetup, stop: Callable[[], bool]) -> None:
         DeviceHost(link, [*devices, io_device], setup.clock, application).run(stop)
     finally:
         link.close()
+    return link.dropped
 
 
 def warm_up(model: ModelParameters, config: TwinConfig, cycle_s: float) -> None:

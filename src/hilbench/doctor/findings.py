@@ -1,0 +1,70 @@
+"""What an examination says: one finding for each thing that was looked at."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+
+class Level(StrEnum):
+    """How bad it is: `error` means that a run would fail or must not be trusted."""
+
+    OK = "ok"
+    WARNING = "warning"
+    ERROR = "error"
+
+
+class Check(StrEnum):
+    """Everything that is looked at; docs/real_stand.md has a table of what each of them means."""
+
+    INTERFACE = "interface"
+    UP = "up"
+    BITRATE = "bitrate"
+    MODE = "mode"
+    CAN_STATE = "can_state"
+    ERROR_COUNTERS = "error_counters"
+    PAST_ERRORS = "past_errors"
+    RESTART = "restart"
+    QUEUE_LENGTH = "queue_length"
+    RECEIVE_BUFFER = "receive_buffer"
+    CLOCK = "clock"
+    CLOCK_SOURCE = "clock_source"
+    TIMER = "timer"
+    PRIORITY = "priority"
+    LOCKED_MEMORY = "locked_memory"
+    KERNEL = "kernel"
+    ISOLATED_CORES = "isolated_cores"
+    GOVERNOR = "governor"
+    BUS = "bus"
+    OTHER_MASTER = "other_master"
+    STRANGERS = "strangers"
+    NODE_ANSWERS = "node_answers"
+    IDENTITY = "identity"
+    MAPPED_OBJECTS = "mapped_objects"
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that was looked at; `advice` is what to do, with the command to type, where it is not ok."""
+
+    check: Check
+    subject: str  #: where: interface, "this machine", or "axis1 (node 1)"
+    level: Level
+    found: str
+    expected: str = ""
+    advice: str = ""
+
+
+def ok(check: Check, subject: str, found: str) -> Finding:
+    """All is well."""
+    return Finding(check, subject, Level.OK, found)
+
+
+def warning(check: Check, subject: str, found: str, expected: str, advice: str) -> Finding:
+    """A run works, but not as well or not as safely as it could."""
+    return Finding(check, subject, Level.WARNING, found, expected, advice)
+
+
+def error(check: Check, subject: str, found: str, expected: str, advice: str) -> Finding:
+    """A run would fail, or its result could not be trusted."""
+    return Finding(check, subject, Level.ERROR, found, expected, advice)

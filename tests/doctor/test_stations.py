@@ -1,0 +1,184 @@
+"""Who is on the bus, and whether the devices are those of the EDS files: over an in-memory bus."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import can
+import pytest
+
+from hilbench.bench.nodes import Nodes
+from hilbench.bus.frame import Frame
+from hilbench.bus.memory import MemoryBus
+from hilbench.doctor.bench_subject import expected_nodes
+from hilbench.doctor.findings import Check, Finding, Level
+from hilbench.doctor.judge_stations import judge_heard, judge_node
+from hilbench.doctor.stations import ExpectedNode, NodeAnswers, ask, present, sort_by_node
+from hilbench.errors import BusError
+from hilbench.experiment.config import load
+from hilbench.fieldbus.clock import MonotonicClock
+from hilbench.fieldbus.device import Device
+from hilbench.fieldbus.eds import load_eds
+from hilbench.fieldbus.host import DeviceHost
+from hilbench.fieldbus.sdo_reader import Refusal, SdoReader
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.fixture(scope="module")
+def nodes() -> list[ExpectedNode]:
+    config, _ = load(ROOT / "bench_configs" / "web_section_step.yaml")
+    return expected_nodes(Nodes(config))
+
+
+def levels(findings: list[Finding]) -> dict[Check, Level]:
+    return {finding.check: finding.level for finding in findings}
+
+
+def frames(*identifiers: int) -> list[Frame]:
+    return [Frame(identifier, b"") for identifier in identifiers]
+
+
+def test_the_nodes_of_the_config_are_known_by_their_eds(nodes: list[ExpectedNode]) -> None:
+    axis = nodes[0]
+    assert (axis.part, axis.node_id, axis.ours, axis.device_type) == ("axis1", 1, True, 0x00020192)
+    assert [(item.index, item.bits) for item in axis.mapped] == [
+        (0x6040, 16),
+        (0x6041, 16),
+        (0x6064, 32),
+        (0x606C, 32),
+        (0x6077, 16),
+        (0x60FF, 32),
+    ]
+    assert [(item.index, item.sub) for item in nodes[-1].mapped if item.index == 0x6413] == [(0x6413, 1), (0x6413, 2)]
+
+
+def test_only_what_a_node_sends_counts_as_heard() -> None:
+    heard = sort_by_node(frames(0x000, 0x080, 0x085, 0x181, 0x201, 0x281, 0x583, 0x603, 0x77F, 0x100))
+    assert heard.sync
+    assert heard.nodes == {1: {0x181, 0x281}, 3: {0x583}, 5: {0x085}, 127: {0x77F}}
+
+
+def test_strangers_and_another_master(nodes: list[ExpectedNode]) -> None:
+    quiet = judge_heard(sort_by_node(frames(0x181, 0x703)), nodes, 127, "can0")
+    assert levels(quiet) == {Check.OTHER_MASTER: Level.OK, Check.STRANGERS: Level.OK}
+    stranger = judge_heard(sort_by_node(frames(0x185, 0x705)), nodes, 127, "can0")
+    assert levels(stranger) == {Check.OTHER_MASTER: Level.OK, Check.STRANGERS: Level.WARNING}
+    assert "node 5 (185h 705h)" in stranger[1].found
+    for identifier in (0x080, 0x77F):
+        busy = judge_heard(sort_by_node(frames(identifier)), nodes, 127, "can0")
+        assert levels(busy) == {Check.OTHER_MASTER: Level.WARNING, Check.STRANGERS: Level.OK}
+
+
+class Idle:
+    """Nothing behind the device."""
+
+    def before_sync(self) -> None: ...
+
+    def after_sync(self) -> None: ...
+
+    def on_frame(self, frame: Frame) -> None: ...
+
+    def tick(self, duration_s: float) -> None: ...
+
+
+@pytest.fixture
+def bus() -> Iterator[MemoryBus]:
+    """A bus with a simulated drive at node id 1, in PRE-OPERATIONAL."""
+    bus = MemoryBus()
+    device = Device(load_eds(ROOT / "eds" / "hilbench_servo.eds", 1), 1, MonotonicClock())
+    stop = threading.Event()
+    host = DeviceHost(bus.open_link(), [device], MonotonicClock(), Idle())
+    thread = threading.Thread(target=host.run, args=(stop.is_set,))
+    thread.start()
+    yield bus
+    stop.set()
+    thread.join()
+
+
+def examine(bus: MemoryBus, node: ExpectedNode) -> list[Finding]:
+    with SdoReader(bus.open_python_can(), timeout_s=0.3) as reader:
+        return judge_node(node, ask(reader, node))
+
+
+def test_a_device_that_is_what_its_eds_says(bus: MemoryBus, nodes: list[ExpectedNode]) -> None:
+    findings = examine(bus, nodes[0])
+    assert levels(findings) == {
+        Check.NODE_ANSWERS: Level.OK,
+        Check.IDENTITY: Level.OK,
+        Check.MAPPED_OBJECTS: Level.OK,
+    }
+
+
+def test_the_eds_of_another_device(bus: MemoryBus, nodes: list[ExpectedNode]) -> None:
+    item = nodes[0].mapped[0]
+    other = replace(
+        nodes[0],
+        identity=(frozenset({0x65, 0xFF}), frozenset(), frozenset()),
+        mapped=(replace(item, bits=32), replace(item, index=0x6099, sub=1, name="Homing speeds"), item),
+    )
+    answers, identity, *mapped = examine(bus, other)
+    assert answers.level is Level.OK
+    assert (identity.level, identity.found) == (Level.ERROR, "vendor id 00000000h")
+    assert identity.expected.startswith("00000065h or 000000FFh")
+    assert [finding.level for finding in mapped] == [Level.ERROR, Level.ERROR]
+    assert "6040h" in mapped[0].found
+    assert "16 bits" in mapped[0].found
+    assert mapped[0].expected.startswith("32 bits")
+    assert "6099h sub 1 'Homing speeds': abort 06020000h" in mapped[1].found
+
+
+@pytest.mark.parametrize(
+    ("given", "level"),
+    [
+        ({"identity": (frozenset(), frozenset({1}), frozenset())}, Level.ERROR),
+        ({"identity": (frozenset(), frozenset({0x402}), frozenset({0x20000}))}, Level.WARNING),
+        ({"identity": (frozenset(), frozenset({0x402, 7}), frozenset({0x10000}))}, Level.OK),
+        ({"device_type": 0x191}, Level.ERROR),
+        ({"device_type": 0xFFFF0192}, Level.OK),  # the upper half is the maker's
+        ({"device_type": None, "identity": (frozenset(), frozenset(), frozenset())}, Level.OK),
+    ],
+)
+def test_identity(nodes: list[ExpectedNode], given: dict[str, object], level: Level) -> None:
+    words = [number.to_bytes(4, "little") for number in (0x00020192, 0, 0x402, 0x10000)]
+    node = replace(nodes[0], mapped=(), **given)  # type: ignore[arg-type]
+    assert levels(judge_node(node, NodeAnswers(words[0], tuple(words[1:]))))[Check.IDENTITY] is level
+
+
+def test_an_object_that_can_only_be_written_is_there(nodes: list[ExpectedNode]) -> None:
+    word = bytes(4)
+    node = replace(nodes[0], device_type=None, identity=(frozenset(),) * 3, mapped=nodes[0].mapped[:1])
+    answers = NodeAnswers(word, (word, word, word), {(0x6040, 0): Refusal(0x06010001)})
+    assert levels(judge_node(node, answers))[Check.MAPPED_OBJECTS] is Level.OK
+
+
+def test_a_silent_node(bus: MemoryBus, nodes: list[ExpectedNode]) -> None:
+    (real,) = examine(bus, replace(nodes[1], ours=False))
+    assert (real.check, real.level) == (Check.NODE_ANSWERS, Level.ERROR)
+    (ours,) = examine(bus, nodes[1])
+    assert ours.level is Level.ERROR
+    assert "hilbench simulate-hardware CONFIG" in ours.advice
+
+
+def test_a_bus_that_is_lost_is_no_silent_node() -> None:
+    can_bus = MemoryBus().open_python_can()
+    reader = SdoReader(can_bus, timeout_s=0.1)
+    try:
+        can_bus.send = lost  # type: ignore[method-assign]
+        with pytest.raises(BusError, match="node 5 could not be sent: Network is down"):
+            reader.read(5, 0x1000)
+    finally:
+        reader.close()
+
+
+def lost(message: can.Message, timeout: float | None = None) -> None:
+    raise can.CanOperationError("Network is down")
+
+
+def test_who_is_there_is_asked_in_one_go(bus: MemoryBus) -> None:
+    link = bus.open_link()
+    assert present(link, [1, 2, 17], 0.3) == {1}
+    link.close()
