@@ -140,6 +140,16 @@ def sync(
     model: Annotated[Path, typer.Option("--model", help="model file (YAML)")],
     method: Annotated[str, typer.Option("--method", help="methods, comma-separated, or all")] = "all",
     out: Annotated[Path | None, typer.Option("--out", help="folder for the page with table and picture")] = None,
+    unmodelled_torque: Annotated[
+        float | None,
+        typer.Option(
+            "--unmodelled-torque",
+            min=0.0,
+            metavar="N·m",
+            help="lasting error of the torque (standard deviation) that the stated deviation allows for",
+            show_default="0.03",
+        ),
+    ] = None,
     json: Annotated[bool, typer.Option("--json", help="print the figures as JSON, nothing else")] = False,
 ) -> None:
     """Compare synchronizers on a recording: time to 1 %, overshoot, noise, bias, honesty, cost, and the bound.
@@ -148,7 +158,7 @@ def sync(
     """
     from hilbench.cli.sync import sync_command
 
-    sync_command(recording, model, method, out, as_json=json)
+    sync_command(recording, model, method, out, unmodelled_torque, as_json=json)
 
 
 def main() -> None:

@@ -17,14 +17,22 @@ from hilbench.report.sync_page import COLUMNS, rows, write_sync_page
 from hilbench.web.parameters import load_model
 
 
-def sync_command(recording_path: Path, model_path: Path, methods: str, out: Path | None, *, as_json: bool) -> None:
+def sync_command(
+    recording_path: Path,
+    model_path: Path,
+    methods: str,
+    out: Path | None,
+    unmodelled_torque_Nm: float | None,
+    *,
+    as_json: bool,
+) -> None:
     """Compare, print, and write the page into `out`. Raises UnusableInputError for what can't be used."""
-    names = methods_of(methods)
+    chosen = methods_of(methods)
     model, recording = load_model(model_path), read_recording(recording_path)
     data = measurements_of(recording, recording_path)
     true = np.asarray(recording["E_true_Pa"], np.float64) if "E_true_Pa" in recording else None
     try:
-        comparison = compare_methods(model, data, names, true)
+        comparison = compare_methods(model, data, chosen, true, unmodelled_torque_Nm)
     except ValueError as error:
         raise UnusableInputError(model_path, f"{error}") from error
     if out is not None:
@@ -67,6 +75,7 @@ def as_data(comparison: Comparison) -> dict[str, Any]:
                 "overshoot_pct": result.overshoot_pct,
                 "noise_pct": result.noise_pct,
                 "bias_pct": result.bias_pct,
+                "largest_error_pct": result.largest_error_pct,
                 "covered": result.covered,
                 "final_E_Pa": result.final_E_Pa,
                 "final_deviation_Pa": result.final_sd_Pa,

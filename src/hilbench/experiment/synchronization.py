@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -39,6 +39,7 @@ class MethodResult:
     overshoot_pct: float | None
     noise_pct: float | None  #: rms about its trend, settled part
     bias_pct: float | None  #: mean error, settled part
+    largest_error_pct: float | None  #: settled part
     covered: float | None  #: share of settled cycles in which ±1.96 stated deviations hold the true E
     cpu_us: float  #: per cycle, balance and transfer included
 
@@ -66,13 +67,16 @@ class Comparison:
     results: list[MethodResult]
 
 
-def methods_of(text: str) -> list[str]:
-    """The methods of a comma-separated list; ``all`` is all of them. Raises UnusableInputError for an unknown one."""
+def methods_of(text: str) -> dict[str, SynchronizerConfig]:
+    """The methods of a comma-separated list with their default settings; ``all`` is all of them.
+
+    Raises UnusableInputError for an unknown one.
+    """
     names = list(METHODS) if text.strip() == "all" else [name.strip() for name in text.split(",") if name.strip()]
     for name in names:
         if name not in METHODS:
             raise UnusableInputError("--method", f"'{name}', expected some of {', '.join(METHODS)}, or all")
-    return names
+    return {name: METHODS[name]() for name in names}
 
 
 def measurements_of(recording: Recording, place: str | Path) -> Measurements:
@@ -92,15 +96,24 @@ def measurements_of(recording: Recording, place: str | Path) -> Measurements:
     )
 
 
-def twin_config(method: SynchronizerConfig) -> TwinConfig:
-    """A twin with this method; the published one transfers no state, as it was published."""
-    return TwinConfig(synchronizer=method, transfer=TransferConfig(strain=not isinstance(method, PidConfig)))
+def twin_config(method: SynchronizerConfig, unmodelled_torque_Nm: float | None = None) -> TwinConfig:
+    """A twin with this method; the published one transfers no state, as it was published. None: the default."""
+    transfer = TransferConfig(strain=not isinstance(method, PidConfig))
+    if unmodelled_torque_Nm is None:
+        return TwinConfig(synchronizer=method, transfer=transfer)
+    return TwinConfig(synchronizer=method, transfer=transfer, unmodelled_torque_Nm=unmodelled_torque_Nm)
 
 
 def compare_methods(
-    model: ModelParameters, data: Measurements, methods: Sequence[str], E_true_Pa: Array | None = None
+    model: ModelParameters,
+    data: Measurements,
+    methods: Mapping[str, SynchronizerConfig],
+    E_true_Pa: Array | None = None,
+    unmodelled_torque_Nm: float | None = None,
 ) -> Comparison:
-    """Run each method over the recording and score it.
+    """Run each method (by the name it is shown under) over the recording and score it.
+
+    `unmodelled_torque_Nm` as in `TwinConfig`, whose default None stands for.
 
     The first second of a recording, while a twin settles, is not scored. Raises ValueError for a model without drives
     or of other than two rollers, and for a sampling period that is no multiple of the drives'.
@@ -110,9 +123,9 @@ def compare_methods(
     bound = np.full(len(data.t_s), np.inf)
     bound[step or 0 :] = least_deviation_Pa(model, data, step or 0, noise_Nm)
     results = []
-    for method in methods:
-        track = run_offline(model, twin_config(METHODS[method]()), data)
-        results.append(_score(method, track, data.t_s, E_true_Pa, step))
+    for name, method in methods.items():
+        track = run_offline(model, twin_config(method, unmodelled_torque_Nm), data)
+        results.append(_score(name, track, data.t_s, E_true_Pa, step))
     return Comparison(
         t_s=data.t_s,
         E_true_Pa=E_true_Pa,
@@ -133,7 +146,7 @@ def _bound_time_s(t_s: Array, bound_Pa: Array, E_true_Pa: Array | None, step: in
 
 def _score(method: str, track: Track, t_s: Array, true: Array | None, step: int | None) -> MethodResult:
     if true is None:
-        return MethodResult(method, track, None, None, None, None, None, track.synchronizer_us)
+        return MethodResult(method, track, None, None, None, None, None, None, track.synchronizer_us)
     error = track.E_Pa / true - 1.0
     start = int(np.searchsorted(t_s, (t_s[step] if step is not None else t_s[0]) + _SETTLED_AFTER_S))
     settled = slice(start, None)
@@ -145,6 +158,7 @@ def _score(method: str, track: Track, t_s: Array, true: Array | None, step: int 
         overshoot_pct=metrics.overshoot_pct(track.E_Pa, true, step) if step is not None else None,
         noise_pct=metrics.noise_pct(t_s[settled], track.E_Pa[settled], true[settled]),
         bias_pct=100.0 * float(np.mean(error[settled])),
+        largest_error_pct=100.0 * float(np.max(np.abs(error[settled]))),
         covered=float(np.mean(inside[settled])),
         cpu_us=track.synchronizer_us,
     )

@@ -12,11 +12,7 @@ class _Block(BaseModel):
 
 
 class AlsoEstimated(_Block):
-    """Parameters estimated beside E, each by what is believed of it: its standard deviation around 0; 0: not at all.
-
-    They also say how honest the deviation of E is: an offset that is believed to be possible, and that the data
-    can't tell from E, stands in the deviation of E.
-    """
+    """Parameters estimated beside E, each by what is believed of it: its standard deviation around 0; 0: not at all."""
 
     torque_offset_Nm: float = Field(default=0.0, ge=0, description="of axis 2's torque measurement, motor side")
     viscous_friction_N_s_per_m: float = Field(default=0.0, ge=0, description="of roller 2 beyond the model's")
@@ -99,7 +95,7 @@ class ChangepointConfig(_OnBalance):
     drift_onsets_per_s: PositiveFloat = Field(default=1e-3, description="how often a drift is believed to begin")
     drift_pct_per_s: PositiveFloat = Field(default=2.0, description="standard deviation of a drift's rate")
     cautious_pct: PositiveFloat = Field(
-        default=0.15, description="deviation of the mixture above which E is followed only in part, against overshoot"
+        default=0.09, description="deviation of the mixture above which E is followed only in part, against overshoot"
     )
     wander_pct_per_sqrt_s: float = Field(default=0.02, ge=0, description="random walk of E at all times")
 
@@ -130,8 +126,15 @@ class TwinConfig(_Block):
     torque_delay: Literal["estimate", "model"] = Field(
         default="model", description="delay of the measured torque: found from the data, or as in the model's effects"
     )
+    unmodelled_torque_Nm: float = Field(
+        default=0.03,
+        ge=0,
+        description="what the torque of axis 2 may lastingly be off the model's by (standard deviation): part of the "
+        "stated deviation of E, unless the method looks for it (also.torque_offset_Nm)",
+    )
     synchronized_pct: PositiveFloat = Field(
-        default=1.0, description="deviation of E up to which the twin calls itself synchronized"
+        default=1.0,
+        description="deviation of E up to which the twin calls itself synchronized; without the unmodelled torque",
     )
     behind: Literal["catch_up", "hold"] = Field(
         default="catch_up",

@@ -13,6 +13,9 @@ from hilbench.web.balance import BalanceSample
 LONGEST_S = 0.05
 #: How far back the evidence for a delay reaches.
 _MEMORY_S = 30.0
+#: Steps of the delay that is told, in cycles, and how far the found one must be from it before it moves: the balance is
+#: looked at so much earlier, where each change moves a running roller's position by speed times change.
+_STEP, _HYSTERESIS = 0.25, 0.4
 #: Improvement of the squared error, in standard deviations of the noise, from which a delay is believed.
 _EVIDENCE = 25.0
 
@@ -50,10 +53,13 @@ class DelayFinder:
         change_sim = self._simulated[: self._count] - self._simulated[self._lag : self._lag + self._count]
         self._errors = self._keep * self._errors + (change_real - change_sim) ** 2
         self._noise = self._keep * self._noise + 1.0
-        self.delay_s = self._best()
+        best_s = self._best_s()
+        if abs(best_s - self.delay_s) > _HYSTERESIS * self._cycle_s:
+            step_s = _STEP * self._cycle_s
+            self.delay_s = step_s * round(best_s / step_s)
         return self.delay_s
 
-    def _best(self) -> float:
+    def _best_s(self) -> float:
         errors = self._errors
         best = int(np.argmin(errors))
         floor_Nm2 = errors[best] / max(self._noise, 1.0)

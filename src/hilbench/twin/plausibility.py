@@ -46,11 +46,12 @@ class Plausibility:
             self._has_changed = self._has_changed or isfinite(self._last_Nm)
             self._same = 0
         self._last_Nm = torque_Nm
-        # A noiseless simulation at rest repeats itself too, but it has not moved before.
-        if self._same >= _FROZEN_CYCLES and self._has_changed:
-            return Problem.FROZEN
+        # A torque at its limit repeats itself too.
         if abs(torque_Nm) >= self._limit_Nm:
             return Problem.SATURATED
+        # A noiseless simulation at rest does as well, but it has not moved before.
+        if self._same >= _FROZEN_CYCLES and self._has_changed:
+            return Problem.FROZEN
         if web_per_Pa <= self._slack_per_Pa:
             return Problem.SLACK
         if self._dry_friction and abs(velocity_m_s) < _STANDSTILL_M_S:

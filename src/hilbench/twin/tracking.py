@@ -5,7 +5,8 @@ The same for the twin on the bus and for a recording.
 
 from __future__ import annotations
 
-from math import exp, inf
+from dataclasses import replace
+from math import exp, hypot, inf
 
 from hilbench.drives.port import MotorPort
 from hilbench.twin.config import PidConfig, SynchronizerConfig, TwinConfig
@@ -45,19 +46,21 @@ class Tracking:
             (e.parameters.get("delay_s", 0.0) for e in model.effects if (e.effect, e.axis) == ("torque_delay", 2)), 0.0
         )
         self._synchronizer: Synchronizer
+        self._unmodelled_N = 0.0
         self.reset()
 
     def reset(self) -> None:
         """Start anew, with E as assumed at the start."""
         self._line.youngs_modulus_Pa = self._initial_Pa
-        self._synchronizer = new_synchronizer(self.config.synchronizer, Plant.of(self._balance, self._initial_Pa))
+        self._begin(self.config.synchronizer, self._initial_Pa)
+        self._web_per_Pa = self._balance.section_m2 * self._strain_prev
         self._plausibility = Plausibility(
             self._torque_limit_Nm, self._balance.dry_friction_N, self._balance.section_m2 * self._strain_prev
         )
         self._finder = DelayFinder(self._cycle_s) if self.config.torque_delay == "estimate" else None
         self._delay_line = DelayLine(self._cycle_s)
         self.delay_s = self._model_delay_s
-        self.estimate = Estimate(self._initial_Pa, inf)
+        self.estimate = self._stated(Estimate(self._initial_Pa, inf))
         self.residual_Nm = 0.0
         self.problem: Problem | None = None
         self.refused = False  #: a measured state was not plausible in this cycle
@@ -74,20 +77,31 @@ class Tracking:
         """Go on with another method (None: the configured one) from the present E, without a jump."""
         config, known = synchronizer or self.config.synchronizer, self.estimate
         if not isinstance(config, PidConfig):
-            share_pct = 100.0 * known.deviation_Pa / known.youngs_modulus_Pa
+            share_pct = 100.0 * self._own_deviation_Pa / known.youngs_modulus_Pa
             known_pct = min(max(share_pct, _LEAST_PRIOR_PCT), config.initial_deviation_pct)
             config = config.model_copy(update={"initial_deviation_pct": known_pct})
-        self._synchronizer = new_synchronizer(config, Plant.of(self._balance, known.youngs_modulus_Pa))
+        self._begin(config, known.youngs_modulus_Pa)
+
+    def _begin(self, config: SynchronizerConfig, youngs_modulus_Pa: float) -> None:
+        self._synchronizer = new_synchronizer(config, Plant.of(self._balance, youngs_modulus_Pa))
+        looks_for_it = not isinstance(config, PidConfig) and config.also.torque_offset_Nm > 0.0
+        unmodelled_Nm = 0.0 if looks_for_it else self.config.unmodelled_torque_Nm
+        self._unmodelled_N = unmodelled_Nm * self._balance.force_per_torque_per_m
+
+    def _stated(self, estimate: Estimate) -> Estimate:
+        """With what a lasting error of the torque may add to the deviation: no method sees it in its data."""
+        self._own_deviation_Pa = estimate.deviation_Pa
+        return replace(estimate, deviation_Pa=hypot(estimate.deviation_Pa, self._unmodelled_N / self._web_per_Pa))
 
     @property
     def synchronized(self) -> bool:
         """Whether E is known as well as the config asks for, and the web in the span is the one that was measured."""
         limit = 0.01 * self.config.synchronized_pct * self.estimate.youngs_modulus_Pa
-        return self.problem is None and self._strain_uncertainty == 0.0 and self.estimate.deviation_Pa <= limit
+        return self.problem is None and self._strain_uncertainty == 0.0 and self._own_deviation_Pa <= limit
 
     def skip(self) -> None:
         """A cycle without measurement."""
-        self.estimate = self._synchronizer.hold(self._cycle_s)
+        self.estimate = self._stated(self._synchronizer.hold(self._cycle_s))
 
     def compare(
         self, time_s: float, x1_m: float, x2_m: float, torque_Nm: float, strain_prev: float, F_next_N: float
@@ -99,22 +113,33 @@ class Tracking:
         torque_sim_Nm = self._axis2.torque_Nm
         self.residual_Nm = torque_Nm - torque_sim_Nm
         self.problem = self._plausibility.problem(torque_Nm, now.web_per_Pa, now.velocity_m_s)
-        if self._finder is not None and self.problem is None:
-            self.delay_s = self._finder.update(torque_Nm, torque_sim_Nm)
-        paired = self._delay_line.pair(now, torque_Nm * balance.force_per_torque_per_m, self.delay_s)
+        moved = self._find_delay(torque_Nm, torque_sim_Nm)
+        paired = None
+        if self.problem is Problem.INVALID:
+            self._delay_line.reset()
+        else:
+            paired = self._delay_line.pair(now, torque_Nm * balance.force_per_torque_per_m, self.delay_s)
         if self._strain_uncertainty > 0.0:
             self._transport_out(now.velocity_m_s)
-        if self.problem is not None or paired is None or self._strain_uncertainty > 0.0:
+        if self.problem is not None or paired is None or moved or self._strain_uncertainty > 0.0:
             self.skip()
         else:
             strain = float(line.strain[0])
             sensitivity = balance.section_m2 * strain / balance.force_per_torque_per_m
             sample = SyncSample(time_s, self._cycle_s, torque_Nm, torque_sim_Nm, sensitivity, paired)
-            self.estimate = self._synchronizer.update(sample)
+            self._web_per_Pa = paired.web_per_Pa
+            self.estimate = self._stated(self._synchronizer.update(sample))
         line.youngs_modulus_Pa = self.estimate.youngs_modulus_Pa
         if self._running:
             self._transfer(x1_m, x2_m)
         self._running = True
+
+    def _find_delay(self, torque_Nm: float, torque_sim_Nm: float) -> bool:
+        """Whether the delay is another one from this cycle on."""
+        before_s = self.delay_s
+        if self._finder is not None and self.problem is None:
+            self.delay_s = self._finder.update(torque_Nm, torque_sim_Nm)
+        return self.delay_s != before_s
 
     def _transport_out(self, velocity_m_s: float) -> None:
         """What is not known of the strain leaves with the web: it decays by exp(-v·t/L)."""

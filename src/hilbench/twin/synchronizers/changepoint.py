@@ -22,7 +22,7 @@ from hilbench.twin.config import ChangepointConfig
 from hilbench.twin.synchronizers import kalman
 from hilbench.twin.synchronizers.base import Estimate, SyncSample
 from hilbench.twin.synchronizers.kalman import Array
-from hilbench.twin.synchronizers.plant import FilterInputs, Plant, nuisances, prior_deviations
+from hilbench.twin.synchronizers.plant import FilterInputs, Plant, nuisances
 
 _JUMP, _DRIFT, _END = 0, 1, 2
 #: Cycles between two births of a kind, and how long a newborn is kept whatever its weight.
@@ -110,7 +110,8 @@ def _compiled_step(sources: int) -> BankStep:
 
     @entry_point
     def bank_step(z: Array, p: Array, records: Array, settings: Array, u: Array, row: Array, out: Array) -> None:
-        """One cycle of all hypotheses. `out` (2, SIZE): means and standard deviations of the mixture."""
+        """One cycle of all hypotheses. `out` (3, SIZE): means and standard deviations of the mixture, and, of E,
+        the deviation that comes from noise alone."""
         count, size = records.shape[0] if sources >= 0 else 0, kalman.SIZE
         best_weight = -1e300
         for i in range(count):
@@ -129,6 +130,7 @@ def _compiled_step(sources: int) -> BankStep:
         for j in range(size):
             out[0, j] = 0.0
             out[1, j] = 0.0
+        out[2, kalman.E] = 0.0
         for i in range(count):
             if records[i, _ALIVE] != 0.0:
                 share = exp(records[i, _WEIGHT]) / total
@@ -139,8 +141,11 @@ def _compiled_step(sources: int) -> BankStep:
                 share = exp(records[i, _WEIGHT]) / total
                 for j in range(size):
                     out[1, j] += share * (p[i, j, j] + (z[i, j] - out[0, j]) ** 2)
+                apart = z[i, kalman.E] - out[0, kalman.E]
+                out[2, kalman.E] += share * (kalman.spread_of_e(p, i) + apart * apart)
         for j in range(size):
             out[1, j] = sqrt(max(out[1, j], 0.0))
+        out[2, kalman.E] = sqrt(out[2, kalman.E])
         _births(z, p, records, settings)
 
     return bank_step
@@ -155,7 +160,7 @@ class ChangepointSynchronizer:
     def __init__(self, config: ChangepointConfig, plant: Plant) -> None:
         self._config = config
         self._reference_Pa = plant.youngs_modulus_Pa
-        self._inputs = FilterInputs(plant, config.torque_noise_Nm)
+        self._inputs = FilterInputs(plant, config)
         self._z = np.zeros((_CAPACITY, kalman.SIZE))
         self._p = np.zeros((_CAPACITY, kalman.SIZE, kalman.SIZE))
         self._records = np.zeros((_CAPACITY, 4))
@@ -164,7 +169,7 @@ class ChangepointSynchronizer:
         self._settings[_DRIFT_VARIANCE] = (0.01 * config.drift_pct_per_s) ** 2
         self._inputs.u[kalman.E_VARIANCE_PER_S] = (0.01 * config.wander_pct_per_sqrt_s) ** 2
         self._row = np.zeros(kalman.SIZE)
-        self._out = np.zeros((2, kalman.SIZE))
+        self._out = np.zeros((3, kalman.SIZE))
         self._told = 1.0
         self._started = False
 
@@ -179,14 +184,14 @@ class ChangepointSynchronizer:
             settings[_LOG_DRIFT] = log(c.drift_onsets_per_s * _EVERY[_DRIFT] * sample.cycle_s)
             _bank_step(self._z, self._p, self._records, settings, self._inputs.u, self._row, self._out)
             # A few samples after a jump the mixture still has the noise of a few samples.
-            share = min(1.0, (0.01 * c.cautious_pct / self._out[1, kalman.E]) ** 2)
+            share = min(1.0, (0.01 * c.cautious_pct / self._out[2, kalman.E]) ** 2)
             self._told += share * (self._out[0, kalman.E] - self._told)
         return self._estimate()
 
     def _start(self, sample: SyncSample) -> None:
         c = self._config
         deviation = 0.01 * c.initial_deviation_pct
-        kalman.new_filter(self._z, self._p, 0, sample.balance.x2_m, deviation, prior_deviations(c.also))
+        kalman.new_filter(self._z, self._p, 0, sample.balance.x2_m, deviation, self._inputs.priors)
         self._records[0, _ALIVE] = 1.0
         self._out[0] = self._z[0]
         self._out[1] = np.sqrt(np.diag(self._p[0]))
@@ -202,7 +207,7 @@ class ChangepointSynchronizer:
         return self._estimate()
 
     def _estimate(self) -> Estimate:
-        mean, deviation = self._out
+        mean, deviation = self._out[:2]
         return Estimate(
             self._told * self._reference_Pa,
             hypot(float(deviation[kalman.E]), float(mean[kalman.E]) - self._told) * self._reference_Pa,

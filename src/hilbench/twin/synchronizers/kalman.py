@@ -37,8 +37,12 @@ NUISANCES = (OFFSET, VISCOUS, DRY, MASS)
     E_VARIANCE_PER_S,
     POSITION_M,
     POSITION_VARIANCE,
-) = range(11)
-INPUTS = 11
+    PRIORS,  # deviations of what is estimated beside E, in the order of the state
+) = range(12)
+INPUTS = PRIORS + len(NUISANCES)
+#: Time in which a parameter estimated beside E may wander through its prior: a working day. Were it faster, a slow
+#: change of tension could not tell it from E.
+_WANDER_S = 36000.0
 
 
 @compiled
@@ -74,6 +78,16 @@ def step(z: Array, p: Array, i: int, u: Array, row: Array) -> float:
     p[i, V, X] += by_x * by_v * u[FORCE_VARIANCE]
     p[i, V, V] += by_v * by_v * u[FORCE_VARIANCE]
     p[i, E, E] += dt * u[E_VARIANCE_PER_S]
+    # What is estimated beside E is believed to wander within its prior: weak evidence is forgotten again, so that
+    # what the data can't tell apart keeps its prior deviation, and E with it.
+    for j in range(OFFSET, SIZE):
+        prior = u[PRIORS + j - OFFSET]
+        if prior > 0.0:
+            z[i, j] *= 1.0 - dt / _WANDER_S
+            for k in range(SIZE):
+                p[i, j, k] *= 1.0 - dt / _WANDER_S
+                p[i, k, j] *= 1.0 - dt / _WANDER_S
+            p[i, j, j] += 2.0 * dt / _WANDER_S * prior * prior
     innovation = u[POSITION_M] - z[i, X]
     variance = p[i, X, X] + u[POSITION_VARIANCE]
     for j in range(SIZE):
@@ -91,6 +105,16 @@ def step(z: Array, p: Array, i: int, u: Array, row: Array) -> float:
     row[0], row[1] = innovation, variance
     likelihood: float = -0.5 * (innovation * innovation / variance + log(2.0 * pi * variance))
     return likelihood
+
+
+@compiled
+def spread_of_e(p: Array, i: int) -> float:
+    """Variance of E in filter `i` that comes from noise: without what the parameters beside it may be wrong by."""
+    variance = p[i, E, E]
+    for j in range(OFFSET, SIZE):
+        if p[i, j, j] > 0.0:
+            variance -= p[i, E, j] * p[i, E, j] / p[i, j, j]
+    return float(max(variance, 0.0))
 
 
 def new_filter(z: Array, p: Array, i: int, position_m: float, modulus_deviation: float, priors: Array) -> None:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hilbench.twin.config import AlsoEstimated
+from hilbench.twin.config import AlsoEstimated, ChangepointConfig, EkfConfig
 from hilbench.twin.synchronizers import kalman
 from hilbench.twin.synchronizers.base import Estimate, Nuisance, SyncSample
 from hilbench.twin.synchronizers.noise_level import NoiseLevel
@@ -50,13 +50,15 @@ class Plant:
 class FilterInputs:
     """Turns samples into the inputs of `kalman.step`: means over the cycle, and how noisy they are."""
 
-    def __init__(self, plant: Plant, torque_noise_Nm: float) -> None:
+    def __init__(self, plant: Plant, config: EkfConfig | ChangepointConfig) -> None:
         self.u = np.zeros(kalman.INPUTS)
+        self.priors = prior_deviations(config.also)
+        self.u[kalman.PRIORS :] = self.priors
         self.u[kalman.MASS_KG] = plant.mass_kg
         self.u[kalman.FORCE_PER_TORQUE] = plant.force_per_torque_per_m
         self._plant = plant
         self._stiffness_per_m = plant.youngs_modulus_Pa * plant.section_m2 / plant.span_length_m
-        self._torque = NoiseLevel(torque_noise_Nm, _TORQUE_FLOOR_NM)
+        self._torque = NoiseLevel(config.torque_noise_Nm, _TORQUE_FLOOR_NM)
         self._position = NoiseLevel(_POSITION_NOISE_M, _POSITION_FLOOR_M)
         self._before: tuple[float, float] | None = None
         self._speed_m_s = 0.0

@@ -1,0 +1,89 @@
+"""The compiled filter against the textbook's matrices, and against least squares."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hilbench.twin.config import AlsoEstimated, EkfConfig
+from hilbench.twin.synchronizers import kalman
+from hilbench.twin.synchronizers.ekf import _step
+
+DT_S, MASS_KG, RATIO, FORCE_SD_N, POSITION_SD_M = 0.002, 30.0, 25.0, 1.25, 7e-8
+
+
+def inputs(offset_prior: float) -> np.ndarray:
+    u = np.zeros(kalman.INPUTS)
+    u[kalman.DURATION_S], u[kalman.MASS_KG], u[kalman.FORCE_PER_TORQUE] = DT_S, MASS_KG, RATIO
+    u[kalman.FORCE_VARIANCE], u[kalman.POSITION_VARIANCE] = FORCE_SD_N**2, POSITION_SD_M**2
+    u[kalman.PRIORS] = offset_prior
+    u[kalman.E_VARIANCE_PER_S] = 1e-6
+    return u
+
+
+def joseph(z: np.ndarray, p: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """One cycle with matrices and Joseph's form; nothing in common with the compiled code but the state's order."""
+    k = kalman
+    g = np.zeros(k.SIZE)
+    g[k.E], g[k.OFFSET] = -u[k.WEB_N] / MASS_KG, -RATIO / MASS_KG
+    g[k.VISCOUS], g[k.DRY] = -u[k.SPEED_M_S] / MASS_KG, -np.sign(u[k.SPEED_M_S]) / MASS_KG
+    g[k.MASS] = -u[k.ACCELERATION_M_S2]
+    into = np.zeros(k.SIZE)
+    into[k.X], into[k.V] = DT_S**2 / 2.0, DT_S
+    f = np.eye(k.SIZE) + np.outer(into, g)
+    f[k.X, k.V] += DT_S
+    f[k.E, k.RATE] += DT_S
+    z = f @ z + into * u[k.FORCE_N] / MASS_KG
+    p = f @ p @ f.T + np.outer(into, into) * u[k.FORCE_VARIANCE] / MASS_KG**2
+    p[k.E, k.E] += DT_S * u[k.E_VARIANCE_PER_S]
+    gain = p[:, k.X] / (p[k.X, k.X] + u[k.POSITION_VARIANCE])
+    rest = np.eye(k.SIZE)
+    rest[:, k.X] -= gain
+    innovation = u[k.POSITION_M] - z[k.X]
+    return z + gain * innovation, rest @ p @ rest.T + np.outer(gain, gain) * u[k.POSITION_VARIANCE]
+
+
+def test_a_hundred_steps_agree_with_josephs_form() -> None:
+    rng = np.random.default_rng(1)
+    z, p = np.zeros((1, kalman.SIZE)), np.zeros((1, kalman.SIZE, kalman.SIZE))
+    kalman.new_filter(z, p, 0, 0.0, 0.2, np.array([0.05, 0.5, 1.0, 0.01]))
+    p[0, kalman.RATE, kalman.RATE] = 1e-4
+    expected = z[0].copy(), p[0].copy()
+    u, row = inputs(0.0), np.zeros(kalman.SIZE)
+    for _ in range(100):
+        u[kalman.FORCE_N], u[kalman.WEB_N] = rng.normal(90.0, 5.0), rng.normal(80.0, 5.0)
+        u[kalman.SPEED_M_S], u[kalman.ACCELERATION_M_S2] = rng.normal(0.0, 3.0), rng.normal(0.0, 1.0)
+        u[kalman.POSITION_M] = rng.normal(0.0, 1e-4)
+        _step(z, p, u, row)
+        expected = joseph(*expected, u)
+    scale = np.sqrt(np.diag(expected[1]))
+    assert z[0] == pytest.approx(expected[0], rel=1e-6, abs=1e-9)
+    assert np.max(np.abs(p[0] - expected[1]) / np.outer(scale, scale)) < 1e-6
+
+
+def test_offset_and_e_come_out_as_least_squares_says() -> None:
+    rng = np.random.default_rng(0)
+    n, prior = 4000, 0.05
+    web_N = np.linspace(76.0, 99.0, n)
+    force_N = 1.2 * web_N + RATIO * 0.04 + FORCE_SD_N * rng.standard_normal(n)
+    z, p = np.zeros((1, kalman.SIZE)), np.zeros((1, kalman.SIZE, kalman.SIZE))
+    kalman.new_filter(z, p, 0, 0.0, 0.2, np.array([prior, 0.0, 0.0, 0.0]))
+    u, row = inputs(prior), np.zeros(kalman.SIZE)
+    u[kalman.E_VARIANCE_PER_S] = 0.0
+    for force, web in zip(force_N, web_N, strict=True):
+        u[kalman.FORCE_N], u[kalman.WEB_N] = force, web
+        u[kalman.POSITION_M] = POSITION_SD_M * rng.standard_normal()
+        _step(z, p, u, row)
+    # The filter sees forces through positions and lets the offset wander a little: it knows a little less.
+    rows = np.column_stack([web_N, np.full(n, RATIO)]) / FORCE_SD_N
+    covariance = np.linalg.inv(rows.T @ rows + np.diag([1.0 / 0.2**2, 1.0 / prior**2]))
+    solution = covariance @ (rows.T @ (force_N / FORCE_SD_N) + np.array([1.0 / 0.2**2, 0.0]))
+    found, deviations = z[0, [kalman.E, kalman.OFFSET]], np.sqrt(np.diag(p[0]))[[kalman.E, kalman.OFFSET]]
+    assert deviations == pytest.approx(np.sqrt(np.diag(covariance)), rel=0.15)
+    assert np.abs(found - solution) == pytest.approx([0.0, 0.0], abs=0.5 * float(np.max(deviations)))
+
+
+def test_the_prior_of_what_is_estimated_beside_e_is_in_the_filters_order() -> None:
+    also = AlsoEstimated(torque_offset_Nm=1.0, viscous_friction_N_s_per_m=2.0, dry_friction_N=3.0, inertia_share=4.0)
+    assert [value for _, value in EkfConfig(also=also).also] == [1.0, 2.0, 3.0, 4.0]
+    assert kalman.NUISANCES == (kalman.OFFSET, kalman.VISCOUS, kalman.DRY, kalman.MASS)

@@ -1,0 +1,163 @@
+"""Every synchronizer in every scenario, one table: sync_scenarios.py [--seeds N] [--write docs/synchronization.md].
+
+The demonstrator's web section with torque noise 0.05 N·m per 2 ms sample unless a scenario says otherwise; medians over
+the seeds. `--write` puts the table between the two marker lines of the page.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilbench.experiment.config import load_with_overrides
+from hilbench.experiment.synchronization import MethodResult, compare_methods
+from hilbench.twin.config import AlsoEstimated, ChangepointConfig, SynchronizerConfig
+from hilbench.twin.synchronizers.create import METHODS
+from hilbench.twin.synthetic import simulated_measurements
+
+CONFIG = Path(__file__).parents[1] / "bench_configs" / "web_section_step.yaml"
+START, END = "<!-- table: begin -->", "<!-- table: end -->"
+CYCLE_S, STEP_S, STEP = 0.002, 10.0, 10.5 / 8.7 - 1.0
+E_PA = 8.7e9
+
+Array = NDArray[np.float64]
+
+
+def step(size: float) -> Callable[[Array], Array]:
+    """E that steps at STEP_S."""
+    return lambda t: np.where(t >= STEP_S, E_PA * (1.0 + size), E_PA)
+
+
+def ramp(t: Array) -> Array:
+    """E that rises by 1 % of its value per second for 10 s."""
+    return E_PA * (1.0 + 0.01 * np.clip(t - STEP_S, 0.0, 10.0))
+
+
+def steady(t: Array) -> Array:
+    """Line speed: up to 3 m/s within 4 s."""
+    return 3.0 * np.minimum(t / 4.0, 1.0)
+
+
+def changing(t: Array) -> Array:
+    """Line speed that swings by 0.5 m/s with a period of 6 s while E steps."""
+    return steady(t) + np.where(t > 4.0, 0.5 * np.sin(2.0 * np.pi * (t - 4.0) / 6.0), 0.0)
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """What happens, and with which noise and offset of the torque measurement; `duration_s` long."""
+
+    name: str
+    modulus: Callable[[Array], Array]
+    speed: Callable[[Array], Array] = steady
+    noise: float = 1.0
+    offset_Nm: float = 0.0
+    retensioned: bool = False  #: axis 1 takes the tension back 0.5 s after the step, as a tension loop does
+    duration_s: float = 30.0
+
+
+SCENARIOS = (
+    Scenario("a: step +20.7 %", step(STEP)),
+    Scenario("a: step −20.7 %", step(-STEP)),
+    Scenario("b: ramp 1 %/s for 10 s", ramp),
+    Scenario("c: noise ×3", step(STEP), noise=3.0),
+    Scenario("c: noise ×10", step(STEP), noise=10.0),
+    Scenario("d: torque offset 0.05 N·m", step(STEP), offset_Nm=0.05, retensioned=True),
+    Scenario("e: line speed swings", step(STEP), speed=changing),
+    Scenario("f: standstill", step(STEP), speed=np.zeros_like),
+)
+
+
+def methods_for(scenario: Scenario) -> dict[str, SynchronizerConfig]:
+    """All methods; where the torque has an offset also the one that looks for it."""
+    methods: dict[str, SynchronizerConfig] = {name: config() for name, config in METHODS.items()}
+    if scenario.offset_Nm:
+        methods["changepoint, offset too"] = ChangepointConfig(also=AlsoEstimated(torque_offset_Nm=0.05))
+    return methods
+
+
+def run(task: tuple[int, int]) -> tuple[int, list[tuple[str, MethodResult]], float | None, float]:
+    """One scenario with one seed: results by method, the bound's time to 1 %, its deviation at the end in %."""
+    number, seed = task
+    scenario = SCENARIOS[number]
+    model = load_with_overrides(CONFIG).config.model
+    t = np.asarray(np.arange(round(scenario.duration_s / CYCLE_S)) * CYCLE_S, np.float64)
+    true, speed = scenario.modulus(t), scenario.speed(t)
+    v1 = speed.copy()
+    if scenario.retensioned:
+        strain = model.upstream_strain
+        back = t >= STEP_S + 0.5
+        v1[back] *= (1.0 + strain) / (1.0 + strain * E_PA / true[back])
+    data = simulated_measurements(
+        model,
+        np.column_stack([v1, speed]),
+        true,
+        torque_noise_Nm=0.05 * scenario.noise,
+        torque_offset_Nm=scenario.offset_Nm,
+        seed=seed,
+    )
+    found = compare_methods(model, data, methods_for(scenario), true)
+    results = [(result.method, result) for result in found.results]
+    return number, results, found.bound_time_to_1pct_s, float(100.0 * found.bound_sd_Pa[-1] / true[-1])
+
+
+def median(values: list[float | None], digits: int = 3) -> str:
+    """Median for the eye; a dash where most have none."""
+    known = [value for value in values if value is not None]
+    if 2 * len(known) <= len(values):
+        return "–"
+    return f"{np.median(known):.{digits}g}"
+
+
+def table(outcomes: list[tuple[int, list[tuple[str, MethodResult]], float | None, float]]) -> str:
+    """The table in Markdown."""
+    lines = [
+        "| scenario | method | to 1 % in s | overshoot in % | noise in % | bias in % | largest error in % "
+        "| 95 % holds in % | µs |",
+        "|---|---|--:|--:|--:|--:|--:|--:|--:|",
+    ]
+    for number, scenario in enumerate(SCENARIOS):
+        mine = [outcome for outcome in outcomes if outcome[0] == number]
+        for place, (name, _) in enumerate(mine[0][1]):
+            seeds = [outcome[1][place][1] for outcome in mine]
+            cells = [
+                median([r.time_to_1pct_s for r in seeds]),
+                median([r.overshoot_pct for r in seeds], 2),
+                median([r.noise_pct for r in seeds], 2),
+                median([r.bias_pct for r in seeds], 2),
+                median([r.largest_error_pct for r in seeds], 2),
+                median([None if r.covered is None else 100.0 * r.covered for r in seeds]),
+                median([r.cpu_us for r in seeds], 2),
+            ]
+            lines.append(f"| {scenario.name} | `{name}` | " + " | ".join(cells) + " |")
+        bound = [median([o[2] for o in mine]), "–", f"{np.median([o[3] for o in mine]):.2g}", "–", "–", "–", "–"]
+        lines.append(f"| {scenario.name} | *Cramér–Rao bound* | " + " | ".join(bound) + " |")
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Run and print, or write into the page."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seeds", type=int, default=5)
+    parser.add_argument("--write", type=Path)
+    options = parser.parse_args()
+    tasks = [(number, seed) for number in range(len(SCENARIOS)) for seed in range(options.seeds)]
+    with ProcessPoolExecutor(2) as pool:
+        outcomes = list(pool.map(run, tasks))
+    text = table(outcomes)
+    if options.write is None:
+        print(text)
+        return
+    page = options.write.read_text(encoding="utf-8")
+    head, tail = page[: page.index(START) + len(START)], page[page.index(END) :]
+    options.write.write_text(f"{head}\n{text}\n{tail}", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
