@@ -10,6 +10,8 @@ import sys
 from importlib import resources
 from pathlib import Path
 
+from hilbench.experiment.config import load_with_overrides
+from hilbench.experiment.synchronization import reference_estimate
 from hilbench.record.recording import read_recording
 from hilbench.record.run_folder import RunFolder
 from hilbench.report.plots import draw_pictures
@@ -27,7 +29,9 @@ def main() -> None:
     """One file a picture, named after its title."""
     run, folder = RunFolder.open(Path(sys.argv[1])), Path(sys.argv[2])
     page_css = resources.files("hilbench.report").joinpath("page.css").read_text(encoding="utf-8")
-    for picture in draw_pictures(read_recording(run.recording)):
+    recording = read_recording(run.recording)
+    reference_Pa = reference_estimate(load_with_overrides(run.config).config, recording)
+    for picture in draw_pictures(recording, reference_Pa):
         name = re.sub(r"[^a-z]+", "_", picture.title.lower()).strip("_")
         path = folder / f"{name}.svg"
         path.write_text(standalone(picture.svg, page_css), encoding="utf-8")

@@ -53,7 +53,8 @@ def sync_command(
 def _table(comparison: Comparison) -> Table:
     shown = Table(title=f"torque noise {comparison.noise_Nm:.3g} N·m", title_justify="left")
     for column in COLUMNS:
-        shown.add_column(column.lstrip(">"), justify="right" if column.startswith(">") else "left")
+        numbers = column.startswith(">")
+        shown.add_column(column.lstrip(">"), justify="right" if numbers else "left", no_wrap=not numbers)
     for row in rows(comparison):
         shown.add_row(*row)
     return shown

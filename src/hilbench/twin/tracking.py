@@ -6,7 +6,7 @@ The same for the twin on the bus and for a recording.
 from __future__ import annotations
 
 from dataclasses import replace
-from math import exp, hypot, inf
+from math import exp, hypot, inf, isfinite
 
 from hilbench.drives.port import MotorPort
 from hilbench.twin.config import PidConfig, SynchronizerConfig, TwinConfig
@@ -115,7 +115,7 @@ class Tracking:
         self.problem = self._plausibility.problem(torque_Nm, now.web_per_Pa, now.velocity_m_s)
         moved = self._find_delay(torque_Nm, torque_sim_Nm)
         paired = None
-        if self.problem is Problem.INVALID:
+        if not isfinite(now.force_N):
             self._delay_line.reset()
         else:
             paired = self._delay_line.pair(now, torque_Nm * balance.force_per_torque_per_m, self.delay_s)

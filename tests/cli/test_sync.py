@@ -1,0 +1,96 @@
+"""`hilbench sync` as a user starts it."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from tests.twin.runs import NEW_PA, measured, stepped
+from tests.web.models import DEMONSTRATOR
+
+COLUMNS = "t_s,v1_cmd_m_s,v2_cmd_m_s,x1_m,x2_m,tau2_Nm,strain_prev,F_next_N,E_true_Pa"
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """A recording with a step of E, and the model without it."""
+    folder = tmp_path_factory.mktemp("sync")
+    true = stepped(7.0)
+    data = measured(true, seed=5)
+    table = np.column_stack([data.t_s, data.v_cmd_m_s, data.x_m, data.tau2_Nm, data.strain_prev, data.F_next_N, true])
+    np.savetxt(folder / "recording.csv", table, delimiter=",", header=COLUMNS, comments="", fmt="%.12g")
+    (folder / "model.yaml").write_text(yaml.safe_dump(DEMONSTRATOR))
+    return folder / "recording.csv", folder / "model.yaml"
+
+
+def sync(*arguments: object) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "hilbench.cli", "sync", *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+
+
+def test_methods_side_by_side_as_json_and_as_a_page(files: tuple[Path, Path], tmp_path: Path) -> None:
+    recording, model = files
+    done = sync(recording, "--model", model, "--method", "pid,changepoint", "--out", tmp_path / "out", "--json")
+    assert done.returncode == 0, done.stderr
+    data = json.loads(done.stdout)
+    found = {result["method"]: result for result in data["methods"]}
+    assert list(found) == ["pid", "changepoint"]
+    assert data["step_s"] == pytest.approx(3.0)
+    assert data["torque_noise_Nm"] == pytest.approx(0.05, rel=0.05)
+    assert found["pid"]["time_to_1pct_s"] is None
+    assert 0.0 < data["bound"]["time_to_1pct_s"] < found["changepoint"]["time_to_1pct_s"] < 0.2
+    assert found["changepoint"]["final_E_Pa"] == pytest.approx(NEW_PA, rel=2e-3)
+    page = (tmp_path / "out" / "sync.html").read_text()
+    assert "changepoint" in page
+    assert "<svg" in page
+
+
+def test_the_stated_deviation_is_what_the_option_allows_for(files: tuple[Path, Path]) -> None:
+    recording, model = files
+    deviations = []
+    for unmodelled in ("0", "0.05"):
+        done = sync(recording, "--model", model, "--method", "rls", "--unmodelled-torque", unmodelled, "--json")
+        deviations.append(json.loads(done.stdout)["methods"][0]["final_deviation_Pa"])
+    added_Pa = float(np.sqrt(deviations[1] ** 2 - deviations[0] ** 2))
+    # 0.05 N·m at the motor are 1.25 N at the web, whose tension is between 75 and 97 N.
+    assert 1.25 / 97.0 * NEW_PA < added_Pa < 1.25 / 75.0 * NEW_PA
+
+
+def test_the_table_names_every_method(files: tuple[Path, Path]) -> None:
+    recording, model = files
+    done = sync(recording, "--model", model)
+    assert done.returncode == 0, done.stderr
+    for name in ("pid", "lm", "global", "rls", "ekf", "changepoint"):
+        assert name in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--method", "guess"], "'guess', expected some of pid, lm, global, rls, ekf, changepoint, or all"),
+        (["--out", "{recording}/inside"], "cannot be made"),
+    ],
+)
+def test_what_is_wrong_is_one_line_and_exit_2(files: tuple[Path, Path], options: list[str], said: str) -> None:
+    recording, model = files
+    done = sync(recording, "--model", model, *[option.format(recording=recording) for option in options])
+    assert done.returncode == 2
+    assert said in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1
+
+
+def test_a_recording_without_the_torque_is_named(files: tuple[Path, Path], tmp_path: Path) -> None:
+    recording, model = files
+    lines = recording.read_text().splitlines()
+    keep = [i for i, name in enumerate(lines[0].split(",")) if name != "tau2_Nm"]
+    less = tmp_path / "less.csv"
+    less.write_text("\n".join(",".join(line.split(",")[i] for i in keep) for line in lines))
+    done = sync(less, "--model", model)
+    assert done.returncode == 2
+    assert "tau2_Nm" in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1

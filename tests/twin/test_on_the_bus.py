@@ -1,0 +1,87 @@
+"""The twin as a process on the bus: joining a running plant, changing the method, saying by EMCY what is wrong."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from tests.bench.test_runs import config, run, run_folders
+
+from hilbench.record.recording import Recording, read_recording
+from hilbench.twin.virtual_io import TwinStatus
+
+#: EMCY of node 32.
+EMCY = " 0A0#"
+
+
+def recorded(path: Path) -> Recording:
+    code, _, said = run(path)
+    assert code == 0, said
+    return read_recording(run_folders(path)[0] / "recording.mf4")
+
+
+def test_a_twin_joins_a_running_plant_and_only_then_the_loop_closes(tmp_path: Path) -> None:
+    steps = [
+        {"ramp": {"path": "line_speed_m_s", "to": 3.0, "duration_s": 1.0}},
+        {"step": {"path": "load.web.youngs_modulus_Pa", "to": 10.5e9}},
+        {"hold": {"duration_s": 1.0}},
+        {"restart_twin": {}},
+        {"hold": {"duration_s": 2.5}},
+        {"ramp": {"path": "line_speed_m_s", "to": 0.0, "duration_s": 0.5}},
+    ]
+    found = recorded(config(tmp_path, steps=steps))
+    time_s, status = found.time_s, np.asarray(found["twin_status"]).astype(int)
+    closed = np.asarray(found["loop_closed"]) > 0.5
+    synchronized = (status & TwinStatus.SYNCHRONIZED) > 0
+    # It closes only on a twin that is synchronized, at the start and after the restart.
+    closes = np.flatnonzero(~closed[:-1] & closed[1:]) + 1
+    assert np.all(synchronized[closes])
+    opened = int(np.flatnonzero(closed[:-1] & ~closed[1:])[0]) + 1
+    again = opened + int(np.argmax(closed[opened:]))
+    assert 1.0 < time_s[again] - time_s[opened] < 2.0
+    settled = slice(again + 50, again + 250)
+    error = np.asarray(found["E_sim_Pa"])[settled] / np.asarray(found["E_true_Pa"])[settled] - 1.0
+    assert np.max(np.abs(error)) < 0.01
+    # Bumpless: the command of axis 1 moves no faster when the loop closes than 1 mm/s in a cycle.
+    v1 = np.asarray(found["v1_cmd_m_s"])
+    assert np.max(np.abs(np.diff(v1[again - 3 : again + 4]))) < 1e-3
+
+
+def test_methods_change_places_under_way(tmp_path: Path) -> None:
+    steps: list[dict[str, object]] = [{"ramp": {"path": "line_speed_m_s", "to": 1.0, "duration_s": 0.5}}]
+    for method in ("ekf", "lm", "global", "rls", "pid", "changepoint"):
+        steps += [{"synchronizer": {"method": method}}, {"hold": {"duration_s": 0.4}}]
+    steps += [{"ramp": {"path": "line_speed_m_s", "to": 0.0, "duration_s": 0.5}}]
+    found = recorded(config(tmp_path, steps=steps))
+    estimate, true = np.asarray(found["E_sim_Pa"]), np.asarray(found["E_true_Pa"])
+    runs = found.time_s > 0.4
+    assert np.max(np.abs(estimate / true - 1.0)[runs]) < 0.02
+
+
+def test_standstill_under_dry_friction_is_told_by_emcy_and_taken_back(tmp_path: Path) -> None:
+    friction = [{"effect": "coulomb_friction", "axis": 2, "parameters": {"force_N": 4.0}}]
+    path = config(tmp_path)
+    data = yaml.safe_load(path.read_text())
+    data["model"]["effects"] = friction
+    data["hardware"] = {**data.get("hardware", {}), "effects": friction}
+    data["steps"] = [
+        {"hold": {"duration_s": 0.3}},
+        {"ramp": {"path": "line_speed_m_s", "to": 1.0, "duration_s": 0.4}},
+        {"hold": {"duration_s": 0.6}},
+        {"ramp": {"path": "line_speed_m_s", "to": 0.0, "duration_s": 0.4}},
+    ]
+    path.write_text(yaml.safe_dump(data, sort_keys=False))
+    found = recorded(path)
+    lines = (run_folders(path)[0] / "trace.log").read_text().splitlines()
+    said = [line.split(EMCY)[1][:6] for line in lines if EMCY in line]
+    assert said[0] == "14FF21"  # error code FF14h, low byte first, and the error register
+    assert said[1][:4] == "0000"
+    status = np.asarray(found["twin_status"]).astype(int)
+    speed = np.asarray(found["v2_m_s"])
+    holding = (status & TwinStatus.HOLDING) > 0
+    assert np.mean(holding[np.abs(speed) < 5e-4]) > 0.8
+    assert not np.any(holding[speed > 0.1])
+    moving = speed > 0.9
+    assert np.asarray(found["E_sim_Pa"])[moving][-100:] == pytest.approx(8.7e9, rel=0.01)
