@@ -113,7 +113,7 @@ def pdo_objects(number: int, pdo: Pdo, transmit: bool) -> list[Object]:
     mapped = [index << 16 | sub << 8 | bits for index, sub, bits in pdo.mapping] + [0] * (8 - len(pdo.mapping))
     mapping = {sub: Entry(f"Mapped object {sub}", "U32", "rw", value) for sub, value in enumerate(mapped, 1)}
     base, word = (0x1800, "TPDO") if transmit else (0x1400, "RPDO")
-    count = Entry("Number of mapped objects", "U8", "rw", len(pdo.mapping), high=8)
+    count = Entry("Number of mapped objects", "U8", "rw", len(pdo.mapping))
     return [
         compound(base + number - 1, f"{word}{number} communication parameter", RECORD, communication),
         Object(base + 0x200 + number - 1, f"{word}{number} mapping parameter", RECORD, {0: count, **mapping}),
