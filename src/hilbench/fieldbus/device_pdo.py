@@ -228,7 +228,8 @@ class Tpdo(_Pdo):
         self._started = False
 
     def _right_direction(self, variable: ODVariable) -> bool:
-        return bool(variable.access_type != "wo")
+        # rww is a process output (CiA 306): it is received, and read back by SDO only.
+        return variable.access_type not in ("wo", "rww")
 
     def start(self) -> None:
         """OPERATIONAL was entered: count SYNCs from here, event-driven PDOs are sent once."""

@@ -336,6 +336,12 @@ def test_process_input_into_a_tpdo(drive: DriveUnderTest) -> None:
     assert drive.write(0x1A00, 1, STATUSWORD, 4) == 0
 
 
+@case("PDO 31")
+def test_process_output_into_a_tpdo(drive: DriveUnderTest) -> None:
+    open_mapping(drive, 0x1800, NO_REMOTE_REQUEST | TPDO1)
+    assert drive.write(0x1A00, 1, CONTROLWORD, 4) == NOT_MAPPABLE
+
+
 @case("PDO 32")
 def test_not_mappable_into_a_tpdo(drive: DriveUnderTest) -> None:
     open_mapping(drive, 0x1800, NO_REMOTE_REQUEST | TPDO1)
