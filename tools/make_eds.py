@@ -414,7 +414,7 @@ def _device_info(device: DeviceDescription) -> str:
 
 
 def _dummy_usage() -> str:
-    return _section("DummyUsage", [(f"Dummy{number:04d}", "0") for number in range(1, 8)])
+    return _section("DummyUsage", [(f"Dummy{number:04d}", str(int(number > 1))) for number in range(1, 8)])
 
 
 def _object_sections(item: Object) -> list[str]:

@@ -346,3 +346,16 @@ def test_process_output_into_a_tpdo(drive: DriveUnderTest) -> None:
 def test_not_mappable_into_a_tpdo(drive: DriveUnderTest) -> None:
     open_mapping(drive, 0x1800, NO_REMOTE_REQUEST | TPDO1)
     assert drive.write(0x1A00, 1, PROFILE_UNIT, 4) == NOT_MAPPABLE
+
+
+@case("PDO 33")
+def test_dummy_object(drive: DriveUnderTest) -> None:
+    open_mapping(drive, 0x1400, RPDO1)
+    assert drive.write(0x1600, 1, PLACEHOLDER, 4) == 0
+    assert drive.write(0x1600, 2, CONTROLWORD, 4) == 0
+    assert drive.write(0x1600, 0, 2, 1) == 0
+    assert drive.write(0x1400, 1, RPDO1, 4) == 0
+    drive.nmt(START)
+    drive.send(RPDO1, "ffff0600")
+    drive.sync()
+    assert drive.read(0x6040) == 6
