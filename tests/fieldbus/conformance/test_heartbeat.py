@@ -53,6 +53,7 @@ def test_a_node_is_watched_by_one_entry_only(drive: DriveUnderTest) -> None:
     assert drive.sdo("23 16 10 01 34120500") == "6016100100000000"
     assert drive.sdo("23 16 10 02 34120500") == "8016100243000406"
     assert drive.sdo("40 16 10 02 00000000") == "4316100200000000"
+    assert drive.sdo("23 16 10 01 35120500") == "6016100100000000"
 
 
 @case("Heartbeat 5")

@@ -70,7 +70,9 @@ def test_save_all_with_wrong_signature(drive: DriveUnderTest) -> None:
 
 @case("Store and restore 2")
 def test_save_all(drive: DriveUnderTest) -> None:
+    assert drive.write(0x605A, 0, 6, 2) == 0
     save(drive, ALL)
+    assert drive.read(0x605A) == 6
 
 
 @case("Store and restore 3")
@@ -80,7 +82,9 @@ def test_restore_all_with_wrong_signature(drive: DriveUnderTest) -> None:
 
 @case("Store and restore 4")
 def test_restore_all(drive: DriveUnderTest) -> None:
+    assert drive.write(0x605A, 0, 6, 2) == 0
     restore(drive, ALL)
+    assert drive.read(0x605A) == 2
 
 
 @case("Store and restore 5")
