@@ -1,4 +1,4 @@
-"""PDOs of a device beyond the conformance cases, as SDO configures them at run time (CiA 301, 7.2.2, 7.5.2.35 to 38)."""
+"""PDOs of a device beyond the conformance cases, as SDO configures them at run time (CiA 301, 7.2.2 and 7.5.2)."""
 
 from __future__ import annotations
 
