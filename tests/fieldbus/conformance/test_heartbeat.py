@@ -108,6 +108,18 @@ def test_reset_ends_the_watch(drive: DriveUnderTest) -> None:
     assert each_ms(drive, 10_000) == []
 
 
+@case("Heartbeat 7")
+def test_node_that_was_heard_before_a_reset_is_not_missed_after_it(drive: DriveUnderTest) -> None:
+    watch(drive, 1, 0x47, 1000)
+    assert drive.sdo("23 10 10 01 73617665") == "6010100100000000"
+    drive.send(0x747, "7f")
+    drive.nmt(RESET_NODE)
+    assert drive.sdo("40 16 10 01 00000000") == "43161001e8034700"
+    assert each_ms(drive, 10_000) == []
+    drive.send(0x747, "7f")
+    assert each_ms(drive, 10_000) == [(0x085, "3081114700000000")]
+
+
 # -- beside node guarding --------------------------------------------------------------------------------
 
 

@@ -61,7 +61,9 @@ def test_pre_operational(drive: DriveUnderTest) -> None:
     assert read_device_type(drive) == [DEVICE_TYPE]
     assert state(with_heartbeat(drive)) == PRE_OPERATIONAL
     assert drive.sync() == []
-    assert set_velocity_by_rpdo(drive) == "0"
+    for kind in (1, 255):
+        assert drive.write(0x1400, 2, kind, 1) == 0
+        assert set_velocity_by_rpdo(drive) == "0"
     drive.device.emergency(0x2310, 0x02)
     assert drive.frames() == [(0x085, "1023030000000000")]
 
@@ -79,7 +81,9 @@ def test_operational(drive: DriveUnderTest) -> None:
 
 
 @case("NMT 4")
-def test_stopped(drive: DriveUnderTest) -> None:
+@pytest.mark.parametrize("kind", [1, 255])
+def test_stopped(drive: DriveUnderTest, kind: int) -> None:
+    assert drive.write(0x1400, 2, kind, 1) == 0
     with_heartbeat(drive).nmt(STOP)
     assert read_device_type(drive) == []
     assert state(drive) == STOPPED

@@ -106,7 +106,10 @@ def test_restore_communication_with_wrong_signature(drive: DriveUnderTest) -> No
 
 @case("Store and restore 8")
 def test_restore_communication(drive: DriveUnderTest) -> None:
+    assert drive.write(0x605A, 0, 6, 2) == 0
+    assert command(drive, 0x1010, ALL, SAVE) == "6010100100000000"
     restore(drive, COMMUNICATION)
+    assert drive.read(0x605A) == 6
 
 
 RESTRICTED = [0x000, *range(0x001, 0x080), *range(0x101, 0x181), *range(0x581, 0x600), *range(0x601, 0x680)]
