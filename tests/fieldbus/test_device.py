@@ -83,6 +83,18 @@ def test_consumer_watches_from_the_first_heartbeat_on(dut: DeviceUnderTest) -> N
     assert dut.send(0x77F, "05") == [(0x085, "0000003081000000")]
 
 
+def test_boot_up_is_no_heartbeat(dut: DeviceUnderTest) -> None:
+    dut.after(0)
+    dut.write(0x1029, 1, 1, 1)
+    dut.write(0x1016, 1, 127 << 16 | 200, 4)
+    dut.send(0x77F, "00")
+    assert dut.after(1000) == []  # the node may have none to send
+    dut.send(0x77F, "05")
+    assert dut.after(150) == []
+    dut.send(0x77F, "00")
+    assert dut.after(51) == [(0x085, "3081117f00000000")]
+
+
 @pytest.mark.parametrize(("behaviour", "state"), [(0, 127), (1, 5), (2, 4)])
 def test_error_behaviour_1029(dut: DeviceUnderTest, behaviour: int, state: int) -> None:
     dut.write(0x1029, 1, behaviour, 1)

@@ -40,6 +40,8 @@ SYNC_LENGTH = 0x8240
 _PRODUCE_SYNC = 0x40000000
 _USUAL_SYNC = 0x80  #: restricted for everything but SYNC
 
+_BOOT_UP = b"\0"  #: has the identifier of the heartbeat and is none
+
 #: Error register, COB-ID of SYNC, producer heartbeat time.
 _NEEDED = (0x1001, 0x1005, 0x1017)
 
@@ -121,7 +123,7 @@ class Device:
 
     def boot(self) -> None:
         """Say boot-up and be pre-operational."""
-        self._reply(0x700 + self.node_id, b"\0")
+        self._reply(0x700 + self.node_id, _BOOT_UP)
         self._enter(NmtState.PRE_OPERATIONAL)
 
     def handle(self, frame: Frame) -> None:
@@ -137,7 +139,7 @@ class Device:
                 self._compile_pdos_if_changed()
         elif can_id == 0:
             self._nmt_command(frame.data)
-        elif 0x701 <= can_id <= 0x77F and len(frame.data) == 1:
+        elif 0x701 <= can_id <= 0x77F and len(frame.data) == 1 and frame.data != _BOOT_UP:
             self._consumer.heard(can_id - 0x700)
         elif can_id & REMOTE_FLAG and not can_id & EXTENDED_FLAG and self.nmt_state is NmtState.OPERATIONAL:
             for tpdo in self._tpdos:
