@@ -47,6 +47,14 @@ def test_sync_length_follows_1019(dut: DeviceUnderTest) -> None:
     assert dut.sync() == [(0x085, "4082110000000000")]
 
 
+@pytest.mark.parametrize(("state", "said"), [(128, [(0x085, "4082110100000000")]), (2, [])])
+def test_sync_of_another_length_outside_operational(
+    dut: DeviceUnderTest, state: int, said: list[tuple[int, str]]
+) -> None:
+    dut.nmt(state)
+    assert dut.sync(b"\x01") == said
+
+
 def test_sync_identifier(dut: DeviceUnderTest) -> None:
     assert dut.write(0x1005, 0, 0x40000080, 4) == 0x06090030
     assert dut.write(0x1005, 0, 0x20000080, 4) == 0x06090030

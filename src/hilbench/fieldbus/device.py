@@ -152,17 +152,17 @@ class Device:
         return int(self._sync_cob.value & 0x7FF)
 
     def sync(self, data: bytes) -> None:
-        """SYNC: synchronous RPDOs act, synchronous TPDOs are sampled and sent."""
-        if self.nmt_state is not NmtState.OPERATIONAL:
+        """SYNC: in OPERATIONAL synchronous RPDOs act, synchronous TPDOs are sampled and sent."""
+        if not self._communicates():
             return
-        counter: int | None = None
         expected = 1 if self._sync_counter is not None and self._sync_counter.value else 0
         if len(data) != expected:
             self._emcy.raise_error(SYNC_LENGTH, COMMUNICATION_ERROR, bytes([len(data)]))
             return
         self._emcy.clear_error(SYNC_LENGTH)
-        if expected:
-            counter = data[0]
+        if self.nmt_state is not NmtState.OPERATIONAL:
+            return
+        counter = data[0] if expected else None
         for rpdo in self._rpdos:
             rpdo.sync()
         for tpdo in self._synchronous:
@@ -296,7 +296,7 @@ class Device:
             self.on_communication_error(code)
 
     def _communicates(self) -> bool:
-        """SDO and EMCY live in PRE-OPERATIONAL and OPERATIONAL only (CiA 301, table 37)."""
+        """SDO, SYNC and EMCY live in PRE-OPERATIONAL and OPERATIONAL only (CiA 301, table 37)."""
         return self.nmt_state in (NmtState.PRE_OPERATIONAL, NmtState.OPERATIONAL)
 
     # -- frames out --------------------------------------------------------------------------------------
