@@ -80,6 +80,35 @@ def test_cyclic_types_send_every_nth_sync(dut: DeviceUnderTest, every: int, sent
     assert [n for n in range(1, 7) if any(can_id == 0x185 for can_id, _ in dut.sync())] == sent
 
 
+def remap_tpdo1(dut: DeviceUnderTest, kind: int, start: int = 0) -> None:
+    """Invalid, another type and start value, valid again, in OPERATIONAL."""
+    assert dut.write(0x1800, 1, TPDO1, 4) == 0
+    assert dut.write(0x1800, 2, kind, 1) == 0
+    assert dut.write(0x1800, 6, start, 1) == 0
+    assert dut.write(0x1800, 1, TPDO1 & ~INVALID, 4) == 0
+
+
+def test_tpdo_that_becomes_valid_counts_anew_from_its_start_value(dut: DeviceUnderTest) -> None:
+    assert dut.write(0x1019, 0, 10, 1) == 0
+    assert [(0x185, "000000000000") in dut.sync(bytes([n])) for n in (1, 2)] == [True, True]
+    remap_tpdo1(dut, kind=2, start=5)
+    assert [n for n in range(3, 10) if (0x185, "000000000000") in dut.sync(bytes([n]))] == [5, 7, 9]
+
+
+def test_event_driven_tpdo_that_becomes_valid_is_sent_once(dut: DeviceUnderTest) -> None:
+    dut.sync()
+    dut.after(0)
+    remap_tpdo1(dut, kind=254)
+    assert dut.after(1) == [(0x185, "000000000000")]
+    assert dut.after(100) == []
+
+
+def test_a_write_to_one_tpdo_leaves_the_others_alone(dut: DeviceUnderTest) -> None:
+    assert dut.after(0) == [(0x285, "0000")]
+    remap_tpdo1(dut, kind=1)
+    assert dut.after(100) == []
+
+
 def test_event_timer_and_inhibit_time(dut: DeviceUnderTest) -> None:
     assert dut.write(0x1801, 1, INVALID | 0x40000285, 4) == 0
     assert dut.write(0x1801, 3, 50, 2) == 0  # 5 ms
@@ -141,6 +170,34 @@ def test_odd_widths_and_reals_go_through_pdos(dut: DeviceUnderTest) -> None:
     dut.send(0x205, "feffff0000c0bf")
     dut.sync()
     assert (dut.device.cell(0x2004).value, dut.device.cell(0x2006).value) == (-2, -1.5)
+
+
+def test_data_received_before_a_remapping_do_not_act_after_it(dut: DeviceUnderTest) -> None:
+    dut.send(0x205, "0f0010270000")
+    assert map_rpdo1(dut, 0x60710010) == 0
+    dut.sync()
+    assert [dut.device.cell(index).value for index in (0x6040, 0x60FF, 0x6071)] == [0, 0, 0]
+
+
+def test_data_received_before_the_pdo_became_invalid_do_not_act(dut: DeviceUnderTest) -> None:
+    dut.send(0x205, "0f0010270000")
+    assert dut.write(0x1400, 1, INVALID | 0x205, 4) == 0
+    assert dut.write(0x1600, 0, 0, 1) == 0
+    dut.sync()
+    assert dut.device.cell(0x60FF).value == 0
+
+
+def test_an_invalid_rpdo_misses_nothing_and_takes_its_errors_back(dut: DeviceUnderTest) -> None:
+    dut.after(0)
+    assert dut.write(0x1401, 5, 20, 2) == 0
+    dut.send(0x305, "0000")
+    assert dut.after(21) == [(0x085, "5082110200000000")]
+    frames = dut.send(0x605, f"23011401{(INVALID | 0x305).to_bytes(4, 'little').hex()}")
+    assert frames == [(0x585, "6001140100000000"), (0x085, "0000005082000000")]
+    assert dut.write(0x1401, 1, 0x305, 4) == 0
+    dut.send(0x305, "0000")
+    assert dut.write(0x1401, 1, INVALID | 0x305, 4) == 0
+    assert dut.after(100) == []
 
 
 @pytest.mark.parametrize(

@@ -218,7 +218,7 @@ class Device:
             rpdo.reset()
         if state is NmtState.OPERATIONAL:
             for tpdo in self._tpdos:
-                tpdo.start()
+                tpdo.restart()
         if self.on_nmt is not None:
             self.on_nmt(state)
 
@@ -233,13 +233,13 @@ class Device:
 
     # -- PDOs --------------------------------------------------------------------------------------------
 
-    def _pdo_parameters(self) -> tuple[object, ...]:
-        pdos = (*self._rpdos, *self._tpdos)
-        return tuple((p._cob.value, p._type.value, p._count.value, *(e.value for e in p._entries)) for p in pdos)
-
     def _compile_pdos_if_changed(self) -> None:
-        if self._pdo_parameters() != self._compiled:
+        pdos = (*self._rpdos, *self._tpdos)
+        changed = [pdo for pdo in pdos if pdo.parameters() != pdo.compiled]
+        if changed:
             self._compile_pdos()
+        for pdo in changed:
+            pdo.restart()
 
     def _compile_pdos(self) -> None:
         for pdo in (*self._rpdos, *self._tpdos):
@@ -250,7 +250,6 @@ class Device:
                 raise UnusableInputError(
                     f"EDS of node {self.node_id}", f"{pdo} cannot have its default mapping: {error}"
                 ) from error
-        self._compiled = self._pdo_parameters()
         self._receivers = {rpdo.cob_id: rpdo for rpdo in self._rpdos if rpdo.valid and rpdo.map is not None}
         active = [tpdo for tpdo in self._tpdos if tpdo.valid and tpdo.map is not None]
         self._synchronous = [tpdo for tpdo in active if tpdo.transmission_type <= 240]
