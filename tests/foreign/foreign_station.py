@@ -17,6 +17,7 @@ from hilbench.bus.link import Link
 
 SCRIPT = Path(__file__).with_name("station.js")
 PACKAGES = Path(__file__).parents[2] / ".cache" / "node-canopen" / "node_modules"
+OWN_NODE = 0x7E
 _PATIENCE_S = 30.0
 _POLL_S = 0.05
 
@@ -53,6 +54,10 @@ class ForeignStation:
     def nmt(self, service: str) -> None:
         """An NMT service by the name of its method."""
         self._ask("nmt", service=service)
+
+    def heartbeat(self, period_ms: int) -> None:
+        """Produce a heartbeat, the first of which is out then; 0: none."""
+        self._ask("heartbeat", period_ms=period_ms)
 
     def sync(self) -> None:
         """Send SYNC."""

@@ -7,6 +7,7 @@
  */
 'use strict';
 
+const { once } = require('events');
 const readline = require('readline');
 const { DataType, Device, Eds, NmtState } = require('canopen');
 
@@ -69,6 +70,12 @@ const requests = {
 
     async nmt({ service }) {
         station.nmt[service](node);
+    },
+
+    async heartbeat({ period_ms }) {
+        station.eds.setHeartbeatProducerTime(period_ms);
+        if (period_ms)
+            await once(station.nmt, 'message');
     },
 
     async sync() {

@@ -16,7 +16,7 @@ from typing import Protocol
 import pytest
 from tests.drives.stand_in import SimulatedDrives, served
 from tests.fieldbus.device_under_test import SECTIONS, SERVO_EDS, U32, eds_text, record, var
-from tests.foreign.foreign_station import PACKAGES, ForeignStation, Refused, foreign_station
+from tests.foreign.foreign_station import OWN_NODE, PACKAGES, ForeignStation, Refused, foreign_station
 
 from hilbench.bus.link import Link
 from hilbench.bus.memory import MemoryBus
@@ -148,6 +148,17 @@ def test_it_hears_emergencies(drive: ForeignStation) -> None:
     drive.download(0x6040, 0, (0x80).to_bytes(2, "little"))
     heard = drive.event("emergency", code=0)
     assert (heard["register"], heard["info"]) == (0, "0073000000")
+
+
+def test_its_heartbeat_is_watched(drive: ForeignStation) -> None:
+    drive.download(0x1016, 1, (OWN_NODE << 16 | 300).to_bytes(4, "little"))
+    drive.nmt("startNode")
+    drive.heartbeat(50)
+    drive.heartbeat(0)
+    assert drive.event("emergency", code=0x8130)["info"] == "7e00000000"
+    drive.heartbeat(50)
+    assert drive.event("emergency", code=0)["info"] == "3081000000"
+    drive.heartbeat(0)
 
 
 def test_it_drives_by_pdo(drive: ForeignStation) -> None:
