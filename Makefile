@@ -7,6 +7,10 @@ STAMP := $(VENV)/.installed
 # python-can's own tests (they are in its source distribution only), in the version and with the hash of the lock file.
 SUITE := .cache/python-can
 
+# npm's canopen, the other side of the simulated drive in tests/foreign, in the version of its lock file.
+STATION := .cache/node-canopen
+STATION_FILES := $(addprefix tests/foreign/,package.json package-lock.json .npmrc crc)
+
 .PHONY: setup demo test lint lock clean
 
 setup: $(STAMP)
@@ -26,10 +30,18 @@ $(SUITE)/.extracted: requirements.lock $(STAMP)
 	tar -xzf $(SUITE)/python_can-*.tar.gz -C $(SUITE) --strip-components=1
 	touch $@
 
+$(STATION)/.installed: $(STATION_FILES) $(wildcard tests/foreign/crc/*)
+	rm -rf $(STATION)
+	mkdir -p $(STATION)
+	cp -r $(STATION_FILES) $(STATION)
+	cd $(STATION) && npm ci --loglevel=error
+	touch $@
+
 demo: setup
 	$(BIN)/hilbench run bench_configs/web_section_step.yaml
 
-test: setup $(SUITE)/.extracted
+# Without Node.js the tests that need it are skipped.
+test: setup $(SUITE)/.extracted $(if $(shell command -v npm),$(STATION)/.installed)
 	$(BIN)/python -m pytest -q -n 2
 
 lint: setup

@@ -21,6 +21,7 @@ TYPES = {
     "I8": 0x02, "I16": 0x03, "I32": 0x04, "U8": 0x05, "U16": 0x06, "U32": 0x07, "REAL32": 0x08, "STRING": 0x09,
 }  # fmt: skip
 VAR, ARRAY, RECORD = 7, 8, 9
+FIRST_DEVICE_OBJECT = 0x2000  #: below it stands the communication profile
 
 Default = int | float | str | None
 
@@ -113,7 +114,7 @@ def pdo_objects(number: int, pdo: Pdo, transmit: bool) -> list[Object]:
     mapped = [index << 16 | sub << 8 | bits for index, sub, bits in pdo.mapping] + [0] * (8 - len(pdo.mapping))
     mapping = {sub: Entry(f"Mapped object {sub}", "U32", "rw", value) for sub, value in enumerate(mapped, 1)}
     base, word = (0x1800, "TPDO") if transmit else (0x1400, "RPDO")
-    count = Entry("Number of mapped objects", "U8", "rw", len(pdo.mapping), high=8)
+    count = Entry("Number of mapped objects", "U8", "rw", len(pdo.mapping))
     return [
         compound(base + number - 1, f"{word}{number} communication parameter", RECORD, communication),
         Object(base + 0x200 + number - 1, f"{word}{number} mapping parameter", RECORD, {0: count, **mapping}),
@@ -414,12 +415,12 @@ def _device_info(device: DeviceDescription) -> str:
 
 
 def _dummy_usage() -> str:
-    return _section("DummyUsage", [(f"Dummy{number:04d}", "0") for number in range(1, 8)])
+    return _section("DummyUsage", [(f"Dummy{number:04d}", str(int(number > 1))) for number in range(1, 8)])
 
 
 def _object_sections(item: Object) -> list[str]:
     if item.kind == VAR:
-        return [_section(f"{item.index:04X}", _entry_lines(replace(item.entries[0], name=item.name)))]
+        return [_section(f"{item.index:04X}", _entry_lines(replace(item.entries[0], name=item.name), item.index))]
     head = [
         ("ParameterName", item.name),
         ("ObjectType", f"0x{item.kind:X}"),
@@ -427,11 +428,11 @@ def _object_sections(item: Object) -> list[str]:
     ]
     sections = [_section(f"{item.index:04X}", head)]
     for sub, entry in sorted(item.entries.items()):
-        sections.append(_section(f"{item.index:04X}sub{sub:X}", _entry_lines(entry)))
+        sections.append(_section(f"{item.index:04X}sub{sub:X}", _entry_lines(entry, item.index)))
     return sections
 
 
-def _entry_lines(entry: Entry) -> list[tuple[str, str]]:
+def _entry_lines(entry: Entry, index: int) -> list[tuple[str, str]]:
     lines = [
         ("ParameterName", entry.name),
         ("ObjectType", f"0x{VAR:X}"),
@@ -444,6 +445,8 @@ def _entry_lines(entry: Entry) -> list[tuple[str, str]]:
         lines.append(("LowLimit", str(entry.low)))
     if entry.high is not None:
         lines.append(("HighLimit", str(entry.high)))
+    if index >= FIRST_DEVICE_OBJECT and entry.access == "ro" and entry.mappable:
+        lines.append(("ObjFlags", "0x2"))  # a process input: its value is its own, not the default
     return lines
 
 

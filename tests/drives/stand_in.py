@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from math import copysign, inf, pi
 from pathlib import Path
 
 from hilbench.bus.frame import Frame
+from hilbench.bus.link import Link
 from hilbench.drives.port import MotorMode, MotorPort
 from hilbench.drives.simulated import SimulatedDrive
+from hilbench.fieldbus.clock import Clock
 from hilbench.fieldbus.device import Device
 from hilbench.fieldbus.eds import load_eds
+from hilbench.fieldbus.host import Application, DeviceHost
 
 EDS = Path(__file__).parents[2] / "eds" / "hilbench_servo.eds"
 CYCLE_S = 0.002
@@ -127,3 +133,41 @@ class DriveUnderTest:
         else:
             assert self.device.on_communication_error is not None
             self.device.on_communication_error(0x8130)
+
+
+class SimulatedDrives:
+    """Host application: simulated drives and their motors."""
+
+    def __init__(self, devices: list[Device]) -> None:
+        ports = [MotorPort() for _ in devices]
+        self.motors = [FirstOrderMotor(port) for port in ports]
+        self.drives = [SimulatedDrive(device, port) for device, port in zip(devices, ports, strict=True)]
+
+    def before_sync(self, behind: int) -> None:
+        pass
+
+    def after_sync(self) -> None:
+        self.tick(CYCLE_S)
+
+    def tick(self, duration_s: float) -> None:
+        for drive, motor in zip(self.drives, self.motors, strict=True):
+            drive.sync(duration_s)
+            motor.advance(duration_s)
+            drive.publish()
+
+    def on_frame(self, frame: Frame) -> None:
+        pass
+
+
+@contextmanager
+def served(link: Link, devices: Sequence[Device], clock: Clock, application: Application) -> Iterator[None]:
+    """The devices on the link, served by a thread; the link is closed at the end."""
+    stop = threading.Event()
+    thread = threading.Thread(target=DeviceHost(link, devices, clock, application).run, args=(stop.is_set,))
+    thread.start()
+    try:
+        yield
+    finally:
+        stop.set()
+        thread.join()
+        link.close()

@@ -1,7 +1,6 @@
-"""The EDS files: in step with their tables, valid for an independent checker, complete for the device runtime."""
+"""The EDS files: in step with their tables, complete for the device runtime."""
 
 import importlib.util
-import subprocess
 import sys
 from pathlib import Path
 from types import ModuleType
@@ -36,13 +35,6 @@ def test_files_are_what_the_tables_say(make_eds: ModuleType) -> None:
     for name, text in made.items():
         found = (ROOT / "eds" / name).read_text(encoding="ascii")
         assert found == text, f"eds/{name} is out of date: run tools/make_eds.py"
-
-
-@pytest.mark.parametrize("name", FILES)
-def test_checker_has_nothing_to_say(name: str) -> None:
-    command = [sys.executable, "-c", "from dcf.cli import main; main()", "-n", "5", str(ROOT / "eds" / name)]
-    result = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert (result.returncode, result.stdout, result.stderr) == (0, "", "")
 
 
 @pytest.mark.parametrize("node_id", [1, 17])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -10,7 +9,7 @@ from contextlib import contextmanager
 import pytest
 from canopen import Network
 from canopen.profiles.p402 import BaseNode402
-from tests.drives.stand_in import CYCLE_S, EDS, FirstOrderMotor
+from tests.drives.stand_in import CYCLE_S, EDS, SimulatedDrives, served
 
 from hilbench.bus.frame import Frame
 from hilbench.bus.link import Link
@@ -18,41 +17,14 @@ from hilbench.bus.memory import MemoryBus
 from hilbench.drives.configuration import DriveSettings
 from hilbench.drives.drive import Drive, DriveGoal
 from hilbench.drives.objects import OperationMode
-from hilbench.drives.port import MotorPort
-from hilbench.drives.simulated import SimulatedDrive
 from hilbench.drives.state_machine import State
 from hilbench.errors import BenchFaultError, UnusableInputError
 from hilbench.fieldbus.clock import MonotonicClock
 from hilbench.fieldbus.device import Device
 from hilbench.fieldbus.eds import load_eds
-from hilbench.fieldbus.host import DeviceHost
 from hilbench.fieldbus.master import START, Master
 
 RPM = 10_000
-
-
-class SimulatedDrives:
-    """Host application: simulated drives and their motors."""
-
-    def __init__(self, devices: list[Device]) -> None:
-        ports = [MotorPort() for _ in devices]
-        self.motors = [FirstOrderMotor(port) for port in ports]
-        self.drives = [SimulatedDrive(device, port) for device, port in zip(devices, ports, strict=True)]
-
-    def before_sync(self, behind: int) -> None:
-        pass
-
-    def after_sync(self) -> None:
-        self.tick(CYCLE_S)
-
-    def tick(self, duration_s: float) -> None:
-        for drive, motor in zip(self.drives, self.motors, strict=True):
-            drive.sync(duration_s)
-            motor.advance(duration_s)
-            drive.publish()
-
-    def on_frame(self, frame: Frame) -> None:
-        pass
 
 
 @contextmanager
@@ -61,17 +33,8 @@ def hosted(bus: MemoryBus, *node_ids: int) -> Iterator[SimulatedDrives]:
     clock = MonotonicClock(stall_s=1.0)
     devices = [Device(load_eds(EDS, node_id), node_id, clock) for node_id in node_ids or (1,)]
     application = SimulatedDrives(devices)
-    link = bus.open_link()
-    host = DeviceHost(link, devices, clock, application)
-    stop = threading.Event()
-    thread = threading.Thread(target=host.run, args=(stop.is_set,))
-    thread.start()
-    try:
+    with served(bus.open_link(), devices, clock, application):
         yield application
-    finally:
-        stop.set()
-        thread.join()
-        link.close()
 
 
 @contextmanager

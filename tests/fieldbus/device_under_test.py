@@ -4,12 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Self
 
 from hilbench.bus.frame import Frame
+from hilbench.drives.port import MotorPort
+from hilbench.drives.simulated import SimulatedDrive
 from hilbench.fieldbus.device import Device
 from hilbench.fieldbus.eds import load_eds
 
 NODE = 5
+SERVO_EDS = Path(__file__).parents[2] / "eds" / "hilbench_servo.eds"
 U8, U16, U32, I8, I16, I32, I24, REAL32, STRING, DOMAIN, BOOLEAN = 5, 6, 7, 2, 3, 4, 0x10, 8, 9, 0xF, 1
 
 
@@ -114,19 +118,23 @@ class HandClock:
         return 0
 
 
-class DeviceUnderTest:
-    """A device whose frames a test looks at."""
+class Station:
+    """A device on a clock set by hand, whose frames a test looks at."""
 
-    def __init__(self, folder: Path, *, store: Path | None = None, sections: Mapping[str, str] = SECTIONS) -> None:
-        path = folder / "device.eds"
-        path.write_text(eds_text(sections), encoding="ascii")
+    def __init__(self, eds: Path, store: Path | None = None) -> None:
         self.clock = HandClock()
-        self.od = load_eds(path, NODE)
+        self.od = load_eds(eds, NODE)
         self.device = Device(self.od, NODE, self.clock, store=store)
 
-    def started(self) -> DeviceUnderTest:
-        """Booted, in OPERATIONAL, nothing left to be sent."""
+    def booted(self) -> Self:
+        """In PRE-OPERATIONAL, nothing left to be sent."""
         self.device.boot()
+        self.frames()
+        return self
+
+    def started(self) -> Self:
+        """In OPERATIONAL, nothing left to be sent."""
+        self.booted()
         self.nmt(1)
         self.frames()
         return self
@@ -174,3 +182,36 @@ class DeviceUnderTest:
         answer = bytes.fromhex(self.sdo(bytes((0x40, index & 0xFF, index >> 8, sub, 0, 0, 0, 0)).hex()))
         assert answer[0] & 0xE3 == 0x43, answer.hex()
         return int.from_bytes(answer[4 : 8 - (answer[0] >> 2 & 3)], "little")
+
+    def upload(self, index: int, sub: int) -> bytes | int:
+        """Data of an object, expedited or in segments, or the abort code."""
+        answer = bytes.fromhex(self.sdo(bytes((0x40, index & 0xFF, index >> 8, sub, 0, 0, 0, 0)).hex()))
+        if answer[0] == 0x80:
+            return int.from_bytes(answer[4:], "little")
+        if answer[0] & 0x02:
+            return answer[4 : 8 - (answer[0] >> 2 & 3)]
+        data, toggle, last = b"", 0x00, False
+        while not last:
+            segment = bytes.fromhex(self.sdo(bytes((0x60 | toggle, *bytes(7))).hex()))
+            assert segment[0] & 0xF0 == toggle
+            data += segment[1 : 8 - (segment[0] >> 1 & 7)]
+            toggle, last = toggle ^ 0x10, bool(segment[0] & 0x01)
+        assert len(data) == int.from_bytes(answer[4:], "little")
+        return data
+
+
+class DeviceUnderTest(Station):
+    """A device with an object of each kind, none of them behind an application."""
+
+    def __init__(self, folder: Path, *, store: Path | None = None, sections: Mapping[str, str] = SECTIONS) -> None:
+        path = folder / "device.eds"
+        path.write_text(eds_text(sections), encoding="ascii")
+        super().__init__(path, store)
+
+
+class DriveUnderTest(Station):
+    """The simulated servo drive."""
+
+    def __init__(self, store: Path | None = None) -> None:
+        super().__init__(SERVO_EDS, store)
+        SimulatedDrive(self.device, MotorPort())

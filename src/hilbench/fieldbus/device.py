@@ -40,6 +40,8 @@ SYNC_LENGTH = 0x8240
 _PRODUCE_SYNC = 0x40000000
 _USUAL_SYNC = 0x80  #: restricted for everything but SYNC
 
+_BOOT_UP = b"\0"  #: has the identifier of the heartbeat and is none
+
 #: Error register, COB-ID of SYNC, producer heartbeat time.
 _NEEDED = (0x1001, 0x1005, 0x1017)
 
@@ -121,7 +123,7 @@ class Device:
 
     def boot(self) -> None:
         """Say boot-up and be pre-operational."""
-        self._reply(0x700 + self.node_id, b"\0")
+        self._reply(0x700 + self.node_id, _BOOT_UP)
         self._enter(NmtState.PRE_OPERATIONAL)
 
     def handle(self, frame: Frame) -> None:
@@ -137,7 +139,7 @@ class Device:
                 self._compile_pdos_if_changed()
         elif can_id == 0:
             self._nmt_command(frame.data)
-        elif 0x701 <= can_id <= 0x77F and len(frame.data) == 1:
+        elif 0x701 <= can_id <= 0x77F and len(frame.data) == 1 and frame.data != _BOOT_UP:
             self._consumer.heard(can_id - 0x700)
         elif can_id & REMOTE_FLAG and not can_id & EXTENDED_FLAG and self.nmt_state is NmtState.OPERATIONAL:
             for tpdo in self._tpdos:
@@ -150,17 +152,17 @@ class Device:
         return int(self._sync_cob.value & 0x7FF)
 
     def sync(self, data: bytes) -> None:
-        """SYNC: synchronous RPDOs act, synchronous TPDOs are sampled and sent."""
-        if self.nmt_state is not NmtState.OPERATIONAL:
+        """SYNC: in OPERATIONAL synchronous RPDOs act, synchronous TPDOs are sampled and sent."""
+        if not self._communicates():
             return
-        counter: int | None = None
         expected = 1 if self._sync_counter is not None and self._sync_counter.value else 0
         if len(data) != expected:
             self._emcy.raise_error(SYNC_LENGTH, COMMUNICATION_ERROR, bytes([len(data)]))
             return
         self._emcy.clear_error(SYNC_LENGTH)
-        if expected:
-            counter = data[0]
+        if self.nmt_state is not NmtState.OPERATIONAL:
+            return
+        counter = data[0] if expected else None
         for rpdo in self._rpdos:
             rpdo.sync()
         for tpdo in self._synchronous:
@@ -216,7 +218,7 @@ class Device:
             rpdo.reset()
         if state is NmtState.OPERATIONAL:
             for tpdo in self._tpdos:
-                tpdo.start()
+                tpdo.restart()
         if self.on_nmt is not None:
             self.on_nmt(state)
 
@@ -231,13 +233,13 @@ class Device:
 
     # -- PDOs --------------------------------------------------------------------------------------------
 
-    def _pdo_parameters(self) -> tuple[object, ...]:
-        pdos = (*self._rpdos, *self._tpdos)
-        return tuple((p._cob.value, p._type.value, p._count.value, *(e.value for e in p._entries)) for p in pdos)
-
     def _compile_pdos_if_changed(self) -> None:
-        if self._pdo_parameters() != self._compiled:
+        pdos = (*self._rpdos, *self._tpdos)
+        changed = [pdo for pdo in pdos if pdo.parameters() != pdo.compiled]
+        if changed:
             self._compile_pdos()
+        for pdo in changed:
+            pdo.restart()
 
     def _compile_pdos(self) -> None:
         for pdo in (*self._rpdos, *self._tpdos):
@@ -248,7 +250,6 @@ class Device:
                 raise UnusableInputError(
                     f"EDS of node {self.node_id}", f"{pdo} cannot have its default mapping: {error}"
                 ) from error
-        self._compiled = self._pdo_parameters()
         self._receivers = {rpdo.cob_id: rpdo for rpdo in self._rpdos if rpdo.valid and rpdo.map is not None}
         active = [tpdo for tpdo in self._tpdos if tpdo.valid and tpdo.map is not None]
         self._synchronous = [tpdo for tpdo in active if tpdo.transmission_type <= 240]
@@ -294,7 +295,7 @@ class Device:
             self.on_communication_error(code)
 
     def _communicates(self) -> bool:
-        """SDO and EMCY live in PRE-OPERATIONAL and OPERATIONAL only (CiA 301, table 37)."""
+        """SDO, SYNC and EMCY live in PRE-OPERATIONAL and OPERATIONAL only (CiA 301, table 37)."""
         return self.nmt_state in (NmtState.PRE_OPERATIONAL, NmtState.OPERATIONAL)
 
     # -- frames out --------------------------------------------------------------------------------------

@@ -44,6 +44,7 @@ class _Pdo:
         self._entries = list(entries)
         self.cells: list[Cell] = []
         self.map: PdoMap | None = None
+        self.compiled: tuple[int, ...] = ()  #: parameters that the codec follows
         self._cob.on_write = self._check_cob
         self._type.on_write = self._check_type
         self._count.on_write = self._check_count
@@ -74,8 +75,17 @@ class _Pdo:
     def _timer_ns(self, sub: int, unit_ns: int) -> int:
         return int(self._store.cell(self._index, sub).value * unit_ns) if (self._index, sub) in self._store else 0
 
+    def parameters(self) -> tuple[int, ...]:
+        """COB-ID, type and mapping as they stand in the objects."""
+        return (self._cob.value, self._type.value, self._count.value, *(entry.value for entry in self._entries))
+
+    def restart(self) -> None:
+        """Its parameters are others now: what was before does not count any more."""
+        raise NotImplementedError
+
     def compile(self) -> None:
         """Build the codec anew from the mapping object."""
+        self.compiled = self.parameters()
         count = min(self._count.value, len(self._entries))
         cells = [self._mapped(entry.value) for entry in self._entries[:count]]
         self.cells = cells
@@ -203,6 +213,13 @@ class Rpdo(_Pdo):
         """Forget what was received."""
         self._waiting, self._deadline_ns = None, None
 
+    def restart(self) -> None:
+        """Forget what was received and what was wrong with it."""
+        self.reset()
+        for code in (PDO_TOO_SHORT, PDO_TOO_LONG, RPDO_TIMED_OUT):
+            self._emcy.clear_error(code, self.number)
+        self._length_error = None
+
     def _act(self, data: bytes) -> None:
         assert self.map is not None
         for cell, value in zip(self.cells, self.map.unpack(data), strict=True):
@@ -228,10 +245,11 @@ class Tpdo(_Pdo):
         self._started = False
 
     def _right_direction(self, variable: ODVariable) -> bool:
-        return bool(variable.access_type != "wo")
+        # rww is a process output (CiA 306): it is received, and read back by SDO only.
+        return variable.access_type not in ("wo", "rww")
 
-    def start(self) -> None:
-        """OPERATIONAL was entered: count SYNCs from here, event-driven PDOs are sent once."""
+    def restart(self) -> None:
+        """Count SYNCs anew and forget what was sent (also when OPERATIONAL is entered)."""
         self._syncs = 0
         self._sent = None
         self._started = (self._index, 6) not in self._store or not self._store.cell(self._index, 6).value

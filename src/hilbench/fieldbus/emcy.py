@@ -6,7 +6,7 @@ import struct
 from collections.abc import Callable
 
 from hilbench.fieldbus.identifiers import is_restricted
-from hilbench.fieldbus.object_store import INVALID_VALUE, ObjectStore, SdoAbort
+from hilbench.fieldbus.object_store import INVALID_VALUE, NO_DATA, ObjectStore, SdoAbort
 
 GENERIC_ERROR = 0x01
 COMMUNICATION_ERROR = 0x10
@@ -42,6 +42,8 @@ class EmergencyProducer:
         self._free_ns: int | None = None
         if self._count is not None:
             self._count.on_write = self._clear_history
+        for place, entry in enumerate(self._history):
+            entry.on_read = self._reader(place)
         if self._cob_id is not None:
             self._cob_id.on_write = self._check_cob_id
 
@@ -106,6 +108,16 @@ class EmergencyProducer:
             older.value = newer.value
         self._history[0].value = code | int.from_bytes(info[:2].ljust(2, b"\0"), "little") << 16
         self._count.value = min(self._count.value + 1, len(self._history))
+
+    def _reader(self, place: int) -> Callable[[], int]:
+        """An entry of 1003h has no data before so many errors have come."""
+
+        def read() -> int:
+            if self._count is None or place >= self._count.value:
+                raise SdoAbort(NO_DATA)
+            return int(self._history[place].value)
+
+        return read
 
     def _clear_history(self, value: int) -> None:
         if value != 0:

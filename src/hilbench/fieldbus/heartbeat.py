@@ -104,7 +104,13 @@ class HeartbeatConsumer:
                 for entry in self._entries
             ):
                 raise SdoAbort(INCOMPATIBLE)
-            self._watches.pop(node_id, None)
-            self._watches.pop(own.value >> 16 & 0xFF, None)
+            for changed in {node_id, own.value >> 16 & 0xFF}:
+                self._forget(changed)
 
         return check
+
+    def _forget(self, node_id: int) -> None:
+        """Watch it no more until it is heard again; a node that nobody watches is not missed."""
+        watch = self._watches.pop(node_id, None)
+        if watch is not None and watch.lost:
+            self._on_back(node_id)

@@ -1,0 +1,156 @@
+"""The station of station.js on a link: its frames go to the bus, the bus' frames to it; requests and events as JSON."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import threading
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from itertools import count
+from pathlib import Path
+from typing import Any
+
+from hilbench.bus.frame import EXTENDED_FLAG, REMOTE_FLAG, Frame
+from hilbench.bus.link import Link
+
+SCRIPT = Path(__file__).with_name("station.js")
+PACKAGES = Path(__file__).parents[2] / ".cache" / "node-canopen" / "node_modules"
+OWN_NODE = 0x7E
+_PATIENCE_S = 30.0
+_POLL_S = 0.05
+
+
+class Refused(Exception):  # noqa: N818 - an answer
+    """An SDO transfer that the other side aborted."""
+
+    def __init__(self, code: int) -> None:
+        super().__init__(f"{code:08X}h")
+        self.code = code
+
+
+class ForeignStation:
+    """Requests to the station and what it has heard."""
+
+    def __init__(self, process: subprocess.Popen[str], link: Link) -> None:
+        self._process = process
+        self._link = link
+        self._numbers = count(1)
+        self._news = threading.Condition()
+        self._answers: dict[int, Mapping[str, Any]] = {}
+        self._events: list[Mapping[str, Any]] = []
+        self._ended = False
+        self._writing = threading.Lock()
+
+    def upload(self, index: int, sub: int = 0, *, block: bool = False) -> bytes:
+        """Read an object. Raises Refused."""
+        return bytes.fromhex(self._ask("upload", index=index, sub=sub, block=block))
+
+    def download(self, index: int, sub: int, data: bytes, *, block: bool = False) -> None:
+        """Write an object. Raises Refused."""
+        self._ask("download", index=index, sub=sub, data=data.hex(), block=block)
+
+    def nmt(self, service: str) -> None:
+        """An NMT service by the name of its method."""
+        self._ask("nmt", service=service)
+
+    def heartbeat(self, period_ms: int) -> None:
+        """Produce a heartbeat, the first of which is out then; 0: none."""
+        self._ask("heartbeat", period_ms=period_ms)
+
+    def sync(self) -> None:
+        """Send SYNC."""
+        self._ask("sync")
+
+    def command(self, controlword: int, target_velocity: int = 0) -> None:
+        """Send RPDO1."""
+        self._ask("command", controlword=controlword, target_velocity=target_velocity)
+
+    def event(self, name: str, **content: object) -> Mapping[str, Any]:
+        """The next event of this name whose entries are these; it and those before it are taken."""
+        with self._news:
+            assert self._news.wait_for(lambda: self._place(name, content) is not None or self._ended, _PATIENCE_S), (
+                f"no {name} {content}, but {self._events}"
+            )
+            place = self._place(name, content)
+            assert place is not None, f"the station has ended, and had heard {self._events}"
+            found = self._events[place]
+            del self._events[: place + 1]
+            return found
+
+    def _place(self, name: str, content: Mapping[str, object]) -> int | None:
+        wanted = {"event": name, **content}
+        return next((place for place, event in enumerate(self._events) if wanted.items() <= event.items()), None)
+
+    def _ask(self, request: str, **content: object) -> Any:
+        number = next(self._numbers)
+        self._write(json.dumps({"id": number, "do": request, **content}))
+        with self._news:
+            assert self._news.wait_for(lambda: number in self._answers or self._ended, _PATIENCE_S), request
+            assert number in self._answers, f"the station has ended at {request}"
+            answer = self._answers.pop(number)
+        if "abort" in answer:
+            raise Refused(answer["abort"])
+        return answer["value"]
+
+    # -- the lines -----------------------------------------------------------------------------------------
+
+    def _write(self, line: str) -> None:
+        assert self._process.stdin is not None
+        with self._writing:
+            self._process.stdin.write(line + "\n")
+            self._process.stdin.flush()
+
+    def read(self) -> None:
+        """Take the station's lines until it ends."""
+        assert self._process.stdout is not None
+        for line in self._process.stdout:
+            if not line.startswith("{"):
+                can_id, data = line.strip().split("#")
+                self._link.send([Frame(int(can_id, 16), bytes.fromhex(data))])
+                continue
+            message = json.loads(line)
+            with self._news:
+                if "event" in message:
+                    self._events.append(message)
+                else:
+                    self._answers[message["id"]] = message
+                self._news.notify_all()
+        with self._news:
+            self._ended = True
+            self._news.notify_all()
+
+    def forward(self, stop: threading.Event) -> None:
+        """Give the bus' data frames to the station."""
+        while not stop.is_set():
+            for frame in self._link.receive(_POLL_S):
+                if not frame.can_id & (REMOTE_FLAG | EXTENDED_FLAG):
+                    self._write(f"{frame.can_id:03x}#{frame.data.hex()}")
+
+
+@contextmanager
+def foreign_station(link: Link, node: int, eds: Path) -> Iterator[ForeignStation]:
+    """The station on the link, with the EDS of the node it shall know; the link is closed at the end."""
+    process = subprocess.Popen(
+        ["node", str(SCRIPT), str(node), str(eds)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+        env=os.environ | {"NODE_PATH": str(PACKAGES)},
+    )
+    station = ForeignStation(process, link)
+    stop = threading.Event()
+    threads = [threading.Thread(target=station.read), threading.Thread(target=station.forward, args=(stop,))]
+    for thread in threads:
+        thread.start()
+    try:
+        yield station
+    finally:
+        stop.set()
+        threads[1].join()
+        assert process.stdin is not None
+        process.stdin.close()
+        assert process.wait(_PATIENCE_S) == 0
+        threads[0].join()
+        link.close()
