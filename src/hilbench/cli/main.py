@@ -137,7 +137,7 @@ def report(run_folder: Annotated[Path, typer.Argument(metavar="RUN", help="run f
 @app.command()
 def sync(
     recording: Annotated[Path, typer.Argument(metavar="RECORDING", help="recording (.mf4, .csv, .csv.gz)")],
-    model: Annotated[Path, typer.Option("--model", help="model file (YAML)")],
+    model: Annotated[Path, typer.Option("--model", help="model file, or a bench config with the model in it (YAML)")],
     method: Annotated[str, typer.Option("--method", help="methods, comma-separated, or all")] = "all",
     out: Annotated[Path | None, typer.Option("--out", help="folder for the page with table and picture")] = None,
     unmodelled_torque: Annotated[
@@ -159,6 +159,24 @@ def sync(
     from hilbench.cli.sync import sync_command
 
     sync_command(recording, model, method, out, unmodelled_torque, as_json=json)
+
+
+@app.command()
+def diagnose(
+    recording: Annotated[Path, typer.Argument(metavar="RECORDING", help="recording (.mf4, .csv, .csv.gz)")],
+    model: Annotated[Path, typer.Option("--model", help="model file, or a bench config with the model in it (YAML)")],
+    out: Annotated[
+        Path | None, typer.Option("--out", help="folder for the page and the extended model (model_extended.yaml)")
+    ] = None,
+    json: Annotated[bool, typer.Option("--json", help="print the diagnosis as JSON, nothing else")] = False,
+) -> None:
+    """Find where simulation and measurement disagree, name the missing effect, and add it to the model.
+
+    Example: hilbench diagnose runs/web_section_step-20260101-120000/recording.mf4 --model model.yaml --out diagnosis
+    """
+    from hilbench.cli.diagnose import diagnose_command
+
+    diagnose_command(recording, model, out, as_json=json)
 
 
 def main() -> None:

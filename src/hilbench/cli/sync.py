@@ -10,11 +10,11 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from hilbench.cli.model_option import model_from
 from hilbench.errors import UnusableInputError
 from hilbench.experiment.synchronization import Comparison, compare_methods, measurements_of, methods_of
 from hilbench.record.recording import read_recording
 from hilbench.report.sync_page import COLUMNS, rows, write_sync_page
-from hilbench.web.parameters import load_model
 
 
 def sync_command(
@@ -28,7 +28,7 @@ def sync_command(
 ) -> None:
     """Compare, print, and write the page into `out`. Raises UnusableInputError for what can't be used."""
     chosen = methods_of(methods)
-    model, recording = load_model(model_path), read_recording(recording_path)
+    model, recording = model_from(model_path), read_recording(recording_path)
     data = measurements_of(recording, recording_path)
     true = np.asarray(recording["E_true_Pa"], np.float64) if "E_true_Pa" in recording else None
     try:

@@ -103,6 +103,28 @@ def shaft_torque_Nm(p: Vector, motor: int, torque_Nm: float, angle_rad: float) -
 
 
 @compiled
+def motor_torque_Nm(p: Vector, motor: int, shaft_Nm: float, angle_rad: float) -> float:
+    """The torque the drive must know of for this one on the shaft: the inverse of `shaft_torque_Nm`."""
+    for slot in range(_RIPPLES):
+        at = _RIPPLE + 3 * slot
+        if p[motor + at] != 0.0:
+            shaft_Nm -= p[motor + at] * sin(p[motor + at + 1] * angle_rad + p[motor + at + 2])
+    return shaft_Nm / (1.0 + p[motor + _SCALE])
+
+
+@compiled
+def reporting_delay_s(p: Vector, motor: int) -> float:
+    """By how much a reported torque is late."""
+    return p[motor + _DELAY_S]
+
+
+@compiled
+def reported_offset_Nm(p: Vector, motor: int) -> float:
+    """What a reported torque is off by."""
+    return p[motor + _OFFSET_NM]
+
+
+@compiled
 def measured_torque_Nm(p: Vector, motor: int, torque_Nm: float, s: Vector, past: int, count: int) -> float:
     """Torque as the drive reports it: `s` holds the torque of sample k at `past` + k % RING; linear between."""
     delay = p[motor + _DELAY_S] / p[lay.W_SAMPLE_TIME_S]

@@ -1,0 +1,166 @@
+"""`hilbench diagnose`: what a model lacks, from a recording."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+from hilbench.cli.model_option import model_from
+from hilbench.diagnose.diagnosis import Diagnosis, NamedEffect, diagnose
+from hilbench.errors import UnusableInputError
+from hilbench.record.recording import read_recording
+from hilbench.report.diagnosis_page import write_diagnosis_page
+from hilbench.web.parameters import write_model
+
+_UNKNOWN = "something is missing that no effect of the vocabulary explains"
+
+
+def diagnose_command(recording_path: Path, model_path: Path, out: Path | None, *, as_json: bool) -> None:
+    """Diagnose, print, and write page and extended model into `out`. Raises UnusableInputError."""
+    model, recording = model_from(model_path), read_recording(recording_path)
+    console = Console(highlight=False)
+    progress = Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TimeElapsedColumn(),
+        console=Console(stderr=True),
+        disable=as_json,
+        transient=True,
+    )
+    with progress:
+        task = progress.add_task("read", total=1.0)
+        found = diagnose(
+            recording,
+            model,
+            recording_path,
+            lambda text, share: progress.update(task, description=text, completed=share),
+        )
+    model_file = None if out is None else _write(found, f"Diagnosis of {recording_path.name}", out)
+    if as_json:
+        print(json.dumps(as_data(found, model_file), indent=2))
+        return
+    _show(console, found)
+    if out is not None:
+        console.print(f"page: {out / 'diagnosis.html'}\nextended model: {model_file}")
+
+
+def _write(found: Diagnosis, title: str, out: Path) -> Path:
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UnusableInputError(out, f"cannot be made ({error.strerror}), expected a folder") from error
+    model_file = out / "model_extended.yaml"
+    write_model(model_file, found.model)
+    write_diagnosis_page(found, title, out / "diagnosis.html")
+    return model_file
+
+
+def as_data(found: Diagnosis, model_file: Path | None) -> dict[str, Any]:
+    """What `--json` prints (design, section 8)."""
+    gap = found.gap
+    return {
+        "verdict": found.verdict,
+        "effects": [_effect(effect) for effect in found.effects],
+        "gap": {
+            "signal": gap.signal,
+            "metric": "rms",
+            "unit": gap.unit,
+            "before": gap.before,
+            "after": gap.after,
+            "noise_floor": gap.noise_floor,
+            "held_out": True,
+        },
+        "where": [
+            {"signal": w.signal, "when": w.when, "condition": w.condition, "share_of_gap": w.share_of_gap}
+            for w in found.where
+        ],
+        "unexplained": [
+            {"signal": m.signal, "when": m.when, "condition": m.condition, "detail": m.detail, "points": m.points}
+            for m in found.left
+        ],
+        "blind_to": [
+            {
+                "effect": b.effect,
+                "axis": b.axis,
+                "smallest_visible": b.smallest_visible,
+                "unit": b.unit,
+                "experiment": b.experiment,
+            }
+            for b in found.blind_to
+        ],
+        "missing_channels": found.missing_channels,
+        "model": None if model_file is None else str(model_file),
+    }
+
+
+def _effect(effect: NamedEffect) -> dict[str, Any]:
+    return {
+        "effect": effect.effect,
+        "axis": effect.axis,
+        "parameters": {
+            name: {"value": value.value, "ci95": list(value.ci95), "unit": value.unit}
+            for name, value in effect.parameters.items()
+        },
+        "evidence": effect.evidence,
+        "tied_with": effect.tied_with,
+        "told_apart_by": effect.told_apart_by,
+    }
+
+
+def _show(console: Console, found: Diagnosis) -> None:
+    sentence = {
+        "complete": "complete: nothing is missing that these data can show",
+        "named": "named: the effects below close the gap on data that no fit has seen",
+        "unknown": f"unknown: {_UNKNOWN}",
+    }
+    console.print(sentence[found.verdict])
+    if found.effects:
+        console.print(_effects_table(found))
+        for effect in found.effects:
+            if effect.tied_with:
+                others = ", ".join(effect.tied_with)
+                console.print(f"{effect.effect} is tied with {others}; told apart by: {effect.told_apart_by}")
+    gaps = Table(title="torque residual, rms on held-out data, N·m", title_justify="left")
+    for column in ("signal", "before", "after", "noise floor"):
+        gaps.add_column(column, justify="left" if column == "signal" else "right")
+    for gap in found.gaps:
+        gaps.add_row(gap.signal, f"{gap.before:.4g}", f"{gap.after:.4g}", f"{gap.noise_floor:.4g}")
+    console.print(gaps)
+    _show_where(console, found)
+    for blind in found.blind_to:
+        place = f" of axis {blind.axis}" if blind.axis else ""
+        console.print(f"these data could hardly show {blind.effect}{place}; next experiment: {blind.experiment}")
+    if found.missing_channels:
+        console.print(f"channels not recorded: {', '.join(found.missing_channels)}")
+
+
+def _effects_table(found: Diagnosis) -> Table:
+    shown = Table(title_justify="left")
+    for column in ("effect", "axis", "parameter", "value", "95 %", "unit"):
+        shown.add_column(
+            column, justify="right" if column in ("value", "95 %") else "left", no_wrap=column in ("effect", "95 %")
+        )
+    for effect in found.effects:
+        for k, (name, value) in enumerate(effect.parameters.items()):
+            first = (effect.effect, str(effect.axis or "")) if k == 0 else ("", "")
+            interval = f"{value.ci95[0]:.4g} to {value.ci95[1]:.4g}"
+            shown.add_row(*first, name, f"{value.value:.5g}", interval, value.unit)
+    return shown
+
+
+def _show_where(console: Console, found: Diagnosis) -> None:
+    if found.verdict == "unknown":
+        for misfit in found.left[:5]:
+            console.print(f"left in {misfit.signal}: {misfit.condition}, {misfit.detail}")
+    elif found.where:
+        shown = Table(title="where the original model disagreed", title_justify="left")
+        for column in ("signal", "condition", "share of gap"):
+            shown.add_column(column)
+        for row in found.where[:5]:
+            shown.add_row(row.signal, row.condition, f"{100 * row.share_of_gap:.0f} %")
+        console.print(shown)

@@ -1,0 +1,251 @@
+"""The workflow: simulate, locate, propose, add, show the gap shrink, and know the limits."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilbench.diagnose.experiments import shown_by, told_apart_by
+from hilbench.diagnose.fit import fit, sums
+from hilbench.diagnose.measured import Measured, measured_from
+from hilbench.diagnose.misfit import LARGEST_RATIO, Misfit, misfits, ratios
+from hilbench.diagnose.noise import Whitening, floor, repeats, scaling
+from hilbench.diagnose.predictor import Predictor, predictor_for
+from hilbench.diagnose.proposals import Proposer
+from hilbench.diagnose.select import Search, Selection
+from hilbench.diagnose.space import Space
+from hilbench.diagnose.terms import Term, extended, pack_with
+from hilbench.record.recording import Recording
+from hilbench.web.parameters import ModelParameters
+
+Array = NDArray[np.float64]
+Announce = Callable[[str, float], None]
+
+_NORMAL_95: Final = 1.96
+#: An effect is invisible when a change of its usual size is below so many standard deviations.
+_VISIBLE: Final = 5.0
+#: Share of the residual's rms up to which effects may leave it where a right model need not leave white noise.
+_UNEXPLAINED: Final = 0.25
+_ROWS_OF_WHERE: Final = 8
+_DIGITS: Final = 8
+
+
+@dataclass(frozen=True)
+class Value:
+    """A parameter's estimate with its 95 % interval."""
+
+    value: float
+    ci95: tuple[float, float]
+    unit: str
+
+
+@dataclass(frozen=True)
+class NamedEffect:
+    """An effect that was found."""
+
+    effect: str
+    axis: int | None
+    parameters: dict[str, Value]
+    evidence: dict[str, float]
+    tied_with: list[str]
+    told_apart_by: str | None
+
+
+@dataclass(frozen=True)
+class Gap:
+    """Rms of one signal's residual on stretches that no fit has seen."""
+
+    signal: str
+    before: float
+    after: float
+    noise_floor: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class Where:
+    """One row of the table of disagreements of the original model."""
+
+    signal: str
+    when: str
+    condition: str
+    share_of_gap: float
+
+
+@dataclass(frozen=True)
+class Blind:
+    """An effect that these data could not show at its usual size."""
+
+    effect: str
+    axis: int | None
+    smallest_visible: float | None
+    unit: str
+    experiment: str
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """All that was found."""
+
+    verdict: str
+    effects: list[NamedEffect]
+    gaps: list[Gap]
+    where: list[Where]
+    left: list[Misfit]  #: significant dependences that no effect explains
+    blind_to: list[Blind]
+    missing_channels: list[str]
+    model: ModelParameters  #: extended
+    names: tuple[str, ...]
+    t_s: Array
+    before: Array  #: residuals (signals, n)
+    after: Array
+    held_out: NDArray[np.bool_]
+    simulations: int
+
+    @property
+    def gap(self) -> Gap:
+        """The one that was largest in its own noise floors."""
+        return max(self.gaps, key=lambda g: g.before / g.noise_floor)
+
+
+def diagnose(
+    recording: Recording, model: ModelParameters, place: str | Path, announce: Announce = lambda text, share: None
+) -> Diagnosis:
+    """Diagnose one recording. Raises UnusableInputError, one line, where it can't be used."""
+    announce("simulate the model", 0.02)
+    data = measured_from(recording, model, place)
+    predictor = predictor_for(model, data)
+    space = Space(model, predictor, data.period_s)
+    selection = Search(space, Proposer(model, data), announce, predictor.every).run()
+    return _conclude(space, predictor, data, selection, announce)
+
+
+def _conclude(
+    space: Space, predictor: Predictor, data: Measured, selection: Selection, announce: Announce
+) -> Diagnosis:
+    announce("judge what is left", 0.95)
+    trained = selection.fit
+    before = space.residual([])
+    rows = space.split.block >= 0
+    white, inflation = _weights(space, selection, rows)
+    final = fit(space, white, trained.terms, rows) if trained.terms else trained
+    torques = [k for k, name in enumerate(predictor.names) if name.startswith("tau")]
+    floors = {k: predictor.floor(k) if predictor.exact else floor(final.residual[k]) for k in torques}
+    conditions = predictor.conditions(pack_with(space.model, final.terms))
+    scale = np.array([floors[k] for k in torques])[:, None]
+    names = tuple(predictor.names[k] for k in torques)
+    left = [m for m in misfits(names, final.residual[torques] / scale, rows, conditions) if m.significant]
+    found = misfits(names, before[torques] / scale, rows, conditions)
+    if predictor.exact:
+        unknown = bool(left) or max(ratios(final.residual, rows, floors).values()) > LARGEST_RATIO
+    else:
+        unknown = _rms(final.residual[torques], rows) > _UNEXPLAINED * _rms(before[torques], rows)
+    verdict = "unknown" if unknown else ("named" if final.terms else "complete")
+    effects = [] if unknown else _named(final.terms, final.covariance, selection, inflation)
+    test = space.split.test
+    gaps = [_gap(predictor.names[k], before[k], trained.residual[k], floors[k], test) for k in torques]
+    where_from = [m for m in found if m.significant] or left
+    return Diagnosis(
+        verdict=verdict,
+        effects=effects,
+        gaps=gaps,
+        where=_where(where_from),
+        left=left,
+        blind_to=_blind(selection),
+        missing_channels=data.missing,
+        model=extended(space.model, [] if unknown else final.terms),
+        names=predictor.names,
+        t_s=data.t_s[:: predictor.every][: before.shape[1]],
+        before=before,
+        after=final.residual,
+        held_out=test,
+        simulations=space.simulations,
+    )
+
+
+def _rms(residual: Array, rows: NDArray[np.bool_]) -> float:
+    return float(np.sqrt(np.mean(residual[:, rows] ** 2)))
+
+
+def _weights(space: Space, selection: Selection, rows: NDArray[np.bool_]) -> tuple[Whitening, float]:
+    """How the last fit weights residuals, and by what its standard errors grow.
+
+    Where residuals are model error more than noise, whitening would weight the frequencies at which the model is worst:
+    then all count the same, and the errors grow with their correlation.
+    """
+    residual = selection.fit.residual
+    if not space.predictor.exact:
+        deviations = np.std(residual[:, rows], axis=-1)
+        return scaling(deviations), float(np.sqrt(max(repeats(values[rows]) for values in residual)))
+    train, test = sums(space, selection.scene.whitening, residual)
+    samples = np.count_nonzero(space.split.train | space.split.test) * len(space.predictor.names)
+    return selection.scene.whitening, float(np.sqrt(max((train + test) / samples, 1.0)))
+
+
+def _gap(name: str, before: Array, after: Array, noise: float, rows: NDArray[np.bool_]) -> Gap:
+    def rms(values: Array) -> float:
+        return float(np.sqrt(np.mean(values[rows] ** 2)))
+
+    return Gap(name, rms(before), rms(after), noise, "N·m")
+
+
+def _named(terms: list[Term], covariance: Array, selection: Selection, inflation: float) -> list[NamedEffect]:
+    result, at = [], 0
+    for term in terms:
+        size = len(term.coordinates())
+        gradient = term.gradient()
+        part = gradient @ covariance[at : at + size, at : at + size] @ gradient.T
+        at += size
+        errors = dict(zip(term.free(), np.sqrt(np.maximum(np.diag(part), 0.0)) * inflation, strict=True))
+        values = {}
+        for parameter in term.effect.parameters:
+            value, half = term.values[parameter.name], _NORMAL_95 * float(errors[parameter.name])
+            values[parameter.name] = Value(
+                _rounded(value), (_rounded(value - half), _rounded(value + half)), parameter.unit
+            )
+        tied = [place for place in selection.tied.get(term.key, []) if place != term.place]
+        names = [
+            f"{effect}" if axis is None or axis == term.axis else f"{effect} (axis {axis})" for effect, axis in tied
+        ]
+        advice = told_apart_by(term.effect.id, tied[0][0]) if tied else None
+        result.append(
+            NamedEffect(term.effect.id, term.axis, values, selection.evidence.get(term.key, {}), names, advice)
+        )
+    return result
+
+
+def _rounded(value: float) -> float:
+    return float(f"{value:.{_DIGITS}g}")
+
+
+def _where(found: list[Misfit]) -> list[Where]:
+    total: dict[str, float] = {}
+    for m in found:
+        total[m.signal] = max(total.get(m.signal, 0.0), m.excess)
+    gap = sum(total.values()) or 1.0
+    ranked = sorted(found, key=lambda m: -m.excess)[:_ROWS_OF_WHERE]
+    return [Where(m.signal, m.when, f"{m.condition}: {m.detail}", round(min(m.excess / gap, 1.0), 4)) for m in ranked]
+
+
+def _blind(selection: Selection) -> list[Blind]:
+    """Effects of which a change of the usual size would drown in the noise of these data."""
+    scene, result = selection.scene, []
+    seen: set[tuple[str, int | None]] = set()
+    for candidate, response in zip(scene.candidates, scene.responses, strict=True):
+        if candidate.multiplicity > 1.0 or candidate.place in seen:
+            continue
+        seen.add(candidate.place)
+        strength = candidate.effect.parameter(candidate.effect.strength[0])
+        information = float(np.sum(scene.whitening.apply(response)[0] ** 2))
+        smallest = _VISIBLE / np.sqrt(information) if information > 0.0 else None
+        if smallest is None or smallest > strength.scale:
+            visible = None if smallest is None else _rounded(float(smallest))
+            result.append(
+                Blind(candidate.effect.id, candidate.axis, visible, strength.unit, shown_by(candidate.effect.id))
+            )
+    return result

@@ -1,0 +1,203 @@
+"""Which effects could be missing: the vocabulary's terms, and for those with an order, frequency or time, which."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilbench.diagnose.measured import Measured
+from hilbench.diagnose.terms import Term
+from hilbench.web.effects import EFFECTS, Effect, find_effect
+from hilbench.web.parameters import EffectEntry, ModelParameters
+
+Array = NDArray[np.float64]
+
+#: Stribeck speeds that are tried, as shares of the highest speed.
+_STRIBECK_SHARES: Final = (0.01, 0.04, 0.15)
+#: Peaks of a spectrum, and times of a step, that are tried.
+_PEAKS: Final = 2
+#: Lowest order or frequency that is looked for, in cycles over the recording; highest order of a motor turn.
+_LEAST_CYCLES: Final = 4.0
+_HIGHEST_ORDER: Final = 64.0
+_HIGHEST_ORDER_OF_A_SCREW: Final = 1e4
+#: Steps that are simulated to know what one looks like; how far two proposed times are apart, s, and among how many
+#: times that can be told apart they were chosen.
+_COARSE: Final = 10
+_APART_S: Final = 1.0
+_TIMES: Final = 100.0
+#: A step's time is looked for this far from the ends, as a share of the recording.
+_EDGE: Final = 0.03
+_SEARCHED: Final = ("torque_ripple", "elasticity_step", "upstream_disturbance")
+_TURN = 2.0 * np.pi
+
+
+class Proposer:
+    """Makes terms for one model and recording."""
+
+    def __init__(self, model: ModelParameters, data: Measured) -> None:
+        self._model = model
+        self._data = data
+        self._axes = range(1, model.axis_count + 1)
+        speeds = [np.abs(v) for v in data.v_m_s.values()] + [np.abs(data.commands_m_s).ravel()]
+        if data.commands_m_s.size == 0 and not data.v_m_s:
+            speeds.append(np.abs(np.diff(data.x_m[1])) / data.period_s)
+        self._top_m_s = max((float(np.max(v)) for v in speeds if v.size), default=1.0)
+
+    def _term(
+        self, effect: Effect, axis: int | None, values: Mapping[str, float], slot: int = 0, multiplicity: float = 1.0
+    ) -> Term:
+        base = effect.filled({})
+        entries = [
+            e for e in self._model.effects if (e.effect, e.axis if effect.per_axis else None) == (effect.id, axis)
+        ]
+        if slot < len(entries):
+            base = effect.filled(entries[slot].parameters)
+        duration_s = self._data.duration_s
+        steps = {
+            "speed_m_s": 0.02 * values.get("speed_m_s", 1.0),
+            "time_s": 2.0 * self._data.period_s,
+            "frequency_Hz": 0.02 / duration_s,
+            "order": 0.1 / max(self._turns(axis) * _TURN, 1.0),
+        }
+        return Term(effect, axis, slot, {**base, **values}, base, steps, multiplicity)
+
+    def _entries(self, effect: Effect, axis: int | None) -> list[EffectEntry]:
+        """What the diagnosed model has of an effect at a place."""
+        return [e for e in self._model.effects if (e.effect, e.axis if effect.per_axis else None) == (effect.id, axis)]
+
+    def _turns(self, axis: int | None) -> float:
+        if axis is None or axis not in self._data.x_m:
+            return 1.0
+        return float(np.ptp(self._data.x_m[axis])) * self._model.motor_rad_per_m(axis) / _TURN
+
+    def plain(self) -> list[Term]:
+        """Every effect that needs no search, at every place it can be."""
+        terms = []
+        for effect in EFFECTS:
+            if effect.id in _SEARCHED or not (effect.per_axis or self._model.web):
+                continue
+            for axis in self._axes if effect.per_axis else (None,):
+                if effect.id == "stribeck_friction":
+                    speeds = [share * self._top_m_s for share in _STRIBECK_SHARES]
+                    terms += [self._term(effect, axis, {"speed_m_s": v}, multiplicity=len(speeds)) for v in speeds]
+                elif self._possible(effect, axis):
+                    terms.append(self._term(effect, axis, {}))
+        return terms
+
+    def _possible(self, effect: Effect, axis: int | None) -> bool:
+        if effect.id != "backlash" or axis is None:
+            return True
+        return self._model.motor_mass_kg(axis) > 0.0 and self._model.roller_mass_kg(axis) > 0.0
+
+    def searched(self, whitened: Array, present: list[Term], every: int) -> list[Term]:
+        """Orders and frequencies at which the whitened residuals (signals, n) show something.
+
+        `every`: rows of the recording per row.
+        """
+        terms = []
+        for axis in self._axes:
+            if axis in self._data.x_m and axis in self._data.tau_Nm:
+                terms += self._ripples(whitened, axis, present, every)
+        if self._model.web is not None:
+            terms += self._disturbances(whitened, present)
+        return terms
+
+    def coarse_steps(self, present: list[Term]) -> list[Term]:
+        """Steps of E at a few times: what a step looks like in each part of the recording."""
+        effect = find_effect("elasticity_step")
+        slot = self._slot(effect, None, present) if self._model.web is not None else None
+        if slot is None:
+            return []
+        shares = (np.arange(_COARSE) + 0.5) / _COARSE
+        return [self._term(effect, None, {"time_s": float(s * self._data.duration_s)}, slot) for s in shares]
+
+    def steps(self, whitened: Array, coarse: list[Term], responses: Array) -> list[Term]:
+        """The times at which the residuals (signals, n) look most like a step; `responses` (steps, signals, n).
+
+        The response to a step is moved along the residuals within its part: their correlation is its gain at each time.
+        """
+        if not coarse:
+            return []
+        period_s, n = self._data.period_s, whitened.shape[1]
+        reach = int(0.5 * self._data.duration_s / len(coarse) / period_s) + 1
+        gains, times = [], []
+        size = 1 << (2 * n - 1).bit_length()
+        spectrum = np.fft.rfft(whitened, size)
+        for term, response in zip(coarse, responses, strict=True):
+            correlation = np.fft.irfft(spectrum * np.conj(np.fft.rfft(response, size)), size).sum(0)
+            moved = np.concatenate([correlation[-reach:], correlation[: reach + 1]])
+            gains.append(moved**2 / max(float(np.sum(response**2)), 1e-300))
+            times.append(term.values["time_s"] + period_s * np.arange(-reach, reach + 1))
+        gain, time = np.concatenate(gains), np.concatenate(times)
+        edge_s = _EDGE * self._data.duration_s
+        gain[(time < edge_s) | (time > self._data.duration_s - edge_s)] = 0.0
+        found = []
+        for _ in range(_PEAKS):
+            best = float(time[int(np.argmax(gain))])
+            found.append(replace(coarse[0], values={**coarse[0].values, "time_s": best}, multiplicity=_TIMES))
+            gain[np.abs(time - best) < _APART_S] = 0.0
+        return found
+
+    def _slot(self, effect: Effect, axis: int | None, present: list[Term]) -> int | None:
+        slot = len(self._entries(effect, axis)) + sum(term.place == (effect.id, axis) for term in present)
+        return slot if slot < effect.slots else None
+
+    def _ripples(self, whitened: Array, axis: int, present: list[Term], every: int) -> list[Term]:
+        effect = find_effect("torque_ripple")
+        slot, turns = self._slot(effect, axis, present), self._turns(axis)
+        if slot is None or turns < 2.0 * _LEAST_CYCLES:
+            return []
+        angle = self._data.x_m[axis][::every] * self._model.motor_rad_per_m(axis) / _TURN
+        top = _HIGHEST_ORDER
+        if self._data.commands_m_s.size == 0:  # a lone axis may be a screw: its turn is not the "motor's" of the model
+            top = _HIGHEST_ORDER_OF_A_SCREW
+        orders, count = peaks(angle, whitened, top)
+        return [self._term(effect, axis, {"order": order}, slot, count) for order in orders]
+
+    def _disturbances(self, whitened: Array, present: list[Term]) -> list[Term]:
+        effect = find_effect("upstream_disturbance")
+        slot = self._slot(effect, None, present)
+        if slot is None:
+            return []
+        highest = min(0.4 / self._data.period_s, 100.0)
+        frequencies, count = peaks(self._data.t_s, whitened, highest)
+        return [self._term(effect, None, {"frequency_Hz": f}, slot, count) for f in frequencies]
+
+
+def peaks(angle_turns: Array, whitened: Array, highest: float) -> tuple[list[float], float]:
+    """The strongest orders of residuals over an angle (or time), in cycles a turn, and how many were looked at.
+
+    Residuals (signals, n) are summed in bins of the angle, whose Fourier transform is their correlation with every
+    order at once; powers of the signals add.
+    """
+    start, total = float(angle_turns.min()), float(np.ptp(angle_turns))
+    bins = 1 << int(np.ceil(np.log2(max(4.0 * highest * total, 16.0))))
+    place = np.minimum(((angle_turns - start) / total * bins).astype(int), bins - 1)
+    power = np.zeros(bins // 2 + 1)
+    for values in whitened:
+        power += np.abs(np.fft.rfft(np.bincount(place, weights=values, minlength=bins))) ** 2
+    order = np.arange(len(power)) / total
+    power[(order < _LEAST_CYCLES / total) | (order > highest)] = 0.0
+    count = float(np.count_nonzero(power))
+    found = []
+    for _ in range(_PEAKS):
+        at = int(np.argmax(power))
+        if power[at] == 0.0:
+            break
+        found.append(_refined(order, power, at))
+        power[max(at - 3, 0) : at + 4] = 0.0
+    return found, count
+
+
+def _refined(order: Array, power: Array, at: int) -> float:
+    """The peak between bins, by a parabola through the square roots."""
+    if not 0 < at < len(power) - 1:
+        return float(order[at])
+    left, middle, right = np.sqrt(power[at - 1 : at + 2])
+    bend = left - 2.0 * middle + right
+    shift = 0.5 * (left - right) / bend if bend < 0.0 else 0.0
+    return float(order[at] + np.clip(shift, -0.5, 0.5) * (order[1] - order[0]))

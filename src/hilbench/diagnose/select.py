@@ -1,0 +1,330 @@
+"""Which terms the data ask for: stepwise, earlier choices tested again, judged on stretches that no fit has seen.
+
+At each step every candidate's response is simulated once; the Gram matrix then says what any one or two of them would
+explain. The best few are fitted in full, jointly with what is there. A term stays when the criterion (sum of squares of
+whitened residuals plus a price for every parameter and every variant that was searched) falls, and the held-out
+stretches agree. Then each earlier term must show that the model is worse without it, and that no other explains
+the same as well: such others are tied with it.
+
+Verified by simulation: 200 nominal seeds of the demonstrator's experiment (tools/diagnose_scoreboard.py, `nothing`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from itertools import combinations
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilbench.diagnose.fit import Fit, fit, sums
+from hilbench.diagnose.noise import Whitening
+from hilbench.diagnose.proposals import Proposer
+from hilbench.diagnose.space import Linear, Space, finest, noise_model
+from hilbench.diagnose.terms import Term
+
+Array = NDArray[np.float64]
+Announce = Callable[[str, float], None]
+#: Effect, axis and slot of a term; effect and axis of what is named.
+Key = tuple[str, int | None, int]
+Place = tuple[str, int | None]
+
+#: Most effects that are added.
+MOST_TERMS: Final = 6
+#: Candidates (and pairs of them) that are fitted in full at a step.
+_CONTENDERS, _PAIRS = 4, 2
+#: Singles from which pairs are made.
+_PAIRED_FROM: Final = 14
+#: Price of a term beyond the one for its parameters: 2·ln of the number of places it was chosen from.
+_PLACES: Final = 60.0
+#: Fall of the held-out sum of squares from which it speaks for a term: 1.5 standard errors of its own size.
+_HELD_OUT_ERRORS: Final = 1.5
+#: Share of the held-out sum of squares by which it must fall where residuals are never noise alone.
+_LEAST_SHARE: Final = 0.01
+#: Where residuals are never noise alone the simple effects come first, and stay: |v| is the product of v and sign(v),
+#: and a term of higher order is read beside those it is made of, the constant included (marginality, Nelder 1977).
+_SIMPLE: Final = ("viscous_friction", "coulomb_friction", "torque_offset")
+#: Difference of the criterion up to which two explanations are tied, as for BIC.
+_TIED: Final = 6.0
+#: Fall of the training rows' sum of squares that a fit must promise short of, to be finished and judged on all rows.
+_MARGIN: Final = 60.0
+#: Information on a strength below which these data say nothing of it.
+_LEAST_INFORMATION: Final = 1e-6
+
+
+def price(terms: list[Term], samples: float) -> float:
+    """What the terms' parameters and their search cost, in units of the sum of squares."""
+    parameters = sum(len(term.coordinates()) for term in terms)
+    return parameters * float(np.log(samples)) + sum(2.0 * float(np.log(_PLACES * t.multiplicity)) for t in terms)
+
+
+@dataclass
+class Scene:
+    """The candidates at a model, and their raw responses."""
+
+    whitening: Whitening
+    residual: Array  #: raw
+    own: Array  #: raw columns of the terms that are there
+    candidates: list[Term]
+    responses: list[Array]  #: raw, (1 or 2, signals, n) each
+
+
+@dataclass
+class Selection:
+    """The chosen terms, fitted; with which others each is tied; the last scene."""
+
+    fit: Fit
+    scene: Scene
+    samples: float
+    tied: dict[Key, list[Place]] = field(default_factory=dict)
+    evidence: dict[Key, dict[str, float]] = field(default_factory=dict)
+
+
+class Search:
+    """The search over one space."""
+
+    def __init__(self, space: Space, proposer: Proposer, announce: Announce, every: int = 1) -> None:
+        self._space, self._proposer, self._announce, self._every = space, proposer, announce, every
+        self._samples = float(np.count_nonzero(space.split.train) * len(space.predictor.names))
+
+    def run(self) -> Selection:
+        """Add while it pays; then test again what is there."""
+        current = self._fit_of([])
+        scene = self._scene(current)
+        for depth in range(MOST_TERMS):
+            self._announce(f"step {depth + 1}: {len(scene.candidates)} candidates", 0.1 + 0.15 * depth)
+            best = self._best_addition(current, scene)
+            if best is None:
+                break
+            current = self._pruned(best, scene.whitening)
+            scene = self._scene(current)
+            current = self._again(current, scene.whitening)
+        self._announce("what else could explain it", 0.85)
+        current, tied, evidence = self._questioned(current, scene)
+        return Selection(current, scene, self._samples, tied, evidence)
+
+    # -- scenes ------------------------------------------------------------------------------------------
+
+    def _fit_of(self, terms: list[Term]) -> Fit:
+        residual = self._space.residual(terms)
+        return Fit(terms, residual, float("nan"), float("nan"), np.empty((0, 0)))
+
+    def _again(self, current: Fit, white: Whitening) -> Fit:
+        """Fitted again with the noise as it is seen now."""
+        return fit(self._space, white, current.terms)
+
+    def _scene(self, current: Fit) -> Scene:
+        space = self._space
+        present = {term.key for term in current.terms}
+        plain = [t for t in self._proposer.plain() if t.key not in present]
+        responses = space.strengths(current.terms, plain)
+        own = space.point(current.terms).derivatives
+        white = noise_model(space, current.residual, np.concatenate([own, *responses]))
+        whitened = self._counted(white.apply(current.residual))
+        searched = self._proposer.searched(whitened, current.terms, self._every)
+        coarse = self._proposer.coarse_steps(current.terms)
+        shapes = [self._counted(white.apply(r))[0] for r in space.strengths(current.terms, coarse)]
+        searched += self._proposer.steps(whitened, coarse, np.array(shapes))
+        more = space.strengths(current.terms, searched)
+        responses = responses + more
+        white = noise_model(space, current.residual, np.concatenate([own, *responses]))
+        return Scene(white, current.residual, own, plain + searched, responses)
+
+    def _counted(self, values: Array) -> Array:
+        """Zero where rows do not count."""
+        return np.where(self._space.split.block >= 0, values, 0.0)
+
+    def _linear(self, scene: Scene, residual: Array, own: Array) -> tuple[Linear, list[list[int]]]:
+        columns = scene.whitening.apply(np.concatenate([own, *scene.responses]))
+        problem = Linear(scene.whitening.apply(residual), columns, self._space.split)
+        groups, at = [], len(own)
+        for response in scene.responses:
+            groups.append(list(range(at, at + len(response))))
+            at += len(response)
+        return problem, groups
+
+    # -- additions ---------------------------------------------------------------------------------------
+
+    def _best_addition(self, current: Fit, scene: Scene) -> Fit | None:
+        if not self._space.predictor.exact:
+            found = self._best_of(current, scene, self._ranked(scene, scene.residual, scene.own, _SIMPLE))
+            if found is not None:
+                return found
+        return self._best_of(current, scene, self._ranked(scene, scene.residual, scene.own))
+
+    def _best_of(self, current: Fit, scene: Scene, additions: list[list[Term]]) -> Fit | None:
+        train, test = sums(self._space, scene.whitening, current.residual)
+        before = train + price(current.terms, self._samples)
+        fits = []
+        least = before
+        for chosen in additions:
+            terms = [*current.terms, *chosen]
+            cost = price(terms, self._samples)
+            found = fit(self._space, scene.whitening, terms, worth=least - cost)
+            fits.append((found.train + cost, found))
+            least = min(least, found.train + cost)
+        fits.sort(key=lambda item: item[0])
+        for criterion, found in fits:
+            if criterion < before and self._held_out_agrees(test, found.test):
+                return found
+        return None
+
+    def _held_out_agrees(self, before: float, after: float) -> bool:
+        """A gain beyond chance; where a right model leaves more than noise, also one that is worth a name."""
+        gain = before - after
+        least = 0.0 if self._space.predictor.exact else _LEAST_SHARE * before
+        return gain > least and gain > _HELD_OUT_ERRORS * 2.0 * float(np.sqrt(max(gain, 0.0)))
+
+    def _ranked(self, scene: Scene, residual: Array, own: Array, of: tuple[str, ...] | None = None) -> list[list[Term]]:
+        """Candidates, and pairs, that promise most; with start values. `of`: only these effects."""
+        problem, groups = self._linear(scene, residual, own)
+        mine = list(range(len(own)))
+        base = problem.gain(mine)[0]
+        singles = []
+        for k in range(len(groups)):
+            if of is not None and scene.candidates[k].effect.id not in of:
+                continue
+            started = self._started(scene, problem, mine, [k], groups)
+            if started is not None:
+                gain, terms = started
+                singles.append((gain - base - price(terms, self._samples), k, terms))
+        singles.sort(key=lambda item: -item[0])
+        chosen: list[list[Term]] = []
+        places: dict[Place, int] = {}
+        for score, _, terms in singles:
+            if score <= -5.0 or len(chosen) >= _CONTENDERS:
+                break
+            place = terms[0].place
+            if places.get(place, 0) < 1:
+                places[place] = places.get(place, 0) + 1
+                chosen.append(terms)
+        pairs = []
+        for a, b in combinations([k for _, k, _ in singles[:_PAIRED_FROM]], 2):
+            if scene.candidates[a].key != scene.candidates[b].key:
+                started = self._started(scene, problem, mine, [a, b], groups)
+                if started is not None:
+                    gain, terms = started
+                    pairs.append((gain - base - price(terms, self._samples), terms))
+        pairs.sort(key=lambda item: -item[0])
+        best = max((score for score, _, _ in singles), default=0.0)
+        chosen += [terms for score, terms in pairs[:_PAIRS] if score > max(best, 0.0) + _TIED]
+        return chosen
+
+    def _started(
+        self, scene: Scene, problem: Linear, mine: list[int], members: list[int], groups: list[list[int]]
+    ) -> tuple[float, list[Term]] | None:
+        """Gain and start values of some candidates together; None where a bound forbids their sign."""
+        columns = [c for k in members for c in groups[k]]
+        if any(problem.information(c) < _LEAST_INFORMATION for c in columns):
+            return None
+        gain, theta = problem.gain([*mine, *columns])
+        at, terms = len(mine), []
+        for k in members:
+            candidate = scene.candidates[k]
+            here = candidate.neutral().coordinates()
+            strength = here[: candidate.linear] + theta[at : at + candidate.linear]
+            at += candidate.linear
+            if not candidate.allowed(float(strength[0])):
+                return None
+            terms.append(candidate.at(np.concatenate([strength, here[candidate.linear :]])))
+        return gain, terms
+
+    # -- earlier choices ---------------------------------------------------------------------------------
+
+    def _pruned(self, current: Fit, white: Whitening) -> Fit:
+        """Without the terms that the others make superfluous."""
+        while len(current.terms) > 1:
+            here = current.train + price(current.terms, self._samples)
+            fewer = []
+            for k in range(len(current.terms)):
+                rest = current.terms[:k] + current.terms[k + 1 :]
+                if not self._stays(current.terms[k]) and self._could_go(current, k):
+                    found = fit(self._space, white, rest, worth=here - price(rest, self._samples))
+                    fewer.append((found.train + price(rest, self._samples), found))
+            better = min(fewer, key=lambda item: item[0], default=None)
+            if better is None or better[0] > here:
+                break
+            current = better[1]
+        return current
+
+    def _stays(self, term: Term) -> bool:
+        return not self._space.predictor.exact and term.effect.id in _SIMPLE
+
+    def _could_go(self, current: Fit, k: int) -> bool:
+        """By Wald's statistic, generously: only then a fit without the term is worth its time."""
+        at = sum(len(t.coordinates()) for t in current.terms[:k])
+        term = current.terms[k]
+        part = slice(at, at + term.linear)
+        moved = term.coordinates()[: term.linear] - term.neutral().coordinates()[: term.linear]
+        wald = float(moved @ np.linalg.pinv(current.covariance[part, part]) @ moved)
+        return wald < 4.0 * price([term], self._samples)
+
+    def _questioned(
+        self, current: Fit, scene: Scene
+    ) -> tuple[
+        Fit,
+        dict[Key, list[Place]],
+        dict[Key, dict[str, float]],
+    ]:
+        """Each term against what could stand in its place."""
+        tied: dict[Key, list[Place]] = {}
+        evidence: dict[Key, dict[str, float]] = {}
+        fine = finest(self._space) or scene.whitening
+        close = fit(self._space, fine, current.terms)
+        for k in range(len(current.terms)):
+            term = current.terms[k]
+            rest = current.terms[:k] + current.terms[k + 1 :]
+            here = current.train + price(current.terms, self._samples)
+            without = fit(self._space, scene.whitening, rest)
+            evidence[term.key] = {
+                "likelihood_ratio": without.train - current.train,
+                "criterion_gain": without.train + price(rest, self._samples) - here,
+                "held_out_gain": without.test - current.test,
+            }
+            if evidence[term.key]["criterion_gain"] <= 0.0 and not self._stays(
+                term
+            ):  # a later choice has made it superfluous
+                scene = self._scene(without)
+                return self._questioned(self._again(without, scene.whitening), scene)
+            if superfluous:
+                tied[term.key] = [self._closest(current, k)]
+                continue
+            others = self._ranked(scene, without.residual, self._own_without(scene, current.terms, k))
+            tied[term.key] = []
+            for terms in others[: _CONTENDERS - 1]:
+                if len(terms) > 1 or terms[0].place == term.place:
+                    continue
+                cost = price([*rest, *terms], self._samples) - price(current.terms, self._samples)
+                found = fit(self._space, fine, [*rest, *terms], worth=close.train + _MARGIN - cost)
+                difference = found.train + found.test + cost - close.train - close.test
+                if difference < -_TIED and not self._stays(term):
+                    current = Fit(
+                        [*found.terms[:k], found.terms[-1], *found.terms[k:-1]],
+                        found.residual,
+                        found.train,
+                        found.test,
+                        found.covariance,
+                    )
+                    scene = self._scene(current)
+                    return self._questioned(fit(self._space, scene.whitening, current.terms), scene)
+                if abs(difference) < _TIED or difference < 0.0:
+                    tied[term.key].append(terms[0].place)
+        return current, tied, evidence
+
+    @staticmethod
+    def _closest(current: Fit, k: int) -> Place:
+        """The term whose strength is most correlated with that of term k."""
+        firsts = np.cumsum([0, *(len(term.coordinates()) for term in current.terms[:-1])])
+        deviations = np.sqrt(np.maximum(np.diag(current.covariance), 1e-300))
+        correlation = np.abs(current.covariance / np.outer(deviations, deviations))[firsts[k], firsts]
+        correlation[k] = -1.0
+        return current.terms[int(np.argmax(correlation))].place
+
+    @staticmethod
+    def _own_without(scene: Scene, terms: list[Term], k: int) -> Array:
+        sizes = [len(term.coordinates()) for term in terms]
+        keep = np.ones(sum(sizes), bool)
+        keep[sum(sizes[:k]) : sum(sizes[: k + 1])] = False
+        return scene.own[keep]

@@ -1,0 +1,140 @@
+"""The page of a diagnosis: verdict, effects, the gap before and after, where the model disagreed."""
+
+from __future__ import annotations
+
+from html import escape
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hilbench.diagnose.diagnosis import Diagnosis
+from hilbench.errors import UnusableInputError
+from hilbench.report.html import number, page, section, table
+from hilbench.report.plots import BLUE, INK, VERMILLION, Panel, render_picture
+from hilbench.report.reduce import moving_average
+
+_SENTENCES = {
+    "complete": "Nothing is missing that these data can show.",
+    "named": "The effects below close the gap on data that no fit has seen.",
+    "unknown": "Something is missing that no effect of the vocabulary explains.",
+}
+#: Residuals are averaged over this time in the pictures, s: the noise of single samples would hide what is left.
+_SMOOTHING_S = 0.2
+
+
+def write_diagnosis_page(found: Diagnosis, title: str, path: Path) -> Path:
+    """Write the page. Raises UnusableInputError if it cannot be written."""
+    body = [
+        f"<header>\n<h1>{escape(title)}</h1>\n"
+        f'<p class="facts">{found.verdict}: {_SENTENCES[found.verdict]}</p>\n</header>',
+        section("Effects", _effects(found)) if found.effects else "",
+        section("Gap", _gaps(found)),
+        section("Residuals", _picture(found)),
+        section("Where the model disagreed", _where(found)) if found.where else "",
+        section("Not explained", _left(found)) if found.left else "",
+        section("What these data could not show", _blind(found)) if found.blind_to else "",
+    ]
+    try:
+        path.write_text(page(title, body), encoding="utf-8")
+    except OSError as error:
+        raise UnusableInputError(path, f"cannot be written ({error.strerror}), expected a writable folder") from error
+    return path
+
+
+def _row(*cells: str, numbers: int = 0) -> str:
+    """A table row whose last `numbers` cells are numbers."""
+    split = len(cells) - numbers
+    text = "".join(f"<td>{escape(cell)}</td>" for cell in cells[:split])
+    figures = "".join(f'<td class="number">{escape(cell)}</td>' for cell in cells[split:])
+    return f"<tr>{text}{figures}</tr>"
+
+
+def _effects(found: Diagnosis) -> str:
+    lines, notes = [], []
+    for effect in found.effects:
+        place = f" of axis {effect.axis}" if effect.axis else ""
+        for name, value in effect.parameters.items():
+            low, high = value.ci95
+            unit = "" if value.unit == "1" else value.unit
+            cells = (number(value.value, 5), f"{number(low, 5)} to {number(high, 5)}")
+            lines.append(_row(effect.effect + place, name, unit, *cells, numbers=2))
+        if effect.tied_with:
+            text = (
+                f"{effect.effect}{place} can’t be told from {', '.join(effect.tied_with)} by these data; "
+                f"the experiment that would: {effect.told_apart_by}."
+            )
+            notes.append(f'<p class="note">{escape(text)}</p>')
+    return table(("Effect", "Parameter", "Unit", ">Value", ">95 %"), lines) + "".join(notes)
+
+
+def _gaps(found: Diagnosis) -> str:
+    lines = [
+        _row(
+            g.signal,
+            number(g.before),
+            number(g.after),
+            number(g.noise_floor),
+            number(g.after / g.noise_floor, 3),
+            numbers=4,
+        )
+        for g in found.gaps
+    ]
+    note = '<p class="note">Rms in N·m on stretches that no fit has seen.</p>'
+    return table(("Signal", ">Before", ">After", ">Noise floor", ">After / floor"), lines) + note
+
+
+def _picture(found: Diagnosis) -> str:
+    torques = [k for k, name in enumerate(found.names) if name.startswith("tau")]
+    width = max(1, round(_SMOOTHING_S / float(np.median(np.diff(found.t_s)))))
+
+    def draw(figure: Any) -> list[Panel]:
+        panels = []
+        for axes, k in zip(np.atleast_1d(figure.subplots(len(torques), 1)), torques, strict=True):
+            panel = Panel(axes, found.t_s)
+            before, after = (moving_average(r[k], width) for r in (found.before, found.after))
+            panel.line(before, "before", BLUE, linewidth=0.9)
+            panel.line(after, "after", VERMILLION, linewidth=0.9)
+            for start, end in _stretches(found.held_out):
+                axes.axvspan(found.t_s[start], found.t_s[end], color=INK, alpha=0.07, linewidth=0)
+            axes.set_ylabel(f"{found.names[k].removesuffix('_Nm')}, N·m")
+            panel.limits(before, after, part=slice(width, -width))
+            panels.append(panel)
+        panels[-1].axes.set_xlabel("time in s")
+        return panels
+
+    svg = render_picture(draw, 2.6 * len(torques), "diagnosis", "Torque residuals")
+    note = (
+        f'<p class="note">Measured less simulated torque, averaged over {_SMOOTHING_S:g} s, with the original model '
+        "and with the effects that were found; grey: held out of every fit.</p>"
+    )
+    return svg + note
+
+
+def _stretches(held_out: Any) -> list[tuple[int, int]]:
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], held_out.astype(int), [0]])))
+    return [(int(a), int(b) - 1) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+
+
+def _where(found: Diagnosis) -> str:
+    lines = [_row(w.signal, w.condition, w.when, f"{100.0 * w.share_of_gap:.0f} %", numbers=1) for w in found.where]
+    return table(("Signal", "Condition", "When", ">Share of gap"), lines)
+
+
+def _left(found: Diagnosis) -> str:
+    lines = [_row(m.signal, m.condition, m.detail, number(m.excess, 3), numbers=1) for m in found.left]
+    note = '<p class="note">Excess of the statistic over its expectation under noise alone.</p>'
+    return table(("Signal", "Depends on", "Detail", ">Excess"), lines) + note
+
+
+def _blind(found: Diagnosis) -> str:
+    lines = [
+        _row(
+            b.effect + (f" of axis {b.axis}" if b.axis else ""),
+            b.experiment,
+            "never" if b.smallest_visible is None else f"{number(b.smallest_visible, 3)} {b.unit}",
+            numbers=1,
+        )
+        for b in found.blind_to
+    ]
+    return table(("Effect", "Next experiment", ">Smallest visible"), lines)
