@@ -283,9 +283,8 @@ class Search:
                 "criterion_gain": without.train + price(rest, self._samples) - here,
                 "held_out_gain": without.test - current.test,
             }
-            if evidence[term.key]["criterion_gain"] <= 0.0 and not self._stays(
-                term
-            ):  # a later choice has made it superfluous
+            superfluous = evidence[term.key]["criterion_gain"] <= 0.0
+            if superfluous and not self._stays(term):
                 scene = self._scene(without)
                 return self._questioned(self._again(without, scene.whitening), scene)
             if superfluous:
