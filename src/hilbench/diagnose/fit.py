@@ -62,7 +62,7 @@ def fit(
         trial = space.residual(moved)
         if _Problem.square_of(white, trial, rows) < problem.square:
             damping = max(0.2 * damping, 1e-9)
-            point = space.point(moved)
+            point = space.point(moved, trial)
             problem = _Problem(white, point, rows)
         else:
             damping = max(30.0 * damping, 1e-6)

@@ -41,6 +41,8 @@ _PAIRED_FROM: Final = 14
 _PLACES: Final = 60.0
 #: Fall of the held-out sum of squares from which it speaks for a term: 1.5 standard errors of its own size.
 _HELD_OUT_ERRORS: Final = 1.5
+#: Standard deviations of its mean square from which a whitened signal is more than noise.
+_CALM: Final = 5.0
 #: Share of the held-out sum of squares by which it must fall where residuals are never noise alone.
 _LEAST_SHARE: Final = 0.01
 #: Where residuals are never noise alone the simple effects come first, and stay: |v| is the product of v and sign(v),
@@ -99,6 +101,9 @@ class Search:
             if best is None:
                 break
             current = self._pruned(best, scene.whitening)
+            scene = self._seen_from(current, scene)
+            if self._space.predictor.exact and not self._promises(scene):
+                break
             scene = self._scene(current)
             current = self._again(current, scene.whitening)
         self._announce("what else could explain it", 0.85)
@@ -119,18 +124,35 @@ class Search:
         space = self._space
         present = {term.key for term in current.terms}
         plain = [t for t in self._proposer.plain() if t.key not in present]
-        responses = space.strengths(current.terms, plain)
-        own = space.point(current.terms).derivatives
+        responses = space.strengths(current.terms, current.residual, plain)
+        own = space.point(current.terms, current.residual).derivatives
         white = noise_model(space, current.residual, np.concatenate([own, *responses]))
         whitened = self._counted(white.apply(current.residual))
         searched = self._proposer.searched(whitened, current.terms, self._every)
         coarse = self._proposer.coarse_steps(current.terms)
-        shapes = [self._counted(white.apply(r))[0] for r in space.strengths(current.terms, coarse)]
+        shapes = [self._counted(white.apply(r))[0] for r in space.strengths(current.terms, current.residual, coarse)]
         searched += self._proposer.steps(whitened, coarse, np.array(shapes))
-        more = space.strengths(current.terms, searched)
+        more = space.strengths(current.terms, current.residual, searched)
         responses = responses + more
         white = noise_model(space, current.residual, np.concatenate([own, *responses]))
         return Scene(white, current.residual, own, plain + searched, responses)
+
+    def _seen_from(self, current: Fit, scene: Scene) -> Scene:
+        """An older scene at another model: responses hardly change, the residual does."""
+        present = {term.key for term in current.terms}
+        kept = [k for k, t in enumerate(scene.candidates) if t.key not in present]
+        own = self._space.point(current.terms, current.residual).derivatives
+        candidates, responses = [scene.candidates[k] for k in kept], [scene.responses[k] for k in kept]
+        return Scene(scene.whitening, current.residual, own, candidates, responses)
+
+    def _promises(self, scene: Scene) -> bool:
+        """Whether anything is left that a candidate could explain, or that none can."""
+        if self._ranked(scene, scene.residual, scene.own):
+            return True
+        whitened = self._counted(scene.whitening.apply(scene.residual))
+        counted = float(np.count_nonzero(self._space.split.block >= 0))
+        excess = (whitened**2).sum(1) / counted - 1.0
+        return bool(np.max(excess) > _CALM * np.sqrt(2.0 / counted))
 
     def _counted(self, values: Array) -> Array:
         """Zero where rows do not count."""

@@ -98,9 +98,10 @@ class Space:
         predicted = self.predictor.predict(parameters)
         return np.asarray(self.predictor.measured - predicted, np.float64)
 
-    def point(self, terms: list[Term]) -> Point:
-        """Residual and derivatives by all coordinates of the terms, by forward differences."""
-        variants, steps = [terms], []
+    def point(self, terms: list[Term], residual: Array | None = None) -> Point:
+        """Residual (if it is not known) and derivatives by all coordinates of the terms, by forward differences."""
+        variants: list[list[Term]] = []
+        steps: list[float] = []
         for place, term in enumerate(terms):
             here = term.coordinates()
             for k, step in enumerate(term.steps()):
@@ -108,14 +109,22 @@ class Space:
                 moved[k] += step
                 variants.append([*terms[:place], term.at(moved), *terms[place + 1 :]])
                 steps.append(step)
-        found = self.residuals(variants)
-        if not steps:
-            return Point(terms, found[0], np.empty((0, *found[0].shape)))
-        return Point(terms, found[0], (found[0] - found[1:]) / np.array(steps)[:, None, None])
+        if residual is None:
+            variants.append(terms)
+        found = self.residuals(variants) if variants else np.empty((0, *self.predictor.measured.shape))
+        here_residual = found[-1] if residual is None else residual
+        moved_residuals = found[: len(steps)]
+        return Point(terms, here_residual, (here_residual - moved_residuals) / np.array(steps)[:, None, None])
 
-    def strengths(self, terms: list[Term], candidates: list[Term]) -> list[Array]:
-        """Derivatives by the strength of each candidate (1 or 2 coordinates), added to a model with `terms`."""
-        variants, counts = [terms], []
+    def strengths(self, terms: list[Term], residual: Array, candidates: list[Term]) -> list[Array]:
+        """Derivatives by the strength of each candidate (1 or 2 coordinates), added to a model with `terms`.
+
+        `residual` is the one of that model.
+        """
+        if not candidates:
+            return []
+        variants: list[list[Term]] = []
+        counts = []
         for candidate in candidates:
             neutral = candidate.neutral().coordinates()
             for k in range(candidate.linear):
@@ -124,10 +133,10 @@ class Space:
                 variants.append([*terms, candidate.at(moved)])
             counts.append(candidate.linear)
         found = self.residuals(variants)
-        result, at = [], 1
+        result, at = [], 0
         for candidate, count in zip(candidates, counts, strict=True):
             steps = candidate.steps()[:count, None, None]
-            result.append((found[0] - found[at : at + count]) / steps)
+            result.append((residual - found[at : at + count]) / steps)
             at += count
         return result
 
