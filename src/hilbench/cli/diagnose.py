@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -11,56 +12,89 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from hilbench.cli.model_option import model_from
-from hilbench.diagnose.diagnosis import Diagnosis, NamedEffect, diagnose
+from hilbench.diagnose.diagnosis import Announce, Diagnosis, NamedEffect, diagnose
+from hilbench.diagnose.live import LiveGap, live_gap, run_bench
 from hilbench.errors import UnusableInputError
+from hilbench.experiment.config import load_with_overrides
 from hilbench.record.recording import read_recording
-from hilbench.report.diagnosis_page import write_diagnosis_page
+from hilbench.report.diagnosis_page import LIVE_ROWS, write_diagnosis_page
 from hilbench.web.parameters import write_model
 
 _UNKNOWN = "something is missing that no effect of the vocabulary explains"
 
 
-def diagnose_command(recording_path: Path, model_path: Path, out: Path | None, *, as_json: bool) -> None:
-    """Diagnose, print, and write page and extended model into `out`. Raises UnusableInputError."""
-    model, recording = model_from(model_path), read_recording(recording_path)
+def diagnose_command(source: Path, model_path: Path | None, out: Path | None, *, as_json: bool) -> None:
+    """Diagnose, print, and write page and extended model into `out`. Raises UnusableInputError.
+
+    `source` is a recording, or a bench config: that is run first, and again with the extended model.
+    """
     console = Console(highlight=False)
-    progress = Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TimeElapsedColumn(),
-        console=Console(stderr=True),
-        disable=as_json,
-        transient=True,
-    )
-    with progress:
+    with _progress(disabled=as_json) as progress:
         task = progress.add_task("read", total=1.0)
-        found = diagnose(
-            recording,
-            model,
-            recording_path,
-            lambda text, share: progress.update(task, description=text, completed=share),
-        )
-    model_file = None if out is None else _write(found, f"Diagnosis of {recording_path.name}", out)
+
+        def announce(text: str, share: float) -> None:
+            progress.update(task, description=text, completed=share)
+
+        if source.suffix in (".yaml", ".yml"):
+            found, live = _on_the_bench(source, model_path, out, announce)
+        else:
+            if model_path is None:
+                raise UnusableInputError(
+                    "--model", "missing, expected the model file that the recording is compared with"
+                )
+            live = []
+            found = diagnose(read_recording(source), model_from(model_path), source, announce)
+    model_file = None if out is None else _write(found, live, f"Diagnosis of {source.name}", out)
     if as_json:
-        print(json.dumps(as_data(found, model_file), indent=2))
+        print(json.dumps(as_data(found, live, model_file), indent=2))
         return
     _show(console, found)
+    if live:
+        console.print(_live_table(live))
     if out is not None:
         console.print(f"page: {out / 'diagnosis.html'}\nextended model: {model_file}")
 
 
-def _write(found: Diagnosis, title: str, out: Path) -> Path:
+def _progress(*, disabled: bool) -> Progress:
+    return Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TimeElapsedColumn(),
+        console=Console(stderr=True),
+        disable=disabled,
+        transient=True,
+    )
+
+
+def _on_the_bench(
+    config: Path, model_path: Path | None, out: Path | None, announce: Announce
+) -> tuple[Diagnosis, list[LiveGap]]:
+    """Run, diagnose, and run again with what was found."""
+    runs = (out or Path()) / "runs"
+    loaded = load_with_overrides(config)
+    model = loaded.config.model if model_path is None else model_from(model_path)
+    announce("run the bench", 0.0)
+    first = run_bench(loaded, model, runs)
+    before = live_gap(first)
+    found = diagnose(read_recording(first.folder.recording), model, first.folder.recording, announce)
+    if not found.effects:
+        return found, [before]
+    announce("run the bench with the extended model", 0.97)
+    return found, [before, live_gap(run_bench(loaded, found.model, runs))]
+
+
+def _write(found: Diagnosis, live: list[LiveGap], title: str, out: Path) -> Path:
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise UnusableInputError(out, f"cannot be made ({error.strerror}), expected a folder") from error
     model_file = out / "model_extended.yaml"
     write_model(model_file, found.model)
-    write_diagnosis_page(found, title, out / "diagnosis.html")
+    write_diagnosis_page(found, live, title, out / "diagnosis.html")
     return model_file
 
 
-def as_data(found: Diagnosis, model_file: Path | None) -> dict[str, Any]:
+def as_data(found: Diagnosis, live: list[LiveGap], model_file: Path | None) -> dict[str, Any]:
     """What `--json` prints (design, section 8)."""
     gap = found.gap
     return {
@@ -94,6 +128,7 @@ def as_data(found: Diagnosis, model_file: Path | None) -> dict[str, Any]:
             for b in found.blind_to
         ],
         "missing_channels": found.missing_channels,
+        "live": [{**asdict(gap), "run": str(gap.run)} for gap in live],
         "model": None if model_file is None else str(model_file),
     }
 
@@ -150,6 +185,16 @@ def _effects_table(found: Diagnosis) -> Table:
             first = (effect.effect, str(effect.axis or "")) if k == 0 else ("", "")
             interval = f"{value.ci95[0]:.4g} to {value.ci95[1]:.4g}"
             shown.add_row(*first, name, f"{value.value:.5g}", interval, value.unit)
+    return shown
+
+
+def _live_table(live: list[LiveGap]) -> Table:
+    shown = Table(title="the twin on the bench", title_justify="left")
+    shown.add_column("", no_wrap=True)
+    for name in ("original model", "extended model")[: len(live)]:
+        shown.add_column(name, justify="right")
+    for title, name in LIVE_ROWS:
+        shown.add_row(title, *(f"{getattr(gap, name):.4g}" for gap in live))
     return shown
 
 

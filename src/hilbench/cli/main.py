@@ -163,8 +163,16 @@ def sync(
 
 @app.command()
 def diagnose(
-    recording: Annotated[Path, typer.Argument(metavar="RECORDING", help="recording (.mf4, .csv, .csv.gz)")],
-    model: Annotated[Path, typer.Option("--model", help="model file, or a bench config with the model in it (YAML)")],
+    source: Annotated[
+        Path,
+        typer.Argument(
+            metavar="RECORDING", help="recording (.mf4, .csv, .csv.gz), or a bench config (.yaml) to run and diagnose"
+        ),
+    ],
+    model: Annotated[
+        Path | None,
+        typer.Option("--model", help="model file, or a bench config with the model in it (YAML); a bench has its own"),
+    ] = None,
     out: Annotated[
         Path | None, typer.Option("--out", help="folder for the page and the extended model (model_extended.yaml)")
     ] = None,
@@ -173,10 +181,12 @@ def diagnose(
     """Find where simulation and measurement disagree, name the missing effect, and add it to the model.
 
     Example: hilbench diagnose runs/web_section_step-20260101-120000/recording.mf4 --model model.yaml --out diagnosis
+
+    Example: hilbench diagnose bench_configs/hidden_friction.yaml --out found
     """
     from hilbench.cli.diagnose import diagnose_command
 
-    diagnose_command(recording, model, out, as_json=json)
+    diagnose_command(source, model, out, as_json=json)
 
 
 def main() -> None:

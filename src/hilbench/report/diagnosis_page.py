@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from hilbench.diagnose.diagnosis import Diagnosis
+from hilbench.diagnose.live import LiveGap
 from hilbench.errors import UnusableInputError
 from hilbench.report.html import number, page, section, table
 from hilbench.report.plots import BLUE, INK, VERMILLION, Panel, render_picture
@@ -19,11 +20,18 @@ _SENTENCES = {
     "named": "The effects below close the gap on data that no fit has seen.",
     "unknown": "Something is missing that no effect of the vocabulary explains.",
 }
+#: What is shown of a run, by its name in `LiveGap`.
+LIVE_ROWS = (
+    ("torque residual, rms, N·m", "torque_residual_rms_Nm"),
+    ("true tension less set-point, rms, N", "tension_error_rms_N"),
+    ("simulated less true tension, mean, N", "tension_deviation_mean_N"),
+    ("bias of E, %", "E_bias_pct"),
+)
 #: Residuals are averaged over this time in the pictures, s: the noise of single samples would hide what is left.
 _SMOOTHING_S = 0.2
 
 
-def write_diagnosis_page(found: Diagnosis, title: str, path: Path) -> Path:
+def write_diagnosis_page(found: Diagnosis, live: list[LiveGap], title: str, path: Path) -> Path:
     """Write the page. Raises UnusableInputError if it cannot be written."""
     body = [
         f"<header>\n<h1>{escape(title)}</h1>\n"
@@ -31,6 +39,7 @@ def write_diagnosis_page(found: Diagnosis, title: str, path: Path) -> Path:
         section("Effects", _effects(found)) if found.effects else "",
         section("Gap", _gaps(found)),
         section("Residuals", _picture(found)),
+        section("The twin on the bench", _live(live)) if live else "",
         section("Where the model disagreed", _where(found)) if found.where else "",
         section("Not explained", _left(found)) if found.left else "",
         section("What these data could not show", _blind(found)) if found.blind_to else "",
@@ -82,6 +91,11 @@ def _gaps(found: Diagnosis) -> str:
     ]
     note = '<p class="note">Rms in N·m on stretches that no fit has seen.</p>'
     return table(("Signal", ">Before", ">After", ">Noise floor", ">After / floor"), lines) + note
+
+
+def _live(live: list[LiveGap]) -> str:
+    lines = [_row(title, *(number(getattr(g, name)) for g in live), numbers=len(live)) for title, name in LIVE_ROWS]
+    return table(("While the line worked", ">Original model", ">Extended model")[: 1 + len(live)], lines)
 
 
 def _picture(found: Diagnosis) -> str:
