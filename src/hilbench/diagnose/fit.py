@@ -14,7 +14,7 @@ from hilbench.diagnose.terms import Term
 
 Array = NDArray[np.float64]
 
-_MOST_STEPS: Final = 8
+_MOST_STEPS: Final = 6
 _LEAST_STEPS: Final = 2
 #: A step that promises less than this fall of the sum of squares is the last.
 _ENOUGH: Final = 0.3

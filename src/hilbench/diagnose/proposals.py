@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 #: Stribeck speeds that are tried, as shares of the highest speed.
 _STRIBECK_SHARES: Final = (0.01, 0.04, 0.15)
-#: Peaks of a spectrum, and times of a step, that are tried.
+#: Peaks of a spectrum, and times of a step, that are proposed.
 _PEAKS: Final = 2
 #: Lowest order or frequency that is looked for, in cycles over the recording; highest order of a motor turn.
 _LEAST_CYCLES: Final = 4.0
@@ -93,10 +93,10 @@ class Proposer:
             return True
         return self._model.motor_mass_kg(axis) > 0.0 and self._model.roller_mass_kg(axis) > 0.0
 
-    def searched(self, whitened: Array, present: list[Term], every: int) -> list[Term]:
-        """Orders and frequencies at which the whitened residuals (signals, n) show something.
+    def searched(self, whitened: dict[str, Array], present: list[Term], every: int) -> list[Term]:
+        """Orders and frequencies at which the whitened residuals, by signal (n,), show something.
 
-        `every`: rows of the recording per row.
+        Torques have the sharper peaks, positions the stronger ones. `every`: rows of the recording per row.
         """
         terms = []
         for axis in self._axes:
@@ -105,6 +105,16 @@ class Proposer:
         if self._model.web is not None:
             terms += self._disturbances(whitened, present)
         return terms
+
+    @staticmethod
+    def _peaks(
+        angle_turns: Array, whitened: dict[str, Array], sharp: list[str], highest: float
+    ) -> tuple[list[float], float]:
+        """The strongest order in the `sharp` signals, then in all."""
+        found, count = peaks(angle_turns, np.array([whitened[name] for name in sharp]), highest)
+        others, _ = peaks(angle_turns, np.array(list(whitened.values())), highest)
+        apart = 1.0 / float(np.ptp(angle_turns))
+        return found + [order for order in others[:1] if all(abs(order - known) > apart for known in found)], count
 
     def coarse_steps(self, present: list[Term]) -> list[Term]:
         """Steps of E at a few times: what a step looks like in each part of the recording."""
@@ -146,7 +156,7 @@ class Proposer:
         slot = len(self._entries(effect, axis)) + sum(term.place == (effect.id, axis) for term in present)
         return slot if slot < effect.slots else None
 
-    def _ripples(self, whitened: Array, axis: int, present: list[Term], every: int) -> list[Term]:
+    def _ripples(self, whitened: dict[str, Array], axis: int, present: list[Term], every: int) -> list[Term]:
         effect = find_effect("torque_ripple")
         slot, turns = self._slot(effect, axis, present), self._turns(axis)
         if slot is None or turns < 2.0 * _LEAST_CYCLES:
@@ -155,16 +165,17 @@ class Proposer:
         top = _HIGHEST_ORDER
         if self._data.commands_m_s.size == 0:  # a lone axis may be a screw: its turn is not the "motor's" of the model
             top = _HIGHEST_ORDER_OF_A_SCREW
-        orders, count = peaks(angle, whitened, top)
+        orders, count = self._peaks(angle, whitened, [f"tau{axis}_Nm"], top)
         return [self._term(effect, axis, {"order": order}, slot, count) for order in orders]
 
-    def _disturbances(self, whitened: Array, present: list[Term]) -> list[Term]:
+    def _disturbances(self, whitened: dict[str, Array], present: list[Term]) -> list[Term]:
         effect = find_effect("upstream_disturbance")
         slot = self._slot(effect, None, present)
         if slot is None:
             return []
         highest = min(0.4 / self._data.period_s, 100.0)
-        frequencies, count = peaks(self._data.t_s, whitened, highest)
+        torques = [name for name in whitened if name.startswith("tau")]
+        frequencies, count = self._peaks(self._data.t_s, whitened, torques, highest)
         return [self._term(effect, None, {"frequency_Hz": f}, slot, count) for f in frequencies]
 
 

@@ -20,10 +20,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.diagnose.fit import Fit, fit, sums
+from hilbench.diagnose.misfit import LARGEST_RATIO
 from hilbench.diagnose.noise import Whitening
 from hilbench.diagnose.proposals import Proposer
 from hilbench.diagnose.space import Linear, Space, finest, noise_model
 from hilbench.diagnose.terms import Term
+from hilbench.web.effects import EFFECTS
 
 Array = NDArray[np.float64]
 Announce = Callable[[str, float], None]
@@ -31,8 +33,8 @@ Announce = Callable[[str, float], None]
 Key = tuple[str, int | None, int]
 Place = tuple[str, int | None]
 
-#: Most effects that are added.
-MOST_TERMS: Final = 6
+#: Most effects that are added: where a right model leaves noise alone, three that leave more are none of them right.
+_MOST_TERMS, _MOST_ROUGH_TERMS = 3, 6
 #: Candidates (and pairs of them) that are fitted in full at a step.
 _CONTENDERS, _PAIRS = 4, 2
 #: Singles from which pairs are made.
@@ -50,6 +52,8 @@ _LEAST_SHARE: Final = 0.01
 _SIMPLE: Final = ("viscous_friction", "coulomb_friction", "torque_offset")
 #: Difference of the criterion up to which two explanations are tied, as for BIC.
 _TIED: Final = 6.0
+#: Among tied explanations the one that stands first in the vocabulary is named.
+_RANK: Final = {effect.id: place for place, effect in enumerate(EFFECTS)}
 #: Fall of the training rows' sum of squares that a fit must promise short of, to be finished and judged on all rows.
 _MARGIN: Final = 60.0
 #: Information on a strength below which these data say nothing of it.
@@ -95,8 +99,9 @@ class Search:
         """Add while it pays; then test again what is there."""
         current = self._fit_of([])
         scene = self._scene(current)
-        for depth in range(MOST_TERMS):
-            self._announce(f"step {depth + 1}: {len(scene.candidates)} candidates", 0.1 + 0.15 * depth)
+        steps = _MOST_TERMS if self._space.predictor.exact else _MOST_ROUGH_TERMS
+        for depth in range(steps):
+            self._announce(f"step {depth + 1}: {len(scene.candidates)} candidates", 0.1 + 0.7 * depth / steps)
             best = self._best_addition(current, scene)
             if best is None:
                 break
@@ -106,6 +111,8 @@ class Search:
                 break
             scene = self._scene(current)
             current = self._again(current, scene.whitening)
+        if self._is_rough(current):
+            return Selection(current, scene, self._samples)
         self._announce("what else could explain it", 0.85)
         current, tied, evidence = self._questioned(current, scene)
         return Selection(current, scene, self._samples, tied, evidence)
@@ -128,7 +135,8 @@ class Search:
         own = space.point(current.terms, current.residual).derivatives
         white = noise_model(space, current.residual, np.concatenate([own, *responses]))
         whitened = self._counted(white.apply(current.residual))
-        searched = self._proposer.searched(whitened, current.terms, self._every)
+        named = dict(zip(space.predictor.names, whitened, strict=True))
+        searched = self._proposer.searched(named, current.terms, self._every)
         coarse = self._proposer.coarse_steps(current.terms)
         shapes = [self._counted(white.apply(r))[0] for r in space.strengths(current.terms, current.residual, coarse)]
         searched += self._proposer.steps(whitened, coarse, np.array(shapes))
@@ -144,6 +152,15 @@ class Search:
         own = self._space.point(current.terms, current.residual).derivatives
         candidates, responses = [scene.candidates[k] for k in kept], [scene.responses[k] for k in kept]
         return Scene(scene.whitening, current.residual, own, candidates, responses)
+
+    def _is_rough(self, current: Fit) -> bool:
+        """Whether far more than noise is left where a right model would leave noise alone: it was not found."""
+        space, rows = self._space, self._space.split.block >= 0
+        if not space.predictor.exact:
+            return False
+        torques = [k for k, name in enumerate(space.predictor.names) if name.startswith("tau")]
+        rms = np.sqrt(np.mean(current.residual[torques][:, rows] ** 2, axis=1))
+        return bool(np.any(rms > LARGEST_RATIO * np.array([space.predictor.floor(k) for k in torques])))
 
     def _promises(self, scene: Scene) -> bool:
         """Whether anything is left that a candidate could explain, or that none can."""
@@ -320,7 +337,8 @@ class Search:
                 cost = price([*rest, *terms], self._samples) - price(current.terms, self._samples)
                 found = fit(self._space, fine, [*rest, *terms], worth=close.train + _MARGIN - cost)
                 difference = found.train + found.test + cost - close.train - close.test
-                if difference < -_TIED and not self._stays(term):
+                simpler = abs(difference) <= _TIED and _RANK[terms[0].effect.id] < _RANK[term.effect.id]
+                if (difference < -_TIED or simpler) and not self._stays(term):
                     current = Fit(
                         [*found.terms[:k], found.terms[-1], *found.terms[k:-1]],
                         found.residual,
