@@ -54,6 +54,8 @@ def fit(
     damping = _FIRST_DAMPING
     point = space.point(terms)
     problem = _Problem(white, point, rows)
+    if not problem.usable:  # where the linear guess has put it the model runs away
+        return Fit(terms, point.residual, float("inf"), float("inf"), np.empty((0, 0)))
     for taken in range(_MOST_STEPS):
         step, promised = problem.step(damping)
         if promised < _ENOUGH or (taken >= _LEAST_STEPS and problem.square - promised > worth):
@@ -62,8 +64,11 @@ def fit(
         trial = space.residual(moved)
         if _Problem.square_of(white, trial, rows) < problem.square:
             damping = max(0.2 * damping, 1e-9)
-            point = space.point(moved, trial)
-            problem = _Problem(white, point, rows)
+            nearer = space.point(moved, trial)
+            next_problem = _Problem(white, nearer, rows)
+            if not next_problem.usable:
+                break
+            point, problem = nearer, next_problem
         else:
             damping = max(30.0 * damping, 1e-6)
             if damping > 1e6:
@@ -80,6 +85,7 @@ class _Problem:
         self._r = _flat(white.apply(point.residual)[None, :, rows])[0]
         self.square = float(self._r @ self._r)
         self._gram = self._c @ self._c.T
+        self.usable = bool(np.isfinite(self.square) and np.all(np.isfinite(self._gram)))
         self._scale = np.sqrt(np.maximum(np.diag(self._gram), 1e-300))
 
     @staticmethod

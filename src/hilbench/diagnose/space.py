@@ -95,7 +95,8 @@ class Space:
         """(variants, signals, n)."""
         self.simulations += len(variants)
         parameters = np.array([pack_with(self.model, terms) for terms in variants])
-        predicted = self.predictor.predict(parameters)
+        with np.errstate(over="ignore", invalid="ignore"):  # a model far off may run away; fits see that
+            predicted = self.predictor.predict(parameters)
         return np.asarray(self.predictor.measured - predicted, np.float64)
 
     def point(self, terms: list[Term], residual: Array | None = None) -> Point:
