@@ -11,7 +11,7 @@ SUITE := .cache/python-can
 STATION := .cache/node-canopen
 STATION_FILES := $(addprefix tests/foreign/,package.json package-lock.json .npmrc crc)
 
-.PHONY: setup demo test lint lock clean
+.PHONY: setup demo test test-vcan lint lock clean
 
 setup: $(STAMP)
 
@@ -43,6 +43,10 @@ demo: setup
 # Without Node.js the tests that need it are skipped.
 test: setup $(SUITE)/.extracted $(if $(shell command -v npm),$(STATION)/.installed)
 	$(BIN)/python -m pytest -q -n 2
+
+# On a vcan of this machine, or in a guest whose kernel has CAN (made on first use, kept in .cache/vcan-guest).
+test-vcan: setup $(if $(shell command -v npm),$(STATION)/.installed)
+	$(BIN)/python tools/test_vcan.py
 
 lint: setup
 	$(BIN)/ruff check .

@@ -94,9 +94,9 @@ def frames_by_cycle(trace: Path) -> list[Counter[str]]:
     return cycles
 
 
-def wait_for_frames(path: Path, count: int) -> Path:
+def wait_for_frames(path: Path, count: int, within_s: float = 60.0) -> Path:
     """The run folder, once its trace has so many lines."""
-    deadline = time.monotonic() + 60.0
+    deadline = time.monotonic() + within_s
     while time.monotonic() < deadline:
         for folder in run_folders(path):
             trace = folder / "trace.log"
