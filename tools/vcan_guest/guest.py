@@ -108,6 +108,7 @@ def write_command(command: list[str]) -> None:
     """The script that the guest runs in the checkout."""
     SHARE.mkdir(parents=True, exist_ok=True)
     (SHARE / "status").unlink(missing_ok=True)
+    (SHARE / "checkout").write_text(str(ROOT))
     (SHARE / "command.sh").write_text(
         "\n".join(
             [
