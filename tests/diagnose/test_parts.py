@@ -14,6 +14,7 @@ from hilbench.diagnose.experiments import SHOWN_BY
 from hilbench.diagnose.measured import measured_from
 from hilbench.diagnose.misfit import Condition, misfits
 from hilbench.diagnose.noise import floor, repeats, whitening
+from hilbench.diagnose.predictor import between
 from hilbench.diagnose.proposals import Proposer, peaks
 from hilbench.diagnose.space import Linear, Split
 from hilbench.diagnose.terms import Term, extended, pack_with
@@ -179,3 +180,19 @@ def test_a_lone_axis_has_no_effects_of_a_web() -> None:
     plain = model()
     data = measured_from(blind_recording(plain, [], duration_s=10.0), plain, "blind")
     assert {t.effect.per_axis for t in Proposer(axis, data).plain()} == {True}
+
+
+@given(st.lists(st.floats(-3.0, 3.0), min_size=4, max_size=8), st.integers(2, 10), st.integers(0, 2**32 - 1))
+def test_corners_between_the_rows_of_ramps_are_found(levels: list[float], whole: int, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    corners = whole * 10 * np.arange(len(levels)) + rng.integers(0, whole, len(levels))
+    fine = np.interp(np.arange(corners[-1] // whole * whole), corners, levels)
+    rows = fine[::whole, None]
+    assert between(rows, whole)[:-1].reshape(-1) == pytest.approx(fine[:-whole], abs=1e-9)
+
+
+def test_steps_between_rows_stay_within_their_rows() -> None:
+    rows = np.array([0.0, 0.0, 1.0, 1.0, 0.0])[:, None]
+    found = between(rows, 5)
+    assert np.all((found >= -1e-12) & (found <= 1.0 + 1e-12))
+    assert found[:, 0, 0] == pytest.approx(rows[:, 0])

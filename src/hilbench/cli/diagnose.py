@@ -28,8 +28,8 @@ def diagnose_command(source: Path, model_path: Path | None, out: Path | None, *,
 
     `source` is a recording, or a bench config: that is run first, and again with the extended model.
     """
-    console = Console(highlight=False)
-    with _progress(disabled=as_json) as progress:
+    console, errors = Console(highlight=False), Console(stderr=True)
+    with _progress(errors, disabled=as_json or not errors.is_terminal) as progress:
         task = progress.add_task("read", total=1.0)
 
         def announce(text: str, share: float) -> None:
@@ -42,8 +42,8 @@ def diagnose_command(source: Path, model_path: Path | None, out: Path | None, *,
                 raise UnusableInputError(
                     "--model", "missing, expected the model file that the recording is compared with"
                 )
-            live = []
-            found = diagnose(read_recording(source), model_from(model_path), source, announce)
+            live, model = [], model_from(model_path)
+            found = diagnose(read_recording(source), model, source, announce)
     model_file = None if out is None else _write(found, live, f"Diagnosis of {source.name}", out)
     if as_json:
         print(json.dumps(as_data(found, live, model_file), indent=2))
@@ -55,12 +55,12 @@ def diagnose_command(source: Path, model_path: Path | None, out: Path | None, *,
         console.print(f"page: {out / 'diagnosis.html'}\nextended model: {model_file}")
 
 
-def _progress(*, disabled: bool) -> Progress:
+def _progress(console: Console, *, disabled: bool) -> Progress:
     return Progress(
         TextColumn("{task.description}"),
         BarColumn(),
         TimeElapsedColumn(),
-        console=Console(stderr=True),
+        console=console,
         disable=disabled,
         transient=True,
     )

@@ -135,7 +135,10 @@ def _conclude(
     white, inflation = _weights(space, selection, rows)
     final = fit(space, white, trained.terms, rows) if trained.terms else trained
     torques = [k for k, name in enumerate(predictor.names) if name.startswith("tau")]
-    floors = {k: predictor.floor(k) if predictor.exact else floor(final.residual[k]) for k in torques}
+    # Fast motion that the model explains is no noise.
+    floors = {k: floor(final.residual[k]) for k in torques}
+    if predictor.exact:
+        floors = {k: min(value, predictor.floor(k)) for k, value in floors.items()}
     conditions = predictor.conditions(pack_with(space.model, final.terms))
     scale = np.array([floors[k] for k in torques])[:, None]
     names = tuple(predictor.names[k] for k in torques)

@@ -184,9 +184,7 @@ class FreeRun:
         whole = round(data.period_s / _FINE_S)
         if abs(whole * _FINE_S - data.period_s) > 1e-9 or whole < 2:
             return
-        share = np.arange(whole) / whole
-        ahead = np.vstack([data.commands_m_s[1:], data.commands_m_s[-1:]])
-        fine = data.commands_m_s[:, None, :] + share[None, :, None] * (ahead - data.commands_m_s)[:, None, :]
+        fine = between(data.commands_m_s, whole)
         options = [self._commands, [np.ascontiguousarray(fine[:, k, :]) for k in range(whole)]]
         errors = []
         for option in options:
@@ -295,6 +293,27 @@ class OnMeasuredMotion:
             required_torque_Nm(vector, self._x, self._v, self._a, self._period_s, torque)
             out[k, 0] = self._smooth(torque)[:: self.every]
         return out
+
+
+def between(rows: Array, whole: int) -> Array:
+    """What a piecewise linear signal (n, m), known at every `whole`-th time, was in between: (n, whole, m).
+
+    A corner between two rows lies where the lines through their neighbours meet; it matters because a drive's position
+    is the integral of its command. Where they do not meet in between, the rows are joined.
+    """
+    share = (np.arange(whole) / whole)[None, :, None]
+    ahead = np.vstack([rows[1:], rows[-1:]])
+    before = np.vstack([np.zeros((1, rows.shape[1])), np.diff(rows, axis=0)])
+    after = np.vstack([np.diff(rows, axis=0)[1:], np.zeros((2, rows.shape[1]))])
+    step = ahead - rows
+    bend = after - before
+    with np.errstate(divide="ignore", invalid="ignore"):
+        corner = (after - step) / bend
+    meet = (corner > 0.0) & (corner < 1.0)
+    left = rows[:, None, :] + share * before[:, None, :]
+    right = ahead[:, None, :] - (1.0 - share) * after[:, None, :]
+    broken = np.where(share < np.where(meet, corner, 0.0)[:, None, :], left, right)
+    return np.where(meet[:, None, :], broken, rows[:, None, :] + share * step[:, None, :])
 
 
 def predictor_for(model: ModelParameters, data: Measured) -> Predictor:
