@@ -39,6 +39,8 @@ _TOLERANCE_M: Final = 2e-6
 _TRANSPORTS: Final = 6.0
 #: Cycle in which commands of a coarser recording may have changed in truth.
 _FINE_S: Final = 0.002
+#: Share of a corner's bend by which the slopes of one side of it may differ.
+_STRAIGHT: Final = 0.25
 #: Corner of the filter that differentiates measured motion, Hz, and the slowest speed at which friction has a sign.
 _CORNER_HZ: Final = 60.0
 
@@ -298,22 +300,22 @@ class OnMeasuredMotion:
 def between(rows: Array, whole: int) -> Array:
     """What a piecewise linear signal (n, m), known at every `whole`-th time, was in between: (n, whole, m).
 
-    A corner between two rows lies where the lines through their neighbours meet; it matters because a drive's position
-    is the integral of its command. Where they do not meet in between, the rows are joined.
+    A corner between two rows lies where the lines through the rows before and behind meet; it matters because a drive's
+    position is the integral of its command. Without two straight pieces that meet in between, the rows are joined.
     """
     share = (np.arange(whole) / whole)[None, :, None]
-    ahead = np.vstack([rows[1:], rows[-1:]])
-    before = np.vstack([np.zeros((1, rows.shape[1])), np.diff(rows, axis=0)])
-    after = np.vstack([np.diff(rows, axis=0)[1:], np.zeros((2, rows.shape[1]))])
-    step = ahead - rows
+    slopes = np.diff(rows, axis=0, prepend=rows[:1], append=rows[-1:])  # row k: from k - 1 to k
+    further = np.concatenate([slopes, np.zeros((2, rows.shape[1]))])
+    before, step, after = slopes[:-1], further[1:-2], further[2:-1]
     bend = after - before
-    with np.errstate(divide="ignore", invalid="ignore"):
-        corner = (after - step) / bend
+    before_that = np.concatenate([before[:1], before[:-1]])
+    straight = np.maximum(np.abs(before - before_that), np.abs(further[3:] - after)) < _STRAIGHT * np.abs(bend)
+    corner = np.divide(after - step, bend, out=np.zeros_like(bend), where=straight)
     meet = (corner > 0.0) & (corner < 1.0)
-    left = rows[:, None, :] + share * before[:, None, :]
-    right = ahead[:, None, :] - (1.0 - share) * after[:, None, :]
-    broken = np.where(share < np.where(meet, corner, 0.0)[:, None, :], left, right)
-    return np.where(meet[:, None, :], broken, rows[:, None, :] + share * step[:, None, :])
+    here, ahead = rows[:, None, :], (rows + step)[:, None, :]
+    left, right = here + share * before[:, None, :], ahead - (1.0 - share) * after[:, None, :]
+    broken = np.where(share < corner[:, None, :], left, right)
+    return np.where(meet[:, None, :], broken, here + share * step[:, None, :])
 
 
 def predictor_for(model: ModelParameters, data: Measured) -> Predictor:
