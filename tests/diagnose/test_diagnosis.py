@@ -24,9 +24,9 @@ needs_recordings = pytest.mark.skipif(not RECORDINGS.exists(), reason="the recor
 DURATION_S = 24.0
 
 
-def hidden(*effects: dict[str, Any], **options: Any) -> Diagnosis:
+def hidden(*effects: dict[str, Any], duration_s: float = DURATION_S, **options: Any) -> Diagnosis:
     entries = [EffectEntry.model_validate(item) for item in effects]
-    recording = blind_recording(model(), entries, duration_s=DURATION_S, **options)
+    recording = blind_recording(model(), entries, duration_s=duration_s, **options)
     return diagnose(recording, model(), "blind")
 
 
@@ -82,7 +82,7 @@ def test_a_pair_is_told_apart_and_the_extended_model_closes_the_gap(tmp_path: Pa
 
 @pytest.mark.parametrize("name", UNKNOWNS)
 def test_what_no_effect_explains_is_called_unknown(name: str) -> None:
-    found = hidden(seed=2, unknown=(name, UNKNOWNS[name][1][2]))
+    found = hidden(seed=2, unknown=(name, UNKNOWNS[name][1][2]), duration_s=12.0)
     assert found.verdict == "unknown"
     assert found.effects == []
     assert found.left or found.gap.after > 1.05 * found.gap.noise_floor
