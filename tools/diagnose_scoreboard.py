@@ -1,19 +1,25 @@
 """How often the diagnosis is right, on blind data.
 
-    diagnose_scoreboard.py [--seeds N] [--what single,pair,nothing,unknown] [--duration S] [--json FILE]
+    diagnose_scoreboard.py [--seeds N] [--first-seed N] [--what single,pair,nothing,unknown] [--duration S] [--machines]
+                           [--cases FILE] [--docs FILE]
 
 Every effect of the vocabulary at every axis and three sizes; pairs; nothing at all; unknowns. An effect counts as
-visible when the true parameters raise the log likelihood of the torques by more than 50. Prints the shares, and what
-was named for what was hidden where that was wrong.
+visible when the true parameters raise the log likelihood of the torques by more than 50. With `--machines` each case has
+a machine of its own: width, thickness, span, inertia, tension, speed and noise. Prints the shares, and what was named
+for what was hidden where that was wrong. `--cases` keeps each finished case in a line of that file, and takes those that
+are there already as done; `--docs` writes the table into the page.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import time
+import zlib
 from collections import Counter
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass, field
+from itertools import permutations
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +30,7 @@ from hilbench.diagnose.diagnosis import diagnose
 from hilbench.diagnose.measured import measured_from
 from hilbench.diagnose.predictor import FreeRun
 from hilbench.web import layout as lay
-from hilbench.web.effects import EFFECTS, Effect
+from hilbench.web.effects import EFFECTS, Effect, find_effect
 from hilbench.web.parameters import EffectEntry, ModelParameters
 
 DEMONSTRATOR: dict[str, Any] = {
@@ -40,6 +46,7 @@ DEMONSTRATOR: dict[str, Any] = {
     },
     "boundary": {"upstream_tension_N": 80.0, "downstream_tension_N": 70.0},
 }
+BEGIN, END = "<!-- scoreboard: begin -->\n", "<!-- scoreboard: end -->"
 SIZES = (0.25, 1.0, 3.0)  #: of the scale that the vocabulary gives
 VISIBLE = 50.0
 
@@ -52,6 +59,8 @@ class Case:
     seed: int
     hidden: list[dict[str, Any]]
     unknown: tuple[str, float] | None = None
+    duration_s: float = 66.0
+    machine: bool = False  #: one of its own
     visible: bool = True
     verdict: str = ""
     found: list[list[Any]] = field(default_factory=list)
@@ -59,6 +68,12 @@ class Case:
     covered: list[bool] = field(default_factory=list)
     ratio: float = 0.0
     problem: str = ""
+    seconds: float = 0.0
+
+    @property
+    def name(self) -> str:
+        """What tells it from others."""
+        return json.dumps([self.kind, self.seed, self.hidden, self.unknown, self.duration_s, self.machine])
 
 
 def entry(effect: Effect, axis: int | None, size: float, rng: np.random.Generator, duration_s: float) -> dict[str, Any]:
@@ -86,10 +101,35 @@ def places() -> list[tuple[Effect, int | None]]:
     return [(effect, axis) for effect in EFFECTS for axis in ((1, 2) if effect.per_axis else (None,))]
 
 
-def cases(what: list[str], seeds: int, duration_s: float) -> list[Case]:
+def machine(seed: int) -> tuple[ModelParameters, float, float]:
+    """Another machine than the demonstrator: the model, its top speed in m/s, and the factor on the noise."""
+    rng = np.random.default_rng([11, seed])
+    radius, inertia = rng.uniform(0.08, 0.25), float(np.exp(rng.uniform(np.log(0.3), np.log(2.5))))
+    tension = float(rng.uniform(60.0, 200.0))
+    data = {
+        **DEMONSTRATOR,
+        "web": {
+            "youngs_modulus_Pa": float(rng.uniform(3e9, 1.2e10)),
+            "width_m": float(rng.uniform(0.3, 1.2)),
+            "thickness_m": float(rng.uniform(4e-5, 1.2e-4)),
+            "span_length_m": float(rng.uniform(0.5, 2.0)),
+        },
+        "rollers": {"radius_m": float(radius), "inertia_kg_m2": 1.167 * inertia, "gear_ratio": 5.0},
+        "drives": {
+            **DEMONSTRATOR["drives"],
+            "velocity_kp_Nm_s_per_rad": 1.5 * inertia,
+            "velocity_ki_Nm_per_rad": 30.0 * inertia,
+            "torque_limit_Nm": 9.0 * max(inertia, 1.0),
+        },
+        "boundary": {"upstream_tension_N": tension, "downstream_tension_N": 0.9 * tension},
+    }
+    return ModelParameters.model_validate(data), float(rng.uniform(2.0, 6.0)), float(rng.uniform(0.5, 2.0))
+
+
+def cases(what: list[str], seeds: range, duration_s: float) -> list[Case]:
     """All cases asked for."""
     made = []
-    for seed in range(seeds):
+    for seed in seeds:
         rng = np.random.default_rng([7, seed])
         if "single" in what:
             for effect, axis in places():
@@ -107,24 +147,28 @@ def cases(what: list[str], seeds: int, duration_s: float) -> list[Case]:
     return made
 
 
-def run(task: tuple[Case, float]) -> Case:
+def run(case: Case) -> Case:
     """Make the recording, diagnose, compare."""
-    case, duration_s = task
-    model = ModelParameters.model_validate(DEMONSTRATOR)
+    model, top_m_s, noise = ModelParameters.model_validate(DEMONSTRATOR), 4.0, 1.0
+    if case.machine:
+        model, top_m_s, noise = machine(zlib.crc32(case.name.encode()))
     effects = [EffectEntry.model_validate(item) for item in case.hidden]
-    recording = blind_recording(model, effects, duration_s=duration_s, seed=case.seed, unknown=case.unknown)
+    options = {"duration_s": case.duration_s, "seed": case.seed, "noise": noise, "top_m_s": top_m_s}
+    recording = blind_recording(model, effects, unknown=case.unknown, **options)
     data = measured_from(recording, model, "blind")
     predictor = FreeRun(model, data)
     plain = predictor.measured - predictor.predict(lay.pack(model))[0]
     if case.hidden:
         true = predictor.measured - predictor.predict(lay.pack(model.with_effects(*effects)))[0]
-        gain = sum(np.sum(plain[k] ** 2 - true[k] ** 2) / (2.0 * 0.05**2) for k in (0, 1))
+        gain = sum(np.sum(plain[k] ** 2 - true[k] ** 2) / (2.0 * predictor.floor(k) ** 2) for k in (0, 1))
         case.visible = bool(gain > VISIBLE)
+    began = time.perf_counter()
     try:
         found = diagnose(recording, model, "blind")
     except Exception as error:  # a case that fails is a row of the table, not the end of the run
         case.problem = f"{type(error).__name__}: {error}"
         return case
+    case.seconds = round(time.perf_counter() - began, 2)
     case.verdict = found.verdict
     case.found = [[e.effect, e.axis] for e in found.effects]
     case.tied = [e.tied_with for e in found.effects]
@@ -138,12 +182,22 @@ def run(task: tuple[Case, float]) -> Case:
 
 
 def right(case: Case) -> bool:
-    """Whether what was named is what was hidden."""
-    hidden = sorted([item["effect"], item["axis"] or 0] for item in case.hidden)
-    found = sorted([effect, axis or 0] for effect, axis in case.found)
+    """Whether what was named is what was hidden, or is said to be tied with it."""
     if case.kind == "unknown":
         return case.verdict == "unknown"
-    return hidden == found and case.verdict == ("named" if hidden else "complete")
+    hidden = [(item["effect"], item["axis"]) for item in case.hidden]
+    if len(hidden) != len(case.found) or case.verdict != ("named" if hidden else "complete"):
+        return False
+    options = [
+        {(effect, axis), *((name.split(" ")[0], axis if per_axis(name) else None) for name in tied)}
+        for (effect, axis), tied in zip(case.found, case.tied, strict=True)
+    ]
+    return any(all(h in o for h, o in zip(order, options, strict=True)) for order in permutations(hidden))
+
+
+def per_axis(tied: str) -> bool:
+    """Whether a tied effect, as it is printed, is one of an axis."""
+    return find_effect(tied.split(" ")[0]).per_axis
 
 
 def summary(done: list[Case]) -> str:
@@ -173,20 +227,43 @@ def _strength(item: dict[str, Any]) -> float:
     return float(next(iter(item["parameters"].values())))
 
 
+def _done_before(file: Path | None) -> list[Case]:
+    if file is None or not file.exists():
+        return []
+    return [Case(**json.loads(line)) for line in file.read_text(encoding="utf-8").splitlines()]
+
+
 def main() -> None:
     """Run on all cores and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", type=int, default=1)
+    parser.add_argument("--first-seed", type=int, default=0)
     parser.add_argument("--what", default="single,pair,nothing,unknown")
     parser.add_argument("--duration", type=float, default=66.0, help="length of each recording, s")
-    parser.add_argument("--json", type=Path, help="also write every case")
+    parser.add_argument("--machines", action="store_true", help="another machine for each case")
+    parser.add_argument("--cases", type=Path, help="file of finished cases, a line each")
+    parser.add_argument("--docs", type=Path, help="page that gets the table")
     options = parser.parse_args()
-    tasks = [(case, options.duration) for case in cases(options.what.split(","), options.seeds, options.duration)]
+    seeds = range(options.first_seed, options.first_seed + options.seeds)
+    asked = cases(options.what.split(","), seeds, options.duration)
+    for case in asked:
+        case.duration_s, case.machine = options.duration, options.machines
+    names = {case.name for case in asked}
+    done = [case for case in _done_before(options.cases) if case.name in names]
+    known = {case.name for case in done}
     with ProcessPoolExecutor() as pool:
-        done = list(pool.map(run, tasks))
-    print(summary(done))
-    if options.json:
-        options.json.write_text(json.dumps([asdict(case) for case in done], indent=1), encoding="utf-8")
+        for finished in as_completed([pool.submit(run, case) for case in asked if case.name not in known]):
+            case = finished.result()
+            done.append(case)
+            if options.cases is not None:
+                with options.cases.open("a", encoding="utf-8") as file:
+                    file.write(json.dumps(asdict(case)) + "\n")
+    table = summary(sorted(done, key=lambda case: case.name))
+    print(table)
+    if options.docs is not None:
+        text = options.docs.read_text(encoding="utf-8")
+        before, after = text.split(BEGIN)[0], text.split(END)[1]
+        options.docs.write_text(f"{before}{BEGIN}{table}\n{END}{after}", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -100,9 +100,10 @@ def blind_recording(
     unknown: tuple[str, float] | None = None,
     noise: float = 1.0,
     period_s: float = PERIOD_S,
+    top_m_s: float = 4.0,
 ) -> Recording:
     """Simulate the model with effects on a rich experiment, add measurement noise, keep every `period_s`-th row."""
-    run = experiment(model, duration_s, seed)
+    run = experiment(model, duration_s, seed, top_m_s)
     rng = np.random.default_rng([seed, 1])
     plant = model.with_effects(*effects)
     parameters = lay.pack(plant)

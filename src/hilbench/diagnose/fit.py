@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
 
 from hilbench.diagnose.noise import Whitening
 from hilbench.diagnose.space import Point, Space
@@ -19,6 +21,9 @@ _LEAST_STEPS: Final = 2
 #: A step that promises less than this fall of the sum of squares is the last.
 _ENOUGH: Final = 0.3
 _FIRST_DAMPING: Final = 1e-4
+#: Strengths, and steps between two of them, with which one is searched for.
+_GRID: Final = 25
+_SEARCH: Final = 12
 
 
 @dataclass(frozen=True)
@@ -73,8 +78,36 @@ def fit(
             damping = max(30.0 * damping, 1e-6)
             if damping > 1e6:
                 break
+    if problem.square <= worth and any(term.probe is not None for term in point.terms):
+        point = space.point(_searched(space, white, point.terms, rows))
+        problem = _Problem(white, point, rows)
     train, test = sums(space, white, point.residual)
     return Fit(point.terms, point.residual, train, test, problem.covariance())
+
+
+def _searched(space: Space, white: Whitening, terms: list[Term], rows: NDArray[np.bool_]) -> list[Term]:
+    """With strengths searched for where the sum of squares has many minima (that of a delay has)."""
+    for place, term in enumerate(terms):
+        if term.probe is None:
+            continue
+        here = term.coordinates()
+
+        def with_strength(value: float, place: int = place, here: Array = here) -> list[Term]:
+            moved = terms[place].at(np.array([value, *here[1:]]))
+            return [*terms[:place], moved, *terms[place + 1 :]]
+
+        def square(value: float, of: Callable[[float], list[Term]] = with_strength) -> float:
+            return _Problem.square_of(white, space.residual(of(value)), rows)
+
+        middle, scale = float(here[0]), term.effect.parameter(term.effect.strength[0]).scale
+        grid = np.linspace(0.0, 2.0 * middle + scale, _GRID)
+        residuals = space.residuals([with_strength(float(value)) for value in grid])
+        best = int(np.argmin([_Problem.square_of(white, residual, rows) for residual in residuals]))
+        bounds = (float(grid[max(best - 1, 0)]), float(grid[min(best + 1, _GRID - 1)]))
+        found = minimize_scalar(square, bounds=bounds, method="bounded", options={"maxiter": _SEARCH, "xatol": 1e-6})
+        if found.fun < square(middle):
+            terms = with_strength(float(found.x))
+    return terms
 
 
 class _Problem:

@@ -18,6 +18,8 @@ Array = NDArray[np.float64]
 
 #: Stribeck speeds that are tried, as shares of the highest speed.
 _STRIBECK_SHARES: Final = (0.01, 0.04, 0.15)
+#: Strengths at which an effect is looked at that is far from linear in it: a delay (s).
+_PROBES: Final = {"torque_delay": (0.001, 0.003, 0.01, 0.03)}
 #: Peaks of a spectrum, and times of a step, that are proposed.
 _PEAKS: Final = 2
 #: Lowest order or frequency that is looked for, in cycles over the recording; highest order of a motor turn.
@@ -84,6 +86,9 @@ class Proposer:
                 if effect.id == "stribeck_friction":
                     speeds = [share * self._top_m_s for share in _STRIBECK_SHARES]
                     terms += [self._term(effect, axis, {"speed_m_s": v}, multiplicity=len(speeds)) for v in speeds]
+                elif effect.id in _PROBES:
+                    plain, probes = self._term(effect, axis, {}), _PROBES[effect.id]
+                    terms += [replace(plain, probe=probe, multiplicity=len(probes)) for probe in probes]
                 elif self._possible(effect, axis):
                     terms.append(self._term(effect, axis, {}))
         return terms

@@ -43,6 +43,10 @@ _PAIRED_FROM: Final = 14
 _PLACES: Final = 60.0
 #: Fall of the held-out sum of squares from which it speaks for a term: 1.5 standard errors of its own size.
 _HELD_OUT_ERRORS: Final = 1.5
+#: Sum of squares of an addition's effect on the held-out rows from which they can judge it.
+_FELT: Final = 30.0
+#: Factor up to which a response to a probe speaks for other strengths of a law that is far from linear.
+_TRUSTED: Final = 1.8
 #: Standard deviations of its mean square from which a whitened signal is more than noise.
 _CALM: Final = 5.0
 #: Share of the held-out sum of squares by which it must fall where residuals are never noise alone.
@@ -206,9 +210,25 @@ class Search:
             least = min(least, found.train + cost)
         fits.sort(key=lambda item: item[0])
         for criterion, found in fits:
-            if criterion < before and self._held_out_agrees(test, found.test):
+            if criterion < before and self._is_confirmed(scene.whitening, current, test, found):
                 return found
         return None
+
+    def _is_confirmed(self, white: Whitening, current: Fit, test: float, found: Fit) -> bool:
+        """By the held-out rows; where they hardly feel the addition, by the two halves of what does."""
+        rows = self._space.split
+        change = white.apply(current.residual - found.residual)
+        if float(np.sum(change[:, rows.test] ** 2)) > _FELT:
+            return self._held_out_agrees(test, found.test)
+        change, residual = change[:, rows.train], white.apply(current.residual)[:, rows.train]
+        along, square = np.sum(change * residual, axis=0), np.sum(change**2, axis=0)
+        middle = int(np.searchsorted(np.cumsum(square), 0.5 * np.sum(square)))
+        early, late = slice(None, middle), slice(middle, None)
+        gain = 0.0
+        for one, other in ((early, late), (late, early)):
+            size = float(np.sum(along[one])) / max(float(np.sum(square[one])), 1e-300)
+            gain += size * (2.0 * float(np.sum(along[other])) - size * float(np.sum(square[other])))
+        return self._held_out_agrees(gain, 0.0)
 
     def _held_out_agrees(self, before: float, after: float) -> bool:
         """A gain beyond chance; where a right model leaves more than noise, also one that is worth a name."""
@@ -258,17 +278,19 @@ class Search:
         columns = [c for k in members for c in groups[k]]
         if any(problem.information(c) < _LEAST_INFORMATION for c in columns):
             return None
-        gain, theta = problem.gain([*mine, *columns])
+        _, theta = problem.gain([*mine, *columns])
         at, terms = len(mine), []
         for k in members:
             candidate = scene.candidates[k]
             here = candidate.neutral().coordinates()
+            if candidate.probe is not None:
+                theta[at] = np.clip(theta[at], candidate.probe / _TRUSTED, candidate.probe * _TRUSTED)
             strength = here[: candidate.linear] + theta[at : at + candidate.linear]
             at += candidate.linear
             if not candidate.allowed(float(strength[0])):
                 return None
             terms.append(candidate.at(np.concatenate([strength, here[candidate.linear :]])))
-        return gain, terms
+        return problem.gain_at([*mine, *columns], theta), terms
 
     # -- earlier choices ---------------------------------------------------------------------------------
 

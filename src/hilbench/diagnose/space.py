@@ -130,13 +130,13 @@ class Space:
             neutral = candidate.neutral().coordinates()
             for k in range(candidate.linear):
                 moved = neutral.copy()
-                moved[k] += candidate.steps()[k]
+                moved[k] += candidate.probes()[k]
                 variants.append([*terms, candidate.at(moved)])
             counts.append(candidate.linear)
         found = self.residuals(variants)
         result, at = [], 0
         for candidate, count in zip(candidates, counts, strict=True):
-            steps = candidate.steps()[:count, None, None]
+            steps = candidate.probes()[:, None, None]
             result.append((residual - found[at : at + count]) / steps)
             at += count
         return result
@@ -168,6 +168,11 @@ class Linear:
         normal = gram / np.outer(scale, scale) + 1e-10 * np.eye(len(chosen))
         theta = np.linalg.solve(normal, cross / scale) / scale
         return float(2.0 * theta @ cross - theta @ gram @ theta), theta
+
+    def gain_at(self, chosen: list[int], theta: Array) -> float:
+        """The same at given coordinates."""
+        gram, cross = self._gram[np.ix_(chosen, chosen)], self._cross[chosen]
+        return float(2.0 * theta @ cross - theta @ gram @ theta)
 
 
 def finest(space: Space) -> Whitening | None:

@@ -27,7 +27,7 @@ class Term:
     """One effect at one place, with values; `axis` counts from 1, None for the web.
 
     `steps` are the finite-difference steps of the coordinates; `multiplicity` is how many variants (orders,
-    frequencies, times) were searched to propose this one.
+    frequencies, times) were searched to propose this one. `probe` is for laws that are far from linear in their strength.
     """
 
     effect: Effect
@@ -37,6 +37,7 @@ class Term:
     base: Mapping[str, float]  #: values in the model that is diagnosed
     shape_steps: Mapping[str, float]  #: steps of the parameters that only shape it
     multiplicity: float = 1.0
+    probe: float | None = None  #: strength at which its response is looked at; default: a fifth of its scale
 
     @property
     def key(self) -> tuple[str, int | None, int]:
@@ -94,6 +95,10 @@ class Term:
         if self.has_phase:
             values[_PHASE] = self.base[_PHASE]
         return replace(self, values=values)
+
+    def probes(self) -> Array:
+        """Steps of the coordinates in which the model is nearly linear, with which a response is looked at."""
+        return self.steps()[: self.linear] if self.probe is None else np.full(self.linear, self.probe)
 
     def steps(self) -> Array:
         """Finite-difference steps of the coordinates."""
