@@ -4,10 +4,10 @@
                            [--cases FILE] [--docs FILE]
 
 Every effect of the vocabulary at every axis and three sizes; pairs; nothing at all; unknowns. An effect counts as
-visible when the true parameters raise the log likelihood of the torques by more than 50. With `--machines` each case has
-a machine of its own: width, thickness, span, inertia, tension, speed and noise. Prints the shares, and what was named
-for what was hidden where that was wrong. `--cases` keeps each finished case in a line of that file, and takes those that
-are there already as done; `--docs` writes the table into the page.
+visible when the true parameters raise the log likelihood of the torques by more than 50. With `--machines` each case
+has a machine of its own: width, thickness, span, inertia, tension, speed and noise. Prints the shares, and what was
+named for what was hidden where that was wrong. `--cases` keeps each finished case in a line of that file, and takes those
+that are there already as done; `--docs` writes the table into the page.
 """
 
 from __future__ import annotations
@@ -153,8 +153,15 @@ def run(case: Case) -> Case:
     if case.machine:
         model, top_m_s, noise = machine(zlib.crc32(case.name.encode()))
     effects = [EffectEntry.model_validate(item) for item in case.hidden]
-    options = {"duration_s": case.duration_s, "seed": case.seed, "noise": noise, "top_m_s": top_m_s}
-    recording = blind_recording(model, effects, unknown=case.unknown, **options)
+    recording = blind_recording(
+        model,
+        effects,
+        duration_s=case.duration_s,
+        seed=case.seed,
+        unknown=case.unknown,
+        noise=noise,
+        top_m_s=top_m_s,
+    )
     data = measured_from(recording, model, "blind")
     predictor = FreeRun(model, data)
     plain = predictor.measured - predictor.predict(lay.pack(model))[0]

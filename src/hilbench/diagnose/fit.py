@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
@@ -88,26 +87,29 @@ def fit(
 def _searched(space: Space, white: Whitening, terms: list[Term], rows: NDArray[np.bool_]) -> list[Term]:
     """With strengths searched for where the sum of squares has many minima (that of a delay has)."""
     for place, term in enumerate(terms):
-        if term.probe is None:
-            continue
-        here = term.coordinates()
-
-        def with_strength(value: float, place: int = place, here: Array = here) -> list[Term]:
-            moved = terms[place].at(np.array([value, *here[1:]]))
-            return [*terms[:place], moved, *terms[place + 1 :]]
-
-        def square(value: float, of: Callable[[float], list[Term]] = with_strength) -> float:
-            return _Problem.square_of(white, space.residual(of(value)), rows)
-
-        middle, scale = float(here[0]), term.effect.parameter(term.effect.strength[0]).scale
-        grid = np.linspace(0.0, 2.0 * middle + scale, _GRID)
-        residuals = space.residuals([with_strength(float(value)) for value in grid])
-        best = int(np.argmin([_Problem.square_of(white, residual, rows) for residual in residuals]))
-        bounds = (float(grid[max(best - 1, 0)]), float(grid[min(best + 1, _GRID - 1)]))
-        found = minimize_scalar(square, bounds=bounds, method="bounded", options={"maxiter": _SEARCH, "xatol": 1e-6})
-        if found.fun < square(middle):
-            terms = with_strength(float(found.x))
+        if term.probe is not None:
+            terms = _with_best_strength(space, white, terms, place, rows)
     return terms
+
+
+def _with_best_strength(
+    space: Space, white: Whitening, terms: list[Term], place: int, rows: NDArray[np.bool_]
+) -> list[Term]:
+    term = terms[place]
+    middle, *shape = term.coordinates()
+
+    def variant(strength: float) -> list[Term]:
+        return [*terms[:place], term.at(np.array([strength, *shape])), *terms[place + 1 :]]
+
+    def square(strength: float) -> float:
+        return _Problem.square_of(white, space.residual(variant(strength)), rows)
+
+    grid = np.linspace(0.0, 2.0 * middle + term.effect.parameter(term.effect.strength[0]).scale, _GRID)
+    residuals = space.residuals([variant(float(strength)) for strength in grid])
+    best = int(np.argmin([_Problem.square_of(white, residual, rows) for residual in residuals]))
+    bounds = (float(grid[max(best - 1, 0)]), float(grid[min(best + 1, _GRID - 1)]))
+    found = minimize_scalar(square, bounds=bounds, method="bounded", options={"maxiter": _SEARCH, "xatol": 1e-6})
+    return variant(float(found.x)) if found.fun < square(float(middle)) else terms
 
 
 class _Problem:

@@ -27,7 +27,7 @@ class Term:
     """One effect at one place, with values; `axis` counts from 1, None for the web.
 
     `steps` are the finite-difference steps of the coordinates; `multiplicity` is how many variants (orders,
-    frequencies, times) were searched to propose this one. `probe` is for laws that are far from linear in their strength.
+    frequencies, times) were searched to propose this one. `probe` is for laws far from linear in it.
     """
 
     effect: Effect
