@@ -6,8 +6,8 @@
 Every effect of the vocabulary at every axis and three sizes; pairs; nothing at all; unknowns. An effect counts as
 visible when the true parameters raise the log likelihood of the torques by more than 50. With `--machines` each case
 has a machine of its own: width, thickness, span, inertia, tension, speed and noise. Prints the shares, and what was
-named for what was hidden where that was wrong. `--cases` keeps each finished case in a line of that file, and takes those
-that are there already as done; `--docs` writes the table into the page.
+named for what was hidden where that was wrong. `--cases` keeps each finished case in a line of that file, and takes
+those that are there already as done; `--docs` writes the table into the page.
 """
 
 from __future__ import annotations
