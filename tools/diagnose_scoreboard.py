@@ -196,15 +196,18 @@ def right(case: Case) -> bool:
     if len(hidden) != len(case.found) or case.verdict != ("named" if hidden else "complete"):
         return False
     options = [
-        {(effect, axis), *((name.split(" ")[0], axis if per_axis(name) else None) for name in tied)}
+        {(effect, axis), *(named(name, axis) for name in tied)}
         for (effect, axis), tied in zip(case.found, case.tied, strict=True)
     ]
     return any(all(h in o for h, o in zip(order, options, strict=True)) for order in permutations(hidden))
 
 
-def per_axis(tied: str) -> bool:
-    """Whether a tied effect, as it is printed, is one of an axis."""
-    return find_effect(tied.split(" ")[0]).per_axis
+def named(tied: str, axis: int | None) -> tuple[str, int | None]:
+    """Effect and axis of a tied effect as it is printed; without an axis it is the one of what it is tied with."""
+    effect, _, other = tied.partition(" (axis ")
+    if other:
+        return effect, int(other.rstrip(")"))
+    return effect, axis if find_effect(effect).per_axis else None
 
 
 def summary(done: list[Case]) -> str:

@@ -35,6 +35,9 @@ _TIMES: Final = 100.0
 _EDGE: Final = 0.03
 _SEARCHED: Final = ("torque_ripple", "elasticity_step", "upstream_disturbance")
 _TURN = 2.0 * np.pi
+#: How far from a spectrum's peak the order or frequency is looked for, in steps, and the step in the spectrum's bins.
+_NEAR: Final = 40
+_NEAR_STEP: Final = 0.25
 
 
 class Proposer:
@@ -110,6 +113,37 @@ class Proposer:
         if self._model.web is not None:
             terms += self._disturbances(whitened, present)
         return terms
+
+    def tuned(self, term: Term, residual: Array, response: Array, every: int) -> Term:
+        """The term with the order or frequency near its own at which its response fits best.
+
+        residual (signals, n) and response (2, signals, n) whitened, zero where rows do not count. How strongly and how
+        late a machine answers changes with its speed, which moves a spectrum's peak; the response knows of it, and
+        turned along the angle (or time) it stands for the orders nearby.
+        """
+        name, angle = self._angle_rad(term, every)
+        if name is None:
+            return term
+        sine, cosine = response
+        shifts = np.arange(-_NEAR, _NEAR + 1) * _NEAR_STEP * _TURN / float(np.ptp(angle))
+        turn = np.exp(1j * shifts[:, None] * angle[None, :])
+        forward, across = np.sum(sine * residual, axis=0), np.sum(cosine * residual, axis=0)
+        b = turn @ (across + 1j * forward)  # along the turned cosine and sine
+        even = 0.5 * float(np.sum(sine**2 + cosine**2))
+        odd = turn**2 @ (0.5 * np.sum(cosine**2 - sine**2, axis=0) + 1j * np.sum(sine * cosine, axis=0))
+        a11, a22, a12 = even + odd.real, even - odd.real, odd.imag
+        gain = (a22 * b.real**2 - 2.0 * a12 * b.real * b.imag + a11 * b.imag**2) / np.maximum(
+            a11 * a22 - a12**2, 1e-12 * even**2 + 1e-300
+        )
+        return replace(term, values={**term.values, name: term.values[name] + float(shifts[int(np.argmax(gain))])})
+
+    def _angle_rad(self, term: Term, every: int) -> tuple[str | None, Array]:
+        """What the searched shape of a term multiplies, for each row; None for a term without one."""
+        if term.effect.id == "torque_ripple" and term.axis is not None:
+            return "order", self._data.x_m[term.axis][::every] * self._model.motor_rad_per_m(term.axis)
+        if term.effect.id == "upstream_disturbance":
+            return "frequency_Hz", _TURN * self._data.t_s[::every]
+        return None, np.empty(0)
 
     @staticmethod
     def _peaks(

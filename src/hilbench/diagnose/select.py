@@ -145,9 +145,27 @@ class Search:
         shapes = [self._counted(white.apply(r))[0] for r in space.strengths(current.terms, current.residual, coarse)]
         searched += self._proposer.steps(whitened, coarse, np.array(shapes))
         more = space.strengths(current.terms, current.residual, searched)
-        responses = responses + more
+        responses = responses + self._tune(current, white, searched, more)
         white = noise_model(space, current.residual, np.concatenate([own, *responses]))
         return Scene(white, current.residual, own, plain + searched, responses)
+
+    def _tune(self, current: Fit, white: Whitening, searched: list[Term], responses: list[Array]) -> list[Array]:
+        """Put orders and frequencies where responses fit best; simulate those anew that moved."""
+        residual = self._trained(white.apply(current.residual))
+        moved = []
+        for k, response in enumerate(responses):
+            tuned = self._proposer.tuned(searched[k], residual, self._trained(white.apply(response)), self._every)
+            if tuned != searched[k]:
+                searched[k] = tuned
+                moved.append(k)
+        anew = self._space.strengths(current.terms, current.residual, [searched[k] for k in moved])
+        for k, response in zip(moved, anew, strict=True):
+            responses[k] = response
+        return responses
+
+    def _trained(self, values: Array) -> Array:
+        """Zero where fits do not see rows."""
+        return np.where(self._space.split.train, values, 0.0)
 
     def _seen_from(self, current: Fit, scene: Scene) -> Scene:
         """An older scene at another model: responses hardly change, the residual does."""
