@@ -159,7 +159,8 @@ def test_the_command_prints_the_agreed_object_and_writes_page_and_model(tmp_path
     assert load_model(data["model"]).effects[0].effect == "viscous_friction"
     page = (out / "diagnosis.html").read_text()
     assert "viscous_friction" in page
-    assert "<svg" in page
+    assert page.count("<svg") == 2
+    assert "Against what it depends on" in page
 
 
 @pytest.mark.parametrize(

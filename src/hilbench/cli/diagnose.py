@@ -20,6 +20,8 @@ from hilbench.record.recording import read_recording
 from hilbench.report.diagnosis_page import LIVE_ROWS, write_diagnosis_page
 from hilbench.web.parameters import write_model
 
+#: Columns that the tables need; a narrower terminal wraps whole lines, it loses no figures.
+_WIDTH = 100
 _UNKNOWN = "something is missing that no effect of the vocabulary explains"
 
 
@@ -29,6 +31,7 @@ def diagnose_command(source: Path, model_path: Path | None, out: Path | None, *,
     `source` is a recording, or a bench config: that is run first, and again with the extended model.
     """
     console, errors = Console(highlight=False), Console(stderr=True)
+    console.width = max(console.width, _WIDTH)
     with _progress(errors, disabled=as_json or not errors.is_terminal) as progress:
         task = progress.add_task("read", total=1.0)
 

@@ -32,6 +32,7 @@ _VISIBLE: Final = 5.0
 #: Share of the residual's rms up to which effects may leave it where a right model need not leave white noise.
 _UNEXPLAINED: Final = 0.25
 _ROWS_OF_WHERE: Final = 8
+_PROFILES: Final = 4
 _DIGITS: Final = 8
 
 
@@ -78,6 +79,18 @@ class Where:
 
 
 @dataclass(frozen=True)
+class Profile:
+    """Mean residual of a torque, N·m, over a state, with the original model and with the effects that were found."""
+
+    signal: str
+    condition: str
+    unit: str  #: of the condition
+    at: Array  #: (bins,)
+    before: Array
+    after: Array
+
+
+@dataclass(frozen=True)
 class Blind:
     """An effect that these data could not show at its usual size."""
 
@@ -96,6 +109,7 @@ class Diagnosis:
     effects: list[NamedEffect]
     gaps: list[Gap]
     where: list[Where]
+    profiles: list[Profile]  #: of the signal with the largest gap
     left: list[Misfit]  #: significant dependences that no effect explains
     blind_to: list[Blind]
     missing_channels: list[str]
@@ -110,7 +124,11 @@ class Diagnosis:
     @property
     def gap(self) -> Gap:
         """The one that was largest in its own noise floors."""
-        return max(self.gaps, key=lambda g: g.before / g.noise_floor)
+        return max(self.gaps, key=_size)
+
+
+def _size(gap: Gap) -> float:
+    return gap.before / gap.noise_floor
 
 
 def diagnose(
@@ -142,7 +160,8 @@ def _conclude(
     conditions = predictor.conditions(pack_with(space.model, final.terms))
     scale = np.array([floors[k] for k in torques])[:, None]
     names = tuple(predictor.names[k] for k in torques)
-    left = [m for m in misfits(names, final.residual[torques] / scale, rows, conditions) if m.significant]
+    after = misfits(names, final.residual[torques] / scale, rows, conditions)
+    left = [m for m in after if m.significant]
     found = misfits(names, before[torques] / scale, rows, conditions)
     if predictor.exact:
         unknown = bool(left) or max(ratios(final.residual, rows, floors).values()) > LARGEST_RATIO
@@ -153,11 +172,13 @@ def _conclude(
     test = space.split.test
     gaps = [_gap(predictor.names[k], before[k], trained.residual[k], floors[k], test) for k in torques]
     where_from = [m for m in found if m.significant] or left
+    floor_of = {predictor.names[k]: value for k, value in floors.items()}
     return Diagnosis(
         verdict=verdict,
         effects=effects,
         gaps=gaps,
         where=_where(where_from),
+        profiles=_profiles(found, after, floor_of, max(gaps, key=_size).signal),
         left=left,
         blind_to=_blind(selection),
         missing_channels=data.missing,
@@ -233,6 +254,18 @@ def _where(found: list[Misfit]) -> list[Where]:
     gap = sum(total.values()) or 1.0
     ranked = sorted(found, key=lambda m: -m.excess)[:_ROWS_OF_WHERE]
     return [Where(m.signal, m.when, f"{m.condition}: {m.detail}", round(min(m.excess / gap, 1.0), 4)) for m in ranked]
+
+
+def _profiles(before: list[Misfit], after: list[Misfit], floors: dict[str, float], signal: str) -> list[Profile]:
+    """Those of one signal on which it depended most before."""
+    now = {m.condition: m for m in after if m.signal == signal and m.points}
+    binned = [m for m in before if m.signal == signal and m.condition in now and m.condition != "time"]
+    result = []
+    for m in sorted(binned, key=lambda m: -m.excess)[:_PROFILES]:
+        at, mean = np.array(m.points).T
+        left = np.array(now[m.condition].points)[:, 1]
+        result.append(Profile(signal, m.condition, m.unit, at, mean * floors[signal], left * floors[signal]))
+    return result
 
 
 def _blind(selection: Selection) -> list[Blind]:

@@ -52,7 +52,8 @@ class Misfit:
     excess: float
     threshold: float
     when: str
-    points: tuple[tuple[float, float], ...] = ()  #: of a binned one: centre, mean residual in floors
+    points: tuple[tuple[float, float], ...] = ()  #: of a binned one: centre (in `unit`), mean residual in floors
+    unit: str = ""
 
     @property
     def significant(self) -> bool:
@@ -93,7 +94,7 @@ def _binned(name: str, values: Array, rows: NDArray[np.bool_], condition: Condit
     centres = 0.5 * (edges[:-1] + edges[1:])
     points = tuple((float(c), float(m)) for c, m, n in zip(centres, mean, count, strict=True) if n)
     threshold = _ERRORS * float(np.sqrt(2.0 * bins)) + _LEAST
-    return Misfit(name, condition.name, detail, float(part.sum()) - bins, threshold, "always", points)
+    return Misfit(name, condition.name, detail, float(part.sum()) - bins, threshold, "always", points, condition.unit)
 
 
 def _peak(name: str, values: Array, rows: NDArray[np.bool_], condition: Condition) -> Misfit:

@@ -39,6 +39,7 @@ def write_diagnosis_page(found: Diagnosis, live: list[LiveGap], title: str, path
         section("Effects", _effects(found)) if found.effects else "",
         section("Gap", _gaps(found)),
         section("Residuals", _picture(found)),
+        section("Against what it depends on", _profiles(found)) if found.profiles else "",
         section("The twin on the bench", _live(live)) if live else "",
         section("Where the model disagreed", _where(found)) if found.where else "",
         section("Not explained", _left(found)) if found.left else "",
@@ -121,6 +122,29 @@ def _picture(found: Diagnosis) -> str:
     note = (
         f'<p class="note">Measured less simulated torque, averaged over {_SMOOTHING_S:g} s, with the original model '
         "and with the effects that were found; grey: held out of every fit.</p>"
+    )
+    return svg + note
+
+
+def _profiles(found: Diagnosis) -> str:
+    rows = (len(found.profiles) + 1) // 2
+
+    def draw(figure: Any) -> list[Panel]:
+        figure.subplots_adjust(right=0.985, hspace=0.62, wspace=0.3)
+        grid = np.atleast_1d(figure.subplots(rows, 2)).ravel()
+        for axes in grid[len(found.profiles) :]:
+            axes.set_visible(False)
+        for axes, profile in zip(grid, found.profiles, strict=False):
+            axes.plot(profile.at, profile.before, "o-", color=BLUE, markersize=3.0)
+            axes.plot(profile.at, profile.after, "o-", color=VERMILLION, markersize=3.0)
+            axes.set_xlabel(f"{profile.condition}, {profile.unit}")
+        grid[0].set_ylabel(f"{found.profiles[0].signal.removesuffix('_Nm')}, N·m")
+        return []
+
+    svg = render_picture(draw, 2.3 * rows, "profiles", "Mean torque residual over states")
+    note = (
+        '<p class="note">Mean of measured less simulated torque over the states on which it depended most: '
+        "blue with the original model, orange with the effects that were found.</p>"
     )
     return svg + note
 
