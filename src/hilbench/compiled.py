@@ -1,4 +1,4 @@
-"""The decorator of compiled functions, typed as what it decorates."""
+"""The decorators of compiled functions, typed as what they decorate."""
 
 from __future__ import annotations
 
@@ -17,13 +17,18 @@ if TYPE_CHECKING:
         """Compile on first use; called from compiled code, or from Python in tests."""
         return function
 
+    def inlined(function: Function) -> Function:
+        """The same, put into the machine code of its callers: for what is called several times in every step."""
+        return function
+
     def entry_point(function: Function) -> Function:
         """The same, machine code kept on disk, and other threads run meanwhile; called from Python."""
         return function
 
 else:
     # Division as in numpy and C (no check for zero); no fastmath: equal results on every machine.
-    compiled = numba.njit(error_model="numpy")
+    compiled = numba.njit(error_model="numpy", _nrt=False)
+    inlined = numba.njit(error_model="numpy", forceinline=True, _nrt=False)
     entry_point = numba.njit(error_model="numpy", cache=True, nogil=True)
 
 
