@@ -8,6 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 import numba
+from numba import types
+from numba.extending import intrinsic
 
 Function = TypeVar("Function", bound=Callable[..., object])
 
@@ -21,14 +23,26 @@ if TYPE_CHECKING:
         """The same, put into the machine code of its callers: for what is called several times in every step."""
         return function
 
+    def kept_apart() -> None:
+        """In the body of a compiled function that is called rarely: it stays a call, its callers stay short."""
+
     def entry_point(function: Function) -> Function:
         """The same, machine code kept on disk, and other threads run meanwhile; called from Python."""
         return function
 
 else:
     # Division as in numpy and C (no check for zero); no fastmath: equal results on every machine.
-    compiled = numba.njit(error_model="numpy", _nrt=False)
+    compiled = numba.njit(error_model="numpy", forceinline=False, _nrt=False)
     inlined = numba.njit(error_model="numpy", forceinline=True, _nrt=False)
+
+    @intrinsic
+    def kept_apart(typing_context):
+        def generate(context, builder, signature, arguments):
+            builder.function.attributes.add("noinline")
+            return context.get_dummy_value()
+
+        return types.void(), generate
+
     entry_point = numba.njit(error_model="numpy", cache=True, nogil=True)
 
 

@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from hilbench.compiled import compiled, entry_point, inlined, number_of_sources
+from hilbench.compiled import compiled, entry_point, inlined, kept_apart, number_of_sources
 from hilbench.drives import motor as loops
 from hilbench.web import laws
 from hilbench.web import layout as lay
@@ -71,6 +71,12 @@ def _part(n: int, m: int, k: int, part: int) -> int:
 
 
 @inlined
+def _counts(p: Vector) -> tuple[int, int, int]:
+    """Axes, motors and spans of the line."""
+    return int(p[lay.W_AXES]), int(p[lay.W_MOTORS]), int(p[lay.W_SPANS])
+
+
+@inlined
 def _web(p: Vector, u: Vector, w: Vector, n: int, m: int, k: int, t: float, strain_prev: float, y: int) -> None:
     """Tensions, and rates of the unstretched lengths, for the quantities at place `y` of the scratch space."""
     speed, tension, rate = _part(n, m, k, lay.SPEED), _part(n, m, k, lay.TENSION), _part(n, m, k, lay.RATE)
@@ -103,15 +109,13 @@ def _motor_force_N(p: Vector, w: Vector, n: int, m: int, k: int, j: int, x_m: fl
 
 
 @inlined
-def _roller_force_N(
-    p: Vector, u: Vector, w: Vector, n: int, m: int, k: int, i: int, strain_prev: float, y: int
-) -> float:
-    """Force on the roller's side of gear i, without dry friction: web, motors coupled there, smooth resistance."""
-    force = _web_force_N(p, u, w, n, m, k, i, strain_prev)
+def _own_force_N(p: Vector, w: Vector, n: int, m: int, k: int, i: int, y: int) -> float:
+    """Force on the roller's side of gear i without web and dry friction: coupled motors, smooth resistance."""
+    force = -laws.smooth_resistance_N(p, _axis(i), w[y + n + i])
     if i == n - 1:
         for j in range(n, m):
             force += _motor_force_N(p, w, n, m, k, j, w[y + i])
-    return force - laws.smooth_resistance_N(p, _axis(i), w[y + n + i])
+    return force
 
 
 @inlined
@@ -122,19 +126,13 @@ def _is_apart(p: Vector, s: Vector, n: int, k: int, i: int) -> bool:
 
 @inlined
 def _acceleration(
-    p: Vector, s: Vector, w: Vector, n: int, m: int, k: int, i: int, drive_N: float, roller_N: float, v: float
+    p: Vector, s: Vector, n: int, k: int, i: int, v: float, per_mass: float, force_N: float, web_N: float
 ) -> float:
-    """Of roller i: with its motor or, within the gear play, without; it may stick."""
-    axis, direction = _axis(i), s[_axis_state(n, k, i) + lay.SA_DIRECTION]
-    if _is_apart(p, s, n, k, i):
-        force, per_mass = roller_N, w[_part(n, m, k, lay.PER_ROLLER_MASS) + i]
-    else:
-        force, per_mass = roller_N + drive_N, w[_part(n, m, k, lay.PER_MASS) + i]
+    """Of a roller that does not stick, under the forces on all that turns with it."""
+    axis = _axis(i)
     if laws.breakaway_N(p, axis) != 0.0:
-        if direction == 0.0:
-            return 0.0
-        force -= direction * laws.dry_friction_N(p, axis, v)
-    return force * per_mass
+        force_N -= s[_axis_state(n, k, i) + lay.SA_DIRECTION] * laws.dry_friction_N(p, axis, v)
+    return (force_N + web_N) * per_mass
 
 
 @inlined
@@ -145,24 +143,46 @@ def _go(w: Vector, size: int, j: int, rate: float, weight: float, ahead: float) 
 
 
 @inlined
+def _go_axis(
+    p: Vector, s: Vector, u: Vector, w: Vector, n: int, m: int, k: int, i: int, strain_prev: float, weight: float,
+    ahead: float, slides: bool,
+) -> None:
+    """Rates of axis i in the stage block: roller and motor as one, or apart within the gear play; it may stick."""
+    size, y = _block(n, k, 1), _block(n, k, lay.STAGE)
+    v, per_mass = w[y + n + i], w[_part(n, m, k, lay.PER_MASS) + i]
+    drive = _motor_force_N(p, w, n, m, k, i, w[y + 2 * n + i])
+    own, web = _own_force_N(p, w, n, m, k, i, y), _web_force_N(p, u, w, n, m, k, i, strain_prev)
+    apart = not slides and _is_apart(p, s, n, k, i)
+    if apart:
+        per_mass = w[_part(n, m, k, lay.PER_ROLLER_MASS) + i]
+    if not slides and _sticks(p, s, n, k, i):
+        acceleration = 0.0
+    else:
+        acceleration = _acceleration(p, s, n, k, i, v, per_mass, own if apart else own + drive, web)
+    motor_acceleration = drive * w[_part(n, m, k, lay.PER_MOTOR_MASS) + i] if apart else acceleration
+    _go(w, size, i, v, weight, ahead)
+    _go(w, size, n + i, acceleration, weight, ahead)
+    _go(w, size, 2 * n + i, w[y + 3 * n + i] if apart else v, weight, ahead)
+    _go(w, size, 3 * n + i, motor_acceleration, weight, ahead)
+
+
+@inlined
+def _sticks(p: Vector, s: Vector, n: int, k: int, i: int) -> bool:
+    """Whether dry friction holds roller i."""
+    return s[_axis_state(n, k, i) + lay.SA_DIRECTION] == 0.0 and laws.breakaway_N(p, _axis(i)) != 0.0
+
+
+@inlined
 def _stage(
-    p: Vector, s: Vector, u: Vector, w: Vector, n: int, m: int, k: int, t: float, weight: float, ahead: float
+    p: Vector, s: Vector, u: Vector, w: Vector, n: int, m: int, k: int, t: float, weight: float, ahead: float,
+    slides: bool,
 ) -> None:
     """Rates at time t of what is in the stage block and the torques there, and the next stage `ahead` of now."""
     size, y = _block(n, k, 1), _block(n, k, lay.STAGE)
     strain_prev = laws.upstream_strain(p, u[lay.U_STRAIN_PREV], t)
     _web(p, u, w, n, m, k, t, strain_prev, y)
     for i in range(n):
-        v, motor_v = w[y + n + i], w[y + 3 * n + i]
-        drive = _motor_force_N(p, w, n, m, k, i, w[y + 2 * n + i])
-        roller = _roller_force_N(p, u, w, n, m, k, i, strain_prev, y)
-        acceleration = _acceleration(p, s, w, n, m, k, i, drive, roller, v)
-        apart = _is_apart(p, s, n, k, i)
-        _go(w, size, i, v, weight, ahead)
-        _go(w, size, n + i, acceleration, weight, ahead)
-        _go(w, size, 2 * n + i, motor_v if apart else v, weight, ahead)
-        motor_acceleration = drive * w[_part(n, m, k, lay.PER_MOTOR_MASS) + i] if apart else acceleration
-        _go(w, size, 3 * n + i, motor_acceleration, weight, ahead)
+        _go_axis(p, s, u, w, n, m, k, i, strain_prev, weight, ahead, slides)
     for j in range(k):
         _go(w, size, 4 * n + j, w[_part(n, m, k, lay.RATE) + j], weight, ahead)
         _go(w, size, 4 * n + k + j, w[_part(n, m, k, lay.LENGTH_RATE) + j], weight, ahead)
@@ -184,7 +204,10 @@ def _torques_now(s: Vector, w: Vector, n: int, m: int, k: int) -> None:
 
 
 @compiled
-def _set_decays(p: Vector, w: Vector, n: int, m: int, k: int, h: float) -> None:
+def _set_decays(p: Vector, w: Vector, h: float) -> None:
+    """Decays of the current loops for steps of length h."""
+    kept_apart()
+    n, m, k = _counts(p)
     half, full = _part(n, m, k, lay.DECAY_HALF), _part(n, m, k, lay.DECAY_FULL)
     for j in range(m):
         time_constant = p[_motor(n, j) + lay.M_CURRENT_S]
@@ -194,25 +217,33 @@ def _set_decays(p: Vector, w: Vector, n: int, m: int, k: int, h: float) -> None:
 
 
 @inlined
-def _integrate(p: Vector, s: Vector, u: Vector, w: Vector, n: int, m: int, k: int, t: float, h: float) -> None:
+def _integrate(
+    p: Vector, s: Vector, u: Vector, w: Vector, n: int, m: int, k: int, t: float, h: float, slides: bool
+) -> None:
     """One classical Runge-Kutta step: quantities at its end in the stage block, torques there; none taken over yet."""
     size = _block(n, k, 1)
     if w[_part(n, m, k, lay.DECAY_STEP_S)] != h:
-        _set_decays(p, w, n, m, k, h)
+        _set_decays(p, w, h)
     for j in range(size):
         w[lay.STAGE * size + j] = w[lay.NOW * size + j]
         w[lay.SUM * size + j] = 0.0
     _torques_now(s, w, n, m, k)
-    for stage in range(4):
-        if stage == 1:
-            _torques(s, w, n, m, k, _part(n, m, k, lay.DECAY_HALF))
-        elif stage == 3:
-            _torques(s, w, n, m, k, _part(n, m, k, lay.DECAY_FULL))
-        at = 0.0 if stage == 0 else (h if stage == 3 else 0.5 * h)
-        weight = 2.0 if stage == 1 or stage == 2 else 1.0
-        _stage(p, s, u, w, n, m, k, t + at, weight, h if stage == 2 else 0.5 * h)
+    _stage(p, s, u, w, n, m, k, t, 1.0, 0.5 * h, slides)
+    _torques(s, w, n, m, k, _part(n, m, k, lay.DECAY_HALF))
+    _stage(p, s, u, w, n, m, k, t + 0.5 * h, 2.0, 0.5 * h, slides)
+    _stage(p, s, u, w, n, m, k, t + 0.5 * h, 2.0, h, slides)
+    _torques(s, w, n, m, k, _part(n, m, k, lay.DECAY_FULL))
+    _stage(p, s, u, w, n, m, k, t + h, 1.0, h, slides)
     for j in range(size):
         w[lay.STAGE * size + j] = w[lay.NOW * size + j] + h / 6.0 * w[lay.SUM * size + j]
+
+
+@compiled
+def _integrate_any(p: Vector, s: Vector, u: Vector, w: Vector, t: float, h: float) -> None:
+    """The same for any line in any mode."""
+    kept_apart()
+    n, m, k = _counts(p)
+    _integrate(p, s, u, w, n, m, k, t, h, False)
 
 
 @inlined
@@ -229,8 +260,7 @@ def _accept(s: Vector, w: Vector, n: int, m: int, k: int) -> None:
 def _slides(p: Vector, s: Vector, n: int, k: int) -> bool:
     """Whether no gear has play and no roller sticks: then an event shows in the speeds at a step's end."""
     for i in range(n):
-        direction = s[_axis_state(n, k, i) + lay.SA_DIRECTION]
-        if laws.has_gap(p, _axis(i)) or (direction == 0.0 and laws.breakaway_N(p, _axis(i)) != 0.0):
+        if laws.has_gap(p, _axis(i)) or _sticks(p, s, n, k, i):
             return False
     return True
 
@@ -253,27 +283,30 @@ def _reversal(v: float, direction: float) -> float:
 
 @compiled
 def _violations(
-    p: Vector, s: Vector, u: Vector, w: Vector, n: int, m: int, k: int, t: float, i: int, y: int
+    p: Vector, s: Vector, u: Vector, w: Vector, t: float, i: int, y: int
 ) -> tuple[float, float, float]:
     """How far axis i has left its mode at place `y`, tensions and torques there: gear, friction; the force on it.
 
     Gear: a flank passed, or a flank that would have to pull. Friction: a speed against its direction, or a force too
     great for it to stick.
     """
+    n, m, k = _counts(p)
     axis, mode = _axis(i), _axis_state(n, k, i)
     v, gear, friction = w[y + n + i], -1.0, -1.0
     drive = _motor_force_N(p, w, n, m, k, i, w[y + 2 * n + i])
-    roller = _roller_force_N(p, u, w, n, m, k, i, laws.upstream_strain(p, u[lay.U_STRAIN_PREV], t), y)
-    contact, direction, breakaway = s[mode + lay.SA_CONTACT], s[mode + lay.SA_DIRECTION], laws.breakaway_N(p, axis)
-    apart = _is_apart(p, s, n, k, i)
-    net = roller if apart else roller + drive
+    web = _web_force_N(p, u, w, n, m, k, i, laws.upstream_strain(p, u[lay.U_STRAIN_PREV], t))
+    apart, sticks = _is_apart(p, s, n, k, i), _sticks(p, s, n, k, i)
+    own = _own_force_N(p, w, n, m, k, i, y) + (0.0 if apart else drive)
     if apart:
         gear = (abs(w[y + 2 * n + i] - w[y + i]) - _half_gap_m(p, n, i)) * 1e6
     elif laws.has_gap(p, axis):
+        per_mass = w[_part(n, m, k, lay.PER_MASS) + i]
+        acceleration = 0.0 if sticks else _acceleration(p, s, n, k, i, v, per_mass, own, web)
         motor_mass = p[axis + lay.A_MOTOR_MASS_KG] * laws.inertia_factor(p, axis)
-        gear = (motor_mass * _acceleration(p, s, w, n, m, k, i, drive, roller, v) - drive) * contact
+        gear = (motor_mass * acceleration - drive) * s[mode + lay.SA_CONTACT]
+    net, breakaway = own + web, laws.breakaway_N(p, axis)
     if breakaway != 0.0:
-        friction = abs(net) - breakaway if direction == 0.0 else _reversal(v, direction)
+        friction = abs(net) - breakaway if sticks else _reversal(v, s[mode + lay.SA_DIRECTION])
     return gear, friction, net
 
 
@@ -284,18 +317,20 @@ def _half_gap_m(p: Vector, n: int, i: int) -> float:
 
 
 @compiled
-def _web_at(p: Vector, u: Vector, w: Vector, n: int, m: int, k: int, t: float, y: int) -> None:
+def _web_at(p: Vector, u: Vector, w: Vector, t: float, y: int) -> None:
     """Tensions for the quantities at `y`."""
+    n, m, k = _counts(p)
     _web(p, u, w, n, m, k, t, laws.upstream_strain(p, u[lay.U_STRAIN_PREV], t), y)
 
 
 @compiled
-def _settle_one(p: Vector, s: Vector, u: Vector, w: Vector, n: int, m: int, k: int, t: float) -> bool:
+def _settle_one(p: Vector, s: Vector, u: Vector, w: Vector, t: float) -> bool:
     """Change the mode of the first axis that has left it, if there is one."""
-    _web_at(p, u, w, n, m, k, t, 0)
+    n, m, k = _counts(p)
+    _web_at(p, u, w, t, 0)
     for i in range(n):
         mode = _axis_state(n, k, i)
-        gear, friction, net = _violations(p, s, u, w, n, m, k, t, i, 0)
+        gear, friction, net = _violations(p, s, u, w, t, i, 0)
         if gear > _EVENT_TOLERANCE:
             if s[mode + lay.SA_CONTACT] != 0.0:
                 s[mode + lay.SA_CONTACT] = 0.0
@@ -336,35 +371,35 @@ def _touch(p: Vector, s: Vector, w: Vector, n: int, k: int, i: int, half_m: floa
 
 
 @compiled
-def _settle(p: Vector, s: Vector, u: Vector, w: Vector, n: int, m: int, k: int, t: float) -> None:
+def _settle(p: Vector, s: Vector, u: Vector, w: Vector, t: float) -> None:
     """Change modes until every axis fits its own (a roller that stops may stick at once, or slide back)."""
+    n, m, k = _counts(p)
     for i in range(n):
         direction = _axis_state(n, k, i) + lay.SA_DIRECTION
         if s[direction] == 0.0 and w[n + i] != 0.0:
             s[direction] = 1.0 if w[n + i] > 0.0 else -1.0
     _torques_now(s, w, n, m, k)
     for _ in range(2 * _MOST_EVENTS):
-        if not _settle_one(p, s, u, w, n, m, k, t):
+        if not _settle_one(p, s, u, w, t):
             return
 
 
 @compiled
-def _try(p: Vector, s: Vector, u: Vector, w: Vector, n: int, m: int, k: int, t: float, h: float) -> float:
+def _try(p: Vector, s: Vector, u: Vector, w: Vector, t: float, h: float) -> float:
     """One step of length h; the greatest violation of any axis at its end."""
-    _integrate(p, s, u, w, n, m, k, t, h)
+    n, _, k = _counts(p)
+    _integrate_any(p, s, u, w, t, h)
     end = _block(n, k, lay.STAGE)
-    _web_at(p, u, w, n, m, k, t + h, end)
+    _web_at(p, u, w, t + h, end)
     worst = -1.0
     for i in range(n):
-        gear, friction, _ = _violations(p, s, u, w, n, m, k, t + h, i, end)
+        gear, friction, _ = _violations(p, s, u, w, t + h, i, end)
         worst = max(worst, gear, friction)
     return worst
 
 
 @compiled
-def _until_event(
-    p: Vector, s: Vector, u: Vector, w: Vector, n: int, m: int, k: int, t: float, h: float, search: bool
-) -> float:
+def _until_event(p: Vector, s: Vector, u: Vector, w: Vector, t: float, h: float, search: bool) -> float:
     """A step of length h or, if there is an event in it and `search`, up to it; how long it was.
 
     The event's time is found by the Illinois form of regula falsi.
@@ -372,7 +407,7 @@ def _until_event(
     low, high, within, beyond, last = 0.0, h, -_EVENT_TOLERANCE, 0.0, 0
     cut, found = h, not search
     for iteration in range(_EVENT_ITERATIONS):
-        violation = _try(p, s, u, w, n, m, k, t, cut)
+        violation = _try(p, s, u, w, t, cut)
         if found or (iteration == 0 and violation <= _EVENT_TOLERANCE):
             break
         if violation > _EVENT_TOLERANCE:
@@ -388,14 +423,16 @@ def _until_event(
 
 
 @compiled
-def _step_with_events(p: Vector, s: Vector, u: Vector, w: Vector, n: int, m: int, k: int, t: float, h: float) -> None:
+def _step_with_events(p: Vector, s: Vector, u: Vector, w: Vector, t: float, h: float) -> None:
     """One step, cut at every event."""
+    kept_apart()
+    n, m, k = _counts(p)
     left = h
     for event in range(_MOST_EVENTS + 1):
         search = event < _MOST_EVENTS
         if search:
-            _settle(p, s, u, w, n, m, k, t)
-        done = _until_event(p, s, u, w, n, m, k, t, left, search)
+            _settle(p, s, u, w, t)
+        done = _until_event(p, s, u, w, t, left, search)
         _accept(s, w, n, m, k)
         t += done
         left -= done
@@ -455,38 +492,36 @@ def _sample_drives(p: Vector, s: Vector, u: Vector, w: Vector, n: int, m: int, k
 
 
 @inlined
-def _simple_step(p: Vector, s: Vector, u: Vector, w: Vector, n: int, m: int, k: int, t: float, h: float) -> bool:
+def _simple_step(
+    p: Vector, s: Vector, u: Vector, w: Vector, n: int, m: int, k: int, t: float, h: float, one_span: bool
+) -> bool:
     """One step, taken only if there is no event in it; whether it was."""
     if not _slides(p, s, n, k):
         return False
-    _integrate(p, s, u, w, n, m, k, t, h)
+    if one_span:
+        _integrate(p, s, u, w, 2, 2, 1, t, h, True)
+    else:
+        _integrate_any(p, s, u, w, t, h)
     if not _still_slides(p, s, w, n, k):
         return False
     _accept(s, w, n, m, k)
     return True
 
 
-@compiled
-def _advance(p: Vector, s: Vector, u: Vector, w: Vector, samples: int) -> None:
-    """Between `_enter` and `_leave`. The one-span line with its counts as constants, every other line without."""
-    n, m, k = int(p[lay.W_AXES]), int(p[lay.W_MOTORS]), int(p[lay.W_SPANS])
-    one_span = n == 2 and m == 2 and k == 1
-    period, substeps = p[lay.W_SAMPLE_TIME_S], int(p[lay.W_SUBSTEPS])
+@inlined
+def _advance_line(
+    p: Vector, s: Vector, u: Vector, w: Vector, n: int, m: int, k: int, samples: int, one_span: bool
+) -> None:
+    substeps = int(p[lay.W_SUBSTEPS])
+    period = p[lay.W_SAMPLE_TIME_S]
     h = period / substeps
     for _ in range(samples):
-        if one_span:
-            _sample_drives(p, s, u, w, 2, 2, 1)
-        else:
-            _sample_drives(p, s, u, w, n, m, k)
+        _sample_drives(p, s, u, w, n, m, k)
         for substep in range(substeps):
             t = s[lay.S_COUNT] * period + substep * h
             w[_part(n, m, k, lay.STEPS)] = laws.step_factor(p, t, h)
-            if one_span:
-                taken = _simple_step(p, s, u, w, 2, 2, 1, t, h)
-            else:
-                taken = _simple_step(p, s, u, w, n, m, k, t, h)
-            if not taken:
-                _step_with_events(p, s, u, w, n, m, k, t, h)
+            if not _simple_step(p, s, u, w, n, m, k, t, h, one_span):
+                _step_with_events(p, s, u, w, t, h)
         s[lay.S_COUNT] += 1.0
         for j in range(m):
             place = _past(n, m, k, j) + int(s[lay.S_COUNT]) % lay.RING
@@ -494,9 +529,32 @@ def _advance(p: Vector, s: Vector, u: Vector, w: Vector, samples: int) -> None:
 
 
 @compiled
+def _advance_one_span(p: Vector, s: Vector, u: Vector, w: Vector, samples: int) -> None:
+    kept_apart()
+    _advance_line(p, s, u, w, 2, 2, 1, samples, True)
+
+
+@compiled
+def _advance_any(p: Vector, s: Vector, u: Vector, w: Vector, samples: int) -> None:
+    kept_apart()
+    n, m, k = _counts(p)
+    _advance_line(p, s, u, w, n, m, k, samples, False)
+
+
+@inlined
+def _advance(p: Vector, s: Vector, u: Vector, w: Vector, samples: int) -> None:
+    """Between `_enter` and `_leave`. The one-span line with its counts as constants, every other line without."""
+    n, m, k = _counts(p)
+    if n == 2 and m == 2 and k == 1:
+        _advance_one_span(p, s, u, w, samples)
+    else:
+        _advance_any(p, s, u, w, samples)
+
+
+@compiled
 def _enter(p: Vector, s: Vector, u: Vector, w: Vector) -> None:
     """Bring into the scratch space what is integrated, and what stays the same during a call."""
-    n, m, k = int(p[lay.W_AXES]), int(p[lay.W_MOTORS]), int(p[lay.W_SPANS])
+    n, m, k = _counts(p)
     for j in range(_block(n, k, 1)):
         w[j] = s[lay.S_Y + j]
     for j in range(k):
@@ -508,7 +566,7 @@ def _enter(p: Vector, s: Vector, u: Vector, w: Vector) -> None:
         w[_part(n, m, k, lay.PER_MASS) + i] = 1.0 / (motor_mass + roller_mass)
         w[_part(n, m, k, lay.PER_ROLLER_MASS) + i] = 1.0 / roller_mass
         w[_part(n, m, k, lay.PER_MOTOR_MASS) + i] = 1.0 / motor_mass
-    _set_decays(p, w, n, m, k, p[lay.W_SAMPLE_TIME_S] / p[lay.W_SUBSTEPS])
+    _set_decays(p, w, p[lay.W_SAMPLE_TIME_S] / p[lay.W_SUBSTEPS])
 
 
 @compiled
@@ -521,11 +579,11 @@ def _leave(s: Vector, w: Vector, size: int) -> None:
 @compiled
 def _report(p: Vector, s: Vector, u: Vector, w: Vector, out: Vector, at: int) -> None:
     """What is measured and true now, from place `at` of `out` on; between `_enter` and `_leave`."""
-    n, m, k = int(p[lay.W_AXES]), int(p[lay.W_MOTORS]), int(p[lay.W_SPANS])
+    n, m, k = _counts(p)
     period = p[lay.W_SAMPLE_TIME_S]
     t = s[lay.S_COUNT] * period
     w[_part(n, m, k, lay.STEPS)] = laws.step_factor(p, t, period / p[lay.W_SUBSTEPS])
-    _web_at(p, u, w, n, m, k, t, 0)
+    _web_at(p, u, w, t, 0)
     for j in range(m):
         motion = _motor_motion(n, j)
         torque = s[_motor_state(n, k, j) + lay.SM_TORQUE_NM]

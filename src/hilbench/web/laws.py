@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from math import cos, exp, pi, sin
 
-from hilbench.compiled import compiled, inlined
+from hilbench.compiled import compiled, inlined, kept_apart
 from hilbench.web import layout as lay
 from hilbench.web.effects import find_effect
 from hilbench.web.layout import Vector, place
@@ -102,6 +102,7 @@ def shaft_torque_Nm(p: Vector, motor: int, torque_Nm: float, angle_rad: float) -
 
 @compiled
 def _ripple_Nm(p: Vector, motor: int, angle_rad: float) -> float:
+    kept_apart()
     torque = 0.0
     for slot in range(_RIPPLES):
         at = motor + _RIPPLE + 3 * slot
@@ -112,7 +113,7 @@ def _ripple_Nm(p: Vector, motor: int, angle_rad: float) -> float:
 
 @inlined
 def _is_any(p: Vector, first: int, size: int, slots: int) -> bool:
-    """Whether any slot of an effect is taken: its strength is the first of its `size` parameters."""
+    """Whether any slot of an effect is taken: the strength of the first stands at `first`."""
     for slot in range(slots):
         if p[first + slot * size] != 0.0:
             return True
@@ -155,9 +156,17 @@ def true_torque_Nm(p: Vector, motor: int, measured_Nm: float) -> float:
     return measured_Nm - p[motor + _OFFSET_NM]
 
 
-@compiled
+@inlined
 def step_factor(p: Vector, t_s: float, duration_s: float) -> float:
     """Factor of the steps of E, averaged over [t, t + duration]: exact on the grid, continuous in the step's time."""
+    if not _is_any(p, _STEP + 1, 2, _STEPS):
+        return 1.0
+    return _step_factor(p, t_s, duration_s)
+
+
+@compiled
+def _step_factor(p: Vector, t_s: float, duration_s: float) -> float:
+    kept_apart()
     factor = 1.0
     for slot in range(_STEPS):
         at = _STEP + 2 * slot
@@ -184,6 +193,7 @@ def upstream_strain(p: Vector, strain_prev: float, t_s: float) -> float:
 
 @compiled
 def _disturbance_N(p: Vector, t_s: float) -> float:
+    kept_apart()
     force = 0.0
     for slot in range(_DISTURBANCES):
         at = _DISTURBANCE + 3 * slot
@@ -251,6 +261,7 @@ def _damped(
     length_rate: int, tension: int, rate: int,
 ) -> None:
     """Add the damping to the tensions. It needs the rates, and with creep the rates need the tensions: iterated."""
+    kept_apart()
     scale, offset = length_factor(p), p[_STRAIN_OFFSET]
     damping, creep = p[_DAMPING_S], p[_CREEP]
     for _ in range(_MOST_PASSES):
