@@ -23,6 +23,10 @@ if TYPE_CHECKING:
         """The same, put into the machine code of its callers: for what is called several times in every step."""
         return function
 
+    def merged(function: Function) -> Function:
+        """The same for long functions with one or two callers: never compiled by themselves."""
+        return function
+
     def kept_apart() -> None:
         """In the body of a compiled function that is called rarely: it stays a call, its callers stay short."""
 
@@ -34,6 +38,7 @@ else:
     # Division as in numpy and C (no check for zero); no fastmath: equal results on every machine.
     compiled = numba.njit(error_model="numpy", forceinline=False, _nrt=False)
     inlined = numba.njit(error_model="numpy", forceinline=True, _nrt=False)
+    merged = numba.njit(error_model="numpy", inline="always", _nrt=False)
 
     @intrinsic
     def kept_apart(typing_context):

@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from hilbench.compiled import compiled, entry_point, inlined, kept_apart, number_of_sources
+from hilbench.compiled import compiled, entry_point, inlined, kept_apart, merged, number_of_sources
 from hilbench.drives import motor as loops
 from hilbench.web import laws
 from hilbench.web import layout as lay
@@ -172,7 +172,7 @@ def _sticks(p: Vector, s: Vector, n: int, k: int, i: int) -> bool:
     return s[_axis_state(n, k, i) + lay.SA_DIRECTION] == 0.0 and laws.breakaway_N(p, _axis(i)) != 0.0
 
 
-@inlined
+@merged
 def _stage(
     p: Vector, s: Vector, u: Vector, w: Vector, n: int, m: int, k: int, t: float, weight: float, ahead: float,
     slides: bool,
@@ -216,7 +216,7 @@ def _set_decays(p: Vector, w: Vector, h: float) -> None:
     w[_part(n, m, k, lay.DECAY_STEP_S)] = h
 
 
-@inlined
+@merged
 def _integrate(
     p: Vector, s: Vector, u: Vector, w: Vector, n: int, m: int, k: int, t: float, h: float, slides: bool
 ) -> None:
@@ -491,7 +491,7 @@ def _sample_drives(p: Vector, s: Vector, u: Vector, w: Vector, n: int, m: int, k
         _drive_sample(p, s, u, _motor(n, j), _motor_state(n, k, j), inputs, w[at], w[at + n])
 
 
-@inlined
+@merged
 def _simple_step(
     p: Vector, s: Vector, u: Vector, w: Vector, n: int, m: int, k: int, t: float, h: float, one_span: bool
 ) -> bool:
@@ -508,7 +508,7 @@ def _simple_step(
     return True
 
 
-@inlined
+@merged
 def _advance_line(
     p: Vector, s: Vector, u: Vector, w: Vector, n: int, m: int, k: int, samples: int, one_span: bool
 ) -> None:
@@ -541,7 +541,7 @@ def _advance_any(p: Vector, s: Vector, u: Vector, w: Vector, samples: int) -> No
     _advance_line(p, s, u, w, n, m, k, samples, False)
 
 
-@inlined
+@merged
 def _advance(p: Vector, s: Vector, u: Vector, w: Vector, samples: int) -> None:
     """Between `_enter` and `_leave`. The one-span line with its counts as constants, every other line without."""
     n, m, k = _counts(p)
