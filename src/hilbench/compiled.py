@@ -16,29 +16,33 @@ Function = TypeVar("Function", bound=Callable[..., object])
 if TYPE_CHECKING:
 
     def compiled(function: Function) -> Function:
-        """Compile on first use; called from compiled code, or from Python in tests."""
+        """Compile on first use; called from compiled code, or from Python in tests. It can't allocate."""
         return function
 
     def inlined(function: Function) -> Function:
-        """The same, put into the machine code of its callers: for what is called several times in every step."""
+        """The same, always put into the machine code of its callers: for short functions called in every step."""
         return function
 
     def merged(function: Function) -> Function:
-        """The same for long functions with one or two callers: never compiled by themselves."""
+        """The same for a long function with one caller or two: it is not compiled by itself as well."""
         return function
 
     def kept_apart() -> None:
-        """In the body of a compiled function that is called rarely: it stays a call, its callers stay short."""
+        """In the body of a compiled function that is called rarely: it stays a call, and its callers stay short."""
 
     def entry_point(function: Function) -> Function:
-        """The same, machine code kept on disk, and other threads run meanwhile; called from Python."""
+        """Called from Python: machine code kept on disk, and other threads run meanwhile. It may allocate."""
         return function
 
 else:
     # Division as in numpy and C (no check for zero); no fastmath: equal results on every machine.
-    compiled = numba.njit(error_model="numpy", forceinline=False, _nrt=False)
-    inlined = numba.njit(error_model="numpy", forceinline=True, _nrt=False)
-    merged = numba.njit(error_model="numpy", inline="always", _nrt=False)
+    # Without NRT, numba's runtime, there are no reference counts: with them a step of the model takes ten times as
+    # long, because numba counts an array at every call. What allocates does not compile then.
+    # A callee would take over its caller's `forceinline` unless it says otherwise.
+    compiled = numba.njit(error_model="numpy", _nrt=False, forceinline=False)
+    inlined = numba.njit(error_model="numpy", _nrt=False, forceinline=True)
+    merged = numba.njit(error_model="numpy", _nrt=False, inline="always")
+    entry_point = numba.njit(error_model="numpy", cache=True, nogil=True)
 
     @intrinsic
     def kept_apart(typing_context):
@@ -47,8 +51,6 @@ else:
             return context.get_dummy_value()
 
         return types.void(), generate
-
-    entry_point = numba.njit(error_model="numpy", cache=True, nogil=True)
 
 
 def number_of_sources(*files: str) -> int:

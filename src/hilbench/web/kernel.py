@@ -4,10 +4,12 @@ Per drive sample time: the drives' loops once, then Runge-Kutta steps of fourth 
 current loops known in closed form. Standstill under dry friction and the flanks of gear play are events: located
 in time, then the roller sticks or slides, the gear touches or not; nothing is smoothed, nothing chatters.
 
-Vectors as in `hilbench.web.layout`. Compiled functions pass whole vectors and places in them, not views: a view
-costs numba a reference count. Nothing is allocated while time goes on. The path of a step without events is put into
-one function per kind of line (`_advance`): with the counts of axes, motors and spans known, every place is a constant,
-and the processor keeps the step's quantities in registers. What is rare stays a call.
+Vectors as in `hilbench.web.layout`. Compiled functions pass whole vectors and places in them; nothing is allocated
+while time goes on, and nothing is reference-counted (`hilbench.compiled`). A step without events is compiled once for
+the one-span line, with the counts of axes, motors and spans as constants: every place is one, and quantities stay in
+registers. Events, and laws with a wave or an iteration in them, stay calls. A step without events costs four
+evaluations of the rates; whether there was one shows in the speeds at its end, unless a roller sticks or a gear has
+play.
 """
 
 from __future__ import annotations
@@ -15,6 +17,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+from hilbench import compiled as decorators
 from hilbench.compiled import compiled, entry_point, inlined, kept_apart, merged, number_of_sources
 from hilbench.drives import motor as loops
 from hilbench.web import laws
@@ -74,6 +77,12 @@ def _part(n: int, m: int, k: int, part: int) -> int:
 def _counts(p: Vector) -> tuple[int, int, int]:
     """Axes, motors and spans of the line."""
     return int(p[lay.W_AXES]), int(p[lay.W_MOTORS]), int(p[lay.W_SPANS])
+
+
+@inlined
+def _is_one_span(p: Vector) -> bool:
+    """Whether it is the line most often simulated, for which the path of a step is compiled with constant places."""
+    return p[lay.W_AXES] == 2.0 and p[lay.W_MOTORS] == 2.0 and p[lay.W_SPANS] == 1.0
 
 
 @inlined
@@ -144,8 +153,18 @@ def _go(w: Vector, size: int, j: int, rate: float, weight: float, ahead: float) 
 
 @inlined
 def _go_axis(
-    p: Vector, s: Vector, u: Vector, w: Vector, n: int, m: int, k: int, i: int, strain_prev: float, weight: float,
-    ahead: float, slides: bool,
+    p: Vector,
+    s: Vector,
+    u: Vector,
+    w: Vector,
+    n: int,
+    m: int,
+    k: int,
+    i: int,
+    strain_prev: float,
+    weight: float,
+    ahead: float,
+    slides: bool,
 ) -> None:
     """Rates of axis i in the stage block: roller and motor as one, or apart within the gear play; it may stick."""
     size, y = _block(n, k, 1), _block(n, k, lay.STAGE)
@@ -174,7 +193,16 @@ def _sticks(p: Vector, s: Vector, n: int, k: int, i: int) -> bool:
 
 @merged
 def _stage(
-    p: Vector, s: Vector, u: Vector, w: Vector, n: int, m: int, k: int, t: float, weight: float, ahead: float,
+    p: Vector,
+    s: Vector,
+    u: Vector,
+    w: Vector,
+    n: int,
+    m: int,
+    k: int,
+    t: float,
+    weight: float,
+    ahead: float,
     slides: bool,
 ) -> None:
     """Rates at time t of what is in the stage block and the torques there, and the next stage `ahead` of now."""
@@ -259,10 +287,10 @@ def _accept(s: Vector, w: Vector, n: int, m: int, k: int) -> None:
 @inlined
 def _slides(p: Vector, s: Vector, n: int, k: int) -> bool:
     """Whether no gear has play and no roller sticks: then an event shows in the speeds at a step's end."""
+    slides = True
     for i in range(n):
-        if laws.has_gap(p, _axis(i)) or _sticks(p, s, n, k, i):
-            return False
-    return True
+        slides &= not (laws.has_gap(p, _axis(i)) or _sticks(p, s, n, k, i))
+    return slides
 
 
 @inlined
@@ -282,9 +310,7 @@ def _reversal(v: float, direction: float) -> float:
 
 
 @compiled
-def _violations(
-    p: Vector, s: Vector, u: Vector, w: Vector, t: float, i: int, y: int
-) -> tuple[float, float, float]:
+def _violations(p: Vector, s: Vector, u: Vector, w: Vector, t: float, i: int, y: int) -> tuple[float, float, float]:
     """How far axis i has left its mode at place `y`, tensions and torques there: gear, friction; the force on it.
 
     Gear: a flank passed, or a flank that would have to pull. Friction: a speed against its direction, or a force too
@@ -326,7 +352,7 @@ def _web_at(p: Vector, u: Vector, w: Vector, t: float, y: int) -> None:
 @compiled
 def _settle_one(p: Vector, s: Vector, u: Vector, w: Vector, t: float) -> bool:
     """Change the mode of the first axis that has left it, if there is one."""
-    n, m, k = _counts(p)
+    n, _, k = _counts(p)
     _web_at(p, u, w, t, 0)
     for i in range(n):
         mode = _axis_state(n, k, i)
@@ -544,8 +570,7 @@ def _advance_any(p: Vector, s: Vector, u: Vector, w: Vector, samples: int) -> No
 @merged
 def _advance(p: Vector, s: Vector, u: Vector, w: Vector, samples: int) -> None:
     """Between `_enter` and `_leave`. The one-span line with its counts as constants, every other line without."""
-    n, m, k = _counts(p)
-    if n == 2 and m == 2 and k == 1:
+    if _is_one_span(p):
         _advance_one_span(p, s, u, w, samples)
     else:
         _advance_any(p, s, u, w, samples)
@@ -576,14 +601,12 @@ def _leave(s: Vector, w: Vector, size: int) -> None:
         s[lay.S_Y + j] = w[j]
 
 
-@compiled
-def _report(p: Vector, s: Vector, u: Vector, w: Vector, out: Vector, at: int) -> None:
-    """What is measured and true now, from place `at` of `out` on; between `_enter` and `_leave`."""
-    n, m, k = _counts(p)
+@merged
+def _report_line(p: Vector, s: Vector, u: Vector, w: Vector, n: int, m: int, k: int, out: Vector, at: int) -> None:
     period = p[lay.W_SAMPLE_TIME_S]
     t = s[lay.S_COUNT] * period
     w[_part(n, m, k, lay.STEPS)] = laws.step_factor(p, t, period / p[lay.W_SUBSTEPS])
-    _web_at(p, u, w, t, 0)
+    _web(p, u, w, n, m, k, t, laws.upstream_strain(p, u[lay.U_STRAIN_PREV], t), 0)
     for j in range(m):
         motion = _motor_motion(n, j)
         torque = s[_motor_state(n, k, j) + lay.SM_TORQUE_NM]
@@ -597,6 +620,42 @@ def _report(p: Vector, s: Vector, u: Vector, w: Vector, out: Vector, at: int) ->
         out[at + 3 * m + k + j] = w[4 * n + k + j] * laws.length_factor(p) / w[4 * n + j] - 1.0
 
 
+@merged
+def _report_one_span(p: Vector, s: Vector, u: Vector, w: Vector, out: Vector, at: int) -> None:
+    _report_line(p, s, u, w, 2, 2, 1, out, at)
+
+
+@compiled
+def _report_any(p: Vector, s: Vector, u: Vector, w: Vector, out: Vector, at: int) -> None:
+    kept_apart()
+    n, m, k = _counts(p)
+    _report_line(p, s, u, w, n, m, k, out, at)
+
+
+@merged
+def _report(p: Vector, s: Vector, u: Vector, w: Vector, out: Vector, at: int) -> None:
+    """What is measured and true now, from place `at` of `out` on; between `_enter` and `_leave`."""
+    if _is_one_span(p):
+        _report_one_span(p, s, u, w, out, at)
+    else:
+        _report_any(p, s, u, w, out, at)
+
+
+@compiled
+def _rows(
+    p: Vector, s: Vector, u: Vector, w: Vector, commands: Vector, boundary: Vector, samples: int, out: Vector, at: int
+) -> None:
+    """Observe and advance, row by row, from place `at` of `out` on; between `_enter` and `_leave`."""
+    _, m, k = _counts(p)
+    for row in range(commands.shape[0]):
+        u[lay.U_STRAIN_PREV] = boundary[row, 0]
+        u[lay.U_F_NEXT_N] = boundary[row, 1]
+        for j in range(commands.shape[1]):
+            u[lay.U_MOTORS + j * lay.UM_SIZE + lay.UM_SETPOINT] = commands[row, j]
+        _report(p, s, u, w, out, at + row * (3 * m + 2 * k))
+        _advance(p, s, u, w, samples)
+
+
 Advance = Callable[[Vector, Vector, Vector, Vector, int], None]
 Observe = Callable[[Vector, Vector, Vector, Vector, Vector], None]
 Simulate = Callable[[Vector, Vector, Vector, Vector, Vector, Vector, int, Vector], None]
@@ -605,7 +664,7 @@ Simulate = Callable[[Vector, Vector, Vector, Vector, Vector, Vector, int, Vector
 def source_number(*further: str) -> int:
     """A number that changes with the source of what is compiled here, and with `further` files."""
     effects = str(Path(__file__).with_name("effects.py"))
-    names = (loops.__file__, laws.__file__, lay.__file__, __file__, effects, *further)
+    names = (decorators.__file__, loops.__file__, laws.__file__, lay.__file__, __file__, effects, *further)
     return number_of_sources(*names)
 
 
@@ -629,18 +688,11 @@ def _entry_points(sources: int) -> tuple[Advance, Observe, Simulate]:
     def simulate(
         p: Vector, s: Vector, u: Vector, work: Vector, commands: Vector, boundary: Vector, samples: int, out: Vector
     ) -> None:
-        rows, motors = commands.shape
-        flat, columns = out.reshape(-1), out.shape[2]
+        flat, rows, columns = out.reshape(-1), out.shape[1], out.shape[2]
         for b in range(p.shape[0] if sources >= 0 else 0):
             parameters, state = p[b], s[b]
             _enter(parameters, state, u, work)
-            for row in range(rows):
-                u[lay.U_STRAIN_PREV] = boundary[row, 0]
-                u[lay.U_F_NEXT_N] = boundary[row, 1]
-                for m in range(motors):
-                    u[lay.U_MOTORS + m * lay.UM_SIZE + lay.UM_SETPOINT] = commands[row, m]
-                _report(parameters, state, u, work, flat, (b * rows + row) * columns)
-                _advance(parameters, state, u, work, samples)
+            _rows(parameters, state, u, work, commands, boundary, samples, flat, b * rows * columns)
             _leave(state, work, _block(int(parameters[lay.W_AXES]), int(parameters[lay.W_SPANS]), 1))
 
     return advance, observe, simulate

@@ -114,10 +114,10 @@ def _ripple_Nm(p: Vector, motor: int, angle_rad: float) -> float:
 @inlined
 def _is_any(p: Vector, first: int, size: int, slots: int) -> bool:
     """Whether any slot of an effect is taken: the strength of the first stands at `first`."""
+    found = False
     for slot in range(slots):
-        if p[first + slot * size] != 0.0:
-            return True
-    return False
+        found |= p[first + slot * size] != 0.0
+    return found
 
 
 @inlined
@@ -240,7 +240,14 @@ def span_rates(
 
 @inlined
 def _flows(
-    p: Vector, spans: int, strain_prev: float, f_next_N: float, w: Vector, speed: int, material: int, tension: int,
+    p: Vector,
+    spans: int,
+    strain_prev: float,
+    f_next_N: float,
+    w: Vector,
+    speed: int,
+    material: int,
+    tension: int,
     rate: int,
 ) -> None:
     """Rates of the unstretched web in the spans at these tensions: what comes in less what goes out."""
@@ -257,8 +264,17 @@ def _flows(
 
 @compiled
 def _damped(
-    p: Vector, spans: int, stiffness: float, strain_prev: float, f_next_N: float, w: Vector, speed: int, material: int,
-    length_rate: int, tension: int, rate: int,
+    p: Vector,
+    spans: int,
+    stiffness: float,
+    strain_prev: float,
+    f_next_N: float,
+    w: Vector,
+    speed: int,
+    material: int,
+    length_rate: int,
+    tension: int,
+    rate: int,
 ) -> None:
     """Add the damping to the tensions. It needs the rates, and with creep the rates need the tensions: iterated."""
     kept_apart()
