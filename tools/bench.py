@@ -66,6 +66,7 @@ def main() -> None:
     for name in chosen:
         print(f"{name} …", flush=True)
         sections += known[name]()
+        print(markdown(sections[-1:], {}), flush=True)
     on["load average before and after"] += f", {os.getloadavg()[0]:.1f}"
     text = markdown(sections, on)
     print(text)

@@ -136,4 +136,4 @@ def _first_sync_s(config_path: Path, environment: dict[str, str]) -> float:
         finally:
             process.send_signal(signal.SIGINT)
             process.wait()
-    raise TimeoutError(f"no SYNC within {_LONGEST_START_S:g} s of {' '.join(command)}")
+    raise RuntimeError(f"no SYNC, ended with {process.returncode}: {' '.join(command)}")
