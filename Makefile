@@ -11,7 +11,7 @@ SUITE := .cache/python-can
 STATION := .cache/node-canopen
 STATION_FILES := $(addprefix tests/foreign/,package.json package-lock.json .npmrc crc)
 
-.PHONY: setup demo test test-vcan lint lock clean
+.PHONY: setup demo test test-vcan bench lint lock clean
 
 setup: $(STAMP)
 
@@ -47,6 +47,11 @@ test: setup $(SUITE)/.extracted $(if $(shell command -v npm),$(STATION)/.install
 # On a vcan of this machine, or in a guest whose kernel has CAN (made on first use, kept in .cache/vcan-guest).
 test-vcan: setup $(if $(shell command -v npm),$(STATION)/.installed)
 	$(BIN)/python tools/test_vcan.py
+
+# Beside scipy, plain Python, canopen and a bare timer loop; rewrites the tables of docs/performance.md.
+SECONDS ?= 60
+bench: setup
+	$(BIN)/python tools/bench.py --seconds $(SECONDS) --json performance.json --page docs/performance.md
 
 lint: setup
 	$(BIN)/ruff check .

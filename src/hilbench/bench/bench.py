@@ -24,6 +24,7 @@ from hilbench.drives.drive import DriveGoal
 from hilbench.errors import EXIT_INTERRUPTED, HilbenchError
 from hilbench.twin.synchronizers.create import METHODS
 from hilbench.twin.virtual_io import TwinStatus
+from hilbench.web.line import Line
 
 #: Time for the axes to stand still again after the load motor has let go.
 _SETTLE_S = 0.3
@@ -120,6 +121,9 @@ class Bench:
         try:
             self._announce("prepare the model (compiled on first use)")
             self._load_model.warm_up()
+            if self._start_processes:
+                # Once, into the cache on disk: compiling takes longer than a process has to show itself on the bus.
+                Line(self.config.model).advance(self.config.cycle_time_s)
             started = self._resources.enter_context(
                 bring_up(
                     self.config,

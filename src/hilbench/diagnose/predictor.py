@@ -6,8 +6,6 @@ A predictor has `names` of its signals, what was `measured` (signals, n), the `r
 
 from __future__ import annotations
 
-import os
-from concurrent.futures import ThreadPoolExecutor
 from typing import Final, Protocol
 
 import numpy as np
@@ -197,15 +195,12 @@ class FreeRun:
 
     def predict(self, parameters: Array) -> Array:
         """(B, P) to (B, signals, n), on all cores."""
-        many = np.atleast_2d(parameters)
-        out = np.empty((len(many), len(self.names), len(self._boundary)))
-
-        def one(k: int) -> None:
-            out[k] = self._signals(many[k])
-
-        with ThreadPoolExecutor(os.cpu_count()) as pool:
-            list(pool.map(one, range(len(many))))
-        return out
+        run = self._run(np.atleast_2d(parameters))
+        tau, x, v = run.tau_Nm, run.x_m, run.v_m_s
+        rows = [tau[..., axis - 1] for axis in self._torques]
+        rows += self._position_rows({axis: x[..., axis - 1] for axis in self._positions})
+        rows += [v[..., axis - 1] for axis in self._speeds]
+        return np.stack(rows, axis=1)
 
     def _position_rows(self, x_m: dict[int, Array]) -> list[Array]:
         """Without what is slow in them: an encoder's zero, a quantized speed, add up without end."""
@@ -218,8 +213,10 @@ class FreeRun:
         return np.asarray(uniform_filter1d(row, self._window, mode="constant"))
 
     def _run(self, parameters: Array) -> Simulation:
-        state = self._start.copy()
-        lay.refresh_modes(parameters, state)
+        """Of one parameter vector, or of (B, P)."""
+        state = np.broadcast_to(self._start, (*parameters.shape[:-1], len(self._start))).copy()
+        for one, start in zip(np.atleast_2d(parameters), np.atleast_2d(state), strict=True):
+            lay.refresh_modes(one, start)
         whole = len(self._commands)
         commands, boundary = self._commands[0], self._boundary
         if whole > 1:
@@ -228,16 +225,8 @@ class FreeRun:
         run = simulate(parameters, state, commands, boundary, self._period_s / whole)
         if whole == 1:
             return run
-        rows = {name: getattr(run, name)[::whole] for name in ("x_m", "v_m_s", "tau_Nm", "F_N", "strain")}
+        rows = {name: getattr(run, name)[..., ::whole, :] for name in ("x_m", "v_m_s", "tau_Nm", "F_N", "strain")}
         return Simulation(**rows, state=run.state)
-
-    def _signals(self, parameters: Array) -> Array:
-        run = self._run(parameters)
-        tau, x, v = run.tau_Nm, run.x_m, run.v_m_s
-        rows = [tau[:, axis - 1] for axis in self._torques]
-        rows += self._position_rows({axis: x[:, axis - 1] for axis in self._positions})
-        rows += [v[:, axis - 1] for axis in self._speeds]
-        return np.array(rows)
 
 
 class OnMeasuredMotion:

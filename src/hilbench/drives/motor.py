@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from math import exp
 
-from hilbench.compiled import compiled
+from hilbench.compiled import inlined
 from hilbench.drives.port import MotorMode
 
 #: Motor modes as plain numbers, as compiled code compares them.
@@ -18,19 +18,19 @@ OFF, TORQUE, VELOCITY, POSITION = (
 )
 
 
-@compiled
+@inlined
 def clip(value: float, limit: float) -> float:
     """`value` within ±`limit`."""
     return min(max(value, -limit), limit)
 
 
-@compiled
+@inlined
 def ramp(reference: float, setpoint: float, slope: float, sample_time_s: float) -> float:
     """The reference one sample later: towards the set point, at most `slope` per second."""
     return reference + clip(setpoint - reference, slope * sample_time_s)
 
 
-@compiled
+@inlined
 def velocity_loop(
     error_rad_s: float, integral_Nm: float, kp: float, ki: float, limit_Nm: float, sample_time_s: float
 ) -> tuple[float, float, bool]:
@@ -48,19 +48,19 @@ def velocity_loop(
     return torque, integral, False
 
 
-@compiled
+@inlined
 def current_decay(duration_s: float, time_constant_s: float) -> float:
     """What is left of the distance between torque and command after `duration_s` (exact for a held command)."""
     return exp(-duration_s / time_constant_s) if time_constant_s > 0.0 else 0.0
 
 
-@compiled
+@inlined
 def torque_after(torque_Nm: float, command_Nm: float, decay: float) -> float:
     """Torque of the first-order current loop when the distance to the command has shrunk to `decay`."""
     return command_Nm + (torque_Nm - command_Nm) * decay
 
 
-@compiled
+@inlined
 def bumpless_reference(mode: float, position_rad: float, velocity_rad_s: float, torque_Nm: float) -> float:
     """Where the reference starts when a mode is entered: at the present value of what the mode controls."""
     if mode == POSITION:
@@ -70,7 +70,7 @@ def bumpless_reference(mode: float, position_rad: float, velocity_rad_s: float, 
     return torque_Nm
 
 
-@compiled
+@inlined
 def velocity_reference(
     mode: float, before: float, reference: float, position_rad: float, kp_per_s: float, slope: float, sample_s: float
 ) -> float:

@@ -4,8 +4,12 @@ Per drive sample time: the drives' loops once, then Runge-Kutta steps of fourth 
 current loops known in closed form. Standstill under dry friction and the flanks of gear play are events: located
 in time, then the roller sticks or slides, the gear touches or not; nothing is smoothed, nothing chatters.
 
-Vectors as in `hilbench.web.layout`. Compiled functions pass whole vectors and places in them, not views: a view
-costs numba a reference count, and they would be most of the time of a step. Nothing is allocated while time goes on.
+Vectors as in `hilbench.web.layout`. Compiled functions pass whole vectors and places in them; nothing is allocated
+while time goes on, and nothing is reference-counted (`hilbench.compiled`). A step without events is compiled once for
+the one-span line, with the counts of axes, motors and spans as constants: every place is one, and quantities stay in
+registers. Events, and laws with a wave or an iteration in them, stay calls. A step without events costs four
+evaluations of the rates; whether there was one shows in the speeds at its end, unless a roller sticks or a gear has
+play.
 """
 
 from __future__ import annotations
@@ -13,7 +17,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from hilbench.compiled import compiled, entry_point, number_of_sources
+from hilbench import compiled as decorators
+from hilbench.compiled import compiled, entry_point, inlined, kept_apart, merged, number_of_sources
 from hilbench.drives import motor as loops
 from hilbench.web import laws
 from hilbench.web import layout as lay
@@ -26,121 +31,192 @@ _EVENT_ITERATIONS = 40
 _EVENT_TOLERANCE = 1e-9
 
 
-@compiled
+@inlined
 def _axis(i: int) -> int:
     """Where axis row i begins in the parameters."""
     return lay.W_SIZE + i * lay.A_SIZE
 
 
-@compiled
+@inlined
 def _motor(n: int, j: int) -> int:
     """Where motor row j begins in the parameters."""
     return lay.W_SIZE + n * lay.A_SIZE + j * lay.M_SIZE
 
 
-@compiled
+@inlined
 def _axis_state(n: int, k: int, i: int) -> int:
     """Where the direction and contact of axis i stand in the state."""
     return lay.S_Y + 4 * n + 2 * k + i * lay.SA_SIZE
 
 
-@compiled
+@inlined
 def _motor_state(n: int, k: int, j: int) -> int:
     """Where the state of motor j begins."""
     return lay.S_Y + 4 * n + 2 * k + n * lay.SA_SIZE + j * lay.SM_SIZE
 
 
-@compiled
+@inlined
 def _past(n: int, m: int, k: int, j: int) -> int:
     """Where the past torques of motor j begin in the state."""
     return _motor_state(n, k, m) + j * lay.RING
 
 
-@compiled
+@inlined
 def _block(n: int, k: int, b: int) -> int:
     """Where block b of integrated quantities begins in the scratch space."""
     return b * (4 * n + 2 * k)
 
 
-@compiled
+@inlined
 def _part(n: int, m: int, k: int, part: int) -> int:
     """Where a part behind the blocks begins in the scratch space."""
-    return _block(n, k, lay.BLOCKS) + part * (2 * n + m + k)
+    return _block(n, k, lay.BLOCKS) + part * m
 
 
-@compiled
-def _rates(p: Vector, s: Vector, u: Vector, w: Vector, n: int, m: int, k: int, t: float, y: int, dy: int) -> None:
-    """Derivatives, at place `dy` of the scratch space, of the quantities at `y`, at time t and the torques there.
+@inlined
+def _counts(p: Vector) -> tuple[int, int, int]:
+    """Axes, motors and spans of the line."""
+    return int(p[lay.W_AXES]), int(p[lay.W_MOTORS]), int(p[lay.W_SPANS])
 
-    Also the tensions, and in the part "net" what decides events: per axis the force that would move a roller that
-    sticks, then per axis the force across the gear.
-    """
-    tension, speed, rate = _part(n, m, k, lay.TENSION), _part(n, m, k, lay.SPEED), _part(n, m, k, lay.LENGTH_RATE)
-    strain_prev = laws.upstream_strain(p, u[lay.U_STRAIN_PREV], t)
+
+@inlined
+def _is_one_span(p: Vector) -> bool:
+    """Whether it is the line most often simulated, for which the path of a step is compiled with constant places."""
+    return p[lay.W_AXES] == 2.0 and p[lay.W_MOTORS] == 2.0 and p[lay.W_SPANS] == 1.0
+
+
+@inlined
+def _web(p: Vector, u: Vector, w: Vector, n: int, m: int, k: int, t: float, strain_prev: float, y: int) -> None:
+    """Tensions, and rates of the unstretched lengths, for the quantities at place `y` of the scratch space."""
+    speed, tension, rate = _part(n, m, k, lay.SPEED), _part(n, m, k, lay.TENSION), _part(n, m, k, lay.RATE)
     if k > 0:
         for i in range(n):
             w[speed + i] = laws.web_speed_m_s(p, _axis(i), w[y + i], w[y + n + i])
         stiffness = laws.stiffness_N(p, t, w[_part(n, m, k, lay.STEPS)])
-        f_next = u[lay.U_F_NEXT_N]
-        laws.span_rates(p, k, stiffness, strain_prev, f_next, w, speed, y + 4 * n, rate, tension, dy + 4 * n)
-        for j in range(k):
-            w[dy + 4 * n + k + j] = w[rate + j]
-    _driving_forces(p, w, n, m, k, y)
-    for i in range(n):
-        force = 0.0
-        if p[_axis(i) + lay.A_WEB_LOAD] != 0.0:
-            before = w[tension + i - 1] if i > 0 else strain_prev * p[lay.W_UPSTREAM_STIFFNESS_N]
-            force = (w[tension + i] if i < k else u[lay.U_F_NEXT_N]) - before
-        _axis_rates(p, s, w, n, m, k, i, force, y, dy)
+        length_rate = _part(n, m, k, lay.LENGTH_RATE)
+        laws.span_rates(
+            p, k, stiffness, strain_prev, u[lay.U_F_NEXT_N], w, speed, y + 4 * n, length_rate, tension, rate
+        )
 
 
-@compiled
-def _driving_forces(p: Vector, w: Vector, n: int, m: int, k: int, y: int) -> None:
-    """Sum the motors' forces at the web on each side of each axis' gear."""
-    torque, drive = _part(n, m, k, lay.TORQUE), _part(n, m, k, lay.DRIVE)
-    for i in range(2 * n):
-        w[drive + i] = 0.0
-    for j in range(m):
-        motor = _motor(n, j)
-        axis, ratio = int(p[motor + lay.M_AXIS]), p[motor + lay.M_RAD_PER_M]
-        if p[motor + lay.M_ROLLER_SIDE] == 0.0:
-            x = w[y + 2 * n + axis]
-            w[drive + axis] += ratio * laws.shaft_torque_Nm(p, motor, w[torque + j], x * ratio)
-        else:
-            x = w[y + axis]
-            w[drive + n + axis] += ratio * laws.shaft_torque_Nm(p, motor, w[torque + j], x * ratio)
+@inlined
+def _web_force_N(p: Vector, u: Vector, w: Vector, n: int, m: int, k: int, i: int, strain_prev: float) -> float:
+    """Pull of the web on roller i, forward."""
+    if p[_axis(i) + lay.A_WEB_LOAD] == 0.0:
+        return 0.0
+    tension = _part(n, m, k, lay.TENSION)
+    before = w[tension + i - 1] if i > 0 else strain_prev * p[lay.W_UPSTREAM_STIFFNESS_N]
+    return (w[tension + i] if i < k else u[lay.U_F_NEXT_N]) - before
 
 
-@compiled
-def _axis_rates(
-    p: Vector, s: Vector, w: Vector, n: int, m: int, k: int, i: int, web_force: float, y: int, dy: int
+@inlined
+def _motor_force_N(p: Vector, w: Vector, n: int, m: int, k: int, j: int, x_m: float) -> float:
+    """Force of motor j at the web; `x_m` is where its shaft is."""
+    motor = _motor(n, j)
+    ratio = p[motor + lay.M_RAD_PER_M]
+    return ratio * laws.shaft_torque_Nm(p, motor, w[_part(n, m, k, lay.TORQUE) + j], x_m * ratio)
+
+
+@inlined
+def _own_force_N(p: Vector, w: Vector, n: int, m: int, k: int, i: int, y: int) -> float:
+    """Force on the roller's side of gear i without web and dry friction: coupled motors, smooth resistance."""
+    force = -laws.smooth_resistance_N(p, _axis(i), w[y + n + i])
+    if i == n - 1:
+        for j in range(n, m):
+            force += _motor_force_N(p, w, n, m, k, j, w[y + i])
+    return force
+
+
+@inlined
+def _is_apart(p: Vector, s: Vector, n: int, k: int, i: int) -> bool:
+    """Whether the motor of axis i moves within its gear play."""
+    return laws.has_gap(p, _axis(i)) and s[_axis_state(n, k, i) + lay.SA_CONTACT] == 0.0
+
+
+@inlined
+def _acceleration(
+    p: Vector, s: Vector, n: int, k: int, i: int, v: float, per_mass: float, force_N: float, web_N: float
+) -> float:
+    """Of a roller that does not stick, under the forces on all that turns with it."""
+    axis = _axis(i)
+    if laws.breakaway_N(p, axis) != 0.0:
+        force_N -= s[_axis_state(n, k, i) + lay.SA_DIRECTION] * laws.dry_friction_N(p, axis, v)
+    return (force_N + web_N) * per_mass
+
+
+@inlined
+def _go(w: Vector, size: int, j: int, rate: float, weight: float, ahead: float) -> None:
+    """Quantity j: its rate into the sum, and on to the next stage."""
+    w[lay.SUM * size + j] += weight * rate
+    w[lay.STAGE * size + j] = w[lay.NOW * size + j] + ahead * rate
+
+
+@inlined
+def _go_axis(
+    p: Vector,
+    s: Vector,
+    u: Vector,
+    w: Vector,
+    n: int,
+    m: int,
+    k: int,
+    i: int,
+    strain_prev: float,
+    weight: float,
+    ahead: float,
+    slides: bool,
 ) -> None:
-    """Derivatives of one axis: roller and motor move as one, or apart within the gear play; the roller may stick."""
-    axis, mode = _axis(i), _axis_state(n, k, i)
-    drive, net = _part(n, m, k, lay.DRIVE) + i, _part(n, m, k, lay.NET) + i
-    v = w[y + n + i]
-    factor = laws.inertia_factor(p, axis)
-    motor_mass, roller_mass = p[axis + lay.A_MOTOR_MASS_KG] * factor, p[axis + lay.A_ROLLER_MASS_KG] * factor
-    force, mass = w[drive + n] + web_force - laws.smooth_resistance_N(p, axis, v), roller_mass
-    apart = laws.has_gap(p, axis) and s[mode + lay.SA_CONTACT] == 0.0
-    if not apart:
-        force += w[drive]
-        mass += motor_mass
-    w[net] = force
-    if laws.breakaway_N(p, axis) == 0.0:
-        acceleration = force / mass
-    elif s[mode + lay.SA_DIRECTION] == 0.0:
+    """Rates of axis i in the stage block: roller and motor as one, or apart within the gear play; it may stick."""
+    size, y = _block(n, k, 1), _block(n, k, lay.STAGE)
+    v, per_mass = w[y + n + i], w[_part(n, m, k, lay.PER_MASS) + i]
+    drive = _motor_force_N(p, w, n, m, k, i, w[y + 2 * n + i])
+    own, web = _own_force_N(p, w, n, m, k, i, y), _web_force_N(p, u, w, n, m, k, i, strain_prev)
+    apart = not slides and _is_apart(p, s, n, k, i)
+    if apart:
+        per_mass = w[_part(n, m, k, lay.PER_ROLLER_MASS) + i]
+    if not slides and _sticks(p, s, n, k, i):
         acceleration = 0.0
     else:
-        acceleration = (force - s[mode + lay.SA_DIRECTION] * laws.dry_friction_N(p, axis, v)) / mass
-    w[dy + i] = v
-    w[dy + n + i] = acceleration
-    w[dy + 2 * n + i] = w[y + 3 * n + i] if apart else v
-    w[dy + 3 * n + i] = w[drive] / motor_mass if apart else acceleration
-    w[net + n] = w[drive] - motor_mass * acceleration
+        acceleration = _acceleration(p, s, n, k, i, v, per_mass, own if apart else own + drive, web)
+    motor_acceleration = drive * w[_part(n, m, k, lay.PER_MOTOR_MASS) + i] if apart else acceleration
+    _go(w, size, i, v, weight, ahead)
+    _go(w, size, n + i, acceleration, weight, ahead)
+    _go(w, size, 2 * n + i, w[y + 3 * n + i] if apart else v, weight, ahead)
+    _go(w, size, 3 * n + i, motor_acceleration, weight, ahead)
 
 
-@compiled
+@inlined
+def _sticks(p: Vector, s: Vector, n: int, k: int, i: int) -> bool:
+    """Whether dry friction holds roller i."""
+    return s[_axis_state(n, k, i) + lay.SA_DIRECTION] == 0.0 and laws.breakaway_N(p, _axis(i)) != 0.0
+
+
+@merged
+def _stage(
+    p: Vector,
+    s: Vector,
+    u: Vector,
+    w: Vector,
+    n: int,
+    m: int,
+    k: int,
+    t: float,
+    weight: float,
+    ahead: float,
+    slides: bool,
+) -> None:
+    """Rates at time t of what is in the stage block and the torques there, and the next stage `ahead` of now."""
+    size, y = _block(n, k, 1), _block(n, k, lay.STAGE)
+    strain_prev = laws.upstream_strain(p, u[lay.U_STRAIN_PREV], t)
+    _web(p, u, w, n, m, k, t, strain_prev, y)
+    for i in range(n):
+        _go_axis(p, s, u, w, n, m, k, i, strain_prev, weight, ahead, slides)
+    for j in range(k):
+        _go(w, size, 4 * n + j, w[_part(n, m, k, lay.RATE) + j], weight, ahead)
+        _go(w, size, 4 * n + k + j, w[_part(n, m, k, lay.LENGTH_RATE) + j], weight, ahead)
+
+
+@inlined
 def _torques(s: Vector, w: Vector, n: int, m: int, k: int, decay: int) -> None:
     """Torques after the time that belongs to the decays at `decay`, exact for the held commands."""
     torque = _part(n, m, k, lay.TORQUE)
@@ -149,112 +225,160 @@ def _torques(s: Vector, w: Vector, n: int, m: int, k: int, decay: int) -> None:
         w[torque + j] = loops.torque_after(s[at + lay.SM_TORQUE_NM], s[at + lay.SM_COMMAND_NM], w[decay + j])
 
 
+@inlined
+def _torques_now(s: Vector, w: Vector, n: int, m: int, k: int) -> None:
+    for j in range(m):
+        w[_part(n, m, k, lay.TORQUE) + j] = s[_motor_state(n, k, j) + lay.SM_TORQUE_NM]
+
+
 @compiled
-def _decays(p: Vector, w: Vector, n: int, m: int, k: int, h: float) -> None:
-    """Decay of each current loop in half a step and in a step of length h."""
+def _set_decays(p: Vector, w: Vector, h: float) -> None:
+    """Decays of the current loops for steps of length h."""
+    kept_apart()
+    n, m, k = _counts(p)
     half, full = _part(n, m, k, lay.DECAY_HALF), _part(n, m, k, lay.DECAY_FULL)
     for j in range(m):
         time_constant = p[_motor(n, j) + lay.M_CURRENT_S]
         w[half + j] = loops.current_decay(0.5 * h, time_constant)
         w[full + j] = loops.current_decay(h, time_constant)
+    w[_part(n, m, k, lay.DECAY_STEP_S)] = h
 
 
-@compiled
-def _integrate(p: Vector, s: Vector, u: Vector, w: Vector, n: int, m: int, k: int, t: float, h: float) -> None:
-    """One classical Runge-Kutta step of the quantities in block 0 and of the motors' torques; `_decays` fit h."""
-    size, torque = _block(n, k, 1), _part(n, m, k, lay.TORQUE)
-    stage, k1, k2, k3, k4 = size, 2 * size, 3 * size, 4 * size, 5 * size
-    for j in range(m):
-        w[torque + j] = s[_motor_state(n, k, j) + lay.SM_TORQUE_NM]
-    _rates(p, s, u, w, n, m, k, t, 0, k1)
+@merged
+def _integrate(
+    p: Vector, s: Vector, u: Vector, w: Vector, n: int, m: int, k: int, t: float, h: float, slides: bool
+) -> None:
+    """One classical Runge-Kutta step: quantities at its end in the stage block, torques there; none taken over yet."""
+    size = _block(n, k, 1)
+    if w[_part(n, m, k, lay.DECAY_STEP_S)] != h:
+        _set_decays(p, w, h)
+    for j in range(size):
+        w[lay.STAGE * size + j] = w[lay.NOW * size + j]
+        w[lay.SUM * size + j] = 0.0
+    _torques_now(s, w, n, m, k)
+    _stage(p, s, u, w, n, m, k, t, 1.0, 0.5 * h, slides)
     _torques(s, w, n, m, k, _part(n, m, k, lay.DECAY_HALF))
-    for j in range(size):
-        w[stage + j] = w[j] + 0.5 * h * w[k1 + j]
-    _rates(p, s, u, w, n, m, k, t + 0.5 * h, stage, k2)
-    for j in range(size):
-        w[stage + j] = w[j] + 0.5 * h * w[k2 + j]
-    _rates(p, s, u, w, n, m, k, t + 0.5 * h, stage, k3)
+    _stage(p, s, u, w, n, m, k, t + 0.5 * h, 2.0, 0.5 * h, slides)
+    _stage(p, s, u, w, n, m, k, t + 0.5 * h, 2.0, h, slides)
     _torques(s, w, n, m, k, _part(n, m, k, lay.DECAY_FULL))
+    _stage(p, s, u, w, n, m, k, t + h, 1.0, h, slides)
     for j in range(size):
-        w[stage + j] = w[j] + h * w[k3 + j]
-    _rates(p, s, u, w, n, m, k, t + h, stage, k4)
+        w[lay.STAGE * size + j] = w[lay.NOW * size + j] + h / 6.0 * w[lay.SUM * size + j]
+
+
+@compiled
+def _integrate_any(p: Vector, s: Vector, u: Vector, w: Vector, t: float, h: float) -> None:
+    """The same for any line in any mode."""
+    kept_apart()
+    n, m, k = _counts(p)
+    _integrate(p, s, u, w, n, m, k, t, h, False)
+
+
+@inlined
+def _accept(s: Vector, w: Vector, n: int, m: int, k: int) -> None:
+    """Take the end of the step over."""
+    size = _block(n, k, 1)
     for j in range(size):
-        w[j] += h / 6.0 * (w[k1 + j] + 2.0 * (w[k2 + j] + w[k3 + j]) + w[k4 + j])
+        w[lay.NOW * size + j] = w[lay.STAGE * size + j]
     for j in range(m):
-        s[_motor_state(n, k, j) + lay.SM_TORQUE_NM] = w[torque + j]
+        s[_motor_state(n, k, j) + lay.SM_TORQUE_NM] = w[_part(n, m, k, lay.TORQUE) + j]
 
 
-@compiled
-def _rates_now(p: Vector, s: Vector, u: Vector, w: Vector, n: int, m: int, k: int, t: float) -> None:
-    """Tensions and event forces of the present state."""
-    torque = _part(n, m, k, lay.TORQUE)
-    for j in range(m):
-        w[torque + j] = s[_motor_state(n, k, j) + lay.SM_TORQUE_NM]
-    _rates(p, s, u, w, n, m, k, t, 0, _block(n, k, 1))
-
-
-@compiled
-def _half_gap_m(p: Vector, n: int, m: int, i: int) -> float:
-    """Half the gear play of an axis, at the web."""
-    for j in range(m):
-        motor = _motor(n, j)
-        if int(p[motor + lay.M_AXIS]) == i and p[motor + lay.M_ROLLER_SIDE] == 0.0:
-            return laws.half_gap_m(p, _axis(i), p[motor + lay.M_RAD_PER_M])
-    return 0.0
-
-
-@compiled
-def _gear_violation(p: Vector, s: Vector, w: Vector, n: int, m: int, k: int, i: int) -> float:
-    """How far the gear of an axis has left its mode: a flank passed, or a flank that would have to pull."""
-    contact = s[_axis_state(n, k, i) + lay.SA_CONTACT]
-    if not laws.has_gap(p, _axis(i)):
-        return -1.0
-    if contact == 0.0:
-        return (abs(w[2 * n + i] - w[i]) - _half_gap_m(p, n, m, i)) * 1e6
-    return -w[_part(n, m, k, lay.NET) + n + i] * contact
-
-
-@compiled
-def _friction_violation(p: Vector, s: Vector, w: Vector, n: int, m: int, k: int, i: int) -> float:
-    """How far the dry friction of an axis has left its mode: a speed against its direction, or a force too great."""
-    level, direction = laws.breakaway_N(p, _axis(i)), s[_axis_state(n, k, i) + lay.SA_DIRECTION]
-    if level == 0.0:
-        return -1.0
-    if direction == 0.0:
-        return abs(w[_part(n, m, k, lay.NET) + i]) - level
-    return -w[n + i] * direction * 1e3
-
-
-@compiled
-def _worst(p: Vector, s: Vector, u: Vector, w: Vector, n: int, m: int, k: int, t: float) -> float:
-    """Greatest violation of any axis in the present state."""
-    _rates_now(p, s, u, w, n, m, k, t)
-    worst = -1.0
+@inlined
+def _slides(p: Vector, s: Vector, n: int, k: int) -> bool:
+    """Whether no gear has play and no roller sticks: then an event shows in the speeds at a step's end."""
+    slides = True
     for i in range(n):
-        worst = max(worst, _gear_violation(p, s, w, n, m, k, i), _friction_violation(p, s, w, n, m, k, i))
-    return worst
+        slides &= not (laws.has_gap(p, _axis(i)) or _sticks(p, s, n, k, i))
+    return slides
+
+
+@inlined
+def _still_slides(p: Vector, s: Vector, w: Vector, n: int, k: int) -> bool:
+    """Whether at the end of the step every roller with dry friction still turns as it did."""
+    for i in range(n):
+        v, direction = w[_block(n, k, lay.STAGE) + n + i], s[_axis_state(n, k, i) + lay.SA_DIRECTION]
+        if _reversal(v, direction) > _EVENT_TOLERANCE and laws.breakaway_N(p, _axis(i)) != 0.0:
+            return False
+    return True
+
+
+@inlined
+def _reversal(v: float, direction: float) -> float:
+    """How far a speed is on the other side of standstill, mm/s."""
+    return -v * direction * 1e3
 
 
 @compiled
-def _settle(p: Vector, s: Vector, w: Vector, n: int, m: int, k: int, i: int) -> bool:
-    """Change the mode of an axis that has left it; True if it changed. The event forces must be up to date."""
-    mode = _axis_state(n, k, i)
-    if _gear_violation(p, s, w, n, m, k, i) > _EVENT_TOLERANCE:
-        if s[mode + lay.SA_CONTACT] != 0.0:
-            s[mode + lay.SA_CONTACT] = 0.0
-        else:
-            _touch(p, s, w, n, k, i, _half_gap_m(p, n, m, i))
-        return True
-    if _friction_violation(p, s, w, n, m, k, i) > _EVENT_TOLERANCE:
-        if s[mode + lay.SA_DIRECTION] == 0.0:
-            s[mode + lay.SA_DIRECTION] = 1.0 if w[_part(n, m, k, lay.NET) + i] > 0.0 else -1.0
-        else:
-            s[mode + lay.SA_DIRECTION] = 0.0
-            w[n + i] = 0.0
-            if not laws.has_gap(p, _axis(i)) or s[mode + lay.SA_CONTACT] != 0.0:
-                w[3 * n + i] = 0.0
-        return True
+def _violations(p: Vector, s: Vector, u: Vector, w: Vector, t: float, i: int, y: int) -> tuple[float, float, float]:
+    """How far axis i has left its mode at place `y`, tensions and torques there: gear, friction; the force on it.
+
+    Gear: a flank passed, or a flank that would have to pull. Friction: a speed against its direction, or a force too
+    great for it to stick.
+    """
+    n, m, k = _counts(p)
+    axis, mode = _axis(i), _axis_state(n, k, i)
+    v, gear, friction = w[y + n + i], -1.0, -1.0
+    drive = _motor_force_N(p, w, n, m, k, i, w[y + 2 * n + i])
+    web = _web_force_N(p, u, w, n, m, k, i, laws.upstream_strain(p, u[lay.U_STRAIN_PREV], t))
+    apart, sticks = _is_apart(p, s, n, k, i), _sticks(p, s, n, k, i)
+    own = _own_force_N(p, w, n, m, k, i, y) + (0.0 if apart else drive)
+    if apart:
+        gear = (abs(w[y + 2 * n + i] - w[y + i]) - _half_gap_m(p, n, i)) * 1e6
+    elif laws.has_gap(p, axis):
+        per_mass = w[_part(n, m, k, lay.PER_MASS) + i]
+        acceleration = 0.0 if sticks else _acceleration(p, s, n, k, i, v, per_mass, own, web)
+        motor_mass = p[axis + lay.A_MOTOR_MASS_KG] * laws.inertia_factor(p, axis)
+        gear = (motor_mass * acceleration - drive) * s[mode + lay.SA_CONTACT]
+    net, breakaway = own + web, laws.breakaway_N(p, axis)
+    if breakaway != 0.0:
+        friction = abs(net) - breakaway if sticks else _reversal(v, s[mode + lay.SA_DIRECTION])
+    return gear, friction, net
+
+
+@inlined
+def _half_gap_m(p: Vector, n: int, i: int) -> float:
+    """Half the gear play of an axis, at the web."""
+    return laws.half_gap_m(p, _axis(i), p[_motor(n, i) + lay.M_RAD_PER_M])
+
+
+@compiled
+def _web_at(p: Vector, u: Vector, w: Vector, t: float, y: int) -> None:
+    """Tensions for the quantities at `y`."""
+    n, m, k = _counts(p)
+    _web(p, u, w, n, m, k, t, laws.upstream_strain(p, u[lay.U_STRAIN_PREV], t), y)
+
+
+@compiled
+def _settle_one(p: Vector, s: Vector, u: Vector, w: Vector, t: float) -> bool:
+    """Change the mode of the first axis that has left it, if there is one."""
+    n, _, k = _counts(p)
+    _web_at(p, u, w, t, 0)
+    for i in range(n):
+        mode = _axis_state(n, k, i)
+        gear, friction, net = _violations(p, s, u, w, t, i, 0)
+        if gear > _EVENT_TOLERANCE:
+            if s[mode + lay.SA_CONTACT] != 0.0:
+                s[mode + lay.SA_CONTACT] = 0.0
+            else:
+                _touch(p, s, w, n, k, i, _half_gap_m(p, n, i))
+            return True
+        if friction > _EVENT_TOLERANCE:
+            if s[mode + lay.SA_DIRECTION] == 0.0:
+                s[mode + lay.SA_DIRECTION] = 1.0 if net > 0.0 else -1.0
+            else:
+                _stick(p, s, w, n, k, i)
+            return True
     return False
+
+
+@compiled
+def _stick(p: Vector, s: Vector, w: Vector, n: int, k: int, i: int) -> None:
+    """The roller stands."""
+    s[_axis_state(n, k, i) + lay.SA_DIRECTION] = 0.0
+    w[n + i] = 0.0
+    if not _is_apart(p, s, n, k, i):
+        w[3 * n + i] = 0.0
 
 
 @compiled
@@ -273,85 +397,76 @@ def _touch(p: Vector, s: Vector, w: Vector, n: int, k: int, i: int, half_m: floa
 
 
 @compiled
-def _settle_all(p: Vector, s: Vector, u: Vector, w: Vector, n: int, m: int, k: int, t: float) -> None:
+def _settle(p: Vector, s: Vector, u: Vector, w: Vector, t: float) -> None:
     """Change modes until every axis fits its own (a roller that stops may stick at once, or slide back)."""
+    n, m, k = _counts(p)
     for i in range(n):
         direction = _axis_state(n, k, i) + lay.SA_DIRECTION
         if s[direction] == 0.0 and w[n + i] != 0.0:
             s[direction] = 1.0 if w[n + i] > 0.0 else -1.0
+    _torques_now(s, w, n, m, k)
     for _ in range(2 * _MOST_EVENTS):
-        if _worst(p, s, u, w, n, m, k, t) <= _EVENT_TOLERANCE:
+        if not _settle_one(p, s, u, w, t):
             return
-        for i in range(n):
-            if _settle(p, s, w, n, m, k, i):
-                break
 
 
 @compiled
-def _save(s: Vector, w: Vector, n: int, m: int, k: int) -> None:
-    """Keep the present quantities and torques to come back to."""
-    size, saved = _block(n, k, 1), _part(n, m, k, lay.SAVED_TORQUE)
-    for j in range(size):
-        w[6 * size + j] = w[j]
-    for j in range(m):
-        w[saved + j] = s[_motor_state(n, k, j) + lay.SM_TORQUE_NM]
+def _try(p: Vector, s: Vector, u: Vector, w: Vector, t: float, h: float) -> float:
+    """One step of length h; the greatest violation of any axis at its end."""
+    n, _, k = _counts(p)
+    _integrate_any(p, s, u, w, t, h)
+    end = _block(n, k, lay.STAGE)
+    _web_at(p, u, w, t + h, end)
+    worst = -1.0
+    for i in range(n):
+        gear, friction, _ = _violations(p, s, u, w, t + h, i, end)
+        worst = max(worst, gear, friction)
+    return worst
 
 
 @compiled
-def _from_saved(p: Vector, s: Vector, u: Vector, w: Vector, n: int, m: int, k: int, t: float, h: float) -> float:
-    """One step of length h from the saved state; the greatest violation at its end."""
-    size, saved = _block(n, k, 1), _part(n, m, k, lay.SAVED_TORQUE)
-    for j in range(size):
-        w[j] = w[6 * size + j]
-    for j in range(m):
-        s[_motor_state(n, k, j) + lay.SM_TORQUE_NM] = w[saved + j]
-    _decays(p, w, n, m, k, h)
-    _integrate(p, s, u, w, n, m, k, t, h)
-    return _worst(p, s, u, w, n, m, k, t + h)
+def _until_event(p: Vector, s: Vector, u: Vector, w: Vector, t: float, h: float, search: bool) -> float:
+    """A step of length h or, if there is an event in it and `search`, up to it; how long it was.
+
+    The event's time is found by the Illinois form of regula falsi.
+    """
+    low, high, within, beyond, last = 0.0, h, -_EVENT_TOLERANCE, 0.0, 0
+    cut, found = h, not search
+    for iteration in range(_EVENT_ITERATIONS):
+        violation = _try(p, s, u, w, t, cut)
+        if found or (iteration == 0 and violation <= _EVENT_TOLERANCE):
+            break
+        if violation > _EVENT_TOLERANCE:
+            within = 0.5 * within if last == 1 else within
+            high, beyond, last = cut, violation, 1
+        else:
+            beyond = 0.5 * beyond if last == -1 else beyond
+            low, within, last = cut, min(violation, -_EVENT_TOLERANCE), -1
+        found = high - low <= 1e-9 * h or iteration == _EVENT_ITERATIONS - 2
+        share = within / (within - beyond)
+        cut = high if found else low + (high - low) * min(max(share, 1e-3), 0.999)
+    return cut
 
 
 @compiled
-def _integrate_with_events(
-    p: Vector, s: Vector, u: Vector, w: Vector, n: int, m: int, k: int, t: float, h: float
-) -> None:
-    """One step, cut at every event; the event's time is found by the Illinois form of regula falsi."""
+def _step_with_events(p: Vector, s: Vector, u: Vector, w: Vector, t: float, h: float) -> None:
+    """One step, cut at every event."""
+    kept_apart()
+    n, m, k = _counts(p)
     left = h
-    for _ in range(_MOST_EVENTS):
-        _settle_all(p, s, u, w, n, m, k, t)
-        _save(s, w, n, m, k)
-        beyond = _from_saved(p, s, u, w, n, m, k, t, left)
-        if beyond <= _EVENT_TOLERANCE:
-            return
-        low, high, within, last = 0.0, left, -_EVENT_TOLERANCE, 0
-        for _ in range(_EVENT_ITERATIONS):
-            if high - low <= 1e-9 * h:
-                break
-            share = within / (within - beyond)
-            cut = low + (high - low) * min(max(share, 1e-3), 0.999)
-            violation = _from_saved(p, s, u, w, n, m, k, t, cut)
-            if violation > _EVENT_TOLERANCE:
-                within = 0.5 * within if last == 1 else within
-                high, beyond, last = cut, violation, 1
-            else:
-                beyond = 0.5 * beyond if last == -1 else beyond
-                low, within, last = cut, min(violation, -_EVENT_TOLERANCE), -1
-        _from_saved(p, s, u, w, n, m, k, t, high)
-        t += high
-        left -= high
+    for event in range(_MOST_EVENTS + 1):
+        search = event < _MOST_EVENTS
+        if search:
+            _settle(p, s, u, w, t)
+        done = _until_event(p, s, u, w, t, left, search)
+        _accept(s, w, n, m, k)
+        t += done
+        left -= done
         if left <= 1e-12 * h:
             return
-    _from_saved(p, s, u, w, n, m, k, t, left)
 
 
-@compiled
-def _has_events(p: Vector, n: int) -> bool:
-    found = False
-    for i in range(n):
-        found |= laws.has_gap(p, _axis(i)) or laws.breakaway_N(p, _axis(i)) != 0.0
-    return found
-
-
-@compiled
+@inlined
 def _drive_sample(p: Vector, s: Vector, u: Vector, motor: int, state: int, inputs: int, x_m: float, v: float) -> None:
     """What a drive does at a sample instant: new torque command from set point and motion."""
     mode, slope, period = u[inputs + lay.UM_MODE], u[inputs + lay.UM_SLOPE], p[lay.W_SAMPLE_TIME_S]
@@ -388,67 +503,157 @@ def _drive_sample(p: Vector, s: Vector, u: Vector, motor: int, state: int, input
         s[state + lay.SM_LIMITED] = 1.0
 
 
-@compiled
-def _motor_motion(p: Vector, n: int, j: int) -> int:
+@inlined
+def _motor_motion(n: int, j: int) -> int:
     """Where the position of the shaft that motor j sits on stands among the integrated quantities."""
-    motor = _motor(n, j)
-    return int(p[motor + lay.M_AXIS]) + (0 if p[motor + lay.M_ROLLER_SIDE] != 0.0 else 2 * n)
+    return 2 * n + j if j < n else n - 1
 
 
-@compiled
-def _advance(p: Vector, s: Vector, u: Vector, w: Vector, samples: int) -> None:
-    n, m, k = int(p[lay.W_AXES]), int(p[lay.W_MOTORS]), int(p[lay.W_SPANS])
-    period, substeps = p[lay.W_SAMPLE_TIME_S], int(p[lay.W_SUBSTEPS])
-    h, size, steps = period / substeps, _block(n, k, 1), _part(n, m, k, lay.STEPS)
-    events = _has_events(p, n)
-    _load(s, u, w, n, m, k)
-    _decays(p, w, n, m, k, h)
+@inlined
+def _sample_drives(p: Vector, s: Vector, u: Vector, w: Vector, n: int, m: int, k: int) -> None:
+    for j in range(m):
+        at = _motor_motion(n, j)
+        inputs = lay.U_MOTORS + j * lay.UM_SIZE
+        _drive_sample(p, s, u, _motor(n, j), _motor_state(n, k, j), inputs, w[at], w[at + n])
+
+
+@merged
+def _simple_step(
+    p: Vector, s: Vector, u: Vector, w: Vector, n: int, m: int, k: int, t: float, h: float, one_span: bool
+) -> bool:
+    """One step, taken only if there is no event in it; whether it was."""
+    if not _slides(p, s, n, k):
+        return False
+    if one_span:
+        _integrate(p, s, u, w, 2, 2, 1, t, h, True)
+    else:
+        _integrate_any(p, s, u, w, t, h)
+    if not _still_slides(p, s, w, n, k):
+        return False
+    _accept(s, w, n, m, k)
+    return True
+
+
+@merged
+def _advance_line(
+    p: Vector, s: Vector, u: Vector, w: Vector, n: int, m: int, k: int, samples: int, one_span: bool
+) -> None:
+    substeps = int(p[lay.W_SUBSTEPS])
+    period = p[lay.W_SAMPLE_TIME_S]
+    h = period / substeps
     for _ in range(samples):
-        for j in range(m):
-            at = _motor_motion(p, n, j)
-            inputs = lay.U_MOTORS + j * lay.UM_SIZE
-            _drive_sample(p, s, u, _motor(n, j), _motor_state(n, k, j), inputs, w[at], w[at + n])
+        _sample_drives(p, s, u, w, n, m, k)
         for substep in range(substeps):
             t = s[lay.S_COUNT] * period + substep * h
-            w[steps] = laws.step_factor(p, t, h)
-            if events:
-                _integrate_with_events(p, s, u, w, n, m, k, t, h)
-            else:
-                _integrate(p, s, u, w, n, m, k, t, h)
+            w[_part(n, m, k, lay.STEPS)] = laws.step_factor(p, t, h)
+            if not _simple_step(p, s, u, w, n, m, k, t, h, one_span):
+                _step_with_events(p, s, u, w, t, h)
         s[lay.S_COUNT] += 1.0
         for j in range(m):
             place = _past(n, m, k, j) + int(s[lay.S_COUNT]) % lay.RING
             s[place] = s[_motor_state(n, k, j) + lay.SM_TORQUE_NM]
-    for j in range(size):
-        s[lay.S_Y + j] = w[j]
 
 
 @compiled
-def _load(s: Vector, u: Vector, w: Vector, n: int, m: int, k: int) -> None:
-    """Bring the integrated quantities and the rates of length into the scratch space."""
+def _advance_one_span(p: Vector, s: Vector, u: Vector, w: Vector, samples: int) -> None:
+    kept_apart()
+    _advance_line(p, s, u, w, 2, 2, 1, samples, True)
+
+
+@compiled
+def _advance_any(p: Vector, s: Vector, u: Vector, w: Vector, samples: int) -> None:
+    kept_apart()
+    n, m, k = _counts(p)
+    _advance_line(p, s, u, w, n, m, k, samples, False)
+
+
+@merged
+def _advance(p: Vector, s: Vector, u: Vector, w: Vector, samples: int) -> None:
+    """Between `_enter` and `_leave`. The one-span line with its counts as constants, every other line without."""
+    if _is_one_span(p):
+        _advance_one_span(p, s, u, w, samples)
+    else:
+        _advance_any(p, s, u, w, samples)
+
+
+@compiled
+def _enter(p: Vector, s: Vector, u: Vector, w: Vector) -> None:
+    """Bring into the scratch space what is integrated, and what stays the same during a call."""
+    n, m, k = _counts(p)
     for j in range(_block(n, k, 1)):
         w[j] = s[lay.S_Y + j]
     for j in range(k):
         w[_part(n, m, k, lay.LENGTH_RATE) + j] = u[lay.U_MOTORS + m * lay.UM_SIZE + j]
+    for i in range(n):
+        axis = _axis(i)
+        factor = laws.inertia_factor(p, axis)
+        motor_mass, roller_mass = p[axis + lay.A_MOTOR_MASS_KG] * factor, p[axis + lay.A_ROLLER_MASS_KG] * factor
+        w[_part(n, m, k, lay.PER_MASS) + i] = 1.0 / (motor_mass + roller_mass)
+        w[_part(n, m, k, lay.PER_ROLLER_MASS) + i] = 1.0 / roller_mass
+        w[_part(n, m, k, lay.PER_MOTOR_MASS) + i] = 1.0 / motor_mass
+    _set_decays(p, w, p[lay.W_SAMPLE_TIME_S] / p[lay.W_SUBSTEPS])
 
 
 @compiled
-def _observe(p: Vector, s: Vector, u: Vector, w: Vector, out: Vector) -> None:
-    n, m, k = int(p[lay.W_AXES]), int(p[lay.W_MOTORS]), int(p[lay.W_SPANS])
+def _leave(s: Vector, w: Vector, size: int) -> None:
+    """Bring what is integrated back into the state."""
+    for j in range(size):
+        s[lay.S_Y + j] = w[j]
+
+
+@merged
+def _report_line(p: Vector, s: Vector, u: Vector, w: Vector, n: int, m: int, k: int, out: Vector, at: int) -> None:
     period = p[lay.W_SAMPLE_TIME_S]
     t = s[lay.S_COUNT] * period
-    _load(s, u, w, n, m, k)
     w[_part(n, m, k, lay.STEPS)] = laws.step_factor(p, t, period / p[lay.W_SUBSTEPS])
-    _rates_now(p, s, u, w, n, m, k, t)
+    _web(p, u, w, n, m, k, t, laws.upstream_strain(p, u[lay.U_STRAIN_PREV], t), 0)
     for j in range(m):
-        at = _motor_motion(p, n, j)
+        motion = _motor_motion(n, j)
         torque = s[_motor_state(n, k, j) + lay.SM_TORQUE_NM]
-        out[j] = w[at]
-        out[m + j] = w[at + n]
-        out[2 * m + j] = laws.measured_torque_Nm(p, _motor(n, j), torque, s, _past(n, m, k, j), int(s[lay.S_COUNT]))
+        out[at + j] = w[motion]
+        out[at + m + j] = w[motion + n]
+        out[at + 2 * m + j] = laws.measured_torque_Nm(
+            p, _motor(n, j), torque, s, _past(n, m, k, j), int(s[lay.S_COUNT])
+        )
     for j in range(k):
-        out[3 * m + j] = w[_part(n, m, k, lay.TENSION) + j]
-        out[3 * m + k + j] = w[4 * n + k + j] * laws.length_factor(p) / w[4 * n + j] - 1.0
+        out[at + 3 * m + j] = w[_part(n, m, k, lay.TENSION) + j]
+        out[at + 3 * m + k + j] = w[4 * n + k + j] * laws.length_factor(p) / w[4 * n + j] - 1.0
+
+
+@merged
+def _report_one_span(p: Vector, s: Vector, u: Vector, w: Vector, out: Vector, at: int) -> None:
+    _report_line(p, s, u, w, 2, 2, 1, out, at)
+
+
+@compiled
+def _report_any(p: Vector, s: Vector, u: Vector, w: Vector, out: Vector, at: int) -> None:
+    kept_apart()
+    n, m, k = _counts(p)
+    _report_line(p, s, u, w, n, m, k, out, at)
+
+
+@merged
+def _report(p: Vector, s: Vector, u: Vector, w: Vector, out: Vector, at: int) -> None:
+    """What is measured and true now, from place `at` of `out` on; between `_enter` and `_leave`."""
+    if _is_one_span(p):
+        _report_one_span(p, s, u, w, out, at)
+    else:
+        _report_any(p, s, u, w, out, at)
+
+
+@compiled
+def _rows(
+    p: Vector, s: Vector, u: Vector, w: Vector, commands: Vector, boundary: Vector, samples: int, out: Vector, at: int
+) -> None:
+    """Observe and advance, row by row, from place `at` of `out` on; between `_enter` and `_leave`."""
+    _, m, k = _counts(p)
+    for row in range(commands.shape[0]):
+        u[lay.U_STRAIN_PREV] = boundary[row, 0]
+        u[lay.U_F_NEXT_N] = boundary[row, 1]
+        for j in range(commands.shape[1]):
+            u[lay.U_MOTORS + j * lay.UM_SIZE + lay.UM_SETPOINT] = commands[row, j]
+        _report(p, s, u, w, out, at + row * (3 * m + 2 * k))
+        _advance(p, s, u, w, samples)
 
 
 Advance = Callable[[Vector, Vector, Vector, Vector, int], None]
@@ -459,7 +664,7 @@ Simulate = Callable[[Vector, Vector, Vector, Vector, Vector, Vector, int, Vector
 def source_number(*further: str) -> int:
     """A number that changes with the source of what is compiled here, and with `further` files."""
     effects = str(Path(__file__).with_name("effects.py"))
-    names = (loops.__file__, laws.__file__, lay.__file__, __file__, effects, *further)
+    names = (decorators.__file__, loops.__file__, laws.__file__, lay.__file__, __file__, effects, *further)
     return number_of_sources(*names)
 
 
@@ -469,25 +674,26 @@ def _entry_points(sources: int) -> tuple[Advance, Observe, Simulate]:
     @entry_point
     def advance(p: Vector, s: Vector, u: Vector, work: Vector, samples: int) -> None:
         if sources >= 0:
+            _enter(p, s, u, work)
             _advance(p, s, u, work, samples)
+            _leave(s, work, _block(int(p[lay.W_AXES]), int(p[lay.W_SPANS]), 1))
 
     @entry_point
     def observe(p: Vector, s: Vector, u: Vector, work: Vector, out: Vector) -> None:
         if sources >= 0:
-            _observe(p, s, u, work, out)
+            _enter(p, s, u, work)
+            _report(p, s, u, work, out, 0)
 
     @entry_point
     def simulate(
         p: Vector, s: Vector, u: Vector, work: Vector, commands: Vector, boundary: Vector, samples: int, out: Vector
     ) -> None:
+        flat, rows, columns = out.reshape(-1), out.shape[1], out.shape[2]
         for b in range(p.shape[0] if sources >= 0 else 0):
-            for row in range(commands.shape[0]):
-                u[lay.U_STRAIN_PREV] = boundary[row, 0]
-                u[lay.U_F_NEXT_N] = boundary[row, 1]
-                for m in range(commands.shape[1]):
-                    u[lay.U_MOTORS + m * lay.UM_SIZE + lay.UM_SETPOINT] = commands[row, m]
-                _observe(p[b], s[b], u, work, out[b, row])
-                _advance(p[b], s[b], u, work, samples)
+            parameters, state = p[b], s[b]
+            _enter(parameters, state, u, work)
+            _rows(parameters, state, u, work, commands, boundary, samples, flat, b * rows * columns)
+            _leave(state, work, _block(int(parameters[lay.W_AXES]), int(parameters[lay.W_SPANS]), 1))
 
     return advance, observe, simulate
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from math import cos, exp, pi, sin
 
-from hilbench.compiled import compiled
+from hilbench.compiled import compiled, inlined, kept_apart
 from hilbench.web import layout as lay
 from hilbench.web.effects import find_effect
 from hilbench.web.layout import Vector, place
@@ -43,19 +43,19 @@ _TENSION_TOLERANCE_N = 1e-10
 _MOST_PASSES = 100
 
 
-@compiled
+@inlined
 def smooth_resistance_N(p: Vector, axis: int, v_m_s: float) -> float:
     """Resistance that is continuous in v: b·v + d·|v|."""
     return p[axis + _VISCOUS] * v_m_s + p[axis + _ASYMMETRY] * abs(v_m_s)
 
 
-@compiled
+@inlined
 def breakaway_N(p: Vector, axis: int) -> float:
     """Dry friction at standstill: Fc + Fs."""
     return p[axis + _COULOMB_N] + p[axis + _STRIBECK_N]
 
 
-@compiled
+@inlined
 def dry_friction_N(p: Vector, axis: int, v_m_s: float) -> float:
     """Size of the dry friction at speed v: Fc + Fs·exp(-(v/vs)²)."""
     force = p[axis + _COULOMB_N]
@@ -64,7 +64,7 @@ def dry_friction_N(p: Vector, axis: int, v_m_s: float) -> float:
     return force
 
 
-@compiled
+@inlined
 def web_speed_m_s(p: Vector, axis: int, x_m: float, v_m_s: float) -> float:
     """Speed of the web at a roller whose surface turns at v: eccentricity; roller angle phi = x/r."""
     if p[axis + _ECCENTRICITY_M] == 0.0:
@@ -73,58 +73,72 @@ def web_speed_m_s(p: Vector, axis: int, x_m: float, v_m_s: float) -> float:
     return v_m_s * (1.0 + p[axis + _ECCENTRICITY_M] / radius * cos(x_m / radius + p[axis + _ECCENTRICITY_PHASE]))
 
 
-@compiled
+@inlined
 def inertia_factor(p: Vector, axis: int) -> float:
     """Factor on the moving mass."""
     return 1.0 + p[axis + _INERTIA]
 
 
-@compiled
+@inlined
 def half_gap_m(p: Vector, axis: int, motor_rad_per_m: float) -> float:
     """Half the gear play, at the web."""
     return 0.5 * p[axis + _GAP_RAD] / motor_rad_per_m
 
 
-@compiled
+@inlined
 def has_gap(p: Vector, axis: int) -> bool:
     """Whether the gear has play."""
     return p[axis + _GAP_RAD] > 0.0
 
 
-@compiled
+@inlined
 def shaft_torque_Nm(p: Vector, motor: int, torque_Nm: float, angle_rad: float) -> float:
     """Torque on the shaft from the torque the drive knows: scale, then ripple over the motor's angle."""
     torque = (1.0 + p[motor + _SCALE]) * torque_Nm
-    for slot in range(_RIPPLES):
-        at = _RIPPLE + 3 * slot
-        if p[motor + at] != 0.0:
-            torque += p[motor + at] * sin(p[motor + at + 1] * angle_rad + p[motor + at + 2])
+    if _is_any(p, motor + _RIPPLE, 3, _RIPPLES):
+        torque += _ripple_Nm(p, motor, angle_rad)
     return torque
 
 
 @compiled
+def _ripple_Nm(p: Vector, motor: int, angle_rad: float) -> float:
+    kept_apart()
+    torque = 0.0
+    for slot in range(_RIPPLES):
+        at = motor + _RIPPLE + 3 * slot
+        if p[at] != 0.0:
+            torque += p[at] * sin(p[at + 1] * angle_rad + p[at + 2])
+    return torque
+
+
+@inlined
+def _is_any(p: Vector, first: int, size: int, slots: int) -> bool:
+    """Whether any slot of an effect is taken: the strength of the first stands at `first`."""
+    found = False
+    for slot in range(slots):
+        found |= p[first + slot * size] != 0.0
+    return found
+
+
+@inlined
 def motor_torque_Nm(p: Vector, motor: int, shaft_Nm: float, angle_rad: float) -> float:
     """The torque the drive must know of for this one on the shaft: the inverse of `shaft_torque_Nm`."""
-    for slot in range(_RIPPLES):
-        at = _RIPPLE + 3 * slot
-        if p[motor + at] != 0.0:
-            shaft_Nm -= p[motor + at] * sin(p[motor + at + 1] * angle_rad + p[motor + at + 2])
-    return shaft_Nm / (1.0 + p[motor + _SCALE])
+    return (shaft_Nm - _ripple_Nm(p, motor, angle_rad)) / (1.0 + p[motor + _SCALE])
 
 
-@compiled
+@inlined
 def reporting_delay_s(p: Vector, motor: int) -> float:
     """By how much a reported torque is late."""
     return p[motor + _DELAY_S]
 
 
-@compiled
+@inlined
 def reported_offset_Nm(p: Vector, motor: int) -> float:
     """What a reported torque is off by."""
     return p[motor + _OFFSET_NM]
 
 
-@compiled
+@inlined
 def measured_torque_Nm(p: Vector, motor: int, torque_Nm: float, s: Vector, past: int, count: int) -> float:
     """Torque as the drive reports it: `s` holds the torque of sample k at `past` + k % RING; linear between."""
     delay = p[motor + _DELAY_S] / p[lay.W_SAMPLE_TIME_S]
@@ -136,15 +150,23 @@ def measured_torque_Nm(p: Vector, motor: int, torque_Nm: float, s: Vector, past:
     return torque_Nm + p[motor + _OFFSET_NM]
 
 
-@compiled
+@inlined
 def true_torque_Nm(p: Vector, motor: int, measured_Nm: float) -> float:
     """Torque that the drive produced, from what it reported: without the offset (the delay is not undone)."""
     return measured_Nm - p[motor + _OFFSET_NM]
 
 
-@compiled
+@inlined
 def step_factor(p: Vector, t_s: float, duration_s: float) -> float:
     """Factor of the steps of E, averaged over [t, t + duration]: exact on the grid, continuous in the step's time."""
+    if not _is_any(p, _STEP + 1, 2, _STEPS):
+        return 1.0
+    return _step_factor(p, t_s, duration_s)
+
+
+@compiled
+def _step_factor(p: Vector, t_s: float, duration_s: float) -> float:
+    kept_apart()
     factor = 1.0
     for slot in range(_STEPS):
         at = _STEP + 2 * slot
@@ -154,32 +176,39 @@ def step_factor(p: Vector, t_s: float, duration_s: float) -> float:
     return factor
 
 
-@compiled
+@inlined
 def stiffness_N(p: Vector, t_s: float, factor_of_steps: float) -> float:
     """E·S with shift, steps and drift."""
     modulus = p[lay.W_MODULUS_PA] * (1.0 + p[_SHIFT]) * factor_of_steps * (1.0 + p[_DRIFT] * t_s)
     return modulus * p[lay.W_SECTION_M2]
 
 
-@compiled
+@inlined
 def upstream_strain(p: Vector, strain_prev: float, t_s: float) -> float:
     """Strain of the web that enters, with the disturbance; F_prev is it times W_UPSTREAM_STIFFNESS_N."""
-    strain = strain_prev
+    if _is_any(p, _DISTURBANCE, 3, _DISTURBANCES):
+        return strain_prev + _disturbance_N(p, t_s) / p[lay.W_UPSTREAM_STIFFNESS_N]
+    return strain_prev
+
+
+@compiled
+def _disturbance_N(p: Vector, t_s: float) -> float:
+    kept_apart()
+    force = 0.0
     for slot in range(_DISTURBANCES):
         at = _DISTURBANCE + 3 * slot
         if p[at] != 0.0:
-            wave = p[at] * sin(2.0 * pi * p[at + 1] * t_s + p[at + 2])
-            strain += wave / p[lay.W_UPSTREAM_STIFFNESS_N]
-    return strain
+            force += p[at] * sin(2.0 * pi * p[at + 1] * t_s + p[at + 2])
+    return force
 
 
-@compiled
+@inlined
 def length_factor(p: Vector) -> float:
     """Factor on the nominal length of every span."""
     return 1.0 + p[_LENGTH]
 
 
-@compiled
+@inlined
 def span_rates(
     p: Vector,
     spans: int,
@@ -201,30 +230,67 @@ def span_rates(
     nominal lengths (`material`), rates of the nominal length. Written: `tension`, `rate`.
     """
     scale, offset = length_factor(p), p[_STRAIN_OFFSET]
-    damping, creep = p[_DAMPING_S], p[_CREEP]
     for k in range(spans):
         strain = w[material + spans + k] * scale / w[material + k] - 1.0
         w[tension + k] = max(stiffness * (strain - offset), 0.0)
-    # Creep needs the tensions and damping needs the speeds: only both together take more than one pass.
-    coupled = damping > 0.0 and creep > 0.0
-    for _ in range(_MOST_PASSES if coupled else 1):
+    _flows(p, spans, strain_prev, f_next_N, w, speed, material, tension, rate)
+    if p[_DAMPING_S] > 0.0:
+        _damped(p, spans, stiffness, strain_prev, f_next_N, w, speed, material, length_rate, tension, rate)
+
+
+@inlined
+def _flows(
+    p: Vector,
+    spans: int,
+    strain_prev: float,
+    f_next_N: float,
+    w: Vector,
+    speed: int,
+    material: int,
+    tension: int,
+    rate: int,
+) -> None:
+    """Rates of the unstretched web in the spans at these tensions: what comes in less what goes out."""
+    scale, creep = length_factor(p), p[_CREEP]
+    inflow = w[speed] / (1.0 + strain_prev)
+    for k in range(spans):
+        outflow = w[speed + k + 1] * w[material + k] / (w[material + spans + k] * scale)
+        if creep != 0.0:
+            behind = w[tension + k + 1] if k + 1 < spans else f_next_N
+            outflow *= 1.0 - creep * (w[tension + k] - behind)
+        w[rate + k] = inflow - outflow
+        inflow = outflow
+
+
+@compiled
+def _damped(
+    p: Vector,
+    spans: int,
+    stiffness: float,
+    strain_prev: float,
+    f_next_N: float,
+    w: Vector,
+    speed: int,
+    material: int,
+    length_rate: int,
+    tension: int,
+    rate: int,
+) -> None:
+    """Add the damping to the tensions. It needs the rates, and with creep the rates need the tensions: iterated."""
+    kept_apart()
+    scale, offset = length_factor(p), p[_STRAIN_OFFSET]
+    damping, creep = p[_DAMPING_S], p[_CREEP]
+    for _ in range(_MOST_PASSES):
         change = 0.0
-        inflow = w[speed] / (1.0 + strain_prev)
         for k in range(spans):
             stretch = w[material + spans + k] * scale / w[material + k]
-            behind = w[tension + k + 1] if k + 1 < spans else f_next_N
-            roller_speed = w[speed + k + 1]
-            outflow = roller_speed * (1.0 - creep * (w[tension + k] - behind)) / stretch
-            w[rate + k] = inflow - outflow
-            inflow = outflow
-            if damping > 0.0:
-                strain_rate = (w[length_rate + k] * scale - stretch * w[rate + k]) / w[material + k]
-                force = max(stiffness * (stretch - 1.0 - offset + damping * strain_rate), 0.0)
-                if coupled:
-                    # Newton: the tension lowers the strain's rate by creep at the rollers around the span.
-                    slope = stiffness * damping * creep * abs(roller_speed) / w[material + k]
-                    force = w[tension + k] + (force - w[tension + k]) / (1.0 + slope * (2.0 if k > 0 else 1.0))
-                    change = max(change, abs(force - w[tension + k]))
-                w[tension + k] = force
-        if change < _TENSION_TOLERANCE_N:
+            strain_rate = (w[length_rate + k] * scale - stretch * w[rate + k]) / w[material + k]
+            force = max(stiffness * (stretch - 1.0 - offset + damping * strain_rate), 0.0)
+            # Newton: the tension lowers the strain's rate by creep at the rollers around the span.
+            slope = stiffness * damping * creep * abs(w[speed + k + 1]) / w[material + k]
+            force = w[tension + k] + (force - w[tension + k]) / (1.0 + slope * (2.0 if k > 0 else 1.0))
+            change = max(change, abs(force - w[tension + k]))
+            w[tension + k] = force
+        if creep == 0.0 or change < _TENSION_TOLERANCE_N:
             break
+        _flows(p, spans, strain_prev, f_next_N, w, speed, material, tension, rate)

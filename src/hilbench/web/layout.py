@@ -7,7 +7,7 @@ Three vectors of float64 describe a line of N axes, M motors and K spans:
   span), per axis the friction direction and gear contact, M motor rows, M rows of past torques;
 - inputs: boundary, M motor rows (mode, set point, slope, limit), K rates of length.
 
-In a line motor k drives axis k; on the stand a further motor is coupled to the last axis.
+Motor k drives axis k. Motors beyond the last axis (the stand's load motor) sit on its roller's side of the gear play.
 """
 
 from __future__ import annotations
@@ -41,15 +41,13 @@ A_MOTOR_MASS_KG: Final = 1  #: on the motor's side of the gear play
 A_ROLLER_MASS_KG: Final = 2  #: on the roller's side
 A_WEB_LOAD: Final = 3
 # Motor rows.
-M_AXIS: Final = 0  #: index of the axis it drives
-M_RAD_PER_M: Final = 1  #: i/r
-M_ROLLER_SIDE: Final = 2  #: 1: it sits beyond the gear play
-M_KP: Final = 3
-M_KI: Final = 4
-M_POSITION_KP: Final = 5
-M_LIMIT_NM: Final = 6
-M_CURRENT_S: Final = 7
-_FIXED = {"web": 8, "axis": 4, "motor": 8}
+M_RAD_PER_M: Final = 0  #: i/r
+M_KP: Final = 1
+M_KI: Final = 2
+M_POSITION_KP: Final = 3
+M_LIMIT_NM: Final = 4
+M_CURRENT_S: Final = 5
+_FIXED = {"web": 8, "axis": 4, "motor": 6}
 
 # State.
 S_COUNT: Final = 0
@@ -76,19 +74,24 @@ UM_SLOPE: Final = 2
 UM_LIMIT_NM: Final = 3
 UM_SIZE: Final = 4
 
-# Scratch space: blocks as long as the integrated quantities (present, stage, four slopes, saved), then parts.
-BLOCKS: Final = 7
+# Scratch space: blocks as long as the integrated quantities, then parts as long as there are motors.
+NOW: Final = 0  #: at the start of a step
+STAGE: Final = 1  #: where rates are taken; after the last stage the end of the step
+SUM: Final = 2  #: weighted rates of the stages so far
+BLOCKS: Final = 3
 TORQUE: Final = 0
-SAVED_TORQUE: Final = 1
-TENSION: Final = 2
-SPEED: Final = 3
-NET: Final = 4
-DRIVE: Final = 5
-DECAY_HALF: Final = 6
-DECAY_FULL: Final = 7
-LENGTH_RATE: Final = 8
-STEPS: Final = 9
-PARTS: Final = 10
+TENSION: Final = 1
+SPEED: Final = 2  #: of the web at the rollers
+RATE: Final = 3  #: of the unstretched lengths
+LENGTH_RATE: Final = 4
+DECAY_HALF: Final = 5  #: of the current loops, in half a step
+DECAY_FULL: Final = 6
+PER_MASS: Final = 7  #: 1/kg of motor and roller together
+PER_ROLLER_MASS: Final = 8
+PER_MOTOR_MASS: Final = 9
+STEPS: Final = 10  #: factor of the steps of E in this step
+DECAY_STEP_S: Final = 11  #: length of step that the decays are for
+PARTS: Final = 12
 
 
 def row_of(effect: Effect) -> str:
@@ -206,8 +209,7 @@ class Layout:
 
     def new_work(self) -> Vector:
         """Scratch space of the kernel; one for each line that may run at the same time."""
-        part = 2 * self.axes + self.motors + self.spans
-        return np.zeros(BLOCKS * self.y_size + PARTS * max(part, 1))
+        return np.zeros(BLOCKS * self.y_size + PARTS * self.motors)
 
 
 def write_effect(parameters: Vector, effect_id: str, axis: int | None, slot: int, values: dict[str, float]) -> None:
@@ -273,7 +275,6 @@ def pack(model: ModelParameters, substeps: int = 1) -> Vector:
         row[A_ROLLER_MASS_KG] = model.roller_mass_kg(axis)
         row[A_WEB_LOAD] = model.carries_web_load(axis)
         motor = layout.motor_rows(parameters)[axis - 1]
-        motor[M_AXIS] = axis - 1
         motor[M_RAD_PER_M] = model.motor_rad_per_m(axis)
         write_drive(motor, model.drives, axis)
     write_entries(parameters, model.effects)

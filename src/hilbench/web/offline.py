@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import os
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -52,7 +55,8 @@ def simulate(
 ) -> Simulation:
     """Simulate recorded commands.
 
-    parameters: (P,) from `layout.pack`, or (B, P) for B variants; state: (S,) or (B, S), not changed.
+    parameters: (P,) from `layout.pack`, or (B, P) for B variants, shared out among all cores; state: (S,) or (B, S),
+    not changed.
     commands: (n, M) set points at the web by `mode`: m/s, m, or N·m (torque, motor side), each held for `dt_s`.
     boundary: (n, 2) upstream strain and downstream tension (N). length_rates_m_s: (K,) L' of the spans.
     Raises ValueError when `dt_s` is no multiple of the sample time, or shapes do not fit.
@@ -73,7 +77,17 @@ def simulate(
     samples = samples_per(dt_s, many[0, lay.W_SAMPLE_TIME_S])
     out = np.empty((len(many), len(rows), layout.output_size))
     limits = np.ascontiguousarray(boundary, dtype=np.float64)
-    kernel.simulate(many, states, inputs, layout.new_work(), rows, limits, samples, out)
+    workers = min(len(os.sched_getaffinity(0)), len(many))
+    shares = [slice(*edges) for edges in pairwise(np.linspace(0, len(many), workers + 1, dtype=int))]
+
+    def run(share: slice) -> None:
+        kernel.simulate(many[share], states[share], inputs.copy(), layout.new_work(), rows, limits, samples, out[share])
+
+    if len(shares) == 1:
+        run(shares[0])
+    else:
+        with ThreadPoolExecutor(len(shares)) as pool:
+            list(pool.map(run, shares))
     if np.ndim(parameters) == 1:
         out, states = out[0], states[0]
     columns = layout.columns

@@ -1,0 +1,80 @@
+"""How fast hilbench is beside what one would use instead.
+
+    bench.py [CONFIG] [--only PART,...] [--seconds S] [--json FILE] [--page FILE]
+
+Prints tables, writes them as JSON, and with --page between the marker lines of a page. What counts are the ratios:
+both sides of each were measured in the same run on the same machine.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+
+from performance import cyclic_path, model_kernel, recordings, running
+from performance.table import Section, machine, markdown
+
+from hilbench.experiment.config import load_with_overrides
+
+CONFIG = Path(__file__).parents[1] / "bench_configs" / "web_section_step.yaml"
+MARKERS = ("<!-- figures: begin -->", "<!-- figures: end -->")
+LENGTHS_S = [12.0, 24.0, 48.0]
+
+
+def parts(config_path: Path, seconds: float) -> dict[str, Callable[[], list[Section]]]:
+    """What can be measured, by name."""
+    config = load_with_overrides(config_path).config
+    return {
+        "kernel": lambda: model_kernel.measure(config.model),
+        "pdo": lambda: [cyclic_path.measure(config)],
+        "lockstep": lambda: [running.lockstep(config_path, seconds)],
+        "jitter": lambda: [running.jitter(config_path, seconds)],
+        "sync": lambda: [recordings.synchronizers(config.model, LENGTHS_S)],
+        "diagnose": lambda: [recordings.diagnosis(config.model, LENGTHS_S)],
+        "start": lambda: [running.start_up(config_path)],
+    }
+
+
+def write_page(page: Path, text: str) -> None:
+    """Put the tables between the markers. Raises ValueError when the page lacks them."""
+    before, begin, rest = page.read_text(encoding="utf-8").partition(MARKERS[0])
+    _, end, after = rest.partition(MARKERS[1])
+    if not begin or not end:
+        raise ValueError(f"{page}: expected the lines {MARKERS[0]} and {MARKERS[1]}")
+    page.write_text(f"{before}{begin}\n\n{text}\n\n{end}{after}", encoding="utf-8")
+
+
+def main() -> None:
+    """Measure, print, write."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("config", nargs="?", type=Path, default=CONFIG)
+    parser.add_argument("--only", help="parts, by commas: kernel, pdo, lockstep, jitter, sync, diagnose, start")
+    parser.add_argument("--seconds", type=float, default=60.0, help="of lockstep and of jitter")
+    parser.add_argument("--json", type=Path, default=Path("performance.json"), help="where the figures go")
+    parser.add_argument("--page", type=Path, help="page whose tables are written anew")
+    options = parser.parse_args()
+    known = parts(options.config, options.seconds)
+    chosen = options.only.split(",") if options.only else list(known)
+    unknown = sorted(set(chosen) - set(known))
+    if unknown:
+        parser.error(f"unknown part '{unknown[0]}', expected one of {', '.join(known)}")
+    on, sections = machine(), []
+    for name in chosen:
+        print(f"{name} …", flush=True)
+        sections += known[name]()
+        print(markdown(sections[-1:], {}), flush=True)
+    on["load average before and after"] += f", {os.getloadavg()[0]:.1f}"
+    text = markdown(sections, on)
+    print(text)
+    figures = {"machine": on, "sections": [asdict(section) for section in sections]}
+    options.json.write_text(json.dumps(figures, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
+    if options.page:
+        write_page(options.page, text)
+
+
+if __name__ == "__main__":
+    main()
