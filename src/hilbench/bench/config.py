@@ -8,7 +8,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, ValidationInfo, field_validator, model_validator
+from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, field_validator, model_validator
 
 from hilbench.bench.tension_control import TensionControlConfig
 from hilbench.bus.open import BusAddress
@@ -45,12 +45,6 @@ class NodeConfig(_Block):
     node_id: int = Field(ge=1, le=127)
     eds: Path = Field(description="EDS or DCF file; a relative path is taken from the config file's folder")
     simulated: bool = Field(default=True, description="part of the simulated hardware; false: a real device")
-
-    @field_validator("eds")
-    @classmethod
-    def _from_config_folder(cls, value: Path, info: ValidationInfo) -> Path:
-        folder = (info.context or {}).get("folder")
-        return (Path(folder) / value).resolve() if folder else value
 
 
 class NodesConfig(_Block):

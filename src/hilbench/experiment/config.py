@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import yaml
-from pydantic import Field, ValidationError
+from pydantic import Field
 
 from hilbench import strict_yaml
 from hilbench.bench.config import BenchConfig
@@ -24,13 +25,52 @@ class ExperimentConfig(BenchConfig):
 
 
 def load(path: Path) -> tuple[ExperimentConfig, strict_yaml.Document]:
-    """Read and validate a config file; relative EDS paths are taken from its folder.
+    """Read and validate a config file with what it includes.
 
     Raises UnusableInputError with file, line, key, what was found and what was expected.
     """
+    document = read_document(path)
+    return strict_yaml.validate(document, ExperimentConfig), document
+
+
+def read_document(path: Path, including: tuple[Path, ...] = ()) -> strict_yaml.Document:
+    """A config file on top of the files that its key `include` names (one, or a list; the later one counts).
+
+    What is included, and an EDS file, is looked for in the folder of the file that names it. Raises
+    UnusableInputError with file and line; for files that include each other too.
+    """
     document = strict_yaml.load(path)
-    context = {"folder": Path(path).resolve().parent}
-    return strict_yaml.validate(document, ExperimentConfig, context=context), document
+    if not isinstance(document.data, Mapping):
+        raise UnusableInputError(document.place(), "no mapping, expected a bench config")
+    here = (*including, path.resolve())
+    document = _with_eds_of_its_folder(document)
+    if "include" not in document.data:
+        return document
+    given, place = document.data["include"], document.place(("include",))
+    names = [given] if isinstance(given, str) else given
+    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+        raise UnusableInputError(place, f"'include' is {given!r}, expected a file name or a list of them")
+    below: strict_yaml.Document | None = None
+    for name in names:
+        file = path.parent / name
+        if file.resolve() in here:
+            raise UnusableInputError(place, f"'{name}' includes this file, expected no circle")
+        if not file.is_file():
+            raise UnusableInputError(place, f"no file {file}, expected a config to include")
+        included = read_document(file, here)
+        below = included if below is None else included.over(below)
+    top = document.without("include")
+    return top if below is None else top.over(below)
+
+
+def _with_eds_of_its_folder(document: strict_yaml.Document) -> strict_yaml.Document:
+    nodes = document.data.get("nodes")
+    for part, node in nodes.items() if isinstance(nodes, Mapping) else ():
+        if isinstance(node, Mapping) and isinstance(node.get("eds"), str):
+            location = ("nodes", part, "eds")
+            file = (document.path.resolve().parent / node["eds"]).resolve()
+            document = document.with_value(location, str(file), document.place(location))
+    return document
 
 
 def dump(config: BenchConfig, path: Path) -> None:
@@ -48,20 +88,36 @@ class LoadedConfig:
 
 
 def load_with_overrides(
-    path: Path, *, bus: str | None = None, pace: str | None = None, seed: int | None = None
+    path: Path,
+    *,
+    bus: str | None = None,
+    pace: str | None = None,
+    seed: int | None = None,
+    changes: Sequence[str] = (),
 ) -> LoadedConfig:
-    """`load`, then what the command line says instead. Raises UnusableInputError, naming the option."""
-    config, document = load(path)
-    data = config.model_dump()
-    if bus is not None:
-        data["bus"]["address"] = bus
-    if pace is not None:
-        data["pace"] = pace
-    if seed is not None:
-        data["seed"] = seed
-    try:
-        return LoadedConfig(ExperimentConfig.model_validate(data), document)
-    except ValidationError as error:
-        first = error.errors()[0]
-        option = {"bus": "--bus", "pace": "--pace", "seed": "--seed"}.get(str(first["loc"][0]), "config")
-        raise UnusableInputError(option, f"{first['input']!r}: {first['msg'].removeprefix('Value error, ')}") from error
+    """`load`, with what the command line says instead: `changes` are texts ``model.web.width_m=0.6``.
+
+    Raises UnusableInputError that names the file and line, or the option.
+    """
+    document = read_document(path)
+    for text in changes:
+        option, (location, value) = f"--set {text}", parse_change(text)
+        document = document.with_value(location, value, option)
+    options = {("bus", "address"): ("--bus", bus), ("pace",): ("--pace", pace), ("seed",): ("--seed", seed)}
+    for location, (option, given) in options.items():
+        if given is not None:
+            document = document.with_value(location, given, option)
+    return LoadedConfig(strict_yaml.validate(document, ExperimentConfig), document)
+
+
+def parse_change(text: str) -> tuple[tuple[str | int, ...], Any]:
+    """Location and value of ``load.web.youngs_modulus_Pa=10.5e9`` (a number is a position in a list).
+
+    Raises UnusableInputError when it is no such text.
+    """
+    path, equals, value = text.partition("=")
+    keys = [key.strip() for key in path.split(".")]
+    if not equals or not all(keys):
+        raise UnusableInputError("--set", f"{text!r}, expected KEY=VALUE such as model.web.youngs_modulus_Pa=9e9")
+    location = tuple(int(key) if key.isdecimal() else key for key in keys)
+    return location, strict_yaml.parse_value(value.strip(), f"--set {text}")

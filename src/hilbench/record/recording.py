@@ -63,6 +63,15 @@ class Recording:
         """Unit of a channel, "" for a pure number."""
         return self.units.get(name) or unit_of(name)
 
+    def to_pandas(self) -> Any:
+        """The channels as a pandas DataFrame over ``t_s``; their units stand in its ``attrs["units"]``."""
+        import pandas
+
+        frame = pandas.DataFrame({name: values for name, values in self.channels.items() if name != TIME})
+        frame.index = pandas.Index(self.time_s, name=TIME)
+        frame.attrs["units"] = {name: self.unit(name) for name in self.channels}
+        return frame
+
     def require(self, names: Sequence[str], place: str | Path) -> None:
         """Raise UnusableInputError, naming `place`, unless all these channels are there and finite everywhere."""
         missing = [name for name in names if name not in self.channels]
