@@ -39,12 +39,26 @@ class BusConfig(_Block):
         return value
 
 
+class UnitsConfig(_Block):
+    """What a drive's own objects do not tell of its units (608Fh, 60A9h, 6076h); motor side."""
+
+    position_rad: PositiveFloat | None = Field(default=None, description="rad per unit of 6064h")
+    velocity_rad_s: PositiveFloat | None = Field(default=None, description="rad/s per unit of 60FFh and 606Ch")
+    rated_torque_Nm: PositiveFloat | None = Field(default=None, description="N·m that 1000 units of 6077h are")
+
+
 class NodeConfig(_Block):
     """One CANopen node of the bench."""
 
     node_id: int = Field(ge=1, le=127)
     eds: Path = Field(description="EDS or DCF file; a relative path is taken from the config file's folder")
     simulated: bool = Field(default=True, description="part of the simulated hardware; false: a real device")
+    units: UnitsConfig = Field(default=UnitsConfig(), description="a drive's units where its objects do not tell them")
+
+    @property
+    def unit_overrides(self) -> dict[str, float]:
+        """The units that the config gives, as `DriveUnits.from_objects` takes them."""
+        return self.units.model_dump(exclude_none=True)
 
 
 class NodesConfig(_Block):
@@ -167,6 +181,10 @@ class BenchConfig(_Block):
         if abs(value * 1e6 - round(value * 1e6)) > 1e-6:
             raise ValueError("whole microseconds (1006h, communication cycle period)")
         return value
+
+    def units_of(self, node_id: int) -> dict[str, float]:
+        """Units that the config gives for a node; none for one that is not the bench's."""
+        return next((node.unit_overrides for _, node in self.nodes if node.node_id == node_id), {})
 
     @property
     def bus_address(self) -> BusAddress:

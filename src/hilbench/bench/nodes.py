@@ -65,7 +65,7 @@ def drive_settings(config: BenchConfig, part: str, od: canopen.ObjectDictionary)
     virtual = part.startswith("virtual")
     load = part == "load"
     rad_per_m = config.model.motor_rad_per_m(axis)
-    units = DriveUnits.from_objects(default_reader(od), {}, part)
+    units = DriveUnits.from_objects(default_reader(od), node.unit_overrides, part)
     deceleration = round(config.safety.quick_stop_m_s2 * rad_per_m / units.acceleration_rad_s2)
     parameters = {
         (objects.QUICK_STOP_DECELERATION, 0): deceleration,
@@ -81,6 +81,7 @@ def drive_settings(config: BenchConfig, part: str, od: canopen.ObjectDictionary)
         mode=OperationMode.CYCLIC_SYNCHRONOUS_TORQUE if load else OperationMode.CYCLIC_SYNCHRONOUS_VELOCITY,
         cycle_s=config.cycle_time_s,
         has_velocity=not load,
+        units=node.unit_overrides,
         parameters={key: value for key, value in parameters.items() if key[0] in od},
         heartbeat_ms=config.master.node_heartbeat_ms,
         master_heartbeat=_master_heartbeat(config, virtual),

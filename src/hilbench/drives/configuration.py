@@ -163,16 +163,19 @@ def set_mode(master: Master, settings: DriveSettings, od: ObjectDictionary) -> N
     raise _fault(settings, f"mode of operation display (6061h) is {shown!r}, expected {int(mode)} as written to 6060h")
 
 
-def read_units(master: Master, settings: DriveSettings, od: ObjectDictionary) -> DriveUnits:
-    """The units as the device's objects tell them now."""
+def read_units(
+    master: Master, node_id: int, od: ObjectDictionary, overrides: Mapping[str, float], place: str
+) -> DriveUnits:
+    """The units as the device's objects tell them now, and `overrides` where they don't (see `DriveUnits`).
+
+    Raises UnusableInputError, at `place`, for a factor that nobody tells.
+    """
 
     def read(index: int, sub: int) -> int | float | None:
-        if not _has(od, index, sub):
-            return None
-        value = master.sdo_read(settings.node_id, index, sub)
+        value = master.sdo_read(node_id, index, sub) if _has(od, index, sub) else None
         return value if isinstance(value, int | float) else None
 
-    return DriveUnits.from_objects(read, settings.units, settings.name)
+    return DriveUnits.from_objects(read, overrides, place)
 
 
 def default_reader(od: ObjectDictionary) -> ObjectReader:

@@ -111,7 +111,8 @@ class Drive:
         Blocks (SDO). Raises BenchFaultError when the device is not the one expected or does not take a value.
         """
         configure(master, self.settings, self.od, self.pdos)
-        self.units = read_units(master, self.settings, self.od)
+        settings = self.settings
+        self.units = read_units(master, settings.node_id, self.od, settings.units, settings.name)
 
     @property
     def units(self) -> DriveUnits:
