@@ -18,6 +18,7 @@ from hilbench.report.html import write_report
 
 _REFRESH_S = 0.2
 _PLAIN_LINE_EVERY_S = 5.0
+_COLOURS = {"passed": "green", "marginal": "yellow", "failed": "red", "error": "red"}
 
 
 def run_command(loaded: LoadedConfig, out: Path, *, start_processes: bool, as_json: bool) -> int:
@@ -142,6 +143,7 @@ def _criteria_table(result: Result) -> Table:
         table.add_column(heading, justify="right" if heading == "value" else "left")
     for row in result.criteria:
         value = "-" if row.value is None else f"{row.value:.6g}"
-        mark = "[green]passed[/green]" if row.passed else "[red]failed[/red]"
+        colour = _COLOURS[row.verdict]
+        mark = f"[{colour}]{row.verdict}[/{colour}]"
         table.add_row(row.name, value, str(row.limit), row.unit, mark)
     return table

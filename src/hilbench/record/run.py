@@ -23,6 +23,7 @@ from hilbench.experiment import config as config_files
 from hilbench.experiment.config import LoadedConfig
 from hilbench.experiment.criteria import evaluate
 from hilbench.experiment.metrics import evaluate_metrics
+from hilbench.record.junit import write_junit
 from hilbench.record.recording import Recording, RecordingBuilder, write_recording
 from hilbench.record.result import Environment, Fault, Result, Timing, jitter
 from hilbench.record.run_folder import RunFolder
@@ -114,6 +115,7 @@ def run_experiment(
     criteria = evaluate(config.criteria, metrics)
     result = Result.of(criteria, metrics, timing, faults, Environment.here(config.seed))
     result.write(folder.result)
+    write_junit(result, config.name, started, folder.junit)
     if exit_code == EXIT_PASSED and not result.passed:
         exit_code = EXIT_CRITERION_FAILED
     return RunOutcome(folder, result, exit_code)

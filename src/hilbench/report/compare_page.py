@@ -139,7 +139,9 @@ def _curve(recording: Recording, signals: tuple[str, ...]) -> Array | None:
     return np.asarray(mean_velocity(recording.time_s, values, width) - line, np.float64)
 
 
-def _picture(runs: Sequence[ComparedRun], curves: Sequence[Array | None], name: str, title: str, label: str, factor: float) -> str:
+def _picture(
+    runs: Sequence[ComparedRun], curves: Sequence[Array | None], name: str, title: str, label: str, factor: float
+) -> str:
     def draw(figure: Any) -> list[plots.Panel]:
         axes = figure.subplots()
         panels, shown = [], []

@@ -121,6 +121,9 @@ def _summary(result: Result) -> str:
     parts = [_verdict_word(result).capitalize()]
     if result.criteria:
         parts.append(f"{len(result.criteria) - failed} of {len(result.criteria)} criteria met")
+    marginal = sum(criterion.marginal for criterion in result.criteria)
+    if marginal:
+        parts.append(f"{marginal} of them marginally")
     if result.faults:
         parts.append(f"{len(result.faults)} fault{'s' if len(result.faults) > 1 else ''}")
     return ", ".join(parts)
@@ -136,7 +139,7 @@ def _criteria(criteria: Sequence[CriterionResult]) -> str:
     rows = []
     for criterion in criteria:
         reason = f'<span class="reason">{escape(criterion.reason)}</span>' if criterion.reason else ""
-        word = "passed" if criterion.passed else "failed"
+        word = criterion.verdict
         value = number(criterion.value, digits(criterion.unit))
         rows.append(
             f"<tr><td>{escape(criterion.name)}{reason}</td>"
