@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
-from hilbench.cli import compare, drive, replay, scan, sdo
+from hilbench.cli import compare, config, drive, replay, scan, sdo
 from hilbench.cli.options import BusOption, ConfigArgument, JsonOption, PaceOption, SetOption
 from hilbench.errors import EXIT_INTERRUPTED, HilbenchError
 
@@ -190,6 +190,7 @@ def diagnose(
 
 app.command()(scan.scan)
 app.add_typer(sdo.app, name="sdo")
+app.add_typer(config.app, name="config")
 app.command()(drive.drive)
 app.command()(replay.replay)
 app.command()(compare.compare)
