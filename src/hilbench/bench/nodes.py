@@ -138,7 +138,7 @@ class Nodes:
     def pdo_maps(self, part: str) -> list[PdoMap]:
         """The PDOs of a participant (a field of `nodes:`) that the bench maps."""
         if part == "virtual_io":
-            return [self.io.state, self.io.quality, self.io.boundary]
+            return [self.io.state, self.io.quality, self.io.status, self.io.boundary]
         node_id = getattr(self.config.nodes, part).node_id
         drive = next(drive for drive in (*self.drives, *self.virtual_axes) if drive.settings.node_id == node_id)
         return [drive.pdos.rpdo, *(pdo for _, pdo, _ in drive.pdos.tpdos)]

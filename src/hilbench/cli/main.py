@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
-from hilbench.cli import compare, config, drive, replay, scan, sdo
+from hilbench.cli import compare, config, convert, drive, replay, scan, sdo
 from hilbench.cli.options import BusOption, ConfigArgument, JsonOption, PaceOption, SetOption
 from hilbench.errors import EXIT_INTERRUPTED, HilbenchError
 
@@ -194,6 +194,8 @@ app.add_typer(config.app, name="config")
 app.command()(drive.drive)
 app.command()(replay.replay)
 app.command()(compare.compare)
+app.command()(convert.convert)
+app.command()(convert.dbc)
 
 
 def main() -> None:
