@@ -90,7 +90,7 @@ def test_what_does_not_work_is_one_line(bench: Path, arguments: list[str], code:
 
 def test_a_drive_turns_while_the_dead_man_key_is_held_and_is_without_power_afterwards(bench: Path) -> None:
     unit_rad_s = 2 * math.pi / 60 * 1e-4  # 60A9h of the EDS: 0.0001 rpm
-    address = BusAddress.as_it_runs(yaml.safe_load(bench.read_text())["bus"]["address"])
+    address = BusAddress.parse(yaml.safe_load(bench.read_text())["bus"]["address"]).as_it_runs()
 
     def velocity(reader: SdoReader) -> float:
         answer = reader.read(1, 0x606C)

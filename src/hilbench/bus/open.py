@@ -42,14 +42,12 @@ class BusAddress:
             raise UnusableInputError("bus", f"found {text!r}, expected embedded, embedded:NAME or INTERFACE:CHANNEL")
         return cls(interface, channel, bitrate, timing)
 
-    @classmethod
-    def as_it_runs(cls, text: str, *, bitrate: int = DEFAULT_BITRATE) -> BusAddress:
-        """`parse`, with bitrate and timing of the embedded bus of that name where one runs."""
-        bus = cls.parse(text, bitrate=bitrate)
-        if bus.interface != "embedded" or bus.channel not in hub_client.running_channels():
-            return bus
-        running = hub_client.statistics(bus.channel)
-        return cls(bus.interface, bus.channel, running.bitrate, running.timing)
+    def as_it_runs(self) -> BusAddress:
+        """The same bus with bitrate and timing of the embedded bus of that name, where one runs."""
+        if self.interface != "embedded" or self.channel not in hub_client.running_channels():
+            return self
+        running = hub_client.statistics(self.channel)
+        return BusAddress(self.interface, self.channel, running.bitrate, running.timing)
 
     def __str__(self) -> str:
         return f"{self.interface}:{self.channel}"

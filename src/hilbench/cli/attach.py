@@ -20,9 +20,9 @@ _TIMEOUT_S = 1.0
 def config_and_bus(config: Path | None, bus: str | None) -> tuple[ExperimentConfig | None, BusAddress]:
     """The config, where one is given, and the bus as it runs. Raises UnusableInputError."""
     if config is None:
-        return None, BusAddress.as_it_runs(bus or "embedded")
+        return None, BusAddress.parse(bus or "embedded").as_it_runs()
     loaded = load_with_overrides(config, bus=bus).config
-    return loaded, BusAddress.as_it_runs(loaded.bus.address, bitrate=loaded.bus.bitrate)
+    return loaded, loaded.bus_address.as_it_runs()
 
 
 def node_on_bus(

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
-from hilbench.cli import compare, config, convert, drive, replay, scan, sdo
+from hilbench.cli import compare, config, convert, drive, monitor, replay, scan, sdo
 from hilbench.cli.options import BusOption, ConfigArgument, JsonOption, PaceOption, SetOption
 from hilbench.errors import EXIT_INTERRUPTED, HilbenchError
 
@@ -193,6 +193,7 @@ app.add_typer(sdo.app, name="sdo")
 app.add_typer(config.app, name="config")
 app.command()(drive.drive)
 app.command()(replay.replay)
+app.command()(monitor.monitor)
 app.command()(compare.compare)
 app.command()(convert.convert)
 app.command()(convert.dbc)

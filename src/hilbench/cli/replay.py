@@ -56,7 +56,7 @@ def _trace(run: Path, bus: str | None, speed: float, *, commands: bool) -> dict[
     check_speed(speed)
     path = RunFolder.open(run).trace if run.is_dir() else run
     frames = read_trace(path)
-    address = BusAddress.as_it_runs(bus or "embedded")
+    address = BusAddress.parse(bus or "embedded").as_it_runs()
     link = open_link(address)
     try:
         done = replay_frames(frames, link, speed=speed, commands=commands)
