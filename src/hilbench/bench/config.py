@@ -5,6 +5,7 @@ The experiment and its criteria stand in the same file; `hilbench.experiment.con
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Literal
 
@@ -47,6 +48,14 @@ class UnitsConfig(_Block):
     rated_torque_Nm: PositiveFloat | None = Field(default=None, description="N·m that 1000 units of 6077h are")
 
 
+def parse_object(key: str) -> tuple[int, int]:
+    """Index and sub-index of ``60A9h`` or ``60C2h:1``. Raises ValueError."""
+    match = re.fullmatch(r"([0-9A-Fa-f]{4})h(?::([0-9]{1,3}))?", key)
+    if match is None:
+        raise ValueError(f"an object such as 60A9h or 60C2h:1, '{key}' is none")
+    return int(match[1], 16), int(match[2] or 0)
+
+
 class NodeConfig(_Block):
     """One CANopen node of the bench."""
 
@@ -54,6 +63,21 @@ class NodeConfig(_Block):
     eds: Path = Field(description="EDS or DCF file; a relative path is taken from the config file's folder")
     simulated: bool = Field(default=True, description="part of the simulated hardware; false: a real device")
     units: UnitsConfig = Field(default=UnitsConfig(), description="a drive's units where its objects do not tell them")
+    parameters: dict[str, int | float] = Field(
+        default={}, description="objects written to a drive at configuration, device units: {60A9h: 0xFAB44700}"
+    )
+
+    @field_validator("parameters")
+    @classmethod
+    def _name_objects(cls, value: dict[str, int | float]) -> dict[str, int | float]:
+        for key in value:
+            parse_object(key)
+        return value
+
+    @property
+    def writes(self) -> dict[tuple[int, int], int | float]:
+        """`parameters` by index and sub-index."""
+        return {parse_object(key): value for key, value in self.parameters.items()}
 
     @property
     def unit_overrides(self) -> dict[str, float]:

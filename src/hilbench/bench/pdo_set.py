@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from hilbench.bench.config import BenchConfig
-from hilbench.bench.nodes import Nodes
-from hilbench.drives.configuration import default_reader
+from hilbench.bench.nodes import Nodes, declared_units
 from hilbench.drives.object_units import si_unit
 from hilbench.drives.units import DriveUnits
 from hilbench.fieldbus.dbc import DbcMessage, dbc_text
@@ -20,10 +19,10 @@ def pdo_set_dbc(config: BenchConfig) -> str:
     """The file's text. Raises UnusableInputError for an EDS file that cannot be used."""
     nodes = Nodes(config)
     messages: dict[int, DbcMessage] = {}
-    for part, node in config.nodes:
+    for part, _ in config.nodes:
         units = None
         if part != "virtual_io":
-            units = DriveUnits.from_objects(default_reader(nodes.dictionary(part)), node.unit_overrides, part)
+            units = declared_units(config, part, nodes.dictionary(part))
         for pdo in nodes.pdo_maps(part):
             # A virtual axis listens to the RPDO of its real axis: one frame, two receivers.
             messages.setdefault(pdo.cob_id, _message(part, pdo, units))

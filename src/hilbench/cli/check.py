@@ -22,6 +22,7 @@ def check_command(loaded: LoadedConfig, *, as_json: bool) -> None:
             "frames_per_cycle": checked.frames_per_cycle,
             "bus_load_pct": 100 * load.fraction,
             "stiffness_reserve": checked.stiffness_reserve,
+            "notes": checked.notes,
             "steps": len(config.steps),
             "criteria": len(config.criteria),
         }
@@ -36,4 +37,6 @@ def check_command(loaded: LoadedConfig, *, as_json: bool) -> None:
         f"bit times ({100 * load.fraction:.0f} %)"
     )
     print(f"load motor: could imitate a web {checked.stiffness_reserve:.1f} times as stiff before its loop is unstable")
+    for note in checked.notes:
+        print(f"note: {note}")
     print(f"{len(config.steps)} steps, {len(config.criteria)} criteria")

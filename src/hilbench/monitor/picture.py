@@ -10,12 +10,11 @@ from typing import Any
 import numpy as np
 
 from hilbench.bench.config import BenchConfig
-from hilbench.bench.nodes import Nodes
+from hilbench.bench.nodes import Nodes, declared_units
 from hilbench.bus.frame import EXTENDED_FLAG, Frame
 from hilbench.bus.wire import frame_bits
 from hilbench.doctor.scan import nmt_states
 from hilbench.drives import objects
-from hilbench.drives.configuration import default_reader
 from hilbench.drives.object_units import si_unit
 from hilbench.drives.state_machine import State, decode_statusword
 from hilbench.drives.units import DriveUnits
@@ -71,7 +70,7 @@ class BusPicture:
         for part, node in self.config.nodes:
             if part == "virtual_io":
                 continue
-            units = DriveUnits.from_objects(default_reader(nodes.dictionary(part)), node.unit_overrides, part)
+            units = declared_units(self.config, part, nodes.dictionary(part))
             for pdo in nodes.pdo_maps(part)[1:]:  # what it sends
                 indices = tuple(variable.index for variable in pdo.variables)
                 self._tpdos[pdo.cob_id] = (self.nodes[node.node_id], pdo, indices, units)
