@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -36,14 +36,14 @@ def load(path: Path) -> tuple[ExperimentConfig, strict_yaml.Document]:
 def read_document(path: Path, including: tuple[Path, ...] = ()) -> strict_yaml.Document:
     """A config file on top of the files that its key `include` names (one, or a list; the later one counts).
 
-    What is included, and an EDS file, is looked for in the folder of the file that names it. Raises
+    What a file names (includes, EDS files, tables) is looked for in its own folder. Raises
     UnusableInputError with file and line; for files that include each other too.
     """
     document = strict_yaml.load(path)
     if not isinstance(document.data, Mapping):
         raise UnusableInputError(document.place(), "no mapping, expected a bench config")
     here = (*including, path.resolve())
-    document = _with_eds_of_its_folder(document)
+    document = _with_files_of_its_folder(document)
     if "include" not in document.data:
         return document
     given, place = document.data["include"], document.place(("include",))
@@ -63,14 +63,29 @@ def read_document(path: Path, including: tuple[Path, ...] = ()) -> strict_yaml.D
     return top if below is None else top.over(below)
 
 
-def _with_eds_of_its_folder(document: strict_yaml.Document) -> strict_yaml.Document:
-    nodes = document.data.get("nodes")
-    for part, node in nodes.items() if isinstance(nodes, Mapping) else ():
-        if isinstance(node, Mapping) and isinstance(node.get("eds"), str):
-            location = ("nodes", part, "eds")
-            file = (document.path.resolve().parent / node["eds"]).resolve()
-            document = document.with_value(location, str(file), document.place(location))
+def _with_files_of_its_folder(document: strict_yaml.Document) -> strict_yaml.Document:
+    """Files that a config names are looked for in its own folder."""
+    for location, name in list(_named_files(document.data)):
+        file = (document.path.resolve().parent / name).resolve()
+        document = document.with_value(location, str(file), document.place(location))
     return document
+
+
+def _named_files(data: Mapping[str, Any]) -> Iterator[tuple[tuple[str | int, ...], str]]:
+    nodes, steps = data.get("nodes"), data.get("steps")
+    blocks: list[tuple[tuple[str | int, ...], Any, str]] = []
+    if isinstance(nodes, Mapping):
+        blocks += [(("nodes", part), node, "eds") for part, node in nodes.items()]
+    if isinstance(steps, list):
+        blocks += [
+            (("steps", number, kind), action, "file")
+            for number, step in enumerate(steps)
+            if isinstance(step, Mapping)
+            for kind, action in step.items()
+        ]
+    for location, block, key in blocks:
+        if isinstance(block, Mapping) and isinstance(block.get(key), str):
+            yield (*location, key), block[key]
 
 
 def dump(config: BenchConfig, path: Path) -> None:
