@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
-from hilbench.cli import compare, config, convert, drive, monitor, replay, scan, sdo
+from hilbench.cli import compare, config, convert, drive, monitor, replay, scan, sdo, sweep
 from hilbench.cli.options import BusOption, ConfigArgument, JsonOption, PaceOption, SetOption
 from hilbench.errors import EXIT_INTERRUPTED, HilbenchError
 
@@ -42,6 +42,9 @@ def run(
             "--start/--no-start", help="start simulated hardware and twin, or use those that run on the bus already"
         ),
     ] = True,
+    report: Annotated[
+        bool, typer.Option("--report/--no-report", help="write report.html; hilbench report writes it later as well")
+    ] = True,
     json: Annotated[bool, typer.Option("--json", help="print result.json on standard output, nothing else")] = False,
 ) -> None:
     """Run a bench and its experiment; leaves a run folder with recording, trace, result and report.
@@ -55,7 +58,7 @@ def run(
     from hilbench.cli.run import run_command
 
     loaded = _load(config, bus=bus, pace=pace, seed=seed, changes=changes or ())
-    raise typer.Exit(run_command(loaded, out, start_processes=start, as_json=json))
+    raise typer.Exit(run_command(loaded, out, start_processes=start, with_report=report, as_json=json))
 
 
 @app.command()
@@ -195,6 +198,7 @@ app.command()(drive.drive)
 app.command()(replay.replay)
 app.command()(monitor.monitor)
 app.command()(compare.compare)
+app.command()(sweep.sweep)
 app.command()(convert.convert)
 app.command()(convert.dbc)
 
