@@ -5,12 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from tests.bench.test_runs import config, run, run_folders
 
 from hilbench.bench.check import check_bench
 from hilbench.errors import UnusableInputError
 from hilbench.experiment.config import load_with_overrides
-from hilbench.record.recording import read_recording
 
 ROOT = Path(__file__).resolve().parents[2]
 MIXED = ROOT / "bench_configs" / "mixed_bench.yaml"
@@ -28,17 +26,6 @@ def other_eds(folder: Path, *changes: tuple[str, str]) -> str:
         text = text.replace(old, new)
     (folder / "other.eds").write_text(text)
     return f"nodes.axis2.eds={folder / 'other.eds'}"
-
-
-def test_an_axis_with_coarser_units_runs_beside_the_others(tmp_path: Path) -> None:
-    shipped = load_with_overrides(MIXED).config.model_dump(mode="json", exclude_none=True)
-    path = config(tmp_path, nodes=shipped["nodes"], mirroring="copy")
-    assert run(path)[0] == 0
-    found = read_recording(run_folders(path)[0] / "recording.mf4")
-    at_speed = (found.time_s > 0.6) & (found.time_s < 1.5)
-    for velocity in ("v1_m_s", "v2_m_s"):
-        assert found[velocity][at_speed].mean() == pytest.approx(1.0, abs=1e-3)
-    assert found["E_sim_Pa"][-1] == pytest.approx(10.5e9, rel=1e-2)
 
 
 def test_units_that_differ_are_refused_where_one_frame_feeds_two_devices() -> None:

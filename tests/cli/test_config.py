@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import subprocess
 import sys
 from pathlib import Path
@@ -12,6 +11,7 @@ import pytest
 
 from hilbench import strict_yaml
 from hilbench.experiment.config import load
+from hilbench.experiment.config_text import json_schema
 
 ROOT = Path(__file__).resolve().parents[2]
 SHIPPED = sorted((ROOT / "bench_configs").glob("*.yaml"))
@@ -24,7 +24,7 @@ def hilbench(*arguments: object, typed: str = "") -> subprocess.CompletedProcess
 
 @pytest.fixture(scope="module")
 def validator() -> jsonschema.Draft202012Validator:
-    schema = json.loads(hilbench("config", "schema").stdout)
+    schema = json_schema()
     jsonschema.Draft202012Validator.check_schema(schema)
     return jsonschema.Draft202012Validator(schema)
 

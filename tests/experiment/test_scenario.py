@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import json
-import uuid
 from pathlib import Path
 
 import pytest
-from tests.bench.test_runs import run
 
 from hilbench.errors import UnusableInputError
 from hilbench.experiment.python_file import load_experiment
@@ -51,21 +48,3 @@ def test_a_python_file_without_the_function_is_named(tmp_path: Path) -> None:
     (tmp_path / "bad.py").write_text("x = 1\ny = x / 0\n")
     with pytest.raises(UnusableInputError, match=r"bad.py:2: ZeroDivisionError"):
         load_experiment(tmp_path / "bad.py", "experiment")
-
-
-def test_of_the_shipped_scenario_only_what_is_made_wrong_fails(tmp_path: Path) -> None:
-    table = (SHIPPED / "scenario.csv").read_text().replace("7.9e9;8.1e9;0.3", "8.5e9;8.8e9;0.3")
-    (tmp_path / "scenario.csv").write_text(table)
-    (tmp_path / "scenario.py").write_text((SHIPPED / "scenario.py").read_text().replace("v2_m_s > 0.4", "v2_m_s > 4.0"))
-    (tmp_path / "wrong.yaml").write_text(
-        f"include: {SHIPPED / 'scenario.yaml'}\nsteps:\n  - table: {{file: scenario.csv}}\n"
-        "  - python: {file: scenario.py, function: creep_down}\n"
-    )
-    bus = f"embedded:t{uuid.uuid4().hex[:10]}"
-    code, out, err = run(tmp_path / "wrong.yaml", "--bus", bus, "--out", str(tmp_path / "runs"), "--json")
-    assert code == 1, err
-    verdicts = {row["name"]: row for row in json.loads(out)["criteria"]}
-    wrong = {name: row for name, row in verdicts.items() if not row["passed"]}
-    assert (len(verdicts), sorted(wrong)) == (6, ["E_sim_Pa from t = 3.3 s of the table", "scenario.py: creep_down"])
-    assert wrong["E_sim_Pa from t = 3.3 s of the table"]["value"] == pytest.approx(8.0e9, rel=1e-2)
-    assert "scenario.py:12: the line stands still" in wrong["scenario.py: creep_down"]["reason"]

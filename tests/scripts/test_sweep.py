@@ -12,7 +12,7 @@ import pytest
 from tests.bench.test_runs import config
 
 from hilbench.errors import UnusableInputError
-from hilbench.scripts.sweep import Axis, Row, Sweep, parse_axis, points
+from hilbench.scripts.sweep import Axis, Sweep, parse_axis, points
 
 
 def sweep(path: Path, *options: str) -> subprocess.CompletedProcess[str]:
@@ -48,27 +48,25 @@ def test_what_cannot_be_varied_is_said(text: str, samples: int | None, said: str
 
 def test_a_failed_run_leaves_its_row_and_what_is_done_is_not_done_again(tmp_path: Path) -> None:
     path = config(tmp_path, steps=[{"hold": {"duration_s": 0.1}}])
-    out, limits = tmp_path / "sweep", [{"safety.tension_limit_N": text} for text in ("1", "400")]
-    with pytest.raises(UnusableInputError, match=r"--set safety.tension_limit_N=-1: .*greater than 0"):
-        Sweep(path, (), [*limits, {"safety.tension_limit_N": "-1"}], out)
+    out, cycles = tmp_path / "sweep", [{"cycle_time_s": text} for text in ("0.001", "0.002")]
+    with pytest.raises(UnusableInputError, match=r"--set cycle_time_s=-1: .*greater than or equal"):
+        Sweep(path, (), [*cycles, {"cycle_time_s": "-1"}], out)
     assert not out.exists()
-    done = sweep(path, "--vary", "safety.tension_limit_N=1,400", "--json")
+    done = sweep(path, "--vary", "cycle_time_s=0.001,0.002", "--json")
     assert done.returncode == 1, done.stderr
     rows = json.loads(done.stdout)["runs"]
-    assert [row["exit_code"] for row in rows] == [3, 0]
-    assert "outside 0 to 1 N" in rows[0]["said"]
-    with open(tmp_path / "sweep" / "results.csv", newline="") as file:
+    assert [row["exit_code"] for row in rows] == [2, 0]
+    assert "bit times of the 1000" in rows[0]["said"]
+    with open(out / "results.csv", newline="") as file:
         table = list(csv.DictReader(file))
-    assert [row["safety.tension_limit_N"] for row in table] == ["1", "400"]
+    assert [row["cycle_time_s"] for row in table] == ["0.001", "0.002"]
     assert float(table[1]["bus_load_pct"]) > 10.0
-    assert (tmp_path / "sweep" / table[1]["run"] / "recording.mf4").exists()
-    assert [vars(row)["exit_code"] for row in Sweep(path, (), limits, out).rows.values()] == [3, 0]
+    assert (out / table[1]["run"] / "recording.mf4").exists()
+    again = Sweep(path, (), cycles, out)
+    again.run(2, lambda row: pytest.fail(f"run {row.number} is done already"))
+    assert again.as_data() == rows
     log = out / "results.jsonl"
     log.write_text(log.read_text()[:-20])  # as a crash leaves it: the last row is torn
-    left: list[Row] = []
-    resumed = Sweep(path, (), limits, out)
-    resumed.run(2, left.append)
-    assert len(left) == 1
-    assert sorted(resumed.rows) == [0, 1]
+    assert len(Sweep(path, (), cycles, out).rows) == 1
     with pytest.raises(UnusableInputError, match="holds another sweep"):
-        Sweep(path, (), limits[:1], out)
+        Sweep(path, (), cycles[:1], out)

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import canopen
 
 from hilbench.bus.open import BusAddress, open_python_can
 from hilbench.doctor.eds_match import find_eds
 from hilbench.errors import BenchFaultError, UnusableInputError
-from hilbench.experiment.config import ExperimentConfig, load_with_overrides
 from hilbench.fieldbus.eds import load_eds
 from hilbench.fieldbus.master import Master
 from hilbench.fieldbus.sdo_reader import SdoReader
+
+if TYPE_CHECKING:  # the models take their time to import; a command without a config does not need them
+    from hilbench.experiment.config import ExperimentConfig
 
 _TIMEOUT_S = 1.0
 
@@ -21,6 +24,8 @@ def config_and_bus(config: Path | None, bus: str | None) -> tuple[ExperimentConf
     """The config, where one is given, and the bus as it runs. Raises UnusableInputError."""
     if config is None:
         return None, BusAddress.parse(bus or "embedded").as_it_runs()
+    from hilbench.experiment.config import load_with_overrides
+
     loaded = load_with_overrides(config, bus=bus).config
     return loaded, loaded.bus_address.as_it_runs()
 

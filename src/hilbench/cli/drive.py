@@ -122,7 +122,7 @@ def _jog(manual: ManualDrive, heartbeat: Callable[[], None], speed_rad_s: float)
         try:
             heartbeat()
             with manual.watching(_MASTER_ID, _HEARTBEAT_TIME_OUT_MS):
-                print(f"hold {_FORWARD} (forward) or {_BACKWARD} (backward), q ends", flush=True)
+                typer.echo(f"hold {_FORWARD} (forward) or {_BACKWARD} (backward), q ends", err=True)
                 _follow_keys(manual, key_pressed, heartbeat, speed_rad_s)
                 manual.stop()
         finally:

@@ -169,4 +169,5 @@ def _print(found: _Object, value: Any, *, as_json: bool) -> None:
     shown = "written" if value is None else value.hex(" ") if isinstance(value, bytes) else str(value)
     shown += f" ({value:X}h)" if isinstance(value, int) and value >= 0 else ""
     unit = f" = {si:.6g} {found.unit[1]}" if si is not None and found.unit is not None else ""
-    print(f"{found.node_name} (node {found.node_id}) {found.key} {found.variable.name}: {shown}{unit}")
+    place = f"{found.node_name} (node {found.node_id})" if found.node_name != "node" else f"node {found.node_id}"
+    print(f"{place} {found.key} {found.variable.name}: {shown}{unit}")

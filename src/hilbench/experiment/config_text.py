@@ -26,6 +26,8 @@ def json_schema() -> dict[str, Any]:
         "description": "config files that this one stands on, by their path from here",
     }
     complete = {"required": schema.pop("required")}
+    for block in schema["$defs"].values():
+        block.pop("required", None)  # what a file includes may give it: `hilbench check` says what is missing
     return {**schema, "if": {"not": {"required": ["include"]}}, "then": complete}
 
 
