@@ -47,6 +47,14 @@ def test_frames_survive_the_formats_of_other_tools(tmp_path: Path, suffix: str) 
     assert found[1].time_ns - found[0].time_ns == pytest.approx(2_000_000, abs=2_000)
 
 
+@pytest.mark.parametrize("name", ["bad.asc", "bad.blf", "missing.blf"])
+def test_what_is_no_trace_is_refused(tmp_path: Path, name: str) -> None:
+    if name.startswith("bad"):
+        (tmp_path / name).write_bytes(b"no trace at all")
+    with pytest.raises(UnusableInputError, match=rf"{name}: .*expected a trace|{name}: not a readable .blf trace"):
+        list(read_trace(tmp_path / name))
+
+
 def test_a_dbc_reader_decodes_the_pdos_of_a_bench_in_si_units() -> None:
     config, _ = load(CONFIG)
     database = cantools.database.load_string(pdo_set_dbc(config), "dbc")

@@ -48,6 +48,8 @@ def drive(
 ) -> None:
     """Enable, disable, reset or jog one drive by SDO (profile velocity mode), or show its decoded status.
 
+    enable leaves the drive at velocity 0 with its power stage on when the command has ended; disable takes it away.
+
     jog: hold f (forward) or b (backward): the key is the dead-man switch, let go and the drive stops; any other key
     stops it too, q ends. The drive watches this program's heartbeat (1016h) and stops without it. Nothing but status
     is done while a bench is at work on the bus.

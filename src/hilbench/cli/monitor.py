@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -28,9 +29,12 @@ def monitor(
     Example: hilbench monitor bench_configs/web_section_step.yaml --bus socketcan:can0
     """
     from hilbench.bus.open import open_link
+    from hilbench.errors import UnusableInputError
     from hilbench.experiment.config import load_with_overrides
     from hilbench.monitor.picture import BusPicture
 
+    if not json and not sys.stdout.isatty():
+        raise UnusableInputError("standard output", "no terminal, expected one for the dashboard, or --json")
     loaded = load_with_overrides(config, bus=bus, pace=pace).config
     picture = BusPicture(loaded)
     link = open_link(loaded.bus_address.as_it_runs())

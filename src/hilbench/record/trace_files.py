@@ -34,15 +34,20 @@ def read_trace(path: Path) -> Iterator[Frame]:
 
 
 def _through_python_can(path: Path) -> Iterator[Frame]:
+    empty = True
     try:
         with can.LogReader(path) as reader:
             for message in reader:
                 if not message.is_error_frame:
+                    empty = False
                     yield to_frame(message)
-    except (can.CanError, ValueError, OSError, EOFError, IndexError) as error:
-        raise UnusableInputError(
-            path, f"not a readable {path.suffix} trace ({' '.join(str(error).split())})"
-        ) from error
+    except MemoryError:
+        raise
+    except Exception as error:  # its parsers raise whatever they stumble over: struct.error, zlib.error, KeyError, …
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise UnusableInputError(path, f"not a readable {path.suffix} trace ({reason})") from error
+    if empty:
+        raise UnusableInputError(path, "no frame in it, expected a trace")
 
 
 def write_trace(frames: Iterable[Frame], path: Path, channel: str) -> int:
