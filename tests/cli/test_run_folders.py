@@ -88,6 +88,10 @@ def test_of_the_shipped_scenario_only_what_was_made_wrong_fails(run_folder: Path
     rows = {row["name"]: row for row in json.loads((run_folder / "result.json").read_text())["criteria"]}
     assert [name for name, row in rows.items() if not row["passed"]] == WRONG
     assert len(rows) == 9
+    table, python = (step.table or step.python for step in load(run_folder / "config.yaml")[0].steps)
+    assert table.file == run_folder / "step1_scenario.csv"  # kept with the run, as it was
+    assert "8.5e9;8.8e9;0.3" in table.file.read_text()
+    assert python.file.parent == run_folder
     assert rows[WRONG[0]]["value"] == pytest.approx(8.0e9, rel=1e-2)
     assert "scenario.py:12: the line stands still" in rows[WRONG[1]]["reason"]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -89,8 +90,17 @@ def _named_files(data: Mapping[str, Any]) -> Iterator[tuple[tuple[str | int, ...
 
 
 def dump(config: BenchConfig, path: Path) -> None:
-    """Write the resolved config, every default spelled out; `load` reads it back to an equal config."""
+    """Write the resolved config, every default spelled out; `load` reads it back to a config that does the same.
+
+    Tables and Python files of its steps are copied beside it, so that the folder says by itself what was run.
+    """
     data: dict[str, Any] = config.model_dump(mode="json", exclude_none=True)
+    for number, step in enumerate(data.get("steps", []), 1):
+        for action in step.values():
+            if "file" in action:
+                source, name = Path(action["file"]), f"step{number}_{Path(action['file']).name}"
+                shutil.copyfile(source, path.parent / name)
+                action["file"] = name
     path.write_text(yaml.safe_dump(data, sort_keys=False, allow_unicode=True), encoding="utf-8")
 
 
