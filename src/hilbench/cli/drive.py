@@ -119,14 +119,13 @@ def _refuse_beside_a_bench(address: BusAddress, master_id: int) -> None:
 
 def _jog(manual: ManualDrive, heartbeat: Callable[[], None], speed_rad_s: float) -> None:
     """Hold-to-run until q; the drive is disabled when it ends, however it ends."""
-    with _keys() as key_pressed:
-        manual.enable()
+    # The drive watches from the first heartbeat on: from before the first key until the power stage is off.
+    with _keys() as key_pressed, manual.watching(_MASTER_ID, _HEARTBEAT_TIME_OUT_MS):
         try:
-            heartbeat()
-            with manual.watching(_MASTER_ID, _HEARTBEAT_TIME_OUT_MS):
-                typer.echo(f"hold {_FORWARD} (forward) or {_BACKWARD} (backward), q ends", err=True)
-                _follow_keys(manual, key_pressed, heartbeat, speed_rad_s)
-                manual.stop()
+            manual.enable()
+            typer.echo(f"hold {_FORWARD} (forward) or {_BACKWARD} (backward), q ends", err=True)
+            _follow_keys(manual, key_pressed, heartbeat, speed_rad_s)
+            manual.stop()
         finally:
             manual.disable()
 
