@@ -65,6 +65,7 @@ class BusPicture:
     def __post_init__(self) -> None:
         nodes = Nodes(self.config)
         self._state = nodes.io.state
+        self._state_data = b""  #: its last frame; a batch of frames may end between it and the SYNC after it
         self._tpdos: dict[int, tuple[NodePicture, Any, tuple[int, ...], DriveUnits]] = {}
         self.nodes = {node.node_id: NodePicture(part, node.node_id) for part, node in self.config.nodes}
         for part, node in self.config.nodes:
@@ -88,24 +89,25 @@ class BusPicture:
             if frame.can_id & EXTENDED_FLAG:
                 continue
             if frame.can_id == _SYNC:
-                self._sync(frame, last)
+                self._sync(frame)
             elif _SYNC < frame.can_id <= _SYNC + 0x7F:
                 self._emergency(frame)
             elif frame.can_id > _HEARTBEAT:
                 heartbeats.append(frame)
             else:
                 last[frame.can_id] = frame.data
+                if frame.can_id == self._state.cob_id:
+                    self._state_data = frame.data
         self._decode(last)
         for node_id, state in nmt_states(heartbeats).items():
             self._nmt(node_id, state)
 
-    def _sync(self, frame: Frame, last: dict[int, bytes]) -> None:
+    def _sync(self, frame: Frame) -> None:
         self.cycles += 1
         self._bits.append(0)
         self._sync_ns.append(frame.time_ns)
-        data = last.get(self._state.cob_id)
-        if self.cycles % self.every == 0 and data is not None and len(data) == self._state.size:
-            tension_N, modulus_Pa = self._state.unpack(data)
+        if self.cycles % self.every == 0 and len(self._state_data) == self._state.size:
+            tension_N, modulus_Pa = self._state.unpack(self._state_data)
             self.tension_N.append(float(tension_N))
             self.modulus_Pa.append(float(modulus_Pa))
 
