@@ -88,3 +88,17 @@ def test_broken_or_hostile_text_is_one_line(tmp_path, text):
 def test_unreadable_file(tmp_path):
     with pytest.raises(UnusableInputError, match="cannot be read"):
         strict_yaml.load(tmp_path / "absent.yaml")
+
+
+def test_a_value_given_by_an_option_is_named_by_it_and_a_merge_keeps_the_places(tmp_path):
+    base = strict_yaml.load(write(tmp_path, "name: a\nitems:\n  - gain: 1\n  - gain: x\n"))
+    (tmp_path / "top").mkdir()
+    top = strict_yaml.load(write(tmp_path / "top", "name: b\n"))
+    with pytest.raises(UnusableInputError, match=r"config.yaml:4: 'items.1.gain' is 'x'"):
+        strict_yaml.validate(top.over(base), Outer)
+    changed = top.over(base).with_value(("items", 1, "gain"), "y", "--set")
+    with pytest.raises(UnusableInputError, match=r"--set: 'items.1.gain' is 'y'"):
+        strict_yaml.validate(changed, Outer)
+    assert strict_yaml.validate(changed.with_value(("items", 1, "gain"), 2, "--set"), Outer).items[1].gain == 2
+    with pytest.raises(UnusableInputError, match="a position from 0 to 1"):
+        changed.with_value(("items", 2, "gain"), 2, "--set")

@@ -1,1 +1,30 @@
-"""hilbench: a hardware-in-the-loop test bench over CAN/CANopen with a synchronized twin."""
+"""hilbench: a hardware-in-the-loop test bench over CAN/CANopen with a synchronized twin.
+
+For scripts, tests and notebooks: `Bench`, `Recording`, `Result`, `read_recording`. They are imported when they are
+first asked for, so that ``import hilbench`` costs nothing.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from hilbench.record.recording import Recording, read_recording
+    from hilbench.record.result import Result
+    from hilbench.scripts.bench import Bench
+
+__all__ = ["Bench", "Recording", "Result", "read_recording"]
+
+_PLACES = {
+    "Bench": "hilbench.scripts.bench",
+    "Recording": "hilbench.record.recording",
+    "Result": "hilbench.record.result",
+    "read_recording": "hilbench.record.recording",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _PLACES:
+        raise AttributeError(f"module 'hilbench' has no attribute {name!r}")
+    return getattr(import_module(_PLACES[name]), name)

@@ -44,18 +44,83 @@ _Loader.add_implicit_resolver("tag:yaml.org,2002:float", _FLOAT, list("-+0123456
 
 @dataclass(frozen=True)
 class Document:
-    """A parsed YAML file: its data, and the line (counted from 1) at which each value stands."""
+    """Parsed YAML: its data, and where each value was given: ``file:line``, or the option of a command line."""
 
     path: Path
     data: Any
-    lines: Mapping[Location, int]
+    places: Mapping[Location, str]
 
     def place(self, location: Sequence[str | int] = ()) -> str:
-        """``file:line`` of the value at `location`, or of the nearest enclosing value that is in the file."""
+        """Where the value at `location`, or the nearest enclosing value that was given, stands."""
         known = tuple(location)
-        while known and known not in self.lines:
+        while known and known not in self.places:
             known = known[:-1]
-        return f"{self.path}:{self.lines.get(known, 1)}"
+        return self.places.get(known, f"{self.path}:1")
+
+    def with_value(self, location: Sequence[str | int], value: Any, place: str) -> Document:
+        """The document with another value at `location`, given at `place`; mappings on the way are made.
+
+        Raises UnusableInputError, at `place`, for a position that a list does not have, or a value that holds none.
+        """
+        where = tuple(location)
+        data = _with_value(self.data, where, value, place, where)
+        return Document(self.path, data, _without(self.places, where) | {where: place})
+
+    def over(self, base: Document) -> Document:
+        """This document on top of another: mappings key by key, everything else of this one instead of the other's."""
+        places = dict(base.places)
+        for location in _replaced(self.data, base.data):
+            places = _without(places, location)
+        return Document(self.path, _merged(self.data, base.data), places | dict(self.places))
+
+    def without(self, key: str) -> Document:
+        """The document without a key of its root."""
+        return Document(
+            self.path, {name: self.data[name] for name in self.data if name != key}, _without(self.places, (key,))
+        )
+
+
+def _with_value(data: Any, rest: Location, value: Any, place: str, whole: Location) -> Any:
+    if not rest:
+        return value
+    key, name = rest[0], ".".join(map(str, whole))
+    if isinstance(data, Sequence) and not isinstance(data, str):
+        if not isinstance(key, int) or not 0 <= key < len(data):
+            raise UnusableInputError(
+                place, f"'{name}': '{key}' in a list, expected a position from 0 to {len(data) - 1}"
+            )
+        return [_with_value(item, rest[1:], value, place, whole) if at == key else item for at, item in enumerate(data)]
+    if data is not None and not isinstance(data, Mapping):
+        raise UnusableInputError(place, f"'{name}': '{key}' of {data!r}, expected a key that exists")
+    return {**(data or {}), key: _with_value((data or {}).get(key), rest[1:], value, place, whole)}
+
+
+def _without(places: Mapping[Location, str], location: Location) -> dict[Location, str]:
+    return {known: place for known, place in places.items() if known[: len(location)] != location}
+
+
+def _merged(top: Any, base: Any) -> Any:
+    if not (isinstance(top, Mapping) and isinstance(base, Mapping)):
+        return top
+    return {**base, **{key: _merged(value, base.get(key)) for key, value in top.items()}}
+
+
+def _replaced(top: Any, base: Any, location: Location = ()) -> list[Location]:
+    """Where a merge takes the whole value of `top`."""
+    if not (isinstance(top, Mapping) and isinstance(base, Mapping)):
+        return [location]
+    return [found for key, value in top.items() for found in _replaced(value, base.get(key), (*location, key))]
+
+
+def parse_value(text: str, place: str) -> Any:
+    """One value as a config file would hold it: ``10.5e9``, ``true``, ``[1, 2]``. Raises UnusableInputError."""
+    loader = _Loader(text)
+    try:
+        return loader.get_single_data()
+    except yaml.YAMLError as error:
+        raise UnusableInputError(place, f"{text!r} is no YAML value ({' '.join(str(error).split())})") from error
+    finally:
+        loader.dispose()
 
 
 def load(path: Path) -> Document:
@@ -74,9 +139,9 @@ def load(path: Path) -> Document:
         raise UnusableInputError(path, f"not valid YAML: character {error.character!r} is not allowed") from error
     try:
         root = loader.get_single_node()
-        lines: dict[Location, int] = {}
+        places: dict[Location, str] = {}
         if root is not None:
-            _index(Path(path), root, (), lines)
+            _index(Path(path), root, (), places)
         data = loader.construct_document(root) if root is not None else {}
     except yaml.MarkedYAMLError as error:
         line = error.problem_mark.line + 1 if error.problem_mark else 1
@@ -85,11 +150,11 @@ def load(path: Path) -> Document:
         raise UnusableInputError(path, f"not valid YAML: {' '.join(str(error).split())}") from error
     finally:
         loader.dispose()
-    return Document(Path(path), data, lines)
+    return Document(Path(path), data, places)
 
 
-def _index(path: Path, node: yaml.Node, location: Location, lines: dict[Location, int]) -> None:
-    lines.setdefault(location, node.start_mark.line + 1)
+def _index(path: Path, node: yaml.Node, location: Location, places: dict[Location, str]) -> None:
+    places.setdefault(location, f"{path}:{node.start_mark.line + 1}")
     if isinstance(node, yaml.MappingNode):
         seen: dict[str, int] = {}
         for key, value in node.value:
@@ -99,26 +164,24 @@ def _index(path: Path, node: yaml.Node, location: Location, lines: dict[Location
                     f"{path}:{line}", f"key '{name}' is repeated, first given in line {seen[name]}"
                 )
             seen[name] = line
-            lines[(*location, name)] = line
-            _index(path, value, (*location, name), lines)
+            places[(*location, name)] = f"{path}:{line}"
+            _index(path, value, (*location, name), places)
     elif isinstance(node, yaml.SequenceNode):
         for position, item in enumerate(node.value):
-            _index(path, item, (*location, position), lines)
+            _index(path, item, (*location, position), places)
 
 
-def validate(
-    document: Document, model: type[Model], location: Location = (), context: Mapping[str, Any] | None = None
-) -> Model:
+def validate(document: Document, model: type[Model], location: Location = ()) -> Model:
     """Validate the data at `location` of a document against a pydantic model.
 
     Raises UnusableInputError that names file, line, key, what was found and what was expected (the first
-    error; the number of further ones is said). `context` is handed to the model's validators.
+    error; the number of further ones is said).
     """
     data = document.data
     for step in location:
         data = data[step]
     try:
-        return model.model_validate(data, context=dict(context or {}))
+        return model.model_validate(data)
     except ValidationError as error:
         raise _unusable(document, location, error) from error
 

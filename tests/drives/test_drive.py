@@ -5,7 +5,7 @@ from math import nan, pi
 import pytest
 from tests.drives.stand_in import CYCLE_S, EDS, DriveUnderTest
 
-from hilbench.drives.configuration import SETPOINT_OBJECTS, DriveSettings, default_reader
+from hilbench.drives.configuration import SETPOINT_OBJECTS, DriveSettings, RpdoCopy, default_reader
 from hilbench.drives.drive import Drive, DriveGoal
 from hilbench.drives.objects import OperationMode
 from hilbench.drives.state_machine import State
@@ -226,7 +226,7 @@ def test_impossible_set_points_are_refused(value: float) -> None:
 
 
 def test_copies_carry_the_same_data() -> None:
-    loop = Loop(settings(copies=(0x211,)))
+    loop = Loop(settings(copies=(RpdoCopy(0x211),)))
     loop.cycle(2)
     assert [frame.can_id for frame in loop.sent] == [0x201, 0x211]
     assert loop.sent[0].data == loop.sent[1].data

@@ -14,7 +14,7 @@ from tests.drives.stand_in import CYCLE_S, EDS, SimulatedDrives, served
 from hilbench.bus.frame import Frame
 from hilbench.bus.link import Link
 from hilbench.bus.memory import MemoryBus
-from hilbench.drives.configuration import DriveSettings
+from hilbench.drives.configuration import DriveSettings, RpdoCopy
 from hilbench.drives.drive import Drive, DriveGoal
 from hilbench.drives.objects import OperationMode
 from hilbench.drives.state_machine import State
@@ -177,7 +177,7 @@ def test_our_master_configures_and_drives_it() -> None:
 def test_a_virtual_axis_hears_the_same_commands(way: str) -> None:
     bus = MemoryBus()
     with hosted(bus, 1, 17) as plant, mastered(bus, 1, 17) as master:
-        axis = csv("axis 1", 1, copies=(0x211,) if way == "copy" else ())
+        axis = csv("axis 1", 1, copies=(RpdoCopy(0x211),) if way == "copy" else ())
         virtual = csv("virtual axis 1", 17, listens_to=0x201 if way == "listen" else None, tpdo_type=None)
         for drive in (axis, virtual):
             drive.configure(master)

@@ -196,7 +196,7 @@ def test_channels_with_time_bases_of_their_own(tmp_path: Path) -> None:
 
 
 def test_another_suffix(tmp_path: Path) -> None:
-    with pytest.raises(UnusableInputError, match=r"expected a recording: \.mf4, \.csv or \.csv\.gz"):
+    with pytest.raises(UnusableInputError, match=r"expected a recording: \.mf4, \.csv, \.csv\.gz or \.parquet"):
         read_recording(tmp_path / "recording.xlsx")
     with pytest.raises(UnusableInputError, match="expected a recording"):
         write_recording(sample(3), tmp_path / "recording")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -244,6 +244,25 @@ class Bench:
             if held >= needed:
                 return True
         return False
+
+    def follow(self, experiment: Generator[None, CycleSample, None]) -> None:
+        """Run cycles for a generator that is resumed after each of them, until it returns.
+
+        ``sample = yield`` is one cycle; what the generator sets then acts in the next one::
+
+            def experiment(bench):
+                bench.set("line_speed_m_s", 1.0)
+                while (yield).v2_m_s < 0.9:
+                    pass
+        """
+        try:
+            next(experiment)
+            while True:
+                experiment.send(self.cycle())
+        except StopIteration:
+            return
+        finally:
+            experiment.close()
 
     # -- what can be changed -----------------------------------------------------------------------------
 

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import isclose
 
 from hilbench.bench.config import BenchConfig
 from hilbench.bench.load_model import imitated_web
-from hilbench.bench.nodes import Nodes
+from hilbench.bench.nodes import Nodes, declared_units, drive_settings
 from hilbench.bus.load import BusLoad, cycle_load
+from hilbench.drives.configuration import lacking
 from hilbench.errors import UnusableInputError
 from hilbench.strict_yaml import Document
 from hilbench.web.stability import (
@@ -17,6 +19,9 @@ from hilbench.web.stability import (
     web_stiffness_Nm_per_rad,
 )
 
+#: Web tension that one unit of a drive may stand for without a note, N.
+_COARSE_N = 1.0
+
 
 @dataclass(frozen=True)
 class CheckedBench:
@@ -25,6 +30,7 @@ class CheckedBench:
     load: BusLoad
     frames_per_cycle: float
     stiffness_reserve: float  #: stiffest web that the load motor can imitate stably, over the stiffest in the config
+    notes: list[str]  #: what can be run, and will not be good
 
 
 def check_bench(config: BenchConfig, document: Document) -> CheckedBench:
@@ -47,6 +53,7 @@ def check_bench(config: BenchConfig, document: Document) -> CheckedBench:
         if part in config.nodes.__class__.model_fields:
             raise UnusableInputError(document.place(("nodes", part)), error.problem) from error
         raise
+    _check_drives(config, document, nodes)
     frames = nodes.cyclic_frames()
     load = cycle_load(frames, config.cycle_time_s, config.bus.bitrate)
     if load.fraction > 1.0:
@@ -64,7 +71,45 @@ def check_bench(config: BenchConfig, document: Document) -> CheckedBench:
             f"of web and sampled shaft is stable up to {100 * reserve:.0f} % of it, expected at least 100 %: a shorter "
             f"cycle, a heavier axis 2 or a softer web",
         )
-    return CheckedBench(load, sum(frame.per_cycle for frame in frames), reserve)
+    return CheckedBench(load, sum(frame.per_cycle for frame in frames), reserve, _coarse_units(config, nodes))
+
+
+def _check_drives(config: BenchConfig, document: Document, nodes: Nodes) -> None:
+    """Every drive has what it is configured by, and a virtual axis understands the frames that it listens to."""
+    for part in ("axis1", "axis2", "load", "virtual_axis1", "virtual_axis2"):
+        od = nodes.dictionary(part)
+        missing = lacking(drive_settings(config, part, od), od)
+        if missing:
+            raise UnusableInputError(document.place(("nodes", part)), f"the EDS lacks {'; '.join(missing)}")
+    if config.mirroring != "listen":
+        return
+    for real, virtual in (("axis1", "virtual_axis1"), ("axis2", "virtual_axis2")):
+        ours, theirs = (declared_units(config, part, nodes.dictionary(part)).velocity_rad_s for part in (real, virtual))
+        same_layout = nodes.pdo_maps(real)[0].mapping == nodes.pdo_maps(virtual)[0].mapping
+        if not same_layout or not isclose(ours, theirs, rel_tol=1e-9):
+            raise UnusableInputError(
+                document.place(("nodes", real)),
+                f"its velocity unit is {ours:.6g} rad/s and that of {virtual}, which listens to its RPDO, "
+                f"{theirs:.6g} rad/s, expected one unit and one PDO layout, or mirroring: copy",
+            )
+
+
+def _coarse_units(config: BenchConfig, nodes: Nodes) -> list[str]:
+    """What one unit of an axis' position or velocity is in web tension, where that is more than 1 N."""
+    web, notes = config.model.required_web, []
+    for axis in (1, 2):
+        units = declared_units(config, f"axis{axis}", nodes.dictionary(f"axis{axis}"))
+        rad_per_m, span_m = config.model.motor_rad_per_m(axis), config.model.span_length_m(1)
+        position_N = web.stiffness_N * units.position_rad / rad_per_m / span_m
+        if position_N > _COARSE_N:
+            notes.append(f"axis{axis}: one unit of position (6064h) stands for {position_N:.3g} N of web tension")
+        # Steady tension changes by E·S·Δv/v; the slowest that the line is meant to run at would be worse than 1 m/s.
+        velocity_N = web.stiffness_N * units.velocity_rad_s / rad_per_m
+        if velocity_N > _COARSE_N:
+            notes.append(
+                f"axis{axis}: one unit of velocity (60FFh) moves the web tension by {velocity_N:.3g} N at 1 m/s"
+            )
+    return notes
 
 
 def stiffness_reserve(config: BenchConfig) -> float:

@@ -5,10 +5,11 @@ The experiment and its criteria stand in the same file; `hilbench.experiment.con
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, ValidationInfo, field_validator, model_validator
+from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, field_validator, model_validator
 
 from hilbench.bench.tension_control import TensionControlConfig
 from hilbench.bus.open import BusAddress
@@ -39,18 +40,49 @@ class BusConfig(_Block):
         return value
 
 
+class UnitsConfig(_Block):
+    """What a drive's own objects do not tell of its units (608Fh, 60A9h, 6076h); motor side."""
+
+    position_rad: PositiveFloat | None = Field(default=None, description="rad per unit of 6064h")
+    velocity_rad_s: PositiveFloat | None = Field(default=None, description="rad/s per unit of 60FFh and 606Ch")
+    rated_torque_Nm: PositiveFloat | None = Field(default=None, description="N·m that 1000 units of 6077h are")
+
+
+def parse_object(key: str) -> tuple[int, int]:
+    """Index and sub-index of ``60A9h`` or ``60C2h:1``. Raises ValueError."""
+    match = re.fullmatch(r"([0-9A-Fa-f]{4})h(?::([0-9]{1,3}))?", key)
+    if match is None:
+        raise ValueError(f"an object such as 60A9h or 60C2h:1, '{key}' is none")
+    return int(match[1], 16), int(match[2] or 0)
+
+
 class NodeConfig(_Block):
     """One CANopen node of the bench."""
 
     node_id: int = Field(ge=1, le=127)
     eds: Path = Field(description="EDS or DCF file; a relative path is taken from the config file's folder")
     simulated: bool = Field(default=True, description="part of the simulated hardware; false: a real device")
+    units: UnitsConfig = Field(default=UnitsConfig(), description="a drive's units where its objects do not tell them")
+    parameters: dict[str, int | float] = Field(
+        default={}, description="objects written to a drive at configuration, device units: {60A9h: 0xFAB44700}"
+    )
 
-    @field_validator("eds")
+    @field_validator("parameters")
     @classmethod
-    def _from_config_folder(cls, value: Path, info: ValidationInfo) -> Path:
-        folder = (info.context or {}).get("folder")
-        return (Path(folder) / value).resolve() if folder else value
+    def _name_objects(cls, value: dict[str, int | float]) -> dict[str, int | float]:
+        for key in value:
+            parse_object(key)
+        return value
+
+    @property
+    def writes(self) -> dict[tuple[int, int], int | float]:
+        """`parameters` by index and sub-index."""
+        return {parse_object(key): value for key, value in self.parameters.items()}
+
+    @property
+    def unit_overrides(self) -> dict[str, float]:
+        """The units that the config gives, as `DriveUnits.from_objects` takes them."""
+        return self.units.model_dump(exclude_none=True)
 
 
 class NodesConfig(_Block):
@@ -173,6 +205,10 @@ class BenchConfig(_Block):
         if abs(value * 1e6 - round(value * 1e6)) > 1e-6:
             raise ValueError("whole microseconds (1006h, communication cycle period)")
         return value
+
+    def units_of(self, node_id: int) -> dict[str, float]:
+        """Units that the config gives for a node; none for one that is not the bench's."""
+        return next((node.unit_overrides for _, node in self.nodes if node.node_id == node_id), {})
 
     @property
     def bus_address(self) -> BusAddress:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from hilbench.bench.config import BenchConfig, NodeConfig
+from hilbench.bench.nodes import declared_units
 from hilbench.bench.processes import stop_request
 from hilbench.bench.twin_setup import device_clock
 from hilbench.bus.frame import Frame
@@ -66,16 +67,13 @@ def simulate(config: BenchConfig) -> int | None:
     TestStand(stand_parameters, tuple(MotorPort() for _ in ports)).advance(config.cycle_time_s)
     stand = TestStand(stand_parameters, ports, config.seed)
     devices, drives = [], []
-    parts: list[tuple[NodeConfig, MotorPort, int | None]] = [
-        (config.nodes.axis1, ports[0], 1),
-        (config.nodes.axis2, ports[1], 2),
-        (config.nodes.load, ports[2], None),
-    ]
-    for node, port, axis in parts:
+    for (part, axis), port in zip((("axis1", 1), ("axis2", 2), ("load", None)), ports, strict=True):
+        node: NodeConfig = getattr(config.nodes, part)
         if not node.simulated:
             continue
-        device = Device(load_eds(node.eds, node.node_id), node.node_id, clock)
-        drives.append(SimulatedDrive(device, port))
+        od = load_eds(node.eds, node.node_id)
+        device = Device(od, node.node_id, clock)
+        drives.append(SimulatedDrive(device, port, declared_units(config, part, od)))
         devices.append(device)
         if axis is not None:
             bind_effect_objects(device, _effect_setter(stand, axis))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import isclose
 from typing import Any
 
 import canopen
@@ -15,7 +16,7 @@ from hilbench.bench.sample import CycleSample
 from hilbench.bus.frame import Frame
 from hilbench.bus.load import CyclicFrame
 from hilbench.drives import objects
-from hilbench.drives.configuration import DriveSettings, default_reader
+from hilbench.drives.configuration import DriveSettings, RpdoCopy, default_reader
 from hilbench.drives.drive import Drive
 from hilbench.drives.objects import OperationMode
 from hilbench.drives.state_machine import State, decode_statusword
@@ -65,7 +66,7 @@ def drive_settings(config: BenchConfig, part: str, od: canopen.ObjectDictionary)
     virtual = part.startswith("virtual")
     load = part == "load"
     rad_per_m = config.model.motor_rad_per_m(axis)
-    units = DriveUnits.from_objects(default_reader(od), {}, part)
+    units = declared_units(config, part, od)
     deceleration = round(config.safety.quick_stop_m_s2 * rad_per_m / units.acceleration_rad_s2)
     parameters = {
         (objects.QUICK_STOP_DECELERATION, 0): deceleration,
@@ -73,22 +74,35 @@ def drive_settings(config: BenchConfig, part: str, od: canopen.ObjectDictionary)
         (objects.ABORT_CONNECTION_OPTION_CODE, 0): _ABORT_BY_QUICK_STOP,
     }
     real = config.nodes.axis1 if axis == 1 else config.nodes.axis2
-    twin_node = config.nodes.virtual_axis1 if axis == 1 else config.nodes.virtual_axis2
-    copies = (0x200 + twin_node.node_id,) if config.mirroring == "copy" and not virtual and not load else ()
+    copied = config.mirroring == "copy" and not virtual and not load
     return DriveSettings(
         name=part.replace("_", " "),
         node_id=node.node_id,
         mode=OperationMode.CYCLIC_SYNCHRONOUS_TORQUE if load else OperationMode.CYCLIC_SYNCHRONOUS_VELOCITY,
         cycle_s=config.cycle_time_s,
         has_velocity=not load,
-        parameters={key: value for key, value in parameters.items() if key[0] in od},
+        units=node.unit_overrides,
+        parameters={**node.writes, **{key: value for key, value in parameters.items() if key[0] in od}},
         heartbeat_ms=config.master.node_heartbeat_ms,
         master_heartbeat=_master_heartbeat(config, virtual),
         listens_to=0x200 + real.node_id if virtual and config.mirroring == "listen" else None,
-        copies=copies,
+        copies=(_copy_for(config, f"virtual_axis{axis}", units),) if copied else (),
         tpdo_type=(config.twin.virtual_tpdo_every or None) if virtual else 1,
         time_out_s=config.safety.drive_timeout_s,
     )
+
+
+def _copy_for(config: BenchConfig, virtual: str, units: DriveUnits) -> RpdoCopy:
+    """The copy of an axis' RPDO for its virtual axis, whose units may be others."""
+    node: NodeConfig = getattr(config.nodes, virtual)
+    theirs = declared_units(config, virtual, load_eds(node.eds, node.node_id))
+    return RpdoCopy(0x200 + node.node_id, units.velocity_rad_s / theirs.velocity_rad_s)
+
+
+def declared_units(config: BenchConfig, part: str, od: canopen.ObjectDictionary) -> DriveUnits:
+    """A drive's units as its EDS file and the config have them; the device itself is asked when it is configured."""
+    node: NodeConfig = getattr(config.nodes, part)
+    return DriveUnits.from_objects(default_reader(od, node.writes), node.unit_overrides, part)
 
 
 def _master_heartbeat(config: BenchConfig, virtual: bool) -> tuple[int, int] | None:
@@ -137,7 +151,7 @@ class Nodes:
     def pdo_maps(self, part: str) -> list[PdoMap]:
         """The PDOs of a participant (a field of `nodes:`) that the bench maps."""
         if part == "virtual_io":
-            return [self.io.state, self.io.quality, self.io.boundary]
+            return [self.io.state, self.io.quality, self.io.status, self.io.boundary]
         node_id = getattr(self.config.nodes, part).node_id
         drive = next(drive for drive in (*self.drives, *self.virtual_axes) if drive.settings.node_id == node_id)
         return [drive.pdos.rpdo, *(pdo for _, pdo, _ in drive.pdos.tpdos)]
@@ -154,7 +168,21 @@ class Nodes:
         """Configure every node by SDO. Raises BenchFaultError naming node, object and reason."""
         for drive in (*self.drives, *self.virtual_axes):
             drive.configure(master)
+        for part in ("axis1", "axis2"):
+            self._check_units(part)
         self._configure_io(master)
+
+    def _check_units(self, part: str) -> None:
+        """The twin and the mirrored set points go by the EDS file: the device must have the same units."""
+        drive: Drive = getattr(self, part)
+        declared = declared_units(self.config, part, self._ods[part])
+        for name in ("position_rad", "velocity_rad_s", "torque_Nm"):
+            found, expected = getattr(drive.units, name), getattr(declared, name)
+            if not isclose(found, expected, rel_tol=1e-6):
+                raise BenchFaultError(
+                    f"{drive.settings.name} (node {drive.settings.node_id}): one unit is {found:.6g} ({name}), "
+                    f"expected {expected:.6g} as by its EDS file: give the true one in nodes: {part}: units:"
+                )
 
     def _configure_io(self, master: Master) -> None:
         node_id = self.config.nodes.virtual_io.node_id
@@ -223,7 +251,8 @@ class Nodes:
         for drive in (*self.drives, *self.virtual_axes):
             name, pdos = drive.settings.name, drive.pdos
             if drive not in self.virtual_axes:
-                frames += [CyclicFrame(f"{name} RPDO", cob, pdos.rpdo.size) for cob in pdos.rpdo_cob_ids]
+                cob_ids = [pdos.rpdo.cob_id, *(copy.cob_id for copy in drive.settings.copies)]
+                frames += [CyclicFrame(f"{name} RPDO", cob_id, pdos.rpdo.size) for cob_id in cob_ids]
             frames += [CyclicFrame(f"{name} TPDO", pdo.cob_id, pdo.size, 1 / pdo.period) for _, pdo, _ in pdos.tpdos]
         for name in ("state", "quality", "status", "boundary"):
             pdo: PdoMap = getattr(self.io, name)

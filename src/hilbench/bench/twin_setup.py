@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 from hilbench.bench.config import BenchConfig, NodeConfig
+from hilbench.bench.nodes import declared_units
 from hilbench.fieldbus.clock import Clock, MonotonicClock, SyncClock
-from hilbench.twin.process import TwinNode, TwinSetup
+from hilbench.fieldbus.eds import load_eds
+from hilbench.twin.axis_listener import RealAxis, TwinNode
+from hilbench.twin.process import TwinSetup
 
 
 def device_clock(config: BenchConfig) -> Clock:
@@ -19,13 +22,18 @@ def twin_setup(config: BenchConfig) -> TwinSetup:
     def node(part: NodeConfig) -> TwinNode:
         return TwinNode(part.node_id, part.eds)
 
+    def axis(name: str) -> RealAxis:
+        part: NodeConfig = getattr(nodes, name)
+        od = load_eds(part.eds, part.node_id)
+        return RealAxis(part.node_id, part.eds, declared_units(config, name, od))
+
     return TwinSetup(
         bus=config.bus_address,
         clock=device_clock(config),
         cycle_s=config.cycle_time_s,
         model=config.model,
         twin=config.twin,
-        real_axes=(node(nodes.axis1), node(nodes.axis2)),
+        real_axes=(axis("axis1"), axis("axis2")),
         virtual_axes=(node(nodes.virtual_axis1), node(nodes.virtual_axis2)),
         virtual_io=node(nodes.virtual_io),
     )

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import can
 from can.typechecking import CanFilters
 
+from hilbench.bus import hub_client
 from hilbench.bus.adapter import PythonCanLink
 from hilbench.bus.embedded import EmbeddedLink
 from hilbench.bus.link import Link
@@ -40,6 +41,13 @@ class BusAddress:
         if not interface or not channel:
             raise UnusableInputError("bus", f"found {text!r}, expected embedded, embedded:NAME or INTERFACE:CHANNEL")
         return cls(interface, channel, bitrate, timing)
+
+    def as_it_runs(self) -> BusAddress:
+        """The same bus with bitrate and timing of the embedded bus of that name, where one runs."""
+        if self.interface != "embedded" or self.channel not in hub_client.running_channels():
+            return self
+        running = hub_client.statistics(self.channel)
+        return BusAddress(self.interface, self.channel, running.bitrate, running.timing)
 
     def __str__(self) -> str:
         return f"{self.interface}:{self.channel}"

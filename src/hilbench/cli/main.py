@@ -9,6 +9,8 @@ from typing import Annotated, Any
 
 import typer
 
+from hilbench.cli import compare, config, convert, drive, monitor, replay, scan, sdo, sweep
+from hilbench.cli.options import BusOption, ConfigArgument, JsonOption, PaceOption, SetOption
 from hilbench.errors import EXIT_INTERRUPTED, HilbenchError
 
 app = typer.Typer(
@@ -18,12 +20,6 @@ app = typer.Typer(
     add_completion=True,
     pretty_exceptions_enable=False,
 )
-
-ConfigArgument = Annotated[Path, typer.Argument(metavar="CONFIG", help="bench config (YAML)")]
-BusOption = Annotated[
-    str | None, typer.Option("--bus", help="embedded[:NAME], socketcan:vcan0, or another python-can interface:channel")
-]
-PaceOption = Annotated[str | None, typer.Option("--pace", help="lockstep or realtime")]
 
 
 def _load(config: Path, **overrides: Any) -> Any:
@@ -39,11 +35,15 @@ def run(
     pace: PaceOption = None,
     out: Annotated[Path, typer.Option("--out", help="folder in which the run folder is made")] = Path("runs"),
     seed: Annotated[int | None, typer.Option("--seed", help="seed of every random number of the run")] = None,
+    changes: SetOption = None,
     start: Annotated[
         bool,
         typer.Option(
             "--start/--no-start", help="start simulated hardware and twin, or use those that run on the bus already"
         ),
+    ] = True,
+    report: Annotated[
+        bool, typer.Option("--report/--no-report", help="write report.html; hilbench report writes it later as well")
     ] = True,
     json: Annotated[bool, typer.Option("--json", help="print result.json on standard output, nothing else")] = False,
 ) -> None:
@@ -52,22 +52,24 @@ def run(
     Exit code: 0 passed, 1 a criterion failed, 2 unusable input, 3 bench fault, 130 interrupted.
 
     Example: hilbench run bench_configs/web_section_step.yaml --seed 7
+
+    Example: hilbench run bench_configs/web_section_step.yaml --set load.web.youngs_modulus_Pa=9e9
     """
     from hilbench.cli.run import run_command
 
-    loaded = _load(config, bus=bus, pace=pace, seed=seed)
-    raise typer.Exit(run_command(loaded, out, start_processes=start, as_json=json))
+    loaded = _load(config, bus=bus, pace=pace, seed=seed, changes=changes or ())
+    raise typer.Exit(run_command(loaded, out, start_processes=start, with_report=report, as_json=json))
 
 
 @app.command()
-def check(config: ConfigArgument, bus: BusOption = None) -> None:
+def check(config: ConfigArgument, bus: BusOption = None, changes: SetOption = None, json: JsonOption = False) -> None:
     """Check a config, its EDS files, PDO maps and bus load without starting anything.
 
     Example: hilbench check bench_configs/web_section_step.yaml
     """
     from hilbench.cli.check import check_command
 
-    check_command(_load(config, bus=bus))
+    check_command(_load(config, bus=bus, changes=changes or ()), as_json=json)
 
 
 @app.command()
@@ -187,6 +189,18 @@ def diagnose(
     from hilbench.cli.diagnose import diagnose_command
 
     diagnose_command(source, model, out, as_json=json)
+
+
+app.command()(scan.scan)
+app.add_typer(sdo.app, name="sdo")
+app.add_typer(config.app, name="config")
+app.command()(drive.drive)
+app.command()(replay.replay)
+app.command()(monitor.monitor)
+app.command()(compare.compare)
+app.command()(sweep.sweep)
+app.command()(convert.convert)
+app.command()(convert.dbc)
 
 
 def main() -> None:

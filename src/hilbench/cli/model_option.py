@@ -13,6 +13,6 @@ from hilbench.web.parameters import ModelParameters, load_model
 def model_from(path: Path) -> ModelParameters:
     """Read it. Raises UnusableInputError (file, line, key, found, expected)."""
     data = strict_yaml.load(path).data
-    if isinstance(data, Mapping) and "model" in data and "rollers" not in data:
+    if isinstance(data, Mapping) and {"model", "include"} & data.keys() and "rollers" not in data:
         return load(path)[0].model
     return load_model(path)

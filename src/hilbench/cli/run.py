@@ -18,13 +18,14 @@ from hilbench.report.html import write_report
 
 _REFRESH_S = 0.2
 _PLAIN_LINE_EVERY_S = 5.0
+_COLOURS = {"passed": "green", "marginal": "yellow", "failed": "red", "error": "red"}
 
 
-def run_command(loaded: LoadedConfig, out: Path, *, start_processes: bool, as_json: bool) -> int:
+def run_command(loaded: LoadedConfig, out: Path, *, start_processes: bool, with_report: bool, as_json: bool) -> int:
     """Run the experiment, show it, and return the exit code."""
     if as_json:
         outcome = run_experiment(loaded, out, start_processes=start_processes)
-        if outcome.recorded:
+        if outcome.recorded and with_report:
             write_report(outcome.folder)
         print(outcome.result.model_dump_json(indent=2))
         return outcome.exit_code
@@ -34,7 +35,7 @@ def run_command(loaded: LoadedConfig, out: Path, *, start_processes: bool, as_js
         outcome = run_experiment(
             loaded, out, observers=[progress], start_processes=start_processes, announce=progress.announce
         )
-        if outcome.recorded:
+        if outcome.recorded and with_report:
             progress.announce("write report")
             write_report(outcome.folder)
     show_outcome(console, outcome)
@@ -118,7 +119,10 @@ def show_outcome(console: Console, outcome: RunOutcome) -> None:
     for fault in result.faults:
         console.print(f"[red]fault[/red] {fault.source}: {fault.text}", soft_wrap=True)
     verdict = "[green]passed[/green]" if result.passed else "[red]not passed[/red]"
-    left = f"report: {outcome.folder.report}" if outcome.recorded else f"no recording; result: {outcome.folder.result}"
+    folder = outcome.folder
+    left = f"report: {folder.report}" if folder.report.exists() else f"result: {folder.result}"
+    if not outcome.recorded:
+        left = f"no recording; {left}"
     console.print(f"{verdict}   {left}", soft_wrap=True)
 
 
@@ -142,6 +146,7 @@ def _criteria_table(result: Result) -> Table:
         table.add_column(heading, justify="right" if heading == "value" else "left")
     for row in result.criteria:
         value = "-" if row.value is None else f"{row.value:.6g}"
-        mark = "[green]passed[/green]" if row.passed else "[red]failed[/red]"
+        colour = _COLOURS[row.verdict]
+        mark = f"[{colour}]{row.verdict}[/{colour}]"
         table.add_row(row.name, value, str(row.limit), row.unit, mark)
     return table

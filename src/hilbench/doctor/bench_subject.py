@@ -5,14 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterable
 from math import ceil
 
-import canopen
-
 from hilbench.bench.config import BenchConfig
 from hilbench.bench.nodes import Nodes
 from hilbench.bench.startup import start_children
+from hilbench.doctor.eds_match import default, identity
 from hilbench.doctor.examination import Start, Subject
 from hilbench.doctor.stations import ExpectedNode, MappedObject
-from hilbench.fieldbus import eds
 from hilbench.fieldbus.pdo import PdoMap, bit_length
 
 
@@ -45,8 +43,8 @@ def expected_nodes(nodes: Nodes) -> list[ExpectedNode]:
             node_id=node.node_id,
             eds=node.eds,
             ours=part not in real or part.startswith("virtual"),
-            device_type=_default(nodes.dictionary(part), 0x1000, 0),
-            identity=_identity(nodes.dictionary(part)),
+            device_type=default(nodes.dictionary(part), 0x1000, 0),
+            identity=identity(nodes.dictionary(part)),
             mapped=_mapped(nodes.pdo_maps(part)),
         )
         for part, node in nodes.config.nodes
@@ -62,19 +60,3 @@ def _mapped(maps: Iterable[PdoMap]) -> tuple[MappedObject, ...]:
         for variable in pdo.variables
     }
     return tuple(found[key] for key in sorted(found))
-
-
-def _identity(od: canopen.ObjectDictionary) -> tuple[frozenset[int], ...]:
-    device = od.device_information
-    header = (device.vendor_number, device.product_number, device.revision_number)
-    return tuple(
-        frozenset(value for value in (given, _default(od, 0x1018, sub)) if value) for sub, given in enumerate(header, 1)
-    )
-
-
-def _default(od: canopen.ObjectDictionary, index: int, sub: int) -> int | None:
-    try:
-        value = eds.variable(od, index, sub).default
-    except KeyError:
-        return None
-    return int(value) if isinstance(value, int) else None

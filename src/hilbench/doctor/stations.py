@@ -84,18 +84,19 @@ def sort_by_node(frames: Iterable[Frame]) -> Heard:
 
 def listen(link: Link, duration_s: float) -> Heard:
     """Hear what others send. Raises BusError when the bus is lost."""
-    return sort_by_node(_frames(link, duration_s))
+    return sort_by_node(hear(link, duration_s))
 
 
 def present(link: Link, node_ids: Iterable[int], wait_s: float) -> set[int]:
     """Which of these nodes answer an SDO read of 1000h within `wait_s`; all are asked at once."""
     asked = list(node_ids)
     link.send([Frame(_SDO_REQUEST + node_id, _READ_DEVICE_TYPE) for node_id in asked])
-    answered = {frame.can_id - _SDO_ANSWER for frame in _frames(link, wait_s)}
+    answered = {frame.can_id - _SDO_ANSWER for frame in hear(link, wait_s)}
     return answered & set(asked)
 
 
-def _frames(link: Link, duration_s: float) -> list[Frame]:
+def hear(link: Link, duration_s: float) -> list[Frame]:
+    """All frames of a time. Raises BusError when the bus is lost."""
     frames: list[Frame] = []
     deadline_s = time.monotonic() + duration_s
     while (remaining_s := deadline_s - time.monotonic()) > 0:

@@ -19,7 +19,9 @@ from hilbench.fieldbus.pdo import PdoMap
 IDENTITY: Final = 0x1018
 CONSUMER_HEARTBEAT: Final = 0x1016
 PRODUCER_HEARTBEAT: Final = 0x1017
+RPDO_COMMUNICATION: Final = 0x1400
 TPDO_COMMUNICATION: Final = 0x1800
+_MAPPING: Final = 0x200  # from a PDO's communication parameters to its mapping
 
 #: The object that each mode with a cyclic set point takes it from.
 SETPOINT_OBJECTS: Final = {
@@ -31,6 +33,14 @@ SETPOINT_OBJECTS: Final = {
 }
 #: 6061h may lag behind 6060h: so often it is read before the mode counts as refused.
 _MODE_READS: Final = 50
+
+
+@dataclass(frozen=True)
+class RpdoCopy:
+    """A copy of RPDO1 for another device: its COB-ID, and what set points are multiplied by for that device's units."""
+
+    cob_id: int
+    factor: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -53,8 +63,7 @@ class DriveSettings:
     master_heartbeat: tuple[int, int] | None = None
     #: COB-ID of another drive's RPDO1 that this drive listens to (a virtual axis that mirrors it), or None.
     listens_to: int | None = None
-    #: Further COB-IDs that get a copy of RPDO1 in the same cycle.
-    copies: tuple[int, ...] = ()
+    copies: tuple[RpdoCopy, ...] = ()  #: who else gets RPDO1 in the same cycle
     tpdo_type: int | None = 1  #: transmission type of the TPDOs; None: the drive sends none
     time_out_s: float = 2.0  #: longest stay in one state on the way to a goal, s of cycle time
     ramp_time_out_s: float = 20.0  #: the same for a state that may end by a ramp
@@ -65,7 +74,6 @@ class DrivePdos:
     """The PDOs of one drive."""
 
     rpdo: PdoMap  #: controlword, target
-    rpdo_cob_ids: tuple[int, ...]  #: its COB-ID and those of its copies
     #: Number, map, and mapped indices of each TPDO; empty when the drive sends none.
     tpdos: tuple[tuple[int, PdoMap, tuple[int, ...]], ...]
 
@@ -90,7 +98,7 @@ def drive_pdos(settings: DriveSettings, od: ObjectDictionary) -> DrivePdos:
         if settings.has_velocity:
             velocity = (objects.VELOCITY_ACTUAL_VALUE,)
             tpdos.append((2, _pdo_map(settings, od, 0x280 + node_id, settings.tpdo_type, velocity), velocity))
-    return DrivePdos(rpdo, (cob_id, *settings.copies), tuple(tpdos))
+    return DrivePdos(rpdo, tuple(tpdos))
 
 
 def _pdo_map(
@@ -163,26 +171,53 @@ def set_mode(master: Master, settings: DriveSettings, od: ObjectDictionary) -> N
     raise _fault(settings, f"mode of operation display (6061h) is {shown!r}, expected {int(mode)} as written to 6060h")
 
 
-def read_units(master: Master, settings: DriveSettings, od: ObjectDictionary) -> DriveUnits:
-    """The units as the device's objects tell them now."""
+def read_units(
+    master: Master, node_id: int, od: ObjectDictionary, overrides: Mapping[str, float], place: str
+) -> DriveUnits:
+    """The units as the device's objects tell them now, and `overrides` where they don't (see `DriveUnits`).
+
+    Raises UnusableInputError, at `place`, for a factor that nobody tells.
+    """
 
     def read(index: int, sub: int) -> int | float | None:
-        if not _has(od, index, sub):
-            return None
-        value = master.sdo_read(settings.node_id, index, sub)
+        value = master.sdo_read(node_id, index, sub) if _has(od, index, sub) else None
         return value if isinstance(value, int | float) else None
 
-    return DriveUnits.from_objects(read, settings.units, settings.name)
+    return DriveUnits.from_objects(read, overrides, place)
 
 
-def default_reader(od: ObjectDictionary) -> ObjectReader:
-    """Read the default values of an EDS."""
+def default_reader(od: ObjectDictionary, written: Mapping[tuple[int, int], int | float] | None = None) -> ObjectReader:
+    """Read the default values of an EDS, and what will have been `written` by (index, sub)."""
+    known = written or {}
 
     def read(index: int, sub: int) -> int | float | None:
+        if (index, sub) in known and _has(od, index, sub):
+            return known[(index, sub)]
         default = eds.variable(od, index, sub).default if _has(od, index, sub) else None
         return default if isinstance(default, int | float) else None
 
     return read
+
+
+def lacking(settings: DriveSettings, od: ObjectDictionary) -> list[str]:
+    """What `configure` will need and the EDS does not have, one line each; empty for a drive that can be used."""
+    needed = {(objects.MODES_OF_OPERATION, 0): "the mode is written to it"}
+    needed |= {(objects.MODES_OF_OPERATION_DISPLAY, 0): "it shows the mode", (IDENTITY, 1): "it tells the device"}
+    needed |= {(PRODUCER_HEARTBEAT, 0): "the drive's heartbeat is set by it"}
+    if settings.master_heartbeat is not None:
+        needed |= {(CONSUMER_HEARTBEAT, 1): "the drive watches the bench by it (master: heartbeat_ms: 0 does without)"}
+    needed |= dict.fromkeys(settings.parameters, "the config or the bench writes it")
+    communication = [RPDO_COMMUNICATION]
+    if settings.tpdo_type is not None:
+        communication += [TPDO_COMMUNICATION + number for number in range(2 if settings.has_velocity else 1)]
+    for index in communication:
+        needed |= {(index, sub): "a PDO is set up by it" for sub in (1, 2)}
+        needed |= {(index + _MAPPING, sub): "a PDO is mapped by it" for sub in (0, 1, 2)}
+    found = [f"{index:04X}h:{sub} ({why})" for (index, sub), why in needed.items() if not _has(od, index, sub)]
+    supported = default_reader(od)(objects.SUPPORTED_DRIVE_MODES, 0)
+    if supported and not int(supported) & settings.mode.supported_bit:
+        found.append(f"mode {int(settings.mode)} in 6502h ({int(supported):08X}h)")
+    return found
 
 
 def _has(od: ObjectDictionary, index: int, sub: int) -> bool:

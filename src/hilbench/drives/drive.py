@@ -111,7 +111,8 @@ class Drive:
         Blocks (SDO). Raises BenchFaultError when the device is not the one expected or does not take a value.
         """
         configure(master, self.settings, self.od, self.pdos)
-        self.units = read_units(master, self.settings, self.od)
+        settings = self.settings
+        self.units = read_units(master, settings.node_id, self.od, settings.units, settings.name)
 
     @property
     def units(self) -> DriveUnits:
@@ -153,8 +154,13 @@ class Drive:
         Raises BenchFaultError when the set point is no number or does not fit its object.
         """
         self._sent_controlword = self.controlword
-        data = self.pdos.rpdo.pack((self.controlword, self._raw_setpoint()))
-        return [Frame(cob_id, data) for cob_id in self.pdos.rpdo_cob_ids]
+        raw, rpdo = self._raw_setpoint(), self.pdos.rpdo
+        frames = [Frame(rpdo.cob_id, rpdo.pack((self.controlword, raw)))]
+        for copy in self.settings.copies:
+            # Of one unit: the very same bits, so that a virtual axis cannot differ by a rounding.
+            copied = raw if copy.factor == 1.0 else self._in_range(round(raw * copy.factor), "set point of the copy")
+            frames.append(Frame(copy.cob_id, rpdo.pack((self.controlword, copied))))
+        return frames
 
     def _raw_setpoint(self) -> int:
         """The set point in device units; where the motor is not enabled, the one that asks for no motion."""
@@ -166,10 +172,13 @@ class Drive:
         raw = round(self.setpoint / self._setpoint_unit)
         if self._position_mode:
             return wrap_int32(raw)
+        return self._in_range(raw, "set point")
+
+    def _in_range(self, raw: int, what: str) -> int:
         limit = _RAW_LIMIT[self._target]
         if not -limit <= raw <= limit:
             most = limit * self._setpoint_unit
-            raise self._error(f"set point is {self.setpoint:g}, expected at most {most:g} (range of {self._target:X}h)")
+            raise self._error(f"{what} is {self.setpoint:g}, expected at most {most:g} (range of {self._target:X}h)")
         return raw
 
     # --- feedback ----------------------------------------------------------------------------------------------------

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from math import isfinite
-from typing import Any, Self
+from math import inf, isfinite
+from typing import Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
@@ -14,7 +14,8 @@ from hilbench.experiment.metrics import METRICS
 class Criterion(BaseModel):
     """A bound on one metric: `min`, `max` or both (inclusive), or a `target` with its `tolerance`.
 
-    `unit`, where given, must be the metric's own: it is there for the reader, nothing is converted.
+    `unit`, where given, must be the metric's own: it is there for the reader, nothing is converted. A value that
+    holds by less than `margin` (unit of the metric) is *marginal*: it passes, and is shown to be close to its bound.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
@@ -25,6 +26,7 @@ class Criterion(BaseModel):
     max: float | None = None
     target: float | None = None
     tolerance: float | None = Field(default=None, ge=0)
+    margin: float | None = Field(default=None, gt=0)
     unit: str | None = None
 
     @model_validator(mode="after")
@@ -51,19 +53,27 @@ class Criterion(BaseModel):
             return f"{_text(self.min)} … {_text(self.max)}"
         return f"≥ {_text(self.min)}" if self.min is not None else f"≤ {_text(self.max)}"
 
-    def holds(self, value: float) -> bool:
-        """Whether a finite value lies within the bound."""
+    def distance(self, value: float) -> float:
+        """How far within the nearer bound a finite value lies; negative outside."""
         if self.target is not None and self.tolerance is not None:
-            return abs(value - self.target) <= self.tolerance
-        return (self.min is None or value >= self.min) and (self.max is None or value <= self.max)
+            return self.tolerance - abs(value - self.target)
+        below = inf if self.max is None else self.max - value
+        return min(below, inf if self.min is None else value - self.min)
 
 
 def _text(bound: float | None) -> str:
     return f"{bound:g}".replace("e-0", "e-").replace("e+0", "e")
 
 
+Verdict = Literal["passed", "marginal", "failed", "error"]
+
+
 class CriterionResult(BaseModel):
-    """The verdict on one criterion. `value` is None, and `reason` says why, where the run has no such value."""
+    """The verdict on one criterion.
+
+    `value` is None, and `reason` says why, where the run has no such value: an *error*, which, other than a failure,
+    says nothing about what was tested.
+    """
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
@@ -72,14 +82,20 @@ class CriterionResult(BaseModel):
     limit: str
     unit: str
     passed: bool
+    marginal: bool = False  #: passed, by less than the criterion's margin
     reason: str | None = None
 
+    @property
+    def verdict(self) -> Verdict:
+        """In one word."""
+        if self.passed:
+            return "marginal" if self.marginal else "passed"
+        return "error" if self.value is None else "failed"
+
     @model_serializer(mode="wrap")
-    def _without_empty_reason(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:
+    def _without_what_says_nothing(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:
         fields: dict[str, Any] = serialize(self)
-        if self.reason is None:
-            del fields["reason"]
-        return fields
+        return {name: value for name, value in fields.items() if value or name not in ("reason", "marginal")}
 
 
 def evaluate(criteria: Sequence[Criterion], metrics: Mapping[str, float | None]) -> list[CriterionResult]:
@@ -95,11 +111,13 @@ def _judge(criterion: Criterion, metrics: Mapping[str, float | None]) -> Criteri
         reason = f"the run has no {criterion.metric}: {METRICS[criterion.metric].absent}"
     elif not isfinite(value):
         value, reason = None, f"{criterion.metric} is {value}, expected a finite number"
+    inside = None if value is None else criterion.distance(value)
     return CriterionResult(
         name=criterion.name,
         value=value,
         limit=criterion.limit,
         unit=METRICS[criterion.metric].unit,
-        passed=value is not None and criterion.holds(value),
+        passed=inside is not None and inside >= 0,
+        marginal=inside is not None and 0 <= inside < (criterion.margin or 0.0),
         reason=reason,
     )

@@ -7,12 +7,24 @@ import re
 from collections.abc import Callable
 from typing import Annotated, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, NonNegativeFloat, PositiveFloat, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    FilePath,
+    NonNegativeFloat,
+    PositiveFloat,
+    model_validator,
+)
 
 from hilbench.bench.bench import Bench
 from hilbench.bench.quantities import settable_path
 from hilbench.bench.signals import SIGNALS
 from hilbench.errors import BenchFaultError
+from hilbench.experiment.criteria import CriterionResult
+from hilbench.experiment.python_file import load_experiment, run_experiment_function
+from hilbench.experiment.scenario import read_scenario
 
 _COMPARISONS: dict[str, Callable[[float, float], bool]] = {
     "<": operator.lt,
@@ -138,7 +150,34 @@ class UseSynchronizer(_Step):
         bench.use_synchronizer(self.method)
 
 
+class TableStep(_Step):
+    """Run a scenario table (`hilbench.experiment.scenario`); its expectations are judged as criteria are."""
+
+    file: FilePath = Field(description="CSV or YAML; a relative path is taken from the config file's folder")
+
+    @model_validator(mode="after")
+    def _can_be_read(self) -> TableStep:
+        read_scenario(self.file)  # raises UnusableInputError with the table's own file and line
+        return self
+
+    def run(self, bench: Bench, judged: list[CriterionResult]) -> None:
+        """Run cycles until the table ends."""
+        read_scenario(self.file).run(bench, judged)
+
+
+class PythonStep(_Step):
+    """Run a generator function of a Python file, resumed every cycle; it passes when no assertion in it fails."""
+
+    file: FilePath = Field(description="Python file; a relative path is taken from the config file's folder")
+    function: str = Field(default="experiment", description="generator function, called with the bench")
+
+    def run(self, bench: Bench, judged: list[CriterionResult]) -> None:
+        """Run cycles until it returns."""
+        run_experiment_function(bench, self.file, self.function, judged)
+
+
 Action = Ramp | Hold | Set | Step | WaitUntil | RestartTwin | UseSynchronizer
+JudgedAction = TableStep | PythonStep
 
 
 class ExperimentStep(_Step):
@@ -151,14 +190,16 @@ class ExperimentStep(_Step):
     wait_until: WaitUntil | None = None
     restart_twin: RestartTwin | None = None
     synchronizer: UseSynchronizer | None = None
+    table: TableStep | None = None
+    python: PythonStep | None = None
 
     @model_validator(mode="after")
     def _single(self) -> ExperimentStep:
         if len(self._given()) != 1:
-            raise ValueError("one of ramp, hold, set, step, wait_until, restart_twin, synchronizer in each step")
+            raise ValueError(f"one of {', '.join(type(self).model_fields)} in each step")
         return self
 
-    def _given(self) -> list[tuple[str, Action]]:
+    def _given(self) -> list[tuple[str, Action | JudgedAction]]:
         return [(name, value) for name, value in self if value is not None]
 
     @property
@@ -166,6 +207,15 @@ class ExperimentStep(_Step):
         """Its key."""
         return self._given()[0][0]
 
-    def run(self, bench: Bench) -> None:
-        """Run it on a bench."""
-        self._given()[0][1].run(bench)
+    def prepare(self) -> None:
+        """Raise UnusableInputError for a Python file that cannot be used; before anything is started."""
+        if self.python is not None:
+            load_experiment(self.python.file, self.python.function)
+
+    def run(self, bench: Bench, judged: list[CriterionResult]) -> None:
+        """Run it on a bench; verdicts of what it tests itself are added to `judged`."""
+        action = self._given()[0][1]
+        if isinstance(action, TableStep | PythonStep):
+            action.run(bench, judged)
+        else:
+            action.run(bench)

@@ -1,7 +1,7 @@
-"""A recording: channels with one time base, as MDF4 (``.mf4``) or CSV (``.csv``, ``.csv.gz``, a header row).
+"""A recording: channels with one time base, as MDF4 (``.mf4``), CSV (``.csv``, ``.csv.gz``, a header row) or Parquet.
 
 Channel names, units and descriptions are those of `hilbench.bench.signals`; a channel that is not in that list is
-kept, its unit read from its name's suffix. Numbers survive both formats exactly (CSV uses the shortest text that
+kept, its unit read from its name's suffix. Numbers survive every format exactly (CSV uses the shortest text that
 reads back as the same binary64 number).
 """
 
@@ -26,7 +26,7 @@ from hilbench.errors import UnusableInputError
 #: Start time written into an MDF4 file when none is given, so that equal samples make equal files.
 NO_START_TIME = datetime(2000, 1, 1, tzinfo=UTC)
 
-_FORMATS = "expected a recording: .mf4, .csv or .csv.gz"
+_FORMATS = "expected a recording: .mf4, .csv, .csv.gz or .parquet"
 _BLOCK_ROWS = 8192
 _MDF_HEAD_BYTES = 64 + 104  # identification block and header block (ASAM MDF 4: IDBLOCK, HDBLOCK)
 
@@ -62,6 +62,15 @@ class Recording:
     def unit(self, name: str) -> str:
         """Unit of a channel, "" for a pure number."""
         return self.units.get(name) or unit_of(name)
+
+    def to_pandas(self) -> Any:
+        """The channels as a pandas DataFrame over ``t_s``; their units stand in its ``attrs["units"]``."""
+        import pandas
+
+        frame = pandas.DataFrame({name: values for name, values in self.channels.items() if name != TIME})
+        frame.index = pandas.Index(self.time_s, name=TIME)
+        frame.attrs["units"] = {name: self.unit(name) for name in self.channels}
+        return frame
 
     def require(self, names: Sequence[str], place: str | Path) -> None:
         """Raise UnusableInputError, naming `place`, unless all these channels are there and finite everywhere."""
@@ -142,7 +151,7 @@ def write_recording(recording: Recording, path: Path) -> None:
     partial = path.with_name(f".{os.getpid()}.{path.name}")
     try:
         try:
-            (_write_mdf if kind == ".mf4" else _write_csv)(recording, partial)
+            _WRITERS[kind](recording, partial)
             partial.replace(path)
         finally:
             partial.unlink(missing_ok=True)
@@ -205,6 +214,32 @@ def _write_csv(recording: Recording, path: Path) -> None:
             lines(raw)
 
 
+def _write_parquet(recording: Recording, path: Path) -> None:
+    pyarrow, parquet = _pyarrow(path)
+    fields = [
+        pyarrow.field(name, pyarrow.from_numpy_dtype(np.asarray(values).dtype), metadata={"unit": recording.unit(name)})
+        for name, values in recording.channels.items()
+    ]
+    about = {"comment": recording.comment}
+    if recording.start_time is not None:
+        about["start_time"] = recording.start_time.isoformat()
+    schema = pyarrow.schema(fields, metadata=about)
+    arrays = [pyarrow.array(np.asarray(values)) for values in recording.channels.values()]
+    parquet.write_table(pyarrow.Table.from_arrays(arrays, schema=schema), path, compression="zstd")
+
+
+def _pyarrow(path: Path) -> tuple[Any, Any]:
+    try:
+        import pyarrow
+        from pyarrow import parquet
+    except ImportError as error:
+        raise UnusableInputError(path, "Parquet needs pyarrow, expected hilbench[parquet] to be installed") from error
+    return pyarrow, parquet
+
+
+_WRITERS = {".mf4": _write_mdf, ".csv": _write_csv, ".csv.gz": _write_csv, ".parquet": _write_parquet}
+
+
 # -- reading ---------------------------------------------------------------------------------------------------------
 
 
@@ -216,17 +251,22 @@ def read_recording(path: Path, required: Sequence[str] = ()) -> Recording:
     Raises UnusableInputError, one line: file, line or sample, what was found and expected.
     """
     path = Path(path)
-    recording = _read_mdf(path) if _kind(path) == ".mf4" else _read_csv(path)
-    if TIME not in recording:
-        recording.require([TIME], path)
-    _check_time(recording.time_s, path)
+    recording = _READERS[_kind(path)](path)
+    check_recording(recording, path)
     recording.require(required, path)
     return recording
 
 
+def check_recording(recording: Recording, place: Path) -> None:
+    """Raise UnusableInputError, naming `place`, unless the time is there, finite and strictly increasing."""
+    if TIME not in recording:
+        recording.require([TIME], place)
+    _check_time(recording.time_s, place)
+
+
 def _kind(path: Path) -> str:
     suffixes = path.name.lower()
-    for kind in (".mf4", ".csv", ".csv.gz"):
+    for kind in _WRITERS:
         if suffixes.endswith(kind):
             return kind
     raise UnusableInputError(path, f"file name '{path.name}', {_FORMATS}")
@@ -319,6 +359,28 @@ def _read_csv(path: Path) -> Recording:
     return Recording(ordered)
 
 
+def _read_parquet(path: Path) -> Recording:
+    pyarrow, parquet = _pyarrow(path)
+    try:
+        table = parquet.read_table(path)
+    except (OSError, pyarrow.ArrowException) as error:
+        raise UnusableInputError(path, f"not a readable Parquet file ({_one_line(error)})") from error
+    columns = {
+        field.name: np.ascontiguousarray(table[field.name].to_numpy())
+        for field in table.schema
+        if pyarrow.types.is_floating(field.type) or pyarrow.types.is_integer(field.type)
+    }
+    ordered = {TIME: columns.pop(TIME), **columns} if TIME in columns else columns
+    units = {
+        field.name: field.metadata[b"unit"].decode()
+        for field in table.schema
+        if field.metadata and b"unit" in field.metadata
+    }
+    about = {key.decode(): value.decode() for key, value in (table.schema.metadata or {}).items()}
+    start = datetime.fromisoformat(about["start_time"]) if "start_time" in about else None
+    return Recording(ordered, start, about.get("comment", ""), units)
+
+
 def _open_text(path: Path) -> IO[str]:
     if path.suffix.lower() == ".gz":
         return gzip.open(path, "rt", encoding="utf-8-sig", newline=None)
@@ -374,3 +436,6 @@ def _problems(lines: Sequence[str], width: int) -> Iterator[tuple[int, str]]:
 
 def _one_line(error: BaseException) -> str:
     return " ".join(str(error).split())[:200] or type(error).__name__
+
+
+_READERS = {".mf4": _read_mdf, ".csv": _read_csv, ".csv.gz": _read_csv, ".parquet": _read_parquet}

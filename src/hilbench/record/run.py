@@ -21,8 +21,9 @@ from hilbench.bench.signals import SIGNALS
 from hilbench.errors import EXIT_BENCH_FAULT, EXIT_CRITERION_FAILED, EXIT_INTERRUPTED, EXIT_PASSED, BenchFaultError
 from hilbench.experiment import config as config_files
 from hilbench.experiment.config import LoadedConfig
-from hilbench.experiment.criteria import evaluate
+from hilbench.experiment.criteria import CriterionResult, evaluate
 from hilbench.experiment.metrics import evaluate_metrics
+from hilbench.record.junit import write_junit
 from hilbench.record.recording import Recording, RecordingBuilder, write_recording
 from hilbench.record.result import Environment, Fault, Result, Timing, jitter
 from hilbench.record.run_folder import RunFolder
@@ -79,11 +80,13 @@ def run_experiment(
     """
     config = loaded.config
     check_bench(config, loaded.document)
+    for step in config.steps:
+        step.prepare()
     folder = RunFolder.create(out, config.name)
     config_files.dump(config, folder.config)
     started = datetime.now(UTC)
     recorder = Recorder()
-    exit_code, faults = EXIT_PASSED, list[Fault]()
+    exit_code, faults, judged = EXIT_PASSED, list[Fault](), list[CriterionResult]()
     with TraceWriter(folder.trace, config.bus_address.channel) as trace:
         bench = Bench(
             config,
@@ -97,7 +100,7 @@ def run_experiment(
             with stop_on_signals(bench), bench:
                 announce("run the experiment")
                 for step in config.steps:
-                    step.run(bench)
+                    step.run(bench, judged)
         except (InterruptedByOperatorError, KeyboardInterrupt) as error:
             exit_code = EXIT_INTERRUPTED
             faults.append(Fault(time_s=bench.time_s, source="operator", text=str(error) or "interrupted during start"))
@@ -111,9 +114,10 @@ def run_experiment(
         write_recording(recording, folder.recording)
     timing = measure_timing(bench)
     metrics = evaluate_metrics(recording.channels) | timing.metrics()
-    criteria = evaluate(config.criteria, metrics)
+    criteria = judged + evaluate(config.criteria, metrics)
     result = Result.of(criteria, metrics, timing, faults, Environment.here(config.seed))
     result.write(folder.result)
+    write_junit(result, config.name, started, folder.junit)
     if exit_code == EXIT_PASSED and not result.passed:
         exit_code = EXIT_CRITERION_FAILED
     return RunOutcome(folder, result, exit_code)

@@ -81,6 +81,11 @@ class RunFolder:
         return self.path / "result.json"
 
     @property
+    def junit(self) -> Path:
+        """The verdict, JUnit XML, as CI servers show it."""
+        return self.path / "result.xml"
+
+    @property
     def report(self) -> Path:
         """The report, one self-contained HTML file."""
         return self.path / "report.html"

@@ -121,6 +121,9 @@ def _summary(result: Result) -> str:
     parts = [_verdict_word(result).capitalize()]
     if result.criteria:
         parts.append(f"{len(result.criteria) - failed} of {len(result.criteria)} criteria met")
+    marginal = sum(criterion.marginal for criterion in result.criteria)
+    if marginal:
+        parts.append(f"{marginal} of them marginally")
     if result.faults:
         parts.append(f"{len(result.faults)} fault{'s' if len(result.faults) > 1 else ''}")
     return ", ".join(parts)
@@ -136,8 +139,8 @@ def _criteria(criteria: Sequence[CriterionResult]) -> str:
     rows = []
     for criterion in criteria:
         reason = f'<span class="reason">{escape(criterion.reason)}</span>' if criterion.reason else ""
-        word = "passed" if criterion.passed else "failed"
-        value = number(criterion.value, _digits(criterion.unit))
+        word = criterion.verdict
+        value = number(criterion.value, digits(criterion.unit))
         rows.append(
             f"<tr><td>{escape(criterion.name)}{reason}</td>"
             f'<td class="number">{value}</td><td class="number">{escape(criterion.limit)}</td>'
@@ -182,7 +185,7 @@ def _metrics(metrics: dict[str, float | None]) -> str:
         unit = known.unit if known else ""
         rows.append(
             f"<tr><td><code>{escape(name)}</code></td>"
-            f'<td class="number">{number(value, _digits(unit))}</td><td>{escape(unit)}</td>'
+            f'<td class="number">{number(value, digits(unit))}</td><td>{escape(unit)}</td>'
             f'<td class="note">{escape(known.description if known else "")}</td></tr>'
         )
     return section("Metrics", table(("Metric", ">Value", "Unit", "Meaning"), rows)) if rows else ""
@@ -244,19 +247,19 @@ def _count(value: int | None) -> str:
     return "not known" if value is None else number(value, 12)
 
 
-def _digits(unit: str) -> int:
-    """Significant digits: what matters of a web's velocity begins at the fifth."""
+def digits(unit: str) -> int:
+    """Significant digits for a unit: what matters of a web's velocity begins at the fifth."""
     return 7 if unit == "m/s" else 4
 
 
-def number(value: float | None, digits: int = 4) -> str:
-    """A number for the eye: `digits` significant ones, but never fewer than stand before the decimal point."""
+def number(value: float | None, significant: int = 4) -> str:
+    """A number for the eye: `significant` digits, but never fewer than stand before the decimal point."""
     if value is None:
         return _DASH
     if value == 0:
         return "0"
     whole = len(str(int(abs(value))))
-    text = f"{value:.{max(digits, whole)}g}"
+    text = f"{value:.{max(significant, whole)}g}"
     if "e" in text:
         mantissa, exponent = text.split("e")
         text = f"{mantissa}·10{str(int(exponent)).translate(_SUPERSCRIPT)}"

@@ -2,27 +2,43 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 from hilbench.drives import objects
-from hilbench.drives.configuration import DriveSettings, default_reader, drive_pdos
+from hilbench.drives.configuration import DriveSettings, drive_pdos
 from hilbench.drives.objects import OperationMode
 from hilbench.drives.units import DriveUnits, UnwrappingCounter
 from hilbench.fieldbus.eds import load_eds
 
 
+@dataclass(frozen=True)
+class TwinNode:
+    """A node that the twin is, or listens to."""
+
+    node_id: int
+    eds: Path
+
+
+@dataclass(frozen=True)
+class RealAxis(TwinNode):
+    """An axis that the twin listens to, in that drive's units."""
+
+    units: DriveUnits
+
+
 class AxisListener:
     """Decodes the TPDO1 of one real axis by its EDS."""
 
-    def __init__(self, eds: Path, node_id: int, cycle_s: float) -> None:
-        od = load_eds(eds, node_id)
+    def __init__(self, axis: RealAxis, cycle_s: float) -> None:
+        od, node_id = load_eds(axis.eds, axis.node_id), axis.node_id
         settings = DriveSettings(f"axis of node {node_id}", node_id, OperationMode.CYCLIC_SYNCHRONOUS_VELOCITY, cycle_s)
         _, pdo, indices = drive_pdos(settings, od).tpdos[0]
         self.cob_id = pdo.cob_id
         self._unpack = pdo.unpack
         self._position = indices.index(objects.POSITION_ACTUAL_VALUE)
         self._torque = indices.index(objects.TORQUE_ACTUAL_VALUE)
-        self._units = DriveUnits.from_objects(default_reader(od), {}, settings.name)
+        self._units = axis.units
         self._counter = UnwrappingCounter()
 
     def decode(self, data: bytes) -> tuple[float, float]:

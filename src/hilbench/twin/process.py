@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 from hilbench.bus.frame import Frame
 from hilbench.bus.open import BusAddress, open_link
@@ -17,7 +16,7 @@ from hilbench.fieldbus.clock import Clock
 from hilbench.fieldbus.device import Device, NmtState, SdoAbort
 from hilbench.fieldbus.eds import load_eds
 from hilbench.fieldbus.host import DeviceHost
-from hilbench.twin.axis_listener import AxisListener
+from hilbench.twin.axis_listener import AxisListener, RealAxis, TwinNode
 from hilbench.twin.config import TwinConfig
 from hilbench.twin.plausibility import Problem
 from hilbench.twin.synchronizers.create import METHODS
@@ -37,14 +36,6 @@ _WARM_UP_CYCLES = 100
 
 
 @dataclass(frozen=True)
-class TwinNode:
-    """A node that the twin is, or listens to."""
-
-    node_id: int
-    eds: Path
-
-
-@dataclass(frozen=True)
 class TwinSetup:
     """All the twin needs to know of the bench config."""
 
@@ -53,7 +44,7 @@ class TwinSetup:
     cycle_s: float
     model: ModelParameters
     twin: TwinConfig
-    real_axes: tuple[TwinNode, TwinNode]
+    real_axes: tuple[RealAxis, RealAxis]
     virtual_axes: tuple[TwinNode, TwinNode]
     virtual_io: TwinNode
 
@@ -88,7 +79,7 @@ class TwinApplication:
         self._drives = drives
         self._device = device
         self._io = virtual_io
-        self._listeners = [AxisListener(node.eds, node.node_id, setup.cycle_s) for node in setup.real_axes]
+        self._listeners = [AxisListener(node, setup.cycle_s) for node in setup.real_axes]
         self._metres_per_rad = [1.0 / setup.model.motor_rad_per_m(axis) for axis in (1, 2)]
         self._tracking = Tracking(setup.model, setup.twin, line, ports[1], setup.cycle_s)
         self._measured: list[tuple[float, float] | None] = [None, None]  # position in rad, torque in N·m

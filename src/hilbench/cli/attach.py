@@ -1,0 +1,67 @@
+"""Which bus and which node a command means that attaches to what runs already."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import canopen
+
+from hilbench.bus.open import BusAddress, open_python_can
+from hilbench.doctor.eds_match import find_eds
+from hilbench.errors import BenchFaultError, UnusableInputError
+from hilbench.fieldbus.eds import load_eds
+from hilbench.fieldbus.master import Master
+from hilbench.fieldbus.sdo_reader import SdoReader
+
+if TYPE_CHECKING:  # the models take their time to import; a command without a config does not need them
+    from hilbench.experiment.config import ExperimentConfig
+
+_TIMEOUT_S = 1.0
+
+
+def config_and_bus(config: Path | None, bus: str | None) -> tuple[ExperimentConfig | None, BusAddress]:
+    """The config, where one is given, and the bus as it runs. Raises UnusableInputError."""
+    if config is None:
+        return None, BusAddress.parse(bus or "embedded").as_it_runs()
+    from hilbench.experiment.config import load_with_overrides
+
+    loaded = load_with_overrides(config, bus=bus).config
+    return loaded, loaded.bus_address.as_it_runs()
+
+
+def node_on_bus(
+    node: str, config: ExperimentConfig | None, bus: BusAddress, eds: Path
+) -> tuple[int, str, canopen.ObjectDictionary]:
+    """Node id, name for messages and object dictionary; a config names its nodes and their EDS files.
+
+    Raises UnusableInputError for a node or a file that is none, BenchFaultError when the node does not answer.
+    """
+    if config is not None and node in config.nodes.__class__.model_fields:
+        entry = getattr(config.nodes, node)
+        return entry.node_id, node, load_eds(entry.eds, entry.node_id)
+    if not node.isdecimal() or not 1 <= int(node) <= 127:
+        names = "" if config is None else f", or one of {', '.join(config.nodes.__class__.model_fields)}"
+        raise UnusableInputError("NODE", f"'{node}', expected a node id from 1 to 127{names}")
+    node_id = int(node)
+    for part, entry in config.nodes if config is not None else ():
+        if entry.node_id == node_id:
+            return node_id, part, load_eds(entry.eds, node_id)
+    if eds.is_file():
+        return node_id, "node", load_eds(eds, node_id)
+    with SdoReader(open_python_can(bus), _TIMEOUT_S) as reader:
+        if reader.read(node_id, 0x1000) is None:
+            raise BenchFaultError(f"no answer from node {node_id} on {bus} to an SDO read of 1000h")
+        found = find_eds(reader, node_id, eds)
+    if found is None:
+        raise UnusableInputError(
+            eds, f"no EDS file with the identity of node {node_id}, expected one; or give --eds FILE"
+        )
+    return node_id, "node", load_eds(found, node_id)
+
+
+def master_of(bus: BusAddress, node_id: int, od: canopen.ObjectDictionary, name: str) -> Master:
+    """A master that knows this node. Close it."""
+    master = Master(open_python_can(bus), _TIMEOUT_S)
+    master.add(node_id, od, name)
+    return master

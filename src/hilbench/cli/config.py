@@ -1,0 +1,108 @@
+"""`hilbench config schema|new`: help with config files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from hilbench.errors import UnusableInputError
+
+app = typer.Typer(help="Help with config files: JSON Schema for editors, a new config.", no_args_is_help=True)
+
+#: What is asked: question, place in the config, value of the demonstrator.
+_QUESTIONS: tuple[tuple[str, tuple[str, ...], Any], ...] = (
+    ("name of the bench", ("name",), "my_bench"),
+    ("bus (embedded, socketcan:can0, …)", ("bus", "address"), "embedded"),
+    ("bit rate in bit/s", ("bus", "bitrate"), 1_000_000),
+    ("pace (lockstep: reproducible; realtime: by the wall clock)", ("pace",), "lockstep"),
+    ("cycle time in s", ("cycle_time_s",), 0.002),
+    ("Young's modulus of the web in Pa", ("model", "web", "youngs_modulus_Pa"), 8.7e9),
+    ("width of the web in m", ("model", "web", "width_m"), 0.5),
+    ("thickness of the web in m", ("model", "web", "thickness_m"), 65e-6),
+    ("length of the span in m", ("model", "web", "span_length_m"), 1.0),
+    ("radius of the rollers in m", ("model", "rollers", "radius_m"), 0.2),
+    ("inertia of a roller in kg·m²", ("model", "rollers", "inertia_kg_m2"), 1.167),
+    ("gear ratio, motor to roller", ("model", "rollers", "gear_ratio"), 5.0),
+    ("inertia of a motor in kg·m²", ("model", "motors", "inertia_kg_m2"), 0.001),
+    ("torque limit of a motor in N·m", ("model", "drives", "torque_limit_Nm"), 9.0),
+    ("web tension upstream in N", ("model", "boundary", "upstream_tension_N"), 80.0),
+    ("web tension downstream in N", ("model", "boundary", "downstream_tension_N"), 70.0),
+    ("set-point of the web tension in N", ("tension_control", "set_point_N"), 80.0),
+)
+#: What the demonstrator has and nobody is asked for.
+_GIVEN: dict[tuple[str, ...], Any] = {
+    ("model", "web_load"): [False, True],
+    ("model", "drives", "velocity_kp_Nm_s_per_rad"): 1.5,
+    ("model", "drives", "velocity_ki_Nm_per_rad"): 30.0,
+    ("model", "drives", "current_loop_time_constant_s"): 0.001,
+    ("steps",): [
+        {"ramp": {"path": "line_speed_m_s", "to": 3.0, "duration_s": 4.0}},
+        {"hold": {"duration_s": 6.0}},
+        {"ramp": {"path": "line_speed_m_s", "to": 0.0, "duration_s": 4.0}},
+    ],
+}
+_NODES = {"axis1": 1, "axis2": 2, "load": 3, "virtual_axis1": 17, "virtual_axis2": 18, "virtual_io": 32}
+
+
+@app.command()
+def schema(
+    out: Annotated[Path | None, typer.Option("--out", help="file; standard output without it")] = None,
+) -> None:
+    """Write the JSON Schema of a bench config, with which an editor completes and checks keys.
+
+    In the config's first line: # yaml-language-server: $schema=bench.schema.json
+
+    Example: hilbench config schema --out bench_configs/bench.schema.json
+    """
+    from json import dumps
+
+    from hilbench.experiment.config_text import json_schema
+
+    text = dumps(json_schema(), indent=2, ensure_ascii=False) + "\n"
+    if out is None:
+        print(text, end="")
+    else:
+        _write(out, text)
+
+
+@app.command()
+def new(
+    path: Annotated[Path, typer.Argument(metavar="FILE", help="config to write; must not exist")],
+    eds: Annotated[Path, typer.Option("--eds", help="folder with the EDS files of the simulated devices")] = Path(
+        "eds"
+    ),
+    defaults: Annotated[bool, typer.Option("--defaults", help="ask nothing: the demonstrator's values")] = False,
+) -> None:
+    """Ask its way to a bench of simulated drives, check it, and write it with a comment at every key that needs one.
+
+    Example: hilbench config new bench_configs/my_bench.yaml
+    """
+    from hilbench import strict_yaml
+    from hilbench.bench.check import check_bench
+    from hilbench.experiment.config import ExperimentConfig
+    from hilbench.experiment.config_text import commented_yaml
+
+    if path.exists():
+        raise UnusableInputError(path, "is there already, expected a new file")
+    document = strict_yaml.Document(path, {}, {})
+    for part, node_id in _NODES.items():
+        file = eds / ("hilbench_virtual_io.eds" if part == "virtual_io" else "hilbench_servo.eds")
+        document = document.with_value(("nodes", part), {"node_id": node_id, "eds": str(file.resolve())}, "--eds")
+    for location, value in _GIVEN.items():
+        document = document.with_value(location, value, str(path))
+    for question, location, suggested in _QUESTIONS:
+        answer = suggested if defaults else typer.prompt(question, default=suggested, type=type(suggested))
+        document = document.with_value(location, answer, question)
+    config = strict_yaml.validate(document, ExperimentConfig)
+    check_bench(config, document)
+    _write(path, commented_yaml(config, path.resolve().parent))
+    print(f"{path}: usable; run it with: hilbench run {path}")
+
+
+def _write(path: Path, text: str) -> None:
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise UnusableInputError(path, f"cannot be written ({error.strerror}), expected a writable folder") from error

@@ -1,0 +1,58 @@
+"""`hilbench monitor`: a running bench on the bus, watched and left alone."""
+
+from __future__ import annotations
+
+import sys
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from hilbench.cli.options import BusOption, ConfigArgument, JsonOption
+
+if TYPE_CHECKING:
+    from hilbench.bus.link import Link
+    from hilbench.monitor.picture import BusPicture
+
+
+def monitor(
+    config: ConfigArgument,
+    bus: BusOption = None,
+    pace: Annotated[str | None, typer.Option("--pace", help="that of the run, where it is not the config's")] = None,
+    duration: Annotated[float, typer.Option("--for", metavar="S", min=0.1, help="--json: how long to listen")] = 1.0,
+    json: JsonOption = False,
+) -> None:
+    """Watch a running bench as a listener on its bus: trends of tension and E, drive states, bus load, jitter, faults.
+
+    Sends nothing; may be started before the bench and stay when it has ended. With --json it listens for a while and
+    prints what it heard as one object.
+
+    Example: hilbench monitor bench_configs/web_section_step.yaml --bus socketcan:can0
+    """
+    from hilbench.bus.open import open_link
+    from hilbench.errors import UnusableInputError
+    from hilbench.experiment.config import load_with_overrides
+    from hilbench.monitor.picture import BusPicture
+
+    if not json and not sys.stdout.isatty():
+        raise UnusableInputError("standard output", "no terminal, expected one for the dashboard, or --json")
+    loaded = load_with_overrides(config, bus=bus, pace=pace).config
+    picture = BusPicture(loaded)
+    link = open_link(loaded.bus_address.as_it_runs())
+    try:
+        if json:
+            _print(picture, link, duration)
+        else:
+            from hilbench.monitor.dashboard import Dashboard
+
+            Dashboard(picture, link).run()
+    finally:
+        link.close()
+
+
+def _print(picture: BusPicture, link: Link, duration_s: float) -> None:
+    from json import dumps
+
+    from hilbench.doctor.stations import hear
+
+    picture.take(hear(link, duration_s))
+    print(dumps(picture.as_data(), indent=2))

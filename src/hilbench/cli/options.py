@@ -1,0 +1,29 @@
+"""Options that several commands share."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+ConfigArgument = Annotated[Path, typer.Argument(metavar="CONFIG", help="bench config (YAML)")]
+ConfigOption = Annotated[
+    Path | None, typer.Option("--config", help="bench config (YAML): names of the nodes, their EDS files, the bus")
+]
+BusOption = Annotated[
+    str | None, typer.Option("--bus", help="embedded[:NAME], socketcan:vcan0, or another python-can interface:channel")
+]
+PaceOption = Annotated[str | None, typer.Option("--pace", help="lockstep or realtime")]
+SetOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set", metavar="KEY=VALUE", help="another value in the config, e.g. model.web.width_m=0.6; repeatable"
+    ),
+]
+JsonOption = Annotated[bool, typer.Option("--json", help="print JSON on standard output, nothing else")]
+EdsOption = Annotated[
+    Path, typer.Option("--eds", help="EDS file, or folder in which that of the device is found by its identity")
+]
+NodeArgument = Annotated[str, typer.Argument(metavar="NODE", help="node id, or with --config its name: axis1")]
+RunArgument = Annotated[Path, typer.Argument(metavar="RUN", help="run folder")]

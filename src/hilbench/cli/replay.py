@@ -1,0 +1,107 @@
+"""`hilbench replay`: a trace back onto a bus, or the twin over a recording."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from hilbench.cli.options import BusOption, JsonOption
+from hilbench.errors import UnusableInputError
+
+if TYPE_CHECKING:
+    from hilbench.record.run_folder import RunFolder
+
+
+def replay(
+    run: Annotated[Path, typer.Argument(metavar="RUN", help="run folder, or a trace (.log, .asc, .blf, .trc)")],
+    bus: BusOption = None,
+    twin: Annotated[bool, typer.Option("--twin", help="run the twin over the recording instead")] = False,
+    method: Annotated[str | None, typer.Option("--method", help="--twin: another synchronizer than the run's")] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", help="--twin: recording (.mf4, .csv) with the new twin's signals")
+    ] = None,
+    speed: Annotated[float, typer.Option("--speed", help="so many times as fast as it was")] = 1.0,
+    commands: Annotated[
+        bool, typer.Option("--commands/--no-commands", help="send NMT, SYNC, RPDOs and SDO requests too: nodes obey")
+    ] = False,
+    json: JsonOption = False,
+) -> None:
+    """Send a trace onto a bus in its own time, or let the twin work on a recording as if it were live.
+
+    Onto a bus goes what nodes said; what they were told only with --commands.
+
+    Example: hilbench replay runs/web_section_step-20260101-120000 --bus socketcan:vcan0
+
+    Example: hilbench replay runs/web_section_step-20260101-120000 --twin --method ekf --out again.mf4
+    """
+    data = _twin(run, method, out) if twin else _trace(run, bus, speed, commands=commands)
+    if json:
+        from json import dumps
+
+        print(dumps(data, indent=2))
+    else:
+        for name, value in data.items():
+            print(f"{name.replace('_', ' ')}: {value:.6g}" if isinstance(value, float) else f"{name}: {value}")
+
+
+def _trace(run: Path, bus: str | None, speed: float, *, commands: bool) -> dict[str, Any]:
+    from hilbench.bus.open import BusAddress, open_link
+    from hilbench.record.replay import check_speed
+    from hilbench.record.replay import replay as replay_frames
+    from hilbench.record.run_folder import RunFolder
+    from hilbench.record.trace_files import read_trace
+
+    check_speed(speed)
+    path = RunFolder.open(run).trace if run.is_dir() else run
+    frames = read_trace(path)
+    address = BusAddress.parse(bus or "embedded").as_it_runs()
+    link = open_link(address)
+    try:
+        done = replay_frames(frames, link, speed=speed, commands=commands)
+    finally:
+        link.close()
+    return {"frames": done.frames, "left_out": done.left_out, "largest_lateness_s": done.latest_s}
+
+
+def _twin(run: Path, method: str | None, out: Path | None) -> dict[str, Any]:
+    import numpy as np
+
+    from hilbench.experiment.config import load
+    from hilbench.experiment.metrics import evaluate_metrics
+    from hilbench.experiment.synchronization import measurements_of, methods_of
+    from hilbench.record.recording import Recording, read_recording, write_recording
+    from hilbench.record.run_folder import RunFolder
+    from hilbench.twin.offline import run_offline
+
+    folder: RunFolder = RunFolder.open(run)
+    config, _ = load(folder.config)
+    recording = read_recording(folder.recording)
+    twin = config.twin
+    if method is not None:
+        chosen = methods_of(method)
+        if len(chosen) != 1:
+            raise UnusableInputError("--method", f"'{method}', expected one method")
+        twin = twin.model_copy(update={"synchronizer": next(iter(chosen.values()))})
+    track = run_offline(config.model, twin, measurements_of(recording, folder.recording))
+    signals = {
+        "F_sim_N": track.F_sim_N,
+        "E_sim_Pa": track.E_Pa,
+        "E_sd_Pa": track.E_sd_Pa,
+        "tau2_residual_Nm": track.residual_Nm,
+    }
+    again = Recording({**recording.channels, **signals}, recording.start_time, recording.comment, recording.units)
+    if out is not None:
+        write_recording(again, out)
+
+    def rms_difference(name: str) -> float:
+        part = slice(len(recording) // 2, None)
+        return float(np.sqrt(np.mean((again[name][part] - recording[name][part]) ** 2)))
+
+    figures: dict[str, Any] = {"method": twin.synchronizer.method, "cycles": len(again)}
+    for name in ("F_sim_N", "E_sim_Pa"):
+        if name in recording:
+            figures[f"rms_difference_{name}"] = rms_difference(name)
+    figures |= {name: value for name, value in evaluate_metrics(again.channels).items() if name.startswith("E_")}
+    return figures

@@ -1,0 +1,136 @@
+"""`hilbench scan`: who is on a bus."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from hilbench.cli.options import BusOption, ConfigOption, JsonOption
+from hilbench.errors import EXIT_CRITERION_FAILED, EXIT_PASSED
+
+if TYPE_CHECKING:
+    from hilbench.doctor.scan import Scan, Station
+    from hilbench.experiment.config import ExperimentConfig
+
+_MASTER_ID = 127
+_SDO_TIMEOUT_S = 0.3
+
+
+def scan(
+    config: ConfigOption = None,
+    bus: BusOption = None,
+    eds: Annotated[Path, typer.Option("--eds", help="folder of EDS files that devices are compared with")] = Path(
+        "eds"
+    ),
+    listen: Annotated[float, typer.Option("--listen", min=0.0, metavar="S", help="how long to listen first")] = 1.0,
+    ask: Annotated[bool, typer.Option("--ask/--no-ask", help="ask every node id by SDO, or only listen")] = True,
+    json: JsonOption = False,
+) -> None:
+    """Show who is on the bus: node id, NMT state, drive state, identity, firmware, EDS file. Writes nothing.
+
+    While a bench runs on the bus (SYNC is heard) it only listens. With --config, nodes of the bench that are missing,
+    or are other devices than their EDS files say, give exit code 1.
+
+    Example: hilbench scan --bus socketcan:can0
+
+    Example: hilbench scan --config bench_configs/web_section_step.yaml --json
+    """
+    from json import dumps
+
+    from hilbench.bus.open import open_link, open_python_can
+    from hilbench.cli.attach import config_and_bus
+    from hilbench.doctor.eds_match import EdsFile, eds_files, identity
+    from hilbench.doctor.scan import scan as scan_bus
+    from hilbench.fieldbus.eds import load_eds
+    from hilbench.fieldbus.sdo_reader import SdoReader
+
+    bench, address = config_and_bus(config, bus)
+    files = eds_files(eds)
+    if bench is not None:
+        named = {node.eds: node.node_id for _, node in bench.nodes}
+        files = [EdsFile(path, identity(load_eds(path, node_id))) for path, node_id in named.items()] + files
+    link = open_link(address)
+    try:
+        with SdoReader(open_python_can(address), _SDO_TIMEOUT_S) as reader:
+            found = scan_bus(link, reader, files, listen, bench.master.node_id if bench else _MASTER_ID, ask=ask)
+    finally:
+        link.close()
+    problems = _problems(found, bench) if bench is not None else []
+    if json:
+        print(dumps(_as_data(found, bench, problems), indent=2))
+    else:
+        _show(found, bench, problems, str(address))
+    raise typer.Exit(EXIT_CRITERION_FAILED if problems else EXIT_PASSED)
+
+
+def _parts(bench: ExperimentConfig | None) -> dict[int, str]:
+    return {node.node_id: part for part, node in bench.nodes} if bench is not None else {}
+
+
+def _problems(found: Scan, bench: ExperimentConfig) -> list[str]:
+    stations = {station.node_id: station for station in found.stations}
+    problems = []
+    for part, node in bench.nodes:
+        station = stations.get(node.node_id)
+        if station is None:
+            problems.append(f"{part} (node {node.node_id}) is not there")
+        elif station.device_type is not None and station.eds != node.eds:
+            problems.append(
+                f"{part} (node {node.node_id}) is {_device(station)}, expected the device of {node.eds.name}"
+            )
+    return problems
+
+
+def _as_data(found: Scan, bench: ExperimentConfig | None, problems: list[str]) -> dict[str, Any]:
+    from dataclasses import asdict
+
+    parts = _parts(bench)
+    names = ("vendor_id", "product_code", "revision_number", "serial_number")
+    stations = [
+        {
+            **asdict(station),
+            "identity": dict(zip(names, station.identity, strict=True)),
+            "eds": None if station.eds is None else str(station.eds),
+            "part": parts.get(station.node_id),
+        }
+        for station in found.stations
+    ]
+    return {"stations": stations, "master_at_work": found.master_at_work, "problems": problems}
+
+
+def _show(found: Scan, bench: ExperimentConfig | None, problems: list[str], bus: str) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    console, parts = Console(highlight=False), _parts(bench)
+    table = Table(title=f"{len(found.stations)} nodes on {bus}", title_justify="left", box=None, padding=(0, 2, 0, 0))
+    for column in ("node", "NMT state", "drive", "device", "firmware", "EDS"):
+        table.add_column(column, overflow="fold", no_wrap=column == "node")
+    for station in found.stations:
+        part = parts.get(station.node_id)
+        table.add_row(
+            f"{station.node_id}" + (f" {part}" if part else ""),
+            station.nmt_state or "-",
+            station.drive_state or "-",
+            _device(station),
+            station.firmware or _hex(station.identity[2]),
+            "-" if station.eds is None else station.eds.name + ("" if station.eds_of_revision else " (other revision)"),
+        )
+    console.print(table)
+    if found.master_at_work:
+        console.print("a bench is at work on this bus (SYNC or its heartbeat is heard): nobody was asked anything")
+    for problem in problems:
+        console.print(f"[red]error[/red] {problem}", soft_wrap=True)
+
+
+def _device(station: Station) -> str:
+    if station.device_type is None:
+        return "-"
+    vendor, product = station.identity[:2]
+    return f"{station.name or f'CiA {station.device_type & 0xFFFF}'} ({_hex(vendor)}/{_hex(product)})"
+
+
+def _hex(value: int | None) -> str:
+    return "-" if value is None else f"{value:X}h"

@@ -1,0 +1,79 @@
+"""`hilbench sweep`: many runs of one config."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from hilbench.cli.options import ConfigArgument, JsonOption, SetOption
+from hilbench.errors import EXIT_CRITERION_FAILED, EXIT_PASSED
+
+if TYPE_CHECKING:
+    from hilbench.scripts.sweep import Row, Sweep
+
+
+def sweep(
+    config: ConfigArgument,
+    vary: Annotated[
+        list[str],
+        typer.Option(
+            "--vary",
+            metavar="KEY=VALUES",
+            help="a list 1,2,3; 1..3:5 for five values; 1..3 for a range to sample; repeatable: all combinations",
+        ),
+    ],
+    changes: SetOption = None,
+    samples: Annotated[int | None, typer.Option("--samples", min=1, help="points drawn from the ranges")] = None,
+    seed: Annotated[int, typer.Option("--seed", help="of the drawn points")] = 1,
+    out: Annotated[Path, typer.Option("--out", help="folder of the sweep; the same again resumes it")] = Path("sweep"),
+    jobs: Annotated[int | None, typer.Option("--jobs", min=1, help="runs at a time", show_default="all cores")] = None,
+    json: JsonOption = False,
+) -> None:
+    """Run a config over a grid or a sample of its values; one table of all metrics (OUT/results.csv).
+
+    Every run is a process of its own: one that fails leaves its row, and the others go on. What was done is not done
+    again when the same sweep is started once more. Runs on a real bus, or in real time, go one after the other.
+
+    Exit code: 0 all passed, 1 some did not.
+
+    Example: hilbench sweep bench_configs/web_section_step.yaml --vary tension_control.bandwidth_rad_per_s=2..10:5
+
+    Example: hilbench sweep bench_configs/web_section_step.yaml --vary model.web.youngs_modulus_Pa=8e9..9e9
+    --vary seed=1,2,3 --samples 20
+    """
+    from json import dumps
+
+    from hilbench.scripts.sweep import Sweep, parse_axis, points
+
+    runs = points([parse_axis(text) for text in vary], samples, seed)
+    made = Sweep(config, changes or (), runs, out)
+    _run(made, jobs or os.cpu_count() or 1, quiet=json)
+    table = made.write_table()
+    failed = sum(not row.passed for row in made.rows.values())
+    if json:
+        print(dumps({"table": str(table), "runs": made.as_data()}, indent=2))
+    else:
+        print(f"{len(made.rows)} runs, {failed} not passed: {table}")
+    raise typer.Exit(EXIT_CRITERION_FAILED if failed else EXIT_PASSED)
+
+
+def _run(made: Sweep, jobs: int, *, quiet: bool) -> None:
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    console = Console(stderr=True, highlight=False)
+    columns = (TextColumn("runs"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console, disable=quiet or not console.is_terminal) as progress:
+        task = progress.add_task("runs", total=len(made.runs), completed=len(made.rows))
+
+        def done(row: Row) -> None:
+            progress.advance(task)
+            if not quiet:
+                word = "passed" if row.passed else f"exit code {row.exit_code} {row.said}".strip()
+                varied = ", ".join(f"{path}={value}" for path, value in row.changes.items())
+                progress.console.print(f"{row.number}: {varied}: {word}", soft_wrap=True)
+
+        made.run(jobs, done)

@@ -1,0 +1,76 @@
+"""Which EDS file is a device's: by vendor-ID and product code (1018h)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import canopen
+
+from hilbench.errors import UnusableInputError
+from hilbench.fieldbus import eds
+from hilbench.fieldbus.sdo_reader import SdoReader
+
+_SUFFIXES = (".eds", ".dcf")
+_VENDOR, _PRODUCT, _REVISION = 0, 1, 2
+
+
+@dataclass(frozen=True)
+class EdsFile:
+    """An EDS file and, for vendor id, product code and revision, the numbers that it gives (none: it says nothing)."""
+
+    path: Path
+    identity: tuple[frozenset[int], ...]
+
+    def fits(self, found: tuple[int | None, ...]) -> bool:
+        """Whether vendor-ID and product code are a device's; what the file leaves open the device has as 0."""
+        said = zip((_VENDOR, _PRODUCT), found, strict=False)
+        return bool(self.identity[_PRODUCT]) and all(value in (self.identity[at] or {0}) for at, value in said)
+
+    def is_of_revision(self, revision: int | None) -> bool:
+        """Whether the file is of this revision, or says nothing about it."""
+        return not self.identity[_REVISION] or revision in self.identity[_REVISION]
+
+
+def identity(od: canopen.ObjectDictionary) -> tuple[frozenset[int], ...]:
+    """Vendor id, product code and revision: for each, what [DeviceInfo] and 1018h give (0 stands for nothing)."""
+    device = od.device_information
+    header = (device.vendor_number, device.product_number, device.revision_number)
+    return tuple(
+        frozenset(value for value in (given, default(od, 0x1018, sub)) if value) for sub, given in enumerate(header, 1)
+    )
+
+
+def default(od: canopen.ObjectDictionary, index: int, sub: int) -> int | None:
+    """The default value that a file gives an object; None: none, or no number."""
+    try:
+        value = eds.variable(od, index, sub).default
+    except KeyError:
+        return None
+    return int(value) if isinstance(value, int) else None
+
+
+def eds_files(folder: Path) -> list[EdsFile]:
+    """The EDS and DCF files of a folder, by name; those that cannot be used are no files of a device."""
+    found = []
+    for path in sorted(folder.iterdir()) if folder.is_dir() else ():
+        if path.suffix.lower() in _SUFFIXES:
+            try:
+                found.append(EdsFile(path, identity(eds.load_eds(path, 1))))
+            except UnusableInputError:
+                continue
+    return found
+
+
+def find_eds(reader: SdoReader, node_id: int, folder: Path) -> Path | None:
+    """The file that fits a device which answers: that of its revision before any other."""
+    found = read_identity(reader, node_id)
+    fitting = [file for file in eds_files(folder) if file.fits(found)]
+    fitting.sort(key=lambda file: not file.is_of_revision(found[_REVISION]))
+    return fitting[0].path if fitting else None
+
+
+def read_identity(reader: SdoReader, node_id: int) -> tuple[int | None, ...]:
+    """Vendor-ID, product code, revision and serial number (1018h:1 to 4); None for what it does not tell."""
+    answers = (reader.read(node_id, 0x1018, sub) for sub in (1, 2, 3, 4))
+    return tuple(int.from_bytes(answer, "little") if isinstance(answer, bytes) else None for answer in answers)

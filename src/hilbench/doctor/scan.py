@@ -1,0 +1,115 @@
+"""Who is on a bus: heard, and asked by SDO; nothing is written."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from hilbench.bus.frame import Frame
+from hilbench.bus.link import Link
+from hilbench.doctor.eds_match import EdsFile, read_identity
+from hilbench.doctor.stations import hear, present, sort_by_node
+from hilbench.drives import objects
+from hilbench.drives.state_machine import decode_statusword
+from hilbench.fieldbus.device import NmtState
+from hilbench.fieldbus.sdo_reader import SdoReader
+
+_HEARTBEAT = 0x700
+_CIA_402 = 402
+_AT_ONCE = 16  # requests: what a short transmit queue takes
+_ANSWER_S = 0.06
+_NODE_IDS = range(1, 128)
+
+
+@dataclass(frozen=True)
+class Station:
+    """A node as it shows itself; None: it does not tell, or was not asked."""
+
+    node_id: int
+    nmt_state: str | None = None  #: from its heartbeat
+    device_type: int | None = None
+    #: Vendor-ID, product code, revision, serial number (1018h).
+    identity: tuple[int | None, ...] = (None, None, None, None)
+    name: str | None = None  #: 1008h
+    hardware: str | None = None  #: 1009h
+    firmware: str | None = None  #: 100Ah
+    drive_state: str | None = None  #: CiA 402, from the statusword
+    eds: Path | None = None  #: the file whose vendor-ID and product code are the device's
+    eds_of_revision: bool | None = None  #: and whose revision is, or which is open about it
+
+
+@dataclass(frozen=True)
+class Scan:
+    """What is on a bus. With `master_at_work` (SYNC, or a master's heartbeat was heard) nobody was asked."""
+
+    stations: list[Station]
+    master_at_work: bool
+
+
+def scan(
+    link: Link, reader: SdoReader, files: Sequence[EdsFile], listen_s: float, master_id: int, *, ask: bool = True
+) -> Scan:
+    """Listen for `listen_s`, then ask every node id, unless another master is at work there or `ask` is false.
+
+    Raises BusError when the bus is lost.
+    """
+    frames = hear(link, listen_s)
+    heard = sort_by_node(frames)
+    at_work = heard.another_master(master_id)
+    states = nmt_states(frames)
+    if at_work or not ask:
+        known = sorted(heard.nodes.keys() - {master_id})
+        return Scan([Station(node_id, states.get(node_id)) for node_id in known], at_work)
+    answering = {
+        node_id
+        for first in range(_NODE_IDS.start, _NODE_IDS.stop, _AT_ONCE)
+        for node_id in present(link, range(first, min(first + _AT_ONCE, _NODE_IDS.stop)), _ANSWER_S)
+    }
+    found = sorted(answering | heard.nodes.keys())
+    return Scan([_ask(reader, node_id, states.get(node_id), files) for node_id in found], at_work)
+
+
+def nmt_states(frames: Iterable[Frame]) -> dict[int, str]:
+    """Node id → NMT state by the last heartbeat of each."""
+    known = {state.value: state.name.replace("_", "-") for state in NmtState}
+    return {
+        frame.can_id - _HEARTBEAT: known.get(frame.data[0] & 0x7F, f"unknown ({frame.data[0]:02X}h)")
+        for frame in frames
+        if _HEARTBEAT < frame.can_id <= _HEARTBEAT + 0x7F and frame.data
+    }
+
+
+def _ask(reader: SdoReader, node_id: int, nmt_state: str | None, files: Sequence[EdsFile]) -> Station:
+    device_type = reader.read(node_id, 0x1000)
+    if not isinstance(device_type, bytes):
+        return Station(node_id, nmt_state)
+    kind = int.from_bytes(device_type, "little")
+    identity = read_identity(reader, node_id)
+    fitting = sorted((f for f in files if f.fits(identity)), key=lambda file: not file.is_of_revision(identity[2]))
+    name, hardware, firmware = (_text(reader, node_id, index) for index in (0x1008, 0x1009, 0x100A))
+    return Station(
+        node_id,
+        nmt_state,
+        kind,
+        identity,
+        name,
+        hardware,
+        firmware,
+        _drive_state(reader, node_id) if kind & 0xFFFF == _CIA_402 else None,
+        fitting[0].path if fitting else None,
+        fitting[0].is_of_revision(identity[2]) if fitting else None,
+    )
+
+
+def _text(reader: SdoReader, node_id: int, index: int) -> str | None:
+    answer = reader.read(node_id, index)
+    return answer.decode("latin-1").rstrip("\0 ") if isinstance(answer, bytes) else None
+
+
+def _drive_state(reader: SdoReader, node_id: int) -> str | None:
+    answer = reader.read(node_id, objects.STATUSWORD)
+    if not isinstance(answer, bytes):
+        return None
+    state = decode_statusword(int.from_bytes(answer, "little"))
+    return state.label if state is not None else "unknown"

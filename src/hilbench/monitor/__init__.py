@@ -1,0 +1,1 @@
+"""The live monitor: a listener on the bus of a running bench."""

@@ -1,0 +1,105 @@
+"""The dashboard of the monitor: a terminal program that reads its link a few times a second and sends nothing."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+from textual.app import App, ComposeResult
+from textual.binding import BindingType
+from textual.containers import Horizontal, Vertical
+from textual.widgets import DataTable, Footer, Log, Sparkline, Static
+
+from hilbench.bus.link import Link
+from hilbench.monitor.picture import BusPicture, NodePicture
+
+_READ_S = 0.05
+_DRAW_S = 0.25
+_COLUMNS = ("node", "part", "NMT", "drive", "statusword", "velocity rad/s", "torque N·m")
+
+
+class Dashboard(App[None]):
+    """Trends of tension and E, the nodes with their decoded states, bus load, jitter and faults."""
+
+    CSS = """
+    #figures { height: 1; background: $panel; padding: 0 1; }
+    #trends { height: 9; }
+    #trends Vertical { width: 1fr; padding: 0 1; }
+    Sparkline { height: 6; }
+    #nodes { height: 9; }
+    #faults { height: 1fr; border-top: solid $panel; }
+    """
+    TITLE = "hilbench monitor"
+    BINDINGS: ClassVar[list[BindingType]] = [("q", "quit", "quit")]
+
+    def __init__(self, picture: BusPicture, link: Link) -> None:
+        super().__init__()
+        self._picture = picture
+        self._link = link
+        self._noted = 0
+
+    def compose(self) -> ComposeResult:
+        """The widgets."""
+        yield Static(id="figures")
+        with Horizontal(id="trends"):
+            for name in ("tension", "modulus"):
+                with Vertical():
+                    yield Static(id=f"{name}-value")
+                    yield Sparkline([], id=name)
+        yield DataTable(id="nodes", show_cursor=False)
+        yield Log(id="faults")
+        yield Footer()
+
+    def on_mount(self) -> None:
+        """Columns, and what is done again and again."""
+        self.query_one("#nodes", DataTable).add_columns(*_COLUMNS)
+        self.set_interval(_READ_S, self._read)
+        self.set_interval(_DRAW_S, self._draw)
+        self._draw()
+
+    def _read(self) -> None:
+        self._picture.take(self._link.receive(0.0))
+
+    def _draw(self) -> None:
+        picture = self._picture
+        self.query_one("#figures", Static).update(_figures(picture, self._link.dropped))
+        self._trend("tension", list(picture.tension_N), "tension", "N")
+        self._trend("modulus", [value / 1e6 for value in picture.modulus_Pa], "E", "N/mm²")
+        nodes = self.query_one("#nodes", DataTable)
+        nodes.clear()
+        for node in picture.nodes.values():
+            nodes.add_row(*_row(node))
+        unseen = min(picture.fault_count - self._noted, len(picture.faults))
+        self._noted = picture.fault_count
+        new = list(picture.faults)[len(picture.faults) - unseen :]
+        self.query_one("#faults", Log).write_lines([f"cycle {note.cycle}  {note.part}: {note.text}" for note in new])
+
+    def _trend(self, name: str, values: list[float], title: str, unit: str) -> None:
+        # A sparkline stands on 0: what matters is how the signal moves above its least value.
+        least = min(values, default=0.0)
+        self.query_one(f"#{name}", Sparkline).data = [value - least for value in values]
+        text = (
+            f"{title}: {values[-1]:.1f} {unit}  ({least:.1f} to {max(values):.1f})" if values else f"{title}: not heard"
+        )
+        self.query_one(f"#{name}-value", Static).update(text)
+
+
+def _figures(picture: BusPicture, dropped: int | None) -> str:
+    parts = [f"{picture.config.name}  {picture.config.bus.address}", f"cycle {picture.cycles}"]
+    if picture.bus_load is not None:
+        parts.append(f"bus load {100 * picture.bus_load:.0f} %")
+    jitter = picture.jitter_us()
+    parts.append("lockstep" if picture.config.pace == "lockstep" else "no SYNC" if jitter is None else "")
+    if jitter is not None:
+        parts.append(f"jitter {jitter[0]:.0f} µs (p99), {jitter[1]:.0f} µs (largest)")
+    if dropped:
+        parts.append(f"{dropped} frames not read in time")
+    return "   ".join(part for part in parts if part)
+
+
+def _row(node: NodePicture) -> tuple[str, ...]:
+    def number(value: float | None) -> str:
+        return "-" if value is None else f"{value:.3f}"
+
+    statusword = "-" if node.statusword is None else f"{node.statusword:04X}h"
+    states = (node.nmt_state or "-", node.drive_state or "-", statusword)
+    return (str(node.node_id), node.part, *states, number(node.velocity_rad_s), number(node.torque_Nm))

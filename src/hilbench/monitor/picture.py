@@ -1,0 +1,183 @@
+"""What the frames on a bus tell of a bench; fed by a listener, and nothing here sends."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from hilbench.bench.config import BenchConfig
+from hilbench.bench.nodes import Nodes, declared_units
+from hilbench.bus.frame import EXTENDED_FLAG, Frame
+from hilbench.bus.wire import frame_bits
+from hilbench.doctor.scan import nmt_states
+from hilbench.drives import objects
+from hilbench.drives.object_units import si_unit
+from hilbench.drives.state_machine import State, decode_statusword
+from hilbench.drives.units import DriveUnits
+
+_SYNC = 0x080
+_HEARTBEAT = 0x700
+#: Cycles over which bus load and jitter are counted.
+_WINDOW = 500
+_TREND_POINTS = 240
+_FAULTS_KEPT = 100
+
+
+@dataclass
+class NodePicture:
+    """One participant as it last showed itself; SI, drives at the motor shaft."""
+
+    part: str
+    node_id: int
+    nmt_state: str | None = None
+    drive_state: str | None = None
+    statusword: int | None = None
+    velocity_rad_s: float | None = None
+    torque_Nm: float | None = None
+    position_rad: float | None = None
+
+
+@dataclass(frozen=True)
+class FaultNote:
+    """Something that went wrong: in which cycle (SYNCs heard so far), where, what."""
+
+    cycle: int
+    part: str
+    text: str
+
+
+@dataclass
+class BusPicture:
+    """The picture of one bench; `take` adds what was heard."""
+
+    config: BenchConfig
+    cycles: int = 0  #: SYNCs heard
+    tension_N: deque[float] = field(default_factory=lambda: deque(maxlen=_TREND_POINTS))
+    modulus_Pa: deque[float] = field(default_factory=lambda: deque(maxlen=_TREND_POINTS))
+    faults: deque[FaultNote] = field(default_factory=lambda: deque(maxlen=_FAULTS_KEPT))
+    fault_count: int = 0  #: of all faults so far, also of those no longer kept
+    every: int = 25  #: cycles between two points of a trend
+
+    def __post_init__(self) -> None:
+        nodes = Nodes(self.config)
+        self._state = nodes.io.state
+        self._state_data = b""  #: its last frame; a batch of frames may end between it and the SYNC after it
+        self._tpdos: dict[int, tuple[NodePicture, Any, tuple[int, ...], DriveUnits]] = {}
+        self.nodes = {node.node_id: NodePicture(part, node.node_id) for part, node in self.config.nodes}
+        for part, node in self.config.nodes:
+            if part == "virtual_io":
+                continue
+            units = declared_units(self.config, part, nodes.dictionary(part))
+            for pdo in nodes.pdo_maps(part)[1:]:  # what it sends
+                indices = tuple(variable.index for variable in pdo.variables)
+                self._tpdos[pdo.cob_id] = (self.nodes[node.node_id], pdo, indices, units)
+        self._bits: deque[int] = deque([0], maxlen=_WINDOW)
+        self._sync_ns: deque[int] = deque(maxlen=_WINDOW)
+
+    # -- what was heard --------------------------------------------------------------------------------------
+
+    def take(self, frames: Iterable[Frame]) -> None:
+        """Add frames in the order in which they were heard."""
+        last: dict[int, bytes] = {}
+        heartbeats: list[Frame] = []
+        for frame in frames:
+            self._bits[-1] += frame_bits(frame)
+            if frame.can_id & EXTENDED_FLAG:
+                continue
+            if frame.can_id == _SYNC:
+                self._sync(frame)
+            elif _SYNC < frame.can_id <= _SYNC + 0x7F:
+                self._emergency(frame)
+            elif frame.can_id > _HEARTBEAT:
+                heartbeats.append(frame)
+            else:
+                last[frame.can_id] = frame.data
+                if frame.can_id == self._state.cob_id:
+                    self._state_data = frame.data
+        self._decode(last)
+        for node_id, state in nmt_states(heartbeats).items():
+            self._nmt(node_id, state)
+
+    def _sync(self, frame: Frame) -> None:
+        self.cycles += 1
+        self._bits.append(0)
+        self._sync_ns.append(frame.time_ns)
+        if self.cycles % self.every == 0 and len(self._state_data) == self._state.size:
+            tension_N, modulus_Pa = self._state.unpack(self._state_data)
+            self.tension_N.append(float(tension_N))
+            self.modulus_Pa.append(float(modulus_Pa))
+
+    def _decode(self, last: dict[int, bytes]) -> None:
+        for cob_id, (node, pdo, indices, units) in self._tpdos.items():
+            data = last.get(cob_id)
+            if data is not None and len(data) == pdo.size:
+                self._show(node, dict(zip(indices, pdo.unpack(data), strict=True)), units)
+
+    def _show(self, node: NodePicture, raw: dict[int, int | float], units: DriveUnits) -> None:
+        def si(index: int, before: float | None) -> float | None:
+            unit = si_unit(index, units)
+            return raw[index] * unit[0] if index in raw and unit is not None else before
+
+        node.torque_Nm = si(objects.TORQUE_ACTUAL_VALUE, node.torque_Nm)
+        node.velocity_rad_s = si(objects.VELOCITY_ACTUAL_VALUE, node.velocity_rad_s)
+        node.position_rad = si(objects.POSITION_ACTUAL_VALUE, node.position_rad)
+        if objects.STATUSWORD in raw:
+            node.statusword = int(raw[objects.STATUSWORD])
+            state = decode_statusword(node.statusword)
+            label = state.label if state is not None else "unknown"
+            if state in (State.FAULT, State.FAULT_REACTION_ACTIVE) and label != node.drive_state:
+                self._note(node.part, label)
+            node.drive_state = label
+
+    def _emergency(self, frame: Frame) -> None:
+        node = self.nodes.get(frame.can_id - _SYNC)
+        if len(frame.data) >= 3:
+            code = int.from_bytes(frame.data[:2], "little")
+            part = node.part if node is not None else f"node {frame.can_id - _SYNC}"
+            self._note(part, f"EMCY {code:04X}h, register {frame.data[2]:02X}h" if code else "EMCY: no error any more")
+
+    def _nmt(self, node_id: int, state: str) -> None:
+        node = self.nodes.get(node_id)
+        if node is None:
+            return
+        if node.nmt_state == "OPERATIONAL" and state != "OPERATIONAL":
+            self._note(node.part, f"left OPERATIONAL: {state}")
+        node.nmt_state = state
+
+    def _note(self, part: str, text: str) -> None:
+        self.fault_count += 1
+        self.faults.append(FaultNote(self.cycles, part, text))
+
+    # -- figures ---------------------------------------------------------------------------------------------
+
+    @property
+    def bus_load(self) -> float | None:
+        """Share of the wire's time that the last whole cycles took; None before there were any."""
+        whole = list(self._bits)[1:-1]
+        capacity_bits = self.config.bus.bitrate * self.config.cycle_time_s
+        return float(np.mean(whole)) / capacity_bits if whole else None
+
+    def jitter_us(self) -> tuple[float, float] | None:
+        """99th percentile and largest deviation of the time between two SYNCs from the cycle; None in lockstep."""
+        if self.config.pace == "lockstep" or len(self._sync_ns) < 2:
+            return None
+        late_us = np.abs(np.diff(np.array(self._sync_ns, np.int64)) - self.config.cycle_ns) / 1000.0
+        return float(np.percentile(late_us, 99)), float(late_us.max())
+
+    def as_data(self) -> dict[str, Any]:
+        """The picture for machines."""
+        jitter = self.jitter_us()
+        return {
+            "cycles": self.cycles,
+            "bus_load_pct": None if self.bus_load is None else 100 * self.bus_load,
+            "jitter_p99_us": jitter and jitter[0],
+            "jitter_max_us": jitter and jitter[1],
+            "F_sim_N": self.tension_N[-1] if self.tension_N else None,
+            "E_sim_Pa": self.modulus_Pa[-1] if self.modulus_Pa else None,
+            "nodes": [vars(node) for node in self.nodes.values()],
+            "faults": [vars(note) for note in self.faults],
+        }

@@ -1,0 +1,1 @@
+"""The bench for scripts, notebooks and pytest."""

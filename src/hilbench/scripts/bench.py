@@ -1,0 +1,87 @@
+"""The bench of a config file, as a script, a notebook or a test uses it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from os import PathLike
+from pathlib import Path
+
+from hilbench.bench import bench, quantities
+from hilbench.bench.check import check_bench
+from hilbench.experiment.config import load_with_overrides
+from hilbench.experiment.metrics import evaluate_metrics
+from hilbench.record.recording import Recording
+from hilbench.record.run import Recorder
+
+
+@dataclass(frozen=True)
+class StepResponse:
+    """What a step change did: the whole recording, when the step was (s of experiment time), and the metrics.
+
+    Metrics are those of `hilbench.experiment.metrics.METRICS` that a recording decides; None for what it does not show.
+    """
+
+    recording: Recording
+    step_time_s: float
+    metrics: dict[str, float | None]
+
+
+class Bench(bench.Bench):
+    """A bench from its config file that keeps what it measured.
+
+    Use it as a context manager; what it can do is in `hilbench.bench.bench.Bench`::
+
+        with Bench("bench_configs/web_section_step.yaml", changes=["tension_control.set_point_N=90"]) as bench:
+            bench.ramp("line_speed_m_s", 3.0, duration_s=4.0)
+            bench.run(2.0)
+        bench.recording.to_pandas()[["F_true_N", "F_sim_N"]].plot()
+
+    `bus`, `pace`, `seed` and `changes` (texts ``KEY=VALUE``) are what ``hilbench run`` takes. Raises UnusableInputError
+    for a config that cannot be used, before anything is started. Steps and criteria of the file are left alone.
+    """
+
+    def __init__(
+        self,
+        config: str | PathLike[str],
+        *,
+        bus: str | None = None,
+        pace: str | None = None,
+        seed: int | None = None,
+        changes: Sequence[str] = (),
+        start_processes: bool = True,
+        announce: Callable[[str], None] = lambda text: None,
+    ) -> None:
+        loaded = load_with_overrides(Path(config), bus=bus, pace=pace, seed=seed, changes=changes)
+        check_bench(loaded.config, loaded.document)
+        self._recorder = Recorder()
+        self._made = datetime.now(UTC)
+        super().__init__(loaded.config, observers=[self._recorder], start_processes=start_processes, announce=announce)
+
+    @property
+    def recording(self) -> Recording:
+        """What was measured until now, one row a cycle, as a copy."""
+        return self._recorder.recording(self._made, self.config.description)
+
+    def metrics(self) -> dict[str, float | None]:
+        """The metrics that the recording shows until now."""
+        return evaluate_metrics(self.recording.channels)
+
+    def step_response(
+        self,
+        path: str,
+        to: float,
+        *,
+        line_speed_m_s: float = 3.0,
+        ramp_s: float = 2.0,
+        settle_s: float = 2.0,
+        hold_s: float = 3.0,
+    ) -> StepResponse:
+        """Bring the line to its speed, let it settle, step a quantity, hold, and say what that did."""
+        self.ramp(quantities.LINE_SPEED, line_speed_m_s, ramp_s)
+        self.run(settle_s)
+        self.step(path, to)
+        step_time_s = self.events[-1].time_s
+        self.run(hold_s)
+        return StepResponse(self.recording, step_time_s, self.metrics())

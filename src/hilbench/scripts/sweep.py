@@ -1,0 +1,209 @@
+"""Many runs of one config over a grid or a sample of its values: in processes of their own, resumable, one table."""
+
+from __future__ import annotations
+
+import csv
+import itertools
+import json
+import os
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Sequence
+from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hilbench.errors import EXIT_CRITERION_FAILED, EXIT_INTERRUPTED, EXIT_PASSED, UnusableInputError
+from hilbench.experiment.config import load_with_overrides, parse_change
+
+_DEFINITION, _LOG, _TABLE = "sweep.json", "results.jsonl", "results.csv"
+_LAST_WORDS = 300
+
+
+@dataclass(frozen=True)
+class Axis:
+    """One value that is varied: a list of texts, or a range (`low` … `high`) from which samples are drawn."""
+
+    path: str
+    values: tuple[str, ...] = ()
+    low: float = 0.0
+    high: float = 0.0
+
+
+@dataclass(frozen=True)
+class Row:
+    """One run: its number, what was varied, its exit code, metrics and folder (None: it got none), and last words."""
+
+    number: int
+    changes: dict[str, str]
+    exit_code: int
+    run: str | None = None
+    metrics: dict[str, float | None] = field(default_factory=dict)
+    said: str = ""
+
+    @property
+    def passed(self) -> bool:
+        return self.exit_code == EXIT_PASSED
+
+
+def parse_axis(text: str) -> Axis:
+    """``KEY=1,2,3``, ``KEY=1..3:5`` (5 values from 1 to 3) or ``KEY=1..3`` (a range to sample).
+
+    Raises UnusableInputError.
+    """
+    path, equals, values = text.partition("=")
+    place = f"--vary {text}"
+    if not equals or not path or not values:
+        raise UnusableInputError(place, "expected KEY=V1,V2,…, KEY=FROM..TO:COUNT or KEY=FROM..TO")
+    if ".." not in values:
+        return Axis(path, tuple(value.strip() for value in values.split(",")))
+    bounds, colon, count = values.partition(":")
+    try:
+        low, high = (float(bound) for bound in bounds.split(".."))
+        number = int(count) if colon else 0
+    except ValueError:
+        raise UnusableInputError(place, "expected FROM..TO or FROM..TO:COUNT in numbers") from None
+    if not low < high or (colon and number < 2):
+        raise UnusableInputError(place, "expected FROM below TO, and a COUNT of at least 2")
+    if not colon:
+        return Axis(path, low=low, high=high)
+    return Axis(path, tuple(f"{value:.12g}" for value in np.linspace(low, high, number)))
+
+
+def points(axes: Sequence[Axis], samples: int | None, seed: int) -> list[dict[str, str]]:
+    """What each run changes: the grid of all lists, each with `samples` points of the ranges (Latin hypercube).
+
+    Raises UnusableInputError for ranges without a number of samples, or the other way round.
+    """
+    lists = [axis for axis in axes if axis.values]
+    ranges = [axis for axis in axes if not axis.values]
+    if bool(ranges) != (samples is not None):
+        raise UnusableInputError("--samples", "expected together with a range KEY=FROM..TO, and only then")
+    drawn: list[dict[str, str]] = [{}]
+    if ranges:
+        from scipy.stats import qmc
+
+        unit = qmc.LatinHypercube(len(ranges), rng=np.random.default_rng(seed)).random(samples or 1)
+        drawn = [
+            {
+                axis.path: f"{axis.low + (axis.high - axis.low) * share:.12g}"
+                for axis, share in zip(ranges, row, strict=True)
+            }
+            for row in unit
+        ]
+    grid = itertools.product(*([(axis.path, value) for value in axis.values] for axis in lists))
+    return [{**dict(chosen), **sample} for chosen in grid for sample in drawn]
+
+
+class Sweep:
+    """The runs of one sweep in one folder.
+
+    Raises UnusableInputError when a value cannot be used, or the folder holds another sweep.
+    """
+
+    def __init__(self, config: Path, changes: Sequence[str], runs: Sequence[dict[str, str]], out: Path) -> None:
+        for run in runs:  # every point is checked before the first one runs
+            loaded = load_with_overrides(config, changes=[*changes, *_texts(run)])
+        self._config = config
+        self._changes = list(changes)
+        self.runs = list(runs)
+        self.out = out
+        #: Runs share the wire and the clock of a real bus: there is one at a time.
+        self.alone = loaded.config.bus_address.interface != "embedded" or loaded.config.pace == "realtime"
+        self._embedded = loaded.config.bus_address.interface == "embedded"
+        self._stopped = threading.Event()
+        self.rows = self._resume()
+
+    def _resume(self) -> dict[int, Row]:
+        definition = {"config": str(self._config.resolve()), "changes": self._changes, "runs": self.runs}
+        path = self.out / _DEFINITION
+        if path.exists():
+            if json.loads(path.read_text(encoding="utf-8")) != definition:
+                raise UnusableInputError(self.out, "holds another sweep, expected this one or an empty folder")
+        else:
+            try:
+                self.out.mkdir(parents=True, exist_ok=True)
+                path.write_text(json.dumps(definition, indent=2), encoding="utf-8")
+            except OSError as error:
+                raise UnusableInputError(self.out, f"cannot be made ({error.strerror}), expected a folder") from error
+        log = self.out / _LOG
+        lines = log.read_text(encoding="utf-8").splitlines() if log.exists() else []
+        rows = [Row(**json.loads(line)) for line in lines if line.endswith("}")]  # a torn line: that run is done again
+        return {row.number: row for row in rows}
+
+    def run(self, jobs: int, done: Callable[[Row], None]) -> None:
+        """Do what is left, `jobs` at a time; `done` is told of each row. Ctrl-C ends the runs that are under way."""
+        left = [number for number in range(len(self.runs)) if number not in self.rows]
+        with ThreadPoolExecutor(1 if self.alone else jobs) as pool:
+            waiting = {pool.submit(self._run, number) for number in left}
+            try:
+                while waiting:
+                    finished, waiting = wait(waiting, return_when=FIRST_COMPLETED)
+                    for future in finished:
+                        self._take(future.result(), done)
+            except BaseException:
+                self._stopped.set()
+                for future in waiting:
+                    future.cancel()
+                raise
+
+    def _take(self, row: Row | None, done: Callable[[Row], None]) -> None:
+        if row is None:
+            return
+        self.rows[row.number] = row
+        with open(self.out / _LOG, "a", encoding="utf-8") as log:
+            log.write(json.dumps(asdict(row)) + "\n")
+        self.write_table()
+        done(row)
+
+    def _run(self, number: int) -> Row | None:
+        """One run in a process of its own; None when it was interrupted."""
+        if self._stopped.is_set():
+            return None
+        changes, folder = self.runs[number], self.out / "runs" / f"{number:05d}"
+        command = [sys.executable, "-m", "hilbench.cli", "run", str(self._config), "--json", "--no-report"]
+        command += ["--out", str(folder)]
+        for text in [*self._changes, *_texts(changes)]:
+            command += ["--set", text]
+        if self._embedded:
+            command += ["--bus", f"embedded:sweep{os.getpid()}n{number}"]
+        ended = subprocess.run(command, capture_output=True, text=True, check=False)
+        if self._stopped.is_set() or ended.returncode == EXIT_INTERRUPTED:
+            return None
+        folders = sorted(folder.glob("*/")) if folder.is_dir() else []
+        result = json.loads(ended.stdout) if ended.stdout.startswith("{") else {}
+        faults = [fault["text"] for fault in result.get("faults", [])]
+        words = [*faults, *ended.stderr.split()]
+        said = " ".join(words)[:_LAST_WORDS] if ended.returncode not in (EXIT_PASSED, EXIT_CRITERION_FAILED) else ""
+        run = str(folders[-1].relative_to(self.out)) if folders else None
+        return Row(number, changes, ended.returncode, run, result.get("metrics", {}), said)
+
+    def write_table(self) -> Path:
+        """`results.csv`: a row a run, in order; what was varied, exit code, metrics, folder."""
+        paths = list(dict.fromkeys(path for run in self.runs for path in run))
+        metrics = list(dict.fromkeys(name for row in self.rows.values() for name in row.metrics))
+        path = self.out / _TABLE
+        with open(path, "w", encoding="utf-8", newline="") as file:
+            writer = csv.writer(file)
+            writer.writerow(["number", *paths, "exit_code", "passed", *metrics, "run", "said"])
+            for number in sorted(self.rows):
+                row = self.rows[number]
+                varied = [row.changes.get(name, "") for name in paths]
+                values = ["" if row.metrics.get(name) is None else row.metrics[name] for name in metrics]
+                writer.writerow([number, *varied, row.exit_code, row.passed, *values, row.run or "", row.said])
+        return path
+
+    def as_data(self) -> list[dict[str, Any]]:
+        """The table for machines."""
+        return [{**asdict(self.rows[number]), "passed": self.rows[number].passed} for number in sorted(self.rows)]
+
+
+def _texts(changes: dict[str, str]) -> list[str]:
+    texts = [f"{path}={value}" for path, value in changes.items()]
+    for text in texts:
+        parse_change(text)
+    return texts

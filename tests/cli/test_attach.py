@@ -1,0 +1,141 @@
+"""`hilbench scan`, `sdo` and `drive` as a user starts them, on simulated hardware that nobody else uses."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import pty
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import yaml
+from tests.bench.test_runs import config
+
+from hilbench.bus.link import Link
+from hilbench.bus.open import BusAddress, open_link
+from hilbench.doctor.stations import hear
+
+EDS = Path(__file__).resolve().parents[2] / "eds" / "hilbench_servo.eds"
+HILBENCH = [sys.executable, "-m", "hilbench.cli"]
+
+
+def hilbench(*arguments: object) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([*HILBENCH, *map(str, arguments)], capture_output=True, text=True, timeout=60, check=False)
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """The config of a bench whose simulated hardware runs."""
+    path = config(tmp_path_factory.mktemp("attach"), pace="realtime")
+    running = subprocess.Popen([*HILBENCH, "simulate-hardware", str(path)], stdout=subprocess.PIPE)
+    deadline = time.monotonic() + 60.0
+    while hilbench("drive", "axis1", "status", "--config", path).returncode != 0:
+        assert time.monotonic() < deadline, "the simulated hardware does not answer"
+    yield path
+    running.terminate()
+    running.communicate(timeout=20)
+
+
+def attached(bench: Path) -> list[str]:
+    """Without the config: the bus, and the EDS file."""
+    return ["--bus", yaml.safe_load(bench.read_text())["bus"]["address"], "--eds", str(EDS)]
+
+
+def test_scan_tells_who_is_there_and_who_is_missing(bench: Path) -> None:
+    done = hilbench("scan", "--config", bench, "--listen", "0.1", "--json")
+    data = json.loads(done.stdout)
+    assert [station["part"] for station in data["stations"]] == ["axis1", "axis2", "load"]
+    first = data["stations"][0]
+    assert first["identity"]["product_code"] == 0x402
+    assert first["eds"].endswith("hilbench_servo.eds")
+    assert first["firmware"] == "1.0"
+    assert first["drive_state"] == "SWITCH ON DISABLED"
+    assert [problem.partition(" ")[0] for problem in data["problems"]] == [
+        "virtual_axis1",
+        "virtual_axis2",
+        "virtual_io",
+    ]
+    assert done.returncode == 1
+
+
+def test_sdo_reads_and_writes_by_index_and_name_with_units(bench: Path) -> None:
+    written = hilbench("sdo", "write", "axis1", "quick_stop_deceleration", "75 rad/s^2", "--config", bench)
+    assert written.returncode == 0, written.stderr
+    read = hilbench("sdo", "read", "1", "6085h", *attached(bench), "--json")
+    data = json.loads(read.stdout)
+    assert (data["value"], data["si_unit"]) == (7161972, "rad/s²")
+    assert data["si"] == pytest.approx(75.0, rel=1e-6)
+    text = hilbench("sdo", "read", "3", "1008", *attached(bench)).stdout
+    assert text == "node 3 1008h:0 Manufacturer device name: hilbench servo\n"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "said"),
+    [
+        (["sdo", "read", "1", "target_speed"], 2, "no object named 'target_speed'"),
+        (
+            ["sdo", "write", "1", "target_velocity", "3 N·m"],
+            2,
+            "unit 'N·m' of 60FFh:0 'Target velocity', expected rad/s",
+        ),
+        (["sdo", "write", "1", "statusword", "1"], 3, "6041h sub 0 'Statusword': writing 1 to it: abort 06010002h"),
+        (["drive", "1", "jog"], 2, "no terminal, expected one: its keys are the dead-man switch"),
+    ],
+)
+def test_what_does_not_work_is_one_line(bench: Path, arguments: list[str], code: int, said: str) -> None:
+    done = hilbench(*arguments, *attached(bench))
+    assert (done.returncode, done.stdout) == (code, "")
+    assert said in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1
+
+
+def test_a_drive_turns_while_the_dead_man_key_is_held_and_is_without_power_afterwards(bench: Path) -> None:
+    link = open_link(BusAddress.parse(attached(bench)[1]).as_it_runs())
+    ours, theirs = pty.openpty()
+    jog = subprocess.Popen(
+        [*HILBENCH, "drive", "1", "jog", "--speed", "20", "--json", *attached(bench)],
+        stdin=theirs,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    )
+    assert jog.stderr is not None
+    assert b"hold f" in jog.stderr.readline()
+    targets = Targets(link)
+    held_until_s = time.monotonic() + 1.5
+    while time.monotonic() < held_until_s:
+        os.write(ours, b"f")  # a terminal repeats a key that is held
+        targets.listen(0.03)
+    assert targets.seen == [pytest.approx(20.0, abs=1e-3)]
+    targets.listen(1.0)
+    assert targets.seen == [pytest.approx(20.0, abs=1e-3), 0.0]
+    os.write(ours, b"q")
+    out, _ = jog.communicate(timeout=30)
+    assert jog.returncode == 0
+    status = json.loads(out)
+    assert status["state"] == "SWITCH ON DISABLED"
+    assert status["position_rad"] > 5.0
+    assert abs(status["velocity_rad_s"]) < 0.1
+    link.close()
+    os.close(ours)
+    os.close(theirs)
+
+
+class Targets:
+    """The target velocities (rad/s) that node 1 is given by SDO from now on, as a listener hears them."""
+
+    unit_rad_s = 2 * math.pi / 60 * 1e-4  # 60A9h of the EDS: 0.0001 rpm
+
+    def __init__(self, link: Link) -> None:
+        self.seen: list[float] = []
+        self._link = link
+        link.receive(0.0)
+
+    def listen(self, duration_s: float) -> None:
+        for frame in hear(self._link, duration_s):
+            if frame.can_id == 0x601 and frame.data[:4] == bytes.fromhex("23FF6000"):
+                self.seen.append(int.from_bytes(frame.data[4:], "little", signed=True) * self.unit_rad_s)

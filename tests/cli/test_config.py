@@ -1,0 +1,69 @@
+"""`hilbench config`: the schema that editors use, and a new bench."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import jsonschema
+import pytest
+
+from hilbench import strict_yaml
+from hilbench.experiment.config import load
+from hilbench.experiment.config_text import json_schema
+
+ROOT = Path(__file__).resolve().parents[2]
+SHIPPED = sorted((ROOT / "bench_configs").glob("*.yaml"))
+
+
+def hilbench(*arguments: object, typed: str = "") -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "hilbench.cli", *map(str, arguments)]
+    return subprocess.run(command, input=typed, capture_output=True, text=True, timeout=60, check=False)
+
+
+@pytest.fixture(scope="module")
+def validator() -> jsonschema.Draft202012Validator:
+    schema = json_schema()
+    jsonschema.Draft202012Validator.check_schema(schema)
+    return jsonschema.Draft202012Validator(schema)
+
+
+@pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
+def test_the_schema_takes_what_is_shipped_and_no_misspelt_key(path, validator):
+    data = strict_yaml.load(path).data
+    assert list(validator.iter_errors(data)) == []
+    assert list(validator.iter_errors({**data, "tension_contrl": {}}))
+
+
+def test_a_file_that_includes_nothing_is_complete(validator):
+    data = strict_yaml.load(ROOT / "bench_configs" / "web_section_step.yaml").data
+    without = {key: value for key, value in data.items() if key != "nodes"}
+    assert list(validator.iter_errors(without))
+    assert not list(validator.iter_errors({**without, "include": "base.yaml"}))
+
+
+def test_every_key_of_the_demonstrator_says_what_it_is():
+    path = ROOT / "bench_configs" / "web_section_step.yaml"
+    silent = {"name", "description", "axis1", "axis2", "load", "virtual_axis1", "virtual_axis2", "virtual_io"}
+    for line in path.read_text(encoding="utf-8").splitlines():
+        key = line.strip().partition(":")[0]
+        if line.strip() and not line.strip().startswith(("#", "-")) and key not in silent:
+            assert "#" in line, f"{key} has no comment"
+
+
+def test_new_asks_and_writes_a_bench_that_can_be_run(tmp_path):
+    path = tmp_path / "mine.yaml"
+    answers = "mine\nembedded:mine\n" + "\n" * 3 + "4e9\n" + "\n" * 20
+    done = hilbench("config", "new", path, "--eds", ROOT / "eds", typed=answers)
+    assert done.returncode == 0, done.stderr
+    config, _ = load(path)
+    assert (config.name, config.bus.address, config.model.required_web.youngs_modulus_Pa) == (
+        "mine",
+        "embedded:mine",
+        4e9,
+    )
+    assert "# of the closed tension loop" in path.read_text()
+    again = hilbench("config", "new", path, "--defaults", "--eds", ROOT / "eds")
+    assert again.returncode == 2
+    assert "is there already" in again.stderr

@@ -1,0 +1,78 @@
+"""The monitor beside a running bench, and the dashboard on a bus in memory."""
+
+from __future__ import annotations
+
+import asyncio
+from pathlib import Path
+
+import pytest
+from textual.widgets import DataTable, Log, Static
+
+from hilbench.bench.config import BenchConfig
+from hilbench.bench.nodes import Nodes
+from hilbench.bus.frame import Frame
+from hilbench.bus.memory import MemoryBus
+from hilbench.experiment.config import load
+from hilbench.monitor.dashboard import Dashboard
+from hilbench.monitor.picture import BusPicture
+
+SHIPPED = Path(__file__).resolve().parents[2] / "bench_configs" / "web_section_step.yaml"
+
+
+def cycles(bench: BenchConfig, count: int, tension_N: float) -> list[Frame]:
+    nodes = Nodes(bench)
+    tpdo1 = nodes.pdo_maps("axis1")[1]
+    frames = []
+    for k in range(count):
+        # The last SYNC of a hundred comes 50 µs late.
+        frames.append(Frame(0x80, b"", k * 2_000_000 + (50_000 if k % 100 == 99 else 0) + 1))
+        frames.append(Frame(tpdo1.cob_id, tpdo1.pack((0x1637, 200, 1_048_576))))
+        frames.append(Frame(nodes.io.state.cob_id, nodes.io.state.pack((tension_N + k, 8.7e9))))
+    return [*frames, Frame(0x701, b"\5"), Frame(0x82, bytes.fromhex("1186210000000000")), Frame(0x701, b"\x7f")]
+
+
+@pytest.fixture
+def bench() -> BenchConfig:
+    return load(SHIPPED)[0].model_copy(update={"pace": "realtime"})
+
+
+def test_what_is_heard_is_decoded(bench: BenchConfig) -> None:
+    picture = BusPicture(bench)
+    frames = cycles(bench, 200, 80.0)
+    for frame in frames:  # one at a time: nothing may depend on how many are read at once
+        picture.take([frame])
+    data = picture.as_data()
+    axis1 = data["nodes"][0]
+    assert (axis1["drive_state"], axis1["nmt_state"]) == ("OPERATION ENABLED", "PRE-OPERATIONAL")
+    assert axis1["torque_Nm"] == pytest.approx(1.0)
+    assert data["F_sim_N"] == pytest.approx(278.0)  # of the cycle before the last point of the trend
+    assert len(picture.tension_N) == 200 // picture.every
+    assert data["jitter_max_us"] == pytest.approx(50.0)
+    assert data["bus_load_pct"] == pytest.approx(100 * (47 + 2 * 118) / 2000, rel=0.1)
+    assert [(note["part"], note["text"]) for note in data["faults"]] == [
+        ("axis2", "EMCY 8611h, register 21h"),
+        ("axis1", "left OPERATIONAL: PRE-OPERATIONAL"),
+    ]
+
+
+def test_the_dashboard_shows_it_and_sends_nothing(bench: BenchConfig) -> None:
+    bus = MemoryBus()
+    ours, theirs = bus.open_link(), bus.open_link()
+    dashboard = Dashboard(BusPicture(bench), ours)
+
+    async def watch() -> tuple[str, str, int]:
+        async with dashboard.run_test(size=(110, 36)) as pilot:
+            theirs.send(cycles(bench, 100, 80.0))
+            table = dashboard.query_one("#nodes", DataTable)
+            while not (table.row_count and table.get_row_at(0)[3] == "OPERATION ENABLED"):
+                await pilot.pause(0.05)
+            await pilot.pause(0.3)
+            figures = str(dashboard.query_one("#figures", Static).render())
+            tension = str(dashboard.query_one("#tension-value", Static).render())
+            return figures, tension, dashboard.query_one("#faults", Log).line_count
+
+    figures, tension, faults = asyncio.run(asyncio.wait_for(watch(), 30.0))
+    assert "cycle 100" in figures
+    assert tension.startswith("tension: 178.0 N")
+    assert faults
+    assert theirs.receive(0.0) == []

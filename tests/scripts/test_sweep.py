@@ -1,0 +1,72 @@
+"""`hilbench sweep`: which points, and a sweep with a run that fails, taken up again."""
+
+from __future__ import annotations
+
+import csv
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from tests.bench.test_runs import config
+
+from hilbench.errors import UnusableInputError
+from hilbench.scripts.sweep import Axis, Sweep, parse_axis, points
+
+
+def sweep(path: Path, *options: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "hilbench.cli", "sweep", str(path), "--out", str(path.parent / "sweep"), *options]
+    return subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+
+
+def test_lists_are_combined_and_ranges_are_sampled_evenly() -> None:
+    assert parse_axis("a.b=1..2:3") == Axis("a.b", ("1", "1.5", "2"))
+    made = points([parse_axis("a=1,2"), parse_axis("b=x"), parse_axis("c=0..10")], 10, seed=3)
+    assert [run["a"] for run in made] == ["1"] * 10 + ["2"] * 10
+    assert {run["b"] for run in made} == {"x"}
+    # A Latin hypercube: one sample in each tenth of the range, the same points for every combination of the lists.
+    assert sorted(int(float(run["c"])) for run in made[:10]) == list(range(10))
+    assert [run["c"] for run in made[:10]] == [run["c"] for run in made[10:]]
+    assert points([parse_axis("c=0..10")], 4, seed=3) == points([parse_axis("c=0..10")], 4, seed=3)
+
+
+@pytest.mark.parametrize(
+    ("text", "samples", "said"),
+    [
+        ("a", None, "expected KEY=V1,V2"),
+        ("a=3..1:4", None, "expected FROM below TO"),
+        ("a=1..x", None, "in numbers"),
+        ("a=1..3", None, "--samples: expected together with a range"),
+        ("a=1,3", 5, "--samples: expected together with a range"),
+    ],
+)
+def test_what_cannot_be_varied_is_said(text: str, samples: int | None, said: str) -> None:
+    with pytest.raises(UnusableInputError, match=said):
+        points([parse_axis(text)], samples, seed=1)
+
+
+def test_a_failed_run_leaves_its_row_and_what_is_done_is_not_done_again(tmp_path: Path) -> None:
+    path = config(tmp_path, steps=[{"hold": {"duration_s": 0.1}}])
+    out, cycles = tmp_path / "sweep", [{"cycle_time_s": text} for text in ("0.001", "0.002")]
+    with pytest.raises(UnusableInputError, match=r"--set cycle_time_s=-1: .*greater than or equal"):
+        Sweep(path, (), [*cycles, {"cycle_time_s": "-1"}], out)
+    assert not out.exists()
+    done = sweep(path, "--vary", "cycle_time_s=0.001,0.002", "--json")
+    assert done.returncode == 1, done.stderr
+    rows = json.loads(done.stdout)["runs"]
+    assert [row["exit_code"] for row in rows] == [2, 0]
+    assert "bit times of the 1000" in rows[0]["said"]
+    with open(out / "results.csv", newline="") as file:
+        table = list(csv.DictReader(file))
+    assert [row["cycle_time_s"] for row in table] == ["0.001", "0.002"]
+    assert float(table[1]["bus_load_pct"]) > 10.0
+    assert (out / table[1]["run"] / "recording.mf4").exists()
+    again = Sweep(path, (), cycles, out)
+    again.run(2, lambda row: pytest.fail(f"run {row.number} is done already"))
+    assert again.as_data() == rows
+    log = out / "results.jsonl"
+    log.write_text(log.read_text()[:-20])  # as a crash leaves it: the last row is torn
+    assert len(Sweep(path, (), cycles, out).rows) == 1
+    with pytest.raises(UnusableInputError, match="holds another sweep"):
+        Sweep(path, (), cycles[:1], out)
