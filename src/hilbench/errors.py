@@ -41,5 +41,9 @@ class BusError(BenchFaultError):
     """The bus cannot be opened, or was lost."""
 
 
+class EmergencyStopError(BenchFaultError):
+    """Somebody stopped the bench over the bus."""
+
+
 class NoAnswerError(BenchFaultError):
     """A participant did not answer a SYNC."""

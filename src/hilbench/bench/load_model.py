@@ -8,7 +8,7 @@ flywheel), because imitating an inertia by torque over a sampled bus is stable o
 from __future__ import annotations
 
 from hilbench.bench.config import LoadConfig
-from hilbench.bench.quantities import EffectPath
+from hilbench.bench.quantities import YOUNGS_MODULUS, EffectPath, parse_effect_path
 from hilbench.web.effects import find_effect
 from hilbench.web.parameters import ModelParameters
 from hilbench.web.span import SpanFollower
@@ -65,13 +65,24 @@ class LoadModel:
             self.web.advance((x1_m, x2_m), self._cycle_s)
         return self.web.web_torque_Nm(2, v2_m_s, tension_N=self.web.predicted_tension_N(self._lead_s))
 
-    def effect_value(self, path: EffectPath) -> float:
-        """Present value of a parameter of a hidden effect."""
+    def value(self, path: str) -> float:
+        """Present value of a quantity of the imitated mechanics. Raises ValueError for an unknown path."""
+        if path == YOUNGS_MODULUS:
+            return self.web.youngs_modulus_Pa
+        return self._effect_value(parse_effect_path(path))
+
+    def set(self, path: str, value: float) -> None:
+        """Give a quantity a value from now on. Raises ValueError for an unknown path or an impossible value."""
+        if path == YOUNGS_MODULUS:
+            self.web.youngs_modulus_Pa = value
+        else:
+            self._set_effect_value(parse_effect_path(path), value)
+
+    def _effect_value(self, path: EffectPath) -> float:
         given = self._effects.get((path.effect, path.axis), {})
         return find_effect(path.effect).filled(given)[path.parameter]
 
-    def set_effect_value(self, path: EffectPath, value: float) -> None:
-        """Change a parameter of a hidden effect from now on. Raises ValueError for an impossible value."""
+    def _set_effect_value(self, path: EffectPath, value: float) -> None:
         parameters = find_effect(path.effect).filled(self._effects.get((path.effect, path.axis), {}))
         parameters[path.parameter] = value
         self.web.set_effect(path.effect, path.axis, slot=0, **parameters)

@@ -50,6 +50,11 @@ def parse_effect_path(text: str) -> EffectPath:
     return EffectPath(place, name, axis, parameter)
 
 
+def is_of_load(path: str) -> bool:
+    """Whether a quantity belongs to the imitated mechanics."""
+    return path.startswith("load.")
+
+
 def settable_path(text: str) -> str:
     """The path itself when it names a quantity that can be set; ValueError otherwise."""
     if text not in PLAIN_PATHS:

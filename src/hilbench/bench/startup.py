@@ -19,12 +19,16 @@ from hilbench.bench.nodes import Nodes
 from hilbench.bench.processes import ChildProcess
 from hilbench.bus.link import Link
 from hilbench.bus.open import open_link, open_python_can
+from hilbench.errors import EmergencyStopError
 from hilbench.fieldbus import master as nmt
+from hilbench.fieldbus.emergency_stop import EMERGENCY_STOP_COB_ID
 from hilbench.fieldbus.master import Master
 
 #: After the start command the nodes' clocks stand still until SYNC; what they said just before it must not arrive as
 #: part of the first cycle.
 _AFTER_START_S = 0.1
+#: Name of the twin's process.
+TWIN = "twin"
 
 
 @dataclass
@@ -34,6 +38,7 @@ class StartedBench:
     nodes: Nodes
     exchange: CyclicExchange
     children: list[ChildProcess]
+    supervisor: ChildProcess | None  #: None when there is no heartbeat to watch
 
 
 @contextmanager
@@ -67,6 +72,9 @@ def bring_up(
                 announce("look for simulated hardware and twin")
             for child in children:
                 resources.callback(child.end)
+            supervisor = _start_supervisor(config, folder)
+            if supervisor is not None:
+                resources.callback(supervisor.end)
             _wait_for_nodes(config, master, children)
             announce("configure nodes")
             nodes.configure(master)
@@ -87,19 +95,31 @@ def bring_up(
             heartbeat=(config.master.node_id, config.master.heartbeat_ms),
             tap=tap,
         )
-        yield StartedBench(nodes, exchange, children)
+        yield StartedBench(nodes, exchange, children, supervisor)
 
 
 def start_children(config: BenchConfig, folder: Path) -> list[ChildProcess]:
     """Start the simulated hardware, where a node is simulated, and the twin; their logs go to `folder`."""
-    path = folder / "config.yaml"
-    if not path.exists():
-        path.write_text(yaml.safe_dump(config.model_dump(mode="json", exclude_none=True), sort_keys=False))
+    path = _config_file(config, folder)
     children = []
     if any(node.simulated for part, node in config.nodes if part in ("axis1", "axis2", "load")):
         children.append(ChildProcess("simulated hardware", ["simulate-hardware", str(path)], folder / "hardware.log"))
-    children.append(ChildProcess("twin", ["twin", str(path)], folder / "twin.log"))
+    children.append(ChildProcess(TWIN, ["twin", str(path)], folder / "twin.log"))
     return children
+
+
+def _start_supervisor(config: BenchConfig, folder: Path) -> ChildProcess | None:
+    if not config.master.heartbeat_ms:
+        return None
+    path = _config_file(config, folder)
+    return ChildProcess("supervisor", ["supervise", str(path)], folder / "supervisor.log")
+
+
+def _config_file(config: BenchConfig, folder: Path) -> Path:
+    path = folder / "config.yaml"
+    if not path.exists():
+        path.write_text(yaml.safe_dump(config.model_dump(mode="json", exclude_none=True), sort_keys=False))
+    return path
 
 
 def _wait_for_nodes(config: BenchConfig, master: Master, children: list[ChildProcess]) -> None:
@@ -124,6 +144,8 @@ def _watched(link: Link, tap: FrameTap | None) -> Iterator[None]:
         try:
             while not done.is_set():
                 frames = link.receive(0.02)
+                if any(frame.can_id == EMERGENCY_STOP_COB_ID for frame in frames):
+                    failures.append(EmergencyStopError("emergency stop (COB-ID 001h) on the bus during the start"))
                 if frames and tap is not None:
                     now_ns = time.time_ns()
                     tap.write([frame._replace(time_ns=now_ns) for frame in frames])

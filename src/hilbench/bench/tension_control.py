@@ -29,6 +29,9 @@ class TensionControlConfig(BaseModel):
     twin_age_limit_cycles: int = Field(
         default=10, ge=0, description="age of the twin's data up to which the loop stays closed on them"
     )
+    twin_deviation_limit_pct: PositiveFloat = Field(
+        default=30.0, description="stated deviation of E up to which the loop stays closed on the twin"
+    )
     correction_limit_m_s: PositiveFloat = Field(default=0.02, description="largest |v1 - v2| the controller asks for")
 
 

@@ -18,11 +18,19 @@ from hilbench.bench.bench import Bench, CycleObserver, InterruptedByOperatorErro
 from hilbench.bench.check import check_bench
 from hilbench.bench.sample import CycleSample
 from hilbench.bench.signals import SIGNALS
-from hilbench.errors import EXIT_BENCH_FAULT, EXIT_CRITERION_FAILED, EXIT_INTERRUPTED, EXIT_PASSED, BenchFaultError
+from hilbench.errors import (
+    EXIT_BENCH_FAULT,
+    EXIT_CRITERION_FAILED,
+    EXIT_INTERRUPTED,
+    EXIT_PASSED,
+    BenchFaultError,
+    UnusableInputError,
+)
 from hilbench.experiment import config as config_files
 from hilbench.experiment.config import LoadedConfig
 from hilbench.experiment.criteria import evaluate
 from hilbench.experiment.metrics import evaluate_metrics
+from hilbench.record.journal import JournalWriter
 from hilbench.record.recording import Recording, RecordingBuilder, write_recording
 from hilbench.record.result import Environment, Fault, Result, Timing, jitter
 from hilbench.record.run_folder import RunFolder
@@ -84,7 +92,7 @@ def run_experiment(
     started = datetime.now(UTC)
     recorder = Recorder()
     exit_code, faults = EXIT_PASSED, list[Fault]()
-    with TraceWriter(folder.trace, config.bus_address.channel) as trace:
+    with TraceWriter(folder.trace, config.bus_address.channel) as trace, JournalWriter(folder.journal) as journal:
         bench = Bench(
             config,
             observers=[recorder, *observers],
@@ -92,6 +100,7 @@ def run_experiment(
             work_folder=folder.path,
             start_processes=start_processes,
             announce=announce,
+            journal=journal.write,
         )
         try:
             with stop_on_signals(bench), bench:
@@ -107,12 +116,18 @@ def run_experiment(
     faults += [Fault(time_s=None, source="safe state", text=text) for text in bench.safe_state_problems]
     announce("write recording and result")
     recording = recorder.recording(started, config.description)
-    if len(recording) >= _LEAST_SAMPLES:
-        write_recording(recording, folder.recording)
+    try:
+        if len(recording) >= _LEAST_SAMPLES:
+            write_recording(recording, folder.recording)
+    except UnusableInputError as error:
+        if not faults:
+            raise
+        raise BenchFaultError(f"{faults[0].text}; drives were stopped; then {error}") from error
     timing = measure_timing(bench)
     metrics = evaluate_metrics(recording.channels) | timing.metrics()
     criteria = evaluate(config.criteria, metrics)
-    result = Result.of(criteria, metrics, timing, faults, Environment.here(config.seed))
+    warnings = [Fault(time_s=notice.time_s, source=notice.source, text=notice.text) for notice in bench.notices]
+    result = Result.of(criteria, metrics, timing, faults, Environment.here(config.seed), warnings)
     result.write(folder.result)
     if exit_code == EXIT_PASSED and not result.passed:
         exit_code = EXIT_CRITERION_FAILED
