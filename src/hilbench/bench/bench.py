@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass
+from math import copysign
 from pathlib import Path
 from types import TracebackType
 from typing import Protocol
@@ -168,7 +169,11 @@ class Bench:
         try:
             if kind is None:
                 self._announce("disable drives")
-                self._disable()
+                try:
+                    self._disable()
+                except BaseException as failure:
+                    self._safe_stop(failure)
+                    raise
             else:
                 self._announce("quick stop")
                 self._safe_stop(error)
@@ -197,9 +202,11 @@ class Bench:
             check.result()
 
     def _disable(self) -> None:
-        self.enabled, self.stopping = False, True
-        self._load_model.stop()
+        self.stopping = True
         self._journal(Change(self._running().timing.cycles, "stopping"))
+        self._slow_down()
+        self.enabled = False
+        self._load_model.stop()
         # The pull of the web has just gone: the axes take that up before they are let go.
         for _ in range(round(_SETTLE_S / self.config.cycle_time_s)):
             self._exchange_once()
@@ -207,6 +214,15 @@ class Bench:
             drive.request(DriveGoal.DISABLED)
         while not all(drive.reached for drive in self.nodes.drives):
             self._exchange_once()
+
+    def _slow_down(self) -> None:
+        """An experiment may end at speed: a line that is let go must not stop within a cycle."""
+        step_m_s = self.config.safety.quick_stop_m_s2 * self.config.cycle_time_s
+        while self.line_speed_m_s:
+            left_m_s = max(0.0, abs(self.line_speed_m_s) - step_m_s)
+            self.line_speed_m_s = copysign(left_m_s, self.line_speed_m_s) if left_m_s else 0.0
+            self._exchange_once()
+            self._follow_web(self.last)
 
     def _safe_stop(self, reason: BaseException | None) -> None:
         """Quick stop, as far as the bus still carries it. What fails here is kept in `safe_state_problems`: the

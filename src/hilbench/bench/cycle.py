@@ -21,6 +21,10 @@ SYNC_COB_ID = 0x080
 _GUARD_FRACTION = 0.3
 
 
+#: NMT state in the bench's own heartbeat: OPERATIONAL, and PRE-OPERATIONAL after an emergency stop.
+_OPERATIONAL, _PRE_OPERATIONAL = b"\x05", b"\x7f"
+
+
 class FrameTap(Protocol):
     """Sees every frame of the bus in the order of the wire; each has its time (ns since the epoch)."""
 
@@ -95,7 +99,7 @@ class CyclicExchange:
         self._epoch_ns = 0
         self._sync = Frame(SYNC_COB_ID, b"")
         node_id, period_ms = heartbeat
-        self._heartbeat = Frame(0x700 + node_id, b"\x05")
+        self._heartbeat = Frame(0x700 + node_id, _OPERATIONAL)
         self._heartbeat_cycles = max(1, period_ms * 1_000_000 // cycle_ns) if period_ms else 0
 
     def exchange(self, outgoing: Sequence[Frame]) -> list[Frame]:
@@ -128,6 +132,7 @@ class CyclicExchange:
         self._account(outgoing, received)
         if not self._emergency_stop_seen and any(frame.can_id == EMERGENCY_STOP_COB_ID for frame in received):
             self._emergency_stop_seen = True
+            self._heartbeat = self._heartbeat._replace(data=_PRE_OPERATIONAL)
             raise EmergencyStopError(f"cycle {timing.cycles}: emergency stop (COB-ID 001h) on the bus")
         if failure is not None:
             raise failure

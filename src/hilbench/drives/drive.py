@@ -141,8 +141,13 @@ class Drive:
         return self.feedback
 
     def request(self, goal: DriveGoal) -> None:
-        """Head for `goal` from the next `decode` on; asking again starts its time-outs anew."""
+        """Head for `goal` from the next `encode` on; asking again starts its time-outs anew.
+
+        The controlword goes with the set point: an enabled drive that is told zero for one cycle before its quick
+        stop would brake as hard as it can.
+        """
         self.goal = goal
+        self.controlword = self._next_controlword(self.feedback.state)
         self.reached = False
         self._failed = False
         self._waited_cycles = 0

@@ -64,7 +64,8 @@ class Device:
 
     `cell(index, sub)` is the one place of an object's value. The application may set `on_nmt(state)` (told of every
     change, INITIALISING for a reset), `on_communication_error(code)` (EMCY code: a watched heartbeat or an RPDO
-    missed), `on_emergency_stop()` (the global fail-safe command has come) and `on_write` of cells. Raises UnusableInputError when the EDS lacks what a device needs.
+    missed), `on_emergency_stop()` (the global fail-safe command has come) and `on_write` of cells.
+    Raises UnusableInputError when the EDS lacks what a device needs.
     """
 
     def __init__(self, od: canopen.ObjectDictionary, node_id: int, clock: Clock, *, store: Path | None = None) -> None:
