@@ -102,6 +102,7 @@ class Bench:
         self.interrupt_requested = False
         self.enabled = False
         self.stopping = False
+        self.fault_time_s: float | None = None  #: when what led to the safe state was seen
         self.safe_state_problems: list[str] = []
         self.last = CycleSample()
         self.nodes: Nodes
@@ -227,6 +228,7 @@ class Bench:
     def _safe_stop(self, reason: BaseException | None) -> None:
         """Quick stop, as far as the bus still carries it. What fails here is kept in `safe_state_problems`: the
         drives' own supervision of the bench's heartbeat stops them then."""
+        self.fault_time_s = self.time_s
         self.enabled, self.stopping = False, True
         self._load_model.stop()
         if self.exchange is None:
@@ -300,6 +302,8 @@ class Bench:
     def _read_emergencies(self) -> None:
         for emergency in self.nodes.emergencies:
             self._note(f"{emergency.node} (node {emergency.node_id})", str(emergency))
+            if emergency.code in (Problem.WEB_BREAK, Problem.SLIP):
+                self._twin.distrust(str(emergency))
             if emergency.code == Problem.WEB_BREAK and self.config.safety.on_web_break == "stop":
                 raise BenchFaultError(f"t = {self.time_s:.3f} s: {emergency.node} reports a web break")
 
@@ -411,5 +415,5 @@ class Bench:
     def _follow_web(self, sample: CycleSample) -> None:
         web = self._load_model.web
         sample.tau_load_cmd_Nm = self._load_model.update(sample.x1_m, sample.x2_m, sample.v2_m_s)
-        sample.F_true_N, sample.strain_true = float(web.tension_N[0]), float(web.strain[0])
+        sample.F_true_N, sample.strain_true = self._load_model.tension_N, self._load_model.strain
         sample.E_true_Pa = web.effective_modulus_Pa

@@ -8,7 +8,7 @@ flywheel), because imitating an inertia by torque over a sampled bus is stable o
 from __future__ import annotations
 
 from hilbench.bench.config import LoadConfig
-from hilbench.bench.quantities import YOUNGS_MODULUS, EffectPath, parse_effect_path
+from hilbench.bench.quantities import WEB_BROKEN, YOUNGS_MODULUS, EffectPath, parse_effect_path
 from hilbench.web.effects import find_effect
 from hilbench.web.parameters import ModelParameters
 from hilbench.web.span import SpanFollower
@@ -40,6 +40,7 @@ class LoadModel:
         self._cycle_s = cycle_s
         self._lead_s = imitation_delay_s(SampledShaft.of_model(model, cycle_s=cycle_s))
         self._running = False
+        self._broken = False
         self._effects = {(entry.effect, entry.axis): dict(entry.parameters) for entry in load.effects}
 
     def warm_up(self) -> None:
@@ -63,18 +64,33 @@ class LoadModel:
             self._running = True
         else:
             self.web.advance((x1_m, x2_m), self._cycle_s)
-        return self.web.web_torque_Nm(2, v2_m_s, tension_N=self.web.predicted_tension_N(self._lead_s))
+        predicted_N = [0.0] if self._broken else self.web.predicted_tension_N(self._lead_s)
+        return self.web.web_torque_Nm(2, v2_m_s, tension_N=predicted_N)
+
+    @property
+    def tension_N(self) -> float:
+        """Tension of the imitated web in the span."""
+        return 0.0 if self._broken else float(self.web.tension_N[0])
+
+    @property
+    def strain(self) -> float:
+        """Strain of the imitated web in the span; of one that has torn none."""
+        return 0.0 if self._broken else float(self.web.strain[0])
 
     def value(self, path: str) -> float:
         """Present value of a quantity of the imitated mechanics. Raises ValueError for an unknown path."""
         if path == YOUNGS_MODULUS:
             return self.web.youngs_modulus_Pa
+        if path == WEB_BROKEN:
+            return float(self._broken)
         return self._effect_value(parse_effect_path(path))
 
     def set(self, path: str, value: float) -> None:
         """Give a quantity a value from now on. Raises ValueError for an unknown path or an impossible value."""
         if path == YOUNGS_MODULUS:
             self.web.youngs_modulus_Pa = value
+        elif path == WEB_BROKEN:
+            self._broken = value != 0.0
         else:
             self._set_effect_value(parse_effect_path(path), value)
 

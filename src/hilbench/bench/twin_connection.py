@@ -67,6 +67,10 @@ class TwinConnection:
             self._was_closed = closed
         return closed
 
+    def distrust(self, reason: str) -> None:
+        """Open the loop until the twin is synchronized again."""
+        self._trust.forget(reason)
+
     def reset(self) -> None:
         """Begin to reset the twin on purpose; `returning` until it is there again."""
         self._lose("the twin is reset")

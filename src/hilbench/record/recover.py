@@ -277,7 +277,7 @@ class _Decoder:
     def _follow_web(self) -> None:
         sample, web = self._sample, self._load.web
         sample.tau_load_cmd_Nm = self._load.update(sample.x1_m, sample.x2_m, sample.v2_m_s)
-        sample.F_true_N, sample.strain_true = float(web.tension_N[0]), float(web.strain[0])
+        sample.F_true_N, sample.strain_true = self._load.tension_N, self._load.strain
         sample.E_true_Pa = web.effective_modulus_Pa
         if self._changes is None:  # nobody knows what the experiment has changed
             sample.F_ref_N = sample.E_true_Pa = sample.F_true_N = sample.strain_true = sample.tau_load_cmd_Nm = nan

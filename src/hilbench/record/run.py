@@ -109,10 +109,12 @@ def run_experiment(
                     step.run(bench)
         except (InterruptedByOperatorError, KeyboardInterrupt) as error:
             exit_code = EXIT_INTERRUPTED
-            faults.append(Fault(time_s=bench.time_s, source="operator", text=str(error) or "interrupted during start"))
+            faults.append(
+                Fault(time_s=bench.fault_time_s, source="operator", text=str(error) or "interrupted during start")
+            )
         except BenchFaultError as error:
             exit_code = EXIT_BENCH_FAULT
-            faults.append(Fault(time_s=bench.time_s, source="bench", text=str(error)))
+            faults.append(Fault(time_s=bench.fault_time_s, source="bench", text=str(error)))
     faults += [Fault(time_s=None, source="safe state", text=text) for text in bench.safe_state_problems]
     announce("write recording and result")
     recording = recorder.recording(started, config.description)
