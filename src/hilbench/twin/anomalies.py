@@ -25,6 +25,9 @@ _LEAST_N = 10.0
 _CHANGED = 0.05
 #: Transported length, in spans, from a change to its judgement; what "before" means, in windows.
 _JUDGED_AFTER = 1.0
+#: Transported length, in spans, after a change or a slack web in which no slip is looked for: what happened to the
+#: strain then leaves the span with the web, and that looks like a slip that comes or goes.
+_QUIET = 5.0
 _BEFORE_WINDOWS = 5
 #: Share of the change at its judgement that a change of E has had from its beginning.
 _AT_ONCE = 0.7
@@ -47,6 +50,7 @@ class Anomalies:
         self._ratios: deque[float] = deque(maxlen=_BEFORE_WINDOWS * self._cycles)
         self._force_sum_N = self._web_sum = 0.0
         self._since_change_m: float | None = None
+        self._quiet_m = _QUIET * self._span_length_m
         self._ratio_before = self._ratio_at_once = 0.0
         self.broken = False
         self.slipping = False
@@ -70,7 +74,7 @@ class Anomalies:
         promised_N = self._modulus_Pa * self._web_sum / count
         if promised_N < _LEAST_N:
             self._since_change_m = None
-            self._ratios.clear()
+            self._quiet_m = _QUIET * self._span_length_m
             return
         accelerating_N = self._mass_kg * (now.velocity_m_s - window[0][2]) / ((count - 1) * self._cycle_s)
         ratio = (self._force_sum_N / count - accelerating_N) / promised_N
@@ -81,6 +85,9 @@ class Anomalies:
         ratios = self._ratios
         if self._since_change_m is not None:
             self._judge(ratio, abs(velocity_m_s) * self._cycle_s)
+        elif self._quiet_m > 0.0:
+            self._quiet_m -= abs(velocity_m_s) * self._cycle_s
+            ratios.clear()
         elif len(ratios) == ratios.maxlen and abs(ratio / ratios[0] - 1.0) > _CHANGED:
             self._since_change_m = 0.0
             self._ratio_before, self._ratio_at_once = ratios[0], 0.0
@@ -100,6 +107,7 @@ class Anomalies:
             return
         change, at_once = ratio / self._ratio_before - 1.0, self._ratio_at_once / self._ratio_before - 1.0
         self._since_change_m = None
+        self._quiet_m = _QUIET * self._span_length_m
         if abs(change) <= _CHANGED:  # it has gone again
             self.slipping = False
         elif not self.broken:
