@@ -75,5 +75,5 @@ def _change(line: bytes, place: str) -> Change:
     try:
         return _CHANGE.validate_json(line)
     except ValidationError:
-        found = line[:60].decode("ascii", "backslashreplace").strip()
+        found = line[:60].decode("latin-1").strip()
         raise UnusableInputError(place, f"'{found}', expected a change of the bench as one JSON object") from None

@@ -81,6 +81,7 @@ class TwinApplication:
         virtual_io: VirtualIo,
     ) -> None:
         self.missed = 0
+        self.malformed = 0  #: frames with the COB-ID, but not the length, of an axis' TPDO
         self._cycle_s = setup.cycle_s
         self._hold_when_behind = setup.twin.behind == "hold"
         self._line = line
@@ -133,6 +134,9 @@ class TwinApplication:
         """Take the real axes' TPDOs; the last one that was waited for starts the simulation of the cycle."""
         for axis, listener in enumerate(self._listeners):
             if frame.can_id == listener.cob_id:
+                if len(frame.data) != listener.size:
+                    self.malformed += 1
+                    return
                 self._measured[axis] = listener.decode(frame.data)
                 if self._pending and None not in self._measured:
                     self._advance()
