@@ -94,23 +94,35 @@ class Run:
     def pid_of(self, *words: str) -> int:
         """Process of this run whose command line has these words."""
         wanted = [word.encode() for word in words]
+        for pid, line in self._processes():
+            if all(word in line for word in wanted):
+                return pid
+        raise RuntimeError(f"no process {words}")
+
+    def clear(self) -> None:
+        """End what the fault has left behind; what the bench started ends with it, unless it was stopped."""
+        time.sleep(0.5)
+        for pid, _ in self._processes():
+            os.kill(pid, signal.SIGKILL)
+
+    def _processes(self) -> Iterator[tuple[int, list[bytes]]]:
+        channel, work = self.address.partition(":")[2].encode(), str(self.work).encode()
         for entry in Path("/proc").iterdir():
             if entry.name.isdigit():
                 try:
                     line = (entry / "cmdline").read_bytes().split(b"\0")
                 except OSError:
                     continue
-                if all(word in line for word in wanted) and self._is_ours(line):
-                    return int(entry.name)
-        raise RuntimeError(f"no process {words}")
-
-    def _is_ours(self, line: list[bytes]) -> bool:
-        channel = self.address.partition(":")[2].encode()
-        return channel in line or any(str(self.work).encode() in word for word in line)
+                if channel in line or any(work in word for word in line):
+                    yield int(entry.name), line
 
     def end(self, timeout_s: float = 90.0) -> None:
         """Wait for the end of the run."""
-        self.said, _ = self.process.communicate(timeout=timeout_s)
+        try:
+            self.said, _ = self.process.communicate(timeout=timeout_s)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            raise RuntimeError(f"did not end: {self.process.communicate()[0][-1500:]}") from None
         self.code = self.process.returncode
 
 
@@ -143,8 +155,7 @@ class Row:
 def make_config(work: Path, address: str, changes: dict[str, Any]) -> Path:
     """The shipped bench with short steps on a bus of its own."""
     data = yaml.safe_load(CONFIG.read_text(encoding="utf-8"))
-    for node in data["nodes"].values():
-        node["eds"] = str((CONFIG.parent / node["eds"]).resolve())
+    data["nodes"] = _shipped_nodes()
     data |= {"steps": FOREVER, "criteria": [], "safety": {"cycle_timeout_s": 1.0}} | changes
     data["bus"]["address"] = address
     path = work / "bench.yaml"
@@ -169,13 +180,14 @@ def started(fault: Fault) -> Iterator[Run]:
         process = subprocess.Popen(
             command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, preexec_fn=restrict
         )
+        run = Run(work, address, config, process)
         try:
-            yield Run(work, address, config, process)
+            yield run
         finally:
             if process.poll() is None:
                 process.kill()
                 process.communicate()
-            time.sleep(0.5)  # what it started ends with it
+            run.clear()
 
 
 def stopped_after(run: Run) -> int | None:
@@ -223,7 +235,7 @@ def carry_out(fault: Fault) -> Row:
         try:
             fault.act(run)
             run.end()
-        except (RuntimeError, HilbenchError, subprocess.TimeoutExpired) as error:
+        except (RuntimeError, HilbenchError, subprocess.CalledProcessError) as error:
             return Row(fault, run.code, False, None, "", f"{type(error).__name__}: {error}")
         text = " ".join(run.said.split())
         folder = run.folder
@@ -303,12 +315,12 @@ def babble(duration_s: float) -> Callable[[Run], None]:
     return act
 
 
-def disturb(**shares: float) -> Callable[[Run], None]:
+def disturb(injection: ErrorInjection) -> Callable[[Run], None]:
     """Disturb the cyclic frames from when the line runs."""
 
     def act(run: Run) -> None:
         run.wait_for_speed()
-        inject_errors(run.address.partition(":")[2], ErrorInjection(seed=6, delay_s=0.0005, **shares))
+        inject_errors(run.address.partition(":")[2], injection)
 
     return act
 
@@ -318,7 +330,22 @@ def second_hardware(run: Run) -> None:
     twice = subprocess.Popen(
         [*CLI, "simulate-hardware", str(run.config)], stdin=subprocess.DEVNULL, stderr=subprocess.DEVNULL
     )
-    threading.Thread(target=lambda: (run.process.wait(), twice.terminate()), daemon=True).start()
+
+    def end_with_run() -> None:
+        run.process.wait()
+        twice.terminate()
+
+    threading.Thread(target=end_with_run, daemon=True).start()
+
+
+def other_devices(run: Run) -> None:
+    """The devices are those of the shipped config, not those that the run's EDS files describe."""
+    data = yaml.safe_load(run.config.read_text(encoding="utf-8"))
+    data["nodes"] = _shipped_nodes()
+    config = run.work / "devices.yaml"
+    config.write_text(yaml.safe_dump(data, sort_keys=False), encoding="utf-8")
+    for command in ("simulate-hardware", "twin"):
+        subprocess.Popen([*CLI, command, str(config)], stdin=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
 
 
 def nothing(run: Run) -> None:
@@ -331,22 +358,21 @@ def emergency_stop(run: Run) -> None:
     subprocess.run([*CLI, "estop", "--bus", run.address], check=True, capture_output=True)
 
 
-def wrong_eds(key: str, value: str) -> dict[str, Any]:
-    """The nodes, axis 1 with an EDS that does not fit the device."""
-    data = yaml.safe_load(CONFIG.read_text(encoding="utf-8"))
-    nodes = data["nodes"]
-    for node in nodes.values():
-        node["eds"] = str((CONFIG.parent / node["eds"]).resolve())
+def wrong_eds() -> dict[str, Any]:
+    """The nodes, axis 1 with the EDS of another product (1018h:2)."""
+    nodes = _shipped_nodes()
     text = Path(nodes["axis1"]["eds"]).read_text(encoding="utf-8")
-    assert key in text, key
-    path = Path(tempfile.gettempdir()) / f"wrong-{uuid.uuid4().hex}.eds"
-    path.write_text(text.replace(key, value), encoding="utf-8")
+    at = text.index("DefaultValue", text.index("[1018sub2]"))
+    path = Path(tempfile.gettempdir()) / f"wrong-{os.getpid()}.eds"
+    path.write_text(text[:at] + "DefaultValue=0x12345678" + text[text.index("\n", at) :], encoding="utf-8")
     nodes["axis1"]["eds"] = str(path)
     return {"nodes": nodes}
 
 
 REALTIME = ("--pace", "realtime")
+SILENCE = "no answer to SYNC"
 STOPPED = "quick stop, exit 3"
+RIDDEN_OUT = ("ridden out", (0,))
 
 
 def faults() -> list[Fault]:
@@ -433,7 +459,13 @@ def faults() -> list[Fault]:
             },
         ),
         Fault(
-            "wrong EDS: another product", "exit 3 before anything moves", (3,), "1018h", nothing, wrong_eds(*_product())
+            "wrong EDS: another product",
+            "exit 3 before anything moves",
+            (3,),
+            "1018h",
+            other_devices,
+            wrong_eds(),
+            ("--no-start",),
         ),
         Fault("two nodes with one id in the config", "exit 2, both named", (2,), "both have", nothing, _same_id()),
         Fault("two devices with one id on the bus", "exit 3", (3,), "", second_hardware),
@@ -447,28 +479,15 @@ def faults() -> list[Fault]:
             REALTIME,
         ),
         *(
-            Fault(
-                f"{kind} frames {share:.1%}, real time",
-                expected,
-                codes,
-                "",
-                disturb(**{kind: share}),
-                {"steps": SHORT},
-                REALTIME,
-            )
-            for kind, share, expected, codes in (
-                ("lost", 0.001, "ridden out", (0,)),
-                ("lost", 0.01, "ridden out", (0,)),
-                ("lost", 0.1, "ridden out, or exit 3", (0, 3)),
-                ("duplicated", 0.1, "ridden out", (0,)),
-                ("delayed", 0.01, "ridden out", (0,)),
-                ("delayed", 0.1, "ridden out", (0,)),
-                ("corrupted", 0.01, "ridden out", (0,)),
-                ("corrupted", 0.1, "ridden out", (0,)),
-            )
+            Fault(name, expected, codes, "", disturb(injection), {"steps": SHORT}, REALTIME)
+            for name, injection, expected, codes in _disturbances()
         ),
         Fault(
-            "lost frames 1.0%, lockstep", "exit 3: an answer is missing", (3,), "no answer to SYNC", disturb(lost=0.01)
+            "lost frames 1.0%, lockstep",
+            "exit 3: an answer is missing",
+            (3,),
+            "no answer to SYNC",
+            disturb(ErrorInjection(seed=6, lost=0.01)),
         ),
         Fault(
             "disk full (at 150 kB)",
@@ -500,6 +519,16 @@ def faults() -> list[Fault]:
     ]
 
 
+def _disturbances() -> Iterator[tuple[str, ErrorInjection, str, tuple[int, ...]]]:
+    """Name, what happens to the frames, what is expected, exit codes."""
+    for share in (0.001, 0.01, 0.1):
+        often = f"frames, {share:.1%}, real time"
+        yield f"lost {often}", ErrorInjection(seed=6, lost=share), *RIDDEN_OUT
+        yield f"duplicated {often}", ErrorInjection(seed=6, duplicated=share), *RIDDEN_OUT
+        yield f"delayed {often}", ErrorInjection(seed=6, delayed=share, delay_s=0.0005), *RIDDEN_OUT
+        yield f"corrupted {often}", ErrorInjection(seed=6, corrupted=share), *RIDDEN_OUT
+
+
 def _with_loop_back() -> list[dict[str, Any]]:
     return [
         FOREVER[0],
@@ -514,28 +543,20 @@ def _download(node_id: int, index: int, value: int, size: int) -> Frame:
     return Frame(0x600 + node_id, head + value.to_bytes(4, "little"))
 
 
-def _product() -> tuple[str, str]:
-    """The product code 1018h:2 of the servo's EDS, and another one."""
-    text = (CONFIG.parent / "../eds/hilbench_servo.eds").read_text(encoding="utf-8")
-    section = text[text.index("[1018sub2]") :]
-    section = section[: section.index("\n[", 1)]
-    line = next(line for line in section.splitlines() if line.lower().startswith("defaultvalue"))
-    return section, section.replace(line, "DefaultValue=0x12345678")
-
-
 def _same_id() -> dict[str, Any]:
-    data = yaml.safe_load(CONFIG.read_text(encoding="utf-8"))
-    data["nodes"]["load"]["node_id"] = 2
-    return {"nodes": _absolute(data["nodes"])}
+    nodes = _shipped_nodes()
+    nodes["load"]["node_id"] = 2
+    return {"nodes": nodes}
 
 
 def _silent_node() -> dict[str, Any]:
-    data = yaml.safe_load(CONFIG.read_text(encoding="utf-8"))
-    data["nodes"]["axis1"]["simulated"] = False
-    return {"nodes": _absolute(data["nodes"]), "master": {"boot_timeout_s": 3.0}}
+    nodes = _shipped_nodes()
+    nodes["axis1"]["simulated"] = False
+    return {"nodes": nodes, "master": {"boot_timeout_s": 3.0}}
 
 
-def _absolute(nodes: dict[str, Any]) -> dict[str, Any]:
+def _shipped_nodes() -> dict[str, Any]:
+    nodes: dict[str, Any] = yaml.safe_load(CONFIG.read_text(encoding="utf-8"))["nodes"]
     for node in nodes.values():
         node["eds"] = str((CONFIG.parent / node["eds"]).resolve())
     return nodes
@@ -562,7 +583,7 @@ def main() -> int:
         if options.only in fault.name:
             rows.append(carry_out(fault))
             print(
-                f"{'ok ' if rows[-1].passed else 'BAD'} {fault.name}: {rows[-1].said[:300]}",
+                f"{'ok ' if rows[-1].passed else 'BAD'} {fault.name}: {rows[-1].said[:1000]}",
                 file=sys.stderr,
                 flush=True,
             )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import copysign
 from pathlib import Path
 from types import TracebackType
@@ -25,7 +25,7 @@ from hilbench.bench.sample import CycleSample
 from hilbench.bench.startup import TWIN, bring_up
 from hilbench.bench.tension_control import TensionController
 from hilbench.bench.twin_connection import TwinConnection
-from hilbench.drives.drive import DriveGoal
+from hilbench.drives.drive import Drive, DriveGoal
 from hilbench.errors import EXIT_INTERRUPTED, BenchFaultError, EmergencyStopError, HilbenchError
 from hilbench.twin.plausibility import Problem
 from hilbench.twin.synchronizers.create import METHODS
@@ -237,7 +237,7 @@ class Bench:
         try:
             try:
                 if not isinstance(reason, EmergencyStopError):
-                    quick_stop(self.nodes.drives, self._exchange_once, self.config.cycle_time_s)
+                    self._quick_stop(self.exchange)
                     return
             except EmergencyStopError:
                 pass  # while it was stopping: the nodes have left OPERATIONAL now
@@ -246,6 +246,15 @@ class Bench:
             self.safe_state_problems.append(f"quick stop not confirmed: {error}")
         finally:
             self._journal_stop(began_cycle)
+
+    def _quick_stop(self, exchange: CyclicExchange) -> None:
+        """Nobody is vital any more: who does not answer must not keep the others from being stopped."""
+        exchange.expect([replace(pdo, vital=False) for pdo in self.nodes.expected_pdos()])
+
+        def silent(drive: Drive) -> bool:
+            return self.nodes.sender(drive) in exchange.silent
+
+        quick_stop(self.nodes.drives, silent, self._exchange_once, self.config.cycle_time_s)
 
     def _journal_stop(self, cycle: int) -> None:
         try:

@@ -65,8 +65,8 @@ class CyclicExchange:
     `exchange` sends set points and SYNC and returns the frames that answered. In lockstep it waits until every
     expected TPDO is there and raises NoAnswerError, naming who is missing, after `timeout_s` of wall time. In
     real time it waits for them until shortly before the next deadline, and raises when one sender's PDO was
-    missing `missing_limit` cycles in a row. A sender that is not vital is put into `silent` instead, and no longer
-    waited for. An emergency stop on the bus raises EmergencyStopError, once.
+    missing `missing_limit` cycles in a row; not for a sender that is not vital. Who does not answer is put into
+    `silent`, and not waited for any longer. An emergency stop on the bus raises EmergencyStopError, once.
     """
 
     def __init__(
@@ -93,7 +93,7 @@ class CyclicExchange:
         self._missing_limit = missing_limit
         self._missed_in_row: dict[int, int] = {}
         self.last_bits = 0  #: bits on the bus in the last cycle
-        self.silent: set[str] = set()  #: senders that don't answer and are not vital
+        self.silent: set[str] = set()  #: senders that don't answer: not waited for any longer
         self._emergency_stop_seen = False
         self._tap = tap
         self._epoch_ns = 0
@@ -195,7 +195,7 @@ class CyclicExchange:
             for cob_id in due:
                 self._missed_in_row[cob_id] = self._missed_in_row.get(cob_id, 0) + 1
             due = {cob_id: pdo for cob_id, pdo in due.items() if self._missed_in_row[cob_id] >= self._missing_limit}
-        self.silent |= {pdo.sender for pdo in due.values() if not pdo.vital}
+        self.silent |= {pdo.sender for pdo in due.values()}
         names = ", ".join(f"{pdo.sender} (COB-ID {cob_id:03X}h)" for cob_id, pdo in due.items() if pdo.vital)
         if not names:
             return None

@@ -234,12 +234,16 @@ class Nodes:
                     f"statusword {statusword:04X}h, expected OPERATION ENABLED"
                 )
 
+    @staticmethod
+    def sender(drive: Drive) -> str:
+        """Who a drive is, in messages and in `expected_pdos`."""
+        return f"{drive.settings.name} (node {drive.settings.node_id})"
+
     def expected_pdos(self, twin_since: int = 0) -> list[ExpectedPdo]:
         """The TPDOs that answer SYNC; `twin_since`: the SYNC before the twin was started."""
         expected = []
         for drive in self.drives:
-            name = f"{drive.settings.name} (node {drive.settings.node_id})"
-            expected += [ExpectedPdo(pdo.cob_id, pdo.period, name) for _, pdo, _ in drive.pdos.tpdos]
+            expected += [ExpectedPdo(pdo.cob_id, pdo.period, self.sender(drive)) for _, pdo, _ in drive.pdos.tpdos]
         answers = (self.io.state, self.io.quality, self.io.status)
         expected += [ExpectedPdo(pdo.cob_id, pdo.period, self.twin_name, twin_since, vital=False) for pdo in answers]
         return expected

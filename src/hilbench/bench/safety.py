@@ -6,42 +6,41 @@ from collections.abc import Callable, Sequence
 
 from hilbench.drives.drive import Drive, DriveGoal
 from hilbench.drives.state_machine import POWERED, STATUS_TARGET_REACHED, State, decode_statusword
-from hilbench.errors import BenchFaultError, BusError, NoAnswerError
+from hilbench.errors import BenchFaultError, BusError, EmergencyStopError
 
-#: Cycles in a row without an answer after which a quick stop is not waited for any longer. The set points of the
-#: stop were sent in each of them; drives that don't hear them stop by their own supervision.
-_SILENT_CYCLES = 3
 #: Cycles between two questions to the drives while they stop after an emergency stop.
 _ASK_EVERY = 25
 
 
-def quick_stop(drives: Sequence[Drive], exchange: Callable[[], None], cycle_s: float) -> None:
-    """Quick stop every drive and run cycles until all stand still.
+def quick_stop(
+    drives: Sequence[Drive], silent: Callable[[Drive], bool], exchange: Callable[[], None], cycle_s: float
+) -> None:
+    """Quick stop every drive and run cycles until all that answer (not `silent`) stand still.
 
-    Faults of single drives don't keep the others from being stopped. Raises BenchFaultError, naming the drives,
-    when one has not stopped within its time-outs, when a participant stays silent, or the bus is lost.
+    Faults of single drives don't keep the others from being stopped. Raises BenchFaultError, naming the drives, when
+    one has not stopped within its time-outs or is silent (its own supervision stops it then), or the bus is lost.
     """
     for drive in drives:
         drive.request(DriveGoal.QUICK_STOP)
     longest_s = max(drive.settings.time_out_s + drive.settings.ramp_time_out_s for drive in drives)
-    silent_cycles, problem = 0, ""
+    problem = "no fault was reported"
     for _ in range(round(longest_s / cycle_s)):
-        if all(drive.reached for drive in drives):
-            return
+        if all(drive.reached or silent(drive) for drive in drives):
+            break
         try:
             exchange()
-            silent_cycles = 0
-        except NoAnswerError as error:
-            silent_cycles += 1
-            if silent_cycles == _SILENT_CYCLES:
-                raise
-            problem = str(error)
-        except BusError:
+        except (BusError, EmergencyStopError):
             raise
         except BenchFaultError as error:
             problem = str(error)
-    late = ", ".join(drive.settings.name for drive in drives if not drive.reached)
-    raise BenchFaultError(f"{late} still not stopped; {problem or 'no fault was reported'}")
+    else:
+        raise BenchFaultError(f"{_names(drives, lambda drive: not drive.reached)} still not stopped; {problem}")
+    if any(map(silent, drives)):
+        raise BenchFaultError(f"{_names(drives, silent)} did not answer: left to the drive's own supervision")
+
+
+def _names(drives: Sequence[Drive], which: Callable[[Drive], bool]) -> str:
+    return ", ".join(drive.settings.name for drive in drives if which(drive))
 
 
 def confirm_stopped(

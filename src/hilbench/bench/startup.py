@@ -6,7 +6,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,7 +19,7 @@ from hilbench.bench.nodes import Nodes
 from hilbench.bench.processes import ChildProcess
 from hilbench.bus.link import Link
 from hilbench.bus.open import open_link, open_python_can
-from hilbench.errors import EmergencyStopError
+from hilbench.errors import BusError, EmergencyStopError
 from hilbench.fieldbus import master as nmt
 from hilbench.fieldbus.emergency_stop import EMERGENCY_STOP_COB_ID
 from hilbench.fieldbus.master import Master
@@ -81,7 +81,7 @@ def bring_up(
             master.nmt(nmt.START)
             master.hear_only_answers()
             time.sleep(_AFTER_START_S)
-            resources.callback(master.nmt, nmt.PRE_OPERATIONAL)
+            resources.callback(_release_nodes, master)
         if config.pace == "realtime":
             resources.enter_context(locked_memory())
         exchange = CyclicExchange(
@@ -96,6 +96,12 @@ def bring_up(
             tap=tap,
         )
         yield StartedBench(nodes, exchange, children, supervisor)
+
+
+def _release_nodes(master: Master) -> None:
+    """Leave the nodes in PRE-OPERATIONAL; on a bus that was lost they are on their own."""
+    with suppress(BusError):
+        master.nmt(nmt.PRE_OPERATIONAL)
 
 
 def start_children(config: BenchConfig, folder: Path) -> list[ChildProcess]:

@@ -22,6 +22,8 @@ from hilbench.errors import BenchFaultError
 
 #: So often the twin's process is started again in one run.
 _MOST_STARTS = 3
+#: Cycles from an attempt to take the twin back to the next.
+_RETRY_CYCLES = 500
 #: Cycles between two looks whether the process lives.
 _LOOK_CYCLES = 64
 
@@ -49,6 +51,7 @@ class TwinConnection:
         self._away = False
         self._starts = 0
         self._started_cycle = 0
+        self._next_attempt_cycle: int | None = None
         self._return: Future[None] | None = None
         self._planned = False
 
@@ -91,12 +94,16 @@ class TwinConnection:
             if self._return.done():
                 self._end_return(self._return)
         elif self._away:
-            if nodes.twin_heard:
+            if nodes.twin_heard or self._is_due():
                 self._begin_return()
         elif nodes.twin_name in self._exchange.silent:
             self._lose("the twin does not answer SYNC")
         elif nodes.twin_problem:
             self._lose(nodes.twin_problem)
+
+    def _is_due(self) -> bool:
+        """Whether to try again with a twin that was heard: one that was not configured sends no heartbeat."""
+        return self._next_attempt_cycle is not None and self._exchange.timing.cycles >= self._next_attempt_cycle
 
     def _look_after_process(self) -> None:
         process = self._process
@@ -118,6 +125,7 @@ class TwinConnection:
     def _begin_return(self) -> None:
         """By SDO: in real time beside the cycles, in lockstep the bus stands still meanwhile."""
         self._nodes.twin_heard = False
+        self._next_attempt_cycle = None
         if self._lockstep:
             done: Future[None] = Future()
             try:
@@ -140,6 +148,7 @@ class TwinConnection:
             if planned:
                 raise
             self._note(f"the twin was heard, but did not come back: {error}")
+            self._next_attempt_cycle = self._exchange.timing.cycles + _RETRY_CYCLES
             return
         exchange = self._exchange
         if self._lockstep:
