@@ -419,7 +419,7 @@ def faults() -> list[Fault]:
             "no answer to SYNC",
             send_signal(stop, "simulate-hardware"),
         ),
-        Fault("supervisor: kill -9", STOPPED, (3,), "supervisor ended", send_signal(kill, "supervise")),
+        Fault("supervisor: kill -9", STOPPED, (3,), "supervisor ended", send_signal(kill, "hilbench.bench.supervisor")),
         Fault(
             "hub: kill -9", "exit 3, bus lost; drives stop by 1016h", (3,), "hub", send_signal(kill, "hilbench.bus.hub")
         ),

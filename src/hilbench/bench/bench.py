@@ -241,20 +241,23 @@ class Bench:
                     return
             except EmergencyStopError:
                 pass  # while it was stopping: the nodes have left OPERATIONAL now
-            self._confirm_emergency_stop(self.exchange)
+            self._confirm_stopped(self.exchange, self.nodes.drives)
         except HilbenchError as error:
             self.safe_state_problems.append(f"quick stop not confirmed: {error}")
         finally:
             self._journal_stop(began_cycle)
 
     def _quick_stop(self, exchange: CyclicExchange) -> None:
-        """Nobody is vital any more: who does not answer must not keep the others from being stopped."""
-        exchange.expect([replace(pdo, vital=False) for pdo in self.nodes.expected_pdos()])
+        """No drive is vital any more: who does not answer must not keep the others from being stopped."""
+        exchange.expect([replace(pdo, vital=False) for pdo in self.nodes.expected_pdos() if pdo.vital])
 
         def silent(drive: Drive) -> bool:
             return self.nodes.sender(drive) in exchange.silent
 
         quick_stop(self.nodes.drives, silent, self._exchange_once, self.config.cycle_time_s)
+        missing = [drive for drive in self.nodes.drives if silent(drive)]
+        if missing:
+            self._confirm_stopped(exchange, missing)
 
     def _journal_stop(self, cycle: int) -> None:
         try:
@@ -262,15 +265,15 @@ class Bench:
         except BenchFaultError as error:  # a full disk must not come between the drives and their stop
             self.safe_state_problems.append(str(error))
 
-    def _confirm_emergency_stop(self, exchange: CyclicExchange) -> None:
-        """SYNC goes on, because simulated time does with it; no PDO answers."""
+    def _confirm_stopped(self, exchange: CyclicExchange, drives: Sequence[Drive]) -> None:
+        """Ask drives that send no PDOs any more; SYNC goes on, because simulated time does with it."""
         exchange.expect([])
 
         def cycle() -> None:
             exchange.exchange([])
             exchange.discard_waiting()
 
-        confirm_stopped(self.nodes.drives, self.nodes.read_statusword, cycle, self.config.cycle_time_s)
+        confirm_stopped(drives, self.nodes.read_statusword, cycle, self.config.cycle_time_s)
 
     # -- time --------------------------------------------------------------------------------------------
 

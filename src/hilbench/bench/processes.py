@@ -20,7 +20,7 @@ _END_TIMEOUT_S = 5.0
 
 
 class ChildProcess:
-    """One hilbench command running beside the bench; what it says goes to a log file."""
+    """One process beside the bench, by its arguments after ``python -m``; what it says goes to a log file."""
 
     def __init__(self, name: str, arguments: Sequence[str], log_path: Path) -> None:
         self.name = name
@@ -33,7 +33,7 @@ class ChildProcess:
     def _start(self) -> subprocess.Popen[bytes]:
         with self._log_path.open("ab") as log:
             return subprocess.Popen(
-                [sys.executable, "-m", "hilbench.cli", *self._arguments],
+                [sys.executable, "-m", *self._arguments],
                 stdin=subprocess.PIPE,
                 stdout=log,
                 stderr=subprocess.STDOUT,

@@ -18,7 +18,7 @@ def quick_stop(
     """Quick stop every drive and run cycles until all that answer (not `silent`) stand still.
 
     Faults of single drives don't keep the others from being stopped. Raises BenchFaultError, naming the drives, when
-    one has not stopped within its time-outs or is silent (its own supervision stops it then), or the bus is lost.
+    one has not stopped within its time-outs, or the bus is lost.
     """
     for drive in drives:
         drive.request(DriveGoal.QUICK_STOP)
@@ -34,19 +34,14 @@ def quick_stop(
         except BenchFaultError as error:
             problem = str(error)
     else:
-        raise BenchFaultError(f"{_names(drives, lambda drive: not drive.reached)} still not stopped; {problem}")
-    if any(map(silent, drives)):
-        raise BenchFaultError(f"{_names(drives, silent)} did not answer: left to the drive's own supervision")
-
-
-def _names(drives: Sequence[Drive], which: Callable[[Drive], bool]) -> str:
-    return ", ".join(drive.settings.name for drive in drives if which(drive))
+        late = ", ".join(drive.settings.name for drive in drives if not drive.reached)
+        raise BenchFaultError(f"{late} still not stopped; {problem}")
 
 
 def confirm_stopped(
     drives: Sequence[Drive], statusword: Callable[[Drive], int], exchange: Callable[[], None], cycle_s: float
 ) -> None:
-    """Run cycles after an emergency stop until all drives say by SDO that they have stopped.
+    """Run cycles until drives that send no PDOs (after an emergency stop) say by SDO that they have stopped.
 
     Raises BenchFaultError naming the drives that have not within their time-out, or do not answer.
     """

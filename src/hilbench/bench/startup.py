@@ -17,6 +17,7 @@ from hilbench.bench.cycle import CyclicExchange, FrameTap
 from hilbench.bench.memory import locked_memory
 from hilbench.bench.nodes import Nodes
 from hilbench.bench.processes import ChildProcess
+from hilbench.bench.supervisor import Watch
 from hilbench.bus.link import Link
 from hilbench.bus.open import open_link, open_python_can
 from hilbench.errors import BusError, EmergencyStopError
@@ -106,26 +107,27 @@ def _release_nodes(master: Master) -> None:
 
 def start_children(config: BenchConfig, folder: Path) -> list[ChildProcess]:
     """Start the simulated hardware, where a node is simulated, and the twin; their logs go to `folder`."""
-    path = _config_file(config, folder)
+    path = folder / "config.yaml"
+    if not path.exists():
+        path.write_text(yaml.safe_dump(config.model_dump(mode="json", exclude_none=True), sort_keys=False))
     children = []
     if any(node.simulated for part, node in config.nodes if part in ("axis1", "axis2", "load")):
-        children.append(ChildProcess("simulated hardware", ["simulate-hardware", str(path)], folder / "hardware.log"))
-    children.append(ChildProcess(TWIN, ["twin", str(path)], folder / "twin.log"))
+        children.append(
+            ChildProcess(
+                "simulated hardware", ["hilbench.cli", "simulate-hardware", str(path)], folder / "hardware.log"
+            )
+        )
+    children.append(ChildProcess(TWIN, ["hilbench.cli", "twin", str(path)], folder / "twin.log"))
     return children
 
 
 def _start_supervisor(config: BenchConfig, folder: Path) -> ChildProcess | None:
     if not config.master.heartbeat_ms:
         return None
-    path = _config_file(config, folder)
-    return ChildProcess("supervisor", ["supervise", str(path)], folder / "supervisor.log")
-
-
-def _config_file(config: BenchConfig, folder: Path) -> Path:
-    path = folder / "config.yaml"
-    if not path.exists():
-        path.write_text(yaml.safe_dump(config.model_dump(mode="json", exclude_none=True), sort_keys=False))
-    return path
+    # In lockstep the bench waits for its participants, and no heartbeat comes meanwhile.
+    patience_s = config.safety.cycle_timeout_s if config.pace == "lockstep" else 0.0
+    watch = Watch(config.bus_address, config.master.node_id, patience_s + config.safety.supervisor_timeout_s)
+    return ChildProcess("supervisor", watch.arguments(), folder / "supervisor.log")
 
 
 def _wait_for_nodes(config: BenchConfig, master: Master, children: list[ChildProcess]) -> None:

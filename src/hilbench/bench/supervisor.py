@@ -3,6 +3,7 @@
 The bench's heartbeat comes from its cyclic loop, so its silence says that the loop has stalled, whatever the reason
 (the process was stopped or killed, it waits for something, the machine is overloaded). Drives that watch 1016h stop by
 themselves then; the supervisor stops those that don't, and those that are watched too loosely, by the emergency stop.
+Nothing is imported here that it does not need for that: it starts with every bench.
 """
 
 from __future__ import annotations
@@ -12,13 +13,15 @@ import signal
 import sys
 import threading
 import time
+from collections.abc import Sequence
+from dataclasses import dataclass
 
-from hilbench.bench.config import BenchConfig
 from hilbench.bus.link import Link
-from hilbench.bus.open import open_link
+from hilbench.bus.open import BusAddress, open_link
 from hilbench.errors import BusError
 from hilbench.fieldbus.emergency_stop import EMERGENCY_STOP
 
+_MODULE = "hilbench.bench.supervisor"
 _HEARTBEAT = 0x700
 _STANDARD_MASK = 0x7FF
 _LOOK_S = 0.05
@@ -26,15 +29,28 @@ _LOOK_S = 0.05
 _TIMES = 3
 
 
-def silence_limit_s(config: BenchConfig) -> float:
-    """How long the bench's heartbeat may stay away, wall time. In lockstep the bench waits for its participants."""
-    safety = config.safety
-    lockstep = config.pace == "lockstep"
-    return safety.supervisor_timeout_s + (safety.cycle_timeout_s if lockstep else 0.0)
+@dataclass(frozen=True)
+class Watch:
+    """What a supervisor watches: the heartbeat of `node_id`, which may stay away for `limit_s` of wall time."""
+
+    bus: BusAddress
+    node_id: int
+    limit_s: float
+
+    def arguments(self) -> list[str]:
+        """The command line of the supervisor's process, after ``python -m``."""
+        bus = self.bus
+        return [_MODULE, str(bus), str(bus.bitrate), bus.timing, str(self.node_id), repr(self.limit_s)]
+
+    @classmethod
+    def parse(cls, arguments: Sequence[str]) -> Watch:
+        """Take the arguments after the module's name."""
+        address, bitrate, timing, node_id, limit_s = arguments
+        return cls(BusAddress.parse(address, bitrate=int(bitrate), timing=timing), int(node_id), float(limit_s))
 
 
-def supervise(config: BenchConfig) -> None:
-    """Watch the bench on its bus until SIGTERM; an end of the bench without that is a reason to stop the drives.
+def supervise(watch: Watch) -> None:
+    """Watch the bench until SIGTERM; an end of the bench without that is a reason to stop the drives.
 
     Raises BusError when the bus is lost.
     """
@@ -43,9 +59,9 @@ def supervise(config: BenchConfig) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, lambda *_: told_to_end.set())
     threading.Thread(target=_follow, args=(bench_gone,), name="follow-bench", daemon=True).start()
-    link = open_link(config.bus_address)
+    link = open_link(watch.bus)
     try:
-        _watch(link, _HEARTBEAT + config.master.node_id, silence_limit_s(config), told_to_end, bench_gone)
+        _watch(link, watch, told_to_end, bench_gone)
     finally:
         link.close()
 
@@ -56,8 +72,8 @@ def _follow(bench_gone: threading.Event) -> None:
     bench_gone.set()
 
 
-def _watch(link: Link, cob_id: int, limit_s: float, told_to_end: threading.Event, bench_gone: threading.Event) -> None:
-    link.set_filters([(cob_id, _STANDARD_MASK)])
+def _watch(link: Link, watch: Watch, told_to_end: threading.Event, bench_gone: threading.Event) -> None:
+    link.set_filters([(_HEARTBEAT + watch.node_id, _STANDARD_MASK)])
     heard_s: float | None = None  # None: not heard yet, or stopped already
     while not told_to_end.is_set():
         if link.receive(_LOOK_S):
@@ -65,8 +81,8 @@ def _watch(link: Link, cob_id: int, limit_s: float, told_to_end: threading.Event
         if bench_gone.is_set() and not told_to_end.is_set():
             _stop(link, "the bench's process is gone")
             return
-        if heard_s is not None and time.monotonic() - heard_s > limit_s:
-            _stop(link, f"no heartbeat of the bench for {limit_s:g} s")
+        if heard_s is not None and time.monotonic() - heard_s > watch.limit_s:
+            _stop(link, f"no heartbeat of the bench for {watch.limit_s:g} s")
             heard_s = None
 
 
@@ -79,3 +95,16 @@ def _stop(link: Link, reason: str) -> None:
             if attempt == _TIMES - 1:
                 raise
         time.sleep(0.01)
+
+
+def main() -> None:
+    """Entry point of the process: errors are one line in its log."""
+    try:
+        supervise(Watch.parse(sys.argv[1:]))
+    except BusError as error:
+        print(error, file=sys.stderr)
+        sys.exit(error.exit_code)
+
+
+if __name__ == "__main__":
+    main()

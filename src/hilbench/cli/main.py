@@ -122,14 +122,6 @@ def twin(config: ConfigArgument, bus: BusOption = None, pace: PaceOption = None)
     report_lost_frames(run_twin(twin_setup(_load(config, bus=bus, pace=pace).config), stop_request()))
 
 
-@app.command(hidden=True)
-def supervise(config: ConfigArgument) -> None:
-    """Watch a bench's heartbeat and stop its drives when it stays away (the bench starts this itself)."""
-    from hilbench.bench.supervisor import supervise as watch
-
-    watch(_load(config).config)
-
-
 @app.command()
 def estop(
     bus: Annotated[

@@ -19,6 +19,8 @@ from hilbench.web.balance import BalanceSample
 _WINDOW_S = 0.04
 #: Ratio below which the web is broken, and above which it is whole again.
 _BROKEN, _WHOLE = 0.15, 0.3
+#: Smoothing of the tension that is usual: a web that breaks loses that, strange positions alone don't take it away.
+_USUAL_S = 0.3
 #: Least tension that the strain must promise for a ratio to mean anything, N.
 _LEAST_N = 10.0
 #: Change of the ratio against what it was before from which something has happened.
@@ -49,16 +51,27 @@ class Anomalies:
         self._window: deque[tuple[float, float, float]] = deque(maxlen=self._cycles + 1)
         self._ratios: deque[float] = deque(maxlen=_BEFORE_WINDOWS * self._cycles)
         self._force_sum_N = self._web_sum = 0.0
+        self._after_gap = False
+        self._usual_N = 0.0
         self._since_change_m: float | None = None
         self._quiet_m = _QUIET * self._span_length_m
         self._ratio_before = self._ratio_at_once = 0.0
         self.broken = False
         self.slipping = False
 
+    def interrupt(self) -> None:
+        """A cycle is missing: what is measured next is not one cycle after the last, and no mean goes across."""
+        self._window.clear()
+        self._force_sum_N = self._web_sum = 0.0
+        self._after_gap = True
+
     def update(self, now: BalanceSample) -> None:
         """Take the balance of this cycle; sets `broken` and `slipping`."""
         if not isfinite(now.force_N):
             self.reset()
+            return
+        if self._after_gap:
+            self._after_gap = False
             return
         window = self._window
         if len(window) == window.maxlen:
@@ -77,8 +90,11 @@ class Anomalies:
             self._quiet_m = _QUIET * self._span_length_m
             return
         accelerating_N = self._mass_kg * (now.velocity_m_s - window[0][2]) / ((count - 1) * self._cycle_s)
-        ratio = (self._force_sum_N / count - accelerating_N) / promised_N
-        self.broken = ratio < (_WHOLE if self.broken else _BROKEN)
+        tension_N = self._force_sum_N / count - accelerating_N
+        ratio, threshold = tension_N / promised_N, _WHOLE if self.broken else _BROKEN
+        self.broken = ratio < threshold and tension_N < threshold * self._usual_N
+        if not self.broken:
+            self._usual_N += self._cycle_s / _USUAL_S * (tension_N - self._usual_N)
         self._look_for_slip(ratio, now.velocity_m_s)
 
     def _look_for_slip(self, ratio: float, velocity_m_s: float) -> None:

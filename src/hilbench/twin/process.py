@@ -34,6 +34,9 @@ _MOVES_M_S = 1e-3
 #: How far off the upstream strain may be as a guess of the strain of a web that is found under way.
 _UNKNOWN_STRAIN = 0.3
 _WARM_UP_CYCLES = 100
+#: Ways of the axes in a cycle that differ by more than this share, or this length, are not of one instant.
+_ALIKE = 0.3
+_LEAST_WAY_M = 1e-4
 
 
 @dataclass(frozen=True)
@@ -81,6 +84,7 @@ class TwinApplication:
         virtual_io: VirtualIo,
     ) -> None:
         self.missed = 0
+        self.unpaired = 0  #: cycles whose measurements were of different SYNCs
         self.malformed = 0  #: frames with the COB-ID, but not the length, of an axis' TPDO
         self._cycle_s = setup.cycle_s
         self._hold_when_behind = setup.twin.behind == "hold"
@@ -151,7 +155,7 @@ class TwinApplication:
     def _advance(self) -> None:
         self._pending = False
         if self._behind and self._hold_when_behind:
-            self._tracking.skip()
+            self._tracking.miss()
         elif all(port.mode is not MotorMode.OFF for port in self._ports):
             if self._released or self._release_web():
                 self._compare()
@@ -195,12 +199,18 @@ class TwinApplication:
     def _compare(self) -> None:
         first, second = self._measured
         if first is None or second is None:
-            self._tracking.skip()
+            self._tracking.miss()
+            return
+        positions = [first[0] * self._metres_per_rad[0], second[0] * self._metres_per_rad[1]]
+        before, self._positions_before = self._positions_before, positions
+        if before is not None and not _of_one_instant(before, positions):
+            self.unpaired += 1
+            self._tracking.miss()
             return
         self._tracking.compare(
             self._time_s,
-            first[0] * self._metres_per_rad[0],
-            second[0] * self._metres_per_rad[1],
+            positions[0],
+            positions[1],
             second[1],
             self._io.strain_prev,
             self._io.tension_next_N,
@@ -248,6 +258,16 @@ class TwinApplication:
             torque_Nm=self._ports[1].torque_Nm,
             residual_Nm=tracking.residual_Nm,
         )
+
+
+def _of_one_instant(before: Sequence[float], now: Sequence[float]) -> bool:
+    """Whether positions (m, at the web) of both axes are of the same SYNC.
+
+    A TPDO that was late is taken for that of the next SYNC: its axis has moved by a cycle less than the other, and a
+    cycle's way is many times the strain.
+    """
+    moved = [abs(at - was) for at, was in zip(now, before, strict=True)]
+    return abs(moved[0] - moved[1]) <= max(_LEAST_WAY_M, _ALIKE * max(moved))
 
 
 def run_twin(setup: TwinSetup, stop: Callable[[], bool]) -> int | None:

@@ -104,8 +104,13 @@ class Tracking:
         limit = 0.01 * self.config.synchronized_pct * self.estimate.youngs_modulus_Pa
         return self.problem is None and self._strain_uncertainty == 0.0 and self._own_deviation_Pa <= limit
 
-    def skip(self) -> None:
+    def miss(self) -> None:
         """A cycle without measurement."""
+        self._anomalies.interrupt()
+        self.skip()
+
+    def skip(self) -> None:
+        """Hold the estimate for a cycle."""
         self.estimate = self._stated(self._synchronizer.hold(self._cycle_s))
 
     def compare(
