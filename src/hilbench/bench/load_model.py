@@ -10,6 +10,7 @@ from __future__ import annotations
 from hilbench.bench.config import LoadConfig
 from hilbench.bench.quantities import WEB_BROKEN, YOUNGS_MODULUS, EffectPath, parse_effect_path
 from hilbench.web.effects import find_effect
+from hilbench.web.pairing import Pairing
 from hilbench.web.parameters import ModelParameters
 from hilbench.web.span import SpanFollower
 from hilbench.web.stability import SampledShaft, imitation_delay_s
@@ -41,6 +42,8 @@ class LoadModel:
         self._lead_s = imitation_delay_s(SampledShaft.of_model(model, cycle_s=cycle_s))
         self._running = False
         self._broken = False
+        self._pairing = Pairing()
+        self._torque_Nm = 0.0
         self._effects = {(entry.effect, entry.axis): dict(entry.parameters) for entry in load.effects}
 
     def warm_up(self) -> None:
@@ -57,15 +60,22 @@ class LoadModel:
     def update(self, x1_m: float, x2_m: float, v2_m_s: float) -> float:
         """Follow the motion since the last cycle; returns the load motor's torque in N·m.
 
+        While the positions are not of one instant the torque stays what it was.
+
         `x1_m`, `x2_m` are encoder positions at the web, `v2_m_s` is the measured speed of roller 2.
         """
         if not self._running:
             self.web.reset((x1_m, x2_m))
+            self._pairing.reset()
+            self._pairing.update(x1_m, x2_m)
             self._running = True
+        elif not self._pairing.update(x1_m, x2_m):
+            return self._torque_Nm
         else:
             self.web.advance((x1_m, x2_m), self._cycle_s)
         predicted_N = [0.0] if self._broken else self.web.predicted_tension_N(self._lead_s)
-        return self.web.web_torque_Nm(2, v2_m_s, tension_N=predicted_N)
+        self._torque_Nm = self.web.web_torque_Nm(2, v2_m_s, tension_N=predicted_N)
+        return self._torque_Nm
 
     @property
     def tension_N(self) -> float:

@@ -24,6 +24,7 @@ from hilbench.twin.synchronizers.create import METHODS
 from hilbench.twin.tracking import Tracking
 from hilbench.twin.virtual_io import TwinStatus, VirtualIo
 from hilbench.web.line import Line
+from hilbench.web.pairing import Pairing
 from hilbench.web.parameters import ModelParameters
 
 #: Error register (1001h): generic and device profile.
@@ -34,9 +35,6 @@ _MOVES_M_S = 1e-3
 #: How far off the upstream strain may be as a guess of the strain of a web that is found under way.
 _UNKNOWN_STRAIN = 0.3
 _WARM_UP_CYCLES = 100
-#: Ways of the axes in a cycle that differ by more than this share, or this length, are not of one instant.
-_ALIKE = 0.3
-_LEAST_WAY_M = 1e-4
 
 
 @dataclass(frozen=True)
@@ -84,7 +82,6 @@ class TwinApplication:
         virtual_io: VirtualIo,
     ) -> None:
         self.missed = 0
-        self.unpaired = 0  #: cycles whose measurements were of different SYNCs
         self.malformed = 0  #: frames with the COB-ID, but not the length, of an axis' TPDO
         self._cycle_s = setup.cycle_s
         self._hold_when_behind = setup.twin.behind == "hold"
@@ -96,6 +93,7 @@ class TwinApplication:
         self._listeners = [AxisListener(node.eds, node.node_id, setup.cycle_s) for node in setup.real_axes]
         self._metres_per_rad = [1.0 / setup.model.motor_rad_per_m(axis) for axis in (1, 2)]
         self._tracking = Tracking(setup.model, setup.twin, line, ports[1], setup.cycle_s)
+        self._pairing = Pairing()
         self._measured: list[tuple[float, float] | None] = [None, None]  # position in rad, torque in N·m
         self._positions_before: list[float] | None = None
         self._reported: Problem | None = None
@@ -124,6 +122,8 @@ class TwinApplication:
         if self._pending:
             self.missed += 1
             self._advance()
+        # What came since is late: taken for an answer to this SYNC it would push the true one to the next, for ever.
+        self._measured = [None, None]
         self._sync_number += 1
         self._behind = behind
         self._io.tell_status(self._sync_number, behind, self._status())
@@ -192,6 +192,7 @@ class TwinApplication:
             tau_Nm=[first[1], second[1]] if moves else [0.0, 0.0],
         )
         self._tracking.release(_UNKNOWN_STRAIN if moves else 0.0)
+        self._pairing.reset()
         self._released = True
         self._time_s = 0.0
         return True
@@ -201,10 +202,8 @@ class TwinApplication:
         if first is None or second is None:
             self._tracking.miss()
             return
-        positions = [first[0] * self._metres_per_rad[0], second[0] * self._metres_per_rad[1]]
-        before, self._positions_before = self._positions_before, positions
-        if before is not None and not _of_one_instant(before, positions):
-            self.unpaired += 1
+        positions = (first[0] * self._metres_per_rad[0], second[0] * self._metres_per_rad[1])
+        if not self._pairing.update(*positions):
             self._tracking.miss()
             return
         self._tracking.compare(
@@ -258,16 +257,6 @@ class TwinApplication:
             torque_Nm=self._ports[1].torque_Nm,
             residual_Nm=tracking.residual_Nm,
         )
-
-
-def _of_one_instant(before: Sequence[float], now: Sequence[float]) -> bool:
-    """Whether positions (m, at the web) of both axes are of the same SYNC.
-
-    A TPDO that was late is taken for that of the next SYNC: its axis has moved by a cycle less than the other, and a
-    cycle's way is many times the strain.
-    """
-    moved = [abs(at - was) for at, was in zip(now, before, strict=True)]
-    return abs(moved[0] - moved[1]) <= max(_LEAST_WAY_M, _ALIKE * max(moved))
 
 
 def run_twin(setup: TwinSetup, stop: Callable[[], bool]) -> int | None:
