@@ -115,13 +115,14 @@ def test_a_twin_that_is_killed_is_started_again_while_the_loop_holds(tmp_path: P
     opened = int(np.flatnonzero((closed[:-1] == 1) & (closed[1:] == 0))[-1]) + 1
     again = opened + int(np.argmax(closed[opened:]))
     v1 = settled(found, "v1_cmd_m_s")
-    assert np.ptp(v1[opened:again]) == 0.0  # holds
-    assert abs(v1[opened] - v1[opened - 1]) < 1e-3  # without a bump
-    assert abs(v1[again] - v1[again - 1]) < 1e-3
+    # Without a bump, when it opens and when it closes: ES/v is 283 N per mm/s here.
+    assert np.max(np.abs(np.diff(v1[opened - 2 : again + 3]))) < 2e-5
     tension = settled(found, "F_true_N")
-    assert np.max(np.abs(tension[opened:] - 80.0)[: again - opened]) < 5.0
+    # The loop may have been busy when it opened; what it was at then has left the span after some seconds.
+    assert np.max(np.abs(tension[opened:again] - 80.0)) < 20.0
+    assert np.max(np.abs(tension[again - 100 : again] - 80.0)) < 2.0
     warnings = result_of(folder).all_warnings()
-    assert any("ratio of speeds is held: the twin does not answer SYNC" in warning for warning in warnings)
+    assert any("axis 1 follows the ratio of speeds: the twin" in warning for warning in warnings)
     assert any("tension loop closed again" in warning for warning in warnings)
     assert gone(path)
 

@@ -123,6 +123,7 @@ class Bench:
             config.model.span_length_m(1),
             web.section_m2,
             config.model.drive_stiffness_N_per_m(2),
+            config.model.upstream_strain,
         )
         limits = config.safety.limits
         self._limits = LimitWatch(limits, web.youngs_modulus_Pa, config.cycle_time_s)
@@ -420,7 +421,7 @@ class Bench:
                 self.line_speed_m_s, self.tension_set_point_N, sample.F_sim_N, sample.E_sim_Pa, self.config.cycle_time_s
             )
         else:
-            v1_m_s = self._controller.hold(self.line_speed_m_s)
+            v1_m_s = self._controller.hold(self.line_speed_m_s, self.tension_set_point_N, self.config.cycle_time_s)
         sample.v1_cmd_m_s, sample.v2_cmd_m_s = v1_m_s, self.line_speed_m_s
         nodes.command(v1_m_s, self.line_speed_m_s, sample.tau_load_cmd_Nm)
 

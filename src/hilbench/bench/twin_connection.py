@@ -1,6 +1,6 @@
 """The bench's connection to its twin: lost when it does not answer, taken back when it is heard again.
 
-The bench can do without its twin: the tension loop holds the ratio of speeds meanwhile (`tension_control`). A twin
+The bench can do without its twin: axis 1 follows the ratio of speeds meanwhile (`tension_control`). A twin
 that comes back, whether it was held up or its process had to be started again, is reset and configured anew, because
 nobody knows what it has missed; the loop closes when it calls itself synchronized.
 """
@@ -63,7 +63,7 @@ class TwinConnection:
         """Whether the tension loop is closed on the twin's data in `sample`."""
         closed = not self._away and self._trust.update(sample)
         if self._was_closed and not closed:
-            self._note(f"tension loop open, the ratio of speeds is held: {self._trust.doubt}")
+            self._note(f"tension loop open, axis 1 follows the ratio of speeds: {self._trust.doubt}")
         elif closed and self._was_closed is False:
             self._note("tension loop closed again: the twin is synchronized")
         if closed or self._was_closed is not None:

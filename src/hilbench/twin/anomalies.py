@@ -67,7 +67,7 @@ class Anomalies:
 
     def update(self, now: BalanceSample) -> None:
         """Take the balance of this cycle; sets `broken` and `slipping`."""
-        if not isfinite(now.force_N):
+        if not (isfinite(now.force_N) and isfinite(now.web_per_Pa)):
             self.reset()
             return
         if self._after_gap:
