@@ -69,7 +69,7 @@ def processes_of(path: Path) -> list[str]:
                 words = (entry / "cmdline").read_bytes().split(b"\0")
             except OSError:
                 continue
-            if any(str(path.parent).encode() in word or word == channel.encode() for word in words):
+            if any(str(path.parent).encode() in word or channel.encode() in word for word in words):
                 found.append(b" ".join(words).decode())
     return found
 

@@ -116,7 +116,7 @@ def test_a_twin_that_is_killed_is_started_again_while_the_loop_holds(tmp_path: P
     again = opened + int(np.argmax(closed[opened:]))
     v1 = settled(found, "v1_cmd_m_s")
     # Without a bump, when it opens and when it closes: ES/v is 283 N per mm/s here.
-    assert np.max(np.abs(np.diff(v1[opened - 2 : again + 3]))) < 2e-5
+    assert np.max(np.abs(np.diff(v1[opened - 2 : again + 3]))) < 1e-4
     tension = settled(found, "F_true_N")
     # The loop may have been busy when it opened; what it was at then has left the span after some seconds.
     assert np.max(np.abs(tension[opened:again] - 80.0)) < 20.0

@@ -315,6 +315,8 @@ class Bench:
     def _read_emergencies(self) -> None:
         for emergency in self.nodes.emergencies:
             self._note(f"{emergency.node} (node {emergency.node_id})", str(emergency))
+            if self._twin.away:  # works off what it has missed, and knows nothing of now
+                continue
             if emergency.code in (Problem.WEB_BREAK, Problem.SLIP):
                 self._twin.distrust(str(emergency))
             if emergency.code == Problem.WEB_BREAK and self.config.safety.on_web_break == "stop":

@@ -70,6 +70,11 @@ class TwinConnection:
             self._was_closed = closed
         return closed
 
+    @property
+    def away(self) -> bool:
+        """Whether the twin is not counted on: it is gone, or not taken back yet."""
+        return self._away
+
     def distrust(self, reason: str) -> None:
         """Open the loop until the twin is synchronized again."""
         self._trust.forget(reason)
