@@ -52,6 +52,7 @@ def confirm_stopped(
         if cycle % _ASK_EVERY == 0:
             moving = [drive for drive in moving if not _has_stopped(statusword(drive))]
             if not moving:
+                exchange()  # the last answers belong in the trace
                 return
     raise BenchFaultError(f"{', '.join(drive.settings.name for drive in moving)} still not stopped")
 
