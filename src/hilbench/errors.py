@@ -20,15 +20,20 @@ class HilbenchError(Exception):
 class UnusableInputError(HilbenchError):
     """A file or an argument that cannot be used: where, what was found, what was expected.
 
-    The text is always one line: ``place: found, expected ...``.
+    The text is always one printable line, whatever stood in the file: ``place: found, expected ...``.
     """
 
     exit_code = EXIT_UNUSABLE_INPUT
 
     def __init__(self, place: str | Path, problem: str) -> None:
-        super().__init__(f"{place}: {problem}")
-        self.place = str(place)
-        self.problem = problem
+        self.place = _printable(str(place))
+        self.problem = _printable(problem)
+        super().__init__(f"{self.place}: {self.problem}")
+
+
+def _printable(text: str) -> str:
+    """With control characters escaped: they could move a terminal's cursor, or fake another message."""
+    return "".join(char if char.isprintable() else char.encode("unicode_escape").decode() for char in text)
 
 
 class BenchFaultError(HilbenchError):
@@ -39,6 +44,10 @@ class BenchFaultError(HilbenchError):
 
 class BusError(BenchFaultError):
     """The bus cannot be opened, or was lost."""
+
+
+class EmergencyStopError(BenchFaultError):
+    """Somebody stopped the bench over the bus."""
 
 
 class NoAnswerError(BenchFaultError):

@@ -69,7 +69,7 @@ def processes_of(path: Path) -> list[str]:
                 words = (entry / "cmdline").read_bytes().split(b"\0")
             except OSError:
                 continue
-            if any(str(path.parent).encode() in word or word == channel.encode() for word in words):
+            if any(str(path.parent).encode() in word or channel.encode() in word for word in words):
                 found.append(b" ".join(words).decode())
     return found
 
@@ -232,25 +232,14 @@ def test_ctrl_c_stops_the_drives_and_keeps_the_recording(tmp_path):
     assert gone(path)
 
 
-@pytest.mark.parametrize(("victim", "silent"), [("twin", "virtual io"), ("simulate-hardware", "axis1")])
-def test_a_participant_that_is_killed_ends_the_run_with_exit_3(tmp_path, victim, silent):
+def test_hardware_that_is_killed_ends_the_run_with_exit_3(tmp_path):
     steps = [SHORT[0], {"hold": {"duration_s": 1000.0}}]
     path = config(tmp_path, steps=steps, safety={"cycle_timeout_s": 1.0})
     process = start(path)
     folder = wait_for_frames(path, 500)
-    subprocess.run(["pkill", "-KILL", "-f", f"hilbench.cli {victim} {folder}"], check=True)
+    subprocess.run(["pkill", "-KILL", "-f", f"hilbench.cli simulate-hardware {folder}"], check=True)
     out, _ = process.communicate(timeout=60)
     assert process.returncode == 3
-    assert f"no answer to SYNC from {silent}" in out.replace("\n", " ")
+    assert "no answer to SYNC from axis1" in out.replace("\n", " ")
     assert len(read_recording(folder / "recording.mf4")) > 100
     assert gone(path)
-
-
-def test_nothing_outlives_a_bench_that_is_killed_and_its_trace_is_whole(tmp_path):
-    path = config(tmp_path, steps=[SHORT[0], {"hold": {"duration_s": 1000.0}}])
-    process = start(path)
-    folder = wait_for_frames(path, 500)
-    process.kill()
-    process.communicate(timeout=60)
-    assert gone(path)
-    assert len(frames_by_cycle(folder / "trace.log")) >= 500

@@ -5,29 +5,36 @@ from __future__ import annotations
 from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from math import copysign
 from pathlib import Path
 from types import TracebackType
 from typing import Protocol
 
 from hilbench.bench import quantities
+from hilbench.bench.change import Change
 from hilbench.bench.config import BenchConfig
 from hilbench.bench.cycle import CyclicExchange, FrameTap
+from hilbench.bench.limits import LimitWatch
 from hilbench.bench.load_model import LoadModel
 from hilbench.bench.nodes import Nodes
+from hilbench.bench.notice import Notice
 from hilbench.bench.processes import ChildProcess
-from hilbench.bench.safety import check_limits, quick_stop
+from hilbench.bench.safety import confirm_stopped, quick_stop
 from hilbench.bench.sample import CycleSample
-from hilbench.bench.startup import bring_up
+from hilbench.bench.startup import TWIN, bring_up
 from hilbench.bench.tension_control import TensionController
-from hilbench.drives.drive import DriveGoal
-from hilbench.errors import EXIT_INTERRUPTED, HilbenchError
+from hilbench.bench.twin_connection import TwinConnection
+from hilbench.drives.drive import Drive, DriveGoal
+from hilbench.errors import EXIT_INTERRUPTED, BenchFaultError, EmergencyStopError, HilbenchError
+from hilbench.twin.plausibility import Problem
 from hilbench.twin.synchronizers.create import METHODS
-from hilbench.twin.virtual_io import TwinStatus
 from hilbench.web.line import Line
 
 #: Time for the axes to stand still again after the load motor has let go.
 _SETTLE_S = 0.3
+#: Cycles between two looks whether the supervisor lives.
+_LOOK_CYCLES = 64
 
 
 class InterruptedByOperatorError(HilbenchError):
@@ -70,7 +77,11 @@ class Bench:
 
     `tap` sees every frame on the bus; `work_folder` keeps the processes' config and logs (a temporary folder if not
     given); with `start_processes` false the simulated hardware and the twin were started by somebody else;
-    `announce` is told what is being done.
+    `announce` is told what is being done, `journal` what the bench changes and no frame says.
+
+    What an operator must know of a run that goes on collects in `notices`: warnings of the limits, EMCY messages, a
+    tension loop that opens or closes. A twin that is lost ends no run: the loop holds, and the twin is taken back
+    (after a start of its process, where the bench had started it) as soon as it is heard again.
     """
 
     def __init__(
@@ -82,14 +93,17 @@ class Bench:
         work_folder: Path | None = None,
         start_processes: bool = True,
         announce: Callable[[str], None] = lambda text: None,
+        journal: Callable[[Change], None] = lambda change: None,
     ) -> None:
         self.config = config
         self.events: list[StepEvent] = []
+        self.notices: list[Notice] = []
         self.line_speed_m_s = 0.0
         self.tension_set_point_N = config.tension_control.set_point_N
         self.interrupt_requested = False
         self.enabled = False
         self.stopping = False
+        self.fault_time_s: float | None = None  #: when what led to the safe state was seen
         self.safe_state_problems: list[str] = []
         self.last = CycleSample()
         self.nodes: Nodes
@@ -100,6 +114,7 @@ class Bench:
         self._work_folder = work_folder
         self._start_processes = start_processes
         self._announce = announce
+        self._journal = journal
         self._resources = ExitStack()
         self._first_cycle = 0
         web = config.model.required_web
@@ -109,9 +124,12 @@ class Bench:
             config.model.span_length_m(1),
             web.section_m2,
             config.model.drive_stiffness_N_per_m(2),
+            config.model.upstream_strain,
         )
-        self._twin_trusted = False
-        self._twin_started_cycle = 0
+        limits = config.safety.limits
+        self._limits = LimitWatch(limits, web.youngs_modulus_Pa, config.cycle_time_s)
+        self._twin: TwinConnection
+        self._supervisor: ChildProcess | None = None
         self._strain_prev = config.model.upstream_strain
         self._tension_next_N = config.model.boundary.downstream_tension_N
 
@@ -134,10 +152,19 @@ class Bench:
                 )
             )
             self.nodes, self.exchange, self.children = started.nodes, started.exchange, started.children
+            self._supervisor = started.supervisor
+            self._twin = TwinConnection(
+                self.config,
+                started.nodes,
+                started.exchange,
+                next((child for child in started.children if child.name == TWIN), None),
+                lambda text: self._note("twin", text),
+                self._journal,
+            )
             self._announce("enable drives")
             self._enable()
-        except BaseException:
-            self._safe_stop()
+        except BaseException as error:
+            self._safe_stop(error)
             self._resources.close()
             raise
         return self
@@ -148,10 +175,14 @@ class Bench:
         try:
             if kind is None:
                 self._announce("disable drives")
-                self._disable()
+                try:
+                    self._disable()
+                except BaseException as failure:
+                    self._safe_stop(failure)
+                    raise
             else:
                 self._announce("quick stop")
-                self._safe_stop()
+                self._safe_stop(error)
         finally:
             self._resources.close()
 
@@ -163,6 +194,7 @@ class Bench:
         self._check_virtual_axes()
         self.enabled = True
         self._first_cycle = self._running().timing.cycles + 1
+        self._journal(Change(self._first_cycle - 1, "enabled"))
 
     def _check_virtual_axes(self) -> None:
         """Ask the virtual axes by SDO whether they followed; in real time SYNC goes on meanwhile."""
@@ -176,7 +208,10 @@ class Bench:
             check.result()
 
     def _disable(self) -> None:
-        self.enabled, self.stopping = False, True
+        self.stopping = True
+        self._journal(Change(self._running().timing.cycles, "stopping"))
+        self._slow_down()
+        self.enabled = False
         self._load_model.stop()
         # The pull of the web has just gone: the axes take that up before they are let go.
         for _ in range(round(_SETTLE_S / self.config.cycle_time_s)):
@@ -186,17 +221,64 @@ class Bench:
         while not all(drive.reached for drive in self.nodes.drives):
             self._exchange_once()
 
-    def _safe_stop(self) -> None:
+    def _slow_down(self) -> None:
+        """An experiment may end at speed: a line that is let go must not stop within a cycle."""
+        step_m_s = self.config.safety.quick_stop_m_s2 * self.config.cycle_time_s
+        while self.line_speed_m_s:
+            left_m_s = max(0.0, abs(self.line_speed_m_s) - step_m_s)
+            self.line_speed_m_s = copysign(left_m_s, self.line_speed_m_s) if left_m_s else 0.0
+            self._exchange_once()
+            self._follow_web(self.last)
+
+    def _safe_stop(self, reason: BaseException | None) -> None:
         """Quick stop, as far as the bus still carries it. What fails here is kept in `safe_state_problems`: the
         drives' own supervision of the bench's heartbeat stops them then."""
+        self.fault_time_s = self.time_s
         self.enabled, self.stopping = False, True
         self._load_model.stop()
         if self.exchange is None:
             return
+        began_cycle = self.exchange.timing.cycles
         try:
-            quick_stop(self.nodes.drives, self._exchange_once, self.config.cycle_time_s)
+            try:
+                if not isinstance(reason, EmergencyStopError):
+                    self._quick_stop(self.exchange)
+                    return
+            except EmergencyStopError:
+                pass  # while it was stopping: the nodes have left OPERATIONAL now
+            self._confirm_stopped(self.exchange, self.nodes.drives)
         except HilbenchError as error:
             self.safe_state_problems.append(f"quick stop not confirmed: {error}")
+        finally:
+            self._journal_stop(began_cycle)
+
+    def _quick_stop(self, exchange: CyclicExchange) -> None:
+        """No drive is vital any more: who does not answer must not keep the others from being stopped."""
+        exchange.expect([replace(pdo, vital=False) for pdo in self.nodes.expected_pdos() if pdo.vital])
+
+        def silent(drive: Drive) -> bool:
+            return self.nodes.sender(drive) in exchange.silent
+
+        quick_stop(self.nodes.drives, silent, self._exchange_once, self.config.cycle_time_s)
+        missing = [drive for drive in self.nodes.drives if silent(drive)]
+        if missing:
+            self._confirm_stopped(exchange, missing)
+
+    def _journal_stop(self, cycle: int) -> None:
+        try:
+            self._journal(Change(cycle, "stopping"))
+        except BenchFaultError as error:  # a full disk must not come between the drives and their stop
+            self.safe_state_problems.append(str(error))
+
+    def _confirm_stopped(self, exchange: CyclicExchange, drives: Sequence[Drive]) -> None:
+        """Ask drives that send no PDOs any more; SYNC goes on, because simulated time does with it."""
+        exchange.expect([])
+
+        def cycle() -> None:
+            exchange.exchange([])
+            exchange.discard_waiting()
+
+        confirm_stopped(drives, self.nodes.read_statusword, cycle, self.config.cycle_time_s)
 
     # -- time --------------------------------------------------------------------------------------------
 
@@ -213,13 +295,36 @@ class Bench:
         """Run one cycle: set points and SYNC out, measurements in. Raises BenchFaultError on faults and limits."""
         if self.interrupt_requested:
             raise InterruptedByOperatorError("interrupted, drives were stopped")
+        self._twin.before_cycle()
+        self._look_after_supervisor()
         self._exchange_once()
         sample = self.last
         self._follow_web(sample)
-        check_limits(sample, self.config.safety)
+        self._read_emergencies()
+        for warning in self._limits.update(sample):
+            self._note("limits", warning)
         for observer in self._observers:
             observer.sample(sample)
         return sample
+
+    def _look_after_supervisor(self) -> None:
+        supervisor = self._supervisor
+        if supervisor is not None and self._running().timing.cycles % _LOOK_CYCLES == 0:
+            supervisor.check()
+
+    def _note(self, source: str, text: str) -> None:
+        self.notices.append(Notice(self.time_s, source, text))
+        self._announce(f"t = {self.time_s:.3f} s: {source}: {text}")
+
+    def _read_emergencies(self) -> None:
+        for emergency in self.nodes.emergencies:
+            self._note(f"{emergency.node} (node {emergency.node_id})", str(emergency))
+            if self._twin.away:  # works off what it has missed, and knows nothing of now
+                continue
+            if emergency.code in (Problem.WEB_BREAK, Problem.SLIP):
+                self._twin.distrust(str(emergency))
+            if emergency.code == Problem.WEB_BREAK and self.config.safety.on_web_break == "stop":
+                raise BenchFaultError(f"t = {self.time_s:.3f} s: {emergency.node} reports a web break")
 
     def run(self, duration_s: float) -> None:
         """Run for a time, rounded to whole cycles; none for a duration of zero or less."""
@@ -272,12 +377,9 @@ class Bench:
             return self.line_speed_m_s
         if path == quantities.TENSION_SET_POINT:
             return self.tension_set_point_N
-        if path == quantities.YOUNGS_MODULUS:
-            return self._load_model.web.youngs_modulus_Pa
-        effect = quantities.parse_effect_path(path)
-        if effect.place == "load":
-            return self._load_model.effect_value(effect)
-        return self.nodes.hardware_effect(effect)
+        if quantities.is_of_load(path):
+            return self._load_model.value(path)
+        return self.nodes.hardware_effect(quantities.parse_effect_path(path))
 
     def set(self, path: str, value: float) -> None:
         """Give a quantity a value from the next cycle on. Raises ValueError for an unknown path."""
@@ -285,14 +387,11 @@ class Bench:
             self.line_speed_m_s = value
         elif path == quantities.TENSION_SET_POINT:
             self.tension_set_point_N = value
-        elif path == quantities.YOUNGS_MODULUS:
-            self._load_model.web.youngs_modulus_Pa = value
+        elif quantities.is_of_load(path):
+            self._load_model.set(path, value)
         else:
-            effect = quantities.parse_effect_path(path)
-            if effect.place == "load":
-                self._load_model.set_effect_value(effect, value)
-            else:
-                self.nodes.set_hardware_effect(effect, value)
+            self.nodes.set_hardware_effect(quantities.parse_effect_path(path), value)
+        self._journal(Change(self.exchange.timing.cycles if self.exchange else 0, "set", path, value))
 
     def step(self, path: str, to: float) -> None:
         """`set`, noted as the event under test that metrics and report refer to."""
@@ -304,21 +403,10 @@ class Bench:
 
         In real time the bench goes on meanwhile; in lockstep the bus stands still.
         """
-        exchange, nodes = self._running(), self.nodes
-        self._twin_trusted = False
-        exchange.expect([pdo for pdo in nodes.expected_pdos() if pdo.sender != nodes.twin_name])
-        if self.config.pace == "lockstep":
-            nodes.restart_twin()
-        else:
-            with ThreadPoolExecutor(1) as pool:
-                restart = pool.submit(nodes.restart_twin)
-                while not restart.done():
-                    self.cycle()
-                restart.result()
-        self._twin_started_cycle = exchange.timing.cycles
-        exchange.expect(nodes.expected_pdos(self._twin_started_cycle))
-        self.cycle()
-        nodes.twin_is_back()
+        self._running()
+        self._twin.reset()
+        while self._twin.returning:
+            self.cycle()
 
     def use_synchronizer(self, method: str) -> None:
         """Let the twin go on with another method from its present E. Raises ValueError for an unknown one."""
@@ -335,7 +423,7 @@ class Bench:
         self.nodes.decode(received)
         self.nodes.fill(sample)
         sample.cycle = exchange.timing.cycles
-        sample.twin_age_cycles = self.nodes.twin_age(sample.cycle - self._twin_started_cycle)
+        sample.twin_age_cycles = self._twin.age_cycles(sample.cycle)
         sample.t_s = self.experiment_time_s(sample.cycle)
         sample.F_ref_N = self.tension_set_point_N
         sample.bus_bits = exchange.last_bits
@@ -352,25 +440,18 @@ class Bench:
         if not self.enabled:
             nodes.command(0.0, 0.0, 0.0)
             return
-        if self._loop_closed(sample):
+        sample.loop_closed = int(self._twin.loop_closed(sample))
+        if sample.loop_closed:
             v1_m_s = self._controller.velocity(
                 self.line_speed_m_s, self.tension_set_point_N, sample.F_sim_N, sample.E_sim_Pa, self.config.cycle_time_s
             )
         else:
-            v1_m_s = self._controller.hold(self.line_speed_m_s)
+            v1_m_s = self._controller.hold(self.line_speed_m_s, self.tension_set_point_N, self.config.cycle_time_s)
         sample.v1_cmd_m_s, sample.v2_cmd_m_s = v1_m_s, self.line_speed_m_s
         nodes.command(v1_m_s, self.line_speed_m_s, sample.tau_load_cmd_Nm)
-
-    def _loop_closed(self, sample: CycleSample) -> bool:
-        """Whether the twin was synchronized since it was started, and its data are fresh."""
-        if self.nodes.twin_status & TwinStatus.SYNCHRONIZED:
-            self._twin_trusted = True
-        fresh = sample.twin_age_cycles <= self.config.tension_control.twin_age_limit_cycles
-        sample.loop_closed = int(self._twin_trusted and fresh)
-        return bool(sample.loop_closed)
 
     def _follow_web(self, sample: CycleSample) -> None:
         web = self._load_model.web
         sample.tau_load_cmd_Nm = self._load_model.update(sample.x1_m, sample.x2_m, sample.v2_m_s)
-        sample.F_true_N, sample.strain_true = float(web.tension_N[0]), float(web.strain[0])
+        sample.F_true_N, sample.strain_true = self._load_model.tension_N, self._load_model.strain
         sample.E_true_Pa = web.effective_modulus_Pa

@@ -158,14 +158,49 @@ class LoadConfig(_Block):
         return entries
 
 
+class Limit(_Block):
+    """Two levels of one quantity's magnitude; a level that is not given (null) does not exist."""
+
+    warning: PositiveFloat | None = None
+    trip: PositiveFloat | None = None
+
+    @model_validator(mode="after")
+    def _warning_comes_first(self) -> Limit:
+        if self.warning is not None and self.trip is not None and self.warning > self.trip:
+            raise ValueError(f"a warning level that is not above the trip level {self.trip:g}")
+        return self
+
+
+class LimitsConfig(_Block):
+    """Levels of warning (noted in the result) and trip (the bench goes to the safe state)."""
+
+    tension_N: Limit = Field(default=Limit(warning=300.0, trip=400.0), description="of the imitated web")
+    torque_Nm: Limit = Field(default=Limit(warning=10.0, trip=15.0), description="of any drive, motor side")
+    speed_m_s: Limit = Field(default=Limit(warning=8.0, trip=10.0), description="of either axis, at the web")
+    position_difference_m: Limit = Field(
+        default=Limit(warning=0.05, trip=0.2),
+        description="of axis 1 from axis 2, beyond what their set points add up to since the drives were enabled",
+    )
+    estimate_ratio: Limit = Field(
+        default=Limit(warning=3.0, trip=10.0),
+        description="of the twin's E, while it is synchronized, to the model's E, or its inverse",
+    )
+
+
 class SafetyConfig(_Block):
-    """Limits of a run and how the safe state is reached."""
+    """Limits of a run and how the safe state is reached: all drives at rest by quick stop, then without power."""
 
     cycle_timeout_s: PositiveFloat = Field(default=5.0, description="lockstep: wall time to wait for a participant")
     missing_cycles: int = Field(default=25, ge=1, description="realtime: cycles in a row a PDO may be missing")
     drive_timeout_s: PositiveFloat = Field(default=2.0, description="for a drive to reach a requested state")
     quick_stop_m_s2: PositiveFloat = Field(default=3.0, description="deceleration of a quick stop, at the web")
-    tension_limit_N: PositiveFloat = Field(default=400.0, description="simulated tension that stops the bench")
+    limits: LimitsConfig = LimitsConfig()
+    on_web_break: Literal["stop", "warn"] = Field(default="stop", description="when the twin reports a web break")
+    supervisor_timeout_s: PositiveFloat = Field(
+        default=0.5,
+        description="realtime: silence of the bench's heartbeat after which the supervisor stops the drives; "
+        "lockstep: so much longer than cycle_timeout_s",
+    )
 
 
 class BenchConfig(_Block):

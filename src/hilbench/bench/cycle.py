@@ -11,13 +11,18 @@ from hilbench.bench import pacing
 from hilbench.bus.frame import Frame
 from hilbench.bus.link import Link
 from hilbench.bus.wire import frame_bits
-from hilbench.errors import NoAnswerError
+from hilbench.errors import EmergencyStopError, NoAnswerError
+from hilbench.fieldbus.emergency_stop import EMERGENCY_STOP_COB_ID
 
 SYNC_COB_ID = 0x080
 
 #: Part of the cycle, at its end, that is kept for computing and sending the next set points (realtime pace):
 #: answers that are not there by then count as missing.
 _GUARD_FRACTION = 0.3
+
+
+#: NMT state in the bench's own heartbeat: OPERATIONAL, and PRE-OPERATIONAL after an emergency stop.
+_OPERATIONAL, _PRE_OPERATIONAL = b"\x05", b"\x7f"
 
 
 class FrameTap(Protocol):
@@ -38,6 +43,7 @@ class ExpectedPdo:
     every: int
     sender: str  #: for messages: who should have sent it
     since: int = 0
+    vital: bool = True  #: false: the bench can go on without it
 
 
 @dataclass
@@ -59,7 +65,8 @@ class CyclicExchange:
     `exchange` sends set points and SYNC and returns the frames that answered. In lockstep it waits until every
     expected TPDO is there and raises NoAnswerError, naming who is missing, after `timeout_s` of wall time. In
     real time it waits for them until shortly before the next deadline, and raises when one sender's PDO was
-    missing `missing_limit` cycles in a row.
+    missing `missing_limit` cycles in a row; not for a sender that is not vital. Who does not answer is put into
+    `silent`, and not waited for any longer. An emergency stop on the bus raises EmergencyStopError, once.
     """
 
     def __init__(
@@ -86,11 +93,13 @@ class CyclicExchange:
         self._missing_limit = missing_limit
         self._missed_in_row: dict[int, int] = {}
         self.last_bits = 0  #: bits on the bus in the last cycle
+        self.silent: set[str] = set()  #: senders that don't answer: not waited for any longer
+        self._emergency_stop_seen = False
         self._tap = tap
         self._epoch_ns = 0
         self._sync = Frame(SYNC_COB_ID, b"")
         node_id, period_ms = heartbeat
-        self._heartbeat = Frame(0x700 + node_id, b"\x05")
+        self._heartbeat = Frame(0x700 + node_id, _OPERATIONAL)
         self._heartbeat_cycles = max(1, period_ms * 1_000_000 // cycle_ns) if period_ms else 0
 
     def exchange(self, outgoing: Sequence[Frame]) -> list[Frame]:
@@ -105,50 +114,77 @@ class CyclicExchange:
             pacing.start(self.pacing, timing.started_ns)
         if self._heartbeat_cycles and timing.cycles % self._heartbeat_cycles == 0:
             outgoing = [*outgoing, self._heartbeat]
+        late: list[Frame] = []
         if self._lockstep:
             self._link.send([*outgoing, self._sync])
         else:
             if outgoing:
                 self._link.send(outgoing)
             now_ns = pacing.sleep_until(self.pacing.deadline_ns)
+            # Late answers are no answers to this SYNC: counted as such they would push the true ones to the next.
+            late = self._link.receive(0.0)
             self._link.send([self._sync])
             pacing.advance(self.pacing, now_ns)
         timing.cycles += 1
         before_ns = time.monotonic_ns()
-        received = self._collect(self._due())
+        answers, failure = self._collect(self._due())
+        received = late + answers
         timing.ended_ns = time.monotonic_ns()
         timing.wait_ns += timing.ended_ns - before_ns
         if self._link.dropped and timing.first_loss_cycle is None:
             timing.first_loss_cycle = timing.cycles
         self._account(outgoing, received)
+        if not self._emergency_stop_seen and any(frame.can_id == EMERGENCY_STOP_COB_ID for frame in received):
+            self._emergency_stop_seen = True
+            self._heartbeat = self._heartbeat._replace(data=_PRE_OPERATIONAL)
+            raise EmergencyStopError(f"cycle {timing.cycles}: emergency stop (COB-ID 001h) on the bus")
+        if failure is not None:
+            raise failure
         return received
 
     def expect(self, pdos: Sequence[ExpectedPdo]) -> None:
         """From the next cycle on these TPDOs are waited for."""
         self._expected = tuple(pdos)
+        self._missed_in_row.clear()
+
+    def discard_waiting(self) -> None:
+        """Put what waits to be read into the trace only: answers to SYNCs of long ago."""
+        waiting = self._link.receive(0.0)
+        if waiting and self._tap is not None:
+            at_ns = self._epoch_ns + self.timing.cycles * self._cycle_ns
+            bits = [frame_bits(frame) for frame in waiting]
+            self._tap.write(self._timed(waiting, bits, at_ns - int(sum(bits) * self._bit_ns)))
+            self._tap.end_cycle()
 
     @property
     def lost_frames(self) -> int | None:
         """Frames the bench's own connection has lost because it was not read in time; None: not known there."""
         return self._link.dropped
 
-    def _due(self) -> dict[int, str]:
+    def _due(self) -> dict[int, ExpectedPdo]:
         cycle = self.timing.cycles
-        return {pdo.cob_id: pdo.sender for pdo in self._expected if (cycle - pdo.since) % pdo.every == 0}
+        return {
+            pdo.cob_id: pdo
+            for pdo in self._expected
+            if (cycle - pdo.since) % pdo.every == 0 and pdo.sender not in self.silent
+        }
 
-    def _collect(self, due: dict[int, str]) -> list[Frame]:
+    def _collect(self, due: dict[int, ExpectedPdo]) -> tuple[list[Frame], NoAnswerError | None]:
+        """What came until nothing more is due, and what to raise once that is in the trace."""
         received: list[Frame] = []
+        failure = None
         remaining_s = self._remaining_s if not self._lockstep else self._lockstep_remaining(time.monotonic())
         while due:
             batch = self._link.receive(max(0.0, remaining_s()))
             if not batch and remaining_s() <= 0.0:
-                self._missing(due)
+                failure = self._missing(due)
                 break
             for frame in batch:
-                if due.pop(frame.can_id, None) is not None:
-                    self._missed_in_row[frame.can_id] = 0
+                self._missed_in_row.pop(frame.can_id, None)
+                if due.pop(frame.can_id, None) is None and frame.can_id == EMERGENCY_STOP_COB_ID:
+                    due.clear()  # the nodes leave OPERATIONAL: no answers will come
             received += batch
-        return received
+        return received, failure
 
     def _lockstep_remaining(self, start_s: float) -> Callable[[], float]:
         return lambda: start_s + self._timeout_s - time.monotonic()
@@ -157,22 +193,18 @@ class CyclicExchange:
         guard_ns = self.pacing.deadline_ns - int(_GUARD_FRACTION * self._cycle_ns)
         return (guard_ns - time.monotonic_ns()) * 1e-9
 
-    def _missing(self, due: dict[int, str]) -> None:
+    def _missing(self, due: dict[int, ExpectedPdo]) -> NoAnswerError | None:
         self.timing.missing_pdos += len(due)
-        if self._lockstep:
-            names = ", ".join(f"{sender} (COB-ID {cob_id:03X}h)" for cob_id, sender in due.items())
-            raise NoAnswerError(
-                f"cycle {self.timing.cycles}: no answer to SYNC from {names} "
-                f"within {self._timeout_s:g} s{self._losses()}"
-            )
-        for cob_id, sender in due.items():
-            in_row = self._missed_in_row.get(cob_id, 0) + 1
-            self._missed_in_row[cob_id] = in_row
-            if in_row >= self._missing_limit:
-                raise NoAnswerError(
-                    f"cycle {self.timing.cycles}: no answer to {in_row} SYNCs in a row from {sender} "
-                    f"(COB-ID {cob_id:03X}h){self._losses()}"
-                )
+        if not self._lockstep:
+            for cob_id in due:
+                self._missed_in_row[cob_id] = self._missed_in_row.get(cob_id, 0) + 1
+            due = {cob_id: pdo for cob_id, pdo in due.items() if self._missed_in_row[cob_id] >= self._missing_limit}
+        self.silent |= {pdo.sender for pdo in due.values()}
+        names = ", ".join(f"{pdo.sender} (COB-ID {cob_id:03X}h)" for cob_id, pdo in due.items() if pdo.vital)
+        if not names:
+            return None
+        how_long = f"within {self._timeout_s:g} s" if self._lockstep else f"{self._missing_limit} times in a row"
+        return NoAnswerError(f"cycle {self.timing.cycles}: no answer to SYNC from {names} {how_long}{self._losses()}")
 
     def _losses(self) -> str:
         """For a missing answer: it may have come, and have been lost on this side."""

@@ -8,8 +8,9 @@ flywheel), because imitating an inertia by torque over a sampled bus is stable o
 from __future__ import annotations
 
 from hilbench.bench.config import LoadConfig
-from hilbench.bench.quantities import EffectPath
+from hilbench.bench.quantities import WEB_BROKEN, YOUNGS_MODULUS, EffectPath, parse_effect_path
 from hilbench.web.effects import find_effect
+from hilbench.web.pairing import Pairing
 from hilbench.web.parameters import ModelParameters
 from hilbench.web.span import SpanFollower
 from hilbench.web.stability import SampledShaft, imitation_delay_s
@@ -40,6 +41,9 @@ class LoadModel:
         self._cycle_s = cycle_s
         self._lead_s = imitation_delay_s(SampledShaft.of_model(model, cycle_s=cycle_s))
         self._running = False
+        self._broken = False
+        self._pairing = Pairing()
+        self._torque_Nm = 0.0
         self._effects = {(entry.effect, entry.axis): dict(entry.parameters) for entry in load.effects}
 
     def warm_up(self) -> None:
@@ -56,22 +60,55 @@ class LoadModel:
     def update(self, x1_m: float, x2_m: float, v2_m_s: float) -> float:
         """Follow the motion since the last cycle; returns the load motor's torque in N·m.
 
+        While the positions are not of one instant the torque stays what it was.
+
         `x1_m`, `x2_m` are encoder positions at the web, `v2_m_s` is the measured speed of roller 2.
         """
         if not self._running:
             self.web.reset((x1_m, x2_m))
+            self._pairing.reset()
+            self._pairing.update(x1_m, x2_m)
             self._running = True
+        elif not self._pairing.update(x1_m, x2_m):
+            return self._torque_Nm
         else:
             self.web.advance((x1_m, x2_m), self._cycle_s)
-        return self.web.web_torque_Nm(2, v2_m_s, tension_N=self.web.predicted_tension_N(self._lead_s))
+        predicted_N = [0.0] if self._broken else self.web.predicted_tension_N(self._lead_s)
+        self._torque_Nm = self.web.web_torque_Nm(2, v2_m_s, tension_N=predicted_N)
+        return self._torque_Nm
 
-    def effect_value(self, path: EffectPath) -> float:
-        """Present value of a parameter of a hidden effect."""
+    @property
+    def tension_N(self) -> float:
+        """Tension of the imitated web in the span."""
+        return 0.0 if self._broken else float(self.web.tension_N[0])
+
+    @property
+    def strain(self) -> float:
+        """Strain of the imitated web in the span; of one that has torn none."""
+        return 0.0 if self._broken else float(self.web.strain[0])
+
+    def value(self, path: str) -> float:
+        """Present value of a quantity of the imitated mechanics. Raises ValueError for an unknown path."""
+        if path == YOUNGS_MODULUS:
+            return self.web.youngs_modulus_Pa
+        if path == WEB_BROKEN:
+            return float(self._broken)
+        return self._effect_value(parse_effect_path(path))
+
+    def set(self, path: str, value: float) -> None:
+        """Give a quantity a value from now on. Raises ValueError for an unknown path or an impossible value."""
+        if path == YOUNGS_MODULUS:
+            self.web.youngs_modulus_Pa = value
+        elif path == WEB_BROKEN:
+            self._broken = value != 0.0
+        else:
+            self._set_effect_value(parse_effect_path(path), value)
+
+    def _effect_value(self, path: EffectPath) -> float:
         given = self._effects.get((path.effect, path.axis), {})
         return find_effect(path.effect).filled(given)[path.parameter]
 
-    def set_effect_value(self, path: EffectPath, value: float) -> None:
-        """Change a parameter of a hidden effect from now on. Raises ValueError for an impossible value."""
+    def _set_effect_value(self, path: EffectPath, value: float) -> None:
         parameters = find_effect(path.effect).filled(self._effects.get((path.effect, path.axis), {}))
         parameters[path.parameter] = value
         self.web.set_effect(path.effect, path.axis, slot=0, **parameters)

@@ -11,6 +11,7 @@ import canopen
 
 from hilbench.bench.config import BenchConfig, NodeConfig, NodesConfig
 from hilbench.bench.cycle import ExpectedPdo
+from hilbench.bench.emergencies import Emergency
 from hilbench.bench.quantities import EffectPath
 from hilbench.bench.sample import CycleSample
 from hilbench.bus.frame import Frame
@@ -30,7 +31,11 @@ from hilbench.twin.virtual_io import TwinStatus
 from hilbench.web.effect_objects import effect_object
 
 _HEARTBEAT = 0x700
-_OPERATIONAL = 5
+_BOOT_UP, _OPERATIONAL = 0, 5
+_EMERGENCY = 0x080
+#: Heartbeats that may stay away before a node counts as lost (lost frames are no lost node).
+_HEARTBEATS_MISSED = 4
+_HEARTBEAT_LOOK_CYCLES = 16
 _ABORT_BY_QUICK_STOP = 3
 _QUICK_STOP_RAMP = 2
 #: Controlwords that lead from SWITCH ON DISABLED to OPERATION ENABLED: shutdown, switch on, enable operation.
@@ -131,8 +136,17 @@ class Nodes:
         self._deviation_Pa, self._residual_Nm = 0.0, 0.0
         self._torque_before_Nm, self._torque_sim_Nm = 0.0, 0.0
         self._twin_sync, self.twin_status = 0, TwinStatus(0)
+        self._twin_ids = {nodes.virtual_axis1.node_id, nodes.virtual_axis2.node_id, nodes.virtual_io.node_id}
+        self.twin_problem = ""  #: why the twin's nodes can't be counted on; "" while they can
+        self.twin_heard = False  #: a heartbeat or boot-up of the virtual I/O has come since this was last reset
+        self.emergencies: list[Emergency] = []  #: EMCY messages of this cycle
+        self.malformed = 0  #: frames with the COB-ID, but not the length, of a PDO that the bench reads
+        self._sizes = {pdo.cob_id: pdo.size for drive in self.drives for _, pdo, _ in drive.pdos.tpdos}
+        self._sizes |= {pdo.cob_id: pdo.size for pdo in (self.io.state, self.io.quality, self.io.status)}
+        self._cycle = 0
+        self._heard_cycle: dict[int, int] = {}
+        self._silence_cycles = round(_HEARTBEATS_MISSED * config.master.node_heartbeat_ms * 1e-3 / config.cycle_time_s)
         self._expected_boots: set[int] = set()
-        self._effects: dict[EffectPath, float] = {}
 
     @property
     def twin_name(self) -> str:
@@ -200,7 +214,8 @@ class Nodes:
         master, nodes = self._sdo(), self.config.nodes
         twin_nodes = [nodes.virtual_axis1.node_id, nodes.virtual_axis2.node_id, nodes.virtual_io.node_id]
         self._expected_boots = set(twin_nodes)
-        self.twin_status = TwinStatus(0)
+        # A twin that was held up first works off what it has missed; the reset would be lost among that.
+        master.wait_for_answer(twin_nodes, self.config.master.boot_timeout_s)
         for node_id in twin_nodes:
             master.nmt(nmt.RESET_NODE, node_id)
         master.wait_for_answer(twin_nodes, self.config.master.boot_timeout_s)
@@ -215,9 +230,21 @@ class Nodes:
         # Set points and SYNC come by another socket: an answer says that the command was there before them.
         master.wait_for_answer(twin_nodes, self.config.master.boot_timeout_s)
 
+    def twin_is_away(self) -> None:
+        """The twin is not counted on until `twin_is_back`: what it last said is not its state any more."""
+        self.twin_status = TwinStatus(0)
+        self._expected_boots = set(self._twin_ids)
+        self.twin_problem, self.twin_heard = "", False
+
     def twin_is_back(self) -> None:
-        """From now on a boot-up of the twin is a fault again."""
-        self._expected_boots = set()
+        """The twin's nodes were started: they are watched again from their first heartbeat as such."""
+        self.twin_problem = ""
+        for node_id in self._twin_ids:
+            self._heard_cycle.pop(node_id, None)
+
+    def read_statusword(self, drive: Drive) -> int:
+        """The statusword of a drive by SDO. Raises BenchFaultError when it does not answer."""
+        return int(self._sdo().sdo_read(drive.settings.node_id, objects.STATUSWORD))
 
     def use_synchronizer(self, method: int) -> None:
         """Let the twin go on with another method, by its number (2101h); 0: the configured one."""
@@ -235,14 +262,18 @@ class Nodes:
                     f"statusword {statusword:04X}h, expected OPERATION ENABLED"
                 )
 
+    @staticmethod
+    def sender(drive: Drive) -> str:
+        """Who a drive is, in messages and in `expected_pdos`."""
+        return f"{drive.settings.name} (node {drive.settings.node_id})"
+
     def expected_pdos(self, twin_since: int = 0) -> list[ExpectedPdo]:
         """The TPDOs that answer SYNC; `twin_since`: the SYNC before the twin was started."""
         expected = []
         for drive in self.drives:
-            name = f"{drive.settings.name} (node {drive.settings.node_id})"
-            expected += [ExpectedPdo(pdo.cob_id, pdo.period, name) for _, pdo, _ in drive.pdos.tpdos]
+            expected += [ExpectedPdo(pdo.cob_id, pdo.period, self.sender(drive)) for _, pdo, _ in drive.pdos.tpdos]
         answers = (self.io.state, self.io.quality, self.io.status)
-        expected += [ExpectedPdo(pdo.cob_id, pdo.period, self.twin_name, twin_since) for pdo in answers]
+        expected += [ExpectedPdo(pdo.cob_id, pdo.period, self.twin_name, twin_since, vital=False) for pdo in answers]
         return expected
 
     def cyclic_frames(self) -> list[CyclicFrame]:
@@ -251,8 +282,7 @@ class Nodes:
         for drive in (*self.drives, *self.virtual_axes):
             name, pdos = drive.settings.name, drive.pdos
             if drive not in self.virtual_axes:
-                cob_ids = [pdos.rpdo.cob_id, *(copy.cob_id for copy in drive.settings.copies)]
-                frames += [CyclicFrame(f"{name} RPDO", cob_id, pdos.rpdo.size) for cob_id in cob_ids]
+                frames += [CyclicFrame(f"{name} RPDO", cob_id, pdos.rpdo.size) for cob_id in drive.rpdo_cob_ids]
             frames += [CyclicFrame(f"{name} TPDO", pdo.cob_id, pdo.size, 1 / pdo.period) for _, pdo, _ in pdos.tpdos]
         for name in ("state", "quality", "status", "boundary"):
             pdo: PdoMap = getattr(self.io, name)
@@ -278,11 +308,23 @@ class Nodes:
         return frames
 
     def decode(self, frames: Sequence[Frame]) -> None:
-        """Take what came in this cycle. Raises BenchFaultError when a node rebooted or a drive has a fault."""
-        data = {frame.can_id: frame.data for frame in frames}
-        for can_id, content in data.items():
-            if _HEARTBEAT < can_id <= _HEARTBEAT + 0x7F and content[:1] != bytes([_OPERATIONAL]):
-                self._not_operational(can_id - _HEARTBEAT, content)
+        """Take what came in this cycle. Raises BenchFaultError when a drive has a fault, has left OPERATIONAL, or is
+        silent; the twin's nodes only get a `twin_problem`."""
+        self._cycle += 1
+        self.emergencies = []
+        data: dict[int, bytes] = {}
+        for can_id, content, _ in frames:
+            size = self._sizes.get(can_id)
+            if size is not None and len(content) != size:
+                self.malformed += 1
+                continue
+            data[can_id] = content
+            if _HEARTBEAT < can_id <= _HEARTBEAT + 0x7F:
+                self._heartbeat(can_id - _HEARTBEAT, content)
+            elif _EMERGENCY < can_id <= _EMERGENCY + 0x7F:
+                self._emergency(can_id - _EMERGENCY, content)
+        if self._cycle % _HEARTBEAT_LOOK_CYCLES == 0:
+            self._look_for_silent_nodes()
         for drive in self.drives:
             drive.decode(data)
         state, quality = data.get(self.io.state.cob_id), data.get(self.io.quality.cob_id)
@@ -300,14 +342,42 @@ class Nodes:
 
     def twin_age(self, syncs: int) -> int:
         """How many cycles old the twin's last answer is, `syncs` after the twin was started."""
-        return (syncs - self._twin_sync) & 0xFFFF
+        # Started beside running SYNCs it may have counted one or two more than the bench.
+        return max(0, ((syncs - self._twin_sync + 0x8000) & 0xFFFF) - 0x8000)
 
-    def _not_operational(self, node_id: int, content: bytes) -> None:
+    def _heartbeat(self, node_id: int, content: bytes) -> None:
         name = self._known.get(node_id)
-        if name is None or node_id in self._expected_boots:
+        if name is None or len(content) != 1:
             return
-        what = "has restarted (boot-up)" if content == b"\0" else f"has left OPERATIONAL (heartbeat {content.hex()}h)"
-        raise BenchFaultError(f"{name} (node {node_id}) {what} during the run")
+        state = content[0]
+        if node_id == self.config.nodes.virtual_io.node_id:
+            self.twin_heard = True
+        if state == _OPERATIONAL:
+            self._heard_cycle[node_id] = self._cycle
+            self._expected_boots.discard(node_id)
+        elif node_id not in self._expected_boots:
+            what = "has restarted (boot-up)" if state == _BOOT_UP else f"has left OPERATIONAL (heartbeat {state:02X}h)"
+            self._lost(node_id, f"{what} during the run")
+
+    def _look_for_silent_nodes(self) -> None:
+        for node_id, heard in self._heard_cycle.items():
+            if 0 < self._silence_cycles < self._cycle - heard and node_id not in self._expected_boots:
+                silent_s = (self._cycle - heard) * self.config.cycle_time_s
+                self._lost(node_id, f"has sent no heartbeat for {silent_s:.2f} s")
+
+    def _lost(self, node_id: int, what: str) -> None:
+        text = f"{self._known[node_id]} (node {node_id}) {what}"
+        if node_id not in self._twin_ids:
+            raise BenchFaultError(text)
+        self.twin_problem = text
+
+    def _emergency(self, node_id: int, content: bytes) -> None:
+        if node_id in self._known:
+            emergency = Emergency.of(node_id, self._known[node_id], content)
+            if emergency is not None:
+                self.emergencies.append(emergency)
+            else:
+                self.malformed += 1
 
     def fill(self, sample: CycleSample) -> None:
         """Put the measurements of this cycle into a sample; SI, positions and velocities at the web."""

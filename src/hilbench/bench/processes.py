@@ -20,16 +20,20 @@ _END_TIMEOUT_S = 5.0
 
 
 class ChildProcess:
-    """One hilbench command running beside the bench; what it says goes to a log file."""
+    """One process beside the bench, by its arguments after ``python -m``; what it says goes to a log file."""
 
     def __init__(self, name: str, arguments: Sequence[str], log_path: Path) -> None:
         self.name = name
         #: Frames it lost because it did not read in time; None: it has not ended in order, or its bus cannot tell.
         self.lost_frames: int | None = None
         self._log_path = log_path
-        with log_path.open("wb") as log:
-            self._process = subprocess.Popen(
-                [sys.executable, "-m", "hilbench.cli", *arguments],
+        self._arguments = list(arguments)
+        self._process = self._start()
+
+    def _start(self) -> subprocess.Popen[bytes]:
+        with self._log_path.open("ab") as log:
+            return subprocess.Popen(
+                [sys.executable, "-m", *self._arguments],
                 stdin=subprocess.PIPE,
                 stdout=log,
                 stderr=subprocess.STDOUT,
@@ -37,6 +41,17 @@ class ChildProcess:
                 # Ctrl-C at the terminal is the bench's to handle: it needs the drives to stop them.
                 start_new_session=True,
             )
+
+    def restart(self) -> None:
+        """Start it again after it has ended."""
+        if self._process.stdin is not None:
+            self._process.stdin.close()
+        self._process = self._start()
+
+    @property
+    def ended(self) -> bool:
+        """Whether it has ended by itself, or was killed."""
+        return self._process.poll() is not None
 
     @property
     def pid(self) -> int:

@@ -1,6 +1,7 @@
 """The quantities of a running bench that an experiment may change, by path.
 
-`line_speed_m_s`, `tension_control.set_point_N`, `load.web.youngs_modulus_Pa`, and any parameter of any effect, hidden
+`line_speed_m_s`, `tension_control.set_point_N`, `load.web.youngs_modulus_Pa`, `load.web.broken` (1: the web of the span
+has torn and pulls no more; 0: it is whole), and any parameter of any effect, hidden
 in the imitated mechanics or in the simulated hardware: `load.effects.elasticity_drift.rate_per_s`,
 `hardware.effects.coulomb_friction.axis1.force_N`.
 """
@@ -14,8 +15,9 @@ from hilbench.web.effects import find_effect
 LINE_SPEED = "line_speed_m_s"
 TENSION_SET_POINT = "tension_control.set_point_N"
 YOUNGS_MODULUS = "load.web.youngs_modulus_Pa"
+WEB_BROKEN = "load.web.broken"
 
-PLAIN_PATHS = (LINE_SPEED, TENSION_SET_POINT, YOUNGS_MODULUS)
+PLAIN_PATHS = (LINE_SPEED, TENSION_SET_POINT, YOUNGS_MODULUS, WEB_BROKEN)
 
 
 @dataclass(frozen=True)
@@ -48,6 +50,11 @@ def parse_effect_path(text: str) -> EffectPath:
     if parameter not in names:
         raise ValueError(f"a parameter of '{name}' ({', '.join(names)}), '{parameter}' is none")
     return EffectPath(place, name, axis, parameter)
+
+
+def is_of_load(path: str) -> bool:
+    """Whether a quantity belongs to the imitated mechanics."""
+    return path.startswith("load.")
 
 
 def settable_path(text: str) -> str:

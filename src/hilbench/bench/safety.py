@@ -1,52 +1,64 @@
-"""Limits of a run, and the way to the safe state."""
+"""The way to the safe state."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from hilbench.bench.config import SafetyConfig
-from hilbench.bench.sample import CycleSample
 from hilbench.drives.drive import Drive, DriveGoal
-from hilbench.errors import BenchFaultError, BusError, NoAnswerError
+from hilbench.drives.state_machine import POWERED, STATUS_TARGET_REACHED, State, decode_statusword
+from hilbench.errors import BenchFaultError, BusError, EmergencyStopError
 
-#: Cycles in a row without an answer after which a quick stop is not waited for any longer. The set points of the
-#: stop were sent in each of them; drives that don't hear them stop by their own supervision.
-_SILENT_CYCLES = 3
-
-
-def check_limits(sample: CycleSample, limits: SafetyConfig) -> None:
-    """Raise BenchFaultError when the simulated or the imitated tension leaves its range (NaN counts as outside)."""
-    for name, tension_N in (("simulated", sample.F_sim_N), ("imitated", sample.F_true_N)):
-        if not -1.0 <= tension_N <= limits.tension_limit_N:
-            raise BenchFaultError(
-                f"t = {sample.t_s:.3f} s: {name} tension {tension_N:.1f} N is outside 0 to {limits.tension_limit_N:g} N"
-            )
+#: Cycles between two questions to the drives while they stop after an emergency stop.
+_ASK_EVERY = 25
 
 
-def quick_stop(drives: Sequence[Drive], exchange: Callable[[], None], cycle_s: float) -> None:
-    """Quick stop every drive and run cycles until all stand still.
+def quick_stop(
+    drives: Sequence[Drive], silent: Callable[[Drive], bool], exchange: Callable[[], None], cycle_s: float
+) -> None:
+    """Quick stop every drive and run cycles until all that answer (not `silent`) stand still.
 
-    Faults of single drives don't keep the others from being stopped. Raises BenchFaultError, naming the drives,
-    when one has not stopped within its time-outs, when a participant stays silent, or the bus is lost.
+    Faults of single drives don't keep the others from being stopped. Raises BenchFaultError, naming the drives, when
+    one has not stopped within its time-outs, or the bus is lost.
     """
     for drive in drives:
         drive.request(DriveGoal.QUICK_STOP)
     longest_s = max(drive.settings.time_out_s + drive.settings.ramp_time_out_s for drive in drives)
-    silent_cycles, problem = 0, ""
+    problem = "no fault was reported"
     for _ in range(round(longest_s / cycle_s)):
-        if all(drive.reached for drive in drives):
-            return
+        if all(drive.reached or silent(drive) for drive in drives):
+            break
         try:
             exchange()
-            silent_cycles = 0
-        except NoAnswerError as error:
-            silent_cycles += 1
-            if silent_cycles == _SILENT_CYCLES:
-                raise
-            problem = str(error)
-        except BusError:
+        except (BusError, EmergencyStopError):
             raise
         except BenchFaultError as error:
             problem = str(error)
-    late = ", ".join(drive.settings.name for drive in drives if not drive.reached)
-    raise BenchFaultError(f"{late} still not stopped; {problem or 'no fault was reported'}")
+    else:
+        late = ", ".join(drive.settings.name for drive in drives if not drive.reached)
+        raise BenchFaultError(f"{late} still not stopped; {problem}")
+
+
+def confirm_stopped(
+    drives: Sequence[Drive], statusword: Callable[[Drive], int], exchange: Callable[[], None], cycle_s: float
+) -> None:
+    """Run cycles until drives that send no PDOs (after an emergency stop) say by SDO that they have stopped.
+
+    Raises BenchFaultError naming the drives that have not within their time-out, or do not answer.
+    """
+    moving = list(drives)
+    longest_s = max(drive.settings.ramp_time_out_s for drive in drives)
+    for cycle in range(round(longest_s / cycle_s)):
+        exchange()
+        if cycle % _ASK_EVERY == 0:
+            moving = [drive for drive in moving if not _has_stopped(statusword(drive))]
+            if not moving:
+                exchange()  # the last answers belong in the trace
+                return
+    raise BenchFaultError(f"{', '.join(drive.settings.name for drive in moving)} still not stopped")
+
+
+def _has_stopped(statusword: int) -> bool:
+    state = decode_statusword(statusword)
+    if state is State.QUICK_STOP_ACTIVE:
+        return bool(statusword & STATUS_TARGET_REACHED)
+    return state not in POWERED

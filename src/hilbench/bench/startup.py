@@ -6,7 +6,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,14 +17,19 @@ from hilbench.bench.cycle import CyclicExchange, FrameTap
 from hilbench.bench.memory import locked_memory
 from hilbench.bench.nodes import Nodes
 from hilbench.bench.processes import ChildProcess
+from hilbench.bench.supervisor import Watch
 from hilbench.bus.link import Link
 from hilbench.bus.open import open_link, open_python_can
+from hilbench.errors import BusError, EmergencyStopError
 from hilbench.fieldbus import master as nmt
+from hilbench.fieldbus.emergency_stop import EMERGENCY_STOP_COB_ID
 from hilbench.fieldbus.master import Master
 
 #: After the start command the nodes' clocks stand still until SYNC; what they said just before it must not arrive as
 #: part of the first cycle.
 _AFTER_START_S = 0.1
+#: Name of the twin's process.
+TWIN = "twin"
 
 
 @dataclass
@@ -34,6 +39,7 @@ class StartedBench:
     nodes: Nodes
     exchange: CyclicExchange
     children: list[ChildProcess]
+    supervisor: ChildProcess | None  #: None when there is no heartbeat to watch
 
 
 @contextmanager
@@ -67,13 +73,16 @@ def bring_up(
                 announce("look for simulated hardware and twin")
             for child in children:
                 resources.callback(child.end)
+            supervisor = _start_supervisor(config, folder)
+            if supervisor is not None:
+                resources.callback(supervisor.end)
             _wait_for_nodes(config, master, children)
             announce("configure nodes")
             nodes.configure(master)
             master.nmt(nmt.START)
             master.hear_only_answers()
             time.sleep(_AFTER_START_S)
-            resources.callback(master.nmt, nmt.PRE_OPERATIONAL)
+            resources.callback(_release_nodes, master)
         if config.pace == "realtime":
             resources.enter_context(locked_memory())
         exchange = CyclicExchange(
@@ -87,7 +96,13 @@ def bring_up(
             heartbeat=(config.master.node_id, config.master.heartbeat_ms),
             tap=tap,
         )
-        yield StartedBench(nodes, exchange, children)
+        yield StartedBench(nodes, exchange, children, supervisor)
+
+
+def _release_nodes(master: Master) -> None:
+    """Leave the nodes in PRE-OPERATIONAL; on a bus that was lost they are on their own."""
+    with suppress(BusError):
+        master.nmt(nmt.PRE_OPERATIONAL)
 
 
 def start_children(config: BenchConfig, folder: Path) -> list[ChildProcess]:
@@ -97,9 +112,22 @@ def start_children(config: BenchConfig, folder: Path) -> list[ChildProcess]:
         path.write_text(yaml.safe_dump(config.model_dump(mode="json", exclude_none=True), sort_keys=False))
     children = []
     if any(node.simulated for part, node in config.nodes if part in ("axis1", "axis2", "load")):
-        children.append(ChildProcess("simulated hardware", ["simulate-hardware", str(path)], folder / "hardware.log"))
-    children.append(ChildProcess("twin", ["twin", str(path)], folder / "twin.log"))
+        children.append(
+            ChildProcess(
+                "simulated hardware", ["hilbench.cli", "simulate-hardware", str(path)], folder / "hardware.log"
+            )
+        )
+    children.append(ChildProcess(TWIN, ["hilbench.cli", "twin", str(path)], folder / "twin.log"))
     return children
+
+
+def _start_supervisor(config: BenchConfig, folder: Path) -> ChildProcess | None:
+    if not config.master.heartbeat_ms:
+        return None
+    # In lockstep the bench waits for its participants, and no heartbeat comes meanwhile.
+    patience_s = config.safety.cycle_timeout_s if config.pace == "lockstep" else 0.0
+    watch = Watch(config.bus_address, config.master.node_id, patience_s + config.safety.supervisor_timeout_s)
+    return ChildProcess("supervisor", watch.arguments(), folder / "supervisor.log")
 
 
 def _wait_for_nodes(config: BenchConfig, master: Master, children: list[ChildProcess]) -> None:
@@ -124,6 +152,8 @@ def _watched(link: Link, tap: FrameTap | None) -> Iterator[None]:
         try:
             while not done.is_set():
                 frames = link.receive(0.02)
+                if any(frame.can_id == EMERGENCY_STOP_COB_ID for frame in frames):
+                    failures.append(EmergencyStopError("emergency stop (COB-ID 001h) on the bus during the start"))
                 if frames and tap is not None:
                     now_ns = time.time_ns()
                     tap.write([frame._replace(time_ns=now_ns) for frame in frames])

@@ -1,7 +1,9 @@
 """Upstream tension control: the velocity of axis 1 is set from the simulated tension; axis 2 holds the line speed.
 
-The loop is closed once the twin says that it is synchronized, and open while the twin's data are too old; an open
-loop keeps the ratio of speeds.
+The loop is closed once the twin says that it is synchronized, and open while the twin can't be trusted. An open loop
+goes from the last ratio of speeds to the one that gives the set-point by mass conservation, with E as it was known:
+(v1/v2)·(1 + ε_ref) = 1 + ε_prev, ε_ref = F_ref/ES. Kept as it was, the ratio of a moment in which the controller was
+busy would take the web to another strain altogether.
 
 Linearized about F = ES·ε the span answers a velocity difference c = v2 − v1 with F' = (ES/L)·c − (v/L)·F. But roller
 2 gives way to the web: below its velocity loop's bandwidth the integral part of the loop holds it like a spring of
@@ -17,6 +19,9 @@ from pydantic import BaseModel, ConfigDict, Field, PositiveFloat
 
 #: Longest integral time, times the bandwidth.
 _LONGEST_INTEGRAL = 4.0
+#: Time constants of an open loop's way to its ratio, and of the E that it takes with it.
+_HOLD_S = 0.5
+_KNOWN_S = 0.5
 
 
 class TensionControlConfig(BaseModel):
@@ -29,6 +34,9 @@ class TensionControlConfig(BaseModel):
     twin_age_limit_cycles: int = Field(
         default=10, ge=0, description="age of the twin's data up to which the loop stays closed on them"
     )
+    twin_deviation_limit_pct: PositiveFloat = Field(
+        default=30.0, description="stated deviation of E up to which the loop stays closed on the twin"
+    )
     correction_limit_m_s: PositiveFloat = Field(default=0.02, description="largest |v1 - v2| the controller asks for")
 
 
@@ -36,26 +44,38 @@ class TensionController:
     """PI controller with its gains scheduled on line speed and stiffness; velocities at the web, m/s.
 
     `roller_stiffness_N_per_m`: what holds roller 2 against the web at low frequency; inf for one that does not yield.
+    `upstream_strain`: of the web that enters the span.
     """
 
     def __init__(
-        self, config: TensionControlConfig, span_length_m: float, section_m2: float, roller_stiffness_N_per_m: float
+        self,
+        config: TensionControlConfig,
+        span_length_m: float,
+        section_m2: float,
+        roller_stiffness_N_per_m: float,
+        upstream_strain: float,
     ) -> None:
         self._config = config
         self._length_m = span_length_m
         self._area_m2 = section_m2
         self._roller_stiffness_N_per_m = roller_stiffness_N_per_m
+        self._upstream_strain = upstream_strain
         self.reset()
 
     def reset(self) -> None:
         """Forget the integral (drives off)."""
         self._integral_m_s = 0.0
         self._ratio = 0.0
+        self._modulus_Pa: float | None = None  # None before the loop was closed
         self._closed = True
 
-    def hold(self, line_speed_m_s: float) -> float:
-        """Velocity set point of axis 1 while the loop is open: the last ratio of speeds, and so the last strain."""
+    def hold(self, line_speed_m_s: float, set_point_N: float, cycle_s: float) -> float:
+        """Velocity set point of axis 1 while the loop is open, without a jump from what it was."""
         self._closed = False
+        if self._modulus_Pa is not None:
+            strain = set_point_N / (self._modulus_Pa * self._area_m2)
+            wanted = 1.0 - (1.0 + self._upstream_strain) / (1.0 + strain)
+            self._ratio += cycle_s / (_HOLD_S + cycle_s) * (wanted - self._ratio)
         return line_speed_m_s * (1.0 - self._ratio)
 
     def velocity(
@@ -72,6 +92,8 @@ class TensionController:
         kp = self._config.bandwidth_rad_per_s * (1.0 + gives_way) * self._length_m / stiffness_N
         pole_per_s = abs(line_speed_m_s) / ((1.0 + gives_way) * self._length_m)
         ki = kp * max(pole_per_s, self._config.bandwidth_rad_per_s / _LONGEST_INTEGRAL)
+        known_Pa = self._modulus_Pa or modulus_Pa
+        self._modulus_Pa = known_Pa + cycle_s / (_KNOWN_S + cycle_s) * (modulus_Pa - known_Pa)
         if not self._closed:
             self._integral_m_s = self._ratio * line_speed_m_s - kp * error_N
             self._closed = True
@@ -81,5 +103,5 @@ class TensionController:
             self._integral_m_s = integral
         else:  # hold the integral while the limit is reached
             correction = limit if correction > 0 else -limit
-        self._ratio = self._integral_m_s / line_speed_m_s if line_speed_m_s else 0.0
+        self._ratio = correction / line_speed_m_s if line_speed_m_s else 0.0
         return line_speed_m_s - correction

@@ -125,6 +125,39 @@ def twin(config: ConfigArgument, bus: BusOption = None, pace: PaceOption = None)
 
 
 @app.command()
+def estop(
+    bus: Annotated[
+        list[str] | None,
+        typer.Option("--bus", help="bus to stop, can be given more than once; without it every embedded bus that runs"),
+    ] = None,
+) -> None:
+    """Emergency stop: every device on the bus stops at once, and the bench ends in the safe state (exit code 3).
+
+    Exit code: 0 sent and no node says OPERATIONAL any more, 2 no bus to stop, 3 not sent, or a node still OPERATIONAL.
+
+    Example: hilbench estop --bus socketcan:can0
+    """
+    from hilbench.cli.estop import estop_command
+
+    raise typer.Exit(estop_command(bus))
+
+
+@app.command()
+def recover(
+    run_folder: Annotated[Path, typer.Argument(metavar="RUN", help="folder of a run that was cut off")],
+) -> None:
+    """Rebuild what a run that was cut off could not write (recording, result, report) from its trace.
+
+    Nothing that is there already is overwritten.
+
+    Example: hilbench recover runs/web_section_step-20260101-120000
+    """
+    from hilbench.cli.recover import recover_command
+
+    recover_command(run_folder)
+
+
+@app.command()
 def report(run_folder: Annotated[Path, typer.Argument(metavar="RUN", help="run folder")]) -> None:
     """Write the report of a run folder anew.
 

@@ -114,7 +114,7 @@ def show_outcome(console: Console, outcome: RunOutcome) -> None:
         console.print(_criteria_table(result))
     timing = result.timing
     console.print(_timing_line(timing))
-    for warning in timing.warnings():
+    for warning in result.all_warnings():
         console.print(f"[yellow]warning[/yellow] {warning}", soft_wrap=True)
     for fault in result.faults:
         console.print(f"[red]fault[/red] {fault.source}: {fault.text}", soft_wrap=True)

@@ -115,6 +115,11 @@ class Drive:
         self.units = read_units(master, settings.node_id, self.od, settings.units, settings.name)
 
     @property
+    def rpdo_cob_ids(self) -> tuple[int, ...]:
+        """COB-ID of RPDO1, and those of its copies."""
+        return self.pdos.rpdo.cob_id, *(copy.cob_id for copy in self.settings.copies)
+
+    @property
     def units(self) -> DriveUnits:
         """Device units of this drive; not numbers before `configure`."""
         return self._units
@@ -142,8 +147,13 @@ class Drive:
         return self.feedback
 
     def request(self, goal: DriveGoal) -> None:
-        """Head for `goal` from the next `decode` on; asking again starts its time-outs anew."""
+        """Head for `goal` from the next `encode` on; asking again starts its time-outs anew.
+
+        The controlword goes with the set point: an enabled drive that is told zero for one cycle before its quick
+        stop would brake as hard as it can.
+        """
         self.goal = goal
+        self.controlword = self._next_controlword(self.feedback.state)
         self.reached = False
         self._failed = False
         self._waited_cycles = 0

@@ -97,6 +97,7 @@ class SimulatedDrive:
         device.cell(SIMULATED_FAULT).on_write = self._simulated_fault_written
         device.on_nmt = self._nmt_changed
         device.on_communication_error = self._communication_error
+        device.on_emergency_stop = self._emergency_stop
         self._operational = False
         #: Error codes of EMCY messages that stand.
         self._reported: list[int] = []
@@ -315,6 +316,12 @@ class SimulatedDrive:
     def _communication_error(self, code: int) -> None:
         """The device lost its master (its runtime has sent the EMCY already)."""
         self._connection_lost(code)
+
+    def _emergency_stop(self) -> None:
+        """Quick stop at once, whatever 6007h says: the command does not come from a connection that was lost."""
+        if self._state is State.OPERATION_ENABLED:
+            self._quick_stop()
+            self._show_status(0.0)
 
     def _nmt_changed(self, state: NmtState) -> None:
         if state is NmtState.INITIALISING:

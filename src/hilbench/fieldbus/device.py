@@ -17,6 +17,7 @@ from hilbench.errors import UnusableInputError
 from hilbench.fieldbus.clock import Clock
 from hilbench.fieldbus.device_pdo import RPDO_TIMED_OUT, Rpdo, Tpdo
 from hilbench.fieldbus.emcy import COMMUNICATION_ERROR, EmergencyProducer
+from hilbench.fieldbus.emergency_stop import EMERGENCY_STOP_COB_ID
 from hilbench.fieldbus.heartbeat import HeartbeatConsumer, HeartbeatProducer
 from hilbench.fieldbus.identifiers import is_restricted
 from hilbench.fieldbus.object_store import (
@@ -62,8 +63,9 @@ class Device:
     """One CANopen device on the object dictionary of an EDS file.
 
     `cell(index, sub)` is the one place of an object's value. The application may set `on_nmt(state)` (told of every
-    change, INITIALISING for a reset), `on_communication_error(code)` (EMCY code: a watched heartbeat or an RPDO missed)
-    and `on_write` of cells. Raises UnusableInputError when the EDS lacks what a device needs.
+    change, INITIALISING for a reset), `on_communication_error(code)` (EMCY code: a watched heartbeat or an RPDO
+    missed), `on_emergency_stop()` (the global fail-safe command has come) and `on_write` of cells.
+    Raises UnusableInputError when the EDS lacks what a device needs.
     """
 
     def __init__(self, od: canopen.ObjectDictionary, node_id: int, clock: Clock, *, store: Path | None = None) -> None:
@@ -73,6 +75,7 @@ class Device:
         self.outbox: list[Frame] = []
         self.on_nmt: Callable[[NmtState], None] | None = None
         self.on_communication_error: Callable[[int], None] | None = None
+        self.on_emergency_stop: Callable[[], None] | None = None
         self._clock = clock
         self._store = ObjectStore(od)
         for index in _NEEDED:
@@ -139,6 +142,9 @@ class Device:
                 self._compile_pdos_if_changed()
         elif can_id == 0:
             self._nmt_command(frame.data)
+        elif can_id == EMERGENCY_STOP_COB_ID:
+            if self.on_emergency_stop is not None:
+                self.on_emergency_stop()
         elif 0x701 <= can_id <= 0x77F and len(frame.data) == 1 and frame.data != _BOOT_UP:
             self._consumer.heard(can_id - 0x700)
         elif can_id & REMOTE_FLAG and not can_id & EXTENDED_FLAG and self.nmt_state is NmtState.OPERATIONAL:

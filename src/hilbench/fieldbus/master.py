@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,7 +13,7 @@ import can
 import canopen
 from canopen.objectdictionary import ODVariable
 
-from hilbench.errors import BenchFaultError
+from hilbench.errors import BenchFaultError, BusError
 from hilbench.fieldbus import eds
 from hilbench.fieldbus.data_types import data_type
 from hilbench.fieldbus.pdo import PdoMap
@@ -35,6 +36,14 @@ class Identity:
     product_code: int
     revision_number: int
     serial_number: int
+
+
+@contextmanager
+def _bus_errors() -> Iterator[None]:
+    try:
+        yield
+    except can.CanError as error:
+        raise BusError(" ".join(str(error).split())) from error
 
 
 class Master:
@@ -68,14 +77,16 @@ class Master:
         bus.set_filters([{"can_id": 0x580, "can_mask": 0x780, "extended": False}])
 
     def close(self) -> None:
-        """Leave the bus."""
-        self._network.disconnect()
+        """Leave the bus. One that is lost was reported by whoever used it."""
+        with suppress(can.CanError):
+            self._network.disconnect()
 
     # -- NMT ---------------------------------------------------------------------------------------------
 
     def nmt(self, command: int, node_id: int = 0) -> None:
-        """Send an NMT command to one node, or to all (0)."""
-        self._network.send_message(0, bytes([command, node_id]))
+        """Send an NMT command to one node, or to all (0). Raises BusError when the bus is lost."""
+        with _bus_errors():
+            self._network.send_message(0, bytes([command, node_id]))
 
     def _heartbeat(self, can_id: int, data: bytearray, timestamp: float) -> None:
         if len(data) == 1:
@@ -123,7 +134,7 @@ class Master:
 
     def _answers(self, node_id: int) -> bool:
         try:
-            with self._lock:
+            with self._lock, _bus_errors():
                 self._network[node_id].sdo.upload(0x1000, 0)
         except (canopen.SdoCommunicationError, canopen.SdoAbortedError):
             return False
@@ -135,7 +146,7 @@ class Master:
         """The value of an object, decoded by its EDS type."""
         variable = self._variable(node_id, index, sub)
         try:
-            with self._lock:
+            with self._lock, _bus_errors():
                 data = self._network[node_id].sdo.upload(index, sub)
         except (canopen.SdoCommunicationError, canopen.SdoAbortedError) as error:
             raise self._fault(node_id, variable, "reading", error) from error
@@ -152,7 +163,7 @@ class Master:
         except ValueError as error:
             raise BenchFaultError(f"{self._place(node_id, variable)}: writing {value!r} to it: {error}") from error
         try:
-            with self._lock:
+            with self._lock, _bus_errors():
                 self._network[node_id].sdo.download(index, sub, data)
         except (canopen.SdoCommunicationError, canopen.SdoAbortedError) as error:
             raise self._fault(node_id, variable, f"writing {value!r} to", error) from error

@@ -11,6 +11,7 @@ import gzip
 import os
 import struct
 import warnings
+import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -348,7 +349,7 @@ def _read_csv(path: Path) -> Recording:
         with _open_text(path) as file:
             names = _header(path, file.readline())
             rows = _rows(path, file, len(names))
-    except (OSError, EOFError, gzip.BadGzipFile, UnicodeDecodeError) as error:
+    except (OSError, EOFError, zlib.error, UnicodeDecodeError) as error:
         if isinstance(error, OSError) and error.strerror:
             reason = error.strerror
         else:

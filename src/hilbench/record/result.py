@@ -163,7 +163,10 @@ class Environment(_Part):
 
 
 class Result(_PartWithOptions):
-    """The verdict of one run. `passed` holds exactly when every criterion does and no fault stopped the run."""
+    """The verdict of one run. `passed` holds exactly when every criterion does and no fault stopped the run.
+
+    `warnings`: what did not stop the run (a limit's warning level, an EMCY message, a tension loop that opened).
+    """
 
     passed: bool
     criteria: list[CriterionResult]
@@ -171,6 +174,7 @@ class Result(_PartWithOptions):
     timing: Timing
     faults: list[Fault]
     environment: Environment | None = None
+    warnings: list[Fault] | None = None
 
     @classmethod
     def of(
@@ -180,6 +184,7 @@ class Result(_PartWithOptions):
         timing: Timing,
         faults: Sequence[Fault],
         environment: Environment | None = None,
+        warnings: Sequence[Fault] = (),
     ) -> Self:
         """A result whose `passed` follows from its criteria and faults."""
         passed = all(criterion.passed for criterion in criteria) and not faults
@@ -190,7 +195,16 @@ class Result(_PartWithOptions):
             timing=timing,
             faults=list(faults),
             environment=environment,
+            warnings=list(warnings) or None,
         )
+
+    def all_warnings(self) -> list[str]:
+        """One line for each: losses of frames, then what the bench noted, in the order of time."""
+        noted = [
+            f"{'' if warning.time_s is None else f't = {warning.time_s:.3f} s, '}{warning.source}: {warning.text}"
+            for warning in self.warnings or []
+        ]
+        return [*self.timing.warnings(), *noted]
 
     def write(self, path: Path) -> None:
         """Write as JSON; the file appears complete or not at all. Raises UnusableInputError if it cannot be."""

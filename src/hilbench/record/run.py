@@ -18,11 +18,19 @@ from hilbench.bench.bench import Bench, CycleObserver, InterruptedByOperatorErro
 from hilbench.bench.check import check_bench
 from hilbench.bench.sample import CycleSample
 from hilbench.bench.signals import SIGNALS
-from hilbench.errors import EXIT_BENCH_FAULT, EXIT_CRITERION_FAILED, EXIT_INTERRUPTED, EXIT_PASSED, BenchFaultError
+from hilbench.errors import (
+    EXIT_BENCH_FAULT,
+    EXIT_CRITERION_FAILED,
+    EXIT_INTERRUPTED,
+    EXIT_PASSED,
+    BenchFaultError,
+    UnusableInputError,
+)
 from hilbench.experiment import config as config_files
 from hilbench.experiment.config import LoadedConfig
 from hilbench.experiment.criteria import CriterionResult, evaluate
 from hilbench.experiment.metrics import evaluate_metrics
+from hilbench.record.journal import JournalWriter
 from hilbench.record.junit import write_junit
 from hilbench.record.recording import Recording, RecordingBuilder, write_recording
 from hilbench.record.result import Environment, Fault, Result, Timing, jitter
@@ -87,7 +95,7 @@ def run_experiment(
     started = datetime.now(UTC)
     recorder = Recorder()
     exit_code, faults, judged = EXIT_PASSED, list[Fault](), list[CriterionResult]()
-    with TraceWriter(folder.trace, config.bus_address.channel) as trace:
+    with TraceWriter(folder.trace, config.bus_address.channel) as trace, JournalWriter(folder.journal) as journal:
         bench = Bench(
             config,
             observers=[recorder, *observers],
@@ -95,6 +103,7 @@ def run_experiment(
             work_folder=folder.path,
             start_processes=start_processes,
             announce=announce,
+            journal=journal.write,
         )
         try:
             with stop_on_signals(bench), bench:
@@ -103,19 +112,27 @@ def run_experiment(
                     step.run(bench, judged)
         except (InterruptedByOperatorError, KeyboardInterrupt) as error:
             exit_code = EXIT_INTERRUPTED
-            faults.append(Fault(time_s=bench.time_s, source="operator", text=str(error) or "interrupted during start"))
+            faults.append(
+                Fault(time_s=bench.fault_time_s, source="operator", text=str(error) or "interrupted during start")
+            )
         except BenchFaultError as error:
             exit_code = EXIT_BENCH_FAULT
-            faults.append(Fault(time_s=bench.time_s, source="bench", text=str(error)))
+            faults.append(Fault(time_s=bench.fault_time_s, source="bench", text=str(error)))
     faults += [Fault(time_s=None, source="safe state", text=text) for text in bench.safe_state_problems]
     announce("write recording and result")
     recording = recorder.recording(started, config.description)
-    if len(recording) >= _LEAST_SAMPLES:
-        write_recording(recording, folder.recording)
+    try:
+        if len(recording) >= _LEAST_SAMPLES:
+            write_recording(recording, folder.recording)
+    except UnusableInputError as error:
+        if not faults:
+            raise
+        raise BenchFaultError(f"{faults[0].text}; drives were stopped; then {error}") from error
     timing = measure_timing(bench)
     metrics = evaluate_metrics(recording.channels) | timing.metrics()
     criteria = judged + evaluate(config.criteria, metrics)
-    result = Result.of(criteria, metrics, timing, faults, Environment.here(config.seed))
+    warnings = [Fault(time_s=notice.time_s, source=notice.source, text=notice.text) for notice in bench.notices]
+    result = Result.of(criteria, metrics, timing, faults, Environment.here(config.seed), warnings)
     result.write(folder.result)
     write_junit(result, config.name, started, folder.junit)
     if exit_code == EXIT_PASSED and not result.passed:

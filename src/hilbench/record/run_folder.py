@@ -71,6 +71,11 @@ class RunFolder:
         return self.path / "trace.log"
 
     @property
+    def journal(self) -> Path:
+        """What the bench did and no frame says, a line each."""
+        return self.path / "journal.log"
+
+    @property
     def recording(self) -> Path:
         """Every cycle's samples, MDF4."""
         return self.path / "recording.mf4"

@@ -12,6 +12,7 @@ its predecessor's is written as it is: a clock that jumped is something a trace 
 
 from __future__ import annotations
 
+import fcntl
 import os
 import re
 from collections.abc import Iterable, Iterator
@@ -35,6 +36,8 @@ class TraceWriter:
     the last `end_cycle` are lost. It is not forced onto the disk, so that no cycle waits for one: a power
     failure may cost the last seconds. Memory does not grow with the length of the run.
 
+    While it is open the file is locked (flock): who finds it unlocked knows that the run has ended.
+
     `path` must not exist yet (a trace is never overwritten); `channel` is the bus name in every line.
     Raises UnusableInputError if the file cannot be created or the channel is not one word.
     """
@@ -47,10 +50,12 @@ class TraceWriter:
         self._channel = channel
         self._lines: list[str] = []
         self._heads: dict[int, str] = {}
+        self._failed = False
         self._seconds = -1
         self._seconds_text = ""
         try:
             self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND | os.O_CLOEXEC, 0o666)
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
             raise UnusableInputError(
                 path, f"cannot be created ({error.strerror}), expected a new file in a writable folder"
@@ -83,8 +88,12 @@ class TraceWriter:
         return head
 
     def end_cycle(self) -> None:
-        """Hand the collected lines to the operating system in one write. Raises BenchFaultError (disk full, …)."""
-        if not self._lines:
+        """Hand the collected lines to the operating system in one write.
+
+        Raises BenchFaultError (disk full, …) once; from then on the trace ends, so that the drives can be stopped.
+        """
+        if not self._lines or self._failed:
+            self._lines.clear()
             return
         rest = memoryview("".join(self._lines).encode("ascii", "backslashreplace"))
         count = len(self._lines)
@@ -93,6 +102,7 @@ class TraceWriter:
             while rest:
                 rest = rest[os.write(self._file, rest) :]
         except OSError as error:
+            self._failed = True
             raise BenchFaultError(f"{self.path}: the trace cannot be written ({error.strerror})") from error
         self.frames += count
 

@@ -75,7 +75,7 @@ def render(
         _header(name, result, recording),
         _criteria(result.criteria),
         _faults(result.faults),
-        _warnings(result.timing.warnings()),
+        _warnings(result.all_warnings()),
         _pictures(draw_pictures(recording, reference_Pa)),
         _metrics(result.metrics),
         _timing(result.timing),

@@ -35,6 +35,7 @@ class AxisListener:
         settings = DriveSettings(f"axis of node {node_id}", node_id, OperationMode.CYCLIC_SYNCHRONOUS_VELOCITY, cycle_s)
         _, pdo, indices = drive_pdos(settings, od).tpdos[0]
         self.cob_id = pdo.cob_id
+        self.size = pdo.size  #: bytes of the frame's data
         self._unpack = pdo.unpack
         self._position = indices.index(objects.POSITION_ACTUAL_VALUE)
         self._torque = indices.index(objects.TORQUE_ACTUAL_VALUE)
@@ -42,7 +43,7 @@ class AxisListener:
         self._counter = UnwrappingCounter()
 
     def decode(self, data: bytes) -> tuple[float, float]:
-        """Position in rad, unwrapped, and torque in N·m."""
+        """Position in rad, unwrapped, and torque in N·m; `data` of `size` bytes."""
         values = self._unpack(data)
         position = self._counter.update(int(values[self._position])) * self._units.position_rad
         return position, float(values[self._torque]) * self._units.torque_Nm

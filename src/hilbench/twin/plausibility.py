@@ -23,6 +23,8 @@ class Problem(IntEnum):
     SATURATED = 0xFF12  #: the drive is at its torque limit
     SLACK = 0xFF13  #: the web carries no tension
     STANDSTILL = 0xFF14  #: the roller stands under dry friction
+    WEB_BREAK = 0xFF15  #: the web does not pull any more although it should be strained
+    SLIP = 0xFF16  #: roller 2 slips: the encoders do not show the web's strain
 
 
 class Plausibility:

@@ -23,6 +23,7 @@ from hilbench.twin.synchronizers.create import METHODS
 from hilbench.twin.tracking import Tracking
 from hilbench.twin.virtual_io import TwinStatus, VirtualIo
 from hilbench.web.line import Line
+from hilbench.web.pairing import Pairing
 from hilbench.web.parameters import ModelParameters
 
 #: Error register (1001h): generic and device profile.
@@ -72,6 +73,7 @@ class TwinApplication:
         virtual_io: VirtualIo,
     ) -> None:
         self.missed = 0
+        self.malformed = 0  #: frames with the COB-ID, but not the length, of an axis' TPDO
         self._cycle_s = setup.cycle_s
         self._hold_when_behind = setup.twin.behind == "hold"
         self._line = line
@@ -82,6 +84,7 @@ class TwinApplication:
         self._listeners = [AxisListener(node, setup.cycle_s) for node in setup.real_axes]
         self._metres_per_rad = [1.0 / setup.model.motor_rad_per_m(axis) for axis in (1, 2)]
         self._tracking = Tracking(setup.model, setup.twin, line, ports[1], setup.cycle_s)
+        self._pairing = Pairing()
         self._measured: list[tuple[float, float] | None] = [None, None]  # position in rad, torque in N·m
         self._positions_before: list[float] | None = None
         self._reported: Problem | None = None
@@ -110,6 +113,8 @@ class TwinApplication:
         if self._pending:
             self.missed += 1
             self._advance()
+        # What came since is late: taken for an answer to this SYNC it would push the true one to the next, for ever.
+        self._measured = [None, None]
         self._sync_number += 1
         self._behind = behind
         self._io.tell_status(self._sync_number, behind, self._status())
@@ -124,6 +129,9 @@ class TwinApplication:
         """Take the real axes' TPDOs; the last one that was waited for starts the simulation of the cycle."""
         for axis, listener in enumerate(self._listeners):
             if frame.can_id == listener.cob_id:
+                if len(frame.data) != listener.size:
+                    self.malformed += 1
+                    return
                 self._measured[axis] = listener.decode(frame.data)
                 if self._pending and None not in self._measured:
                     self._advance()
@@ -138,7 +146,7 @@ class TwinApplication:
     def _advance(self) -> None:
         self._pending = False
         if self._behind and self._hold_when_behind:
-            self._tracking.skip()
+            self._tracking.miss()
         elif all(port.mode is not MotorMode.OFF for port in self._ports):
             if self._released or self._release_web():
                 self._compare()
@@ -175,6 +183,7 @@ class TwinApplication:
             tau_Nm=[first[1], second[1]] if moves else [0.0, 0.0],
         )
         self._tracking.release(_UNKNOWN_STRAIN if moves else 0.0)
+        self._pairing.reset()
         self._released = True
         self._time_s = 0.0
         return True
@@ -182,12 +191,16 @@ class TwinApplication:
     def _compare(self) -> None:
         first, second = self._measured
         if first is None or second is None:
-            self._tracking.skip()
+            self._tracking.miss()
+            return
+        positions = (first[0] * self._metres_per_rad[0], second[0] * self._metres_per_rad[1])
+        if not self._pairing.update(*positions):
+            self._tracking.miss()
             return
         self._tracking.compare(
             self._time_s,
-            first[0] * self._metres_per_rad[0],
-            second[0] * self._metres_per_rad[1],
+            positions[0],
+            positions[1],
             second[1],
             self._io.strain_prev,
             self._io.tension_next_N,

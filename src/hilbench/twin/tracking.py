@@ -9,13 +9,14 @@ from dataclasses import replace
 from math import exp, hypot, inf, isfinite
 
 from hilbench.drives.port import MotorPort
+from hilbench.twin.anomalies import Anomalies
 from hilbench.twin.config import PidConfig, SynchronizerConfig, TwinConfig
 from hilbench.twin.delay import DelayFinder, DelayLine
 from hilbench.twin.plausibility import Plausibility, Problem
 from hilbench.twin.synchronizers.base import Estimate, Synchronizer, SyncSample
 from hilbench.twin.synchronizers.create import new_synchronizer
 from hilbench.twin.synchronizers.plant import Plant
-from hilbench.web.balance import MeasuredBalance
+from hilbench.web.balance import BalanceSample, MeasuredBalance
 from hilbench.web.line import Line
 from hilbench.web.parameters import ModelParameters, per_item
 
@@ -45,6 +46,9 @@ class Tracking:
         self._model_delay_s = next(
             (e.parameters.get("delay_s", 0.0) for e in model.effects if (e.effect, e.axis) == ("torque_delay", 2)), 0.0
         )
+        self._anomalies = Anomalies(
+            model.required_web.youngs_modulus_Pa, self._balance.mass_kg, model.span_length_m(1), cycle_s
+        )
         self._synchronizer: Synchronizer
         self._unmodelled_N = 0.0
         self.reset()
@@ -70,6 +74,7 @@ class Tracking:
         """The web is released anew, strained as upstream but for an unknown share (relative)."""
         self._balance.reset()
         self._delay_line.reset()
+        self._anomalies.reset()
         self._strain_uncertainty = strain_uncertainty
         self._running = False
 
@@ -99,8 +104,13 @@ class Tracking:
         limit = 0.01 * self.config.synchronized_pct * self.estimate.youngs_modulus_Pa
         return self.problem is None and self._strain_uncertainty == 0.0 and self._own_deviation_Pa <= limit
 
-    def skip(self) -> None:
+    def miss(self) -> None:
         """A cycle without measurement."""
+        self._anomalies.interrupt()
+        self.skip()
+
+    def skip(self) -> None:
+        """Hold the estimate for a cycle."""
         self.estimate = self._stated(self._synchronizer.hold(self._cycle_s))
 
     def compare(
@@ -112,7 +122,7 @@ class Tracking:
         now = balance.update(x1_m, x2_m, torque_Nm, strain_prev, F_next_N, self._cycle_s)
         torque_sim_Nm = self._axis2.torque_Nm
         self.residual_Nm = torque_Nm - torque_sim_Nm
-        self.problem = self._plausibility.problem(torque_Nm, now.web_per_Pa, now.velocity_m_s)
+        self.problem = self._plausibility.problem(torque_Nm, now.web_per_Pa, now.velocity_m_s) or self._anomaly(now)
         moved = self._find_delay(torque_Nm, torque_sim_Nm)
         paired = None
         if not isfinite(now.force_N):
@@ -133,6 +143,15 @@ class Tracking:
         if self._running:
             self._transfer(x1_m, x2_m)
         self._running = True
+
+    def _anomaly(self, now: BalanceSample) -> Problem | None:
+        """Only of a web that is known: one that is found under way says nothing yet."""
+        if self._strain_uncertainty > 0.0:
+            return None
+        self._anomalies.update(now)
+        if self._anomalies.broken:
+            return Problem.WEB_BREAK
+        return Problem.SLIP if self._anomalies.slipping else None
 
     def _find_delay(self, torque_Nm: float, torque_sim_Nm: float) -> bool:
         """Whether the delay is another one from this cycle on."""

@@ -1,0 +1,59 @@
+"""EMCY messages of the nodes as a person reads them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from hilbench.twin.plausibility import Problem
+
+#: Classes of error codes (CiA 301, table 26), by the first digits that decide.
+_CLASSES = {
+    "10": "generic error",
+    "2": "current",
+    "3": "voltage",
+    "4": "temperature",
+    "5": "device hardware",
+    "6": "device software",
+    "7": "additional modules",
+    "80": "monitoring",
+    "81": "communication",
+    "82": "protocol error",
+    "84": "velocity control",
+    "86": "positioning",
+    "90": "external error",
+    "F0": "additional functions",
+    "FF": "device specific",
+}
+_PROBLEMS = {int(problem): problem.name.lower().replace("_", " ") for problem in Problem}
+_LENGTH = 8
+
+
+@dataclass(frozen=True)
+class Emergency:
+    """One EMCY message; `code` 0 takes the code in `cleared` back."""
+
+    node_id: int
+    node: str
+    code: int
+    register: int
+    cleared: int = 0
+
+    @classmethod
+    def of(cls, node_id: int, node: str, data: bytes) -> Emergency | None:
+        """From the data of the frame; None for what is no EMCY message."""
+        if len(data) != _LENGTH:
+            return None
+        code = int.from_bytes(data[:2], "little")
+        return cls(node_id, node, code, data[2], int.from_bytes(data[3:5], "little") if code == 0 else 0)
+
+    def __str__(self) -> str:
+        if self.code == 0:
+            return f"EMCY 0000h: {_meaning(self.cleared)} is over" if self.cleared else "EMCY 0000h: no error any more"
+        return f"EMCY {self.code:04X}h: {_meaning(self.code)}"
+
+
+def _meaning(code: int) -> str:
+    if code in _PROBLEMS:
+        return _PROBLEMS[code]
+    text = f"{code:04X}"
+    return next((name for start, name in _CLASSES.items() if text.startswith(start)), "error")

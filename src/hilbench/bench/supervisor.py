@@ -1,0 +1,110 @@
+"""The supervisor: a process of its own that stops the drives when the bench's cyclic loop does not go on.
+
+The bench's heartbeat comes from its cyclic loop, so its silence says that the loop has stalled, whatever the reason
+(the process was stopped or killed, it waits for something, the machine is overloaded). Drives that watch 1016h stop by
+themselves then; the supervisor stops those that don't, and those that are watched too loosely, by the emergency stop.
+Nothing is imported here that it does not need for that: it starts with every bench.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from hilbench.bus.link import Link
+from hilbench.bus.open import BusAddress, open_link
+from hilbench.errors import BusError
+from hilbench.fieldbus.emergency_stop import EMERGENCY_STOP
+
+_MODULE = "hilbench.bench.supervisor"
+_HEARTBEAT = 0x700
+_STANDARD_MASK = 0x7FF
+_LOOK_S = 0.05
+#: The stop is sent so often: a frame can be lost.
+_TIMES = 3
+
+
+@dataclass(frozen=True)
+class Watch:
+    """What a supervisor watches: the heartbeat of `node_id`, which may stay away for `limit_s` of wall time."""
+
+    bus: BusAddress
+    node_id: int
+    limit_s: float
+
+    def arguments(self) -> list[str]:
+        """The command line of the supervisor's process, after ``python -m``."""
+        bus = self.bus
+        return [_MODULE, str(bus), str(bus.bitrate), bus.timing, str(self.node_id), repr(self.limit_s)]
+
+    @classmethod
+    def parse(cls, arguments: Sequence[str]) -> Watch:
+        """Take the arguments after the module's name."""
+        address, bitrate, timing, node_id, limit_s = arguments
+        return cls(BusAddress.parse(address, bitrate=int(bitrate), timing=timing), int(node_id), float(limit_s))
+
+
+def supervise(watch: Watch) -> None:
+    """Watch the bench until SIGTERM; an end of the bench without that is a reason to stop the drives.
+
+    Raises BusError when the bus is lost.
+    """
+    told_to_end, bench_gone = threading.Event(), threading.Event()
+    # Ctrl-C is the bench's to handle, which ends us afterwards.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, lambda *_: told_to_end.set())
+    threading.Thread(target=_follow, args=(bench_gone,), name="follow-bench", daemon=True).start()
+    link = open_link(watch.bus)
+    try:
+        _watch(link, watch, told_to_end, bench_gone)
+    finally:
+        link.close()
+
+
+def _follow(bench_gone: threading.Event) -> None:
+    while os.read(0, 4096):
+        pass
+    bench_gone.set()
+
+
+def _watch(link: Link, watch: Watch, told_to_end: threading.Event, bench_gone: threading.Event) -> None:
+    link.set_filters([(_HEARTBEAT + watch.node_id, _STANDARD_MASK)])
+    heard_s: float | None = None  # None: not heard yet, or stopped already
+    while not told_to_end.is_set():
+        if link.receive(_LOOK_S):
+            heard_s = time.monotonic()
+        if bench_gone.is_set() and not told_to_end.is_set():
+            _stop(link, "the bench's process is gone")
+            return
+        if heard_s is not None and time.monotonic() - heard_s > watch.limit_s:
+            _stop(link, f"no heartbeat of the bench for {watch.limit_s:g} s")
+            heard_s = None
+
+
+def _stop(link: Link, reason: str) -> None:
+    print(f"emergency stop: {reason}", file=sys.stderr, flush=True)
+    for attempt in range(_TIMES):
+        try:
+            link.send(EMERGENCY_STOP)
+        except BusError:
+            if attempt == _TIMES - 1:
+                raise
+        time.sleep(0.01)
+
+
+def main() -> None:
+    """Entry point of the process: errors are one line in its log."""
+    try:
+        supervise(Watch.parse(sys.argv[1:]))
+    except BusError as error:
+        print(error, file=sys.stderr)
+        sys.exit(error.exit_code)
+
+
+if __name__ == "__main__":
+    main()

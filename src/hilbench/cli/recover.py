@@ -1,0 +1,22 @@
+"""`hilbench recover`: the recording, result and report of a run that was cut off."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from hilbench.record.recording import read_recording
+from hilbench.record.recover import recover_run
+from hilbench.record.run_folder import RunFolder
+from hilbench.report.html import write_report
+
+
+def recover_command(path: Path) -> None:
+    """Write what the run folder lacks, and say what that is."""
+    folder = RunFolder.open(path)
+    written = recover_run(folder)
+    if not folder.report.exists():
+        written.append(write_report(folder))
+    recording = read_recording(folder.recording)
+    print(f"{len(recording)} cycles, {recording.time_s[-1]:.3f} s recovered")
+    for file in written:
+        print(file)

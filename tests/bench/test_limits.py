@@ -1,0 +1,69 @@
+"""Every limit warns once, trips, and takes no number for too much."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from hilbench.bench.config import Limit, LimitsConfig
+from hilbench.bench.limits import LimitTripError, LimitWatch
+from hilbench.bench.sample import CycleSample
+from hilbench.twin.virtual_io import TwinStatus
+
+CYCLE_S = 0.002
+MODULUS_PA = 8.7e9
+LEVELS = Limit(warning=2.0, trip=4.0)
+
+
+def watch(**limits: Limit) -> LimitWatch:
+    none = {name: Limit() for name in LimitsConfig.model_fields}
+    return LimitWatch(LimitsConfig(**(none | limits)), MODULUS_PA, CYCLE_S)
+
+
+@pytest.mark.parametrize(
+    ("limit", "signal", "scale", "name"),
+    [
+        ("tension_N", "F_true_N", 1.0, "tension of the web"),
+        ("torque_Nm", "tau_load_Nm", -1.0, "torque of the load motor"),
+        ("speed_m_s", "v1_m_s", -1.0, "speed of axis 1"),
+        ("position_difference_m", "x2_m", 1.0, "position difference"),
+        ("estimate_ratio", "E_sim_Pa", MODULUS_PA, "estimate of E"),
+    ],
+)
+def test_a_quantity_warns_once_until_it_was_well_below_and_then_trips(limit, signal, scale, name):
+    limits = watch(**{limit: LEVELS})
+    limits.update(CycleSample())  # where the axes were enabled
+    told = []
+    for value in (1.0, 1.9, 2.1, 3.0, 1.95, 2.1, 1.8, 2.1):
+        sample = CycleSample(E_sim_Pa=MODULUS_PA, twin_status=int(TwinStatus.SYNCHRONIZED))
+        setattr(sample, signal, value * scale)
+        told.append(limits.update(sample))
+    assert [len(warnings) for warnings in told] == [0, 0, 1, 0, 0, 0, 0, 1]
+    assert name in told[2][0]
+    for value in (4.1 * scale, math.nan):
+        sample = CycleSample(E_sim_Pa=MODULUS_PA, twin_status=int(TwinStatus.SYNCHRONIZED))
+        setattr(sample, signal, value)
+        with pytest.raises(LimitTripError, match=f"{name}.* trip level 4"):
+            limits.update(sample)
+
+
+def test_an_estimate_far_too_small_trips_as_one_far_too_large_but_only_of_a_synchronized_twin():
+    limits = watch(estimate_ratio=LEVELS)
+    assert not limits.update(CycleSample(E_sim_Pa=MODULUS_PA / 5.0))
+    with pytest.raises(LimitTripError, match="estimate of E"):
+        limits.update(CycleSample(E_sim_Pa=MODULUS_PA / 5.0, twin_status=int(TwinStatus.SYNCHRONIZED)))
+
+
+def test_what_the_set_points_add_up_to_is_no_position_difference():
+    limits = watch(position_difference_m=LEVELS)
+    for cycle in range(3000):
+        x1_m = 1.0 * CYCLE_S * cycle
+        assert not limits.update(CycleSample(v1_cmd_m_s=1.0, x1_m=x1_m))
+    with pytest.raises(LimitTripError, match="position difference"):
+        limits.update(CycleSample(v1_cmd_m_s=1.0, x1_m=0.0))
+
+
+def test_a_warning_above_the_trip_is_refused():
+    with pytest.raises(ValueError, match="not above the trip level 4"):
+        Limit(warning=5.0, trip=4.0)

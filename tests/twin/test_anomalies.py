@@ -1,0 +1,71 @@
+"""Break, slip and change of E of the web, told apart by the twin."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from tests.bench.test_runs import config, run, run_folders
+from tests.bench.test_safety import result_of
+from tests.twin.runs import CYCLE_S, OLD_PA, STEP_S, Array, measured, stepped, times
+from tests.web.models import model
+
+from hilbench.drives.port import MotorMode, MotorPort
+from hilbench.record.trace import TraceReader
+from hilbench.twin.config import TwinConfig
+from hilbench.twin.plausibility import Problem
+from hilbench.twin.tracking import Tracking
+from hilbench.web.line import Line
+
+AT_SPEED = [
+    {"ramp": {"path": "line_speed_m_s", "to": 3.0, "duration_s": 1.0}},
+    {"hold": {"until_s": 1.5}},
+]
+WITHIN_CYCLES = 100
+
+
+def emergencies(folder: Path) -> list[int]:
+    """Error codes of the twin's EMCY messages."""
+    frames = TraceReader(folder / "trace.log")
+    return [int.from_bytes(data[:2], "little") for can_id, data, _ in frames if can_id == 0x0A0]
+
+
+def test_a_web_break_is_told_within_200_ms_and_stops_the_line(tmp_path: Path) -> None:
+    steps = [*AT_SPEED, {"step": {"path": "load.web.broken", "to": 1}}, {"hold": {"duration_s": 2.0}}]
+    path = config(tmp_path, steps=steps)
+    code, out, _ = run(path)
+    folder = run_folders(path)[0]
+    assert code == 3
+    assert "web break" in out
+    result = result_of(folder)
+    assert result.faults[0].time_s is not None
+    # The fault comes with the EMCY, which the bench has at the end of the same cycle.
+    assert 1.5 < result.faults[0].time_s <= 1.5 + WITHIN_CYCLES * 0.002
+    assert emergencies(folder)[0] == Problem.WEB_BREAK
+
+
+def slipping(modulus_Pa: Array, slip: Array) -> set[float]:
+    """When (s) the twin said slip, of a web of modulus E (n,) whose roller 2 is faster than it by a share (n,)."""
+    data = measured(modulus_Pa)
+    data.x_m[:, 1] += np.cumsum(slip * 3.0) * CYCLE_S
+    ports = (MotorPort(mode=MotorMode.VELOCITY), MotorPort(mode=MotorMode.VELOCITY))
+    tracking = Tracking(model(), TwinConfig(), Line(model(), ports), ports[1], CYCLE_S)
+    told = set()
+    for row, t_s in enumerate(data.t_s):
+        x1, x2 = data.x_m[row]
+        tracking.compare(t_s, x1, x2, data.tau2_Nm[row], data.strain_prev[row], data.F_next_N[row])
+        assert tracking.problem in (None, Problem.SLIP)
+        if tracking.problem is Problem.SLIP:
+            told.add(float(t_s))
+    return told
+
+
+def test_slip_is_told_and_changes_of_e_are_not_taken_for_it() -> None:
+    t_s = times(6.0)
+    none = np.zeros(len(t_s))
+    for modulus_Pa in (stepped(), stepped(to_Pa=6.5e9), OLD_PA * (1.0 + 0.03 * t_s)):
+        assert not slipping(modulus_Pa, none)
+    slips = np.where(t_s >= STEP_S, 0.3 * model().upstream_strain, 0.0)
+    told = slipping(OLD_PA + 0.0 * t_s, slips)
+    # It takes a span's length of web to tell a slip from a change of E: 0.33 s.
+    assert STEP_S + 0.33 < min(told) < STEP_S + 0.6

@@ -1,0 +1,612 @@
+"""The fault matrix: every fault is made on a real run (real processes, embedded bus), and its outcome is tabulated.
+
+    python tools/fault_matrix.py                 print the table
+    python tools/fault_matrix.py --write         write it into docs/faults.md too
+    python tools/fault_matrix.py --only twin     only the faults with this in their name
+
+A row passes when the run ended with the expected exit code and said the expected words. "To safe state" counts cycles
+from the fault until every drive shows by its statusword (PDO, or SDO after an emergency stop) that it stands or has no
+power. "Kept" are the samples of the recording, recovered from the trace where the run was cut off. Exit code 1 when a
+row does not pass.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import re
+import resource
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+import uuid
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from hilbench.bus.disturbance import ErrorInjection
+from hilbench.bus.frame import Frame
+from hilbench.bus.hub_client import inject_errors
+from hilbench.bus.open import BusAddress, open_link
+from hilbench.drives.state_machine import POWERED, STATUS_TARGET_REACHED, State, decode_statusword
+from hilbench.errors import HilbenchError
+from hilbench.record.recording import read_recording
+from hilbench.record.result import Result
+from hilbench.record.run_folder import RunFolder
+from hilbench.record.trace import TraceReader
+
+ROOT = Path(__file__).resolve().parents[1]
+CONFIG = ROOT / "bench_configs" / "web_section_step.yaml"
+PAGE = ROOT / "docs" / "faults.md"
+BEGIN, END = "<!-- table: begin -->", "<!-- table: end -->"
+CLI = [sys.executable, "-m", "hilbench.cli"]
+AT_SPEED_SYNCS = 500  # the ramp is over
+DRIVES = (1, 2, 3)
+QUICK_STOP = b"\x02\x00"
+FOREVER: list[dict[str, Any]] = [
+    {"ramp": {"path": "line_speed_m_s", "to": 1.0, "duration_s": 0.4}},
+    {"hold": {"duration_s": 1000.0}},
+]
+SHORT: list[dict[str, Any]] = [
+    {"ramp": {"path": "line_speed_m_s", "to": 1.0, "duration_s": 0.4}},
+    {"hold": {"until_s": 3.0}},
+    {"ramp": {"path": "line_speed_m_s", "to": 0.0, "duration_s": 0.4}},
+]
+
+
+@dataclass
+class Run:
+    """One run with a fault: its config, its process and what it left."""
+
+    work: Path
+    address: str
+    config: Path
+    process: subprocess.Popen[str]
+    fault_sync: int | None = None
+    said: str = ""
+    code: int | None = None
+
+    @property
+    def folder(self) -> RunFolder | None:
+        """The run's folder, once it is there."""
+        found = sorted((self.work / "runs").glob("*"))
+        return RunFolder(found[0]) if found else None
+
+    def syncs(self) -> int:
+        """SYNCs in the trace so far."""
+        folder = self.folder
+        return folder.trace.read_bytes().count(b" 080#") if folder and folder.trace.exists() else 0
+
+    def wait_for_speed(self) -> None:
+        """Wait until the line runs, then count from here."""
+        deadline_s = time.monotonic() + 90.0
+        while self.syncs() < AT_SPEED_SYNCS:
+            if self.process.poll() is not None or time.monotonic() > deadline_s:
+                raise RuntimeError(f"the run did not get under way: {self.process.communicate()[0]}")
+            time.sleep(0.05)
+        self.fault_sync = self.syncs()
+
+    def pid_of(self, *words: str) -> int:
+        """Process of this run whose command line has these words."""
+        wanted = [word.encode() for word in words]
+        for pid, line in self._processes():
+            if all(word in line for word in wanted):
+                return pid
+        raise RuntimeError(f"no process {words}")
+
+    def clear(self) -> None:
+        """End what the fault has left behind; what the bench started ends with it, unless it was stopped."""
+        time.sleep(0.5)
+        for pid, _ in self._processes():
+            os.kill(pid, signal.SIGKILL)
+
+    def _processes(self) -> Iterator[tuple[int, list[bytes]]]:
+        channel, work = self.address.partition(":")[2].encode(), str(self.work).encode()
+        for entry in Path("/proc").iterdir():
+            if entry.name.isdigit():
+                try:
+                    line = (entry / "cmdline").read_bytes().split(b"\0")
+                except OSError:
+                    continue
+                if any(channel in word or work in word for word in line):
+                    yield int(entry.name), line
+
+    def end(self, timeout_s: float = 90.0) -> None:
+        """Wait for the end of the run."""
+        try:
+            self.said, _ = self.process.communicate(timeout=timeout_s)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            raise RuntimeError(f"did not end: {self.process.communicate()[0][-1500:]}") from None
+        self.code = self.process.returncode
+
+
+@dataclass
+class Fault:
+    """One row: what is done, and what is expected of it."""
+
+    name: str
+    expected: str
+    codes: tuple[int, ...]
+    words: str
+    act: Callable[[Run], None]
+    changes: dict[str, Any] = field(default_factory=dict)
+    options: tuple[str, ...] = ()
+    limit_bytes: int | None = None
+
+
+@dataclass
+class Row:
+    """What came of it."""
+
+    fault: Fault
+    code: int | None
+    passed: bool
+    cycles: int | None
+    kept: str
+    said: str
+
+
+def make_config(work: Path, address: str, changes: dict[str, Any]) -> Path:
+    """The shipped bench with short steps on a bus of its own."""
+    data = yaml.safe_load(CONFIG.read_text(encoding="utf-8"))
+    data["nodes"] = _shipped_nodes()
+    data |= {"steps": FOREVER, "criteria": [], "safety": {"cycle_timeout_s": 1.0}} | changes
+    data["bus"]["address"] = address
+    path = work / "bench.yaml"
+    path.write_text(yaml.safe_dump(data, sort_keys=False), encoding="utf-8")
+    return path
+
+
+@contextmanager
+def started(fault: Fault) -> Iterator[Run]:
+    """A run of the fault's config; nothing of it is left afterwards."""
+    with tempfile.TemporaryDirectory(prefix="fault-") as folder:
+        work = Path(folder)
+        address = f"embedded:f{uuid.uuid4().hex[:10]}"
+        config = make_config(work, address, dict(fault.changes))
+        limit = fault.limit_bytes
+
+        def restrict() -> None:
+            if limit is not None:
+                resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
+
+        command = [*CLI, "run", str(config), "--out", str(work / "runs"), *fault.options]
+        process = subprocess.Popen(
+            command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, preexec_fn=restrict
+        )
+        run = Run(work, address, config, process)
+        try:
+            yield run
+        finally:
+            if process.poll() is None:
+                process.kill()
+                process.communicate()
+            run.clear()
+
+
+def stopped_after(run: Run) -> int | None:
+    """Cycles from the fault until all drives show that they have stopped; None when the trace does not show it.
+
+    A fault that the run makes itself (a trip, a break) counts from the first controlword that says quick stop.
+    """
+    folder, since = run.folder, run.fault_sync
+    if folder is None or not folder.trace.exists():
+        return None
+    sync, states = 0, dict.fromkeys(DRIVES, False)
+    for can_id, data, _ in TraceReader(folder.trace):
+        if can_id == 0x080:
+            sync += 1
+        elif can_id == 0x201 and data[:2] == QUICK_STOP and since is None:
+            since = sync
+        elif can_id - 0x180 in states and len(data) == 8:
+            states[can_id - 0x180] = _stands(int.from_bytes(data[:2], "little"))
+        elif can_id - 0x580 in states and data[1:3] == b"\x41\x60":
+            states[can_id - 0x580] = _stands(int.from_bytes(data[4:6], "little"))
+        if since is not None and sync > since and all(states.values()):
+            return sync - since
+    return None
+
+
+def _stands(statusword: int) -> bool:
+    state = decode_statusword(statusword)
+    if state is State.QUICK_STOP_ACTIVE:
+        return bool(statusword & STATUS_TARGET_REACHED)
+    return state not in POWERED
+
+
+def kept(run: Run) -> str:
+    """How much of the data is there after the run, or after `hilbench recover`."""
+    folder = run.folder
+    if folder is None:
+        return "nothing was started"
+    how = ""
+    if not folder.recording.exists() and run.syncs() > AT_SPEED_SYNCS:
+        done = subprocess.run([*CLI, "recover", str(folder.path)], capture_output=True, text=True, check=False)
+        how = ", recovered" if done.returncode == 0 else f", {done.stderr.strip()}"
+    if not folder.recording.exists():
+        return "trace" + how
+    return f"{len(read_recording(folder.recording))} of {run.syncs()} cycles{how}"
+
+
+def carry_out(fault: Fault) -> Row:
+    """Make the fault and look at what came of it."""
+    with started(fault) as run:
+        try:
+            fault.act(run)
+            run.end()
+        except (RuntimeError, HilbenchError, subprocess.CalledProcessError) as error:
+            return Row(fault, run.code, False, None, "", f"{type(error).__name__}: {error}")
+        text = " ".join(run.said.split())
+        folder = run.folder
+        if folder is not None and folder.result.exists():
+            result = Result.read(folder.result)
+            told = [fault.text for fault in result.faults] + result.all_warnings()
+            text = " | ".join(told) or text
+        cycles = stopped_after(run) if run.code in (3, 130) else None
+        passed = run.code in fault.codes and fault.words in text
+        return Row(fault, run.code, passed, cycles, kept(run), text)
+
+
+# -- what is done to a run ---------------------------------------------------------------------------------------------
+
+
+def send_signal(number: int, *words: str) -> Callable[[Run], None]:
+    """Send a signal to one of the run's processes once the line runs; no words: the bench."""
+
+    def act(run: Run) -> None:
+        run.wait_for_speed()
+        os.kill(run.pid_of(*words) if words else run.process.pid, number)
+
+    return act
+
+
+def hold_up(duration_s: float, *words: str) -> Callable[[Run], None]:
+    """SIGSTOP, and SIGCONT after a while."""
+
+    def act(run: Run) -> None:
+        run.wait_for_speed()
+        pid = run.pid_of(*words) if words else run.process.pid
+        os.kill(pid, signal.SIGSTOP)
+        time.sleep(duration_s)
+        os.kill(pid, signal.SIGCONT)
+
+    return act
+
+
+def say(*frames: Frame, times: int = 1) -> Callable[[Run], None]:
+    """Let a foreign station send frames once the line runs."""
+
+    def act(run: Run) -> None:
+        run.wait_for_speed()
+        link = open_link(bus_of(run))
+        try:
+            for _ in range(times):
+                link.send(frames)
+            link.receive(0.05)
+        finally:
+            link.close()
+
+    return act
+
+
+def bus_of(run: Run) -> BusAddress:
+    """The bus of the run as it runs."""
+    pace = yaml.safe_load(run.config.read_text())["pace"]
+    options = run.process.args
+    realtime = pace == "realtime" or "realtime" in (options if isinstance(options, list) else [])
+    return BusAddress.parse(run.address, timing="real" if realtime else "virtual")
+
+
+def babble(duration_s: float) -> Callable[[Run], None]:
+    """A node that sends the identifier that wins every arbitration but NMT's, as fast as the wire takes it."""
+
+    def act(run: Run) -> None:
+        run.wait_for_speed()
+        link = open_link(bus_of(run))
+        link.set_filters([(0x7FF, 0x7FF)])
+        end_s = time.monotonic() + duration_s
+        try:
+            while time.monotonic() < end_s and run.process.poll() is None:
+                link.send([Frame(0x010, bytes(8))] * 16)
+        finally:
+            link.close()
+
+    return act
+
+
+def disturb(injection: ErrorInjection) -> Callable[[Run], None]:
+    """Disturb the cyclic frames from when the line runs."""
+
+    def act(run: Run) -> None:
+        run.wait_for_speed()
+        inject_errors(run.address.partition(":")[2], injection)
+
+    return act
+
+
+def second_hardware(run: Run) -> None:
+    """A second set of drives with the same node-IDs on the bus."""
+    twice = subprocess.Popen(
+        [*CLI, "simulate-hardware", str(run.config)], stdin=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    )
+
+    def end_with_run() -> None:
+        run.process.wait()
+        twice.terminate()
+
+    threading.Thread(target=end_with_run, daemon=True).start()
+
+
+def other_devices(run: Run) -> None:
+    """The devices are those of the shipped config, not those that the run's EDS files describe."""
+    data = yaml.safe_load(run.config.read_text(encoding="utf-8"))
+    data["nodes"] = _shipped_nodes()
+    config = run.work / "devices.yaml"
+    config.write_text(yaml.safe_dump(data, sort_keys=False), encoding="utf-8")
+    for command in ("simulate-hardware", "twin"):
+        subprocess.Popen([*CLI, command, str(config)], stdin=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+
+
+def nothing(run: Run) -> None:
+    """The fault is in the config."""
+
+
+def emergency_stop(run: Run) -> None:
+    """From another terminal."""
+    run.wait_for_speed()
+    subprocess.run([*CLI, "estop", "--bus", run.address], check=True, capture_output=True)
+
+
+def wrong_eds() -> dict[str, Any]:
+    """The nodes, axis 1 with the EDS of another product (1018h:2)."""
+    nodes = _shipped_nodes()
+    text = Path(nodes["axis1"]["eds"]).read_text(encoding="utf-8")
+    at = text.index("DefaultValue", text.index("[1018sub2]"))
+    path = Path(tempfile.gettempdir()) / f"wrong-{os.getpid()}.eds"
+    path.write_text(text[:at] + "DefaultValue=0x12345678" + text[text.index("\n", at) :], encoding="utf-8")
+    nodes["axis1"]["eds"] = str(path)
+    return {"nodes": nodes}
+
+
+REALTIME = ("--pace", "realtime")
+SILENCE = "no answer to SYNC"
+STOPPED = "quick stop, exit 3"
+
+
+def faults() -> list[Fault]:
+    """All rows."""
+    kill, stop = signal.SIGKILL, signal.SIGSTOP
+    pre_operational, reset = Frame(0, bytes((128, 1))), Frame(0, bytes((129, 1)))
+    return [
+        Fault("bench: kill -9", "supervisor and drives stop, data recovered", (-9,), "", send_signal(kill)),
+        Fault(
+            "bench: SIGSTOP",
+            "supervisor sends the emergency stop, exit 3 when it goes on",
+            (3,),
+            "emergency stop (COB-ID 001h)",
+            hold_up(4.0),
+        ),
+        Fault("bench: Ctrl-C", "quick stop, exit 130", (130,), "interrupted", send_signal(signal.SIGINT)),
+        Fault(
+            "twin: kill -9",
+            "loop opens, process started again, loop closes",
+            (0,),
+            "tension loop closed again",
+            send_signal(kill, "twin"),
+            {"steps": _with_loop_back()},
+        ),
+        Fault(
+            "twin: SIGSTOP for 3 s",
+            "loop opens, twin taken back, loop closes",
+            (0,),
+            "tension loop closed again",
+            hold_up(3.0, "twin"),
+            {"steps": _with_loop_back()},
+        ),
+        Fault(
+            "hardware: kill -9",
+            "exit 3, nobody answers",
+            (3,),
+            "no answer to SYNC",
+            send_signal(kill, "simulate-hardware"),
+        ),
+        Fault(
+            "hardware: SIGSTOP",
+            "exit 3, nobody answers",
+            (3,),
+            "no answer to SYNC",
+            send_signal(stop, "simulate-hardware"),
+        ),
+        Fault("supervisor: kill -9", STOPPED, (3,), "supervisor ended", send_signal(kill, "hilbench.bench.supervisor")),
+        Fault(
+            "hub: kill -9", "exit 3, bus lost; drives stop by 1016h", (3,), "hub", send_signal(kill, "hilbench.bus.hub")
+        ),
+        Fault("hub: SIGSTOP", "exit 3, nobody answers", (3,), "no answer", send_signal(stop, "hilbench.bus.hub")),
+        Fault("emergency stop from a terminal", "drives stop at once, exit 3", (3,), "emergency stop", emergency_stop),
+        Fault("drive to PRE-OPERATIONAL (NMT)", STOPPED, (3,), "axis", say(pre_operational)),
+        Fault("drive power-cycled (boot-up)", STOPPED, (3,), "axis", say(reset)),
+        Fault("drive: fault by itself", STOPPED, (3,), "FAULT", say(_download(1, 0x2001, 0x5441, 2))),
+        Fault(
+            "trip: speed",
+            STOPPED,
+            (3,),
+            "beyond its trip level",
+            nothing,
+            {
+                "steps": [
+                    *FOREVER[:1],
+                    {"hold": {"until_s": 1.5}},
+                    {"ramp": {"path": "line_speed_m_s", "to": 3.0, "duration_s": 1.0}},
+                ],
+                "safety": {"cycle_timeout_s": 1.0, "limits": {"speed_m_s": {"trip": 1.2}}},
+            },
+        ),
+        Fault(
+            "web break",
+            "EMCY FF15h, quick stop, exit 3",
+            (3,),
+            "web break",
+            nothing,
+            {
+                "steps": [
+                    *FOREVER[:1],
+                    {"hold": {"until_s": 1.5}},
+                    {"step": {"path": "load.web.broken", "to": 1}},
+                    FOREVER[1],
+                ]
+            },
+        ),
+        Fault(
+            "wrong EDS: another product",
+            "exit 3 before anything moves",
+            (3,),
+            "1018h",
+            other_devices,
+            wrong_eds(),
+            ("--no-start",),
+        ),
+        Fault("two nodes with one id in the config", "exit 2, both named", (2,), "both have", nothing, _same_id()),
+        Fault("two devices with one id on the bus", "exit 3", (3,), "", second_hardware),
+        Fault(
+            "babbling node, 1 s, real time",
+            "exit 3 or ridden out, counted",
+            (0, 3),
+            "",
+            babble(1.0),
+            {"steps": SHORT},
+            REALTIME,
+        ),
+        *(
+            Fault(name, expected, codes, "", disturb(injection), {"steps": SHORT}, REALTIME)
+            for name, injection, expected, codes in _disturbances()
+        ),
+        Fault(
+            "lost frames 1.0%, lockstep",
+            "exit 3: an answer is missing",
+            (3,),
+            "no answer to SYNC",
+            disturb(ErrorInjection(seed=6, lost=0.01)),
+        ),
+        Fault(
+            "disk full (at 150 kB)",
+            "quick stop, exit 3, trace so far",
+            (3,),
+            "cannot be written",
+            nothing,
+            {},
+            (),
+            150_000,
+        ),
+        Fault(
+            "cycle overrun of 50 ms, real time",
+            "missed cycles counted, goes on",
+            (0,),
+            "",
+            hold_up(0.05),
+            {"steps": SHORT},
+            REALTIME,
+        ),
+        Fault(
+            "node that does not answer (SDO time-out)",
+            "exit 3, node named",
+            (3,),
+            "no answer from axis1",
+            nothing,
+            _silent_node(),
+        ),
+    ]
+
+
+def _disturbances() -> Iterator[tuple[str, ErrorInjection, str, tuple[int, ...]]]:
+    """Name, what happens to the frames, what is expected, exit codes."""
+    for share in (0.001, 0.01, 0.1):
+        often = f"frames, {share:.1%}, real time"
+        expected = ("ridden out", (0,)) if share < 0.1 else ("ridden out, or safe state and exit 3", (0, 3))
+        yield f"lost {often}", ErrorInjection(seed=6, lost=share), *expected
+        yield f"duplicated {often}", ErrorInjection(seed=6, duplicated=share), *expected
+        yield f"delayed {often}", ErrorInjection(seed=6, delayed=share, delay_s=0.0005), *expected
+        yield f"corrupted {often}", ErrorInjection(seed=6, corrupted=share), *expected
+
+
+def _with_loop_back() -> list[dict[str, Any]]:
+    return [
+        FOREVER[0],
+        {"wait_until": {"condition": "loop_closed < 1", "timeout_s": 1000.0}},
+        {"wait_until": {"condition": "loop_closed > 0", "timeout_s": 1000.0, "for_s": 1.0}},
+        {"ramp": {"path": "line_speed_m_s", "to": 0.0, "duration_s": 0.4}},
+    ]
+
+
+def _download(node_id: int, index: int, value: int, size: int) -> Frame:
+    head = bytes((0x23 | (4 - size) << 2,)) + index.to_bytes(2, "little") + b"\0"
+    return Frame(0x600 + node_id, head + value.to_bytes(4, "little"))
+
+
+def _same_id() -> dict[str, Any]:
+    nodes = _shipped_nodes()
+    nodes["load"]["node_id"] = 2
+    return {"nodes": nodes}
+
+
+def _silent_node() -> dict[str, Any]:
+    nodes = _shipped_nodes()
+    nodes["axis1"]["simulated"] = False
+    return {"nodes": nodes, "master": {"boot_timeout_s": 3.0}}
+
+
+def _shipped_nodes() -> dict[str, Any]:
+    nodes: dict[str, Any] = yaml.safe_load(CONFIG.read_text(encoding="utf-8"))["nodes"]
+    for node in nodes.values():
+        node["eds"] = str((CONFIG.parent / node["eds"]).resolve())
+    return nodes
+
+
+HEAD = ["| fault | expected | exit | to safe state | kept | |", "|---|---|---|---|---|---|"]
+
+
+def line(row: Row) -> str:
+    """A row of the table in Markdown."""
+    cycles = "–" if row.cycles is None else f"{row.cycles} cycles"
+    mark = "✓" if row.passed else "✗"
+    return f"| {row.fault.name} | {row.fault.expected} | {row.code} | {cycles} | {row.kept} | {mark} |"
+
+
+def write(row: Row) -> None:
+    """Put a row into the page, by the fault's name; the rows of other faults stay."""
+    before, rest = PAGE.read_text(encoding="utf-8").split(BEGIN)
+    old, after = rest.split(END)
+    there = {text.split("|")[1].strip(): text for text in old.splitlines() if text.startswith("|")}
+    there[row.fault.name] = line(row)
+    rows = [there.get(fault.name) for fault in faults()]
+    text = "\n".join([BEGIN, *HEAD, *filter(None, rows), END])
+    PAGE.write_text(before + text + after, encoding="utf-8")
+
+
+def main() -> int:
+    """Make the faults, print the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--write", action="store_true", help="write the table into docs/faults.md")
+    parser.add_argument("--only", default="", help="only faults whose name this regular expression is found in")
+    options = parser.parse_args()
+    rows = []
+    for fault in faults():
+        if re.search(options.only, fault.name):
+            row = carry_out(fault)
+            rows.append(row)
+            print(f"{'ok ' if row.passed else 'BAD'} {fault.name}: {row.said[:1000]}", file=sys.stderr, flush=True)
+            if options.write:
+                write(row)
+    print("\n".join([*HEAD, *map(line, rows)]))
+    return 0 if all(row.passed for row in rows) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
