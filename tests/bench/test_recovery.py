@@ -54,6 +54,7 @@ def test_a_killed_run_is_recovered_as_it_would_have_been_recorded(tmp_path: Path
     result = Result.read(folder / "result.json")
     assert not result.passed
     assert "cut off" in result.faults[0].text
+    assert "cut off" in (folder / "result.xml").read_text()
     assert "cut off" in (folder / "report.html").read_text()
     again = recover(folder)
     assert again.returncode == 2

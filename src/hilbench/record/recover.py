@@ -35,6 +35,7 @@ from hilbench.experiment.config import ExperimentConfig, load
 from hilbench.experiment.criteria import evaluate
 from hilbench.experiment.metrics import evaluate_metrics
 from hilbench.record.journal import read_journal
+from hilbench.record.junit import write_junit
 from hilbench.record.recording import Recording, RecordingBuilder, write_recording
 from hilbench.record.result import Environment, Fault, Result, Timing
 from hilbench.record.run_folder import RunFolder
@@ -59,6 +60,7 @@ class Recovery:
     """What was rebuilt, and what was found."""
 
     recording: Recording
+    started: datetime  #: time of the first SYNC
     cycles: int
     bits: int
     missed: int
@@ -79,8 +81,10 @@ def recover_run(folder: RunFolder) -> list[Path]:
     write_recording(found.recording, folder.recording)
     written = [folder.recording]
     if not folder.result.exists():
-        _result(config, found).write(folder.result)
-        written.append(folder.result)
+        result = _result(config, found)
+        result.write(folder.result)
+        write_junit(result, config.name, found.started, folder.junit)
+        written += [folder.result, folder.junit]
     return written
 
 
@@ -137,7 +141,7 @@ def replay(config: BenchConfig, folder: RunFolder) -> Recovery:
         raise UnusableInputError(folder.trace, f"{len(decoder.rows)} cycle(s) with enabled drives, expected at least 2")
     started = datetime.fromtimestamp(first_ns * _NANOSECOND, UTC)
     recording = decoder.rows.build(started, config.description)
-    return Recovery(recording, count, bits, missed, fault, reader.torn)
+    return Recovery(recording, started, count, bits, missed, fault, reader.torn)
 
 
 def _cycles(frames: Iterable[Frame], own: set[int]) -> Iterator[_Cycle]:
