@@ -125,6 +125,22 @@ def test_backlash_lets_the_motor_lead_by_the_gap_on_reversal() -> None:
     assert y[2] - y[0] == pytest.approx(-0.025, abs=1e-12)
 
 
+@pytest.mark.parametrize("far_m", [1.0, 13.7, 264.1, 9876.5])
+def test_backlash_is_the_same_after_any_distance(far_m: float) -> None:
+    """Positions grow and their rounding with them; flanks must go on to part."""
+    parameters = model(effect("backlash", 1, gap_rad=0.01), effect("backlash", 2, gap_rad=0.02))
+    p, found = lay.pack(parameters), []
+    t = np.arange(2000) * ROW_S
+    commands = 1.0 + 0.5 * np.sin(2.0 * np.pi * t / 0.37)[:, None] * np.array([1.0, 1.00002])
+    boundary = np.tile([parameters.upstream_strain, parameters.boundary.downstream_tension_N], (len(t), 1))
+    for moved_m in (0.0, far_m):
+        start = offline.start_state(p, parameters)
+        start[lay.S_Y : lay.S_Y + 8].reshape(4, 2)[[0, 2]] += moved_m
+        found.append(offline.simulate(p, start, commands, boundary, ROW_S).tau_Nm)
+    assert np.ptp(found[0]) > 1.0
+    assert np.sqrt(np.mean((found[1] - found[0]) ** 2)) < 1e-4 * np.ptp(found[0])
+
+
 def test_backlash_under_velocity_control_stays_bounded_at_the_sample_time() -> None:
     parameters = model(effect("backlash", 2, gap_rad=0.02))
     result = run(parameters, 2000)
