@@ -53,6 +53,7 @@ def test_nothing_is_named_where_nothing_is_missing(seed: int) -> None:
         effect("upstream_disturbance", amplitude_N=2.0, frequency_Hz=0.8, phase_rad=0.5),
         effect("elasticity_step", time_s=11.3, relative_change=0.08),
         effect("torque_ripple", 2, amplitude_Nm=0.1, order=2.0, phase_rad=-1.0),
+        effect("backlash", 1, gap_rad=0.01),
     ],
     ids=lambda item: f"{item['effect']}-{item['axis']}",
 )
@@ -172,3 +173,22 @@ def test_unusable_input_is_one_line_and_exit_2(arguments: tuple[str, ...], said:
     assert done.returncode == 2
     assert said in done.stderr
     assert len(done.stderr.splitlines()) == 1
+
+
+def test_a_bench_is_run_diagnosed_and_run_again_with_what_was_found(tmp_path: Path) -> None:
+    config = tmp_path / "offset.yaml"
+    steps: list[dict[str, Any]] = [{"ramp": {"path": "line_speed_m_s", "to": 3.0, "duration_s": 1.5}}]
+    for set_point_N in (80.0, 95.0, 70.0, 80.0):
+        steps += [{"set": {"path": "tension_control.set_point_N", "to": set_point_N}}, {"hold": {"duration_s": 1.5}}]
+    steps += [{"ramp": {"path": "line_speed_m_s", "to": to, "duration_s": 0.8}} for to in (1.5, 3.0, 0.5)]
+    hidden_config = {"include": str(ROOT / "bench_configs" / "hidden_offset.yaml"), "steps": steps}
+    config.write_text(yaml.safe_dump(hidden_config))
+    done = command(config, "--out", tmp_path / "found", "--json")
+    assert done.returncode == 0, done.stderr
+    data = json.loads(done.stdout)
+    assert [(e["effect"], e["axis"]) for e in data["effects"]] == [("torque_offset", 2)]
+    low, high = data["effects"][0]["parameters"]["offset_Nm"]["ci95"]
+    assert low < 0.04 < high
+    before, after = data["live"]
+    assert abs(after["E_bias_pct"]) < 0.2 * abs(before["E_bias_pct"])
+    assert abs(after["tension_deviation_mean_N"]) < 0.2 * abs(before["tension_deviation_mean_N"])
