@@ -167,6 +167,7 @@ def _conclude(
         unknown = bool(left) or max(ratios(final.residual, rows, floors).values()) > LARGEST_RATIO
     else:
         unknown = _rms(final.residual[torques], rows) > _UNEXPLAINED * _rms(before[torques], rows)
+    unknown |= selection.exhausted
     verdict = "unknown" if unknown else ("named" if final.terms else "complete")
     effects = [] if unknown else _named(final.terms, final.covariance, selection, inflation)
     test = space.split.test

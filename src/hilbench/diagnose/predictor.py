@@ -216,6 +216,7 @@ class FreeRun:
         """Of one parameter vector, or of (B, P)."""
         state = np.broadcast_to(self._start, (*parameters.shape[:-1], len(self._start))).copy()
         for one, start in zip(np.atleast_2d(parameters), np.atleast_2d(state), strict=True):
+            lay.set_strain(one, start, self._model.upstream_strain)
             lay.refresh_modes(one, start)
         whole = len(self._commands)
         commands, boundary = self._commands[0], self._boundary

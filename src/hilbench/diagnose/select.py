@@ -6,7 +6,7 @@ whitened residuals plus a price for every parameter and every variant that was s
 stretches agree. Then each earlier term must show that the model is worse without it, and that no other explains
 the same as well: such others are tied with it.
 
-Verified by simulation: 200 nominal seeds of the demonstrator's experiment (tools/diagnose_scoreboard.py, `nothing`).
+How often that is right: tools/diagnose_scoreboard.py, docs/diagnosis.md.
 """
 
 from __future__ import annotations
@@ -33,7 +33,8 @@ Announce = Callable[[str, float], None]
 Key = tuple[str, int | None, int]
 Place = tuple[str, int | None]
 
-#: Most effects that are added: where a right model leaves noise alone, three that leave more are none of them right.
+#: Most effects that are named: where a right model leaves noise alone, three that leave more are none of them right,
+#: and many small ones together are a series expansion of something else.
 _MOST_TERMS, _MOST_ROUGH_TERMS = 3, 6
 #: Candidates (and pairs of them) that are fitted in full at a step.
 _CONTENDERS, _PAIRS = 4, 2
@@ -90,6 +91,7 @@ class Selection:
     samples: float
     tied: dict[Key, list[Place]] = field(default_factory=dict)
     evidence: dict[Key, dict[str, float]] = field(default_factory=dict)
+    exhausted: bool = False  #: more terms would explain more than may be named
 
 
 class Search:
@@ -109,7 +111,10 @@ class Search:
             best = self._best_addition(current, scene)
             if best is None:
                 break
-            current = self._pruned(best, scene.whitening)
+            pruned = self._pruned(best, scene.whitening)
+            if len(pruned.terms) > steps:
+                return Selection(current, scene, self._samples, exhausted=True)
+            current = pruned
             scene = self._seen_from(current, scene)
             if self._space.predictor.exact and not self._promises(scene):
                 break
