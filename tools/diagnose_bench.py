@@ -1,0 +1,84 @@
+"""What `hilbench diagnose` finds on benches that hide something: every `bench_configs/hidden_*.yaml`, as a table.
+
+    diagnose_bench.py [--docs FILE] [CONFIG …]
+
+Each config is run, diagnosed, and run again with the extended model; that takes about a minute each. `--docs` writes the
+table into the page.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+ROOT = Path(__file__).resolve().parents[1]
+BEGIN, END = "<!-- bench: begin -->\n", "<!-- bench: end -->"
+HEAD = (
+    "| config | hidden | found (95 %) | torque residual, N·m | simulated less true tension, N | bias of E, % |\n"
+    "|---|---|---|---|---|---|"
+)
+
+
+def diagnosed(config: Path) -> dict[str, Any]:
+    """The object that the command prints. Raises CalledProcessError."""
+    with tempfile.TemporaryDirectory() as folder:
+        command = [sys.executable, "-m", "hilbench.cli", "diagnose", str(config), "--out", folder, "--json"]
+        done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True)
+    found: dict[str, Any] = json.loads(done.stdout)
+    return found
+
+
+def hidden(config: Path) -> Iterator[dict[str, Any]]:
+    """The effects that a config hides."""
+    document = yaml.safe_load(config.read_text(encoding="utf-8"))
+    for part in ("hardware", "load"):
+        yield from document.get(part, {}).get("effects", [])
+
+
+def place(effect: dict[str, Any]) -> str:
+    """Name and axis."""
+    return effect["effect"] + (f" (axis {effect['axis']})" if effect.get("axis") else "")
+
+
+def row(config: Path) -> str:
+    """One line of the table."""
+    there = "; ".join(f"{place(e)} {', '.join(f'{v:g}' for v in e['parameters'].values())}" for e in hidden(config))
+    result = diagnosed(config)
+    found = []
+    for effect in result["effects"]:
+        values = [f"{v['value']:.4g} ({v['ci95'][0]:.4g} to {v['ci95'][1]:.4g})" for v in effect["parameters"].values()]
+        tied = f", tied with {', '.join(effect['tied_with'])}" if effect["tied_with"] else ""
+        found.append(f"{place(effect)} {', '.join(values)}{tied}")
+    live = []
+    for name in ("torque_residual_rms_Nm", "tension_deviation_mean_N", "E_bias_pct"):
+        live.append(" → ".join(f"{run[name]:.3g}" for run in result["live"]))
+    return f"| {config.stem} | {there} | {'; '.join(found) or result['verdict']} | {' | '.join(live)} |"
+
+
+def main() -> None:
+    """Run all and print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("configs", nargs="*", type=Path, default=sorted((ROOT / "bench_configs").glob("hidden_*.yaml")))
+    parser.add_argument("--docs", type=Path, help="page that gets the table")
+    options = parser.parse_args()
+    print(HEAD, flush=True)
+    lines = [HEAD]
+    for config in options.configs:
+        lines.append(row(config))
+        print(lines[-1], flush=True)
+    if options.docs is not None:
+        text = options.docs.read_text(encoding="utf-8")
+        table = "\n".join(lines)
+        options.docs.write_text(f"{text.split(BEGIN)[0]}{BEGIN}{table}\n{END}{text.split(END)[1]}", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
