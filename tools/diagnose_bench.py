@@ -2,8 +2,8 @@
 
     diagnose_bench.py [--docs FILE] [CONFIG …]
 
-Each config is run, diagnosed, and run again with the extended model; that takes about a minute each. `--docs` writes the
-table into the page.
+Each config is run, diagnosed, and run again with the extended model; that takes about a minute each.
+`--docs` writes the table into the page.
 """
 
 from __future__ import annotations
