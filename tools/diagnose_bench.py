@@ -45,7 +45,7 @@ def hidden(config: Path) -> Iterator[dict[str, Any]]:
 
 def place(effect: dict[str, Any]) -> str:
     """Name and axis."""
-    return effect["effect"] + (f" (axis {effect['axis']})" if effect.get("axis") else "")
+    return str(effect["effect"]) + (f" (axis {effect['axis']})" if effect.get("axis") else "")
 
 
 def row(config: Path) -> str:
