@@ -48,9 +48,10 @@ test: setup $(SUITE)/.extracted $(if $(shell command -v npm),$(STATION)/.install
 test-vcan: setup $(if $(shell command -v npm),$(STATION)/.installed)
 	$(BIN)/python tools/test_vcan.py
 
-# The docs as a site in build/site; a warning is an error.
+# The docs as a site in build/site (a warning is an error), and every command that they show, run.
 docs: setup
 	$(BIN)/mkdocs build --quiet
+	$(BIN)/python -m pytest -q -n 2 -m docs tests/docs
 
 # Beside scipy, plain Python, canopen and a bare timer loop; rewrites the tables of docs/performance.md.
 SECONDS ?= 60

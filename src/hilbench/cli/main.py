@@ -95,7 +95,7 @@ def doctor(
     from hilbench.cli.doctor import doctor_command
 
     loaded = None if config is None else _load(config, bus=bus, pace=pace)
-    address = BusAddress.parse(bus or "embedded") if loaded is None else loaded.config.bus_address
+    address = BusAddress.parse(bus or "embedded").as_it_runs() if loaded is None else loaded.config.bus_address
     raise typer.Exit(doctor_command(loaded, address, start=start, as_json=json))
 
 
