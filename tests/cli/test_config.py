@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from pathlib import Path
 
 import jsonschema
 import pytest
+from tests.cli.in_process import hilbench
 
 from hilbench import strict_yaml
 from hilbench.experiment.config import load
@@ -15,11 +14,6 @@ from hilbench.experiment.config_text import json_schema
 
 ROOT = Path(__file__).resolve().parents[2]
 SHIPPED = sorted((ROOT / "bench_configs").glob("*.yaml"))
-
-
-def hilbench(*arguments: object, typed: str = "") -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "hilbench.cli", *map(str, arguments)]
-    return subprocess.run(command, input=typed, capture_output=True, text=True, timeout=60, check=False)
 
 
 @pytest.fixture(scope="module")

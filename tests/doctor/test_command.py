@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 import yaml
 from tests.bench.test_runs import SHORT, config, gone, start, wait_for_frames
+from tests.cli.in_process import hilbench
 
 from hilbench.doctor.findings import Check
 
@@ -21,8 +22,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 def doctor(*arguments: str) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "hilbench.cli", "doctor", *arguments]
-    return subprocess.run(command, capture_output=True, text=True, timeout=90, check=False)
+    return hilbench("doctor", *arguments)
 
 
 def findings(done: subprocess.CompletedProcess[str]) -> list[dict[str, Any]]:
