@@ -133,7 +133,7 @@ def test_an_interface_that_is_not_there_and_no_config() -> None:
     assert ("socketcan:nocan99", "warning") in of_check(found, "bus")
 
 
-@pytest.mark.parametrize("arguments", [("--bus", "can0"), ("no_such_config.yaml",)])
+@pytest.mark.parametrize("arguments", [("--bus", "can0"), ("no_such_config.yaml",), ("--set", "seed=3")])
 def test_unusable_input_is_exit_2_and_one_line(arguments: tuple[str, ...]) -> None:
     done = doctor(*arguments)
     assert done.returncode == 2
