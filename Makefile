@@ -11,7 +11,7 @@ SUITE := .cache/python-can
 STATION := .cache/node-canopen
 STATION_FILES := $(addprefix tests/foreign/,package.json package-lock.json .npmrc crc)
 
-.PHONY: setup demo test test-vcan bench lint lock clean
+.PHONY: setup demo test test-vcan docs bench lint lock clean
 
 setup: $(STAMP)
 
@@ -48,6 +48,11 @@ test: setup $(SUITE)/.extracted $(if $(shell command -v npm),$(STATION)/.install
 test-vcan: setup $(if $(shell command -v npm),$(STATION)/.installed)
 	$(BIN)/python tools/test_vcan.py
 
+# The docs as a site in build/site (a warning is an error), and every command that they show, run.
+docs: setup
+	$(BIN)/mkdocs build --quiet
+	$(BIN)/python -m pytest -q -n 2 -m docs tests/docs
+
 # Beside scipy, plain Python, canopen and a bare timer loop; rewrites the tables of docs/performance.md.
 SECONDS ?= 60
 bench: setup
@@ -64,4 +69,4 @@ lock:
 	    --no-emit-index-url --no-emit-find-links --output-file requirements.lock pyproject.toml
 
 clean:
-	rm -rf $(VENV) .cache .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) build .cache .pytest_cache .mypy_cache .ruff_cache .hypothesis

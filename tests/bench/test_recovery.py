@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import random
 import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 from tests.bench.test_runs import SHORT, config, gone, run, run_folders, start, wait_for_frames
+from tests.cli.in_process import hilbench
 
 from hilbench.record.recording import read_recording
 from hilbench.record.result import Result
@@ -19,8 +19,7 @@ RESOLUTION_M_S = 0.0001 / 60.0 * 2.0 * np.pi * 0.2 / 5.0
 
 
 def recover(folder: Path) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "hilbench.cli", "recover", str(folder)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    return hilbench("recover", folder)
 
 
 def test_a_killed_run_is_recovered_as_it_would_have_been_recorded(tmp_path: Path) -> None:

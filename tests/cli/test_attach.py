@@ -15,17 +15,15 @@ from pathlib import Path
 import pytest
 import yaml
 from tests.bench.test_runs import config
+from tests.cli.in_process import hilbench
 
 from hilbench.bus.link import Link
 from hilbench.bus.open import BusAddress, open_link
-from hilbench.doctor.stations import hear
+from hilbench.doctor.stations import hear, present
+from hilbench.experiment.config import load
 
 EDS = Path(__file__).resolve().parents[2] / "eds" / "hilbench_servo.eds"
 HILBENCH = [sys.executable, "-m", "hilbench.cli"]
-
-
-def hilbench(*arguments: object) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([*HILBENCH, *map(str, arguments)], capture_output=True, text=True, timeout=60, check=False)
 
 
 @pytest.fixture(scope="module")
@@ -33,9 +31,9 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """The config of a bench whose simulated hardware runs."""
     path = config(tmp_path_factory.mktemp("attach"), pace="realtime")
     running = subprocess.Popen([*HILBENCH, "simulate-hardware", str(path)], stdout=subprocess.PIPE)
-    deadline = time.monotonic() + 60.0
-    while hilbench("drive", "axis1", "status", "--config", path).returncode != 0:
-        assert time.monotonic() < deadline, "the simulated hardware does not answer"
+    link = open_link(load(path)[0].bus_address)
+    assert any(present(link, [1], 0.2) for _ in range(300)), "the simulated hardware does not answer"
+    link.close()
     yield path
     running.terminate()
     running.communicate(timeout=20)

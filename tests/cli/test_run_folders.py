@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import shutil
-import subprocess
-import sys
 import uuid
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +12,7 @@ from xml.etree import ElementTree
 
 import pytest
 from tests.bench.test_runs import run_folders, start, wait_for_frames
+from tests.cli.in_process import hilbench
 
 from hilbench.bus.open import open_link
 from hilbench.doctor.stations import hear
@@ -21,7 +20,6 @@ from hilbench.experiment.config import load
 from hilbench.monitor.picture import BusPicture
 from hilbench.record.recording import read_recording
 
-HILBENCH = [sys.executable, "-m", "hilbench.cli"]
 SHIPPED = Path(__file__).resolve().parents[2] / "bench_configs"
 #: The shipped scenario on the shipped bench with an axis of other units; expectation and assertion that do not hold.
 CONFIG = f"""
@@ -38,10 +36,6 @@ criteria:
   - {{name: without a value, metric: jitter_max_us, max: 1}}
 """
 WRONG = ["E_sim_Pa from t = 2.5 s of the table", "scenario.py: creep_down", "beyond its bound", "without a value"]
-
-
-def hilbench(*arguments: object) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([*HILBENCH, *map(str, arguments)], capture_output=True, text=True, timeout=90, check=False)
 
 
 @dataclass

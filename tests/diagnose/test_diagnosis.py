@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import json
 import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import yaml
+from tests.cli.in_process import hilbench
 from tests.web.models import DEMONSTRATOR, effect, model
 
 from hilbench.diagnose.blind import UNKNOWNS, blind_recording
@@ -135,8 +135,7 @@ def test_a_measured_lone_axis_has_the_published_friction() -> None:
 
 
 def command(*arguments: object) -> subprocess.CompletedProcess[str]:
-    words = [sys.executable, "-m", "hilbench.cli", "diagnose", *map(str, arguments)]
-    return subprocess.run(words, capture_output=True, text=True, timeout=300, check=False)
+    return hilbench("diagnose", *arguments)
 
 
 def test_the_command_prints_the_agreed_object_and_writes_page_and_model(tmp_path: Path) -> None:

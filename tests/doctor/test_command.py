@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 import yaml
 from tests.bench.test_runs import SHORT, config, gone, start, wait_for_frames
+from tests.cli.in_process import hilbench
 
 from hilbench.doctor.findings import Check
 
@@ -21,8 +22,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 def doctor(*arguments: str) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "hilbench.cli", "doctor", *arguments]
-    return subprocess.run(command, capture_output=True, text=True, timeout=90, check=False)
+    return hilbench("doctor", *arguments)
 
 
 def findings(done: subprocess.CompletedProcess[str]) -> list[dict[str, Any]]:
@@ -133,7 +133,7 @@ def test_an_interface_that_is_not_there_and_no_config() -> None:
     assert ("socketcan:nocan99", "warning") in of_check(found, "bus")
 
 
-@pytest.mark.parametrize("arguments", [("--bus", "can0"), ("no_such_config.yaml",)])
+@pytest.mark.parametrize("arguments", [("--bus", "can0"), ("no_such_config.yaml",), ("--set", "seed=3")])
 def test_unusable_input_is_exit_2_and_one_line(arguments: tuple[str, ...]) -> None:
     done = doctor(*arguments)
     assert done.returncode == 2

@@ -13,6 +13,8 @@ from hilbench.bench.nodes import Nodes
 from hilbench.bus.frame import Frame
 from hilbench.bus.memory import MemoryBus
 from hilbench.experiment.config import load
+from hilbench.fieldbus.emergency_stop import EMERGENCY_STOP
+from hilbench.monitor.changes import CHANGEABLE, ChangeRequests
 from hilbench.monitor.dashboard import Dashboard
 from hilbench.monitor.picture import BusPicture
 
@@ -76,3 +78,55 @@ def test_the_dashboard_shows_it_and_sends_nothing(bench: BenchConfig) -> None:
     assert tension.startswith("tension: 178.0 N")
     assert faults
     assert theirs.receive(0.0) == []
+
+
+#: SDO write of 95.0 to 2200h:2 of node 127, its confirmation, and a refusal: too high.
+ASKED, DONE, TOO_HIGH = (bytes.fromhex(text) for text in ("230022020000be42", "6000220200000000", "8000220231000906"))
+
+
+@pytest.mark.parametrize(
+    ("keys", "answer", "sent", "said"),
+    [
+        (["t", "9", "5", "enter", "y"], DONE, [Frame(0x67F, ASKED)], "tension set-point 95 N: set"),
+        (
+            ["t", "9", "5", "enter", "y"],
+            TOO_HIGH,
+            [Frame(0x67F, ASKED)],
+            "refused (06090031h",
+        ),
+        (["t", "9", "5", "enter", "n"], None, [], ""),
+        (["t", "escape"], None, [], ""),
+        (["e", "y"], None, 3 * list(EMERGENCY_STOP), "emergency stop sent"),
+        (["e", "n"], None, [], ""),
+    ],
+)
+def test_only_a_confirmed_key_sends(
+    bench: BenchConfig, keys: list[str], answer: bytes | None, sent: list[Frame], said: str
+) -> None:
+    bus = MemoryBus()
+    ours, theirs = bus.open_link(), bus.open_link()
+    dashboard = Dashboard(BusPicture(bench), ours)
+
+    async def press() -> tuple[list[Frame], list[str]]:
+        async with dashboard.run_test(size=(110, 36)) as pilot:
+            for key in keys:
+                await pilot.press(key)
+            await pilot.pause(0.3)
+            heard = theirs.receive(0.0)
+            if answer is not None:
+                theirs.send([Frame(0x5FF, answer)])
+                await pilot.pause(0.3)
+            return heard, list(dashboard.query_one("#faults", Log).lines)
+
+    heard, lines = asyncio.run(asyncio.wait_for(press(), 30.0))
+    # What nobody has read yet competes by identifier.
+    assert sorted(frame[:2] for frame in heard) == sorted(frame[:2] for frame in sent)
+    assert said in " ".join(lines)
+    assert bool(said) == any(lines)
+
+
+def test_a_bench_that_does_not_answer_is_said(bench: BenchConfig) -> None:
+    requests = ChangeRequests(bench, lambda frames: None)
+    requests.ask(CHANGEABLE["v"], 2.0)
+    assert requests.take([], 0.0) == []
+    assert requests.take([], 5.0) == ["line speed 2 m/s: no answer from the bench (node 127)"]

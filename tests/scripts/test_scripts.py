@@ -31,6 +31,9 @@ def test_the_script_of_the_page_finds_the_step_and_its_recording_is_a_data_frame
     frame = names["bench"].recording.to_pandas()
     assert frame["E_sim_Pa"].iloc[-1] == pytest.approx(frame["E_true_Pa"].iloc[-1], rel=1e-2)
     assert (frame.index.name, frame.attrs["units"]["E_sim_Pa"]) == ("t_s", "Pa")
+    data = names["bench"].recording.to_xarray()
+    assert data["E_sim_Pa"].sel(t_s=frame.index[-1]).item() == frame["E_sim_Pa"].iloc[-1]
+    assert (data["E_sim_Pa"].attrs["units"], data["t_s"].attrs["units"]) == ("Pa", "s")
 
 
 def test_the_test_of_the_page_passes_and_its_bench_can_be_changed(pytester: pytest.Pytester):

@@ -19,6 +19,7 @@ from hilbench.bench.limits import LimitWatch
 from hilbench.bench.load_model import LoadModel
 from hilbench.bench.nodes import Nodes
 from hilbench.bench.notice import Notice
+from hilbench.bench.operator_objects import OperatorObjects
 from hilbench.bench.processes import ChildProcess
 from hilbench.bench.safety import confirm_stopped, quick_stop
 from hilbench.bench.sample import CycleSample
@@ -128,6 +129,9 @@ class Bench:
         )
         limits = config.safety.limits
         self._limits = LimitWatch(limits, web.youngs_modulus_Pa, config.cycle_time_s)
+        self._operator = OperatorObjects(config, self.get, self._may_change)
+        self._operator_speed_m_s: float | None = None  # where the line speed goes that an operator asked for
+        self._ramped = ""  # the quantity that a ramp of the experiment moves
         self._twin: TwinConnection
         self._supervisor: ChildProcess | None = None
         self._strain_prev = config.model.upstream_strain
@@ -295,6 +299,7 @@ class Bench:
         """Run one cycle: set points and SYNC out, measurements in. Raises BenchFaultError on faults and limits."""
         if self.interrupt_requested:
             raise InterruptedByOperatorError("interrupted, drives were stopped")
+        self._follow_operator()
         self._twin.before_cycle()
         self._look_after_supervisor()
         self._exchange_once()
@@ -335,9 +340,13 @@ class Bench:
         """Move a quantity linearly to `to` within `duration_s`."""
         cycles = max(1, round(duration_s / self.config.cycle_time_s))
         start = self.get(path)
-        for k in range(1, cycles + 1):
-            self.set(path, start + (to - start) * k / cycles)
-            self.cycle()
+        self._ramped = path
+        try:
+            for k in range(1, cycles + 1):
+                self.set(path, start + (to - start) * k / cycles)
+                self.cycle()
+        finally:
+            self._ramped = ""
 
     def wait_until(self, condition: Callable[[CycleSample], bool], *, timeout_s: float, for_s: float = 0.0) -> bool:
         """Run until `condition` has held for `for_s` without a break; False when it did not within `timeout_s`."""
@@ -385,6 +394,7 @@ class Bench:
         """Give a quantity a value from the next cycle on. Raises ValueError for an unknown path."""
         if path == quantities.LINE_SPEED:
             self.line_speed_m_s = value
+            self._operator_speed_m_s = None
         elif path == quantities.TENSION_SET_POINT:
             self.tension_set_point_N = value
         elif quantities.is_of_load(path):
@@ -414,12 +424,35 @@ class Bench:
             raise ValueError(f"one of {', '.join(METHODS)}")
         self.nodes.use_synchronizer(list(METHODS).index(method) + 1)
 
+    # -- what an operator asks for ------------------------------------------------------------------------
+
+    def _may_change(self, path: str) -> bool:
+        """Only while the experiment runs, and nothing that it moves itself just now."""
+        return self.enabled and not self.stopping and path != self._ramped
+
+    def _follow_operator(self) -> None:
+        """Apply what was asked for; the line speed goes there at the rate at which the bench itself slows down."""
+        for path, value in self._operator.changes():
+            self._note("operator", f"{path} from {self.get(path):.6g} to {value:.6g}")
+            if path == quantities.LINE_SPEED:
+                self._operator_speed_m_s = value
+            else:
+                self.step(path, value)
+        goal_m_s = self._operator_speed_m_s
+        if goal_m_s is not None:
+            left_m_s = goal_m_s - self.line_speed_m_s
+            step_m_s = min(abs(left_m_s), self.config.safety.quick_stop_m_s2 * self.config.cycle_time_s)
+            self.set(quantities.LINE_SPEED, self.line_speed_m_s + copysign(step_m_s, left_m_s))
+            self._operator_speed_m_s = goal_m_s if step_m_s < abs(left_m_s) else None
+
     # -- one cycle ---------------------------------------------------------------------------------------
 
     def _exchange_once(self) -> None:
         exchange, sample = self._running(), self.last
         self._command()
-        received = exchange.exchange(self.nodes.encode(self._strain_prev, self._tension_next_N))
+        outgoing = self.nodes.encode(self._strain_prev, self._tension_next_N)
+        received = exchange.exchange([*outgoing, *self._operator.answers()])
+        self._operator.take(received)
         self.nodes.decode(received)
         self.nodes.fill(sample)
         sample.cycle = exchange.timing.cycles

@@ -30,8 +30,10 @@ class _Block(BaseModel):
 class BusConfig(_Block):
     """Which bus: `embedded`, or any python-can interface and channel such as `socketcan:vcan0`."""
 
-    address: str = "embedded"
-    bitrate: int = Field(default=1_000_000, ge=10_000, le=1_000_000)
+    address: str = Field(
+        default="embedded", description="embedded[:NAME], or a python-can interface and channel: socketcan:vcan0"
+    )
+    bitrate: int = Field(default=1_000_000, ge=10_000, le=1_000_000, description="bit/s")
 
     @field_validator("address")
     @classmethod
@@ -59,7 +61,7 @@ def parse_object(key: str) -> tuple[int, int]:
 class NodeConfig(_Block):
     """One CANopen node of the bench."""
 
-    node_id: int = Field(ge=1, le=127)
+    node_id: int = Field(ge=1, le=127, description="CANopen node id; every node has one of its own")
     eds: Path = Field(description="EDS or DCF file; a relative path is taken from the config file's folder")
     simulated: bool = Field(default=True, description="part of the simulated hardware; false: a real device")
     units: UnitsConfig = Field(default=UnitsConfig(), description="a drive's units where its objects do not tell them")
@@ -108,11 +110,13 @@ class NodesConfig(_Block):
 class MasterConfig(_Block):
     """The bench's own part on the bus."""
 
-    node_id: int = Field(default=127, ge=1, le=127)
+    node_id: int = Field(default=127, ge=1, le=127, description="the bench's own, for its heartbeat")
     heartbeat_ms: int = Field(default=100, ge=0, le=32767, description="the bench's own heartbeat; 0: none")
     node_heartbeat_ms: int = Field(default=100, ge=0, le=32767, description="heartbeat that the nodes produce")
-    boot_timeout_s: PositiveFloat = 20.0
-    sdo_timeout_s: PositiveFloat = 1.0
+    boot_timeout_s: PositiveFloat = Field(
+        default=20.0, description="how long nodes may take to show themselves on the bus"
+    )
+    sdo_timeout_s: PositiveFloat = Field(default=1.0, description="how long a node may take to answer an SDO request")
 
 
 class HardwareConfig(_Block):
@@ -135,8 +139,8 @@ class HardwareConfig(_Block):
 class LoadWebConfig(_Block):
     """Where the imitated web differs from the model; what is not given is as in `model:`."""
 
-    youngs_modulus_Pa: PositiveFloat | None = None
-    span_length_m: PositiveFloat | None = None
+    youngs_modulus_Pa: PositiveFloat | None = Field(default=None, description="Young's modulus E of the imitated web")
+    span_length_m: PositiveFloat | None = Field(default=None, description="free web between the two rollers")
 
 
 class LoadConfig(_Block):
@@ -161,8 +165,10 @@ class LoadConfig(_Block):
 class Limit(_Block):
     """Two levels of one quantity's magnitude; a level that is not given (null) does not exist."""
 
-    warning: PositiveFloat | None = None
-    trip: PositiveFloat | None = None
+    warning: PositiveFloat | None = Field(
+        default=None, description="noted once until the quantity has fallen below 95 % of it"
+    )
+    trip: PositiveFloat | None = Field(default=None, description="the bench goes to the safe state")
 
     @model_validator(mode="after")
     def _warning_comes_first(self) -> Limit:
@@ -206,12 +212,18 @@ class SafetyConfig(_Block):
 class BenchConfig(_Block):
     """One bench. Keys that carry a unit say so in their name."""
 
-    name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")
-    description: str = ""
-    seed: int = Field(default=1, ge=0)
-    pace: Pace = "lockstep"
-    cycle_time_s: float = Field(default=0.002, ge=0.0005, le=0.1)
-    mirroring: Mirroring = "listen"
+    name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$", description="names the run folder")
+    description: str = Field(default="", description="stands in report and recording")
+    seed: int = Field(default=1, ge=0, description="of every random number of the run")
+    pace: Pace = Field(
+        default="lockstep",
+        description="lockstep: the next SYNC when everybody has answered, reproducible; realtime: by the wall clock",
+    )
+    cycle_time_s: float = Field(default=0.002, ge=0.0005, le=0.1, description="SYNC period, whole microseconds")
+    mirroring: Mirroring = Field(
+        default="listen",
+        description="listen: virtual axes hear the real axes' RPDOs; copy: they get RPDOs of their own",
+    )
     bus: BusConfig = BusConfig()
     master: MasterConfig = MasterConfig()
     nodes: NodesConfig

@@ -25,11 +25,11 @@ _KNOWN_S = 0.5
 
 
 class TensionControlConfig(BaseModel):
-    """The `tension_control:` block of a bench config."""
+    """The tension loop: how the velocity of axis 1 keeps the simulated tension at its set-point."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    set_point_N: PositiveFloat = 80.0
+    set_point_N: PositiveFloat = Field(default=80.0, description="of the simulated tension, the sensor of the loop")
     bandwidth_rad_per_s: PositiveFloat = Field(default=6.0, description="of the closed tension loop")
     twin_age_limit_cycles: int = Field(
         default=10, ge=0, description="age of the twin's data up to which the loop stays closed on them"

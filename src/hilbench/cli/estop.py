@@ -9,11 +9,8 @@ from hilbench.bus.hub_client import running_channels, statistics
 from hilbench.bus.link import Link
 from hilbench.bus.open import BusAddress, open_link
 from hilbench.errors import EXIT_BENCH_FAULT, EXIT_PASSED, BusError, UnusableInputError
-from hilbench.fieldbus.emergency_stop import EMERGENCY_STOP
+from hilbench.fieldbus.emergency_stop import send_emergency_stop
 
-#: The stop is sent so often: a frame can be lost.
-_TIMES = 3
-_PAUSE_S = 0.01
 #: How long the nodes' heartbeats are listened to afterwards.
 _LISTEN_S = 0.5
 _OPERATIONAL = 5
@@ -50,9 +47,7 @@ def _stop(address: BusAddress) -> int:
         return EXIT_BENCH_FAULT
     try:
         link.set_filters([(0x700, 0x780)])
-        for _ in range(_TIMES):
-            link.send(EMERGENCY_STOP)
-            time.sleep(_PAUSE_S)
+        send_emergency_stop(link)
         moving = _still_operational(link)
     except BusError as error:
         print(f"hilbench: {error}", file=sys.stderr)

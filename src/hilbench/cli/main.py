@@ -11,7 +11,7 @@ import typer
 
 from hilbench.cli import compare, config, convert, drive, monitor, replay, scan, sdo, sweep
 from hilbench.cli.options import BusOption, ConfigArgument, JsonOption, PaceOption, SetOption
-from hilbench.errors import EXIT_INTERRUPTED, HilbenchError
+from hilbench.errors import EXIT_INTERRUPTED, HilbenchError, UnusableInputError
 
 app = typer.Typer(
     name="hilbench",
@@ -77,6 +77,7 @@ def doctor(
     config: Annotated[Path | None, typer.Argument(metavar="[CONFIG]", help="bench config (YAML)")] = None,
     bus: BusOption = None,
     pace: PaceOption = None,
+    changes: SetOption = None,
     start: Annotated[
         bool,
         typer.Option("--start/--no-start", help="start simulated hardware and twin when they don't run, as run does"),
@@ -94,25 +95,31 @@ def doctor(
     from hilbench.bus.open import BusAddress
     from hilbench.cli.doctor import doctor_command
 
-    loaded = None if config is None else _load(config, bus=bus, pace=pace)
-    address = BusAddress.parse(bus or "embedded") if loaded is None else loaded.config.bus_address
+    if config is None and changes:
+        raise UnusableInputError("--set", f"'{changes[0]}' without a config, expected CONFIG to change")
+    loaded = None if config is None else _load(config, bus=bus, pace=pace, changes=changes or ())
+    address = BusAddress.parse(bus or "embedded").as_it_runs() if loaded is None else loaded.config.bus_address
     raise typer.Exit(doctor_command(loaded, address, start=start, as_json=json))
 
 
 @app.command("simulate-hardware")
-def simulate_hardware(config: ConfigArgument, bus: BusOption = None, pace: PaceOption = None) -> None:
+def simulate_hardware(
+    config: ConfigArgument, bus: BusOption = None, pace: PaceOption = None, changes: SetOption = None
+) -> None:
     """Simulate the drives of a bench (axis 1, axis 2, load motor) until interrupted.
 
     Example: hilbench simulate-hardware bench_configs/web_section_step.yaml --bus socketcan:vcan0
+
+    Example: hilbench simulate-hardware bench_configs/web_section_step.yaml --set hardware.sensors.torque_noise_Nm=0.1
     """
     from hilbench.bench.hardware import simulate
     from hilbench.bench.processes import report_lost_frames
 
-    report_lost_frames(simulate(_load(config, bus=bus, pace=pace).config))
+    report_lost_frames(simulate(_load(config, bus=bus, pace=pace, changes=changes or ()).config))
 
 
 @app.command()
-def twin(config: ConfigArgument, bus: BusOption = None, pace: PaceOption = None) -> None:
+def twin(config: ConfigArgument, bus: BusOption = None, pace: PaceOption = None, changes: SetOption = None) -> None:
     """Run the twin of a bench: virtual axes, virtual I/O and synchronizer, until interrupted.
 
     Example: hilbench twin bench_configs/web_section_step.yaml --bus socketcan:vcan0
@@ -121,7 +128,8 @@ def twin(config: ConfigArgument, bus: BusOption = None, pace: PaceOption = None)
     from hilbench.bench.twin_setup import twin_setup
     from hilbench.twin.process import run_twin
 
-    report_lost_frames(run_twin(twin_setup(_load(config, bus=bus, pace=pace).config), stop_request()))
+    setup = twin_setup(_load(config, bus=bus, pace=pace, changes=changes or ()).config)
+    report_lost_frames(run_twin(setup, stop_request()))
 
 
 @app.command()

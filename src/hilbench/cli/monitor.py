@@ -1,4 +1,4 @@
-"""`hilbench monitor`: a running bench on the bus, watched and left alone."""
+"""`hilbench monitor`: a running bench on the bus, watched, and left alone until a key asks for something."""
 
 from __future__ import annotations
 
@@ -23,8 +23,9 @@ def monitor(
 ) -> None:
     """Watch a running bench as a listener on its bus: trends of tension and E, drive states, bus load, jitter, faults.
 
-    Sends nothing; may be started before the bench and stay when it has ended. With --json it listens for a while and
-    prints what it heard as one object.
+    It may be started before the bench and stay when it has ended. It sends nothing but what a key asks for and a second
+    one confirms: v line speed, t tension set-point, m E of the imitated web, e emergency stop. With --json it listens
+    for a while and prints what it heard as one object.
 
     Example: hilbench monitor bench_configs/web_section_step.yaml --bus socketcan:can0
     """

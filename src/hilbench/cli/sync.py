@@ -30,16 +30,14 @@ def sync_command(
     chosen = methods_of(methods)
     model, recording = model_from(model_path), read_recording(recording_path)
     data = measurements_of(recording, recording_path)
+    if out is not None:  # before what takes its time
+        _make_folder(out)
     true = np.asarray(recording["E_true_Pa"], np.float64) if "E_true_Pa" in recording else None
     try:
         comparison = compare_methods(model, data, chosen, true, unmodelled_torque_Nm)
     except ValueError as error:
         raise UnusableInputError(model_path, f"{error}") from error
     if out is not None:
-        try:
-            out.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise UnusableInputError(out, f"cannot be made ({error.strerror}), expected a folder") from error
         page = write_sync_page(comparison, f"Synchronizers on {recording_path.name}", out / "sync.html")
     if as_json:
         print(json.dumps(as_data(comparison), indent=2))
@@ -48,6 +46,13 @@ def sync_command(
     console.print(_table(comparison))
     if out is not None:
         console.print(f"page: {page}")
+
+
+def _make_folder(out: Path) -> None:
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UnusableInputError(out, f"cannot be made ({error.strerror}), expected a folder") from error
 
 
 def _table(comparison: Comparison) -> Table:

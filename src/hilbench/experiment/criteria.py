@@ -20,14 +20,14 @@ class Criterion(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
-    name: str = Field(min_length=1)
-    metric: str
-    min: float | None = None
-    max: float | None = None
-    target: float | None = None
-    tolerance: float | None = Field(default=None, ge=0)
-    margin: float | None = Field(default=None, gt=0)
-    unit: str | None = None
+    name: str = Field(min_length=1, description="what report and JUnit XML call it")
+    metric: str = Field(description="name of a metric")
+    min: float | None = Field(default=None, description="least value that passes")
+    max: float | None = Field(default=None, description="largest value that passes")
+    target: float | None = Field(default=None, description="value that the metric should have")
+    tolerance: float | None = Field(default=None, ge=0, description="how far from the target it may be")
+    margin: float | None = Field(default=None, gt=0, description="a value that holds by less is marginal")
+    unit: str | None = Field(default=None, description="must be the metric's own, where given")
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:

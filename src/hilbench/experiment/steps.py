@@ -60,10 +60,10 @@ class _Step(BaseModel):
 class Ramp(_Step):
     """Move a quantity linearly: at `rate_per_s` (unit of the quantity per second) or within `duration_s`."""
 
-    path: Path
-    to: float
-    rate_per_s: PositiveFloat | None = None
-    duration_s: PositiveFloat | None = None
+    path: Path = Field(description="what is moved")
+    to: float = Field(description="value at the end, SI")
+    rate_per_s: PositiveFloat | None = Field(default=None, description="how fast, in the quantity's unit per second")
+    duration_s: PositiveFloat | None = Field(default=None, description="how long it takes")
 
     @model_validator(mode="after")
     def _one_of_two(self) -> Ramp:
@@ -81,8 +81,8 @@ class Ramp(_Step):
 class Hold(_Step):
     """Let the bench run: for `duration_s`, or until experiment time `until_s`."""
 
-    duration_s: NonNegativeFloat | None = None
-    until_s: NonNegativeFloat | None = None
+    duration_s: NonNegativeFloat | None = Field(default=None, description="how long")
+    until_s: NonNegativeFloat | None = Field(default=None, description="experiment time at the end")
 
     @model_validator(mode="after")
     def _one_of_two(self) -> Hold:
@@ -98,8 +98,8 @@ class Hold(_Step):
 class Set(_Step):
     """Give quantities a value from the next cycle on."""
 
-    path: Path
-    to: float
+    path: Path = Field(description="what is set")
+    to: float = Field(description="its new value, SI")
 
     def run(self, bench: Bench) -> None:
         """Set it; takes no time."""
@@ -117,8 +117,10 @@ class Step(Set):
 class WaitUntil(_Step):
     """Run until a signal of the recording fulfils a condition; a bench fault when it does not in time."""
 
-    condition: Annotated[str, AfterValidator(_condition)]
-    timeout_s: PositiveFloat
+    condition: Annotated[str, AfterValidator(_condition)] = Field(
+        description="a comparison of a signal: 'v1_m_s >= 2.9'"
+    )
+    timeout_s: PositiveFloat = Field(description="how long it may take; then the run ends as a bench fault")
     for_s: NonNegativeFloat = Field(default=0.0, description="the condition must hold so long without a break")
 
     def run(self, bench: Bench) -> None:
@@ -143,7 +145,9 @@ class RestartTwin(_Step):
 class UseSynchronizer(_Step):
     """Let the twin go on with another method from its present E, with that method's defaults."""
 
-    method: Literal["pid", "lm", "global", "rls", "ekf", "changepoint"]
+    method: Literal["pid", "lm", "global", "rls", "ekf", "changepoint"] = Field(
+        description="as in twin: synchronizer: method"
+    )
 
     def run(self, bench: Bench) -> None:
         """Switch; takes no time."""

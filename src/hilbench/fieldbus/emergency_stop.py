@@ -8,9 +8,11 @@ be read by SDO.
 
 from __future__ import annotations
 
+import time
 from typing import Final
 
 from hilbench.bus.frame import Frame
+from hilbench.bus.link import Link
 
 EMERGENCY_STOP_COB_ID: Final = 0x001
 
@@ -18,3 +20,14 @@ _NMT_COB_ID: Final = 0x000
 _PRE_OPERATIONAL_ALL: Final = bytes((128, 0))
 
 EMERGENCY_STOP: Final = (Frame(EMERGENCY_STOP_COB_ID, b""), Frame(_NMT_COB_ID, _PRE_OPERATIONAL_ALL))
+
+#: The stop is sent so often: a frame can be lost.
+_TIMES: Final = 3
+_PAUSE_S: Final = 0.01
+
+
+def send_emergency_stop(link: Link) -> None:
+    """Stop everything on the bus; takes 30 ms. Raises BusError when it cannot be sent."""
+    for _ in range(_TIMES):
+        link.send(EMERGENCY_STOP)
+        time.sleep(_PAUSE_S)

@@ -1,20 +1,65 @@
-"""The dashboard of the monitor: a terminal program that reads its link a few times a second and sends nothing."""
+"""The dashboard of the monitor: a terminal program that reads its link a few times a second.
+
+It sends nothing but what a key asks for and a second key confirms: an emergency stop, or a change of the running bench.
+"""
 
 from __future__ import annotations
 
+import time
+from functools import partial
 from typing import ClassVar
 
 from textual.app import App, ComposeResult
 from textual.binding import BindingType
 from textual.containers import Horizontal, Vertical
-from textual.widgets import DataTable, Footer, Log, Sparkline, Static
+from textual.screen import ModalScreen
+from textual.widgets import DataTable, Footer, Input, Log, Sparkline, Static
 
 from hilbench.bus.link import Link
+from hilbench.errors import BusError
+from hilbench.fieldbus.emergency_stop import send_emergency_stop
+from hilbench.monitor.changes import CHANGEABLE, ChangeRequests, Quantity
 from hilbench.monitor.picture import BusPicture, NodePicture
 
 _READ_S = 0.05
 _DRAW_S = 0.25
 _COLUMNS = ("node", "part", "NMT", "drive", "statusword", "velocity rad/s", "torque N·m")
+
+
+class _Question(ModalScreen[bool]):
+    """Asks once more; only `y` means yes."""
+
+    BINDINGS: ClassVar[list[BindingType]] = [("y", "dismiss(True)", "yes"), ("n,escape", "dismiss(False)", "no")]
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self._text = text
+
+    def compose(self) -> ComposeResult:
+        """The question."""
+        yield Static(f"{self._text}   y: yes   n: no", classes="dialogue")
+
+
+class _NewValue(ModalScreen[float | None]):
+    """Asks for a number."""
+
+    BINDINGS: ClassVar[list[BindingType]] = [("escape", "dismiss(None)", "leave it")]
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self._text = text
+
+    def compose(self) -> ComposeResult:
+        """The field."""
+        with Vertical(classes="dialogue"):
+            yield Static(self._text)
+            yield Input(type="number")
+
+    def on_input_submitted(self, event: Input.Submitted) -> None:
+        """Return ends it; an empty field changes nothing."""
+        self.dismiss(
+            float(event.value) if event.validation_result is None or event.validation_result.is_valid else None
+        )
 
 
 class Dashboard(App[None]):
@@ -27,14 +72,21 @@ class Dashboard(App[None]):
     Sparkline { height: 6; }
     #nodes { height: 9; }
     #faults { height: 1fr; border-top: solid $panel; }
+    ModalScreen { align: center middle; }
+    .dialogue { width: 70; height: auto; padding: 1 2; background: $panel; border: solid $warning; }
     """
     TITLE = "hilbench monitor"
-    BINDINGS: ClassVar[list[BindingType]] = [("q", "quit", "quit")]
+    BINDINGS: ClassVar[list[BindingType]] = [
+        *((key, f"change('{key}')", quantity.title) for key, quantity in CHANGEABLE.items()),
+        ("e", "emergency_stop", "EMERGENCY STOP"),
+        ("q", "quit", "quit"),
+    ]
 
     def __init__(self, picture: BusPicture, link: Link) -> None:
         super().__init__()
         self._picture = picture
         self._link = link
+        self._changes = ChangeRequests(picture.config, link.send)
         self._noted = 0
 
     def compose(self) -> ComposeResult:
@@ -56,8 +108,47 @@ class Dashboard(App[None]):
         self.set_interval(_DRAW_S, self._draw)
         self._draw()
 
+    # -- what keys ask for ---------------------------------------------------------------------------------
+
+    def action_emergency_stop(self) -> None:
+        """Stop everything on the bus, once it is confirmed."""
+        self.push_screen(_Question("Stop every device on the bus?"), self._stop)
+
+    def action_change(self, key: str) -> None:
+        """Ask for a new value, and whether it is meant."""
+        quantity = CHANGEABLE[key]
+        low, high = self._changes.range_of(quantity)
+        text = f"{quantity.title} in {quantity.unit} ({low:g} to {high:g}); Esc leaves it"
+        self.push_screen(_NewValue(text), partial(self._confirm, quantity))
+
+    def _confirm(self, quantity: Quantity, value: float | None) -> None:
+        if value is None:
+            return
+
+        def ask(yes: bool | None) -> None:
+            if yes:
+                self._changes.ask(quantity, value)
+
+        self.push_screen(_Question(f"Set {quantity.title} to {value:g} {quantity.unit}?"), ask)
+
+    def _stop(self, yes: bool | None) -> None:
+        if yes:
+            try:
+                send_emergency_stop(self._link)
+                self._say("emergency stop sent")
+            except BusError as error:
+                self._say(f"EMERGENCY STOP NOT SENT: {error}")
+
+    def _say(self, text: str) -> None:
+        self.query_one("#faults", Log).write_line(f"cycle {self._picture.cycles}  monitor: {text}")
+
+    # -- what is heard -------------------------------------------------------------------------------------
+
     def _read(self) -> None:
-        self._picture.take(self._link.receive(0.0))
+        frames = self._link.receive(0.0)
+        self._picture.take(frames)
+        for text in self._changes.take(frames, time.monotonic()):
+            self._say(text)
 
     def _draw(self) -> None:
         picture = self._picture

@@ -73,6 +73,19 @@ class Recording:
         frame.attrs["units"] = {name: self.unit(name) for name in self.channels}
         return frame
 
+    def to_xarray(self) -> Any:
+        """The channels as an xarray Dataset over ``t_s``; units stand where plots look for them, in ``attrs["units"]``.
+
+        Needs xarray: ``pip install hilbench[xarray]``.
+        """
+        import xarray
+
+        channels = {
+            name: (TIME, values, {"units": self.unit(name)}) for name, values in self.channels.items() if name != TIME
+        }
+        time = {TIME: (TIME, self.time_s, {"units": self.unit(TIME)})}
+        return xarray.Dataset(channels, time, {"description": self.comment})
+
     def require(self, names: Sequence[str], place: str | Path) -> None:
         """Raise UnusableInputError, naming `place`, unless all these channels are there and finite everywhere."""
         missing = [name for name in names if name not in self.channels]

@@ -22,6 +22,7 @@ from hilbench.bench.config import BenchConfig
 from hilbench.bench.cycle import SYNC_COB_ID
 from hilbench.bench.load_model import LoadModel
 from hilbench.bench.nodes import Nodes
+from hilbench.bench.operator_objects import answer_id
 from hilbench.bench.sample import CycleSample
 from hilbench.bench.signals import SIGNALS
 from hilbench.bench.twin_trust import TwinTrust
@@ -118,7 +119,8 @@ def replay(config: BenchConfig, folder: RunFolder) -> Recovery:
     """Decode the frames of a run as its bench did. Raises UnusableInputError for a trace that shows no two cycles."""
     nodes = Nodes(config)
     reader = TraceReader(folder.trace)
-    cycles = _cycles(reader, {cob_id for cob_id, _ in _own_frames(nodes)} | {0x700 + config.master.node_id})
+    own = {cob_id for cob_id, _ in _own_frames(nodes)} | {0x700 + config.master.node_id, answer_id(config)}
+    cycles = _cycles(reader, own)
     configuration = next(cycles, _Cycle())
     _take_units(nodes, configuration.received)
     changes = read_journal(folder.journal) if folder.journal.exists() else None

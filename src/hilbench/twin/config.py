@@ -32,13 +32,13 @@ class PidConfig(_Block):
     """
 
     method: Literal["pid"] = "pid"
-    kp_Pa_per_Nm_s: float = Field(default=4.2e8, ge=0)
-    ki_Pa_per_Nm_s2: float = Field(default=2.0e7, ge=0)
-    kd_Pa_per_Nm: float = Field(default=2.0e9, ge=0)
-    integral_limit_Nm_s: PositiveFloat = 0.05
+    kp_Pa_per_Nm_s: float = Field(default=4.2e8, ge=0, description="Kp")
+    ki_Pa_per_Nm_s2: float = Field(default=2.0e7, ge=0, description="Ki")
+    kd_Pa_per_Nm: float = Field(default=2.0e9, ge=0, description="Kd")
+    integral_limit_Nm_s: PositiveFloat = Field(default=0.05, description="largest size of the integral")
     error_filter_s: float = Field(default=0.2, ge=0, description="first-order filter of the error")
-    lower_limit_Pa: PositiveFloat = 1.0e8
-    upper_limit_Pa: PositiveFloat = 1.0e11
+    lower_limit_Pa: PositiveFloat = Field(default=1.0e8, description="least E it gives")
+    upper_limit_Pa: PositiveFloat = Field(default=1.0e11, description="largest E it gives")
 
 
 class _OnBalance(_Block):
@@ -71,7 +71,7 @@ class LmConfig(_OnBalance):
     """Levenberg–Marquardt on a moving window."""
 
     method: Literal["lm"] = "lm"
-    window_s: PositiveFloat = 0.15
+    window_s: PositiveFloat = Field(default=0.15, description="how far back a solution looks")
     every_cycles: int = Field(default=10, ge=1, description="cycles between two solutions")
 
 
@@ -79,11 +79,11 @@ class GlobalConfig(_OnBalance):
     """Differential evolution on a window, beside the cyclic path; its result acts `latency_cycles` later."""
 
     method: Literal["global"] = "global"
-    window_s: PositiveFloat = 0.4
+    window_s: PositiveFloat = Field(default=0.4, description="how far back a solution looks")
     latency_cycles: int = Field(default=100, ge=10, description="cycles from a window's end to its result")
-    lower_limit_Pa: PositiveFloat = 1.0e8
-    upper_limit_Pa: PositiveFloat = 1.0e11
-    seed: int = Field(default=1, ge=0)
+    lower_limit_Pa: PositiveFloat = Field(default=1.0e8, description="least E that is looked for")
+    upper_limit_Pa: PositiveFloat = Field(default=1.0e11, description="largest E that is looked for")
+    seed: int = Field(default=1, ge=0, description="of the search's random numbers")
 
 
 class ChangepointConfig(_OnBalance):
@@ -118,7 +118,9 @@ class TransferConfig(_Block):
 class TwinConfig(_Block):
     """The twin: what it assumes and how it keeps in step with the bench."""
 
-    synchronizer: SynchronizerConfig = ChangepointConfig()
+    synchronizer: SynchronizerConfig = Field(
+        default=ChangepointConfig(), description="how E is found from the torque of axis 2"
+    )
     transfer: TransferConfig = TransferConfig()
     youngs_modulus_Pa: PositiveFloat | None = Field(
         default=None, description="what the twin assumes at the start; the model's value if not given"

@@ -12,10 +12,18 @@ class SensorParameters(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    torque_noise_Nm: float = Field(default=0.0, ge=0.0, allow_inf_nan=False)  #: standard deviation
-    velocity_noise_rad_s: float = Field(default=0.0, ge=0.0, allow_inf_nan=False)  #: standard deviation
-    position_noise_rad: float = Field(default=0.0, ge=0.0, allow_inf_nan=False)  #: standard deviation, before counting
-    encoder_rad_per_count: float = Field(default=0.0, ge=0.0, allow_inf_nan=False)
+    torque_noise_Nm: float = Field(
+        default=0.0, ge=0.0, allow_inf_nan=False, description="standard deviation of the measured torque"
+    )
+    velocity_noise_rad_s: float = Field(
+        default=0.0, ge=0.0, allow_inf_nan=False, description="standard deviation of the measured velocity"
+    )
+    position_noise_rad: float = Field(
+        default=0.0, ge=0.0, allow_inf_nan=False, description="standard deviation of the position, before it is counted"
+    )
+    encoder_rad_per_count: float = Field(
+        default=0.0, ge=0.0, allow_inf_nan=False, description="resolution of the encoder"
+    )
 
 
 class Gaussian:

@@ -29,10 +29,12 @@ class _Part(BaseModel):
 class WebParameters(_Part):
     """The web: elastic, of constant section; one length for every span or a list."""
 
-    youngs_modulus_Pa: Positive
-    width_m: Positive
-    thickness_m: Positive
-    span_length_m: Positive | Annotated[list[Positive], Field(min_length=1)]
+    youngs_modulus_Pa: Positive = Field(description="E along the run of the web")
+    width_m: Positive = Field(description="across the machine")
+    thickness_m: Positive = Field(description="with the width: the section S, tension = E·S·strain")
+    span_length_m: Positive | Annotated[list[Positive], Field(min_length=1)] = Field(
+        description="free web between two driven rollers"
+    )
 
     @property
     def section_m2(self) -> float:
@@ -48,42 +50,54 @@ class WebParameters(_Part):
 class RollerParameters(_Part):
     """Rollers and their gears (motor turns `gear_ratio` times as fast)."""
 
-    radius_m: Positive | list[Positive]
-    inertia_kg_m2: NotNegative | list[NotNegative]
-    gear_ratio: Positive | list[Positive] = 1.0
+    radius_m: Positive | list[Positive] = Field(description="nominal radius")
+    inertia_kg_m2: NotNegative | list[NotNegative] = Field(description="of a roller about its own shaft")
+    gear_ratio: Positive | list[Positive] = Field(default=1.0, description="turns of the motor per turn of the roller")
 
 
 class MotorParameters(_Part):
     """Motors of the rollers, at the motor shaft."""
 
-    inertia_kg_m2: NotNegative | list[NotNegative] = 0.0
+    inertia_kg_m2: NotNegative | list[NotNegative] = Field(default=0.0, description="of a motor, at its shaft")
 
 
 class DriveParameters(_Part):
     """Control loops of the drives, at the motor: position P above velocity PI above a first-order current loop."""
 
-    velocity_kp_Nm_s_per_rad: NotNegative | list[NotNegative]
-    velocity_ki_Nm_per_rad: NotNegative | list[NotNegative] = 0.0
-    position_kp_per_s: NotNegative | list[NotNegative] = 10.0
-    torque_limit_Nm: Positive | list[Positive]
-    current_loop_time_constant_s: NotNegative | list[NotNegative] = 0.0
-    sample_time_s: Annotated[Positive, Field(le=0.005)] = 0.001
+    velocity_kp_Nm_s_per_rad: NotNegative | list[NotNegative] = Field(
+        description="proportional gain of the velocity loop"
+    )
+    velocity_ki_Nm_per_rad: NotNegative | list[NotNegative] = Field(
+        default=0.0, description="integral gain of the velocity loop"
+    )
+    position_kp_per_s: NotNegative | list[NotNegative] = Field(
+        default=10.0, description="gain of the position loop, where a drive has one"
+    )
+    torque_limit_Nm: Positive | list[Positive] = Field(description="of the motor")
+    current_loop_time_constant_s: NotNegative | list[NotNegative] = Field(
+        default=0.0, description="the torque follows its command as a first-order lag"
+    )
+    sample_time_s: Annotated[Positive, Field(le=0.005)] = Field(
+        default=0.001, description="of the velocity loop; the bus cycle is a multiple of it"
+    )
 
 
 class BoundaryParameters(_Part):
     """What the neighbouring sections do. Without `upstream_strain` it is upstream_tension_N/(E·S) by the file's E."""
 
-    upstream_tension_N: NotNegative = 0.0
-    downstream_tension_N: NotNegative = 0.0
-    upstream_strain: Annotated[FiniteFloat, Field(gt=-0.5, lt=1.0)] | None = None
+    upstream_tension_N: NotNegative = Field(default=0.0, description="before the first roller")
+    downstream_tension_N: NotNegative = Field(default=0.0, description="behind the last roller")
+    upstream_strain: Annotated[FiniteFloat, Field(gt=-0.5, lt=1.0)] | None = Field(
+        default=None, description="of the web that enters; stays what it is when E steps"
+    )
 
 
 class EffectEntry(_Part):
     """One effect with its parameter values, checked against `hilbench.web.effects`."""
 
-    effect: str
-    axis: int | None = None
-    parameters: dict[str, FiniteFloat] = Field(default_factory=dict)
+    effect: str = Field(description="its id in the vocabulary of effects")
+    axis: int | None = Field(default=None, description="1 is the first roller's; for effects that belong to an axis")
+    parameters: dict[str, FiniteFloat] = Field(default_factory=dict, description="its values, by name")
 
     @model_validator(mode="after")
     def _known(self) -> Self:
@@ -103,16 +117,22 @@ def _count(name: str, value: object, expected: int) -> None:
 
 
 class ModelParameters(_Part):
-    """One model: web, rollers, motors, drives, boundary and effects. Immutable; `model_copy(update=…)` varies it."""
+    """One model: web, rollers, motors, drives, boundary and effects.
+
+    Immutable; `model_copy(update=…)` varies it.
+    """
 
     web: WebParameters | None = None
     rollers: RollerParameters
     motors: MotorParameters = MotorParameters()
     drives: DriveParameters | None = None
     boundary: BoundaryParameters = BoundaryParameters()
-    #: Whether the web's tensions load the roller; one value or one per roller. The demonstrator's axis 1 carries none.
-    web_load: bool | list[bool] = True
-    effects: tuple[EffectEntry, ...] = ()
+    web_load: bool | list[bool] = Field(
+        default=True, description="whether the web's tensions load the roller; one value or one per roller"
+    )
+    effects: tuple[EffectEntry, ...] = Field(
+        default=(), description="what else the model has, of the vocabulary of effects"
+    )
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:

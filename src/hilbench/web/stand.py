@@ -35,11 +35,19 @@ class LoadMotorParameters(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    inertia_kg_m2: float = Field(default=0.0, ge=0.0, allow_inf_nan=False)
-    torque_limit_Nm: float = Field(default=20.0, gt=0.0, allow_inf_nan=False)
-    current_loop_time_constant_s: float = Field(default=0.001, ge=0.0, allow_inf_nan=False)
-    velocity_kp_Nm_s_per_rad: float = Field(default=1.5, ge=0.0, allow_inf_nan=False)
-    velocity_ki_Nm_per_rad: float = Field(default=30.0, ge=0.0, allow_inf_nan=False)
+    inertia_kg_m2: float = Field(
+        default=0.0, ge=0.0, allow_inf_nan=False, description="of its rotor, on the shaft of axis 2"
+    )
+    torque_limit_Nm: float = Field(default=20.0, gt=0.0, allow_inf_nan=False, description="of the motor")
+    current_loop_time_constant_s: float = Field(
+        default=0.001, ge=0.0, allow_inf_nan=False, description="the torque follows its command as a first-order lag"
+    )
+    velocity_kp_Nm_s_per_rad: float = Field(
+        default=1.5, ge=0.0, allow_inf_nan=False, description="proportional gain of its velocity loop, used to stop"
+    )
+    velocity_ki_Nm_per_rad: float = Field(
+        default=30.0, ge=0.0, allow_inf_nan=False, description="integral gain of its velocity loop, used to stop"
+    )
 
 
 class StandParameters(BaseModel):

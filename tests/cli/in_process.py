@@ -1,0 +1,28 @@
+"""A `hilbench` command in this process, by its own entry point: a process of its own imports for over a second."""
+
+from __future__ import annotations
+
+import io
+import subprocess
+import sys
+from contextlib import redirect_stderr, redirect_stdout
+from unittest.mock import patch
+
+from hilbench.cli.main import main
+
+
+def hilbench(*arguments: object, typed: str = "") -> subprocess.CompletedProcess[str]:
+    """Exit code and what was printed; standard input and output are no terminals."""
+    words, out, err = ["hilbench", *map(str, arguments)], io.StringIO(), io.StringIO()
+    code: int | str | None = 0
+    with (
+        patch.object(sys, "argv", words),
+        patch.object(sys, "stdin", io.StringIO(typed)),
+        redirect_stdout(out),
+        redirect_stderr(err),
+    ):
+        try:
+            main()
+        except SystemExit as end:
+            code = end.code
+    return subprocess.CompletedProcess(words, int(code or 0), out.getvalue(), err.getvalue())

@@ -1,0 +1,120 @@
+"""The command lines that README and docs show, and what of them is run where.
+
+Shown is what stands in a block of its own or, as inline code, is more than a command's name. A page's placeholders
+(CONFIG, RUN, …) and the reader's buses are replaced by what the tests have.
+"""
+
+from __future__ import annotations
+
+import re
+import shlex
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+from tools.reference import commands_page
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+
+#: Words with which a shown line begins that is a command.
+_PROGRAMS = {
+    "hilbench",
+    "make",
+    "pytest",
+    "pip",
+    "python",
+    "source",
+    "sudo",
+    "ip",
+    "candump",
+    "chrt",
+    "taskset",
+    "echo",
+}
+
+#: What is not run by the tests of the docs, and why.
+NOT_RUN = {
+    r"make (setup|demo|test|docs|bench)\b": "CI runs it, or it takes longer than all tests; the target is looked up",
+    r"python tools/\S+": "writes the tables of a page from runs that take minutes; the tool is looked up",
+    r"source \.venv/bin/activate": "changes the shell it stands in",
+    r"pip install ": "loads packages",
+    r"(sudo|ip|echo) ": "changes the machine, or asks an interface: the guest of `make test-vcan` has one",
+    r"candump ": "needs a CAN interface: the guest of `make test-vcan` has one, and a candump as witness",
+    r"hilbench --install-completion": "writes into the start-up files of the user's shell",
+    r"hilbench drive \S+ jog ": "its key is held by hand; tests/cli/test_attach.py holds it",
+    r"pytest --hilbench-config ": "the page's test is run by tests/scripts/test_scripts.py",
+}
+#: What a shown line is instead where it is run: no terminal is there, no stand, and no need for all methods.
+_INSTEAD = (
+    (r"(hilbench monitor \S+).*", r"\1 --json --for 0.2"),
+    (r"hilbench estop$", "hilbench estop --bus embedded"),
+    (r"runs/[\w.-]+?-20[\d-]+|runs/(RUN|BEFORE|AFTER)\b|\bRUN\b", "runs/RUN"),
+    (r"\bRECORDING\b", "runs/RUN/recording.mf4"),
+    (r"\bMODEL\b", "model.yaml"),
+    (r"--eds FOLDER", "--eds eds"),
+    (r"\b(FOLDER|DIR)\b", "folder"),
+    (r"\bCONFIG\b", "bench_configs/web_section_step.yaml"),
+    (r"socketcan:\w+", "embedded"),
+    (r"(--eds eds)/my_drive.eds", r"\1"),
+)
+
+
+@dataclass(frozen=True)
+class Shown:
+    """One command line as it stands there, and the words that are run in its place (none: it is not run)."""
+
+    place: str
+    text: str
+    words: tuple[str, ...]
+    reason: str = ""
+
+
+@cache
+def shown() -> list[Shown]:
+    """All of them. Raises ValueError for one of which nobody knows how it could be run."""
+    lines = [
+        (f"{page.relative_to(ROOT)}:{number}", text) for page in PAGES for number, text in _lines(page.read_text())
+    ]
+    lines += [(f"--help:{number}", text) for number, text in _lines(commands_page()) if "[OPTIONS]" not in text]
+    return [_judged(place, text) for place, text in lines]
+
+
+def _lines(page: str) -> Iterator[tuple[int, str]]:
+    fenced = False
+    for number, line in enumerate(page.splitlines(), 1):
+        if line.strip().startswith("```"):
+            fenced = not fenced
+        elif not fenced and line.startswith("    "):
+            yield from ((number, text) for text in _commands(line, block=True))
+        elif not fenced:
+            for found in re.findall(r"`([^`]+)`", line):
+                yield from ((number, text) for text in _commands(found, block=False))
+
+
+def _commands(line: str, *, block: bool) -> Iterator[str]:
+    text = re.sub(r"\s+(#.*|&)$", "", re.sub(r"\s{2,}#.*$", "", line.strip()))
+    text = text.replace(".venv/bin/", "") if not text.startswith("source") else text
+    words = text.split()
+    if words and words[0] in _PROGRAMS and len(words) > 1 and (block or words[0] != "hilbench" or _says_more(words)):
+        yield text
+
+
+def _says_more(words: list[str]) -> bool:
+    """Whether inline code is a line to type, not only the name of a command."""
+    return len(words) > 2 or words[1] not in ("run", "sync", "diagnose", "twin", "simulate-hardware", "drive", "check")
+
+
+def _judged(place: str, text: str) -> Shown:
+    for pattern, reason in NOT_RUN.items():
+        if re.match(pattern, text):
+            return Shown(place, text, (), reason)
+    line = re.sub(r"^(taskset -c \S+ )?(chrt -f \d+ )?(?=hilbench )", "", text)  # rights that tests may not have
+    line = line.replace("[", "").replace("]", "")  # of optional parts; not run without them
+    for pattern, instead in _INSTEAD:
+        line = re.sub(pattern, instead, line)
+    words = tuple(shlex.split(line))
+    if words[0] != "hilbench":
+        raise ValueError(f"{place}: '{text}', expected a hilbench command, or a reason in {__name__} not to run it")
+    return Shown(place, text, words[1:])
