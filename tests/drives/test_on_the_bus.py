@@ -9,11 +9,11 @@ from contextlib import contextmanager
 import pytest
 from canopen import Network
 from canopen.profiles.p402 import BaseNode402
+from tests.buses import Bus
 from tests.drives.stand_in import CYCLE_S, EDS, SimulatedDrives, served
 
 from hilbench.bus.frame import Frame
 from hilbench.bus.link import Link
-from hilbench.bus.memory import MemoryBus
 from hilbench.drives.configuration import DriveSettings, RpdoCopy
 from hilbench.drives.drive import Drive, DriveGoal
 from hilbench.drives.objects import OperationMode
@@ -28,7 +28,7 @@ RPM = 10_000
 
 
 @contextmanager
-def hosted(bus: MemoryBus, *node_ids: int) -> Iterator[SimulatedDrives]:
+def hosted(bus: Bus, *node_ids: int) -> Iterator[SimulatedDrives]:
     """Drives on the bus (node 1 unless said), served by a thread."""
     clock = MonotonicClock(stall_s=1.0)
     devices = [Device(load_eds(EDS, node_id), node_id, clock) for node_id in node_ids or (1,)]
@@ -38,7 +38,7 @@ def hosted(bus: MemoryBus, *node_ids: int) -> Iterator[SimulatedDrives]:
 
 
 @contextmanager
-def mastered(bus: MemoryBus, *node_ids: int) -> Iterator[Master]:
+def mastered(bus: Bus, *node_ids: int) -> Iterator[Master]:
     """Our master, knowing these nodes (1 unless said) as axis 1, axis 2 and so on."""
     master = Master(bus.open_python_can(), sdo_timeout_s=5.0)
     try:
@@ -57,8 +57,7 @@ def eventually(condition: Callable[[], bool], timeout_s: float = 5.0) -> None:
 
 
 @pytest.fixture
-def client() -> Iterator[BaseNode402]:
-    bus = MemoryBus()
+def client(bus: Bus) -> Iterator[BaseNode402]:
     with hosted(bus):
         network = Network(bus.open_python_can())
         network.connect()
@@ -155,8 +154,7 @@ def run_cycles(link: Link, drive: Drive, count: int) -> None:
         link.send(drive.encode())
 
 
-def test_our_master_configures_and_drives_it() -> None:
-    bus = MemoryBus()
+def test_our_master_configures_and_drives_it(bus: Bus) -> None:
     with hosted(bus), mastered(bus) as master:
         drive = csv("axis 1", 1, parameters={(0x605A, 0): 6, (0x6076, 0): 2500})
         drive.configure(master)
@@ -174,8 +172,7 @@ def test_our_master_configures_and_drives_it() -> None:
 
 
 @pytest.mark.parametrize("way", ["listen", "copy"])
-def test_a_virtual_axis_hears_the_same_commands(way: str) -> None:
-    bus = MemoryBus()
+def test_a_virtual_axis_hears_the_same_commands(bus: Bus, way: str) -> None:
     with hosted(bus, 1, 17) as plant, mastered(bus, 1, 17) as master:
         axis = csv("axis 1", 1, copies=(RpdoCopy(0x211),) if way == "copy" else ())
         virtual = csv("virtual axis 1", 17, listens_to=0x201 if way == "listen" else None, tpdo_type=None)
@@ -202,13 +199,11 @@ def test_a_virtual_axis_hears_the_same_commands(way: str) -> None:
         ({"parameters": {(0x605A, 0): 99}}, r"axis 1 \(node 1\).*605Ah"),
     ],
 )
-def test_what_the_device_refuses_is_named(changes: dict[str, object], message: str) -> None:
-    bus = MemoryBus()
+def test_what_the_device_refuses_is_named(bus: Bus, changes: dict[str, object], message: str) -> None:
     with hosted(bus), mastered(bus) as master, pytest.raises(BenchFaultError, match=message):
         csv("axis 1", 1, **changes).configure(master)
 
 
-def test_parameters_that_the_eds_lacks_are_unusable_input() -> None:
-    bus = MemoryBus()
+def test_parameters_that_the_eds_lacks_are_unusable_input(bus: Bus) -> None:
     with hosted(bus), mastered(bus) as master, pytest.raises(UnusableInputError, match="axis 1: the EDS lacks 6099h:1"):
         csv("axis 1", 1, parameters={(0x6099, 1): 5}).configure(master)

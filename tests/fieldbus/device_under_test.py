@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Self
 
+from tests.buses import Bus
+
 from hilbench.bus.frame import Frame
+from hilbench.bus.link import Link
 from hilbench.drives.port import MotorPort
 from hilbench.drives.simulated import SimulatedDrive
 from hilbench.fieldbus.device import Device
@@ -118,11 +121,52 @@ class HandClock:
         return 0
 
 
+class Direct:
+    """No bus: what one side says the other has."""
+
+    def there(self, frames: Sequence[Frame]) -> Sequence[Frame]:
+        return frames
+
+    back = there
+
+    def close(self) -> None: ...
+
+
+class Wire:
+    """A bus between the test and the device, each with a link of its own."""
+
+    def __init__(self, bus: Bus) -> None:
+        self._test, self._device = bus.open_link(), bus.open_link()
+
+    def there(self, frames: Sequence[Frame]) -> Sequence[Frame]:
+        """Frames of the test as the device gets them."""
+        return _carried(frames, self._test, self._device)
+
+    def back(self, frames: Sequence[Frame]) -> Sequence[Frame]:
+        """Frames of the device as the test gets them."""
+        return _carried(frames, self._device, self._test)
+
+    def close(self) -> None:
+        self._test.close()
+        self._device.close()
+
+
+def _carried(frames: Sequence[Frame], sender: Link, receiver: Link) -> Sequence[Frame]:
+    sender.send(frames)
+    received: list[Frame] = []
+    while len(received) < len(frames):
+        arrived = receiver.receive(5.0)
+        assert arrived, "a frame got lost"
+        received += arrived
+    return received
+
+
 class Station:
     """A device on a clock set by hand, whose frames a test looks at."""
 
-    def __init__(self, eds: Path, store: Path | None = None) -> None:
+    def __init__(self, eds: Path, store: Path | None = None, wire: Direct | Wire | None = None) -> None:
         self.clock = HandClock()
+        self._wire = wire or Direct()
         self.od = load_eds(eds, NODE)
         self.device = Device(self.od, NODE, self.clock, store=store)
 
@@ -144,15 +188,18 @@ class Station:
         said = [*self.device.replies, *self.device.outbox]
         self.device.replies.clear()
         self.device.outbox.clear()
-        return [(frame.can_id, frame.data.hex()) for frame in said]
+        return [(frame.can_id, frame.data.hex()) for frame in self._wire.back(said)]
 
     def send(self, can_id: int, data: str | bytes = b"") -> list[tuple[int, str]]:
         """A frame from the bus, and what the device says to it."""
-        self.device.handle(Frame(can_id, bytes.fromhex(data) if isinstance(data, str) else data))
+        sent = Frame(can_id, bytes.fromhex(data) if isinstance(data, str) else data)
+        for frame in self._wire.there([sent]):
+            self.device.handle(frame)
         return self.frames()
 
     def sync(self, data: bytes = b"") -> list[tuple[int, str]]:
-        self.device.sync(data)
+        for frame in self._wire.there([Frame(self.device.sync_cob_id, data)]):
+            self.device.sync(frame.data)
         return self.frames()
 
     def after(self, duration_ms: float) -> list[tuple[int, str]]:
@@ -203,15 +250,22 @@ class Station:
 class DeviceUnderTest(Station):
     """A device with an object of each kind, none of them behind an application."""
 
-    def __init__(self, folder: Path, *, store: Path | None = None, sections: Mapping[str, str] = SECTIONS) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        *,
+        store: Path | None = None,
+        sections: Mapping[str, str] = SECTIONS,
+        wire: Direct | Wire | None = None,
+    ) -> None:
         path = folder / "device.eds"
         path.write_text(eds_text(sections), encoding="ascii")
-        super().__init__(path, store)
+        super().__init__(path, store, wire)
 
 
 class DriveUnderTest(Station):
     """The simulated servo drive."""
 
-    def __init__(self, store: Path | None = None) -> None:
-        super().__init__(SERVO_EDS, store)
+    def __init__(self, store: Path | None = None, wire: Direct | Wire | None = None) -> None:
+        super().__init__(SERVO_EDS, store, wire)
         SimulatedDrive(self.device, MotorPort())

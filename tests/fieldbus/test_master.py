@@ -1,4 +1,4 @@
-"""The master and canopen's own client against a device host, on a bus inside the process."""
+"""The master and canopen's own client against a device host, on a bus."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from pathlib import Path
 
 import canopen
 import pytest
+from tests.buses import Bus
 from tests.fieldbus.device_under_test import NODE, eds_text
 
 from hilbench.bus.frame import Frame
-from hilbench.bus.memory import MemoryBus
 from hilbench.errors import BenchFaultError
 from hilbench.fieldbus.clock import MonotonicClock
 from hilbench.fieldbus.device import Device, NmtState
@@ -39,10 +39,10 @@ class Idle:
 
 
 class Rig:
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, bus: Bus) -> None:
         path = folder / "device.eds"
         path.write_text(eds_text(), encoding="ascii")
-        self.bus = MemoryBus()
+        self.bus = bus
         self.od = load_eds(path, NODE)
         clock = MonotonicClock()
         self.device = Device(load_eds(path, NODE), NODE, clock)
@@ -62,8 +62,8 @@ class Rig:
 
 
 @pytest.fixture
-def rig(tmp_path: Path) -> Iterator[Rig]:
-    made = Rig(tmp_path)
+def rig(tmp_path: Path, bus: Bus) -> Iterator[Rig]:
+    made = Rig(tmp_path, bus)
     yield made
     made.stop()
 

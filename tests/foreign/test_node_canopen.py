@@ -5,22 +5,18 @@ It runs in a Node.js process; its frames go over the in-process bus (and, marked
 
 from __future__ import annotations
 
-import os
 import re
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Protocol
 
 import pytest
+from tests.buses import Bus
 from tests.drives.stand_in import SimulatedDrives, served
 from tests.fieldbus.device_under_test import SECTIONS, SERVO_EDS, U32, eds_text, record, var
 from tests.foreign.foreign_station import OWN_NODE, PACKAGES, ForeignStation, Refused, foreign_station
 
-from hilbench.bus.link import Link
-from hilbench.bus.memory import MemoryBus
-from hilbench.bus.open import BusAddress, open_link
 from hilbench.fieldbus.clock import MonotonicClock
 from hilbench.fieldbus.device import Device
 from hilbench.fieldbus.eds import load_eds
@@ -36,24 +32,6 @@ SDO_SERVER = record(
     var("COB-ID client to server", U32, "ro", "$NODEID+0x600"),
     var("COB-ID server to client", U32, "ro", "$NODEID+0x580"),
 )
-
-
-class Bus(Protocol):
-    """Where stations meet."""
-
-    def open_link(self) -> Link: ...
-
-
-class KernelBus:
-    """The interface that HILBENCH_VCAN names."""
-
-    def open_link(self) -> Link:
-        return open_link(BusAddress("socketcan", os.environ["HILBENCH_VCAN"]))
-
-
-@pytest.fixture(params=["memory", pytest.param("kernel", marks=pytest.mark.vcan)])
-def bus(request: pytest.FixtureRequest) -> Bus:
-    return MemoryBus() if request.param == "memory" else KernelBus()
 
 
 def with_node_id(eds: str) -> str:

@@ -147,9 +147,9 @@ class CyclicExchange:
         self._expected = tuple(pdos)
         self._missed_in_row.clear()
 
-    def discard_waiting(self) -> None:
-        """Put what waits to be read into the trace only: answers to SYNCs of long ago."""
-        waiting = self._link.receive(0.0)
+    def discard_waiting(self, timeout_s: float = 0.0) -> None:
+        """Put what waits to be read, or comes within `timeout_s`, into the trace only: no answer to the last SYNC."""
+        waiting = self._link.receive(timeout_s)
         if waiting and self._tap is not None:
             at_ns = self._epoch_ns + self.timing.cycles * self._cycle_ns
             bits = [frame_bits(frame) for frame in waiting]

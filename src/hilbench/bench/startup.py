@@ -28,6 +28,8 @@ from hilbench.fieldbus.master import Master
 #: After the start command the nodes' clocks stand still until SYNC; what they said just before it must not arrive as
 #: part of the first cycle.
 _AFTER_START_S = 0.1
+#: For the last command to come back from the bus: it belongs in the trace.
+_LAST_FRAME_S = 0.1
 #: Name of the twin's process.
 TWIN = "twin"
 
@@ -82,7 +84,6 @@ def bring_up(
             master.nmt(nmt.START)
             master.hear_only_answers()
             time.sleep(_AFTER_START_S)
-            resources.callback(_release_nodes, master)
         if config.pace == "realtime":
             resources.enter_context(locked_memory())
         exchange = CyclicExchange(
@@ -96,13 +97,16 @@ def bring_up(
             heartbeat=(config.master.node_id, config.master.heartbeat_ms),
             tap=tap,
         )
+        resources.callback(_release_nodes, master, exchange)
         yield StartedBench(nodes, exchange, children, supervisor)
 
 
-def _release_nodes(master: Master) -> None:
+def _release_nodes(master: Master, exchange: CyclicExchange) -> None:
     """Leave the nodes in PRE-OPERATIONAL; on a bus that was lost they are on their own."""
     with suppress(BusError):
+        exchange.discard_waiting()
         master.nmt(nmt.PRE_OPERATIONAL)
+        exchange.discard_waiting(_LAST_FRAME_S)
 
 
 def start_children(config: BenchConfig, folder: Path) -> list[ChildProcess]:

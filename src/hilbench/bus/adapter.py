@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import can
-
 from hilbench.bus.arbitration import accepts
 from hilbench.bus.frame import Frame
 from hilbench.bus.messages import to_frame, to_message
+from hilbench.bus.python_can import can
 from hilbench.errors import BusError
 
 

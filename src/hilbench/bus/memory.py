@@ -15,14 +15,13 @@ from collections import deque
 from collections.abc import Sequence
 from typing import Any
 
-import can
-
 from hilbench.bus.arbitration import accepts
 from hilbench.bus.disturbance import Disturber, ErrorInjection
 from hilbench.bus.embedded import can_record
 from hilbench.bus.frame import Frame
 from hilbench.bus.medium import FOREVER, Medium, Station
 from hilbench.bus.messages import kernel_filters, to_frame, to_message
+from hilbench.bus.python_can import can
 from hilbench.bus.waiting import wait_readable
 from hilbench.bus.wire import bits_on_wire
 from hilbench.errors import BusError

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import can
-
 from hilbench.bus.frame import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, Frame
+from hilbench.bus.python_can import can
 
 
 def identifier_with_flags(message: can.Message) -> int:

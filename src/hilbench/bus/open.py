@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import can
-from can.typechecking import CanFilters
-
 from hilbench.bus import hub_client
 from hilbench.bus.adapter import PythonCanLink
 from hilbench.bus.embedded import EmbeddedLink
 from hilbench.bus.link import Link
 from hilbench.bus.plugin import EmbeddedBus
 from hilbench.bus.protocol import DEFAULT_BITRATE, DEFAULT_CHANNEL
+from hilbench.bus.python_can import can
 from hilbench.bus.socketcan import SocketCanLink
 from hilbench.errors import BusError, UnusableInputError
 
@@ -62,7 +60,7 @@ def open_link(bus: BusAddress) -> Link:
     return PythonCanLink(open_python_can(bus), bus.channel)
 
 
-def open_python_can(bus: BusAddress, filters: CanFilters | None = None) -> can.BusABC:
+def open_python_can(bus: BusAddress, filters: can.typechecking.CanFilters | None = None) -> can.BusABC:
     """A python-can bus for configuration traffic. Raises BusError, in one line, if it cannot be opened."""
     try:
         if bus.interface == "embedded":

@@ -5,13 +5,11 @@ from __future__ import annotations
 import time
 from typing import Any
 
-import can
-from can.typechecking import AutoDetectedConfig, CanFilters
-
 from hilbench.bus import hub_client, protocol
 from hilbench.bus.embedded import can_record, receive_packet, send_packet
 from hilbench.bus.frame import Frame
 from hilbench.bus.messages import identifier_with_flags, kernel_filters, to_message
+from hilbench.bus.python_can import can
 from hilbench.bus.requests import Wanted
 from hilbench.bus.waiting import wait_readable
 from hilbench.errors import BusError
@@ -33,7 +31,7 @@ class EmbeddedBus(can.BusABC):
     def __init__(
         self,
         channel: Any = None,
-        can_filters: CanFilters | None = None,
+        can_filters: can.typechecking.CanFilters | None = None,
         *,
         bitrate: int | None = None,
         data_bitrate: int | None = None,
@@ -103,7 +101,7 @@ class EmbeddedBus(can.BusABC):
             message.bitrate_switch = bool(flags & protocol.BIT_RATE_SWITCH)
         return message
 
-    def _apply_filters(self, filters: CanFilters | None) -> None:
+    def _apply_filters(self, filters: can.typechecking.CanFilters | None) -> None:
         try:
             hub_client.set_filters(self.channel, self._station, kernel_filters(filters))
         except BusError as error:
@@ -117,6 +115,9 @@ class EmbeddedBus(can.BusABC):
         self._connection.close()
 
     @staticmethod
-    def _detect_available_configs() -> list[AutoDetectedConfig]:
+    def _detect_available_configs() -> list[can.typechecking.AutoDetectedConfig]:
         """The channels that somebody has open now."""
-        return [AutoDetectedConfig(interface="hilbench", channel=name) for name in hub_client.running_channels()]
+        return [
+            can.typechecking.AutoDetectedConfig(interface="hilbench", channel=name)
+            for name in hub_client.running_channels()
+        ]

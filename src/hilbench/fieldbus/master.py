@@ -9,10 +9,10 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import Any
 
-import can
 import canopen
 from canopen.objectdictionary import ODVariable
 
+from hilbench.bus.python_can import can
 from hilbench.errors import BenchFaultError, BusError
 from hilbench.fieldbus import eds
 from hilbench.fieldbus.data_types import data_type

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from types import TracebackType
 
-import can
 import canopen
 
+from hilbench.bus.python_can import can
 from hilbench.errors import BusError
 
 

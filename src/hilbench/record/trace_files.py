@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-import can
-
 from hilbench.bus.frame import Frame
 from hilbench.bus.messages import to_frame, to_message
+from hilbench.bus.python_can import can
 from hilbench.errors import UnusableInputError
 from hilbench.record.trace import TraceReader
 

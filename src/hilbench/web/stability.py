@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from itertools import pairwise
 
 import numpy as np
@@ -102,10 +103,19 @@ def _largest(radius: Callable[[float], float], most: float) -> float:
 
 
 def _monodromy(shaft: SampledShaft, inertia: float, stiffness: float, lead_s: float) -> NDArray[np.float64]:
-    size = _QUEUE + shaft.delay_cycles
-    samples = round(shaft.cycle_s / shaft.sample_time_s)
+    return np.asarray(_between_syncs(shaft) @ _bus_tick(shaft, _size(shaft), inertia, stiffness, lead_s))
+
+
+def _size(shaft: SampledShaft) -> int:
+    return _QUEUE + shaft.delay_cycles
+
+
+@cache
+def _between_syncs(shaft: SampledShaft) -> NDArray[np.float64]:
+    """The drive's samples of a bus cycle; the same whatever is imitated, and most of the work."""
+    size = _size(shaft)
     drive = _continuous(shaft, size) @ _velocity_loop(shaft, size)
-    return np.asarray(np.linalg.matrix_power(drive, samples) @ _bus_tick(shaft, size, inertia, stiffness, lead_s))
+    return np.asarray(np.linalg.matrix_power(drive, round(shaft.cycle_s / shaft.sample_time_s)))
 
 
 def _continuous(shaft: SampledShaft, size: int) -> NDArray[np.float64]:
