@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from concurrent.futures import Future
+from concurrent.futures import wait as wait_for
 from dataclasses import dataclass
 from typing import Protocol
 
 from hilbench.bench import pacing
+from hilbench.bus.confinement import ControllerState
 from hilbench.bus.frame import Frame
 from hilbench.bus.link import Link
 from hilbench.bus.wire import frame_bits
@@ -151,15 +154,31 @@ class CyclicExchange:
         """Put what waits to be read into the trace only: answers to SYNCs of long ago."""
         waiting = self._link.receive(0.0)
         if waiting and self._tap is not None:
-            at_ns = self._epoch_ns + self.timing.cycles * self._cycle_ns
             bits = [frame_bits(frame) for frame in waiting]
-            self._tap.write(self._timed(waiting, bits, at_ns - int(sum(bits) * self._bit_ns)))
+            self._tap.write(self._timed(waiting, bits, self._next_sync_ns - int(sum(bits) * self._bit_ns)))
             self._tap.end_cycle()
+
+    def stand_still(self, done: Future[None]) -> None:
+        """Lockstep: no cycle until `done`. When that takes long the supervisor hears that the bench is alive."""
+        while wait_for([done], timeout=0.5 * self._timeout_s).not_done:
+            if self._heartbeat_cycles:
+                self._link.send([self._heartbeat])
+                if self._tap is not None:
+                    self._tap.write([self._heartbeat._replace(time_ns=self._next_sync_ns)])
+
+    @property
+    def _next_sync_ns(self) -> int:
+        return self._epoch_ns + self.timing.cycles * self._cycle_ns
 
     @property
     def lost_frames(self) -> int | None:
         """Frames the bench's own connection has lost because it was not read in time; None: not known there."""
         return self._link.dropped
+
+    @property
+    def controller(self) -> ControllerState:
+        """State of the bench's own CAN controller."""
+        return self._link.controller
 
     def _due(self) -> dict[int, ExpectedPdo]:
         cycle = self.timing.cycles

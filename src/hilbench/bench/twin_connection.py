@@ -131,18 +131,12 @@ class TwinConnection:
         """By SDO: in real time beside the cycles, in lockstep the bus stands still meanwhile."""
         self._nodes.twin_heard = False
         self._next_attempt_cycle = None
+        pool = ThreadPoolExecutor(1, thread_name_prefix="twin-return")
+        self._return = pool.submit(self._nodes.restart_twin)
+        pool.shutdown(wait=False)
         if self._lockstep:
-            done: Future[None] = Future()
-            try:
-                self._nodes.restart_twin()
-                done.set_result(None)
-            except BenchFaultError as error:
-                done.set_exception(error)
-            self._end_return(done)
-        else:
-            pool = ThreadPoolExecutor(1, thread_name_prefix="twin-return")
-            self._return = pool.submit(self._nodes.restart_twin)
-            pool.shutdown(wait=False)
+            self._exchange.stand_still(self._return)
+            self._end_return(self._return)
 
     def _end_return(self, done: Future[None]) -> None:
         self._return = None
