@@ -61,7 +61,9 @@ class TwinConnection:
 
     def loop_closed(self, sample: CycleSample) -> bool:
         """Whether the tension loop is closed on the twin's data in `sample`."""
-        closed = not self._away and self._trust.update(sample)
+        # A sample from before the twin was taken back may still say that it is synchronized.
+        fresh = not self._away and sample.cycle > self._started_cycle
+        closed = fresh and self._trust.update(sample)
         if self._was_closed and not closed:
             self._note(f"tension loop open, axis 1 follows the ratio of speeds: {self._trust.doubt}")
         elif closed and self._was_closed is False:
