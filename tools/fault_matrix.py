@@ -6,8 +6,12 @@
 
 A row passes when the run ended with the expected exit code and said the expected words. "To safe state" counts cycles
 from the fault until every drive shows by its statusword (PDO, or SDO after an emergency stop) that it stands or has no
-power. "Kept" are the samples of the recording, recovered from the trace where the run was cut off. Exit code 1 when a
-row does not pass.
+power. "Kept" are the samples of the recording, recovered from the trace where the run was cut off.
+
+Rows in real time run with cycles of 10 ms, the time-outs of a slow bench and a softer web (the load motor can't imitate
+a stiff one over such a cycle): what is tested is the fault, not this machine. A row that fails while more than 2 % of
+the cycles were missed is made again, up to three times; when it still does, it is marked "busy". Exit code 1 when a row
+does not pass.
 """
 
 from __future__ import annotations
@@ -47,12 +51,62 @@ CONFIG = ROOT / "bench_configs" / "web_section_step.yaml"
 PAGE = ROOT / "docs" / "faults.md"
 BEGIN, END = "<!-- table: begin -->", "<!-- table: end -->"
 CLI = [sys.executable, "-m", "hilbench.cli"]
-AT_SPEED_SYNCS = 500  # the ramp is over
+AT_SPEED_S = 1.0  # the ramp is over
+#: Real time: cycle, E of the web that can be imitated over it, time-outs and periods of heartbeats.
+SLOW_CYCLE_S, SOFT_PA = 0.01, 2.0e9
+PATIENT = {"cycle_timeout_s": 1.0, "missing_cycles": 50, "supervisor_timeout_s": 2.0}
+PATIENT_MASTER = {"heartbeat_ms": 400, "node_heartbeat_ms": 400, "boot_timeout_s": 60.0}
+#: Share of missed cycles from which a machine is too busy for a verdict, and how often a row is tried.
+BUSY, TRIES = 0.02, 3
 DRIVES = (1, 2, 3)
 QUICK_STOP = b"\x02\x00"
 FOREVER: list[dict[str, Any]] = [
     {"ramp": {"path": "line_speed_m_s", "to": 1.0, "duration_s": 0.4}},
     {"hold": {"duration_s": 1000.0}},
+]
+#: Controlwords: fault reset, shutdown, switch on, enable operation.
+RESET_AND_ENABLE = (0x80, 0x06, 0x07, 0x0F)
+#: clock_gettime, gettimeofday and time of the C library, CLOCK_REALTIME off by the int64 ns in a file.
+SETTABLE_CLOCK = r"""
+#define _GNU_SOURCE
+#include <dlfcn.h>
+#include <fcntl.h>
+#include <stdlib.h>
+#include <sys/mman.h>
+#include <sys/time.h>
+#include <time.h>
+static volatile long long *offset;
+static int (*real)(clockid_t, struct timespec *);
+__attribute__((constructor)) static void begin(void) {
+    int file = open(getenv("CLOCK_OFFSET_FILE"), O_RDONLY | O_CLOEXEC);
+    real = dlsym(RTLD_NEXT, "clock_gettime");
+    offset = mmap(0, 8, PROT_READ, MAP_SHARED, file, 0);
+}
+int clock_gettime(clockid_t id, struct timespec *t) {
+    int result = real(id, t);
+    if (id == CLOCK_REALTIME && offset) {
+        long long ns = t->tv_sec * 1000000000LL + t->tv_nsec + *offset;
+        t->tv_sec = ns / 1000000000LL, t->tv_nsec = ns % 1000000000LL;
+    }
+    return result;
+}
+int gettimeofday(struct timeval *v, void *zone) {
+    struct timespec t;
+    int result = clock_gettime(CLOCK_REALTIME, &t);
+    v->tv_sec = t.tv_sec, v->tv_usec = t.tv_nsec / 1000;
+    return result;
+}
+time_t time(time_t *t) {
+    struct timespec now;
+    clock_gettime(CLOCK_REALTIME, &now);
+    if (t) *t = now.tv_sec;
+    return now.tv_sec;
+}
+"""
+LONG: list[dict[str, Any]] = [
+    {"ramp": {"path": "line_speed_m_s", "to": 1.0, "duration_s": 0.4}},
+    {"hold": {"until_s": 8.0}},
+    {"ramp": {"path": "line_speed_m_s", "to": 0.0, "duration_s": 0.4}},
 ]
 SHORT: list[dict[str, Any]] = [
     {"ramp": {"path": "line_speed_m_s", "to": 1.0, "duration_s": 0.4}},
@@ -69,9 +123,15 @@ class Run:
     address: str
     config: Path
     process: subprocess.Popen[str]
+    real_time: bool
     fault_sync: int | None = None
     said: str = ""
     code: int | None = None
+
+    @property
+    def at_speed_syncs(self) -> int:
+        """SYNCs until the line runs."""
+        return round(AT_SPEED_S / (SLOW_CYCLE_S if self.real_time else 0.002))
 
     @property
     def folder(self) -> RunFolder | None:
@@ -87,7 +147,7 @@ class Run:
     def wait_for_speed(self) -> None:
         """Wait until the line runs, then count from here."""
         deadline_s = time.monotonic() + 90.0
-        while self.syncs() < AT_SPEED_SYNCS:
+        while self.syncs() < self.at_speed_syncs:
             if self.process.poll() is not None or time.monotonic() > deadline_s:
                 raise RuntimeError(f"the run did not get under way: {self.process.communicate()[0]}")
             time.sleep(0.05)
@@ -140,6 +200,8 @@ class Fault:
     changes: dict[str, Any] = field(default_factory=dict)
     options: tuple[str, ...] = ()
     limit_bytes: int | None = None
+    real_time: bool = False
+    environment: dict[str, str] = field(default_factory=dict)
 
 
 @dataclass
@@ -152,13 +214,18 @@ class Row:
     cycles: int | None
     kept: str
     said: str
+    busy: bool = False  #: the machine missed so many cycles that a failure says nothing
 
 
-def make_config(work: Path, address: str, changes: dict[str, Any]) -> Path:
+def make_config(work: Path, address: str, changes: dict[str, Any], real_time: bool) -> Path:
     """The shipped bench with short steps on a bus of its own."""
     data = yaml.safe_load(CONFIG.read_text(encoding="utf-8"))
     data["nodes"] = _shipped_nodes()
-    data |= {"steps": FOREVER, "criteria": [], "safety": {"cycle_timeout_s": 1.0}} | changes
+    data |= {"steps": FOREVER, "criteria": [], "safety": {"cycle_timeout_s": 1.0}}
+    if real_time:
+        data |= {"pace": "realtime", "cycle_time_s": SLOW_CYCLE_S, "safety": PATIENT, "master": PATIENT_MASTER}
+        data["model"]["web"]["youngs_modulus_Pa"] = SOFT_PA
+    data |= changes
     data["bus"]["address"] = address
     path = work / "bench.yaml"
     path.write_text(yaml.safe_dump(data, sort_keys=False), encoding="utf-8")
@@ -171,7 +238,7 @@ def started(fault: Fault) -> Iterator[Run]:
     with tempfile.TemporaryDirectory(prefix="fault-") as folder:
         work = Path(folder)
         address = f"embedded:f{uuid.uuid4().hex[:10]}"
-        config = make_config(work, address, dict(fault.changes))
+        config = make_config(work, address, dict(fault.changes), fault.real_time)
         limit = fault.limit_bytes
 
         def restrict() -> None:
@@ -180,9 +247,14 @@ def started(fault: Fault) -> Iterator[Run]:
 
         command = [*CLI, "run", str(config), "--out", str(work / "runs"), *fault.options]
         process = subprocess.Popen(
-            command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, preexec_fn=restrict
+            command,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            preexec_fn=restrict,
+            env=os.environ | fault.environment,
         )
-        run = Run(work, address, config, process)
+        run = Run(work, address, config, process, fault.real_time)
         try:
             yield run
         finally:
@@ -228,7 +300,7 @@ def kept(run: Run) -> str:
     if folder is None:
         return "nothing was started"
     how = ""
-    if not folder.recording.exists() and run.syncs() > AT_SPEED_SYNCS:
+    if not folder.recording.exists() and run.syncs() > run.at_speed_syncs:
         done = subprocess.run([*CLI, "recover", str(folder.path)], capture_output=True, text=True, check=False)
         how = ", recovered" if done.returncode == 0 else f", {done.stderr.strip()}"
     if not folder.recording.exists():
@@ -237,13 +309,23 @@ def kept(run: Run) -> str:
 
 
 def carry_out(fault: Fault) -> Row:
+    """Make the fault, again when the machine was too busy for it."""
+    for _ in range(TRIES):
+        row = _once(fault)
+        if row.passed or not row.busy:
+            break
+    return row
+
+
+def _once(fault: Fault) -> Row:
     """Make the fault and look at what came of it."""
     with started(fault) as run:
         try:
             fault.act(run)
             run.end()
         except (RuntimeError, HilbenchError, subprocess.CalledProcessError) as error:
-            return Row(fault, run.code, False, None, "", f"{type(error).__name__}: {error}")
+            said = f"{type(error).__name__}: {error}"
+            return Row(fault, run.code, False, None, "", said, busy=_busy(run))
         text = " ".join(run.said.split())
         folder = run.folder
         if folder is not None and folder.result.exists():
@@ -252,7 +334,15 @@ def carry_out(fault: Fault) -> Row:
             text = " | ".join(told) or text
         cycles = stopped_after(run) if run.code in (3, 130) else None
         passed = run.code in fault.codes and fault.words in text
-        return Row(fault, run.code, passed, cycles, kept(run), text)
+        return Row(fault, run.code, passed, cycles, kept(run), text, busy=_busy(run))
+
+
+def _busy(run: Run) -> bool:
+    folder = run.folder
+    if not run.real_time or folder is None or not folder.result.exists():
+        return run.real_time
+    timing = Result.read(folder.result).timing
+    return timing.cycles == 0 or timing.missed > BUSY * timing.cycles
 
 
 # -- what is done to a run ---------------------------------------------------------------------------------------------
@@ -299,10 +389,7 @@ def say(*frames: Frame, times: int = 1) -> Callable[[Run], None]:
 
 def bus_of(run: Run) -> BusAddress:
     """The bus of the run as it runs."""
-    pace = yaml.safe_load(run.config.read_text())["pace"]
-    options = run.process.args
-    realtime = pace == "realtime" or "realtime" in (options if isinstance(options, list) else [])
-    return BusAddress.parse(run.address, timing="real" if realtime else "virtual")
+    return BusAddress.parse(run.address, timing="real" if run.real_time else "virtual")
 
 
 def babble(duration_s: float) -> Callable[[Run], None]:
@@ -328,6 +415,40 @@ def disturb(injection: ErrorInjection) -> Callable[[Run], None]:
     def act(run: Run) -> None:
         run.wait_for_speed()
         inject_errors(run.address.partition(":")[2], injection)
+
+    return act
+
+
+def twin_bus_off(run: Run) -> None:
+    """The twin's controller leaves the bus; the disturbance is over before its process is there again."""
+    run.wait_for_speed()
+    channel = run.address.partition(":")[2]
+    inject_errors(channel, ErrorInjection(corrupted=1.0, filters=((0x1A0, 0x7FF),)))
+    time.sleep(0.5)
+    inject_errors(channel, ErrorInjection())
+
+
+def settable_clock() -> dict[str, str]:
+    """Environment in which CLOCK_REALTIME is off by what stands in a file, for every process of a run.
+
+    It stays off for the runs after it, which makes no difference to them either.
+    """
+    library = Path(os.environ["XDG_RUNTIME_DIR"]) / "clock.so"
+    if not library.exists():
+        source = library.with_suffix(".c")
+        source.write_text(SETTABLE_CLOCK, encoding="ascii")
+        subprocess.run(["cc", "-shared", "-fPIC", "-O1", "-o", library, source, "-ldl"], check=True)
+        library.with_name("clock").write_bytes(bytes(8))
+    return {"LD_PRELOAD": str(library), "CLOCK_OFFSET_FILE": str(library.with_name("clock"))}
+
+
+def jump(seconds: float) -> Callable[[Run], None]:
+    """Set the clock once the line runs."""
+
+    def act(run: Run) -> None:
+        run.wait_for_speed()
+        with Path(settable_clock()["CLOCK_OFFSET_FILE"]).open("r+b") as file:  # in place: it is mapped
+            file.write(int(seconds * 1e9).to_bytes(8, "little", signed=True))
 
     return act
 
@@ -376,8 +497,6 @@ def wrong_eds() -> dict[str, Any]:
     return {"nodes": nodes}
 
 
-REALTIME = ("--pace", "realtime")
-SILENCE = "no answer to SYNC"
 STOPPED = "quick stop, exit 3"
 
 
@@ -482,11 +601,92 @@ def faults() -> list[Fault]:
             "",
             babble(1.0),
             {"steps": SHORT},
-            REALTIME,
+            real_time=True,
+        ),
+        *_disturbances(),
+        Fault(
+            "bench bus off",
+            "exit 3, reported; drives stop by themselves",
+            (3,),
+            "bus off",
+            disturb(ErrorInjection(corrupted=1.0, filters=((0x201, 0x7FF),))),
+        ),
+        Fault(
+            "bench bus off, real time",
+            "exit 3, reported; drives stop by themselves",
+            (3,),
+            "bus off",
+            disturb(ErrorInjection(corrupted=1.0, filters=((0x201, 0x7FF),))),
+            real_time=True,
+        ),
+        Fault(
+            "drives bus off",
+            "exit 3, nobody answers",
+            (3,),
+            "no answer to SYNC from axis1",
+            disturb(ErrorInjection(corrupted=1.0, filters=((0x181, 0x7FF),))),
+        ),
+        Fault(
+            "twin bus off",
+            "loop opens, process started again, loop closes",
+            (0,),
+            "tension loop closed again",
+            twin_bus_off,
+            {"steps": _with_loop_back()},
         ),
         *(
-            Fault(name, expected, codes, "", disturb(injection), {"steps": SHORT}, REALTIME)
-            for name, injection, expected, codes in _disturbances()
+            Fault(
+                f"clock set {'forth' if hours > 0 else 'back'} by an hour, {pace}",
+                "no difference",
+                (0,),
+                "",
+                jump(hours * 3600.0),
+                {"steps": SHORT if pace == "real time" else LONG},
+                real_time=pace == "real time",
+                environment=settable_clock(),
+            )
+            for hours in (1, -1)
+            for pace in ("lockstep", "real time")
+        ),
+        *(
+            Fault(f"{what}: kill -9, real time", expected, (3,), words, send_signal(kill, command), real_time=True)
+            for what, command, expected, words in (
+                ("hardware", "simulate-hardware", "exit 3, nobody answers", "no answer to SYNC"),
+                ("supervisor", "hilbench.bench.supervisor", STOPPED, "supervisor ended"),
+                ("hub", "hilbench.bus.hub", "exit 3, bus lost; drives stop by 1016h", "hub"),
+            )
+        ),
+        Fault(
+            "bench: SIGSTOP, real time",
+            "supervisor sends the emergency stop, exit 3 when it goes on",
+            (3,),
+            "emergency stop (COB-ID 001h)",
+            hold_up(5.0),
+            real_time=True,
+        ),
+        Fault(
+            "drive: EMCY, and goes on",
+            "noted, goes on",
+            (0,),
+            "EMCY 2310h: current",
+            say(Frame(0x081, bytes.fromhex("1023030000000000"))),
+            {"steps": LONG},
+        ),
+        Fault("drive: heartbeat stops", STOPPED, (3,), "has sent no heartbeat", say(_download(1, 0x1017, 0, 2))),
+        Fault(
+            "drive: fault, reset by somebody again and again",
+            "quick stop, exit 3; not enabled again",
+            (3,),
+            "FAULT",
+            say(_download(1, 0x2001, 0x5441, 2), *(_download(1, 0x6040, word, 2) for word in RESET_AND_ENABLE * 8)),
+        ),
+        Fault(
+            "object that the drive refuses (SDO abort)",
+            "exit 3 before anything moves, object and code named",
+            (3,),
+            "abort",
+            nothing,
+            _refused_object(),
         ),
         Fault(
             "lost frames 1.0%, lockstep",
@@ -512,7 +712,7 @@ def faults() -> list[Fault]:
             "",
             hold_up(0.05),
             {"steps": SHORT},
-            REALTIME,
+            real_time=True,
         ),
         Fault(
             "node that does not answer (SDO time-out)",
@@ -525,15 +725,30 @@ def faults() -> list[Fault]:
     ]
 
 
-def _disturbances() -> Iterator[tuple[str, ErrorInjection, str, tuple[int, ...]]]:
-    """Name, what happens to the frames, what is expected, exit codes."""
+def _disturbances() -> Iterator[Fault]:
+    """Lost, duplicated, delayed and corrupted frames; in lockstep a lost answer is not made up for, the others are."""
     for share in (0.001, 0.01, 0.1):
-        often = f"frames, {share:.1%}, real time"
-        expected = ("ridden out", (0,)) if share < 0.1 else ("ridden out, or safe state and exit 3", (0, 3))
-        yield f"lost {often}", ErrorInjection(seed=6, lost=share), *expected
-        yield f"duplicated {often}", ErrorInjection(seed=6, duplicated=share), *expected
-        yield f"delayed {often}", ErrorInjection(seed=6, delayed=share, delay_s=0.0005), *expected
-        yield f"corrupted {often}", ErrorInjection(seed=6, corrupted=share), *expected
+        ridden_out: tuple[str, tuple[int, ...]] = ("ridden out", (0,))
+        for pace, delay_s in (("lockstep", 0.0005), ("real time", 0.002)):
+            real = pace == "real time"
+            expected = ("ridden out, or safe state and exit 3", (0, 3)) if real and share == 0.1 else ridden_out
+            for name, injection in (
+                ("lost", ErrorInjection(seed=6, lost=share)),
+                ("duplicated", ErrorInjection(seed=6, duplicated=share)),
+                ("delayed", ErrorInjection(seed=6, delayed=share, delay_s=delay_s)),
+                ("corrupted", ErrorInjection(seed=6, corrupted=share)),
+            ):
+                if name == "lost" and not real:
+                    continue
+                words = "error passive" if name == "corrupted" and share == 0.1 and not real else ""
+                yield Fault(
+                    f"{name} frames, {share:.1%}, {pace}",
+                    *expected,
+                    words,
+                    disturb(injection),
+                    {"steps": SHORT if real else LONG},
+                    real_time=real,
+                )
 
 
 def _with_loop_back() -> list[dict[str, Any]]:
@@ -556,6 +771,13 @@ def _same_id() -> dict[str, Any]:
     return {"nodes": nodes}
 
 
+def _refused_object() -> dict[str, Any]:
+    """1001h, the error register, can't be written: abort 06010002h."""
+    nodes = _shipped_nodes()
+    nodes["axis1"]["parameters"] = {"1001h": 1}
+    return {"nodes": nodes}
+
+
 def _silent_node() -> dict[str, Any]:
     nodes = _shipped_nodes()
     nodes["axis1"]["simulated"] = False
@@ -575,7 +797,7 @@ HEAD = ["| fault | expected | exit | to safe state | kept | |", "|---|---|---|--
 def line(row: Row) -> str:
     """A row of the table in Markdown."""
     cycles = "–" if row.cycles is None else f"{row.cycles} cycles"
-    mark = "✓" if row.passed else "✗"
+    mark = "✓" if row.passed else "busy" if row.busy else "✗"
     return f"| {row.fault.name} | {row.fault.expected} | {row.code} | {cycles} | {row.kept} | {mark} |"
 
 
@@ -596,6 +818,13 @@ def main() -> int:
     parser.add_argument("--write", action="store_true", help="write the table into docs/faults.md")
     parser.add_argument("--only", default="", help="only faults whose name this regular expression is found in")
     options = parser.parse_args()
+    with tempfile.TemporaryDirectory(prefix="faults-") as folder:
+        # Buses of our own: `hilbench estop` without an address stops every bus of the user.
+        os.environ["XDG_RUNTIME_DIR"] = folder
+        return _make(options)
+
+
+def _make(options: argparse.Namespace) -> int:
     rows = []
     for fault in faults():
         if re.search(options.only, fault.name):

@@ -12,6 +12,7 @@ from tests.bench.test_runs import SHORT, config, gone
 
 from hilbench.bench import startup
 from hilbench.bench.cycle import CyclicExchange, ExpectedPdo
+from hilbench.bus.confinement import ControllerState
 from hilbench.bus.frame import Frame
 from hilbench.bus.link import Link
 from hilbench.bus.open import open_link
@@ -31,7 +32,7 @@ class LosingLink:
     def __init__(self, link: Link) -> None:
         self._link = link
         self._syncs = 0
-        self.channel = link.channel
+        self.channel, self.controller = link.channel, link.controller
         self.receive, self.set_filters, self.fileno, self.close = (
             link.receive,
             link.set_filters,
@@ -74,6 +75,7 @@ class SilentLink:
     """Nobody answers, because frames were lost on this side."""
 
     channel, dropped = "fake0", 7
+    controller = ControllerState.ERROR_ACTIVE
 
     def send(self, frames: Sequence[Frame]) -> None: ...
 

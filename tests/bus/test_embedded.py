@@ -17,6 +17,7 @@ from typing import Any
 import pytest
 
 from hilbench.bus import hub_client, protocol
+from hilbench.bus.confinement import ControllerState
 from hilbench.bus.disturbance import ErrorInjection
 from hilbench.bus.frame import EXTENDED_FLAG, REMOTE_FLAG, Frame
 from hilbench.bus.hub import RECEIVE_LIMIT
@@ -28,6 +29,10 @@ from hilbench.errors import BusError
 
 VIRTUAL = BusAddress(timing="virtual")
 REAL = BusAddress()
+
+#: COB-ID whose frames are broken off by the tests of the error counters.
+NOISY = 0x155
+
 
 ECHO = """
 import sys
@@ -474,3 +479,46 @@ def test_the_hub_needs_only_the_standard_library(runtime: Any) -> None:
     maps = Path(f"/proc/{hub}/maps").read_text()
     assert "site-packages" not in maps
     link.close()
+
+
+def test_a_station_is_told_that_it_is_bus_off(runtime: Any) -> None:
+    """As ISO 11898-1 has it; only who sends is off, and joining anew is a restart."""
+    sender, other = open_link(VIRTUAL), open_link(VIRTUAL)
+    hub_client.inject_errors(VIRTUAL.channel, ErrorInjection(corrupted=1.0, filters=((NOISY, 0x7FF),)))
+    sender.set_filters([(0x7FF, 0x7FF)])  # what its own controller does is told whatever the filters are
+    sender.send([Frame(NOISY, b"")])
+    with pytest.raises(BusError, match="our controller is bus off"):
+        sender.receive(5.0)
+    with pytest.raises(BusError, match="our controller is bus off"):
+        sender.receive(0.0)
+    assert other.receive(0.0) == []
+    assert other.controller is ControllerState.ERROR_ACTIVE
+    sender.close()
+    again = open_link(VIRTUAL)
+    again.send([Frame(0x100, b"back")])
+    assert [frame.data for frame in collect(other, 1)] == [b"back"]
+    for link in (again, other):
+        link.close()
+
+
+def test_a_listener_of_many_broken_frames_is_error_passive(runtime: Any) -> None:
+    sender, listener = open_link(VIRTUAL), open_link(VIRTUAL)
+    hub_client.inject_errors(VIRTUAL.channel, ErrorInjection(seed=1, corrupted=0.9, filters=((NOISY, 0x7FF),)))
+    stations = [sender]
+    for _ in range(40):  # whoever goes off is replaced
+        try:
+            stations[-1].send([Frame(NOISY, b"")])
+            listener.receive(0.01)
+            stations[-1].receive(0.0)
+        except BusError:
+            stations.append(open_link(VIRTUAL))
+        if listener.controller is ControllerState.ERROR_PASSIVE:
+            break
+    assert listener.controller is ControllerState.ERROR_PASSIVE
+    hub_client.inject_errors(VIRTUAL.channel, ErrorInjection())
+    stations[-1].send([Frame(0x100, b"")] * 200)
+    assert len(collect(listener, 200)) >= 200
+    listener.receive(0.05)
+    assert listener.controller is ControllerState.ERROR_ACTIVE
+    for link in (*stations, listener):
+        link.close()

@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hilbench.bus.arbitration import accepts, priority
+from hilbench.bus.confinement import ControllerState
 from hilbench.bus.disturbance import Disturber, ErrorInjection
 from hilbench.bus.frame import EXTENDED_FLAG, REMOTE_FLAG
 from hilbench.bus.medium import FOREVER, Medium, Station
@@ -147,10 +148,40 @@ def test_a_corrupted_frame_competes_again() -> None:
     assert [delivery.can_id for delivery in medium.run(FOREVER)] == [0x001, 0x700]
 
 
-def test_always_corrupted_ends_as_lost() -> None:
-    arrived, medium = run_disturbed(ErrorInjection(corrupted=1.0), count=1)
-    assert arrived == []
-    assert (medium.counters.error_frames, medium.counters.lost) == (32, 1)
+def test_a_station_whose_frames_never_succeed_is_bus_off() -> None:
+    """ISO 11898-1: 8 for each failed attempt, passive from 128, off from 256; what was queued is lost."""
+    medium, (station, other) = medium_with(2)
+    medium.disturber = Disturber(ErrorInjection(corrupted=1.0, filters=((0x100, 0x7FF),)))
+    for _ in range(3):
+        medium.queue(station, 0x100, None, 100, 0)
+    states = []
+    while medium.next_event_ns() is not None:
+        medium.run(medium.next_event_ns() or 0)
+        states += [(each is station, each.state, each.errors.transmit) for each in medium.changed]
+        medium.changed.clear()
+    assert states == [(True, ControllerState.ERROR_PASSIVE, 128), (True, ControllerState.BUS_OFF, 256)]
+    assert (medium.counters.error_frames, medium.counters.lost) == (32, 3)
+    assert other.errors.receive == 32
+    medium.queue(station, 0x200, None, 100, 0)
+    medium.queue(other, 0x300, None, 100, 0)
+    assert [delivery.can_id for delivery in medium.run(FOREVER)] == [0x300]
+    assert medium.counters.lost == 4
+
+
+def test_error_counters_fall_with_every_good_frame() -> None:
+    medium, (station, other) = medium_with(2)
+    medium.disturber = Disturber(ErrorInjection(corrupted=0.97, seed=2, filters=((0x100, 0x7FF),)))
+    medium.queue(station, 0x100, None, 100, 0)
+    medium.run(FOREVER)
+    before = medium.counters.error_frames
+    assert 1 < before < 32
+    assert (station.errors.transmit, other.errors.receive) == (8 * before - 1, before - 1)
+    for _ in range(300):
+        medium.queue(station, 0x200, None, 100, 0)
+    medium.run(FOREVER)
+    assert station.errors.clear
+    assert other.errors.clear
+    assert station.state is ControllerState.ERROR_ACTIVE
 
 
 def test_duplicated_frames_arrive_twice_in_a_row() -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 from tests.fieldbus.device_under_test import eds_text
 
+from hilbench.bus.confinement import ControllerState
 from hilbench.bus.frame import Frame
 from hilbench.errors import BusError
 from hilbench.fieldbus import clock as clock_module
@@ -39,6 +40,7 @@ class ScriptedLink:
 
     channel = "script"
     dropped = 0
+    controller = ControllerState.ERROR_ACTIVE
 
     def __init__(self) -> None:
         self.batches: list[list[tuple[int, str]]] = []
@@ -230,3 +232,15 @@ def test_sync_clock(wall: WallClock) -> None:
     assert clock.now_ns() == start + CYCLE_NS + 500_000_000
     clock.tick()
     assert clock.now_ns() == start + 2 * CYCLE_NS + 500_000_000
+
+
+def test_an_error_passive_controller_is_told_by_every_device(lockstep: HostUnderTest) -> None:
+    """CiA 301: EMCY 8120h, error register generic and communication; 0000h when it is over."""
+    lockstep.link.controller = ControllerState.ERROR_PASSIVE
+    batches = lockstep.serve(SYNC)
+    told = {can_id: data for batch in batches for can_id, data in batch if can_id in (0x081, 0x082)}
+    assert told == {0x081: "2081110000000000", 0x082: "2081110000000000"}
+    assert not [can_id for batch in lockstep.serve(SYNC) for can_id, _ in batch if can_id in (0x081, 0x082)]
+    lockstep.link.controller = ControllerState.ERROR_ACTIVE
+    over = [data[:4] for batch in lockstep.serve(SYNC) for can_id, data in batch if can_id in (0x081, 0x082)]
+    assert over == ["0000", "0000"]

@@ -26,6 +26,7 @@ from hilbench.bench.sample import CycleSample
 from hilbench.bench.startup import TWIN, bring_up
 from hilbench.bench.tension_control import TensionController
 from hilbench.bench.twin_connection import TwinConnection
+from hilbench.bus.confinement import ControllerState
 from hilbench.drives.drive import Drive, DriveGoal
 from hilbench.errors import EXIT_INTERRUPTED, BenchFaultError, EmergencyStopError, HilbenchError
 from hilbench.twin.plausibility import Problem
@@ -134,6 +135,7 @@ class Bench:
         self._ramped = ""  # the quantity that a ramp of the experiment moves
         self._twin: TwinConnection
         self._supervisor: ChildProcess | None = None
+        self._controller_state = ControllerState.ERROR_ACTIVE
         self._strain_prev = config.model.upstream_strain
         self._tension_next_N = config.model.boundary.downstream_tension_N
 
@@ -305,6 +307,7 @@ class Bench:
         self._exchange_once()
         sample = self.last
         self._follow_web(sample)
+        self._look_at_controller()
         self._read_emergencies()
         for warning in self._limits.update(sample):
             self._note("limits", warning)
@@ -316,6 +319,13 @@ class Bench:
         supervisor = self._supervisor
         if supervisor is not None and self._running().timing.cycles % _LOOK_CYCLES == 0:
             supervisor.check()
+
+    def _look_at_controller(self) -> None:
+        """Many broken-off frames: still a bus, but not for long."""
+        state = self._running().controller
+        if state is not self._controller_state:
+            self._controller_state = state
+            self._note("bus", f"the bench's CAN controller is {state.value}")
 
     def _note(self, source: str, text: str) -> None:
         self.notices.append(Notice(self.time_s, source, text))

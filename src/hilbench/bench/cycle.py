@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from concurrent.futures import Future
+from concurrent.futures import wait as wait_for
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 from hilbench.bench import pacing
+from hilbench.bus.confinement import ControllerState
 from hilbench.bus.frame import Frame
 from hilbench.bus.link import Link
 from hilbench.bus.wire import frame_bits
@@ -19,6 +22,8 @@ SYNC_COB_ID = 0x080
 #: Part of the cycle, at its end, that is kept for computing and sending the next set points (realtime pace):
 #: answers that are not there by then count as missing.
 _GUARD_FRACTION = 0.3
+#: Lockstep: part of the time-out after which a bench that waits for an answer says that it is alive.
+_ALIVE = 0.3
 
 
 #: NMT state in the bench's own heartbeat: OPERATIONAL, and PRE-OPERATIONAL after an emergency stop.
@@ -114,14 +119,15 @@ class CyclicExchange:
             pacing.start(self.pacing, timing.started_ns)
         if self._heartbeat_cycles and timing.cycles % self._heartbeat_cycles == 0:
             outgoing = [*outgoing, self._heartbeat]
-        late: list[Frame] = []
+        # Late answers (lockstep: those to a SYNC that was there twice) are no answers to this SYNC: counted as such they
+        # would push the true ones to the next.
         if self._lockstep:
+            late = self._link.receive(0.0)
             self._link.send([*outgoing, self._sync])
         else:
             if outgoing:
                 self._link.send(outgoing)
             now_ns = pacing.sleep_until(self.pacing.deadline_ns)
-            # Late answers are no answers to this SYNC: counted as such they would push the true ones to the next.
             late = self._link.receive(0.0)
             self._link.send([self._sync])
             pacing.advance(self.pacing, now_ns)
@@ -151,15 +157,36 @@ class CyclicExchange:
         """Put what waits to be read, or comes within `timeout_s`, into the trace only: no answer to the last SYNC."""
         waiting = self._link.receive(timeout_s)
         if waiting and self._tap is not None:
-            at_ns = self._epoch_ns + self.timing.cycles * self._cycle_ns
             bits = [frame_bits(frame) for frame in waiting]
-            self._tap.write(self._timed(waiting, bits, at_ns - int(sum(bits) * self._bit_ns)))
+            self._tap.write(self._timed(waiting, bits, self._next_sync_ns - int(sum(bits) * self._bit_ns)))
             self._tap.end_cycle()
+
+    def stand_still(self, done: Future[None]) -> None:
+        """Lockstep: no cycle until `done`, which may take longer than the supervisor waits."""
+        self._say_alive()
+        while wait_for([done], timeout=_ALIVE * self._timeout_s).not_done:
+            self._say_alive()
+
+    def _say_alive(self) -> None:
+        """In lockstep heartbeats come with the cycles; one that lasts is no stalled bench."""
+        if self._heartbeat_cycles:
+            self._link.send([self._heartbeat])
+            if self._tap is not None:
+                self._tap.write([self._heartbeat._replace(time_ns=self._next_sync_ns)])
+
+    @property
+    def _next_sync_ns(self) -> int:
+        return self._epoch_ns + self.timing.cycles * self._cycle_ns
 
     @property
     def lost_frames(self) -> int | None:
         """Frames the bench's own connection has lost because it was not read in time; None: not known there."""
         return self._link.dropped
+
+    @property
+    def controller(self) -> ControllerState:
+        """State of the bench's own CAN controller."""
+        return self._link.controller
 
     def _due(self) -> dict[int, ExpectedPdo]:
         cycle = self.timing.cycles
@@ -175,16 +202,32 @@ class CyclicExchange:
         failure = None
         remaining_s = self._remaining_s if not self._lockstep else self._lockstep_remaining(time.monotonic())
         while due:
-            batch = self._link.receive(max(0.0, remaining_s()))
-            if not batch and remaining_s() <= 0.0:
-                failure = self._missing(due)
-                break
+            left_s = max(0.0, remaining_s())
+            batch = self._link.receive(min(left_s, _ALIVE * self._timeout_s) if self._lockstep else left_s)
+            if not batch:
+                if remaining_s() <= 0.0:
+                    failure = self._missing(due)
+                    break
+                if self._lockstep:
+                    self._say_alive()
             for frame in batch:
                 self._missed_in_row.pop(frame.can_id, None)
-                if due.pop(frame.can_id, None) is None and frame.can_id == EMERGENCY_STOP_COB_ID:
+                if due.pop(frame.can_id, None) is not None:
+                    continue
+                if frame.can_id == EMERGENCY_STOP_COB_ID:
                     due.clear()  # the nodes leave OPERATIONAL: no answers will come
+                else:
+                    self._move_phase(frame.can_id)
             received += batch
         return received, failure
+
+    def _move_phase(self, cob_id: int) -> None:
+        """A PDO of every n-th SYNC that comes between: its sender has heard a SYNC twice, or missed one."""
+        cycle = self.timing.cycles
+        for at, pdo in enumerate(self._expected):
+            if pdo.cob_id == cob_id and pdo.every > 1 and (cycle - pdo.since) % pdo.every:
+                moved = replace(pdo, since=cycle - pdo.every)
+                self._expected = (*self._expected[:at], moved, *self._expected[at + 1 :])
 
     def _lockstep_remaining(self, start_s: float) -> Callable[[], float]:
         return lambda: start_s + self._timeout_s - time.monotonic()

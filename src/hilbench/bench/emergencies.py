@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from hilbench.twin.plausibility import Problem
 
-#: Classes of error codes (CiA 301, table 26), by the first digits that decide.
+#: Error codes and their classes (CiA 301, table 26), by the first digits that decide.
 _CLASSES = {
     "10": "generic error",
     "2": "current",
@@ -16,6 +16,7 @@ _CLASSES = {
     "6": "device software",
     "7": "additional modules",
     "80": "monitoring",
+    "8120": "CAN in error passive mode",
     "81": "communication",
     "82": "protocol error",
     "84": "velocity control",

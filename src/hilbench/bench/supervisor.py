@@ -61,7 +61,7 @@ def supervise(watch: Watch) -> None:
     threading.Thread(target=_follow, args=(bench_gone,), name="follow-bench", daemon=True).start()
     link = open_link(watch.bus)
     try:
-        _watch(link, watch, told_to_end, bench_gone)
+        watch_heartbeat(link, watch, told_to_end, bench_gone)
     finally:
         link.close()
 
@@ -72,11 +72,14 @@ def _follow(bench_gone: threading.Event) -> None:
     bench_gone.set()
 
 
-def _watch(link: Link, watch: Watch, told_to_end: threading.Event, bench_gone: threading.Event) -> None:
-    link.set_filters([(_HEARTBEAT + watch.node_id, _STANDARD_MASK)])
+def watch_heartbeat(link: Link, watch: Watch, told_to_end: threading.Event, bench_gone: threading.Event) -> None:
+    """Stop the drives over `link` when the heartbeat, once heard, stays away, or the bench is gone without a word."""
+    heartbeat = _HEARTBEAT + watch.node_id
+    link.set_filters([(heartbeat, _STANDARD_MASK)])
     heard_s: float | None = None  # None: not heard yet, or stopped already
     while not told_to_end.is_set():
-        if link.receive(_LOOK_S):
+        # Others' frames may have come before the filter was there: while the nodes boot the bench sends no heartbeat.
+        if any(frame.can_id == heartbeat for frame in link.receive(_LOOK_S)):
             heard_s = time.monotonic()
         if bench_gone.is_set() and not told_to_end.is_set():
             _stop(link, "the bench's process is gone")

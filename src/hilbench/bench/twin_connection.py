@@ -61,7 +61,9 @@ class TwinConnection:
 
     def loop_closed(self, sample: CycleSample) -> bool:
         """Whether the tension loop is closed on the twin's data in `sample`."""
-        closed = not self._away and self._trust.update(sample)
+        # A sample from before the twin was taken back may still say that it is synchronized.
+        fresh = not self._away and sample.cycle > self._started_cycle
+        closed = fresh and self._trust.update(sample)
         if self._was_closed and not closed:
             self._note(f"tension loop open, axis 1 follows the ratio of speeds: {self._trust.doubt}")
         elif closed and self._was_closed is False:
@@ -131,18 +133,12 @@ class TwinConnection:
         """By SDO: in real time beside the cycles, in lockstep the bus stands still meanwhile."""
         self._nodes.twin_heard = False
         self._next_attempt_cycle = None
+        pool = ThreadPoolExecutor(1, thread_name_prefix="twin-return")
+        self._return = pool.submit(self._nodes.restart_twin)
+        pool.shutdown(wait=False)
         if self._lockstep:
-            done: Future[None] = Future()
-            try:
-                self._nodes.restart_twin()
-                done.set_result(None)
-            except BenchFaultError as error:
-                done.set_exception(error)
-            self._end_return(done)
-        else:
-            pool = ThreadPoolExecutor(1, thread_name_prefix="twin-return")
-            self._return = pool.submit(self._nodes.restart_twin)
-            pool.shutdown(wait=False)
+            self._exchange.stand_still(self._return)
+            self._end_return(self._return)
 
     def _end_return(self, done: Future[None]) -> None:
         self._return = None

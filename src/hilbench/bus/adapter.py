@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from hilbench.bus.arbitration import accepts
-from hilbench.bus.frame import Frame
+from hilbench.bus.confinement import ControllerState, bus_off, state_told
+from hilbench.bus.frame import ERROR_FLAG, Frame
 from hilbench.bus.messages import to_frame, to_message
 from hilbench.bus.python_can import can
 from hilbench.errors import BusError
@@ -17,6 +18,7 @@ class PythonCanLink:
     def __init__(self, bus: can.BusABC, channel: str) -> None:
         self.channel = channel
         self.dropped: int | None = None
+        self.controller = ControllerState.ERROR_ACTIVE
         self._bus = bus
         self._filters: Sequence[tuple[int, int]] | None = None
 
@@ -33,12 +35,19 @@ class PythonCanLink:
             message = self._bus.recv(max(timeout_s, 0.0))
             while message is not None:
                 frame = to_frame(message)
-                if accepts(self._filters, frame.can_id):
+                if frame.can_id & ERROR_FLAG:
+                    self._take_state(frame)
+                elif accepts(self._filters, frame.can_id):
                     frames.append(frame)
                 message = self._bus.recv(0.0)
         except (can.CanError, OSError) as error:
             raise self._lost(error) from error
         return frames
+
+    def _take_state(self, frame: Frame) -> None:
+        before, self.controller = self.controller, state_told(frame.can_id, frame.data) or self.controller
+        if self.controller is ControllerState.BUS_OFF and before is not ControllerState.BUS_OFF:
+            raise bus_off(self.channel)
 
     def set_filters(self, identifiers: Sequence[tuple[int, int]] | None) -> None:
         # Not with python-can's filters: where they work in software, recv(0) stops at the first frame they reject.

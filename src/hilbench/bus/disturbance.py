@@ -11,9 +11,10 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from hilbench.bus.arbitration import accepts
+from hilbench.bus.confinement import OFF_FROM
 
-#: A transmitter counts 8 per failed attempt and leaves the bus at 256 (ISO 11898-1, fault confinement).
-MAX_ATTEMPTS = 32
+#: So many failed attempts in a row take any transmitter off the bus (`confinement`): no frame needs a draw for more.
+MAX_ATTEMPTS = OFF_FROM // 8
 _COUNTED_IDENTIFIERS = 4096
 _MASK_64 = (1 << 64) - 1
 
@@ -23,8 +24,9 @@ class ErrorInjection:
     """Probabilities (0 to 1, per frame; `corrupted` per attempt) of what happens to frames on the wire.
 
     lost: takes its time on the wire and reaches nobody. corrupted: broken off by an error frame at a random bit and
-    sent again, after a new arbitration. duplicated: sent twice. delayed: the sender's controller holds it, and what is
-    behind it, for `delay_s` seconds of bus time. `filters` restricts it to identifiers, as (identifier, mask) pairs.
+    sent again, after a new arbitration; a station with too many of these goes bus off (`confinement`). duplicated: sent
+    twice. delayed: the sender's controller holds it, and what is behind it, for `delay_s` seconds of bus time.
+    `filters` restricts it to identifiers, as (identifier, mask) pairs.
     """
 
     seed: int = 0
@@ -93,8 +95,6 @@ class Disturber:
         broken_off: list[int] = []
         while len(broken_off) < MAX_ATTEMPTS and next(numbers) < injection.corrupted:
             broken_off.append(1 + int(next(numbers) * (bits - 4)))  # somewhere before the intermission
-        if len(broken_off) == MAX_ATTEMPTS:
-            lost = True
         if not (lost or duplicated or delay_ns or broken_off):
             return None
         return Fate(lost, duplicated, delay_ns, tuple(broken_off))

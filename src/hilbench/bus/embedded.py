@@ -6,6 +6,7 @@ import socket
 from collections.abc import Sequence
 
 from hilbench.bus import hub_client, protocol
+from hilbench.bus.confinement import ControllerState, bus_off, state_told
 from hilbench.bus.frame import ERROR_FLAG, EXTENDED_FLAG, Frame
 from hilbench.bus.requests import Wanted
 from hilbench.bus.waiting import wait_readable, wait_writable
@@ -59,6 +60,7 @@ class EmbeddedLink:
     def __init__(self, channel: str, bitrate: int, timing: str) -> None:
         self.channel = channel
         self.dropped = 0
+        self.controller = ControllerState.ERROR_ACTIVE
         membership = hub_client.join(channel, Wanted(bitrate=bitrate, timing=timing))
         self._station = membership.station
         self._connection = membership.connection
@@ -70,6 +72,12 @@ class EmbeddedLink:
             send_packet(self._connection, self.channel, packet)
 
     def receive(self, timeout_s: float) -> list[Frame]:
+        frames = self._waiting(timeout_s)
+        if self.controller is ControllerState.BUS_OFF:
+            raise bus_off(f"embedded bus {self.channel}")
+        return frames
+
+    def _waiting(self, timeout_s: float) -> list[Frame]:
         packet = receive_packet(self._connection, self.channel)
         if packet is None:
             if timeout_s <= 0 or not wait_readable(self._connection.fileno(), timeout_s):
@@ -79,7 +87,10 @@ class EmbeddedLink:
         while packet is not None:
             body = memoryview(packet)[protocol.HEADER.size :]
             for can_id, length, _, data, time_ns in protocol.STAMPED_CAN_RECORD.iter_unpack(body):
-                frames.append(Frame(can_id, data[:length], time_ns))
+                if can_id & ERROR_FLAG:
+                    self.controller = state_told(can_id, data) or self.controller
+                else:
+                    frames.append(Frame(can_id, data[:length], time_ns))
             _, self.dropped = protocol.HEADER.unpack_from(packet)
             packet = receive_packet(self._connection, self.channel)
         return frames

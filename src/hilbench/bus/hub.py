@@ -28,6 +28,7 @@ from typing import Any
 
 from hilbench.bus import protocol, requests
 from hilbench.bus.arbitration import accepts
+from hilbench.bus.confinement import ControllerState
 from hilbench.bus.disturbance import Disturber
 from hilbench.bus.frame import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
 from hilbench.bus.medium import FOREVER, Delivery, Medium, Station
@@ -244,6 +245,8 @@ class Hub:
         if delivered:
             self._hand_out(delivered)
             self._resume()
+        if self._medium.changed:
+            self._tell_states()
         if self._departed:
             self._forget_departed()
 
@@ -265,12 +268,21 @@ class Hub:
         everything = [record for _, _, record in stamped]
         senders = {delivery.sender for delivery in delivered}
         for client in self._clients.values():
-            if not client.joined:
+            if not client.joined or client.state is ControllerState.BUS_OFF:
                 continue
             if client.filters is None and client not in senders:
                 self._deliver(client, everything)
             elif records := _selected(client, stamped):
                 self._deliver(client, records)
+
+    def _tell_states(self) -> None:
+        """Each station hears of its own controller, whatever its filters are."""
+        changed, self._medium.changed = self._medium.changed, []
+        for client in self._clients.values():
+            if client in changed:
+                can_id, data = client.errors.told()
+                record = protocol.CAN_RECORD.pack(can_id, len(data), 0, data)
+                self._deliver(client, [record + protocol.STAMP.pack(self._medium.free_ns)])
 
     def _deliver(self, client: Client, records: list[bytes]) -> None:
         if self._fd and not client.fd:

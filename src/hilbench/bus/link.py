@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Protocol
 
+from hilbench.bus.confinement import ControllerState
 from hilbench.bus.frame import Frame
 
 
@@ -32,6 +33,10 @@ class Link(Protocol):
 
         Complete once the link is closed; while it is open, the latest losses may show with the next frame only.
         """
+
+    @property
+    def controller(self) -> ControllerState:
+        """State of this side's controller, as far as the interface tells. When it goes bus off `receive` raises."""
 
     def close(self) -> None:
         """Leave the bus. Calling it twice is no error."""

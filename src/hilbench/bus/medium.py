@@ -2,7 +2,9 @@
 
 Both emulations stand on it: the hub (frames between processes) and `memory.MemoryBus` (inside one process).
 One frame at a time is on the wire. When it is free, the heads of all transmit queues compete; the lowest arbitration
-field wins (two stations with the same one: who joined first). A frame that has begun is never interrupted.
+field wins (two stations with the same one: who joined first). A frame that has begun is never interrupted, but by an
+error frame: then its transmitter and the others count errors, and a station whose counter is full is off the bus until
+it joins anew (as a SocketCAN interface without restart-ms).
 """
 
 from __future__ import annotations
@@ -12,6 +14,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from hilbench.bus.arbitration import priority
+from hilbench.bus.confinement import ControllerState, ErrorCounters
 from hilbench.bus.disturbance import Disturber, Fate
 from hilbench.bus.wire import ERROR_FRAME_BITS
 
@@ -41,12 +44,14 @@ class Delivery(NamedTuple):
 
 
 class Station:
-    """A transmitter on the wire: its frames leave in the order in which they were queued."""
+    """A controller on the wire: its frames leave in the order in which they were queued."""
 
-    __slots__ = ("queue",)
+    __slots__ = ("errors", "queue", "state")
 
     def __init__(self) -> None:
         self.queue: deque[QueuedFrame] = deque()
+        self.errors = ErrorCounters()
+        self.state = ControllerState.ERROR_ACTIVE  #: what `errors` meant when it was last looked at
 
 
 @dataclass
@@ -68,6 +73,8 @@ class Medium:
         self.free_ns = start_ns
         self.counters = Counters()
         self.disturber: Disturber | None = None
+        self.changed: list[Station] = []  #: stations whose state is another one; whoever tells them empties it
+        self._counting = False  # some station has errors counted: only then is every frame counted, too
         self._stations: list[Station] = []
         self._sender: Station | None = None  # who is on the wire
         self._end_ns = 0  # when its frame, or its error frame, is over
@@ -83,7 +90,13 @@ class Medium:
             self.free_ns = self._end_ns
 
     def queue(self, station: Station, can_id: int, payload: Any, bits: int, arrival_ns: int) -> None:
-        """Append a frame of `bits` bit times to the station's queue; it competes from `arrival_ns` on."""
+        """Append a frame of `bits` bit times to the station's queue; it competes from `arrival_ns` on.
+
+        What a station sends that is bus off is lost.
+        """
+        if station.state is ControllerState.BUS_OFF:
+            self.counters.lost += 1
+            return
         fate = self.disturber.draw(can_id, bits) if self.disturber is not None else None
         if fate is not None:
             arrival_ns += fate.delay_ns
@@ -140,6 +153,8 @@ class Medium:
             return
         self.counters.frames += 1
         self.counters.bits += frame.bits
+        if self._counting:
+            self._count_success(sender)
         delivered.append(Delivery(sender, frame.can_id, frame.payload, self.free_ns))
 
     def _survives(self, sender: Station, frame: QueuedFrame, fate: Fate) -> bool:
@@ -149,6 +164,7 @@ class Medium:
             counters.error_frames += 1
             counters.bits += fate.broken_off_after[0] + ERROR_FRAME_BITS
             sender.queue.appendleft(frame._replace(fate=fate._replace(broken_off_after=fate.broken_off_after[1:])))
+            self._count_failure(sender)
             return False
         if fate.lost:
             counters.lost += 1
@@ -158,3 +174,31 @@ class Medium:
         if fate.duplicated:
             sender.queue.appendleft(frame._replace(fate=None))
         return True
+
+    def _count_failure(self, sender: Station) -> None:
+        """An error frame has broken off what `sender` sent: all have seen it."""
+        self._counting = True
+        for station in self._stations:
+            if station is sender:
+                station.errors.transmit_failed()
+            elif station.state is not ControllerState.BUS_OFF:
+                station.errors.receive_failed()
+            self._look_at(station)
+        if sender.state is ControllerState.BUS_OFF:
+            self.counters.lost += len(sender.queue)
+            sender.queue.clear()
+
+    def _count_success(self, sender: Station) -> None:
+        for station in self._stations:
+            if station is sender:
+                station.errors.transmit_succeeded()
+            elif station.state is not ControllerState.BUS_OFF:
+                station.errors.receive_succeeded()
+            self._look_at(station)
+        self._counting = not all(station.errors.clear for station in self._stations)
+
+    def _look_at(self, station: Station) -> None:
+        state = station.errors.state
+        if state is not station.state:
+            station.state = state
+            self.changed.append(station)

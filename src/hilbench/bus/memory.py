@@ -16,6 +16,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from hilbench.bus.arbitration import accepts
+from hilbench.bus.confinement import ControllerState, bus_off
 from hilbench.bus.disturbance import Disturber, ErrorInjection
 from hilbench.bus.embedded import can_record
 from hilbench.bus.frame import Frame
@@ -68,7 +69,7 @@ class MemoryBus:
         for delivery in self._medium.run(FOREVER):
             frame = Frame(delivery.can_id, delivery.payload, delivery.time_ns)
             for link in self._links:
-                if link.station is not delivery.sender:
+                if link.station is not delivery.sender and link.controller is not ControllerState.BUS_OFF:
                     link.take(frame)
 
 
@@ -119,6 +120,8 @@ class MemoryLink:
         with self._bus._lock:
             self._check_open()
             self._bus._carry()
+            if self.controller is ControllerState.BUS_OFF:
+                raise bus_off(self.channel)
             frames = list(self._received)
             self._received.clear()
             with contextlib.suppress(BlockingIOError):  # nothing was signalled
@@ -129,6 +132,11 @@ class MemoryLink:
         with self._bus._lock:
             self._bus._carry()  # what was sent before meets the old filters
             self._filters = identifiers
+
+    @property
+    def controller(self) -> ControllerState:
+        """State of this station's controller when the wire last carried something."""
+        return self.station.state
 
     def fileno(self) -> int:
         return self._event

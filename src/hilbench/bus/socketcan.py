@@ -13,8 +13,9 @@ import struct
 import time
 from collections.abc import Sequence
 
+from hilbench.bus.confinement import STATE_CLASSES, ControllerState, bus_off, state_told
 from hilbench.bus.embedded import can_record
-from hilbench.bus.frame import Frame
+from hilbench.bus.frame import ERROR_FLAG, Frame
 from hilbench.bus.interface_losses import InterfaceLosses
 from hilbench.bus.protocol import CAN_RECORD
 from hilbench.bus.waiting import wait_readable
@@ -25,6 +26,7 @@ _SO_RCVBUFFORCE = 33
 _SO_TIMESTAMPNS = 35
 _SO_RXQ_OVFL = 40
 _SO_MEMINFO = 55
+_CAN_RAW_ERR_FILTER = 2  # <linux/can/raw.h>
 
 RECEIVE_BUFFER_BYTES = 1 << 20  # 2731 frames (measured): 0.3 s of a full 1 Mbit/s bus
 _TIMESPEC = struct.Struct("@ll")
@@ -47,6 +49,7 @@ class SocketCanLink:
         self._socket_losses = 0
         self._interface = InterfaceLosses(channel)
         self._interface_losses = 0
+        self.controller = ControllerState.ERROR_ACTIVE
 
     @property
     def dropped(self) -> int:
@@ -95,7 +98,17 @@ class SocketCanLink:
             except OSError as error:
                 raise self._lost(error) from None
             can_id, length, _, data = CAN_RECORD.unpack(record)
-            frames.append(Frame(can_id, data[:length], self._read_ancillary(ancillary)))
+            time_ns = self._read_ancillary(ancillary)
+            if can_id & ERROR_FLAG:
+                self._take_state(can_id, data)
+            else:
+                frames.append(Frame(can_id, data[:length], time_ns))
+
+    def _take_state(self, can_id: int, data: bytes) -> None:
+        """Raises BusError when the controller has just gone bus off; with restart-ms it comes back by itself."""
+        before, self.controller = self.controller, state_told(can_id, data) or self.controller
+        if self.controller is ControllerState.BUS_OFF and before is not ControllerState.BUS_OFF:
+            raise bus_off(self.channel)
 
     def _read_ancillary(self, ancillary: list[tuple[int, int, bytes]]) -> int:
         """Take over the drop counter; the time of reception, ns since the epoch."""
@@ -147,6 +160,7 @@ def _open(channel: str) -> socket.socket:
         raw.setblocking(False)
         raw.setsockopt(socket.SOL_SOCKET, _SO_RXQ_OVFL, 1)
         raw.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
+        raw.setsockopt(socket.SOL_CAN_RAW, _CAN_RAW_ERR_FILTER, STATE_CLASSES)
         _enlarge_receive_buffer(raw)
         raw.bind((channel,))
     except OSError as error:

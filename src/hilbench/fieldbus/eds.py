@@ -21,6 +21,8 @@ from hilbench.fieldbus.data_types import Value, data_type
 _FIRST_OBJECT = 0x1000
 _VAR = 0x7
 _ARRAY_TYPES = (0x8, 0x9)  # ObjectType ARRAY, RECORD
+_DOMAIN = 0x2
+_NO_VALUE = (0x0, 0x5, 0x6)  # ObjectType NULL, DEFTYPE, DEFSTRUCT: nothing to read or write
 _ACCESS_TYPES = {"ro", "wo", "rw", "rwr", "rww", "const"}
 _OBJECT = re.compile(r"^([0-9A-Fa-f]{4})(?:sub([0-9A-Fa-f]{1,2}))?$", re.IGNORECASE)
 _INDEX_KEY = re.compile(r"^(?:0x)?([0-9A-Fa-f]{4})(?:sub([0-9A-Fa-f]{1,2}))?$", re.IGNORECASE)
@@ -167,6 +169,10 @@ def _object_sections(path: Path, sections: dict[str, _Section]) -> dict[tuple[in
         if match:
             index = int(match[1], 16)
             objects[(index, int(match[2], 16) if match[2] else None)] = section
+    for (index, sub), section in list(objects.items()):
+        if sub is None and _integer(path, section, "ObjectType", _VAR) in _NO_VALUE:
+            for key in [key for key in objects if key[0] == index]:
+                del objects[key]
     if not objects:
         raise UnusableInputError(path, "no object is in the file, expected an EDS file (CiA 306)")
     for (index, sub), section in list(objects.items()):
@@ -220,9 +226,15 @@ def _check_hierarchy(path: Path, objects: dict[tuple[int, int | None], _Section]
             parent = objects.get((index, None))
             if parent is None or _integer(path, parent, "ObjectType", _VAR) not in _ARRAY_TYPES:
                 raise UnusableInputError(place, f"[{section.name}] has no array or record [{index:04X}] it belongs to")
+        kind = _integer(path, section, "ObjectType", _VAR)
+        if kind not in (_VAR, _DOMAIN) and (sub is not None or kind not in _ARRAY_TYPES):
+            line = section.lines.get("ObjectType", section.line)
+            raise UnusableInputError(
+                f"{path}:{line}", f"ObjectType of [{section.name}] is {kind}, expected 2, 7, 8 or 9 (CiA 306)"
+            )
         if "ParameterName" not in section.options:
             raise UnusableInputError(place, f"[{section.name}] has no ParameterName")
-        if sub is None and _integer(path, section, "ObjectType", _VAR) in _ARRAY_TYPES:
+        if kind in _ARRAY_TYPES:
             continue
         for key in ("DataType", "AccessType"):
             if key not in section.options:

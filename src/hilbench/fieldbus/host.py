@@ -12,12 +12,15 @@ from collections.abc import Callable, Sequence
 from math import floor
 from typing import Protocol
 
+from hilbench.bus.confinement import ControllerState
 from hilbench.bus.frame import Frame
 from hilbench.bus.link import Link
 from hilbench.fieldbus.clock import Clock, SyncClock
 from hilbench.fieldbus.device import Device, NmtState
 
 _NMT_COB_ID = 0x000
+_ERROR_PASSIVE = 0x8120  #: EMCY error code: CAN in error passive mode
+_COMMUNICATION_ERROR = 0x11  #: error register (1001h): generic and communication
 _POLL_S = 0.005
 _TICK_S = 0.002
 _TICK_STEP_S = 0.001
@@ -51,6 +54,7 @@ class DeviceHost:
         self._follows_sync = isinstance(clock, SyncClock)
         self._sync_running = False
         self._ticked_s = time.monotonic()
+        self._passive = False
 
     def run(self, stop: Callable[[], bool]) -> None:
         """Boot the devices and serve until `stop()`. Raises BusError when the bus is lost."""
@@ -63,6 +67,7 @@ class DeviceHost:
     def serve(self, timeout_s: float) -> None:
         """Handle what comes within `timeout_s`, and what time has made due."""
         frames = self._link.receive(timeout_s)
+        self._look_at_controller()
         sync_cob_id = self._devices[0].sync_cob_id
         behind = sum(frame.can_id == sync_cob_id for frame in frames)
         for frame in frames:
@@ -77,6 +82,18 @@ class DeviceHost:
                 if frame.can_id == _NMT_COB_ID:
                     self._nmt_commanded()
         self._time_passes()
+
+    def _look_at_controller(self) -> None:
+        """Every device says so when too many frames are broken off on its wire (CiA 301, 8120h)."""
+        passive = self._link.controller is not ControllerState.ERROR_ACTIVE
+        if passive is self._passive:
+            return
+        self._passive = passive
+        for device in self._devices:
+            if passive:
+                device.emergency(_ERROR_PASSIVE, _COMMUNICATION_ERROR)
+            else:
+                device.clear_emergency(_ERROR_PASSIVE)
 
     def _nmt_commanded(self) -> None:
         """Started nodes wait for SYNC; what they had to say before goes out now, not with its first answers."""

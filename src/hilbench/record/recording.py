@@ -29,6 +29,8 @@ NO_START_TIME = datetime(2000, 1, 1, tzinfo=UTC)
 
 _FORMATS = "expected a recording: .mf4, .csv, .csv.gz or .parquet"
 _BLOCK_ROWS = 8192
+#: The most that deflate can shrink data (RFC 1951: 258 bytes by two bits), and a little.
+_DEFLATE_MOST = 1040
 _MDF_HEAD_BYTES = 64 + 104  # identification block and header block (ASAM MDF 4: IDBLOCK, HDBLOCK)
 
 
@@ -317,6 +319,7 @@ def _read_mdf(path: Path) -> Recording:
     asammdf = _asammdf()
     try:
         with asammdf.MDF(path) as mdf:
+            _check_mdf_blocks(mdf, path)
             return _mdf_channels(mdf, path)
     except (UnusableInputError, MemoryError):
         raise
@@ -336,6 +339,29 @@ def _check_mdf_head(path: Path) -> None:
         raise UnusableInputError(path, f"not an MDF file of version 4, {_FORMATS}")
     if any(link >= size for link in struct.unpack_from("<6Q", head, 64 + 24)):  # links of the header block
         raise UnusableInputError(path, f"cut off after {size} bytes, expected a whole MDF file")
+
+
+def _check_mdf_blocks(mdf: Any, path: Path) -> None:
+    """Refuse sizes that can't be: the library's compiled part takes them as they are, and reads and writes by them."""
+    size = path.stat().st_size
+    for group in mdf.groups:
+        info = group.channel_group
+        record_bytes = info.samples_byte_nr + info.invalidation_bytes_nr
+        blocks = list(group.get_data_blocks())
+        if any(
+            block.address + block.compressed_size > size or block.original_size > _DEFLATE_MOST * block.compressed_size
+            for block in blocks
+        ):
+            raise UnusableInputError(path, "a data block is larger than the file, expected a whole MDF file")
+        if sum(block.original_size for block in blocks) != info.cycles_nr * record_bytes:
+            raise UnusableInputError(
+                path, f"the data are not those of {info.cycles_nr} samples, expected a whole MDF file"
+            )
+        for channel in group.channels:
+            if channel.byte_offset + (channel.bit_offset + channel.bit_count + 7) // 8 > record_bytes:
+                raise UnusableInputError(
+                    path, f"channel {channel.name} is outside its record, expected a whole MDF file"
+                )
 
 
 def _mdf_channels(mdf: Any, path: Path) -> Recording:

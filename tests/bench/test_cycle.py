@@ -1,0 +1,69 @@
+"""The cyclic exchange in lockstep, when a SYNC is on the bus twice."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from hilbench.bench.cycle import CyclicExchange, ExpectedPdo
+from hilbench.bus.confinement import ControllerState
+from hilbench.bus.frame import Frame
+
+STATE, SLOW, EVERY = 0x181, 0x281, 10
+
+
+class NodeLink:
+    """A node that answers each SYNC it hears with its count, and every tenth with a second PDO."""
+
+    channel, dropped, controller = "fake0", 0, ControllerState.ERROR_ACTIVE
+
+    def __init__(self, twice: set[int]) -> None:
+        self._twice = twice  #: SYNCs of the bench that are on the bus twice
+        self._sent = self._heard = 0
+        self._waiting: list[list[Frame]] = []
+
+    def send(self, frames: Sequence[Frame]) -> None:
+        for can_id, _, _ in frames:
+            if can_id == 0x080:
+                self._sent += 1
+                for _ in range(2 if self._sent in self._twice else 1):
+                    self._hear()
+
+    def _hear(self) -> None:
+        self._heard += 1
+        count = self._heard.to_bytes(2, "little")
+        self._waiting.append([Frame(STATE, count), *([Frame(SLOW, count)] if self._heard % EVERY == 0 else [])])
+
+    def receive(self, timeout_s: float) -> list[Frame]:
+        """Who waits gets the answers to one SYNC, who does not wait all that are there by then."""
+        count = 1 if timeout_s > 0.0 else len(self._waiting)
+        taken, self._waiting = self._waiting[:count], self._waiting[count:]
+        return [frame for answers in taken for frame in answers]
+
+    def set_filters(self, identifiers: Sequence[tuple[int, int]] | None) -> None: ...
+
+    def fileno(self) -> int:
+        return -1
+
+    def close(self) -> None: ...
+
+
+def test_a_sync_that_is_there_twice_does_not_shift_the_answers() -> None:
+    """The second answers are none to the next SYNC, and what comes every tenth SYNC is expected when it comes."""
+    link = NodeLink(twice={13, 27, 28})
+    exchange = CyclicExchange(
+        link,
+        cycle_ns=2_000_000,
+        bitrate=1_000_000,
+        lockstep=True,
+        expected=[ExpectedPdo(STATE, 1, "node"), ExpectedPdo(SLOW, EVERY, "node")],
+        timeout_s=0.05,
+        missing_limit=1,
+    )
+    slow = 0
+    for _ in range(80):
+        frames = exchange.exchange([])
+        slow += sum(frame.can_id == SLOW for frame in frames)
+    assert not exchange.silent
+    assert slow in (8, 9)
+    heard = [int.from_bytes(frame.data, "little") for frame in frames if frame.can_id == STATE]
+    assert heard[-1] == 83
