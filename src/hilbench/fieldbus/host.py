@@ -10,7 +10,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from math import floor
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 from hilbench.bus.frame import Frame
 from hilbench.bus.link import Link
@@ -40,6 +40,14 @@ class Application(Protocol):
         """No SYNC is running and `duration_s` of wall time has passed."""
 
 
+class HostedDevices(NamedTuple):
+    """What a host runs."""
+
+    devices: Sequence[Device]
+    clock: Clock
+    application: Application
+
+
 class DeviceHost:
     """Runs devices and their application on a link until told to stop."""
 
@@ -54,11 +62,15 @@ class DeviceHost:
 
     def run(self, stop: Callable[[], bool]) -> None:
         """Boot the devices and serve until `stop()`. Raises BusError when the bus is lost."""
+        self.boot()
+        while not stop():
+            self.serve(_POLL_S if self._sync_running else _TICK_S)
+
+    def boot(self) -> None:
+        """Let the devices say boot-up."""
         for device in self._devices:
             device.boot()
         self._flush_all()
-        while not stop():
-            self.serve(_POLL_S if self._sync_running else _TICK_S)
 
     def serve(self, timeout_s: float) -> None:
         """Handle what comes within `timeout_s`, and what time has made due."""

@@ -15,7 +15,7 @@ from hilbench.drives.simulated import SimulatedDrive
 from hilbench.fieldbus.clock import Clock
 from hilbench.fieldbus.device import Device, NmtState, SdoAbort
 from hilbench.fieldbus.eds import load_eds
-from hilbench.fieldbus.host import DeviceHost
+from hilbench.fieldbus.host import DeviceHost, HostedDevices
 from hilbench.twin.axis_listener import AxisListener, RealAxis, TwinNode
 from hilbench.twin.config import TwinConfig
 from hilbench.twin.plausibility import Problem
@@ -255,6 +255,17 @@ def run_twin(setup: TwinSetup, stop: Callable[[], bool]) -> int | None:
 
     Returns how many frames were lost because they were not read in time (None: the bus cannot tell).
     """
+    hosted = twin(setup)
+    link = open_link(setup.bus)
+    try:
+        DeviceHost(link, *hosted).run(stop)
+    finally:
+        link.close()
+    return link.dropped
+
+
+def twin(setup: TwinSetup) -> HostedDevices:
+    """The virtual axes, the virtual I/O and the simulation behind them."""
     model = setup.model
     warm_up(model, setup.twin, setup.cycle_s)
     ports = (MotorPort(), MotorPort())
@@ -275,12 +286,7 @@ def run_twin(setup: TwinSetup, stop: Callable[[], bool]) -> int | None:
             application.start()
 
     io_device.on_nmt = on_nmt
-    link = open_link(setup.bus)
-    try:
-        DeviceHost(link, [*devices, io_device], setup.clock, application).run(stop)
-    finally:
-        link.close()
-    return link.dropped
+    return HostedDevices([*devices, io_device], setup.clock, application)
 
 
 def warm_up(model: ModelParameters, config: TwinConfig, cycle_s: float) -> None:
