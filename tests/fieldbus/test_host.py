@@ -67,6 +67,8 @@ class ScriptedLink:
 class RecordingApplication:
     """Notes its calls; reports an error of device 1 while the plant of the cycle `fails_in` advances."""
 
+    listens_to = frozenset({0x181})
+
     def __init__(self) -> None:
         self.calls: list[str] = []
         self.device: Device | None = None

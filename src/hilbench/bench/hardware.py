@@ -23,6 +23,8 @@ from hilbench.web.stand import TestStand
 class StandApplication:
     """What the hardware does at a SYNC: the drives take their set points, then the stand moves on by one cycle."""
 
+    listens_to: frozenset[int] = frozenset()
+
     def __init__(
         self, drives: list[SimulatedDrive], ports: Sequence[MotorPort], stand: TestStand, cycle_s: float
     ) -> None:

@@ -43,7 +43,9 @@ class InProcess:
     def __init__(self, config: BenchConfig) -> None:
         self.bus = MemoryBus(config.bus_address.channel, config.bus.bitrate)
         self._lock = threading.RLock()
-        self._hosts = [DeviceHost(self.bus.open_link(), *hosted) for hosted in (hardware(config), twin(twin_setup(config)))]
+        self._hosts = [
+            DeviceHost(self.bus.open_link(), *hosted) for hosted in (hardware(config), twin(twin_setup(config)))
+        ]
 
     def boot(self) -> None:
         """Let the devices say boot-up."""

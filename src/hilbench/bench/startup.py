@@ -143,7 +143,9 @@ def _wait_for_nodes(
     config: BenchConfig, master: Master, children: list[ChildProcess], participants: Participants
 ) -> None:
     for _, node in config.nodes:
-        if participants is Participants.PRESENT or not node.simulated:  # it is there already: from its own reset on everything is known
+        if (
+            participants is Participants.PRESENT or not node.simulated
+        ):  # it is there already: from its own reset on everything is known
             master.nmt(nmt.RESET_NODE, node.node_id)
 
     def check() -> None:

@@ -66,7 +66,6 @@ _STUFF_LAST_7 = tuple(_stuff_bits(state, bits, 7)[1] for state in range(_STATES)
 _CRC = tuple(_crc_bits(0, byte, 8) for byte in range(256))
 
 
-
 def _crc_after_zeros(crc: int, count: int) -> int:
     """The CRC register `count` bytes of zeros later."""
     for _ in range(count):

@@ -129,6 +129,15 @@ class Device:
         self._reply(0x700 + self.node_id, _BOOT_UP)
         self._enter(NmtState.PRE_OPERATIONAL)
 
+    def hears(self, can_id: int) -> bool:
+        """Whether a frame of the bus, not SYNC, can mean anything to the device as its PDOs are configured now."""
+        return (
+            can_id in self._receivers
+            or can_id in (0, 0x600 + self.node_id, EMERGENCY_STOP_COB_ID)
+            or 0x701 <= can_id <= 0x77F
+            or bool(can_id & REMOTE_FLAG)
+        )
+
     def handle(self, frame: Frame) -> None:
         """Any frame of the bus but SYNC."""
         can_id = frame.can_id
@@ -169,7 +178,7 @@ class Device:
         if self.nmt_state is not NmtState.OPERATIONAL:
             return
         counter = data[0] if expected else None
-        for rpdo in self._rpdos:
+        for rpdo in self._receivers.values():
             rpdo.sync()
         for tpdo in self._synchronous:
             tpdo.sync(counter)
@@ -183,7 +192,7 @@ class Device:
         self._emcy.poll(now_ns)
         if self.nmt_state is not NmtState.OPERATIONAL:
             return
-        for rpdo in self._rpdos:
+        for rpdo in self._receivers.values():
             if rpdo.poll(now_ns):
                 self._communication_error(RPDO_TIMED_OUT, rpdo.number)
         for tpdo in self._event_driven:

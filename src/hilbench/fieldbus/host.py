@@ -18,6 +18,8 @@ from hilbench.fieldbus.clock import Clock, SyncClock
 from hilbench.fieldbus.device import Device, NmtState
 
 _NMT_COB_ID = 0x000
+_SDO_REQUEST, _LAST_NODE = 0x600, 127
+_KNOWN_IDENTIFIERS = 4096
 _POLL_S = 0.005
 _TICK_S = 0.002
 _TICK_STEP_S = 0.001
@@ -27,6 +29,9 @@ _LONGEST_TICK_S = 0.05
 class Application(Protocol):
     """What stands behind the devices of a host."""
 
+    #: Identifiers of the frames, besides SYNC, that `on_frame` wants to see.
+    listens_to: frozenset[int]
+
     def before_sync(self, behind: int) -> None:
         """A SYNC has come and `behind` more wait behind it; the devices have not sampled yet."""
 
@@ -34,7 +39,7 @@ class Application(Protocol):
         """The TPDOs of this SYNC are out and set points have acted: advance to the next one."""
 
     def on_frame(self, frame: Frame) -> None:
-        """Any frame but SYNC, after the devices have seen it."""
+        """A frame that it listens to, after the devices have seen it."""
 
     def tick(self, duration_s: float) -> None:
         """No SYNC is running and `duration_s` of wall time has passed."""
@@ -58,6 +63,7 @@ class DeviceHost:
         self._application = application
         self._follows_sync = isinstance(clock, SyncClock)
         self._sync_running = False
+        self._addressees: dict[int, list[Device]] = {}  # by identifier, as the PDOs are configured
         self._ticked_s = time.monotonic()
 
     def run(self, stop: Callable[[], bool]) -> None:
@@ -77,18 +83,34 @@ class DeviceHost:
         frames = self._link.receive(timeout_s)
         sync_cob_id = self._devices[0].sync_cob_id
         behind = sum(frame.can_id == sync_cob_id for frame in frames)
+        listens_to = self._application.listens_to
         for frame in frames:
-            if frame.can_id == sync_cob_id:
+            can_id = frame.can_id
+            if can_id == sync_cob_id:
                 behind -= 1
                 self._sync(frame, behind)
-            else:
-                for device in self._devices:
-                    device.handle(frame)
+                continue
+            devices = self._addressees.get(can_id)
+            if devices is None:
+                devices = self._find_addressees(can_id)
+            for device in devices:
+                device.handle(frame)
+            if can_id in listens_to:
                 self._application.on_frame(frame)
+            if devices:
                 self._flush_replies()
-                if frame.can_id == _NMT_COB_ID:
-                    self._nmt_commanded()
+            if can_id == _NMT_COB_ID:
+                self._nmt_commanded()
         self._time_passes()
+
+    def _find_addressees(self, can_id: int) -> list[Device]:
+        """The devices that a frame is for. NMT and SDO may change which PDOs they receive."""
+        devices = [device for device in self._devices if device.hears(can_id)]
+        if can_id == _NMT_COB_ID or (devices and _SDO_REQUEST < can_id <= _SDO_REQUEST + _LAST_NODE):
+            self._addressees.clear()
+        elif len(self._addressees) < _KNOWN_IDENTIFIERS:
+            self._addressees[can_id] = devices
+        return devices
 
     def _nmt_commanded(self) -> None:
         """Started nodes wait for SYNC; what they had to say before goes out now, not with its first answers."""

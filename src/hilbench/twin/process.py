@@ -34,6 +34,18 @@ _MOVES_M_S = 1e-3
 #: How far off the upstream strain may be as a guess of the strain of a web that is found under way.
 _UNKNOWN_STRAIN = 0.3
 _WARM_UP_CYCLES = 100
+#: In the order in which `TwinApplication` puts them together.
+_STATUS_BITS = tuple(
+    int(bit)
+    for bit in (
+        TwinStatus.RUNNING,
+        TwinStatus.SYNCHRONIZED,
+        TwinStatus.HOLDING,
+        TwinStatus.LATE,
+        TwinStatus.TRANSFER_REFUSED,
+        TwinStatus.NOT_SEPARABLE,
+    )
+)
 
 
 @dataclass(frozen=True)
@@ -82,6 +94,7 @@ class TwinApplication:
         self._device = device
         self._io = virtual_io
         self._listeners = [AxisListener(node, setup.cycle_s) for node in setup.real_axes]
+        self.listens_to = frozenset(listener.cob_id for listener in self._listeners)
         self._metres_per_rad = [1.0 / setup.model.motor_rad_per_m(axis) for axis in (1, 2)]
         self._tracking = Tracking(setup.model, setup.twin, line, ports[1], setup.cycle_s)
         self._pairing = Pairing()
@@ -225,15 +238,20 @@ class TwinApplication:
             raise SdoAbort(_VALUE_TOO_HIGH)
         self._tracking.use(methods[number - 1]() if number else None)
 
-    def _status(self) -> TwinStatus:
-        tracking, status = self._tracking, TwinStatus(0)
-        for bit, holds in (
-            (TwinStatus.RUNNING, self._released),
-            (TwinStatus.SYNCHRONIZED, self._released and tracking.synchronized),
-            (TwinStatus.HOLDING, tracking.problem is not None),
-            (TwinStatus.LATE, self._behind > 0),
-            (TwinStatus.TRANSFER_REFUSED, tracking.refused),
-            (TwinStatus.NOT_SEPARABLE, any(not n.separable for n in tracking.estimate.nuisances)),
+    def _status(self) -> int:
+        """Bits of `TwinStatus`, as a plain number: flags of the enum take microseconds to put together."""
+        tracking, status = self._tracking, 0
+        for bit, holds in zip(
+            _STATUS_BITS,
+            (
+                self._released,
+                self._released and tracking.synchronized,
+                tracking.problem is not None,
+                self._behind > 0,
+                tracking.refused,
+                not all([nuisance.separable for nuisance in tracking.estimate.nuisances]),
+            ),
+            strict=True,
         ):
             if holds:
                 status |= bit
