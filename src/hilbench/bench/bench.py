@@ -77,7 +77,8 @@ class Bench:
     left through an exception), ends the processes and leaves the bus.
 
     `tap` sees every frame on the bus; `work_folder` keeps the processes' config and logs (a temporary folder if not
-    given); `participants`: who brings the simulated hardware and the twin, this bench unless said otherwise; `announce` is told what is being done, `journal` what the bench changes and no frame says.
+    given); `participants`: who brings the simulated hardware and the twin, this bench unless said otherwise;
+    `announce` is told what is being done, `journal` what the bench changes and no frame says.
 
     What an operator must know of a run that goes on collects in `notices`: warnings of the limits, EMCY messages, a
     tension loop that opens or closes. A twin that is lost ends no run: the loop holds, and the twin is taken back

@@ -249,7 +249,7 @@ class TwinApplication:
                 tracking.problem is not None,
                 self._behind > 0,
                 tracking.refused,
-                not all([nuisance.separable for nuisance in tracking.estimate.nuisances]),
+                not all(nuisance.separable for nuisance in tracking.estimate.nuisances),
             ),
             strict=True,
         ):
