@@ -129,14 +129,15 @@ class Device:
         self._reply(0x700 + self.node_id, _BOOT_UP)
         self._enter(NmtState.PRE_OPERATIONAL)
 
-    def hears(self, can_id: int) -> bool:
-        """Whether a frame of the bus, not SYNC, can mean anything to the device as its PDOs are configured now."""
-        return (
-            can_id in self._receivers
-            or can_id in (0, 0x600 + self.node_id, EMERGENCY_STOP_COB_ID)
-            or 0x701 <= can_id <= 0x77F
-            or bool(can_id & REMOTE_FLAG)
-        )
+    def identifiers(self) -> set[int]:
+        """Identifiers (REMOTE_FLAG in those of remote requests) of the frames, besides SYNC, that mean anything to the
+        device as it is configured now."""
+        return {
+            *(0, 0x600 + self.node_id, EMERGENCY_STOP_COB_ID),
+            *(0x700 + node_id for node_id in self._consumer.times_ns()),
+            *self._receivers,
+            *(tpdo.cob_id | REMOTE_FLAG for tpdo in self._tpdos if tpdo.valid),
+        }
 
     def handle(self, frame: Frame) -> None:
         """Any frame of the bus but SYNC."""

@@ -12,14 +12,14 @@ from collections.abc import Callable, Sequence
 from math import floor
 from typing import NamedTuple, Protocol
 
-from hilbench.bus.frame import Frame
+from hilbench.bus.frame import EXTENDED_FLAG, REMOTE_FLAG, Frame
 from hilbench.bus.link import Link
 from hilbench.fieldbus.clock import Clock, SyncClock
 from hilbench.fieldbus.device import Device, NmtState
 
 _NMT_COB_ID = 0x000
 _SDO_REQUEST, _LAST_NODE = 0x600, 127
-_KNOWN_IDENTIFIERS = 4096
+_EXACTLY = 0x1FFFFFFF | EXTENDED_FLAG | REMOTE_FLAG
 _POLL_S = 0.005
 _TICK_S = 0.002
 _TICK_STEP_S = 0.001
@@ -63,7 +63,8 @@ class DeviceHost:
         self._application = application
         self._follows_sync = isinstance(clock, SyncClock)
         self._sync_running = False
-        self._addressees: dict[int, list[Device]] = {}  # by identifier, as the PDOs are configured
+        self._addressees: dict[int, list[Device]] = {}  # by identifier
+        self._wanted: set[int] = set()  # identifiers that the link lets pass
         self._ticked_s = time.monotonic()
 
     def run(self, stop: Callable[[], bool]) -> None:
@@ -74,6 +75,7 @@ class DeviceHost:
 
     def boot(self) -> None:
         """Let the devices say boot-up."""
+        self._listen()
         for device in self._devices:
             device.boot()
         self._flush_all()
@@ -90,27 +92,30 @@ class DeviceHost:
                 behind -= 1
                 self._sync(frame, behind)
                 continue
-            devices = self._addressees.get(can_id)
-            if devices is None:
-                devices = self._find_addressees(can_id)
+            devices = self._addressees.get(can_id, ())
             for device in devices:
                 device.handle(frame)
             if can_id in listens_to:
                 self._application.on_frame(frame)
+            if can_id == _NMT_COB_ID or _SDO_REQUEST < can_id <= _SDO_REQUEST + _LAST_NODE:
+                self._listen()  # before the answer goes out
             if devices:
                 self._flush_replies()
             if can_id == _NMT_COB_ID:
                 self._nmt_commanded()
         self._time_passes()
 
-    def _find_addressees(self, can_id: int) -> list[Device]:
-        """The devices that a frame is for. NMT and SDO may change which PDOs they receive."""
-        devices = [device for device in self._devices if device.hears(can_id)]
-        if can_id == _NMT_COB_ID or (devices and _SDO_REQUEST < can_id <= _SDO_REQUEST + _LAST_NODE):
-            self._addressees.clear()
-        elif len(self._addressees) < _KNOWN_IDENTIFIERS:
-            self._addressees[can_id] = devices
-        return devices
+    def _listen(self) -> None:
+        """Receive what the devices and the application want as they are configured now, as a CAN controller would."""
+        addressees: dict[int, list[Device]] = {}
+        for device in self._devices:
+            for identifier in device.identifiers():
+                addressees.setdefault(identifier, []).append(device)
+        wanted = {*addressees, *self._application.listens_to, self._devices[0].sync_cob_id}
+        self._addressees = addressees
+        if wanted != self._wanted:
+            self._wanted = wanted
+            self._link.set_filters([(identifier, _EXACTLY) for identifier in sorted(wanted)])
 
     def _nmt_commanded(self) -> None:
         """Started nodes wait for SYNC; what they had to say before goes out now, not with its first answers."""
