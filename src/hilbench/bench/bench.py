@@ -154,6 +154,8 @@ class Bench:
             )
             self.nodes, self.exchange, self.children = started.nodes, started.exchange, started.children
             self._supervisor = started.supervisor
+            for warning in started.warnings:
+                self._note("realtime", warning)
             self._twin = TwinConnection(
                 self.config,
                 started.nodes,

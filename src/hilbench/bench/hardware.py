@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 
 from hilbench.bench.config import BenchConfig, NodeConfig
 from hilbench.bench.nodes import declared_units
-from hilbench.bench.processes import stop_request
+from hilbench.bench.processes import say, stop_request
 from hilbench.bench.twin_setup import device_clock
 from hilbench.bus.frame import Frame
 from hilbench.bus.open import open_link
@@ -16,6 +16,7 @@ from hilbench.fieldbus.device import Device
 from hilbench.fieldbus.eds import load_eds
 from hilbench.fieldbus.host import DeviceHost, HostedDevices
 from hilbench.fieldbus.object_store import INVALID_VALUE, SdoAbort
+from hilbench.real_time import kept_ready
 from hilbench.web.effect_objects import bind_effect_objects
 from hilbench.web.stand import TestStand
 
@@ -65,7 +66,8 @@ def simulate(config: BenchConfig) -> int | None:
     hosted = hardware(config)
     link = open_link(config.bus_address)
     try:
-        DeviceHost(link, *hosted).run(stop)
+        with kept_ready(config.process_settings("hardware"), say):
+            DeviceHost(link, *hosted).run(stop)
     finally:
         link.close()
     return link.dropped

@@ -24,6 +24,15 @@ from hilbench.twin.process import twin
 _IDLE_S = 0.001
 
 
+def can_be_in_process(config: BenchConfig) -> bool:
+    """Whether `check_in_process` has nothing to say."""
+    try:
+        check_in_process(config)
+    except UnusableInputError:
+        return False
+    return True
+
+
 def check_in_process(config: BenchConfig) -> None:
     """Raise UnusableInputError for a config whose participants cannot live in the bench's process."""
     real = [part for part, node in config.nodes if not node.simulated]

@@ -15,7 +15,6 @@ import yaml
 from hilbench.bench.config import BenchConfig
 from hilbench.bench.cycle import CyclicExchange, FrameTap
 from hilbench.bench.in_process import InProcess
-from hilbench.bench.memory import locked_memory
 from hilbench.bench.nodes import Nodes
 from hilbench.bench.participants import Participants
 from hilbench.bench.processes import ChildProcess
@@ -26,6 +25,7 @@ from hilbench.errors import BusError, EmergencyStopError
 from hilbench.fieldbus import master as nmt
 from hilbench.fieldbus.emergency_stop import EMERGENCY_STOP_COB_ID
 from hilbench.fieldbus.master import Master
+from hilbench.real_time import kept_ready
 
 #: After the start command the nodes' clocks stand still until SYNC; what they said just before it must not arrive as
 #: part of the first cycle.
@@ -42,6 +42,7 @@ class StartedBench:
     exchange: CyclicExchange
     children: list[ChildProcess]
     supervisor: ChildProcess | None  #: None when there is no heartbeat to watch
+    warnings: list[str]  #: what the config asks of the operating system and is not permitted
 
 
 @contextmanager
@@ -92,8 +93,8 @@ def bring_up(
             master.hear_only_answers()
             time.sleep(_AFTER_START_S)
             resources.callback(_release_nodes, master)
-        if config.pace == "realtime":
-            resources.enter_context(locked_memory())
+        warnings: list[str] = []
+        resources.enter_context(kept_ready(config.process_settings("bench"), warnings.append))
         exchange = CyclicExchange(
             link,
             cycle_ns=config.cycle_ns,
@@ -105,7 +106,7 @@ def bring_up(
             heartbeat=(config.master.node_id, config.master.heartbeat_ms),
             tap=tap,
         )
-        yield StartedBench(nodes, exchange, children, supervisor)
+        yield StartedBench(nodes, exchange, children, supervisor, warnings)
 
 
 def _release_nodes(master: Master) -> None:

@@ -129,11 +129,11 @@ def twin(config: ConfigArgument, bus: BusOption = None, pace: PaceOption = None)
 
     Example: hilbench twin bench_configs/web_section_step.yaml --bus socketcan:vcan0
     """
-    from hilbench.bench.processes import report_lost_frames, stop_request
+    from hilbench.bench.processes import report_lost_frames, say, stop_request
     from hilbench.bench.twin_setup import twin_setup
     from hilbench.twin.process import run_twin
 
-    report_lost_frames(run_twin(twin_setup(_load(config, bus=bus, pace=pace).config), stop_request()))
+    report_lost_frames(run_twin(twin_setup(_load(config, bus=bus, pace=pace).config), stop_request(), say))
 
 
 @app.command()

@@ -16,6 +16,7 @@ from hilbench.fieldbus.clock import Clock
 from hilbench.fieldbus.device import Device, NmtState, SdoAbort
 from hilbench.fieldbus.eds import load_eds
 from hilbench.fieldbus.host import DeviceHost, HostedDevices
+from hilbench.real_time import ProcessSettings, kept_ready
 from hilbench.twin.axis_listener import AxisListener, RealAxis, TwinNode
 from hilbench.twin.config import TwinConfig
 from hilbench.twin.plausibility import Problem
@@ -60,6 +61,7 @@ class TwinSetup:
     real_axes: tuple[RealAxis, RealAxis]
     virtual_axes: tuple[TwinNode, TwinNode]
     virtual_io: TwinNode
+    process: ProcessSettings | None  #: what the twin's process asks of the operating system
 
 
 class TwinApplication:
@@ -268,7 +270,7 @@ class TwinApplication:
         )
 
 
-def run_twin(setup: TwinSetup, stop: Callable[[], bool]) -> int | None:
+def run_twin(setup: TwinSetup, stop: Callable[[], bool], say: Callable[[str], None]) -> int | None:
     """Run the twin on its bus until `stop` says so. Raises BusError when the bus is lost.
 
     Returns how many frames were lost because they were not read in time (None: the bus cannot tell).
@@ -276,7 +278,8 @@ def run_twin(setup: TwinSetup, stop: Callable[[], bool]) -> int | None:
     hosted = twin(setup)
     link = open_link(setup.bus)
     try:
-        DeviceHost(link, *hosted).run(stop)
+        with kept_ready(setup.process, say):
+            DeviceHost(link, *hosted).run(stop)
     finally:
         link.close()
     return link.dropped
