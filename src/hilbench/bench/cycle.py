@@ -235,7 +235,7 @@ class CyclicExchange:
         if self._tap is not None:
             start_ns = self._cycle_start_ns()
             timed = self._timed(outgoing, bits, start_ns - int(sum(bits) * self._bit_ns))
-            timed.append(self._sync._replace(time_ns=start_ns + int(self._sync_bits * self._bit_ns)))
+            timed.append(Frame(SYNC_COB_ID, b"", start_ns + int(self._sync_bits * self._bit_ns)))
             self._tap.write(timed)
 
     def _account_received(self, frames: Sequence[Frame]) -> None:

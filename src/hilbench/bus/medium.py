@@ -93,13 +93,13 @@ class Medium:
     def run(self, until_ns: int) -> list[Delivery]:
         """Let time pass until `until_ns`; the frames that were over by then, in order."""
         delivered: list[Delivery] = []
+        if until_ns == FOREVER and self._sender is None:
+            self._send_all_of_lone_station(delivered)
         while (self._sender is not None or self._arbitrate(until_ns)) and self._end_ns <= until_ns:
             self._finish(delivered)
-            if until_ns == FOREVER:
-                self._send_rest_of_lone_station(delivered)
         return delivered
 
-    def _send_rest_of_lone_station(self, delivered: list[Delivery]) -> None:
+    def _send_all_of_lone_station(self, delivered: list[Delivery]) -> None:
         """What `run` does frame by frame, in one go: nobody competes, and nothing is going to happen to the frames."""
         busy = [station for station in self._stations if station.queue]
         if len(busy) != 1:

@@ -97,7 +97,8 @@ class MemoryLink:
             self._check_open()
             medium = bus._medium
             for can_id, data, _ in frames:
-                medium.queue(self.station, can_id, bytes(data), bits_on_wire(can_id, data), medium.free_ns)
+                content = bytes(data)
+                medium.queue(self.station, can_id, content, bits_on_wire(can_id, content), medium.free_ns)
             for link in bus._links:
                 if link is not self and link._is_awaited() and any(link.wants(frame.can_id) for frame in frames):
                     link._tell()
