@@ -1,7 +1,9 @@
-"""How fast a config runs in lockstep and where a cycle's time goes: lockstep_profile.py [CONFIG] [--json].
+"""How fast a config runs in lockstep and where a cycle's time goes.
 
-The bench's own time is split into waiting for answers and computing; CPU time is what the kernel counts for each
-process (in ticks of 10 ms), divided by the cycles in between.
+    lockstep_profile.py [CONFIG] [--in-process] [--json]
+
+The bench's own time is split at the last answer; before it the bench waits, and counts and traces what it has. CPU time
+is what the kernel counts for each process (in ticks of 10 ms), divided by the cycles in between.
 """
 
 from __future__ import annotations
@@ -16,6 +18,7 @@ from rich.console import Console
 from rich.table import Table
 
 from hilbench.bench.bench import Bench
+from hilbench.bench.participants import Participants
 from hilbench.experiment.config import load_with_overrides
 from hilbench.record.run import Recorder
 from hilbench.record.trace import TraceWriter
@@ -42,19 +45,21 @@ def hub_pid(channel: str) -> int | None:
     return None
 
 
-def measure(config_path: Path, seconds: float, folder: Path) -> dict[str, float]:
+def measure(
+    config_path: Path, seconds: float, folder: Path, participants: Participants = Participants.STARTED
+) -> dict[str, float]:
     """Run the bench at 3 m/s for so much experiment time; µs per cycle of each part, and the real-time factor."""
     config = load_with_overrides(config_path, bus=f"embedded:profile{os.getpid()}", pace="lockstep").config
     recorder = Recorder()
     with (
-        TraceWriter(folder / f"trace-{os.getpid()}.log", "profile") as trace,
-        Bench(config, observers=[recorder], tap=trace) as bench,
+        TraceWriter(folder / f"trace-{os.getpid()}-{participants.name}.log", "profile") as trace,
+        Bench(config, observers=[recorder], tap=trace, participants=participants) as bench,
     ):
         bench.ramp("line_speed_m_s", 3.0, 1.0)
         timing = bench.exchange.timing if bench.exchange else None
         assert timing is not None
         pids = {"bench": os.getpid()} | {child.name: child.pid for child in bench.children}
-        hub = hub_pid(config.bus_address.channel)
+        hub = hub_pid(config.bus_address.channel) if bench.children else None
         if hub is not None:
             pids["hub"] = hub
         cpu = {name: cpu_s(pid) for name, pid in pids.items()}
@@ -66,8 +71,8 @@ def measure(config_path: Path, seconds: float, folder: Path) -> dict[str, float]
         figures = {
             "real-time factor": config.cycle_time_s * 1e6 / wall_us,
             "wall time": wall_us,
-            "bench waits for answers": wait_us,
-            "bench computes and sends": wall_us - wait_us,
+            "bench from SYNC to the last answer": wait_us,
+            "bench from there to the next SYNC": wall_us - wait_us,
         }
         for name, pid in pids.items():
             figures[f"CPU of {name}"] = (cpu_s(pid) - cpu[name]) * 1e6 / cycles
@@ -79,10 +84,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("config", nargs="?", type=Path, default=Path("bench_configs/web_section_step.yaml"))
     parser.add_argument("--seconds", type=float, default=20.0, help="experiment time to measure over")
+    parser.add_argument("--in-process", action="store_true", help="simulated hardware and twin in the bench's process")
     parser.add_argument("--json", action="store_true")
     parser.add_argument("--out", type=Path, default=Path("/tmp"), help="folder for the trace that is written meanwhile")
     options = parser.parse_args()
-    figures = measure(options.config, options.seconds, options.out)
+    participants = Participants.IN_PROCESS if options.in_process else Participants.STARTED
+    figures = measure(options.config, options.seconds, options.out, participants)
     if options.json:
         print(json.dumps(figures, indent=2))
         return

@@ -17,7 +17,11 @@ import numpy as np
 import pytest
 import yaml
 
+from hilbench.bench.participants import Participants
+from hilbench.errors import UnusableInputError
+from hilbench.experiment.config import load_with_overrides
 from hilbench.record.recording import read_recording
+from hilbench.record.run import run_experiment
 
 ROOT = Path(__file__).resolve().parents[2]
 SHIPPED = ROOT / "bench_configs" / "web_section_step.yaml"
@@ -108,17 +112,35 @@ def wait_for_frames(path: Path, count: int, within_s: float = 60.0) -> Path:
 
 def test_one_seed_gives_one_recording_and_the_same_frames_in_every_cycle(tmp_path):
     path = config(tmp_path)
-    assert [run(path)[0], run(path)[0]] == [0, 0]
-    first, second = run_folders(path)
-    one, two = read_recording(first / "recording.mf4"), read_recording(second / "recording.mf4")
-    assert list(one.channels) == list(two.channels)
-    for name in one.channels:
-        assert np.array_equal(one[name], two[name]), name
+    assert [run(path)[0], run(path)[0], run(path, "--in-process", "--no-report")[0]] == [0, 0, 0]
+    first, second, in_process = run_folders(path)
+    one = read_recording(first / "recording.mf4")
+    for folder in (second, in_process):
+        other = read_recording(folder / "recording.mf4")
+        assert list(one.channels) == list(other.channels)
+        for name in one.channels:
+            assert np.array_equal(one[name], other[name]), name
     assert len(one) > 1000
     assert np.ptp(np.asarray(one["E_true_Pa"])) > 1e9
     # The last SYNC's frames end with the run; after it the nodes are told to leave OPERATIONAL.
-    assert frames_by_cycle(first / "trace.log")[:-1] == frames_by_cycle(second / "trace.log")[:-1]
+    frames = frames_by_cycle(first / "trace.log")[:-1]
+    assert frames == frames_by_cycle(second / "trace.log")[:-1]
+    assert frames == frames_by_cycle(in_process / "trace.log")[:-1]
     assert gone(path)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"pace": "realtime"}, "found pace realtime, expected lockstep"),
+        ({"bus": {"address": "socketcan:vcan0"}}, "found bus socketcan:vcan0, expected the embedded bus"),
+    ],
+)
+def test_what_cannot_run_in_process_is_said_before_anything_is_made(tmp_path, change, said):
+    loaded = load_with_overrides(config(tmp_path, **change))
+    with pytest.raises(UnusableInputError, match=said):
+        run_experiment(loaded, tmp_path / "runs", participants=Participants.IN_PROCESS)
+    assert not (tmp_path / "runs").exists()
 
 
 def test_listening_and_copying_give_the_same_estimate_and_another_seed_another(tmp_path):
@@ -127,7 +149,7 @@ def test_listening_and_copying_give_the_same_estimate_and_another_seed_another(t
         folder = tmp_path / str(number)
         folder.mkdir()
         path = config(folder, **changes)
-        assert run(path)[0] == 0
+        assert run(path, "--in-process", "--no-report")[0] == 0
         curves.append(np.asarray(read_recording(run_folders(path)[0] / "recording.mf4")["E_sim_Pa"]))
     assert np.array_equal(curves[0], curves[1])
     assert not np.array_equal(curves[0], curves[2])

@@ -76,6 +76,8 @@ def test_strangers_and_another_master(nodes: list[ExpectedNode]) -> None:
 class Idle:
     """Nothing behind the device."""
 
+    listens_to: frozenset[int] = frozenset()
+
     def before_sync(self) -> None: ...
 
     def after_sync(self) -> None: ...

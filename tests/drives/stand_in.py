@@ -138,6 +138,8 @@ class DriveUnderTest:
 class SimulatedDrives:
     """Host application: simulated drives and their motors."""
 
+    listens_to: frozenset[int] = frozenset()
+
     def __init__(self, devices: list[Device]) -> None:
         ports = [MotorPort() for _ in devices]
         self.motors = [FirstOrderMotor(port) for port in ports]

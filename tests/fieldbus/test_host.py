@@ -46,6 +46,7 @@ class ScriptedLink:
         self.batches: list[list[tuple[int, str]]] = []
         self.incoming: list[Frame] = []
         self.lost = False
+        self.passes: set[int] = set()
 
     def send(self, frames: Sequence[Frame]) -> None:
         self.batches.append([(frame.can_id, frame.data.hex()) for frame in frames])
@@ -57,7 +58,7 @@ class ScriptedLink:
         return frames
 
     def set_filters(self, identifiers: Sequence[tuple[int, int]] | None) -> None:
-        raise NotImplementedError
+        self.passes = {identifier for identifier, _ in identifiers or ()}
 
     def fileno(self) -> int:
         raise NotImplementedError
@@ -68,6 +69,8 @@ class ScriptedLink:
 
 class RecordingApplication:
     """Notes its calls; reports an error of device 1 while the plant of the cycle `fails_in` advances."""
+
+    listens_to = frozenset({0x181})
 
     def __init__(self) -> None:
         self.calls: list[str] = []
@@ -194,8 +197,8 @@ def test_lockstep_says_the_same_in_every_cycle_however_fast_the_machine(
 
 
 def test_dead_master_is_noticed_by_the_wall_clock(lockstep: HostUnderTest) -> None:
-    for device in lockstep.devices:
-        device.cell(0x1016, 1).write(127 << 16 | 100)
+    for node_id in (1, 2):
+        lockstep.serve(Frame(0x600 + node_id, bytes.fromhex("2316100164007f00")))  # 1016h: the master, 100 ms
     lockstep.serve(SYNC, Frame(0x77F, b"\x05"))
     lockstep.serve(wall_ms=999)
     assert lockstep.devices[0].nmt_state == 5
@@ -244,3 +247,11 @@ def test_an_error_passive_controller_is_told_by_every_device(lockstep: HostUnder
     lockstep.link.controller = ControllerState.ERROR_ACTIVE
     over = [data[:4] for batch in lockstep.serve(SYNC) for can_id, data in batch if can_id in (0x081, 0x082)]
     assert over == ["0000", "0000"]
+
+
+def test_receives_what_its_devices_are_configured_for(lockstep: HostUnderTest) -> None:
+    passes = lockstep.link.passes
+    assert {0x000, 0x001, 0x080, 0x181, 0x201, 0x202, 0x601, 0x602} <= passes
+    assert not passes & {0x182, 0x603, 0x703}
+    lockstep.serve(Frame(0x601, bytes.fromhex("2316100164000300")))  # 1016h sub 1: watch node 3 for 100 ms
+    assert lockstep.link.passes - passes == {0x703}

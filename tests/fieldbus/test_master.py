@@ -25,6 +25,8 @@ from hilbench.fieldbus.pdo import PdoMap
 class Idle:
     """An application without a plant."""
 
+    listens_to: frozenset[int] = frozenset()
+
     def before_sync(self, behind: int) -> None:
         pass
 

@@ -8,7 +8,9 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pandas
 import pytest
+from distributed import LocalCluster
 from tests.bench.test_runs import config
 
 from hilbench.errors import UnusableInputError
@@ -62,6 +64,9 @@ def test_a_failed_run_leaves_its_row_and_what_is_done_is_not_done_again(tmp_path
     assert [row["cycle_time_s"] for row in table] == ["0.001", "0.002"]
     assert float(table[1]["bus_load_pct"]) > 10.0
     assert (out / table[1]["run"] / "recording.mf4").exists()
+    typed = pandas.read_parquet(out / "results.parquet")
+    assert typed["passed"].tolist() == [False, True]
+    assert typed["bus_load_pct"][1] == pytest.approx(float(table[1]["bus_load_pct"]))
     again = Sweep(path, (), cycles, out)
     again.run(2, lambda row: pytest.fail(f"run {row.number} is done already"))
     assert again.as_data() == rows
@@ -70,3 +75,17 @@ def test_a_failed_run_leaves_its_row_and_what_is_done_is_not_done_again(tmp_path
     assert len(Sweep(path, (), cycles, out).rows) == 1
     with pytest.raises(UnusableInputError, match="holds another sweep"):
         Sweep(path, (), cycles[:1], out)
+
+
+def test_a_cluster_does_the_runs_and_one_that_is_not_there_is_said(tmp_path: Path) -> None:
+    path = config(tmp_path, steps=[{"hold": {"duration_s": 0.1}}])
+    made = Sweep(path, (), [{"cycle_time_s": "0.001"}], tmp_path / "sweep")
+    with LocalCluster(  # workers in this process: what crosses is the scheduler's protocol, on loopback
+        n_workers=1, threads_per_worker=1, processes=False, protocol="tcp", host="127.0.0.1", dashboard_address=None
+    ) as cluster:
+        made.run(1, lambda row: None, cluster.scheduler_address)
+    assert made.rows[0].exit_code == 2
+    assert "bit times of the 1000" in made.rows[0].said
+    again = Sweep(path, (), [{"seed": "2"}], tmp_path / "other")
+    with pytest.raises(UnusableInputError, match="expected a running Dask scheduler"):
+        again.run(1, lambda row: None, "gopher://nobody")

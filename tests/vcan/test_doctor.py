@@ -31,6 +31,8 @@ NODE = 5
 class Idle:
     """Nothing behind the device."""
 
+    listens_to: frozenset[int] = frozenset()
+
     def before_sync(self) -> None: ...
 
     def after_sync(self) -> None: ...

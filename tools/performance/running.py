@@ -16,6 +16,7 @@ import lockstep_profile
 import numpy as np
 
 from hilbench.bench.bench import Bench
+from hilbench.bench.participants import Participants
 from hilbench.errors import BenchFaultError
 from hilbench.experiment.config import load_with_overrides
 from performance.table import Section, best_s
@@ -42,12 +43,17 @@ def lockstep(config_path: Path, seconds: float) -> Section:
     """Where the time of a cycle goes, and how much faster than real time the demo runs."""
     section = Section(
         "Lockstep, the demo",
-        f"{seconds:g} s of experiment time, all processes, all frames on the embedded bus, trace on.",
+        f"{seconds:g} s of experiment time, all processes, all frames on the embedded bus, trace on; "
+        "then the same in one process.",
     )
     with tempfile.TemporaryDirectory() as folder:
         figures = lockstep_profile.measure(config_path, seconds, Path(folder))
+        alone = lockstep_profile.measure(config_path, seconds, Path(folder), Participants.IN_PROCESS)
     factor = figures.pop("real-time factor")
     section.add("speed", factor, "× real time")
+    in_process = alone["real-time factor"]
+    section.add("speed with --in-process", in_process, "× real time", in_process / factor, "processes")
+    section.add("CPU of --in-process", alone["CPU of bench"], "µs per cycle")
     wall = figures["wall time"]
     for name, value in figures.items():
         section.add(name, value, "µs per cycle", value / wall, "wall time")

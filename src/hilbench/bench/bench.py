@@ -20,6 +20,7 @@ from hilbench.bench.load_model import LoadModel
 from hilbench.bench.nodes import Nodes
 from hilbench.bench.notice import Notice
 from hilbench.bench.operator_objects import OperatorObjects
+from hilbench.bench.participants import Participants
 from hilbench.bench.processes import ChildProcess
 from hilbench.bench.safety import confirm_stopped, quick_stop
 from hilbench.bench.sample import CycleSample
@@ -78,7 +79,7 @@ class Bench:
     left through an exception), ends the processes and leaves the bus.
 
     `tap` sees every frame on the bus; `work_folder` keeps the processes' config and logs (a temporary folder if not
-    given); with `start_processes` false the simulated hardware and the twin were started by somebody else;
+    given); `participants`: who brings the simulated hardware and the twin, this bench unless said otherwise;
     `announce` is told what is being done, `journal` what the bench changes and no frame says.
 
     What an operator must know of a run that goes on collects in `notices`: warnings of the limits, EMCY messages, a
@@ -93,7 +94,7 @@ class Bench:
         observers: Sequence[CycleObserver] = (),
         tap: FrameTap | None = None,
         work_folder: Path | None = None,
-        start_processes: bool = True,
+        participants: Participants = Participants.STARTED,
         announce: Callable[[str], None] = lambda text: None,
         journal: Callable[[Change], None] = lambda change: None,
     ) -> None:
@@ -114,7 +115,7 @@ class Bench:
         self._observers = list(observers)
         self._tap = tap
         self._work_folder = work_folder
-        self._start_processes = start_processes
+        self._participants = participants
         self._announce = announce
         self._journal = journal
         self._resources = ExitStack()
@@ -145,7 +146,7 @@ class Bench:
         try:
             self._announce("prepare the model (compiled on first use)")
             self._load_model.warm_up()
-            if self._start_processes:
+            if self._participants is Participants.STARTED:
                 # Once, into the cache on disk: compiling takes longer than a process has to show itself on the bus.
                 Line(self.config.model).advance(self.config.cycle_time_s)
             started = self._resources.enter_context(
@@ -153,12 +154,14 @@ class Bench:
                     self.config,
                     tap=self._tap,
                     work_folder=self._work_folder,
-                    start_processes=self._start_processes,
+                    participants=self._participants,
                     announce=self._announce,
                 )
             )
             self.nodes, self.exchange, self.children = started.nodes, started.exchange, started.children
             self._supervisor = started.supervisor
+            for warning in started.warnings:
+                self._note("realtime", warning)
             self._twin = TwinConnection(
                 self.config,
                 started.nodes,

@@ -13,6 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, field_validato
 
 from hilbench.bench.tension_control import TensionControlConfig
 from hilbench.bus.open import BusAddress
+from hilbench.real_time import ProcessSettings
 from hilbench.twin.config import TwinConfig
 from hilbench.web.effects import IMITATED_DOMAINS, Domain, find_effect
 from hilbench.web.noise import SensorParameters
@@ -209,6 +210,26 @@ class SafetyConfig(_Block):
     )
 
 
+class CoresConfig(_Block):
+    """Which core each process is pinned to; null: none."""
+
+    bench: int | None = Field(default=None, ge=0)
+    hardware: int | None = Field(default=None, ge=0, description="the simulated hardware")
+    twin: int | None = Field(default=None, ge=0)
+
+
+class RealtimeConfig(_Block):
+    """What the processes ask of the operating system at pace `realtime`; what is not permitted is a warning."""
+
+    priority: int | None = Field(
+        default=None, ge=2, le=99, description="SCHED_FIFO priority of the bench, simulated hardware and twin one below"
+    )
+    lock_memory: bool | None = Field(
+        default=None, description="keep memory from being paged out; null: where permitted"
+    )
+    cores: CoresConfig = CoresConfig()
+
+
 class BenchConfig(_Block):
     """One bench. Keys that carry a unit say so in their name."""
 
@@ -233,6 +254,7 @@ class BenchConfig(_Block):
     twin: TwinConfig = TwinConfig()
     tension_control: TensionControlConfig = TensionControlConfig()
     safety: SafetyConfig = SafetyConfig()
+    realtime: RealtimeConfig = RealtimeConfig()
 
     @model_validator(mode="after")
     def _fits_the_stand(self) -> BenchConfig:
@@ -252,6 +274,15 @@ class BenchConfig(_Block):
         if abs(value * 1e6 - round(value * 1e6)) > 1e-6:
             raise ValueError("whole microseconds (1006h, communication cycle period)")
         return value
+
+    def process_settings(self, part: Literal["bench", "hardware", "twin"]) -> ProcessSettings | None:
+        """What the process of a part asks of the operating system; None in lockstep."""
+        if self.pace == "lockstep":
+            return None
+        wanted = self.realtime
+        below = 0 if part == "bench" else 1
+        priority = None if wanted.priority is None else wanted.priority - below
+        return ProcessSettings(priority, getattr(wanted.cores, part), wanted.lock_memory)
 
     def units_of(self, node_id: int) -> dict[str, float]:
         """Units that the config gives for a node; none for one that is not the bench's."""

@@ -59,7 +59,7 @@ class CycleTiming:
     bits: int = 0
     missing_pdos: int = 0
     first_loss_cycle: int | None = None  #: in which the link was first seen to have lost frames
-    wait_ns: int = 0  #: spent waiting for answers
+    wait_ns: int = 0  #: from SYNC to the last answer
     started_ns: int = 0
     ended_ns: int = 0
 
@@ -93,16 +93,18 @@ class CyclicExchange:
         self._cycle_ns = cycle_ns
         self._bit_ns = 1e9 / bitrate
         self._lockstep = lockstep
-        self._expected = tuple(expected)
         self._timeout_s = timeout_s
         self._missing_limit = missing_limit
         self._missed_in_row: dict[int, int] = {}
+        self.expect(expected)
         self.last_bits = 0  #: bits on the bus in the last cycle
         self.silent: set[str] = set()  #: senders that don't answer: not waited for any longer
         self._emergency_stop_seen = False
         self._tap = tap
         self._epoch_ns = 0
         self._sync = Frame(SYNC_COB_ID, b"")
+        self._sync_bits = frame_bits(self._sync)
+        self._since_sync_bits = 0  # on the bus from the beginning of SYNC on
         node_id, period_ms = heartbeat
         self._heartbeat = Frame(0x700 + node_id, _OPERATIONAL)
         self._heartbeat_cycles = max(1, period_ms * 1_000_000 // cycle_ns) if period_ms else 0
@@ -133,13 +135,18 @@ class CyclicExchange:
             pacing.advance(self.pacing, now_ns)
         timing.cycles += 1
         before_ns = time.monotonic_ns()
+        self._account_sent(outgoing)
+        if late:
+            self._account_received(late)
         answers, failure = self._collect(self._due())
         received = late + answers
         timing.ended_ns = time.monotonic_ns()
         timing.wait_ns += timing.ended_ns - before_ns
+        timing.bits += self.last_bits
+        if self._tap is not None:
+            self._tap.end_cycle()
         if self._link.dropped and timing.first_loss_cycle is None:
             timing.first_loss_cycle = timing.cycles
-        self._account(outgoing, received)
         if not self._emergency_stop_seen and any(frame.can_id == EMERGENCY_STOP_COB_ID for frame in received):
             self._emergency_stop_seen = True
             self._heartbeat = self._heartbeat._replace(data=_PRE_OPERATIONAL)
@@ -150,7 +157,8 @@ class CyclicExchange:
 
     def expect(self, pdos: Sequence[ExpectedPdo]) -> None:
         """From the next cycle on these TPDOs are waited for."""
-        self._expected = tuple(pdos)
+        self._due_always = {pdo.cob_id: pdo for pdo in pdos if pdo.every == 1}
+        self._due_at_times = [pdo for pdo in pdos if pdo.every != 1]
         self._missed_in_row.clear()
 
     def discard_waiting(self, timeout_s: float = 0.0) -> None:
@@ -189,12 +197,12 @@ class CyclicExchange:
         return self._link.controller
 
     def _due(self) -> dict[int, ExpectedPdo]:
-        cycle = self.timing.cycles
-        return {
-            pdo.cob_id: pdo
-            for pdo in self._expected
-            if (cycle - pdo.since) % pdo.every == 0 and pdo.sender not in self.silent
-        }
+        cycle, silent = self.timing.cycles, self.silent
+        due = self._due_always.copy()
+        for pdo in self._due_at_times:
+            if (cycle - pdo.since) % pdo.every == 0:
+                due[pdo.cob_id] = pdo
+        return {cob_id: pdo for cob_id, pdo in due.items() if pdo.sender not in silent} if silent else due
 
     def _collect(self, due: dict[int, ExpectedPdo]) -> tuple[list[Frame], NoAnswerError | None]:
         """What came until nothing more is due, and what to raise once that is in the trace."""
@@ -218,16 +226,17 @@ class CyclicExchange:
                     due.clear()  # the nodes leave OPERATIONAL: no answers will come
                 else:
                     self._move_phase(frame.can_id)
+            if batch:
+                self._account_received(batch)
             received += batch
         return received, failure
 
     def _move_phase(self, cob_id: int) -> None:
         """A PDO of every n-th SYNC that comes between: its sender has heard a SYNC twice, or missed one."""
         cycle = self.timing.cycles
-        for at, pdo in enumerate(self._expected):
-            if pdo.cob_id == cob_id and pdo.every > 1 and (cycle - pdo.since) % pdo.every:
-                moved = replace(pdo, since=cycle - pdo.every)
-                self._expected = (*self._expected[:at], moved, *self._expected[at + 1 :])
+        for at, pdo in enumerate(self._due_at_times):
+            if pdo.cob_id == cob_id and (cycle - pdo.since) % pdo.every:
+                self._due_at_times[at] = replace(pdo, since=cycle - pdo.every)
 
     def _lockstep_remaining(self, start_s: float) -> Callable[[], float]:
         return lambda: start_s + self._timeout_s - time.monotonic()
@@ -254,32 +263,36 @@ class CyclicExchange:
         lost = self._link.dropped
         return f"; the bench itself has lost {lost} frames in this run" if lost else ""
 
-    def _account(self, outgoing: Sequence[Frame], received: Sequence[Frame]) -> None:
-        """Count the bits, and hand the frames with their times to the tap.
+    def _account_sent(self, outgoing: Sequence[Frame]) -> None:
+        """Count the bits of what was sent and hand it to the tap with its times, while the others compute.
 
         In lockstep nobody's clock is right, so a frame's time is when it would be on a wire that starts each cycle
         with its SYNC at k·cycle; the set points before it end the cycle before.
         """
         bits = [frame_bits(frame) for frame in outgoing]
-        bits_in = [frame_bits(frame) for frame in received]
-        sync_bits = frame_bits(self._sync)
-        self.timing.bits += sum(bits) + sum(bits_in) + sync_bits
-        self.last_bits = sum(bits) + sum(bits_in) + sync_bits
-        if self._tap is None:
-            return
-        start_ns = self._epoch_ns + (self.timing.cycles - 1) * self._cycle_ns
-        tap = self._tap
-        tap.write(self._timed(outgoing, bits, start_ns - int(sum(bits) * self._bit_ns)))
-        tap.write([self._sync._replace(time_ns=start_ns + int(sync_bits * self._bit_ns))])
-        if self._lockstep:
-            tap.write(self._timed(received, bits_in, start_ns + int(sync_bits * self._bit_ns)))
-        else:
-            tap.write(received)
-        tap.end_cycle()
+        self._since_sync_bits = self._sync_bits
+        self.last_bits = sum(bits) + self._sync_bits
+        if self._tap is not None:
+            start_ns = self._cycle_start_ns()
+            timed = self._timed(outgoing, bits, start_ns - int(sum(bits) * self._bit_ns))
+            timed.append(Frame(SYNC_COB_ID, b"", start_ns + int(self._sync_bits * self._bit_ns)))
+            self._tap.write(timed)
+
+    def _account_received(self, frames: Sequence[Frame]) -> None:
+        """The same for answers, as they come; in real time each has its own time."""
+        bits = [frame_bits(frame) for frame in frames]
+        if self._tap is not None:
+            start_ns = self._cycle_start_ns() + int(self._since_sync_bits * self._bit_ns)
+            self._tap.write(self._timed(frames, bits, start_ns) if self._lockstep else frames)
+        self._since_sync_bits += sum(bits)
+        self.last_bits += sum(bits)
+
+    def _cycle_start_ns(self) -> int:
+        return self._epoch_ns + (self.timing.cycles - 1) * self._cycle_ns
 
     def _timed(self, frames: Sequence[Frame], bits: Sequence[int], start_ns: int) -> list[Frame]:
-        timed, at_bits = [], 0
+        timed, at_bits, bit_ns = [], 0, self._bit_ns
         for (can_id, data, _), length in zip(frames, bits, strict=True):
             at_bits += length
-            timed.append(Frame(can_id, data, start_ns + int(at_bits * self._bit_ns)))
+            timed.append(Frame(can_id, data, start_ns + int(at_bits * bit_ns)))
         return timed

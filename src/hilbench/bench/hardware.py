@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 
 from hilbench.bench.config import BenchConfig, NodeConfig
 from hilbench.bench.nodes import declared_units
-from hilbench.bench.processes import stop_request
+from hilbench.bench.processes import say, stop_request
 from hilbench.bench.twin_setup import device_clock
 from hilbench.bus.frame import Frame
 from hilbench.bus.open import open_link
@@ -14,14 +14,17 @@ from hilbench.drives.port import MotorMode, MotorPort
 from hilbench.drives.simulated import SimulatedDrive
 from hilbench.fieldbus.device import Device
 from hilbench.fieldbus.eds import load_eds
-from hilbench.fieldbus.host import DeviceHost
+from hilbench.fieldbus.host import DeviceHost, HostedDevices
 from hilbench.fieldbus.object_store import INVALID_VALUE, SdoAbort
+from hilbench.real_time import kept_ready
 from hilbench.web.effect_objects import bind_effect_objects
 from hilbench.web.stand import TestStand
 
 
 class StandApplication:
     """What the hardware does at a SYNC: the drives take their set points, then the stand moves on by one cycle."""
+
+    listens_to: frozenset[int] = frozenset()
 
     def __init__(
         self, drives: list[SimulatedDrive], ports: Sequence[MotorPort], stand: TestStand, cycle_s: float
@@ -60,6 +63,18 @@ def simulate(config: BenchConfig) -> int | None:
     Returns how many frames were lost because they were not read in time (None: the bus cannot tell).
     """
     stop = stop_request()
+    hosted = hardware(config)
+    link = open_link(config.bus_address)
+    try:
+        with kept_ready(config.process_settings("hardware"), say):
+            DeviceHost(link, *hosted).run(stop)
+    finally:
+        link.close()
+    return link.dropped
+
+
+def hardware(config: BenchConfig) -> HostedDevices:
+    """The nodes of the bench that are marked `simulated`, on their stand."""
     clock = device_clock(config)
     ports = (MotorPort(), MotorPort(), MotorPort())
     stand_parameters = config.stand_parameters()
@@ -77,12 +92,7 @@ def simulate(config: BenchConfig) -> int | None:
         devices.append(device)
         if axis is not None:
             bind_effect_objects(device, _effect_setter(stand, axis))
-    link = open_link(config.bus_address)
-    try:
-        DeviceHost(link, devices, clock, StandApplication(drives, ports, stand, config.cycle_time_s)).run(stop)
-    finally:
-        link.close()
-    return link.dropped
+    return HostedDevices(devices, clock, StandApplication(drives, ports, stand, config.cycle_time_s))
 
 
 def _effect_setter(stand: TestStand, axis: int) -> Callable[[str, dict[str, float]], None]:

@@ -9,6 +9,7 @@ from hilbench.bench.sample import CycleSample
 from hilbench.errors import BenchFaultError
 from hilbench.twin.virtual_io import TwinStatus
 
+_SYNCHRONIZED = int(TwinStatus.SYNCHRONIZED)
 #: A warning is over, and can come again, when the quantity has fallen below this share of its level.
 _RELEASE = 0.95
 
@@ -52,7 +53,7 @@ class LimitWatch:
         yield "speed of axis 1", abs(sample.v1_m_s), " m/s", limits.speed_m_s
         yield "speed of axis 2", abs(sample.v2_m_s), " m/s", limits.speed_m_s
         yield "position difference of the axes", self._position_difference_m(sample), " m", limits.position_difference_m
-        if sample.twin_status & TwinStatus.SYNCHRONIZED:
+        if sample.twin_status & _SYNCHRONIZED:
             ratio = sample.E_sim_Pa / self._modulus_Pa
             yield "estimate of E over the model's", max(ratio, 1.0 / ratio), "", limits.estimate_ratio
 

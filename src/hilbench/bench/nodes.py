@@ -27,7 +27,6 @@ from hilbench.fieldbus import master as nmt
 from hilbench.fieldbus.eds import load_eds
 from hilbench.fieldbus.master import Master
 from hilbench.fieldbus.pdo import PdoMap
-from hilbench.twin.virtual_io import TwinStatus
 from hilbench.web.effect_objects import effect_object
 
 _HEARTBEAT = 0x700
@@ -135,7 +134,7 @@ class Nodes:
         self._tension_N, self._modulus_Pa = 0.0, 0.0
         self._deviation_Pa, self._residual_Nm = 0.0, 0.0
         self._torque_before_Nm, self._torque_sim_Nm = 0.0, 0.0
-        self._twin_sync, self.twin_status = 0, TwinStatus(0)
+        self._twin_sync, self.twin_status = 0, 0  #: status: bits of `TwinStatus`
         self._twin_ids = {nodes.virtual_axis1.node_id, nodes.virtual_axis2.node_id, nodes.virtual_io.node_id}
         self.twin_problem = ""  #: why the twin's nodes can't be counted on; "" while they can
         self.twin_heard = False  #: a heartbeat or boot-up of the virtual I/O has come since this was last reset
@@ -232,7 +231,7 @@ class Nodes:
 
     def twin_is_away(self) -> None:
         """The twin is not counted on until `twin_is_back`: what it last said is not its state any more."""
-        self.twin_status = TwinStatus(0)
+        self.twin_status = 0
         self._expected_boots = set(self._twin_ids)
         self.twin_problem, self.twin_heard = "", False
 
@@ -330,8 +329,7 @@ class Nodes:
         state, quality = data.get(self.io.state.cob_id), data.get(self.io.quality.cob_id)
         status = data.get(self.io.status.cob_id)
         if status is not None:
-            self._twin_sync, _, bits = self.io.status.unpack(status)
-            self.twin_status = TwinStatus(bits)
+            self._twin_sync, _, self.twin_status = self.io.status.unpack(status)
         if state is not None:
             self._tension_N, self._modulus_Pa = self.io.state.unpack(state)
         if quality is not None:
@@ -390,7 +388,7 @@ class Nodes:
         sample.statusword1, sample.statusword2 = one.statusword, two.statusword
         sample.statusword_load = load.statusword
         sample.F_sim_N, sample.E_sim_Pa, sample.E_sd_Pa = self._tension_N, self._modulus_Pa, self._deviation_Pa
-        sample.twin_status = int(self.twin_status)
+        sample.twin_status = self.twin_status
         sample.tau2_residual_Nm, sample.tau2_sim_Nm = self._residual_Nm, self._torque_sim_Nm
 
     # -- effects in the simulated hardware ---------------------------------------------------------------

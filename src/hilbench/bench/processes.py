@@ -92,6 +92,11 @@ def report_lost_frames(lost: int | None) -> None:
     print(_LOST_FRAMES, "not known" if lost is None else lost, flush=True)
 
 
+def say(text: str) -> None:
+    """Into the log of a child."""
+    print(text, flush=True)
+
+
 #: Set in a child's environment: its standard input is a pipe from the bench and says when the bench is gone.
 FOLLOW_PARENT = "HILBENCH_FOLLOW_PARENT"
 

@@ -14,8 +14,9 @@ import yaml
 
 from hilbench.bench.config import BenchConfig
 from hilbench.bench.cycle import CyclicExchange, FrameTap
-from hilbench.bench.memory import locked_memory
+from hilbench.bench.in_process import InProcess
 from hilbench.bench.nodes import Nodes
+from hilbench.bench.participants import Participants
 from hilbench.bench.processes import ChildProcess
 from hilbench.bench.supervisor import Watch
 from hilbench.bus.link import Link
@@ -24,6 +25,7 @@ from hilbench.errors import BusError, EmergencyStopError
 from hilbench.fieldbus import master as nmt
 from hilbench.fieldbus.emergency_stop import EMERGENCY_STOP_COB_ID
 from hilbench.fieldbus.master import Master
+from hilbench.real_time import kept_ready
 
 #: After the start command the nodes' clocks stand still until SYNC; what they said just before it must not arrive as
 #: part of the first cycle.
@@ -42,6 +44,7 @@ class StartedBench:
     exchange: CyclicExchange
     children: list[ChildProcess]
     supervisor: ChildProcess | None  #: None when there is no heartbeat to watch
+    warnings: list[str]  #: what the config asks of the operating system and is not permitted
 
 
 @contextmanager
@@ -50,10 +53,10 @@ def bring_up(
     *,
     tap: FrameTap | None,
     work_folder: Path | None,
-    start_processes: bool,
+    participants: Participants,
     announce: Callable[[str], None],
 ) -> Iterator[StartedBench]:
-    """Start the processes (unless they run already), configure the nodes and start them (NMT).
+    """Start the simulated hardware and the twin (unless they run already), configure the nodes, start them (NMT).
 
     Everything is ended again on leaving. Raises BenchFaultError when a process ends, a node does not answer, or
     refuses what it is told.
@@ -61,31 +64,38 @@ def bring_up(
     with ExitStack() as resources:
         folder = work_folder or Path(resources.enter_context(tempfile.TemporaryDirectory(prefix="hilbench-")))
         nodes = Nodes(config)
-        link = open_link(config.bus_address)
+        here = InProcess(config) if participants is Participants.IN_PROCESS else None
+        link = here.open_link() if here else open_link(config.bus_address)
         resources.callback(link.close)
-        master = Master(open_python_can(config.bus_address), config.master.sdo_timeout_s)
+        bus = here.open_python_can() if here else open_python_can(config.bus_address)
+        master = Master(bus, config.master.sdo_timeout_s)
         resources.callback(master.close)
         nodes.introduce(master)
         with _watched(link, tap):
             children: list[ChildProcess] = []
-            if start_processes:
+            supervisor = None
+            if here:
+                announce("boot simulated hardware and twin")
+                here.boot()
+            elif participants is Participants.STARTED:
                 announce("start simulated hardware and twin")
                 children = start_children(config, folder)
             else:
                 announce("look for simulated hardware and twin")
             for child in children:
                 resources.callback(child.end)
-            supervisor = _start_supervisor(config, folder)
+            if not here:  # whoever ends this process ends the devices with it
+                supervisor = _start_supervisor(config, folder)
             if supervisor is not None:
                 resources.callback(supervisor.end)
-            _wait_for_nodes(config, master, children)
+            _wait_for_nodes(config, master, children, participants)
             announce("configure nodes")
             nodes.configure(master)
             master.nmt(nmt.START)
             master.hear_only_answers()
             time.sleep(_AFTER_START_S)
-        if config.pace == "realtime":
-            resources.enter_context(locked_memory())
+        warnings: list[str] = []
+        resources.enter_context(kept_ready(config.process_settings("bench"), warnings.append))
         exchange = CyclicExchange(
             link,
             cycle_ns=config.cycle_ns,
@@ -98,7 +108,7 @@ def bring_up(
             tap=tap,
         )
         resources.callback(_release_nodes, master, exchange)
-        yield StartedBench(nodes, exchange, children, supervisor)
+        yield StartedBench(nodes, exchange, children, supervisor, warnings)
 
 
 def _release_nodes(master: Master, exchange: CyclicExchange) -> None:
@@ -134,9 +144,13 @@ def _start_supervisor(config: BenchConfig, folder: Path) -> ChildProcess | None:
     return ChildProcess("supervisor", watch.arguments(), folder / "supervisor.log")
 
 
-def _wait_for_nodes(config: BenchConfig, master: Master, children: list[ChildProcess]) -> None:
+def _wait_for_nodes(
+    config: BenchConfig, master: Master, children: list[ChildProcess], participants: Participants
+) -> None:
     for _, node in config.nodes:
-        if not (children and node.simulated):  # it is there already: from its own reset on everything is known
+        if (
+            participants is Participants.PRESENT or not node.simulated
+        ):  # it is there already: from its own reset on everything is known
             master.nmt(nmt.RESET_NODE, node.node_id)
 
     def check() -> None:

@@ -36,4 +36,5 @@ def twin_setup(config: BenchConfig) -> TwinSetup:
         real_axes=(axis("axis1"), axis("axis2")),
         virtual_axes=(node(nodes.virtual_axis1), node(nodes.virtual_axis2)),
         virtual_io=node(nodes.virtual_io),
+        process=config.process_settings("twin"),
     )

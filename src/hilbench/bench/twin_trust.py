@@ -12,6 +12,7 @@ from hilbench.bench.sample import CycleSample
 from hilbench.bench.tension_control import TensionControlConfig
 from hilbench.twin.virtual_io import TwinStatus
 
+_SYNCHRONIZED = int(TwinStatus.SYNCHRONIZED)
 #: A simulated tension may be as far below zero, N: rounding of REAL32.
 _BELOW_ZERO_N = 1.0
 
@@ -35,7 +36,7 @@ class TwinTrust:
         doubt = self._doubt(sample)
         if doubt:
             self.forget(doubt)
-        elif sample.twin_status & TwinStatus.SYNCHRONIZED:
+        elif sample.twin_status & _SYNCHRONIZED:
             self._synchronized = True
             self.doubt = ""
         return self._synchronized

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 
 from hilbench.bus.frame import EXTENDED_FLAG, REMOTE_FLAG
 
 
+@lru_cache(4096)
 def priority(can_id: int) -> int:
     """The bits of the arbitration field as a number: the lowest wins, as dominant (0) bits win on the wire.
 

@@ -17,14 +17,19 @@ _SEND_TIMEOUT_S = 5.0
 _HEADER = protocol.HEADER.pack(protocol.KIND_CLASSICAL, 0)
 
 
-def can_record(can_id: int, data: bytes) -> bytes:
-    """`struct can_frame` of a classical frame. Raises ValueError for one that cannot be on a wire."""
+def check_frame(can_id: int, data: bytes) -> None:
+    """Raise ValueError for a classical frame that cannot be on a wire."""
     if can_id & ERROR_FLAG:
         raise ValueError(f"0x{can_id:X}: an error frame, which the bus itself makes")
     if can_id & 0x1FFFF800 and not can_id & EXTENDED_FLAG:
         raise ValueError(f"identifier 0x{can_id:X}: not an 11-bit one, and without the flag of a 29-bit one")
     if len(data) > 8:
         raise ValueError(f"frame 0x{can_id:X}: found {len(data)} data bytes, expected up to 8")
+
+
+def can_record(can_id: int, data: bytes) -> bytes:
+    """`struct can_frame` of a classical frame. Raises ValueError for one that cannot be on a wire."""
+    check_frame(can_id, data)
     return protocol.CAN_RECORD.pack(can_id, len(data), 0, data)
 
 

@@ -106,9 +106,25 @@ class Medium:
     def run(self, until_ns: int) -> list[Delivery]:
         """Let time pass until `until_ns`; the frames that were over by then, in order."""
         delivered: list[Delivery] = []
+        if until_ns == FOREVER and self._sender is None and not self._counting:
+            self._send_all_of_lone_station(delivered)
         while (self._sender is not None or self._arbitrate(until_ns)) and self._end_ns <= until_ns:
             self._finish(delivered)
         return delivered
+
+    def _send_all_of_lone_station(self, delivered: list[Delivery]) -> None:
+        """What `run` does frame by frame, in one go: nobody competes, and nothing is going to happen to the frames."""
+        busy = [station for station in self._stations if station.queue]
+        if len(busy) != 1:
+            return
+        station, queue, free_ns, counters = busy[0], busy[0].queue, self.free_ns, self.counters
+        while queue and queue[0].fate is None:
+            _, can_id, payload, bits, duration_ns, ready_ns, _ = queue.popleft()
+            free_ns = (free_ns if free_ns > ready_ns else ready_ns) + duration_ns
+            counters.frames += 1
+            counters.bits += bits
+            delivered.append(Delivery(station, can_id, payload, free_ns))
+        self.free_ns = free_ns
 
     def next_event_ns(self) -> int | None:
         """When `run` has something to do next, if nothing more is queued; None: never."""

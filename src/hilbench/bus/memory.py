@@ -18,17 +18,17 @@ from typing import Any
 from hilbench.bus.arbitration import accepts
 from hilbench.bus.confinement import ControllerState, bus_off
 from hilbench.bus.disturbance import Disturber, ErrorInjection
-from hilbench.bus.embedded import can_record
+from hilbench.bus.embedded import check_frame
 from hilbench.bus.frame import Frame
 from hilbench.bus.medium import FOREVER, Medium, Station
 from hilbench.bus.messages import kernel_filters, to_frame, to_message
 from hilbench.bus.python_can import can
-from hilbench.bus.waiting import wait_readable
 from hilbench.bus.wire import bits_on_wire
 from hilbench.errors import BusError
 
 #: Frames a link holds that does not read, before the newest are dropped.
 RECEIVE_LIMIT = 16384
+_KNOWN_IDENTIFIERS = 4096
 
 
 class MemoryBus:
@@ -66,10 +66,12 @@ class MemoryBus:
 
     def _carry(self) -> None:
         """Let the wire carry all that was sent; hand it to the links. The lock is held."""
-        for delivery in self._medium.run(FOREVER):
-            frame = Frame(delivery.can_id, delivery.payload, delivery.time_ns)
+        for sender, can_id, data, time_ns in self._medium.run(FOREVER):
+            frame = Frame(can_id, data, time_ns)
             for link in self._links:
-                if link.station is not delivery.sender and link.controller is not ControllerState.BUS_OFF:
+                if link.station is sender or link.controller is ControllerState.BUS_OFF:
+                    continue
+                if link.wants(can_id):
                     link.take(frame)
 
 
@@ -82,56 +84,83 @@ class MemoryLink:
         self.station = Station()
         self._bus = bus
         self._filters: Sequence[tuple[int, int]] | None = None
-        self._received: deque[Frame] = deque()
-        self._event = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)  # readable while a frame waits
+        self._wanted: dict[int, bool] = {}  # the filters' verdict by identifier
+        self._received: list[Frame] = []
+        self._sent = threading.Condition(bus._lock)  # somebody has sent what the filters let pass
+        self._waiting_threads = 0  # for that
+        self._event: int | None = None  # for who asks for a descriptor: readable while a frame waits
         self._closed = False
 
     def send(self, frames: Sequence[Frame]) -> None:
-        for frame in frames:
-            can_record(frame.can_id, frame.data)  # refuses what no wire could carry
+        for can_id, data, _ in frames:
+            check_frame(can_id, data)
         bus = self._bus
         with bus._lock:
             self._check_open()
-            for frame in frames:
-                bits = bits_on_wire(frame.can_id, frame.data)
-                bus._medium.queue(self.station, frame.can_id, bytes(frame.data), bits, bus._medium.free_ns)
+            medium = bus._medium
+            for can_id, data, _ in frames:
+                content = bytes(data)
+                medium.queue(self.station, can_id, content, bits_on_wire(can_id, content), medium.free_ns)
             for link in bus._links:
-                if link is not self and any(accepts(link._filters, frame.can_id) for frame in frames):
-                    os.eventfd_write(link._event, 1)
+                if link is not self and link._is_awaited() and any(link.wants(frame.can_id) for frame in frames):
+                    link._tell()
+
+    def wants(self, can_id: int) -> bool:
+        """Whether the filters let a frame pass (asked by the bus, with its lock held)."""
+        verdict = self._wanted.get(can_id)
+        if verdict is None:
+            if len(self._wanted) >= _KNOWN_IDENTIFIERS:
+                self._wanted.clear()
+            verdict = self._wanted[can_id] = accepts(self._filters, can_id)
+        return verdict
 
     def take(self, frame: Frame) -> None:
         """A frame was on the wire (called by the bus)."""
-        if not accepts(self._filters, frame.can_id):
-            return
         if len(self._received) >= RECEIVE_LIMIT:
             self.dropped += 1
             return
         self._received.append(frame)
 
     def receive(self, timeout_s: float) -> list[Frame]:
-        frames = self._waiting()
-        deadline = time.monotonic() + timeout_s
-        while not frames and (remaining := deadline - time.monotonic()) > 0:
-            wait_readable(self._event, remaining)
+        with self._bus._lock:
             frames = self._waiting()
-        return frames
+            if frames or timeout_s <= 0.0:
+                return frames
+            deadline_s = time.monotonic() + timeout_s
+            while not frames and (remaining_s := deadline_s - time.monotonic()) > 0:
+                self._waiting_threads += 1
+                self._sent.wait(remaining_s)
+                self._waiting_threads -= 1
+                frames = self._waiting()
+            return frames
 
     def _waiting(self) -> list[Frame]:
-        with self._bus._lock:
-            self._check_open()
-            self._bus._carry()
-            if self.controller is ControllerState.BUS_OFF:
-                raise bus_off(self.channel)
-            frames = list(self._received)
-            self._received.clear()
+        """What has come. The lock is held."""
+        self._check_open()
+        self._bus._carry()
+        if self.controller is ControllerState.BUS_OFF:
+            raise bus_off(self.channel)
+        if self._event is not None:
             with contextlib.suppress(BlockingIOError):  # nothing was signalled
                 os.eventfd_read(self._event)
-            return frames
+        frames = self._received
+        if frames:
+            self._received = []
+        return frames
+
+    def _is_awaited(self) -> bool:
+        return self._waiting_threads > 0 or self._event is not None
+
+    def _tell(self) -> None:
+        self._sent.notify_all()
+        if self._event is not None:
+            os.eventfd_write(self._event, 1)
 
     def set_filters(self, identifiers: Sequence[tuple[int, int]] | None) -> None:
         with self._bus._lock:
             self._bus._carry()  # what was sent before meets the old filters
             self._filters = identifiers
+            self._wanted = {}
 
     @property
     def controller(self) -> ControllerState:
@@ -139,7 +168,12 @@ class MemoryLink:
         return self.station.state
 
     def fileno(self) -> int:
-        return self._event
+        with self._bus._lock:
+            self._check_open()
+            if self._event is None:
+                self._bus._carry()
+                self._event = os.eventfd(1 if self._received else 0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
+            return self._event
 
     def close(self) -> None:
         bus = self._bus
@@ -150,7 +184,9 @@ class MemoryLink:
             self._closed = True
             bus._links.remove(self)
             bus._medium.leave(self.station)
-            os.close(self._event)
+            self._sent.notify_all()
+            if self._event is not None:
+                os.close(self._event)
 
     def _check_open(self) -> None:
         if self._closed:

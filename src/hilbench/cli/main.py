@@ -42,6 +42,12 @@ def run(
             "--start/--no-start", help="start simulated hardware and twin, or use those that run on the bus already"
         ),
     ] = True,
+    in_process: Annotated[
+        bool,
+        typer.Option(
+            "--in-process", help="simulated hardware and twin in this process: the same frames and recording, faster"
+        ),
+    ] = False,
     report: Annotated[
         bool, typer.Option("--report/--no-report", help="write report.html; hilbench report writes it later as well")
     ] = True,
@@ -54,11 +60,17 @@ def run(
     Example: hilbench run bench_configs/web_section_step.yaml --seed 7
 
     Example: hilbench run bench_configs/web_section_step.yaml --set load.web.youngs_modulus_Pa=9e9
+
+    Example: hilbench run bench_configs/web_section_step.yaml --in-process --no-report
     """
+    from hilbench.bench.participants import Participants
     from hilbench.cli.run import run_command
 
     loaded = _load(config, bus=bus, pace=pace, seed=seed, changes=changes or ())
-    raise typer.Exit(run_command(loaded, out, start_processes=start, with_report=report, as_json=json))
+    if in_process and not start:
+        raise typer.BadParameter("--in-process and --no-start exclude each other")
+    participants = Participants.IN_PROCESS if in_process else Participants.STARTED if start else Participants.PRESENT
+    raise typer.Exit(run_command(loaded, out, participants=participants, with_report=report, as_json=json))
 
 
 @app.command()
@@ -124,12 +136,12 @@ def twin(config: ConfigArgument, bus: BusOption = None, pace: PaceOption = None,
 
     Example: hilbench twin bench_configs/web_section_step.yaml --bus socketcan:vcan0
     """
-    from hilbench.bench.processes import report_lost_frames, stop_request
+    from hilbench.bench.processes import report_lost_frames, say, stop_request
     from hilbench.bench.twin_setup import twin_setup
     from hilbench.twin.process import run_twin
 
     setup = twin_setup(_load(config, bus=bus, pace=pace, changes=changes or ()).config)
-    report_lost_frames(run_twin(setup, stop_request()))
+    report_lost_frames(run_twin(setup, stop_request(), say))
 
 
 @app.command()

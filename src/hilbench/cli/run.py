@@ -10,6 +10,7 @@ from rich.live import Live
 from rich.table import Table
 
 from hilbench.bench.bench import Bench
+from hilbench.bench.participants import Participants
 from hilbench.bench.sample import CycleSample
 from hilbench.experiment.config import LoadedConfig
 from hilbench.record.result import Result, Timing
@@ -21,10 +22,12 @@ _PLAIN_LINE_EVERY_S = 5.0
 _COLOURS = {"passed": "green", "marginal": "yellow", "failed": "red", "error": "red"}
 
 
-def run_command(loaded: LoadedConfig, out: Path, *, start_processes: bool, with_report: bool, as_json: bool) -> int:
+def run_command(
+    loaded: LoadedConfig, out: Path, *, participants: Participants, with_report: bool, as_json: bool
+) -> int:
     """Run the experiment, show it, and return the exit code."""
     if as_json:
-        outcome = run_experiment(loaded, out, start_processes=start_processes)
+        outcome = run_experiment(loaded, out, participants=participants)
         if outcome.recorded and with_report:
             write_report(outcome.folder)
         print(outcome.result.model_dump_json(indent=2))
@@ -33,7 +36,7 @@ def run_command(loaded: LoadedConfig, out: Path, *, start_processes: bool, with_
     console.print(f"[bold]{loaded.config.name}[/bold]  {loaded.config.bus.address}, {loaded.config.pace}")
     with Progress(console, cycle_s=loaded.config.cycle_time_s, bitrate=loaded.config.bus.bitrate) as progress:
         outcome = run_experiment(
-            loaded, out, observers=[progress], start_processes=start_processes, announce=progress.announce
+            loaded, out, observers=[progress], participants=participants, announce=progress.announce
         )
         if outcome.recorded and with_report:
             progress.announce("write report")

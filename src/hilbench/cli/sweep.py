@@ -30,12 +30,17 @@ def sweep(
     seed: Annotated[int, typer.Option("--seed", help="of the drawn points")] = 1,
     out: Annotated[Path, typer.Option("--out", help="folder of the sweep; the same again resumes it")] = Path("sweep"),
     jobs: Annotated[int | None, typer.Option("--jobs", min=1, help="runs at a time", show_default="all cores")] = None,
+    cluster: Annotated[
+        str | None, typer.Option("--cluster", metavar="ADDRESS", help="of a Dask scheduler whose workers do the runs")
+    ] = None,
     json: JsonOption = False,
 ) -> None:
-    """Run a config over a grid or a sample of its values; one table of all metrics (OUT/results.csv).
+    """Run a config over a grid or a sample of its values; one table of all metrics (OUT/results.csv and .parquet).
 
-    Every run is a process of its own: one that fails leaves its row, and the others go on. What was done is not done
-    again when the same sweep is started once more. Runs on a real bus, or in real time, go one after the other.
+    Every run is a process of its own, with its devices in it where that is possible (run --in-process): one that
+    fails leaves its row, and the others go on. What was done is not done again when the same sweep is started once
+    more. Runs on a real bus, or in real time, go one after the other.
+    The workers of a cluster need this hilbench, and CONFIG and OUT under the same paths.
 
     Exit code: 0 all passed, 1 some did not.
 
@@ -43,6 +48,8 @@ def sweep(
 
     Example: hilbench sweep bench_configs/web_section_step.yaml --vary model.web.youngs_modulus_Pa=8e9..9e9
     --vary seed=1,2,3 --samples 20
+
+    Example: hilbench sweep bench_configs/web_section_step.yaml --vary seed=1..200:200 --cluster tcp://10.0.0.5:8786
     """
     from json import dumps
 
@@ -50,8 +57,9 @@ def sweep(
 
     runs = points([parse_axis(text) for text in vary], samples, seed)
     made = Sweep(config, changes or (), runs, out)
-    _run(made, jobs or os.cpu_count() or 1, quiet=json)
+    _run(made, jobs or os.cpu_count() or 1, cluster, quiet=json)
     table = made.write_table()
+    made.write_parquet()
     failed = sum(not row.passed for row in made.rows.values())
     if json:
         print(dumps({"table": str(table), "runs": made.as_data()}, indent=2))
@@ -60,7 +68,7 @@ def sweep(
     raise typer.Exit(EXIT_CRITERION_FAILED if failed else EXIT_PASSED)
 
 
-def _run(made: Sweep, jobs: int, *, quiet: bool) -> None:
+def _run(made: Sweep, jobs: int, cluster: str | None, *, quiet: bool) -> None:
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
@@ -76,4 +84,4 @@ def _run(made: Sweep, jobs: int, *, quiet: bool) -> None:
                 varied = ", ".join(f"{path}={value}" for path, value in row.changes.items())
                 progress.console.print(f"{row.number}: {varied}: {word}", soft_wrap=True)
 
-        made.run(jobs, done)
+        made.run(jobs, done, cluster)

@@ -129,6 +129,16 @@ class Device:
         self._reply(0x700 + self.node_id, _BOOT_UP)
         self._enter(NmtState.PRE_OPERATIONAL)
 
+    def identifiers(self) -> set[int]:
+        """Identifiers (REMOTE_FLAG in those of remote requests) of the frames, besides SYNC, that mean anything to the
+        device as it is configured now."""
+        return {
+            *(0, 0x600 + self.node_id, EMERGENCY_STOP_COB_ID),
+            *(0x700 + node_id for node_id in self._consumer.times_ns()),
+            *self._receivers,
+            *(tpdo.cob_id | REMOTE_FLAG for tpdo in self._tpdos if tpdo.valid),
+        }
+
     def handle(self, frame: Frame) -> None:
         """Any frame of the bus but SYNC."""
         can_id = frame.can_id
@@ -169,7 +179,7 @@ class Device:
         if self.nmt_state is not NmtState.OPERATIONAL:
             return
         counter = data[0] if expected else None
-        for rpdo in self._rpdos:
+        for rpdo in self._receivers.values():
             rpdo.sync()
         for tpdo in self._synchronous:
             tpdo.sync(counter)
@@ -183,7 +193,7 @@ class Device:
         self._emcy.poll(now_ns)
         if self.nmt_state is not NmtState.OPERATIONAL:
             return
-        for rpdo in self._rpdos:
+        for rpdo in self._receivers.values():
             if rpdo.poll(now_ns):
                 self._communication_error(RPDO_TIMED_OUT, rpdo.number)
         for tpdo in self._event_driven:

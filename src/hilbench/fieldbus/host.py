@@ -10,10 +10,10 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from math import floor
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 from hilbench.bus.confinement import ControllerState
-from hilbench.bus.frame import Frame
+from hilbench.bus.frame import EXTENDED_FLAG, REMOTE_FLAG, Frame
 from hilbench.bus.link import Link
 from hilbench.fieldbus.clock import Clock, SyncClock
 from hilbench.fieldbus.device import Device, NmtState
@@ -21,6 +21,8 @@ from hilbench.fieldbus.device import Device, NmtState
 _NMT_COB_ID = 0x000
 _ERROR_PASSIVE = 0x8120  #: EMCY error code: CAN in error passive mode
 _COMMUNICATION_ERROR = 0x11  #: error register (1001h): generic and communication
+_SDO_REQUEST, _LAST_NODE = 0x600, 127
+_EXACTLY = 0x1FFFFFFF | EXTENDED_FLAG | REMOTE_FLAG
 _POLL_S = 0.005
 _TICK_S = 0.002
 _TICK_STEP_S = 0.001
@@ -30,6 +32,9 @@ _LONGEST_TICK_S = 0.05
 class Application(Protocol):
     """What stands behind the devices of a host."""
 
+    #: Identifiers of the frames, besides SYNC, that `on_frame` wants to see.
+    listens_to: frozenset[int]
+
     def before_sync(self, behind: int) -> None:
         """A SYNC has come and `behind` more wait behind it; the devices have not sampled yet."""
 
@@ -37,10 +42,18 @@ class Application(Protocol):
         """The TPDOs of this SYNC are out and set points have acted: advance to the next one."""
 
     def on_frame(self, frame: Frame) -> None:
-        """Any frame but SYNC, after the devices have seen it."""
+        """A frame that it listens to, after the devices have seen it."""
 
     def tick(self, duration_s: float) -> None:
         """No SYNC is running and `duration_s` of wall time has passed."""
+
+
+class HostedDevices(NamedTuple):
+    """What a host runs."""
+
+    devices: Sequence[Device]
+    clock: Clock
+    application: Application
 
 
 class DeviceHost:
@@ -53,16 +66,23 @@ class DeviceHost:
         self._application = application
         self._follows_sync = isinstance(clock, SyncClock)
         self._sync_running = False
+        self._addressees: dict[int, list[Device]] = {}  # by identifier
+        self._wanted: set[int] = set()  # identifiers that the link lets pass
         self._ticked_s = time.monotonic()
         self._passive = False
 
     def run(self, stop: Callable[[], bool]) -> None:
         """Boot the devices and serve until `stop()`. Raises BusError when the bus is lost."""
+        self.boot()
+        while not stop():
+            self.serve(_POLL_S if self._sync_running else _TICK_S)
+
+    def boot(self) -> None:
+        """Let the devices say boot-up."""
+        self._listen()
         for device in self._devices:
             device.boot()
         self._flush_all()
-        while not stop():
-            self.serve(_POLL_S if self._sync_running else _TICK_S)
 
     def serve(self, timeout_s: float) -> None:
         """Handle what comes within `timeout_s`, and what time has made due."""
@@ -70,17 +90,24 @@ class DeviceHost:
         self._look_at_controller()
         sync_cob_id = self._devices[0].sync_cob_id
         behind = sum(frame.can_id == sync_cob_id for frame in frames)
+        listens_to = self._application.listens_to
         for frame in frames:
-            if frame.can_id == sync_cob_id:
+            can_id = frame.can_id
+            if can_id == sync_cob_id:
                 behind -= 1
                 self._sync(frame, behind)
-            else:
-                for device in self._devices:
-                    device.handle(frame)
+                continue
+            devices = self._addressees.get(can_id, ())
+            for device in devices:
+                device.handle(frame)
+            if can_id in listens_to:
                 self._application.on_frame(frame)
+            if can_id == _NMT_COB_ID or _SDO_REQUEST < can_id <= _SDO_REQUEST + _LAST_NODE:
+                self._listen()  # before the answer goes out
+            if devices:
                 self._flush_replies()
-                if frame.can_id == _NMT_COB_ID:
-                    self._nmt_commanded()
+            if can_id == _NMT_COB_ID:
+                self._nmt_commanded()
         self._time_passes()
 
     def _look_at_controller(self) -> None:
@@ -94,6 +121,18 @@ class DeviceHost:
                 device.emergency(_ERROR_PASSIVE, _COMMUNICATION_ERROR)
             else:
                 device.clear_emergency(_ERROR_PASSIVE)
+
+    def _listen(self) -> None:
+        """Receive what the devices and the application want as they are configured now, as a CAN controller would."""
+        addressees: dict[int, list[Device]] = {}
+        for device in self._devices:
+            for identifier in device.identifiers():
+                addressees.setdefault(identifier, []).append(device)
+        wanted = {*addressees, *self._application.listens_to, self._devices[0].sync_cob_id}
+        self._addressees = addressees
+        if wanted != self._wanted:
+            self._wanted = wanted
+            self._link.set_filters([(identifier, _EXACTLY) for identifier in sorted(wanted)])
 
     def _nmt_commanded(self) -> None:
         """Started nodes wait for SYNC; what they had to say before goes out now, not with its first answers."""

@@ -16,6 +16,8 @@ import numpy as np
 
 from hilbench.bench.bench import Bench, CycleObserver, InterruptedByOperatorError
 from hilbench.bench.check import check_bench
+from hilbench.bench.in_process import check_in_process
+from hilbench.bench.participants import Participants
 from hilbench.bench.sample import CycleSample
 from hilbench.bench.signals import SIGNALS
 from hilbench.errors import (
@@ -78,7 +80,7 @@ def run_experiment(
     out: Path,
     *,
     observers: Sequence[CycleObserver] = (),
-    start_processes: bool = True,
+    participants: Participants = Participants.STARTED,
     announce: Callable[[str], None] = lambda text: None,
 ) -> RunOutcome:
     """Run all steps of a config, evaluate its criteria, write the run folder (the report is made from it).
@@ -88,6 +90,8 @@ def run_experiment(
     """
     config = loaded.config
     check_bench(config, loaded.document)
+    if participants is Participants.IN_PROCESS:
+        check_in_process(config)
     for step in config.steps:
         step.prepare()
     folder = RunFolder.create(out, config.name)
@@ -101,7 +105,7 @@ def run_experiment(
             observers=[recorder, *observers],
             tap=trace,
             work_folder=folder.path,
-            start_processes=start_processes,
+            participants=participants,
             announce=announce,
             journal=journal.write,
         )

@@ -10,6 +10,8 @@ from pathlib import Path
 
 from hilbench.bench import bench, quantities
 from hilbench.bench.check import check_bench
+from hilbench.bench.in_process import check_in_process
+from hilbench.bench.participants import Participants
 from hilbench.experiment.config import load_with_overrides
 from hilbench.experiment.metrics import evaluate_metrics
 from hilbench.record.recording import Recording
@@ -50,14 +52,16 @@ class Bench(bench.Bench):
         pace: str | None = None,
         seed: int | None = None,
         changes: Sequence[str] = (),
-        start_processes: bool = True,
+        participants: Participants = Participants.STARTED,
         announce: Callable[[str], None] = lambda text: None,
     ) -> None:
         loaded = load_with_overrides(Path(config), bus=bus, pace=pace, seed=seed, changes=changes)
         check_bench(loaded.config, loaded.document)
+        if participants is Participants.IN_PROCESS:
+            check_in_process(loaded.config)
         self._recorder = Recorder()
         self._made = datetime.now(UTC)
-        super().__init__(loaded.config, observers=[self._recorder], start_processes=start_processes, announce=announce)
+        super().__init__(loaded.config, observers=[self._recorder], participants=participants, announce=announce)
 
     @property
     def recording(self) -> Recording:

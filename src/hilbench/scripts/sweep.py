@@ -9,19 +9,29 @@ import os
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Sequence
-from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from hilbench.errors import EXIT_CRITERION_FAILED, EXIT_INTERRUPTED, EXIT_PASSED, UnusableInputError
+from hilbench.bench.in_process import can_be_in_process
+from hilbench.errors import (
+    EXIT_BENCH_FAULT,
+    EXIT_CRITERION_FAILED,
+    EXIT_INTERRUPTED,
+    EXIT_PASSED,
+    UnusableInputError,
+)
 from hilbench.experiment.config import load_with_overrides, parse_change
 
-_DEFINITION, _LOG, _TABLE = "sweep.json", "results.jsonl", "results.csv"
+_DEFINITION, _LOG, _TABLE, _PARQUET = "sweep.json", "results.jsonl", "results.csv", "results.parquet"
 _LAST_WORDS = 300
+_CONNECT_S = 10
 
 
 @dataclass(frozen=True)
@@ -48,6 +58,56 @@ class Row:
     @property
     def passed(self) -> bool:
         return self.exit_code == EXIT_PASSED
+
+
+@dataclass(frozen=True)
+class Job:
+    """One run to be done: the arguments of ``hilbench``, and the folder that it makes its run folder in."""
+
+    number: int
+    changes: dict[str, str]
+    arguments: tuple[str, ...]
+    folder: str
+
+
+def carry_out(job: Job) -> Row | None:
+    """Do a run in a process of its own, here; None when it was interrupted."""
+    command = [sys.executable, "-m", "hilbench.cli", *job.arguments]
+    ended = subprocess.run(command, capture_output=True, text=True, check=False)
+    if ended.returncode == EXIT_INTERRUPTED:
+        return None
+    folder = Path(job.folder)
+    folders = sorted(folder.glob("*/")) if folder.is_dir() else []
+    result = json.loads(ended.stdout) if ended.stdout.startswith("{") else {}
+    faults = [fault["text"] for fault in result.get("faults", [])]
+    words = [*faults, *ended.stderr.split()]
+    said = " ".join(words)[:_LAST_WORDS] if ended.returncode not in (EXIT_PASSED, EXIT_CRITERION_FAILED) else ""
+    run = str(folders[-1].relative_to(folder.parents[1])) if folders else None
+    return Row(job.number, job.changes, ended.returncode, run, result.get("metrics", {}), said)
+
+
+def _row(job: Job, future: Future[Row | None]) -> Row | None:
+    """What came of a job; one that its worker could not do leaves a row as well."""
+    error = future.exception()
+    if error is None:
+        return future.result()
+    return Row(job.number, job.changes, EXIT_BENCH_FAULT, said=f"not done: {error}"[:_LAST_WORDS])
+
+
+@contextmanager
+def _on_cluster(address: str) -> Iterator[Executor]:
+    """The workers of a Dask cluster. Raises UnusableInputError when it can't be used."""
+    try:
+        from distributed import Client
+    except ImportError:
+        raise UnusableInputError("--cluster", "needs Dask, expected 'pip install hilbench[cluster]'") from None
+    try:
+        client = Client(address, timeout=_CONNECT_S)
+    except (OSError, TimeoutError, ValueError) as error:
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise UnusableInputError(f"--cluster {address}", f"{reason}, expected a running Dask scheduler") from error
+    with client, client.get_executor(pure=False) as pool:
+        yield pool
 
 
 def parse_axis(text: str) -> Axis:
@@ -115,6 +175,7 @@ class Sweep:
         #: Runs share the wire and the clock of a real bus: there is one at a time.
         self.alone = loaded.config.bus_address.interface != "embedded" or loaded.config.pace == "realtime"
         self._embedded = loaded.config.bus_address.interface == "embedded"
+        self._in_process = can_be_in_process(loaded.config)
         self._stopped = threading.Event()
         self.rows = self._resume()
 
@@ -135,16 +196,23 @@ class Sweep:
         rows = [Row(**json.loads(line)) for line in lines if line.endswith("}")]  # a torn line: that run is done again
         return {row.number: row for row in rows}
 
-    def run(self, jobs: int, done: Callable[[Row], None]) -> None:
-        """Do what is left, `jobs` at a time; `done` is told of each row. Ctrl-C ends the runs that are under way."""
-        left = [number for number in range(len(self.runs)) if number not in self.rows]
-        with ThreadPoolExecutor(1 if self.alone else jobs) as pool:
-            waiting = {pool.submit(self._run, number) for number in left}
+    def run(self, jobs: int, done: Callable[[Row], None], cluster: str | None = None) -> None:
+        """Do what is left, `jobs` at a time; `done` is told of each row. Ctrl-C ends the runs that are under way.
+
+        `cluster`: address of a running Dask scheduler, whose workers do the runs instead, as many at a time as they
+        have threads. They need this hilbench, and the config and the sweep's folder under the same paths. Runs that
+        are under way there go on after Ctrl-C. Raises UnusableInputError when there is no such cluster.
+        """
+        left = [self._job(number) for number in range(len(self.runs)) if number not in self.rows]
+        if cluster is not None and self.alone:
+            raise UnusableInputError("--cluster", "runs on a real bus, or in real time, go one after the other here")
+        with _on_cluster(cluster) if cluster else ThreadPoolExecutor(1 if self.alone else jobs) as pool:
+            act = carry_out if cluster else self._carry_out
+            waiting = {pool.submit(act, job): job for job in left}
             try:
                 while waiting:
-                    finished, waiting = wait(waiting, return_when=FIRST_COMPLETED)
-                    for future in finished:
-                        self._take(future.result(), done)
+                    for future in wait(waiting, return_when=FIRST_COMPLETED).done:
+                        self._take(_row(waiting.pop(future), future), done)
             except BaseException:
                 self._stopped.set()
                 for future in waiting:
@@ -160,27 +228,20 @@ class Sweep:
         self.write_table()
         done(row)
 
-    def _run(self, number: int) -> Row | None:
-        """One run in a process of its own; None when it was interrupted."""
-        if self._stopped.is_set():
-            return None
-        changes, folder = self.runs[number], self.out / "runs" / f"{number:05d}"
-        command = [sys.executable, "-m", "hilbench.cli", "run", str(self._config), "--json", "--no-report"]
-        command += ["--out", str(folder)]
+    def _job(self, number: int) -> Job:
+        changes, folder = self.runs[number], self.out.resolve() / "runs" / f"{number:05d}"
+        arguments = ["run", str(self._config.resolve()), "--json", "--no-report", "--out", str(folder)]
         for text in [*self._changes, *_texts(changes)]:
-            command += ["--set", text]
-        if self._embedded:
-            command += ["--bus", f"embedded:sweep{os.getpid()}n{number}"]
-        ended = subprocess.run(command, capture_output=True, text=True, check=False)
-        if self._stopped.is_set() or ended.returncode == EXIT_INTERRUPTED:
-            return None
-        folders = sorted(folder.glob("*/")) if folder.is_dir() else []
-        result = json.loads(ended.stdout) if ended.stdout.startswith("{") else {}
-        faults = [fault["text"] for fault in result.get("faults", [])]
-        words = [*faults, *ended.stderr.split()]
-        said = " ".join(words)[:_LAST_WORDS] if ended.returncode not in (EXIT_PASSED, EXIT_CRITERION_FAILED) else ""
-        run = str(folders[-1].relative_to(self.out)) if folders else None
-        return Row(number, changes, ended.returncode, run, result.get("metrics", {}), said)
+            arguments += ["--set", text]
+        if self._in_process:
+            arguments.append("--in-process")
+        elif self._embedded:
+            arguments += ["--bus", f"embedded:sweep{os.getpid()}n{number}"]
+        return Job(number, changes, tuple(arguments), str(folder))
+
+    def _carry_out(self, job: Job) -> Row | None:
+        row = None if self._stopped.is_set() else carry_out(job)
+        return None if self._stopped.is_set() else row
 
     def write_table(self) -> Path:
         """`results.csv`: a row a run, in order; what was varied, exit code, metrics, folder."""
@@ -195,6 +256,22 @@ class Sweep:
                 varied = [row.changes.get(name, "") for name in paths]
                 values = ["" if row.metrics.get(name) is None else row.metrics[name] for name in metrics]
                 writer.writerow([number, *varied, row.exit_code, row.passed, *values, row.run or "", row.said])
+        return path
+
+    def write_parquet(self) -> Path | None:
+        """The same table as `results.parquet`, with types; None where pyarrow is not installed."""
+        if find_spec("pyarrow") is None:
+            return None
+        import pandas
+
+        rows = [
+            {"number": row.number, **row.changes, "exit_code": row.exit_code, "passed": row.passed}
+            | row.metrics
+            | {"run": row.run, "said": row.said}
+            for _, row in sorted(self.rows.items())
+        ]
+        path = self.out / _PARQUET
+        pandas.DataFrame(rows).to_parquet(path, index=False)
         return path
 
     def as_data(self) -> list[dict[str, Any]]:

@@ -15,7 +15,8 @@ from hilbench.drives.simulated import SimulatedDrive
 from hilbench.fieldbus.clock import Clock
 from hilbench.fieldbus.device import Device, NmtState, SdoAbort
 from hilbench.fieldbus.eds import load_eds
-from hilbench.fieldbus.host import DeviceHost
+from hilbench.fieldbus.host import DeviceHost, HostedDevices
+from hilbench.real_time import ProcessSettings, kept_ready
 from hilbench.twin.axis_listener import AxisListener, RealAxis, TwinNode
 from hilbench.twin.config import TwinConfig
 from hilbench.twin.plausibility import Problem
@@ -34,6 +35,18 @@ _MOVES_M_S = 1e-3
 #: How far off the upstream strain may be as a guess of the strain of a web that is found under way.
 _UNKNOWN_STRAIN = 0.3
 _WARM_UP_CYCLES = 100
+#: In the order in which `TwinApplication` puts them together.
+_STATUS_BITS = tuple(
+    int(bit)
+    for bit in (
+        TwinStatus.RUNNING,
+        TwinStatus.SYNCHRONIZED,
+        TwinStatus.HOLDING,
+        TwinStatus.LATE,
+        TwinStatus.TRANSFER_REFUSED,
+        TwinStatus.NOT_SEPARABLE,
+    )
+)
 
 
 @dataclass(frozen=True)
@@ -48,6 +61,7 @@ class TwinSetup:
     real_axes: tuple[RealAxis, RealAxis]
     virtual_axes: tuple[TwinNode, TwinNode]
     virtual_io: TwinNode
+    process: ProcessSettings | None  #: what the twin's process asks of the operating system
 
 
 class TwinApplication:
@@ -82,6 +96,7 @@ class TwinApplication:
         self._device = device
         self._io = virtual_io
         self._listeners = [AxisListener(node, setup.cycle_s) for node in setup.real_axes]
+        self.listens_to = frozenset(listener.cob_id for listener in self._listeners)
         self._metres_per_rad = [1.0 / setup.model.motor_rad_per_m(axis) for axis in (1, 2)]
         self._tracking = Tracking(setup.model, setup.twin, line, ports[1], setup.cycle_s)
         self._pairing = Pairing()
@@ -225,15 +240,20 @@ class TwinApplication:
             raise SdoAbort(_VALUE_TOO_HIGH)
         self._tracking.use(methods[number - 1]() if number else None)
 
-    def _status(self) -> TwinStatus:
-        tracking, status = self._tracking, TwinStatus(0)
-        for bit, holds in (
-            (TwinStatus.RUNNING, self._released),
-            (TwinStatus.SYNCHRONIZED, self._released and tracking.synchronized),
-            (TwinStatus.HOLDING, tracking.problem is not None),
-            (TwinStatus.LATE, self._behind > 0),
-            (TwinStatus.TRANSFER_REFUSED, tracking.refused),
-            (TwinStatus.NOT_SEPARABLE, any(not n.separable for n in tracking.estimate.nuisances)),
+    def _status(self) -> int:
+        """Bits of `TwinStatus`, as a plain number: flags of the enum take microseconds to put together."""
+        tracking, status = self._tracking, 0
+        for bit, holds in zip(
+            _STATUS_BITS,
+            (
+                self._released,
+                self._released and tracking.synchronized,
+                tracking.problem is not None,
+                self._behind > 0,
+                tracking.refused,
+                not all(nuisance.separable for nuisance in tracking.estimate.nuisances),
+            ),
+            strict=True,
         ):
             if holds:
                 status |= bit
@@ -250,11 +270,23 @@ class TwinApplication:
         )
 
 
-def run_twin(setup: TwinSetup, stop: Callable[[], bool]) -> int | None:
+def run_twin(setup: TwinSetup, stop: Callable[[], bool], say: Callable[[str], None]) -> int | None:
     """Run the twin on its bus until `stop` says so. Raises BusError when the bus is lost.
 
     Returns how many frames were lost because they were not read in time (None: the bus cannot tell).
     """
+    hosted = twin(setup)
+    link = open_link(setup.bus)
+    try:
+        with kept_ready(setup.process, say):
+            DeviceHost(link, *hosted).run(stop)
+    finally:
+        link.close()
+    return link.dropped
+
+
+def twin(setup: TwinSetup) -> HostedDevices:
+    """The virtual axes, the virtual I/O and the simulation behind them."""
     model = setup.model
     warm_up(model, setup.twin, setup.cycle_s)
     ports = (MotorPort(), MotorPort())
@@ -275,12 +307,7 @@ def run_twin(setup: TwinSetup, stop: Callable[[], bool]) -> int | None:
             application.start()
 
     io_device.on_nmt = on_nmt
-    link = open_link(setup.bus)
-    try:
-        DeviceHost(link, [*devices, io_device], setup.clock, application).run(stop)
-    finally:
-        link.close()
-    return link.dropped
+    return HostedDevices([*devices, io_device], setup.clock, application)
 
 
 def warm_up(model: ModelParameters, config: TwinConfig, cycle_s: float) -> None:

@@ -5,7 +5,6 @@ The same for the twin on the bus and for a recording.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from math import exp, hypot, inf, isfinite
 
 from hilbench.drives.port import MotorPort
@@ -96,7 +95,8 @@ class Tracking:
     def _stated(self, estimate: Estimate) -> Estimate:
         """With what a lasting error of the torque may add to the deviation: no method sees it in its data."""
         self._own_deviation_Pa = estimate.deviation_Pa
-        return replace(estimate, deviation_Pa=hypot(estimate.deviation_Pa, self._unmodelled_N / self._web_per_Pa))
+        deviation_Pa = hypot(estimate.deviation_Pa, self._unmodelled_N / self._web_per_Pa)
+        return Estimate(estimate.youngs_modulus_Pa, deviation_Pa, estimate.nuisances)
 
     @property
     def synchronized(self) -> bool:
@@ -170,17 +170,21 @@ class Tracking:
         """Put measured states in the place of simulated ones, unless they are too far off to be believed."""
         transfer, line, web = self.config.transfer, self._line, self._balance.web
         self.refused = False
+        strain = x_m = v_m_s = None
         if transfer.strain:
-            strain = float(web.strain[0])
-            if abs(strain - float(line.strain[0])) <= transfer.strain_limit:
-                line.set_state(strain=[strain])
+            measured = float(web.strain[0])
+            if abs(measured - float(line.strain[0])) <= transfer.strain_limit:
+                strain = [measured]
             else:
                 self.refused = True
         if transfer.axes:
-            x_sim, v_sim, speeds = line.x_m, line.v_m_s, web.speeds_m_s
-            near = max(abs(x1_m - x_sim[0]), abs(x2_m - x_sim[1])) <= transfer.position_limit_m
-            slow = float(abs(speeds - v_sim).max()) <= transfer.velocity_limit_m_s
+            (x1_sim, x2_sim), (v1_sim, v2_sim) = line.x_m.tolist(), line.v_m_s.tolist()
+            v1, v2 = web.speeds_m_s.tolist()
+            near = max(abs(x1_m - x1_sim), abs(x2_m - x2_sim)) <= transfer.position_limit_m
+            slow = max(abs(v1 - v1_sim), abs(v2 - v2_sim)) <= transfer.velocity_limit_m_s
             if near and slow:
-                line.set_state(x_m=[x1_m, x2_m], v_m_s=speeds)
+                x_m, v_m_s = [x1_m, x2_m], [v1, v2]
             else:
                 self.refused = True
+        if strain is not None or x_m is not None:
+            line.set_state(strain=strain, x_m=x_m, v_m_s=v_m_s)

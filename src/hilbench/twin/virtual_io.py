@@ -52,11 +52,11 @@ class VirtualIo:
         self._torque_Nm.value = torque_Nm
         self._residual_Nm.value = residual_Nm
 
-    def tell_status(self, sync_number: int, age_cycles: int, status: TwinStatus) -> None:
-        """For which SYNC since NMT start the data are, how many more were waiting, and the twin's state."""
+    def tell_status(self, sync_number: int, age_cycles: int, status: int) -> None:
+        """For which SYNC since NMT start the data are, how many more were waiting, and the bits of `TwinStatus`."""
         self._sync_number.value = sync_number & 0xFFFF
         self._age.value = min(age_cycles, 0xFF)
-        self._status.value = int(status)
+        self._status.value = status
 
     def on_method(self, act: Callable[[int], None]) -> None:
         """Call `act` with the number of the method that is written (0: as configured)."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
@@ -29,6 +30,7 @@ class Simulation:
     state: Vector  #: at the end, to go on from
 
 
+@lru_cache(64)
 def samples_per(duration_s: float, sample_time_s: float) -> int:
     """How many drive samples a duration holds. Raises ValueError unless it is a whole, positive number."""
     samples = round(duration_s / sample_time_s)

@@ -18,16 +18,24 @@ def read_ports(layout: Layout, ports: Sequence[MotorPort], state: Vector, inputs
         inputs[at + lay.UM_SLOPE] = port.slope
         inputs[at + lay.UM_LIMIT_NM] = port.torque_limit_Nm
         at += lay.UM_SIZE
-    layout.motor_states(state)[:, lay.SM_LIMITED] = 0.0
+    first = _first_motor_state(layout) + lay.SM_LIMITED
+    state[first : first + layout.motors * lay.SM_SIZE : lay.SM_SIZE] = 0.0
 
 
 def write_ports(layout: Layout, p: Vector, ports: Sequence[MotorPort], state: Vector, out: Vector) -> None:
     """Feedback from the columns of `kernel.observe` to the ports, exact (without sensors)."""
-    motors, rows, states = layout.motors, layout.motor_rows(p), layout.motor_states(state)
+    motors, values = layout.motors, out.tolist()
+    row, motor_state = lay.W_SIZE + layout.axes * lay.A_SIZE, _first_motor_state(layout)
     for j, port in enumerate(ports):
-        rad_per_m = float(rows[j, lay.M_RAD_PER_M])
-        port.position_rad = float(out[j]) * rad_per_m
-        port.velocity_rad_s = float(out[motors + j]) * rad_per_m
-        port.torque_Nm = float(out[2 * motors + j])
-        port.reference = float(states[j, lay.SM_REFERENCE])
-        port.torque_limited = bool(states[j, lay.SM_LIMITED])
+        rad_per_m = p.item(row + lay.M_RAD_PER_M)
+        port.position_rad = values[j] * rad_per_m
+        port.velocity_rad_s = values[motors + j] * rad_per_m
+        port.torque_Nm = values[2 * motors + j]
+        port.reference = state.item(motor_state + lay.SM_REFERENCE)
+        port.torque_limited = state.item(motor_state + lay.SM_LIMITED) != 0.0
+        row += lay.M_SIZE
+        motor_state += lay.SM_SIZE
+
+
+def _first_motor_state(layout: Layout) -> int:
+    return lay.S_Y + layout.y_size + layout.axes * lay.SA_SIZE

@@ -134,6 +134,7 @@ class SpanFollower:
         self._v = np.zeros(n)
         self._boundary = (parameters.upstream_strain, parameters.boundary.downstream_tension_N)
         self._tension = np.zeros(k)
+        self._rad_per_m = [parameters.motor_rad_per_m(axis) for axis in range(1, n + 1)]
         self.reset(x_m, strain)
 
     def reset(self, x_m: ArrayLike, strain: ArrayLike | None = None) -> None:
@@ -243,7 +244,7 @@ class SpanFollower:
             behind = tensions[axis - 1] if axis <= len(tensions) else self._boundary[1]
             force = float(behind - before)
         force -= _resistance(self._p, axis - 1, float(v_m_s), friction_width_m_s)
-        return float(force / self.parameters.motor_rad_per_m(axis))
+        return float(force / self._rad_per_m[axis - 1])
 
     def _upstream_tension_N(self) -> float:
         strain = float(laws.upstream_strain(self._p, self._boundary[0], self._state[0]))

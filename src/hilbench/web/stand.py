@@ -188,7 +188,7 @@ class TestStand:
 
         Raises ValueError for another duration.
         """
-        samples = samples_per(duration_s, self._p[lay.W_SAMPLE_TIME_S])
+        samples = samples_per(duration_s, self._p.item(lay.W_SAMPLE_TIME_S))
         read_ports(self._layout, self._ports, self._state, self._inputs)
         kernel.advance(self._p, self._state, self._inputs, self._work, samples)
         self._observe()

@@ -159,6 +159,7 @@ class ChangepointSynchronizer:
 
     def __init__(self, config: ChangepointConfig, plant: Plant) -> None:
         self._config = config
+        self._also = tuple(config.also)
         self._reference_Pa = plant.youngs_modulus_Pa
         self._inputs = FilterInputs(plant, config)
         self._z = np.zeros((_CAPACITY, kalman.SIZE))
@@ -211,5 +212,5 @@ class ChangepointSynchronizer:
         return Estimate(
             self._told * self._reference_Pa,
             hypot(float(deviation[kalman.E]), float(mean[kalman.E]) - self._told) * self._reference_Pa,
-            nuisances(self._config.also, mean[kalman.OFFSET :], deviation[kalman.OFFSET :]),
+            nuisances(self._also, mean[kalman.OFFSET :], deviation[kalman.OFFSET :]),
         )

@@ -47,6 +47,7 @@ class EkfSynchronizer:
 
     def __init__(self, config: EkfConfig, plant: Plant) -> None:
         self._config = config
+        self._also = tuple(config.also)
         self._reference_Pa = plant.youngs_modulus_Pa
         self._inputs = FilterInputs(plant, config)
         self._z = np.zeros((1, kalman.SIZE))
@@ -93,5 +94,5 @@ class EkfSynchronizer:
         return Estimate(
             float(z[kalman.E]) * self._reference_Pa,
             float(deviations[kalman.E]) * self._reference_Pa,
-            nuisances(self._config.also, z[kalman.OFFSET :], deviations[kalman.OFFSET :]),
+            nuisances(self._also, z[kalman.OFFSET :], deviations[kalman.OFFSET :]),
         )

@@ -26,6 +26,7 @@ class GlobalSynchronizer:
 
     def __init__(self, config: GlobalConfig, plant: Plant) -> None:
         self._config = config
+        self._also = tuple(config.also)
         self._reference_Pa = plant.youngs_modulus_Pa
         priors = prior_deviations(config.also)
         self._window = RowWindow(plant, config.window_s, config.torque_noise_Nm, priors)
@@ -74,5 +75,5 @@ class GlobalSynchronizer:
         self._estimate = Estimate(
             float(theta[0]) * self._reference_Pa,
             float(deviations[0]) * self._reference_Pa,
-            nuisances(self._config.also, theta[1:], deviations[1:]),
+            nuisances(self._also, theta[1:], deviations[1:]),
         )

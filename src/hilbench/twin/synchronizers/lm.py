@@ -16,6 +16,7 @@ class LmSynchronizer:
 
     def __init__(self, config: LmConfig, plant: Plant) -> None:
         self._config = config
+        self._also = tuple(config.also)
         self._reference_Pa = plant.youngs_modulus_Pa
         priors = prior_deviations(config.also)
         self._window = RowWindow(plant, config.window_s, config.torque_noise_Nm, priors)
@@ -53,5 +54,5 @@ class LmSynchronizer:
         self._estimate = Estimate(
             float(self._theta[0]) * self._reference_Pa,
             float(deviations[0]) * self._reference_Pa,
-            nuisances(self._config.also, self._theta[1:], deviations[1:]),
+            nuisances(self._also, self._theta[1:], deviations[1:]),
         )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -102,13 +103,17 @@ def prior_deviations(also: AlsoEstimated) -> np.ndarray:
     return np.array([value for _, value in also])
 
 
-def nuisances(also: AlsoEstimated, values: np.ndarray, deviations: np.ndarray) -> tuple[Nuisance, ...]:
-    """The estimates of what is estimated beside E; values and deviations (4,) in the order of the filter's state."""
-    result = []
-    for (name, prior), value, deviation in zip(also, values, deviations, strict=True):
-        if prior > 0.0:
-            result.append(Nuisance(name, float(value), float(deviation), bool(deviation < _SEPARABLE * prior)))
-    return tuple(result)
+def nuisances(also: Sequence[tuple[str, float]], values: np.ndarray, deviations: np.ndarray) -> tuple[Nuisance, ...]:
+    """The estimates of what is estimated beside E. `also`: names and priors of `AlsoEstimated`; values and deviations
+    (4,) in the order of the filter's state."""
+    rows = zip(also, values.tolist(), deviations.tolist(), strict=True)
+    return tuple(
+        [
+            Nuisance(name, value, deviation, deviation < _SEPARABLE * prior)
+            for (name, prior), value, deviation in rows
+            if prior > 0.0
+        ]
+    )
 
 
 def held(estimate: Estimate, growth_pct_per_s: float, duration_s: float) -> Estimate:

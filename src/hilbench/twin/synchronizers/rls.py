@@ -21,6 +21,7 @@ class RlsSynchronizer:
 
     def __init__(self, config: RlsConfig, plant: Plant) -> None:
         self._config = config
+        self._also = tuple(config.also)
         self._reference_Pa = plant.youngs_modulus_Pa
         self._rows = RegressionRows(plant)
         priors = prior_deviations(config.also)
@@ -66,5 +67,5 @@ class RlsSynchronizer:
         return Estimate(
             float(self._theta[0]) * self._reference_Pa,
             float(deviations[0]) * self._reference_Pa,
-            nuisances(self._config.also, self._theta[1:], deviations[1:]),
+            nuisances(self._also, self._theta[1:], deviations[1:]),
         )

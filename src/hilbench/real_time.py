@@ -1,0 +1,99 @@
+"""What a process asks of the operating system, and of Python, so that a cycle does not have to wait."""
+
+from __future__ import annotations
+
+import ctypes
+import gc
+import os
+import resource
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+# <asm-generic/mman.h>
+_MCL_CURRENT, _MCL_ONFAULT = 1, 4
+
+
+@dataclass(frozen=True)
+class ProcessSettings:
+    """What one process asks for; None: nothing (`lock_memory`: where it is permitted)."""
+
+    priority: int | None = None  #: of SCHED_FIFO, 1 to 99
+    core: int | None = None
+    lock_memory: bool | None = None
+
+
+@contextmanager
+def kept_ready(settings: ProcessSettings | None, tell: Callable[[str], None]) -> Iterator[None]:
+    """Run what is inside, in the calling thread, as the settings ask; everything is as before afterwards.
+
+    What is not permitted is told, in one line each, and left out. `settings` None (lockstep: nobody waits for a
+    clock): the garbage collector alone, which is out of the loop in any case. What is allocated in a cycle goes by
+    reference counts; a collection would only look through what was there before.
+    """
+    collects = gc.isenabled()
+    gc.collect()
+    gc.disable()
+    try:
+        if settings is None:
+            yield
+            return
+        with _pinned(settings.core, tell), _first(settings.priority, tell), _locked(settings.lock_memory, tell):
+            yield
+    finally:
+        if collects:
+            gc.enable()
+
+
+@contextmanager
+def _pinned(core: int | None, tell: Callable[[str], None]) -> Iterator[None]:
+    if core is None:
+        yield
+        return
+    before = os.sched_getaffinity(0)
+    try:
+        os.sched_setaffinity(0, {core})
+    except OSError:
+        tell(f"core {core}: cannot be had, expected one of {', '.join(map(str, sorted(before)))}")
+    try:
+        yield
+    finally:
+        os.sched_setaffinity(0, before)
+
+
+@contextmanager
+def _first(priority: int | None, tell: Callable[[str], None]) -> Iterator[None]:
+    if priority is None:
+        yield
+        return
+    policy, parameters = os.sched_getscheduler(0), os.sched_getparam(0)
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+    except PermissionError:
+        limit = resource.getrlimit(resource.RLIMIT_RTPRIO)[0]
+        tell(f"priority {priority}: SCHED_FIFO is not permitted, rtprio is {limit}; hilbench doctor says what to do")
+    try:
+        yield
+    finally:
+        os.sched_setscheduler(0, policy, parameters)
+
+
+@contextmanager
+def _locked(wanted: bool | None, tell: Callable[[str], None]) -> Iterator[None]:
+    """A page that has to come back from disk costs more than a cycle (mlockall(2)).
+
+    What is allocated later is not locked, so that nothing fails for lack of lockable memory in the middle of a run.
+    """
+    if wanted is False:
+        yield
+        return
+    libc = ctypes.CDLL(None)
+    locked = libc.mlockall(_MCL_CURRENT | _MCL_ONFAULT) == 0
+    if wanted and not locked:
+        limit_KiB = resource.getrlimit(resource.RLIMIT_MEMLOCK)[0] >> 10
+        tell(f"lock_memory: not permitted, memlock is {limit_KiB} KiB; hilbench doctor says what to do")
+    try:
+        yield
+    finally:
+        if locked:
+            libc.munlockall()

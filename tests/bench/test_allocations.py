@@ -1,0 +1,35 @@
+"""What a cycle allocates it gives back: nothing grows, and nothing is left to the garbage collector, which is off."""
+
+from __future__ import annotations
+
+import gc
+import tracemalloc
+from pathlib import Path
+
+from tests.bench.test_runs import config
+
+from hilbench.bench.bench import Bench
+from hilbench.bench.participants import Participants
+from hilbench.experiment.config import load_with_overrides
+
+_CYCLES = 400
+
+
+def test_cycles_leave_neither_memory_nor_garbage_behind(tmp_path: Path) -> None:
+    loaded = load_with_overrides(config(tmp_path))
+    tracemalloc.start()  # before caches fill: what takes the place of something there is no growth
+    with Bench(loaded.config, participants=Participants.IN_PROCESS) as bench:
+        bench.ramp("line_speed_m_s", 1.0, 0.2)
+        bench.run(0.6)  # windows and caches fill
+        assert not gc.isenabled()
+        gc.collect()
+        before = tracemalloc.get_traced_memory()[0]
+        for _ in range(_CYCLES):
+            bench.cycle()
+        grown = tracemalloc.get_traced_memory()[0] - before
+        tracemalloc.stop()
+        garbage = gc.collect()
+    assert garbage < 50
+    # Less than one float a cycle: memory is that of windows which are still filling.
+    assert grown < 24 * _CYCLES
+    assert gc.isenabled()
