@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-
-import can
-from can.typechecking import CanFilters
+from typing import TYPE_CHECKING
 
 from hilbench.bus import hub_client
-from hilbench.bus.adapter import PythonCanLink
 from hilbench.bus.embedded import EmbeddedLink
 from hilbench.bus.link import Link
-from hilbench.bus.plugin import EmbeddedBus
 from hilbench.bus.protocol import DEFAULT_BITRATE, DEFAULT_CHANNEL
 from hilbench.bus.socketcan import SocketCanLink
 from hilbench.errors import BusError, UnusableInputError
+
+if TYPE_CHECKING:  # who needs no python-can starts without it
+    import can
+    from can.typechecking import CanFilters
 
 
 @dataclass(frozen=True)
@@ -59,11 +59,17 @@ def open_link(bus: BusAddress) -> Link:
         return EmbeddedLink(bus.channel, bus.bitrate, bus.timing)
     if bus.interface == "socketcan":
         return SocketCanLink(bus.channel)
+    from hilbench.bus.adapter import PythonCanLink
+
     return PythonCanLink(open_python_can(bus), bus.channel)
 
 
 def open_python_can(bus: BusAddress, filters: CanFilters | None = None) -> can.BusABC:
     """A python-can bus for configuration traffic. Raises BusError, in one line, if it cannot be opened."""
+    import can
+
+    from hilbench.bus.plugin import EmbeddedBus
+
     try:
         if bus.interface == "embedded":
             return EmbeddedBus(bus.channel, filters, bitrate=bus.bitrate, timing=bus.timing)

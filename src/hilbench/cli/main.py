@@ -12,6 +12,7 @@ import typer
 from hilbench.cli import compare, config, convert, drive, monitor, replay, scan, sdo, sweep
 from hilbench.cli.options import BusOption, ConfigArgument, JsonOption, PaceOption, SetOption
 from hilbench.errors import EXIT_INTERRUPTED, HilbenchError
+from hilbench.lean_import import import_can_without_mdf
 
 app = typer.Typer(
     name="hilbench",
@@ -63,6 +64,7 @@ def run(
 
     Example: hilbench run bench_configs/web_section_step.yaml --in-process --no-report
     """
+    import_can_without_mdf()
     from hilbench.bench.participants import Participants
     from hilbench.cli.run import run_command
 
@@ -117,6 +119,7 @@ def simulate_hardware(config: ConfigArgument, bus: BusOption = None, pace: PaceO
 
     Example: hilbench simulate-hardware bench_configs/web_section_step.yaml --bus socketcan:vcan0
     """
+    import_can_without_mdf()
     from hilbench.bench.hardware import simulate
     from hilbench.bench.processes import report_lost_frames
 
@@ -129,6 +132,7 @@ def twin(config: ConfigArgument, bus: BusOption = None, pace: PaceOption = None)
 
     Example: hilbench twin bench_configs/web_section_step.yaml --bus socketcan:vcan0
     """
+    import_can_without_mdf()
     from hilbench.bench.processes import report_lost_frames, say, stop_request
     from hilbench.bench.twin_setup import twin_setup
     from hilbench.twin.process import run_twin
