@@ -5,10 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from hilbench.bus import hub_client
-from hilbench.bus.adapter import PythonCanLink
 from hilbench.bus.embedded import EmbeddedLink
 from hilbench.bus.link import Link
-from hilbench.bus.plugin import EmbeddedBus
 from hilbench.bus.protocol import DEFAULT_BITRATE, DEFAULT_CHANNEL
 from hilbench.bus.python_can import can
 from hilbench.bus.socketcan import SocketCanLink
@@ -57,11 +55,15 @@ def open_link(bus: BusAddress) -> Link:
         return EmbeddedLink(bus.channel, bus.bitrate, bus.timing)
     if bus.interface == "socketcan":
         return SocketCanLink(bus.channel)
+    from hilbench.bus.adapter import PythonCanLink
+
     return PythonCanLink(open_python_can(bus), bus.channel)
 
 
 def open_python_can(bus: BusAddress, filters: can.typechecking.CanFilters | None = None) -> can.BusABC:
     """A python-can bus for configuration traffic. Raises BusError, in one line, if it cannot be opened."""
+    from hilbench.bus.plugin import EmbeddedBus
+
     try:
         if bus.interface == "embedded":
             return EmbeddedBus(bus.channel, filters, bitrate=bus.bitrate, timing=bus.timing)
