@@ -30,7 +30,7 @@ def cycles(bench: BenchConfig, count: int, tension_N: float) -> list[Frame]:
         frames.append(Frame(0x80, b"", k * 2_000_000 + (50_000 if k % 100 == 99 else 0) + 1))
         frames.append(Frame(tpdo1.cob_id, tpdo1.pack((0x1637, 200, 1_048_576))))
         frames.append(Frame(nodes.io.state.cob_id, nodes.io.state.pack((tension_N + k, 8.7e9))))
-    return [*frames, Frame(0x701, b"\5"), Frame(0x82, bytes.fromhex("1186210000000000")), Frame(0x701, b"\x7f")]
+    return [*frames, Frame(0x701, b"\5"), Frame(0x82, bytes.fromhex("1186210000000000"))]
 
 
 @pytest.fixture
@@ -43,10 +43,13 @@ def test_what_is_heard_is_decoded(bench: BenchConfig) -> None:
     frames = cycles(bench, 200, 80.0)
     for frame in frames:  # one at a time: nothing may depend on how many are read at once
         picture.take([frame])
-    data = picture.as_data()
-    axis1 = data["nodes"][0]
-    assert (axis1["drive_state"], axis1["nmt_state"]) == ("OPERATION ENABLED", "PRE-OPERATIONAL")
+    axis1 = dict(picture.as_data()["nodes"][0])
+    assert (axis1["drive_state"], axis1["nmt_state"]) == ("OPERATION ENABLED", "OPERATIONAL")
     assert axis1["torque_Nm"] == pytest.approx(1.0)
+    picture.take([Frame(0x701, b"\x7f")])  # a node that sends no PDOs any more is not what it was
+    data = picture.as_data()
+    gone = data["nodes"][0]
+    assert (gone["drive_state"], gone["torque_Nm"], gone["nmt_state"]) == (None, None, "PRE-OPERATIONAL")
     assert data["F_sim_N"] == pytest.approx(278.0)  # of the cycle before the last point of the trend
     assert len(picture.tension_N) == 200 // picture.every
     assert data["jitter_max_us"] == pytest.approx(50.0)
