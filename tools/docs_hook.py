@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 from latex2mathml.converter import convert
 from mkdocs.structure.files import File, Files
 
+# mkdocs loads this file by its path, so the folder is not where Python looks.
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 from reference import pages
 

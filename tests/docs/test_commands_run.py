@@ -5,6 +5,7 @@ Simulated hardware and twin are started once, by the lines that the docs show fo
 
 from __future__ import annotations
 
+import re
 import shutil
 import subprocess
 import sys
@@ -12,6 +13,7 @@ import uuid
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import pytest
 import yaml
@@ -48,7 +50,7 @@ LONGER_STEPS = [
 #: The bench that starts its own processes, on a bus of its own.
 _OWN = "hidden_friction"
 #: What costs too much of these.
-_SHORTER = {"2..10:5": "2..10:2", "seed=1,2,3": "seed=1", "20": "2"}
+_SHORTER = {"2..10:5": "2..10:2", "seed=1,2,3": "seed=1", "20": "1"}
 #: The bus of the stand, in a line.
 _BUS = "embedded"
 
@@ -168,3 +170,16 @@ def test_it_does_what_it_says(
     # A trace goes onto another bus: on this one somebody would answer.
     bus = f"{stand.bus}r" if words[0] == "replay" else stand.bus
     hilbench(*(bus if word == _BUS else word for word in words))
+
+
+@pytest.mark.parametrize("page", ["tutorial", "scripts"])
+def test_what_is_read_of_a_recording_in_python_is_a_plot(
+    page: str, run_folder: Path, stand: Stand, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    blocks = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / f"{page}.md").read_text(), flags=re.DOTALL)
+    (code,) = (block for block in blocks if "read_recording" in block)
+    monkeypatch.chdir(stand.folder)
+    monkeypatch.setenv("MPLBACKEND", "Agg")
+    names: dict[str, Any] = {}
+    exec(code, names)
+    assert len(names["signals"]) > 100

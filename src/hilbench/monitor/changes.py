@@ -14,6 +14,7 @@ from hilbench.bench.config import BenchConfig
 from hilbench.bench.operator_objects import INDEX, QUANTITIES, answer_id, ranges, request_id
 from hilbench.bench.quantities import LINE_SPEED, TENSION_SET_POINT, YOUNGS_MODULUS
 from hilbench.bus.frame import Frame
+from hilbench.fieldbus.object_store import PRESENT_STATE, VALUE_TOO_HIGH, VALUE_TOO_LOW
 
 #: Expedited download of four bytes, its confirmation, and an abort (CiA 301, 7.2.4.3).
 _DOWNLOAD, _DONE, _ABORT = 0x23, 0x60, 0x80
@@ -96,6 +97,11 @@ class ChangeRequests:
             return f"{self._asked()}: set"
         quantity, _ = self._waiting[0]
         code = int.from_bytes(data[4:], "little")
-        low, high = self.range_of(quantity)
-        reason = SdoAbortedError.CODES.get(code, "refused")
-        return f"{self._asked()}: refused ({code:08X}h, {reason}), expected {low:g} to {high:g} {quantity.unit}"
+        if code in (VALUE_TOO_HIGH, VALUE_TOO_LOW):
+            low, high = self.range_of(quantity)
+            reason = f"expected {low:g} to {high:g} {quantity.unit}"
+        elif code == PRESENT_STATE:
+            reason = "the experiment moves it just now, or does not run"
+        else:
+            reason = SdoAbortedError.CODES.get(code, "unknown code")
+        return f"{self._asked()}: refused, {reason} (abort {code:08X}h)"

@@ -6,12 +6,14 @@ It sends nothing but what a key asks for and a second key confirms: an emergency
 from __future__ import annotations
 
 import time
+from contextlib import suppress
 from functools import partial
 from typing import ClassVar
 
 from textual.app import App, ComposeResult
 from textual.binding import BindingType
 from textual.containers import Horizontal, Vertical
+from textual.css.query import NoMatches
 from textual.screen import ModalScreen
 from textual.widgets import DataTable, Footer, Input, Log, Sparkline, Static
 
@@ -151,6 +153,10 @@ class Dashboard(App[None]):
             self._say(text)
 
     def _draw(self) -> None:
+        with suppress(NoMatches):  # when the program ends, its widgets go before its timers
+            self._draw_widgets()
+
+    def _draw_widgets(self) -> None:
         picture = self._picture
         self.query_one("#figures", Static).update(_figures(picture, self._link.dropped))
         self._trend("tension", list(picture.tension_N), "tension", "N")

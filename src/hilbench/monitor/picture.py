@@ -146,6 +146,9 @@ class BusPicture:
             return
         if node.nmt_state == "OPERATIONAL" and state != "OPERATIONAL":
             self._note(node.part, f"left OPERATIONAL: {state}")
+            # It sends no PDOs any more: what it last said is not so now.
+            node.drive_state = node.statusword = None
+            node.velocity_rad_s = node.torque_Nm = node.position_rad = None
         node.nmt_state = state
 
     def _note(self, part: str, text: str) -> None:
