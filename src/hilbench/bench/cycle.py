@@ -119,8 +119,8 @@ class CyclicExchange:
             pacing.start(self.pacing, timing.started_ns)
         if self._heartbeat_cycles and timing.cycles % self._heartbeat_cycles == 0:
             outgoing = [*outgoing, self._heartbeat]
-        # Late answers (lockstep: those to a SYNC that was there twice) are no answers to this SYNC: counted as such they
-        # would push the true ones to the next.
+        # Late answers (lockstep: those to a SYNC that was there twice) are no answers to this SYNC: counted as such
+        # they would push the true ones to the next.
         if self._lockstep:
             late = self._link.receive(0.0)
             self._link.send([*outgoing, self._sync])

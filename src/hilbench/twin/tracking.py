@@ -10,7 +10,7 @@ from math import exp, hypot, inf, isfinite
 
 from hilbench.drives.port import MotorPort
 from hilbench.twin.anomalies import Anomalies
-from hilbench.twin.config import PidConfig, SynchronizerConfig, TwinConfig
+from hilbench.twin.config import InputConfig, PidConfig, SynchronizerConfig, TwinConfig
 from hilbench.twin.delay import DelayFinder, DelayLine
 from hilbench.twin.plausibility import Plausibility, Problem
 from hilbench.twin.synchronizers.base import Estimate, Synchronizer, SyncSample
@@ -85,11 +85,13 @@ class Tracking:
             share_pct = 100.0 * self._own_deviation_Pa / known.youngs_modulus_Pa
             known_pct = min(max(share_pct, _LEAST_PRIOR_PCT), config.initial_deviation_pct)
             config = config.model_copy(update={"initial_deviation_pct": known_pct})
-        self._begin(config, known.youngs_modulus_Pa)
+        # A black box goes on as the model that it is.
+        black_box = isinstance(config, InputConfig)
+        self._begin(config, self._line.youngs_modulus_Pa if black_box else known.youngs_modulus_Pa)
 
     def _begin(self, config: SynchronizerConfig, youngs_modulus_Pa: float) -> None:
         self._synchronizer = new_synchronizer(config, Plant.of(self._balance, youngs_modulus_Pa))
-        looks_for_it = not isinstance(config, PidConfig) and config.also.torque_offset_Nm > 0.0
+        looks_for_it = not isinstance(config, PidConfig | InputConfig) and config.also.torque_offset_Nm > 0.0
         unmodelled_Nm = 0.0 if looks_for_it else self.config.unmodelled_torque_Nm
         self._unmodelled_N = unmodelled_Nm * self._balance.force_per_torque_per_m
 
@@ -136,13 +138,20 @@ class Tracking:
         else:
             strain = float(line.strain[0])
             sensitivity = balance.section_m2 * strain / balance.force_per_torque_per_m
-            sample = SyncSample(time_s, self._cycle_s, torque_Nm, torque_sim_Nm, sensitivity, paired)
+            sample = SyncSample(time_s, self._cycle_s, torque_Nm, torque_sim_Nm, sensitivity, strain_prev, paired)
             self._web_per_Pa = paired.web_per_Pa
             self.estimate = self._stated(self._synchronizer.update(sample))
-        line.youngs_modulus_Pa = self.estimate.youngs_modulus_Pa
+        black_box = self.estimate.upstream_strain is not None
+        if not black_box:
+            line.youngs_modulus_Pa = self.estimate.youngs_modulus_Pa
         if self._running:
-            self._transfer(x1_m, x2_m)
+            transfer = self.config.transfer
+            self._transfer(x1_m, x2_m, strain=transfer.strain and not black_box, axes=transfer.axes or black_box)
         self._running = True
+
+    def upstream_strain(self, told: float) -> float:
+        """The strain of the web that enters the simulation; `told` is what the real web's is said to be."""
+        return told + (self.estimate.upstream_strain or 0.0)
 
     def _anomaly(self, now: BalanceSample) -> Problem | None:
         """Only of a web that is known: one that is found under way says nothing yet."""
@@ -166,17 +175,17 @@ class Tracking:
         if self._strain_uncertainty < _KNOWN_STRAIN:
             self._strain_uncertainty = 0.0
 
-    def _transfer(self, x1_m: float, x2_m: float) -> None:
+    def _transfer(self, x1_m: float, x2_m: float, *, strain: bool, axes: bool) -> None:
         """Put measured states in the place of simulated ones, unless they are too far off to be believed."""
         transfer, line, web = self.config.transfer, self._line, self._balance.web
         self.refused = False
-        if transfer.strain:
-            strain = float(web.strain[0])
-            if abs(strain - float(line.strain[0])) <= transfer.strain_limit:
-                line.set_state(strain=[strain])
+        if strain:
+            measured = float(web.strain[0])
+            if abs(measured - float(line.strain[0])) <= transfer.strain_limit:
+                line.set_state(strain=[measured])
             else:
                 self.refused = True
-        if transfer.axes:
+        if axes:
             x_sim, v_sim, speeds = line.x_m, line.v_m_s, web.speeds_m_s
             near = max(abs(x1_m - x_sim[0]), abs(x2_m - x_sim[1])) <= transfer.position_limit_m
             slow = float(abs(speeds - v_sim).max()) <= transfer.velocity_limit_m_s
