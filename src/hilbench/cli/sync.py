@@ -96,10 +96,11 @@ def _show(comparison: Comparison, page: Path | None, as_json: bool) -> None:
 
 
 def _table(comparison: Comparison) -> Table:
-    shown = Table(title=f"torque noise {comparison.noise_Nm:.3g} N·m", title_justify="left")
-    for column in COLUMNS:
-        numbers = column.startswith(">")
-        shown.add_column(column.lstrip(">"), justify="right" if numbers else "left", no_wrap=not numbers)
+    title = f"torque noise {comparison.noise_Nm:.3g} N·m"
+    shown = Table(title=title, title_justify="left", box=None, padding=(0, 1, 0, 0))
+    for column in COLUMNS:  # units below: the figures stay whole in 80 columns
+        heading = column.lstrip(">").replace(", ", "\n")
+        shown.add_column(heading, justify="right" if column.startswith(">") else "left", no_wrap=True)
     for row in rows(comparison):
         shown.add_row(*row)
     return shown
