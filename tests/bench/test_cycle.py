@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
+
+import pytest
 
 from hilbench.bench.cycle import CyclicExchange, ExpectedPdo
 from hilbench.bus.confinement import ControllerState
@@ -67,3 +70,39 @@ def test_a_sync_that_is_there_twice_does_not_shift_the_answers() -> None:
     assert slow in (8, 9)
     heard = [int.from_bytes(frame.data, "little") for frame in frames if frame.can_id == STATE]
     assert heard[-1] == 83
+
+
+class SlowLink(NodeLink):
+    """Its node answers late, and the bench is heard meanwhile."""
+
+    def __init__(self, delay_s: float) -> None:
+        super().__init__(twice=set())
+        self._delay_s = delay_s
+        self.heartbeats = 0
+
+    def send(self, frames: Sequence[Frame]) -> None:
+        self.heartbeats += sum(can_id == 0x77F for can_id, _, _ in frames)
+        super().send([frame for frame in frames if frame.can_id == 0x080])
+
+    def receive(self, timeout_s: float) -> list[Frame]:
+        time.sleep(min(timeout_s, self._delay_s))
+        return super().receive(timeout_s)
+
+
+@pytest.mark.parametrize(("delay_s", "timeout_s", "heartbeats"), [(0.0, 60.0, {1}), (0.04, 0.06, {2, 3, 4})])
+def test_slow_cycles_do_not_silence_the_heartbeat(delay_s: float, timeout_s: float, heartbeats: set[int]) -> None:
+    """Every 500th cycle has one; where that takes long they are 0.6 time-outs and a cycle apart at most."""
+    link = SlowLink(delay_s)
+    exchange = CyclicExchange(
+        link,
+        cycle_ns=2_000_000,
+        bitrate=1_000_000,
+        lockstep=True,
+        expected=[ExpectedPdo(STATE, 1, "node")],
+        timeout_s=timeout_s,
+        missing_limit=1,
+        heartbeat=(127, 1000),
+    )
+    for _ in range(4):
+        exchange.exchange([])
+    assert link.heartbeats in heartbeats

@@ -10,8 +10,15 @@ import numpy as np
 import pytest
 import yaml
 from tests.cli.in_process import hilbench
-from tests.twin.runs import NEW_PA, measured, stepped
-from tests.web.models import DEMONSTRATOR
+from tests.twin.runs import NEW_PA, Array, measured, stepped, tracked
+from tests.web.models import DEMONSTRATOR, model
+
+from hilbench.errors import UnusableInputError
+from hilbench.experiment.synchronization import NEEDED, compare_methods, compare_runs
+from hilbench.record.recording import Recording
+from hilbench.report.sync_page import rows
+from hilbench.twin.offline import Track
+from hilbench.twin.synchronizers.create import METHODS
 
 COLUMNS = "t_s,v1_cmd_m_s,v2_cmd_m_s,x1_m,x2_m,tau2_Nm,strain_prev,F_next_N,E_true_Pa"
 
@@ -73,7 +80,7 @@ def test_the_table_names_every_method(files: tuple[Path, Path], tmp_path: Path) 
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        (["--method", "guess"], "'guess', expected some of pid, lm, global, rls, ekf, changepoint, or all"),
+        (["--method", "guess"], "'guess', expected some of pid, lm, global, rls, ekf, changepoint, input, or all"),
         (["--out", "{recording}/inside"], "cannot be made"),
     ],
 )
@@ -95,3 +102,33 @@ def test_a_recording_without_the_torque_is_named(files: tuple[Path, Path], tmp_p
     assert done.returncode == 2
     assert "tau2_Nm" in done.stderr
     assert len(done.stderr.strip().splitlines()) == 1
+
+
+def test_a_recording_needs_a_model(files: tuple[Path, Path]) -> None:
+    done = sync(files[0])
+    assert done.returncode == 2
+    assert "--model" in done.stderr
+
+
+def test_runs_of_a_bench_are_scored_by_what_their_twins_said() -> None:
+    """As a recording's methods are; the bound is that of the samples."""
+    true = stepped(6.0)
+    data = measured(true, seed=5)
+    tracks = {name: tracked(data, METHODS[name]()) for name in ("ekf", "rls")}
+
+    def run(track: Track, modulus: Array) -> Recording:
+        told = (modulus, track.E_Pa, track.E_sd_Pa, track.F_sim_N, track.residual_Nm)
+        measurements = (*data.v_cmd_m_s.T, *data.x_m.T, data.tau2_Nm, data.strain_prev, data.F_next_N)
+        shown = ("E_true_Pa", "E_sim_Pa", "E_sd_Pa", "F_sim_N", "tau2_residual_Nm")
+        channels = dict(zip((*NEEDED, *shown), (*measurements, *told), strict=True))
+        return Recording({"t_s": data.t_s} | channels)
+
+    online = compare_runs(model(), {name: run(track, true) for name, track in tracks.items()})
+    offline = compare_methods(model(), data, {name: METHODS[name]() for name in tracks}, true)
+    assert online.bound_time_to_1pct_s == offline.bound_time_to_1pct_s
+    for one, other in zip(online.results, offline.results, strict=True):
+        assert (one.method, one.time_to_1pct_s, one.covered) == (other.method, other.time_to_1pct_s, other.covered)
+        assert one.cpu_us is None
+    assert all(row[-1] == "–" for row in rows(online))
+    with pytest.raises(UnusableInputError, match="rls: E changes otherwise"):
+        compare_runs(model(), {"ekf": run(tracks["ekf"], true), "rls": run(tracks["rls"], true * 1.01)})

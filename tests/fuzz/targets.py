@@ -99,9 +99,15 @@ def bytes_of(frames: list[Frame]) -> bytes:
     )
 
 
-def _to_device(data: bytes) -> None:
+@cache
+def _drive() -> tuple[Device, SimulatedDrive]:
     device = Device(load_eds(SERVO, 5), 5, MonotonicClock())
-    drive = SimulatedDrive(device, MotorPort())
+    return device, SimulatedDrive(device, MotorPort())
+
+
+def _to_device(data: bytes) -> None:
+    device, drive = _drive()
+    device.handle(Frame(0x000, b"\x81\x05"))  # reset node: nothing is left of the input before
     device.boot()
     for frame in frames_of(data):
         if frame.can_id == device.sync_cob_id:
@@ -136,9 +142,13 @@ def _to_bench(data: bytes) -> None:
     nodes.encode(0.0, 0.0)
 
 
+@cache
+def _picture() -> BusPicture:
+    return BusPicture(load(CONFIG)[0])
+
+
 def _to_monitor(data: bytes) -> None:
-    picture = BusPicture(load(CONFIG)[0])
-    picture.take([frame._replace(time_ns=2_000_000 * n) for n, frame in enumerate(frames_of(data))])
+    _picture().take([frame._replace(time_ns=2_000_000 * n) for n, frame in enumerate(frames_of(data))])
 
 
 def _to_hub(data: bytes) -> None:

@@ -26,6 +26,7 @@ def sample(real_Nm: float, sim_Nm: float, time_s: float = 1.0) -> SyncSample:
         torque_real_Nm=real_Nm,
         torque_sim_Nm=sim_Nm,
         torque_sim_sensitivity_Nm_per_Pa=METRES_PER_RAD * SECTION_M2 * STRAIN,
+        upstream_strain=STRAIN,
         balance=BalanceSample(0.0, real_Nm / METRES_PER_RAD + NEXT_N, SECTION_M2 * STRAIN, 3.0),
     )
 

@@ -24,6 +24,8 @@ SYNC_COB_ID = 0x080
 _GUARD_FRACTION = 0.3
 #: Lockstep: part of the time-out after which a bench that waits for an answer says that it is alive.
 _ALIVE = 0.3
+#: The same for cycles that answer, but slowly.
+_SLOW = 0.6
 
 
 #: NMT state in the bench's own heartbeat: OPERATIONAL, and PRE-OPERATIONAL after an emergency stop.
@@ -100,6 +102,7 @@ class CyclicExchange:
         self.last_bits = 0  #: bits on the bus in the last cycle
         self.silent: set[str] = set()  #: senders that don't answer: not waited for any longer
         self._emergency_stop_seen = False
+        self._alive_s = 0.0  #: when the last heartbeat was sent, monotonic clock
         self._tap = tap
         self._epoch_ns = 0
         self._sync = Frame(SYNC_COB_ID, b"")
@@ -119,8 +122,9 @@ class CyclicExchange:
             timing.started_ns = time.monotonic_ns()
             self._epoch_ns = time.time_ns()
             pacing.start(self.pacing, timing.started_ns)
-        if self._heartbeat_cycles and timing.cycles % self._heartbeat_cycles == 0:
+        if self._heartbeat_is_due():
             outgoing = [*outgoing, self._heartbeat]
+            self._alive_s = time.monotonic()
         # Late answers (lockstep: those to a SYNC that was there twice) are no answers to this SYNC: counted as such
         # they would push the true ones to the next.
         if self._lockstep:
@@ -155,6 +159,13 @@ class CyclicExchange:
             raise failure
         return received
 
+    def _heartbeat_is_due(self) -> bool:
+        """By cycles, so that runs are alike; where these take very long in lockstep, before the supervisor wonders."""
+        if not self._heartbeat_cycles:
+            return False
+        slow = self._lockstep and time.monotonic() - self._alive_s > _SLOW * self._timeout_s
+        return slow or self.timing.cycles % self._heartbeat_cycles == 0
+
     def expect(self, pdos: Sequence[ExpectedPdo]) -> None:
         """From the next cycle on these TPDOs are waited for."""
         self._due_always = {pdo.cob_id: pdo for pdo in pdos if pdo.every == 1}
@@ -178,6 +189,7 @@ class CyclicExchange:
     def _say_alive(self) -> None:
         """In lockstep heartbeats come with the cycles; one that lasts is no stalled bench."""
         if self._heartbeat_cycles:
+            self._alive_s = time.monotonic()
             self._link.send([self._heartbeat])
             if self._tap is not None:
                 self._tap.write([self._heartbeat._replace(time_ns=self._next_sync_ns)])

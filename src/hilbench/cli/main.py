@@ -191,10 +191,21 @@ def report(run_folder: Annotated[Path, typer.Argument(metavar="RUN", help="run f
 
 @app.command()
 def sync(
-    recording: Annotated[Path, typer.Argument(metavar="RECORDING", help="recording (.mf4, .csv, .csv.gz)")],
-    model: Annotated[Path, typer.Option("--model", help="model file, or a bench config with the model in it (YAML)")],
+    source: Annotated[
+        Path,
+        typer.Argument(
+            metavar="RECORDING", help="recording (.mf4, .csv, .csv.gz), or a bench config (.yaml) to run each method on"
+        ),
+    ],
+    model: Annotated[
+        Path | None,
+        typer.Option("--model", help="model file, or a bench config with the model in it (YAML); a bench has its own"),
+    ] = None,
     method: Annotated[str, typer.Option("--method", help="methods, comma-separated, or all")] = "all",
-    out: Annotated[Path | None, typer.Option("--out", help="folder for the page with table and picture")] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", help="folder for the page with table and picture; a bench's runs, too (sync)"),
+    ] = None,
     unmodelled_torque: Annotated[
         float | None,
         typer.Option(
@@ -205,15 +216,28 @@ def sync(
             show_default="0.03",
         ),
     ] = None,
+    jobs: Annotated[int, typer.Option("--jobs", min=1, help="runs of a bench at a time")] = 1,
     json: Annotated[bool, typer.Option("--json", help="print the figures as JSON, nothing else")] = False,
 ) -> None:
-    """Compare synchronizers on a recording: time to 1 %, overshoot, noise, bias, honesty, cost, and the bound.
+    """Compare synchronizers: time to 1 %, overshoot, noise, bias, honesty, cost, and the bound.
+
+    On a recording every method sees the same samples. With a bench config each method has a run of its own, with real
+    processes and frames and the tension loop closed on its twin.
 
     Example: hilbench sync runs/web_section_step-20260101-120000/recording.mf4 --model model.yaml --out comparison
-    """
-    from hilbench.cli.sync import sync_command
 
-    sync_command(recording, model, method, out, unmodelled_torque, as_json=json)
+    Example: hilbench sync bench_configs/synchronizers.yaml --out comparison
+    """
+    from hilbench.cli.sync import sync_command, sync_runs_command
+
+    if source.suffix in (".yaml", ".yml"):
+        sync_runs_command(source, method, out, jobs, as_json=json)
+    elif model is None:
+        from hilbench.errors import UnusableInputError
+
+        raise UnusableInputError("--model", "missing, expected the model of the recorded machine")
+    else:
+        sync_command(source, model, method, out, unmodelled_torque, as_json=json)
 
 
 @app.command()

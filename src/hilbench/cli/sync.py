@@ -1,8 +1,9 @@
-"""`hilbench sync`: synchronizers side by side on a recording."""
+"""`hilbench sync`: synchronizers side by side on a recording, or each on a run of a bench."""
 
 from __future__ import annotations
 
 import json
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -11,10 +12,49 @@ from rich.console import Console
 from rich.table import Table
 
 from hilbench.cli.model_option import model_from
-from hilbench.errors import UnusableInputError
-from hilbench.experiment.synchronization import Comparison, compare_methods, measurements_of, methods_of
+from hilbench.errors import EXIT_CRITERION_FAILED, EXIT_PASSED, BenchFaultError, UnusableInputError
+from hilbench.experiment.synchronization import (
+    Comparison,
+    compare_methods,
+    compare_runs,
+    measurements_of,
+    methods_of,
+)
 from hilbench.record.recording import read_recording
+from hilbench.record.run_folder import RunFolder
 from hilbench.report.sync_page import COLUMNS, rows, write_sync_page
+from hilbench.scripts.sweep import Row, Sweep
+
+#: The published method transfers no state; a quicker tension loop would only follow its errors.
+_AS_PUBLISHED = {"pid": {"twin.transfer.strain": "false", "tension_control.bandwidth_rad_per_s": "3.0"}}
+
+
+def sync_runs_command(config_path: Path, methods: str, out: Path | None, jobs: int, *, as_json: bool) -> None:
+    """Run the bench once with each method, in processes and over frames, and compare what the twins said.
+
+    The runs are kept in `out`; the same command again goes on where it was interrupted. Raises UnusableInputError for
+    what can't be used, BenchFaultError when a run did not get to its end.
+    """
+    chosen = list(methods_of(methods))
+    folder = out or Path("sync")
+    runs = [{"twin.synchronizer.method": name} | _AS_PUBLISHED.get(name, {}) for name in chosen]
+    sweep = Sweep(config_path, (), runs, folder)
+
+    def done(row: Row) -> None:
+        if not as_json:
+            print(f"{row.changes['twin.synchronizer.method']}: {row.run or row.said}", file=sys.stderr, flush=True)
+
+    sweep.run(jobs, done)
+    recordings = {}
+    for number, name in enumerate(chosen):
+        row = sweep.rows[number]
+        if row.run is None or row.exit_code not in (EXIT_PASSED, EXIT_CRITERION_FAILED):
+            raise BenchFaultError(f"{name}: the run ended with exit code {row.exit_code}: {row.said}")
+        recordings[name] = read_recording(RunFolder(folder / row.run).recording)
+    comparison = compare_runs(model_from(config_path), recordings)
+    _show(
+        comparison, write_sync_page(comparison, f"Synchronizers on {config_path.name}", folder / "sync.html"), as_json
+    )
 
 
 def sync_command(
@@ -37,15 +77,20 @@ def sync_command(
         comparison = compare_methods(model, data, chosen, true, unmodelled_torque_Nm)
     except ValueError as error:
         raise UnusableInputError(model_path, f"{error}") from error
+    page = None
     if out is not None:
         page = write_sync_page(comparison, f"Synchronizers on {recording_path.name}", out / "sync.html")
+    _show(comparison, page, as_json)
+
+
+def _show(comparison: Comparison, page: Path | None, as_json: bool) -> None:
     if as_json:
         print(json.dumps(as_data(comparison), indent=2))
         return
     console = Console(highlight=False)
     console.print(_table(comparison))
-    if out is not None:
-        console.print(f"page: {page}")
+    if page is not None:
+        console.print(f"page: {page}", soft_wrap=True)
 
 
 def _make_folder(out: Path) -> None:
@@ -56,10 +101,11 @@ def _make_folder(out: Path) -> None:
 
 
 def _table(comparison: Comparison) -> Table:
-    shown = Table(title=f"torque noise {comparison.noise_Nm:.3g} N·m", title_justify="left")
-    for column in COLUMNS:
-        numbers = column.startswith(">")
-        shown.add_column(column.lstrip(">"), justify="right" if numbers else "left", no_wrap=not numbers)
+    title = f"torque noise {comparison.noise_Nm:.3g} N·m"
+    shown = Table(title=title, title_justify="left", box=None, padding=(0, 1, 0, 0))
+    for column in COLUMNS:  # units below: the figures stay whole in 80 columns
+        heading = column.lstrip(">").replace(", ", "\n")
+        shown.add_column(heading, justify="right" if column.startswith(">") else "left", no_wrap=True)
     for row in rows(comparison):
         shown.add_row(*row)
     return shown

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 
 import numpy as np
@@ -41,7 +41,7 @@ class MethodResult:
     bias_pct: float | None  #: mean error, settled part
     largest_error_pct: float | None  #: settled part
     covered: float | None  #: share of settled cycles in which ±1.96 stated deviations hold the true E
-    cpu_us: float  #: per cycle, balance and transfer included
+    cpu_us: float | None  #: per cycle, balance and transfer included; None: it ran beside a bench
 
     @property
     def final_E_Pa(self) -> float:
@@ -133,6 +133,45 @@ def compare_methods(
         noise_Nm=noise_Nm,
         bound_sd_Pa=bound,
         bound_time_to_1pct_s=_bound_time_s(data.t_s, bound, E_true_Pa, step),
+        results=results,
+    )
+
+
+#: What a run shows of its synchronizer, and what the bound of its samples needs.
+_SHOWN = ("E_sim_Pa", "E_sd_Pa", "F_sim_N", "tau2_residual_Nm", "E_true_Pa")
+
+
+def compare_runs(model: ModelParameters, runs: Mapping[str, Recording]) -> Comparison:
+    """Score the synchronizers as they ran on a bench, each in a run of its own (recordings by method).
+
+    The runs are of one experiment; where one went on for longer its end is left out. The bound is that of the first
+    run's samples. Raises UnusableInputError when a channel is missing, or the runs are of different experiments.
+    """
+    length = min(len(recording) for recording in runs.values())
+    for name, recording in runs.items():
+        recording.require(_SHOWN, name)
+    first = measurements_of(next(iter(runs.values())), next(iter(runs)))
+    data = Measurements(**{each.name: getattr(first, each.name)[:length] for each in fields(Measurements)})
+    true = np.asarray(next(iter(runs.values()))["E_true_Pa"], np.float64)[:length]
+    step = metrics.last_step(true)
+    noise_Nm = torque_noise_Nm(data)
+    bound = np.full(length, np.inf)
+    bound[step or 0 :] = least_deviation_Pa(model, data, step or 0, noise_Nm)
+    results = []
+    for name, recording in runs.items():
+        shown = [np.asarray(recording[channel], np.float64)[:length] for channel in _SHOWN]
+        if not np.array_equal(shown[-1], true):
+            raise UnusableInputError(name, "E changes otherwise than in the other runs, expected one experiment")
+        modulus, deviation, tension, residual, _ = shown
+        track = Track(modulus, deviation, tension, residual, nuisances={}, synchronizer_us=None)
+        results.append(_score(name, track, data.t_s, true, step))
+    return Comparison(
+        t_s=data.t_s,
+        E_true_Pa=true,
+        step_s=float(data.t_s[step]) if step is not None else None,
+        noise_Nm=noise_Nm,
+        bound_sd_Pa=bound,
+        bound_time_to_1pct_s=_bound_time_s(data.t_s, bound, true, step),
         results=results,
     )
 

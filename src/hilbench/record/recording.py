@@ -339,6 +339,32 @@ def _check_mdf_head(path: Path) -> None:
         raise UnusableInputError(path, f"not an MDF file of version 4, {_FORMATS}")
     if any(link >= size for link in struct.unpack_from("<6Q", head, 64 + 24)):  # links of the header block
         raise UnusableInputError(path, f"cut off after {size} bytes, expected a whole MDF file")
+    _check_mdf_lists(path, struct.unpack_from("<2Q", head, 64 + 24))
+
+
+def _check_mdf_lists(path: Path, first: Sequence[int]) -> None:
+    """Refuse lists of blocks that never end: the library follows a block's first link for ever.
+
+    `first`: the first data group and the first entry of the file history. Data groups lead to channel groups, and these
+    to channels, by their second link.
+    """
+    seen: set[int] = set()
+    waiting = list(first)
+    with open(path, "rb") as file:
+        while waiting:
+            address = waiting.pop()
+            if address == 0:
+                continue
+            if address in seen:
+                raise UnusableInputError(
+                    path, f"a list of blocks comes back to byte {address}, expected a whole MDF file"
+                )
+            seen.add(address)
+            file.seek(address)
+            block = file.read(24 + 16)
+            if len(block) == 24 + 16:
+                following, inner = struct.unpack_from("<2Q", block, 24)
+                waiting += [following, inner] if block[:4] in (b"##DG", b"##CG") else [following]
 
 
 def _check_mdf_blocks(mdf: Any, path: Path) -> None:

@@ -34,6 +34,7 @@ GREEN: Final = "#009e73"
 SKY: Final = "#56b4e9"
 ORANGE: Final = "#e69f00"
 PURPLE: Final = "#cc79a7"
+BROWN: Final = "#8c6d31"
 
 #: What each colour of a picture is called in the page's style sheet.
 CSS_COLOURS: Final = {

@@ -14,6 +14,7 @@ from hilbench.experiment.synchronization import Comparison
 from hilbench.report.html import number, page, section, table
 from hilbench.report.plots import (
     BLUE,
+    BROWN,
     GREEN,
     INK,
     ORANGE,
@@ -32,6 +33,7 @@ COLOURS = {
     "rls": GREEN,
     "ekf": ORANGE,
     "changepoint": VERMILLION,
+    "input": BROWN,
 }
 #: Time around the step that the lower half of the picture shows, s.
 _BEFORE_S, _AFTER_S = 0.1, 0.6

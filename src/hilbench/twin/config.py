@@ -100,8 +100,30 @@ class ChangepointConfig(_OnBalance):
     wander_pct_per_sqrt_s: float = Field(default=0.02, ge=0, description="random walk of E at all times")
 
 
+class InputConfig(_Block):
+    """For a black-box model: the strain of the web that enters it is corrected; its parameters stay.
+
+    Measured states are not transferred into it either.
+    """
+
+    method: Literal["input"] = "input"
+    torque_noise_Nm: PositiveFloat = Field(default=0.05, description="believed until it is measured (0.1 s)")
+    observer_s: PositiveFloat = Field(default=0.1, description="time constant with which the correction is found")
+    agreement_per_s: PositiveFloat = Field(
+        default=20.0, description="rate with which the simulated tension is brought to the measured one"
+    )
+    limit_share: float = Field(
+        default=0.9, gt=0, lt=1, description="largest correction that acts, as a share of the upstream strain"
+    )
+    initial_deviation_pct: PositiveFloat = Field(default=20.0, description="of E at the start")
+    hold_growth_pct_per_s: PositiveFloat = Field(
+        default=2.0, description="growth of the deviation, as a random walk, while there is no usable sample"
+    )
+
+
 SynchronizerConfig = Annotated[
-    PidConfig | RlsConfig | EkfConfig | LmConfig | GlobalConfig | ChangepointConfig, Field(discriminator="method")
+    PidConfig | RlsConfig | EkfConfig | LmConfig | GlobalConfig | ChangepointConfig | InputConfig,
+    Field(discriminator="method"),
 ]
 
 

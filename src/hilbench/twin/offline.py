@@ -43,7 +43,7 @@ class Track:
     F_sim_N: Array
     residual_Nm: Array
     nuisances: dict[str, tuple[Array, Array]]  #: value and deviation by name
-    synchronizer_us: float  #: mean CPU time of a cycle of the method alone
+    synchronizer_us: float | None  #: mean CPU time of a cycle of the method alone; None where it was not measured
 
 
 def run_offline(model: ModelParameters, config: TwinConfig, data: Measurements) -> Track:
@@ -77,6 +77,6 @@ def run_offline(model: ModelParameters, config: TwinConfig, data: Measurements) 
             values[0][row], values[1][row] = nuisance.value, nuisance.deviation
         for port, ratio, speed in zip(ports, rad_per_m, data.v_cmd_m_s[row], strict=True):
             port.setpoint = speed * ratio
-        line.set_boundary(data.strain_prev[row], data.F_next_N[row])
+        line.set_boundary(tracking.upstream_strain(data.strain_prev[row]), data.F_next_N[row])
         line.advance(cycle_s)
     return Track(modulus, deviation, tension, residual, others, spent_ns / 1000.0 / n)

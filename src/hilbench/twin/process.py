@@ -165,7 +165,8 @@ class TwinApplication:
         elif all(port.mode is not MotorMode.OFF for port in self._ports):
             if self._released or self._release_web():
                 self._compare()
-                self._line.set_boundary(self._io.strain_prev, self._io.tension_next_N)
+                strain_prev = self._tracking.upstream_strain(self._io.strain_prev)
+                self._line.set_boundary(strain_prev, self._io.tension_next_N)
                 self._line.advance(self._cycle_s)
                 self._time_s += self._cycle_s
         else:

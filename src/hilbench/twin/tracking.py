@@ -9,7 +9,7 @@ from math import exp, hypot, inf, isfinite
 
 from hilbench.drives.port import MotorPort
 from hilbench.twin.anomalies import Anomalies
-from hilbench.twin.config import PidConfig, SynchronizerConfig, TwinConfig
+from hilbench.twin.config import InputConfig, PidConfig, SynchronizerConfig, TwinConfig
 from hilbench.twin.delay import DelayFinder, DelayLine
 from hilbench.twin.plausibility import Plausibility, Problem
 from hilbench.twin.synchronizers.base import Estimate, Synchronizer, SyncSample
@@ -84,11 +84,13 @@ class Tracking:
             share_pct = 100.0 * self._own_deviation_Pa / known.youngs_modulus_Pa
             known_pct = min(max(share_pct, _LEAST_PRIOR_PCT), config.initial_deviation_pct)
             config = config.model_copy(update={"initial_deviation_pct": known_pct})
-        self._begin(config, known.youngs_modulus_Pa)
+        # A black box goes on as the model that it is.
+        black_box = isinstance(config, InputConfig)
+        self._begin(config, self._line.youngs_modulus_Pa if black_box else known.youngs_modulus_Pa)
 
     def _begin(self, config: SynchronizerConfig, youngs_modulus_Pa: float) -> None:
         self._synchronizer = new_synchronizer(config, Plant.of(self._balance, youngs_modulus_Pa))
-        looks_for_it = not isinstance(config, PidConfig) and config.also.torque_offset_Nm > 0.0
+        looks_for_it = not isinstance(config, PidConfig | InputConfig) and config.also.torque_offset_Nm > 0.0
         unmodelled_Nm = 0.0 if looks_for_it else self.config.unmodelled_torque_Nm
         self._unmodelled_N = unmodelled_Nm * self._balance.force_per_torque_per_m
 
@@ -136,13 +138,20 @@ class Tracking:
         else:
             strain = float(line.strain[0])
             sensitivity = balance.section_m2 * strain / balance.force_per_torque_per_m
-            sample = SyncSample(time_s, self._cycle_s, torque_Nm, torque_sim_Nm, sensitivity, paired)
+            sample = SyncSample(time_s, self._cycle_s, torque_Nm, torque_sim_Nm, sensitivity, strain_prev, paired)
             self._web_per_Pa = paired.web_per_Pa
             self.estimate = self._stated(self._synchronizer.update(sample))
-        line.youngs_modulus_Pa = self.estimate.youngs_modulus_Pa
+        black_box = self.estimate.upstream_strain is not None
+        if not black_box:
+            line.youngs_modulus_Pa = self.estimate.youngs_modulus_Pa
         if self._running:
-            self._transfer(x1_m, x2_m)
+            transfer = self.config.transfer
+            self._transfer(x1_m, x2_m, strain=transfer.strain and not black_box, axes=transfer.axes or black_box)
         self._running = True
+
+    def upstream_strain(self, told: float) -> float:
+        """The strain of the web that enters the simulation; `told` is what the real web's is said to be."""
+        return told + (self.estimate.upstream_strain or 0.0)
 
     def _anomaly(self, now: BalanceSample) -> Problem | None:
         """Only of a web that is known: one that is found under way says nothing yet."""
@@ -166,18 +175,18 @@ class Tracking:
         if self._strain_uncertainty < _KNOWN_STRAIN:
             self._strain_uncertainty = 0.0
 
-    def _transfer(self, x1_m: float, x2_m: float) -> None:
+    def _transfer(self, x1_m: float, x2_m: float, *, strain: bool, axes: bool) -> None:
         """Put measured states in the place of simulated ones, unless they are too far off to be believed."""
         transfer, line, web = self.config.transfer, self._line, self._balance.web
         self.refused = False
-        strain = x_m = v_m_s = None
-        if transfer.strain:
+        new_strain = x_m = v_m_s = None
+        if strain:
             measured = float(web.strain[0])
             if abs(measured - float(line.strain[0])) <= transfer.strain_limit:
-                strain = [measured]
+                new_strain = [measured]
             else:
                 self.refused = True
-        if transfer.axes:
+        if axes:
             (x1_sim, x2_sim), (v1_sim, v2_sim) = line.x_m.tolist(), line.v_m_s.tolist()
             v1, v2 = web.speeds_m_s.tolist()
             near = max(abs(x1_m - x1_sim), abs(x2_m - x2_sim)) <= transfer.position_limit_m
@@ -186,5 +195,5 @@ class Tracking:
                 x_m, v_m_s = [x1_m, x2_m], [v1, v2]
             else:
                 self.refused = True
-        if strain is not None or x_m is not None:
-            line.set_state(strain=strain, x_m=x_m, v_m_s=v_m_s)
+        if new_strain is not None or x_m is not None:
+            line.set_state(strain=new_strain, x_m=x_m, v_m_s=v_m_s)

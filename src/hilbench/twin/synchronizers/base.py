@@ -17,6 +17,7 @@ class SyncSample:
     torque_real_Nm: float  #: measured motor torque of axis 2
     torque_sim_Nm: float  #: the same quantity as the twin simulates it
     torque_sim_sensitivity_Nm_per_Pa: float  #: ∂τ2/∂E of the simulated motor torque at constant strain
+    upstream_strain: float  #: of the web that enters the span, as the twin is told it
     balance: BalanceSample  #: of roller 2, from the measured motion
 
 
@@ -37,6 +38,8 @@ class Estimate:
     youngs_modulus_Pa: float
     deviation_Pa: float  #: standard deviation; infinite where the method can't say
     nuisances: tuple[Nuisance, ...] = ()
+    #: What is added to the strain of the web that enters a model that is left as it is otherwise; None: E is set in it.
+    upstream_strain: float | None = None
 
 
 class Synchronizer(Protocol):

@@ -6,6 +6,7 @@ from hilbench.twin.config import (
     ChangepointConfig,
     EkfConfig,
     GlobalConfig,
+    InputConfig,
     LmConfig,
     PidConfig,
     RlsConfig,
@@ -15,6 +16,7 @@ from hilbench.twin.synchronizers.base import Synchronizer
 from hilbench.twin.synchronizers.changepoint import ChangepointSynchronizer
 from hilbench.twin.synchronizers.ekf import EkfSynchronizer
 from hilbench.twin.synchronizers.global_search import GlobalSynchronizer
+from hilbench.twin.synchronizers.input_observer import InputSynchronizer
 from hilbench.twin.synchronizers.lm import LmSynchronizer
 from hilbench.twin.synchronizers.pid import PidSynchronizer
 from hilbench.twin.synchronizers.plant import Plant
@@ -28,6 +30,7 @@ METHODS: dict[str, type[SynchronizerConfig]] = {
     "rls": RlsConfig,
     "ekf": EkfConfig,
     "changepoint": ChangepointConfig,
+    "input": InputConfig,
 }
 
 
@@ -46,3 +49,5 @@ def new_synchronizer(config: SynchronizerConfig, plant: Plant) -> Synchronizer:
             return GlobalSynchronizer(config, plant)
         case ChangepointConfig():
             return ChangepointSynchronizer(config, plant)
+        case InputConfig():
+            return InputSynchronizer(config, plant)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -120,4 +120,4 @@ def held(estimate: Estimate, growth_pct_per_s: float, duration_s: float) -> Esti
     """The same estimate, its deviation grown as by a random walk of that size after 1 s."""
     walk_Pa = 0.01 * growth_pct_per_s * estimate.youngs_modulus_Pa
     deviation_Pa = float(np.sqrt(estimate.deviation_Pa**2 + walk_Pa**2 * duration_s))
-    return Estimate(estimate.youngs_modulus_Pa, deviation_Pa, estimate.nuisances)
+    return replace(estimate, deviation_Pa=deviation_Pa)

@@ -20,7 +20,7 @@ from hilbench.twin.synchronizers.plant import Plant
 Array = NDArray[np.float64]
 
 #: Time constant of the filter: above the cycle, below the loops of the drives.
-_FILTER_S = 0.004
+FILTER_S = 0.004
 #: Columns of a row: what the parameters E/E0, offset, viscous, dry, mass multiply, then the right-hand side; newtons.
 PARAMETERS = 5
 _INPUTS = 6
@@ -66,7 +66,7 @@ class RegressionRows:
         """Take one sample; True when `row` holds a valid row."""
         balance, before = sample.balance, self._before
         self._count += 1
-        decay = exp(-sample.cycle_s / _FILTER_S)
+        decay = exp(-sample.cycle_s / FILTER_S)
         # A second difference of positions is the acceleration one cycle ago: the forces wait a cycle for it.
         if self._count == 2:
             self._origin_m = balance.x2_m
@@ -81,10 +81,10 @@ class RegressionRows:
         before[3] = speed
         before[4] = float(np.sign(speed))
         before[5] = self._plant.force_per_torque_per_m
-        return self._count * sample.cycle_s > _SETTLED * _FILTER_S
+        return self._count * sample.cycle_s > _SETTLED * FILTER_S
 
 
 def noise_gain(cycle_s: float) -> float:
     """Variance of white noise behind the filter over that before it: Σ g², g = (j + 1)·(1-d)²·dʲ."""
-    d = exp(-cycle_s / _FILTER_S)
+    d = exp(-cycle_s / FILTER_S)
     return (1.0 - d) ** 4 * (1.0 + d * d) / (1.0 - d * d) ** 3
