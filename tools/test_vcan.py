@@ -1,19 +1,36 @@
 """Run the tests that need a kernel with CAN: on a vcan of this machine, or in the guest where its kernel has none.
 
-The interface is made for the run, named so that it can't be anybody else's, and removed afterwards. The exit status is
-that of the tests; 124 for a guest that was ended by its time limit, 125 for one that could not be had.
+The interface is made for the run, named so that it can't be anybody else's, and removed afterwards. Before, the
+step-change experiment runs on the embedded bus: its recording is what the one on the kernel's bus is compared with. The
+exit status is that of the tests; 124 for a guest that was ended by its time limit, 125 for one that could not be had.
+Two guests run at the same time, because each is one core's work. Words on the command line go to pytest, in place of
+the folders with tests.
 """
 
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+from vcan_guest.guest import COMPILED, NO_STATUS, boot, prepare
+
 ROOT = Path(__file__).resolve().parents[1]
-GUEST_LIMIT_S = 780
-TESTS = ["-q", "-m", "vcan", "-p", "no:cacheprovider", "--durations=8", "tests/vcan", "tests/foreign"]
+EMBEDDED_RUN = ROOT / ".cache" / "embedded-run"
+GUEST_LIMIT_S = 840
+TESTS = ["-v", "-m", "vcan", "-p", "no:cacheprovider", "--durations=5"]
+#: Whole runs, and stations that talk to each other: each takes about half of the time.
+RUNS = ["tests/vcan/test_step_change.py", "tests/vcan/test_two_controllers.py", "tests/vcan/test_faults.py"]
+TALKS = [
+    "tests/vcan/test_lost_frames.py",
+    "tests/vcan/test_doctor.py",
+    "tests/fieldbus",
+    "tests/drives",
+    "tests/foreign",
+]
 
 
 def ip(*words: str) -> subprocess.CompletedProcess[str]:
@@ -21,32 +38,54 @@ def ip(*words: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(["ip", "link", *words], capture_output=True, text=True, check=False)
 
 
-def on_this_kernel(name: str) -> int:
+def run_on_the_embedded_bus() -> None:
+    """Leave the run that others are compared with in EMBEDDED_RUN, and its machine code in numba's cache."""
+    shutil.rmtree(EMBEDDED_RUN, ignore_errors=True)
+    config, bus = ROOT / "tests" / "vcan" / "step_change.yaml", f"embedded:r{os.getpid()}"
+    command = [sys.executable, "-m", "hilbench.cli", "run", str(config), "--bus", bus, "--no-report"]
+    subprocess.run([*command, "--out", str(EMBEDDED_RUN)], check=True, env={**os.environ, **COMPILED}, timeout=300)
+
+
+def on_this_kernel(name: str, tests: list[str]) -> int:
     """Run the tests on a vcan that is there."""
     try:
         ip("set", name, "up", "txqueuelen", "1000")
-        command = [sys.executable, "-m", "pytest", *TESTS]
-        return subprocess.run(command, cwd=ROOT, env={**os.environ, "HILBENCH_VCAN": name}, check=False).returncode
+        command = [sys.executable, "-m", "pytest", *TESTS, *tests]
+        environment = {**os.environ, "HILBENCH_VCAN": name, "HILBENCH_EMBEDDED_RUN": str(EMBEDDED_RUN)}
+        return subprocess.run(command, cwd=ROOT, env=environment, check=False).returncode
     finally:
         ip("delete", name)
+
+
+def in_guests(*groups: list[str]) -> int:
+    """Run each group of tests in a guest of its own, on its vcan and its two controllers."""
+    if not prepare([EMBEDDED_RUN]):
+        return NO_STATUS
+    names = ["HILBENCH_VCAN=vcan0", "HILBENCH_CAN=can0,can1", f"HILBENCH_EMBEDDED_RUN={EMBEDDED_RUN}"]
+    command = ["env", *names, sys.executable, "-m", "pytest", *TESTS]
+
+    def run(number: int) -> int:
+        return boot(f"guest {number + 1}", [*command, *groups[number]], GUEST_LIMIT_S)
+
+    with ThreadPoolExecutor(len(groups)) as pool:
+        return max(pool.map(run, range(len(groups))))
 
 
 def main() -> int:
     """Try this kernel, then the guest."""
     name = f"hv{os.getpid()}"
+    asked = sys.argv[1:]
     try:
         made = ip("add", "dev", name, "type", "vcan")
     except FileNotFoundError:
         made = None
-    if made is not None and made.returncode == 0:
-        return on_this_kernel(name)
     if made is not None and "not permitted" in made.stderr:
         print("test-vcan: a vcan can't be made here (not permitted), expected root or CAP_NET_ADMIN", file=sys.stderr)
         return 1
-    python = str(Path(sys.executable))
-    guest = [sys.executable, str(ROOT / "tools" / "vcan_guest" / "guest.py"), "--limit", str(GUEST_LIMIT_S)]
-    inside = ["env", "HILBENCH_VCAN=vcan0", "HILBENCH_CAN=can0,can1", python, "-m", "pytest", *TESTS]
-    return subprocess.run([*guest, *inside], cwd=ROOT, check=False).returncode
+    run_on_the_embedded_bus()
+    if made is not None and made.returncode == 0:
+        return on_this_kernel(name, asked or [*RUNS, *TALKS])
+    return in_guests(asked) if asked else in_guests(RUNS, TALKS)
 
 
 if __name__ == "__main__":

@@ -1,9 +1,13 @@
-"""Run a command in a virtual machine whose kernel has CAN: guest.py [--limit S] COMMAND...
+"""Run a command in a virtual machine whose kernel has CAN: guest.py [--limit S] [--take PATH] COMMAND...
 
 For machines whose own kernel has none (containers, many CI runners). The guest is QEMU in software emulation with
-Debian's kernel; the host's root file system is its own, read-only, so that the checkout and its virtual environment are
-there as they are; /mnt/share is writable and stays (.cache/vcan-guest/share). In it are a `vcan0` and two emulated
-SJA1000 controllers on one wire, `can0` and `can1`, at 1 Mbit/s. What is needed comes from Debian's packages, once.
+Debian's kernel; the host's root file system is its own, read-only. In it are a `vcan0` and two emulated SJA1000
+controllers on one wire, `can0` and `can1`, at 1 Mbit/s. What is needed comes from Debian's packages, once.
+
+The guest's clock follows its instructions (-icount: one is 1 ns, and waiting takes no time), so that nothing in it
+depends on what else the host does: time-outs and jitter repeat. Python, the virtual environment and the checkout are in
+its memory, because the clock goes on while a file is waited for. What numba compiles is compiled on the host, for no
+processor in particular (COMPILED, which is in the environment of the command).
 
 The exit status is the command's; 124 when the time limit ended it, 125 when the guest gave no status.
 """
@@ -13,16 +17,41 @@ from __future__ import annotations
 import argparse
 import gzip
 import os
+import re
 import shlex
 import shutil
 import subprocess
 import sys
+import sysconfig
+import threading
+from collections.abc import Sequence
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
 CACHE = ROOT / ".cache" / "vcan-guest"
-SHARE = CACHE / "share"
+IMAGE, INITRD, ARCHIVES = CACHE / "vmlinuz", CACHE / "initrd.gz", CACHE / "archives"
+#: Machine code that host and guest share.
+NUMBA_CACHE = CACHE / "numba"
+COMPILED = {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": "", "NUMBA_CACHE_DIR": str(NUMBA_CACHE)}
+#: What of the checkout is in the guest's memory, and what of Python is not, because nothing there imports it.
+CHECKOUT = ("src", "tests", "tools", "eds", "bench_configs", "pyproject.toml", ".cache/node-canopen")
+NOT_IN_LIBRARY = ("*/site-packages", "*/dist-packages", "*/test", "*/config-*", "*/idlelib")
+NOT_IN_ENVIRONMENT = (
+    *(
+        "*/pyarrow*",
+        "*/mypy*",
+        "*__mypyc.*",
+        "*/pip",
+        "*/bin/ruff",
+        "*/scipy-stubs",
+        "*/textual",
+        "*/lxml*",
+        "*/cantools",
+    ),
+    *("*/matplotlib", "*/fontTools", "*/PIL", "*/pillow.libs", "*/kiwisolver", "*/scipy/*/tests", "*/pandas/tests"),
+    *("*/numba/tests", "*/numba/cuda/tests", "*/numpy/*/tests"),
+)
 PACKAGES = ("qemu-system-x86", "seabios", "busybox-static", "can-utils", "iproute2", "kmod", "cpio")
 #: In the order in which they are loaded; what the kernel has built in is not there as a file and is passed over.
 MODULES = [
@@ -43,7 +72,9 @@ MODULES = [
     "sja1000",
     "kvaser_pci",
 ]
-_NO_STATUS, _TIMED_OUT = 125, 124
+NO_STATUS, _TIMED_OUT = 125, 124
+#: What a BIOS and a coloured output tell a terminal.
+_TERMINAL = re.compile(r"\x1b(\[[0-9;?]*[A-Za-z]|c)|\r")
 
 
 def run(*command: str | Path, **options: object) -> None:
@@ -52,23 +83,23 @@ def run(*command: str | Path, **options: object) -> None:
 
 
 def install_packages() -> None:
-    """Install what is missing of the packages. Needs root."""
+    """Install what is missing of the packages, by sudo where this is not root."""
     missing = [
         name
         for name in PACKAGES
         if subprocess.run(["dpkg", "-s", name], capture_output=True, check=False).returncode != 0
     ]
     if missing:
-        environment = {**os.environ, "DEBIAN_FRONTEND": "noninteractive"}
-        run("apt-get", "update", "-qq")
-        run("apt-get", "install", "-y", "-qq", "--no-install-recommends", *missing, env=environment)
+        as_root = [] if os.geteuid() == 0 else ["sudo"]
+        apt = [*as_root, "env", "DEBIAN_FRONTEND=noninteractive", "apt-get", "-qq"]
+        run(*apt, "update")
+        run(*apt, "install", "--yes", "--no-install-recommends", *missing)
 
 
-def kernel() -> tuple[Path, Path]:
+def provide_kernel() -> None:
     """Kernel image and initial file system, unpacked and built once."""
-    image, initrd = CACHE / "vmlinuz", CACHE / "initrd.gz"
     newest = max((HERE / name).stat().st_mtime for name in ("init", "guest.py"))
-    if not image.exists():
+    if not IMAGE.exists():
         CACHE.mkdir(parents=True, exist_ok=True)
         depends = subprocess.run(
             ["apt-cache", "depends", "linux-image-amd64"], capture_output=True, text=True, check=True
@@ -76,13 +107,12 @@ def kernel() -> tuple[Path, Path]:
         package = next(word for word in depends.split() if word.startswith("linux-image-") and word[12].isdigit())
         run("apt-get", "download", "-qq", package, cwd=CACHE)
         run("dpkg", "-x", next(CACHE.glob("linux-image-*.deb")), CACHE / "kernel")
-        shutil.copy(next((CACHE / "kernel" / "boot").glob("vmlinuz-*")), image)
-    if not initrd.exists() or initrd.stat().st_mtime < newest:
-        build_initrd(initrd)
-    return image, initrd
+        shutil.copy(next((CACHE / "kernel" / "boot").glob("vmlinuz-*")), IMAGE)
+    if not INITRD.exists() or INITRD.stat().st_mtime < newest:
+        build_initrd()
 
 
-def build_initrd(initrd: Path) -> None:
+def build_initrd() -> None:
     """busybox, the modules in their order, and `init`, as a compressed cpio archive."""
     tree = CACHE / "initrd"
     shutil.rmtree(tree, ignore_errors=True)
@@ -101,67 +131,127 @@ def build_initrd(initrd: Path) -> None:
     archive = subprocess.run(
         ["cpio", "--quiet", "-o", "-H", "newc"], cwd=tree, input=names.encode(), capture_output=True, check=True
     ).stdout
-    initrd.write_bytes(gzip.compress(archive, 1))
+    INITRD.write_bytes(gzip.compress(archive, 1))
 
 
-def write_command(command: list[str]) -> None:
-    """The script that the guest runs in the checkout."""
-    SHARE.mkdir(parents=True, exist_ok=True)
-    (SHARE / "status").unlink(missing_ok=True)
-    (SHARE / "checkout").write_text(str(ROOT))
-    (SHARE / "command.sh").write_text(
+def pack(name: str, paths: Sequence[Path], excluded: Sequence[str] = ()) -> None:
+    """An archive of these paths for the guest, with times to the nanosecond: numba compares them."""
+    ARCHIVES.mkdir(parents=True, exist_ok=True)
+    partial = ARCHIVES / f"{name}.part"
+    options = [f"--exclude={pattern}" for pattern in excluded]
+    words = [path.relative_to("/") for path in paths if path.exists()]
+    run("tar", "--format=posix", "-C", "/", "-cf", partial, *options, *words)
+    partial.rename(ARCHIVES / f"{name}.tar")
+
+
+def pack_python() -> None:
+    """The standard library and the virtual environment, again when the latter has changed."""
+    environment = Path(sys.prefix)
+    installed = [Path(__file__), *environment.glob("lib/python*/site-packages")]
+    archive = ARCHIVES / "environment.tar"
+    if not archive.exists() or archive.stat().st_mtime < max(path.stat().st_mtime for path in installed):
+        pack("library", [Path(sysconfig.get_path("stdlib"))], NOT_IN_LIBRARY)
+        pack("environment", [environment], NOT_IN_ENVIRONMENT)
+
+
+def pack_checkout(others: Sequence[Path]) -> None:
+    """The checkout with its byte code, what numba has compiled, and what else the caller wants there."""
+    run(sys.executable, "-m", "compileall", "-q", ROOT / "src", ROOT / "tests")
+    pack("checkout", [*(ROOT / name for name in CHECKOUT), NUMBA_CACHE, *others])
+
+
+def write_command(share: Path, command: Sequence[str]) -> None:
+    """The script that the guest runs: Python and checkout into memory, interfaces up, the command in the checkout."""
+    share.mkdir(parents=True, exist_ok=True)
+    (share / "status").unlink(missing_ok=True)
+    (share / "checkout").write_text(str(ROOT))
+    covered = [shlex.quote(str(path)) for path in (sysconfig.get_path("stdlib"), ROOT)]
+    if not Path(sys.prefix).is_relative_to(ROOT):
+        covered.append(shlex.quote(sys.prefix))
+    (share / "command.sh").write_text(
         "\n".join(
             [
                 "export HOME=/root PATH=/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin",
-                "export XDG_CACHE_HOME=/mnt/share/cache PYTHONDONTWRITEBYTECODE=1 PYTHONUNBUFFERED=1",
+                "export PYTHONDONTWRITEBYTECODE=1 PYTHONUNBUFFERED=1",
+                "mkdir /run/files && mount -t tmpfs -o size=90% tmpfs /run/files",
+                f"for file in {shlex.quote(str(ARCHIVES))}/*.tar; do tar -xf $file -C /run/files || exit; done",
+                f"for path in {' '.join(covered)}; do mount --bind /run/files$path $path || exit; done",
                 "ip link add dev vcan0 type vcan && ip link set vcan0 up txqueuelen 1000",
                 "for c in can0 can1; do",
                 "    ip link set $c up txqueuelen 1000 type can bitrate 1000000 || echo no $c",
                 "done",
                 f"cd {shlex.quote(str(ROOT))}",
-                shlex.join(command),
+                shlex.join(["env", *(f"{name}={value}" for name, value in COMPILED.items()), *command]),
                 "",
             ]
         )
     )
 
 
-def boot(image: Path, initrd: Path, limit_s: float) -> int:
-    """Boot the guest, stream its console, and return the status that the command left."""
+def boot(name: str, command: Sequence[str], limit_s: float) -> int:
+    """Boot a guest that `prepare` has provided for, print what its console says, return the status of the command.
+
+    `name` tells guests apart that run at the same time, in the output as well.
+    """
+    share = CACHE / f"guest-{name}"
+    write_command(share, command)
     qemu = [
-        "qemu-system-x86_64", "-accel", "tcg,thread=multi", "-smp", "2", "-m", "3072", "-cpu", "max",
-        "-nographic", "-no-reboot", "-nic", "none", "-kernel", str(image), "-initrd", str(initrd),
-        "-append", "console=ttyS0 quiet loglevel=3 panic=-1",
+        "setpriv", "--pdeathsig", "KILL",
+        "qemu-system-x86_64", "-accel", "tcg,thread=single,tb-size=512", "-smp", "1", "-icount", "shift=0,sleep=off",
+        "-m", "2560", "-cpu", "max,-la57",
+        "-nographic", "-no-reboot", "-nic", "none", "-kernel", str(IMAGE), "-initrd", str(INITRD),
+        "-append", "console=ttyS0 quiet loglevel=3 panic=-1 mitigations=off tsc=reliable",
         "-virtfs", "local,path=/,mount_tag=hostroot,security_model=none,readonly=on,multidevs=remap",
-        "-virtfs", f"local,path={SHARE},mount_tag=share,security_model=none,multidevs=remap",
+        "-virtfs", f"local,path={share},mount_tag=share,security_model=none,multidevs=remap",
         "-object", "can-bus,id=wire", "-device", "kvaser_pci,canbus=wire", "-device", "kvaser_pci,canbus=wire",
     ]  # fmt: skip
-    try:
-        subprocess.run(qemu, stdin=subprocess.DEVNULL, timeout=limit_s, check=False)
-    except subprocess.TimeoutExpired:
-        print(f"vcan guest: ended after its limit of {limit_s:g} s", file=sys.stderr)
+    process = subprocess.Popen(qemu, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, text=True, errors="replace")
+    over = threading.Event()
+
+    def end() -> None:
+        over.set()
+        process.kill()
+
+    timer = threading.Timer(limit_s, end)
+    timer.start()
+    assert process.stdout is not None
+    for line in process.stdout:
+        said = _TERMINAL.sub("", line).rstrip()
+        if said:
+            print(f"{name}: {said}", flush=True)
+    process.wait()
+    timer.cancel()
+    if over.is_set():
+        print(f"{name}: ended after its limit of {limit_s:g} s", file=sys.stderr)
         return _TIMED_OUT
-    status = SHARE / "status"
+    status = share / "status"
     if not status.exists():
-        print("vcan guest: ended without a status", file=sys.stderr)
-        return _NO_STATUS
+        print(f"{name}: ended without a status", file=sys.stderr)
+        return NO_STATUS
     return int(status.read_text())
+
+
+def prepare(others: Sequence[Path] = ()) -> bool:
+    """Provide what a guest needs, with `others` of .cache in its memory; False, and said why, when it can't be had."""
+    try:
+        install_packages()
+        provide_kernel()
+        pack_python()
+        pack_checkout(others)
+    except (subprocess.CalledProcessError, OSError) as error:
+        print(f"vcan guest: cannot be provisioned: {error}", file=sys.stderr)
+        return False
+    return True
 
 
 def main() -> int:
     """Provision, boot, run."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--limit", type=float, default=840.0, help="seconds until the guest is ended and has failed")
+    parser.add_argument("--take", type=Path, action="append", default=[], help="what of .cache is there besides")
     parser.add_argument("command", nargs=argparse.REMAINDER)
     options = parser.parse_args()
-    try:
-        install_packages()
-        image, initrd = kernel()
-    except (subprocess.CalledProcessError, OSError) as error:
-        print(f"vcan guest: cannot be provisioned: {error}", file=sys.stderr)
-        return _NO_STATUS
-    write_command(options.command)
-    return boot(image, initrd, options.limit)
+    return boot("guest", options.command, options.limit) if prepare(options.take) else NO_STATUS
 
 
 if __name__ == "__main__":

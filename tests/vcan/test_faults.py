@@ -1,0 +1,27 @@
+"""What the fault matrix says of processes that are killed also holds on the kernel's bus.
+
+The interface is named by HILBENCH_VCAN.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+pytestmark = pytest.mark.vcan
+
+MATRIX = Path(__file__).resolve().parents[2] / "tools" / "fault_matrix.py"
+
+
+@pytest.mark.parametrize("process", ["bench", "hardware", "twin"])
+def test_a_process_is_killed(process: str) -> None:
+    bus = f"socketcan:{os.environ['HILBENCH_VCAN']}"
+    command = [sys.executable, str(MATRIX), "--bus", bus, "--only", f"^{process}: kill -9"]
+    done = subprocess.run(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=False)
+    assert done.returncode == 0, done.stdout
+    assert f"| {process}: kill -9 |" in done.stdout
+    assert "| ✓ |" in done.stdout

@@ -1,0 +1,1 @@
+"""A guest whose kernel has CAN."""
