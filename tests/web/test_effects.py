@@ -149,6 +149,16 @@ def test_backlash_under_velocity_control_stays_bounded_at_the_sample_time() -> N
     assert np.abs(result.x_m - plain.x_m).max() < 5 * 0.02 / 25.0
 
 
+def test_the_modulus_that_acts_is_told_with_what_effects_make_of_it() -> None:
+    drift = effect("elasticity_drift", rate_per_s=0.5), effect("elasticity_shift", relative_change=-0.2)
+    line = Line(model(*drift))
+    line.advance(0.4)
+    assert line.elasticity_factor == pytest.approx(0.8 * 1.2)
+    plain = Line(model())
+    plain.advance(0.4)
+    assert plain.elasticity_factor == 1.0
+
+
 def test_measured_torque_is_late_by_the_delay_and_interpolated() -> None:
     rows = 100
     commands = np.column_stack([0.5 * np.sin(40.0 * np.arange(rows) * ROW_S)])

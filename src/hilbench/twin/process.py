@@ -262,10 +262,11 @@ class TwinApplication:
 
     def _tell(self) -> None:
         tracking = self._tracking
+        factor = self._line.elasticity_factor  # the E that acts is told, as of a web that is measured
         self._io.tell(
             tension_N=float(self._line.tension_N[0]),
-            modulus_Pa=tracking.estimate.youngs_modulus_Pa,
-            deviation_Pa=tracking.estimate.deviation_Pa,
+            modulus_Pa=factor * tracking.estimate.youngs_modulus_Pa,
+            deviation_Pa=factor * tracking.estimate.deviation_Pa,
             torque_Nm=self._ports[1].torque_Nm,
             residual_Nm=tracking.residual_Nm,
         )

@@ -179,8 +179,13 @@ def _step_factor(p: Vector, t_s: float, duration_s: float) -> float:
 @inlined
 def stiffness_N(p: Vector, t_s: float, factor_of_steps: float) -> float:
     """E·S with shift, steps and drift."""
-    modulus = p[lay.W_MODULUS_PA] * (1.0 + p[_SHIFT]) * factor_of_steps * (1.0 + p[_DRIFT] * t_s)
-    return modulus * p[lay.W_SECTION_M2]
+    return p[lay.W_MODULUS_PA] * elasticity_factor(p, t_s, factor_of_steps) * p[lay.W_SECTION_M2]
+
+
+@inlined
+def elasticity_factor(p: Vector, t_s: float, factor_of_steps: float) -> float:
+    """What shift, steps and drift make of E."""
+    return (1.0 + p[_SHIFT]) * factor_of_steps * (1.0 + p[_DRIFT] * t_s)
 
 
 @inlined

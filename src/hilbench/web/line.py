@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hilbench.drives.port import MotorPort
-from hilbench.web import kernel
+from hilbench.web import kernel, laws
 from hilbench.web import layout as lay
-from hilbench.web.effects import find_effect
+from hilbench.web.effects import Domain, find_effect
 from hilbench.web.layout import Layout, Vector
 from hilbench.web.offline import samples_per, start_state
 from hilbench.web.parameters import ModelParameters
@@ -38,6 +38,7 @@ class Line:
         self._work = self._layout.new_work()
         self._out = np.zeros(self._layout.output_size)
         self._state = start_state(self._p, parameters)
+        self._elastic = any(_acts_on_elasticity(entry.effect) for entry in parameters.effects)
         self._observe()
 
     def advance(self, duration_s: float) -> None:
@@ -69,6 +70,14 @@ class Line:
         if not 0.0 < value < np.inf:
             raise ValueError(f"Young's modulus {value!r} Pa, expected a positive number")
         self._p[lay.W_MODULUS_PA] = value
+
+    @property
+    def elasticity_factor(self) -> float:
+        """What the effects on E make of it now; 1 without any."""
+        if not self._elastic:
+            return 1.0
+        sample_s, time_s = self._p[lay.W_SAMPLE_TIME_S], self.time_s
+        return float(laws.elasticity_factor(self._p, time_s, laws.step_factor(self._p, time_s, sample_s)))
 
     @property
     def tension_N(self) -> Vector:
@@ -112,6 +121,7 @@ class Line:
         """
         strain = self.strain
         set_effect(self._p, effect_id, axis, slot, parameters)
+        self._elastic |= _acts_on_elasticity(effect_id)
         lay.set_strain(self._p, self._state, strain)
         lay.refresh_modes(self._p, self._state)
 
@@ -143,6 +153,10 @@ class Line:
             self._layout.motor_states(self._state)[:, lay.SM_TORQUE_NM] = tau_Nm
         lay.refresh_modes(self._p, self._state)
         self._observe()
+
+
+def _acts_on_elasticity(effect_id: str) -> bool:
+    return find_effect(effect_id).domain is Domain.ELASTICITY
 
 
 def set_effect(p: Vector, effect_id: str, axis: int | None, slot: int, parameters: dict[str, float]) -> None:

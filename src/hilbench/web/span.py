@@ -216,8 +216,8 @@ class SpanFollower:
     @property
     def effective_modulus_Pa(self) -> float:
         """E as it acts now, with the effects on it."""
-        factor = laws.step_factor(self._p, self._state[0], _LONGEST_STEP_S)
-        return float(laws.stiffness_N(self._p, self._state[0], factor) / self._p[lay.W_SECTION_M2])
+        steps = laws.step_factor(self._p, self._state[0], _LONGEST_STEP_S)
+        return self.youngs_modulus_Pa * float(laws.elasticity_factor(self._p, self._state[0], steps))
 
     def set_effect(self, effect_id: str, axis: int | None = None, *, slot: int = 0, **parameters: float) -> None:
         """Give an effect these parameters from now on; the strain stays. Raises as `Line.set_effect`."""
