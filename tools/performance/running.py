@@ -74,17 +74,17 @@ def jitter(config_path: Path, seconds: float) -> Section:
     cycle_ns = round(config.cycle_time_s * 1e9)
     cycles = round(seconds * 1e9) // cycle_ns
     bare, bare_missed = _bare(cycle_ns, cycles // 2)
-    with Bench(config) as bench:
-        bench.run(1.0)
-        assert bench.exchange is not None
-        pacing = bench.exchange.pacing
-        first, missed = len(pacing.lateness_ns), pacing.missed
-        fault = None
-        try:
+    fault = None
+    try:
+        with Bench(config) as bench:
+            bench.run(1.0)
+            assert bench.exchange is not None
+            pacing = bench.exchange.pacing
+            first, missed_before = len(pacing.lateness_ns), pacing.missed
             bench.run(seconds)
-        except BenchFaultError as error:  # too little of the processor is left: the figures until then say how little
-            fault = error
-        lateness, missed = np.array(pacing.lateness_ns[first:]) / 1e3, pacing.missed - missed
+    except BenchFaultError as error:  # too little of the processor is left: the figures until then say how little
+        fault = error
+    lateness, missed = np.array(pacing.lateness_ns[first:]) / 1e3, pacing.missed - missed_before
     behind, behind_missed = _bare(cycle_ns, cycles - cycles // 2)
     floor = np.concatenate([bare, behind])
     for name, share in (("p50", 50.0), ("p99", 99.0), ("p99.9", 99.9)):

@@ -81,9 +81,10 @@ def _follow(
 FollowCycle = Callable[[Vector, Vector, Vector, Vector, float, float, float, Vector], None]
 FollowRows = Callable[[Vector, Vector, Vector, Vector, Vector, float, Vector, Vector], None]
 Resistance = Callable[[Vector, int, float, float], float]
+Modulus = Callable[[Vector, float], float]
 
 
-def _entry_points(sources: int) -> tuple[FollowCycle, FollowRows, Resistance]:
+def _entry_points(sources: int) -> tuple[FollowCycle, FollowRows, Resistance, Modulus]:
     """Compiled functions that are called from Python; `sources` as in the kernel."""
 
     @entry_point
@@ -111,10 +112,16 @@ def _entry_points(sources: int) -> tuple[FollowCycle, FollowRows, Resistance]:
         direction = min(max(v_m_s / width_m_s, -1.0), 1.0)
         return laws.smooth_resistance_N(p, row, v_m_s) + direction * laws.dry_friction_N(p, row, v_m_s)
 
-    return follow, follow_rows, resistance
+    @entry_point
+    def modulus(p: Vector, t: float) -> float:
+        factor = laws.step_factor(p, t, _LONGEST_STEP_S) if sources >= 0 else 1.0
+        acting: float = laws.stiffness_N(p, t, factor) / p[lay.W_SECTION_M2]
+        return acting
+
+    return follow, follow_rows, resistance, modulus
 
 
-_follow_cycle, _follow_rows, _resistance = _entry_points(source_number(__file__))
+_follow_cycle, _follow_rows, _resistance, _modulus = _entry_points(source_number(__file__))
 
 
 class SpanFollower:
@@ -216,8 +223,7 @@ class SpanFollower:
     @property
     def effective_modulus_Pa(self) -> float:
         """E as it acts now, with the effects on it."""
-        steps = laws.step_factor(self._p, self._state[0], _LONGEST_STEP_S)
-        return self.youngs_modulus_Pa * float(laws.elasticity_factor(self._p, self._state[0], steps))
+        return float(_modulus(self._p, self._state[0]))
 
     def set_effect(self, effect_id: str, axis: int | None = None, *, slot: int = 0, **parameters: float) -> None:
         """Give an effect these parameters from now on; the strain stays. Raises as `Line.set_effect`."""
