@@ -162,7 +162,8 @@ def make_config(work: Path, address: str, changes: dict[str, Any]) -> Path:
     """The shipped bench with short steps on a bus of its own."""
     data = yaml.safe_load(CONFIG.read_text(encoding="utf-8"))
     data["nodes"] = _shipped_nodes()
-    data |= {"steps": FOREVER, "criteria": [], "safety": {"cycle_timeout_s": 1.0}} | changes
+    data |= {"steps": FOREVER, "criteria": [], "safety": {"cycle_timeout_s": 1.0}}
+    data |= {"master": {"boot_timeout_s": 120.0}} | changes  # an emulated machine starts slowly
     data["bus"]["address"] = address
     path = work / "bench.yaml"
     path.write_text(yaml.safe_dump(data, sort_keys=False), encoding="utf-8")
