@@ -229,6 +229,8 @@ def make_config(work: Path, address: str, changes: dict[str, Any], real_time: bo
     if real_time:
         data |= {"pace": "realtime", "cycle_time_s": SLOW_CYCLE_S, "safety": PATIENT, "master": PATIENT_MASTER}
         data["model"]["web"]["youngs_modulus_Pa"] = SOFT_PA
+    else:
+        data["master"] = {"boot_timeout_s": 120.0}  # an emulated machine starts slowly
     data |= changes
     data["bus"]["address"] = address
     path = work / "bench.yaml"

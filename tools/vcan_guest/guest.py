@@ -37,21 +37,24 @@ COMPILED = {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": "", "NUMBA_CACHE_
 #: What of the checkout is in the guest's memory, and what of Python is not, because nothing there imports it.
 CHECKOUT = ("src", "tests", "tools", "eds", "bench_configs", "pyproject.toml", ".cache/node-canopen")
 NOT_IN_LIBRARY = ("*/site-packages", "*/dist-packages", "*/test", "*/config-*", "*/idlelib")
-NOT_IN_ENVIRONMENT = (
+NOT_IN_ENVIRONMENT = [
+    *("*/bin/ruff", "*/scipy/*/tests", "*/pandas/tests", "*/numba/tests", "*/numba/cuda/tests"),
     *(
-        "*/pyarrow*",
-        "*/mypy*",
-        "*__mypyc.*",
-        "*/pip",
-        "*/bin/ruff",
-        "*/scipy-stubs",
-        "*/textual",
-        "*/lxml*",
-        "*/cantools",
+        f"*/site-packages/{name}"
+        for name in (
+            "pyarrow",
+            "mypy",
+            "mypyc",
+            "pip",
+            "matplotlib",
+            "fontTools",
+            "PIL",
+            "pillow.libs",
+            "lxml",
+            "textual",
+        )
     ),
-    *("*/matplotlib", "*/fontTools", "*/PIL", "*/pillow.libs", "*/kiwisolver", "*/scipy/*/tests", "*/pandas/tests"),
-    *("*/numba/tests", "*/numba/cuda/tests", "*/numpy/*/tests"),
-)
+]
 PACKAGES = ("qemu-system-x86", "seabios", "busybox-static", "can-utils", "iproute2", "kmod", "cpio")
 #: In the order in which they are loaded; what the kernel has built in is not there as a file and is passed over.
 MODULES = [

@@ -96,9 +96,11 @@ class Tracking:
 
     def _stated(self, estimate: Estimate) -> Estimate:
         """With what a lasting error of the torque may add to the deviation: no method sees it in its data."""
-        self._own_deviation_Pa = estimate.deviation_Pa
-        deviation_Pa = hypot(estimate.deviation_Pa, self._unmodelled_N / self._web_per_Pa)
-        return Estimate(estimate.youngs_modulus_Pa, deviation_Pa, estimate.nuisances)
+        modulus_Pa, self._own_deviation_Pa = estimate.youngs_modulus_Pa, estimate.deviation_Pa
+        if not 0.0 < modulus_Pa < inf:  # torque of somebody else's web, say: no material has such an E
+            modulus_Pa, self._own_deviation_Pa = self.estimate.youngs_modulus_Pa, inf
+        deviation_Pa = hypot(self._own_deviation_Pa, self._unmodelled_N / self._web_per_Pa)
+        return Estimate(modulus_Pa, deviation_Pa, estimate.nuisances, estimate.upstream_strain)
 
     @property
     def synchronized(self) -> bool:
