@@ -144,6 +144,16 @@ def test_no_torque_makes_the_estimate_no_number(torques: list[float], transfer: 
         assert np.isfinite(bench.line.tension_N[0])
 
 
+@pytest.mark.parametrize("method", [ChangepointConfig(), EkfConfig(), RlsConfig(), LmConfig(), PidConfig()])
+def test_a_torque_that_belongs_to_no_web_makes_no_modulus_that_no_material_has(method: object) -> None:
+    data = measured(GOOD)
+    data.tau2_Nm[FROM:TO] -= 3.0
+    bench = twin(synchronizer=method)
+    for row in rows(data):
+        bench.take(data, row)
+        assert 0.0 < bench.tracking.estimate.youngs_modulus_Pa < np.inf
+
+
 def test_a_method_takes_over_from_another_without_a_jump() -> None:
     data = measured(np.full(2500, NEW_PA))
     bench = twin()
