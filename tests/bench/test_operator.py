@@ -36,11 +36,11 @@ def test_changes_of_a_running_bench_are_recovered_with_the_run(tmp_path: Path) -
     folder = wait_for_frames(path, 600)
     link = open_link(bench.bus_address.as_it_runs())
     requests = ChangeRequests(bench, link.send)
+    written = (folder / "journal.log").read_bytes().count(b"line_speed_m_s")
     for key, value in (("t", 95.0), ("m", 9000.0), ("v", 0.6), ("v", 50.0)):
         requests.ask(CHANGEABLE[key], value)
     said = answered(requests, link, 4)
     link.close()
-    written = (folder / "journal.log").read_bytes().count(b"line_speed_m_s")
     deadline_s = time.monotonic() + 60.0
     while (folder / "journal.log").read_bytes().count(b"line_speed_m_s") < written + 50:
         assert time.monotonic() < deadline_s

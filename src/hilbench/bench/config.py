@@ -213,9 +213,9 @@ class SafetyConfig(_Block):
 class CoresConfig(_Block):
     """Which core each process is pinned to; null: none."""
 
-    bench: int | None = Field(default=None, ge=0)
+    bench: int | None = Field(default=None, ge=0, description="the bench's cyclic loop")
     hardware: int | None = Field(default=None, ge=0, description="the simulated hardware")
-    twin: int | None = Field(default=None, ge=0)
+    twin: int | None = Field(default=None, ge=0, description="the twin")
 
 
 class RealtimeConfig(_Block):

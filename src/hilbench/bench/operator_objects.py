@@ -58,7 +58,9 @@ class OperatorObjects:
         store = ObjectStore(_dictionary(config))
         for sub, path in QUANTITIES.items():
             self._serve(store.cell(INDEX, sub), path, get, may_change)
-        self._server = DeviceSdoServer(node_id, store, lambda can_id, data: self._answers.append(Frame(can_id, data)))
+        self._server = DeviceSdoServer(
+            node_id, store, lambda can_id, data: self._answers.append(Frame(can_id, bytes(data)))
+        )
 
     def take(self, frames: Iterable[Frame]) -> None:
         """Look for requests in what came in a cycle."""
