@@ -32,7 +32,6 @@ from hilbench.drives.drive import Drive, DriveGoal
 from hilbench.errors import EXIT_INTERRUPTED, BenchFaultError, EmergencyStopError, HilbenchError
 from hilbench.twin.plausibility import Problem
 from hilbench.twin.synchronizers.create import METHODS
-from hilbench.web.line import Line
 
 #: Time for the axes to stand still again after the load motor has let go.
 _SETTLE_S = 0.3
@@ -146,9 +145,6 @@ class Bench:
         try:
             self._announce("prepare the model (compiled on first use)")
             self._load_model.warm_up()
-            if self._participants is Participants.STARTED:
-                # Once, into the cache on disk: compiling takes longer than a process has to show itself on the bus.
-                Line(self.config.model).advance(self.config.cycle_time_s)
             started = self._resources.enter_context(
                 bring_up(
                     self.config,

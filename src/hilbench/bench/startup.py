@@ -26,6 +26,7 @@ from hilbench.fieldbus import master as nmt
 from hilbench.fieldbus.emergency_stop import EMERGENCY_STOP_COB_ID
 from hilbench.fieldbus.master import Master
 from hilbench.real_time import kept_ready
+from hilbench.web.line import Line
 
 #: After the start command the nodes' clocks stand still until SYNC; what they said just before it must not arrive as
 #: part of the first cycle.
@@ -121,6 +122,8 @@ def _release_nodes(master: Master, exchange: CyclicExchange) -> None:
 
 def start_children(config: BenchConfig, folder: Path) -> list[ChildProcess]:
     """Start the simulated hardware, where a node is simulated, and the twin; their logs go to `folder`."""
+    # Once, into the cache on disk: compiling takes longer than a process has to show itself on the bus.
+    Line(config.model).advance(config.cycle_time_s)
     path = folder / "config.yaml"
     if not path.exists():
         path.write_text(yaml.safe_dump(config.model_dump(mode="json", exclude_none=True), sort_keys=False))
