@@ -70,6 +70,7 @@ MODULES = [
     "9p",
     "can",
     "can-raw",
+    "can-bcm",
     "can-dev",
     "vcan",
     "sja1000",
