@@ -114,7 +114,7 @@ def test_a_controller_that_goes_down_is_the_safe_state_and_all_data_kept(tmp_pat
     assert f"{second}: is down" in (tmp_path / "hardware.log").read_text()
     folder = run_folder(tmp_path)
     bench_fault, *unconfirmed = Result.read(folder.result).faults
-    assert "no answer to SYNC from axis1 (COB-ID 181h)" in bench_fault.text
+    assert "no answer to SYNC from axis1 (node 1) (COB-ID 181h)" in bench_fault.text
     assert [fault.source for fault in unconfirmed] == ["safe state"]
     trace = [line.split()[2] for line in folder.trace.read_text().splitlines()]
     assert [frame for frame in trace if frame.startswith("201#")][-1].startswith("201#0200")  # quick stop

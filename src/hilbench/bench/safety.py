@@ -8,6 +8,8 @@ from hilbench.drives.drive import Drive, DriveGoal
 from hilbench.drives.state_machine import POWERED, STATUS_TARGET_REACHED, State, decode_statusword
 from hilbench.errors import BenchFaultError, BusError, EmergencyStopError
 
+#: Every drive is told to stop in so many cycles, who says nothing as well: it may still hear, and a frame can be lost.
+_TOLD_CYCLES = 3
 #: Cycles between two questions to the drives while they stop after an emergency stop.
 _ASK_EVERY = 25
 
@@ -24,8 +26,8 @@ def quick_stop(
         drive.request(DriveGoal.QUICK_STOP)
     longest_s = max(drive.settings.time_out_s + drive.settings.ramp_time_out_s for drive in drives)
     problem = "no fault was reported"
-    for _ in range(round(longest_s / cycle_s)):
-        if all(drive.reached or silent(drive) for drive in drives):
+    for cycle in range(round(longest_s / cycle_s)):
+        if cycle >= _TOLD_CYCLES and all(drive.reached or silent(drive) for drive in drives):
             break
         try:
             exchange()
