@@ -17,7 +17,7 @@ pytestmark = pytest.mark.vcan
 MATRIX = Path(__file__).resolve().parents[2] / "tools" / "fault_matrix.py"
 
 
-@pytest.mark.parametrize("process", ["bench", "hardware", "twin"])
+@pytest.mark.parametrize("process", ["bench", "hardware"])
 def test_a_process_is_killed(process: str) -> None:
     bus = f"socketcan:{os.environ['HILBENCH_VCAN']}"
     command = [sys.executable, str(MATRIX), "--bus", bus, "--only", f"^{process}: kill -9"]
