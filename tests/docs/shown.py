@@ -44,6 +44,8 @@ NOT_RUN = {
     r"candump ": "needs a CAN interface: the guest of `make test-vcan` has one, and a candump as witness",
     r"hilbench --install-completion": "writes into the start-up files of the user's shell",
     r"hilbench drive \S+ jog ": "its key is held by hand; tests/cli/test_attach.py holds it",
+    r"hilbench sweep .*--cluster ": "needs a cluster; tests/scripts/test_sweep.py has one of its own",
+    r"hilbench sync bench_configs/synchronizers.yaml": "runs the bench once with each method, which takes minutes",
     r"pytest --hilbench-config ": "the page's test is run by tests/scripts/test_scripts.py",
 }
 #: What a shown line is instead where it is run: no terminal is there, no stand, and no need for all methods.

@@ -61,7 +61,7 @@ def as_it_is_run(words: tuple[str, ...]) -> tuple[str, ...]:
     if "--pace" in done:
         del done[done.index("--pace") : done.index("--pace") + 2]
     own = any(_OWN in word for word in words)
-    if words[0] in ("run", "doctor") and not own:
+    if words[0] in ("run", "doctor") and not own and "--in-process" not in words:
         done = [word for word in done if word != "--no-start"] + ["--no-start"]
         if any(word.endswith(".yaml") for word in words) and "--bus" in done:  # it is the config's
             del done[done.index("--bus") : done.index("--bus") + 2]
