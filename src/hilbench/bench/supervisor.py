@@ -19,14 +19,12 @@ from dataclasses import dataclass
 from hilbench.bus.link import Link
 from hilbench.bus.open import BusAddress, open_link
 from hilbench.errors import BusError
-from hilbench.fieldbus.emergency_stop import EMERGENCY_STOP
+from hilbench.fieldbus.emergency_stop import send_emergency_stop
 
 _MODULE = "hilbench.bench.supervisor"
 _HEARTBEAT = 0x700
 _STANDARD_MASK = 0x7FF
 _LOOK_S = 0.05
-#: The stop is sent so often: a frame can be lost.
-_TIMES = 3
 
 
 @dataclass(frozen=True)
@@ -91,13 +89,7 @@ def watch_heartbeat(link: Link, watch: Watch, told_to_end: threading.Event, benc
 
 def _stop(link: Link, reason: str) -> None:
     print(f"emergency stop: {reason}", file=sys.stderr, flush=True)
-    for attempt in range(_TIMES):
-        try:
-            link.send(EMERGENCY_STOP)
-        except BusError:
-            if attempt == _TIMES - 1:
-                raise
-        time.sleep(0.01)
+    send_emergency_stop(link)
 
 
 def main() -> None:

@@ -118,23 +118,10 @@ def compare_methods(
     The first second of a recording, while a twin settles, is not scored. Raises ValueError for a model without drives
     or of other than two rollers, and for a sampling period that is no multiple of the drives'.
     """
-    step = metrics.last_step(E_true_Pa) if E_true_Pa is not None else None
-    noise_Nm = torque_noise_Nm(data)
-    bound = np.full(len(data.t_s), np.inf)
-    bound[step or 0 :] = least_deviation_Pa(model, data, step or 0, noise_Nm)
-    results = []
-    for name, method in methods.items():
-        track = run_offline(model, twin_config(method, unmodelled_torque_Nm), data)
-        results.append(_score(name, track, data.t_s, E_true_Pa, step))
-    return Comparison(
-        t_s=data.t_s,
-        E_true_Pa=E_true_Pa,
-        step_s=float(data.t_s[step]) if step is not None else None,
-        noise_Nm=noise_Nm,
-        bound_sd_Pa=bound,
-        bound_time_to_1pct_s=_bound_time_s(data.t_s, bound, E_true_Pa, step),
-        results=results,
-    )
+    tracks = {
+        name: run_offline(model, twin_config(method, unmodelled_torque_Nm), data) for name, method in methods.items()
+    }
+    return _comparison(model, data, E_true_Pa, tracks)
 
 
 #: What a run shows of its synchronizer, and what the bound of its samples needs.
@@ -153,26 +140,32 @@ def compare_runs(model: ModelParameters, runs: Mapping[str, Recording]) -> Compa
     first = measurements_of(next(iter(runs.values())), next(iter(runs)))
     data = Measurements(**{each.name: getattr(first, each.name)[:length] for each in fields(Measurements)})
     true = np.asarray(next(iter(runs.values()))["E_true_Pa"], np.float64)[:length]
-    step = metrics.last_step(true)
-    noise_Nm = torque_noise_Nm(data)
-    bound = np.full(length, np.inf)
-    bound[step or 0 :] = least_deviation_Pa(model, data, step or 0, noise_Nm)
-    results = []
+    tracks = {}
     for name, recording in runs.items():
         shown = [np.asarray(recording[channel], np.float64)[:length] for channel in _SHOWN]
         if not np.array_equal(shown[-1], true):
             raise UnusableInputError(name, "E changes otherwise than in the other runs, expected one experiment")
         modulus, deviation, tension, residual, _ = shown
-        track = Track(modulus, deviation, tension, residual, nuisances={}, synchronizer_us=None)
-        results.append(_score(name, track, data.t_s, true, step))
+        tracks[name] = Track(modulus, deviation, tension, residual, nuisances={}, synchronizer_us=None)
+    return _comparison(model, data, true, tracks)
+
+
+def _comparison(
+    model: ModelParameters, data: Measurements, E_true_Pa: Array | None, tracks: Mapping[str, Track]
+) -> Comparison:
+    """Scores of what each method did, beside the bound of these samples."""
+    step = metrics.last_step(E_true_Pa) if E_true_Pa is not None else None
+    noise_Nm = torque_noise_Nm(data)
+    bound = np.full(len(data.t_s), np.inf)
+    bound[step or 0 :] = least_deviation_Pa(model, data, step or 0, noise_Nm)
     return Comparison(
         t_s=data.t_s,
-        E_true_Pa=true,
+        E_true_Pa=E_true_Pa,
         step_s=float(data.t_s[step]) if step is not None else None,
         noise_Nm=noise_Nm,
         bound_sd_Pa=bound,
-        bound_time_to_1pct_s=_bound_time_s(data.t_s, bound, true, step),
-        results=results,
+        bound_time_to_1pct_s=_bound_time_s(data.t_s, bound, E_true_Pa, step),
+        results=[_score(name, track, data.t_s, E_true_Pa, step) for name, track in tracks.items()],
     )
 
 

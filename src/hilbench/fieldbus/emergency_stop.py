@@ -13,6 +13,7 @@ from typing import Final
 
 from hilbench.bus.frame import Frame
 from hilbench.bus.link import Link
+from hilbench.errors import BusError
 
 EMERGENCY_STOP_COB_ID: Final = 0x001
 
@@ -27,7 +28,11 @@ _PAUSE_S: Final = 0.01
 
 
 def send_emergency_stop(link: Link) -> None:
-    """Stop everything on the bus; takes 30 ms. Raises BusError when it cannot be sent."""
-    for _ in range(_TIMES):
-        link.send(EMERGENCY_STOP)
+    """Stop everything on the bus; takes 30 ms. Raises BusError when it cannot be sent the last time either."""
+    for attempt in range(_TIMES):
+        try:
+            link.send(EMERGENCY_STOP)
+        except BusError:
+            if attempt == _TIMES - 1:
+                raise
         time.sleep(_PAUSE_S)
