@@ -3,7 +3,7 @@
     lockstep_profile.py [CONFIG] [--in-process] [--json]
 
 The bench's own time is split at the last answer; before it the bench waits, and counts and traces what it has. CPU time
-is what the kernel counts for each process (in ticks of 10 ms), divided by the cycles in between.
+is what the scheduler says that the threads of each process have run, divided by the cycles in between.
 """
 
 from __future__ import annotations
@@ -23,13 +23,11 @@ from hilbench.experiment.config import load_with_overrides
 from hilbench.record.run import Recorder
 from hilbench.record.trace import TraceWriter
 
-_TICK_S = 1.0 / os.sysconf("SC_CLK_TCK")
-
 
 def cpu_s(pid: int) -> float:
-    """CPU time of a process so far, user and system."""
-    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) * _TICK_S
+    """CPU time of a process so far. That of `stat` is sampled at ticks, which cycles fall in step with."""
+    tasks = Path(f"/proc/{pid}/task").iterdir()
+    return sum(int((task / "schedstat").read_text().split()[0]) for task in tasks) * 1e-9
 
 
 def hub_pid(channel: str) -> int | None:

@@ -90,7 +90,8 @@ class ServingLink:
         self.close = self._link.close
 
     def receive(self, timeout_s: float) -> list[Frame]:
-        self._participants.serve()
+        if timeout_s > 0.0 or self._participants.bus.waiting:
+            self._participants.serve()
         frames = self._link.receive(0.0)
         if frames or timeout_s <= 0.0:
             return frames

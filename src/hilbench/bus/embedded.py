@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import socket
+import struct
 from collections.abc import Sequence
+from math import ceil
 
 from hilbench.bus import hub_client, protocol
 from hilbench.bus.confinement import ControllerState, bus_off, state_told
@@ -37,7 +39,7 @@ def send_packet(connection: socket.socket, channel: str, packet: bytes) -> None:
     """Hand a packet to the hub; waits while the transmit queue is full. Raises BusError if the bus is lost."""
     while True:
         try:
-            connection.send(packet)
+            connection.send(packet, socket.MSG_DONTWAIT)
             return
         except BlockingIOError:
             if not wait_writable(connection.fileno(), _SEND_TIMEOUT_S):
@@ -46,10 +48,10 @@ def send_packet(connection: socket.socket, channel: str, packet: bytes) -> None:
             raise hub_client.hub_lost(channel) from None
 
 
-def receive_packet(connection: socket.socket, channel: str) -> bytes | None:
+def receive_packet(connection: socket.socket, channel: str, flags: int = socket.MSG_DONTWAIT) -> bytes | None:
     """The next packet that waits, or None. Raises BusError if the bus is lost."""
     try:
-        packet = connection.recv(protocol.PACKET_BYTES)
+        packet = connection.recv(protocol.PACKET_BYTES, flags)
     except BlockingIOError:
         return None
     except OSError:
@@ -69,6 +71,11 @@ class EmbeddedLink:
         membership = hub_client.join(channel, Wanted(bitrate=bitrate, timing=timing))
         self._station = membership.station
         self._connection = membership.connection
+        # Where time is virtual a wait need not end to the microsecond: the kernel's own time-out, in its ticks, saves a
+        # call. `select` has the resolution of a cycle.
+        self._waits_in_ticks = timing == "virtual"
+        self._tick_timeout_s = 0.0  # as set
+        self._connection.setblocking(self._waits_in_ticks)
 
     def send(self, frames: Sequence[Frame]) -> None:
         records = [can_record(frame.can_id, frame.data) for frame in frames]
@@ -83,11 +90,7 @@ class EmbeddedLink:
         return frames
 
     def _waiting(self, timeout_s: float) -> list[Frame]:
-        packet = receive_packet(self._connection, self.channel)
-        if packet is None:
-            if timeout_s <= 0 or not wait_readable(self._connection.fileno(), timeout_s):
-                return []
-            packet = receive_packet(self._connection, self.channel)
+        packet = self._first_packet(timeout_s)
         frames: list[Frame] = []
         while packet is not None:
             body = memoryview(packet)[protocol.HEADER.size :]
@@ -99,6 +102,24 @@ class EmbeddedLink:
             _, self.dropped = protocol.HEADER.unpack_from(packet)
             packet = receive_packet(self._connection, self.channel)
         return frames
+
+    def _first_packet(self, timeout_s: float) -> bytes | None:
+        """A packet that waits, or comes within the time."""
+        if self._waits_in_ticks and timeout_s > 0.0:
+            self._set_tick_timeout(timeout_s)
+            return receive_packet(self._connection, self.channel, flags=0)
+        packet = receive_packet(self._connection, self.channel)
+        if packet is None and timeout_s > 0.0 and wait_readable(self._connection.fileno(), timeout_s):
+            packet = receive_packet(self._connection, self.channel)
+        return packet
+
+    def _set_tick_timeout(self, timeout_s: float) -> None:
+        if timeout_s != self._tick_timeout_s:
+            self._tick_timeout_s = timeout_s
+            seconds, microseconds = divmod(ceil(timeout_s * 1e6), 1_000_000)
+            self._connection.setsockopt(
+                socket.SOL_SOCKET, socket.SO_RCVTIMEO, struct.pack("@ll", seconds, microseconds)
+            )
 
     def set_filters(self, identifiers: Sequence[tuple[int, int]] | None) -> None:
         hub_client.set_filters(self.channel, self._station, identifiers)

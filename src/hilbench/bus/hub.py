@@ -44,7 +44,7 @@ RECEIVE_LIMIT = 16384
 DELIVERED_RECORDS = 512
 #: Connections at a time; further ones are closed at once.
 MAX_CLIENTS = 128
-_FILTER_CACHE_LIMIT = 4096
+_KNOWN_IDENTIFIERS = 4096
 
 
 class Client(Station):
@@ -58,7 +58,6 @@ class Client(Station):
         "filters",
         "identity",
         "joined",
-        "passes",
         "reading",
         "receive_own",
         "single",
@@ -71,7 +70,6 @@ class Client(Station):
         self.identity = identity
         self.joined = False
         self.filters: list[tuple[int, int]] | None = None
-        self.passes: dict[int, bool] = {}  # filters' verdict by identifier
         self.receive_own = False
         self.fd = False
         self.single = False  # one frame a packet
@@ -79,19 +77,6 @@ class Client(Station):
         self.waiting: deque[bytes] = deque()  # stamped records its socket had no room for
         self.reading = True  # not paused because of its full transmit queue
         self.blocked = False  # epoll tells when its socket has room again
-
-    def set_filters(self, filters: list[tuple[int, int]] | None) -> None:
-        self.filters = filters
-        self.passes = {}
-
-    def wants(self, can_id: int) -> bool:
-        """Whether the filters let `can_id` pass."""
-        verdict = self.passes.get(can_id)
-        if verdict is None:
-            if len(self.passes) >= _FILTER_CACHE_LIMIT:
-                self.passes.clear()
-            verdict = self.passes[can_id] = accepts(self.filters, can_id)
-        return verdict
 
 
 class Hub:
@@ -104,6 +89,7 @@ class Hub:
         self._listener = listener
         self._clients: dict[int, Client] = {}  # connected, by file descriptor
         self._departed: list[Client] = []  # gone, with frames still to send
+        self._listeners: dict[int, list[Client]] = {}  # stations whose filters let an identifier pass; made as needed
         self._identities = 0
         self._fd = False  # whether a station that may send FD frames has joined
         self._epoll = select.epoll()
@@ -185,6 +171,7 @@ class Hub:
         client.connection.close()
         if client.joined:
             self._departed.append(client)
+            self._listeners.clear()
 
     def _watch(self, client: Client) -> None:
         """Tell epoll what to wait for. A paused socket would report its hang-up again and again: edges only."""
@@ -260,20 +247,28 @@ class Hub:
             self._medium.leave(client)
 
     def _hand_out(self, delivered: list[Delivery]) -> None:
-        """Give every station the frames that are for it."""
-        pack_time = protocol.STAMP.pack
-        stamped = [
-            (delivery.sender, delivery.can_id, delivery.payload + pack_time(delivery.time_ns)) for delivery in delivered
-        ]
-        everything = [record for _, _, record in stamped]
-        senders = {delivery.sender for delivery in delivered}
-        for client in self._clients.values():
-            if not client.joined or client.state is ControllerState.BUS_OFF:
-                continue
-            if client.filters is None and client not in senders:
-                self._deliver(client, everything)
-            elif records := _selected(client, stamped):
-                self._deliver(client, records)
+        """Give every station the frames that are for it; its own ones only on request, and marked."""
+        pack_time, known = protocol.STAMP.pack, self._listeners
+        records: dict[Client, list[bytes]] = {}
+        for sender, can_id, payload, time_ns in delivered:
+            record = payload + pack_time(time_ns)
+            listeners = known.get(can_id)
+            for client in self._who_listens(can_id) if listeners is None else listeners:
+                if client is not sender:
+                    records.setdefault(client, []).append(record)
+                elif client.receive_own:
+                    records.setdefault(client, []).append(_marked_own(record))
+        for client, selected in records.items():
+            if client.state is not ControllerState.BUS_OFF:
+                self._deliver(client, selected)
+
+    def _who_listens(self, can_id: int) -> list[Client]:
+        """The stations whose filters let `can_id` pass."""
+        if len(self._listeners) >= _KNOWN_IDENTIFIERS:
+            self._listeners.clear()
+        found = [client for client in self._clients.values() if client.joined and accepts(client.filters, can_id)]
+        self._listeners[can_id] = found
+        return found
 
     def _tell_states(self) -> None:
         """Each station hears of its own controller, whatever its filters are."""
@@ -347,7 +342,8 @@ class Hub:
         if isinstance(request, requests.Join):
             return self._join(client, request)
         if isinstance(request, requests.SetFilters):
-            self._station(request.station).set_filters(request.filters)
+            self._station(request.station).filters = request.filters
+            self._listeners.clear()
             return {}
         if isinstance(request, requests.SetErrors):
             self._medium.disturber = Disturber(request.injection)
@@ -368,7 +364,8 @@ class Hub:
             self.malformed = 0
         else:
             join.wanted.check_against(self.settings)
-        client.set_filters(join.filters)
+        client.filters = join.filters
+        self._listeners.clear()
         client.receive_own, client.fd, client.single = join.receive_own, join.fd, join.single
         client.joined = True
         self._fd = (self._fd and not alone) or client.fd
@@ -396,14 +393,6 @@ def _classical_bits(can_id: int, length: int, data: bytes) -> int:
     if length > 8 or can_id & ERROR_FLAG or (can_id & 0x1FFFF800 and not can_id & EXTENDED_FLAG):
         return 0
     return bits_on_wire(can_id, data[:length])
-
-
-def _selected(client: Client, stamped: list[tuple[Station, int, bytes]]) -> list[bytes]:
-    """The records that pass the client's filters; its own ones only on request, and marked."""
-    wants = client.wants
-    if not client.receive_own:
-        return [record for sender, can_id, record in stamped if sender is not client and wants(can_id)]
-    return [_marked_own(record) if sender is client else record for sender, can_id, record in stamped if wants(can_id)]
 
 
 def _marked_own(record: bytes) -> bytes:

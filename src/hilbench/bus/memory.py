@@ -38,13 +38,16 @@ class MemoryBus:
         self.channel = channel
         self._medium = Medium(bitrate)
         self._links: list[MemoryLink] = []
+        self._listeners: dict[int, list[MemoryLink]] = {}  # whose filters let an identifier pass; made as needed
         self._lock = threading.Lock()
+        self.waiting = False  #: whether frames wait for the wire
 
     def open_link(self) -> MemoryLink:
         """A new station on the bus."""
         with self._lock:
             link = MemoryLink(self)
             self._links.append(link)
+            self._listeners.clear()
             self._medium.join(link.station)
         return link
 
@@ -66,13 +69,23 @@ class MemoryBus:
 
     def _carry(self) -> None:
         """Let the wire carry all that was sent; hand it to the links. The lock is held."""
+        if not self.waiting:
+            return
+        self.waiting = False
         for sender, can_id, data, time_ns in self._medium.run(FOREVER):
             frame = Frame(can_id, data, time_ns)
-            for link in self._links:
-                if link.station is sender or link.controller is ControllerState.BUS_OFF:
-                    continue
-                if link.wants(can_id):
+            for link in self._who_listens(can_id):
+                if link.station is not sender and link.controller is not ControllerState.BUS_OFF:
                     link.take(frame)
+
+    def _who_listens(self, can_id: int) -> list[MemoryLink]:
+        """The links whose filters let `can_id` pass. The lock is held."""
+        listeners = self._listeners.get(can_id)
+        if listeners is None:
+            if len(self._listeners) >= _KNOWN_IDENTIFIERS:
+                self._listeners.clear()
+            listeners = self._listeners[can_id] = [link for link in self._links if accepts(link.filters, can_id)]
+        return listeners
 
 
 class MemoryLink:
@@ -83,8 +96,7 @@ class MemoryLink:
         self.dropped = 0
         self.station = Station()
         self._bus = bus
-        self._filters: Sequence[tuple[int, int]] | None = None
-        self._wanted: dict[int, bool] = {}  # the filters' verdict by identifier
+        self.filters: Sequence[tuple[int, int]] | None = None
         self._received: list[Frame] = []
         self._sent = threading.Condition(bus._lock)  # somebody has sent what the filters let pass
         self._waiting_threads = 0  # for that
@@ -98,21 +110,13 @@ class MemoryLink:
         with bus._lock:
             self._check_open()
             medium = bus._medium
+            bus.waiting = True
             for can_id, data, _ in frames:
                 content = bytes(data)
                 medium.queue(self.station, can_id, content, bits_on_wire(can_id, content), medium.free_ns)
             for link in bus._links:
-                if link is not self and link._is_awaited() and any(link.wants(frame.can_id) for frame in frames):
+                if link is not self and link._is_awaited() and any(accepts(link.filters, f.can_id) for f in frames):
                     link._tell()
-
-    def wants(self, can_id: int) -> bool:
-        """Whether the filters let a frame pass (asked by the bus, with its lock held)."""
-        verdict = self._wanted.get(can_id)
-        if verdict is None:
-            if len(self._wanted) >= _KNOWN_IDENTIFIERS:
-                self._wanted.clear()
-            verdict = self._wanted[can_id] = accepts(self._filters, can_id)
-        return verdict
 
     def take(self, frame: Frame) -> None:
         """A frame was on the wire (called by the bus)."""
@@ -159,8 +163,8 @@ class MemoryLink:
     def set_filters(self, identifiers: Sequence[tuple[int, int]] | None) -> None:
         with self._bus._lock:
             self._bus._carry()  # what was sent before meets the old filters
-            self._filters = identifiers
-            self._wanted = {}
+            self.filters = identifiers
+            self._bus._listeners.clear()
 
     @property
     def controller(self) -> ControllerState:
@@ -183,6 +187,7 @@ class MemoryLink:
             bus._carry()  # its last frames still go out
             self._closed = True
             bus._links.remove(self)
+            bus._listeners.clear()
             bus._medium.leave(self.station)
             self._sent.notify_all()
             if self._event is not None:
