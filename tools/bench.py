@@ -15,7 +15,7 @@ from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 
-from performance import cyclic_path, model_kernel, recordings, running
+from performance import cyclic_path, model_kernel, real_time, recordings, running
 from performance.table import Section, machine, markdown
 
 from hilbench.experiment.config import load_with_overrides
@@ -32,7 +32,7 @@ def parts(config_path: Path, seconds: float) -> dict[str, Callable[[], list[Sect
         "kernel": lambda: model_kernel.measure(config.model),
         "pdo": lambda: [cyclic_path.measure(config)],
         "lockstep": lambda: [running.lockstep(config_path, seconds)],
-        "jitter": lambda: [running.jitter(config_path, seconds)],
+        "jitter": lambda: real_time.measure(config_path, seconds),
         "sync": lambda: [recordings.synchronizers(config.model, LENGTHS_S)],
         "diagnose": lambda: [recordings.diagnosis(config.model, LENGTHS_S)],
         "start": lambda: [running.start_up(config_path)],

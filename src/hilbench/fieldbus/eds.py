@@ -9,6 +9,7 @@ from __future__ import annotations
 import io
 import re
 from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
 
 import canopen
@@ -47,10 +48,20 @@ class _Section:
 def load_eds(path: Path | str, node_id: int) -> canopen.ObjectDictionary:
     """Object dictionary of an EDS or DCF file for the device with this node id (``$NODEID`` is resolved).
 
-    Raises UnusableInputError with file and line when the file cannot be read or an object in it is not usable:
-    no name, type or access type, a default or a limit that is no value of its type, a sub-index without its object.
+    One dictionary serves all who ask for it: it is not to be changed. Raises UnusableInputError with file and line
+    when the file cannot be read or an object in it is not usable: no name, type or access type, a default or a limit
+    that is no value of its type, a sub-index without its object.
     """
     path = Path(path)
+    try:
+        status = path.stat()
+    except OSError as error:
+        raise _unreadable(path, error) from error
+    return _load(path, node_id, (status.st_mtime_ns, status.st_size))
+
+
+@lru_cache(64)  # at its start a bench asks for each file several times, and reading one takes as long as ten cycles
+def _load(path: Path, node_id: int, _as_of: tuple[int, int]) -> canopen.ObjectDictionary:
     sections = _read_sections(path)
     objects = _object_sections(path, sections)
     _check_hierarchy(path, objects)
@@ -124,11 +135,15 @@ def _full_name(candidate: ODVariable) -> str:
     return f"{snake_case(parent.name)}.{own}" if isinstance(parent, ODRecord | ODArray) else own
 
 
+def _unreadable(path: Path, error: OSError) -> UnusableInputError:
+    return UnusableInputError(path, f"cannot be read ({error.strerror}), expected an EDS file")
+
+
 def _read_sections(path: Path) -> dict[str, _Section]:
     try:
         text = path.read_bytes().decode("utf-8-sig", errors="replace")
     except OSError as error:
-        raise UnusableInputError(path, f"cannot be read ({error.strerror}), expected an EDS file") from error
+        raise _unreadable(path, error) from error
     sections: dict[str, _Section] = {}
     current: _Section | None = None
     for number, raw in enumerate(text.splitlines(), start=1):
