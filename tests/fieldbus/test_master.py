@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import re
 import threading
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
+import can
 import canopen
 import pytest
 from tests.buses import Bus
 from tests.fieldbus.device_under_test import NODE, eds_text
 
 from hilbench.bus.frame import Frame
-from hilbench.errors import BenchFaultError
+from hilbench.errors import BenchFaultError, BusError
 from hilbench.fieldbus.clock import MonotonicClock
 from hilbench.fieldbus.device import Device, NmtState
 from hilbench.fieldbus.eds import load_eds
@@ -145,6 +147,38 @@ def test_nmt(rig: Rig, master: Master) -> None:
     master.nmt(START, NODE)
     assert changed.wait(5.0)
     assert rig.device.nmt_state is NmtState.OPERATIONAL
+
+
+class BusThatIsLost(can.BusABC):
+    """A python-can bus that nothing comes from, and whose other end goes away when told."""
+
+    def __init__(self) -> None:
+        self.lost = threading.Event()
+        super().__init__("none")
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        pass
+
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        if self.lost.wait(timeout):
+            raise can.CanOperationError("its hub has ended")
+        return None, True
+
+
+def test_a_lost_bus_is_an_error_where_it_is_used_next_and_no_traceback(monkeypatch: pytest.MonkeyPatch) -> None:
+    printed = []
+    monkeypatch.setattr(threading, "excepthook", printed.append)
+    bus = BusThatIsLost()
+    before = threading.active_count()
+    master = Master(bus)
+    assert threading.active_count() > before
+    bus.lost.set()
+    while threading.active_count() > before:
+        time.sleep(0.01)
+    with pytest.raises(BusError, match="its hub has ended"):
+        master.nmt(START)
+    master.close()
+    assert printed == []
 
 
 def test_canopens_client_reads_writes_maps_and_transfers_blocks(rig: Rig) -> None:

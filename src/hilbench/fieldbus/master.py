@@ -46,6 +46,19 @@ def _bus_errors() -> Iterator[None]:
         raise BusError(" ".join(str(error).split())) from error
 
 
+class _LossIsKnown(can.Listener):
+    """Takes what ends canopen's thread, which would print it; `Network.check` raises it where the bus is used next."""
+
+    def on_message_received(self, msg: can.Message) -> None:
+        """Others listen."""
+
+    def on_error(self, exc: Exception) -> None:
+        """The bus is lost."""
+
+    def stop(self) -> None:
+        """Nothing is held."""
+
+
 class Master:
     """canopen's network on a python-can bus; one SDO transfer at a time.
 
@@ -55,6 +68,7 @@ class Master:
     def __init__(self, bus: can.BusABC, sdo_timeout_s: float = 1.0) -> None:
         self._network = canopen.Network(bus)
         self._network.NOTIFIER_CYCLE = _NOTIFIER_CYCLE_S
+        self._network.listeners.append(_LossIsKnown())  # type: ignore[arg-type] # any listener will do
         self._network.connect()
         self._timeout_s = sdo_timeout_s
         self._lock = threading.Lock()
