@@ -108,9 +108,11 @@ DAMAGE = st.lists(
 )
 
 
-@pytest.mark.filterwarnings("ignore")
+@pytest.mark.filterwarnings("ignore", "error::pytest.PytestUnraisableExceptionWarning")
 @pytest.mark.parametrize("kind", ["config", "eds", "mdf", "csv", "gzip", "result", "journal", "trace"])
-def test_a_damaged_file_is_one_clear_error_or_none(kind: str, tmp_path: Path) -> None:
+def test_a_damaged_file_is_one_clear_error_or_none(
+    kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     content, name, read = originals()[kind]
     path = tmp_path / name
     path.write_bytes(content)
@@ -131,4 +133,5 @@ def test_a_damaged_file_is_one_clear_error_or_none(kind: str, tmp_path: Path) ->
         assert not said or said.startswith(str(path))
 
     survives()
+    assert capsys.readouterr() == ("", "")
     assert not Path("/tmp/owned").exists()

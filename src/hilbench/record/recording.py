@@ -7,12 +7,17 @@ reads back as the same binary64 number).
 
 from __future__ import annotations
 
+import gc
 import gzip
+import io
+import logging
 import os
 import struct
+import sys
 import warnings
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, redirect_stdout
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
@@ -317,14 +322,31 @@ def _asammdf() -> Any:
 def _read_mdf(path: Path) -> Recording:
     _check_mdf_head(path)
     asammdf = _asammdf()
+    with _tracebacks_dropped():
+        try:
+            with asammdf.MDF(path) as mdf:
+                _check_mdf_blocks(mdf, path)
+                return _mdf_channels(mdf, path)
+        except (UnusableInputError, MemoryError):
+            raise
+        except Exception as error:  # asammdf raises whatever its parser stumbles over: struct.error, KeyError, …
+            found = _one_line(error)
+        gc.collect()  # what it had half made
+    raise UnusableInputError(path, f"not a readable MDF4 file ({found})")
+
+
+@contextmanager
+def _tracebacks_dropped() -> Iterator[None]:
+    """Of a damaged file asammdf prints tracebacks, too: on standard output, by its logger, and when half-made objects
+    are let go."""
+    logger, hook = logging.getLogger("asammdf"), sys.unraisablehook
+    logger.disabled, disabled = True, logger.disabled
+    sys.unraisablehook = lambda _: None
     try:
-        with asammdf.MDF(path) as mdf:
-            _check_mdf_blocks(mdf, path)
-            return _mdf_channels(mdf, path)
-    except (UnusableInputError, MemoryError):
-        raise
-    except Exception as error:  # asammdf raises whatever its parser stumbles over: struct.error, KeyError, …
-        raise UnusableInputError(path, f"not a readable MDF4 file ({_one_line(error)})") from error
+        with redirect_stdout(io.StringIO()):
+            yield
+    finally:
+        logger.disabled, sys.unraisablehook = disabled, hook
 
 
 def _check_mdf_head(path: Path) -> None:
