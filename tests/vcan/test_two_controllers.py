@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hilbench.doctor.machine import measure_lateness
 from hilbench.record.recording import read_recording
 from hilbench.record.result import Result
 from hilbench.record.run_folder import RunFolder
@@ -85,12 +86,13 @@ def test_in_real_time_no_cycle_is_missed(tmp_path: Path, capsys: pytest.CaptureF
     folder = run_folder(tmp_path)
     timing = Result.read(folder.result).timing
     assert timing.jitter_us is not None
-    late = timing.jitter_us
+    late, bare = timing.jitter_us, measure_lateness(timing.cycle_us * 1e-6, 4.0)
     with capsys.disabled():
         print(
             f"\nreal time, bench on {controllers()[0]}, hardware on {controllers()[1]}: {timing.cycles} cycles of "
             f"{timing.cycle_us / 1000:g} ms, {timing.missed} missed, SYNC late by {late.p50:.0f} µs (p50), "
-            f"{late.p99:.0f} µs (p99), {late.max:.0f} µs (max)"
+            f"{late.p99:.0f} µs (p99), {late.max:.0f} µs (max); a bare loop by {bare.p50_us:.0f}, {bare.p99_us:.0f}, "
+            f"{bare.max_us:.0f} µs"
         )
     recording = read_recording(folder.recording)
     assert np.ptp(np.asarray(recording["v2_m_s"])) == pytest.approx(1.0, rel=0.05)

@@ -20,7 +20,7 @@ from types import MappingProxyType
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from hilbench.drives.port import MotorMode
 from hilbench.web.effects import EFFECTS, Domain, Effect, find_effect
@@ -327,21 +327,13 @@ def new_state(parameters: Vector, strain: float | Vector = 0.0, length_m: float 
     return state
 
 
-def set_strain(parameters: Vector, state: Vector, strain: float | Vector) -> None:
+def set_strain(parameters: Vector, state: Vector, strain: ArrayLike) -> None:
     """Set the strain of every span (state transfer): material length = length/(1 + strain)."""
-    layout = Layout.of(parameters)
-    y, n, k = layout.y(state), layout.axes, layout.spans
-    length = y[4 * n + k :] * (1.0 + parameters[place("span_length_error", "relative_change")])
-    y[4 * n : 4 * n + k] = length / (1.0 + np.asarray(strain))
-
-
-def strain_of(parameters: Vector, state: Vector) -> Vector:
-    """Strain of every span, from the state."""
-    layout = Layout.of(parameters)
-    y, n, k = layout.y(state), layout.axes, layout.spans
-    length = y[4 * n + k :] * (1.0 + parameters[place("span_length_error", "relative_change")])
-    strain: Vector = length / y[4 * n : 4 * n + k] - 1.0
-    return strain
+    k, material = int(parameters[W_SPANS]), S_Y + 4 * int(parameters[W_AXES])
+    factor = 1.0 + parameters.item(place("span_length_error", "relative_change"))
+    strains = np.asarray(strain, dtype=float)
+    for span, of_span in enumerate(strains.tolist() if strains.ndim else [float(strains)] * k):
+        state[material + span] = state.item(material + k + span) * factor / (1.0 + of_span)
 
 
 def refresh_modes(parameters: Vector, state: Vector) -> None:

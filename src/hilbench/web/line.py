@@ -88,7 +88,7 @@ class Line:
     @property
     def strain(self) -> Vector:
         """Strain of each span (K,)."""
-        return lay.strain_of(self._p, self._state)
+        return self._out[self._layout.columns["strain"]].copy()
 
     @property
     def x_m(self) -> Vector:
@@ -142,13 +142,13 @@ class Line:
 
         What is not given stays. A control loop that is entered next goes on from the torque.
         """
-        n, y = self._layout.axes, self._layout.y(self._state)
-        for start, values in ((0, x_m), (n, v_m_s)):
+        n, state = self._layout.axes, self._state
+        for start, values in ((lay.S_Y, x_m), (lay.S_Y + n, v_m_s)):
             if values is not None:
-                y[start : start + n] = values
-                y[start + 2 * n : start + 3 * n] = values
+                state[start : start + n] = values
+                state[start + 2 * n : start + 3 * n] = values
         if strain is not None:
-            lay.set_strain(self._p, self._state, np.asarray(strain, dtype=float))
+            lay.set_strain(self._p, state, strain)
         if tau_Nm is not None:
             self._layout.motor_states(self._state)[:, lay.SM_TORQUE_NM] = tau_Nm
         lay.refresh_modes(self._p, self._state)

@@ -185,8 +185,8 @@ class ChangepointSynchronizer:
             settings[_LOG_DRIFT] = log(c.drift_onsets_per_s * _EVERY[_DRIFT] * sample.cycle_s)
             _bank_step(self._z, self._p, self._records, settings, self._inputs.u, self._row, self._out)
             # A few samples after a jump the mixture still has the noise of a few samples.
-            share = min(1.0, (0.01 * c.cautious_pct / self._out[2, kalman.E]) ** 2)
-            self._told += share * (self._out[0, kalman.E] - self._told)
+            share = min(1.0, (0.01 * c.cautious_pct / self._out.item(2, kalman.E)) ** 2)
+            self._told += share * (self._out.item(0, kalman.E) - self._told)
         return self._estimate()
 
     def _start(self, sample: SyncSample) -> None:
@@ -208,9 +208,9 @@ class ChangepointSynchronizer:
         return self._estimate()
 
     def _estimate(self) -> Estimate:
-        mean, deviation = self._out[:2]
+        mean, deviation, _ = self._out.tolist()
         return Estimate(
             self._told * self._reference_Pa,
-            hypot(float(deviation[kalman.E]), float(mean[kalman.E]) - self._told) * self._reference_Pa,
+            hypot(deviation[kalman.E], mean[kalman.E] - self._told) * self._reference_Pa,
             nuisances(self._also, mean[kalman.OFFSET :], deviation[kalman.OFFSET :]),
         )

@@ -94,5 +94,5 @@ class EkfSynchronizer:
         return Estimate(
             float(z[kalman.E]) * self._reference_Pa,
             float(deviations[kalman.E]) * self._reference_Pa,
-            nuisances(self._also, z[kalman.OFFSET :], deviations[kalman.OFFSET :]),
+            nuisances(self._also, z[kalman.OFFSET :].tolist(), deviations[kalman.OFFSET :].tolist()),
         )

@@ -75,5 +75,5 @@ class GlobalSynchronizer:
         self._estimate = Estimate(
             float(theta[0]) * self._reference_Pa,
             float(deviations[0]) * self._reference_Pa,
-            nuisances(self._also, theta[1:], deviations[1:]),
+            nuisances(self._also, theta[1:].tolist(), deviations[1:].tolist()),
         )

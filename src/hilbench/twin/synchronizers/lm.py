@@ -54,5 +54,5 @@ class LmSynchronizer:
         self._estimate = Estimate(
             float(self._theta[0]) * self._reference_Pa,
             float(deviations[0]) * self._reference_Pa,
-            nuisances(self._also, self._theta[1:], deviations[1:]),
+            nuisances(self._also, self._theta[1:].tolist(), deviations[1:].tolist()),
         )

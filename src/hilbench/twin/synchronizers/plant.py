@@ -103,10 +103,12 @@ def prior_deviations(also: AlsoEstimated) -> np.ndarray:
     return np.array([value for _, value in also])
 
 
-def nuisances(also: Sequence[tuple[str, float]], values: np.ndarray, deviations: np.ndarray) -> tuple[Nuisance, ...]:
+def nuisances(
+    also: Sequence[tuple[str, float]], values: Sequence[float], deviations: Sequence[float]
+) -> tuple[Nuisance, ...]:
     """The estimates of what is estimated beside E. `also`: names and priors of `AlsoEstimated`; values and deviations
     (4,) in the order of the filter's state."""
-    rows = zip(also, values.tolist(), deviations.tolist(), strict=True)
+    rows = zip(also, values, deviations, strict=True)
     return tuple(
         [
             Nuisance(name, value, deviation, deviation < _SEPARABLE * prior)
