@@ -114,8 +114,9 @@ class MemoryLink:
             for can_id, data, _ in frames:
                 content = bytes(data)
                 medium.queue(self.station, can_id, content, bits_on_wire(can_id, content), medium.free_ns)
+            heard_by = [bus._who_listens(frame.can_id) for frame in frames]
             for link in bus._links:
-                if link is not self and link._is_awaited() and any(accepts(link.filters, f.can_id) for f in frames):
+                if link is not self and link._is_awaited() and any(link in listeners for listeners in heard_by):
                     link._tell()
 
     def take(self, frame: Frame) -> None:
