@@ -126,3 +126,12 @@ def test_the_python_can_bus_filters_and_reports_errors() -> None:
         assert (message.arbitration_id, bytes(message.data)) == (0x2, b"x")
         with pytest.raises(can.CanOperationError):
             python_can.send(can.Message(is_error_frame=True))
+
+
+def test_what_was_received_does_not_grow_when_more_comes() -> None:
+    bus = MemoryBus()
+    sender, receiver = bus.open_link(), bus.open_link()
+    nothing = receiver.receive(0.0)
+    sender.send([Frame(0x1, b"")])
+    assert len(receiver.receive(0.0)) == 1
+    assert nothing == []

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from struct import unpack_from
 
 from hilbench.twin.plausibility import Problem
+from hilbench.twin.torque_shift import TORQUE_SHIFT, UNDECIDED
 
 #: Error codes and their classes (CiA 301, table 26), by the first digits that decide.
 _CLASSES = {
@@ -25,7 +27,10 @@ _CLASSES = {
     "F0": "additional functions",
     "FF": "device specific",
 }
-_PROBLEMS = {int(problem): problem.name.lower().replace("_", " ") for problem in Problem}
+_OF_TWIN = {int(problem): problem.name.lower().replace("_", " ") for problem in Problem} | {
+    TORQUE_SHIFT: "shift of friction or torque offset of axis 2",
+    UNDECIDED: "torque of axis 2 has changed: E, or a shift of friction or offset; another tension would tell",
+}
 _LENGTH = 8
 
 
@@ -38,6 +43,7 @@ class Emergency:
     code: int
     register: int
     cleared: int = 0
+    shift_Nm: float = 0.0  #: of TORQUE_SHIFT: what the measured torque has shifted by
 
     @classmethod
     def of(cls, node_id: int, node: str, data: bytes) -> Emergency | None:
@@ -45,16 +51,19 @@ class Emergency:
         if len(data) != _LENGTH:
             return None
         code = int.from_bytes(data[:2], "little")
-        return cls(node_id, node, code, data[2], int.from_bytes(data[3:5], "little") if code == 0 else 0)
+        cleared = int.from_bytes(data[3:5], "little") if code == 0 else 0
+        shift_Nm = float(unpack_from("<f", data, 3)[0]) if code == TORQUE_SHIFT else 0.0
+        return cls(node_id, node, code, data[2], cleared, shift_Nm)
 
     def __str__(self) -> str:
         if self.code == 0:
             return f"EMCY 0000h: {_meaning(self.cleared)} is over" if self.cleared else "EMCY 0000h: no error any more"
-        return f"EMCY {self.code:04X}h: {_meaning(self.code)}"
+        size = f", {self.shift_Nm:+.3g} N·m" if self.code == TORQUE_SHIFT else ""
+        return f"EMCY {self.code:04X}h: {_meaning(self.code)}{size}"
 
 
 def _meaning(code: int) -> str:
-    if code in _PROBLEMS:
-        return _PROBLEMS[code]
+    if code in _OF_TWIN:
+        return _OF_TWIN[code]
     text = f"{code:04X}"
     return next((name for start, name in _CLASSES.items() if text.startswith(start)), "error")

@@ -148,9 +148,7 @@ class MemoryLink:
         if self._event is not None:
             with contextlib.suppress(BlockingIOError):  # nothing was signalled
                 os.eventfd_read(self._event)
-        frames = self._received
-        if frames:
-            self._received = []
+        frames, self._received = self._received, []
         return frames
 
     def _is_awaited(self) -> bool:

@@ -65,6 +65,11 @@ class Anomalies:
         self._force_sum_N = self._web_sum = 0.0
         self._after_gap = True
 
+    @property
+    def judging(self) -> bool:
+        """Whether something has changed that may yet be a slip."""
+        return self._since_change_m is not None
+
     def update(self, now: BalanceSample) -> None:
         """Take the balance of this cycle; sets `broken` and `slipping`."""
         if not (isfinite(now.force_N) and isfinite(now.web_per_Pa)):

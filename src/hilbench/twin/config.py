@@ -156,6 +156,11 @@ class TwinConfig(_Block):
         description="what the torque of axis 2 may lastingly be off the model's by (standard deviation): part of the "
         "stated deviation of E, unless the method looks for it (also.torque_offset_Nm)",
     )
+    torque_shift: Literal["compensate", "ignore"] = Field(
+        default="compensate",
+        description="a shift of friction or of the torque's offset that is told from a change of E: taken out of the "
+        "measured torque, or booked as E",
+    )
     synchronized_pct: PositiveFloat = Field(
         default=1.0,
         description="deviation of E up to which the twin calls itself synchronized; without the unmodelled torque",

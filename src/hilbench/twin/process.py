@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from struct import pack
 
 from hilbench.bus.frame import Frame
 from hilbench.bus.open import BusAddress, open_link
@@ -21,6 +22,7 @@ from hilbench.twin.axis_listener import AxisListener, RealAxis, TwinNode
 from hilbench.twin.config import TwinConfig
 from hilbench.twin.plausibility import Problem
 from hilbench.twin.synchronizers.create import METHODS
+from hilbench.twin.torque_shift import TORQUE_SHIFT, UNDECIDED
 from hilbench.twin.tracking import Tracking
 from hilbench.twin.virtual_io import TwinStatus, VirtualIo
 from hilbench.web.line import Line
@@ -103,6 +105,7 @@ class TwinApplication:
         self._measured: list[tuple[float, float] | None] = [None, None]  # position in rad, torque in N·m
         self._positions_before: list[float] | None = None
         self._reported: Problem | None = None
+        self._reported_shift_Nm, self._reported_undecided = 0.0, False
         self._pending = self._released = False
         self._sync_number = self._behind = 0
         self._time_s = 0.0
@@ -115,6 +118,7 @@ class TwinApplication:
         self._line.set_state(strain=[self._io.strain_prev], x_m=[0.0, 0.0], v_m_s=[0.0, 0.0], tau_Nm=[0.0, 0.0])
         self._measured = [None, None]
         self._positions_before = self._reported = None
+        self._reported_shift_Nm, self._reported_undecided = 0.0, False
         self._pending = self._released = False
         self._time_s = 0.0
         self._tell()
@@ -222,6 +226,7 @@ class TwinApplication:
             self._io.tension_next_N,
         )
         self._report_problem()
+        self._report_shift()
 
     def _report_problem(self) -> None:
         """Say by EMCY why a measurement can't be used, and when it can be again."""
@@ -233,6 +238,21 @@ class TwinApplication:
         if problem is not None:
             self._device.emergency(problem, _PROFILE_SPECIFIC)
         self._reported = problem
+
+    def _report_shift(self) -> None:
+        """Say by EMCY what the torque is corrected for, and whether something is open."""
+        shift_Nm, undecided = self._tracking.torque_shift_Nm, self._tracking.torque_undecided
+        if shift_Nm != self._reported_shift_Nm:
+            self._device.clear_emergency(TORQUE_SHIFT)
+            if shift_Nm != 0.0:
+                self._device.emergency(TORQUE_SHIFT, _PROFILE_SPECIFIC, pack("<f", shift_Nm))
+            self._reported_shift_Nm = shift_Nm
+        if undecided is not self._reported_undecided:
+            if undecided:
+                self._device.emergency(UNDECIDED, _PROFILE_SPECIFIC)
+            else:
+                self._device.clear_emergency(UNDECIDED)
+            self._reported_undecided = undecided
 
     def _use_method(self, number: int) -> None:
         """Go on with another synchronizer, from the present E (2101h)."""

@@ -5,6 +5,7 @@ The same for the twin on the bus and for a recording.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import exp, hypot, inf, isfinite
 
 from hilbench.drives.port import MotorPort
@@ -15,6 +16,7 @@ from hilbench.twin.plausibility import Plausibility, Problem
 from hilbench.twin.synchronizers.base import Estimate, Synchronizer, SyncSample
 from hilbench.twin.synchronizers.create import new_synchronizer
 from hilbench.twin.synchronizers.plant import Plant
+from hilbench.twin.torque_shift import TorqueShiftFinder
 from hilbench.web.balance import BalanceSample, MeasuredBalance
 from hilbench.web.line import Line
 from hilbench.web.parameters import ModelParameters, per_item
@@ -23,6 +25,8 @@ from hilbench.web.parameters import ModelParameters, per_item
 _KNOWN_STRAIN = 0.003
 #: Least deviation with which a method takes over the estimate of the one before.
 _LEAST_PRIOR_PCT = 0.1
+#: What is left of a shift of the torque that has gone again, as a share of it.
+_GONE = 0.1
 
 
 class Tracking:
@@ -48,6 +52,7 @@ class Tracking:
         self._anomalies = Anomalies(
             model.required_web.youngs_modulus_Pa, self._balance.mass_kg, model.span_length_m(1), cycle_s
         )
+        self._shift_finder = TorqueShiftFinder(self._balance.mass_kg, cycle_s)
         self._synchronizer: Synchronizer
         self._unmodelled_N = 0.0
         self.reset()
@@ -66,6 +71,7 @@ class Tracking:
         self.estimate = self._stated(Estimate(self._initial_Pa, inf))
         self.residual_Nm = 0.0
         self.problem: Problem | None = None
+        self.torque_shift_Nm = 0.0  #: what the measured torque has shifted by, and is corrected for
         self.refused = False  #: a measured state was not plausible in this cycle
         self.release()
 
@@ -74,6 +80,7 @@ class Tracking:
         self._balance.reset()
         self._delay_line.reset()
         self._anomalies.reset()
+        self._shift_finder.reset()
         self._strain_uncertainty = strain_uncertainty
         self._running = False
 
@@ -108,9 +115,15 @@ class Tracking:
         limit = 0.01 * self.config.synchronized_pct * self.estimate.youngs_modulus_Pa
         return self.problem is None and self._strain_uncertainty == 0.0 and self._own_deviation_Pa <= limit
 
+    @property
+    def torque_undecided(self) -> bool:
+        """Whether the torque has changed, and nothing tells yet whether that was E or a shift."""
+        return self._shift_finder.undecided
+
     def miss(self) -> None:
         """A cycle without measurement."""
         self._anomalies.interrupt()
+        self._shift_finder.interrupt()
         self.skip()
 
     def skip(self) -> None:
@@ -122,6 +135,7 @@ class Tracking:
     ) -> None:
         """Take what was measured at the instant that the line has been simulated to; updates the line."""
         line, balance = self._line, self._balance
+        torque_Nm -= self.torque_shift_Nm
         balance.use_modulus(self.estimate.youngs_modulus_Pa)
         now = balance.update(x1_m, x2_m, torque_Nm, strain_prev, F_next_N, self._cycle_s)
         torque_sim_Nm = self._axis2.torque_Nm
@@ -143,6 +157,7 @@ class Tracking:
             sample = SyncSample(time_s, self._cycle_s, torque_Nm, torque_sim_Nm, sensitivity, strain_prev, paired)
             self._web_per_Pa = paired.web_per_Pa
             self.estimate = self._stated(self._synchronizer.update(sample))
+        self._look_for_shift(now)
         black_box = self.estimate.upstream_strain is not None
         if not black_box:
             line.youngs_modulus_Pa = self.estimate.youngs_modulus_Pa
@@ -163,6 +178,22 @@ class Tracking:
         if self._anomalies.broken:
             return Problem.WEB_BREAK
         return Problem.SLIP if self._anomalies.slipping else None
+
+    def _look_for_shift(self, now: BalanceSample) -> None:
+        """A shift is taken out of the torque from the next cycle on, and E goes on from what it was before it."""
+        if self.config.torque_shift == "ignore":
+            return
+        if self.problem is not None or self._strain_uncertainty > 0.0:
+            self._shift_finder.reset()
+            return
+        shift = self._shift_finder.update(now, self.estimate.youngs_modulus_Pa, may_decide=not self._anomalies.judging)
+        if shift is not None:
+            more_Nm = shift.force_N / self._balance.force_per_torque_per_m
+            self.torque_shift_Nm += more_Nm
+            if abs(self.torque_shift_Nm) < _GONE * abs(more_Nm):
+                self.torque_shift_Nm = 0.0
+            self.estimate = replace(self.estimate, youngs_modulus_Pa=shift.youngs_modulus_Pa)
+            self.use(None)
 
     def _find_delay(self, torque_Nm: float, torque_sim_Nm: float) -> bool:
         """Whether the delay is another one from this cycle on."""

@@ -1,0 +1,145 @@
+"""A shift of friction or torque offset, told from a change of E by what the strain does afterwards."""
+
+from __future__ import annotations
+
+from copy import copy
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hilbench.bench.bench import Bench
+from hilbench.bench.participants import Participants
+from hilbench.bench.sample import CycleSample
+from hilbench.experiment.config import load_with_overrides
+from hilbench.twin.torque_shift import TorqueShift, TorqueShiftFinder
+from hilbench.web.balance import BalanceSample
+
+CYCLE_S = 0.002
+E_PA, SECTION_M2, TENSION_N = 8.7e9, 0.5 * 65e-6, 80.0
+#: Of the balance in each cycle: torque noise of the demonstrator, at the web.
+NOISE_N = 1.25
+CHANGE_S, LOOP_S = 2.0, 0.17
+CONFIG = Path(__file__).resolve().parents[2] / "bench_configs" / "web_section_step.yaml"
+
+
+class Found:
+    """What a finder said of a web at constant speed whose torque changes at CHANGE_S, and when."""
+
+    def __init__(
+        self,
+        seed: int,
+        *,
+        modulus: float = 1.0,
+        shift_N: float = 0.0,
+        follows: float = 1.0,
+        later_tension: float = 1.0,
+        speed_m_s: float = 3.0,
+        later_speed_m_s: float = 3.0,
+        seconds: float = 8.0,
+    ) -> None:
+        """`modulus`: factor on E; `follows`: share of the way that the tension loop goes to bring the simulated tension
+        back; `later_tension` and `later_speed_m_s`: set points from 6 s on."""
+        rng = np.random.default_rng(seed)
+        finder = TorqueShiftFinder(mass_kg=30.0, cycle_s=CYCLE_S)
+        self.at_s: float | None = None
+        self.shift: TorqueShift | None = None
+        self.undecided_s = 0.0
+        strain = TENSION_N / (E_PA * SECTION_M2)
+        for k in range(round(seconds / CYCLE_S)):
+            t_s = k * CYCLE_S
+            changed = t_s >= CHANGE_S
+            acting_Pa, d_N = (modulus * E_PA, shift_N) if changed else (E_PA, 0.0)
+            believed_Pa = acting_Pa + d_N / (strain * SECTION_M2)  # the twin books it all as E
+            wanted = TENSION_N * (later_tension if t_s >= 6.0 else 1.0)
+            strain += CYCLE_S / LOOP_S * follows * (wanted / (believed_Pa * SECTION_M2) - strain)
+            h = strain * SECTION_M2
+            v_m_s = later_speed_m_s if t_s >= 6.0 else speed_m_s
+            force_N = acting_Pa * h + d_N + rng.normal(0.0, NOISE_N)
+            told = finder.update(BalanceSample(v_m_s * t_s, force_N, h, v_m_s), E_PA)
+            self.undecided_s += CYCLE_S * finder.undecided
+            if told is not None:
+                assert self.shift is None
+                self.shift, self.at_s = told, t_s
+
+
+def test_no_change_of_e_is_taken_for_a_shift() -> None:
+    factors = np.concatenate([np.linspace(0.75, 0.95, 10), np.linspace(1.05, 1.3, 10)])
+    for seed in range(3):
+        for factor in factors:
+            assert Found(seed, modulus=float(factor), later_tension=0.9).shift is None, (seed, factor)
+
+
+@pytest.mark.parametrize("shift_N", [-16.0, 12.0])
+def test_a_shift_is_named_with_its_size(shift_N: float) -> None:
+    found = [Found(seed, shift_N=shift_N) for seed in range(20)]
+    named = [one for one in found if one.shift is not None]
+    assert len(named) >= 19
+    for one in named:
+        assert one.shift is not None
+        assert one.shift.force_N == pytest.approx(shift_N, abs=0.5)
+        assert one.shift.youngs_modulus_Pa == E_PA
+
+
+def test_what_the_strain_does_not_tell_stays_open_until_the_tension_changes() -> None:
+    still = Found(1, shift_N=5.0, follows=0.0)
+    assert still.shift is None
+    assert still.undecided_s > 1.0
+    found = [Found(seed, shift_N=5.0, later_tension=0.85, seconds=10.0) for seed in range(10)]
+    named = [one for one in found if one.shift is not None]
+    assert len(named) >= 9
+    assert all(one.at_s is not None and one.at_s > 3.0 for one in named)
+
+
+def test_nothing_is_said_of_a_torque_that_changes_with_the_speed() -> None:
+    assert Found(1, shift_N=5.0, follows=0.0, later_speed_m_s=2.0).shift is None
+
+
+def test_a_finder_that_may_not_decide_keeps_it_to_itself() -> None:
+    finder = TorqueShiftFinder(mass_kg=30.0, cycle_s=CYCLE_S)
+    h = TENSION_N / E_PA
+    said = []
+    for k in range(5000):
+        shift = 20.0 if k >= 1000 else 0.0
+        moved = 0.8 if k >= 1200 else 1.0
+        sample = BalanceSample(0.006 * k, E_PA * h * moved + shift, h * moved, 3.0)
+        said.append(finder.update(sample, E_PA, may_decide=k >= 3000))
+    decided = [k for k, one in enumerate(said) if one is not None]
+    assert len(decided) == 1
+    assert decided[0] >= 3000
+
+
+def at_speed_then(path: str, value: float, *changes: str) -> tuple[list[str], CycleSample]:
+    """What is noted within 4 s of a step at 3 m/s, and the last sample of that time."""
+    config = load_with_overrides(CONFIG, changes=list(changes)).config
+    with Bench(config, participants=Participants.IN_PROCESS) as bench:
+        bench.ramp("line_speed_m_s", 3.0, 2.0)
+        bench.run(2.0)
+        bench.step(path, value)
+        bench.run(4.0)
+        return [notice.text for notice in bench.notices], copy(bench.last)
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "shift"),
+    [
+        ("hardware.effects.coulomb_friction.axis2.force_N", 16.0, "+0.6"),
+        ("hardware.effects.torque_offset.axis2.offset_Nm", -0.5, "-0.5"),
+    ],
+)
+def test_on_the_bench_a_shift_is_reported_and_not_booked_as_e(path: str, value: float, shift: str) -> None:
+    notes, last = at_speed_then(path, value)
+    [note] = [note for note in notes if "FF17h" in note]
+    assert f"shift of friction or torque offset of axis 2, {shift}" in note
+    assert last.E_sim_Pa == pytest.approx(E_PA, rel=0.01)
+    assert last.F_true_N == pytest.approx(TENSION_N, abs=1.0)
+
+
+def test_on_the_bench_a_change_of_e_is_none_and_a_shift_may_be_ignored() -> None:
+    notes, last = at_speed_then("load.web.youngs_modulus_Pa", 10.5e9)
+    assert not any("FF17h" in note for note in notes)
+    assert last.E_sim_Pa == pytest.approx(10.5e9, rel=0.01)
+    friction = "hardware.effects.coulomb_friction.axis2.force_N"
+    notes, last = at_speed_then(friction, 16.0, "twin.torque_shift=ignore")
+    assert notes == []
+    assert last.E_sim_Pa > 1.1 * E_PA
