@@ -2,7 +2,7 @@
 
     bench.py [CONFIG] [--only PART,...] [--seconds S] [--json FILE] [--page FILE]
 
-Prints tables, writes them as JSON, and with --page between the marker lines of a page. What counts are the ratios:
+Prints tables, writes them as JSON, and with --page into its place on a page. What counts are the ratios:
 both sides of each were measured in the same run on the same machine.
 """
 
@@ -15,13 +15,13 @@ from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 
+import docs_page
 from performance import cyclic_path, model_kernel, real_time, recordings, running
 from performance.table import Section, machine, markdown
 
 from hilbench.experiment.config import load_with_overrides
 
 CONFIG = Path(__file__).parents[1] / "bench_configs" / "web_section_step.yaml"
-MARKERS = ("<!-- figures: begin -->", "<!-- figures: end -->")
 LENGTHS_S = [12.0, 24.0, 48.0]
 
 
@@ -37,15 +37,6 @@ def parts(config_path: Path, seconds: float) -> dict[str, Callable[[], list[Sect
         "diagnose": lambda: [recordings.diagnosis(config.model, LENGTHS_S)],
         "start": lambda: [running.start_up(config_path)],
     }
-
-
-def write_page(page: Path, text: str) -> None:
-    """Put the tables between the markers. Raises ValueError when the page lacks them."""
-    before, begin, rest = page.read_text(encoding="utf-8").partition(MARKERS[0])
-    _, end, after = rest.partition(MARKERS[1])
-    if not begin or not end:
-        raise ValueError(f"{page}: expected the lines {MARKERS[0]} and {MARKERS[1]}")
-    page.write_text(f"{before}{begin}\n\n{text}\n\n{end}{after}", encoding="utf-8")
 
 
 def main() -> None:
@@ -73,7 +64,7 @@ def main() -> None:
     figures = {"machine": on, "sections": [asdict(section) for section in sections]}
     options.json.write_text(json.dumps(figures, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
     if options.page:
-        write_page(options.page, text)
+        docs_page.put(options.page, "figures", f"\n{text}\n")
 
 
 if __name__ == "__main__":

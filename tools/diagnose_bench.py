@@ -17,10 +17,10 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import docs_page
 import yaml
 
 ROOT = Path(__file__).resolve().parents[1]
-BEGIN, END = "<!-- bench: begin -->\n", "<!-- bench: end -->"
 HEAD = (
     "| config | hidden | found (95 %) | torque residual, N·m | simulated less true tension, N | bias of E, % |\n"
     "|---|---|---|---|---|---|"
@@ -75,9 +75,7 @@ def main() -> None:
         lines.append(row(config))
         print(lines[-1], flush=True)
     if options.docs is not None:
-        text = options.docs.read_text(encoding="utf-8")
-        table = "\n".join(lines)
-        options.docs.write_text(f"{text.split(BEGIN)[0]}{BEGIN}{table}\n{END}{text.split(END)[1]}", encoding="utf-8")
+        docs_page.put(options.docs, "bench", "\n".join(lines))
 
 
 if __name__ == "__main__":

@@ -23,6 +23,7 @@ from itertools import permutations
 from pathlib import Path
 from typing import Any
 
+import docs_page
 import numpy as np
 
 from hilbench.diagnose.blind import UNKNOWNS, blind_recording
@@ -47,7 +48,6 @@ DEMONSTRATOR: dict[str, Any] = {
     },
     "boundary": {"upstream_tension_N": 80.0, "downstream_tension_N": 70.0},
 }
-BEGIN, END = "<!-- scoreboard: begin -->\n", "<!-- scoreboard: end -->"
 SIZES = (0.25, 1.0, 3.0)  #: of the scale that the vocabulary gives
 VISIBLE = 50.0
 
@@ -273,9 +273,7 @@ def main() -> None:
     table = summary(sorted(done, key=lambda case: case.name))
     print(table)
     if options.docs is not None:
-        text = options.docs.read_text(encoding="utf-8")
-        before, after = text.split(BEGIN)[0], text.split(END)[1]
-        options.docs.write_text(f"{before}{BEGIN}{table}\n{END}{after}", encoding="utf-8")
+        docs_page.put(options.docs, "scoreboard", table)
 
 
 if __name__ == "__main__":

@@ -26,6 +26,8 @@ from dataclasses import dataclass, field
 from math import inf
 from pathlib import Path
 
+import docs_page
+
 from hilbench.bench.bench import Bench
 from hilbench.bus.disturbance import ErrorInjection
 from hilbench.bus.frame import Frame
@@ -39,7 +41,6 @@ from hilbench.record.trace import TraceWriter
 ROOT = Path(__file__).resolve().parents[1]
 CONFIG = ROOT / "bench_configs" / "web_section_step.yaml"
 PAGE = ROOT / "docs" / "faults.md"
-BEGIN, END = "<!-- soak: begin -->", "<!-- soak: end -->"
 #: Simulated time between two looks at the processes, between two faults of the long run, and of a short run.
 LOOK_S, FAULT_S, SHORT_S = 10.0, 4.0, 6.0
 #: Part of the time that is one long run.
@@ -295,8 +296,7 @@ def main() -> int:
     text = soak.page(time.monotonic() - began_s)
     print(text)
     if options.write:
-        before, rest = PAGE.read_text(encoding="utf-8").split(BEGIN)
-        PAGE.write_text(f"{before}{BEGIN}\n{text}\n{END}{rest.split(END)[1]}", encoding="utf-8")
+        docs_page.put(PAGE, "soak", text)
     return 1 if soak.problems() else 0
 
 

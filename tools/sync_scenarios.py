@@ -14,6 +14,7 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
+import docs_page
 import numpy as np
 from numpy.typing import NDArray
 
@@ -24,7 +25,6 @@ from hilbench.twin.synchronizers.create import METHODS
 from hilbench.twin.synthetic import simulated_measurements
 
 CONFIG = Path(__file__).parents[1] / "bench_configs" / "web_section_step.yaml"
-MARKERS = ("<!-- {}: begin -->", "<!-- {}: end -->")
 CYCLE_S, STEP_S, STEP = 0.002, 10.0, 10.5 / 8.7 - 1.0
 E_PA = 8.7e9
 
@@ -193,12 +193,6 @@ def coverage_table(outcomes: list[tuple[int, list[float], list[float]]]) -> str:
     return "\n".join(lines)
 
 
-def replaced(page: str, marker: str, text: str) -> str:
-    """The page with `text` between the two lines of the marker."""
-    start, end = (line.format(marker) for line in MARKERS)
-    return f"{page[: page.index(start) + len(start)]}\n{text}\n{page[page.index(end) :]}"
-
-
 def main() -> None:
     """Run and print, or write into the page."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -214,9 +208,8 @@ def main() -> None:
     if options.write is None:
         print(scenarios, honesty, sep="\n\n")
         return
-    page = options.write.read_text(encoding="utf-8")
-    page = replaced(replaced(page, "scenarios", scenarios), "honesty", honesty)
-    options.write.write_text(page, encoding="utf-8")
+    docs_page.put(options.write, "scenarios", scenarios)
+    docs_page.put(options.write, "honesty", honesty)
 
 
 if __name__ == "__main__":

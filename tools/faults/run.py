@@ -157,7 +157,7 @@ def started(fault: Fault, bus: str | None) -> Iterator[Run]:
             if limit is not None:
                 resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
 
-        command = [*CLI, "run", str(config), "--out", str(work / "runs"), *fault.options]
+        command = [*CLI, "run", str(config), "--no-report", "--out", str(work / "runs"), *fault.options]
         process = subprocess.Popen(
             command,
             stdout=subprocess.PIPE,

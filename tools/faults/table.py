@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
+import docs_page
+
 from faults.outcome import Row
 from faults.run import Fault
 
-BEGIN, END = "<!-- table: begin -->", "<!-- table: end -->"
+PLACE = "table"
 HEAD = ["| fault | expected | exit | to safe state | kept | embedded | vcan |", "|---|---|---|---|---|---|---|"]
 
 
@@ -22,19 +24,17 @@ def line(row: Row, bus: str | None) -> str:
 
 def write(page: Path, made: Iterable[str], faults: Sequence[Fault]) -> None:
     """Put rows into the page. Of those that were made on another bus the mark alone; the other rows stay."""
-    before, rest = page.read_text(encoding="utf-8").split(BEGIN)
-    old, after = rest.split(END)
-    rows = {cells[0]: cells for cells in map(_cells, old.splitlines()) if len(cells) > 1}
+    there = docs_page.between(page, PLACE).splitlines()
+    rows = {cells[0]: cells for cells in map(_cells, there)}
     for cells in map(_cells, made):
         name, *_, embedded, vcan = cells
-        there = rows.get(name)
+        known = rows.get(name)
         if embedded != "–":
-            rows[name] = [*cells[:-1], there[-1] if there else "–"]
-        elif there:
-            rows[name] = [*there[:-1], vcan]
+            rows[name] = [*cells[:-1], known[-1] if known else "–"]
+        elif known:
+            rows[name] = [*known[:-1], vcan]
     names = [fault.name for fault in faults if fault.name in rows]
-    text = "\n".join([BEGIN, *HEAD, *("| " + " | ".join(rows[name]) + " |" for name in names), END])
-    page.write_text(before + text + after, encoding="utf-8")
+    docs_page.put(page, PLACE, "\n".join([*HEAD, *("| " + " | ".join(rows[name]) + " |" for name in names)]))
 
 
 def printed(text: str, faults: Sequence[Fault]) -> list[str]:

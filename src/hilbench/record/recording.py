@@ -32,6 +32,9 @@ from hilbench.errors import UnusableInputError
 #: Start time written into an MDF4 file when none is given, so that equal samples make equal files.
 NO_START_TIME = datetime(2000, 1, 1, tzinfo=UTC)
 
+#: Samples from which on there is something to draw or to evaluate; a run that ended earlier leaves no recording.
+LEAST_SAMPLES = 2
+
 _FORMATS = "expected a recording: .mf4, .csv, .csv.gz or .parquet"
 _BLOCK_ROWS = 8192
 #: The most that deflate can shrink data (RFC 1951: 258 bytes by two bits), and a little.
@@ -294,8 +297,8 @@ def _kind(path: Path) -> str:
 
 
 def _check_time(time_s: NDArray[np.float64], path: Path) -> None:
-    if len(time_s) < 2:
-        raise UnusableInputError(path, f"{len(time_s)} sample(s), expected at least 2")
+    if len(time_s) < LEAST_SAMPLES:
+        raise UnusableInputError(path, f"{len(time_s)} sample(s), expected at least {LEAST_SAMPLES}")
     finite = np.isfinite(time_s)
     if not finite.all():
         raise UnusableInputError(

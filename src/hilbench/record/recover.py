@@ -37,13 +37,12 @@ from hilbench.experiment.criteria import evaluate
 from hilbench.experiment.metrics import evaluate_metrics
 from hilbench.record.journal import read_journal
 from hilbench.record.junit import write_junit
-from hilbench.record.recording import Recording, RecordingBuilder, write_recording
+from hilbench.record.recording import LEAST_SAMPLES, Recording, RecordingBuilder, write_recording
 from hilbench.record.result import Environment, Fault, Result, Timing
 from hilbench.record.run_folder import RunFolder
 from hilbench.record.trace import TraceReader
 
 _SDO_ANSWER = 0x580
-_LEAST_SAMPLES = 2
 _NANOSECOND = 1e-9
 
 
@@ -139,8 +138,9 @@ def replay(config: BenchConfig, folder: RunFolder) -> Recovery:
         except BenchFaultError as error:
             fault = str(error)
             break
-    if len(decoder.rows) < _LEAST_SAMPLES:
-        raise UnusableInputError(folder.trace, f"{len(decoder.rows)} cycle(s) with enabled drives, expected at least 2")
+    if len(decoder.rows) < LEAST_SAMPLES:
+        found = f"{len(decoder.rows)} cycle(s) with enabled drives"
+        raise UnusableInputError(folder.trace, f"{found}, expected at least {LEAST_SAMPLES}")
     started = datetime.fromtimestamp(first_ns * _NANOSECOND, UTC)
     recording = decoder.rows.build(started, config.description)
     return Recovery(recording, started, count, bits, missed, fault, reader.torn)

@@ -34,7 +34,7 @@ from hilbench.experiment.criteria import CriterionResult, evaluate
 from hilbench.experiment.metrics import evaluate_metrics
 from hilbench.record.journal import JournalWriter
 from hilbench.record.junit import write_junit
-from hilbench.record.recording import Recording, RecordingBuilder, write_recording
+from hilbench.record.recording import LEAST_SAMPLES, Recording, RecordingBuilder, write_recording
 from hilbench.record.result import Environment, Fault, Result, Timing, jitter
 from hilbench.record.run_folder import RunFolder
 from hilbench.record.trace import TraceWriter
@@ -52,10 +52,6 @@ class RunOutcome:
     def recorded(self) -> bool:
         """Whether the run got as far as a recording; a report can be made only then."""
         return self.folder.recording.exists()
-
-
-#: A run that ended earlier leaves no recording: there is nothing to draw or to evaluate.
-_LEAST_SAMPLES = 2
 
 
 class Recorder:
@@ -126,7 +122,7 @@ def run_experiment(
     announce("write recording and result")
     recording = recorder.recording(started, config.description)
     try:
-        if len(recording) >= _LEAST_SAMPLES:
+        if len(recording) >= LEAST_SAMPLES:
             write_recording(recording, folder.recording)
     except UnusableInputError as error:
         if not faults:
