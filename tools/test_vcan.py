@@ -20,12 +20,13 @@ from vcan_guest.guest import COMPILED, NO_STATUS, boot, prepare
 
 ROOT = Path(__file__).resolve().parents[1]
 EMBEDDED_RUN = ROOT / ".cache" / "embedded-run"
-GUEST_LIMIT_S = 840
+GUEST_LIMIT_S = 1500
 TESTS = ["-v", "-m", "vcan", "-p", "no:cacheprovider", "--durations=5"]
 #: Whole runs, and stations that talk to each other: each takes about half of the time.
 RUNS = ["tests/vcan/test_step_change.py", "tests/vcan/test_two_controllers.py", "tests/vcan/test_faults.py"]
 TALKS = [
     "tests/vcan/test_lost_frames.py",
+    "tests/vcan/test_controller_state.py",
     "tests/vcan/test_doctor.py",
     "tests/fieldbus",
     "tests/drives",
