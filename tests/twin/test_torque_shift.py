@@ -135,6 +135,23 @@ def test_on_the_bench_a_shift_is_reported_and_not_booked_as_e(path: str, value: 
     assert last.F_true_N == pytest.approx(TENSION_N, abs=1.0)
 
 
+def test_the_method_that_is_in_use_goes_on_after_a_shift() -> None:
+    config = load_with_overrides(CONFIG).config
+    with Bench(config, participants=Participants.IN_PROCESS) as bench:
+        bench.ramp("line_speed_m_s", 3.0, 2.0)
+        bench.use_synchronizer("pid")
+        bench.run(2.0)
+        bench.step("hardware.effects.torque_offset.axis2.offset_Nm", 0.6)
+        bench.run(4.0)
+        assert any("FF17h" in notice.text for notice in bench.notices)
+        before_Pa = bench.last.E_sim_Pa
+        bench.step("load.web.youngs_modulus_Pa", 10.5e9)
+        bench.run(1.0)
+        # The published method takes its time; any other would be there by now.
+        assert before_Pa == pytest.approx(E_PA, rel=0.02)
+        assert bench.last.E_sim_Pa < 9.6e9
+
+
 def test_on_the_bench_a_change_of_e_is_none_and_a_shift_may_be_ignored() -> None:
     notes, last = at_speed_then("load.web.youngs_modulus_Pa", 10.5e9)
     assert not any("FF17h" in note for note in notes)

@@ -96,6 +96,7 @@ class Tracking:
         self._begin(config, self._line.youngs_modulus_Pa if black_box else known.youngs_modulus_Pa)
 
     def _begin(self, config: SynchronizerConfig, youngs_modulus_Pa: float) -> None:
+        self._method = config
         self._synchronizer = new_synchronizer(config, Plant.of(self._balance, youngs_modulus_Pa))
         looks_for_it = not isinstance(config, PidConfig | InputConfig) and config.also.torque_offset_Nm > 0.0
         unmodelled_Nm = 0.0 if looks_for_it else self.config.unmodelled_torque_Nm
@@ -193,7 +194,7 @@ class Tracking:
             if abs(self.torque_shift_Nm) < _GONE * abs(more_Nm):
                 self.torque_shift_Nm = 0.0
             self.estimate = replace(self.estimate, youngs_modulus_Pa=shift.youngs_modulus_Pa)
-            self.use(None)
+            self.use(self._method)
 
     def _find_delay(self, torque_Nm: float, torque_sim_Nm: float) -> bool:
         """Whether the delay is another one from this cycle on."""
