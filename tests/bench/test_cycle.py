@@ -10,6 +10,7 @@ import pytest
 from hilbench.bench.cycle import CyclicExchange, ExpectedPdo
 from hilbench.bus.confinement import ControllerState
 from hilbench.bus.frame import Frame
+from hilbench.errors import BenchFaultError
 
 STATE, SLOW, EVERY = 0x181, 0x281, 10
 
@@ -70,6 +71,58 @@ def test_a_sync_that_is_there_twice_does_not_shift_the_answers() -> None:
     assert slow in (8, 9)
     heard = [int.from_bytes(frame.data, "little") for frame in frames if frame.can_id == STATE]
     assert heard[-1] == 83
+
+
+class Tap:
+    """What is in the trace; on a disk that is full from a cycle on."""
+
+    def __init__(self, full_from: int = 1 << 30) -> None:
+        self.frames: list[Frame] = []
+        self.cycles = 0
+        self._full_from = full_from
+
+    def write(self, frames: Sequence[Frame]) -> None:
+        self.frames += frames
+
+    def end_cycle(self) -> None:
+        self.cycles += 1
+        if self.cycles == self._full_from:
+            raise BenchFaultError("trace.log: the trace cannot be written (No space left on device)")
+
+
+def exchange_into(tap: Tap) -> CyclicExchange:
+    return CyclicExchange(
+        NodeLink(twice=set()),
+        cycle_ns=2_000_000,
+        bitrate=1_000_000,
+        lockstep=True,
+        expected=[ExpectedPdo(STATE, 1, "node")],
+        timeout_s=0.05,
+        missing_limit=1,
+        tap=tap,
+    )
+
+
+def test_the_trace_lacks_the_last_answers_at_most_and_has_the_order_of_the_wire() -> None:
+    tap = Tap()
+    exchange = exchange_into(tap)
+    for _ in range(5):
+        exchange.exchange([Frame(0x201, b"\x0f\x00")])
+    cycle = [0x201, 0x080, STATE]
+    assert [frame.can_id for frame in tap.frames] in (5 * cycle, (5 * cycle)[:-1])
+    exchange.discard_waiting()
+    assert [frame.can_id for frame in tap.frames] == 5 * cycle
+    times_ns = [frame.time_ns for frame in tap.frames]
+    assert times_ns == sorted(times_ns)
+
+
+def test_a_trace_that_fails_is_a_fault_and_the_answers_of_that_cycle_are_taken() -> None:
+    exchange = exchange_into(Tap(full_from=3))
+    for _ in range(3):
+        exchange.exchange([])
+    with pytest.raises(BenchFaultError, match="No space left"):
+        exchange.exchange([])
+    assert [frame.data for frame in exchange.exchange([])] == [b"\x05\x00"]
 
 
 class SlowLink(NodeLink):

@@ -14,7 +14,7 @@ from hilbench.bus.confinement import ControllerState
 from hilbench.bus.frame import Frame
 from hilbench.bus.link import Link
 from hilbench.bus.wire import frame_bits
-from hilbench.errors import EmergencyStopError, NoAnswerError
+from hilbench.errors import BenchFaultError, EmergencyStopError, NoAnswerError
 from hilbench.fieldbus.emergency_stop import EMERGENCY_STOP_COB_ID
 
 SYNC_COB_ID = 0x080
@@ -108,6 +108,7 @@ class CyclicExchange:
         self._sync = Frame(SYNC_COB_ID, b"")
         self._sync_bits = frame_bits(self._sync)
         self._since_sync_bits = 0  # on the bus from the beginning of SYNC on
+        self._unwritten: tuple[Sequence[Frame], Sequence[int], int] | None = None  # last answers, bits, when they began
         node_id, period_ms = heartbeat
         self._heartbeat = Frame(0x700 + node_id, _OPERATIONAL)
         self._heartbeat_cycles = max(1, period_ms * 1_000_000 // cycle_ns) if period_ms else 0
@@ -130,7 +131,9 @@ class CyclicExchange:
         if self._lockstep:
             late = self._link.receive(0.0)
             self._link.send([*outgoing, self._sync])
+            trace_fault = self._write_last_answers()
         else:
+            trace_fault = None
             if outgoing:
                 self._link.send(outgoing)
             now_ns = pacing.sleep_until(self.pacing.deadline_ns)
@@ -147,7 +150,7 @@ class CyclicExchange:
         timing.ended_ns = time.monotonic_ns()
         timing.wait_ns += timing.ended_ns - before_ns
         timing.bits += self.last_bits
-        if self._tap is not None:
+        if self._tap is not None and self._unwritten is None:
             self._tap.end_cycle()
         if self._link.dropped and timing.first_loss_cycle is None:
             timing.first_loss_cycle = timing.cycles
@@ -155,8 +158,9 @@ class CyclicExchange:
             self._emergency_stop_seen = True
             self._heartbeat = self._heartbeat._replace(data=_PRE_OPERATIONAL)
             raise EmergencyStopError(f"cycle {timing.cycles}: emergency stop (COB-ID 001h) on the bus")
-        if failure is not None:
-            raise failure
+        fault = trace_fault or failure
+        if fault is not None:
+            raise fault
         return received
 
     def _heartbeat_is_due(self) -> bool:
@@ -174,14 +178,20 @@ class CyclicExchange:
 
     def discard_waiting(self, timeout_s: float = 0.0) -> None:
         """Put what waits to be read, or comes within `timeout_s`, into the trace only: no answer to the last SYNC."""
+        trace_fault = self._write_last_answers()
         waiting = self._link.receive(timeout_s)
         if waiting and self._tap is not None:
             bits = [frame_bits(frame) for frame in waiting]
             self._tap.write(self._timed(waiting, bits, self._next_sync_ns - int(sum(bits) * self._bit_ns)))
             self._tap.end_cycle()
+        if trace_fault is not None:
+            raise trace_fault
 
     def stand_still(self, done: Future[None]) -> None:
         """Lockstep: no cycle until `done`, which may take longer than the supervisor waits."""
+        trace_fault = self._write_last_answers()
+        if trace_fault is not None:
+            raise trace_fault
         self._say_alive()
         while wait_for([done], timeout=_ALIVE * self._timeout_s).not_done:
             self._say_alive()
@@ -239,9 +249,21 @@ class CyclicExchange:
                 else:
                     self._move_phase(frame.can_id)
             if batch:
-                self._account_received(batch)
+                self._account_received(batch, last=not due)
             received += batch
         return received, failure
+
+    def _write_last_answers(self) -> BenchFaultError | None:
+        """Lockstep: what waited for the next SYNC, while the others compute; what the trace has to say against it."""
+        if self._unwritten is None or self._tap is None:
+            return None
+        answers, self._unwritten = self._unwritten, None
+        try:
+            self._tap.write(self._timed(*answers))
+            self._tap.end_cycle()
+        except BenchFaultError as fault:
+            return fault
+        return None
 
     def _move_phase(self, cob_id: int) -> None:
         """A PDO of every n-th SYNC that comes between: its sender has heard a SYNC twice, or missed one."""
@@ -290,12 +312,18 @@ class CyclicExchange:
             timed.append(Frame(SYNC_COB_ID, b"", start_ns + int(self._sync_bits * self._bit_ns)))
             self._tap.write(timed)
 
-    def _account_received(self, frames: Sequence[Frame]) -> None:
-        """The same for answers, as they come; in real time each has its own time."""
+    def _account_received(self, frames: Sequence[Frame], *, last: bool = False) -> None:
+        """The same for answers, as they come; in real time each has its own time. The last ones of a cycle are what
+        everybody waits for: in lockstep they go into the trace once the next SYNC is out."""
         bits = [frame_bits(frame) for frame in frames]
         if self._tap is not None:
             start_ns = self._cycle_start_ns() + int(self._since_sync_bits * self._bit_ns)
-            self._tap.write(self._timed(frames, bits, start_ns) if self._lockstep else frames)
+            if not self._lockstep:
+                self._tap.write(frames)
+            elif last:
+                self._unwritten = (frames, bits, start_ns)
+            else:
+                self._tap.write(self._timed(frames, bits, start_ns))
         self._since_sync_bits += sum(bits)
         self.last_bits += sum(bits)
 
