@@ -31,7 +31,8 @@ def check_frame(can_id: int, data: bytes) -> None:
 
 def can_record(can_id: int, data: bytes) -> bytes:
     """`struct can_frame` of a classical frame. Raises ValueError for one that cannot be on a wire."""
-    check_frame(can_id, data)
+    if not 0 <= can_id <= 0x7FF or len(data) > 8:
+        check_frame(can_id, data)
     return protocol.CAN_RECORD.pack(can_id, len(data), 0, data)
 
 
@@ -78,7 +79,7 @@ class EmbeddedLink:
         self._connection.setblocking(self._waits_in_ticks)
 
     def send(self, frames: Sequence[Frame]) -> None:
-        records = [can_record(frame.can_id, frame.data) for frame in frames]
+        records = [can_record(can_id, data) for can_id, data, _ in frames]
         for start in range(0, len(records), protocol.MAX_RECORDS):
             packet = _HEADER + b"".join(records[start : start + protocol.MAX_RECORDS])
             send_packet(self._connection, self.channel, packet)
