@@ -34,6 +34,16 @@ def test_numbers_without_a_dot_in_the_mantissa_are_numbers(tmp_path):
     assert isinstance(data["a"], float)
 
 
+def test_a_leading_zero_means_nothing(tmp_path):
+    assert strict_yaml.load(write(tmp_path, "a: 010\nb: 0089\nc: 0x1F\nd: 0o17\ne: -07\n")).data == {
+        "a": 10,
+        "b": 89,
+        "c": 31,
+        "d": 15,
+        "e": -7,
+    }
+
+
 def test_words_of_yaml_1_1_stay_words(tmp_path):
     assert strict_yaml.load(write(tmp_path, "a: on\nb: no\nc: true\nd: 1:30\n")).data == {
         "a": "on",
@@ -76,7 +86,17 @@ def test_errors_name_line_key_found_and_expected(tmp_path, text, message):
 
 @pytest.mark.parametrize(
     "text",
-    ["a: [1, 2\n", "a: b: c\n", "\ta: 1\n", "!!python/object/apply:os.system ['true']\n", "a: *nowhere\n", "\x00"],
+    [
+        "a: [1, 2\n",
+        "a: b: c\n",
+        "\ta: 1\n",
+        "!!python/object/apply:os.system ['true']\n",
+        "a: *nowhere\n",
+        "\x00",
+        "a: " + 5000 * "9",
+        "a: " + 2000 * "[",
+        "a: !!float x\n",
+    ],
 )
 def test_broken_or_hostile_text_is_one_line(tmp_path, text):
     with pytest.raises(UnusableInputError) as caught:

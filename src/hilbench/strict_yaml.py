@@ -24,6 +24,21 @@ Model = TypeVar("Model", bound=BaseModel)
 class _Loader(yaml.SafeLoader):
     """Safe loader with the scalar types of YAML 1.2's core schema."""
 
+    def construct_object(self, node: yaml.Node, deep: bool = False) -> Any:
+        """Values that their type cannot hold are errors of the file, with their place."""
+        try:
+            return super().construct_object(node, deep)
+        except ValueError as error:
+            raise yaml.constructor.ConstructorError(None, None, str(error), node.start_mark) from error
+
+    def construct_core_int(self, node: yaml.ScalarNode) -> int:
+        """A leading zero means nothing in YAML 1.2: 010 is ten."""
+        text = str(self.construct_scalar(node))
+        return int(text, 0 if text[:2] in ("0x", "0o") else 10)
+
+
+_Loader.add_constructor("tag:yaml.org,2002:int", _Loader.construct_core_int)
+
 
 _FLOAT = re.compile(
     r"^[-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?$|^[-+]?\.(?:inf|Inf|INF)$|^\.(?:nan|NaN|NAN)$"
@@ -117,7 +132,7 @@ def parse_value(text: str, place: str) -> Any:
     loader = _Loader(text)
     try:
         return loader.get_single_data()
-    except yaml.YAMLError as error:
+    except (yaml.YAMLError, RecursionError) as error:
         raise UnusableInputError(place, f"{text!r} is no YAML value ({' '.join(str(error).split())})") from error
     finally:
         loader.dispose()
@@ -148,6 +163,8 @@ def load(path: Path) -> Document:
         raise UnusableInputError(f"{path}:{line}", f"not valid YAML: {error.problem}") from error
     except yaml.YAMLError as error:
         raise UnusableInputError(path, f"not valid YAML: {' '.join(str(error).split())}") from error
+    except RecursionError as error:
+        raise UnusableInputError(path, "blocks are nested too deeply to be read, expected a config") from error
     finally:
         loader.dispose()
     return Document(Path(path), data, places)

@@ -13,6 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, field_validato
 
 from hilbench.bench.tension_control import TensionControlConfig
 from hilbench.bus.open import BusAddress
+from hilbench.errors import UnusableInputError
 from hilbench.real_time import ProcessSettings
 from hilbench.twin.config import TwinConfig
 from hilbench.web.effects import IMITATED_DOMAINS, Domain, find_effect
@@ -39,7 +40,10 @@ class BusConfig(_Block):
     @field_validator("address")
     @classmethod
     def _parses(cls, value: str) -> str:
-        BusAddress.parse(value)
+        try:
+            BusAddress.parse(value)
+        except UnusableInputError as error:  # the place is this key's, which pydantic tells
+            raise ValueError(error.problem.partition("expected ")[2] or error.problem) from error
         return value
 
 

@@ -65,7 +65,8 @@ def _load(path: Path, node_id: int, _as_of: tuple[int, int]) -> canopen.ObjectDi
     sections = _read_sections(path)
     objects = _object_sections(path, sections)
     _check_hierarchy(path, objects)
-    text = io.StringIO(_device_info(path, sections) + "".join(_write(section) for section in objects.values()))
+    written = [_write(section, _name(*key)) for key, section in objects.items()]
+    text = io.StringIO(_device_info(path, sections) + "".join(written))
     text.name = f"{path.stem}.eds"
     od = canopen.import_od(text, node_id)
     od.node_id = node_id
@@ -277,13 +278,17 @@ def _device_info(path: Path, sections: dict[str, _Section]) -> str:
     section = sections.get("deviceinfo", _Section("DeviceInfo", 1))
     for key in ("VendorNumber", "ProductNumber", "RevisionNumber"):
         _integer(path, section, key, 0)
-    return _write(section)
+    return _write(section, section.name)
 
 
-def _write(section: _Section) -> str:
+def _name(index: int, sub: int | None) -> str:
+    """As canopen reads it: it minds the case of a section's name."""
+    return f"{index:04X}" if sub is None else f"{index:04X}sub{sub:X}"
+
+
+def _write(section: _Section, name: str) -> str:
     """The section for canopen, without the values that are taken from our own reading."""
     kept = {key: text for key, text in section.options.items() if key in _KEYS.values() and key not in _VALUES}
-    name = section.name.replace("SUB", "sub").replace("Sub", "sub")
     return f"[{name}]\n" + "".join(f"{key}={text}\n" for key, text in kept.items()) + "\n"
 
 
