@@ -19,7 +19,7 @@ _DURATION_S = 24.0
 _TIMES = 15
 _PLAIN_STEPS, _SCIPY_STEPS = 4000, 400
 _SPANS = (1, 2, 5, 10, 20, 50, 100)
-_VARIANTS = 16
+_VARIANTS = 64
 #: Tension by which kernel and plain equations may differ, N: a mistake in either would be far above it.
 _SAME_N = 1e-3
 
@@ -179,8 +179,8 @@ def _variants(model: ModelParameters) -> Section:
         rows = commands * layout.motor_rows(p)[:, lay.M_RAD_PER_M]
         kernel.simulate(many, states, inputs, layout.new_work(), rows, boundary, 2, out)
 
-    alone = best_s(one_core, 5)
-    together = best_s(lambda: simulate(many, state, commands, boundary, PERIOD_S), 5)
+    alone = best_s(one_core, 10)
+    together = best_s(lambda: simulate(many, state, commands, boundary, PERIOD_S), 10)
     section.add("one core", alone * 1e3, "ms")
     section.add("all cores", together * 1e3, "ms", alone / together, "as fast")
     return section
