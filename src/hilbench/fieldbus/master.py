@@ -47,13 +47,14 @@ def _bus_errors() -> Iterator[None]:
 
 
 class _LossIsKnown(can.Listener):
-    """Takes what ends canopen's thread, which would print it; `Network.check` raises it where the bus is used next."""
+    """Ends canopen's thread without words when the bus is lost; `Network.check` says so where the bus is used next."""
 
     def on_message_received(self, msg: can.Message) -> None:
         """Others listen."""
 
     def on_error(self, exc: Exception) -> None:
-        """The bus is lost."""
+        """python-can would print what nobody takes, and receive again at once, for ever, what somebody does."""
+        raise SystemExit
 
     def stop(self) -> None:
         """Nothing is held."""
