@@ -127,3 +127,13 @@ def test_array_members_are_those_of_the_file(tmp_path: Path) -> None:
     sections["2200"] = "ParameterName=Pair\nObjectType=0x8\n"
     od = load_eds(write(tmp_path, eds_text(sections)), 1)
     assert [found.subindex for found in all_variables(od)] == [0, 1, 2]
+
+
+def test_each_who_loads_a_file_has_a_dictionary_of_its_own(tmp_path: Path) -> None:
+    path = tmp_path / "device.eds"
+    path.write_text(eds_text(), encoding="ascii")
+    mine, theirs = load_eds(path, 5), load_eds(path, 5)
+    del mine[0x1000]
+    assert 0x1000 not in mine
+    assert 0x1000 in theirs
+    assert 0x1000 in load_eds(path, 5)
