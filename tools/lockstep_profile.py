@@ -14,6 +14,7 @@ import os
 import time
 from pathlib import Path
 
+from processes import command_lines
 from rich.console import Console
 from rich.table import Table
 
@@ -32,15 +33,15 @@ def cpu_s(pid: int) -> float:
 
 def hub_pid(channel: str) -> int | None:
     """The process that serves an embedded bus."""
-    for entry in Path("/proc").iterdir():
-        if entry.name.isdigit():
-            try:
-                words = (entry / "cmdline").read_bytes().split(b"\0")
-            except OSError:
-                continue
-            if b"hilbench.bus.hub" in words and channel.encode() in words:
-                return int(entry.name)
-    return None
+    found = (pid for pid, words in command_lines() if b"hilbench.bus.hub" in words and channel.encode() in words)
+    return next(found, None)
+
+
+def pids_of(bench: Bench) -> dict[str, int]:
+    """The processes of a bench that runs, by name."""
+    pids = {"bench": os.getpid()} | {child.name: child.pid for child in bench.children}
+    hub = hub_pid(bench.config.bus_address.channel) if bench.children else None
+    return pids if hub is None else pids | {"hub": hub}
 
 
 def measure(
@@ -56,10 +57,7 @@ def measure(
         bench.ramp("line_speed_m_s", 3.0, 1.0)
         timing = bench.exchange.timing if bench.exchange else None
         assert timing is not None
-        pids = {"bench": os.getpid()} | {child.name: child.pid for child in bench.children}
-        hub = hub_pid(config.bus_address.channel) if bench.children else None
-        if hub is not None:
-            pids["hub"] = hub
+        pids = pids_of(bench)
         cpu = {name: cpu_s(pid) for name, pid in pids.items()}
         cycles, wait_ns, wall_ns = timing.cycles, timing.wait_ns, time.monotonic_ns()
         bench.run(seconds)

@@ -27,6 +27,7 @@ from math import inf
 from pathlib import Path
 
 import docs_page
+from processes import command_lines
 
 from hilbench.bench.bench import Bench
 from hilbench.bus.disturbance import ErrorInjection
@@ -108,16 +109,8 @@ class Series:
 
 def processes_of(channel: str) -> list[int]:
     """Processes but ours that have the channel's name in their command line."""
-    found = []
-    for entry in Path("/proc").iterdir():
-        if entry.name.isdigit() and int(entry.name) != os.getpid():
-            try:
-                words = (entry / "cmdline").read_bytes().split(b"\0")
-            except OSError:
-                continue
-            if any(channel.encode() in word for word in words):
-                found.append(int(entry.name))
-    return found
+    wanted = channel.encode()
+    return [pid for pid, words in command_lines() if pid != os.getpid() and any(wanted in word for word in words)]
 
 
 class Soak:

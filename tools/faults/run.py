@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import yaml
+from processes import command_lines
 
 from hilbench.record.run_folder import RunFolder
 
@@ -90,15 +91,10 @@ class Run:
         # The hub's command line has the name of an embedded bus alone, and nobody else has that name.
         channel = self.address.removeprefix("embedded:").encode()
         work = str(self.work).encode()
-        for entry in Path("/proc").iterdir():
-            if entry.name.isdigit():
-                try:
-                    line = (entry / "cmdline").read_bytes().split(b"\0")
-                except OSError:
-                    continue
-                ours = any(word.startswith(b"hilbench.") for word in line) and any(channel in word for word in line)
-                if ours or any(work in word for word in line):
-                    yield int(entry.name), line
+        for pid, line in command_lines():
+            ours = any(word.startswith(b"hilbench.") for word in line) and any(channel in word for word in line)
+            if ours or any(work in word for word in line):
+                yield pid, line
 
     def end(self, timeout_s: float = 90.0) -> None:
         """Wait for the end of the run."""

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from lockstep_profile import cpu_s, hub_pid
+from lockstep_profile import cpu_s, pids_of
 
 from hilbench.bench.bench import Bench
 from hilbench.bench.config import BenchConfig
@@ -33,23 +33,18 @@ from performance.table import Section
 _PATIENCE_CYCLES = 10_000
 _FAST_S = 0.001
 _BOOT_S = 60.0
-#: A loop that does nothing but wait for absolute deadlines, as the bench does: what the machine allows.
+#: In a process of its own, as the bench is.
 _BARE_LOOP = """
 import json, sys
-from hilbench.bench import pacing
-from time import monotonic_ns
-state = pacing.Pacing(period_ns=int(sys.argv[1]))
-pacing.start(state, monotonic_ns())
-for _ in range(int(sys.argv[2])):
-    pacing.advance(state, pacing.sleep_until(state.deadline_ns))
+from hilbench.bench.pacing import bare_loop
+state = bare_loop(int(sys.argv[1]), int(sys.argv[2]))
 print(json.dumps([state.lateness_ns.tolist(), state.missed]))
 """
 
 
-def measure(config_path: Path, seconds: float, bus: str = "") -> list[Section]:
+def measure(config_path: Path, seconds: float) -> list[Section]:
     """The whole bench at the config's cycle, and three drives at 1 ms."""
-    address = bus or f"embedded:jitter{os.getpid()}"
-    config = load_with_overrides(config_path, bus=address, pace="realtime").config
+    config = load_with_overrides(config_path, bus=f"embedded:jitter{os.getpid()}", pace="realtime").config
     # On a machine that others use as well answers stay away; what is measured here is when SYNC goes out.
     patient = config.safety.model_copy(update={"missing_cycles": _PATIENCE_CYCLES})
     config = config.model_copy(update={"safety": patient})
@@ -67,9 +62,7 @@ def _whole_bench(config: BenchConfig, seconds: float) -> Section:
     with Bench(config) as bench:
         bench.run(1.0)
         assert bench.exchange is not None
-        pids = {"bench": os.getpid()} | {child.name: child.pid for child in bench.children}
-        hub = hub_pid(config.bus_address.channel)
-        pids |= {"hub": hub} if hub is not None else {}
+        pids = pids_of(bench)
         spent_s = {name: cpu_s(pid) for name, pid in pids.items()}
         timing = bench.exchange.timing
         bits, cycles = timing.bits, timing.cycles

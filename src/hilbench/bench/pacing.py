@@ -40,6 +40,15 @@ def advance(pacing: Pacing, sent_ns: int) -> None:
     pacing.deadline_ns += (1 + skipped) * pacing.period_ns
 
 
+def bare_loop(period_ns: int, cycles: int) -> Pacing:
+    """Wait for so many deadlines and do nothing at them: what the machine itself allows."""
+    pacing = Pacing(period_ns)
+    start(pacing, time.monotonic_ns())
+    for _ in range(cycles):
+        advance(pacing, sleep_until(pacing.deadline_ns))
+    return pacing
+
+
 def sleep_until(deadline_ns: int) -> int:
     """Sleep to an absolute time of the monotonic clock; returns the time after it (ns)."""
     while (remaining_ns := deadline_ns - time.monotonic_ns()) > 0:

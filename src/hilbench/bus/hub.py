@@ -27,10 +27,10 @@ from pathlib import Path
 from typing import Any
 
 from hilbench.bus import protocol, requests
-from hilbench.bus.arbitration import accepts
 from hilbench.bus.confinement import ControllerState
 from hilbench.bus.disturbance import Disturber
 from hilbench.bus.frame import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
+from hilbench.bus.listeners import Listeners
 from hilbench.bus.medium import FOREVER, Delivery, Medium, Station
 from hilbench.bus.wire import FD_LENGTHS, bits_on_wire, fd_bits_on_wire
 
@@ -44,7 +44,6 @@ RECEIVE_LIMIT = 16384
 DELIVERED_RECORDS = 512
 #: Connections at a time; further ones are closed at once.
 MAX_CLIENTS = 128
-_KNOWN_IDENTIFIERS = 4096
 
 
 class Client(Station):
@@ -89,7 +88,7 @@ class Hub:
         self._listener = listener
         self._clients: dict[int, Client] = {}  # connected, by file descriptor
         self._departed: list[Client] = []  # gone, with frames still to send
-        self._listeners: dict[int, list[Client]] = {}  # stations whose filters let an identifier pass; made as needed
+        self._listeners = Listeners(lambda: [client for client in self._clients.values() if client.joined])
         self._identities = 0
         self._fd = False  # whether a station that may send FD frames has joined
         self._epoll = select.epoll()
@@ -171,7 +170,7 @@ class Hub:
         client.connection.close()
         if client.joined:
             self._departed.append(client)
-            self._listeners.clear()
+            self._listeners.forget()
 
     def _watch(self, client: Client) -> None:
         """Tell epoll what to wait for. A paused socket would report its hang-up again and again: edges only."""
@@ -248,12 +247,11 @@ class Hub:
 
     def _hand_out(self, delivered: list[Delivery]) -> None:
         """Give every station the frames that are for it; its own ones only on request, and marked."""
-        pack_time, known = protocol.STAMP.pack, self._listeners
+        pack_time, listeners_of = protocol.STAMP.pack, self._listeners.of
         records: dict[Client, list[bytes]] = {}
         for sender, can_id, payload, time_ns in delivered:
             record = payload + pack_time(time_ns)
-            listeners = known.get(can_id)
-            for client in self._who_listens(can_id) if listeners is None else listeners:
+            for client in listeners_of(can_id):
                 if client is not sender:
                     records.setdefault(client, []).append(record)
                 elif client.receive_own:
@@ -261,14 +259,6 @@ class Hub:
         for client, selected in records.items():
             if client.state is not ControllerState.BUS_OFF:
                 self._deliver(client, selected)
-
-    def _who_listens(self, can_id: int) -> list[Client]:
-        """The stations whose filters let `can_id` pass."""
-        if len(self._listeners) >= _KNOWN_IDENTIFIERS:
-            self._listeners.clear()
-        found = [client for client in self._clients.values() if client.joined and accepts(client.filters, can_id)]
-        self._listeners[can_id] = found
-        return found
 
     def _tell_states(self) -> None:
         """Each station hears of its own controller, whatever its filters are."""
@@ -343,7 +333,7 @@ class Hub:
             return self._join(client, request)
         if isinstance(request, requests.SetFilters):
             self._station(request.station).filters = request.filters
-            self._listeners.clear()
+            self._listeners.forget()
             return {}
         if isinstance(request, requests.SetErrors):
             self._medium.disturber = Disturber(request.injection)
@@ -365,7 +355,7 @@ class Hub:
         else:
             join.wanted.check_against(self.settings)
         client.filters = join.filters
-        self._listeners.clear()
+        self._listeners.forget()
         client.receive_own, client.fd, client.single = join.receive_own, join.fd, join.single
         client.joined = True
         self._fd = (self._fd and not alone) or client.fd

@@ -15,11 +15,11 @@ from collections import deque
 from collections.abc import Sequence
 from typing import Any
 
-from hilbench.bus.arbitration import accepts
 from hilbench.bus.confinement import ControllerState, bus_off
 from hilbench.bus.disturbance import Disturber, ErrorInjection
 from hilbench.bus.embedded import check_frame
 from hilbench.bus.frame import Frame
+from hilbench.bus.listeners import Listeners
 from hilbench.bus.medium import FOREVER, Medium, Station
 from hilbench.bus.messages import kernel_filters, to_frame, to_message
 from hilbench.bus.python_can import can
@@ -28,7 +28,6 @@ from hilbench.errors import BusError
 
 #: Frames a link holds that does not read, before the newest are dropped.
 RECEIVE_LIMIT = 16384
-_KNOWN_IDENTIFIERS = 4096
 
 
 class MemoryBus:
@@ -38,7 +37,7 @@ class MemoryBus:
         self.channel = channel
         self._medium = Medium(bitrate)
         self._links: list[MemoryLink] = []
-        self._listeners: dict[int, list[MemoryLink]] = {}  # whose filters let an identifier pass; made as needed
+        self._listeners = Listeners(lambda: self._links)
         self._lock = threading.Lock()
         self.waiting = False  #: whether frames wait for the wire
 
@@ -47,7 +46,7 @@ class MemoryBus:
         with self._lock:
             link = MemoryLink(self)
             self._links.append(link)
-            self._listeners.clear()
+            self._listeners.forget()
             self._medium.join(link.station)
         return link
 
@@ -74,18 +73,9 @@ class MemoryBus:
         self.waiting = False
         for sender, can_id, data, time_ns in self._medium.run(FOREVER):
             frame = Frame(can_id, data, time_ns)
-            for link in self._who_listens(can_id):
+            for link in self._listeners.of(can_id):
                 if link.station is not sender and link.controller is not ControllerState.BUS_OFF:
                     link.take(frame)
-
-    def _who_listens(self, can_id: int) -> list[MemoryLink]:
-        """The links whose filters let `can_id` pass. The lock is held."""
-        listeners = self._listeners.get(can_id)
-        if listeners is None:
-            if len(self._listeners) >= _KNOWN_IDENTIFIERS:
-                self._listeners.clear()
-            listeners = self._listeners[can_id] = [link for link in self._links if accepts(link.filters, can_id)]
-        return listeners
 
 
 class MemoryLink:
@@ -114,7 +104,7 @@ class MemoryLink:
             for can_id, data, _ in frames:
                 content = bytes(data)
                 medium.queue(self.station, can_id, content, bits_on_wire(can_id, content), medium.free_ns)
-            heard_by = [bus._who_listens(frame.can_id) for frame in frames]
+            heard_by = [bus._listeners.of(frame.can_id) for frame in frames]
             for link in bus._links:
                 if link is not self and link._is_awaited() and any(link in listeners for listeners in heard_by):
                     link._tell()
@@ -163,7 +153,7 @@ class MemoryLink:
         with self._bus._lock:
             self._bus._carry()  # what was sent before meets the old filters
             self.filters = identifiers
-            self._bus._listeners.clear()
+            self._bus._listeners.forget()
 
     @property
     def controller(self) -> ControllerState:
@@ -186,7 +176,7 @@ class MemoryLink:
             bus._carry()  # its last frames still go out
             self._closed = True
             bus._links.remove(self)
-            bus._listeners.clear()
+            bus._listeners.forget()
             bus._medium.leave(self.station)
             self._sent.notify_all()
             if self._event is not None:

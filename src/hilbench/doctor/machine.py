@@ -69,10 +69,7 @@ def read_machine(root: Path = _ROOT) -> MachineFacts:
 
 def measure_lateness(cycle_s: float, duration_s: float) -> Lateness:
     """Run the bench's own loop of deadlines for a while, doing nothing in it."""
-    state = pacing.Pacing(period_ns=round(cycle_s * 1e9))
-    pacing.start(state, time.monotonic_ns())
-    for _ in range(max(1, round(duration_s / cycle_s))):
-        pacing.advance(state, pacing.sleep_until(state.deadline_ns))
+    state = pacing.bare_loop(round(cycle_s * 1e9), max(1, round(duration_s / cycle_s)))
     late_us = sorted(late_ns / 1000.0 for late_ns in state.lateness_ns)
     at = [late_us[min(len(late_us) - 1, int(share * len(late_us)))] for share in (0.5, 0.99)]
     return Lateness(len(late_us), at[0], at[1], late_us[-1])
