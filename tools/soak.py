@@ -145,7 +145,7 @@ class Soak:
                     self._ride_out(bench)
                     bench.run(FAULT_S)
                 except BenchFaultError as error:
-                    last = "; ".join(f"{notice.time_s:.3f} s {notice.text}" for notice in bench.notices[-8:])
+                    last = "; ".join(f"{notice.time_s:.3f} s {notice.text}" for notice in list(bench.notices)[-8:])
                     raise RuntimeError(f"{error}; faults so far: {self.faults}; before: {last}") from error
                 if bench.time_s - looked_s >= LOOK_S:
                     looked_s = bench.time_s

@@ -18,7 +18,7 @@ from hilbench.bench.cycle import CyclicExchange, FrameTap
 from hilbench.bench.limits import LimitWatch
 from hilbench.bench.load_model import LoadModel
 from hilbench.bench.nodes import Nodes
-from hilbench.bench.notice import Notice
+from hilbench.bench.notice import Notices
 from hilbench.bench.operator_objects import OperatorObjects
 from hilbench.bench.participants import Participants
 from hilbench.bench.processes import ChildProcess
@@ -81,9 +81,9 @@ class Bench:
     given); `participants`: who brings the simulated hardware and the twin, this bench unless said otherwise;
     `announce` is told what is being done, `journal` what the bench changes and no frame says.
 
-    What an operator must know of a run that goes on collects in `notices`: warnings of the limits, EMCY messages, a
-    tension loop that opens or closes. A twin that is lost ends no run: the loop holds, and the twin is taken back
-    (after a start of its process, where the bench had started it) as soon as it is heard again.
+    What an operator must know of a run that goes on collects in `notices`, counted by source and kind: warnings of the
+    limits, EMCY messages, a tension loop that opens or closes. A twin that is lost ends no run: the loop holds, and the
+    twin is taken back (after a start of its process, where the bench had started it) as soon as it is heard again.
     """
 
     def __init__(
@@ -99,7 +99,7 @@ class Bench:
     ) -> None:
         self.config = config
         self.events: list[StepEvent] = []
-        self.notices: list[Notice] = []
+        self.notices = Notices(announce)
         self.line_speed_m_s = 0.0
         self.tension_set_point_N = config.tension_control.set_point_N
         self.interrupt_requested = False
@@ -326,13 +326,12 @@ class Bench:
             self._controller_state = state
             self._note("bus", f"the bench's CAN controller is {state.value}")
 
-    def _note(self, source: str, text: str) -> None:
-        self.notices.append(Notice(self.time_s, source, text))
-        self._announce(f"t = {self.time_s:.3f} s: {source}: {text}")
+    def _note(self, source: str, text: str, *, kind: str = "", count: int = 1) -> None:
+        self.notices.note(self.time_s, source, text, kind=kind, count=count)
 
     def _read_emergencies(self) -> None:
-        for emergency in self.nodes.emergencies:
-            self._note(f"{emergency.node} (node {emergency.node_id})", str(emergency))
+        for emergency, count in self.nodes.emergencies.items():
+            self._note(f"{emergency.node} (node {emergency.node_id})", str(emergency), kind=emergency.kind, count=count)
             if self._twin.away:  # works off what it has missed, and knows nothing of now
                 continue
             if emergency.code in (Problem.WEB_BREAK, Problem.SLIP):

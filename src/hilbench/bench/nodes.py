@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import isclose
 from typing import Any
@@ -11,7 +11,7 @@ import canopen
 
 from hilbench.bench.config import BenchConfig, NodeConfig, NodesConfig
 from hilbench.bench.cycle import ExpectedPdo
-from hilbench.bench.emergencies import Emergency
+from hilbench.bench.emergencies import Emergency, EmergencyInbox
 from hilbench.bench.quantities import EffectPath
 from hilbench.bench.sample import CycleSample
 from hilbench.bus.frame import Frame
@@ -138,7 +138,7 @@ class Nodes:
         self._twin_ids = {nodes.virtual_axis1.node_id, nodes.virtual_axis2.node_id, nodes.virtual_io.node_id}
         self.twin_problem = ""  #: why the twin's nodes can't be counted on; "" while they can
         self.twin_heard = False  #: a heartbeat or boot-up of the virtual I/O has come since this was last reset
-        self.emergencies: list[Emergency] = []  #: EMCY messages of this cycle
+        self._inbox = EmergencyInbox()
         self.malformed = 0  #: frames with the COB-ID, but not the length, of a PDO that the bench reads
         self._sizes = {pdo.cob_id: pdo.size for drive in self.drives for _, pdo, _ in drive.pdos.tpdos}
         self._sizes |= {pdo.cob_id: pdo.size for pdo in (self.io.state, self.io.quality, self.io.status)}
@@ -156,6 +156,11 @@ class Nodes:
     def drives(self) -> Sequence[Drive]:
         """The real (or simulated) drives: axis 1, axis 2, load motor."""
         return (self.axis1, self.axis2, self.load)
+
+    @property
+    def emergencies(self) -> Mapping[Emergency, int]:
+        """EMCY messages of this cycle in their order, and how many of each came."""
+        return self._inbox.messages
 
     def dictionary(self, part: str) -> canopen.ObjectDictionary:
         """What the EDS file of a participant (a field of `nodes:`) says."""
@@ -310,7 +315,7 @@ class Nodes:
         """Take what came in this cycle. Raises BenchFaultError when a drive has a fault, has left OPERATIONAL, or is
         silent; the twin's nodes only get a `twin_problem`."""
         self._cycle += 1
-        self.emergencies = []
+        self._inbox.clear()
         data: dict[int, bytes] = {}
         for can_id, content, _ in frames:
             size = self._sizes.get(can_id)
@@ -370,12 +375,9 @@ class Nodes:
         self.twin_problem = text
 
     def _emergency(self, node_id: int, content: bytes) -> None:
-        if node_id in self._known:
-            emergency = Emergency.of(node_id, self._known[node_id], content)
-            if emergency is not None:
-                self.emergencies.append(emergency)
-            else:
-                self.malformed += 1
+        name = self._known.get(node_id)
+        if name is not None and not self._inbox.take(node_id, name, content):
+            self.malformed += 1
 
     def fill(self, sample: CycleSample) -> None:
         """Put the measurements of this cycle into a sample; SI, positions and velocities at the web."""

@@ -134,6 +134,31 @@ class Fault(_Part):
     text: str
 
 
+class Warned(_PartWithOptions):
+    """What did not stop the run, counted by source and kind: the first time (s of bus time) and its text, the number
+    of times, and, where there were several, the last time and its text."""
+
+    time_s: float | None
+    source: str
+    text: str
+    count: int = Field(default=1, ge=1)
+    last_time_s: float | None = None
+    last_text: str | None = None
+
+    def line(self) -> str:
+        """As a terminal shows it."""
+        when = "" if self.time_s is None else f"t = {self.time_s:.3f} s, "
+        return f"{when}{self.source}: {self.text}{self.repeated()}"
+
+    def repeated(self) -> str:
+        """What is to be said of further times, "" where it was the only one."""
+        if self.count == 1:
+            return ""
+        last = "" if self.last_text in (None, self.text) else f", then: {self.last_text}"
+        until = "" if self.last_time_s is None else f", last at t = {self.last_time_s:.3f} s"
+        return f" ({self.count} times{until}{last})"
+
+
 def _version(package: str) -> str:
     try:
         return metadata.version(package)
@@ -165,7 +190,8 @@ class Environment(_Part):
 class Result(_PartWithOptions):
     """The verdict of one run. `passed` holds exactly when every criterion does and no fault stopped the run.
 
-    `warnings`: what did not stop the run (a limit's warning level, an EMCY message, a tension loop that opened).
+    `warnings`: what did not stop the run (a limit's warning level, an EMCY message, a tension loop that opened), each
+    kind once with its count.
     """
 
     passed: bool
@@ -174,7 +200,7 @@ class Result(_PartWithOptions):
     timing: Timing
     faults: list[Fault]
     environment: Environment | None = None
-    warnings: list[Fault] | None = None
+    warnings: list[Warned] | None = None
 
     @classmethod
     def of(
@@ -184,7 +210,7 @@ class Result(_PartWithOptions):
         timing: Timing,
         faults: Sequence[Fault],
         environment: Environment | None = None,
-        warnings: Sequence[Fault] = (),
+        warnings: Sequence[Warned] = (),
     ) -> Self:
         """A result whose `passed` follows from its criteria and faults."""
         passed = all(criterion.passed for criterion in criteria) and not faults
@@ -200,11 +226,7 @@ class Result(_PartWithOptions):
 
     def all_warnings(self) -> list[str]:
         """One line for each: losses of frames, then what the bench noted, in the order of time."""
-        noted = [
-            f"{'' if warning.time_s is None else f't = {warning.time_s:.3f} s, '}{warning.source}: {warning.text}"
-            for warning in self.warnings or []
-        ]
-        return [*self.timing.warnings(), *noted]
+        return [*self.timing.warnings(), *(warning.line() for warning in self.warnings or [])]
 
     def write(self, path: Path) -> None:
         """Write as JSON; the file appears complete or not at all. Raises UnusableInputError if it cannot be."""

@@ -17,6 +17,7 @@ import numpy as np
 from hilbench.bench.bench import Bench, CycleObserver, InterruptedByOperatorError
 from hilbench.bench.check import check_bench
 from hilbench.bench.in_process import check_in_process
+from hilbench.bench.notice import Notice
 from hilbench.bench.participants import Participants
 from hilbench.bench.sample import CycleSample
 from hilbench.bench.signals import SIGNALS
@@ -35,7 +36,7 @@ from hilbench.experiment.metrics import evaluate_metrics
 from hilbench.record.journal import JournalWriter
 from hilbench.record.junit import write_junit
 from hilbench.record.recording import LEAST_SAMPLES, Recording, RecordingBuilder, write_recording
-from hilbench.record.result import Environment, Fault, Result, Timing, jitter
+from hilbench.record.result import Environment, Fault, Result, Timing, Warned, jitter
 from hilbench.record.run_folder import RunFolder
 from hilbench.record.trace import TraceWriter
 
@@ -131,13 +132,25 @@ def run_experiment(
     timing = measure_timing(bench)
     metrics = evaluate_metrics(recording.channels) | timing.metrics()
     criteria = judged + evaluate(config.criteria, metrics)
-    warnings = [Fault(time_s=notice.time_s, source=notice.source, text=notice.text) for notice in bench.notices]
+    warnings = [_warned(notice) for notice in bench.notices]
     result = Result.of(criteria, metrics, timing, faults, Environment.here(config.seed), warnings)
     result.write(folder.result)
     write_junit(result, config.name, started, folder.junit)
     if exit_code == EXIT_PASSED and not result.passed:
         exit_code = EXIT_CRITERION_FAILED
     return RunOutcome(folder, result, exit_code)
+
+
+def _warned(notice: Notice) -> Warned:
+    again = notice.count > 1
+    return Warned(
+        time_s=notice.time_s,
+        source=notice.source,
+        text=notice.text,
+        count=notice.count,
+        last_time_s=notice.last_time_s if again else None,
+        last_text=notice.last_text if again else None,
+    )
 
 
 def measure_timing(bench: Bench) -> Timing:

@@ -24,6 +24,7 @@ from hilbench.record.run_folder import RunFolder
 from hilbench.report.plots import Picture, draw_histogram, draw_pictures
 
 _DASH = "–"
+_BLANK = "<td></td>"
 
 
 def write_report(run_folder: RunFolder) -> Path:
@@ -75,7 +76,7 @@ def render(
         _header(name, result, recording),
         _criteria(result.criteria),
         _faults(result.faults),
-        _warnings(result.all_warnings()),
+        _warnings(result),
         _pictures(draw_pictures(recording, reference_Pa)),
         _metrics(result.metrics),
         _timing(result.timing),
@@ -160,12 +161,18 @@ def _faults(faults: Sequence[Fault]) -> str:
     return section("Faults", table((">Time in s", "Where", "What"), rows))
 
 
-def _warnings(warnings: Sequence[str]) -> str:
-    return (
-        section("Warnings", table(("What",), [f"<tr><td>{escape(text)}</td></tr>" for text in warnings]))
-        if warnings
-        else ""
-    )
+def _warnings(result: Result) -> str:
+    """What the timing says of the whole run, then each kind of warning with its count."""
+    rows = [f"<tr>{_BLANK}{_BLANK}<td>{escape(text)}</td>{_BLANK}{_BLANK}</tr>" for text in result.timing.warnings()]
+    for warning in result.warnings or []:
+        last = "" if warning.last_text in (None, warning.text) else f"; the last: {warning.last_text}"
+        rows.append(
+            f'<tr><td class="number">{number(warning.time_s, 6)}</td><td>{escape(warning.source)}</td>'
+            f'<td>{escape(warning.text + last)}</td><td class="number">{number(warning.count, 12)}</td>'
+            f'<td class="number">{number(warning.last_time_s, 6)}</td></tr>'
+        )
+    columns = (">Time in s", "Where", "What", ">Times", ">Last at, s")
+    return section("Warnings", table(columns, rows)) if rows else ""
 
 
 def _pictures(pictures: Sequence[Picture]) -> str:
