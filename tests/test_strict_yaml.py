@@ -16,10 +16,18 @@ class Inner(BaseModel):
     gain: float
 
 
+class Block(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+    set_point_N: float = 80.0
+    radius_m: float | list[float] = 0.2
+
+
 class Outer(BaseModel):
     model_config = ConfigDict(extra="forbid")
     name: str
     items: list[Inner] = []
+    control: Block | None = None
+    by_name: dict[str, Inner] = {}
 
 
 def write(folder: Path, text: str) -> Path:
@@ -82,6 +90,49 @@ def test_errors_name_line_key_found_and_expected(tmp_path, text, message):
     document = strict_yaml.load(write(tmp_path, text))
     with pytest.raises(UnusableInputError, match=message):
         strict_yaml.validate(document, Outer)
+
+
+def test_all_that_is_wrong_is_said_in_the_order_of_its_lines(tmp_path):
+    base = strict_yaml.load(write(tmp_path, "extra: 1\nitems:\n  - gain: 1\n  - gain: slow\nname: 3\n"))
+    with pytest.raises(UnusableInputError) as caught:
+        strict_yaml.validate(base.with_value(("control", "set_point_N"), "x", "--set"), Outer)
+    said = [str(caught.value), *caught.value.__notes__]
+    assert [line.partition(": ")[0].rpartition("/")[2] for line in said] == [
+        "--set",
+        "config.yaml:1",
+        "config.yaml:4",
+        "config.yaml:5",
+    ]
+    assert said[0].endswith("(and 3 more)")
+    assert all(line.isprintable() for line in said)
+
+
+def test_a_key_that_may_hold_two_kinds_of_value_is_one_error_that_names_both(tmp_path):
+    document = strict_yaml.load(write(tmp_path, "name: x\ncontrol: {radius_m: wide}\n"))
+    with pytest.raises(
+        UnusableInputError, match=r"'control.radius_m' is 'wide', expected: .*number.*, or .*list"
+    ) as caught:
+        strict_yaml.validate(document, Outer)
+    assert not hasattr(caught.value, "__notes__")
+
+
+@pytest.mark.parametrize(
+    ("text", "meant"),
+    [
+        ("itms: []", "'items'"),
+        ("control: {setpoint_N: 90}", "'control.set_point_N'"),
+        ("control: {Set_Point_n: 90}", "'control.set_point_N'"),
+        ("items: [{gain: 1, gian: 2}]", "'items.0.gain'"),
+        ("by_name: {a: {gain: 1, gian: 2}}", "'by_name.a.gain'"),
+        ("set_point_N: 90", "'control.set_point_N'"),  # at the wrong place
+        ("zzz: 1", None),
+    ],
+)
+def test_an_unknown_key_is_asked_about(tmp_path, text, meant):
+    document = strict_yaml.load(write(tmp_path, f"name: x\n{text}\n"))
+    with pytest.raises(UnusableInputError) as caught:
+        strict_yaml.validate(document, Outer)
+    assert str(caught.value).partition(", did you mean ")[2] == (f"{meant}?" if meant else "")
 
 
 @pytest.mark.parametrize(

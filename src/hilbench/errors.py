@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 EXIT_PASSED = 0
@@ -29,6 +30,17 @@ class UnusableInputError(HilbenchError):
         self.place = _printable(str(place))
         self.problem = _printable(problem)
         super().__init__(f"{self.place}: {self.problem}")
+
+    @classmethod
+    def of(cls, errors: Sequence[UnusableInputError]) -> UnusableInputError:
+        """One error of several: the first one, with the number of the others, which are its notes (`add_note`)."""
+        first, *others = errors
+        if not others:
+            return first
+        error = cls(first.place, f"{first.problem} (and {len(others)} more)")
+        for other in others:
+            error.add_note(str(other))
+        return error
 
 
 def _printable(text: str) -> str:

@@ -7,18 +7,26 @@ whose floats need a dot and a signed exponent); ``yes``/``no``/``on``/``off`` ar
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from types import UnionType
+from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
 
 import yaml
 from pydantic import BaseModel, ValidationError
+from pydantic_core import ErrorDetails
 
 from hilbench.errors import UnusableInputError
+from hilbench.suggest import did_you_mean
 
 Location = tuple[str | int, ...]
 Model = TypeVar("Model", bound=BaseModel)
+
+#: Characters beyond which an error does not repeat the value that was found.
+_LONGEST_TEXT = 300
+#: So many keys of one name elsewhere in a config are worth a question.
+_MOST_ELSEWHERE = 3
 
 
 class _Loader(yaml.SafeLoader):
@@ -71,6 +79,18 @@ class Document:
         while known and known not in self.places:
             known = known[:-1]
         return self.places.get(known, f"{self.path}:1")
+
+    def given(self, location: Sequence[str | int]) -> Location:
+        """`location` as far as the document has values: a union's alternatives, say, stand in no file."""
+        found: list[str | int] = []
+        data = self.data
+        for step in location:
+            inside = dict(enumerate(data)) if isinstance(data, list) else data
+            if not isinstance(inside, Mapping) or step not in inside:
+                break
+            data = inside[step]
+            found.append(step)
+        return tuple(found)
 
     def with_value(self, location: Sequence[str | int], value: Any, place: str) -> Document:
         """The document with another value at `location`, given at `place`; mappings on the way are made.
@@ -191,8 +211,8 @@ def _index(path: Path, node: yaml.Node, location: Location, places: dict[Locatio
 def validate(document: Document, model: type[Model], location: Location = ()) -> Model:
     """Validate the data at `location` of a document against a pydantic model.
 
-    Raises UnusableInputError that names file, line, key, what was found and what was expected (the first
-    error; the number of further ones is said).
+    Raises UnusableInputError that names file, line, key, what was found and what was expected: all that is wrong, in
+    the order in which it was given (see `UnusableInputError.of`).
     """
     data = document.data
     for step in location:
@@ -200,22 +220,82 @@ def validate(document: Document, model: type[Model], location: Location = ()) ->
     try:
         return model.model_validate(data)
     except ValidationError as error:
-        raise _unusable(document, location, error) from error
+        raise UnusableInputError.of(_problems(document, location, model, error)) from error
 
 
-def _unusable(document: Document, location: Location, error: ValidationError) -> UnusableInputError:
-    problems = error.errors()
-    first = problems[0]
-    where: Location = (*location, *first["loc"])
-    key = ".".join(str(part) for part in first["loc"]) or "document"
+def _problems(
+    document: Document, location: Location, model: type[BaseModel], error: ValidationError
+) -> list[UnusableInputError]:
+    """One for each value that is wrong; the kinds of value that a key may have (a union) are one expectation."""
+    by_value: dict[Location, list[ErrorDetails]] = {}
+    for details in error.errors():
+        given = document.given((*location, *details["loc"]))
+        missing = details["type"] in ("missing", "extra_forbidden")
+        by_value.setdefault((*location, *details["loc"]) if missing else given, []).append(details)
+    problems = [
+        UnusableInputError(document.place(where), _text(where[len(location) :], model, found))
+        for where, found in by_value.items()
+    ]
+    return sorted(problems, key=_line)
+
+
+def _line(problem: UnusableInputError) -> tuple[str, int]:
+    """To sort by: the file of a place and its line; options of the command line come first."""
+    file, _, line = problem.place.rpartition(":")
+    return (file, int(line)) if line.isdecimal() else ("", 0)
+
+
+def _text(loc: Location, model: type[BaseModel], found: Sequence[ErrorDetails]) -> str:
+    key, first = ".".join(map(str, loc)) or "document", found[0]
     if first["type"] == "extra_forbidden":
-        text = f"unknown key '{key}'"
-    elif first["type"] == "missing":
-        text = f"'{key}' is missing"
-    else:
-        message = first["msg"].removeprefix("Value error, ")
-        text = f"'{key}' is {first['input']!r}, expected: {message}"
-        if len(text) > 300:
-            text = f"'{key}': {message}"
-    more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
-    return UnusableInputError(document.place(where), " ".join(text.split()) + more)
+        return f"unknown key '{key}'{_instead(loc, model)}"
+    if first["type"] == "missing":
+        return f"'{key}' is missing"
+    messages = dict.fromkeys(details["msg"].removeprefix("Value error, ") for details in found)
+    message = " ".join(", or ".join(messages).split())
+    text = f"'{key}' is {first['input']!r}, expected: {message}"
+    return text if len(text) <= _LONGEST_TEXT else f"'{key}': {message}"
+
+
+def _instead(loc: Location, model: type[BaseModel]) -> str:
+    """What an unknown key may have been meant to be: one of its block, or one of that name elsewhere."""
+    *block, name = map(str, loc)
+    beside = {known for known_block in _blocks(model, loc[:-1]) for known in known_block.model_fields}
+    if found := did_you_mean(name, beside):
+        return found.replace("'", "'" + "".join(f"{key}." for key in block), 1)
+    elsewhere = [path for path in _paths(model) if path.rpartition(".")[2].lower() == name.lower()]
+    paths = " or ".join(f"'{path}'" for path in elsewhere)
+    return f", did you mean {paths}?" if 0 < len(elsewhere) <= _MOST_ELSEWHERE else ""
+
+
+def _blocks(model: type[BaseModel], location: Location) -> list[type[BaseModel]]:
+    """The models that the value at a location may be."""
+    kinds: list[Any] = [model]
+    for step in location:
+        inner: list[Any] = []
+        for kind in kinds:
+            if isinstance(kind, type) and issubclass(kind, BaseModel):
+                if step in kind.model_fields:
+                    inner += _kinds(kind.model_fields[str(step)].annotation)
+            elif get_origin(kind) is not None:  # of a list or mapping: what it holds
+                inner += _kinds(get_args(kind)[-1])
+        kinds = inner
+    return [kind for kind in kinds if isinstance(kind, type) and issubclass(kind, BaseModel)]
+
+
+def _kinds(annotation: Any) -> list[Any]:
+    """The alternatives of a type; what is annotated counts without its annotations."""
+    if get_origin(annotation) is Annotated:
+        return _kinds(get_args(annotation)[0])
+    if get_origin(annotation) in (Union, UnionType):
+        return [kind for part in get_args(annotation) for kind in _kinds(part)]
+    return [annotation]
+
+
+def _paths(model: type[BaseModel]) -> Iterator[str]:
+    """Every key below a model, dotted; not those in lists and mappings, which have no name of their own."""
+    for name, field in model.model_fields.items():
+        yield name
+        for kind in _kinds(field.annotation):
+            if isinstance(kind, type) and issubclass(kind, BaseModel):
+                yield from (f"{name}.{path}" for path in _paths(kind))

@@ -47,6 +47,45 @@ def test_every_key_of_a_shipped_config_says_what_it_is(path):
             assert "#" in line, f"{key} has no comment"
 
 
+def test_check_says_all_that_is_wrong_with_a_config_each_with_its_place(tmp_path):
+    path = tmp_path / "bench.yaml"
+    path.write_text(
+        f"include: {ROOT / 'bench_configs' / 'web_section_step.yaml'}\n"
+        "tension_control: {setpoint_N: 90}\n"
+        "model: {web: {width_m: wide}}\n"
+        "steps:\n"
+        "  - ramp: {path: line_sped_m_s, to: 2, duration_s: 1}\n"
+        "  - wait_until: {condition: v2_ms > 1, timeout_s: 1}\n"
+        "criteria:\n"
+        "  - {name: a, metric: E_time_to_1pc_s, max: 1}\n"
+    )
+    done = hilbench("check", path, "--set", "pce=lockstep")
+    assert done.returncode == 2
+    lines = done.stderr.splitlines()
+    expected = [
+        ("hilbench: --set pce=lockstep: ", "'pace'"),
+        (f"hilbench: {path}:2: ", "'tension_control.set_point_N'"),
+        (f"hilbench: {path}:3: ", None),
+        (f"hilbench: {path}:5: ", "'line_speed_m_s'"),
+        (f"hilbench: {path}:6: ", "'v2_m_s'"),
+        (f"hilbench: {path}:8: ", "'E_time_to_1pct_s'"),
+    ]
+    assert len(lines) == len(expected)
+    for line, (place, meant) in zip(lines, expected, strict=True):
+        assert line.startswith(place)
+        assert meant is None or f"did you mean {meant}?" in line
+
+
+def test_check_names_every_eds_file_that_is_not_there(tmp_path):
+    shipped = ROOT / "bench_configs" / "web_section_step.yaml"
+    changes = ["--set", "nodes.axis1.eds=nowhere.eds", "--set", "nodes.load.eds=away.eds"]
+    done = hilbench("check", shipped, *changes)
+    assert done.returncode == 2
+    assert [line.partition(": ")[2].partition(": ")[0] for line in done.stderr.splitlines()] == [
+        f"--set {change}" for change in changes[1::2]
+    ]
+
+
 def test_new_asks_and_writes_a_bench_that_can_be_run(tmp_path):
     path = tmp_path / "mine.yaml"
     answers = "mine\nembedded:mine\n" + "\n" * 3 + "4e9\n" + "\n" * 20

@@ -39,11 +39,13 @@ def check_bench(config: BenchConfig, document: Document) -> CheckedBench:
     Raises UnusableInputError with the place in the config when an EDS can't be used or lacks an object that is
     mapped, when the PDO set does not fit on the bus at worst, or when the web is too stiff to be imitated stably.
     """
-    for part, node in config.nodes:
-        if not node.eds.is_file():
-            raise UnusableInputError(
-                document.place(("nodes", part, "eds")), f"no file {node.eds}, expected an EDS file"
-            )
+    without_file = [
+        UnusableInputError(document.place(("nodes", part, "eds")), f"no file {node.eds}, expected an EDS file")
+        for part, node in config.nodes
+        if not node.eds.is_file()
+    ]
+    if without_file:
+        raise UnusableInputError.of(without_file)
     try:
         nodes = Nodes(config)
     except (KeyError, ValueError) as error:

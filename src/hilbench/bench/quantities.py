@@ -8,9 +8,12 @@ in the imitated mechanics or in the simulated hardware: `load.effects.elasticity
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import product
 
-from hilbench.web.effects import find_effect
+from hilbench.suggest import did_you_mean
+from hilbench.web.effects import EFFECTS, find_effect
 
 LINE_SPEED = "line_speed_m_s"
 TENSION_SET_POINT = "tension_control.set_point_N"
@@ -35,12 +38,15 @@ def parse_effect_path(text: str) -> EffectPath:
     parts = text.split(".")
     if len(parts) not in (4, 5) or parts[0] not in ("load", "hardware") or parts[1] != "effects":
         known = ", ".join(PLAIN_PATHS)
-        raise ValueError(f"one of {known}, or load|hardware.effects.ID[.axisN].PARAMETER")
+        raise ValueError(
+            f"one of {known}, or load|hardware.effects.ID[.axisN].PARAMETER{did_you_mean(text, _all_paths())}"
+        )
     place, _, name, *axis_part, parameter = parts
     try:
         effect = find_effect(name)
     except KeyError:
-        raise ValueError(f"an effect of the vocabulary, '{name}' is none") from None
+        meant = did_you_mean(name, (effect.id for effect in EFFECTS))
+        raise ValueError(f"an effect of the vocabulary, '{name}' is none{meant}") from None
     axis = {"axis1": 1, "axis2": 2}.get(axis_part[0]) if axis_part else None
     if effect.per_axis and axis is None:
         raise ValueError(f"'{name}' with its axis: {place}.effects.{name}.axis1|axis2.{parameter}")
@@ -48,8 +54,17 @@ def parse_effect_path(text: str) -> EffectPath:
         raise ValueError(f"'{name}' without an axis: {place}.effects.{name}.{parameter}")
     names = [known.name for known in effect.parameters]
     if parameter not in names:
-        raise ValueError(f"a parameter of '{name}' ({', '.join(names)}), '{parameter}' is none")
+        meant = did_you_mean(parameter, names)
+        raise ValueError(f"a parameter of '{name}' ({', '.join(names)}), '{parameter}' is none{meant}")
     return EffectPath(place, name, axis, parameter)
+
+
+def _all_paths() -> Iterator[str]:
+    yield from PLAIN_PATHS
+    for effect in EFFECTS:
+        axes = ("axis1.", "axis2.") if effect.per_axis else ("",)
+        for place, axis, parameter in product(("load", "hardware"), axes, effect.parameters):
+            yield f"{place}.effects.{effect.id}.{axis}{parameter.name}"
 
 
 def is_of_load(path: str) -> bool:

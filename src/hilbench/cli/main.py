@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import sys
+from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -15,11 +16,26 @@ from hilbench.errors import EXIT_INTERRUPTED, HilbenchError, UnusableInputError
 
 app = typer.Typer(
     name="hilbench",
-    help="Hardware-in-the-loop test bench over CAN/CANopen with a synchronized twin of a web-transport section.",
     no_args_is_help=True,
     add_completion=True,
     pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},  # the commands inherit it
 )
+
+
+def _say_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"hilbench {version('hilbench')}")
+        raise typer.Exit
+
+
+@app.callback()
+def hilbench(
+    show_version: Annotated[
+        bool, typer.Option("--version", callback=_say_version, is_eager=True, help="say the version and exit")
+    ] = False,
+) -> None:
+    """Hardware-in-the-loop test bench over CAN/CANopen with a synchronized twin of a web-transport section."""
 
 
 def _load(config: Path, **overrides: Any) -> Any:
@@ -287,7 +303,8 @@ def main() -> None:
     try:
         app()
     except HilbenchError as error:
-        typer.echo(f"hilbench: {error}", err=True)
+        for line in [str(error), *getattr(error, "__notes__", ())]:
+            typer.echo(f"hilbench: {line}", err=True)
         sys.exit(error.exit_code)
     except KeyboardInterrupt:
         sys.exit(EXIT_INTERRUPTED)

@@ -9,6 +9,7 @@ from typing import Any, Literal, Self
 from pydantic import BaseModel, ConfigDict, Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
 from hilbench.experiment.metrics import METRICS
+from hilbench.suggest import did_you_mean
 
 
 class Criterion(BaseModel):
@@ -32,7 +33,8 @@ class Criterion(BaseModel):
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         if self.metric not in METRICS:
-            raise ValueError(f"metric '{self.metric}' is not known, one of {', '.join(METRICS)}")
+            meant = did_you_mean(self.metric, METRICS)
+            raise ValueError(f"metric '{self.metric}' is not known, one of {', '.join(METRICS)}{meant}")
         if self.unit is not None and self.unit != METRICS[self.metric].unit:
             raise ValueError(f"unit '{self.unit}' of metric {self.metric}, which is in '{METRICS[self.metric].unit}'")
         if (self.target is None) != (self.tolerance is None):

@@ -22,6 +22,7 @@ from hilbench.bench.sample import CycleSample
 from hilbench.bench.signals import BY_NAME
 from hilbench.errors import UnusableInputError
 from hilbench.experiment.criteria import CriterionResult
+from hilbench.suggest import did_you_mean
 
 _TIME = "t_s"
 _RAMP, _EXPECT = "ramp:", "expect:"
@@ -147,7 +148,8 @@ def read_scenario(path: Path) -> Scenario:
 
 def _expectations(signal: str, cells: list[tuple[str, float, Any]], end_s: float) -> Iterator[Expectation]:
     if signal not in BY_NAME:
-        raise UnusableInputError(cells[0][0], f"column '{_EXPECT}{signal}', expected a signal of the recording")
+        meant = did_you_mean(signal, BY_NAME)
+        raise UnusableInputError(cells[0][0], f"column '{_EXPECT}{signal}', expected a signal of the recording{meant}")
     ends = [t_s for _, t_s, _ in cells[1:]] + [end_s]
     for (place, t_s, cell), until_s in zip(cells, ends, strict=True):
         if cell == _END:

@@ -25,6 +25,7 @@ from hilbench.errors import BenchFaultError
 from hilbench.experiment.criteria import CriterionResult
 from hilbench.experiment.python_file import load_experiment, run_experiment_function
 from hilbench.experiment.scenario import read_scenario
+from hilbench.suggest import did_you_mean
 
 _COMPARISONS: dict[str, Callable[[float, float], bool]] = {
     "<": operator.lt,
@@ -43,8 +44,9 @@ def parse_condition(text: str) -> tuple[str, str, float]:
     if match is None:
         raise ValueError("a comparison such as 'v1_m_s >= 2.9'")
     signal, comparison, value = match.groups()
-    if signal not in {known.name for known in SIGNALS}:
-        raise ValueError(f"a signal of the recording, '{signal}' is none")
+    known = [entry.name for entry in SIGNALS]
+    if signal not in known:
+        raise ValueError(f"a signal of the recording, '{signal}' is none{did_you_mean(signal, known)}")
     return signal, comparison, float(value)
 
 
