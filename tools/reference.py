@@ -14,7 +14,7 @@ import canopen
 import typer
 from canopen.objectdictionary import ODVariable
 
-from hilbench.bench.quantities import PLAIN_PATHS
+from hilbench.bench.quantities import PLAIN_PATHS, permitted
 from hilbench.bench.signals import SIGNALS
 from hilbench.cli.main import app
 from hilbench.drives.object_units import has_drive_unit, si_unit
@@ -347,8 +347,8 @@ def signals_page() -> str:
         "The channels of `recording.mf4`, one value a cycle, in SI units. The group says who knows the value; *truth* "
         "only a simulated bench has, and diagnosis never reads it. Conditions (`wait_until:`) and expectations of a "
         "scenario table use the same names. What steps and tables can set: "
-        + ", ".join(f"`{path}`" for path in PLAIN_PATHS)
-        + ", and every parameter of every [effect](effects.md).",
+        + ", ".join(f"`{path}` ({permitted(path)})" for path in PLAIN_PATHS)
+        + ", and every parameter of every [effect](effects.md) within its bounds.",
         "",
         *_table(
             ("signal", "unit", "group", "what"), ((f"`{s.name}`", s.unit, s.group, s.description) for s in SIGNALS)

@@ -54,6 +54,10 @@ class BenchFaultError(HilbenchError):
     exit_code = EXIT_BENCH_FAULT
 
 
+class UnusableValueError(BenchFaultError, ValueError):
+    """A running bench was asked for a value that a quantity can't have; the bench is not changed."""
+
+
 class BusError(BenchFaultError):
     """The bus cannot be opened, or was lost."""
 

@@ -345,7 +345,12 @@ class Bench:
             self.cycle()
 
     def ramp(self, path: str, to: float, duration_s: float) -> None:
-        """Move a quantity linearly to `to` within `duration_s`."""
+        """Move a quantity linearly to `to` within `duration_s`.
+
+        Raises as `set`, before anything moves; ValueError for a switch.
+        """
+        path = quantities.rampable_path(path)
+        to = quantities.checked_value(path, to)
         cycles = max(1, round(duration_s / self.config.cycle_time_s))
         start = self.get(path)
         self._ramped = path
@@ -399,7 +404,11 @@ class Bench:
         return self.nodes.hardware_effect(quantities.parse_effect_path(path))
 
     def set(self, path: str, value: float) -> None:
-        """Give a quantity a value from the next cycle on. Raises ValueError for an unknown path."""
+        """Give a quantity a value from the next cycle on.
+
+        Raises ValueError for an unknown path, UnusableValueError (a ValueError too) for a value it can't have.
+        """
+        value = quantities.checked_value(path, value)
         if path == quantities.LINE_SPEED:
             self.line_speed_m_s = value
             self._operator_speed_m_s = None
@@ -412,7 +421,8 @@ class Bench:
         self._journal(Change(self.exchange.timing.cycles if self.exchange else 0, "set", path, value))
 
     def step(self, path: str, to: float) -> None:
-        """`set`, noted as the event under test that metrics and report refer to."""
+        """`set`, noted as the event under test that metrics and report refer to. Raises as `set`."""
+        to = quantities.checked_value(path, to)
         self.events.append(StepEvent(self.time_s, path, self.get(path), to))
         self.set(path, to)
 

@@ -16,10 +16,10 @@ from hilbench.bus.open import BusAddress
 from hilbench.errors import UnusableInputError
 from hilbench.real_time import ProcessSettings
 from hilbench.twin.config import TwinConfig
-from hilbench.web.effects import IMITATED_DOMAINS, Domain, find_effect
+from hilbench.web.effects import imitated_effect_problem, stand_effect_problem
 from hilbench.web.noise import SensorParameters
-from hilbench.web.parameters import EffectEntry, ModelParameters
-from hilbench.web.stand import LoadMotorParameters, StandParameters, stand_effect_problem
+from hilbench.web.parameters import EffectEntry, ModelParameters, Modulus
+from hilbench.web.stand import LoadMotorParameters, StandParameters
 
 Pace = Literal["lockstep", "realtime"]
 Mirroring = Literal["listen", "copy"]
@@ -144,7 +144,7 @@ class HardwareConfig(_Block):
 class LoadWebConfig(_Block):
     """Where the imitated web differs from the model; what is not given is as in `model:`."""
 
-    youngs_modulus_Pa: PositiveFloat | None = Field(default=None, description="Young's modulus E of the imitated web")
+    youngs_modulus_Pa: Modulus | None = Field(default=None, description="Young's modulus E of the imitated web")
     span_length_m: PositiveFloat | None = Field(default=None, description="free web between the two rollers")
 
 
@@ -158,12 +158,9 @@ class LoadConfig(_Block):
     @classmethod
     def _imitable(cls, entries: list[EffectEntry]) -> list[EffectEntry]:
         for entry in entries:
-            if find_effect(entry.effect).domain not in IMITATED_DOMAINS:
-                raise ValueError(
-                    f"an effect of the web or a roller's resistance; {entry.effect} belongs in 'hardware:'"
-                )
-            if find_effect(entry.effect).domain is Domain.ROLLER_RESISTANCE and entry.axis != 2:
-                raise ValueError(f"{entry.effect} of axis 2, where the load motor is; other axes' in 'hardware:'")
+            problem = imitated_effect_problem(entry.effect, entry.axis)
+            if problem:
+                raise ValueError(problem)
         return entries
 
 

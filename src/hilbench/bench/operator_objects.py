@@ -9,14 +9,14 @@ CiA 301.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from math import inf, isfinite
+from math import inf
 from typing import Final
 
 import canopen
 from canopen.objectdictionary import ODRecord, ODVariable
 
 from hilbench.bench.config import BenchConfig, Limit
-from hilbench.bench.quantities import LINE_SPEED, TENSION_SET_POINT, YOUNGS_MODULUS
+from hilbench.bench.quantities import LINE_SPEED, TENSION_SET_POINT, YOUNGS_MODULUS, permitted
 from hilbench.bus.frame import Frame
 from hilbench.fieldbus.data_types import REAL32
 from hilbench.fieldbus.object_store import INVALID_VALUE, PRESENT_STATE, Cell, ObjectStore, SdoAbort
@@ -32,7 +32,10 @@ _LARGEST_RATIO: Final = 1e3
 
 
 def ranges(config: BenchConfig) -> dict[str, tuple[float, float]]:
-    """Least and largest value of each quantity, SI: to where the config's limits warn (or trip, where none warns)."""
+    """Least and largest value of each quantity, SI: to where the config's limits warn (or trip, where none warns).
+
+    Never beyond what the quantity may have at all (`hilbench.bench.quantities`).
+    """
     limits = config.safety.limits
 
     def highest(limit: Limit) -> float:
@@ -40,10 +43,13 @@ def ranges(config: BenchConfig) -> dict[str, tuple[float, float]]:
 
     speed_m_s, ratio = highest(limits.speed_m_s), min(highest(limits.estimate_ratio), _LARGEST_RATIO)
     modulus_Pa = config.model.required_web.youngs_modulus_Pa
-    return {
+    asked = {
         LINE_SPEED: (-speed_m_s, speed_m_s),
         TENSION_SET_POINT: (0.0, highest(limits.tension_N)),
         YOUNGS_MODULUS: (modulus_Pa / ratio, modulus_Pa * ratio),
+    }
+    return {
+        path: (max(low, permitted(path).lower), min(high, permitted(path).upper)) for path, (low, high) in asked.items()
     }
 
 
@@ -80,7 +86,7 @@ class OperatorObjects:
 
     def _serve(self, cell: Cell, path: str, get: Callable[[str], float], may_change: Callable[[str], bool]) -> None:
         def write(value: float) -> None:
-            if not isfinite(value):
+            if not permitted(path).holds(value):
                 raise SdoAbort(INVALID_VALUE)
             if not may_change(path):
                 raise SdoAbort(PRESENT_STATE)

@@ -1,9 +1,12 @@
-"""The quantities of a running bench that an experiment may change, by path.
+"""The quantities of a running bench that an experiment may change, by path, and what values each of them may have.
 
 `line_speed_m_s`, `tension_control.set_point_N`, `load.web.youngs_modulus_Pa`, `load.web.broken` (1: the web of the span
 has torn and pulls no more; 0: it is whole), and any parameter of any effect, hidden
 in the imitated mechanics or in the simulated hardware: `load.effects.elasticity_drift.rate_per_s`,
 `hardware.effects.coulomb_friction.axis1.force_N`.
+
+The ranges here are those of values with a meaning, whatever the config. What an operator may ask for of a running
+bench is less (`hilbench.bench.operator_objects`), and `safety: limits` end a run before that.
 """
 
 from __future__ import annotations
@@ -11,16 +14,70 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import product
+from math import isfinite
+from numbers import Real
 
+from hilbench.errors import UnusableValueError
 from hilbench.suggest import did_you_mean
-from hilbench.web.effects import EFFECTS, find_effect
+from hilbench.web.effects import EFFECTS, find_effect, imitated_effect_problem, stand_effect_problem
+from hilbench.web.parameters import LARGEST_MODULUS_Pa, LEAST_MODULUS_Pa
 
 LINE_SPEED = "line_speed_m_s"
 TENSION_SET_POINT = "tension_control.set_point_N"
 YOUNGS_MODULUS = "load.web.youngs_modulus_Pa"
 WEB_BROKEN = "load.web.broken"
 
-PLAIN_PATHS = (LINE_SPEED, TENSION_SET_POINT, YOUNGS_MODULUS, WEB_BROKEN)
+#: Longest time that a step of an experiment may take, s: twelve days. More is a wrong unit, and fits no memory.
+LONGEST_S = 1e6
+
+
+@dataclass(frozen=True)
+class Permitted:
+    """Values that a quantity may have: finite numbers from `lower` to `upper` (inclusive), in `unit` ("1": a ratio).
+
+    As text it says what was expected: ``a number from 0 to 100000 N``.
+    """
+
+    lower: float
+    upper: float
+    unit: str
+    only_ends: bool = False  #: a switch: `lower` or `upper`, nothing between
+
+    def holds(self, value: object) -> bool:
+        """Whether `value` is one of them. Texts are none, and truth values only where there is a switch."""
+        number = _number(value, truth=self.only_ends)
+        if number is None or not self.lower <= number <= self.upper:
+            return False
+        return not self.only_ends or number in (self.lower, self.upper)
+
+    def __str__(self) -> str:
+        if self.only_ends:
+            return f"{self.lower:g} or {self.upper:g}"
+        unit = "" if self.unit == "1" else f" {self.unit}"
+        return f"a number from {self.lower:g} to {self.upper:g}{unit}"
+
+
+def _number(value: object, *, truth: bool) -> float | None:
+    if not isinstance(value, Real) or (isinstance(value, bool) and not truth):
+        return None
+    try:
+        number = float(value)
+    except OverflowError:
+        return None
+    return number if isfinite(number) else None
+
+
+_PLAIN = {
+    LINE_SPEED: Permitted(-100.0, 100.0, "m/s"),
+    TENSION_SET_POINT: Permitted(0.0, 1e5, "N"),
+    YOUNGS_MODULUS: Permitted(LEAST_MODULUS_Pa, LARGEST_MODULUS_Pa, "Pa"),
+    WEB_BROKEN: Permitted(0.0, 1.0, "1", only_ends=True),
+}
+PLAIN_PATHS = tuple(_PLAIN)
+
+
+#: Where effects can be, and what is wrong with one (its id and axis) there.
+_PLACES = {"load": imitated_effect_problem, "hardware": stand_effect_problem}
 
 
 @dataclass(frozen=True)
@@ -39,7 +96,7 @@ def parse_effect_path(text: str) -> EffectPath:
     if len(parts) not in (4, 5) or parts[0] not in ("load", "hardware") or parts[1] != "effects":
         known = ", ".join(PLAIN_PATHS)
         raise ValueError(
-            f"one of {known}, or load|hardware.effects.ID[.axisN].PARAMETER{did_you_mean(text, _all_paths())}"
+            f"one of {known}, or load|hardware.effects.ID[.axisN].PARAMETER{did_you_mean(text, all_paths())}"
         )
     place, _, name, *axis_part, parameter = parts
     try:
@@ -56,15 +113,20 @@ def parse_effect_path(text: str) -> EffectPath:
     if parameter not in names:
         meant = did_you_mean(parameter, names)
         raise ValueError(f"a parameter of '{name}' ({', '.join(names)}), '{parameter}' is none{meant}")
+    problem = _PLACES[place](name, axis)
+    if problem:
+        raise ValueError(problem)
     return EffectPath(place, name, axis, parameter)
 
 
-def _all_paths() -> Iterator[str]:
+def all_paths() -> Iterator[str]:
+    """Every path that can be set."""
     yield from PLAIN_PATHS
     for effect in EFFECTS:
-        axes = ("axis1.", "axis2.") if effect.per_axis else ("",)
-        for place, axis, parameter in product(("load", "hardware"), axes, effect.parameters):
-            yield f"{place}.effects.{effect.id}.{axis}{parameter.name}"
+        for (place, problem), axis in product(_PLACES.items(), (1, 2) if effect.per_axis else (None,)):
+            if not problem(effect.id, axis):
+                at = f"{place}.effects.{effect.id}." + ("" if axis is None else f"axis{axis}.")
+                yield from (at + parameter.name for parameter in effect.parameters)
 
 
 def is_of_load(path: str) -> bool:
@@ -77,3 +139,31 @@ def settable_path(text: str) -> str:
     if text not in PLAIN_PATHS:
         parse_effect_path(text)
     return text
+
+
+def rampable_path(text: str) -> str:
+    """The path itself when it names a quantity that can have every value between two; ValueError otherwise."""
+    if permitted(text).only_ends:
+        raise ValueError(f"a quantity that can be ramped, '{text}' is a switch")
+    return text
+
+
+def permitted(path: str) -> Permitted:
+    """What values a quantity may have. Raises ValueError for an unknown path."""
+    if path in _PLAIN:
+        return _PLAIN[path]
+    of = parse_effect_path(path)
+    parameter = find_effect(of.effect).parameter(of.parameter)
+    return Permitted(parameter.lower, parameter.upper, parameter.unit)
+
+
+def checked_value(path: str, value: object) -> float:
+    """The value as a number when the quantity may have it.
+
+    Raises UnusableValueError (a ValueError) that names the path, what was found and what was expected; ValueError for
+    an unknown path.
+    """
+    allowed = permitted(path)
+    if not allowed.holds(value):
+        raise UnusableValueError(f"{path} is {value!r}, expected {allowed}")
+    return float(value)  # type: ignore[arg-type]  # a Real, as `holds` has seen

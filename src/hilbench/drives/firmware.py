@@ -105,13 +105,24 @@ class Firmware:
         self.port.torque_limit_Nm = self.torque_limit_Nm
 
     def show(self) -> None:
-        """Write the port's feedback and demands into the objects, in device units."""
+        """Write the port's feedback and demands into the objects, in device units.
+
+        A plant that has run away beyond all numbers leaves the objects as they were.
+        """
+        try:
+            self._show()
+        except (OverflowError, ValueError):
+            return
+
+    def _show(self) -> None:
         port, units = self.port, self.units
-        self.encoder_count = count = round(port.position_rad / units.position_rad)
+        count = round(port.position_rad / units.position_rad)
+        velocity = wrap_int32(round(port.velocity_rad_s / units.velocity_rad_s))
+        torque = round(port.torque_Nm / units.torque_Nm)
+        self.encoder_count = count
         position = wrap_int32(count + self.position_origin)
         self.position_actual.value = position
-        self.velocity_actual.value = wrap_int32(round(port.velocity_rad_s / units.velocity_rad_s))
-        torque = round(port.torque_Nm / units.torque_Nm)
+        self.velocity_actual.value = velocity
         self.torque_actual.value = max(-_INT16_MAX, min(_INT16_MAX, torque))
         self._show_demands(position)
 

@@ -153,7 +153,7 @@ class SimulatedDrive:
 
     def _supervise(self) -> None:
         firmware, mode = self._firmware, self._mode
-        if abs(firmware.port.velocity_rad_s) > firmware.overspeed_rad_s:
+        if not abs(firmware.port.velocity_rad_s) <= firmware.overspeed_rad_s:  # no number is too fast as well
             self.fault(ERROR_OVERSPEED)
         if isinstance(mode, CyclicSynchronousPosition):
             mode.outside_window = abs(int(firmware.following_error.value)) > firmware.following_window

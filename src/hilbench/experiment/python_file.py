@@ -9,7 +9,7 @@ from pathlib import Path
 
 from hilbench.bench.bench import Bench
 from hilbench.bench.sample import CycleSample
-from hilbench.errors import BenchFaultError, HilbenchError, UnusableInputError
+from hilbench.errors import BenchFaultError, HilbenchError, UnusableInputError, UnusableValueError
 from hilbench.experiment.criteria import CriterionResult
 
 Experiment = Callable[[Bench], Generator[None, CycleSample, None]]
@@ -41,6 +41,8 @@ def run_experiment_function(bench: Bench, path: Path, function: str, judged: lis
     name = f"{path.name}: {function}"
     try:
         bench.follow(experiment(bench))
+    except UnusableValueError as error:
+        raise BenchFaultError(f"{_place(path, error)}: {error}") from error
     except HilbenchError:
         raise
     except AssertionError as error:

@@ -17,7 +17,7 @@ from typing import Any
 
 from hilbench import strict_yaml
 from hilbench.bench.bench import Bench
-from hilbench.bench.quantities import settable_path
+from hilbench.bench.quantities import LONGEST_S, permitted, rampable_path, settable_path
 from hilbench.bench.sample import CycleSample
 from hilbench.bench.signals import BY_NAME
 from hilbench.errors import UnusableInputError
@@ -119,6 +119,8 @@ def read_scenario(path: Path) -> Scenario:
         if _TIME not in row:
             raise UnusableInputError(place, f"no {_TIME}, expected the row's time")
         times.append(_number(place, _TIME, row[_TIME]))
+        if times[-1] > LONGEST_S:
+            raise UnusableInputError(place, f"{_TIME} is {times[-1]:g}, expected a time in s, up to {LONGEST_S:g}")
         if times[-1] < (times[-2] if len(times) > 1 else 0.0):
             raise UnusableInputError(
                 place, f"{_TIME} is {times[-1]:g}, expected no earlier than the row before, from 0 on"
@@ -137,11 +139,11 @@ def read_scenario(path: Path) -> Scenario:
         if column.startswith(_EXPECT):
             expectations += _expectations(column.removeprefix(_EXPECT), cells, times[-1])
             continue
-        points = [(t_s, _number(place, column, cell)) for place, t_s, cell in cells]
         try:
-            target = settable_path(column.removeprefix(_RAMP))
+            target = rampable_path(column.removeprefix(_RAMP)) if column.startswith(_RAMP) else settable_path(column)
         except ValueError as error:
             raise UnusableInputError(cells[0][0], f"column '{column}', expected {error}") from error
+        points = [(t_s, _value(place, column, target, cell)) for place, t_s, cell in cells]
         (ramps if column.startswith(_RAMP) else jumps)[target] = points
     return Scenario(times[-1], jumps, ramps, sorted(expectations, key=lambda wanted: wanted.end_s))
 
@@ -176,6 +178,13 @@ def _number(place: str, column: str, cell: Any) -> float:
         value = math.nan
     if isinstance(cell, bool) or not math.isfinite(value):
         raise UnusableInputError(place, f"{column} is '{cell}', expected a number")
+    return value
+
+
+def _value(place: str, column: str, path: str, cell: Any) -> float:
+    value, allowed = _number(place, column, cell), permitted(path)
+    if not allowed.holds(value):
+        raise UnusableInputError(place, f"{column} is '{cell}', expected {allowed}")
     return value
 
 

@@ -10,16 +10,17 @@ from typing import Annotated, Literal
 from pydantic import (
     AfterValidator,
     BaseModel,
+    BeforeValidator,
     ConfigDict,
     Field,
     FilePath,
-    NonNegativeFloat,
     PositiveFloat,
+    ValidationInfo,
     model_validator,
 )
 
 from hilbench.bench.bench import Bench
-from hilbench.bench.quantities import settable_path
+from hilbench.bench.quantities import LONGEST_S, permitted, rampable_path, settable_path
 from hilbench.bench.signals import SIGNALS
 from hilbench.errors import BenchFaultError
 from hilbench.experiment.criteria import CriterionResult
@@ -35,7 +36,20 @@ _COMPARISONS: dict[str, Callable[[float, float], bool]] = {
 }
 _CONDITION = re.compile(r"^\s*(\w+)\s*(<=|>=|<|>)\s*([-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?)\s*$")
 
+
+def _permitted_value(value: object, info: ValidationInfo) -> object:
+    """Checked against the path beside it; where that is none, its own error is the one to tell."""
+    path = info.data.get("path")
+    if path is not None and not permitted(path).holds(value):
+        raise ValueError(f"{permitted(path)} for {path}")
+    return value
+
+
 Path = Annotated[str, AfterValidator(settable_path)]
+RampedPath = Annotated[str, AfterValidator(rampable_path)]
+Value = Annotated[float, BeforeValidator(_permitted_value)]
+Duration = Annotated[float, Field(gt=0.0, le=LONGEST_S)]
+NoOrSomeTime = Annotated[float, Field(ge=0.0, le=LONGEST_S)]
 
 
 def parse_condition(text: str) -> tuple[str, str, float]:
@@ -56,16 +70,16 @@ def _condition(text: str) -> str:
 
 
 class _Step(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 class Ramp(_Step):
     """Move a quantity linearly: at `rate_per_s` (unit of the quantity per second) or within `duration_s`."""
 
-    path: Path = Field(description="what is moved")
-    to: float = Field(description="value at the end, SI")
+    path: RampedPath = Field(description="what is moved")
+    to: Value = Field(description="value at the end, SI")
     rate_per_s: PositiveFloat | None = Field(default=None, description="how fast, in the quantity's unit per second")
-    duration_s: PositiveFloat | None = Field(default=None, description="how long it takes")
+    duration_s: Duration | None = Field(default=None, description="how long it takes")
 
     @model_validator(mode="after")
     def _one_of_two(self) -> Ramp:
@@ -77,14 +91,19 @@ class Ramp(_Step):
         """Run cycles until the quantity has arrived."""
         distance = abs(self.to - bench.get(self.path))
         duration_s = self.duration_s or distance / (self.rate_per_s or 1.0)
+        if duration_s > LONGEST_S:
+            raise BenchFaultError(
+                f"ramp of {self.path} by {distance:g} at {self.rate_per_s:g} per s takes {duration_s:g} s, "
+                f"expected at most {LONGEST_S:g} s"
+            )
         bench.ramp(self.path, self.to, duration_s)
 
 
 class Hold(_Step):
     """Let the bench run: for `duration_s`, or until experiment time `until_s`."""
 
-    duration_s: NonNegativeFloat | None = Field(default=None, description="how long")
-    until_s: NonNegativeFloat | None = Field(default=None, description="experiment time at the end")
+    duration_s: NoOrSomeTime | None = Field(default=None, description="how long")
+    until_s: NoOrSomeTime | None = Field(default=None, description="experiment time at the end")
 
     @model_validator(mode="after")
     def _one_of_two(self) -> Hold:
@@ -101,7 +120,7 @@ class Set(_Step):
     """Give quantities a value from the next cycle on."""
 
     path: Path = Field(description="what is set")
-    to: float = Field(description="its new value, SI")
+    to: Value = Field(description="its new value, SI")
 
     def run(self, bench: Bench) -> None:
         """Set it; takes no time."""
@@ -122,8 +141,8 @@ class WaitUntil(_Step):
     condition: Annotated[str, AfterValidator(_condition)] = Field(
         description="a comparison of a signal: 'v1_m_s >= 2.9'"
     )
-    timeout_s: PositiveFloat = Field(description="how long it may take; then the run ends as a bench fault")
-    for_s: NonNegativeFloat = Field(default=0.0, description="the condition must hold so long without a break")
+    timeout_s: Duration = Field(description="how long it may take; then the run ends as a bench fault")
+    for_s: NoOrSomeTime = Field(default=0.0, description="the condition must hold so long without a break")
 
     def run(self, bench: Bench) -> None:
         """Run cycles until the condition has held for `for_s`."""

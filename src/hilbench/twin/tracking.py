@@ -27,6 +27,8 @@ _KNOWN_STRAIN = 0.003
 _LEAST_PRIOR_PCT = 0.1
 #: What is left of a shift of the torque that has gone again, as a share of it.
 _GONE = 0.1
+#: Largest strain, either way, of a measured state that is taken over: no web has more.
+_LARGEST_STRAIN = 0.5
 
 
 class Tracking:
@@ -216,7 +218,9 @@ class Tracking:
         new_strain = x_m = v_m_s = None
         if strain:
             measured = float(web.strain[0])
-            if abs(measured - float(line.strain[0])) <= transfer.strain_limit:
+            # Beyond any web: speeds that are no line's bring encoders there, and -1 would be a web of no length.
+            believable = abs(measured) <= _LARGEST_STRAIN
+            if believable and abs(measured - float(line.strain[0])) <= transfer.strain_limit:
                 new_strain = [measured]
             else:
                 self.refused = True

@@ -266,6 +266,9 @@ EFFECTS: tuple[Effect, ...] = (
     Effect("span_length_error", False, "L·(1+s)", Domain.GEOMETRY, (_relative(),), ("relative_change",)),
 )
 
+#: Axes of the stand: the load motor is on the second.
+_STAND_AXES = 2
+
 _BY_ID = {effect.id: effect for effect in EFFECTS}
 
 
@@ -285,3 +288,27 @@ def axis_effects() -> tuple[Effect, ...]:
 def web_effects() -> tuple[Effect, ...]:
     """The effects that belong to the web (every span of the line)."""
     return tuple(effect for effect in EFFECTS if not effect.per_axis)
+
+
+def stand_effect_problem(effect_id: str, axis: int | None) -> str | None:
+    """Why the simulated hardware cannot have an effect, in one line, or None."""
+    try:
+        effect = find_effect(effect_id)
+    except KeyError as error:
+        return str(error.args[0])
+    if effect.domain not in STAND_DOMAINS:
+        return f"effect '{effect_id}' in the simulated hardware, expected one of the axes; the web is the load model's"
+    return effect.axis_problem(axis, _STAND_AXES)
+
+
+def imitated_effect_problem(effect_id: str, axis: int | None) -> str | None:
+    """Why the load model cannot imitate an effect, in one line, or None."""
+    try:
+        effect = find_effect(effect_id)
+    except KeyError as error:
+        return str(error.args[0])
+    if effect.domain not in IMITATED_DOMAINS:
+        return f"an effect of the web or a roller's resistance; {effect_id} belongs in 'hardware:'"
+    if effect.domain is Domain.ROLLER_RESISTANCE and axis != 2:
+        return f"{effect_id} of axis 2, where the load motor is; other axes' in 'hardware:'"
+    return effect.axis_problem(axis, _STAND_AXES)

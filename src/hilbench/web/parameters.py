@@ -19,6 +19,9 @@ from hilbench.web.effects import find_effect
 
 Positive = Annotated[FiniteFloat, Field(gt=0.0)]
 NotNegative = Annotated[FiniteFloat, Field(ge=0.0)]
+#: Young's moduli with a meaning: from the softest gel to beyond diamond.
+LEAST_MODULUS_Pa, LARGEST_MODULUS_Pa = 1e3, 1e13
+Modulus = Annotated[FiniteFloat, Field(ge=LEAST_MODULUS_Pa, le=LARGEST_MODULUS_Pa)]
 Value = TypeVar("Value")
 
 
@@ -29,7 +32,7 @@ class _Part(BaseModel):
 class WebParameters(_Part):
     """The web: elastic, of constant section; one length for every span or a list."""
 
-    youngs_modulus_Pa: Positive = Field(description="E along the run of the web")
+    youngs_modulus_Pa: Modulus = Field(description="E along the run of the web")
     width_m: Positive = Field(description="across the machine")
     thickness_m: Positive = Field(description="with the width: the section S, tension = E·S·strain")
     span_length_m: Positive | Annotated[list[Positive], Field(min_length=1)] = Field(

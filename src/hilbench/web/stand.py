@@ -16,7 +16,7 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, model_validator
 from hilbench.drives.port import MotorPort
 from hilbench.web import kernel
 from hilbench.web import layout as lay
-from hilbench.web.effects import STAND_DOMAINS, find_effect
+from hilbench.web.effects import find_effect, stand_effect_problem
 from hilbench.web.layout import Layout, Vector
 from hilbench.web.line import set_effect
 from hilbench.web.noise import SensorParameters, Sensors
@@ -115,17 +115,6 @@ class StandParameters(BaseModel):
             load_sensors=sensors or SensorParameters(),
             effects=tuple(effects),
         )
-
-
-def stand_effect_problem(effect_id: str, axis: int | None) -> str | None:
-    """Why the simulated hardware cannot have an effect, in one line, or None."""
-    try:
-        effect = find_effect(effect_id)
-    except KeyError as error:
-        return str(error.args[0])
-    if effect.domain not in STAND_DOMAINS:
-        return f"effect '{effect_id}' in the simulated hardware, expected one of the axes; the web is the load model's"
-    return effect.axis_problem(axis, _AXES)
 
 
 def _pack(stand: StandParameters, substeps: int) -> Vector:
