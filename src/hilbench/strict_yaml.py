@@ -108,6 +108,10 @@ class Document:
             places = _without(places, location)
         return Document(self.path, _merged(self.data, base.data), places | dict(self.places))
 
+    def below(self, key: str) -> Document:
+        """The document as the value of one key of a new one."""
+        return Document(self.path, {key: self.data}, {(key, *where): place for where, place in self.places.items()})
+
     def without(self, key: str) -> Document:
         """The document without a key of its root."""
         return Document(

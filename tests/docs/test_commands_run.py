@@ -47,8 +47,9 @@ LONGER_STEPS = [
     {"hold": {"duration_s": 3.0}},
     {"ramp": {"path": "line_speed_m_s", "to": 0.0, "duration_s": 2.0}},
 ]
-#: The bench that starts its own processes, on a bus of its own.
+#: The bench that starts its own processes, on a bus of its own; and what a diagnosis makes of it.
 _OWN = "hidden_friction"
+_EXTENDED = "found/config_extended.yaml"
 #: What costs too much of these.
 _SHORTER = {"2..10:5": "2..10:2", "seed=1,2,3": "seed=1", "20": "1"}
 #: The bus of the stand, in a line.
@@ -60,7 +61,7 @@ def as_it_is_run(words: tuple[str, ...]) -> tuple[str, ...]:
     done = [_SHORTER.get(word, word).replace("2..10:5", "2..10:2") for word in words]
     if "--pace" in done:
         del done[done.index("--pace") : done.index("--pace") + 2]
-    own = any(_OWN in word for word in words)
+    own = any(_OWN in word or word == _EXTENDED for word in words)
     if words[0] in ("run", "doctor") and not own and "--in-process" not in words:
         done = [word for word in done if word != "--no-start"] + ["--no-start"]
         if any(word.endswith(".yaml") for word in words) and "--bus" in done:  # it is the config's
@@ -165,6 +166,8 @@ def test_it_does_what_it_says(
         words += ("--out", str(tmp_path / "sweep"))
     if words[:2] == ("check", "my_bench.yaml") and not Path("my_bench.yaml").exists():
         hilbench("config", "new", "my_bench.yaml")
+    if _EXTENDED in words and not Path(_EXTENDED).exists():
+        hilbench("diagnose", f"bench_configs/{_OWN}.yaml", "--out", "found")
     if words[:2] == ("config", "new"):
         Path(words[2]).unlink(missing_ok=True)
     # A trace goes onto another bus: on this one somebody would answer.

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from hilbench.cli.model_option import model_from
-from hilbench.diagnose.diagnosis import Announce, Diagnosis, NamedEffect, diagnose
+from hilbench.cli.model_option import holds_config, model_from
+from hilbench.cli.progress import ProgressDisplay
+from hilbench.diagnose.diagnosis import Diagnosis, NamedEffect, diagnose
 from hilbench.diagnose.live import LiveGap, live_gap, run_bench
-from hilbench.errors import UnusableInputError
-from hilbench.experiment.config import load_with_overrides
+from hilbench.errors import BenchFaultError, UnusableInputError
+from hilbench.experiment.config import load_with_overrides, write_config_over
 from hilbench.record.recording import read_recording
 from hilbench.report.diagnosis_page import LIVE_ROWS, write_diagnosis_page
 from hilbench.web.parameters import write_model
@@ -25,79 +25,113 @@ _WIDTH = 100
 _UNKNOWN = "something is missing that no effect of the vocabulary explains"
 
 
+@dataclass
+class _Found:
+    """A diagnosis, and what the bench showed of it."""
+
+    diagnosis: Diagnosis
+    config: Path | None  #: bench config with the model in it, where there is one
+    live: list[LiveGap] = field(default_factory=list)  #: with the original and with the extended model
+    not_compared: str = ""  #: why the second run is not among them
+    fault: BenchFaultError | None = None  #: of the second run
+
+
+@dataclass
+class _Files:
+    """What is written into the folder of ``--out``."""
+
+    page: Path
+    model: Path
+    config: Path | None
+
+
 def diagnose_command(source: Path, model_path: Path | None, out: Path | None, *, as_json: bool) -> None:
-    """Diagnose, print, and write page and extended model into `out`. Raises UnusableInputError.
+    """Diagnose, print, and write page, extended model and extended config into `out`.
 
-    `source` is a recording, or a bench config: that is run first, and again with the extended model.
+    `source` is a recording, or a bench config: that is run first, and again with the extended model. Raises
+    UnusableInputError; for runs that don't come to their end InterruptedByOperatorError and BenchFaultError, the latter
+    after everything has been shown when it was the run with the extended model.
     """
-    console, errors = Console(highlight=False), Console(stderr=True)
+    console, errors = Console(highlight=False), Console(stderr=True, highlight=False)
     console.width = max(console.width, _WIDTH)
-    with _progress(errors, disabled=as_json or not errors.is_terminal) as progress:
-        task = progress.add_task("read", total=1.0)
-
-        def announce(text: str, share: float) -> None:
-            progress.update(task, description=text, completed=share)
-
+    with ProgressDisplay(errors, quiet=as_json) as progress:
         if source.suffix in (".yaml", ".yml"):
-            found, live = _on_the_bench(source, model_path, out, announce)
+            found = _on_the_bench(source, model_path, out, progress)
         else:
             if model_path is None:
                 raise UnusableInputError(
                     "--model", "missing, expected the model file that the recording is compared with"
                 )
-            live, model = [], model_from(model_path)
-            found = diagnose(read_recording(source), model, source, announce)
-    model_file = None if out is None else _write(found, live, f"Diagnosis of {source.name}", out)
+            config = model_path if holds_config(model_path) else None
+            progress.announce("read the recording", 0.0)
+            model, recording = model_from(model_path), read_recording(source)
+            found = _Found(diagnose(recording, model, source, progress.announce), config)
+        files = None if out is None else _write(found, source, out)
     if as_json:
-        print(json.dumps(as_data(found, live, model_file), indent=2))
-        return
-    _show(console, found)
-    if live:
-        console.print(_live_table(live))
-    if out is not None:
-        console.print(f"page: {out / 'diagnosis.html'}\nextended model: {model_file}")
+        print(json.dumps(as_data(found.diagnosis, found.live, found.not_compared, files), indent=2))
+    else:
+        _show_all(console, found, files)
+    if found.fault is not None:
+        raise found.fault
 
 
-def _progress(console: Console, *, disabled: bool) -> Progress:
-    return Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TimeElapsedColumn(),
-        console=console,
-        disable=disabled,
-        transient=True,
-    )
-
-
-def _on_the_bench(
-    config: Path, model_path: Path | None, out: Path | None, announce: Announce
-) -> tuple[Diagnosis, list[LiveGap]]:
+def _on_the_bench(config: Path, model_path: Path | None, out: Path | None, progress: ProgressDisplay) -> _Found:
     """Run, diagnose, and run again with what was found."""
     runs = (out or Path()) / "runs"
     loaded = load_with_overrides(config)
     model = loaded.config.model if model_path is None else model_from(model_path)
-    announce("run the bench", 0.0)
-    first = run_bench(loaded, model, runs)
+    observer, announce = progress.of_run("run the bench", 0.0)
+    first = run_bench(loaded, model, runs, observers=[observer], announce=announce)
     before = live_gap(first)
-    found = diagnose(read_recording(first.folder.recording), model, first.folder.recording, announce)
-    if not found.effects:
-        return found, [before]
-    announce("run the bench with the extended model", 0.97)
-    return found, [before, live_gap(run_bench(loaded, found.model, runs))]
+    diagnosis = diagnose(read_recording(first.folder.recording), model, first.folder.recording, progress.announce)
+    found = _Found(diagnosis, config, [before])
+    if not diagnosis.effects:
+        return found
+    observer, announce = progress.of_run("run the bench with the extended model", 0.97)
+    try:
+        after = live_gap(run_bench(loaded, diagnosis.model, runs, observers=[observer], announce=announce))
+    except BenchFaultError as fault:
+        found.not_compared, found.fault = f"the run with the extended model ended early: {fault}", fault
+        return found
+    if after.cycles != before.cycles:
+        found.not_compared = (
+            f"the run with the extended model took {after.cycles} cycles, the first one {before.cycles}: "
+            "they are not the same experiment"
+        )
+        return found
+    found.live.append(after)
+    return found
 
 
-def _write(found: Diagnosis, live: list[LiveGap], title: str, out: Path) -> Path:
+def _write(found: _Found, source: Path, out: Path) -> _Files:
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise UnusableInputError(out, f"cannot be made ({error.strerror}), expected a folder") from error
-    model_file = out / "model_extended.yaml"
-    write_model(model_file, found.model)
-    write_diagnosis_page(found, live, title, out / "diagnosis.html")
-    return model_file
+    files = _Files(out / "diagnosis.html", out / "model_extended.yaml", None)
+    write_model(files.model, found.diagnosis.model)
+    if found.config is not None:
+        files.config = out / "config_extended.yaml"
+        write_config_over(files.config, [found.config, files.model])
+    title = f"Diagnosis of {source.name}"
+    write_diagnosis_page(found.diagnosis, found.live, found.not_compared, title, files.page, files.config)
+    return files
 
 
-def as_data(found: Diagnosis, live: list[LiveGap], model_file: Path | None) -> dict[str, Any]:
+def _show_all(console: Console, found: _Found, files: _Files | None) -> None:
+    _show(console, found.diagnosis)
+    if found.live:
+        console.print(_live_table(found.live))
+    if found.not_compared:
+        console.print(f"not compared: {found.not_compared}", soft_wrap=True)
+    if files is None:
+        return
+    console.print(f"page: {files.page}\nextended model: {files.model}", soft_wrap=True)
+    if files.config is not None:
+        console.print(f"bench with the extended model: hilbench run {files.config}", soft_wrap=True)
+
+
+def as_data(found: Diagnosis, live: list[LiveGap], not_compared: str, files: _Files | None) -> dict[str, Any]:
     """What `--json` prints (design, section 8)."""
     gap = found.gap
     return {
@@ -132,7 +166,9 @@ def as_data(found: Diagnosis, live: list[LiveGap], model_file: Path | None) -> d
         ],
         "missing_channels": found.missing_channels,
         "live": [{**asdict(gap), "run": str(gap.run)} for gap in live],
-        "model": None if model_file is None else str(model_file),
+        "not_compared": not_compared or None,
+        "model": None if files is None else str(files.model),
+        "config": None if files is None or files.config is None else str(files.config),
     }
 
 

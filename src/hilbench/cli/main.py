@@ -269,11 +269,17 @@ def diagnose(
         typer.Option("--model", help="model file, or a bench config with the model in it (YAML); a bench has its own"),
     ] = None,
     out: Annotated[
-        Path | None, typer.Option("--out", help="folder for the page and the extended model (model_extended.yaml)")
+        Path | None,
+        typer.Option(
+            "--out",
+            help="folder for the page, the extended model (model_extended.yaml) and bench (config_extended.yaml)",
+        ),
     ] = None,
     json: Annotated[bool, typer.Option("--json", help="print the diagnosis as JSON, nothing else")] = False,
 ) -> None:
     """Find where simulation and measurement disagree, name the missing effect, and add it to the model.
+
+    Exit code: 0 diagnosed, whatever the verdict; 2 unusable input; 3 a run of the bench faulted, 130 interrupted.
 
     Example: hilbench diagnose runs/web_section_step-20260101-120000/recording.mf4 --model model.yaml --out diagnosis
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from hilbench.errors import UnusableInputError
+from hilbench.bench.bench import CycleObserver, InterruptedByOperatorError
+from hilbench.errors import EXIT_BENCH_FAULT, EXIT_INTERRUPTED, BenchFaultError, UnusableInputError
 from hilbench.experiment.config import ExperimentConfig, LoadedConfig
 from hilbench.record.recording import Recording, read_recording
 from hilbench.record.run import RunOutcome, run_experiment
@@ -22,26 +24,42 @@ class LiveGap:
     """How well the twin did in one run, while the line worked."""
 
     run: Path
+    cycles: int  #: length of the whole run
     torque_residual_rms_Nm: float
     tension_error_rms_N: float  #: true tension less set-point, the loop closed
     tension_deviation_mean_N: float  #: simulated less true tension
     E_bias_pct: float  #: mean of estimate over truth, less 1
 
 
-def run_bench(loaded: LoadedConfig, model: ModelParameters | None, out: Path) -> RunOutcome:
-    """Run a bench config, the twin with another model if one is given. Raises as `run_experiment`."""
-    if model is not None:
-        data = loaded.config.model_dump()
-        data["model"] = model.model_dump()
-        loaded = LoadedConfig(ExperimentConfig.model_validate(data), loaded.document)
-    return run_experiment(loaded, out)
+def run_bench(
+    loaded: LoadedConfig,
+    model: ModelParameters,
+    out: Path,
+    *,
+    observers: Sequence[CycleObserver] = (),
+    announce: Callable[[str], None] = lambda text: None,
+) -> RunOutcome:
+    """Run a bench config to its end, the twin with `model`; its criteria may fail.
+
+    Raises InterruptedByOperatorError and BenchFaultError, with the folder of the run, for one that was cut short: what
+    such a run shows is no experiment; UnusableInputError as `run_experiment`.
+    """
+    data = loaded.config.model_dump()
+    data["model"] = model.model_dump()
+    loaded = LoadedConfig(ExperimentConfig.model_validate(data), loaded.document)
+    outcome = run_experiment(loaded, out, observers=observers, announce=announce)
+    said = f"{outcome.folder.path}: {'; '.join(fault.text for fault in outcome.result.faults)}"
+    if outcome.exit_code == EXIT_INTERRUPTED:
+        raise InterruptedByOperatorError(said)
+    if outcome.exit_code == EXIT_BENCH_FAULT:
+        raise BenchFaultError(said)
+    return outcome
 
 
 def live_gap(outcome: RunOutcome) -> LiveGap:
-    """Judge a run. Raises UnusableInputError for one that ended before it had a recording."""
+    """Judge a run. Raises UnusableInputError for one that is too short for a recording."""
     if not outcome.recorded:
-        faults = "; ".join(fault.text for fault in outcome.result.faults)
-        raise UnusableInputError(outcome.folder.path, f"the run has no recording ({faults}), expected a whole run")
+        raise UnusableInputError(outcome.folder.path, "the run has no recording, expected steps that take time")
     recording = read_recording(outcome.folder.recording)
     speed = _signal(recording, "v2_cmd_m_s")
     works = (speed > _WORKS * speed.max()) & (_signal(recording, "loop_closed") > 0.5)
@@ -55,6 +73,7 @@ def live_gap(outcome: RunOutcome) -> LiveGap:
     ratio = _signal(recording, "E_sim_Pa") / _signal(recording, "E_true_Pa")
     return LiveGap(
         run=outcome.folder.path,
+        cycles=len(recording),
         torque_residual_rms_Nm=rms(_signal(recording, "tau2_residual_Nm")),
         tension_error_rms_N=rms(true_N - _signal(recording, "F_ref_N")),
         tension_deviation_mean_N=float(np.mean((sim_N - true_N)[works])),

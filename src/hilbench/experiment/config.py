@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -37,12 +38,15 @@ def load(path: Path) -> tuple[ExperimentConfig, strict_yaml.Document]:
 def read_document(path: Path, including: tuple[Path, ...] = ()) -> strict_yaml.Document:
     """A config file on top of the files that its key `include` names (one, or a list; the later one counts).
 
-    What a file names (includes, EDS files, tables) is looked for in its own folder. Raises
-    UnusableInputError with file and line; for files that include each other too.
+    What a file names (includes, EDS files, tables) is looked for in its own folder. A model file counts as a config
+    that has nothing but its `model:`. Raises UnusableInputError with file and line; for files that include each other
+    too.
     """
     document = strict_yaml.load(path)
     if not isinstance(document.data, Mapping):
         raise UnusableInputError(document.place(), "no mapping, expected a bench config")
+    if is_model(document.data):
+        document = document.below("model")
     here = (*including, path.resolve())
     document = _with_files_of_its_folder(document)
     if "include" not in document.data:
@@ -62,6 +66,11 @@ def read_document(path: Path, including: tuple[Path, ...] = ()) -> strict_yaml.D
         below = included if below is None else included.over(below)
     top = document.without("include")
     return top if below is None else top.over(below)
+
+
+def is_model(data: Mapping[str, Any]) -> bool:
+    """Whether a file's data are a model, as `hilbench.web.parameters.load_model` reads it."""
+    return "rollers" in data
 
 
 def _with_files_of_its_folder(document: strict_yaml.Document) -> strict_yaml.Document:
@@ -102,6 +111,21 @@ def dump(config: BenchConfig, path: Path) -> None:
                 shutil.copyfile(source, path.parent / name)
                 action["file"] = name
     path.write_text(yaml.safe_dump(data, sort_keys=False, allow_unicode=True), encoding="utf-8")
+
+
+def write_config_over(path: Path, files: Sequence[Path]) -> None:
+    """Write a config that includes others, the later one counting, under a name of its own (``…_extended``).
+
+    Raises UnusableInputError when it cannot be written, or the files make no config.
+    """
+    folder = path.resolve().parent
+    names = [Path(os.path.relpath(file.resolve(), folder)).as_posix() for file in files]
+    name = read_document(files[0]).data.get("name", files[0].stem)
+    text = yaml.safe_dump({"include": names, "name": f"{name}_extended"}, sort_keys=False, allow_unicode=True)
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise UnusableInputError(path, f"cannot be written ({error.strerror}), expected a writable folder") from error
 
 
 @dataclass(frozen=True)

@@ -31,8 +31,14 @@ LIVE_ROWS = (
 _SMOOTHING_S = 0.2
 
 
-def write_diagnosis_page(found: Diagnosis, live: list[LiveGap], title: str, path: Path) -> Path:
-    """Write the page. Raises UnusableInputError if it cannot be written."""
+def write_diagnosis_page(
+    found: Diagnosis, live: list[LiveGap], not_compared: str, title: str, path: Path, config: Path | None
+) -> Path:
+    """Write the page. Raises UnusableInputError if it cannot be written.
+
+    `not_compared`: why there is no second run of the bench to compare; `config`: the bench config that was written with
+    the extended model in it, where there is one.
+    """
     body = [
         f"<header>\n<h1>{escape(title)}</h1>\n"
         f'<p class="facts">{found.verdict}: {_SENTENCES[found.verdict]}</p>\n</header>',
@@ -40,10 +46,11 @@ def write_diagnosis_page(found: Diagnosis, live: list[LiveGap], title: str, path
         section("Gap", _gaps(found)),
         section("Residuals", _picture(found)),
         section("Against what it depends on", _profiles(found)) if found.profiles else "",
-        section("The twin on the bench", _live(live)) if live else "",
+        section("The twin on the bench", _live(live, not_compared)) if live else "",
         section("Where the model disagreed", _where(found)) if found.where else "",
         section("Not explained", _left(found)) if found.left else "",
         section("What these data could not show", _blind(found)) if found.blind_to else "",
+        section("The extended model in use", _use(config)) if found.effects else "",
     ]
     try:
         path.write_text(page(title, body), encoding="utf-8")
@@ -94,9 +101,25 @@ def _gaps(found: Diagnosis) -> str:
     return table(("Signal", ">Before", ">After", ">Noise floor", ">After / floor"), lines) + note
 
 
-def _live(live: list[LiveGap]) -> str:
+def _live(live: list[LiveGap], not_compared: str) -> str:
     lines = [_row(title, *(number(getattr(g, name)) for g in live), numbers=len(live)) for title, name in LIVE_ROWS]
-    return table(("While the line worked", ">Original model", ">Extended model")[: 1 + len(live)], lines)
+    shown = table(("While the line worked", ">Original model", ">Extended model")[: 1 + len(live)], lines)
+    return shown + (f'<p class="note">Not compared: {escape(not_compared)}.</p>' if not_compared else "")
+
+
+def _use(config: Path | None) -> str:
+    """How a bench gets the extended model; the files are in the page's folder."""
+    lines = [
+        "<p><code>model_extended.yaml</code> is the model with the effects above. A bench whose twin has it is made by"
+        " including it after the bench’s own config, because the later file counts:</p>",
+        "<pre>include: [my_bench.yaml, model_extended.yaml]\nname: my_bench_extended</pre>",
+    ]
+    if config is not None:
+        lines.append(
+            f"<p>For the bench of this diagnosis that is <code>{escape(config.name)}</code>:</p>"
+            f"<pre>hilbench run {escape(str(config))}</pre>"
+        )
+    return "\n".join(lines)
 
 
 def _picture(found: Diagnosis) -> str:

@@ -1,0 +1,68 @@
+"""What a long command is doing: a bar on a terminal, a line for each new thing elsewhere (in the log of a CI)."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+from hilbench.bench.sample import CycleSample
+
+#: Experiment time between two lines of a run where there is no terminal, and wall time between two words on one.
+_LINE_EVERY_S, _WORD_EVERY_S = 5.0, 0.2
+
+
+class ProgressDisplay:
+    """A context manager; nothing is shown when `quiet`."""
+
+    def __init__(self, console: Console, *, quiet: bool) -> None:
+        self.on_terminal = console.is_terminal
+        self._console = console
+        self._quiet = quiet
+        self._started_s = time.monotonic()
+        self._bar = Progress(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            TimeElapsedColumn(),
+            console=console,
+            disable=quiet or not self.on_terminal,
+            transient=True,
+        )
+        self._task = self._bar.add_task("", total=1.0)
+
+    def __enter__(self) -> ProgressDisplay:
+        self._bar.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._bar.stop()
+
+    def announce(self, text: str, share: float) -> None:
+        """Say what is done now, and which share of the whole is done (0 to 1)."""
+        if self.on_terminal:
+            self._bar.update(self._task, description=text, completed=share)
+        elif not self._quiet:
+            self._console.print(f"{time.monotonic() - self._started_s:6.1f} s  {text}", soft_wrap=True)
+
+    def of_run(self, what: str, share: float) -> tuple[_RunProgress, Callable[[str], None]]:
+        """For a run of the bench: its observer, and what it tells of itself."""
+        self.announce(what, share)
+        return _RunProgress(self, what, share), lambda text: self.announce(f"{what}: {text}", share)
+
+
+class _RunProgress:
+    """Cycle observer: how far the experiment is."""
+
+    def __init__(self, display: ProgressDisplay, what: str, share: float) -> None:
+        self._display, self._what, self._share = display, what, share
+        self._next_s = 0.0
+
+    def sample(self, sample: CycleSample) -> None:
+        """One cycle; it says so when it is time to (by the wall clock on a terminal, by experiment time elsewhere)."""
+        on_terminal = self._display.on_terminal
+        now_s = time.monotonic() if on_terminal else sample.t_s
+        if now_s >= self._next_s:
+            self._next_s = now_s + (_WORD_EVERY_S if on_terminal else _LINE_EVERY_S)
+            self._display.announce(f"{self._what}: t = {sample.t_s:.1f} s", self._share)
