@@ -92,6 +92,13 @@ class Document:
             found.append(step)
         return tuple(found)
 
+    def value(self, location: Sequence[str | int]) -> Any:
+        """The value at a location. Raises KeyError or IndexError where there is none."""
+        data = self.data
+        for step in location:
+            data = data[step]
+        return data
+
     def with_value(self, location: Sequence[str | int], value: Any, place: str) -> Document:
         """The document with another value at `location`, given at `place`; mappings on the way are made.
 
@@ -218,11 +225,8 @@ def validate(document: Document, model: type[Model], location: Location = ()) ->
     Raises UnusableInputError that names file, line, key, what was found and what was expected: all that is wrong, in
     the order in which it was given (see `UnusableInputError.of`).
     """
-    data = document.data
-    for step in location:
-        data = data[step]
     try:
-        return model.model_validate(data)
+        return model.model_validate(document.value(location))
     except ValidationError as error:
         raise UnusableInputError.of(_problems(document, location, model, error)) from error
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import jsonschema
@@ -101,3 +104,66 @@ def test_new_asks_and_writes_a_bench_that_can_be_run(tmp_path):
     again = hilbench("config", "new", path, "--defaults", "--eds", ROOT / "eds")
     assert again.returncode == 2
     assert "is there already" in again.stderr
+
+
+def test_new_asks_again_for_an_answer_that_cannot_be_used(tmp_path):
+    path = tmp_path / "mine.yaml"
+    # An empty line takes what is suggested: here the answers that went before the refused ones.
+    answers = [
+        "a b",
+        "mine",
+        "socketcn",
+        "embedded:mine",
+        "5",
+        "",
+        "slow",
+        "lockstep",
+        "-1",
+        "",
+        "0",
+        "4e9",
+        *11 * [""],
+    ]
+    done = hilbench("config", "new", path, "--eds", ROOT / "eds", typed="\n".join(answers) + "\n")
+    assert done.returncode == 0, done.stderr
+    refused = [line.partition("' is ")[2].partition(",")[0] for line in done.stderr.splitlines()]
+    assert refused == ["'a b'", "'socketcn'", "5", "'slow'", "-1.0", "0.0"]
+    config, _ = load(path)
+    assert (config.name, config.bus.bitrate, config.model.required_web.youngs_modulus_Pa) == ("mine", 1_000_000, 4e9)
+
+
+def test_new_keeps_the_answers_when_they_do_not_go_together(tmp_path):
+    path = tmp_path / "mine.yaml"
+    too_fast = ["mine", "embedded:mine", "125000", *14 * [""]]
+    done = hilbench(
+        "config", "new", path, "--eds", ROOT / "eds", typed="\n".join([*too_fast, "", "", "1000000", *15 * [""]])
+    )
+    assert done.returncode == 0, done.stderr
+    assert "bit times" in done.stderr
+    assert load(path)[0].bus.address == "embedded:mine"
+
+
+@pytest.mark.parametrize(
+    ("place", "words"),
+    [("no folder", ["nowhere/mine.yaml", "--eds", "eds"]), ("--eds: no file", ["mine.yaml", "--eds", "nowhere"])],
+)
+def test_new_says_what_cannot_work_before_it_asks(tmp_path, monkeypatch, place, words):
+    monkeypatch.chdir(tmp_path)
+    done = hilbench("config", "new", *words)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert place in done.stderr
+
+
+def test_new_without_answers_is_unusable_input_and_ctrl_c_is_an_interruption(tmp_path):
+    words = ["config", "new", tmp_path / "mine.yaml", "--eds", ROOT / "eds"]
+    done = hilbench(*words, typed="mine\n")
+    assert done.returncode == 2
+    assert "ended at the question 'bus" in done.stderr
+    command = [sys.executable, "-m", "hilbench.cli", *map(str, words)]
+    asking = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    assert asking.stdout is not None
+    assert asking.stdout.read(4) == b"name"
+    asking.send_signal(signal.SIGINT)
+    _, err = asking.communicate(timeout=30)
+    assert (asking.returncode, err) == (130, b"")
+    assert not (tmp_path / "mine.yaml").exists()

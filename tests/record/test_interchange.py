@@ -8,12 +8,16 @@ from pathlib import Path
 import cantools
 import numpy as np
 import pytest
+from tests.cli.in_process import hilbench
 
 from hilbench.bench.nodes import Nodes
 from hilbench.bench.pdo_set import pdo_set_dbc
 from hilbench.bus.frame import EXTENDED_FLAG, Frame
 from hilbench.errors import UnusableInputError
 from hilbench.experiment.config import load
+from hilbench.fieldbus.dbc import DbcMessage, dbc_text
+from hilbench.fieldbus.eds import load_eds
+from hilbench.fieldbus.pdo import PdoMap
 from hilbench.record.foreign import read_foreign
 from hilbench.record.recording import Recording, read_recording, write_recording
 from hilbench.record.trace_files import read_trace, write_trace
@@ -94,3 +98,84 @@ def test_a_recording_of_another_machine_comes_in_by_its_columns(tmp_path: Path) 
     (tmp_path / "map.yaml").write_text(MAPPING.replace("tau2_Nm", "torque"))
     with pytest.raises(UnusableInputError, match=r"map.yaml:3: .*'torque' does not"):
         read_foreign(tmp_path / "machine.csv", tmp_path / "map.yaml")
+
+
+@pytest.mark.parametrize("encoding", [None, "utf-8", "cp1252"], ids=["as cantools does", "utf-8", "cp1252"])
+def test_units_and_comments_of_a_dbc_file_are_the_same_in_any_encoding(tmp_path: Path, encoding: str | None) -> None:
+    done = hilbench("dbc", CONFIG, "--out", tmp_path / "bench.dbc")
+    assert done.returncode == 0, done.stderr
+    database = cantools.database.load_file(tmp_path / "bench.dbc", **({"encoding": encoding} if encoding else {}))
+    assert {signal.unit for message in database.messages for signal in message.signals} == {None, "rad", "rad/s", "Nm"}
+    assert (tmp_path / "bench.dbc").read_bytes().isascii()
+
+
+def test_names_of_any_language_come_into_a_dbc_file() -> None:
+    od = load_eds(CONFIG.parents[1] / "eds" / "hilbench_servo.eds", 1)
+    variable = od[0x6064]
+    variable.name = "Lage-Istwert der Förderachse Ω"
+    message = DbcMessage("axis", "axis", PdoMap(0x181, 1, (variable,)), ((1.0, "µm/s²"),))
+    text = dbc_text([message], "Prüfstand")
+    assert text.isascii()
+    (signal,) = cantools.database.load_string(text, "dbc").messages[0].signals
+    assert (signal.unit, signal.comment) == ("um/s^2", "6064h:0 Lage-Istwert der Forderachse ?")
+
+
+@pytest.mark.parametrize("how", ["same name", "another path", "symbolic link", "hard link"])
+@pytest.mark.parametrize("suffix", [".csv", ".log"])
+def test_convert_never_writes_over_what_it_reads(tmp_path: Path, how: str, suffix: str) -> None:
+    source = tmp_path / f"a{suffix}"
+    content = b"t_s,x1_m\n0,1\n0.002,2\n" if suffix == ".csv" else b"(1.000001) vcan0 181#0011\n"
+    source.write_bytes(content)
+    target = tmp_path / f"b{suffix}"
+    if how == "same name":
+        target = source
+    elif how == "another path":
+        target = tmp_path / "folder" / ".." / source.name
+        (tmp_path / "folder").mkdir()
+    elif how == "symbolic link":
+        target.symlink_to(source)
+    else:
+        target.hardlink_to(source)
+    done = hilbench("convert", source, target)
+    assert done.returncode == 2
+    assert "is what is read" in done.stderr
+    assert source.read_bytes() == content
+
+
+def test_convert_does_not_write_over_its_mapping_file(tmp_path: Path) -> None:
+    (tmp_path / "machine.csv").write_text("Zeit,M2\n0,1\n2,2\n")
+    mapping = tmp_path / "columns.csv"
+    mapping.write_text("channels: {t_s: {column: Zeit, factor: 0.001}, tau2_Nm: M2}\n")
+    done = hilbench("convert", tmp_path / "machine.csv", mapping, "--columns", mapping)
+    assert done.returncode == 2
+    assert mapping.read_text().startswith("channels:")
+
+
+def test_columns_that_are_no_channel_are_told_with_what_may_have_been_meant(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text(
+        "t_s,x1_m,x3_m,tau2_NM,v2_cmdm_s,note,bearing_N\n0,1,1,1,1,1,1\n0.002,2,2,2,2,2,2\n"
+    )
+    done = hilbench("convert", tmp_path / "a.csv", tmp_path / "b.csv")
+    assert done.returncode == 0
+    expected = "'tau2_NM' (did you mean tau2_Nm?), 'v2_cmdm_s' (did you mean v2_cmd_m_s?), 'note'"
+    assert done.stderr.splitlines() == [f"hilbench: {tmp_path / 'a.csv'}: columns that are no channel: {expected}"]
+    assert "tau2_NM" in read_recording(tmp_path / "b.csv")  # it is kept as it is
+    model = CONFIG.parent / "identification.yaml"
+    for command in ("diagnose", "sync"):
+        refused = hilbench(command, tmp_path / "a.csv", "--model", model)
+        assert refused.returncode == 2
+        assert expected in refused.stderr
+    with pytest.raises(UnusableInputError, match=r"channel tau2_Nm missing, expected .*, did you mean 'tau2_NM'"):
+        read_recording(tmp_path / "b.csv").require(["tau2_Nm"], "b.csv")
+
+
+def test_columns_that_a_mapping_leaves_out_are_told(tmp_path: Path) -> None:
+    (tmp_path / "map.yaml").write_text("channels: {t_s: Zeit, tau2_Nm: M2}\n")
+    (tmp_path / "machine.csv").write_text("Zeit,M1,M2,v\n0,1,1,1\n2,2,2,2\n")
+    words = ["convert", tmp_path / "machine.csv", tmp_path / "a.csv", "--columns", tmp_path / "map.yaml"]
+    done = hilbench(*words)
+    assert done.stderr.splitlines() == [
+        f"hilbench: {tmp_path / 'machine.csv'}: columns that {tmp_path / 'map.yaml'} does not name: M1, v"
+    ]
+    (tmp_path / "map.yaml").write_text("channels: {t_s: Zeit, tau2_Nm: m2}\n")
+    assert "did you mean 'M2'?" in hilbench(*words).stderr

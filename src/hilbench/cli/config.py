@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from hilbench.errors import UnusableInputError
+
+if TYPE_CHECKING:
+    from hilbench.strict_yaml import Document
 
 app = typer.Typer(help="Help with config files: JSON Schema for editors, a new config.", no_args_is_help=True)
 
@@ -77,6 +80,8 @@ def new(
 ) -> None:
     """Ask its way to a bench of simulated drives, check it, and write it with a comment at every key that needs one.
 
+    Each answer is checked as it is given, and asked for again when it can't be used.
+
     Example: hilbench config new bench_configs/my_bench.yaml
     """
     from hilbench import strict_yaml
@@ -86,19 +91,60 @@ def new(
 
     if path.exists():
         raise UnusableInputError(path, "is there already, expected a new file")
+    if not path.absolute().parent.is_dir():
+        raise UnusableInputError(path, f"no folder {path.parent}, expected one to write into")
     document = strict_yaml.Document(path, {}, {})
     for part, node_id in _NODES.items():
         file = eds / ("hilbench_virtual_io.eds" if part == "virtual_io" else "hilbench_servo.eds")
+        if not file.is_file():
+            raise UnusableInputError("--eds", f"no file {file}, expected the folder with the devices' EDS files")
         document = document.with_value(("nodes", part), {"node_id": node_id, "eds": str(file.resolve())}, "--eds")
     for location, value in _GIVEN.items():
         document = document.with_value(location, value, str(path))
     for question, location, suggested in _QUESTIONS:
-        answer = suggested if defaults else typer.prompt(question, default=suggested, type=type(suggested))
-        document = document.with_value(location, answer, question)
-    config = strict_yaml.validate(document, ExperimentConfig)
-    check_bench(config, document)
+        document = document.with_value(location, suggested, question)
+    while True:
+        if not defaults:
+            document = _asked(document)
+        config = strict_yaml.validate(document, ExperimentConfig)
+        try:
+            check_bench(config, document)
+            break
+        except UnusableInputError as error:
+            if defaults:
+                raise
+            typer.echo(f"{error}\nOnce more; Return keeps an answer.", err=True)
     _write(path, commented_yaml(config, path.resolve().parent))
     print(f"{path}: usable; run it with: hilbench run {path}")
+
+
+def _asked(document: Document) -> Document:
+    """The document with an answer to every question; what it has already is suggested."""
+    from hilbench import strict_yaml
+    from hilbench.experiment.config import ExperimentConfig
+
+    for question, location, suggested in _QUESTIONS:
+        while True:
+            value = _answer(question, document.value(location), type(suggested))
+            answered = document.with_value(location, value, question)
+            try:
+                strict_yaml.validate(answered, ExperimentConfig)
+                break
+            except UnusableInputError as error:
+                typer.echo(str(error), err=True)
+        document = answered
+    return document
+
+
+def _answer(question: str, suggested: Any, kind: type) -> Any:
+    try:
+        return typer.prompt(question, default=suggested, type=kind)
+    except typer.Abort as ended:  # the end of standard input, or Ctrl-C
+        if isinstance(ended.__context__, KeyboardInterrupt):
+            raise KeyboardInterrupt from ended
+        raise UnusableInputError(
+            "standard input", f"ended at the question '{question}', expected an answer, or --defaults"
+        ) from ended
 
 
 def _write(path: Path, text: str) -> None:

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from hilbench.cli.options import ConfigArgument
+from hilbench.errors import UnusableInputError
 
 
 def convert(
@@ -20,22 +21,37 @@ def convert(
 ) -> None:
     """Write a recording or a trace in another format; bring a recording of another machine in.
 
+    What is read is never written over. Columns that are no channel are told on standard error.
+
     Example: hilbench convert runs/web_section_step-20260101-120000/recording.mf4 run.parquet
 
     Example: hilbench convert runs/web_section_step-20260101-120000/trace.log trace.asc
 
     Example: hilbench convert machine.csv recording.mf4 --columns columns.yaml
     """
+    from hilbench.cli.columns import tell, tell_unknown
     from hilbench.record.foreign import read_foreign
     from hilbench.record.recording import read_recording, write_recording
     from hilbench.record.trace_files import FORMATS, read_trace, write_trace
 
+    for read in (source, columns):
+        if read is not None and _is_same_file(read, target):
+            raise UnusableInputError(target, f"is what is read ({read}), expected another file to write")
     if source.suffix.lower() in FORMATS and columns is None:
         print(f"{target}: {write_trace(read_trace(source), target, 'can0')} frames")
         return
-    recording = read_recording(source) if columns is None else read_foreign(source, columns)
+    if columns is None:
+        recording = read_recording(source)
+        tell_unknown(recording, source)
+    else:
+        recording = read_foreign(source, columns, lambda text: tell(source, text))
     write_recording(recording, target)
     print(f"{target}: {len(recording)} samples of {len(recording.channels)} channels")
+
+
+def _is_same_file(one: Path, other: Path) -> bool:
+    """Also by another path, through a link of either kind."""
+    return one.exists() and other.exists() and one.samefile(other)
 
 
 def dbc(
@@ -44,10 +60,11 @@ def dbc(
 ) -> None:
     """Write the PDO set of a bench as a DBC file, with SI units, for tools that decode the bus.
 
+    It is plain ASCII (Nm, rad/s^2), because DBC files do not say how they are encoded.
+
     Example: hilbench dbc bench_configs/web_section_step.yaml --out web_section.dbc
     """
     from hilbench.bench.pdo_set import pdo_set_dbc
-    from hilbench.errors import UnusableInputError
     from hilbench.experiment.config import load
 
     text = pdo_set_dbc(load(config)[0])
@@ -55,6 +72,6 @@ def dbc(
         print(text, end="")
         return
     try:
-        out.write_text(text, encoding="utf-8")
+        out.write_text(text, encoding="ascii")
     except OSError as error:
         raise UnusableInputError(out, f"cannot be written ({error.strerror}), expected a writable folder") from error

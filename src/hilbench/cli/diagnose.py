@@ -10,6 +10,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
+from hilbench.cli.columns import tell_unknown
 from hilbench.cli.model_option import holds_config, model_from
 from hilbench.cli.progress import ProgressDisplay
 from hilbench.diagnose.diagnosis import Diagnosis, NamedEffect, diagnose
@@ -65,6 +66,7 @@ def diagnose_command(source: Path, model_path: Path | None, out: Path | None, *,
             config = model_path if holds_config(model_path) else None
             progress.announce("read the recording", 0.0)
             model, recording = model_from(model_path), read_recording(source)
+            tell_unknown(recording, source)
             found = _Found(diagnose(recording, model, source, progress.announce), config)
         files = None if out is None else _write(found, source, out)
     if as_json:

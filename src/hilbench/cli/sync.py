@@ -11,6 +11,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from hilbench.cli.columns import tell_unknown
 from hilbench.cli.model_option import model_from
 from hilbench.errors import EXIT_CRITERION_FAILED, EXIT_PASSED, BenchFaultError, UnusableInputError
 from hilbench.experiment.synchronization import (
@@ -69,6 +70,7 @@ def sync_command(
     """Compare, print, and write the page into `out`. Raises UnusableInputError for what can't be used."""
     chosen = methods_of(methods)
     model, recording = model_from(model_path), read_recording(recording_path)
+    tell_unknown(recording, recording_path)
     data = measurements_of(recording, recording_path)
     if out is not None:  # before what takes its time
         _make_folder(out)

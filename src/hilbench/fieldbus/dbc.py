@@ -1,8 +1,13 @@
-"""A DBC file of PDOs, for tools that decode a bus without EDS files: names, places, scale to SI, units."""
+"""A DBC file of PDOs, for tools that decode a bus without EDS files: names, places, scale to SI, units.
+
+A DBC file does not say how it is encoded: some tools take it for Windows-1252 (cantools, those of its inventor), others
+for UTF-8. What is written here is ASCII, which is the same in both.
+"""
 
 from __future__ import annotations
 
 import re
+import unicodedata
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
@@ -11,6 +16,7 @@ from hilbench.fieldbus.pdo import PdoMap, bit_length
 
 _FLOAT_TYPES = {REAL32: 1, REAL64: 2}  # SIG_VALTYPE_ of IEEE floats of 32 and 64 bits
 _LONGEST_NAME = 32  # of a symbol in most tools
+_UNIT_SIGNS = str.maketrans({"·": "", "²": "^2", "³": "^3", "°": "deg", "µ": "u", "Ω": "Ohm"})
 
 
 @dataclass(frozen=True)
@@ -44,12 +50,25 @@ def symbol(text: str) -> str:
     return (name if not name[0].isdigit() else f"_{name}")[:_LONGEST_NAME]
 
 
+def ascii_unit(unit: str) -> str:
+    """A unit as DBC files have it: N·m is Nm, m/s² is m/s^2."""
+    return _ascii(unit.translate(_UNIT_SIGNS))
+
+
+def _ascii(text: str) -> str:
+    """Letters without their marks; a question mark for what is none."""
+    marked = unicodedata.normalize("NFKD", text)
+    plain = "".join(sign for sign in marked if not unicodedata.combining(sign))
+    return plain.encode("ascii", "replace").decode()
+
+
 def _message(message: DbcMessage) -> Iterator[str]:
     yield f"BO_ {message.pdo.cob_id} {symbol(message.name)}: {message.pdo.size} {symbol(message.sender)}"
     start = 0
     for variable, unit in zip(message.pdo.variables, message.units, strict=True):
         bits, kind = bit_length(variable), data_type(variable.data_type or 0)
         factor, name = unit or (1.0, "")
+        name = ascii_unit(name)
         sign = "-" if kind.is_signed or kind.is_float else "+"
         low, high = _range(kind, bits, factor)
         yield (
@@ -76,4 +95,4 @@ def _remarks(message: DbcMessage) -> Iterator[str]:
 
 
 def _quoted(text: str) -> str:
-    return " ".join(text.replace('"', "'").split())
+    return " ".join(_ascii(text.replace('"', "'")).split())

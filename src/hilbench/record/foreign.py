@@ -12,6 +12,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,7 @@ from hilbench import strict_yaml
 from hilbench.bench.signals import BY_NAME, TIME, unit_of
 from hilbench.errors import UnusableInputError
 from hilbench.record.recording import Recording, check_recording, read_recording
+from hilbench.suggest import did_you_mean
 
 _CSV = (".csv", ".txt", ".tsv", ".gz")
 
@@ -68,21 +70,31 @@ class ColumnMapping(_Part):
             raise ValueError(f"a column for {TIME}")
         for name in value:
             if name not in BY_NAME and not unit_of(name):
-                raise ValueError(f"channels of the signal list, or names that end in an SI unit; '{name}' does not")
+                meant = did_you_mean(name, BY_NAME)
+                raise ValueError(
+                    f"channels of the signal list, or names that end in an SI unit; '{name}' does not{meant}"
+                )
         return value
 
 
-def read_foreign(path: Path, mapping_path: Path) -> Recording:
-    """Read a recording of another machine. Raises UnusableInputError: file, what was found, what was expected."""
+def read_foreign(path: Path, mapping_path: Path, tell: Callable[[str], None] = lambda text: None) -> Recording:
+    """Read a recording of another machine; `tell` hears which columns the mapping leaves out.
+
+    Raises UnusableInputError: file, what was found, what was expected.
+    """
     mapping = strict_yaml.validate(strict_yaml.load(mapping_path), ColumnMapping)
     columns = _columns(path, mapping.file)
     channels = {}
     for name, source in sorted(mapping.channels.items(), key=lambda item: item[0] != TIME):
         if source.column not in columns:
+            meant = did_you_mean(source.column, columns)
             raise UnusableInputError(
-                path, f"no column '{source.column}' for {name}, expected among {', '.join(columns)}"
+                path, f"no column '{source.column}' for {name}, expected among {', '.join(columns)}{meant}"
             )
         channels[name] = source.factor * columns[source.column] + source.offset
+    left_out = [name for name in columns if name not in {source.column for source in mapping.channels.values()}]
+    if left_out:
+        tell(f"columns that {mapping_path} does not name: {', '.join(left_out)}")
     recording = Recording(channels, comment=f"from {path.name}")
     check_recording(recording, path)
     return recording

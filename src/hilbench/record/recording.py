@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 
 from hilbench.bench.signals import BY_NAME, TIME, unit_of
 from hilbench.errors import UnusableInputError
+from hilbench.suggest import did_you_mean
 
 #: Start time written into an MDF4 file when none is given, so that equal samples make equal files.
 NO_START_TIME = datetime(2000, 1, 1, tzinfo=UTC)
@@ -100,8 +101,9 @@ class Recording:
         """Raise UnusableInputError, naming `place`, unless all these channels are there and finite everywhere."""
         missing = [name for name in names if name not in self.channels]
         if missing:
+            meant = did_you_mean(missing[0], [name for name in self.channels if name not in BY_NAME])
             raise UnusableInputError(
-                place, f"channel {', '.join(missing)} missing, expected beside {', '.join(self.channels)}"
+                place, f"channel {', '.join(missing)} missing, expected beside {', '.join(self.channels)}{meant}"
             )
         for name in names:
             finite = np.isfinite(np.asarray(self.channels[name], np.float64))
