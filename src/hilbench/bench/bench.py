@@ -25,6 +25,7 @@ from hilbench.bench.processes import ChildProcess
 from hilbench.bench.safety import confirm_stopped, quick_stop
 from hilbench.bench.sample import CycleSample
 from hilbench.bench.startup import TWIN, bring_up
+from hilbench.bench.swing_damping import SwingDamping, SwingPlant
 from hilbench.bench.tension_control import TensionController
 from hilbench.bench.twin_connection import TwinConnection
 from hilbench.bus.confinement import ControllerState
@@ -127,6 +128,11 @@ class Bench:
             web.section_m2,
             config.model.drive_stiffness_N_per_m(2),
             config.model.upstream_strain,
+        )
+        self._damping = SwingDamping(
+            SwingPlant.of_model(config.model, config.cycle_time_s),
+            config.tension_control.swing_damping_ratio,
+            web.youngs_modulus_Pa,
         )
         limits = config.safety.limits
         self._limits = LimitWatch(limits, web.youngs_modulus_Pa, config.cycle_time_s)
@@ -489,6 +495,7 @@ class Bench:
         """Set points of this cycle from the last sample."""
         nodes, sample = self.nodes, self.last
         if not self.enabled:
+            self._damping.reset()
             nodes.command(0.0, 0.0, 0.0)
             return
         sample.loop_closed = int(self._twin.loop_closed(sample))
@@ -496,8 +503,10 @@ class Bench:
             v1_m_s = self._controller.velocity(
                 self.line_speed_m_s, self.tension_set_point_N, sample.F_sim_N, sample.E_sim_Pa, self.config.cycle_time_s
             )
+            self._damping.use_modulus(sample.E_sim_Pa)
         else:
             v1_m_s = self._controller.hold(self.line_speed_m_s, self.tension_set_point_N, self.config.cycle_time_s)
+        v1_m_s += self._damping.velocity(sample.x1_m, sample.x2_m)
         sample.v1_cmd_m_s, sample.v2_cmd_m_s = v1_m_s, self.line_speed_m_s
         nodes.command(v1_m_s, self.line_speed_m_s, sample.tau_load_cmd_Nm)
 

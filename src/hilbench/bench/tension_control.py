@@ -37,7 +37,15 @@ class TensionControlConfig(BaseModel):
     twin_deviation_limit_pct: PositiveFloat = Field(
         default=30.0, description="stated deviation of E up to which the loop stays closed on the twin"
     )
-    correction_limit_m_s: PositiveFloat = Field(default=0.02, description="largest |v1 - v2| the controller asks for")
+    correction_limit_m_s: PositiveFloat = Field(
+        default=0.02, description="largest |v1 - v2| the controller asks for, without the damping"
+    )
+    swing_damping_ratio: float = Field(
+        default=1.3,
+        ge=0.0,
+        le=2.0,
+        description="damping ratio that axis 1 gives the swing of roller 2 against the web; 0: none",
+    )
 
 
 class TensionController:
