@@ -1,4 +1,5 @@
-"""What mkdocs does beyond its own: the generated reference pages, and equations as MathML (``mkdocs.yml``: hooks).
+"""What mkdocs does beyond its own (``mkdocs.yml``: hooks): the generated reference pages, equations as MathML, and a
+search that needs no server.
 
 Equations are written as GitHub reads them: a fenced block ``math``, or ``$`x`$`` in a line. A browser shows MathML by
 itself, so that a page needs no script and no network.
@@ -31,6 +32,20 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     for path, text in pages().items():
         files.append(File.generated(config, path, content=text))
     return files
+
+
+def on_config(config: MkDocsConfig) -> None:
+    """Take the search plugin's own script out: it works with a server only. `docs/search.js` takes its place."""
+    config.extra_javascript = [script for script in config.extra_javascript if script != "search/main.js"]
+
+
+def on_post_build(config: MkDocsConfig) -> None:
+    """Write the plugin's index as a script, which a page that was opened from a file may load."""
+    folder = Path(config.site_dir) / "search"
+    index = (folder / "search_index.json").read_text(encoding="utf-8")
+    (folder / "search_index.js").write_text(f"const SEARCH_INDEX = {index};\n", encoding="utf-8")
+    for unused in ("search_index.json", "main.js", "worker.js"):
+        (folder / unused).unlink()
 
 
 def on_page_content(html: str, **_: Any) -> str:
