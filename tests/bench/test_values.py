@@ -21,7 +21,6 @@ from hilbench.experiment.scenario import read_scenario
 from hilbench.scripts.bench import Bench
 from hilbench.web.effects import EFFECTS
 
-
 PATHS = list(all_paths())
 HUGE = 10**400
 NO_NUMBERS = [None, "3", "nan", b"1", [1.0], {}, 1j, Decimal(1), np.array([1.0]), float("nan"), float("inf"), -np.inf]
