@@ -112,8 +112,9 @@ def stand(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stand]:
     columns = {"file": {"delimiter": ";", "decimal": ","}}
     columns["channels"] = {"t_s": {"column": "Zeit", "factor": "0.001"}, "tau2_Nm": "M2"}
     (folder / "columns.yaml").write_text(yaml.safe_dump(columns).replace("'0.001'", "0.001"))
+    paced = ["--pace", "lockstep"]  # as the config: a bench waits for them
     started = [
-        [sys.executable, "-m", "hilbench.cli", command, "bench_configs/web_section_step.yaml", "--bus", bus]
+        [sys.executable, "-m", "hilbench.cli", command, "bench_configs/web_section_step.yaml", "--bus", bus, *paced]
         for command in ("simulate-hardware", "twin")
     ]
     children = [subprocess.Popen(command, cwd=folder, stdout=subprocess.DEVNULL) for command in started]

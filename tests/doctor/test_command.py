@@ -92,7 +92,7 @@ def test_a_real_drive_that_is_silent_and_one_that_its_eds_does_not_fit(tmp_path:
 
 
 def start_hardware(path: Path) -> subprocess.Popen[str]:
-    command = [sys.executable, "-m", "hilbench.cli", "simulate-hardware", str(path)]
+    command = [sys.executable, "-m", "hilbench.cli", "simulate-hardware", str(path), "--pace", "lockstep"]
     return subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
 
 

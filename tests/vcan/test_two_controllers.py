@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 
 from hilbench.doctor.machine import measure_lateness
+from hilbench.experiment.config import load
 from hilbench.record.recording import read_recording
 from hilbench.record.result import Result
 from hilbench.record.run_folder import RunFolder
@@ -40,15 +41,16 @@ def controllers() -> tuple[str, str]:
 def stand(config: Path, folder: Path) -> Iterator[subprocess.Popen[bytes]]:
     """The simulated hardware on the second controller, its process; the twin on the first."""
     first, second = controllers()
+    pace = ["--pace", load(config)[0].pace]
     with (folder / "hardware.log").open("wb") as log:
-        hardware = subprocess.Popen(
-            [*CLI, "simulate-hardware", str(config), "--bus", f"socketcan:{second}"],
-            stdin=subprocess.DEVNULL,
-            stdout=log,
-            stderr=log,
-        )
-        twin = subprocess.Popen(
-            [*CLI, "twin", str(config), "--bus", f"socketcan:{first}"], stdin=subprocess.DEVNULL, stdout=log, stderr=log
+        hardware, twin = (
+            subprocess.Popen(
+                [*CLI, command, str(config), "--bus", f"socketcan:{channel}", *pace],
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=log,
+            )
+            for command, channel in (("simulate-hardware", second), ("twin", first))
         )
     try:
         yield hardware

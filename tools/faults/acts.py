@@ -162,10 +162,17 @@ def jump(seconds: float) -> Callable[[Run], None]:
     return act
 
 
+def paced_as(config: Path) -> list[str]:
+    """The option with which hardware and twin go with the bench of a config."""
+    return ["--pace", yaml.safe_load(config.read_text(encoding="utf-8"))["pace"]]
+
+
 def second_hardware(run: Run) -> None:
     """A second set of drives with the same node-IDs on the bus."""
     twice = subprocess.Popen(
-        [*CLI, "simulate-hardware", str(run.config)], stdin=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+        [*CLI, "simulate-hardware", str(run.config), *paced_as(run.config)],
+        stdin=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
     )
 
     def end_with_run() -> None:
@@ -182,7 +189,8 @@ def other_devices(run: Run) -> None:
     config = run.work / "devices.yaml"
     config.write_text(yaml.safe_dump(data, sort_keys=False), encoding="utf-8")
     for command in ("simulate-hardware", "twin"):
-        subprocess.Popen([*CLI, command, str(config)], stdin=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        words = [*CLI, command, str(config), *paced_as(config)]
+        subprocess.Popen(words, stdin=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
 
 
 def nothing(run: Run) -> None:

@@ -6,12 +6,14 @@ from collections.abc import Callable, Sequence
 
 from hilbench.bench.config import BenchConfig, NodeConfig
 from hilbench.bench.nodes import declared_units
+from hilbench.bench.plant_time import ByClock, BySync, PlantTime
 from hilbench.bench.processes import say, stop_request
 from hilbench.bench.twin_setup import device_clock
 from hilbench.bus.frame import Frame
 from hilbench.bus.open import open_link
 from hilbench.drives.port import MotorMode, MotorPort
 from hilbench.drives.simulated import SimulatedDrive
+from hilbench.fieldbus.clock import Clock, MonotonicClock
 from hilbench.fieldbus.device import Device
 from hilbench.fieldbus.eds import load_eds
 from hilbench.fieldbus.host import DeviceHost, HostedDevices
@@ -20,41 +22,71 @@ from hilbench.real_time import kept_ready
 from hilbench.web.effect_objects import bind_effect_objects
 from hilbench.web.stand import TestStand
 
+#: In real time the stand goes on without a SYNC that is late by so many cycles after the last one.
+_OVERDUE = 1.5
+
 
 class StandApplication:
-    """What the hardware does at a SYNC: the drives take their set points, then the stand moves on by one cycle."""
+    """What the hardware does at a SYNC: the drives take their set points, then the stand moves on.
+
+    `time` says how far, in sample times of the drives' loops; the drives look at their set points at least once in
+    every cycle of the config.
+    """
 
     listens_to: frozenset[int] = frozenset()
 
     def __init__(
-        self, drives: list[SimulatedDrive], ports: Sequence[MotorPort], stand: TestStand, cycle_s: float
+        self,
+        drives: list[SimulatedDrive],
+        ports: Sequence[MotorPort],
+        stand: TestStand,
+        time: PlantTime,
+        cycle_s: float,
+        sample_s: float,
     ) -> None:
         self._drives = drives
         self._ports = ports
         self._in_use = False
         self._stand = stand
-        self._cycle_s = cycle_s
+        self._time = time
+        self._sample_s = sample_s
+        self._longest_step = round(cycle_s / sample_s)
 
     def before_sync(self, behind: int) -> None:
-        """Nothing to do: the state at this SYNC is there since the last one."""
+        """Be at the time of this SYNC: in lockstep, and when it comes in time, the state is there since the last."""
+        self._go(self._time.before_sync(behind))
 
     def after_sync(self) -> None:
         """Advance to the time of the next SYNC."""
-        self.tick(self._cycle_s)
+        samples = self._time.after_sync()
+        if samples:
+            self._go(samples)
+        else:  # ahead of time already: the new set points are taken all the same
+            self._step(0)
 
     def tick(self, duration_s: float) -> None:
-        """Advance by a time, also when there is no SYNC."""
+        """Go on, also when there is no SYNC."""
+        self._go(self._time.without_sync(duration_s))
+
+    def on_frame(self, frame: Frame) -> None:
+        """Frames for others don't concern the hardware."""
+
+    def _go(self, samples: int) -> None:
+        while samples > 0:
+            step = min(samples, self._longest_step)
+            self._step(step)
+            samples -= step
+
+    def _step(self, samples: int) -> None:
+        duration_s = samples * self._sample_s
         for drive in self._drives:
             drive.sync(duration_s)
         # At rest with all power stages off nothing moves; the noise must not depend on how long that lasted.
-        if self._in_use or any(port.mode is not MotorMode.OFF for port in self._ports):
+        if samples and (self._in_use or any(port.mode is not MotorMode.OFF for port in self._ports)):
             self._in_use = True
             self._stand.advance(duration_s)
         for drive in self._drives:
             drive.publish()
-
-    def on_frame(self, frame: Frame) -> None:
-        """Frames for others don't concern the hardware."""
 
 
 def simulate(config: BenchConfig) -> int | None:
@@ -75,7 +107,7 @@ def simulate(config: BenchConfig) -> int | None:
 
 def hardware(config: BenchConfig) -> HostedDevices:
     """The nodes of the bench that are marked `simulated`, on their stand."""
-    clock = device_clock(config)
+    clock, time = _time_base(config)
     ports = (MotorPort(), MotorPort(), MotorPort())
     stand_parameters = config.stand_parameters()
     # A scratch stand runs first, so that compiling is over before the devices boot.
@@ -92,7 +124,17 @@ def hardware(config: BenchConfig) -> HostedDevices:
         devices.append(device)
         if axis is not None:
             bind_effect_objects(device, _effect_setter(stand, axis))
-    return HostedDevices(devices, clock, StandApplication(drives, ports, stand, config.cycle_time_s))
+    sample_s = stand_parameters.drives.sample_time_s
+    return HostedDevices(devices, clock, StandApplication(drives, ports, stand, time, config.cycle_time_s, sample_s))
+
+
+def _time_base(config: BenchConfig) -> tuple[Clock, PlantTime]:
+    """Of devices and stand: SYNC where the bench waits for everybody (lockstep), else the clock."""
+    sample_s = config.stand_parameters().drives.sample_time_s
+    if config.pace == "lockstep":
+        return device_clock(config), BySync(config.cycle_time_s, sample_s)
+    clock = MonotonicClock(stall_s=_OVERDUE * config.cycle_time_s)
+    return clock, ByClock(config.cycle_time_s, sample_s, clock.now_ns, say)
 
 
 def _effect_setter(stand: TestStand, axis: int) -> Callable[[str, dict[str, float]], None]:

@@ -21,7 +21,7 @@ from hilbench.bench.processes import ChildProcess
 from hilbench.bench.supervisor import Watch
 from hilbench.bus.link import Link
 from hilbench.bus.open import open_link, open_python_can
-from hilbench.errors import BusError, EmergencyStopError
+from hilbench.errors import BusError, EmergencyStopError, UnusableInputError
 from hilbench.fieldbus import master as nmt
 from hilbench.fieldbus.emergency_stop import EMERGENCY_STOP_COB_ID
 from hilbench.fieldbus.master import Master
@@ -31,8 +31,11 @@ from hilbench.web.line import Line
 #: After the start command the nodes' clocks stand still until SYNC; what they said just before it must not arrive as
 #: part of the first cycle.
 _AFTER_START_S = 0.1
+#: Of a node that does not wait for SYNC one comes for certain.
+_HEARTBEATS_TO_WAIT = 1.5
 #: For the last command to come back from the bus: it belongs in the trace.
 _LAST_FRAME_S = 0.1
+_EXPECTED = "expected simulate-hardware and twin that were started with --pace "
 #: Name of the twin's process.
 TWIN = "twin"
 
@@ -65,6 +68,8 @@ def bring_up(
     with ExitStack() as resources:
         folder = work_folder or Path(resources.enter_context(tempfile.TemporaryDirectory(prefix="hilbench-")))
         nodes = Nodes(config)
+        if participants is Participants.PRESENT:
+            _check_timing(config)
         here = InProcess(config) if participants is Participants.IN_PROCESS else None
         link = here.open_link() if here else open_link(config.bus_address)
         resources.callback(link.close)
@@ -93,8 +98,10 @@ def bring_up(
             announce("configure nodes")
             nodes.configure(master)
             master.nmt(nmt.START)
-            master.hear_only_answers()
             time.sleep(_AFTER_START_S)
+            if participants is Participants.PRESENT:
+                check_that_they_wait(config, master)
+            master.hear_only_answers()
         warnings: list[str] = []
         resources.enter_context(kept_ready(config.process_settings("bench"), warnings.append))
         exchange = CyclicExchange(
@@ -112,6 +119,39 @@ def bring_up(
         yield StartedBench(nodes, exchange, children, supervisor, warnings)
 
 
+def _check_timing(config: BenchConfig) -> None:
+    """An embedded bus has the timing of the pace for which its first station was started."""
+    address = config.bus_address
+    running = address.as_it_runs().timing
+    if running != address.timing:
+        found = "by the clock" if running == "real" else "by SYNC"
+        raise UnusableInputError(
+            "pace", f"{config.pace}, but who is on {address} goes {found}: {_EXPECTED}{config.pace}"
+        )
+
+
+def check_that_they_wait(config: BenchConfig, master: Master) -> None:
+    """Lockstep with simulated hardware and twin that somebody else has started: do they wait for SYNC?
+
+    Those that do have no time of their own between NMT start and the first SYNC. Raises UnusableInputError naming who
+    sends a heartbeat then; nobody is left OPERATIONAL.
+    """
+    if config.pace != "lockstep":
+        return
+    heard = master.heard_within(_HEARTBEATS_TO_WAIT * config.master.node_heartbeat_ms * 1e-3)
+    by_clock = [
+        f"{part.replace('_', ' ')} (node {node.node_id})"
+        for part, node in config.nodes
+        if node.simulated and node.node_id in heard
+    ]
+    if by_clock:
+        master.nmt(nmt.PRE_OPERATIONAL)
+        raise UnusableInputError(
+            "pace",
+            f"lockstep, but {', '.join(by_clock)} went by the clock: {_EXPECTED}lockstep",
+        )
+
+
 def _release_nodes(master: Master, exchange: CyclicExchange) -> None:
     """Leave the nodes in PRE-OPERATIONAL; on a bus that was lost they are on their own."""
     with suppress(BusError):
@@ -127,14 +167,13 @@ def start_children(config: BenchConfig, folder: Path) -> list[ChildProcess]:
     path = folder / "config.yaml"
     if not path.exists():
         path.write_text(yaml.safe_dump(config.model_dump(mode="json", exclude_none=True), sort_keys=False))
+    # Started by anybody else they go by the clock: only a bench knows that it waits for them.
+    arguments = [str(path), "--pace", config.pace]
     children = []
     if any(node.simulated for part, node in config.nodes if part in ("axis1", "axis2", "load")):
-        children.append(
-            ChildProcess(
-                "simulated hardware", ["hilbench.cli", "simulate-hardware", str(path)], folder / "hardware.log"
-            )
-        )
-    children.append(ChildProcess(TWIN, ["hilbench.cli", "twin", str(path)], folder / "twin.log"))
+        hardware = ["hilbench.cli", "simulate-hardware", *arguments]
+        children.append(ChildProcess("simulated hardware", hardware, folder / "hardware.log"))
+    children.append(ChildProcess(TWIN, ["hilbench.cli", "twin", *arguments], folder / "twin.log"))
     return children
 
 

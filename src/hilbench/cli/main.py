@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import typer
 
 from hilbench.cli import compare, config, convert, drive, monitor, replay, scan, sdo, sweep
-from hilbench.cli.options import BusOption, ConfigArgument, JsonOption, PaceOption, SetOption
+from hilbench.cli.options import BusOption, ConfigArgument, JsonOption, PacedByOption, PaceOption, SetOption
 from hilbench.errors import EXIT_INTERRUPTED, HilbenchError, UnusableInputError
 
 app = typer.Typer(
@@ -132,9 +132,11 @@ def doctor(
 
 @app.command("simulate-hardware")
 def simulate_hardware(
-    config: ConfigArgument, bus: BusOption = None, pace: PaceOption = None, changes: SetOption = None
+    config: ConfigArgument, bus: BusOption = None, pace: PacedByOption = "realtime", changes: SetOption = None
 ) -> None:
-    """Simulate the drives of a bench (axis 1, axis 2, load motor) until interrupted.
+    """Simulate the drives of a bench (axis 1, axis 2, load motor) until interrupted, for any CANopen master.
+
+    Time is the clock's, whatever the SYNC period; the pace of the config is that of the bench, and does not count here.
 
     Example: hilbench simulate-hardware bench_configs/web_section_step.yaml --bus socketcan:vcan0
 
@@ -147,7 +149,9 @@ def simulate_hardware(
 
 
 @app.command()
-def twin(config: ConfigArgument, bus: BusOption = None, pace: PaceOption = None, changes: SetOption = None) -> None:
+def twin(
+    config: ConfigArgument, bus: BusOption = None, pace: PacedByOption = "realtime", changes: SetOption = None
+) -> None:
     """Run the twin of a bench: virtual axes, virtual I/O and synchronizer, until interrupted.
 
     Example: hilbench twin bench_configs/web_section_step.yaml --bus socketcan:vcan0

@@ -15,6 +15,12 @@ BusOption = Annotated[
     str | None, typer.Option("--bus", help="embedded[:NAME], socketcan:vcan0, or another python-can interface:channel")
 ]
 PaceOption = Annotated[str | None, typer.Option("--pace", help="lockstep or realtime")]
+PacedByOption = Annotated[
+    str,
+    typer.Option(
+        "--pace", help="realtime: goes by the clock; lockstep: by SYNC, beside a bench that waits for it in lockstep"
+    ),
+]
 SetOption = Annotated[
     list[str] | None,
     typer.Option(

@@ -18,7 +18,7 @@ def subject_of(config: BenchConfig) -> Subject:
     """The bench of a config. Raises UnusableInputError for an EDS file that cannot be used."""
     nodes = Nodes(config)
     return Subject(
-        bus=config.bus_address,
+        bus=config.bus_address.as_it_runs(),
         realtime=config.pace == "realtime",
         cycle_s=config.cycle_time_s,
         frames_per_cycle=sum(ceil(frame.per_cycle) for frame in nodes.cyclic_frames()),

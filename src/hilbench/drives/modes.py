@@ -159,17 +159,29 @@ class CyclicSynchronousPosition(Mode):
         super().__init__(firmware)
         #: The following error is outside its window 6065h.
         self.outside_window = False
+        self._target: int | None = None
+        self._approach_rad_s = inf
+
+    def enter(self) -> None:
+        """The first target is a new one."""
+        self._target = None
 
     def command(self) -> None:
-        """The target, approached so that it is reached when the interpolation period is over."""
-        firmware, port = self._firmware, self._firmware.port
-        here = firmware.encoder_count
-        distance = wrap_int32(int(firmware.target_position.value) - here - firmware.position_origin)
+        """The target, approached so that it is reached when the interpolation period after it was given is over."""
+        firmware = self._firmware
+        here, target = firmware.encoder_count, int(firmware.target_position.value)
+        distance = wrap_int32(target - here - firmware.position_origin)
         target_rad = (here + distance) * firmware.units.position_rad
+        if target != self._target:
+            self._target = target
+            self._approach_rad_s = self._approach(target_rad)
+        self._set(target_rad, self._limit(self._approach_rad_s, firmware.velocity_limit_rad_s))
+
+    def _approach(self, target_rad: float) -> float:
+        """Speed (rad/s) that bridges the distance to a new target in the interpolation period."""
+        port, period_s = self._firmware.port, self._firmware.interpolation_period_s
         reference_rad = port.reference if port.mode is MotorMode.POSITION else port.position_rad
-        period_s = firmware.interpolation_period_s
-        slope = abs(target_rad - reference_rad) / period_s if period_s > 0.0 else inf
-        self._set(target_rad, self._limit(slope, firmware.velocity_limit_rad_s))
+        return abs(target_rad - reference_rad) / period_s if period_s > 0.0 else inf
 
     def status(self, dt_s: float) -> int:
         """Bit 12: the drive follows; bit 13: the following error is outside its window."""

@@ -141,13 +141,11 @@ class DeviceHost:
             self._clock.expect_sync()
 
     def _sync(self, frame: Frame, behind: int) -> None:
-        if not self._sync_running:
-            self._sync_running = True
-            self._clock.tick()
+        starts, self._sync_running = not self._sync_running, True
+        self._clock.tick()
+        if starts and self._follows_sync:
             for device in self._devices:
                 device.rephase()
-        else:
-            self._clock.tick()
         self._application.before_sync(behind)
         for device in self._devices:
             device.poll()

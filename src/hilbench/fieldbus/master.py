@@ -109,6 +109,16 @@ class Master:
                 self._booted.add(can_id - 0x700)
                 self._boot_seen.notify_all()
 
+    def heard_within(self, duration_s: float) -> set[int]:
+        """Who sends a heartbeat (or boots) within a time; blocks for so long. Not after `hear_only_answers`."""
+        with self._boot_seen:
+            before, self._booted = self._booted, set()
+        time.sleep(duration_s)
+        with self._boot_seen:
+            heard = set(self._booted)
+            self._booted |= before
+        return heard
+
     def wait_for_boot(
         self, node_ids: Iterable[int], timeout_s: float, check: Callable[[], None] = lambda: None
     ) -> None:

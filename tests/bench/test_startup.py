@@ -1,0 +1,53 @@
+"""A bench in lockstep beside simulated hardware that somebody else has started."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from tests.bench.test_runs import config
+from tests.drives.stand_in import served
+
+from hilbench.bench.config import BenchConfig
+from hilbench.bench.hardware import hardware
+from hilbench.bench.startup import check_that_they_wait
+from hilbench.bus.memory import MemoryBus
+from hilbench.errors import UnusableInputError
+from hilbench.experiment.config import load_with_overrides
+from hilbench.fieldbus.eds import load_eds
+from hilbench.fieldbus.master import PRE_OPERATIONAL, START, Master
+
+
+@contextmanager
+def started(path: Path, pace: str) -> Iterator[tuple[BenchConfig, Master]]:
+    """The config of a bench, and its master beside hardware of this pace, started (NMT)."""
+    bus = MemoryBus()
+    devices, clock, application = hardware(load_with_overrides(path, pace=pace).config)
+    bench = load_with_overrides(path).config
+    with served(bus.open_link(), devices, clock, application):
+        master = Master(bus.open_python_can(), sdo_timeout_s=5.0)
+        try:
+            for part, node in bench.nodes:
+                if part in ("axis1", "axis2", "load"):
+                    master.add(node.node_id, load_eds(node.eds, node.node_id), part)
+                    master.sdo_write(node.node_id, 0x1017, bench.master.node_heartbeat_ms)
+            master.nmt(START)
+            master.heard_within(0.1)
+            yield bench, master
+            master.nmt(PRE_OPERATIONAL)
+        finally:
+            master.close()
+
+
+def test_hardware_that_goes_by_the_clock_is_refused_by_name(tmp_path: Path) -> None:
+    with started(config(tmp_path), "realtime") as (bench, master):
+        with pytest.raises(UnusableInputError, match=r"axis1 \(node 1\), axis2 \(node 2\).* went by the clock") as said:
+            check_that_they_wait(bench, master)
+        assert "--pace lockstep" in str(said.value)
+
+
+def test_hardware_that_waits_for_sync_is_taken(tmp_path: Path) -> None:
+    with started(config(tmp_path), "lockstep") as (bench, master):
+        check_that_they_wait(bench, master)
