@@ -282,10 +282,18 @@ class SimulatedDrive:
         self._reported.append(code)
         self._device.emergency(code, register)
 
+    def _take_back(self, code: int) -> None:
+        if code in self._reported:
+            self._reported.remove(code)
+            self._device.clear_emergency(code)
+
     def _fail(self, code: int, coast: bool = False) -> None:
         reaction = StopKind(self._options[objects.FAULT_REACTION_OPTION_CODE].value)
         brakes = self._powered and not coast and reaction is not StopKind.COAST
         self._error_code.value = code
+        # FAULT is an error situation, and one is signalled in 1001h at least as generic error (CiA 301, 7.5.2.2): the
+        # error of a drive in FAULT ends with the fault reset (CiA 402, transition 15), not when its cause goes.
+        self._device.keep_emergency(code)
         self._apply(Transition.T13_FAULT)
         if brakes:
             self._begin_stop(reaction, then=Transition.T14_FAULT_REACTION_DONE)
@@ -301,10 +309,10 @@ class SimulatedDrive:
             return False
         self._error_code.value = 0
         self._outside_window = Held()
-        # What the device's runtime has reported (a lost heartbeat) is its to take back.
-        for reported in self._reported:
-            self._device.clear_emergency(reported)
-        self._reported.clear()
+        # What the device's runtime has reported (a lost heartbeat) is its to take back: at once if the cause is gone.
+        self._device.acknowledge_emergency(code)
+        for reported in list(self._reported):
+            self._take_back(reported)
         return True
 
     def _simulated_fault_written(self, code: int) -> None:
@@ -333,6 +341,8 @@ class SimulatedDrive:
             self._power_on()
         left = self._operational and state is not NmtState.OPERATIONAL
         self._operational = state is NmtState.OPERATIONAL
+        if self._operational and self._state not in (State.FAULT, State.FAULT_REACTION_ACTIVE):
+            self._take_back(ERROR_COMMUNICATION)  # by 6007h it was no fault
         if left and self._state is State.OPERATION_ENABLED:
             # Set points come no more: an enabled drive would run on with the last one.
             self._report(ERROR_COMMUNICATION, REGISTER_COMMUNICATION)

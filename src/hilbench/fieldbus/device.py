@@ -122,6 +122,15 @@ class Device:
         """An error has gone."""
         self._emcy.clear_error(code)
 
+    def keep_emergency(self, code: int) -> None:
+        """The application is in fault because of this error: it stays in 1001h, and EMCY 0000h is not sent, though its
+        cause may go, until `acknowledge_emergency`."""
+        self._emcy.keep(code)
+
+    def acknowledge_emergency(self, code: int) -> None:
+        """The fault was reset: the error ends as soon as its cause is gone."""
+        self._emcy.acknowledge(code)
+
     # -- host side ---------------------------------------------------------------------------------------
 
     def boot(self) -> None:
@@ -235,6 +244,8 @@ class Device:
         if state is NmtState.OPERATIONAL:
             for tpdo in self._tpdos:
                 tpdo.restart()
+        if self._communicates():
+            self._emcy.released()
         if self.on_nmt is not None:
             self.on_nmt(state)
 

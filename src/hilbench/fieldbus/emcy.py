@@ -19,7 +19,9 @@ class EmergencyProducer:
     """Reports errors when they come and when they go; `send(cob_id, data)` puts a frame on the bus.
 
     An error is known by its code and its source (a node that fell silent, the number of an RPDO; 0: the device). It
-    counts in 1001h and 1003h whatever the NMT state is; `may_send()` says whether the state lets EMCY frames out.
+    counts in 1001h and 1003h whatever the NMT state is; `may_send()` says whether the state lets EMCY frames out. What
+    arises in STOPPED is pending until `released()` (CiA 301, 7.3.2.2.4): of an error either both messages are sent, or
+    none when it came and went in STOPPED.
     """
 
     def __init__(
@@ -33,6 +35,10 @@ class EmergencyProducer:
         self._now_ns = now_ns
         self._may_send = may_send
         self._active: dict[tuple[int, int], int] = {}
+        self._kept: set[int] = set()  #: codes that the application acknowledges
+        self._over: set[tuple[int, int]] = set()  #: errors with such a code whose cause is gone
+        #: What arose while nothing may be sent: its info, or None for an error that has gone.
+        self._pending: dict[tuple[int, int], bytes | None] = {}
         self._register = store.cell(0x1001)
         self._cob_id = store.cell(0x1014) if (0x1014, 0) in store else None
         self._inhibit = store.cell(0x1015) if (0x1015, 0) in store else None
@@ -49,39 +55,85 @@ class EmergencyProducer:
 
     def raise_error(self, code: int, register_bits: int, info: bytes = b"", source: int = 0) -> None:
         """An error has come: EMCY, register and history; an error that is there already is not reported again."""
-        if (code, source) in self._active:
+        error = code, source
+        self._over.discard(error)
+        if error in self._active:
             return
-        self._active[code, source] = register_bits | GENERIC_ERROR
+        self._active[error] = register_bits | GENERIC_ERROR
         self._update_register()
         self._remember(code, info)
-        self._report(_EMCY.pack(code, self._register.value, info[:5].ljust(5, b"\0")))
+        if self._may_send():
+            self._report_come(code, info)
+        elif error in self._pending:  # its end is pending: it is known as it is now
+            del self._pending[error]
+        else:
+            self._pending[error] = info
 
     def clear_error(self, code: int, source: int = 0) -> None:
-        """An error has gone: EMCY 0000h with what remains in the register, the code that went in its info."""
-        if self._active.pop((code, source), None) is None:
+        """The cause of an error has gone: EMCY 0000h with what remains in the register, the code that went in its info;
+        for a code that is kept, once that is acknowledged."""
+        error = code, source
+        if error not in self._active:
             return
+        if code in self._kept:
+            self._over.add(error)
+            return
+        del self._active[error]
         self._update_register()
-        self._report(_EMCY.pack(0, self._register.value, struct.pack("<H", code).ljust(5, b"\0")))
+        if self._may_send():
+            self._report_gone(code)
+        elif error in self._pending:  # nobody knows of it
+            del self._pending[error]
+        else:
+            self._pending[error] = None
+
+    def keep(self, code: int) -> None:
+        """Errors with this code stay, also when their cause goes, until `acknowledge`: the application is in fault."""
+        self._kept.add(code)
+
+    def acknowledge(self, code: int) -> None:
+        """The application's fault was reset: errors with this code end with their cause again, at once if it is gone."""
+        self._kept.discard(code)
+        for error in sorted(self._over):
+            if error[0] == code:
+                self._over.discard(error)
+                self.clear_error(*error)
+
+    def released(self) -> None:
+        """The NMT state lets EMCY frames out again: what is pending goes out, the register as it is now."""
+        pending, self._pending = self._pending, {}
+        for (code, _), info in pending.items():
+            if info is None:
+                self._report_gone(code)
+            else:
+                self._report_come(code, info)
 
     def reset(self) -> None:
         """Forget what is active (reset of the node or of its communication); the history stays."""
         self._active.clear()
+        self._kept.clear()
+        self._over.clear()
+        self._pending.clear()
         self._waiting.clear()
         self._free_ns = None
         self._update_register()
 
     def poll(self, now_ns: int) -> None:
         """Send what the inhibit time held back."""
-        while self._waiting and self._is_free(now_ns):
+        while self._waiting and self._is_free(now_ns) and self._may_send():
             self._transmit(self._waiting.pop(0), now_ns)
 
     def _is_free(self, now_ns: int) -> bool:
         """Whether the inhibit time since the last EMCY is over."""
         return self._free_ns is None or now_ns >= self._free_ns
 
+    def _report_come(self, code: int, info: bytes) -> None:
+        self._report(_EMCY.pack(code, self._register.value, info[:5].ljust(5, b"\0")))
+
+    def _report_gone(self, code: int) -> None:
+        self._report(_EMCY.pack(0, self._register.value, struct.pack("<H", code).ljust(5, b"\0")))
+
     def _report(self, data: bytes) -> None:
-        if not self._may_send():
-            return
         now_ns = self._now_ns()
         if self._waiting or not self._is_free(now_ns):
             self._waiting.append(data)
