@@ -53,6 +53,10 @@ class BenchFaultError(HilbenchError):
 
     exit_code = EXIT_BENCH_FAULT
 
+    def add_cause(self, text: str) -> None:
+        """Say in the same line what came before it."""
+        self.args = (f"{self}; before that, {text}",)
+
 
 class UnusableValueError(BenchFaultError, ValueError):
     """A running bench was asked for a value that a quantity can't have; the bench is not changed."""

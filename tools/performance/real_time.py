@@ -112,7 +112,7 @@ def _three_drives(config: BenchConfig, seconds: float) -> Section:
         def run(duration_s: float = seconds) -> None:
             for _ in range(round(duration_s / _FAST_S)):
                 setpoints = [frame for drive in nodes.drives for frame in drive.encode()]
-                nodes.decode(exchange.exchange(setpoints))
+                nodes.decode(exchange.exchange(setpoints), exchange.before_sync)
 
         run(1.0)
         late = exchange.timing.missing_pdos

@@ -12,6 +12,7 @@ from types import TracebackType
 from typing import Protocol
 
 from hilbench.bench import quantities
+from hilbench.bench.causes import Causes
 from hilbench.bench.change import Change
 from hilbench.bench.config import BenchConfig
 from hilbench.bench.cycle import CyclicExchange, FrameTap
@@ -101,6 +102,7 @@ class Bench:
         self.config = config
         self.events: list[StepEvent] = []
         self.notices = Notices(announce)
+        self.causes = Causes()
         self.line_speed_m_s = 0.0
         self.tension_set_point_N = config.tension_control.set_point_N
         self.interrupt_requested = False
@@ -245,6 +247,10 @@ class Bench:
         """Quick stop, as far as the bus still carries it. What fails here is kept in `safe_state_problems`: the
         drives' own supervision of the bench's heartbeat stops them then."""
         self.fault_time_s = self.time_s
+        if isinstance(reason, BenchFaultError) and not isinstance(reason, EmergencyStopError):
+            cause = self.causes.first(self.time_s, str(reason))
+            if cause:
+                reason.add_cause(cause)
         self.enabled, self.stopping = False, True
         self._load_model.stop()
         if self.exchange is None:
@@ -334,6 +340,20 @@ class Bench:
 
     def _note(self, source: str, text: str, *, kind: str = "", count: int = 1) -> None:
         self.notices.note(self.time_s, source, text, kind=kind, count=count)
+
+    def _look_at_foreign_frames(self) -> None:
+        """Somebody else who sends as the bench or its nodes do, or changes them."""
+        for foreign in self.nodes.foreign:
+            self._note(f"foreign frames, {foreign.about}", foreign.text, count=foreign.count)
+            if foreign.certain:
+                self.causes.holds(self.time_s, "foreign frames", f"foreign frames, {foreign.about}: {foreign.text}")
+
+    def _stop_on_foreign_frames(self) -> None:
+        if self.config.safety.on_foreign_frames == "warn" or self.stopping:
+            return
+        for foreign in self.nodes.foreign:
+            if foreign.certain:
+                raise BenchFaultError(f"t = {self.time_s:.3f} s: foreign frames, {foreign.about}: {foreign.text}")
 
     def _read_emergencies(self) -> None:
         for emergency, count in self.nodes.emergencies.items():
@@ -477,7 +497,11 @@ class Bench:
         outgoing = self.nodes.encode(self._strain_prev, self._tension_next_N)
         received = exchange.exchange([*outgoing, *self._operator.answers()])
         self._operator.take(received)
-        self.nodes.decode(received)
+        try:
+            self.nodes.decode(received, exchange.before_sync)
+        finally:
+            self._look_at_foreign_frames()
+        self._stop_on_foreign_frames()
         self.nodes.fill(sample)
         sample.cycle = exchange.timing.cycles
         sample.twin_age_cycles = self._twin.age_cycles(sample.cycle)

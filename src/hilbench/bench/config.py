@@ -204,6 +204,10 @@ class SafetyConfig(_Block):
     quick_stop_m_s2: PositiveFloat = Field(default=3.0, description="deceleration of a quick stop, at the web")
     limits: LimitsConfig = LimitsConfig()
     on_web_break: Literal["stop", "warn"] = Field(default="stop", description="when the twin reports a web break")
+    on_foreign_frames: Literal["stop", "warn"] = Field(
+        default="warn",
+        description="when somebody else sends what only the bench or its nodes send, or writes to the nodes by SDO",
+    )
     supervisor_timeout_s: PositiveFloat = Field(
         default=0.5,
         description="realtime: silence of the bench's heartbeat after which the supervisor stops the drives; "

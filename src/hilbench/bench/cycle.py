@@ -49,6 +49,7 @@ class ExpectedPdo:
     cob_id: int
     every: int
     sender: str  #: for messages: who should have sent it
+    size: int | None = None  #: bytes; a frame of another size is no answer. None: any
     since: int = 0
     vital: bool = True  #: false: the bench can go on without it
 
@@ -100,6 +101,7 @@ class CyclicExchange:
         self._missed_in_row: dict[int, int] = {}
         self.expect(expected)
         self.last_bits = 0  #: bits on the bus in the last cycle
+        self.before_sync = 0  #: so many of the frames that the last cycle returned came before its SYNC
         self.silent: set[str] = set()  #: senders that don't answer: not waited for any longer
         self._emergency_stop_seen = False
         self._alive_s = 0.0  #: when the last heartbeat was sent, monotonic clock
@@ -142,11 +144,9 @@ class CyclicExchange:
             pacing.advance(self.pacing, now_ns)
         timing.cycles += 1
         before_ns = time.monotonic_ns()
-        self._account_sent(outgoing)
-        if late:
-            self._account_received(late)
+        self._account_before_sync(outgoing, late)
         answers, failure = self._collect(self._due())
-        received = late + answers
+        received, self.before_sync = late + answers, len(late)
         timing.ended_ns = time.monotonic_ns()
         timing.wait_ns += timing.ended_ns - before_ns
         timing.bits += self.last_bits
@@ -174,6 +174,8 @@ class CyclicExchange:
         """From the next cycle on these TPDOs are waited for."""
         self._due_always = {pdo.cob_id: pdo for pdo in pdos if pdo.every == 1}
         self._due_at_times = [pdo for pdo in pdos if pdo.every != 1]
+        self._size = {pdo.cob_id: pdo.size for pdo in pdos if pdo.size is not None}
+        self._out_of_phase: dict[int, int] = {}  # PDOs whose phase is in doubt: the cycle in which one came between
         self._missed_in_row.clear()
 
     def discard_waiting(self, timeout_s: float = 0.0) -> None:
@@ -222,7 +224,7 @@ class CyclicExchange:
         cycle, silent = self.timing.cycles, self.silent
         due = self._due_always.copy()
         for pdo in self._due_at_times:
-            if (cycle - pdo.since) % pdo.every == 0:
+            if (cycle - pdo.since) % pdo.every == 0 and pdo.cob_id not in self._out_of_phase:
                 due[pdo.cob_id] = pdo
         return {cob_id: pdo for cob_id, pdo in due.items() if pdo.sender not in silent} if silent else due
 
@@ -240,14 +242,16 @@ class CyclicExchange:
                     break
                 if self._lockstep:
                     self._say_alive()
-            for frame in batch:
-                self._missed_in_row.pop(frame.can_id, None)
-                if due.pop(frame.can_id, None) is not None:
+            for can_id, data, _ in batch:
+                if self._size.get(can_id, len(data)) != len(data):
                     continue
-                if frame.can_id == EMERGENCY_STOP_COB_ID:
+                self._missed_in_row.pop(can_id, None)
+                if due.pop(can_id, None) is not None:
+                    continue
+                if can_id == EMERGENCY_STOP_COB_ID:
                     due.clear()  # the nodes leave OPERATIONAL: no answers will come
-                else:
-                    self._move_phase(frame.can_id)
+                elif self._due_at_times:
+                    self._look_at_phase(can_id)
             if batch:
                 self._account_received(batch, last=not due)
             received += batch
@@ -265,12 +269,20 @@ class CyclicExchange:
             return fault
         return None
 
-    def _move_phase(self, cob_id: int) -> None:
-        """A PDO of every n-th SYNC that comes between: its sender has heard a SYNC twice, or missed one."""
-        cycle = self.timing.cycles
+    def _look_at_phase(self, cob_id: int) -> None:
+        """A PDO of every n-th SYNC that comes between: its sender has heard a SYNC twice, or missed one, or it is none
+        of the sender's. It is not waited for until one comes when it was due, or n SYNCs after the one between."""
+        cycle, doubt = self.timing.cycles, self._out_of_phase
         for at, pdo in enumerate(self._due_at_times):
-            if pdo.cob_id == cob_id and (cycle - pdo.since) % pdo.every:
+            if pdo.cob_id != cob_id:
+                continue
+            if (cycle - pdo.since) % pdo.every == 0:
+                doubt.pop(cob_id, None)
+            elif doubt.get(cob_id) == cycle - pdo.every:
                 self._due_at_times[at] = replace(pdo, since=cycle - pdo.every)
+                del doubt[cob_id]
+            else:
+                doubt[cob_id] = cycle
 
     def _lockstep_remaining(self, start_s: float) -> Callable[[], float]:
         return lambda: start_s + self._timeout_s - time.monotonic()
@@ -297,18 +309,21 @@ class CyclicExchange:
         lost = self._link.dropped
         return f"; the bench itself has lost {lost} frames in this run" if lost else ""
 
-    def _account_sent(self, outgoing: Sequence[Frame]) -> None:
-        """Count the bits of what was sent and hand it to the tap with its times, while the others compute.
+    def _account_before_sync(self, outgoing: Sequence[Frame], late: Sequence[Frame]) -> None:
+        """Count the bits of what was sent, and came, before SYNC, and hand it to the tap, while the others compute.
 
         In lockstep nobody's clock is right, so a frame's time is when it would be on a wire that starts each cycle
-        with its SYNC at k·cycle; the set points before it end the cycle before.
+        with its SYNC at k·cycle; what is before it ends the cycle before.
         """
-        bits = [frame_bits(frame) for frame in outgoing]
+        frames = [*outgoing, *late]
+        bits = [frame_bits(frame) for frame in frames]
         self._since_sync_bits = self._sync_bits
         self.last_bits = sum(bits) + self._sync_bits
         if self._tap is not None:
             start_ns = self._cycle_start_ns()
-            timed = self._timed(outgoing, bits, start_ns - int(sum(bits) * self._bit_ns))
+            timed = self._timed(frames, bits, start_ns - int(sum(bits) * self._bit_ns))
+            if not self._lockstep:
+                timed[len(outgoing) :] = late
             timed.append(Frame(SYNC_COB_ID, b"", start_ns + int(self._sync_bits * self._bit_ns)))
             self._tap.write(timed)
 

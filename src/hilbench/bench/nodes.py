@@ -9,9 +9,11 @@ from typing import Any
 
 import canopen
 
+from hilbench.bench.answers import Tpdo
 from hilbench.bench.config import BenchConfig, NodeConfig, NodesConfig
 from hilbench.bench.cycle import ExpectedPdo
 from hilbench.bench.emergencies import Emergency, EmergencyInbox
+from hilbench.bench.foreign import Foreign, ForeignFrames, Owned
 from hilbench.bench.quantities import EffectPath
 from hilbench.bench.sample import CycleSample
 from hilbench.bus.frame import Frame
@@ -29,7 +31,7 @@ from hilbench.fieldbus.master import Master
 from hilbench.fieldbus.pdo import PdoMap
 from hilbench.web.effect_objects import effect_object
 
-_HEARTBEAT = 0x700
+_SYNC, _HEARTBEAT = 0x080, 0x700
 _BOOT_UP, _OPERATIONAL = 0, 5
 _EMERGENCY = 0x080
 #: Heartbeats that may stay away before a node counts as lost (lost frames are no lost node).
@@ -140,8 +142,18 @@ class Nodes:
         self.twin_heard = False  #: a heartbeat or boot-up of the virtual I/O has come since this was last reset
         self._inbox = EmergencyInbox()
         self.malformed = 0  #: frames with the COB-ID, but not the length, of a PDO that the bench reads
-        self._sizes = {pdo.cob_id: pdo.size for drive in self.drives for _, pdo, _ in drive.pdos.tpdos}
-        self._sizes |= {pdo.cob_id: pdo.size for pdo in (self.io.state, self.io.quality, self.io.status)}
+        self._tpdos = {
+            pdo.cob_id: Tpdo(pdo.cob_id, pdo.size, pdo.period, self.sender(drive))
+            for drive in self.drives
+            for _, pdo, _ in drive.pdos.tpdos
+        }
+        self._twin_tpdos = [
+            Tpdo(pdo.cob_id, pdo.size, pdo.period, self.twin_name)
+            for pdo in (self.io.state, self.io.quality, self.io.status)
+        ]
+        self._tpdos |= {pdo.cob_id: pdo for pdo in self._twin_tpdos}
+        self._watch: ForeignFrames | None = None  # from when the master is known
+        self.foreign: list[Foreign] = []  #: what came in this cycle and is not of the bench or its nodes
         self._cycle = 0
         self._heard_cycle: dict[int, int] = {}
         self._silence_cycles = round(_HEARTBEATS_MISSED * config.master.node_heartbeat_ms * 1e-3 / config.cycle_time_s)
@@ -179,8 +191,16 @@ class Nodes:
     def introduce(self, master: Master) -> None:
         """Make all nodes known to the master."""
         self._master = master
+        self._watch = ForeignFrames(self._owned(), master.sent.take)
         for part, node in self.config.nodes:
             master.add(node.node_id, self._ods[part], part.replace("_", " "))
+
+    def _owned(self) -> Owned:
+        """Whose frames belong on the bus."""
+        rpdos = {cob_id: self.sender(drive) for drive in self.drives for cob_id in drive.rpdo_cob_ids}
+        rpdos |= {self.io.boundary.cob_id: self.twin_name}
+        dictionaries = {node.node_id: self._ods[part] for part, node in self.config.nodes}
+        return Owned(self.config.master.node_id, self._known, dictionaries, rpdos)
 
     def configure(self, master: Master) -> None:
         """Configure every node by SDO. Raises BenchFaultError naming node, object and reason."""
@@ -237,12 +257,16 @@ class Nodes:
     def twin_is_away(self) -> None:
         """The twin is not counted on until `twin_is_back`: what it last said is not its state any more."""
         self.twin_status = 0
+        for tpdo in self._twin_tpdos:
+            tpdo.judge(False)
         self._expected_boots = set(self._twin_ids)
         self.twin_problem, self.twin_heard = "", False
 
     def twin_is_back(self) -> None:
         """The twin's nodes were started: they are watched again from their first heartbeat as such."""
         self.twin_problem = ""
+        for tpdo in self._twin_tpdos:
+            tpdo.judge(True)
         for node_id in self._twin_ids:
             self._heard_cycle.pop(node_id, None)
 
@@ -275,9 +299,10 @@ class Nodes:
         """The TPDOs that answer SYNC; `twin_since`: the SYNC before the twin was started."""
         expected = []
         for drive in self.drives:
-            expected += [ExpectedPdo(pdo.cob_id, pdo.period, self.sender(drive)) for _, pdo, _ in drive.pdos.tpdos]
-        answers = (self.io.state, self.io.quality, self.io.status)
-        expected += [ExpectedPdo(pdo.cob_id, pdo.period, self.twin_name, twin_since, vital=False) for pdo in answers]
+            sender = self.sender(drive)
+            expected += [ExpectedPdo(pdo.cob_id, pdo.period, sender, pdo.size) for _, pdo, _ in drive.pdos.tpdos]
+        for pdo in (self.io.state, self.io.quality, self.io.status):
+            expected.append(ExpectedPdo(pdo.cob_id, pdo.period, self.twin_name, pdo.size, twin_since, vital=False))
         return expected
 
     def cyclic_frames(self) -> list[CyclicFrame]:
@@ -311,16 +336,14 @@ class Nodes:
         frames.append(Frame(self.io.boundary.cob_id, self.io.boundary.pack((strain_prev, tension_next_N))))
         return frames
 
-    def decode(self, frames: Sequence[Frame]) -> None:
-        """Take what came in this cycle. Raises BenchFaultError when a drive has a fault, has left OPERATIONAL, or is
-        silent; the twin's nodes only get a `twin_problem`."""
+    def decode(self, frames: Sequence[Frame], before_sync: int = 0) -> None:
+        """Take what came in this cycle, the first `before_sync` frames of it before its SYNC. Raises BenchFaultError
+        when a drive has a fault, has left OPERATIONAL, or is silent; the twin's nodes only get a `twin_problem`."""
         self._cycle += 1
         self._inbox.clear()
-        data: dict[int, bytes] = {}
+        data = self._answers(frames, before_sync)
         for can_id, content, _ in frames:
-            size = self._sizes.get(can_id)
-            if size is not None and len(content) != size:
-                self.malformed += 1
+            if can_id in self._tpdos:
                 continue
             data[can_id] = content
             if _HEARTBEAT < can_id <= _HEARTBEAT + 0x7F:
@@ -342,6 +365,26 @@ class Nodes:
             # The residual is that of the cycle before: the twin compared after this cycle's TPDO was due.
             self._torque_sim_Nm = self._torque_before_Nm - self._residual_Nm
         self._torque_before_Nm = self.axis2.feedback.torque_Nm
+
+    def _answers(self, frames: Sequence[Frame], before_sync: int) -> dict[int, bytes]:
+        """The answers to this SYNC by COB-ID; what is beside them is counted, and in `foreign`."""
+        tpdos = self._tpdos
+        for tpdo in tpdos.values():
+            tpdo.begin()
+        foreign_syncs = 0
+        for at, (can_id, content, _) in enumerate(frames):
+            if can_id in tpdos:
+                tpdos[can_id].take(content, before_sync=at < before_sync)
+            elif can_id == _SYNC:
+                foreign_syncs += 1
+        data = {}
+        for cob_id, tpdo in tpdos.items():
+            tpdo.end(foreign_syncs)
+            self.malformed += tpdo.wrong_size
+            if tpdo.data is not None:
+                data[cob_id] = tpdo.data
+        self.foreign = self._watch.look(frames, tpdos.values()) if self._watch else []
+        return data
 
     def twin_age(self, syncs: int) -> int:
         """How many cycles old the twin's last answer is, `syncs` after the twin was started."""

@@ -24,7 +24,7 @@ from hilbench.bus.open import open_link, open_python_can
 from hilbench.errors import BusError, EmergencyStopError, UnusableInputError
 from hilbench.fieldbus import master as nmt
 from hilbench.fieldbus.emergency_stop import EMERGENCY_STOP_COB_ID
-from hilbench.fieldbus.master import Master
+from hilbench.fieldbus.master import Master, SentFrames
 from hilbench.real_time import kept_ready
 from hilbench.web.line import Line
 
@@ -77,7 +77,7 @@ def bring_up(
         master = Master(bus, config.master.sdo_timeout_s)
         resources.callback(master.close)
         nodes.introduce(master)
-        with _watched(link, tap):
+        with _watched(link, tap, master.sent):
             children: list[ChildProcess] = []
             supervisor = None
             if here:
@@ -203,8 +203,8 @@ def _wait_for_nodes(
 
 
 @contextmanager
-def _watched(link: Link, tap: FrameTap | None) -> Iterator[None]:
-    """Hand the frames of the configuration to the tap while somebody else talks."""
+def _watched(link: Link, tap: FrameTap | None, sent: SentFrames) -> Iterator[None]:
+    """Hand the frames of the configuration to the tap while somebody else talks; what `sent` waits for is heard."""
     done = threading.Event()
     failures: list[BaseException] = []
 
@@ -214,6 +214,8 @@ def _watched(link: Link, tap: FrameTap | None) -> Iterator[None]:
                 frames = link.receive(0.02)
                 if any(frame.can_id == EMERGENCY_STOP_COB_ID for frame in frames):
                     failures.append(EmergencyStopError("emergency stop (COB-ID 001h) on the bus during the start"))
+                for frame in frames:
+                    sent.take(frame.can_id, frame.data)
                 if frames and tap is not None:
                     now_ns = time.time_ns()
                     tap.write([frame._replace(time_ns=now_ns) for frame in frames])

@@ -24,6 +24,9 @@ START, STOP, PRE_OPERATIONAL, RESET_NODE, RESET_COMMUNICATION = 1, 2, 128, 129, 
 #: How long canopen's thread may go on after `close`.
 _NOTIFIER_CYCLE_S = 0.1
 
+#: Of so many contents what was sent and not heard yet is kept, and for so long: a bus in lockstep may stand still.
+_SENT_KEPT, _SENT_KNOWN_S = 256, 60.0
+
 _INVALID = 0x80000000
 _NO_REMOTE_REQUEST = 0x40000000
 
@@ -60,14 +63,56 @@ class _LossIsKnown(can.Listener):
         """Nothing is held."""
 
 
+class SentFrames:
+    """What was sent lately, so that it is known again when it is heard on another connection to the bus."""
+
+    def __init__(self) -> None:
+        self._times_s: dict[tuple[int, bytes], list[float]] = {}
+        self._lock = threading.Lock()
+
+    def add(self, can_id: int, data: bytes) -> None:
+        """It is about to be sent."""
+        with self._lock:
+            times_s = self._times_s
+            key = can_id, data
+            times_s[key] = [*times_s.get(key, ()), time.monotonic()][-_SENT_KEPT:]
+            if len(times_s) > _SENT_KEPT:  # those were lost, or nobody listened
+                del times_s[next(iter(times_s))]
+
+    def take(self, can_id: int, data: bytes) -> bool:
+        """Whether a frame that was heard was sent here not long ago; each is known again once."""
+        key = can_id, data
+        if key not in self._times_s:
+            return False
+        with self._lock:
+            young = [at_s for at_s in self._times_s.pop(key, ()) if time.monotonic() - at_s < _SENT_KNOWN_S]
+            if len(young) > 1:
+                self._times_s[key] = young[1:]
+            return bool(young)
+
+
+class _Network(canopen.Network):
+    """canopen's network that keeps what it sends."""
+
+    def __init__(self, bus: can.BusABC, sent: SentFrames) -> None:
+        super().__init__(bus)
+        self._sent = sent
+
+    def send_message(self, can_id: int, data: bytes, remote: bool = False) -> None:
+        self._sent.add(can_id, bytes(data))
+        super().send_message(can_id, data, remote)
+
+
 class Master:
     """canopen's network on a python-can bus; one SDO transfer at a time.
 
-    Raises BenchFaultError, one line with node, object and reason, when a node does not answer or refuses.
+    Raises BenchFaultError, one line with node, object and reason, when a node does not answer or refuses. `sent` is
+    what it has put on the bus.
     """
 
     def __init__(self, bus: can.BusABC, sdo_timeout_s: float = 1.0) -> None:
-        self._network = canopen.Network(bus)
+        self.sent = SentFrames()
+        self._network = _Network(bus, self.sent)
         self._network.NOTIFIER_CYCLE = _NOTIFIER_CYCLE_S
         self._network.listeners.append(_LossIsKnown())  # type: ignore[arg-type] # any listener will do
         self._network.connect()

@@ -48,9 +48,10 @@ _NANOSECOND = 1e-9
 
 @dataclass
 class _Cycle:
-    """The frames of one cycle: what the bench sent before its SYNC, and what it received after it."""
+    """The frames of one cycle: what the bench sent and received before its SYNC, and what it received after it."""
 
     sent: list[Frame] = field(default_factory=list)
+    late: list[Frame] = field(default_factory=list)
     sync: Frame | None = None
     received: list[Frame] = field(default_factory=list)
 
@@ -119,7 +120,7 @@ def replay(config: BenchConfig, folder: RunFolder) -> Recovery:
     nodes = Nodes(config)
     reader = TraceReader(folder.trace)
     own = {cob_id for cob_id, _ in _own_frames(nodes)} | {0x700 + config.master.node_id, answer_id(config)}
-    cycles = _cycles(reader, own)
+    cycles = _cycles(reader, own, nodes.axis1.pdos.rpdo.cob_id)
     configuration = next(cycles, _Cycle())
     _take_units(nodes, configuration.received)
     changes = read_journal(folder.journal) if folder.journal.exists() else None
@@ -146,19 +147,24 @@ def replay(config: BenchConfig, folder: RunFolder) -> Recovery:
     return Recovery(recording, started, count, bits, missed, fault, reader.torn)
 
 
-def _cycles(frames: Iterable[Frame], own: set[int]) -> Iterator[_Cycle]:
-    """First what came before the cyclic path (its last frames are the first cycle's), then cycle after cycle."""
+def _cycles(frames: Iterable[Frame], own: set[int], first: int) -> Iterator[_Cycle]:
+    """First what came before the cyclic path (its last frames are the first cycle's), then cycle after cycle.
+
+    What the bench sends for a cycle begins with the frame `first`; its other frames have identifiers of `own`.
+    """
     current = _Cycle()
-    following: list[Frame] = []
     for frame in frames:
-        if frame.can_id == SYNC_COB_ID:
-            yield current
-            current = _Cycle(sent=following, sync=frame)
-            following = []
-        elif frame.can_id in own:
-            following.append(frame)
-        else:
+        if frame.can_id != SYNC_COB_ID:
             current.received.append(frame)
+            continue
+        received = current.received
+        at = next((at for at in reversed(range(len(received))) if received[at].can_id == first), len(received))
+        following = _Cycle(sync=frame)
+        for before in received[at:]:
+            (following.sent if before.can_id in own else following.late).append(before)
+        del received[at:]
+        yield current
+        current = following
     yield current
 
 
@@ -230,12 +236,12 @@ class _Decoder:
         if self._first is not None:
             sample.loop_closed = int(not self._twin_away and self._trust.update(sample))
             self._take_commands(cycle.sent)
-        nodes.decode(cycle.received)
+        nodes.decode([*cycle.late, *cycle.received], len(cycle.late))
         nodes.fill(sample)
         sample.twin_age_cycles = nodes.twin_age(sample.cycle - self._twin_started)
         sample.F_ref_N = self._set_point_N
         sync = cycle.sync
-        sample.bus_bits = sum(map(frame_bits, [*cycle.sent, *cycle.received, *([sync] if sync else [])]))
+        sample.bus_bits = sum(map(frame_bits, [*cycle.sent, *cycle.late, *cycle.received, *([sync] if sync else [])]))
         if self._first is not None and not self._ended:
             sample.t_s = (sample.cycle - self._first) * self._cycle_s
             self._follow_web()

@@ -37,6 +37,8 @@ _MOVES_M_S = 1e-3
 #: How far off the upstream strain may be as a guess of the strain of a web that is found under way.
 _UNKNOWN_STRAIN = 0.3
 _WARM_UP_CYCLES = 100
+#: SYNCs that an axis may leave unanswered and answer later.
+_MOST_OWED = 100
 #: In the order in which `TwinApplication` puts them together.
 _STATUS_BITS = tuple(
     int(bit)
@@ -90,6 +92,7 @@ class TwinApplication:
     ) -> None:
         self.missed = 0
         self.malformed = 0  #: frames with the COB-ID, but not the length, of an axis' TPDO
+        self.surplus = 0  #: TPDOs of an axis beyond the one that answers SYNC
         self._cycle_s = setup.cycle_s
         self._hold_when_behind = setup.twin.behind == "hold"
         self._line = line
@@ -103,6 +106,7 @@ class TwinApplication:
         self._tracking = Tracking(setup.model, setup.twin, line, ports[1], setup.cycle_s)
         self._pairing = Pairing()
         self._measured: list[tuple[float, float] | None] = [None, None]  # position in rad, torque in N·m
+        self._owed = [0, 0]  # SYNCs that the axis has not answered
         self._positions_before: list[float] | None = None
         self._reported: Problem | None = None
         self._reported_shift_Nm, self._reported_undecided = 0.0, False
@@ -117,6 +121,7 @@ class TwinApplication:
         self._tracking.reset()
         self._line.set_state(strain=[self._io.strain_prev], x_m=[0.0, 0.0], v_m_s=[0.0, 0.0], tau_Nm=[0.0, 0.0])
         self._measured = [None, None]
+        self._owed = [0, 0]
         self._positions_before = self._reported = None
         self._reported_shift_Nm, self._reported_undecided = 0.0, False
         self._pending = self._released = False
@@ -134,6 +139,7 @@ class TwinApplication:
             self._advance()
         # What came since is late: taken for an answer to this SYNC it would push the true one to the next, for ever.
         self._measured = [None, None]
+        self._owed = [min(owed + 1, _MOST_OWED) for owed in self._owed]
         self._sync_number += 1
         self._behind = behind
         self._io.tell_status(self._sync_number, behind, self._status())
@@ -145,12 +151,17 @@ class TwinApplication:
         self._pending = True
 
     def on_frame(self, frame: Frame) -> None:
-        """Take the real axes' TPDOs; the last one that was waited for starts the simulation of the cycle."""
+        """Take the real axes' TPDOs, as many as SYNC has asked for: of two senders the first, as the bench does. The
+        last one that was waited for starts the simulation of the cycle."""
         for axis, listener in enumerate(self._listeners):
             if frame.can_id == listener.cob_id:
                 if len(frame.data) != listener.size:
                     self.malformed += 1
                     return
+                if self._owed[axis] == 0:  # the bench, which hears it too, says so
+                    self.surplus += 1
+                    return
+                self._owed[axis] -= 1
                 self._measured[axis] = listener.decode(frame.data)
                 if self._pending and None not in self._measured:
                     self._advance()

@@ -1,0 +1,110 @@
+"""The TPDOs that answer SYNC, told apart: the answer to this SYNC, late ones to those before it, and what is no answer.
+
+A synchronous TPDO comes once a SYNC. So of each sender it is known how many answers are still owed: a frame beyond
+that is not the sender's own, or was on the wire twice. What is used as the answer is the first frame behind SYNC, once
+the late ones that are still owed are taken off; one that came before SYNC only where none has come behind it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+#: Cycles of one answer each after which an answer that is still owed counts as lost.
+_LOST_CYCLES = 500
+#: Answers that can be owed: a sender that owes more is as good as silent.
+_MOST_OWED = 100
+
+
+@dataclass(slots=True, eq=False)
+class Tpdo:
+    """A TPDO that the bench reads, and what has come of it. `every`: SYNCs between two of them; `judged`: false while
+    its sender works off what it has missed."""
+
+    cob_id: int
+    size: int
+    every: int
+    sender: str
+    judged: bool = True
+    data: bytes | None = None  #: what is used in this cycle
+    age_cycles: int = 0  #: of the data last used: 0 where this SYNC was answered in time
+    surplus: int = 0  #: frames of this cycle that nobody was owed, but for one that says what is used again
+    wrong_size: int = 0  #: frames of this cycle
+    _owed: int = 0
+    _steady: int = 0
+    _since: int = 1 << 30  # cycles since the last that was used
+    _used: bytes = b""
+    _before: list[bytes] = field(default_factory=list)
+    _behind: list[bytes] = field(default_factory=list)
+
+    def begin(self) -> None:
+        """A SYNC was sent."""
+        self.data = None
+        self.surplus = self.wrong_size = 0
+        self._before.clear()
+        self._behind.clear()
+
+    def take(self, data: bytes, *, before_sync: bool) -> None:
+        """A frame with its COB-ID."""
+        if len(data) != self.size:
+            self.wrong_size += 1
+        elif before_sync:
+            self._before.append(data)
+        else:
+            self._behind.append(data)
+
+    def judge(self, judged: bool) -> None:
+        """Its sender goes away, or is back: nothing is owed from before."""
+        self.judged = judged
+        self._owed = self._steady = 0
+
+    def end(self, foreign_syncs: int) -> None:
+        """All frames of the cycle are in; `foreign_syncs` others than the bench's SYNC were on the bus."""
+        self._since += 1
+        if not self.judged:
+            taken = self._before + self._behind
+            self._use(taken[-1] if taken else None, in_time=bool(self._behind))
+        elif self.every == 1:
+            self._end_of_each(foreign_syncs)
+        else:
+            self._end_of_some()
+
+    def _end_of_each(self, foreign_syncs: int) -> None:
+        before, behind = self._before, self._behind
+        owed = self._owed + foreign_syncs
+        late = min(owed, len(before))
+        owed -= late
+        used_before = self._used
+        if behind:
+            at = min(owed, len(behind) - 1)
+            self._use(behind[at], in_time=True)
+            owed -= at
+        else:
+            at = -1
+            self._use(before[late - 1] if late else None, in_time=False)
+            owed += 1
+        self.surplus = _others(before[late:], used_before) + _others(behind[at + 1 :], self._used)
+        self._steady = self._steady + 1 if owed and len(before) + len(behind) == 1 else 0
+        if self._steady >= _LOST_CYCLES:
+            owed, self._steady = owed - 1, 0
+        self._owed = min(owed, _MOST_OWED)
+
+    def _end_of_some(self) -> None:
+        """Its phase may move when a SYNC is heard twice, or not at all; it does not come twice as often."""
+        taken = self._before + self._behind
+        if taken and self._since > self.every // 2:
+            self._use(taken[0], in_time=True)
+            self._since = 0
+            del taken[0]
+        self.surplus = _others(taken, self._used)
+
+    def _use(self, data: bytes | None, *, in_time: bool) -> None:
+        self.data = data
+        if data is not None:
+            self._used = data
+        self.age_cycles = 0 if in_time else 1 if data is not None else self.age_cycles + 1
+
+
+def _others(frames: Sequence[bytes], used: bytes) -> int:
+    """How many there are; one that says the same again is none: CAN itself may repeat a frame."""
+    return 0 if len(frames) == 1 and frames[0] == used else len(frames)
