@@ -27,8 +27,8 @@ class UnusableInputError(HilbenchError):
     exit_code = EXIT_UNUSABLE_INPUT
 
     def __init__(self, place: str | Path, problem: str) -> None:
-        self.place = _printable(str(place))
-        self.problem = _printable(problem)
+        self.place = printable(str(place))
+        self.problem = printable(problem)
         super().__init__(f"{self.place}: {self.problem}")
 
     @classmethod
@@ -43,8 +43,8 @@ class UnusableInputError(HilbenchError):
         return error
 
 
-def _printable(text: str) -> str:
-    """With control characters escaped: they could move a terminal's cursor, or fake another message."""
+def printable(text: str) -> str:
+    """One line, with control characters escaped: they could move a terminal's cursor, or fake another message."""
     return "".join(char if char.isprintable() else char.encode("unicode_escape").decode() for char in text)
 
 

@@ -34,6 +34,7 @@ from hilbench.drives.drive import Drive, DriveGoal
 from hilbench.errors import EXIT_INTERRUPTED, BenchFaultError, EmergencyStopError, HilbenchError
 from hilbench.twin.plausibility import Problem
 from hilbench.twin.synchronizers.create import METHODS
+from hilbench.unexpected import TRACEBACK_FILE, unexpected
 
 #: Time for the axes to stand still again after the load motor has let go.
 _SETTLE_S = 0.3
@@ -177,8 +178,10 @@ class Bench:
             self._announce("enable drives")
             self._enable()
         except BaseException as error:
-            self._safe_stop(error)
-            self._resources.close()
+            try:
+                self._safe_stop(error)
+            finally:
+                self._resources.close()
             raise
         return self
 
@@ -187,15 +190,17 @@ class Bench:
     ) -> None:
         try:
             if kind is None:
-                self._announce("disable drives")
                 try:
+                    self._announce("disable drives")
                     self._disable()
                 except BaseException as failure:
                     self._safe_stop(failure)
                     raise
             else:
-                self._announce("quick stop")
-                self._safe_stop(error)
+                try:
+                    self._announce("quick stop")
+                finally:  # who can't be told must not keep the drives from being stopped
+                    self._safe_stop(error)
         finally:
             self._resources.close()
 
@@ -266,8 +271,23 @@ class Bench:
             self._confirm_stopped(self.exchange, self.nodes.drives)
         except HilbenchError as error:
             self.safe_state_problems.append(f"quick stop not confirmed: {error}")
+        except Exception as error:  # nobody foresaw it: what is left is the way that needs least
+            self.safe_state_problems.append(f"quick stop not confirmed: {self._unexpected(error)}")
+            self._emergency_stop(self.exchange)
         finally:
             self._journal_stop(began_cycle)
+
+    def _emergency_stop(self, exchange: CyclicExchange) -> None:
+        try:
+            exchange.emergency_stop()
+            self._confirm_stopped(exchange, self.nodes.drives)
+        except Exception as error:
+            known = isinstance(error, HilbenchError)
+            said = str(error) if known else self._unexpected(error)
+            self.safe_state_problems.append(f"emergency stop not confirmed: {said}")
+
+    def _unexpected(self, error: Exception) -> str:
+        return unexpected(error, self._work_folder / TRACEBACK_FILE if self._work_folder else None)
 
     def _quick_stop(self, exchange: CyclicExchange) -> None:
         """No drive is vital any more: who does not answer must not keep the others from being stopped."""
@@ -286,6 +306,8 @@ class Bench:
             self._journal(Change(cycle, "stopping"))
         except BenchFaultError as error:  # a full disk must not come between the drives and their stop
             self.safe_state_problems.append(str(error))
+        except Exception as error:
+            self.safe_state_problems.append(self._unexpected(error))
 
     def _confirm_stopped(self, exchange: CyclicExchange, drives: Sequence[Drive]) -> None:
         """Ask drives that send no PDOs any more; SYNC goes on, because simulated time does with it."""

@@ -15,7 +15,7 @@ from hilbench.bus.frame import Frame
 from hilbench.bus.link import Link
 from hilbench.bus.wire import frame_bits
 from hilbench.errors import BenchFaultError, EmergencyStopError, NoAnswerError
-from hilbench.fieldbus.emergency_stop import EMERGENCY_STOP_COB_ID
+from hilbench.fieldbus.emergency_stop import EMERGENCY_STOP_COB_ID, send_emergency_stop
 
 SYNC_COB_ID = 0x080
 
@@ -188,6 +188,11 @@ class CyclicExchange:
             self._tap.end_cycle()
         if trace_fault is not None:
             raise trace_fault
+
+    def emergency_stop(self) -> None:
+        """Stop everything on the bus at once. Raises BusError when it can't be sent."""
+        self._heartbeat = self._heartbeat._replace(data=_PRE_OPERATIONAL)
+        send_emergency_stop(self._link)
 
     def stand_still(self, done: Future[None]) -> None:
         """Lockstep: no cycle until `done`, which may take longer than the supervisor waits."""

@@ -15,12 +15,16 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from hilbench.errors import BenchFaultError
+from hilbench.unexpected import TRACEBACK_FOLDER
 
 _END_TIMEOUT_S = 5.0
 
 
 class ChildProcess:
-    """One process beside the bench, by its arguments after ``python -m``; what it says goes to a log file."""
+    """One process beside the bench, by its arguments after ``python -m``; what it says goes to a log file.
+
+    Raises BenchFaultError when the system refuses to start it.
+    """
 
     def __init__(self, name: str, arguments: Sequence[str], log_path: Path) -> None:
         self.name = name
@@ -31,19 +35,22 @@ class ChildProcess:
         self._process = self._start()
 
     def _start(self) -> subprocess.Popen[bytes]:
-        with self._log_path.open("ab") as log:
-            return subprocess.Popen(
-                [sys.executable, "-m", *self._arguments],
-                stdin=subprocess.PIPE,
-                stdout=log,
-                stderr=subprocess.STDOUT,
-                env={**os.environ, FOLLOW_PARENT: "1"},
-                # Ctrl-C at the terminal is the bench's to handle: it needs the drives to stop them.
-                start_new_session=True,
-            )
+        try:
+            with self._log_path.open("ab") as log:
+                return subprocess.Popen(
+                    [sys.executable, "-m", *self._arguments],
+                    stdin=subprocess.PIPE,
+                    stdout=log,
+                    stderr=subprocess.STDOUT,
+                    env={**os.environ, FOLLOW_PARENT: "1", TRACEBACK_FOLDER: str(self._log_path.parent)},
+                    # Ctrl-C at the terminal is the bench's to handle: it needs the drives to stop them.
+                    start_new_session=True,
+                )
+        except OSError as error:
+            raise BenchFaultError(f"{self.name} cannot be started ({error.strerror}), log {self._log_path}") from error
 
     def restart(self) -> None:
-        """Start it again after it has ended."""
+        """Start it again after it has ended. Raises BenchFaultError when the system refuses."""
         if self._process.stdin is not None:
             self._process.stdin.close()
         self._process = self._start()
@@ -80,7 +87,10 @@ class ChildProcess:
             self.lost_frames = int(said.removeprefix(_LOST_FRAMES))
 
     def _last_words(self) -> str:
-        lines = self._log_path.read_text(encoding="utf-8", errors="replace").strip().splitlines()
+        try:
+            lines = self._log_path.read_text(encoding="utf-8", errors="replace").strip().splitlines()
+        except OSError as error:
+            return f"{self._log_path}: cannot be read ({error.strerror})"
         return lines[-1] if lines else "it said nothing"
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import signal
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from operator import attrgetter
@@ -27,7 +27,9 @@ from hilbench.errors import (
     EXIT_INTERRUPTED,
     EXIT_PASSED,
     BenchFaultError,
+    HilbenchError,
     UnusableInputError,
+    printable,
 )
 from hilbench.experiment import config as config_files
 from hilbench.experiment.config import LoadedConfig
@@ -39,6 +41,7 @@ from hilbench.record.recording import LEAST_SAMPLES, Recording, RecordingBuilder
 from hilbench.record.result import Environment, Fault, Result, Timing, Warned, jitter
 from hilbench.record.run_folder import RunFolder
 from hilbench.record.trace import TraceWriter
+from hilbench.unexpected import unexpected
 
 
 @dataclass
@@ -82,8 +85,9 @@ def run_experiment(
 ) -> RunOutcome:
     """Run all steps of a config, evaluate its criteria, write the run folder (the report is made from it).
 
-    A bench fault or an interruption ends the run in the safe state; what was recorded until then is written, and
-    the fault is in the result. Raises UnusableInputError before anything is started.
+    A bench fault, an interruption, or an exception that nobody foresaw ends the run in the safe state; what was
+    recorded until then is written, and the fault is in the result (the traceback in the run folder). Raises
+    UnusableInputError before anything is started, BenchFaultError when the result can't be written.
     """
     config = loaded.config
     check_bench(config, loaded.document)
@@ -95,8 +99,9 @@ def run_experiment(
     config_files.dump(config, folder.config)
     started = datetime.now(UTC)
     recorder = Recorder()
-    exit_code, faults, judged = EXIT_PASSED, list[Fault](), list[CriterionResult]()
-    with TraceWriter(folder.trace, config.bus_address.channel) as trace, JournalWriter(folder.journal) as journal:
+    ending, judged = _Ending(folder), list[CriterionResult]()
+    trace = TraceWriter(folder.trace, config.bus_address.channel)
+    with JournalWriter(folder.journal) as journal:
         bench = Bench(
             config,
             observers=[recorder, *observers],
@@ -106,39 +111,70 @@ def run_experiment(
             announce=announce,
             journal=journal.write,
         )
-        try:
-            with stop_on_signals(bench), bench:
-                announce("run the experiment")
-                for step in config.steps:
-                    step.run(bench, judged)
-        except (InterruptedByOperatorError, KeyboardInterrupt) as error:
-            exit_code = EXIT_INTERRUPTED
-            faults.append(
-                Fault(time_s=bench.fault_time_s, source="operator", text=str(error) or "interrupted during start")
-            )
-        except BenchFaultError as error:
-            exit_code = EXIT_BENCH_FAULT
-            faults.append(Fault(time_s=bench.fault_time_s, source="bench", text=str(error)))
-    faults += [Fault(time_s=None, source="safe state", text=text) for text in bench.safe_state_problems]
-    announce("write recording and result")
+        with ending.told("bench", lambda: bench.fault_time_s), trace, stop_on_signals(bench), bench:
+            announce("run the experiment")
+            for step in config.steps:
+                step.run(bench, judged)
+    ending.faults += [Fault(time_s=None, source="safe state", text=text) for text in bench.safe_state_problems]
+    with ending.told("record"):
+        announce("write recording and result")
+    ending.look_after_folder()
     recording = recorder.recording(started, config.description)
-    try:
-        if len(recording) >= LEAST_SAMPLES:
+    if len(recording) >= LEAST_SAMPLES:
+        with ending.told("record"):
             write_recording(recording, folder.recording)
-    except UnusableInputError as error:
-        if not faults:
-            raise
-        raise BenchFaultError(f"{faults[0].text}; drives were stopped; then {error}") from error
     timing = measure_timing(bench)
-    metrics = evaluate_metrics(recording.channels) | timing.metrics()
+    metrics: dict[str, float | None] = timing.metrics()
+    with ending.told("metrics"):
+        metrics = evaluate_metrics(recording.channels) | metrics
     criteria = judged + evaluate(config.criteria, metrics)
     warnings = [_warned(notice) for notice in bench.notices]
-    result = Result.of(criteria, metrics, timing, faults, Environment.here(config.seed), warnings)
-    result.write(folder.result)
-    write_junit(result, config.name, started, folder.junit)
-    if exit_code == EXIT_PASSED and not result.passed:
-        exit_code = EXIT_CRITERION_FAILED
-    return RunOutcome(folder, result, exit_code)
+    result = Result.of(criteria, metrics, timing, ending.faults, Environment.here(config.seed), warnings)
+    try:
+        result.write(folder.result)
+        write_junit(result, config.name, started, folder.junit)
+    except UnusableInputError as error:
+        said = "".join(f"{fault.text}; " for fault in ending.faults)
+        raise BenchFaultError(f"{said}drives were stopped; then {error}") from error
+    if ending.exit_code == EXIT_PASSED and not result.passed:
+        ending.exit_code = EXIT_CRITERION_FAILED
+    return RunOutcome(folder, result, ending.exit_code)
+
+
+class _Ending:
+    """How a run ends: the exit code of what went wrong first, and all that did."""
+
+    def __init__(self, folder: RunFolder) -> None:
+        self.exit_code = EXIT_PASSED
+        self.faults: list[Fault] = []
+        self._folder = folder
+
+    @contextmanager
+    def told(self, source: str, time_s: Callable[[], float | None] = lambda: None) -> Iterator[None]:
+        """What goes wrong in here ends no more than this block, and is a fault of `source`."""
+        try:
+            yield
+        except (InterruptedByOperatorError, KeyboardInterrupt) as error:
+            when = "during start" if source == "bench" else "while the run was written"
+            self._add(EXIT_INTERRUPTED, time_s(), "operator", str(error) or f"interrupted {when}")
+        except HilbenchError as error:
+            self._add(EXIT_BENCH_FAULT, time_s(), source, str(error))
+        except Exception as error:  # nobody foresaw it: told like all the others, with its traceback for who mends it
+            self._add(EXIT_BENCH_FAULT, time_s(), source, unexpected(error, self._folder.traceback))
+
+    def look_after_folder(self) -> None:
+        """Somebody may have removed the run folder: what is still known is written all the same."""
+        folder = self._folder
+        if folder.trace.exists():
+            return
+        with suppress(OSError):  # what can't be written says so itself
+            folder.path.mkdir(parents=True, exist_ok=True)
+        text = f"{folder.path}: was removed while the run wrote to it, trace and journal are lost"
+        self._add(EXIT_BENCH_FAULT, None, "record", text)
+
+    def _add(self, exit_code: int, time_s: float | None, source: str, text: str) -> None:
+        self.exit_code = self.exit_code or exit_code
+        self.faults.append(Fault(time_s=time_s, source=source, text=printable(text)))
 
 
 def _warned(notice: Notice) -> Warned:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Self
 
 from hilbench.errors import UnusableInputError
+from hilbench.unexpected import TRACEBACK_FILE
 
 _UNSAFE = re.compile(r"[^A-Za-z0-9._+-]+")
 _LONGEST_NAME = 100
@@ -94,3 +95,8 @@ class RunFolder:
     def report(self) -> Path:
         """The report, one self-contained HTML file."""
         return self.path / "report.html"
+
+    @property
+    def traceback(self) -> Path:
+        """The traceback of what nobody foresaw; most runs have none."""
+        return self.path / TRACEBACK_FILE

@@ -1,0 +1,205 @@
+"""An exception that nobody foresaw, anywhere in a run: the drives stop, the result says why, the exit code is 3."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from tests.bench.test_runs import config, run_folders
+from tests.cli.in_process import hilbench
+
+from hilbench.bench import in_process
+from hilbench.bench.bench import Bench
+from hilbench.bench.cycle import CyclicExchange
+from hilbench.bench.hardware import StandApplication
+from hilbench.bench.limits import LimitWatch
+from hilbench.bench.load_model import LoadModel
+from hilbench.bench.nodes import Nodes
+from hilbench.bench.operator_objects import OperatorObjects
+from hilbench.bench.tension_control import TensionController
+from hilbench.bench.twin_connection import TwinConnection
+from hilbench.drives.state_machine import State
+from hilbench.record import run as runs
+from hilbench.record.journal import JournalWriter
+from hilbench.record.result import Result
+from hilbench.record.trace import TraceWriter
+from hilbench.twin.tracking import Tracking
+
+MOVING = [{"ramp": {"path": "line_speed_m_s", "to": 0.5, "duration_s": 0.2}}, {"hold": {"duration_s": 1.0}}]
+#: So many calls of the experiment's 0.2 s ramp are past that all of them happen while the line moves.
+CALLS = 250
+
+
+class Stands:
+    """The simulated hardware of a run, to look at when it is over."""
+
+    def __init__(self, patch: pytest.MonkeyPatch) -> None:
+        self.application: StandApplication | None = None
+        made = in_process.hardware
+
+        def kept(bench: Any) -> Any:
+            hosted = made(bench)
+            self.application = hosted.application
+            return hosted
+
+        patch.setattr(in_process, "hardware", kept)
+
+    @property
+    def states(self) -> set[State]:
+        assert self.application is not None
+        return {drive.state for drive in self.application._drives}
+
+    @property
+    def fastest_rad_s(self) -> float:
+        assert self.application is not None
+        return float(abs(self.application._stand.velocity_rad_s).max())
+
+
+def breaks(patch: pytest.MonkeyPatch, owner: type, name: str, error: Exception, *, after: int, for_good: bool) -> None:
+    """Let a function raise at its n-th call, once or from then on."""
+    original, calls = getattr(owner, name), [0]
+
+    def broken(*arguments: Any, **keywords: Any) -> Any:
+        calls[0] += 1
+        if calls[0] == after or (for_good and calls[0] > after):
+            raise error
+        return original(*arguments, **keywords)
+
+    patch.setattr(owner, name, broken)
+
+
+def ended(path: Path, folder: Path) -> tuple[Result, str, str]:
+    ran = hilbench("run", path, "--in-process", "--no-report", "--out", folder)
+    assert ran.returncode == 3, (ran.stdout, ran.stderr)
+    assert "Traceback" not in ran.stdout + ran.stderr
+    (run,) = run_folders(path)
+    kept = run / "traceback.txt"
+    return Result.read(run / "result.json"), kept.read_text() if kept.exists() else "", ran.stdout
+
+
+@pytest.mark.parametrize("for_good", [False, True])
+@pytest.mark.parametrize(
+    ("owner", "name"),
+    [
+        (TensionController, "velocity"),
+        (LoadModel, "update"),
+        (LimitWatch, "update"),
+        (Nodes, "decode"),
+        (Nodes, "encode"),
+        (Nodes, "fill"),
+        (TwinConnection, "before_cycle"),
+        (OperatorObjects, "take"),
+        (OperatorObjects, "changes"),
+        (TraceWriter, "write"),
+        (CyclicExchange, "exchange"),
+        (Tracking, "compare"),
+        (Bench, "set"),
+        (runs.Recorder, "sample"),
+    ],
+)
+def test_whatever_breaks_in_mid_run_the_drives_stop_and_the_result_says_what(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, owner: type, name: str, for_good: bool
+) -> None:
+    stand = Stands(monkeypatch)
+    after = {"set": 50, "velocity": 50, "write": 4 * CALLS}.get(name, CALLS)
+    breaks(monkeypatch, owner, name, KeyError("nobody foresaw"), after=after, for_good=for_good)
+    result, kept, said = ended(config(tmp_path, steps=MOVING), tmp_path / "runs")
+    assert result.faults[0].source == "bench"
+    assert result.faults[0].text.startswith("unexpected KeyError in ")
+    assert "nobody foresaw" in result.faults[0].text
+    assert "traceback.txt" in result.faults[0].text
+    assert "KeyError: 'nobody foresaw'" in kept
+    assert "unexpected KeyError" in said
+    assert State.OPERATION_ENABLED not in stand.states
+    if not for_good:
+        assert stand.fastest_rad_s < 0.5
+        assert result.timing.cycles > 100
+
+
+@pytest.mark.parametrize(
+    "error",
+    [MemoryError(), RecursionError("too deep"), OSError(24, "Too many open files"), ZeroDivisionError("x"), EOFError()],
+    ids=lambda error: type(error).__name__,
+)
+def test_whatever_kind_of_exception_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: Exception) -> None:
+    stand = Stands(monkeypatch)
+    breaks(monkeypatch, LimitWatch, "update", error, after=CALLS, for_good=False)
+    result, _, _ = ended(config(tmp_path, steps=MOVING), tmp_path / "runs")
+    assert result.faults[0].text.startswith(f"unexpected {type(error).__name__} in ")
+    assert result.faults[0].time_s is not None
+    assert stand.states == {State.SWITCH_ON_DISABLED}
+    assert stand.fastest_rad_s < 0.5
+
+
+@pytest.mark.parametrize(
+    ("owner", "name", "after"), [(Nodes, "configure", 1), (JournalWriter, "write", 1), (LoadModel, "warm_up", 1)]
+)
+def test_what_breaks_before_anything_moves_has_a_result_too(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, owner: type, name: str, after: int
+) -> None:
+    breaks(monkeypatch, owner, name, TypeError("early"), after=after, for_good=False)
+    result, _, _ = ended(config(tmp_path, steps=MOVING), tmp_path / "runs")
+    assert result.faults[0].text.startswith("unexpected TypeError in ")
+
+
+def test_what_breaks_after_the_run_leaves_recording_and_result(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(*arguments: Any) -> None:
+        raise IndexError("in the metrics")
+
+    monkeypatch.setattr(runs, "evaluate_metrics", broken)
+    path = config(tmp_path, steps=MOVING, criteria=[{"name": "steady", "metric": "E_noise_pct", "max": 10.0}])
+    result, kept, _ = ended(path, tmp_path / "runs")
+    assert result.faults[0].source == "metrics"
+    assert not result.passed
+    assert "IndexError: in the metrics" in kept
+    assert (run_folders(path)[0] / "recording.mf4").exists()
+
+
+def test_a_run_folder_that_somebody_removed_is_told_and_what_is_known_is_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    original, calls = LimitWatch.update, [0]
+
+    def removing(self: LimitWatch, sample: Any) -> list[str]:
+        calls[0] += 1
+        if calls[0] == CALLS:
+            (folder,) = (tmp_path / "runs").iterdir()
+            for file in folder.iterdir():
+                file.unlink()
+            folder.rmdir()
+        return original(self, sample)
+
+    monkeypatch.setattr(LimitWatch, "update", removing)
+    result, _, _ = ended(config(tmp_path, steps=MOVING), tmp_path / "runs")
+    assert "was removed while the run wrote to it" in result.faults[0].text
+    assert result.timing.cycles > 600
+    (folder,) = (tmp_path / "runs").iterdir()
+    assert (folder / "recording.mf4").exists()
+
+
+def test_a_result_that_can_not_be_written_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    original, calls = LimitWatch.update, [0]
+
+    def replacing(self: LimitWatch, sample: Any) -> list[str]:
+        calls[0] += 1
+        if calls[0] == CALLS:
+            (folder,) = (tmp_path / "runs").iterdir()
+            folder.rename(tmp_path / "elsewhere")
+            folder.write_text("a file in its place")
+        return original(self, sample)
+
+    monkeypatch.setattr(LimitWatch, "update", replacing)
+    ran = hilbench("run", config(tmp_path, steps=MOVING), "--in-process", "--out", tmp_path / "runs")
+    assert ran.returncode == 3
+    assert ran.stderr.count("\n") == 1
+    assert "drives were stopped; then" in ran.stderr
+    assert "cannot be written (Not a directory)" in ran.stderr
+
+
+def test_the_result_of_what_nobody_foresaw_is_plain_json(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    breaks(monkeypatch, LimitWatch, "update", ValueError("a\nb \udcff ü"), after=CALLS, for_good=False)
+    result, _, _ = ended(config(tmp_path, steps=MOVING), tmp_path / "runs")
+    assert "a\\nb \\udcff ü" in result.faults[0].text
+    json.loads((run_folders(tmp_path / "bench.yaml")[0] / "result.json").read_text())
