@@ -92,7 +92,7 @@ class EmergencyProducer:
         self._kept.add(code)
 
     def acknowledge(self, code: int) -> None:
-        """The application's fault was reset: errors with this code end with their cause again, at once if it is gone."""
+        """The application's fault was reset: errors with this code end with their cause again, or now if it is gone."""
         self._kept.discard(code)
         for error in sorted(self._over):
             if error[0] == code:
