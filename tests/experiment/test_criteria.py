@@ -39,7 +39,7 @@ def test_bounds(bound: dict[str, float], value: float, limit: str, passed: bool)
     ("metrics", "reason"),
     [
         ({}, "metric E_time_to_1pct_s was not evaluated in this run"),
-        ({"E_time_to_1pct_s": None}, "no step of E in the window, or the band was not reached for good"),
+        ({"E_time_to_1pct_s": None}, "nothing stepped, or signals that it needs are not recorded"),
         ({"E_time_to_1pct_s": math.nan}, "is nan, expected a finite number"),
         ({"E_time_to_1pct_s": math.inf}, "is inf, expected a finite number"),
     ],
@@ -62,6 +62,11 @@ def test_a_metric_that_is_not_there_fails_and_says_why(metrics: dict[str, float 
         ({"target": 20, "tolerance": -1}, "greater than or equal to 0"),
         ({"min": 5, "max": 3}, "min 5 at most max 3"),
         ({"max": 25, "metric": "E_tiem_s"}, "metric 'E_tiem_s' is not known, one of E_time_to_1pct_s, "),
+        (
+            {"max": 1, "metric": "cycles_missed", "step": 1},
+            "no step with metric cycles_missed, which is of the whole run",
+        ),
+        ({"max": 25, "step": 0}, "greater than or equal to 1"),
         ({"max": 25, "unit": "ms"}, "unit 'ms' of metric E_time_to_1pct_s, which is in 's'"),
         ({"max": math.inf}, "finite number"),
         ({"max": 25, "maximum": 3}, "Extra inputs are not permitted"),

@@ -456,7 +456,7 @@ class Bench:
 
         Raises ValueError for an unknown path, UnusableValueError (a ValueError too) for a value it can't have.
         """
-        value = quantities.checked_value(path, value)
+        value, before = quantities.checked_value(path, value), self.get(path)
         if path == quantities.LINE_SPEED:
             self.line_speed_m_s = value
             self._operator_speed_m_s = None
@@ -466,7 +466,7 @@ class Bench:
             self._load_model.set(path, value)
         else:
             self.nodes.set_hardware_effect(quantities.parse_effect_path(path), value)
-        self._journal(Change(self.exchange.timing.cycles if self.exchange else 0, "set", path, value))
+        self._journal(Change(self.exchange.timing.cycles if self.exchange else 0, "set", path, value, before))
 
     def step(self, path: str, to: float) -> None:
         """`set`, noted as the event under test that metrics and report refer to. Raises as `set`."""

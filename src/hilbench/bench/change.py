@@ -11,12 +11,13 @@ class Change:
     """Something that the bench did between two cycles.
 
     `cycle` counts SYNCs: the change acts from the one after it. ``enabled``: the experiment's time begins;
-    ``set``: the quantity `path` (`hilbench.bench.quantities`) has `value` from now on; ``twin_lost``: the twin is not
-    counted on any more; ``twin_back``: it is again, and counts its SYNCs from here; ``stopping``: the drives are
-    brought to a stop.
+    ``set``: the quantity `path` (`hilbench.bench.quantities`) had `before` and has `value` from now on;
+    ``twin_lost``: the twin is not counted on any more; ``twin_back``: it is again, and counts its SYNCs from here;
+    ``stopping``: the drives are brought to a stop.
     """
 
     cycle: int
     what: Literal["enabled", "set", "twin_lost", "twin_back", "stopping"]
     path: str = ""
     value: float = 0.0
+    before: float | None = None

@@ -7,13 +7,14 @@ from pathlib import Path
 
 from rich.console import Console
 from rich.live import Live
+from rich.markup import escape
 from rich.table import Table
 
 from hilbench.bench.bench import Bench
 from hilbench.bench.participants import Participants
 from hilbench.bench.sample import CycleSample
 from hilbench.experiment.config import LoadedConfig
-from hilbench.record.result import Result, Timing
+from hilbench.record.result import Result, StepRecord, Timing
 from hilbench.record.run import RunOutcome, run_experiment
 from hilbench.report.html import write_report
 
@@ -115,6 +116,11 @@ def show_outcome(console: Console, outcome: RunOutcome) -> None:
     result = outcome.result
     if result.criteria:
         console.print(_criteria_table(result))
+        for row in result.criteria:
+            if row.reason:
+                console.print(f"[{_COLOURS[row.verdict]}]{row.verdict}[/] {escape(row.name)}: {escape(row.reason)}", soft_wrap=True)
+    if result.steps and len(result.steps) > 1:
+        console.print(_steps_table(result.steps))
     timing = result.timing
     console.print(_timing_line(timing))
     for warning in result.all_warnings():
@@ -127,6 +133,43 @@ def show_outcome(console: Console, outcome: RunOutcome) -> None:
     if not outcome.recorded:
         left = f"no recording; {left}"
     console.print(f"{verdict}   {left}", soft_wrap=True)
+
+
+#: Figures of each step that the terminal has room for: heading, metric.
+_OF_STEPS = (
+    ("E to 1 %, s", "E_time_to_1pct_s"),
+    ("noise, %", "E_noise_pct"),
+    ("overshoot, %", "E_overshoot_pct"),
+    ("E final, %", "E_final_error_pct"),
+    ("tension back, s", "tension_recovery_s"),
+    ("peak, N", "tension_peak_error_N"),
+    ("final, N", "tension_final_error_N"),
+)
+_MOST_STEPS = 20
+
+
+def _steps_table(steps: list[StepRecord]) -> Table:
+    left_out = f", the first {_MOST_STEPS} of {len(steps)}" if len(steps) > _MOST_STEPS else ""
+    table = Table(title=f"Steps{left_out}", title_justify="left", caption=_why_not(steps[:_MOST_STEPS]), caption_justify="left")
+    for heading in ("", "at, s", "step", *(heading for heading, _ in _OF_STEPS)):
+        table.add_column(heading, justify="left" if heading == "step" else "right")
+    for step in steps[:_MOST_STEPS]:
+        table.add_row(
+            str(step.number), f"{step.time_s:.3f}", escape(step.text), *(_figure(step, metric) for _, metric in _OF_STEPS)
+        )
+    return table
+
+
+def _figure(step: StepRecord, metric: str) -> str:
+    value = step.figures.get(metric)
+    if value is not None:
+        return f"{value:.3g}"
+    return "?" if metric in step.reasons else ""
+
+
+def _why_not(steps: list[StepRecord]) -> str | None:
+    why = {f"step {step.number}: {reason}" for step in steps for metric, reason in step.reasons.items() if metric in dict(_OF_STEPS).values()}
+    return "?  " + "; ".join(sorted(why)) if why else None
 
 
 def _timing_line(timing: Timing) -> str:

@@ -38,7 +38,7 @@ def _add_criterion(suite: ElementTree.Element, name: str, criterion: CriterionRe
     if criterion.verdict == "error":
         ElementTree.SubElement(case, "error", message=criterion.reason or text)
     elif criterion.verdict == "failed":
-        ElementTree.SubElement(case, "failure", message=text)
+        ElementTree.SubElement(case, "failure", message=f"{text}: {criterion.reason}" if criterion.reason else text)
     else:
         ElementTree.SubElement(case, "system-out").text = text + (", marginal" if criterion.marginal else "")
 

@@ -34,7 +34,8 @@ from hilbench.drives.units import DriveUnits
 from hilbench.errors import BenchFaultError, UnusableInputError
 from hilbench.experiment.config import ExperimentConfig, load
 from hilbench.experiment.criteria import evaluate
-from hilbench.experiment.metrics import evaluate_metrics
+from hilbench.experiment.events import journal_events
+from hilbench.experiment.metrics import judge
 from hilbench.record.journal import read_journal
 from hilbench.record.junit import write_junit
 from hilbench.record.recording import LEAST_SAMPLES, Recording, RecordingBuilder, write_recording
@@ -82,7 +83,7 @@ def recover_run(folder: RunFolder) -> list[Path]:
     write_recording(found.recording, folder.recording)
     written = [folder.recording]
     if not folder.result.exists():
-        result = _result(config, found)
+        result = _result(config, found, read_journal(folder.journal) if folder.journal.exists() else [])
         result.write(folder.result)
         write_junit(result, config.name, found.started, folder.junit)
         written += [folder.result, folder.junit]
@@ -99,8 +100,9 @@ def _require_ended(trace: Path) -> None:
         raise UnusableInputError(trace, f"cannot be read ({error.strerror}), expected a trace") from error
 
 
-def _result(config: ExperimentConfig, found: Recovery) -> Result:
-    metrics = evaluate_metrics(found.recording.channels)
+def _result(config: ExperimentConfig, found: Recovery, changes: list[Change]) -> Result:
+    judged = judge(found.recording.channels, journal=journal_events(changes, config.cycle_time_s))
+    metrics = judged.metrics()
     timing = Timing(
         pace=config.pace,
         cycle_us=config.cycle_time_s * 1e6,
@@ -112,7 +114,8 @@ def _result(config: ExperimentConfig, found: Recovery) -> Result:
     )
     ended = "the run was cut off; recovered from trace.log" + (f"; {found.fault}" if found.fault else "")
     fault = Fault(time_s=float(found.recording.time_s[-1]), source="bench", text=ended)
-    return Result.of(evaluate(config.criteria, metrics), metrics, timing, [fault], Environment.here(config.seed))
+    criteria = evaluate(config.criteria, metrics, judged)
+    return Result.of(criteria, metrics, timing, [fault], Environment.here(config.seed), judged=judged)
 
 
 def replay(config: BenchConfig, folder: RunFolder) -> Recovery:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import platform
 from collections.abc import Sequence
 from importlib import metadata
+from math import isfinite
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -22,12 +23,16 @@ from pydantic import (
 
 from hilbench.errors import UnusableInputError
 from hilbench.experiment.criteria import CriterionResult
+from hilbench.experiment.events import Event
+from hilbench.experiment.metrics import Judgement, StepFigures
 
 Count = Annotated[int, Field(ge=0)]
 
 #: Libraries whose version a result depends on.
 LIBRARIES = ("numpy", "numba", "scipy", "canopen", "python-can", "asammdf", "pydantic", "matplotlib")
 _HISTOGRAM_BINS = 60
+#: Steps and events that a result holds, of a run with more the first.
+MOST_EVENTS = 500
 
 
 class _Part(BaseModel):
@@ -187,9 +192,65 @@ class Environment(_Part):
         )
 
 
+class ChangeRecord(_Part):
+    """A quantity that an event changed, SI; None where nobody knows the value."""
+
+    path: str
+    before: float | None
+    after: float | None
+
+
+class EventRecord(_Part):
+    """A step, a ramp, or a mark (the twin was lost), from when to when (s of experiment time)."""
+
+    kind: Literal["step", "ramp", "mark"]
+    text: str
+    start_s: float
+    end_s: float
+    changes: list[ChangeRecord]
+
+    @classmethod
+    def of(cls, event: Event) -> Self:
+        """As it stands in the file."""
+        changes = [
+            ChangeRecord(path=change.path, before=_known(change.before), after=_known(change.after))
+            for change in event.changes
+        ]
+        return cls(kind=event.kind, text=str(event), start_s=event.start_s, end_s=event.end_s, changes=changes)
+
+
+class StepRecord(_Part):
+    """One step with its figures by metric, from when it acts to the next event; `reasons`: why one has no value."""
+
+    number: int
+    text: str
+    time_s: float
+    until_s: float
+    figures: dict[str, float | None]
+    reasons: dict[str, str]
+
+    @classmethod
+    def of(cls, step: StepFigures) -> Self:
+        """As it stands in the file."""
+        return cls(
+            number=step.number,
+            text=str(step.event) if step.event else str(step),
+            time_s=step.start_s,
+            until_s=step.until_s,
+            figures={name: _known(figure.value) for name, figure in step.figures.items()},
+            reasons={name: figure.reason for name, figure in step.figures.items() if figure.reason},
+        )
+
+
+def _known(value: float | None) -> float | None:
+    return value if value is not None and isfinite(value) else None
+
+
 class Result(_PartWithOptions):
     """The verdict of one run. `passed` holds exactly when every criterion does and no fault stopped the run.
 
+    `not_judged`: why a metric has no value; `steps`: every step of the run with its figures; `events`: these and all
+    else that happened, the first `MOST_EVENTS` of each.
     `warnings`: what did not stop the run (a limit's warning level, an EMCY message, a tension loop that opened), each
     kind once with its count.
     """
@@ -201,6 +262,9 @@ class Result(_PartWithOptions):
     faults: list[Fault]
     environment: Environment | None = None
     warnings: list[Warned] | None = None
+    not_judged: dict[str, str] | None = None
+    steps: list[StepRecord] | None = None
+    events: list[EventRecord] | None = None
 
     @classmethod
     def of(
@@ -211,6 +275,7 @@ class Result(_PartWithOptions):
         faults: Sequence[Fault],
         environment: Environment | None = None,
         warnings: Sequence[Warned] = (),
+        judged: Judgement | None = None,
     ) -> Self:
         """A result whose `passed` follows from its criteria and faults."""
         passed = all(criterion.passed for criterion in criteria) and not faults
@@ -222,6 +287,9 @@ class Result(_PartWithOptions):
             faults=list(faults),
             environment=environment,
             warnings=list(warnings) or None,
+            not_judged=judged.not_judged() if judged else None,
+            steps=[StepRecord.of(step) for step in judged.steps[:MOST_EVENTS]] if judged else None,
+            events=[EventRecord.of(event) for event in judged.events[:MOST_EVENTS]] if judged else None,
         )
 
     def all_warnings(self) -> list[str]:

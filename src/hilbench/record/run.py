@@ -15,6 +15,7 @@ from types import FrameType
 import numpy as np
 
 from hilbench.bench.bench import Bench, CycleObserver, InterruptedByOperatorError
+from hilbench.bench.change import Change
 from hilbench.bench.check import check_bench
 from hilbench.bench.in_process import check_in_process
 from hilbench.bench.notice import Notice
@@ -34,7 +35,8 @@ from hilbench.errors import (
 from hilbench.experiment import config as config_files
 from hilbench.experiment.config import LoadedConfig
 from hilbench.experiment.criteria import CriterionResult, evaluate
-from hilbench.experiment.metrics import evaluate_metrics
+from hilbench.experiment.events import journal_events
+from hilbench.experiment.metrics import Judgement, judge
 from hilbench.record.journal import JournalWriter
 from hilbench.record.junit import write_junit
 from hilbench.record.recording import LEAST_SAMPLES, Recording, RecordingBuilder, write_recording
@@ -99,9 +101,15 @@ def run_experiment(
     config_files.dump(config, folder.config)
     started = datetime.now(UTC)
     recorder = Recorder()
-    ending, judged = _Ending(folder), list[CriterionResult]()
+    ending, verdicts = _Ending(folder), list[CriterionResult]()
+    changes: list[Change] = []
     trace = TraceWriter(folder.trace, config.bus_address.channel)
     with JournalWriter(folder.journal) as journal:
+
+        def note(change: Change) -> None:
+            journal.write(change)
+            changes.append(change)
+
         bench = Bench(
             config,
             observers=[recorder, *observers],
@@ -109,12 +117,12 @@ def run_experiment(
             work_folder=folder.path,
             participants=participants,
             announce=announce,
-            journal=journal.write,
+            journal=note,
         )
         with ending.told("bench", lambda: bench.fault_time_s), trace, stop_on_signals(bench), bench:
             announce("run the experiment")
             for step in config.steps:
-                step.run(bench, judged)
+                step.run(bench, verdicts)
     ending.faults += [Fault(time_s=None, source="safe state", text=text) for text in bench.safe_state_problems]
     with ending.told("record"):
         announce("write recording and result")
@@ -124,12 +132,13 @@ def run_experiment(
         with ending.told("record"):
             write_recording(recording, folder.recording)
     timing = measure_timing(bench)
-    metrics: dict[str, float | None] = timing.metrics()
+    judged = Judgement(())
     with ending.told("metrics"):
-        metrics = evaluate_metrics(recording.channels) | metrics
-    criteria = judged + evaluate(config.criteria, metrics)
+        judged = judge(recording.channels, journal=journal_events(changes, config.cycle_time_s))
+    metrics = judged.metrics() | timing.metrics()
+    criteria = verdicts + evaluate(config.criteria, metrics, judged)
     warnings = [_warned(notice) for notice in bench.notices]
-    result = Result.of(criteria, metrics, timing, ending.faults, Environment.here(config.seed), warnings)
+    result = Result.of(criteria, metrics, timing, ending.faults, Environment.here(config.seed), warnings, judged)
     try:
         result.write(folder.result)
         write_junit(result, config.name, started, folder.junit)

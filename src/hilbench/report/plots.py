@@ -16,7 +16,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.experiment.metrics import E_BAND, expected_v1_m_s, step_times_s, working_window
+from hilbench.experiment.events import find_events
+from hilbench.experiment.metrics import E_BAND, expected_v1_m_s, working_window
 from hilbench.record.recording import Recording
 from hilbench.record.result import Histogram
 from hilbench.report.reduce import envelope, mean_velocity, moving_average, thinned
@@ -339,14 +340,12 @@ def _svg(recording: Recording, draw: Callable[[Any], list[Panel]], height_in: fl
 
 
 def _mark_steps(recording: Recording, panels: Sequence[Panel]) -> None:
-    if "E_true_Pa" not in recording:
-        return
-    for time_s, change in step_times_s(recording.time_s, recording["E_true_Pa"]):
+    for step in (event for event in find_events(recording.channels) if event.kind == "step"):
         for panel in panels:
-            panel.axes.axvline(time_s, color=PURPLE, linewidth=1.0, linestyle=(0, (1, 1.5)))
+            panel.axes.axvline(step.start_s, color=PURPLE, linewidth=1.0, linestyle=(0, (1, 1.5)))
         panels[0].axes.annotate(
-            f"E {100 * change:+.1f} %".replace("-", "−"),
-            (time_s, 1.0),
+            str(step),
+            (step.start_s, 1.0),
             xycoords=("data", "axes fraction"),
             xytext=(0, 3),
             textcoords="offset points",

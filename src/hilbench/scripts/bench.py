@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from os import PathLike
 from pathlib import Path
 
 from hilbench.bench import bench, quantities
+from hilbench.bench.change import Change
 from hilbench.bench.check import check_bench
 from hilbench.bench.in_process import check_in_process
 from hilbench.bench.participants import Participants
 from hilbench.experiment.config import load_with_overrides
-from hilbench.experiment.metrics import evaluate_metrics
+from hilbench.experiment.events import journal_events
+from hilbench.experiment.metrics import Judgement, judge
 from hilbench.record.recording import Recording
 from hilbench.record.run import Recorder
 
@@ -22,12 +24,14 @@ from hilbench.record.run import Recorder
 class StepResponse:
     """What a step change did: the whole recording, when the step was (s of experiment time), and the metrics.
 
-    Metrics are those of `hilbench.experiment.metrics.METRICS` that a recording decides; None for what it does not show.
+    Metrics are those of `hilbench.experiment.metrics.METRICS` that a recording decides, of this step alone; None for
+    what it does not show, `not_judged` says why.
     """
 
     recording: Recording
     step_time_s: float
     metrics: dict[str, float | None]
+    not_judged: dict[str, str] = field(default_factory=dict)
 
 
 class Bench(bench.Bench):
@@ -61,16 +65,28 @@ class Bench(bench.Bench):
             check_in_process(loaded.config)
         self._recorder = Recorder()
         self._made = datetime.now(UTC)
-        super().__init__(loaded.config, observers=[self._recorder], participants=participants, announce=announce)
+        self._changes: list[Change] = []
+        super().__init__(
+            loaded.config,
+            observers=[self._recorder],
+            participants=participants,
+            announce=announce,
+            journal=self._changes.append,
+        )
 
     @property
     def recording(self) -> Recording:
         """What was measured until now, one row a cycle, as a copy."""
         return self._recorder.recording(self._made, self.config.description)
 
+    def judge(self) -> Judgement:
+        """Every step until now with its figures (`hilbench.experiment.metrics`)."""
+        journal = journal_events(self._changes, self.config.cycle_time_s)
+        return judge(self.recording.channels, journal=journal)
+
     def metrics(self) -> dict[str, float | None]:
-        """The metrics that the recording shows until now."""
-        return evaluate_metrics(self.recording.channels)
+        """The metrics that the recording shows until now, of several steps the worst."""
+        return self.judge().metrics()
 
     def step_response(
         self,
@@ -88,4 +104,6 @@ class Bench(bench.Bench):
         self.step(path, to)
         step_time_s = self.events[-1].time_s
         self.run(hold_s)
-        return StepResponse(self.recording, step_time_s, self.metrics())
+        judged = self.judge()
+        last = Judgement(judged.steps[-1:], judged.events)
+        return StepResponse(self.recording, step_time_s, last.metrics(), last.not_judged())
