@@ -67,7 +67,13 @@ def run(
     report: Annotated[
         bool, typer.Option("--report/--no-report", help="write report.html; hilbench report writes it later as well")
     ] = True,
-    json: Annotated[bool, typer.Option("--json", help="print result.json on standard output, nothing else")] = False,
+    json: Annotated[
+        bool,
+        typer.Option(
+            "--json",
+            help="print one JSON object on standard output, nothing else: run folder, files, exit code, result",
+        ),
+    ] = False,
 ) -> None:
     """Run a bench and its experiment; leaves a run folder with recording, trace, result and report.
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from json import dumps
 from pathlib import Path
 
 from rich.console import Console
@@ -31,7 +32,7 @@ def run_command(
         outcome = run_experiment(loaded, out, participants=participants)
         if outcome.recorded and with_report:
             write_report(outcome.folder)
-        print(outcome.result.model_dump_json(indent=2))
+        print(dumps(outcome.as_object(), indent=2))
         return outcome.exit_code
     console = Console(highlight=False)
     console.print(f"[bold]{loaded.config.name}[/bold]  {loaded.config.bus.address}, {loaded.config.pace}")
@@ -118,7 +119,10 @@ def show_outcome(console: Console, outcome: RunOutcome) -> None:
         console.print(_criteria_table(result))
         for row in result.criteria:
             if row.reason:
-                console.print(f"[{_COLOURS[row.verdict]}]{row.verdict}[/] {escape(row.name)}: {escape(row.reason)}", soft_wrap=True)
+                console.print(
+                    f"[{_COLOURS[row.verdict]}]{row.verdict}[/] {escape(row.name)}: {escape(row.reason)}",
+                    soft_wrap=True,
+                )
     if result.steps and len(result.steps) > 1:
         console.print(_steps_table(result.steps))
     timing = result.timing
@@ -137,39 +141,32 @@ def show_outcome(console: Console, outcome: RunOutcome) -> None:
 
 #: Figures of each step that the terminal has room for: heading, metric.
 _OF_STEPS = (
-    ("E to 1 %, s", "E_time_to_1pct_s"),
+    ("E in 1 %, s", "E_time_to_1pct_s"),
     ("noise, %", "E_noise_pct"),
-    ("overshoot, %", "E_overshoot_pct"),
-    ("E final, %", "E_final_error_pct"),
-    ("tension back, s", "tension_recovery_s"),
+    ("F in 1 N, s", "tension_recovery_s"),
     ("peak, N", "tension_peak_error_N"),
-    ("final, N", "tension_final_error_N"),
 )
 _MOST_STEPS = 20
 
 
 def _steps_table(steps: list[StepRecord]) -> Table:
+    shown = steps[:_MOST_STEPS]
     left_out = f", the first {_MOST_STEPS} of {len(steps)}" if len(steps) > _MOST_STEPS else ""
-    table = Table(title=f"Steps{left_out}", title_justify="left", caption=_why_not(steps[:_MOST_STEPS]), caption_justify="left")
+    unknown = any(metric in step.reasons for step in shown for _, metric in _OF_STEPS)
+    table = Table(title=f"Steps{left_out}", title_justify="left", box=None, padding=(0, 2, 0, 0))
+    if unknown:
+        table.caption, table.caption_justify = "?: never, or not judged; result.json and the report say why", "left"
     for heading in ("", "at, s", "step", *(heading for heading, _ in _OF_STEPS)):
-        table.add_column(heading, justify="left" if heading == "step" else "right")
-    for step in steps[:_MOST_STEPS]:
-        table.add_row(
-            str(step.number), f"{step.time_s:.3f}", escape(step.text), *(_figure(step, metric) for _, metric in _OF_STEPS)
-        )
+        table.add_column(heading, justify="left" if heading == "step" else "right", no_wrap=heading != "step")
+    for step in shown:
+        figures = (_figure(step, metric) for _, metric in _OF_STEPS)
+        table.add_row(str(step.number), f"{step.time_s:.3f}", escape(step.text), *figures)
     return table
 
 
 def _figure(step: StepRecord, metric: str) -> str:
     value = step.figures.get(metric)
-    if value is not None:
-        return f"{value:.3g}"
-    return "?" if metric in step.reasons else ""
-
-
-def _why_not(steps: list[StepRecord]) -> str | None:
-    why = {f"step {step.number}: {reason}" for step in steps for metric, reason in step.reasons.items() if metric in dict(_OF_STEPS).values()}
-    return "?  " + "; ".join(sorted(why)) if why else None
+    return f"{value:.3g}" if value is not None else "?" if metric in step.reasons else ""
 
 
 def _timing_line(timing: Timing) -> str:

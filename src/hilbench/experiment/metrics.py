@@ -170,7 +170,7 @@ class Judgement:
         if any(figure.longer_than_s is not None for _, figure in found):
             return None
         by = _TOGETHER[-1] if metric in _TOGETHER else metric
-        known = [step for step, figure in found if figure.value is not None and step.figures[by].value is not None]
+        known = [step for step, figure in found if _finite(figure.value) is not None]
         if not known:
             return None
         return max(known, key=lambda step: abs(step.figures[by].value or 0.0)).figures[metric].value
@@ -464,7 +464,7 @@ def _rms(values: Array) -> float:
 
 def least_stay_s(hold_s: float) -> float:
     """How long (s) a signal must have been in its band at the end of a hold to be called settled."""
-    return min(LEAST_SETTLED_S, hold_s / 2)
+    return min(LEAST_SETTLED_S, hold_s / 4)
 
 
 def time_to_stay(t_s: ArrayLike, error: ArrayLike, band: float, start: int) -> float | None:
@@ -529,5 +529,5 @@ def expected_v1_m_s(v2_m_s: Number, strain_prev: Number, strain: Number) -> Numb
     return v2_m_s * (1 + strain_prev) / (1 + strain)
 
 
-def _finite(value: float | np.floating[Any]) -> float | None:
-    return float(value) if np.isfinite(value) else None
+def _finite(value: float | np.floating[Any] | None) -> float | None:
+    return float(value) if value is not None and np.isfinite(value) else None

@@ -25,6 +25,7 @@ from hilbench.errors import UnusableInputError
 from hilbench.experiment.criteria import CriterionResult
 from hilbench.experiment.events import Event
 from hilbench.experiment.metrics import Judgement, StepFigures
+from hilbench.record.provenance import Provenance
 
 Count = Annotated[int, Field(ge=0)]
 
@@ -261,6 +262,7 @@ class Result(_PartWithOptions):
     timing: Timing
     faults: list[Fault]
     environment: Environment | None = None
+    provenance: Provenance | None = None
     warnings: list[Warned] | None = None
     not_judged: dict[str, str] | None = None
     steps: list[StepRecord] | None = None
@@ -276,6 +278,7 @@ class Result(_PartWithOptions):
         environment: Environment | None = None,
         warnings: Sequence[Warned] = (),
         judged: Judgement | None = None,
+        provenance: Provenance | None = None,
     ) -> Self:
         """A result whose `passed` follows from its criteria and faults."""
         passed = all(criterion.passed for criterion in criteria) and not faults
@@ -286,6 +289,7 @@ class Result(_PartWithOptions):
             timing=timing,
             faults=list(faults),
             environment=environment,
+            provenance=provenance,
             warnings=list(warnings) or None,
             not_judged=judged.not_judged() if judged else None,
             steps=[StepRecord.of(step) for step in judged.steps[:MOST_EVENTS]] if judged else None,

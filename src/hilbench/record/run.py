@@ -11,6 +11,7 @@ from datetime import UTC, datetime
 from operator import attrgetter
 from pathlib import Path
 from types import FrameType
+from typing import Any, Literal
 
 import numpy as np
 
@@ -39,6 +40,7 @@ from hilbench.experiment.events import journal_events
 from hilbench.experiment.metrics import Judgement, judge
 from hilbench.record.journal import JournalWriter
 from hilbench.record.junit import write_junit
+from hilbench.record.provenance import Provenance
 from hilbench.record.recording import LEAST_SAMPLES, Recording, RecordingBuilder, write_recording
 from hilbench.record.result import Environment, Fault, Result, Timing, Warned, jitter
 from hilbench.record.run_folder import RunFolder
@@ -53,6 +55,28 @@ class RunOutcome:
     folder: RunFolder
     result: Result
     exit_code: int
+
+    @property
+    def verdict(self) -> Literal["passed", "failed", "fault", "interrupted"]:
+        """What the exit code means, in one word."""
+        words: dict[int, Literal["failed", "fault", "interrupted"]] = {
+            EXIT_CRITERION_FAILED: "failed",
+            EXIT_BENCH_FAULT: "fault",
+            EXIT_INTERRUPTED: "interrupted",
+        }
+        return words.get(self.exit_code, "passed")
+
+    def as_object(self) -> dict[str, Any]:
+        """For a program: folder, files, exit code, verdict and what was overridden, and all that result.json has."""
+        provenance = self.result.provenance
+        return {
+            "run": str(self.folder.path.resolve()),
+            "exit_code": self.exit_code,
+            "verdict": self.verdict,
+            "files": {name: str(path.resolve()) for name, path in self.folder.files().items()},
+            "overridden": {each.key: each.value for each in provenance.overridden} if provenance else {},
+            **self.result.model_dump(mode="json"),
+        }
 
     @property
     def recorded(self) -> bool:
@@ -97,6 +121,7 @@ def run_experiment(
         check_in_process(config)
     for step in config.steps:
         step.prepare()
+    provenance = Provenance.of(config, loaded.document, participants)
     folder = RunFolder.create(out, config.name)
     config_files.dump(config, folder.config)
     started = datetime.now(UTC)
@@ -138,7 +163,8 @@ def run_experiment(
     metrics = judged.metrics() | timing.metrics()
     criteria = verdicts + evaluate(config.criteria, metrics, judged)
     warnings = [_warned(notice) for notice in bench.notices]
-    result = Result.of(criteria, metrics, timing, ending.faults, Environment.here(config.seed), warnings, judged)
+    environment = Environment.here(config.seed)
+    result = Result.of(criteria, metrics, timing, ending.faults, environment, warnings, judged, provenance)
     try:
         result.write(folder.result)
         write_junit(result, config.name, started, folder.junit)

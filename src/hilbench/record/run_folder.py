@@ -100,3 +100,17 @@ class RunFolder:
     def traceback(self) -> Path:
         """The traceback of what nobody foresaw; most runs have none."""
         return self.path / TRACEBACK_FILE
+
+    def files(self) -> dict[str, Path]:
+        """The files that are there, by what they are."""
+        known = {
+            "config": self.config,
+            "trace": self.trace,
+            "journal": self.journal,
+            "recording": self.recording,
+            "result": self.result,
+            "junit": self.junit,
+            "report": self.report,
+            "traceback": self.traceback,
+        }
+        return {name: path for name, path in known.items() if path.exists()}

@@ -18,12 +18,15 @@ from hilbench.experiment.config import load_with_overrides
 from hilbench.experiment.criteria import CriterionResult
 from hilbench.experiment.metrics import METRICS
 from hilbench.experiment.synchronization import reference_estimate
+from hilbench.record.provenance import Provenance
 from hilbench.record.recording import Recording, read_recording
-from hilbench.record.result import Environment, Fault, Result, Timing
+from hilbench.record.result import Environment, Fault, Result, StepRecord, Timing
 from hilbench.record.run_folder import RunFolder
 from hilbench.report.plots import Picture, draw_histogram, draw_pictures
 
 _DASH = "–"
+#: Steps that stand side by side in a table.
+_MOST_COLUMNS = 8
 _BLANK = "<td></td>"
 
 
@@ -78,8 +81,10 @@ def render(
         _faults(result.faults),
         _warnings(result),
         _pictures(draw_pictures(recording, reference_Pa)),
-        _metrics(result.metrics),
+        _steps(result.steps or []),
+        _metrics(result),
         _timing(result.timing),
+        _provenance(result.provenance),
         _environment(result.environment),
         section("Config", f"<pre>{escape(config)}</pre>"),
     )
@@ -185,17 +190,68 @@ def _figure(picture: Picture) -> str:
     return f"<figure>\n<h3>{escape(picture.title)}</h3>\n{drawn}\n{caption}\n</figure>"
 
 
-def _metrics(metrics: dict[str, float | None]) -> str:
+def _steps(steps: Sequence[StepRecord]) -> str:
+    """Each step with its figures; what could not be judged with its reason."""
+    if not steps:
+        return ""
+    metrics = [name for name in METRICS if any(name in step.figures for step in steps)]
+    columns = ("Metric", *(f">{_step_name(step)}" for step in steps[:_MOST_COLUMNS]), "Unit")
+    rows, notes = [], []
+    for name in metrics:
+        unit = METRICS[name].unit
+        cells = "".join(_step_figure(step, name, digits(unit)) for step in steps[:_MOST_COLUMNS])
+        rows.append(f"<tr><td><code>{escape(name)}</code></td>{cells}<td>{escape(unit)}</td></tr>")
+    heads = "".join(
+        f'<tr><td class="number">{step.number or ""}</td><td>{escape(step.text)}</td>'
+        f'<td class="number">{number(step.time_s, 6)}</td><td class="number">{number(step.until_s, 6)}</td>'
+        f"<td>{_reasons(step)}</td></tr>"
+        for step in steps
+    )
+    if len(steps) > _MOST_COLUMNS:
+        notes.append(
+            f'<p class="note">Figures of the first {_MOST_COLUMNS} of {len(steps)} steps; '
+            "result.json has those of all.</p>"
+        )
+    which = table((">Step", "What", ">From, s", ">To, s", "Not judged"), [heads])
+    return section("Steps", which + "<h3>Figures of each step</h3>" + table(columns, rows) + "".join(notes))
+
+
+def _step_name(step: StepRecord) -> str:
+    return f"step {step.number}" if step.number else "working window"
+
+
+def _step_figure(step: StepRecord, metric: str, significant: int) -> str:
+    reason = step.reasons.get(metric)
+    title = f' title="{escape(reason)}"' if reason else ""
+    text = number(step.figures.get(metric), significant) if metric in step.figures else ""
+    return f'<td class="number"{title}>{text}</td>'
+
+
+def _reasons(step: StepRecord) -> str:
+    """Each reason once, with the metrics it is of."""
+    metrics: dict[str, list[str]] = {}
+    for metric, reason in step.reasons.items():
+        metrics.setdefault(reason, []).append(metric)
+    return "".join(
+        f'<span class="note">{escape(", ".join(names))}: {escape(reason)}</span><br>'
+        for reason, names in metrics.items()
+    ).removesuffix("<br>")
+
+
+def _metrics(result: Result) -> str:
     rows = []
-    for name, value in metrics.items():
+    for name, value in result.metrics.items():
         known = METRICS.get(name)
         unit = known.unit if known else ""
+        why = (result.not_judged or {}).get(name) if value is None else None
+        meaning = f"{known.description if known else ''}{'; ' if why else ''}{why or ''}"
         rows.append(
             f"<tr><td><code>{escape(name)}</code></td>"
             f'<td class="number">{number(value, digits(unit))}</td><td>{escape(unit)}</td>'
-            f'<td class="note">{escape(known.description if known else "")}</td></tr>'
+            f'<td class="note">{escape(meaning)}</td></tr>'
         )
-    return section("Metrics", table(("Metric", ">Value", "Unit", "Meaning"), rows)) if rows else ""
+    note = '<p class="note">Of several steps the worst.</p>' if result.steps and len(result.steps) > 1 else ""
+    return section("Metrics", table(("Metric", ">Value", "Unit", "Meaning"), rows) + note) if rows else ""
 
 
 def _timing(timing: Timing) -> str:
@@ -222,6 +278,22 @@ def _timing(timing: Timing) -> str:
     figures = table(("Quantity", ">Value", "Unit"), lines)
     histogram = _figure(draw_histogram(timing.jitter_histogram)) if timing.jitter_histogram else ""
     return section("Timing", figures + histogram)
+
+
+def _provenance(provenance: Provenance | None) -> str:
+    if provenance is None:
+        return ""
+    commit = provenance.git
+    rows = [
+        ("config", provenance.config),
+        ("git commit", "none" if commit is None else commit.commit + (", with changes" if commit.changed else "")),
+        ("host", provenance.host),
+        ("simulated hardware and twin", provenance.participants),
+        *((f"{each.key}, by {each.option}", str(each.value)) for each in provenance.overridden),
+    ]
+    rows += [(f"EDS of {', '.join(each.nodes)}", f"{each.file} sha256 {each.sha256}") for each in provenance.eds]
+    lines = [f'<tr><td>{escape(what)}</td><td class="long">{escape(value)}</td></tr>' for what, value in rows]
+    return section("Where it comes from", table(("What", "Value"), lines))
 
 
 def _environment(environment: Environment | None) -> str:
