@@ -13,8 +13,10 @@ from pathlib import Path
 from hilbench.experiment.config import load_with_overrides
 from hilbench.experiment.synchronization import reference_estimate
 from hilbench.record.recording import read_recording
+from hilbench.record.result import Result
 from hilbench.record.run_folder import RunFolder
-from hilbench.report.plots import draw_pictures
+from hilbench.report.html import marks_of
+from hilbench.report.plots import run_pictures, zooms
 
 
 def standalone(svg: str, page_css: str) -> str:
@@ -31,8 +33,10 @@ def main() -> None:
     page_css = resources.files("hilbench.report").joinpath("page.css").read_text(encoding="utf-8")
     recording = read_recording(run.recording)
     reference_Pa = reference_estimate(load_with_overrides(run.config).config, recording)
-    for picture in draw_pictures(recording, reference_Pa):
-        name = re.sub(r"[^a-z]+", "_", picture.title.lower()).strip("_")
+    marks = marks_of(Result.read(run.result), recording)
+    pictures = run_pictures(recording, marks, reference_Pa)
+    for picture in [*pictures, *zooms(pictures, marks)]:
+        name = re.sub(r"[^a-z0-9]+", "_", picture.title.lower()).strip("_")
         path = folder / f"{name}.svg"
         path.write_text(standalone(picture.svg, page_css), encoding="utf-8")
         print(path)

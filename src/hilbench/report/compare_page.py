@@ -6,23 +6,26 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.errors import UnusableInputError
+from hilbench.experiment.events import find_events
 from hilbench.experiment.metrics import METRICS, working_window
 from hilbench.record.recording import Recording, read_recording
 from hilbench.record.result import Result
 from hilbench.record.run_folder import RunFolder
-from hilbench.report import plots
-from hilbench.report.html import digits, number, page, section, table
+from hilbench.report.chart import BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILLION, Chart, Curve
+from hilbench.report.html import digits, figure, number, page, section, table
+from hilbench.report.live import interactive
+from hilbench.report.plots import SMOOTHING_S, Picture, drawn
 from hilbench.report.reduce import mean_velocity, moving_average
 
 Array = NDArray[np.float64]
 
-_COLOURS: Final = (plots.BLUE, plots.VERMILLION, plots.GREEN, plots.ORANGE, plots.PURPLE, plots.SKY)
+_COLOURS: Final = (BLUE, VERMILLION, GREEN, ORANGE, PURPLE, SKY)
 MOST_RUNS: Final = len(_COLOURS)
 
 #: Name, title, signal (the first that a run has), axis label, factor.
@@ -81,7 +84,14 @@ def metric_rows(runs: Sequence[ComparedRun]) -> list[MetricRow]:
 
 def write_compare_page(runs: Sequence[ComparedRun], path: Path) -> Path:
     """Write the page; returns its path. Raises UnusableInputError if it cannot be."""
-    sections = [_header(runs), _metrics(runs), section("Signals", "\n".join(_figures(runs)))]
+    pictures = _pictures(runs)
+    zooms = '<div class="zooms" hidden></div>\n'
+    sections = [
+        _header(runs),
+        _metrics(runs),
+        section("Signals", zooms + "\n".join(map(figure, pictures))),
+        interactive(pictures),
+    ]
     try:
         path.write_text(page("Comparison of runs", sections), encoding="utf-8")
     except OSError as error:
@@ -113,57 +123,36 @@ def _metrics(runs: Sequence[ComparedRun]) -> str:
     return section("Metrics", table(columns, rows))
 
 
-def _figures(runs: Sequence[ComparedRun]) -> list[str]:
-    figures = []
+def _pictures(runs: Sequence[ComparedRun]) -> list[Picture]:
+    pictures = []
     for name, title, signals, label, factor in _PICTURES:
-        curves = [_curve(run.recording, signals) for run in runs]
-        if any(curve is not None for curve in curves):
-            svg = _picture(runs, curves, name, title, label, factor)
-            figures.append(f"<figure>\n<h3>{escape(title)}</h3>\n{svg}\n</figure>")
-    return figures
+        found = [
+            Curve(letter, run.recording.time_s, factor * values, colour, 1.2)
+            for letter, run, colour in zip(labels(runs), runs, _COLOURS, strict=False)
+            if (values := _values(run.recording, signals)) is not None
+        ]
+        if found:
+            pictures.append(drawn(Picture(f"compare-{name}", title, "", [Chart(label, found)])))
+    return pictures
 
 
-def _curve(recording: Recording, signals: tuple[str, ...]) -> Array | None:
+def _values(recording: Recording, signals: tuple[str, ...]) -> Array | None:
     found = next((name for name in signals if name in recording), None)
     if found is None:
         return None
     values = np.asarray(recording[found], np.float64)
-    width = max(round(plots.SMOOTHING_S / float(np.median(np.diff(recording.time_s)))), 1)
-    if found == "tau2_Nm":
-        return moving_average(values, width)
-    if found != "x1_m":
+    if found not in ("tau2_Nm", "x1_m"):
         return values
+    events = find_events(recording.channels)
+    breaks = [int(at) for each in events for at in np.searchsorted(recording.time_s, (each.start_s, each.end_s))]
+    width = max(round(SMOOTHING_S / float(np.median(np.diff(recording.time_s)))), 1)
+    if found == "tau2_Nm":
+        return moving_average(values, width, breaks)
     if "x2_m" not in recording:
         return None
-    line = mean_velocity(recording.time_s, recording["x2_m"], width)
-    return np.asarray(mean_velocity(recording.time_s, values, width) - line, np.float64)
-
-
-def _picture(
-    runs: Sequence[ComparedRun], curves: Sequence[Array | None], name: str, title: str, label: str, factor: float
-) -> str:
-    def draw(figure: Any) -> list[plots.Panel]:
-        axes = figure.subplots()
-        panels, shown = [], []
-        for letter, run, curve, colour in zip(labels(runs), runs, curves, _COLOURS, strict=False):
-            if curve is None:
-                continue
-            panel = plots.Panel(axes, run.recording.time_s)
-            panel.line(factor * curve, letter, colour, linewidth=1.2)
-            panels.append(panel)
-            shown.append(factor * curve[_window(run.recording)])
-        together = panels[0]
-        together.names = [entry for panel in panels for entry in panel.names]
-        whole = np.concatenate(shown)
-        together.limits(whole, part=slice(None))
-        axes.set_xlim(min(p.t_s[0] for p in panels), max(p.t_s[-1] for p in panels))
-        axes.set_ylabel(label)
-        axes.set_xlabel("time in s")
-        return [together]
-
-    return plots.render_picture(draw, 2.9, f"compare-{name}", title)
-
-
-def _window(recording: Recording) -> slice:
-    found = working_window(recording.time_s, recording["v2_cmd_m_s"]) if "v2_cmd_m_s" in recording else None
-    return found or slice(0, len(recording))
+    line = mean_velocity(recording.time_s, recording["x2_m"], width, breaks)
+    difference = np.full(len(recording), np.nan)
+    part = working_window(recording.time_s, recording["v2_cmd_m_s"]) if "v2_cmd_m_s" in recording else None
+    part = part or slice(None)
+    difference[part] = (mean_velocity(recording.time_s, values, width, breaks) - line)[part]
+    return difference

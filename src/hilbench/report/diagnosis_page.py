@@ -11,8 +11,10 @@ import numpy as np
 from hilbench.diagnose.diagnosis import Diagnosis
 from hilbench.diagnose.live import LiveGap
 from hilbench.errors import UnusableInputError
-from hilbench.report.html import number, page, section, table
-from hilbench.report.plots import BLUE, INK, VERMILLION, Panel, render_picture
+from hilbench.report.chart import BLUE, VERMILLION, Chart, Curve, Mark
+from hilbench.report.html import figure, number, page, section, table
+from hilbench.report.live import interactive
+from hilbench.report.plots import Panel, Picture, drawn, render_picture
 from hilbench.report.reduce import moving_average
 
 _SENTENCES = {
@@ -39,18 +41,20 @@ def write_diagnosis_page(
     `not_compared`: why there is no second run of the bench to compare; `config`: the bench config that was written with
     the extended model in it, where there is one.
     """
+    residuals = _residuals(found)
     body = [
         f"<header>\n<h1>{escape(title)}</h1>\n"
         f'<p class="facts">{found.verdict}: {_SENTENCES[found.verdict]}</p>\n</header>',
         section("Effects", _effects(found)) if found.effects else "",
         section("Gap", _gaps(found)),
-        section("Residuals", _picture(found)),
+        section("Residuals", '<div class="zooms" hidden></div>\n' + figure(residuals)),
         section("Against what it depends on", _profiles(found)) if found.profiles else "",
         section("The twin on the bench", _live(live, not_compared)) if live else "",
         section("Where the model disagreed", _where(found)) if found.where else "",
         section("Not explained", _left(found)) if found.left else "",
         section("What these data could not show", _blind(found)) if found.blind_to else "",
         section("The extended model in use", _use(config)) if found.effects else "",
+        interactive([residuals], _held_out(found)),
     ]
     try:
         path.write_text(page(title, body), encoding="utf-8")
@@ -122,31 +126,23 @@ def _use(config: Path | None) -> str:
     return "\n".join(lines)
 
 
-def _picture(found: Diagnosis) -> str:
-    torques = [k for k, name in enumerate(found.names) if name.startswith("tau")]
+def _residuals(found: Diagnosis) -> Picture:
     width = max(1, round(_SMOOTHING_S / float(np.median(np.diff(found.t_s)))))
-
-    def draw(figure: Any) -> list[Panel]:
-        panels = []
-        for axes, k in zip(np.atleast_1d(figure.subplots(len(torques), 1)), torques, strict=True):
-            panel = Panel(axes, found.t_s)
+    charts = []
+    for k, name in enumerate(found.names):
+        if name.startswith("tau"):
             before, after = (moving_average(r[k], width) for r in (found.before, found.after))
-            panel.line(before, "before", BLUE, linewidth=0.9)
-            panel.line(after, "after", VERMILLION, linewidth=0.9)
-            for start, end in _stretches(found.held_out):
-                axes.axvspan(found.t_s[start], found.t_s[end], color=INK, alpha=0.07, linewidth=0)
-            axes.set_ylabel(f"{found.names[k].removesuffix('_Nm')}, N·m")
-            panel.limits(before, after, part=slice(width, -width))
-            panels.append(panel)
-        panels[-1].axes.set_xlabel("time in s")
-        return panels
-
-    svg = render_picture(draw, 2.6 * len(torques), "diagnosis", "Torque residuals")
-    note = (
-        f'<p class="note">Measured less simulated torque, averaged over {_SMOOTHING_S:g} s, with the original model '
-        "and with the effects that were found; grey: held out of every fit.</p>"
+            curves = [Curve("before", found.t_s, before, BLUE, 0.9), Curve("after", found.t_s, after, VERMILLION, 0.9)]
+            charts.append(Chart(f"{name.removesuffix('_Nm')} in N·m", curves))
+    caption = (
+        f"Measured less simulated torque, averaged over {_SMOOTHING_S:g} s, with the original model and with the "
+        "effects that were found; grey: held out of every fit."
     )
-    return svg + note
+    return drawn(Picture("diagnosis", "Torque residuals", caption, charts), _held_out(found))
+
+
+def _held_out(found: Diagnosis) -> list[Mark]:
+    return [Mark(float(found.t_s[a]), float(found.t_s[b]), "") for a, b in _stretches(found.held_out)]
 
 
 def _profiles(found: Diagnosis) -> str:

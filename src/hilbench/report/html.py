@@ -1,10 +1,12 @@
 """`report.html`: one self-contained page of a run, for the screen and for paper.
 
-Nothing in it is loaded from elsewhere and nothing runs; whatever comes from a file is escaped.
+Nothing in it is loaded from elsewhere; whatever comes from a file is escaped, and the page's policy lets no other
+script run than those that make its pictures interactive.
 """
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable, Sequence
 from html import escape
 from importlib import resources
@@ -16,13 +18,16 @@ from numpy.typing import NDArray
 from hilbench.errors import UnusableInputError
 from hilbench.experiment.config import load_with_overrides
 from hilbench.experiment.criteria import CriterionResult
+from hilbench.experiment.events import find_events
 from hilbench.experiment.metrics import METRICS
 from hilbench.experiment.synchronization import reference_estimate
 from hilbench.record.provenance import Provenance
 from hilbench.record.recording import Recording, read_recording
-from hilbench.record.result import Environment, Fault, Result, StepRecord, Timing
+from hilbench.record.result import Environment, EventRecord, Fault, Result, StepRecord, Timing
 from hilbench.record.run_folder import RunFolder
-from hilbench.report.plots import Picture, draw_histogram, draw_pictures
+from hilbench.report.chart import Mark
+from hilbench.report.live import interactive, policy, style
+from hilbench.report.plots import Picture, draw_histogram, run_pictures, zooms
 
 _DASH = "–"
 #: Steps that stand side by side in a table.
@@ -75,29 +80,45 @@ def render(
     name: str, config: str, result: Result, recording: Recording, reference_Pa: NDArray[np.float64] | None = None
 ) -> str:
     """The page as text. `name` is the run's, `config` the text of its config file, `reference_Pa` as in the plots."""
+    marks = marks_of(result, recording)
+    pictures = run_pictures(recording, marks, reference_Pa)
     sections = (
         _header(name, result, recording),
         _criteria(result.criteria),
         _faults(result.faults),
+        _pictures(pictures, zooms(pictures, marks)),
         _warnings(result),
-        _pictures(draw_pictures(recording, reference_Pa)),
         _steps(result.steps or []),
         _metrics(result),
         _timing(result.timing),
         _provenance(result.provenance),
         _environment(result.environment),
         section("Config", f"<pre>{escape(config)}</pre>"),
+        interactive(pictures, marks),
     )
     return page(f"{name}: {_verdict_word(result)}", sections)
 
 
+def marks_of(result: Result | None, recording: Recording) -> list[Mark]:
+    """What is marked in the pictures: what the result says, or, of an older run, what the signals show."""
+    events = result.events if result is not None and result.events is not None else None
+    if events is None:
+        events = [EventRecord.of(event) for event in find_events(recording.channels)]
+    numbers = itertools.count(1)
+    return [
+        Mark(event.start_s, event.end_s, event.text, str(next(numbers)) if event.kind == "step" else "")
+        for event in events
+    ]
+
+
 def page(title: str, sections: Iterable[str]) -> str:
     """A whole page with the reports' style sheet; `title` is escaped here, the sections are markup."""
-    style = resources.files("hilbench.report").joinpath("page.css").read_text(encoding="utf-8")
+    own = resources.files("hilbench.report").joinpath("page.css").read_text(encoding="utf-8")
     return (
         '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
+        f'<meta http-equiv="Content-Security-Policy" content="{policy()}">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f"<title>{escape(title)}</title>\n<style>\n{style}</style>\n</head>\n<body>\n"
+        f"<title>{escape(title)}</title>\n<style>\n{style()}\n{own}</style>\n</head>\n<body>\n"
         + "\n".join(filter(None, sections))
         + "\n</body>\n</html>\n"
     )
@@ -118,7 +139,8 @@ def _header(name: str, result: Result, recording: Recording) -> str:
     return (
         f"<header>\n<h1>{escape(name)}</h1>\n"
         f'<p class="facts">{escape(" · ".join(facts))}</p>\n'
-        f'<p class="verdict {_verdict_word(result)}">{_mark(result.passed)} {_summary(result)}</p>\n</header>'
+        f'<p class="verdict {_verdict_word(result)}">{_mark(result.passed)} {_summary(result)}</p>'
+        f"{_warned(result)}\n</header>"
     )
 
 
@@ -133,6 +155,12 @@ def _summary(result: Result) -> str:
     if result.faults:
         parts.append(f"{len(result.faults)} fault{'s' if len(result.faults) > 1 else ''}")
     return ", ".join(parts)
+
+
+def _warned(result: Result) -> str:
+    """How many warnings there are, and where."""
+    count = len(result.all_warnings())
+    return f' <a class="warned" href="#warnings">{count} warning{"s" if count > 1 else ""}</a>' if count else ""
 
 
 def _mark(passed: bool) -> str:
@@ -167,27 +195,26 @@ def _faults(faults: Sequence[Fault]) -> str:
 
 
 def _warnings(result: Result) -> str:
-    """What the timing says of the whole run, then each kind of warning with its count."""
-    rows = [f"<tr>{_BLANK}{_BLANK}<td>{escape(text)}</td>{_BLANK}{_BLANK}</tr>" for text in result.timing.warnings()]
-    for warning in result.warnings or []:
-        last = "" if warning.last_text in (None, warning.text) else f"; the last: {warning.last_text}"
-        rows.append(
-            f'<tr><td class="number">{number(warning.time_s, 6)}</td><td>{escape(warning.source)}</td>'
-            f'<td>{escape(warning.text + last)}</td><td class="number">{number(warning.count, 12)}</td>'
-            f'<td class="number">{number(warning.last_time_s, 6)}</td></tr>'
-        )
-    columns = (">Time in s", "Where", "What", ">Times", ">Last at, s")
-    return section("Warnings", table(columns, rows)) if rows else ""
+    warnings = result.all_warnings()
+    if not warnings:
+        return ""
+    rows = [f"<tr><td>{escape(text)}</td></tr>" for text in warnings]
+    return f'<section id="warnings">\n<h2>Warnings</h2>\n{table(("What",), rows)}\n</section>'
 
 
-def _pictures(pictures: Sequence[Picture]) -> str:
-    return section("What happened", "\n".join(map(_figure, pictures)))
+def _pictures(pictures: Sequence[Picture], around_steps: Sequence[Picture]) -> str:
+    figures = "\n".join(map(figure, [*pictures, *around_steps]))
+    return section("What happened", f'<div class="zooms" hidden></div>\n{figures}')
 
 
-def _figure(picture: Picture) -> str:
+def figure(picture: Picture) -> str:
+    """A picture as it is drawn; `hilbench.report.live` makes it interactive."""
     drawn = picture.svg or '<p class="note">Not drawn: the recording lacks these signals.</p>'
-    caption = f"<figcaption>{escape(picture.caption)}</figcaption>" if picture.svg else ""
-    return f"<figure>\n<h3>{escape(picture.title)}</h3>\n{drawn}\n{caption}\n</figure>"
+    caption = f"<figcaption>{escape(picture.caption)}</figcaption>" if picture.svg and picture.caption else ""
+    return (
+        f'<figure data-picture="{escape(picture.name)}">\n<h3>{escape(picture.title)}</h3>\n'
+        f'<div class="drawn">{drawn}</div>\n{caption}\n</figure>'
+    )
 
 
 def _steps(steps: Sequence[StepRecord]) -> str:
@@ -276,7 +303,7 @@ def _timing(timing: Timing) -> str:
         f'<tr><td>{name}</td><td class="number">{escape(value)}</td><td>{unit}</td></tr>' for name, value, unit in rows
     ]
     figures = table(("Quantity", ">Value", "Unit"), lines)
-    histogram = _figure(draw_histogram(timing.jitter_histogram)) if timing.jitter_histogram else ""
+    histogram = figure(draw_histogram(timing.jitter_histogram)) if timing.jitter_histogram else ""
     return section("Timing", figures + histogram)
 
 

@@ -1,4 +1,4 @@
-"""The pictures of a run, as SVG text that stands inside an HTML page and takes its colours from the page.
+"""The pictures of a run: what they show (`chart`), and as SVG text that takes its colours from the page around it.
 
 Colours are those of Okabe and Ito (Color Universal Design, 2008). Every colour is written as a CSS variable, text
 and axes as the page's text colour, so that one picture reads on white, on dark and on paper.
@@ -8,18 +8,32 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
+from html import escape
 from itertools import pairwise
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.experiment.events import find_events
-from hilbench.experiment.metrics import E_BAND, expected_v1_m_s, working_window
+from hilbench.experiment.metrics import E_BAND, expected_v1_m_s
 from hilbench.record.recording import Recording
 from hilbench.record.result import Histogram
+from hilbench.report.chart import (
+    BLUE,
+    BROWN,
+    GREEN,
+    INK,
+    ORANGE,
+    PURPLE,
+    SKY,
+    VERMILLION,
+    Band,
+    Chart,
+    Curve,
+    Mark,
+)
 from hilbench.report.reduce import envelope, mean_velocity, moving_average, thinned
 
 Array = NDArray[np.float64]
@@ -27,15 +41,14 @@ Array = NDArray[np.float64]
 #: Time over which velocities and torques are averaged for the eye, s (the publication: 20 values, 20 ms apart).
 SMOOTHING_S: Final = 0.4
 _COLUMNS: Final = 700
-
-INK: Final = "#010203"  # becomes the page's text colour
-BLUE: Final = "#0072b2"
-VERMILLION: Final = "#d55e00"
-GREEN: Final = "#009e73"
-SKY: Final = "#56b4e9"
-ORANGE: Final = "#e69f00"
-PURPLE: Final = "#cc79a7"
-BROWN: Final = "#8c6d31"
+#: Axes whose extremes reach beyond so many times what the signals do for 99.8 % of the time are cut, and say so.
+_CUT_BEYOND: Final = 4.0
+#: What a zoom shows: from before a step to after it, s; and steps that get one on paper.
+_ZOOM_BEFORE_S: Final = 0.1
+ZOOM_AFTER_S: Final = 1.2
+_MOST_ZOOMS: Final = 6
+#: Steps up to this number have their text beside them, more their numbers.
+_MOST_TEXTS: Final = 3
 
 #: What each colour of a picture is called in the page's style sheet.
 CSS_COLOURS: Final = {
@@ -46,6 +59,7 @@ CSS_COLOURS: Final = {
     SKY: "var(--sky)",
     ORANGE: "var(--orange)",
     PURPLE: "var(--purple)",
+    BROWN: "var(--brown)",
 }
 
 _STYLE: Final[dict[str, Any]] = {
@@ -79,11 +93,13 @@ _STYLE: Final[dict[str, Any]] = {
 
 @dataclass(frozen=True)
 class Picture:
-    """One picture: its title, what it shows in words, and the SVG; `svg` is "" where the signals are missing."""
+    """One picture: its title, what it shows in words, its axes, and the SVG; `svg` is "" where signals are missing."""
 
+    name: str
     title: str
     caption: str
-    svg: str
+    charts: Sequence[Chart] = field(default=())
+    svg: str = ""
 
 
 @dataclass
@@ -91,39 +107,59 @@ class Panel:
     """Draws the curves of one set of axes and puts their names at their right ends."""
 
     axes: Any
-    t_s: Array
+    columns: int = _COLUMNS
     names: list[tuple[str, str, float]] = field(default_factory=list)
 
-    def line(self, values: Array, name: str, colour: str, **style: Any) -> None:
-        """A curve, thinned to what the eye can see; `name` stands at its end."""
-        x, y = thinned(self.t_s, values, _COLUMNS)
-        self.axes.plot(x, y, color=colour, **style)
-        self._name(values, name, colour)
+    def line(self, curve: Curve) -> None:
+        """A curve, thinned to what the eye can see, its name at its end; a noisy one as an area."""
+        if curve.spread:
+            x, low, high = envelope(curve.t_s, curve.values, self.columns)
+            self.axes.fill_between(x, low, high, color=curve.colour, alpha=0.3, linewidth=0)
+        else:
+            x, y = thinned(curve.t_s, curve.values, self.columns)
+            style: dict[str, Any] = {"linestyle": (0, curve.dash)} if curve.dash else {}
+            self.axes.plot(x, y, color=curve.colour, linewidth=curve.width, alpha=curve.alpha, **style)
+        known = curve.values[np.isfinite(curve.values)]
+        if curve.name and len(known):
+            self.names.append((curve.name, curve.colour, float(np.mean(known[-max(len(known) // 40, 1) :]))))
 
-    def spread(self, values: Array, name: str, colour: str) -> None:
-        """A noisy signal as the area between its least and largest values."""
-        x, low, high = envelope(self.t_s, values, _COLUMNS)
-        self.axes.fill_between(x, low, high, color=colour, alpha=0.3, linewidth=0)
-        self._name(values, name, colour)
+    def band(self, band: Band) -> None:
+        """The area between two signals, as wide as it ever is."""
+        x, low, _ = envelope(band.t_s, band.low, self.columns)
+        _, _, high = envelope(band.t_s, band.high, self.columns)
+        self.axes.fill_between(x, low, high, color=band.colour, alpha=band.alpha, linewidth=0)
 
-    def band(self, low: Array, high: Array, colour: str, alpha: float) -> None:
-        """The area between two smooth signals."""
-        keep = np.unique(np.linspace(0, len(self.t_s) - 1, 2 * _COLUMNS).astype(int))
-        self.axes.fill_between(self.t_s[keep], low[keep], high[keep], color=colour, alpha=alpha, linewidth=0)
-
-    def limits(self, *signals: Array, part: slice, margin: float = 0.12, least: float = 0.0) -> None:
-        """Show what these signals do in a part of the run, and at least a height of `least`."""
-        shown = np.concatenate([signal[part] for signal in signals])
-        shown = shown[np.isfinite(shown)]
-        if len(shown):
-            low, high = np.percentile(shown, [0.1, 99.9])
-            middle, half = (low + high) / 2, max((high - low) / 2 * (1 + 2 * margin), least / 2, 1e-12)
-            self.axes.set_ylim(middle - half, middle + half)
-
-    def _name(self, values: Array, name: str, colour: str) -> None:
-        known = values[np.isfinite(values)]
-        if name and len(known):
-            self.names.append((name, colour, float(np.mean(known[-max(len(known) // 40, 1) :]))))
+    def limits(self, curves: Iterable[Curve], least: float) -> None:
+        """Show all that the curves do, and at least a height of `least`; what is far out is cut, and marked."""
+        shown = np.concatenate([curve.values[np.isfinite(curve.values)] for curve in curves])
+        if not len(shown):
+            return
+        lowest, highest = float(np.min(shown)), float(np.max(shown))
+        low, high = np.percentile(shown, [0.1, 99.9])
+        cut = highest - lowest > _CUT_BEYOND * max(high - low, least)
+        if not cut:
+            low, high = lowest, highest
+        middle, half = (low + high) / 2, max((high - low) / 2 * 1.12, least / 2, 1e-9 * abs(high), 1e-12)
+        self.axes.set_ylim(middle - half, middle + half)
+        if cut:
+            beyond = [
+                (place, arrow, value)
+                for place, arrow, value, out in (
+                    (0.985, "▲", highest, highest > middle + half),
+                    (0.015, "▼", lowest, lowest < middle - half),
+                )
+                if out
+            ]
+            for place, arrow, value in beyond:
+                self.axes.text(
+                    0.99,
+                    place,
+                    f"{arrow} cut: up to {value:.4g}" if arrow == "▲" else f"{arrow} cut: down to {value:.4g}",
+                    transform=self.axes.transAxes,
+                    ha="right",
+                    va="top" if arrow == "▲" else "bottom",
+                    color=VERMILLION,
+                )
 
     def write_names(self) -> None:
         """Names in their curve's colour beside the right end, moved apart where they would overlap."""
@@ -150,144 +186,133 @@ def _apart(places: Sequence[float], gap: float) -> list[float]:
     return moved
 
 
-def draw_pictures(recording: Recording, reference_Pa: Array | None = None) -> list[Picture]:
-    """The four pictures of the experiment, each drawn from the signals the recording has.
+# -- what the pictures of a run show ---------------------------------------------------------------------------------
+
+
+def run_pictures(recording: Recording, marks: Sequence[Mark] = (), reference_Pa: Array | None = None) -> list[Picture]:
+    """The pictures of the experiment, each of the signals the recording has.
 
     `reference_Pa`: what the published synchronizer would have made of the run.
     """
-    return [
-        draw_velocities(recording),
-        draw_torques(recording),
-        draw_elasticity(recording, reference_Pa),
-        draw_tension(recording),
+    breaks = sorted({int(at) for mark in marks for at in np.searchsorted(recording.time_s, (mark.start_s, mark.end_s))})
+    plain = [
+        _velocities(recording, breaks),
+        _torques(recording, breaks),
+        _elasticity(recording, reference_Pa),
+        _tension(recording),
     ]
+    return [drawn(picture, marks) for picture in plain]
 
 
-def draw_velocities(recording: Recording) -> Picture:
+def zooms(pictures: Sequence[Picture], marks: Sequence[Mark]) -> list[Picture]:
+    """Young's modulus and tension around each step, for paper; the first steps of a run with many."""
+    wanted = [picture for picture in pictures if picture.name in ("elasticity", "tension") and picture.charts]
+    found: list[Picture] = []
+    steps = [mark for mark in marks if mark.number]
+    for step, following in zip(steps, [*steps[1:], None], strict=True):
+        if not wanted or len(found) == _MOST_ZOOMS:
+            break
+        until_s = step.end_s + ZOOM_AFTER_S
+        if following is not None:
+            until_s = max(min(until_s, following.start_s), step.end_s + 0.1)
+        charts = [picture.charts[0].part(step.start_s - _ZOOM_BEFORE_S, until_s) for picture in wanted]
+        charts = [chart for chart in charts if chart.curves]
+        if charts:
+            title = f"Step {step.number}: {step.text}"
+            picture = Picture(f"zoom{step.number}", title, "", charts)
+            found.append(drawn(picture, [step], side_by_side=True))
+    return found
+
+
+def _velocities(recording: Recording, breaks: Sequence[int]) -> Picture:
     """Velocities with their commands, and, a thousand times finer, what axis 1 runs faster than the line."""
-    title = "Velocities"
     caption = (
-        f"Velocities at the web, averaged over {SMOOTHING_S:g} s. Below: velocity of axis 1 minus line speed"
-        " (axis 2), and what mass conservation asks for at the strain of the imitated web once it is steady."
+        f"Velocities at the web, averaged over {SMOOTHING_S:g} s, but not over a step or the ends of a ramp. Below: "
+        "velocity of axis 1 minus line speed (axis 2), and what mass conservation asks for at the strain of the "
+        "imitated web once it is steady."
     )
+    empty = Picture("velocities", "Velocities", caption)
     if not {"x1_m", "x2_m"} <= recording.channels.keys():
-        return Picture(title, caption, "")
+        return empty
     t_s, width = recording.time_s, _samples(recording)
-    v1, v2 = (mean_velocity(t_s, _get(recording, name), width) for name in ("x1_m", "x2_m"))
-    commands = [_get(recording, name) for name in ("v2_cmd_m_s", "v1_cmd_m_s") if name in recording]
-    part = _inner_window(recording)
-
-    def draw(figure: Any) -> list[Panel]:
-        upper, lower = figure.subplots(2, 1, sharex=True, gridspec_kw={"height_ratios": (1, 1.25)})
-        whole, fine = Panel(upper, t_s), Panel(lower, t_s)
-        whole.line(v2, "axis 2", VERMILLION, linewidth=2.6, alpha=0.8)
-        whole.line(v1, "axis 1", BLUE, linewidth=1.3)
-        for number, command in enumerate(commands):
-            whole.line(command, "" if number else "commands", INK, linewidth=0.8, linestyle=(0, (4, 4)))
-        upper.set_ylabel("velocity in m/s")
-        difference = np.full_like(v1, np.nan)
-        difference[part] = 1e3 * (v1 - v2)[part]
-        shown = [difference]
-        fine.line(difference, "axis 1 − line", BLUE)
-        if {"strain_prev", "strain_true"} <= recording.channels.keys():
-            asked = np.full_like(v1, np.nan)
-            strains = _get(recording, "strain_prev"), moving_average(_get(recording, "strain_true"), width)
-            asked[part] = 1e3 * (expected_v1_m_s(v2, *strains) - v2)[part]
-            fine.line(asked, "mass balance", INK, linewidth=0.9, linestyle=(0, (4, 2)))
-            shown.append(asked)
-        fine.limits(*shown, part=part, least=0.05)
-        lower.set_ylabel("v1 − line in mm/s")
-        return [whole, fine]
-
-    return Picture(title, caption, _svg(recording, draw, 4.3, "velocities", title))
+    v1, v2 = (mean_velocity(t_s, _get(recording, name), width, breaks) for name in ("x1_m", "x2_m"))
+    whole = [Curve("axis 2", t_s, v2, VERMILLION, 2.6, alpha=0.8), Curve("axis 1", t_s, v1, BLUE, 1.3)]
+    if "v2_cmd_m_s" in recording:
+        whole.append(Curve("commands", t_s, _get(recording, "v2_cmd_m_s"), INK, 0.8, (4, 4)))
+    if "v1_cmd_m_s" in recording:
+        whole.append(Curve("", t_s, _get(recording, "v1_cmd_m_s"), INK, 0.8, (4, 4)))
+    steady = _steady(recording)
+    fine = [Curve("axis 1 − line", t_s, np.where(steady, 1e3 * (v1 - v2), np.nan), BLUE)]
+    if {"strain_prev", "strain_true"} <= recording.channels.keys():
+        strains = _get(recording, "strain_prev"), moving_average(_get(recording, "strain_true"), width, breaks)
+        asked = 1e3 * (expected_v1_m_s(v2, *strains) - v2)
+        fine.append(Curve("mass balance", t_s, np.where(steady, asked, np.nan), INK, 0.9, (4, 2)))
+    charts = [Chart("velocity in m/s", whole), Chart("v1 − line in mm/s", fine, least=0.05)]
+    return Picture(empty.name, empty.title, caption, charts)
 
 
-def draw_torques(recording: Recording) -> Picture:
+def _torques(recording: Recording, breaks: Sequence[int]) -> Picture:
     """Torque of axis 2: measured, smoothed, simulated."""
-    title = "Torque of axis 2"
     caption = (
-        f"Motor torque of axis 2: measured (area: least to largest), averaged over {SMOOTHING_S:g} s, and simulated"
-        " by the twin. Their difference is what the twin learns E from."
+        f"Motor torque of axis 2: measured, averaged over {SMOOTHING_S:g} s, and simulated by the twin. Their "
+        "difference is what the twin learns E from."
     )
+    empty = Picture("torques", "Torque of axis 2", caption)
     if "tau2_Nm" not in recording:
-        return Picture(title, caption, "")
-    measured = _get(recording, "tau2_Nm")
-
-    def draw(figure: Any) -> list[Panel]:
-        panel = Panel(figure.subplots(), recording.time_s)
-        panel.spread(measured, "measured", SKY)
-        panel.line(moving_average(measured, _samples(recording)), "averaged", BLUE)
-        if "tau2_sim_Nm" in recording:
-            panel.line(_get(recording, "tau2_sim_Nm"), "simulated", VERMILLION, linewidth=1.2)
-        panel.axes.set_ylabel("torque in N·m")
-        return [panel]
-
-    return Picture(title, caption, _svg(recording, draw, 2.9, "torques", title))
+        return empty
+    t_s, measured = recording.time_s, _get(recording, "tau2_Nm")
+    averaged = moving_average(measured, _samples(recording), breaks)
+    curves = [Curve("measured", t_s, measured, SKY, 0.7, spread=True), Curve("averaged", t_s, averaged, BLUE)]
+    if "tau2_sim_Nm" in recording:
+        curves.append(Curve("simulated", t_s, _get(recording, "tau2_sim_Nm"), VERMILLION, 1.2))
+    return Picture(empty.name, empty.title, caption, [Chart("torque in N·m", curves)])
 
 
-def draw_elasticity(recording: Recording, reference_Pa: Array | None = None) -> Picture:
+def _elasticity(recording: Recording, reference_Pa: Array | None) -> Picture:
     """Young's modulus: true, estimated, and by the published method."""
-    title = "Young’s modulus"
     caption = (
         f"Young’s modulus of the imitated web with a band of ±{100 * E_BAND:g} % (grey), and the twin’s estimate with"
         " a band of ±2 standard deviations where the twin states one."
     )
     if reference_Pa is not None:
         caption += " PID: what the published tracking simulation makes of the same measurements."
+    empty = Picture("elasticity", "Young’s modulus", caption)
     if "E_sim_Pa" not in recording:
-        return Picture(title, caption, "")
-    estimate = _get(recording, "E_sim_Pa") / 1e6
-    part = _inner_window(recording)
-
-    def draw(figure: Any) -> list[Panel]:
-        panel = Panel(figure.subplots(), recording.time_s)
-        shown = [estimate]
-        if "E_true_Pa" in recording:
-            true = _get(recording, "E_true_Pa") / 1e6
-            panel.band(true * (1 - E_BAND), true * (1 + E_BAND), INK, 0.16)
-            panel.line(true, "true", INK, linewidth=1.1)
-            shown.append(true)
-        if "E_sd_Pa" in recording:
-            deviation = _get(recording, "E_sd_Pa") / 1e6
-            panel.band(estimate - 2 * deviation, estimate + 2 * deviation, VERMILLION, 0.25)
-        if reference_Pa is not None:
-            panel.line(reference_Pa / 1e6, "PID", SKY)
-            shown.append(reference_Pa / 1e6)
-        panel.line(estimate, "estimated", VERMILLION)
-        panel.limits(*shown, part=part, margin=0.15)
-        panel.axes.set_ylabel("E in N/mm²")
-        return [panel]
-
-    return Picture(title, caption, _svg(recording, draw, 2.9, "elasticity", title))
+        return empty
+    t_s, estimate = recording.time_s, _get(recording, "E_sim_Pa") / 1e6
+    curves, bands = [], []
+    if "E_true_Pa" in recording:
+        true = _get(recording, "E_true_Pa") / 1e6
+        bands.append(Band(t_s, true * (1 - E_BAND), true * (1 + E_BAND), INK, 0.16))
+        curves.append(Curve("true", t_s, true, INK, 1.1))
+    if "E_sd_Pa" in recording:
+        deviation = _get(recording, "E_sd_Pa") / 1e6
+        bands.append(Band(t_s, estimate - 2 * deviation, estimate + 2 * deviation, VERMILLION, 0.25))
+    if reference_Pa is not None:
+        curves.append(Curve("PID", t_s, reference_Pa / 1e6, SKY))
+    curves.append(Curve("estimated", t_s, estimate, VERMILLION))
+    return Picture(empty.name, empty.title, caption, [Chart("E in N/mm²", curves, bands)])
 
 
-def draw_tension(recording: Recording) -> Picture:
+def _tension(recording: Recording) -> Picture:
     """Web tension: true, simulated, set-point."""
-    title = "Web tension"
     caption = (
         "Tension of the imitated web, tension simulated by the twin (the virtual sensor that the controller sees),"
         " and set-point."
     )
-    present = [name for name in ("F_true_N", "F_sim_N", "F_ref_N") if name in recording]
-    if not present:
-        return Picture(title, caption, "")
-    styles: dict[str, tuple[str, str, dict[str, Any]]] = {
-        "F_true_N": ("true", BLUE, {}),
-        "F_sim_N": ("simulated", VERMILLION, {"linewidth": 1.2}),
-        "F_ref_N": ("set-point", INK, {"linewidth": 0.9, "linestyle": (0, (4, 2))}),
+    t_s = recording.time_s
+    known = {
+        "F_true_N": ("true", BLUE, 1.4, ()),
+        "F_sim_N": ("simulated", VERMILLION, 1.2, ()),
+        "F_ref_N": ("set-point", INK, 0.9, (4.0, 2.0)),
     }
-    part = _inner_window(recording)
-
-    def draw(figure: Any) -> list[Panel]:
-        panel = Panel(figure.subplots(), recording.time_s)
-        for name in present:
-            label, colour, style = styles[name]
-            panel.line(_get(recording, name), label, colour, **style)
-        panel.limits(*(_get(recording, name) for name in present), part=part, least=4.0)
-        panel.axes.set_ylabel("tension in N")
-        return [panel]
-
-    return Picture(title, caption, _svg(recording, draw, 2.9, "tension", title))
+    curves = [
+        Curve(name, t_s, _get(recording, signal), colour, width, dash)
+        for signal, (name, colour, width, dash) in known.items()
+        if signal in recording
+    ]
+    charts = [Chart("tension in N", curves, least=4.0)] if curves else []
+    return Picture("tension", "Web tension", caption, charts)
 
 
 def draw_histogram(histogram: Histogram) -> Picture:
@@ -304,9 +329,8 @@ def draw_histogram(histogram: Histogram) -> Picture:
         return []
 
     title = "Lateness of SYNC"
-    return Picture(
-        title, "Every cycle; logarithmic, so that the rare late one shows.", render_picture(draw, 2.2, "jitter", title)
-    )
+    caption = "Every cycle; logarithmic, so that the rare late one shows."
+    return Picture("jitter", title, caption, svg=render_picture(draw, 2.2, "jitter", title))
 
 
 def _get(recording: Recording, name: str) -> Array:
@@ -317,42 +341,78 @@ def _samples(recording: Recording) -> int:
     return max(round(SMOOTHING_S / float(np.median(np.diff(recording.time_s)))), 1)
 
 
-def _inner_window(recording: Recording) -> slice:
-    """The working window less the smoothing at its ends; the whole run if there is none."""
-    found = working_window(recording.time_s, recording["v2_cmd_m_s"]) if "v2_cmd_m_s" in recording else None
-    if found is None:
-        return slice(0, len(recording))
-    half = 2 * _samples(recording)
-    inner = slice(found.start + half, found.stop - half)
-    return inner if inner.stop - inner.start > half else found
+def _steady(recording: Recording) -> NDArray[np.bool_]:
+    """Where the line-speed command has not changed for twice the time of the averages."""
+    if "v2_cmd_m_s" not in recording:
+        return np.ones(len(recording), bool)
+    command = _get(recording, "v2_cmd_m_s")
+    top = float(np.max(np.abs(command), initial=0.0, where=np.isfinite(command)))
+    moved = np.concatenate(([False], ~(np.abs(np.diff(command)) <= 1e-6 * top)))
+    count = np.cumsum(moved)
+    before = np.clip(np.arange(len(command)) - 2 * _samples(recording), 0, None)
+    return np.asarray(count == count[before])
 
 
-def _svg(recording: Recording, draw: Callable[[Any], list[Panel]], height_in: float, name: str, title: str) -> str:
-    def with_time_axis(figure: Any) -> list[Panel]:
-        panels = draw(figure)
-        panels[-1].axes.set_xlabel("time in s")
-        for panel in panels:
-            panel.axes.set_xlim(recording.time_s[0], recording.time_s[-1])
-        _mark_steps(recording, panels)
+# -- drawing ---------------------------------------------------------------------------------------------------------
+
+
+def drawn(picture: Picture, marks: Sequence[Mark] = (), *, side_by_side: bool = False) -> Picture:
+    """The picture with its SVG: its axes one below the other, or side by side."""
+    if not picture.charts:
+        return picture
+    count = len(picture.charts)
+
+    def draw(figure: Any) -> list[Panel]:
+        if side_by_side:
+            figure.subplots_adjust(wspace=0.5)
+            rows = np.atleast_1d(figure.subplots(1, count))
+        else:
+            rows = np.atleast_1d(figure.subplots(count, 1, sharex=True))
+        columns = _COLUMNS // count if side_by_side else _COLUMNS
+        panels = [_draw_chart(axes, chart, columns) for axes, chart in zip(rows, picture.charts, strict=True)]
+        for panel in panels if side_by_side else panels[-1:]:
+            panel.axes.set_xlabel("time in s")
+        _draw_marks(marks, panels, texts=not side_by_side)
         return panels
 
-    return render_picture(with_time_axis, height_in, name, title)
+    height_in = 2.5 if side_by_side else 0.9 + 2.0 * count
+    svg = render_picture(draw, height_in, picture.name, picture.title)
+    return Picture(picture.name, picture.title, picture.caption, picture.charts, svg)
 
 
-def _mark_steps(recording: Recording, panels: Sequence[Panel]) -> None:
-    for step in (event for event in find_events(recording.channels) if event.kind == "step"):
+def _draw_chart(axes: Any, chart: Chart, columns: int) -> Panel:
+    panel = Panel(axes, columns)
+    for band in chart.bands:
+        panel.band(band)
+    for curve in chart.curves:
+        panel.line(curve)
+    panel.limits(chart.curves, chart.least)
+    axes.set_xlim(*chart.extent_s)
+    axes.set_ylabel(chart.y_label)
+    return panel
+
+
+def _draw_marks(marks: Sequence[Mark], panels: Sequence[Panel], *, texts: bool) -> None:
+    """Every step and event as a line, every ramp as an area, in all axes."""
+    steps = sum(bool(mark.number) for mark in marks)
+    for mark in marks:
         for panel in panels:
-            panel.axes.axvline(step.start_s, color=PURPLE, linewidth=1.0, linestyle=(0, (1, 1.5)))
-        panels[0].axes.annotate(
-            str(step),
-            (step.start_s, 1.0),
-            xycoords=("data", "axes fraction"),
-            xytext=(0, 3),
-            textcoords="offset points",
-            color=PURPLE,
-            ha="center",
-            va="bottom",
-        )
+            if mark.lasts:
+                panel.axes.axvspan(mark.start_s, mark.end_s, color=INK, alpha=0.05, linewidth=0)
+            else:
+                style: Any = (0, (1, 1.5)) if mark.number else (0, (4, 2, 1, 2))
+                panel.axes.axvline(mark.start_s, color=PURPLE, linewidth=1.0, linestyle=style)
+        if texts and (mark.number or not mark.lasts):
+            panels[0].axes.annotate(
+                mark.text if steps <= _MOST_TEXTS or not mark.number else mark.number,
+                (mark.start_s, 1.0),
+                xycoords=("data", "axes fraction"),
+                xytext=(0, 3),
+                textcoords="offset points",
+                color=PURPLE,
+                ha="center",
+                va="bottom",
+            )
 
 
 def render_picture(draw: Callable[[Any], list[Panel]], height_in: float, name: str, title: str) -> str:
@@ -393,7 +453,7 @@ def _for_page(svg: str, name: str, title: str) -> str:
     body = re.sub(r"font: (\d+)px [^;\"]*", r"font-size: \1px", body)
     head_end = body.index(">")
     head = re.sub(r' (width|height)="[^"]*"', "", body[:head_end])
-    return f'{head} role="img" aria-label="{title}"{body[head_end:]}'
+    return f'{head} role="img" aria-label="{escape(title)}"{body[head_end:]}'
 
 
 def _hundredths(match: re.Match[str]) -> str:

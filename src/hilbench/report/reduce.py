@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -10,9 +11,23 @@ from numpy.typing import ArrayLike, NDArray
 Array = NDArray[np.float64]
 
 
-def moving_average(values: ArrayLike, samples: int) -> Array:
-    """Centred mean over `samples` (made odd); at the ends over the samples that are there. NaN stays local."""
+def moving_average(values: ArrayLike, samples: int, breaks: Sequence[int] = ()) -> Array:
+    """Centred mean over `samples` (made odd); at the ends over the samples that are there. NaN stays local.
+
+    No mean reaches over one of the `breaks` (indices of the first sample after an event): what an event does is not
+    seen before it.
+    """
     data = np.asarray(values, np.float64)
+    if not len(data):
+        return data
+    return np.concatenate([_centred_mean(part, samples) for part in _parts(data, breaks)])
+
+
+def _parts(data: Array, breaks: Sequence[int]) -> list[Array]:
+    return np.split(data, sorted({at for at in breaks if 0 < at < len(data)}))
+
+
+def _centred_mean(data: Array, samples: int) -> Array:
     half = min(samples // 2, max(len(data) - 1, 0) // 2)
     known = np.isfinite(data)
     total = np.concatenate(([0.0], np.cumsum(np.where(known, data, 0.0))))
@@ -23,17 +38,26 @@ def moving_average(values: ArrayLike, samples: int) -> Array:
         return np.asarray((total[stop] - total[start]) / (count[stop] - count[start]), np.float64)
 
 
-def mean_velocity(t_s: ArrayLike, x_m: ArrayLike, samples: int) -> Array:
+def mean_velocity(t_s: ArrayLike, x_m: ArrayLike, samples: int, breaks: Sequence[int] = ()) -> Array:
     """Velocity (m/s) as a triangular moving average over `samples`, from the position: no differentiation noise.
 
     The change of position over half of them is the plain average over that half; the average of it over the other
-    half also takes out the steps of the encoder.
+    half also takes out the steps of the encoder. `breaks` as in `moving_average`.
     """
     time_s, position_m = np.asarray(t_s, np.float64), np.asarray(x_m, np.float64)
+    if not len(time_s):
+        return time_s
+    parts = zip(_parts(time_s, breaks), _parts(position_m, breaks), strict=True)
+    return np.concatenate([_mean_slope(part_s, part_m, samples) for part_s, part_m in parts])
+
+
+def _mean_slope(time_s: Array, position_m: Array, samples: int) -> Array:
     half = min(max(samples // 4, 1), max(len(time_s) - 1, 1))
     start = np.clip(np.arange(len(time_s)) - half, 0, None)
     stop = np.clip(np.arange(len(time_s)) + half, None, len(time_s) - 1)
-    return moving_average((position_m[stop] - position_m[start]) / (time_s[stop] - time_s[start]), samples // 2)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        slope = (position_m[stop] - position_m[start]) / (time_s[stop] - time_s[start])
+    return _centred_mean(slope, samples // 2)
 
 
 def envelope(t_s: ArrayLike, values: ArrayLike, columns: int) -> tuple[Array, Array, Array]:
@@ -69,3 +93,67 @@ def thinned(t_s: ArrayLike, values: ArrayLike, columns: int) -> tuple[Array, Arr
         low, high = known[np.argmin(part[known])], known[np.argmax(part[known])]
         keep.extend(sorted({int(start + low), int(start + high)}))
     return time_s[keep], data[keep]
+
+
+def stretches(t_s: ArrayLike, fine: Iterable[tuple[float, float]], points: int) -> NDArray[np.int_]:
+    """Edges (indices) of the stretches that a signal is reduced to with about `points` points, two a stretch.
+
+    Within the intervals `fine` (s) every sample is a stretch, as long as that takes no more than half of the points;
+    no stretch reaches over one of their ends. The last edge is the number of samples.
+    """
+    time_s = np.asarray(t_s, np.float64)
+    count = len(time_s)
+    if count <= points:
+        return np.arange(count + 1)
+    limits = [np.searchsorted(time_s, ends) for ends in fine]
+    inside = np.zeros(count, bool)
+    for start, stop in limits:
+        inside[start:stop] = True
+    within = int(np.count_nonzero(inside))
+    share = _samples_a_stretch(within, points // 2)
+    used = within if share == 1 else points // 2
+    coarse = _samples_a_stretch(count - within, points - used)
+    edges = [0, count, *(int(start) for start, _ in limits), *(int(stop) for _, stop in limits)]
+    bounds = sorted({edge for edge in edges if 0 <= edge <= count})
+    pieces = [np.arange(a, b, share if inside[a] else coarse) for a, b in pairwise(bounds)]
+    return np.concatenate([*pieces, [count]]).astype(int)
+
+
+def _samples_a_stretch(samples: int, points: int) -> int:
+    """One, where there is a point for each sample; as many that two points a stretch are enough otherwise."""
+    return 1 if samples <= points else int(np.ceil(2 * samples / max(points, 1)))
+
+
+def reduced_times(t_s: ArrayLike, edges: NDArray[np.int_]) -> Array:
+    """Times of the points of `reduced`: a stretch of one sample has one, a longer one two."""
+    time_s = np.asarray(t_s, np.float64)
+    first, middle = edges[:-1], (edges[:-1] + edges[1:]) // 2
+    return np.asarray(_interleaved(time_s[first], time_s[middle], np.diff(edges) > 1), np.float64)
+
+
+def reduced(values: ArrayLike, edges: NDArray[np.int_]) -> Array:
+    """A signal by the least and the largest value of each stretch, in the order in which they came: no spike is lost.
+
+    A stretch without a number is NaN.
+    """
+    data = np.asarray(values, np.float64)
+    starts, long = edges[:-1], np.diff(edges) > 1
+    if not len(starts):
+        return data[:0]
+    known = np.isfinite(data)
+    lows, highs = np.where(known, data, np.inf), np.where(known, data, -np.inf)
+    low, high = np.minimum.reduceat(lows, starts), np.maximum.reduceat(highs, starts)
+    owner = np.repeat(np.arange(len(starts)), np.diff(edges))
+    position = np.arange(len(data))
+    at_low = np.minimum.reduceat(np.where(lows == low[owner], position, len(data)), starts)
+    at_high = np.minimum.reduceat(np.where(highs == high[owner], position, len(data)), starts)
+    empty = low > high
+    low, high = np.where(empty, np.nan, low), np.where(empty, np.nan, high)
+    rising = at_low <= at_high
+    return _interleaved(np.where(rising, low, high), np.where(rising, high, low), long)
+
+
+def _interleaved(first: Array, second: Array, both: NDArray[np.bool_]) -> Array:
+    """The first of each pair, and the second where both are wanted."""
+    wanted = np.column_stack([np.ones(len(first), bool), both]).ravel()
+    return np.asarray(np.column_stack([first, second]).ravel()[wanted], np.float64)

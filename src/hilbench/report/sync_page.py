@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from html import escape
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from hilbench.errors import UnusableInputError
 from hilbench.experiment.metrics import E_BAND
 from hilbench.experiment.synchronization import Comparison
-from hilbench.report.html import number, page, section, table
-from hilbench.report.plots import (
+from hilbench.report.chart import (
     BLUE,
     BROWN,
     GREEN,
@@ -21,10 +19,14 @@ from hilbench.report.plots import (
     PURPLE,
     SKY,
     VERMILLION,
-    Panel,
-    Picture,
-    render_picture,
+    Band,
+    Chart,
+    Curve,
+    Mark,
 )
+from hilbench.report.html import figure, number, page, section, table
+from hilbench.report.live import interactive
+from hilbench.report.plots import Picture, drawn
 
 COLOURS = {
     "pid": INK,
@@ -67,12 +69,14 @@ def rows(comparison: Comparison) -> list[list[str]]:
 
 def write_sync_page(comparison: Comparison, title: str, path: Path) -> Path:
     """Write the page. Raises UnusableInputError if it cannot be written."""
+    shown = pictures(comparison)
     body = [
         f"<header>\n<h1>{escape(title)}</h1>\n"
         f'<p class="facts">torque noise {number(comparison.noise_Nm)} N·m per sample of '
         f"{number(1e3 * float(np.median(np.diff(comparison.t_s))))} ms</p>\n</header>",
         section("Methods", _table(comparison)),
-        section("Estimates", picture(comparison).svg),
+        section("Estimates", '<div class="zooms" hidden></div>\n' + "\n".join(map(figure, shown))),
+        interactive(shown[:1], _marks(comparison)),
     ]
     try:
         path.write_text(page(title, body), encoding="utf-8")
@@ -94,38 +98,27 @@ def _table(comparison: Comparison) -> str:
     return table(COLUMNS, lines) + note
 
 
-def picture(comparison: Comparison) -> Picture:
+def pictures(comparison: Comparison) -> list[Picture]:
     """Estimates over the whole recording, and around the last step of the true E."""
-    t_s, true = comparison.t_s, comparison.E_true_Pa
-    zoomed = comparison.step_s is not None
-
-    def draw(figure: Any) -> list[Panel]:
-        axes = figure.subplots(2, 1) if zoomed else [figure.subplots()]
-        panels = [_draw(comparison, axes[0], slice(0, len(t_s)))]
-        if comparison.step_s is not None:
-            ends = np.searchsorted(t_s, [comparison.step_s - _BEFORE_S, comparison.step_s + _AFTER_S])
-            panels.append(_draw(comparison, axes[1], slice(int(ends[0]), int(ends[1]))))
-        panels[-1].axes.set_xlabel("time in s")
-        return panels
-
-    title = "Young’s modulus by method"
-    caption = "Estimates" + (", and the true value with ±1 % (grey)" if true is not None else "")
-    return Picture(title, caption, render_picture(draw, 5.6 if zoomed else 3.2, "sync", title))
+    caption = "Estimates" + (", and the true value with ±1 % (grey)" if comparison.E_true_Pa is not None else "")
+    chart, marks = _chart(comparison), _marks(comparison)
+    found = [drawn(Picture("sync", "Young’s modulus by method", caption, [chart]), marks)]
+    if comparison.step_s is not None:
+        around = chart.part(comparison.step_s - _BEFORE_S, comparison.step_s + _AFTER_S)
+        found.append(drawn(Picture("sync-step", "Around the last step of E", "", [around]), marks))
+    return found
 
 
-def _draw(comparison: Comparison, axes: Any, part: slice) -> Panel:
-    panel = Panel(axes, comparison.t_s[part])
-    shown = []
+def _marks(comparison: Comparison) -> list[Mark]:
+    return [] if comparison.step_s is None else [Mark(comparison.step_s, comparison.step_s, "step of E", "1")]
+
+
+def _chart(comparison: Comparison) -> Chart:
+    t_s, bands, curves = comparison.t_s, [], []
     if comparison.E_true_Pa is not None:
-        true = comparison.E_true_Pa[part] / 1e6
-        panel.band(true * (1 - E_BAND), true * (1 + E_BAND), INK, 0.16)
-        panel.line(true, "true", PURPLE, linewidth=1.0)
-        shown.append(true)
+        true = comparison.E_true_Pa / 1e6
+        bands.append(Band(t_s, true * (1 - E_BAND), true * (1 + E_BAND), INK, 0.16))
+        curves.append(Curve("true", t_s, true, PURPLE, 1.0))
     for result in comparison.results:
-        estimate = result.track.E_Pa[part] / 1e6
-        panel.line(estimate, result.method, COLOURS[result.method], linewidth=1.1)
-        shown.append(estimate)
-    panel.limits(*shown, part=slice(None), margin=0.1)
-    panel.axes.set_xlim(panel.t_s[0], panel.t_s[-1])
-    panel.axes.set_ylabel("E in N/mm²")
-    return panel
+        curves.append(Curve(result.method, t_s, result.track.E_Pa / 1e6, COLOURS[result.method], 1.1))
+    return Chart("E in N/mm²", curves, bands)
