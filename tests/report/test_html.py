@@ -2,7 +2,13 @@
 
 from __future__ import annotations
 
+import base64
+import hashlib
+import html
+import json
 import re
+import shutil
+import subprocess
 import xml.etree.ElementTree as ET
 from datetime import UTC, datetime
 from html.parser import HTMLParser
@@ -15,11 +21,15 @@ import pytest
 from hilbench.bench.signals import SIGNALS
 from hilbench.errors import UnusableInputError
 from hilbench.experiment.criteria import CriterionResult
-from hilbench.experiment.metrics import evaluate_metrics
+from hilbench.experiment.events import Changed, Event
+from hilbench.experiment.metrics import evaluate_metrics, judge
 from hilbench.record.recording import Recording, write_recording
-from hilbench.record.result import Environment, Fault, Result, Timing, jitter
+from hilbench.record.result import Environment, Fault, Result, Timing, Warned, jitter
 from hilbench.record.run_folder import RunFolder
+from hilbench.report import live
+from hilbench.report.chart import BLUE, Chart, Curve
 from hilbench.report.html import write_report
+from hilbench.report.plots import Picture, drawn
 
 E0, E1 = 8.7e9, 10.5e9
 EVIL = "<script>alert('1')</script> & \"x\""
@@ -76,6 +86,7 @@ def run_folder(base: Path, recorded: Recording, **result: Any) -> RunFolder:
             CriterionResult(name="noise", value=None, limit="≤ 1", unit="%", passed=False, reason=f"none {EVIL}"),
         ],
         "metrics": evaluate_metrics(recorded.channels),
+        "judged": judge(recorded.channels),
         "timing": timing,
         "faults": [Fault(time_s=12.5, source=EVIL, text=EVIL)],
         "environment": Environment.here(seed=4711),
@@ -92,6 +103,7 @@ class _Page(HTMLParser):
         self.tags: list[str] = []
         self.addresses: list[str] = []
         self.identifiers: list[str] = []
+        self.scripts: list[str] = []
         self.text = ""
         self._open: list[str] = []
 
@@ -116,7 +128,10 @@ class _Page(HTMLParser):
         assert self._open.pop() == tag
 
     def handle_data(self, data: str) -> None:
-        self.text += data
+        if self._open and self._open[-1] == "script":
+            self.scripts.append(data)
+        elif not self._open or self._open[-1] != "style":
+            self.text += data
 
 
 def parsed(path: Path) -> _Page:
@@ -131,28 +146,53 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_report(run_folder(tmp_path_factory.mktemp("runs"), recording()))
 
 
-def test_nothing_comes_from_outside_and_nothing_runs(report: Path) -> None:
-    page = parsed(report)
-    assert not {"script", "link", "img", "iframe", "object"} & set(page.tags)
+def test_nothing_comes_from_outside_and_nothing_else_runs(report: Path) -> None:
+    page, source = parsed(report), report.read_text()
+    assert not {"link", "img", "iframe", "object"} & set(page.tags)
     assert all(address.startswith("#") for address in page.addresses)
-    assert "@import" not in report.read_text()
-    assert re.findall(r"url\((?!#)", report.read_text()) == []
+    assert "@import" not in source
+    assert re.findall(r"url\((?!#)", re.sub(r"<script.*?</script>", "", source, flags=re.DOTALL)) == []
+    data, *code = page.scripts
+    json.loads(data)
+    assert tuple(code) == live.scripts()
+    (policy,) = re.findall(r'http-equiv="Content-Security-Policy" content="([^"]*)"', source)
+    hashes = [base64.b64encode(hashlib.sha256(text.encode()).digest()).decode() for text in code]
+    assert policy == "default-src 'none'; style-src 'unsafe-inline'; script-src " + " ".join(
+        f"'sha256-{text}'" for text in hashes
+    )
 
 
 def test_what_comes_from_files_is_escaped_and_there(report: Path) -> None:
-    assert "<script" not in report.read_text()
+    assert EVIL not in report.read_text()
     assert parsed(report).text.count(EVIL) >= 4  # criterion, reason, fault, config
 
 
-def test_criteria_come_first_and_the_rest_is_there(report: Path) -> None:
-    text = parsed(report).text
+def test_a_name_of_an_event_ends_no_script(tmp_path: Path) -> None:
+    recorded = recording(400)
+    evil = f"</script>{EVIL}"
+    event = Event("step", 5.0, 5.0, (Changed(evil, 1.0, 2.0),))
+    judged = judge(recorded.channels, journal=[event])
+    folder = run_folder(tmp_path, recorded)
+    result = Result.read(folder.result)
+    Result.of(result.criteria, result.metrics, result.timing, [], judged=judged).write(folder.result)
+    page = parsed(write_report(folder))
+    assert len(page.scripts) == 3
+    assert any(evil in mark["text"] for mark in json.loads(page.scripts[0])["marks"])
+    assert evil in page.text
+
+
+def test_criteria_come_first_and_the_rest_is_there(tmp_path: Path) -> None:
+    warned = [Warned(time_s=3.0, source="axis 1", text=f"near its limit {EVIL}")]
+    text = parsed(write_report(run_folder(tmp_path, recording(), warnings=warned))).text
     order = [
-        text.index(f"\n{title}\n") for title in ("Criteria", "Faults", "What happened", "Metrics", "Timing", "Config")
+        text.index(f"\n{title}\n")
+        for title in ("Criteria", "Faults", "What happened", "Warnings", "Steps", "Metrics", "Timing", "Config")
     ]
     assert order == sorted(order)
     for wanted in (
         "1 of 2 criteria met",
         "1 fault",
+        "1 warning",
         "2026-03-04 05:06:07 UTC",
         "61.4",
         "4711",
@@ -162,13 +202,19 @@ def test_criteria_come_first_and_the_rest_is_there(report: Path) -> None:
         assert wanted in text
 
 
+def test_a_reason_stands_beside_its_verdict(report: Path) -> None:
+    (cell,) = re.findall(r"<td>noise(.*?)</td>", report.read_text())
+    assert html.escape(f"none {EVIL}") in cell
+    assert "✗ error" in parsed(report).text
+
+
 def test_the_pictures_are_drawn_with_the_step_marked(report: Path) -> None:
     source = report.read_text()
     pictures = re.findall(r"<svg .*?</svg>", source, flags=re.DOTALL)
-    assert len(pictures) == 5  # four of the experiment, one of the timing
+    assert len(pictures) == 6  # four of the experiment, one around the step, one of the timing
     for picture in pictures:
         ET.fromstring(picture)
-    assert source.count("E +20.7 %") == 4
+    assert all(picture.count("E +20.7 %") == 1 for picture in pictures[:5])
     for label in ("axis 1", "averaged", "estimated", "set-point", "v1 − line in mm/s"):
         assert label in source
 
@@ -183,7 +229,7 @@ def test_identifiers_are_unique_and_references_resolve(report: Path) -> None:
 def test_small_and_the_same_every_time(tmp_path: Path) -> None:
     folder = run_folder(tmp_path, recording(40_000))
     first = write_report(folder).read_bytes()
-    assert len(first) < 1_500_000
+    assert len(first) < 2_000_000
     assert write_report(folder).read_bytes() == first
     assert sorted(path.name for path in folder.path.iterdir()) == [
         "config.yaml",
@@ -191,6 +237,75 @@ def test_small_and_the_same_every_time(tmp_path: Path) -> None:
         "report.html",
         "result.json",
     ]
+
+
+def test_a_long_run_with_many_steps_stays_a_small_file(tmp_path: Path) -> None:
+    channels = dict(recording(400_000).channels)
+    t = channels["t_s"]
+    channels["F_ref_N"] = 80.0 + 5.0 * (np.floor(t / 0.5) % 2)
+    channels["tau2_sim_Nm"] = np.random.default_rng(1).normal(size=len(t))
+    path = write_report(run_folder(tmp_path, Recording(channels)))
+    assert path.stat().st_size < 2_000_000
+    assert len(json.loads(parsed(path).scripts[0])["zooms"]) == 20
+
+
+def plotted(page: _Page, name: str) -> tuple[list[float], list[float]]:
+    """Times and values of a curve as the interactive picture has them."""
+    data = json.loads(page.scripts[0])
+    (curve,) = [curve for plot in data["plots"] for curve in plot["curves"] if curve["label"] == name]
+    table = data["tables"][curve["table"]]
+    x, y = base64.b64decode(table["x"]), base64.b64decode(table["columns"][curve["column"]])
+    return np.frombuffer(x, "<f8").tolist(), np.frombuffer(y, "<f4").tolist()
+
+
+def test_a_spike_of_a_single_cycle_is_in_the_pictures_whatever_the_length(tmp_path: Path) -> None:
+    recorded = recording(400_000)
+    recorded["F_true_N"][333_333] = 143.0
+    path = write_report(run_folder(tmp_path, recorded))
+    _, tension = plotted(parsed(path), "set-point")  # the same table
+    times, simulated = plotted(parsed(path), "estimated")
+    assert len(times) == len(simulated) == len(tension) < 20_000
+    data = json.loads(parsed(path).scripts[0])
+    true = next(c for p in data["plots"] if p["picture"] == "tension" for c in p["curves"] if c["label"] == "true")
+    values = np.frombuffer(base64.b64decode(data["tables"][true["table"]]["columns"][true["column"]]), "<f4")
+    assert values.max() == 143.0
+
+
+def test_the_axis_reaches_as_far_as_the_tension_does() -> None:
+    t = np.linspace(0, 40, 20_000)
+    swing = 80 + np.where(t > 10, 16.6 * np.exp(-(t - 10) / 0.2) * np.cos(130 * (t - 10)), 0.0)
+    svg = drawn(
+        Picture("tension", "", "", [Chart("tension in N", [Curve("true", t, swing, "#0072b2")], least=4.0)])
+    ).svg
+    assert "cut" not in svg
+    (path,) = re.findall(r'<path d="([^"]*)"[^>]*stroke: var\(--blue\)', svg)
+    heights = [float(y) for y in re.findall(r"[ML] [\d.]+ ([\d.]+)", path)]
+    box = re.search(
+        r'<g id="tension-patch_2">\s*<path d="M [\d.]+ ([\d.]+) \s*L [\d.]+ [\d.]+ \s*L [\d.]+ ([\d.]+)', svg
+    )
+    assert box is not None
+    bottom, top = float(box[1]), float(box[2])
+    assert top < min(heights) < top + 0.1 * (bottom - top)  # the peak is inside, near the upper edge
+
+
+def test_what_is_far_beyond_the_axis_is_marked_with_its_value() -> None:
+    t = np.linspace(0, 40, 20_000)
+    values = np.sin(t)
+    values[7000] = 5000.0
+    svg = drawn(Picture("x", "", "", [Chart("y", [Curve("a", t, values, BLUE)])])).svg
+    assert "▲ cut: up to 5000" in svg
+
+
+@pytest.mark.skipif(shutil.which("chromium") is None, reason="Chromium is not installed")
+def test_a_browser_draws_all_plots_and_finds_no_error(report: Path, tmp_path: Path) -> None:
+    command = ["chromium", "--headless", "--no-sandbox", "--disable-gpu", "--disable-background-networking"]
+    command += ["--disable-component-update", "--disable-sync", "--no-first-run", f"--user-data-dir={tmp_path}"]
+    done = subprocess.run(
+        [*command, "--dump-dom", report.resolve().as_uri()], capture_output=True, text=True, timeout=120, check=True
+    )
+    assert 'data-live="5"' in done.stdout
+    assert done.stdout.count("<canvas") == 5
+    assert "1: E +20.7 %" in done.stdout
 
 
 def test_a_run_of_another_kind_gets_what_can_be_drawn(tmp_path: Path) -> None:
@@ -205,7 +320,9 @@ def test_a_run_of_another_kind_gets_what_can_be_drawn(tmp_path: Path) -> None:
         realtime_factor=None,
         bus_load_pct=None,
     )
-    folder = run_folder(tmp_path, bare, criteria=[], faults=[], metrics={}, timing=timing, environment=None)
+    folder = run_folder(
+        tmp_path, bare, criteria=[], faults=[], metrics={}, timing=timing, environment=None, judged=None
+    )
     text = parsed(write_report(folder)).text
     assert text.count("Not drawn: the recording lacks these signals.") == 2
     assert "The config sets none." in text

@@ -4,8 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from hilbench.report.reduce import envelope, mean_velocity, moving_average, thinned
+from hilbench.report.reduce import (
+    envelope,
+    mean_velocity,
+    moving_average,
+    reduced,
+    reduced_times,
+    stretches,
+    thinned,
+)
 
 
 def test_moving_average_of_a_ramp_is_the_ramp_and_takes_noise_out() -> None:
@@ -58,3 +68,50 @@ def test_envelope_encloses_the_signal(samples: int) -> None:
     assert len(x) == len(low) == len(high) == min(samples, 700)
     assert (low.min(), high.max()) == (values.min(), values.max())
     assert (low <= high).all()
+
+
+def test_an_average_sees_nothing_of_a_step_before_it() -> None:
+    values = np.where(np.arange(1000) < 500, 0.0, 1.0)
+    assert moving_average(values, 101)[499] > 0.4
+    averaged = moving_average(values, 101, breaks=[500])
+    assert not averaged[:500].any()
+    assert averaged[500:] == pytest.approx(1.0)
+    t = np.arange(1000) * 0.002
+    x = np.where(t < 1, t, 1 + 3 * (t - 1))
+    velocity = mean_velocity(t, x, 100, breaks=[500])
+    assert velocity[:500] == pytest.approx(1.0)
+    assert velocity[501:] == pytest.approx(3.0)
+
+
+@given(
+    count=st.integers(2, 3000),
+    points=st.integers(20, 500),
+    at=st.floats(0, 1),
+    seed=st.integers(0, 1000),
+)
+def test_a_reduced_signal_has_every_extreme_in_its_stretch(count: int, points: int, at: float, seed: int) -> None:
+    t = 0.002 * np.arange(count)
+    data = np.random.default_rng(seed).normal(size=count)
+    data[int(at * (count - 1))] = 1000.0
+    middle = float(t[count // 2])
+    edges = stretches(t, [(middle, middle + 0.01)], points)
+    assert edges[0] == 0
+    assert edges[-1] == count
+    assert np.all(np.diff(edges) > 0)
+    assert count // 2 in edges  # no stretch reaches over the step
+    x, y = reduced_times(t, edges), reduced(data, edges)
+    assert len(x) == len(y)
+    assert np.all(np.diff(x) > 0)
+    assert y.max() == 1000.0
+    assert y.min() == data.min()
+
+
+def test_a_short_signal_stays_as_it_is_and_a_gap_a_gap() -> None:
+    t, data = np.arange(50.0), np.arange(50.0)
+    edges = stretches(t, [], 100)
+    assert reduced_times(t, edges) == pytest.approx(t)
+    assert reduced(data, edges) == pytest.approx(data)
+    data[10:30] = np.nan
+    coarse = reduced(data, stretches(t, [], 20))
+    assert np.isnan(coarse).any()
+    assert np.nanmax(coarse) == 49.0

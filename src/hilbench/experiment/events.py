@@ -94,7 +94,11 @@ def find_events(channels: Channels, journal: Sequence[Event] = ()) -> list[Event
         for event in signal_events(time_s, channels[name], path)
     ]
     sample_s = float(np.median(np.diff(time_s)))
-    within = [event for event in journal if time_s[0] < event.start_s <= time_s[-1]]
+    within = [
+        event
+        for event in journal
+        if event.start_s <= time_s[-1] and (event.end_s if event.kind == "ramp" else event.start_s) > time_s[0]
+    ]
     return merged(within, shown, 1.5 * sample_s)
 
 

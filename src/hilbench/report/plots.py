@@ -209,7 +209,7 @@ def zooms(pictures: Sequence[Picture], marks: Sequence[Mark]) -> list[Picture]:
     wanted = [picture for picture in pictures if picture.name in ("elasticity", "tension") and picture.charts]
     found: list[Picture] = []
     steps = [mark for mark in marks if mark.number]
-    for step, following in zip(steps, [*steps[1:], None], strict=True):
+    for step, following in zip(steps, [*steps[1:], None], strict=False):
         if not wanted or len(found) == _MOST_ZOOMS:
             break
         until_s = step.end_s + ZOOM_AFTER_S
