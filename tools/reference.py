@@ -327,13 +327,16 @@ def metrics_page() -> str:
     lines = [
         "# Metrics",
         "",
-        "What a run is judged by: `criteria:` of a config bound them, `result.json` has them all. Those of the "
-        "recording are evaluated in the longest stretch at working speed; the *settled part* is its last 5 s, after "
-        "the last step of E.",
+        "What a run is judged by: `criteria:` of a config bound them, `result.json` has them all. Those *of steps* "
+        "each step of the run has for itself, from when it acts to the next event; of the run they are the worst of all "
+        "its steps. What a step, the *settled part* and noise are: [Results and report](../results.md).",
         "",
         *_table(
-            ("metric", "unit", "what", "a run does not have it when"),
-            ((f"`{name}`", metric.unit, metric.description, metric.absent) for name, metric in METRICS.items()),
+            ("metric", "unit", "what", "of steps", "a run does not have it when"),
+            (
+                (f"`{name}`", metric.unit, metric.description, "yes" if metric.of_steps else "", metric.absent)
+                for name, metric in METRICS.items()
+            ),
         ),
     ]
     return "\n".join(lines)
