@@ -328,8 +328,8 @@ def metrics_page() -> str:
         "# Metrics",
         "",
         "What a run is judged by: `criteria:` of a config bound them, `result.json` has them all. Those *of steps* "
-        "each step of the run has for itself, from when it acts to the next event; of the run they are the worst of all "
-        "its steps. What a step, the *settled part* and noise are: [Results and report](../results.md).",
+        "each step of the run has for itself, from when it acts to the next event; of the run they are the worst of "
+        "all its steps. What a step, the *settled part* and noise are: [Results and report](../results.md).",
         "",
         *_table(
             ("metric", "unit", "what", "of steps", "a run does not have it when"),
