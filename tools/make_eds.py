@@ -1,12 +1,12 @@
 """Write the EDS files of the simulated devices (CiA 306) from the tables below: ``python tools/make_eds.py``.
 
-The tables are the one description of the devices' objects. REAL32 defaults are written as the hexadecimal
-digits of their IEEE 754 representation, as CiA 306 wants it; plain 0 reads the same either way.
+The tables are the one description of the devices' objects. A REAL32 has default 0 or none: CiA 306 wants the
+hexadecimal digits of the IEEE 754 representation, as Lely's tools read it, and many others read a decimal number; 0 is
+the same to all of them. A device has other values of its own in such objects from the start.
 """
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Container, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -201,7 +201,12 @@ def effect_objects(effects: Sequence[Effect], domains: Container[Domain]) -> lis
             effect.id,
             RECORD,
             {
-                sub: Entry(f"{parameter.name} [{_ascii(parameter.unit)}]", "REAL32", "rw", parameter.neutral)
+                sub: Entry(
+                    f"{parameter.name} [{_ascii(parameter.unit)}]",
+                    "REAL32",
+                    "rw",
+                    0.0 if parameter.neutral == 0.0 else None,
+                )
                 for sub, parameter in enumerate(effect.parameters, 1)
             },
         )
@@ -433,12 +438,13 @@ def _object_sections(item: Object) -> list[str]:
 
 
 def _entry_lines(entry: Entry, index: int) -> list[tuple[str, str]]:
+    default = [] if entry.default is None else [("DefaultValue", _default_text(entry))]
     lines = [
         ("ParameterName", entry.name),
         ("ObjectType", f"0x{VAR:X}"),
         ("DataType", f"0x{TYPES[entry.type]:04X}"),
         ("AccessType", entry.access),
-        ("DefaultValue", _default_text(entry)),
+        *default,
         ("PDOMapping", str(int(entry.mappable))),
     ]
     if entry.low is not None:
@@ -451,14 +457,14 @@ def _entry_lines(entry: Entry, index: int) -> list[tuple[str, str]]:
 
 
 def _default_text(entry: Entry) -> str:
-    default = entry.default
-    if default is None:
-        return ""
+    """Raises ValueError for a REAL32 that is not read the same by everybody."""
     if entry.type == "REAL32":
-        return f"0x{struct.pack('>f', default).hex().upper()}" if default else "0"
-    if entry.type == "U32" and isinstance(default, int):
-        return f"0x{default:08X}"
-    return str(default)
+        if entry.default != 0.0:
+            raise ValueError(f"default {entry.default} of '{entry.name}', expected 0 or none for a REAL32")
+        return "0"
+    if entry.type == "U32" and isinstance(entry.default, int):
+        return f"0x{entry.default:08X}"
+    return str(entry.default)
 
 
 def eds_files() -> dict[str, str]:

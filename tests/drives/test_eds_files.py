@@ -1,17 +1,21 @@
 """The EDS files: in step with their tables, complete for the device runtime."""
 
+import configparser
 import importlib.util
 import sys
 from pathlib import Path
 from types import ModuleType
 
+import dcf
 import pytest
 from tests.drives.stand_in import StandingClock
 
+from hilbench.bus.frame import Frame
 from hilbench.drives.configuration import default_reader
 from hilbench.drives.units import DriveUnits
 from hilbench.fieldbus.device import Device
 from hilbench.fieldbus.eds import load_eds
+from hilbench.web.effect_objects import bind_effect_objects, effect_object
 from hilbench.web.effects import EFFECTS, STAND_DOMAINS
 
 ROOT = Path(__file__).parents[2]
@@ -47,6 +51,36 @@ def test_servo_starts_with_the_pdos_of_the_predefined_connection_set(node_id: in
     assert cob_ids[0x1802] == 0xC0000380 + node_id
     mapped = [device.cell(0x1A00, sub).value for sub in range(1, 4)]
     assert mapped == [0x60410010, 0x60770010, 0x60640020]
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_every_default_of_a_real32_is_one_number_to_all_who_read_the_file(name: str) -> None:
+    """Lely's tools take the digits for the bits of an IEEE 754 number, canopen, gocanopen and others for the number."""
+    sections = configparser.ConfigParser(interpolation=None)
+    sections.read(ROOT / "eds" / name)
+    reals = [section for section in sections.values() if int(section.get("DataType", "0"), 0) == 0x0008]
+    assert reals
+    for section in reals:
+        text = section.get("DefaultValue", "0")
+        assert float(text) == dcf.REAL32.parse_value(text), section.name
+
+
+def test_an_effect_starts_with_its_neutral_values_and_has_them_again_after_a_reset() -> None:
+    device = Device(load_eds(ROOT / "eds" / FILES[0], 1), 1, StandingClock())
+    bind_effect_objects(device, lambda effect, parameters: None)
+    device.boot()
+    neutral = {
+        effect_object(effect.id, parameter.name): parameter.neutral
+        for effect in EFFECTS
+        if effect.domain in STAND_DOMAINS
+        for parameter in effect.parameters
+    }
+    assert any(neutral.values())
+    assert {place: device.cell(*place).value for place in neutral} == neutral
+    for place in neutral:
+        device.cell(*place).write(7.0)
+    device.handle(Frame(0, b"\x81\x01"))
+    assert {place: device.cell(*place).value for place in neutral} == neutral
 
 
 def test_units_of_the_demonstrator() -> None:

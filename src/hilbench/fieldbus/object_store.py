@@ -45,21 +45,27 @@ class SdoAbort(SdoAbortedError):  # noqa: N818 - the service of CiA 301, not an 
 class Cell:
     """The value of one object. `on_write` is called with a new value before it is taken, by SDO and RPDO."""
 
-    __slots__ = ("_type", "on_read", "on_write", "value", "variable")
+    __slots__ = ("_start", "_type", "on_read", "on_write", "value", "variable")
 
     def __init__(self, variable: ODVariable) -> None:
         self.variable = variable
         self._type = data_type(variable.data_type or 0)
+        self._start: Value = self._type.neutral
         self.value: Value = self.initial()
         self.on_write: Callable[[Value], None] | None = None
         self.on_read: Callable[[], Value] | None = None
 
     def initial(self) -> Value:
-        """The value after a reset: the DCF's ParameterValue, the default, or zero."""
+        """The value after a reset: the DCF's ParameterValue, the EDS' default, the application's, or zero."""
         for value in (self.variable.value, self.variable.default):
             if value is not None:
                 return value
-        return self._type.neutral
+        return self._start
+
+    def start_with(self, value: Value) -> None:
+        """What the application has in an object for which the EDS file names no default; it is so now."""
+        self._start = value
+        self.value = self.initial()
 
     @property
     def width(self) -> int | None:

@@ -26,13 +26,15 @@ def effect_object(effect_id: str, parameter: str) -> tuple[int, int]:
 
 
 def bind_effect_objects(device: Device, apply: Callable[[str, dict[str, float]], None]) -> None:
-    """Let writes to the effect objects of a device act: `apply(effect id, all its parameters)`."""
+    """Give the effect objects of a device their neutral values, and let writes act: `apply(effect id, all its
+    parameters)`."""
     for position, effect in enumerate(EFFECTS):
         index = EFFECTS_INDEX + position
         if effect.domain not in STAND_DOMAINS or not device.has(index, 1):
             continue
         cells = {parameter.name: device.cell(index, sub) for sub, parameter in enumerate(effect.parameters, 1)}
-
+        for parameter in effect.parameters:
+            cells[parameter.name].start_with(parameter.neutral)
         for name, cell in cells.items():
             cell.on_write = partial(_written, apply, effect.id, cells, name)
 
