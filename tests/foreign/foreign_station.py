@@ -63,6 +63,10 @@ class ForeignStation:
         """Send SYNC."""
         self._ask("sync")
 
+    def sync_every(self, period_ms: int) -> None:
+        """Send SYNC by its own timer from now on."""
+        self._ask("sync_every", period_us=1000 * period_ms)
+
     def command(self, controlword: int, target_velocity: int = 0) -> None:
         """Send RPDO1."""
         self._ask("command", controlword=controlword, target_velocity=target_velocity)

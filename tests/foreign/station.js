@@ -82,6 +82,10 @@ const requests = {
         station.sync.write();
     },
 
+    async sync_every({ period_us }) {
+        station.eds.setSyncCyclePeriod(period_us);
+    },
+
     async command({ controlword, target_velocity }) {
         station.setValue(CONTROLWORD, controlword);
         station.setValue(TARGET_VELOCITY, target_velocity);

@@ -34,9 +34,9 @@ SDO_SERVER = record(
 )
 
 
-def with_node_id(eds: str) -> str:
+def with_node_id(eds: str, node: int = NODE) -> str:
     """The EDS with its COB-IDs as numbers: npm's canopen knows no $NODEID."""
-    return re.sub(r"\$NODEID\+(0x[0-9A-Fa-f]+)", lambda match: hex(int(match[1], 0) + NODE), eds)
+    return re.sub(r"\$NODEID\+(0x[0-9A-Fa-f]+)", lambda match: hex(int(match[1], 0) + node), eds)
 
 
 @contextmanager
