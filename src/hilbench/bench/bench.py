@@ -125,13 +125,7 @@ class Bench:
         self._first_cycle = 0
         web = config.model.required_web
         self._load_model = LoadModel(config.model, config.load, config.cycle_time_s)
-        self._controller = TensionController(
-            config.tension_control,
-            config.model.span_length_m(1),
-            web.section_m2,
-            config.model.drive_stiffness_N_per_m(2),
-            config.model.upstream_strain,
-        )
+        self._controller = TensionController.of_model(config.tension_control, config.model)
         self._damping = SwingDamping(
             SwingPlant.of_model(config.model, config.cycle_time_s),
             config.tension_control.swing_damping_ratio,

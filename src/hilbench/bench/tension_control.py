@@ -17,6 +17,8 @@ from __future__ import annotations
 
 from pydantic import BaseModel, ConfigDict, Field, PositiveFloat
 
+from hilbench.web.parameters import ModelParameters
+
 #: Longest integral time, times the bandwidth.
 _LONGEST_INTEGRAL = 4.0
 #: Time constants of an open loop's way to its ratio, and of the E that it takes with it.
@@ -70,6 +72,21 @@ class TensionController:
         self._upstream_strain = upstream_strain
         self.reset()
 
+    @classmethod
+    def of_model(cls, config: TensionControlConfig, model: ModelParameters) -> TensionController:
+        """For the first span of a model with a web. Raises ValueError without one."""
+        web = model.required_web
+        stiffness_N_per_m = model.drive_stiffness_N_per_m(2)
+        return cls(config, model.span_length_m(1), web.section_m2, stiffness_N_per_m, model.upstream_strain)
+
+    def gains(self, line_speed_m_s: float, modulus_Pa: float) -> tuple[float, float]:
+        """Kp in m/s per N and Ki in m/s per N·s at this speed and E."""
+        stiffness_N = modulus_Pa * self._area_m2
+        gives_way = stiffness_N / (self._length_m * self._roller_stiffness_N_per_m)
+        kp = self._config.bandwidth_rad_per_s * (1.0 + gives_way) * self._length_m / stiffness_N
+        pole_per_s = abs(line_speed_m_s) / ((1.0 + gives_way) * self._length_m)
+        return kp, kp * max(pole_per_s, self._config.bandwidth_rad_per_s / _LONGEST_INTEGRAL)
+
     def reset(self) -> None:
         """Forget the integral (drives off)."""
         self._integral_m_s = 0.0
@@ -94,12 +111,8 @@ class TensionController:
         After `hold` it goes on from the held ratio, without a jump.
         """
         limit = self._config.correction_limit_m_s
-        stiffness_N = modulus_Pa * self._area_m2
         error_N = set_point_N - tension_N
-        gives_way = stiffness_N / (self._length_m * self._roller_stiffness_N_per_m)
-        kp = self._config.bandwidth_rad_per_s * (1.0 + gives_way) * self._length_m / stiffness_N
-        pole_per_s = abs(line_speed_m_s) / ((1.0 + gives_way) * self._length_m)
-        ki = kp * max(pole_per_s, self._config.bandwidth_rad_per_s / _LONGEST_INTEGRAL)
+        kp, ki = self.gains(line_speed_m_s, modulus_Pa)
         known_Pa = self._modulus_Pa or modulus_Pa
         self._modulus_Pa = known_Pa + cycle_s / (_KNOWN_S + cycle_s) * (modulus_Pa - known_Pa)
         if not self._closed:

@@ -22,11 +22,13 @@ from hilbench.web.balance import BalanceSample
 #: that is one or the other.
 TORQUE_SHIFT, UNDECIDED = 0xFF17, 0xFF18
 
-#: Length of a block, whose means are what is compared: long against the swing of a shaft that was hit, short against
-#: the tension loop.
-_BLOCK_S = 0.06
+#: Length of a block, whose means are what is compared: short against the way of the strain to its new value.
+_BLOCK_S = 0.02
 #: Blocks that say what was before, and how many are enough.
-_BEFORE, _ENOUGH = 20, 8
+_BEFORE, _ENOUGH = 60, 24
+#: Blocks after that of the change that are left out: a shaft that was hit is on no line, nor is a load motor that
+#: imitates a web some cycles late.
+_HIT = 1
 #: Change of the speed between blocks that are compared, relative.
 _SAME_SPEED = 0.02
 #: A change that is worth an explanation: over the noise of a block, and relative to the tension.
@@ -34,9 +36,12 @@ _CHANGED_NOISES, _CHANGED = 6.0, 0.02
 #: Least noise of a block that is believed, relative to the tension: what is left of the model's own errors.
 _NOISE_FLOOR = 1e-3
 #: Squared residuals over the noise: one explanation is better than the other from here on, and itself good enough.
-_DECIDED, _ACCEPTED = 12.0, 9.0
+_DECIDED, _ACCEPTED = 16.0, 9.0
+#: The same, of E over a shift, when the change has been open for long: nothing is said any more, it is not told as
+#: undecided, it is told so again.
+_SETTLED, _LEANS, _LEANS_NO_MORE = 8.0, 5.0, 2.5
 #: Blocks that an explanation needs, after which it counts as undecided, and after which nothing is said any more.
-_LEAST, _LONG, _LONGEST = 5, 50, 1000
+_LEAST, _LONG, _LONGEST = 15, 150, 3000
 
 
 class Block(NamedTuple):
@@ -102,6 +107,8 @@ class _Change:
     modulus_Pa: float
     told_Pa: float
     variance_N2: float
+    hit: int = _HIT
+    leans_to_modulus: bool = False
     since: _Sums = field(default_factory=_Sums)
 
 
@@ -122,8 +129,9 @@ class TorqueShiftFinder:
 
     @property
     def undecided(self) -> bool:
-        """Whether a change has been open for long."""
-        return self._change is not None and self._change.since.count >= _LONG
+        """Whether a change has been open for long, and may as well be the one as the other."""
+        change = self._change
+        return change is not None and change.since.count >= _LONG and not change.leans_to_modulus
 
     def interrupt(self) -> None:
         """A cycle is missing: no mean goes across."""
@@ -164,6 +172,9 @@ class TorqueShiftFinder:
         return None
 
     def _explain(self, change: _Change, block: Block, may_decide: bool) -> TorqueShift | None:
+        if change.hit > 0:
+            change.hit -= 1
+            return None
         change.since.add(block)
         since = change.since
         if since.count < _LEAST or not may_decide:
@@ -176,7 +187,10 @@ class TorqueShiftFinder:
         if of_modulus - of_shift > _DECIDED and of_shift < _ACCEPTED:
             self.reset()
             return TorqueShift(shift_N, change.told_Pa)
-        settled = of_shift - of_modulus > _DECIDED or min(of_shift, of_modulus) > _DECIDED
+        better = of_shift - of_modulus
+        change.leans_to_modulus = better > (_LEANS_NO_MORE if change.leans_to_modulus else _LEANS)
+        enough = _SETTLED if since.count >= _LONG else _DECIDED
+        settled = better > enough or min(of_shift, of_modulus) > _DECIDED
         if settled or since.count >= _LONGEST:
             self.reset()
         return None

@@ -1,0 +1,101 @@
+"""The swing of roller 2 against the web after steps of E, with and without active damping, and the loop's margins.
+
+    python tools/tension_swing.py                             print the tables
+    python tools/tension_swing.py --write docs/theory.md      write them into the page
+
+The runs are those of bench_configs/web_section_step.yaml in one process: line speed, 2 s at rest, the step. "Other
+side": how far the true tension goes beyond its set-point after the step has pushed it the other way. "Swing": the
+tension less its mean over 0.1 s, from 0.15 s after the step on. "Within 1 N": for good.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import docs_page
+import numpy as np
+
+from hilbench.bench.participants import Participants
+from hilbench.bench.tension_loop import OperatingPoint, TensionLoop
+from hilbench.experiment.config import load_with_overrides
+from hilbench.experiment.metrics import time_to_stay
+from hilbench.scripts.bench import Bench
+
+CONFIG = Path(__file__).resolve().parents[1] / "bench_configs" / "web_section_step.yaml"
+UNDAMPED = "tension_control.swing_damping_ratio=0"
+STEPS, SPEEDS_M_S = (-0.4, -0.207, -0.1, -0.02, 0.02, 0.1, 0.207, 0.4), (0.5, 3.0, 8.0)
+MODULUS_PA, AFTER_S, SWING_S, MEAN_S, BAND = 8.7e9, 1.8, 0.15, 0.1, 0.01
+
+
+def run(share: float, speed_m_s: float, *changes: str) -> list[float | None]:
+    """Other side (N), swing (N), time to 1 N (s), time of the estimate to 1 % (s), noise before the step (N)."""
+    wide = "safety.limits.speed_m_s.warning=9"
+    bench = Bench(CONFIG, changes=[wide, *changes], participants=Participants.IN_PROCESS)
+    with bench:
+        bench.ramp("line_speed_m_s", speed_m_s, duration_s=max(1.0, 0.5 * speed_m_s))
+        bench.run(2.0)
+        step_s = bench.time_s
+        bench.step("load.web.youngs_modulus_Pa", MODULUS_PA * (1.0 + share))
+        bench.run(AFTER_S)
+    recording = bench.recording
+    since = recording.time_s - step_s
+    error_N = recording["F_true_N"] - recording["F_ref_N"]
+    start = int(np.searchsorted(since, 1e-9))
+    width = round(MEAN_S / bench.config.cycle_time_s) | 1
+    swing_N = (error_N - np.convolve(error_N, np.full(width, 1.0 / width), "same"))[: -(width // 2)]
+    estimate = recording["E_sim_Pa"] / recording["E_true_Pa"] - 1.0
+    return [
+        max(0.0, float(np.max(-np.sign(share) * error_N[start:]))),
+        float(np.max(np.abs(swing_N[since[: len(swing_N)] >= SWING_S]))),
+        time_to_stay(recording.time_s, error_N, 1.0, start),
+        time_to_stay(recording.time_s, estimate, BAND, start),
+        float(np.std(error_N[(since > -1.0) & (since <= 0.0)])),
+    ]
+
+
+def swing_table() -> str:
+    """Both ways of each step and speed."""
+    lines = [
+        "| step of E | m/s | other side, N | swing, N | within 1 N, s | E to 1 %, s | noise, N |",
+        "|--:|--:|--:|--:|--:|--:|--:|",
+    ]
+    for share in STEPS:
+        for speed_m_s in SPEEDS_M_S:
+            pairs = zip(run(share, speed_m_s, UNDAMPED), run(share, speed_m_s), strict=True)
+            cells = [" → ".join("–" if value is None else f"{value:.2g}" for value in pair) for pair in pairs]
+            lines.append(f"| {100 * share:+g} % | {speed_m_s:g} | {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+def margin_table() -> str:
+    """Margins at axis 1's command, for E as true and for the old E that the twin believes just after a step."""
+    undamped, damped = (load_with_overrides(CONFIG, changes=changes).config for changes in ([UNDAMPED], []))
+    lines = ["| E | m/s | gain, E known | phase, ° | gain, old E | phase, ° |", "|--:|--:|--:|--:|--:|--:|"]
+    for share in (-0.4, 0.0, 0.4):
+        for speed_m_s in SPEEDS_M_S:
+            cells = []
+            for believed in (1.0 + share, 1.0):
+                point = OperatingPoint(MODULUS_PA * (1.0 + share), speed_m_s, 1.0, MODULUS_PA * believed)
+                before, after = (TensionLoop(config, point).margins for config in (undamped, damped))
+                cells.append(f"{before.gain:.2f} → {after.gain:.2f}")
+                cells.append(f"{before.phase_deg:.0f} → {after.phase_deg:.0f}")
+            lines.append(f"| {100 * share:+g} % | {speed_m_s:g} | {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Run and print, or write into the page."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--write", type=Path)
+    page = parser.parse_args().write
+    tables = {"margins": margin_table(), "swing": swing_table()}
+    if page is None:
+        print(*tables.values(), sep="\n\n")
+        return
+    for name, table in tables.items():
+        docs_page.put(page, name, table)
+
+
+if __name__ == "__main__":
+    main()
