@@ -28,7 +28,7 @@ def doctor_command(loaded: LoadedConfig | None, bus: BusAddress, *, start: bool,
     subject, start_nodes = (Subject.of_bus(bus), None) if loaded is None else _of_bench(loaded, start=start)
     if as_json:
         examination = examine(subject, start=start_nodes, announce=lambda text: None)
-        print(json.dumps(as_data(examination), indent=2, ensure_ascii=False))
+        print(json.dumps(as_data(examination), indent=2))
     else:
         # Plain lines: what redraws itself meanwhile would disturb the measurement of the timer.
         examination = examine(subject, start=start_nodes, announce=lambda text: console.print(f"{text} ..."))

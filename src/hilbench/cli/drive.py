@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -123,7 +124,7 @@ def _jog(manual: ManualDrive, heartbeat: Callable[[], None], speed_rad_s: float)
     with _keys() as key_pressed, manual.watching(_MASTER_ID, _HEARTBEAT_TIME_OUT_MS):
         try:
             manual.enable()
-            typer.echo(f"hold {_FORWARD} (forward) or {_BACKWARD} (backward), q ends", err=True)
+            print(f"hold {_FORWARD} (forward) or {_BACKWARD} (backward), q ends", file=sys.stderr)
             _follow_keys(manual, key_pressed, heartbeat, speed_rad_s)
             manual.stop()
         finally:

@@ -11,11 +11,13 @@ from typing import Annotated, Any
 import typer
 
 from hilbench.cli import compare, config, convert, drive, monitor, replay, scan, sdo, sweep
+from hilbench.cli.ending import Commands, ended
 from hilbench.cli.options import BusOption, ConfigArgument, JsonOption, PacedByOption, PaceOption, SetOption
-from hilbench.errors import EXIT_INTERRUPTED, HilbenchError, UnusableInputError
+from hilbench.errors import UnusableInputError
 
 app = typer.Typer(
     name="hilbench",
+    cls=Commands,
     no_args_is_help=True,
     add_completion=True,
     pretty_exceptions_enable=False,
@@ -25,7 +27,7 @@ app = typer.Typer(
 
 def _say_version(wanted: bool) -> None:
     if wanted:
-        typer.echo(f"hilbench {version('hilbench')}")
+        print(f"hilbench {version('hilbench')}")
         raise typer.Exit
 
 
@@ -212,7 +214,7 @@ def report(run_folder: Annotated[Path, typer.Argument(metavar="RUN", help="run f
     from hilbench.record.run_folder import RunFolder
     from hilbench.report.html import write_report
 
-    typer.echo(write_report(RunFolder.open(run_folder)))
+    print(write_report(RunFolder.open(run_folder)))
 
 
 @app.command()
@@ -316,11 +318,4 @@ def main() -> None:
     """Entry point: errors meant for a person become one line on standard error and the exit code of their kind."""
     # canopen logs what it also raises; the errors' own text is what a person needs.
     logging.getLogger("canopen").addHandler(logging.NullHandler())
-    try:
-        app()
-    except HilbenchError as error:
-        for line in [str(error), *getattr(error, "__notes__", ())]:
-            typer.echo(f"hilbench: {line}", err=True)
-        sys.exit(error.exit_code)
-    except KeyboardInterrupt:
-        sys.exit(EXIT_INTERRUPTED)
+    sys.exit(ended(app))

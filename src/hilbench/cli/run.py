@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import json
 import time
-from json import dumps
 from pathlib import Path
 
 from rich.console import Console
@@ -32,7 +32,8 @@ def run_command(
         outcome = run_experiment(loaded, out, participants=participants)
         if outcome.recorded and with_report:
             write_report(outcome.folder)
-        print(dumps(outcome.as_object(), indent=2))
+        # ASCII, whatever the terminal: a character that is typed in another way is not the result any more.
+        print(json.dumps(outcome.as_object(), indent=2))
         return outcome.exit_code
     console = Console(highlight=False)
     console.print(f"[bold]{loaded.config.name}[/bold]  {loaded.config.bus.address}, {loaded.config.pace}")
