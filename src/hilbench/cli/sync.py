@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from hilbench.cli.columns import tell_unknown
 from hilbench.cli.model_option import model_from
 from hilbench.errors import EXIT_CRITERION_FAILED, EXIT_PASSED, BenchFaultError, UnusableInputError
 from hilbench.experiment.synchronization import (
+    SETTLED_AFTER_S,
     Comparison,
     compare_methods,
     compare_runs,
@@ -72,6 +74,11 @@ def sync_command(
     model, recording = model_from(model_path), read_recording(recording_path)
     tell_unknown(recording, recording_path)
     data = measurements_of(recording, recording_path)
+    length_s = float(data.t_s[-1] - data.t_s[0])
+    if length_s <= SETTLED_AFTER_S:
+        raise UnusableInputError(
+            recording_path, f"{length_s:g} s long, expected more than {SETTLED_AFTER_S:g} s, in which a twin settles"
+        )
     if out is not None:  # before what takes its time
         _make_folder(out)
     true = np.asarray(recording["E_true_Pa"], np.float64) if "E_true_Pa" in recording else None
@@ -114,13 +121,13 @@ def _table(comparison: Comparison) -> Table:
 
 
 def as_data(comparison: Comparison) -> dict[str, Any]:
-    """What `--json` prints; names with units, None where there is no true E."""
+    """What `--json` prints; names with units, None where there is no true E or no finite value."""
     return {
         "torque_noise_Nm": comparison.noise_Nm,
         "step_s": comparison.step_s,
         "bound": {
             "time_to_1pct_s": comparison.bound_time_to_1pct_s,
-            "final_deviation_Pa": float(comparison.bound_sd_Pa[-1]),
+            "final_deviation_Pa": _known(comparison.bound_sd_Pa[-1]),
         },
         "methods": [
             {
@@ -132,13 +139,18 @@ def as_data(comparison: Comparison) -> dict[str, Any]:
                 "largest_error_pct": result.largest_error_pct,
                 "covered": result.covered,
                 "final_E_Pa": result.final_E_Pa,
-                "final_deviation_Pa": result.final_sd_Pa,
+                "final_deviation_Pa": _known(result.final_sd_Pa),
                 "cpu_us_per_cycle": result.cpu_us,
                 "also": {
-                    name: {"value": float(values[0][-1]), "deviation": float(values[1][-1])}
+                    name: {"value": _known(values[0][-1]), "deviation": _known(values[1][-1])}
                     for name, values in result.track.nuisances.items()
                 },
             }
             for result in comparison.results
         ],
     }
+
+
+def _known(value: float) -> float | None:
+    """JSON has no infinite deviation."""
+    return float(value) if isfinite(value) else None

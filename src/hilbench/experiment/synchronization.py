@@ -24,7 +24,9 @@ Array = NDArray[np.float64]
 #: Channels that a synchronizer is given.
 NEEDED = ("v1_cmd_m_s", "v2_cmd_m_s", "x1_m", "x2_m", "tau2_Nm", "strain_prev", "F_next_N")
 #: Time after a step of E from which the estimate counts as settled, s, where the recording is long enough for it.
-_SETTLED_AFTER_S = 1.0
+SETTLED_AFTER_S = 1.0
+#: Samples that a noise about a line, a bias and a share need at least.
+_LEAST_SETTLED = 3
 #: Two-sided 95 % of a normal distribution.
 _INTERVAL = 1.96
 
@@ -73,6 +75,8 @@ def methods_of(text: str) -> dict[str, SynchronizerConfig]:
     Raises UnusableInputError for an unknown one.
     """
     names = list(METHODS) if text.strip() == "all" else [name.strip() for name in text.split(",") if name.strip()]
+    if not names:
+        raise UnusableInputError("--method", f"'{text}', expected some of {', '.join(METHODS)}, or all")
     for name in names:
         if name not in METHODS:
             raise UnusableInputError("--method", f"'{name}', expected some of {', '.join(METHODS)}, or all")
@@ -180,18 +184,19 @@ def _score(method: str, track: Track, t_s: Array, true: Array | None, step: int 
     if true is None:
         return MethodResult(method, track, None, None, None, None, None, None, track.synchronizer_us)
     error = track.E_Pa / true - 1.0
-    start = int(np.searchsorted(t_s, (t_s[step] if step is not None else t_s[0]) + _SETTLED_AFTER_S))
+    start = int(np.searchsorted(t_s, (t_s[step] if step is not None else t_s[0]) + SETTLED_AFTER_S))
     settled = slice(start, None)
+    shown = len(t_s) - start >= _LEAST_SETTLED
     inside = np.abs(track.E_Pa - true) <= _INTERVAL * track.E_sd_Pa
     return MethodResult(
         method=method,
         track=track,
         time_to_1pct_s=metrics.time_to_stay(t_s, error, metrics.E_BAND, step) if step is not None else None,
         overshoot_pct=metrics.overshoot_pct(track.E_Pa, true, step) if step is not None else None,
-        noise_pct=metrics.noise_pct(t_s[settled], track.E_Pa[settled], true[settled]),
-        bias_pct=100.0 * float(np.mean(error[settled])),
-        largest_error_pct=100.0 * float(np.max(np.abs(error[settled]))),
-        covered=float(np.mean(inside[settled])),
+        noise_pct=metrics.noise_pct(t_s[settled], track.E_Pa[settled], true[settled]) if shown else None,
+        bias_pct=100.0 * float(np.mean(error[settled])) if shown else None,
+        largest_error_pct=100.0 * float(np.max(np.abs(error[settled]))) if shown else None,
+        covered=float(np.mean(inside[settled])) if shown else None,
         cpu_us=track.synchronizer_us,
     )
 
