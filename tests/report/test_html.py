@@ -242,7 +242,7 @@ def test_small_and_the_same_every_time(tmp_path: Path) -> None:
 def test_a_long_run_with_many_steps_stays_a_small_file(tmp_path: Path) -> None:
     channels = dict(recording(400_000).channels)
     t = channels["t_s"]
-    channels["F_ref_N"] = 80.0 + 5.0 * (np.floor(t / 0.5) % 2)
+    channels["F_ref_N"] = 80.0 + 5.0 * (np.floor(t / 0.05) % 2)  # some 800 steps
     channels["tau2_sim_Nm"] = np.random.default_rng(1).normal(size=len(t))
     path = write_report(run_folder(tmp_path, Recording(channels)))
     assert path.stat().st_size < 2_000_000

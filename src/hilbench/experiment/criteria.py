@@ -8,7 +8,7 @@ from typing import Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
-from hilbench.experiment.metrics import LEAST_SETTLED_S, METRICS, Figure, Judgement, StepFigures
+from hilbench.experiment.metrics import LEAST_SETTLED_S, METRICS, Figure, Judgement, reasons
 from hilbench.suggest import did_you_mean
 
 
@@ -142,9 +142,9 @@ def _judge_steps(criterion: Criterion, judged: Judgement) -> CriterionResult:
         return _result(criterion, reason=_why_none(criterion, judged))
     never = [entry for entry in found if _never(criterion, entry[1])]
     if never:
-        return _result(criterion, never=True, step=never[0][0].number, reason=_reasons(never))
+        return _result(criterion, never=True, step=never[0][0].number, reason=reasons(never))
     known = [(step, figure.value) for step, figure in found if figure.value is not None and isfinite(figure.value)]
-    reason = _reasons([entry for entry in found if entry[1].value is None])
+    reason = reasons([entry for entry in found if entry[1].value is None])
     if not known:
         return _result(criterion, reason=f"the run has no {metric}: {reason}")
     nearest, value = min(known, key=lambda entry: criterion.distance(entry[1]))
@@ -165,10 +165,6 @@ def _why_none(criterion: Criterion, judged: Judgement) -> str:
     if step is not None:
         return f"{step} has no {criterion.metric}"
     return f"{absent} of step {criterion.step}: it has {sum(step.number > 0 for step in judged.steps)} steps"
-
-
-def _reasons(found: Sequence[tuple[StepFigures, Figure]]) -> str:
-    return "; ".join(f"{step}: {figure.reason}" for step, figure in found)
 
 
 def _result(

@@ -98,6 +98,9 @@ METRICS: Final[dict[str, Metric]] = {
     "bus_load_pct": Metric("%", "bits on the bus over its capacity", _NO_TIMING, of_steps=False),
 }
 
+#: Steps whose reasons are told in one line.
+_MOST_REASONS: Final = 3
+
 #: Figures that go together: of several steps those of the step whose last one is the largest.
 _TOGETHER: Final = ("v1_final_m_s", "v1_expected_m_s", "v1_deviation_m_s")
 
@@ -159,11 +162,8 @@ class Judgement:
         found = self.figures(metric)
         if not found:
             return METRICS[metric].absent
-        return "; ".join(
-            f"{step}: {figure.reason}" if len(self.steps) > 1 else figure.reason
-            for step, figure in found
-            if figure.value is None
-        )
+        missing = [(step, figure) for step, figure in found if figure.value is None]
+        return missing[0][1].reason if len(self.steps) == 1 and missing else reasons(missing)
 
     def _worst(self, metric: str) -> float | None:
         found = self.figures(metric)
@@ -174,6 +174,13 @@ class Judgement:
         if not known:
             return None
         return max(known, key=lambda step: abs(step.figures[by].value or 0.0)).figures[metric].value
+
+
+def reasons(missing: Sequence[tuple[StepFigures, Figure]]) -> str:
+    """Why steps have no value: of many the first."""
+    told = [f"{step}: {figure.reason}" for step, figure in missing[:_MOST_REASONS]]
+    more = len(missing) - len(told)
+    return "; ".join([*told, f"and {more} more steps"] if more else told)
 
 
 def evaluate_metrics(

@@ -30,8 +30,9 @@ from hilbench.report.live import interactive, policy, style
 from hilbench.report.plots import Picture, draw_histogram, run_pictures, zooms
 
 _DASH = "–"
-#: Steps that stand side by side in a table.
+#: Steps that stand side by side in a table, and those in the list of them.
 _MOST_COLUMNS = 8
+_MOST_ROWS = 100
 _BLANK = "<td></td>"
 
 
@@ -195,11 +196,17 @@ def _faults(faults: Sequence[Fault]) -> str:
 
 
 def _warnings(result: Result) -> str:
-    warnings = result.all_warnings()
-    if not warnings:
-        return ""
-    rows = [f"<tr><td>{escape(text)}</td></tr>" for text in warnings]
-    return f'<section id="warnings">\n<h2>Warnings</h2>\n{table(("What",), rows)}\n</section>'
+    """What the timing says of the whole run, then each kind of warning with its count."""
+    rows = [f"<tr>{_BLANK}{_BLANK}<td>{escape(text)}</td>{_BLANK}{_BLANK}</tr>" for text in result.timing.warnings()]
+    for warning in result.warnings or []:
+        last = "" if warning.last_text in (None, warning.text) else f"; the last: {warning.last_text}"
+        rows.append(
+            f'<tr><td class="number">{number(warning.time_s, 6)}</td><td>{escape(warning.source)}</td>'
+            f'<td>{escape(warning.text + last)}</td><td class="number">{number(warning.count, 12)}</td>'
+            f'<td class="number">{number(warning.last_time_s, 6)}</td></tr>'
+        )
+    columns = (">Time in s", "Where", "What", ">Times", ">Last at, s")
+    return f'<section id="warnings">\n<h2>Warnings</h2>\n{table(columns, rows)}\n</section>' if rows else ""
 
 
 def _pictures(pictures: Sequence[Picture], around_steps: Sequence[Picture]) -> str:
@@ -232,7 +239,7 @@ def _steps(steps: Sequence[StepRecord]) -> str:
         f'<tr><td class="number">{step.number or ""}</td><td>{escape(step.text)}</td>'
         f'<td class="number">{number(step.time_s, 6)}</td><td class="number">{number(step.until_s, 6)}</td>'
         f"<td>{_reasons(step)}</td></tr>"
-        for step in steps
+        for step in steps[:_MOST_ROWS]
     )
     if len(steps) > _MOST_COLUMNS:
         notes.append(

@@ -21,11 +21,10 @@
   const ticks = (u, values, axis, space, step) => values.map((v) => (v === null ? "" : minus(v.toFixed(decimals(step)))));
 
   const plots = [];
-  let zooming = false;
+  let shown = [first, last];
   const zoom = (from, to) => {
-    zooming = true;
+    shown = [from, to];
     for (const plot of plots) plot.setScale("x", { min: from, max: to });
-    zooming = false;
     for (const button of document.querySelectorAll(".zooms button")) {
       const here = Math.abs(button.dataset.from - from) < 1e-6 && Math.abs(button.dataset.to - to) < 1e-6;
       button.setAttribute("aria-pressed", here ? "true" : "false");
@@ -118,8 +117,11 @@
         bind: { dblclick: () => () => { whole(); return null; } },
       },
       hooks: {
-        setScale: [(self, key) => { if (key === "x" && !zooming && plots.includes(self)) zoom(self.scales.x.min, self.scales.x.max); }],
-        drawClear: [], draw: [marks],
+        setScale: [(self, key) => {
+          const { min, max } = self.scales.x;
+          if (key === "x" && plots.includes(self) && (min !== shown[0] || max !== shown[1])) zoom(min, max);
+        }],
+        draw: [marks],
       },
     }, data, place);
     u.root.querySelectorAll(".u-legend .u-series").forEach((row, at) => {

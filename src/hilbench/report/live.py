@@ -30,6 +30,7 @@ _LEAST_POINTS: Final = 1_000
 #: What is kept at full resolution around each step, s.
 _FINE_BEFORE_S: Final = 0.2
 _FINE_AFTER_S: Final = 2.0
+_MOST_FINE: Final = 50
 #: What a button zooms to around a step, s.
 _ZOOM_BEFORE_S: Final = 0.3
 #: Buttons for steps; of a run with more the first.
@@ -88,7 +89,8 @@ def _page_data(pictures: Sequence[Picture], marks: Sequence[Mark]) -> dict[str, 
     bases = {id(signal.t_s): signal.t_s for signal in signals}
     columns = sum(2 if isinstance(signal, Band) else 1 for signal in signals)
     points = max(_LEAST_POINTS, _VALUES // max(columns, 1))
-    fine = [(mark.start_s - _FINE_BEFORE_S, mark.end_s + _FINE_AFTER_S) for mark in marks if mark.number]
+    steps = [mark for mark in marks if mark.number][:_MOST_FINE]
+    fine = [(mark.start_s - _FINE_BEFORE_S, mark.end_s + _FINE_AFTER_S) for mark in steps]
     tables = {key: _Table(t_s, stretches(t_s, fine, points)) for key, t_s in bases.items()}
     numbers = {key: number for number, key in enumerate(tables)}
 

@@ -49,6 +49,8 @@ ZOOM_AFTER_S: Final = 1.2
 _MOST_ZOOMS: Final = 6
 #: Steps up to this number have their text beside them, more their numbers.
 _MOST_TEXTS: Final = 3
+#: Texts above the axes that are nearer than this share of their width would overlap.
+_TEXT_SHARE: Final = 0.025
 
 #: What each colour of a picture is called in the page's style sheet.
 CSS_COLOURS: Final = {
@@ -393,26 +395,47 @@ def _draw_chart(axes: Any, chart: Chart, columns: int) -> Panel:
 
 
 def _draw_marks(marks: Sequence[Mark], panels: Sequence[Panel], *, texts: bool) -> None:
-    """Every step and event as a line, every ramp as an area, in all axes."""
+    """Every step and event as a line, every ramp as an area, in all axes; one path for all of a kind."""
+    lines = {
+        (0, (1, 1.5)): [mark.start_s for mark in marks if mark.number],
+        (0, (4, 2, 1, 2)): [mark.start_s for mark in marks if not mark.number and not mark.lasts],
+    }
+    areas = [(mark.start_s, mark.end_s - mark.start_s) for mark in marks if mark.lasts]
+    for panel in panels:
+        over_axes = panel.axes.get_xaxis_transform()
+        limits = panel.axes.get_xlim()
+        if areas:
+            style: dict[str, Any] = {"color": INK, "alpha": 0.05, "linewidth": 0, "transform": over_axes}
+            panel.axes.broken_barh(areas, (0, 1), **style)
+        for dash, times in lines.items():
+            if times:
+                x = np.repeat(times, 3)
+                y = np.tile([0.0, 1.0, np.nan], len(times))
+                panel.axes.plot(x, y, color=PURPLE, linewidth=1.0, linestyle=dash, transform=over_axes)
+        panel.axes.set_xlim(limits)
+    if texts:
+        _write_texts([mark for mark in marks if not mark.lasts], panels[0].axes)
+
+
+def _write_texts(marks: Sequence[Mark], axes: Any) -> None:
+    """What happened, above the axes; of many the numbers, and of those that would overlap the first."""
     steps = sum(bool(mark.number) for mark in marks)
+    first_s, last_s = axes.get_xlim()
+    free_s = first_s
     for mark in marks:
-        for panel in panels:
-            if mark.lasts:
-                panel.axes.axvspan(mark.start_s, mark.end_s, color=INK, alpha=0.05, linewidth=0)
-            else:
-                style: Any = (0, (1, 1.5)) if mark.number else (0, (4, 2, 1, 2))
-                panel.axes.axvline(mark.start_s, color=PURPLE, linewidth=1.0, linestyle=style)
-        if texts and (mark.number or not mark.lasts):
-            panels[0].axes.annotate(
-                mark.text if steps <= _MOST_TEXTS or not mark.number else mark.number,
-                (mark.start_s, 1.0),
-                xycoords=("data", "axes fraction"),
-                xytext=(0, 3),
-                textcoords="offset points",
-                color=PURPLE,
-                ha="center",
-                va="bottom",
-            )
+        if mark.start_s < free_s:
+            continue
+        free_s = mark.start_s + (last_s - first_s) * _TEXT_SHARE
+        axes.annotate(
+            mark.text if steps <= _MOST_TEXTS or not mark.number else mark.number,
+            (mark.start_s, 1.0),
+            xycoords=("data", "axes fraction"),
+            xytext=(0, 3),
+            textcoords="offset points",
+            color=PURPLE,
+            ha="center",
+            va="bottom",
+        )
 
 
 def render_picture(draw: Callable[[Any], list[Panel]], height_in: float, name: str, title: str) -> str:
