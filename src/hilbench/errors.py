@@ -62,6 +62,10 @@ class UnusableValueError(BenchFaultError, ValueError):
     """A running bench was asked for a value that a quantity can't have; the bench is not changed."""
 
 
+class BenchNotRunningError(BenchFaultError, RuntimeError):
+    """Something was asked of a bench that has not been entered yet, or has been left."""
+
+
 class BusError(BenchFaultError):
     """The bus cannot be opened, or was lost."""
 

@@ -237,6 +237,38 @@ def test_sync_clock(wall: WallClock) -> None:
     assert clock.now_ns() == start + 2 * CYCLE_NS + 500_000_000
 
 
+MASTER, SIGN_OF_LIFE = 0x77F, Frame(0x77F, b"\x05")
+
+
+@pytest.fixture
+def kept(tmp_path: Path, wall: WallClock) -> HostUnderTest:
+    return HostUnderTest(tmp_path, SyncClock(CYCLE_NS, stall_s=1.0, kept_by=MASTER), wall)
+
+
+def test_time_stands_still_while_the_master_says_that_it_is_alive(kept: HostUnderTest) -> None:
+    kept.serve(SYNC)
+    for _ in range(200):  # 20 s, in which no heartbeat of the devices is due and nothing moves
+        assert kept.serve(SIGN_OF_LIFE, wall_ms=100) == []
+    assert kept.application.ticked_s == 0.0
+    answers = [kept.serve(SYNC, wall_ms=2) for _ in range(10)]
+    heartbeats = [batch for batches in answers for batch in batches if batch[0][0] == 0x701]
+    assert len(heartbeats) == 2  # every 10 ms of ten cycles of 2 ms: as if there had been no pause
+
+
+@pytest.mark.parametrize(
+    ("frame", "why"), [(None, "silent"), (Frame(0x77F, b"\x7f"), "PRE-OPERATIONAL"), (Frame(0x77E, b"\x05"), "another")]
+)
+def test_a_master_that_does_not_say_so_is_noticed(kept: HostUnderTest, frame: Frame | None, why: str) -> None:
+    kept.serve(SYNC)
+    for _ in range(15):
+        kept.serve(*([frame] if frame else []), wall_ms=100)
+    assert kept.application.ticked_s > 0.0, why
+    ticked_s = kept.application.ticked_s
+    for _ in range(5):  # it comes back: time goes by the wall clock until the next SYNC
+        kept.serve(SIGN_OF_LIFE, wall_ms=100)
+    assert kept.application.ticked_s > ticked_s
+
+
 def test_an_error_passive_controller_is_told_by_every_device(lockstep: HostUnderTest) -> None:
     """CiA 301: EMCY 8120h, error register generic and communication; 0000h when it is over."""
     lockstep.link.controller = ControllerState.ERROR_PASSIVE

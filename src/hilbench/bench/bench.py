@@ -6,12 +6,13 @@ from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
+from functools import partial
 from math import copysign
 from pathlib import Path
 from types import TracebackType
-from typing import Protocol
+from typing import Literal, Protocol, Self
 
-from hilbench.bench import quantities
+from hilbench.bench import idle, quantities
 from hilbench.bench.causes import Causes
 from hilbench.bench.change import Change
 from hilbench.bench.config import BenchConfig
@@ -31,13 +32,23 @@ from hilbench.bench.tension_control import TensionController
 from hilbench.bench.twin_connection import TwinConnection
 from hilbench.bus.confinement import ControllerState
 from hilbench.drives.drive import Drive, DriveGoal
-from hilbench.errors import EXIT_INTERRUPTED, BenchFaultError, EmergencyStopError, HilbenchError
+from hilbench.errors import (
+    EXIT_INTERRUPTED,
+    BenchFaultError,
+    BenchNotRunningError,
+    EmergencyStopError,
+    HilbenchError,
+    UnusableValueError,
+)
+from hilbench.suggest import did_you_mean
 from hilbench.twin.plausibility import Problem
 from hilbench.twin.synchronizers.create import METHODS
 from hilbench.unexpected import TRACEBACK_FILE, unexpected
 
 #: Time for the axes to stand still again after the load motor has let go.
 _SETTLE_S = 0.3
+#: What is said of a bench that is not running (any more).
+_WHERE = {"made": "has not been entered", "running": "has been entered already", "ended": "has been left"}
 #: Cycles between two looks whether the supervisor lives.
 _LOOK_CYCLES = 64
 
@@ -82,7 +93,8 @@ class Bench:
 
     `tap` sees every frame on the bus; `work_folder` keeps the processes' config and logs (a temporary folder if not
     given); `participants`: who brings the simulated hardware and the twin, this bench unless said otherwise;
-    `announce` is told what is being done, `journal` what the bench changes and no frame says.
+    `announce` is told what is being done, `journal` what the bench changes and no frame says; `may_idle`: in lockstep
+    with simulated nodes any time may pass between two cycles (`hilbench.bench.idle`).
 
     What an operator must know of a run that goes on collects in `notices`, counted by source and kind: warnings of the
     limits, EMCY messages, a tension loop that opens or closes. A twin that is lost ends no run: the loop holds, and the
@@ -99,8 +111,10 @@ class Bench:
         participants: Participants = Participants.STARTED,
         announce: Callable[[str], None] = lambda text: None,
         journal: Callable[[Change], None] = lambda change: None,
+        may_idle: bool = False,
     ) -> None:
         self.config = config
+        self._phase: Literal["made", "running", "ended"] = "made"
         self.events: list[StepEvent] = []
         self.notices = Notices(announce)
         self.causes = Causes()
@@ -121,6 +135,9 @@ class Bench:
         self._participants = participants
         self._announce = announce
         self._journal = journal
+        self._in_cycle = False
+        self._heartbeat_s = config.master.heartbeat_ms * 1e-3
+        self._may_idle = may_idle and idle.may_idle(config)
         self._resources = ExitStack()
         self._first_cycle = 0
         web = config.model.required_web
@@ -144,7 +161,9 @@ class Bench:
 
     # -- start and end -----------------------------------------------------------------------------------
 
-    def __enter__(self) -> Bench:
+    def __enter__(self) -> Self:
+        if self._phase != "made":
+            raise BenchNotRunningError(f"the bench {_WHERE[self._phase]}, expected a new Bench for each 'with'")
         try:
             self._announce("prepare the model (compiled on first use)")
             self._load_model.warm_up()
@@ -158,6 +177,7 @@ class Bench:
                 )
             )
             self.nodes, self.exchange, self.children = started.nodes, started.exchange, started.children
+            self._phase = "running"
             self._supervisor = started.supervisor
             for warning in started.warnings:
                 self._note("realtime", warning)
@@ -171,10 +191,14 @@ class Bench:
             )
             self._announce("enable drives")
             self._enable()
+            if self._may_idle:
+                stay_alive = partial(self._stay_alive, started.exchange)
+                self._resources.enter_context(idle.kept_alive(stay_alive, self._heartbeat_s))
         except BaseException as error:
             try:
                 self._safe_stop(error)
             finally:
+                self._phase = "ended"
                 self._resources.close()
             raise
         return self
@@ -196,6 +220,7 @@ class Bench:
                 finally:  # who can't be told must not keep the drives from being stopped
                     self._safe_stop(error)
         finally:
+            self._phase = "ended"
             self._resources.close()
 
     def _enable(self) -> None:
@@ -325,7 +350,24 @@ class Bench:
         return (cycle - self._first_cycle) * self.config.cycle_time_s
 
     def cycle(self) -> CycleSample:
-        """Run one cycle: set points and SYNC out, measurements in. Raises BenchFaultError on faults and limits."""
+        """Run one cycle: set points and SYNC out, measurements in.
+
+        Raises BenchFaultError on faults and limits; BenchNotRunningError before the bench was entered and once it was
+        left, as everything that takes or changes something of it.
+        """
+        self._running()
+        self._in_cycle = True
+        try:
+            return self._cycle()
+        finally:
+            self._in_cycle = False
+
+    def _stay_alive(self, exchange: CyclicExchange) -> None:
+        """From another thread. A cycle that hangs is for the supervisor."""
+        if not self._in_cycle:
+            exchange.stay_alive(self._heartbeat_s)
+
+    def _cycle(self) -> CycleSample:
         if self.interrupt_requested:
             raise InterruptedByOperatorError("interrupted, drives were stopped")
         self._follow_operator()
@@ -382,17 +424,20 @@ class Bench:
                 raise BenchFaultError(f"t = {self.time_s:.3f} s: {emergency.node} reports a web break")
 
     def run(self, duration_s: float) -> None:
-        """Run for a time, rounded to whole cycles; none for a duration of zero or less."""
+        """Run for a time, rounded to whole cycles. Raises UnusableValueError for what is no time of 0 or more."""
+        duration_s = quantities.checked_duration_s("duration_s", duration_s)
+        self._running()
         for _ in range(round(duration_s / self.config.cycle_time_s)):
             self.cycle()
 
     def ramp(self, path: str, to: float, duration_s: float) -> None:
-        """Move a quantity linearly to `to` within `duration_s`.
+        """Move a quantity linearly to `to` within `duration_s`, which is above 0.
 
-        Raises as `set`, before anything moves; ValueError for a switch.
+        Raises as `set`, before anything moves; for a switch, and for a duration that is none, too.
         """
-        path = quantities.rampable_path(path)
+        path = quantities.checked_path(path, quantities.rampable_path)
         to = quantities.checked_value(path, to)
+        duration_s = quantities.checked_duration_s("duration_s", duration_s, above_zero=True)
         cycles = max(1, round(duration_s / self.config.cycle_time_s))
         start = self.get(path)
         self._ramped = path
@@ -404,7 +449,18 @@ class Bench:
             self._ramped = ""
 
     def wait_until(self, condition: Callable[[CycleSample], bool], *, timeout_s: float, for_s: float = 0.0) -> bool:
-        """Run until `condition` has held for `for_s` without a break; False when it did not within `timeout_s`."""
+        """Run until `condition` has held for `for_s` without a break; False when it did not within `timeout_s`.
+
+        Raises UnusableValueError for a condition that can't be called, times that are none, and a `for_s` that is
+        longer than `timeout_s`.
+        """
+        if not callable(condition):
+            raise UnusableValueError(f"condition is {condition!r}, expected a function of a sample that says yes or no")
+        timeout_s = quantities.checked_duration_s("timeout_s", timeout_s, above_zero=True)
+        for_s = quantities.checked_duration_s("for_s", for_s)
+        if for_s > timeout_s:
+            raise UnusableValueError(f"for_s is {for_s:g}, expected at most timeout_s, which is {timeout_s:g}")
+        self._running()
         cycle_s = self.config.cycle_time_s
         needed = max(1, round(for_s / cycle_s))
         held = 0
@@ -424,6 +480,7 @@ class Bench:
                 while (yield).v2_m_s < 0.9:
                     pass
         """
+        self._running()
         try:
             next(experiment)
             while True:
@@ -436,7 +493,12 @@ class Bench:
     # -- what can be changed -----------------------------------------------------------------------------
 
     def get(self, path: str) -> float:
-        """Present value of a quantity (see `hilbench.bench.quantities`). Raises ValueError for an unknown path."""
+        """Present value of a quantity (see `hilbench.bench.quantities`).
+
+        Raises UnusableValueError for an unknown path.
+        """
+        path = quantities.checked_path(path)
+        self._running()
         if path == quantities.LINE_SPEED:
             return self.line_speed_m_s
         if path == quantities.TENSION_SET_POINT:
@@ -448,9 +510,10 @@ class Bench:
     def set(self, path: str, value: float) -> None:
         """Give a quantity a value from the next cycle on.
 
-        Raises ValueError for an unknown path, UnusableValueError (a ValueError too) for a value it can't have.
+        Raises UnusableValueError (a ValueError too) for an unknown path or a value it can't have.
         """
-        value, before = quantities.checked_value(path, value), self.get(path)
+        value, before = quantities.checked_value(quantities.checked_path(path), value), self.get(path)
+        exchange = self._running()
         if path == quantities.LINE_SPEED:
             self.line_speed_m_s = value
             self._operator_speed_m_s = None
@@ -460,11 +523,11 @@ class Bench:
             self._load_model.set(path, value)
         else:
             self.nodes.set_hardware_effect(quantities.parse_effect_path(path), value)
-        self._journal(Change(self.exchange.timing.cycles if self.exchange else 0, "set", path, value, before))
+        self._journal(Change(exchange.timing.cycles, "set", path, value, before))
 
     def step(self, path: str, to: float) -> None:
         """`set`, noted as the event under test that metrics and report refer to. Raises as `set`."""
-        to = quantities.checked_value(path, to)
+        to = quantities.checked_value(quantities.checked_path(path), to)
         self.events.append(StepEvent(self.time_s, path, self.get(path), to))
         self.set(path, to)
 
@@ -479,9 +542,12 @@ class Bench:
             self.cycle()
 
     def use_synchronizer(self, method: str) -> None:
-        """Let the twin go on with another method from its present E. Raises ValueError for an unknown one."""
+        """Let the twin go on with another method from its present E. Raises UnusableValueError for an unknown one."""
         if method not in METHODS:
-            raise ValueError(f"one of {', '.join(METHODS)}")
+            raise UnusableValueError(
+                f"method {method!r}, expected one of {', '.join(METHODS)}{did_you_mean(str(method), METHODS)}"
+            )
+        self._running()
         self.nodes.use_synchronizer(list(METHODS).index(method) + 1)
 
     # -- what an operator asks for ------------------------------------------------------------------------
@@ -527,8 +593,10 @@ class Bench:
         sample.strain_prev, sample.F_next_N = self._strain_prev, self._tension_next_N
 
     def _running(self) -> CyclicExchange:
-        if self.exchange is None:
-            raise RuntimeError("the bench is not running: use it as a context manager")
+        if self._phase != "running" or self.exchange is None:
+            raise BenchNotRunningError(
+                f"the bench {_WHERE[self._phase]}, expected 'with Bench(…) as bench:' around this"
+            )
         return self.exchange
 
     def _command(self) -> None:

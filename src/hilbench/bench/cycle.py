@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
@@ -18,6 +19,8 @@ from hilbench.errors import BenchFaultError, EmergencyStopError, NoAnswerError
 from hilbench.fieldbus.emergency_stop import EMERGENCY_STOP_COB_ID, send_emergency_stop
 
 SYNC_COB_ID = 0x080
+#: COB-ID of the heartbeat of node 0.
+HEARTBEAT = 0x700
 
 #: Part of the cycle, at its end, that is kept for computing and sending the next set points (realtime pace):
 #: answers that are not there by then count as missing.
@@ -26,6 +29,8 @@ _GUARD_FRACTION = 0.3
 _ALIVE = 0.3
 #: The same for cycles that answer, but slowly.
 _SLOW = 0.6
+#: Between cycles: wall time in which devices of this process may take what was sent to them.
+_A_MOMENT_S = 0.001
 
 
 #: NMT state in the bench's own heartbeat: OPERATIONAL, and PRE-OPERATIONAL after an emergency stop.
@@ -106,13 +111,16 @@ class CyclicExchange:
         self._emergency_stop_seen = False
         self._alive_s = 0.0  #: when the last heartbeat was sent, monotonic clock
         self._tap = tap
+        self._lock = threading.Lock()  # who has it uses the link: a cycle, or between two of them `stay_alive`
+        self._came_between: list[Frame] = []
+        self._fault_between: Exception | None = None
         self._epoch_ns = 0
         self._sync = Frame(SYNC_COB_ID, b"")
         self._sync_bits = frame_bits(self._sync)
         self._since_sync_bits = 0  # on the bus from the beginning of SYNC on
         self._unwritten: tuple[Sequence[Frame], Sequence[int], int] | None = None  # last answers, bits, when they began
         node_id, period_ms = heartbeat
-        self._heartbeat = Frame(0x700 + node_id, _OPERATIONAL)
+        self._heartbeat = Frame(HEARTBEAT + node_id, _OPERATIONAL)
         self._heartbeat_cycles = max(1, period_ms * 1_000_000 // cycle_ns) if period_ms else 0
 
     def exchange(self, outgoing: Sequence[Frame]) -> list[Frame]:
@@ -120,6 +128,13 @@ class CyclicExchange:
 
         `outgoing` is sent before the SYNC that makes it act.
         """
+        with self._lock:
+            return self._exchange(outgoing)
+
+    def _exchange(self, outgoing: Sequence[Frame]) -> list[Frame]:
+        between, self._fault_between = self._fault_between, None
+        if between is not None:
+            raise between
         timing = self.timing
         if timing.cycles == 0:
             timing.started_ns = time.monotonic_ns()
@@ -131,7 +146,7 @@ class CyclicExchange:
         # Late answers (lockstep: those to a SYNC that was there twice) are no answers to this SYNC: counted as such
         # they would push the true ones to the next.
         if self._lockstep:
-            late = self._link.receive(0.0)
+            late = self._take_waiting()
             self._link.send([*outgoing, self._sync])
             trace_fault = self._write_last_answers()
         else:
@@ -178,10 +193,19 @@ class CyclicExchange:
         self._out_of_phase: dict[int, int] = {}  # PDOs whose phase is in doubt: the cycle in which one came between
         self._missed_in_row.clear()
 
+    def _take_waiting(self) -> list[Frame]:
+        came, self._came_between = self._came_between, []
+        return came + self._link.receive(0.0) if came else self._link.receive(0.0)
+
     def discard_waiting(self, timeout_s: float = 0.0) -> None:
         """Put what waits to be read, or comes within `timeout_s`, into the trace only: no answer to the last SYNC."""
+        with self._lock:
+            self._discard_waiting(timeout_s)
+
+    def _discard_waiting(self, timeout_s: float) -> None:
         trace_fault = self._write_last_answers()
-        waiting = self._link.receive(timeout_s)
+        came, self._came_between = self._came_between, []
+        waiting = came + self._link.receive(timeout_s)
         if waiting and self._tap is not None:
             bits = [frame_bits(frame) for frame in waiting]
             self._tap.write(self._timed(waiting, bits, self._next_sync_ns - int(sum(bits) * self._bit_ns)))
@@ -196,12 +220,36 @@ class CyclicExchange:
 
     def stand_still(self, done: Future[None]) -> None:
         """Lockstep: no cycle until `done`, which may take longer than the supervisor waits."""
-        trace_fault = self._write_last_answers()
-        if trace_fault is not None:
-            raise trace_fault
-        self._say_alive()
-        while wait_for([done], timeout=_ALIVE * self._timeout_s).not_done:
+        with self._lock:
+            trace_fault = self._write_last_answers()
+            if trace_fault is not None:
+                raise trace_fault
             self._say_alive()
+            while wait_for([done], timeout=_ALIVE * self._timeout_s).not_done:
+                self._say_alive()
+
+    def stay_alive(self, silence_s: float) -> None:
+        """Lockstep, from another thread, while nobody wants a cycle: say that the bench is alive, where nothing has
+        said so for `silence_s` of wall time, and take what comes.
+
+        Does nothing while a cycle runs. After an emergency stop the bench says that it is not OPERATIONAL any more.
+        What goes wrong is raised by the next cycle.
+        """
+        if time.monotonic() - self._alive_s < silence_s or not self._lock.acquire(blocking=False):
+            return
+        try:
+            if self._fault_between is None:
+                self._fault_between = self._write_last_answers()
+                self._say_alive()
+                came = self._link.receive(_A_MOMENT_S)
+                self._came_between += came
+                if any(frame.can_id == EMERGENCY_STOP_COB_ID for frame in came):
+                    self._heartbeat = self._heartbeat._replace(data=_PRE_OPERATIONAL)
+                    self._say_alive()
+        except Exception as fault:
+            self._fault_between = fault
+        finally:
+            self._lock.release()
 
     def _say_alive(self) -> None:
         """In lockstep heartbeats come with the cycles; one that lasts is no stalled bench."""

@@ -11,7 +11,7 @@ bench is less (`hilbench.bench.operator_objects`), and `safety: limits` end a ru
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import product
 from math import isfinite
@@ -155,6 +155,26 @@ def permitted(path: str) -> Permitted:
     of = parse_effect_path(path)
     parameter = find_effect(of.effect).parameter(of.parameter)
     return Permitted(parameter.lower, parameter.upper, parameter.unit)
+
+
+def checked_path(path: object, check: Callable[[str], str] = settable_path) -> str:
+    """The path when it is text that passes `check`. Raises UnusableValueError: what was found, what was expected."""
+    try:
+        if isinstance(path, str):
+            return check(path)
+        expected = f"text such as '{LINE_SPEED}'"
+    except ValueError as error:
+        expected = str(error)
+    raise UnusableValueError(f"path {path!r}, expected {expected}")
+
+
+def checked_duration_s(name: str, value: object, *, above_zero: bool = False) -> float:
+    """A time in s as a number. Raises UnusableValueError that names it, what was found and what was expected."""
+    number = _number(value, truth=False)
+    if number is None or not 0.0 <= number <= LONGEST_S or (above_zero and number == 0.0):
+        least = "above 0 and up" if above_zero else "from 0"
+        raise UnusableValueError(f"{name} is {value!r}, expected a number {least} to {LONGEST_S:g} s")
+    return number
 
 
 def checked_value(path: str, value: object) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from hilbench.bench.config import BenchConfig, NodeConfig
+from hilbench.bench.cycle import HEARTBEAT
 from hilbench.bench.nodes import declared_units
 from hilbench.fieldbus.clock import Clock, MonotonicClock, SyncClock
 from hilbench.fieldbus.eds import load_eds
@@ -12,7 +13,9 @@ from hilbench.twin.process import TwinSetup
 
 def device_clock(config: BenchConfig) -> Clock:
     """The time base of simulated devices: SYNC in lockstep, else the monotonic clock."""
-    return SyncClock(config.cycle_ns) if config.pace == "lockstep" else MonotonicClock()
+    if config.pace != "lockstep":
+        return MonotonicClock()
+    return SyncClock(config.cycle_ns, kept_by=HEARTBEAT + config.master.node_id if config.master.heartbeat_ms else None)
 
 
 def twin_setup(config: BenchConfig) -> TwinSetup:

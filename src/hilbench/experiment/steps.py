@@ -96,7 +96,7 @@ class Ramp(_Step):
                 f"ramp of {self.path} by {distance:g} at {self.rate_per_s:g} per s takes {duration_s:g} s, "
                 f"expected at most {LONGEST_S:g} s"
             )
-        bench.ramp(self.path, self.to, duration_s)
+        bench.ramp(self.path, self.to, max(duration_s, bench.config.cycle_time_s))
 
 
 class Hold(_Step):
@@ -113,7 +113,8 @@ class Hold(_Step):
 
     def run(self, bench: Bench) -> None:
         """Run cycles for the time; an `until_s` that has passed already runs none."""
-        bench.run(self.duration_s if self.duration_s is not None else (self.until_s or 0.0) - bench.time_s)
+        left_s = self.duration_s if self.duration_s is not None else (self.until_s or 0.0) - bench.time_s
+        bench.run(max(0.0, left_s))
 
 
 class Set(_Step):

@@ -46,10 +46,12 @@ class SyncClock:
     """One cycle per SYNC, so that timers fall into the same cycle on every machine.
 
     Before nodes are started, and when none has come for `stall_s` of wall time, it goes by the wall clock: a dead
-    master must be noticed.
+    master must be noticed. A master that takes its time says that it is alive by its heartbeat (COB-ID `kept_by`):
+    while that comes, time stands still.
     """
 
-    def __init__(self, cycle_ns: int, stall_s: float = 5.0) -> None:
+    def __init__(self, cycle_ns: int, stall_s: float = 5.0, kept_by: int | None = None) -> None:
+        self.kept_by = kept_by
         self._cycle_ns = cycle_ns
         self._stall_ns = int(stall_s * 1e9)
         self._time_ns = time.monotonic_ns()
@@ -66,6 +68,11 @@ class SyncClock:
         """Stand still until the first SYNC: what is due by the wall clock must not fall into its cycle by chance."""
         self._time_ns = self.now_ns()
         self._last_sync_ns = time.monotonic_ns()
+
+    def keep(self) -> None:
+        """The master is alive. Once time goes by the wall clock only SYNC ends that."""
+        if not self.stalled_ns():
+            self._last_sync_ns = time.monotonic_ns()
 
     def stalled_ns(self) -> int:
         return max(0, time.monotonic_ns() - self._last_sync_ns - self._stall_ns)

@@ -23,6 +23,7 @@ _ERROR_PASSIVE = 0x8120  #: EMCY error code: CAN in error passive mode
 _COMMUNICATION_ERROR = 0x11  #: error register (1001h): generic and communication
 _SDO_REQUEST, _LAST_NODE = 0x600, 127
 _EXACTLY = 0x1FFFFFFF | EXTENDED_FLAG | REMOTE_FLAG
+_OPERATIONAL = bytes([NmtState.OPERATIONAL])  # what a heartbeat says
 _POLL_S = 0.005
 _TICK_S = 0.002
 _TICK_STEP_S = 0.001
@@ -64,7 +65,8 @@ class DeviceHost:
         self._devices = list(devices)
         self._clock = clock
         self._application = application
-        self._follows_sync = isinstance(clock, SyncClock)
+        self._sync_clock = clock if isinstance(clock, SyncClock) else None
+        self._follows_sync = self._sync_clock is not None
         self._sync_running = False
         self._addressees: dict[int, list[Device]] = {}  # by identifier
         self._wanted: set[int] = set()  # identifiers that the link lets pass
@@ -90,13 +92,15 @@ class DeviceHost:
         self._look_at_controller()
         sync_cob_id = self._devices[0].sync_cob_id
         behind = sum(frame.can_id == sync_cob_id for frame in frames)
-        listens_to = self._application.listens_to
+        listens_to, sync_clock = self._application.listens_to, self._sync_clock
         for frame in frames:
             can_id = frame.can_id
             if can_id == sync_cob_id:
                 behind -= 1
                 self._sync(frame, behind)
                 continue
+            if sync_clock is not None and can_id == sync_clock.kept_by and frame.data == _OPERATIONAL:
+                sync_clock.keep()
             devices = self._addressees.get(can_id, ())
             for device in devices:
                 device.handle(frame)
@@ -129,6 +133,8 @@ class DeviceHost:
             for identifier in device.identifiers():
                 addressees.setdefault(identifier, []).append(device)
         wanted = {*addressees, *self._application.listens_to, self._devices[0].sync_cob_id}
+        if self._sync_clock is not None and self._sync_clock.kept_by is not None:
+            wanted.add(self._sync_clock.kept_by)
         self._addressees = addressees
         if wanted != self._wanted:
             self._wanted = wanted

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import atexit
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from os import PathLike
 from pathlib import Path
+from types import TracebackType
+from typing import Self
 
 from hilbench.bench import bench, quantities
+from hilbench.bench.bench import InterruptedByOperatorError
 from hilbench.bench.change import Change
 from hilbench.bench.check import check_bench
 from hilbench.bench.in_process import check_in_process
@@ -72,7 +77,25 @@ class Bench(bench.Bench):
             participants=participants,
             announce=announce,
             journal=self._changes.append,
+            may_idle=True,
         )
+
+    def __enter__(self) -> Self:
+        super().__enter__()
+        atexit.register(self._leave_forgotten)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        atexit.unregister(self._leave_forgotten)
+        super().__exit__(kind, error, trace)
+
+    def _leave_forgotten(self) -> None:
+        """The program ends, and the bench still runs."""
+        name = f"the bench '{self.config.name}'"
+        print(f"hilbench: {name} was never left, and is stopped now; expected 'with Bench(…)'", file=sys.stderr)
+        self.__exit__(InterruptedByOperatorError, InterruptedByOperatorError("the program has ended"), None)
 
     @property
     def recording(self) -> Recording:
@@ -98,7 +121,14 @@ class Bench(bench.Bench):
         settle_s: float = 2.0,
         hold_s: float = 3.0,
     ) -> StepResponse:
-        """Bring the line to its speed, let it settle, step a quantity, hold, and say what that did."""
+        """Bring the line to its speed, let it settle, step a quantity, hold, and say what that did.
+
+        Raises UnusableValueError for what can't be done, before anything moves.
+        """
+        to = quantities.checked_value(quantities.checked_path(path), to)
+        quantities.checked_value(quantities.LINE_SPEED, line_speed_m_s)
+        for name, given in (("ramp_s", ramp_s), ("settle_s", settle_s), ("hold_s", hold_s)):
+            quantities.checked_duration_s(name, given, above_zero=name == "ramp_s")
         self.ramp(quantities.LINE_SPEED, line_speed_m_s, ramp_s)
         self.run(settle_s)
         self.step(path, to)
