@@ -18,6 +18,7 @@ from hilbench.bench.limits import LimitWatch
 from hilbench.bench.load_model import LoadModel
 from hilbench.bench.nodes import Nodes
 from hilbench.bench.operator_objects import OperatorObjects
+from hilbench.bench.sample import CycleSample
 from hilbench.bench.tension_control import TensionController
 from hilbench.bench.twin_connection import TwinConnection
 from hilbench.drives.state_machine import State
@@ -205,3 +206,26 @@ def test_the_result_of_what_nobody_foresaw_is_plain_json(tmp_path: Path, monkeyp
     result, _, _ = ended(config(tmp_path, steps=MOVING), tmp_path / "runs")
     assert "a\\nb \\udcff ü" in result.faults[0].text
     json.loads((run_folders(tmp_path / "bench.yaml")[0] / "result.json").read_text())
+
+
+@pytest.mark.parametrize("signal", ["E_sim_Pa", "F_sim_N", "x2_m", "tau2_Nm"])
+@pytest.mark.parametrize("value", [0.0, 1e-45, float("nan"), float("inf")])
+def test_whatever_number_a_node_says_the_run_goes_on_or_ends_by_a_fault_that_is_known(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, signal: str, value: float
+) -> None:
+    original, calls = Nodes.fill, [0]
+
+    def forged(self: Nodes, sample: CycleSample) -> None:
+        original(self, sample)
+        calls[0] += 1
+        if calls[0] >= CALLS:
+            setattr(sample, signal, value)
+
+    monkeypatch.setattr(Nodes, "fill", forged)
+    path = config(tmp_path, steps=[MOVING[0], {"hold": {"duration_s": 0.4}}])
+    ran = hilbench("run", path, "--in-process", "--no-report", "--out", tmp_path / "runs", "--json")
+    result = Result.model_validate_json(ran.stdout)
+    assert ran.returncode == (3 if result.faults else 0), ran
+    assert "unexpected" not in ran.stdout + ran.stderr
+    if signal == "E_sim_Pa":
+        assert "estimate of E over the model's" in result.faults[0].text

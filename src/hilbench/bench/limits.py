@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from math import inf
 
 from hilbench.bench.config import Limit, LimitsConfig
 from hilbench.bench.sample import CycleSample
@@ -55,7 +56,8 @@ class LimitWatch:
         yield "position difference of the axes", self._position_difference_m(sample), " m", limits.position_difference_m
         if sample.twin_status & _SYNCHRONIZED:
             ratio = sample.E_sim_Pa / self._modulus_Pa
-            yield "estimate of E over the model's", max(ratio, 1.0 / ratio), "", limits.estimate_ratio
+            apart = max(ratio, 1.0 / ratio) if ratio > 0.0 else inf  # no web has such an E
+            yield "estimate of E over the model's", apart, "", limits.estimate_ratio
 
     def _position_difference_m(self, sample: CycleSample) -> float:
         difference_m = sample.x1_m - sample.x2_m

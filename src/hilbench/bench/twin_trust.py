@@ -11,6 +11,7 @@ from math import inf, isfinite
 from hilbench.bench.sample import CycleSample
 from hilbench.bench.tension_control import TensionControlConfig
 from hilbench.twin.virtual_io import TwinStatus
+from hilbench.web.parameters import LARGEST_MODULUS_Pa, LEAST_MODULUS_Pa
 
 _SYNCHRONIZED = int(TwinStatus.SYNCHRONIZED)
 #: A simulated tension may be as far below zero, N: rounding of REAL32.
@@ -45,7 +46,7 @@ class TwinTrust:
         config = self._config
         if sample.twin_age_cycles > config.twin_age_limit_cycles:
             return f"the twin's data are more than {config.twin_age_limit_cycles} cycles old"
-        if not (isfinite(sample.F_sim_N) and isfinite(sample.E_sim_Pa)) or sample.E_sim_Pa <= 0.0:
+        if not (isfinite(sample.F_sim_N) and LEAST_MODULUS_Pa <= sample.E_sim_Pa <= LARGEST_MODULUS_Pa):
             return f"the twin's data are no web's: tension {sample.F_sim_N:g} N, E {sample.E_sim_Pa:g} Pa"
         if not -_BELOW_ZERO_N <= sample.F_sim_N <= self._highest_tension_N:
             return f"simulated tension {sample.F_sim_N:.1f} N is outside 0 to {self._highest_tension_N:g} N"
