@@ -9,7 +9,9 @@ depends on what else the host does: time-outs and jitter repeat. Python, the vir
 its memory, because the clock goes on while a file is waited for. What numba compiles is compiled on the host, for no
 processor in particular (COMPILED, which is in the environment of the command).
 
-The exit status is the command's; 124 when the time limit ended it, 125 when the guest gave no status.
+The exit status is the command's; 124 when its time limit ended it, 125 when the guest gave no status. The limit is of
+the guest's time: a host that does other work besides takes longer, and the guest has done no more. A guest that shows
+no sign of life is ended as well.
 """
 
 from __future__ import annotations
@@ -24,18 +26,21 @@ import subprocess
 import sys
 import sysconfig
 import threading
+import time
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
 CACHE = ROOT / ".cache" / "vcan-guest"
 IMAGE, INITRD, ARCHIVES = CACHE / "vmlinuz", CACHE / "initrd.gz", CACHE / "archives"
+KERNEL = CACHE / "kernel"  #: its package, unpacked
 #: Machine code that host and guest share.
 NUMBA_CACHE = CACHE / "numba"
 COMPILED = {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": "", "NUMBA_CACHE_DIR": str(NUMBA_CACHE)}
 #: What of the checkout is in the guest's memory, and what of Python is not, because nothing there imports it.
-CHECKOUT = ("src", "tests", "tools", "eds", "bench_configs", "pyproject.toml", ".cache/node-canopen")
+CHECKOUT = ("src", "tests", "tools", "eds", "bench_configs", "docs/ci.md", "pyproject.toml", ".cache/node-canopen")
 NOT_IN_LIBRARY = ("*/site-packages", "*/dist-packages", "*/test", "*/config-*", "*/idlelib")
 NOT_IN_ENVIRONMENT = [
     *("*/bin/ruff", "*/scipy/*/tests", "*/pandas/tests", "*/numba/tests", "*/numba/cuda/tests"),
@@ -77,6 +82,11 @@ MODULES = [
     "kvaser_pci",
 ]
 NO_STATUS, _TIMED_OUT = 125, 124
+#: The guest writes its time into `alive` so often (s of its time); that long on the host without it is a guest that
+#: hangs, on a host with ten times the work that it has cores for as well.
+ALIVE_EVERY_S, SILENT_S = 5, 1800.0
+#: After so long without a word on the console the host says how far the guest is.
+WORDS_EVERY_S = 60.0
 #: What a BIOS and a coloured output tell a terminal.
 _TERMINAL = re.compile(r"\x1b(\[[0-9;?]*[A-Za-z]|c)|\r")
 
@@ -84,6 +94,11 @@ _TERMINAL = re.compile(r"\x1b(\[[0-9;?]*[A-Za-z]|c)|\r")
 def run(*command: str | Path, **options: object) -> None:
     """Run a command; its failure is ours."""
     subprocess.run([str(word) for word in command], check=True, **options)  # type: ignore[call-overload]
+
+
+def say(text: str, who: str = "vcan guest") -> None:
+    """A line for whoever waits."""
+    print(f"{who}: {text}", flush=True)
 
 
 def install_packages() -> None:
@@ -94,6 +109,7 @@ def install_packages() -> None:
         if subprocess.run(["dpkg", "-s", name], capture_output=True, check=False).returncode != 0
     ]
     if missing:
+        say(f"install {', '.join(missing)}")
         as_root = [] if os.geteuid() == 0 else ["sudo"]
         apt = [*as_root, "env", "DEBIAN_FRONTEND=noninteractive", "apt-get", "-qq"]
         run(*apt, "update")
@@ -104,16 +120,20 @@ def provide_kernel() -> None:
     """Kernel image and initial file system, unpacked and built once."""
     newest = max((HERE / name).stat().st_mtime for name in ("init", "guest.py"))
     if not IMAGE.exists():
+        say("fetch Debian's kernel")
         CACHE.mkdir(parents=True, exist_ok=True)
         depends = subprocess.run(
             ["apt-cache", "depends", "linux-image-amd64"], capture_output=True, text=True, check=True
         ).stdout
         package = next(word for word in depends.split() if word.startswith("linux-image-") and word[12].isdigit())
         run("apt-get", "download", "-qq", package, cwd=CACHE)
-        run("dpkg", "-x", next(CACHE.glob("linux-image-*.deb")), CACHE / "kernel")
-        shutil.copy(next((CACHE / "kernel" / "boot").glob("vmlinuz-*")), IMAGE)
+        run("dpkg", "-x", next(CACHE.glob("linux-image-*.deb")), KERNEL)
+        shutil.copy(next((KERNEL / "boot").glob("vmlinuz-*")), IMAGE)
     if not INITRD.exists() or INITRD.stat().st_mtime < newest:
         build_initrd()
+    [modules] = (KERNEL / "lib" / "modules").iterdir()
+    if not (modules / "modules.dep").exists():  # else dpkg makes it, when it installs the package
+        run("/sbin/depmod", "-b", KERNEL, modules.name)
 
 
 def build_initrd() -> None:
@@ -125,7 +145,7 @@ def build_initrd() -> None:
     shutil.copy("/bin/busybox", tree / "bin" / "busybox")
     shutil.copy(HERE / "init", tree / "init")
     (tree / "init").chmod(0o755)
-    files = {path.name.replace("_", "-"): path for path in (CACHE / "kernel" / "lib" / "modules").rglob("*.ko")}
+    files = {path.name.replace("_", "-"): path for path in (KERNEL / "lib" / "modules").rglob("*.ko")}
     for name in MODULES:
         path = files.get(f"{name.replace('_', '-')}.ko")
         if path is not None:
@@ -154,12 +174,14 @@ def pack_python() -> None:
     installed = [Path(__file__), *environment.glob("lib/python*/site-packages")]
     archive = ARCHIVES / "environment.tar"
     if not archive.exists() or archive.stat().st_mtime < max(path.stat().st_mtime for path in installed):
+        say("pack Python and the virtual environment")
         pack("library", [Path(sysconfig.get_path("stdlib"))], NOT_IN_LIBRARY)
         pack("environment", [environment], NOT_IN_ENVIRONMENT)
 
 
 def pack_checkout(others: Sequence[Path]) -> None:
     """The checkout with its byte code, what numba has compiled, and what else the caller wants there."""
+    say("pack the checkout")
     run(sys.executable, "-m", "compileall", "-q", ROOT / "src", ROOT / "tests")
     pack("checkout", [*(ROOT / name for name in CHECKOUT), NUMBA_CACHE, *others])
 
@@ -167,7 +189,8 @@ def pack_checkout(others: Sequence[Path]) -> None:
 def write_command(share: Path, command: Sequence[str]) -> None:
     """The script that the guest runs: Python and checkout into memory, interfaces up, the command in the checkout."""
     share.mkdir(parents=True, exist_ok=True)
-    (share / "status").unlink(missing_ok=True)
+    for name in ("status", "alive"):
+        (share / name).unlink(missing_ok=True)
     (share / "checkout").write_text(str(ROOT))
     covered = [shlex.quote(str(path)) for path in (sysconfig.get_path("stdlib"), ROOT)]
     if not Path(sys.prefix).is_relative_to(ROOT):
@@ -177,6 +200,11 @@ def write_command(share: Path, command: Sequence[str]) -> None:
             [
                 "export HOME=/root PATH=/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin",
                 "export PYTHONDONTWRITEBYTECODE=1 PYTHONUNBUFFERED=1",
+                f"while read -r up _ < /proc/uptime; do echo $up > /mnt/share/alive; sleep {ALIVE_EVERY_S}; done &",
+                "echo 'up; takes Python and the checkout into its memory'",
+                # What modprobe looks for is not on the host.
+                f"mkdir /run/kernel && mount --bind {shlex.quote(str(KERNEL))} /run/kernel",
+                "export MODPROBE_OPTIONS='-d /run/kernel'",
                 "mkdir /run/files && mount -t tmpfs -o size=90% tmpfs /run/files",
                 f"for file in {shlex.quote(str(ARCHIVES))}/*.tar; do tar -xf $file -C /run/files || exit; done",
                 f"for path in {' '.join(covered)}; do mount --bind /run/files$path $path || exit; done",
@@ -185,6 +213,7 @@ def write_command(share: Path, command: Sequence[str]) -> None:
                 "    ip link set $c up txqueuelen 1000 type can bitrate 1000000 || echo no $c",
                 "done",
                 f"cd {shlex.quote(str(ROOT))}",
+                "echo 'begins'",
                 shlex.join(["env", *(f"{name}={value}" for name, value in COMPILED.items()), *command]),
                 "",
             ]
@@ -192,10 +221,50 @@ def write_command(share: Path, command: Sequence[str]) -> None:
     )
 
 
+@dataclass
+class Watch:
+    """Ends a guest that has used its time up, or shows no sign of life; says how far it is while it is silent."""
+
+    name: str
+    process: subprocess.Popen[str]
+    alive: Path  #: the guest's time, as the guest writes it
+    limit_s: float  #: of the guest's time
+    word_s: float = field(default_factory=time.monotonic)  #: when the console last said something
+    ended: str = ""  #: why the guest was ended
+    over: threading.Event = field(default_factory=threading.Event)
+
+    def run(self) -> None:
+        """Until `over`."""
+        start_s = heard_s = time.monotonic()
+        own_s = 0.0
+        while not self.over.wait(1.0):
+            now_s = time.monotonic()
+            before_s, own_s = own_s, self._own_time_s(own_s)
+            if own_s != before_s:
+                heard_s = now_s
+            if own_s > self.limit_s:
+                self._end(f"more than {self.limit_s:g} s of its own time, {now_s - start_s:.0f} s here")
+            elif now_s - heard_s > SILENT_S:
+                self._end(f"no sign of life for {SILENT_S:g} s, after {own_s:.0f} s of its own time")
+            if now_s - self.word_s > WORDS_EVERY_S:
+                self.word_s = now_s
+                say(f"({own_s:.0f} s of its own time in {now_s - start_s:.0f} s)", self.name)
+
+    def _own_time_s(self, otherwise_s: float) -> float:
+        try:
+            return float(self.alive.read_text())
+        except (OSError, ValueError):  # not there yet, or just being written
+            return otherwise_s
+
+    def _end(self, why: str) -> None:
+        self.ended = self.ended or why
+        self.process.kill()
+
+
 def boot(name: str, command: Sequence[str], limit_s: float) -> int:
     """Boot a guest that `prepare` has provided for, print what its console says, return the status of the command.
 
-    `name` tells guests apart that run at the same time, in the output as well.
+    `name` tells guests apart that run at the same time, in the output as well. `limit_s`: of the guest's time.
     """
     share = CACHE / f"guest-{name}"
     write_command(share, command)
@@ -209,24 +278,22 @@ def boot(name: str, command: Sequence[str], limit_s: float) -> int:
         "-virtfs", f"local,path={share},mount_tag=share,security_model=none,multidevs=remap",
         "-object", "can-bus,id=wire", "-device", "kvaser_pci,canbus=wire", "-device", "kvaser_pci,canbus=wire",
     ]  # fmt: skip
+    say("boots", name)
     process = subprocess.Popen(qemu, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, text=True, errors="replace")
-    over = threading.Event()
-
-    def end() -> None:
-        over.set()
-        process.kill()
-
-    timer = threading.Timer(limit_s, end)
-    timer.start()
+    watch = Watch(name, process, share / "alive", limit_s)
+    watcher = threading.Thread(target=watch.run)
+    watcher.start()
     assert process.stdout is not None
     for line in process.stdout:
         said = _TERMINAL.sub("", line).rstrip()
         if said:
-            print(f"{name}: {said}", flush=True)
+            say(said, name)
+            watch.word_s = time.monotonic()
     process.wait()
-    timer.cancel()
-    if over.is_set():
-        print(f"{name}: ended after its limit of {limit_s:g} s", file=sys.stderr)
+    watch.over.set()
+    watcher.join()
+    if watch.ended:
+        print(f"{name}: ended: {watch.ended}", file=sys.stderr)
         return _TIMED_OUT
     status = share / "status"
     if not status.exists():
@@ -251,7 +318,7 @@ def prepare(others: Sequence[Path] = ()) -> bool:
 def main() -> int:
     """Provision, boot, run."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--limit", type=float, default=840.0, help="seconds until the guest is ended and has failed")
+    parser.add_argument("--limit", type=float, default=840.0, help="seconds of its own time that the guest may take")
     parser.add_argument("--take", type=Path, action="append", default=[], help="what of .cache is there besides")
     parser.add_argument("command", nargs=argparse.REMAINDER)
     options = parser.parse_args()
