@@ -5,13 +5,18 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 from tests.bench.test_runs import config, run, run_folders
 from tests.bench.test_safety import result_of
 from tests.twin.runs import CYCLE_S, OLD_PA, STEP_S, Array, measured, stepped, times
 from tests.web.models import model
 
+from hilbench.bench.bench import Bench
+from hilbench.bench.participants import Participants
 from hilbench.drives.port import MotorMode, MotorPort
+from hilbench.experiment.config import load_with_overrides
 from hilbench.record.trace import TraceReader
+from hilbench.twin.alarms import Alarms
 from hilbench.twin.config import TwinConfig
 from hilbench.twin.plausibility import Problem
 from hilbench.twin.tracking import Tracking
@@ -22,6 +27,7 @@ AT_SPEED = [
     {"hold": {"until_s": 1.5}},
 ]
 WITHIN_CYCLES = 100
+CONFIG = Path(__file__).resolve().parents[2] / "bench_configs" / "web_section_step.yaml"
 
 
 def emergencies(folder: Path) -> list[int]:
@@ -69,3 +75,27 @@ def test_slip_is_told_and_changes_of_e_are_not_taken_for_it() -> None:
     told = slipping(OLD_PA + 0.0 * t_s, slips)
     # It takes a span's length of web to tell a slip from a change of E: 0.33 s.
     assert STEP_S + 0.33 < min(told) < STEP_S + 0.6
+
+
+@pytest.mark.parametrize("frequency_Hz", [0.5, 1.0, 2.0])
+def test_a_tension_upstream_that_swings_is_no_slip(frequency_Hz: float) -> None:
+    config = load_with_overrides(CONFIG).config
+    with Bench(config, participants=Participants.IN_PROCESS) as bench:
+        bench.ramp("line_speed_m_s", 3.0, 2.0)
+        bench.run(2.0)
+        bench.set("load.effects.upstream_disturbance.frequency_Hz", frequency_Hz)
+        bench.set("load.effects.upstream_disturbance.amplitude_N", 10.0)
+        bench.run(6.0)
+        assert not [notice.text for notice in bench.notices if "FF16" in notice.text]
+
+
+def test_a_condition_that_comes_and_goes_is_one_alarm_and_another_one_is_told_at_once() -> None:
+    alarms = Alarms(CYCLE_S)
+    begun, ended = [], []
+    for k in range(2000):
+        problem = Problem.SATURATED if k < 1000 and k % 20 < 3 else Problem.WEB_BREAK if k == 1001 else None
+        told, over = alarms.update(problem)
+        begun += [(k, one) for one in told]
+        ended += [(k, one) for one in over]
+    assert begun == [(0, Problem.SATURATED), (1001, Problem.WEB_BREAK)]
+    assert ended == [(982 + 250, Problem.SATURATED), (1001 + 250, Problem.WEB_BREAK)]

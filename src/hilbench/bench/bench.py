@@ -26,6 +26,7 @@ from hilbench.bench.participants import Participants
 from hilbench.bench.processes import ChildProcess
 from hilbench.bench.safety import confirm_stopped, quick_stop
 from hilbench.bench.sample import CycleSample
+from hilbench.bench.saturation import SaturationWatch
 from hilbench.bench.startup import TWIN, bring_up
 from hilbench.bench.swing_damping import SwingDamping, SwingPlant
 from hilbench.bench.tension_control import TensionController
@@ -150,6 +151,7 @@ class Bench:
         )
         limits = config.safety.limits
         self._limits = LimitWatch(limits, web.youngs_modulus_Pa, config.cycle_time_s)
+        self._saturation = SaturationWatch(config)
         self._operator = OperatorObjects(config, self.get, self._may_change)
         self._operator_speed_m_s: float | None = None  # where the line speed goes that an operator asked for
         self._ramped = ""  # the quantity that a ramp of the experiment moves
@@ -380,6 +382,8 @@ class Bench:
         self._read_emergencies()
         for warning in self._limits.update(sample):
             self._note("limits", warning)
+        for text in self._saturation.update(sample):
+            self._note("saturation", text)
         for observer in self._observers:
             observer.sample(sample)
         return sample

@@ -6,6 +6,10 @@ the model's E, over a short window (the mean of the momentum balance; what the r
 - break: the ratio falls to almost nothing while the strain says that the web should pull. No change of E goes so far.
 - slip: the encoders no longer show the web's speed. The strain that they miss builds up over the length of the span,
   as 1 - exp(-s/L) of the length s that went through, while a change of E is there at once and a drift is much slower.
+  A tension upstream that swings builds up as well, but to both sides: what goes no farther than it swung just before
+  is no slip.
+
+Nothing is judged while the measurement can't be used, as with a torque at its limit, nor across such a gap.
 """
 
 from __future__ import annotations
@@ -33,6 +37,8 @@ _QUIET = 5.0
 _BEFORE_WINDOWS = 5
 #: Share of the change at its judgement that a change of E has had from its beginning.
 _AT_ONCE = 0.7
+#: How often the ratio is noted for the range that it swings in, as a share of the span's length.
+_NOTED_EVERY = 0.02
 
 
 class Anomalies:
@@ -56,8 +62,17 @@ class Anomalies:
         self._since_change_m: float | None = None
         self._quiet_m = _QUIET * self._span_length_m
         self._ratio_before = self._ratio_at_once = 0.0
+        self._swung: deque[float] = deque(maxlen=round(_QUIET / _NOTED_EVERY))
+        self._since_noted_m = 0.0
+        self._least = 0.0
         self.broken = False
         self.slipping = False
+
+    def suspend(self) -> None:
+        """The measurement can't be used: a change that is under way, and what was before, say nothing any more."""
+        self.interrupt()
+        self._since_change_m = None
+        self._ratios.clear()
 
     def interrupt(self) -> None:
         """A cycle is missing: what is measured next is not one cycle after the last, and no mean goes across."""
@@ -104,6 +119,7 @@ class Anomalies:
 
     def _look_for_slip(self, ratio: float, velocity_m_s: float) -> None:
         ratios = self._ratios
+        self._since_noted_m += abs(velocity_m_s) * self._cycle_s
         if self._since_change_m is not None:
             self._judge(ratio, abs(velocity_m_s) * self._cycle_s)
         elif self._quiet_m > 0.0:
@@ -112,10 +128,15 @@ class Anomalies:
         elif len(ratios) == ratios.maxlen and abs(ratio / ratios[0] - 1.0) > _CHANGED:
             self._since_change_m = 0.0
             self._ratio_before, self._ratio_at_once = ratios[0], 0.0
+            low, high = min(self._swung, default=ratios[0]), max(self._swung, default=ratios[0])
+            self._least = low - (high - low)
             self._settling = self._cycles
             ratios.clear()
         else:
             ratios.append(ratio)
+        if self._since_change_m is None and self._since_noted_m > _NOTED_EVERY * self._span_length_m:
+            self._since_noted_m = 0.0
+            self._swung.append(ratio)
 
     def _judge(self, ratio: float, moved_m: float) -> None:
         """A change is under way: what it was one window after it was seen, and what it has become."""
@@ -132,4 +153,4 @@ class Anomalies:
         if abs(change) <= _CHANGED:  # it has gone again
             self.slipping = False
         elif not self.broken:
-            self.slipping = change < 0.0 and at_once / change < _AT_ONCE
+            self.slipping = change < 0.0 and at_once / change < _AT_ONCE and ratio < self._least

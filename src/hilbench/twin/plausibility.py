@@ -7,8 +7,9 @@ from math import isfinite
 
 #: Cycles with exactly the same torque after which a noisy measurement counts as frozen.
 _FROZEN_CYCLES = 20
-#: Share of the drive's limit from which its torque counts as limited.
-_SATURATED = 0.995
+#: Share of the drive's limit from which its torque counts as limited, below which no longer, and how long it has to
+#: stay there: noise goes to and fro over either, and a drive that has just left its limit soon returns to it.
+_SATURATED, _FREE, _FREE_S = 0.995, 0.98, 0.05
 #: Share of the upstream strain below which the web counts as slack: no tension, nothing to learn.
 _SLACK = 0.02
 #: Speed below which a roller with dry friction stands: friction takes up the tension.
@@ -30,8 +31,10 @@ class Problem(IntEnum):
 class Plausibility:
     """Looks at each cycle's measurement of axis 2; `torque_limit_Nm` and `dry_friction_N` as the model has them."""
 
-    def __init__(self, torque_limit_Nm: float, dry_friction_N: float, slack_per_Pa: float) -> None:
-        self._limit_Nm = _SATURATED * torque_limit_Nm
+    def __init__(self, torque_limit_Nm: float, dry_friction_N: float, slack_per_Pa: float, cycle_s: float) -> None:
+        self._limit_Nm = torque_limit_Nm
+        self._free_cycles = round(_FREE_S / cycle_s)
+        self._limited = 0  #: cycles until the torque counts as free again
         self._dry_friction = dry_friction_N > 0.0
         self._slack_per_Pa = _SLACK * slack_per_Pa
         self._last_Nm = float("nan")
@@ -49,7 +52,7 @@ class Plausibility:
             self._same = 0
         self._last_Nm = torque_Nm
         # A torque at its limit repeats itself too.
-        if abs(torque_Nm) >= self._limit_Nm:
+        if self._is_limited(abs(torque_Nm)):
             return Problem.SATURATED
         # A noiseless simulation at rest does as well, but it has not moved before.
         if self._same >= _FROZEN_CYCLES and self._has_changed:
@@ -59,3 +62,10 @@ class Plausibility:
         if self._dry_friction and abs(velocity_m_s) < _STANDSTILL_M_S:
             return Problem.STANDSTILL
         return None
+
+    def _is_limited(self, size_Nm: float) -> bool:
+        if size_Nm >= _SATURATED * self._limit_Nm or (self._limited and size_Nm >= _FREE * self._limit_Nm):
+            self._limited = self._free_cycles
+        elif self._limited:
+            self._limited -= 1
+        return self._limited > 0

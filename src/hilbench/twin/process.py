@@ -18,9 +18,9 @@ from hilbench.fieldbus.device import Device, NmtState, SdoAbort
 from hilbench.fieldbus.eds import load_eds
 from hilbench.fieldbus.host import DeviceHost, HostedDevices
 from hilbench.real_time import ProcessSettings, kept_ready
+from hilbench.twin.alarms import Alarms
 from hilbench.twin.axis_listener import AxisListener, RealAxis, TwinNode
 from hilbench.twin.config import TwinConfig
-from hilbench.twin.plausibility import Problem
 from hilbench.twin.synchronizers.create import METHODS
 from hilbench.twin.torque_shift import TORQUE_SHIFT, UNDECIDED
 from hilbench.twin.tracking import Tracking
@@ -108,7 +108,7 @@ class TwinApplication:
         self._measured: list[tuple[float, float] | None] = [None, None]  # position in rad, torque in N·m
         self._owed = [0, 0]  # SYNCs that the axis has not answered
         self._positions_before: list[float] | None = None
-        self._reported: Problem | None = None
+        self._alarms = Alarms(setup.cycle_s)
         self._reported_shift_Nm, self._reported_undecided = 0.0, False
         self._pending = self._released = False
         self._sync_number = self._behind = 0
@@ -122,7 +122,8 @@ class TwinApplication:
         self._line.set_state(strain=[self._io.strain_prev], x_m=[0.0, 0.0], v_m_s=[0.0, 0.0], tau_Nm=[0.0, 0.0])
         self._measured = [None, None]
         self._owed = [0, 0]
-        self._positions_before = self._reported = None
+        self._positions_before = None
+        self._alarms.reset()
         self._reported_shift_Nm, self._reported_undecided = 0.0, False
         self._pending = self._released = False
         self._time_s = 0.0
@@ -241,14 +242,11 @@ class TwinApplication:
 
     def _report_problem(self) -> None:
         """Say by EMCY why a measurement can't be used, and when it can be again."""
-        problem = self._tracking.problem
-        if problem is self._reported:
-            return
-        if self._reported is not None:
-            self._device.clear_emergency(self._reported)
-        if problem is not None:
+        begun, ended = self._alarms.update(self._tracking.problem)
+        for problem in ended:
+            self._device.clear_emergency(problem)
+        for problem in begun:
             self._device.emergency(problem, _PROFILE_SPECIFIC)
-        self._reported = problem
 
     def _report_shift(self) -> None:
         """Say by EMCY what the torque is corrected for, and whether something is open."""

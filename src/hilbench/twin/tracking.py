@@ -65,7 +65,10 @@ class Tracking:
         self._begin(self.config.synchronizer, self._initial_Pa)
         self._web_per_Pa = self._balance.section_m2 * self._strain_prev
         self._plausibility = Plausibility(
-            self._torque_limit_Nm, self._balance.dry_friction_N, self._balance.section_m2 * self._strain_prev
+            self._torque_limit_Nm,
+            self._balance.dry_friction_N,
+            self._balance.section_m2 * self._strain_prev,
+            self._cycle_s,
         )
         self._finder = DelayFinder(self._cycle_s) if self.config.torque_delay == "estimate" else None
         self._delay_line = DelayLine(self._cycle_s)
@@ -143,7 +146,11 @@ class Tracking:
         now = balance.update(x1_m, x2_m, torque_Nm, strain_prev, F_next_N, self._cycle_s)
         torque_sim_Nm = self._axis2.torque_Nm
         self.residual_Nm = torque_Nm - torque_sim_Nm
-        self.problem = self._plausibility.problem(torque_Nm, now.web_per_Pa, now.velocity_m_s) or self._anomaly(now)
+        self.problem = self._plausibility.problem(torque_Nm, now.web_per_Pa, now.velocity_m_s)
+        if self.problem is None:
+            self.problem = self._anomaly(now)
+        else:
+            self._anomalies.suspend()
         moved = self._find_delay(torque_Nm, torque_sim_Nm)
         paired = None
         if not isfinite(now.force_N):
