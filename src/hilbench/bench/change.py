@@ -12,8 +12,8 @@ class Change:
 
     `cycle` counts SYNCs: the change acts from the one after it. ``enabled``: the experiment's time begins;
     ``set``: the quantity `path` (`hilbench.bench.quantities`) had `before` and has `value` from now on;
-    ``twin_lost``: the twin is not counted on any more; ``twin_back``: it is again, and counts its SYNCs from here;
-    ``stopping``: the drives are brought to a stop.
+    ``twin_lost``: the twin is not counted on any more; ``twin_back``: it is again, and counts the SYNCs after number
+    `value`; ``stopping``: the drives are brought to a stop.
     """
 
     cycle: int

@@ -198,7 +198,9 @@ class LimitsConfig(_Block):
 class SafetyConfig(_Block):
     """Limits of a run and how the safe state is reached: all drives at rest by quick stop, then without power."""
 
-    cycle_timeout_s: PositiveFloat = Field(default=5.0, description="lockstep: wall time to wait for a participant")
+    cycle_timeout_s: PositiveFloat = Field(
+        default=5.0, description="lockstep: wall time to wait for a drive; for the twin 2 s at most"
+    )
     missing_cycles: int = Field(default=25, ge=1, description="realtime: cycles in a row a PDO may be missing")
     drive_timeout_s: PositiveFloat = Field(default=2.0, description="for a drive to reach a requested state")
     quick_stop_m_s2: PositiveFloat = Field(default=3.0, description="deceleration of a quick stop, at the web")

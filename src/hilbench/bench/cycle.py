@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future
 from concurrent.futures import wait as wait_for
 from dataclasses import dataclass, replace
@@ -31,6 +31,9 @@ _ALIVE = 0.3
 _SLOW = 0.6
 #: Between cycles: wall time in which devices of this process may take what was sent to them.
 _A_MOMENT_S = 0.001
+#: Lockstep: wall time to wait for who is not vital, where that is shorter than the time-out. The drives wait for SYNC
+#: meanwhile, and take a bench for dead after 5 s.
+_NOT_VITAL_S = 2.0
 
 
 #: NMT state in the bench's own heartbeat: OPERATIONAL, and PRE-OPERATIONAL after an emergency stop.
@@ -76,10 +79,11 @@ class CyclicExchange:
     """One SYNC after the other, paced in lockstep or by the wall clock.
 
     `exchange` sends set points and SYNC and returns the frames that answered. In lockstep it waits until every
-    expected TPDO is there and raises NoAnswerError, naming who is missing, after `timeout_s` of wall time. In
-    real time it waits for them until shortly before the next deadline, and raises when one sender's PDO was
-    missing `missing_limit` cycles in a row; not for a sender that is not vital. Who does not answer is put into
-    `silent`, and not waited for any longer. An emergency stop on the bus raises EmergencyStopError, once.
+    expected TPDO is there and raises NoAnswerError, naming who is missing, after `timeout_s` of wall time (2 s at most
+    where nobody vital is missing). In real time it waits for them until shortly before the next deadline, and raises
+    when one sender's PDO was missing `missing_limit` cycles in a row; not for a sender that is not vital. Who does not
+    answer is put into `silent`, and not waited for any longer. An emergency stop on the bus raises EmergencyStopError,
+    once.
     """
 
     def __init__(
@@ -218,14 +222,17 @@ class CyclicExchange:
         self._heartbeat = self._heartbeat._replace(data=_PRE_OPERATIONAL)
         send_emergency_stop(self._link)
 
-    def stand_still(self, done: Future[None]) -> None:
-        """Lockstep: no cycle until `done`, which may take longer than the supervisor waits."""
+    def stand_still(self, done: Future[None], longest_s: float) -> None:
+        """Lockstep: no cycle until `done`, or for `longest_s` of wall time: the nodes wait for SYNC meanwhile."""
         with self._lock:
             trace_fault = self._write_last_answers()
             if trace_fault is not None:
                 raise trace_fault
             self._say_alive()
-            while wait_for([done], timeout=_ALIVE * self._timeout_s).not_done:
+            end_s = time.monotonic() + longest_s
+            while (left_s := end_s - time.monotonic()) > 0.0:
+                if not wait_for([done], timeout=min(left_s, _ALIVE * self._timeout_s)).not_done:
+                    return
                 self._say_alive()
 
     def stay_alive(self, silence_s: float) -> None:
@@ -285,7 +292,7 @@ class CyclicExchange:
         """What came until nothing more is due, and what to raise once that is in the trace."""
         received: list[Frame] = []
         failure = None
-        remaining_s = self._remaining_s if not self._lockstep else self._lockstep_remaining(time.monotonic())
+        remaining_s = self._remaining_s if not self._lockstep else self._lockstep_remaining(due)
         while due:
             left_s = max(0.0, remaining_s())
             batch = self._link.receive(min(left_s, _ALIVE * self._timeout_s) if self._lockstep else left_s)
@@ -337,8 +344,14 @@ class CyclicExchange:
             else:
                 doubt[cob_id] = cycle
 
-    def _lockstep_remaining(self, start_s: float) -> Callable[[], float]:
-        return lambda: start_s + self._timeout_s - time.monotonic()
+    def _lockstep_remaining(self, due: Mapping[int, ExpectedPdo]) -> Callable[[], float]:
+        start_s, timeout_s = time.monotonic(), self._timeout_s
+
+        def remaining_s() -> float:
+            vital = any(pdo.vital for pdo in due.values())
+            return start_s + (timeout_s if vital else min(timeout_s, _NOT_VITAL_S)) - time.monotonic()
+
+        return remaining_s
 
     def _remaining_s(self) -> float:
         guard_ns = self.pacing.deadline_ns - int(_GUARD_FRACTION * self._cycle_ns)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from math import isclose
 from typing import Any
 
@@ -137,6 +138,7 @@ class Nodes:
         self._deviation_Pa, self._residual_Nm = 0.0, 0.0
         self._torque_before_Nm, self._torque_sim_Nm = 0.0, 0.0
         self._twin_sync, self.twin_status = 0, 0  #: status: bits of `TwinStatus`
+        self.twin_told_cycle = 0  #: cycle, counted by `decode`, in which the twin last told its status
         self._twin_ids = {nodes.virtual_axis1.node_id, nodes.virtual_axis2.node_id, nodes.virtual_io.node_id}
         self.twin_problem = ""  #: why the twin's nodes can't be counted on; "" while they can
         self.twin_heard = False  #: a heartbeat or boot-up of the virtual I/O has come since this was last reset
@@ -238,8 +240,11 @@ class Nodes:
         master, nodes = self._sdo(), self.config.nodes
         twin_nodes = [nodes.virtual_axis1.node_id, nodes.virtual_axis2.node_id, nodes.virtual_io.node_id]
         self._expected_boots = set(twin_nodes)
-        # A twin that was held up first works off what it has missed; the reset would be lost among that.
-        master.wait_for_answer(twin_nodes, self.config.master.boot_timeout_s)
+        # A twin that was held up first works off what it has missed; the reset would be lost among that. One that
+        # somebody has stopped (NMT) answers no SDO request.
+        for node_id in twin_nodes:
+            wake = partial(master.nmt, nmt.PRE_OPERATIONAL, node_id)
+            master.wait_for_answer([node_id], self.config.master.boot_timeout_s, wake)
         for node_id in twin_nodes:
             master.nmt(nmt.RESET_NODE, node_id)
         master.wait_for_answer(twin_nodes, self.config.master.boot_timeout_s)
@@ -358,6 +363,7 @@ class Nodes:
         status = data.get(self.io.status.cob_id)
         if status is not None:
             self._twin_sync, _, self.twin_status = self.io.status.unpack(status)
+            self.twin_told_cycle = self._cycle
         if state is not None:
             self._tension_N, self._modulus_Pa = self.io.state.unpack(state)
         if quality is not None:
@@ -390,6 +396,10 @@ class Nodes:
         """How many cycles old the twin's last answer is, `syncs` after the twin was started."""
         # Started beside running SYNCs it may have counted one or two more than the bench.
         return max(0, ((syncs - self._twin_sync + 0x8000) & 0xFFFF) - 0x8000)
+
+    def twin_started(self, syncs: int) -> int:
+        """The SYNC before that which the twin counts as its first, where its last answer was one to SYNC `syncs`."""
+        return syncs - self._twin_sync
 
     def _heartbeat(self, node_id: int, content: bytes) -> None:
         name = self._known.get(node_id)

@@ -3,6 +3,9 @@
 The bench can do without its twin: axis 1 follows the ratio of speeds meanwhile (`tension_control`). A twin
 that comes back, whether it was held up or its process had to be started again, is reset and configured anew, because
 nobody knows what it has missed; the loop closes when it calls itself synchronized.
+
+That takes SDO transfers, which nothing waits for: the cycles go on meanwhile. Only in lockstep the bus stands still for
+the short time that a twin takes which answers, so that a reset on purpose is in the same cycles on every machine.
 """
 
 from __future__ import annotations
@@ -22,10 +25,18 @@ from hilbench.errors import BenchFaultError
 
 #: So often the twin's process is started again in one run.
 _MOST_STARTS = 3
-#: Cycles from an attempt to take the twin back to the next.
+#: Cycles from a loss of the twin, or an attempt to take it back, to the next attempt where it is not heard.
 _RETRY_CYCLES = 500
+#: A twin that was back for so many cycles is not lost again and again. After so many losses in a row that time doubles
+#: with each further one, so many times.
+_STAYED_CYCLES, _LOSSES_FREE, _MOST_DOUBLINGS = 5000, 3, 6
 #: Cycles between two looks whether the process lives.
 _LOOK_CYCLES = 64
+#: Lockstep: the bus stands still for so long at most while the twin is reset, far less than the nodes wait for SYNC.
+_STAND_STILL_S = 1.0
+#: Cycles within which a twin that was started beside running SYNCs tells which of them it has counted, and for which
+#: an answer may tell another count.
+_TOLD_CYCLES = 100
 
 
 class TwinConnection:
@@ -50,9 +61,12 @@ class TwinConnection:
         self._was_closed: bool | None = None  # None before it was closed for the first time
         self._away = False
         self._starts = 0
-        self._started_cycle = 0
-        self._next_attempt_cycle: int | None = None
+        self._started_cycle = self._back_cycle = 0
+        self._age_limit = config.tension_control.twin_age_limit_cycles
+        self._age_before = self._jumped_for = 0
+        self._lost_cycle = self._losses = 0
         self._return: Future[None] | None = None
+        self._returned_cycle: int | None = None  # when it was started beside running SYNCs, and has not told its count
         self._planned = False
 
     def age_cycles(self, cycle: int) -> int:
@@ -62,7 +76,7 @@ class TwinConnection:
     def loop_closed(self, sample: CycleSample) -> bool:
         """Whether the tension loop is closed on the twin's data in `sample`."""
         # A sample from before the twin was taken back may still say that it is synchronized.
-        fresh = not self._away and sample.cycle > self._started_cycle
+        fresh = not self._away and sample.cycle > self._back_cycle
         closed = fresh and self._trust.update(sample)
         if self._was_closed and not closed:
             self._note(f"tension loop open, axis 1 follows the ratio of speeds: {self._trust.doubt}")
@@ -84,7 +98,7 @@ class TwinConnection:
     def reset(self) -> None:
         """Begin to reset the twin on purpose; `returning` until it is there again."""
         self._lose("the twin is reset")
-        self._planned = True
+        self._planned, self._losses = True, 0
         self._begin_return()
 
     @property
@@ -100,17 +114,36 @@ class TwinConnection:
         if self._return is not None:
             if self._return.done():
                 self._end_return(self._return)
+        elif self._returned_cycle is not None:
+            self._look_for_count(self._returned_cycle)
         elif self._away:
-            if nodes.twin_heard or self._is_due():
+            if self._is_due():
                 self._begin_return()
         elif nodes.twin_name in self._exchange.silent:
             self._lose("the twin does not answer SYNC")
         elif nodes.twin_problem:
             self._lose(nodes.twin_problem)
+        elif self._counts_anew():
+            self._lose("the twin counts SYNC anew, as after an NMT command of somebody else")
+
+    def _counts_anew(self) -> bool:
+        """Whether the age of the twin's answers has jumped, which late answers can't do, and stays what it is."""
+        age = self.age_cycles(self._exchange.timing.cycles)
+        if age <= self._age_limit:
+            self._jumped_for = 0
+        elif self._jumped_for or age > self._age_before + 1:
+            self._jumped_for += 1
+        self._age_before = age
+        return self._jumped_for > _TOLD_CYCLES
 
     def _is_due(self) -> bool:
-        """Whether to try again with a twin that was heard: one that was not configured sends no heartbeat."""
-        return self._next_attempt_cycle is not None and self._exchange.timing.cycles >= self._next_attempt_cycle
+        """Whether to ask the twin: at once when it is heard, later when it is not (one that was not configured sends no
+        heartbeat), and ever more seldom while it is lost again and again."""
+        waited = self._exchange.timing.cycles - self._lost_cycle
+        again = max(0, self._losses - _LOSSES_FREE)
+        if self._nodes.twin_heard and not again:
+            return True
+        return waited >= _RETRY_CYCLES << min(again, _MOST_DOUBLINGS)
 
     def _look_after_process(self) -> None:
         process = self._process
@@ -124,39 +157,62 @@ class TwinConnection:
 
     def _lose(self, reason: str) -> None:
         self._away = True
+        self._age_before = self._jumped_for = 0
+        cycle = self._exchange.timing.cycles
+        self._losses = self._losses + 1 if cycle - self._back_cycle < _STAYED_CYCLES else 1
+        self._lost_cycle = cycle
         self._trust.forget(reason)
         self._nodes.twin_is_away()
         self._journal(Change(self._exchange.timing.cycles, "twin_lost"))
         self._exchange.expect([pdo for pdo in self._nodes.expected_pdos() if pdo.vital])
 
     def _begin_return(self) -> None:
-        """By SDO: in real time beside the cycles, in lockstep the bus stands still meanwhile."""
+        answers = self._planned or self._nodes.twin_heard
         self._nodes.twin_heard = False
-        self._next_attempt_cycle = None
         pool = ThreadPoolExecutor(1, thread_name_prefix="twin-return")
         self._return = pool.submit(self._nodes.restart_twin)
         pool.shutdown(wait=False)
-        if self._lockstep:
-            self._exchange.stand_still(self._return)
-            self._end_return(self._return)
+        if self._lockstep and answers:
+            self._exchange.stand_still(self._return, _STAND_STILL_S)
+            if self._return.done() and self._end_return(self._return):
+                self._exchange.discard_waiting()
+                self._take_back(self._exchange.timing.cycles)
 
-    def _end_return(self, done: Future[None]) -> None:
+    def _end_return(self, done: Future[None]) -> bool:
+        """Whether the twin was started; it is taken back when it has told which SYNCs it counts."""
         self._return = None
-        planned, self._planned = self._planned, False
         try:
             done.result()
         except BenchFaultError as error:
-            if planned:
-                raise
-            self._note(f"the twin was heard, but did not come back: {error}")
-            self._next_attempt_cycle = self._exchange.timing.cycles + _RETRY_CYCLES
-            return
+            self._fail(error)
+            return False
+        self._returned_cycle = self._exchange.timing.cycles
+        return True
+
+    def _fail(self, error: BenchFaultError) -> None:
+        self._returned_cycle = None
+        if self._planned:
+            self._planned = False
+            raise error
+        self._note(f"the twin did not come back: {error}")
+        self._losses += 1
+        self._lost_cycle = self._exchange.timing.cycles
+
+    def _look_for_count(self, returned_cycle: int) -> None:
+        """What it told before the bench knew that it was started may be from before its reset."""
+        cycle, nodes = self._exchange.timing.cycles, self._nodes
+        if nodes.twin_told_cycle > returned_cycle:
+            self._take_back(nodes.twin_started(nodes.twin_told_cycle))
+        elif cycle - returned_cycle > _TOLD_CYCLES:
+            self._fail(BenchFaultError(f"it was started, and tells nothing within {_TOLD_CYCLES} cycles"))
+
+    def _take_back(self, started_cycle: int) -> None:
+        """`started_cycle`: the SYNC before that which the twin counts as its first."""
         exchange = self._exchange
-        if self._lockstep:
-            exchange.discard_waiting()
+        self._returned_cycle, self._planned = None, False
         self._away = False
-        self._started_cycle = exchange.timing.cycles
+        self._started_cycle, self._back_cycle = started_cycle, exchange.timing.cycles
         exchange.silent.discard(self._nodes.twin_name)
-        exchange.expect(self._nodes.expected_pdos(self._started_cycle))
+        exchange.expect(self._nodes.expected_pdos(started_cycle))
         self._nodes.twin_is_back()
-        self._journal(Change(self._started_cycle, "twin_back"))
+        self._journal(Change(self._back_cycle, "twin_back", value=float(started_cycle)))

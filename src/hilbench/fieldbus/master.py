@@ -104,7 +104,7 @@ class _Network(canopen.Network):
 
 
 class Master:
-    """canopen's network on a python-can bus; one SDO transfer at a time.
+    """canopen's network on a python-can bus; one SDO transfer with a node at a time.
 
     Raises BenchFaultError, one line with node, object and reason, when a node does not answer or refuses. `sent` is
     what it has put on the bus.
@@ -117,7 +117,7 @@ class Master:
         self._network.listeners.append(_LossIsKnown())  # type: ignore[arg-type] # any listener will do
         self._network.connect()
         self._timeout_s = sdo_timeout_s
-        self._lock = threading.Lock()
+        self._locks: dict[int, threading.Lock] = {}  # a node that does not answer holds up no other
         self._booted: set[int] = set()
         self._boot_seen = threading.Condition()
         self._names: dict[int, str] = {}
@@ -128,6 +128,7 @@ class Master:
         node.sdo.RESPONSE_TIMEOUT = self._timeout_s
         node.sdo.MAX_RETRIES = 1  # one try: canopen counts down to zero before it gives up
         self._names[node_id] = name
+        self._locks[node_id] = threading.Lock()
         self._network.subscribe(0x700 + node_id, self._heartbeat)
 
     def hear_only_answers(self) -> None:
@@ -191,8 +192,13 @@ class Master:
                 f"no answer to an SDO read of 1000h"
             )
 
-    def wait_for_answer(self, node_ids: Iterable[int], timeout_s: float) -> None:
-        """Ask nodes by SDO until each answers. Raises BenchFaultError naming the first that does not."""
+    def wait_for_answer(
+        self, node_ids: Iterable[int], timeout_s: float, wake: Callable[[], None] = lambda: None
+    ) -> None:
+        """Ask nodes by SDO until each answers; `wake` is called after each question that was not answered.
+
+        Raises BenchFaultError naming the first that does not answer.
+        """
         for node_id in node_ids:
             deadline_s = time.monotonic() + timeout_s
             while not self._answers(node_id):
@@ -201,10 +207,11 @@ class Master:
                         f"no answer from {self._names[node_id]} (node {node_id}) to an SDO read of 1000h "
                         f"within {timeout_s:g} s"
                     )
+                wake()
 
     def _answers(self, node_id: int) -> bool:
         try:
-            with self._lock, _bus_errors():
+            with self._locks[node_id], _bus_errors():
                 self._network[node_id].sdo.upload(0x1000, 0)
         except (canopen.SdoCommunicationError, canopen.SdoAbortedError):
             return False
@@ -216,7 +223,7 @@ class Master:
         """The value of an object, decoded by its EDS type."""
         variable = self._variable(node_id, index, sub)
         try:
-            with self._lock, _bus_errors():
+            with self._locks[node_id], _bus_errors():
                 data = self._network[node_id].sdo.upload(index, sub)
         except (canopen.SdoCommunicationError, canopen.SdoAbortedError) as error:
             raise self._fault(node_id, variable, "reading", error) from error
@@ -233,7 +240,7 @@ class Master:
         except ValueError as error:
             raise BenchFaultError(f"{self._place(node_id, variable)}: writing {value!r} to it: {error}") from error
         try:
-            with self._lock, _bus_errors():
+            with self._locks[node_id], _bus_errors():
                 self._network[node_id].sdo.download(index, sub, data)
         except (canopen.SdoCommunicationError, canopen.SdoAbortedError) as error:
             raise self._fault(node_id, variable, f"writing {value!r} to", error) from error

@@ -273,7 +273,7 @@ class _Decoder:
             self._trust.forget("")
             self._nodes.twin_is_away()
         elif change.what == "twin_back":
-            self._twin_away, self._twin_started = False, change.cycle
+            self._twin_away, self._twin_started = False, round(change.value) or change.cycle
             self._nodes.twin_is_back()
         elif change.path == quantities.TENSION_SET_POINT:
             self._set_point_N = change.value
