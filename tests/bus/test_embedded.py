@@ -451,10 +451,21 @@ def test_a_link_in_the_place_of_the_directory_is_refused(runtime: Any, tmp_path:
 def test_the_user_at_the_other_end_is_checked(monkeypatch: pytest.MonkeyPatch) -> None:
     here, there = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     with here, there:
-        assert protocol.same_user(here)
         uid = os.getuid()
-        monkeypatch.setattr(os, "getuid", lambda: uid + 1)
-        assert not protocol.same_user(here)
+        monkeypatch.setattr(protocol, "peer_user", lambda connection: uid)
+        assert protocol.may_join(here)
+        assert protocol.may_trust(here)
+        monkeypatch.setattr(protocol, "peer_user", lambda connection: 4711)
+        monkeypatch.setattr(os, "getuid", lambda: 4712)
+        assert not protocol.may_join(here)
+        assert not protocol.may_trust(here)
+        monkeypatch.setattr(os, "getuid", lambda: 0)  # root goes onto everybody's bus,
+        assert protocol.may_trust(here)
+        assert not protocol.may_join(here)
+        monkeypatch.setattr(os, "getuid", lambda: 4712)
+        monkeypatch.setattr(protocol, "peer_user", lambda connection: 0)
+        assert protocol.may_join(here)  # and is let onto it
+        assert not protocol.may_trust(here)
 
 
 @pytest.mark.parametrize("channel", ["../up", "a/b", "", ".hidden", "x" * 49, "new\nline"])

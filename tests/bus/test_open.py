@@ -21,9 +21,10 @@ from hilbench.errors import BusError, UnusableInputError
 @pytest.mark.parametrize(
     ("text", "interface", "channel"),
     [
-        ("embedded", "embedded", "hilbench0"),
+        ("embedded", "embedded", ""),
         ("embedded:line2", "embedded", "line2"),
         ("hilbench:line2", "embedded", "line2"),
+        ("embedded:/run/user/1000/hilbench/line2.sock", "embedded", "/run/user/1000/hilbench/line2.sock"),
         ("socketcan:vcan0", "socketcan", "vcan0"),
         ("slcan:/dev/ttyUSB0@115200", "slcan", "/dev/ttyUSB0@115200"),
         ("udp_multicast:ff15:7079::1", "udp_multicast", "ff15:7079::1"),
@@ -41,12 +42,43 @@ def test_no_addresses(text: str) -> None:
         BusAddress.parse(text)
 
 
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (
+            "no_such_interface:x",
+            "found interface 'no_such_interface', expected embedded or one of python-can's: .*pcan",
+        ),
+        ("embedded:two words", "found 'embedded:two words', expected a name of up to 48 letters"),
+        ("embedded:../up", "expected a name of up to 48 letters"),
+        ("embedded:/run/line2", "expected a name of up to 48 letters"),
+    ],
+)
+def test_a_name_that_no_bus_can_have_is_told_before_anything_is_opened(text: str, said: str) -> None:
+    with pytest.raises(UnusableInputError, match=said):
+        BusAddress.parse(text)
+
+
+def test_two_checkouts_have_two_buses_and_all_configs_of_a_folder_one(tmp_path: Path) -> None:
+    unnamed = BusAddress.parse("embedded")
+    folders = [tmp_path / name / "bench configs" for name in ("one", "two")]
+    for folder in folders:
+        folder.mkdir(parents=True)
+    (tmp_path / "link").symlink_to(folders[0])
+    one, two, again = (unnamed.in_folder(folder) for folder in (*folders, tmp_path / "link"))
+    assert one == again != two
+    assert one.channel.startswith("bench_configs-")
+    assert BusAddress.parse(str(one)) == one
+    named = BusAddress.parse("embedded:line2")
+    assert named.in_folder(folders[0]) == named
+
+
 def test_a_timing_that_is_none() -> None:
     with pytest.raises(UnusableInputError, match="'warp', expected 'real' or 'virtual'"):
         BusAddress.parse("embedded", timing="warp")
 
 
-@pytest.mark.parametrize("text", ["no_such_interface:x", "socketcan:nocan99", "serial:/dev/nowhere"])
+@pytest.mark.parametrize("text", ["socketcan:nocan99", "serial:/dev/nowhere"])
 def test_what_cannot_be_opened_is_one_line(text: str) -> None:
     address = BusAddress.parse(text)
     for opener in (open_link, open_python_can):

@@ -19,8 +19,8 @@ from tests.cli.in_process import hilbench
 
 from hilbench.bus.link import Link
 from hilbench.bus.open import BusAddress, open_link
-from hilbench.doctor.stations import hear, present
 from hilbench.experiment.config import load
+from hilbench.fieldbus.listening import hear, present
 
 EDS = Path(__file__).resolve().parents[2] / "eds" / "hilbench_servo.eds"
 HILBENCH = [sys.executable, "-m", "hilbench.cli"]

@@ -15,8 +15,8 @@ from tests.bench.test_runs import run_folders, start, wait_for_frames
 from tests.cli.in_process import hilbench
 
 from hilbench.bus.open import open_link
-from hilbench.doctor.stations import hear
 from hilbench.experiment.config import load
+from hilbench.fieldbus.listening import hear
 from hilbench.monitor.picture import BusPicture
 from hilbench.record.recording import read_recording
 

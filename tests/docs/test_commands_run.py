@@ -23,8 +23,8 @@ from typer.testing import CliRunner
 from hilbench.bus.open import BusAddress, open_link
 from hilbench.cli.main import app
 from hilbench.diagnose.blind import blind_recording
-from hilbench.doctor.stations import present
 from hilbench.experiment.config import load
+from hilbench.fieldbus.listening import present
 from hilbench.record.recording import write_recording
 from hilbench.web.parameters import EffectEntry, write_model
 

@@ -99,8 +99,8 @@ def start_hardware(path: Path) -> subprocess.Popen[str]:
 def wait_for_node(path: Path) -> None:
     """Until the simulated axis 2 answers."""
     from hilbench.bus.open import open_link
-    from hilbench.doctor.stations import present
     from hilbench.experiment.config import load
+    from hilbench.fieldbus.listening import present
 
     link = open_link(load(path)[0].bus_address)
     try:
@@ -115,8 +115,11 @@ def test_a_running_bench_is_left_alone(tmp_path: Path) -> None:
     try:
         wait_for_frames(path, 500)
         found = findings(doctor(str(path), "--json"))
-        assert [level for _, level in of_check(found, "other_master")] == ["warning"]
+        assert [level for _, level in of_check(found, "other_master")] == ["error"]
         assert of_check(found, "node_answers") == []
+        shown = doctor(str(path)).stdout
+        assert "NO NODE WAS ASKED" in shown
+        assert f"process {bench.pid}" in shown
         assert bench.poll() is None
     finally:
         os.killpg(bench.pid, signal.SIGINT)
@@ -131,6 +134,15 @@ def test_an_interface_that_is_not_there_and_no_config() -> None:
     assert done.returncode == 1
     assert of_check(found, "interface") == [("nocan99", "error")]
     assert ("socketcan:nocan99", "warning") in of_check(found, "bus")
+
+
+def test_an_examination_that_could_ask_nobody_does_not_say_that_all_is_well(tmp_path: Path) -> None:
+    hub = f"embedded:{yaml.safe_load(config(tmp_path).read_text())['bus']['address'].partition(':')[2]}"
+    done = doctor("--bus", hub)
+    assert done.returncode == 0
+    assert "NO NODE WAS ASKED" in done.stdout
+    assert "0 errors" not in done.stdout
+    assert json.loads(doctor("--bus", hub, "--json").stdout)["nodes_asked"] == 0
 
 
 @pytest.mark.parametrize("arguments", [("--bus", "can0"), ("no_such_config.yaml",), ("--set", "seed=3")])

@@ -16,13 +16,15 @@ from hilbench.bus.memory import MemoryBus
 from hilbench.doctor.bench_subject import expected_nodes
 from hilbench.doctor.findings import Check, Finding, Level
 from hilbench.doctor.judge_stations import judge_heard, judge_node
-from hilbench.doctor.stations import ExpectedNode, NodeAnswers, ask, present, sort_by_node
+from hilbench.doctor.stations import ExpectedNode, NodeAnswers, ask
 from hilbench.errors import BusError
 from hilbench.experiment.config import load
 from hilbench.fieldbus.clock import MonotonicClock
 from hilbench.fieldbus.device import Device
 from hilbench.fieldbus.eds import load_eds
+from hilbench.fieldbus.emergency_stop import EMERGENCY_STOP
 from hilbench.fieldbus.host import DeviceHost
+from hilbench.fieldbus.listening import present, sort_by_node
 from hilbench.fieldbus.sdo_reader import Refusal, SdoReader
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -68,9 +70,23 @@ def test_strangers_and_another_master(nodes: list[ExpectedNode]) -> None:
     stranger = judge_heard(sort_by_node(frames(0x185, 0x705)), nodes, 127, "can0")
     assert levels(stranger) == {Check.OTHER_MASTER: Level.OK, Check.STRANGERS: Level.WARNING}
     assert "node 5 (185h 705h)" in stranger[1].found
-    for identifier in (0x080, 0x77F):
+    for identifier in (0x000, 0x080, 0x201, 0x543, 0x77F):
         busy = judge_heard(sort_by_node(frames(identifier)), nodes, 127, "can0")
-        assert levels(busy) == {Check.OTHER_MASTER: Level.WARNING, Check.STRANGERS: Level.OK}
+        assert levels(busy) == {Check.OTHER_MASTER: Level.ERROR, Check.STRANGERS: Level.OK}
+        assert f"{identifier:03X}h" in busy[0].found
+        assert "no program of this machine" in busy[0].found
+        on_a_bus_alone = judge_heard(sort_by_node(frames(identifier)), [], 127, "can0")
+        assert levels(on_a_bus_alone)[Check.OTHER_MASTER] is Level.WARNING
+    idle = judge_heard(sort_by_node([]), nodes, 127, "can0", claimed_by="bench line2 (process 4711)")
+    assert levels(idle)[Check.OTHER_MASTER] is Level.ERROR
+    assert "bench line2 (process 4711)" in idle[0].found
+
+
+def test_an_emergency_stop_on_the_bus_is_no_other_master() -> None:
+    heard = sort_by_node([*EMERGENCY_STOP, *frames(0x701)])
+    assert heard.signs_of_master(127) == []
+    heard = sort_by_node([EMERGENCY_STOP[1]])  # the NMT command alone is one
+    assert heard.signs_of_master(127) == ["NMT commands (000h, 1 frame)"]
 
 
 class Idle:

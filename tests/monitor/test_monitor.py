@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 from textual.widgets import DataTable, Log, Static
+from textual.widgets._footer import FooterKey
 
 from hilbench.bench.config import BenchConfig
 from hilbench.bench.nodes import Nodes
@@ -130,6 +131,49 @@ def test_only_a_confirmed_key_sends(bench: BenchConfig) -> None:
                 assert log.line_count == before + bool(said), keys
 
     asyncio.run(asyncio.wait_for(press(), 60.0))
+
+
+@pytest.mark.parametrize(
+    "opened", [["t"], ["v", "2"], ["t", "9", "5", "enter"], ["m", "9", "0", "0", "0", "enter"], []]
+)
+@pytest.mark.parametrize("confirmed", ["y", "e"])
+def test_the_emergency_stop_works_in_every_dialogue(bench: BenchConfig, opened: list[str], confirmed: str) -> None:
+    bus = MemoryBus()
+    ours, theirs = bus.open_link(), bus.open_link()
+    dashboard = Dashboard(BusPicture(bench), ours)
+
+    async def press() -> list[Frame]:
+        async with dashboard.run_test(size=(40, 20)) as pilot:
+            await pilot.press(*opened, "e")
+            await pilot.pause(0.1)
+            assert not theirs.receive(0.0)
+            await pilot.press(confirmed)
+            heard: list[Frame] = []
+            while len(heard) < 3 * len(EMERGENCY_STOP):
+                await pilot.pause(0.05)
+                heard += theirs.receive(0.0)
+            await pilot.pause(0.2)
+            assert len(dashboard.screen_stack) == 1  # no dialogue is left that would take the next keys
+            return heard + theirs.receive(0.0)
+
+    heard = asyncio.run(asyncio.wait_for(press(), 60.0))
+    assert sorted(frame[:2] for frame in heard) == sorted(frame[:2] for frame in 3 * list(EMERGENCY_STOP))
+
+
+@pytest.mark.parametrize("columns", [40, 60, 200])
+def test_the_emergency_stop_is_first_in_the_footer_and_whole(bench: BenchConfig, columns: int) -> None:
+    dashboard = Dashboard(BusPicture(bench), MemoryBus().open_link())
+
+    async def look() -> tuple[str, str, int, int]:
+        async with dashboard.run_test(size=(columns, 20)) as pilot:
+            await pilot.pause(0.2)
+            first = min(dashboard.query(FooterKey), key=lambda key: key.region.x)
+            return first.key, first.description, first.region.x, first.region.right
+
+    key, description, left, right = asyncio.run(asyncio.wait_for(look(), 30.0))
+    assert (key, description) == ("e", "EMERGENCY STOP")
+    assert 0 <= left < right <= columns
+    assert right - left >= len("e EMERGENCY STOP")
 
 
 def test_a_bench_that_does_not_answer_is_said(bench: BenchConfig) -> None:

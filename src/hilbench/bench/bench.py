@@ -27,7 +27,7 @@ from hilbench.bench.processes import ChildProcess
 from hilbench.bench.safety import confirm_stopped, quick_stop
 from hilbench.bench.sample import CycleSample
 from hilbench.bench.saturation import SaturationWatch
-from hilbench.bench.startup import TWIN, bring_up
+from hilbench.bench.startup import TWIN, bring_up, held_bus
 from hilbench.bench.swing_damping import SwingDamping, SwingPlant
 from hilbench.bench.tension_control import TensionController
 from hilbench.bench.twin_connection import TwinConnection
@@ -96,6 +96,9 @@ class Bench:
     given); `participants`: who brings the simulated hardware and the twin, this bench unless said otherwise;
     `announce` is told what is being done, `journal` what the bench changes and no frame says; `may_idle`: in lockstep
     with simulated nodes any time may pass between two cycles (`hilbench.bench.idle`).
+    A bench is the only master of its bus: one that has another is refused (UnusableInputError), with `force` only where
+    a program of this machine says that it is the master. `bus_is_held`: whoever made this bench is inside
+    `startup.held_bus` already.
 
     What an operator must know of a run that goes on collects in `notices`, counted by source and kind: warnings of the
     limits, EMCY messages, a tension loop that opens or closes. A twin that is lost ends no run: the loop holds, and the
@@ -113,6 +116,8 @@ class Bench:
         announce: Callable[[str], None] = lambda text: None,
         journal: Callable[[Change], None] = lambda change: None,
         may_idle: bool = False,
+        force: bool = False,
+        bus_is_held: bool = False,
     ) -> None:
         self.config = config
         self._phase: Literal["made", "running", "ended"] = "made"
@@ -134,6 +139,8 @@ class Bench:
         self._tap = tap
         self._work_folder = work_folder
         self._participants = participants
+        self._force = force
+        self._bus_is_held = bus_is_held
         self._announce = announce
         self._journal = journal
         self._in_cycle = False
@@ -169,6 +176,8 @@ class Bench:
         try:
             self._announce("prepare the model (compiled on first use)")
             self._load_model.warm_up()
+            if not self._bus_is_held:
+                self._resources.enter_context(held_bus(self.config, self._participants, force=self._force))
             started = self._resources.enter_context(
                 bring_up(
                     self.config,

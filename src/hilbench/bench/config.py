@@ -282,6 +282,17 @@ class BenchConfig(_Block):
             raise ValueError("whole microseconds (1006h, communication cycle period)")
         return value
 
+    @property
+    def simulated_drives(self) -> dict[int, str]:
+        """Parts that the simulated hardware plays, by node id."""
+        parts = ("axis1", "axis2", "load")
+        return {node.node_id: part for part, node in self.nodes if part in parts and node.simulated}
+
+    @property
+    def virtual_nodes(self) -> dict[int, str]:
+        """Parts that the twin plays, by node id."""
+        return {node.node_id: part for part, node in self.nodes if part.startswith("virtual")}
+
     def process_settings(self, part: Literal["bench", "hardware", "twin"]) -> ProcessSettings | None:
         """What the process of a part asks of the operating system; None in lockstep."""
         if self.pace == "lockstep":

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from hilbench.bench.config import BenchConfig, NodeConfig
 from hilbench.bench.nodes import declared_units
 from hilbench.bench.plant_time import ByClock, BySync, PlantTime
-from hilbench.bench.processes import say, stop_request
+from hilbench.bench.processes import say, started_by_bench, stop_request
 from hilbench.bench.twin_setup import device_clock
 from hilbench.bus.frame import Frame
 from hilbench.bus.open import open_link
@@ -17,6 +17,7 @@ from hilbench.fieldbus.clock import Clock, MonotonicClock
 from hilbench.fieldbus.device import Device
 from hilbench.fieldbus.eds import load_eds
 from hilbench.fieldbus.host import DeviceHost, HostedDevices
+from hilbench.fieldbus.mastery import nodes_of_ours
 from hilbench.fieldbus.object_store import INVALID_VALUE, SdoAbort
 from hilbench.real_time import kept_ready
 from hilbench.web.effect_objects import bind_effect_objects
@@ -92,16 +93,18 @@ class StandApplication:
 def simulate(config: BenchConfig) -> int | None:
     """Simulate the nodes of the bench that are marked `simulated` until SIGTERM, SIGINT or the end of the bench.
 
-    Returns how many frames were lost because they were not read in time (None: the bus cannot tell).
+    Returns how many frames were lost because they were not read in time (None: the bus cannot tell). Raises
+    UnusableInputError when a node with one of their ids is there already.
     """
-    stop = stop_request()
-    hosted = hardware(config)
-    link = open_link(config.bus_address)
-    try:
-        with kept_ready(config.process_settings("hardware"), say):
-            DeviceHost(link, *hosted).run(stop)
-    finally:
-        link.close()
+    stop, bus, by_bench = stop_request(), config.bus_address, started_by_bench()
+    with nodes_of_ours(bus, config.simulated_drives, "simulated hardware", by_bench=by_bench):
+        hosted = hardware(config)
+        link = open_link(bus)
+        try:
+            with kept_ready(config.process_settings("hardware"), say):
+                DeviceHost(link, *hosted).run(stop)
+        finally:
+            link.close()
     return link.dropped
 
 

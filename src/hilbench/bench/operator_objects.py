@@ -61,7 +61,7 @@ class OperatorObjects:
         self.asked: list[tuple[str, float]] = []  #: accepted and not applied yet, in their order
         self._request_id = request_id(config)
         self._answers: list[Frame] = []
-        store = ObjectStore(_dictionary(config))
+        store = ObjectStore(dictionary(config))
         for sub, path in QUANTITIES.items():
             self._serve(store.cell(INDEX, sub), path, get, may_change)
         self._server = DeviceSdoServer(
@@ -106,7 +106,8 @@ def answer_id(config: BenchConfig) -> int:
     return _ANSWER + config.master.node_id
 
 
-def _dictionary(config: BenchConfig) -> canopen.ObjectDictionary:
+def dictionary(config: BenchConfig) -> canopen.ObjectDictionary:
+    """What the bench's own node has, as an EDS file would say it."""
     od = canopen.ObjectDictionary()
     record = ODRecord("Quantities that an operator may change", INDEX)
     for sub, path in QUANTITIES.items():

@@ -111,16 +111,46 @@ def say(text: str) -> None:
 FOLLOW_PARENT = "HILBENCH_FOLLOW_PARENT"
 
 
+def started_by_bench() -> bool:
+    """For a child: whether a bench has started it, and it ends with the bench."""
+    return bool(os.environ.get(FOLLOW_PARENT))
+
+
+def end_signals() -> list[signal.Signals]:
+    """Those that ask a process to end: SIGINT, SIGTERM, and SIGHUP unless it is ignored (nohup)."""
+    asked = [signal.SIGINT, signal.SIGTERM]
+    return asked if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN else [*asked, signal.SIGHUP]
+
+
+def leave_terminal() -> None:
+    """After SIGHUP: what is said from now on goes nowhere, where a terminal has gone; writing to it would fail."""
+    nowhere = os.open(os.devnull, os.O_RDWR)
+    for descriptor in (0, 1, 2):
+        if _leads_to_terminal(descriptor) and not os.isatty(descriptor):
+            os.dup2(nowhere, descriptor)
+    os.close(nowhere)
+
+
+def _leads_to_terminal(descriptor: int) -> bool:
+    """Also to one that has hung up: `isatty` says no of it."""
+    try:
+        return os.readlink(f"/proc/self/fd/{descriptor}").startswith(("/dev/pts/", "/dev/tty"))
+    except OSError:  # it was closed
+        return False
+
+
 def stop_request() -> Callable[[], bool]:
-    """For a child: a function that says whether to end (SIGTERM, SIGINT, or the parent is gone)."""
+    """For a child: a function that says whether to end (SIGINT, SIGTERM, SIGHUP, or the parent is gone)."""
     requested = threading.Event()
 
-    def request(*_: object) -> None:
+    def request(number: int, _: object) -> None:
+        if number == signal.SIGHUP:
+            leave_terminal()
         requested.set()
 
-    signal.signal(signal.SIGTERM, request)
-    signal.signal(signal.SIGINT, request)
-    if os.environ.get(FOLLOW_PARENT):
+    for number in end_signals():
+        signal.signal(number, request)
+    if started_by_bench():
 
         def follow_parent() -> None:
             while os.read(0, 4096):

@@ -25,6 +25,7 @@ from hilbench.errors import BusError, EmergencyStopError, UnusableInputError
 from hilbench.fieldbus import master as nmt
 from hilbench.fieldbus.emergency_stop import EMERGENCY_STOP_COB_ID
 from hilbench.fieldbus.master import Master, SentFrames
+from hilbench.fieldbus.mastery import mastery
 from hilbench.real_time import kept_ready
 from hilbench.web.line import Line
 
@@ -49,6 +50,21 @@ class StartedBench:
     children: list[ChildProcess]
     supervisor: ChildProcess | None  #: None when there is no heartbeat to watch
     warnings: list[str]  #: what the config asks of the operating system and is not permitted
+
+
+@contextmanager
+def held_bus(config: BenchConfig, participants: Participants, *, force: bool = False) -> Iterator[None]:
+    """The bus of a bench, for it alone as master; one inside the process is nobody else's anyway.
+
+    Raises UnusableInputError when somebody else is its master (`force`: for what is heard only, not for a program of
+    this machine that says so), or plays a node that is to be started.
+    """
+    if participants is Participants.IN_PROCESS:
+        yield
+        return
+    brings = config.simulated_drives | config.virtual_nodes if participants is Participants.STARTED else {}
+    with mastery(config.bus_address, config.master.node_id, f"bench {config.name}", brings=brings, despite_heard=force):
+        yield
 
 
 @contextmanager
@@ -170,7 +186,7 @@ def start_children(config: BenchConfig, folder: Path) -> list[ChildProcess]:
     # Started by anybody else they go by the clock: only a bench knows that it waits for them.
     arguments = [str(path), "--pace", config.pace]
     children = []
-    if any(node.simulated for part, node in config.nodes if part in ("axis1", "axis2", "load")):
+    if config.simulated_drives:
         hardware = ["hilbench.cli", "simulate-hardware", *arguments]
         children.append(ChildProcess("simulated hardware", hardware, folder / "hardware.log"))
     children.append(ChildProcess(TWIN, ["hilbench.cli", "twin", *arguments], folder / "twin.log"))

@@ -137,7 +137,7 @@ class Hub:
             connection, _ = self._listener.accept()
         except OSError:  # it has left again
             return
-        if not protocol.same_user(connection) or len(self._clients) >= MAX_CLIENTS:
+        if not protocol.may_join(connection) or len(self._clients) >= MAX_CLIENTS:
             connection.close()
             return
         connection.setblocking(False)

@@ -114,23 +114,29 @@ def statistics(channel: str) -> BusStatistics:
 
 
 def running_channels() -> list[str]:
-    """Channels of the embedded bus that this user's programs have open."""
-    names = sorted(path.stem for path in protocol.directory().glob("*.sock"))
-    running = []
-    for name in names:
-        connection = _connect(protocol.socket_path(name))
-        if connection is not None:
-            running.append(name)
-            connection.close()
-    return running
+    """Channels of the embedded bus that this user's programs have open, in this runtime directory."""
+    return [name for name in sorted(path.stem for path in protocol.directory().glob("*.sock")) if runs(name)]
+
+
+def runs(channel: str) -> bool:
+    """Whether a hub serves `channel`."""
+    connection = _connect(protocol.socket_path(channel))
+    if connection is None:
+        return False
+    connection.close()
+    return True
 
 
 def hub_lost(channel: str) -> BusError:
     """The error for a connection that the hub has closed."""
-    log = protocol.log_path(protocol.directory(), channel)
+    log = protocol.socket_path(channel).with_suffix(".log")
     if log.exists() and log.stat().st_size:
         return BusError(f"embedded bus {channel}: its hub failed: {_last_line(log)} (all of it: {log})")
     return BusError(f"embedded bus {channel}: its hub has ended")
+
+
+def _nobody(channel: str) -> BusError:
+    return BusError(f"embedded bus {channel}: no program has it open")
 
 
 def _last_line(log: Path) -> str:
@@ -146,7 +152,7 @@ def _request(channel: str, content: dict[str, Any]) -> dict[str, Any]:
     """Ask over a connection of its own. Frames that arrive for a station never stand in an answer's way."""
     connection = _connect(protocol.socket_path(channel))
     if connection is None:
-        raise BusError(f"embedded bus {channel}: no program has it open")
+        raise _nobody(channel)
     with connection:
         reply = _ask(connection, channel, content)
     if reply is None:
@@ -183,7 +189,7 @@ def _connect(path: Path) -> socket.socket | None:
     except OSError as error:
         connection.close()
         raise BusError(f"{path}: {error.strerror or error}, expected the embedded bus' socket") from None
-    if not protocol.same_user(connection):
+    if not protocol.may_trust(connection):
         connection.close()
         raise BusError(f"{path}: another user's process listens there")
     return connection
@@ -194,6 +200,8 @@ def _connect_or_start(channel: str) -> socket.socket:
     connection = _connect(path)
     if connection is not None:
         return connection
+    if protocol.is_path(channel):
+        raise _nobody(channel)
     with _lock(path.parent):
         return _connect(path) or _start_hub(channel, path)
 

@@ -2,20 +2,30 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import hashlib
+import os
+import re
+from dataclasses import dataclass, replace
+from pathlib import Path
 
-from hilbench.bus import hub_client
+from hilbench.bus import claims, hub_client
 from hilbench.bus.embedded import EmbeddedLink
 from hilbench.bus.link import Link
-from hilbench.bus.protocol import DEFAULT_BITRATE, DEFAULT_CHANNEL
+from hilbench.bus.protocol import DEFAULT_BITRATE, DEFAULT_CHANNEL, is_channel, is_path, socket_path
 from hilbench.bus.python_can import can
 from hilbench.bus.socketcan import SocketCanLink
 from hilbench.errors import BusError, UnusableInputError
 
+_READABLE = 32  # letters of a folder's name in that of its bus
+
 
 @dataclass(frozen=True)
 class BusAddress:
-    """Which bus. `bitrate` in bit/s; `timing` (embedded bus only): "real" or "virtual" (see `plugin.EmbeddedBus`)."""
+    """Which bus. `bitrate` in bit/s; `timing` (embedded bus only): "real" or "virtual" (see `plugin.EmbeddedBus`).
+
+    The channel of an embedded bus is its name, or the path of a hub's socket. ``embedded`` alone names none (channel
+    ""): `in_folder` and `as_it_runs` say which bus is meant.
+    """
 
     interface: str = "embedded"
     channel: str = DEFAULT_CHANNEL
@@ -32,21 +42,82 @@ class BusAddress:
         interface, _, channel = text.strip().partition(":")
         if interface == "hilbench":  # the embedded bus' name among python-can's interfaces
             interface = "embedded"
-        if interface == "embedded":
-            channel = channel or DEFAULT_CHANNEL
-        if not interface or not channel:
+        if not interface or (not channel and interface != "embedded"):
             raise UnusableInputError("bus", f"found {text!r}, expected embedded, embedded:NAME or INTERFACE:CHANNEL")
+        if interface == "embedded":
+            if channel and not is_channel(channel):
+                raise UnusableInputError(
+                    "bus", f"found {text!r}, expected a name of up to 48 letters, digits, '_', '-' or '.'"
+                )
+        elif interface not in can.VALID_INTERFACES:
+            raise UnusableInputError(
+                "bus", f"found interface {interface!r}, expected embedded or one of python-can's: {_interfaces()}"
+            )
         return cls(interface, channel, bitrate, timing)
 
-    def as_it_runs(self) -> BusAddress:
-        """The same bus with bitrate and timing of the embedded bus of that name, where one runs."""
-        if self.interface != "embedded" or self.channel not in hub_client.running_channels():
+    @property
+    def is_named(self) -> bool:
+        """Whether it says which bus."""
+        return bool(self.channel)
+
+    @property
+    def place(self) -> str:
+        """The bus as everybody on this machine can find it; `parse` takes it."""
+        return f"embedded:{socket_path(self.channel)}" if self.interface == "embedded" else str(self)
+
+    def in_folder(self, folder: Path) -> BusAddress:
+        """The same, or where it has no name the embedded bus of a folder: that of all configs in it."""
+        if self.is_named:
             return self
-        running = hub_client.statistics(self.channel)
-        return BusAddress(self.interface, self.channel, running.bitrate, running.timing)
+        path = os.fsencode(folder.resolve())
+        readable = re.sub(r"[^A-Za-z0-9_.-]+", "_", folder.resolve().name).lstrip("_.-")[:_READABLE] or "bench"
+        return replace(self, channel=f"{readable}-{hashlib.sha256(path).hexdigest()[:8]}")
+
+    def as_it_runs(self) -> BusAddress:
+        """The same bus with bitrate and timing of the embedded bus of that name, where one runs.
+
+        One that this user's program has made from another session (with another runtime directory) is found, too.
+        Without a name it is the only one that runs. Raises UnusableInputError when there is none, or more than one.
+        """
+        if self.interface != "embedded":
+            return self
+        named = self if self.is_named else replace(self, channel=_the_only_one())
+        found = next((channel for channel in embedded_channels() if _name_of(channel) == _name_of(named.channel)), None)
+        if found is None:
+            return named
+        running = hub_client.statistics(found)
+        return BusAddress(self.interface, found, running.bitrate, running.timing)
 
     def __str__(self) -> str:
-        return f"{self.interface}:{self.channel}"
+        return f"{self.interface}:{self.channel}" if self.is_named else self.interface
+
+
+def embedded_channels() -> list[str]:
+    """This user's embedded buses that run: names, and paths of the sockets in other runtime directories than ours."""
+    here = hub_client.running_channels()
+    known = {os.fspath(socket_path(name)) for name in here}
+    elsewhere = {
+        claimed.place.removeprefix("embedded:")
+        for claimed in claims.holders(answer_s=0.0)
+        if claimed.uid == os.getuid() and claimed.place.startswith("embedded:/")
+    }
+    return here + sorted(path for path in elsewhere - known if hub_client.runs(path))
+
+
+def _name_of(channel: str) -> str:
+    return Path(channel).stem if is_path(channel) else channel
+
+
+def _the_only_one() -> str:
+    running = embedded_channels()
+    if len(running) != 1:
+        which = "no embedded bus of this user runs" if not running else f"these run: {', '.join(running)}"
+        raise UnusableInputError("--bus", f"found embedded without a name, and {which}; expected embedded:NAME")
+    return running[0]
+
+
+def _interfaces() -> str:
+    return ", ".join(sorted(can.VALID_INTERFACES - {"hilbench"}))
 
 
 def open_link(bus: BusAddress) -> Link:

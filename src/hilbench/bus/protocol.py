@@ -66,11 +66,21 @@ def directory() -> Path:
     return path
 
 
+def is_channel(text: str) -> bool:
+    """Whether a bus can be called so: a name, or the whole path of a hub's socket."""
+    return bool(_CHANNEL.fullmatch(text)) or is_path(text)
+
+
+def is_path(channel: str) -> bool:
+    """Whether a channel is the path of a socket: of a hub in another runtime directory than this program's."""
+    return channel.startswith("/") and channel.endswith(".sock") and channel.isprintable()
+
+
 def socket_path(channel: str) -> Path:
     """Where the hub of `channel` listens. Raises BusError for a name that cannot be a channel."""
-    if not _CHANNEL.fullmatch(channel):
+    if not is_channel(channel):
         raise BusError(f"embedded bus: channel {channel!r}, expected up to 48 letters, digits, '_', '-' or '.'")
-    path = directory() / f"{channel}.sock"
+    path = Path(channel) if is_path(channel) else directory() / f"{channel}.sock"
     if len(os.fsencode(path)) >= _SUN_PATH_BYTES:
         raise BusError(f"{path}: too long for a socket, expected a shorter XDG_RUNTIME_DIR")
     return path
@@ -86,8 +96,18 @@ def log_path(folder: Path, channel: str) -> Path:
     return folder / f"{channel}.log"
 
 
-def same_user(connection: socket.socket) -> bool:
-    """Whether the process at the other end runs as our user (SO_PEERCRED: as the kernel saw it connect or listen)."""
+def peer_user(connection: socket.socket) -> int:
+    """User id of the process at the other end (SO_PEERCRED: as the kernel saw it connect or listen)."""
     credentials = connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, struct.calcsize("=iII"))
     _pid, uid, _gid = struct.unpack("=iII", credentials)
-    return bool(uid == os.getuid())
+    return int(uid)
+
+
+def may_join(connection: socket.socket) -> bool:
+    """Whether the process that has connected may be on this user's bus: the same user, or root, who stops every bus."""
+    return peer_user(connection) in (os.getuid(), 0)
+
+
+def may_trust(connection: socket.socket) -> bool:
+    """Whether we go onto the bus of the process that listens: our own, or as root anybody's."""
+    return os.getuid() in (peer_user(connection), 0)

@@ -1,7 +1,8 @@
-"""Which bus and which node a command means that attaches to what runs already."""
+"""Which bus and which node a command means that attaches to what runs already, and whether it may write there."""
 
 from __future__ import annotations
 
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,12 +13,15 @@ from hilbench.doctor.eds_match import find_eds
 from hilbench.errors import BenchFaultError, UnusableInputError
 from hilbench.fieldbus.eds import load_eds
 from hilbench.fieldbus.master import Master
+from hilbench.fieldbus.mastery import mastery
 from hilbench.fieldbus.sdo_reader import SdoReader
 
 if TYPE_CHECKING:  # the models take their time to import; a command without a config does not need them
     from hilbench.experiment.config import ExperimentConfig
 
 _TIMEOUT_S = 1.0
+#: Node id of a bench of which there is no config.
+MASTER_ID = 127
 
 
 def config_and_bus(config: Path | None, bus: str | None) -> tuple[ExperimentConfig | None, BusAddress]:
@@ -30,6 +34,18 @@ def config_and_bus(config: Path | None, bus: str | None) -> tuple[ExperimentConf
     return loaded, loaded.bus_address.as_it_runs()
 
 
+def only_master(
+    bus: BusAddress, config: ExperimentConfig | None, what: str, *, force: bool
+) -> AbstractContextManager[None]:
+    """To write onto a bus: as its only master, or beside one because a person insists.
+
+    Entering raises UnusableInputError, which says who is there.
+    """
+    if force:
+        return nullcontext()
+    return mastery(bus, MASTER_ID if config is None else config.master.node_id, what)
+
+
 def node_on_bus(
     node: str, config: ExperimentConfig | None, bus: BusAddress, eds: Path
 ) -> tuple[int, str, canopen.ObjectDictionary]:
@@ -37,11 +53,27 @@ def node_on_bus(
 
     Raises UnusableInputError for a node or a file that is none, BenchFaultError when the node does not answer.
     """
+    node_id, name, od = node_and_eds(node, config, bus, eds)
+    if od is None:
+        raise UnusableInputError(
+            eds, f"no EDS file with the identity of node {node_id}, expected one; or give --eds FILE"
+        )
+    return node_id, name, od
+
+
+def node_and_eds(
+    node: str, config: ExperimentConfig | None, bus: BusAddress, eds: Path
+) -> tuple[int, str, canopen.ObjectDictionary | None]:
+    """The same, with no object dictionary where no EDS file is known for the device."""
     if config is not None and node in config.nodes.__class__.model_fields:
         entry = getattr(config.nodes, node)
         return entry.node_id, node, load_eds(entry.eds, entry.node_id)
+    if config is not None and is_the_bench(node, config):
+        from hilbench.bench.operator_objects import dictionary
+
+        return config.master.node_id, "bench", dictionary(config)
     if not node.isdecimal() or not 1 <= int(node) <= 127:
-        names = "" if config is None else f", or one of {', '.join(config.nodes.__class__.model_fields)}"
+        names = "" if config is None else f", or one of {', '.join(config.nodes.__class__.model_fields)}, bench"
         raise UnusableInputError("NODE", f"'{node}', expected a node id from 1 to 127{names}")
     node_id = int(node)
     for part, entry in config.nodes if config is not None else ():
@@ -53,14 +85,15 @@ def node_on_bus(
         if reader.read(node_id, 0x1000) is None:
             raise BenchFaultError(f"no answer from node {node_id} on {bus} to an SDO read of 1000h")
         found = find_eds(reader, node_id, eds)
-    if found is None:
-        raise UnusableInputError(
-            eds, f"no EDS file with the identity of node {node_id}, expected one; or give --eds FILE"
-        )
-    return node_id, "node", load_eds(found, node_id)
+    return node_id, "node", None if found is None else load_eds(found, node_id)
 
 
-def master_of(bus: BusAddress, node_id: int, od: canopen.ObjectDictionary, name: str) -> Master:
+def is_the_bench(node: str, config: ExperimentConfig | None) -> bool:
+    """Whether NODE is the bench itself, whose objects are there for an operator to write."""
+    return config is not None and node in ("bench", str(config.master.node_id))
+
+
+def known_to_master(bus: BusAddress, node_id: int, od: canopen.ObjectDictionary, name: str) -> Master:
     """A master that knows this node. Close it."""
     master = Master(open_python_can(bus), _TIMEOUT_S)
     master.add(node_id, od, name)

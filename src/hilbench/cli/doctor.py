@@ -50,6 +50,7 @@ def as_data(examination: Examination) -> dict[str, object]:
         "passed": examination.passed,
         "errors": examination.count(Level.ERROR),
         "warnings": examination.count(Level.WARNING),
+        "nodes_asked": examination.nodes_asked,
         "findings": [asdict(finding) for finding in examination.findings],
         "timer_lateness": asdict(examination.lateness),
     }
@@ -71,8 +72,13 @@ def show(console: Console, examination: Examination) -> None:
     console.print(table)
     show_advice(console, examination.findings)
     errors, warnings = examination.count(Level.ERROR), examination.count(Level.WARNING)
-    colour = _COLOURS[Level.ERROR if errors else Level.WARNING if warnings else Level.OK]
+    asked = examination.nodes_asked > 0
+    colour = _COLOURS[Level.ERROR if errors else Level.OK if asked and not warnings else Level.WARNING]
     counts = f"{_counted(errors, 'error')}, {_counted(warnings, 'warning')}"
+    if not asked:
+        counts = "NO NODE WAS ASKED; of the rest: " + (
+            counts if errors else f"{_counted(warnings, 'warning')}, no error"
+        )
     console.print(f"[{colour}]{counts}[/{colour}]; what is checked: docs/real_stand.md")
 
 

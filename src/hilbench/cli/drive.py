@@ -12,15 +12,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hilbench.cli.options import BusOption, ConfigOption, EdsOption, JsonOption, NodeArgument
+from hilbench.cli.options import BusOption, ConfigOption, EdsOption, ForceOption, JsonOption, NodeArgument
 from hilbench.errors import UnusableInputError
 
 if TYPE_CHECKING:
-    from hilbench.bus.open import BusAddress
     from hilbench.drives.manual import DriveStatus, ManualDrive
 
-_MASTER_ID = 127
-_LISTEN_S = 0.3
 _HEARTBEAT_S = 0.1
 _HEARTBEAT_TIME_OUT_MS = 500
 _STEP_S = 0.02
@@ -45,6 +42,7 @@ def drive(
     eds: EdsOption = Path("eds"),
     speed: Annotated[float, typer.Option("--speed", metavar="RAD/S", min=0.0, help="jog: velocity of the motor")] = 5.0,
     timeout: Annotated[float, typer.Option("--timeout", metavar="S", min=0.1, help="longest way to a state")] = 5.0,
+    force: ForceOption = False,
     json: JsonOption = False,
 ) -> None:
     """Enable, disable, reset or jog one drive by SDO (profile velocity mode), or show its decoded status.
@@ -53,13 +51,13 @@ def drive(
 
     jog: hold f (forward) or b (backward): the key is the dead-man switch, let go and the drive stops; any other key
     stops it too, q ends. The drive watches this program's heartbeat (1016h) and stops without it. Nothing but status
-    is done while a bench is at work on the bus.
+    is done while another master is at work on the bus.
 
     Example: hilbench drive 1 status --bus socketcan:can0
 
     Example: hilbench drive axis1 jog --speed 10 --config bench_configs/web_section_step.yaml
     """
-    with _drive(node, config, bus, eds, timeout, moving=action is not Action.STATUS) as (manual, heartbeat):
+    with _drive(node, config, bus, eds, timeout, action, force=force) as (manual, heartbeat):
         if action is Action.ENABLE:
             manual.enable()
         elif action is Action.DISABLE:
@@ -73,55 +71,42 @@ def drive(
 
 @contextmanager
 def _drive(
-    node: str, config: Path | None, bus: str | None, eds: Path, time_out_s: float, *, moving: bool
+    node: str, config: Path | None, bus: str | None, eds: Path, time_out_s: float, action: Action, *, force: bool
 ) -> Iterator[tuple[ManualDrive, Callable[[], None]]]:
-    from contextlib import suppress
+    from contextlib import ExitStack, suppress
 
     from hilbench.bus.frame import Frame
     from hilbench.bus.open import open_link
-    from hilbench.cli.attach import config_and_bus, master_of, node_on_bus
+    from hilbench.cli.attach import MASTER_ID, config_and_bus, known_to_master, node_on_bus, only_master
     from hilbench.drives.configuration import read_units
     from hilbench.drives.manual import ManualDrive
 
     bench, address = config_and_bus(config, bus)
-    if moving:
-        _refuse_beside_a_bench(address, _MASTER_ID if bench is None else bench.master.node_id)
-    node_id, name, od = node_on_bus(node, bench, address, eds)
-    link = open_link(address)
-    link.set_filters([(0, 0x7FF)])  # nothing is received here: NMT commands are for the devices
-    master = master_of(address, node_id, od, name)
-    try:
+    with ExitStack() as resources:
+        if action is not Action.STATUS:
+            what = f"drive by hand, node {node}"
+            resources.enter_context(only_master(address, bench, what, force=force))
+        node_id, name, od = node_on_bus(node, bench, address, eds)
+        link = open_link(address)
+        resources.callback(link.close)
+        link.set_filters([(0, 0x7FF)])  # nothing is received here: NMT commands are for the devices
+        master = known_to_master(address, node_id, od, name)
+        resources.callback(master.close)
         units = None
         with suppress(UnusableInputError):  # state and statusword are there without units
             units = read_units(master, node_id, od, {} if bench is None else bench.units_of(node_id), name)
         yield (
             ManualDrive(master, node_id, name, units, time_out_s),
-            lambda: link.send([Frame(0x700 + _MASTER_ID, b"\5")]),
-        )
-    finally:
-        master.close()
-        link.close()
-
-
-def _refuse_beside_a_bench(address: BusAddress, master_id: int) -> None:
-    from hilbench.bus.open import open_link
-    from hilbench.doctor.stations import listen
-
-    link = open_link(address)
-    try:
-        heard = listen(link, _LISTEN_S)
-    finally:
-        link.close()
-    if heard.another_master(master_id):
-        raise UnusableInputError(
-            str(address), "a bench is at work (SYNC or its heartbeat is heard), expected a bus without"
+            lambda: link.send([Frame(0x700 + MASTER_ID, b"\5")]),
         )
 
 
 def _jog(manual: ManualDrive, heartbeat: Callable[[], None], speed_rad_s: float) -> None:
     """Hold-to-run until q; the drive is disabled when it ends, however it ends."""
+    from hilbench.cli.attach import MASTER_ID
+
     # The drive watches from the first heartbeat on: from before the first key until the power stage is off.
-    with _keys() as key_pressed, manual.watching(_MASTER_ID, _HEARTBEAT_TIME_OUT_MS):
+    with _keys() as key_pressed, manual.watching(MASTER_ID, _HEARTBEAT_TIME_OUT_MS):
         try:
             manual.enable()
             print(f"hold {_FORWARD} (forward) or {_BACKWARD} (backward), q ends", file=sys.stderr)

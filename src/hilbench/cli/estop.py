@@ -2,64 +2,139 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import time
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 
+from hilbench.bus import claims
+from hilbench.bus.claims import MASTER, Holder
 from hilbench.bus.hub_client import running_channels, statistics
+from hilbench.bus.interfaces import can_interfaces_up
 from hilbench.bus.link import Link
 from hilbench.bus.open import BusAddress, open_link
-from hilbench.errors import EXIT_BENCH_FAULT, EXIT_PASSED, BusError, UnusableInputError
+from hilbench.errors import EXIT_BENCH_FAULT, EXIT_PASSED, BusError, HilbenchError, UnusableInputError
 from hilbench.fieldbus.emergency_stop import send_emergency_stop
 
 #: How long the nodes' heartbeats are listened to afterwards.
 _LISTEN_S = 0.5
 _OPERATIONAL = 5
+#: For a program to say what it does there; it is stopped without that, too.
+_SAYS_WITHIN_S = 0.05
+#: Interfaces that are joined with the bit rate at which they run, whatever we ask for.
+_RATE_IS_THERE = ("embedded", "socketcan")
+
+
+@dataclass(frozen=True)
+class Target:
+    """A bus that is to be stopped, and who is known to be on it."""
+
+    place: str
+    known: tuple[Holder, ...] = ()
+
+    @property
+    def who(self) -> str:
+        """The bench, or another program, on this bus; empty: nobody that is known."""
+        masters = [one for one in self.known if one.role == MASTER]
+        return str((masters or self.known)[0]) if self.known else ""
+
+    def address(self) -> BusAddress:
+        """The bus, to be joined as it runs. Raises BusError, UnusableInputError."""
+        bitrate = next((one.bitrate for one in self.known if one.bitrate), None)
+        bus = BusAddress.parse(self.place) if bitrate is None else BusAddress.parse(self.place, bitrate=bitrate)
+        if bus.interface == "embedded":
+            found = statistics(bus.channel)
+            return BusAddress(bus.interface, bus.channel, found.bitrate, found.timing)
+        if self.known and bitrate is None and bus.interface not in _RATE_IS_THERE:
+            raise BusError(f"{bus}: the program there does not say its bit rate; a wrong one would disturb the bus")
+        return bus
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of it; `problem`: why it cannot be relied on."""
+
+    target: Target
+    problem: str = ""
+
+    @property
+    def said(self) -> str:
+        """For a person."""
+        place, who = self.target.place, self.target.who
+        there = f" ({who})" if who else ""
+        return f"{self.problem}{there}" if self.problem else f"{place}: emergency stop sent{there}"
 
 
 def estop_command(names: list[str] | None) -> int:
-    """Stop each bus, the others too when one fails; returns the exit code."""
-    addresses = [BusAddress.parse(name) for name in names or _embedded_channels()]
-    return max(_stop(address) for address in addresses)
+    """Stop each bus, all at once, whether or not another fails; returns the exit code."""
+    targets = [Target(str(BusAddress.parse(name))) for name in names] if names else everything()
+    with ThreadPoolExecutor(len(targets)) as pool:
+        outcomes = list(pool.map(_stop, targets))
+    for outcome in outcomes:
+        if outcome.problem:
+            print(f"hilbench: {outcome.said}", file=sys.stderr)
+        else:
+            print(outcome.said)
+    return exit_code(outcomes, all_count=bool(names))
 
 
-def _embedded_channels() -> list[str]:
-    channels = running_channels()
-    if not channels:
+def exit_code(outcomes: Sequence[Outcome], *, all_count: bool) -> int:
+    """A failure counts on a bus that was named, or on which somebody is known; and when nothing was reached at all.
+
+    An interface that is up and takes no frame, because nobody is on its bus, is said, and is none.
+    """
+    failed = [outcome for outcome in outcomes if outcome.problem]
+    counts = any(all_count or outcome.target.known for outcome in failed) or len(failed) == len(outcomes)
+    return EXIT_BENCH_FAULT if counts else EXIT_PASSED
+
+
+def everything() -> list[Target]:
+    """Every bus of this machine on which a bench or its nodes have said that they are, every embedded bus of this user
+    that runs, and every CAN interface that is up. Raises UnusableInputError when there is nothing of all that."""
+    found: dict[str, list[Holder]] = {}
+    others = set()
+    for claimed in claims.holders(_SAYS_WITHIN_S):
+        if _may_stop(claimed):
+            found.setdefault(claimed.place, []).append(claimed)
+        else:
+            others.add(f"{claimed.place}: left alone, only {claimed.user} or root can stop it")
+    for line in sorted(others):
+        print(line)
+    for channel in running_channels():
+        found.setdefault(BusAddress("embedded", channel).place, [])
+    for name in can_interfaces_up():
+        found.setdefault(f"socketcan:{name}", [])
+    if not found:
         raise UnusableInputError(
-            "estop", "no embedded bus of this user runs, expected --bus with the bus to stop (socketcan:can0, …)"
+            "estop",
+            "no bench says that it runs on this machine, no embedded bus of this user runs and no CAN interface is up, "
+            "expected one, or --bus with the bus to stop",
         )
-    return [f"embedded:{channel}" for channel in channels]
+    return [Target(place, tuple(known)) for place, known in found.items()]
 
 
-def _as_it_runs(address: BusAddress) -> BusAddress:
-    """An embedded bus is joined with the settings that it has."""
-    if address.interface != "embedded":
-        return address
-    found = statistics(address.channel)
-    return BusAddress(address.interface, address.channel, found.bitrate, found.timing)
+def _may_stop(claimed: Holder) -> bool:
+    """An embedded bus is its user's and root's; a CAN interface is everybody's, and so is who does not say."""
+    return not claimed.place.startswith("embedded:") or claimed.uid < 0 or os.getuid() in (claimed.uid, 0)
 
 
-def _stop(address: BusAddress) -> int:
+def _stop(target: Target) -> Outcome:
     try:
-        link = open_link(_as_it_runs(address))
-    except BusError as error:
-        print(f"hilbench: {error}", file=sys.stderr)
-        return EXIT_BENCH_FAULT
-    try:
-        link.set_filters([(0x700, 0x780)])
-        send_emergency_stop(link)
-        moving = _still_operational(link)
-    except BusError as error:
-        print(f"hilbench: {error}", file=sys.stderr)
-        return EXIT_BENCH_FAULT
-    finally:
-        link.close()
+        link = open_link(target.address())
+        try:
+            link.set_filters([(0x700, 0x780)])
+            send_emergency_stop(link)
+            moving = _still_operational(link)
+        finally:
+            link.close()
+    except (HilbenchError, OSError) as error:
+        return Outcome(target, f"NOT STOPPED: {error}")
     if moving:
         nodes = ", ".join(str(node) for node in moving)
-        print(f"hilbench: {address}: emergency stop sent, node {nodes} still says OPERATIONAL", file=sys.stderr)
-        return EXIT_BENCH_FAULT
-    print(f"{address}: emergency stop sent")
-    return EXIT_PASSED
+        return Outcome(target, f"{target.place}: emergency stop sent, node {nodes} still says OPERATIONAL")
+    return Outcome(target)
 
 
 def _still_operational(link: Link) -> list[int]:

@@ -76,6 +76,9 @@ def run(
             help="print one JSON object on standard output, nothing else: run folder, files, exit code, result",
         ),
     ] = False,
+    force: Annotated[
+        bool, typer.Option("--force", help="run although another master is heard on the bus (not beside one of ours)")
+    ] = False,
 ) -> None:
     """Run a bench and its experiment; leaves a run folder with recording, trace, result and report.
 
@@ -94,7 +97,8 @@ def run(
     if in_process and not start:
         raise typer.BadParameter("--in-process and --no-start exclude each other")
     participants = Participants.IN_PROCESS if in_process else Participants.STARTED if start else Participants.PRESENT
-    raise typer.Exit(run_command(loaded, out, participants=participants, with_report=report, as_json=json))
+    code = run_command(loaded, out, participants=participants, with_report=report, as_json=json, force=force)
+    raise typer.Exit(code)
 
 
 @app.command()
@@ -164,24 +168,30 @@ def twin(
 
     Example: hilbench twin bench_configs/web_section_step.yaml --bus socketcan:vcan0
     """
-    from hilbench.bench.processes import report_lost_frames, say, stop_request
+    from hilbench.bench.processes import report_lost_frames, say, started_by_bench, stop_request
     from hilbench.bench.twin_setup import twin_setup
+    from hilbench.fieldbus.mastery import nodes_of_ours
     from hilbench.twin.process import run_twin
 
-    setup = twin_setup(_load(config, bus=bus, pace=pace, changes=changes or ()).config)
-    report_lost_frames(run_twin(setup, stop_request(), say))
+    loaded, stop = _load(config, bus=bus, pace=pace, changes=changes or ()).config, stop_request()
+    with nodes_of_ours(loaded.bus_address, loaded.virtual_nodes, "twin", by_bench=started_by_bench()):
+        report_lost_frames(run_twin(twin_setup(loaded), stop, say))
 
 
 @app.command()
 def estop(
     bus: Annotated[
         list[str] | None,
-        typer.Option("--bus", help="bus to stop, can be given more than once; without it every embedded bus that runs"),
+        typer.Option("--bus", help="bus to stop, can be given more than once; without it everything on this machine"),
     ] = None,
 ) -> None:
     """Emergency stop: every device on the bus stops at once, and the bench ends in the safe state (exit code 3).
 
-    Exit code: 0 sent and no node says OPERATIONAL any more, 2 no bus to stop, 3 not sent, or a node still OPERATIONAL.
+    Without --bus it stops every bench of this machine that is the user's (root: everybody's), whatever shell, session
+    or service has started it, and every CAN interface that is up; it says what was reached and what was not.
+
+    Exit code: 0 sent and no node says OPERATIONAL any more, 2 no bus to stop, 3 a bus on which a bench is known could
+    not be told, or a node is still OPERATIONAL.
 
     Example: hilbench estop --bus socketcan:can0
     """

@@ -53,7 +53,7 @@ def monitor(
 def _print(picture: BusPicture, link: Link, duration_s: float) -> None:
     from json import dumps
 
-    from hilbench.doctor.stations import hear
+    from hilbench.fieldbus.listening import hear
 
     picture.take(hear(link, duration_s))
     print(dumps(picture.as_data(), indent=2))

@@ -31,5 +31,9 @@ JsonOption = Annotated[bool, typer.Option("--json", help="print JSON on standard
 EdsOption = Annotated[
     Path, typer.Option("--eds", help="EDS file, or folder in which that of the device is found by its identity")
 ]
-NodeArgument = Annotated[str, typer.Argument(metavar="NODE", help="node id, or with --config its name: axis1")]
+NodeArgument = Annotated[str, typer.Argument(metavar="NODE", help="node id, or with --config its name: axis1, bench")]
+ForceOption = Annotated[
+    bool,
+    typer.Option("--force", help="also beside a master (a running bench, or one that is heard): you answer for it"),
+]
 RunArgument = Annotated[Path, typer.Argument(metavar="RUN", help="run folder")]

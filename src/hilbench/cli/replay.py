@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hilbench.cli.options import BusOption, JsonOption
+from hilbench.cli.options import BusOption, ForceOption, JsonOption
 from hilbench.errors import UnusableInputError
 
 if TYPE_CHECKING:
@@ -26,17 +26,19 @@ def replay(
     commands: Annotated[
         bool, typer.Option("--commands/--no-commands", help="send NMT, SYNC, RPDOs and SDO requests too: nodes obey")
     ] = False,
+    force: ForceOption = False,
     json: JsonOption = False,
 ) -> None:
     """Send a trace onto a bus in its own time, or let the twin work on a recording as if it were live.
 
-    Onto a bus goes what nodes said; what they were told only with --commands.
+    Onto a bus goes what nodes said; what they were told only with --commands. A bus with a master (a bench that runs,
+    or one that is heard) is left alone.
 
     Example: hilbench replay runs/web_section_step-20260101-120000 --bus socketcan:vcan0
 
     Example: hilbench replay runs/web_section_step-20260101-120000 --twin --method ekf --out again.mf4
     """
-    data = _twin(run, method, out) if twin else _trace(run, bus, speed, commands=commands)
+    data = _twin(run, method, out) if twin else _trace(run, bus, speed, commands=commands, force=force)
     if json:
         from json import dumps
 
@@ -46,8 +48,11 @@ def replay(
             print(f"{name.replace('_', ' ')}: {value:.6g}" if isinstance(value, float) else f"{name}: {value}")
 
 
-def _trace(run: Path, bus: str | None, speed: float, *, commands: bool) -> dict[str, Any]:
-    from hilbench.bus.open import BusAddress, open_link
+def _trace(run: Path, bus: str | None, speed: float, *, commands: bool, force: bool) -> dict[str, Any]:
+    from contextlib import closing
+
+    from hilbench.bus.open import open_link
+    from hilbench.cli.attach import config_and_bus, only_master
     from hilbench.record.replay import check_speed
     from hilbench.record.replay import replay as replay_frames
     from hilbench.record.run_folder import RunFolder
@@ -56,12 +61,9 @@ def _trace(run: Path, bus: str | None, speed: float, *, commands: bool) -> dict[
     check_speed(speed)
     path = RunFolder.open(run).trace if run.is_dir() else run
     frames = read_trace(path)
-    address = BusAddress.parse(bus or "embedded").as_it_runs()
-    link = open_link(address)
-    try:
+    _, address = config_and_bus(None, bus)
+    with only_master(address, None, f"replay of {run}", force=force), closing(open_link(address)) as link:
         done = replay_frames(frames, link, speed=speed, commands=commands)
-    finally:
-        link.close()
     return {"frames": done.frames, "left_out": done.left_out, "largest_lateness_s": done.latest_s}
 
 

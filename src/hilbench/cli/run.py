@@ -25,11 +25,17 @@ _COLOURS = {"passed": "green", "marginal": "yellow", "failed": "red", "error": "
 
 
 def run_command(
-    loaded: LoadedConfig, out: Path, *, participants: Participants, with_report: bool, as_json: bool
+    loaded: LoadedConfig,
+    out: Path,
+    *,
+    participants: Participants,
+    with_report: bool,
+    as_json: bool,
+    force: bool = False,
 ) -> int:
     """Run the experiment, show it, and return the exit code."""
     if as_json:
-        outcome = run_experiment(loaded, out, participants=participants)
+        outcome = run_experiment(loaded, out, participants=participants, force=force)
         if outcome.recorded and with_report:
             write_report(outcome.folder)
         # ASCII, whatever the terminal: a character that is typed in another way is not the result any more.
@@ -39,7 +45,7 @@ def run_command(
     console.print(f"[bold]{loaded.config.name}[/bold]  {loaded.config.bus.address}, {loaded.config.pace}")
     with Progress(console, cycle_s=loaded.config.cycle_time_s, bitrate=loaded.config.bus.bitrate) as progress:
         outcome = run_experiment(
-            loaded, out, observers=[progress], participants=participants, announce=progress.announce
+            loaded, out, observers=[progress], participants=participants, announce=progress.announce, force=force
         )
         if outcome.recorded and with_report:
             progress.announce("write report")

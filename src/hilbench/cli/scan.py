@@ -14,7 +14,6 @@ if TYPE_CHECKING:
     from hilbench.doctor.scan import Scan, Station
     from hilbench.experiment.config import ExperimentConfig
 
-_MASTER_ID = 127
 _SDO_TIMEOUT_S = 0.3
 
 
@@ -30,8 +29,8 @@ def scan(
 ) -> None:
     """Show who is on the bus: node id, NMT state, drive state, identity, firmware, EDS file. Writes nothing.
 
-    While a bench runs on the bus (SYNC is heard) it only listens. With --config, nodes of the bench that are missing,
-    or are other devices than their EDS files say, give exit code 1.
+    While another master is at work on the bus (a bench, or one that is heard) it only listens. With --config, nodes of
+    the bench that are missing, or are other devices than their EDS files say, give exit code 1.
 
     Example: hilbench scan --bus socketcan:can0
 
@@ -40,10 +39,11 @@ def scan(
     from json import dumps
 
     from hilbench.bus.open import open_link, open_python_can
-    from hilbench.cli.attach import config_and_bus
+    from hilbench.cli.attach import MASTER_ID, config_and_bus
     from hilbench.doctor.eds_match import EdsFile, eds_files, identity
     from hilbench.doctor.scan import scan as scan_bus
     from hilbench.fieldbus.eds import load_eds
+    from hilbench.fieldbus.mastery import master_of
     from hilbench.fieldbus.sdo_reader import SdoReader
 
     bench, address = config_and_bus(config, bus)
@@ -54,7 +54,9 @@ def scan(
     link = open_link(address)
     try:
         with SdoReader(open_python_can(address), _SDO_TIMEOUT_S) as reader:
-            found = scan_bus(link, reader, files, listen, bench.master.node_id if bench else _MASTER_ID, ask=ask)
+            master_id, claimed_by = bench.master.node_id if bench else MASTER_ID, master_of(address)
+            known = None if claimed_by is None else str(claimed_by)
+            found = scan_bus(link, reader, files, listen, master_id, claimed_by=known, ask=ask)
     finally:
         link.close()
     problems = _problems(found, bench) if bench is not None else []
@@ -97,7 +99,7 @@ def _as_data(found: Scan, bench: ExperimentConfig | None, problems: list[str]) -
         }
         for station in found.stations
     ]
-    return {"stations": stations, "master_at_work": found.master_at_work, "problems": problems}
+    return {"stations": stations, "master_at_work": found.master_at_work, "master": found.master, "problems": problems}
 
 
 def _show(found: Scan, bench: ExperimentConfig | None, problems: list[str], bus: str) -> None:
@@ -120,7 +122,7 @@ def _show(found: Scan, bench: ExperimentConfig | None, problems: list[str], bus:
         )
     console.print(table)
     if found.master_at_work:
-        console.print("a bench is at work on this bus (SYNC or its heartbeat is heard): nobody was asked anything")
+        console.print(f"nobody was asked: another master is at work: {found.master}", soft_wrap=True, markup=False)
     for problem in problems:
         console.print(f"[red]error[/red] {problem}", soft_wrap=True)
 

@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 import re
+import struct
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hilbench.cli.options import BusOption, ConfigOption, EdsOption, JsonOption, NodeArgument
-from hilbench.errors import UnusableInputError
+from hilbench.cli.options import BusOption, ConfigOption, EdsOption, ForceOption, JsonOption, NodeArgument
+from hilbench.errors import BenchFaultError, UnusableInputError
 
 if TYPE_CHECKING:
     from canopen.objectdictionary import ODVariable
 
     from hilbench.fieldbus.master import Master
+    from hilbench.fieldbus.sdo_reader import SdoReader
 
 ObjectArgument = Annotated[
     str, typer.Argument(metavar="OBJECT", help="6041, 6041h, 0x1018sub1, 1018:1, or a name: target_velocity")
@@ -26,6 +28,10 @@ ObjectArgument = Annotated[
 app = typer.Typer(help="Read or write one object of a node by SDO.", no_args_is_help=True)
 
 _HEX_INDEX = re.compile(r"^(?:0x)?([0-9A-Fa-f]{4})h?(?:(?:sub|:)([0-9A-Fa-f]{1,2}))?$")
+_LONGEST_INTEGER = 8  # bytes
+_REAL32 = struct.Struct("<f")
+_LEAST_REAL, _LARGEST_REAL = 1e-6, 1e12
+_TIMEOUT_S = 1.0
 _WITH_UNIT = re.compile(r"^\s*([-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?)\s*([^\s0-9].*)$")
 
 
@@ -40,13 +46,18 @@ def read(
 ) -> None:
     """Read an object; numbers in device units and, where the standard or the drive tells its unit, in SI (motor side).
 
+    By its index any object of any node can be read: one that no EDS file tells of is shown as bytes, and as the number
+    (little-endian) or the text that these could be.
+
     Example: hilbench sdo read 1 velocity_actual_value --bus socketcan:can0
 
     Example: hilbench sdo read axis2 1018:1 --config bench_configs/web_section_step.yaml
     """
-    with _object(node, name, config, bus, eds) as found:
-        value = found.read()
-        _print(found, value, as_json=json)
+    with _object(node, name, config, bus, eds, may_be_unknown=True) as found:
+        if isinstance(found, _UnknownObject):
+            _print_bytes(found, found.read(), as_json=json)
+        else:
+            _print(found, found.read(), as_json=json)
 
 
 @app.command("write")
@@ -59,15 +70,20 @@ def write(
     config: ConfigOption = None,
     bus: BusOption = None,
     eds: EdsOption = Path("eds"),
+    force: ForceOption = False,
     json: JsonOption = False,
 ) -> None:
     """Write an object and read it back; a value with a unit ("0.5 N·m", "10 rad/s") is converted to device units.
+
+    A bus with a master (a running bench, or one that is heard) is left alone; what a bench itself has for its operator,
+    2200h of node "bench", can be written.
 
     Example: hilbench sdo write 1 quick_stop_deceleration "75 rad/s²" --bus socketcan:can0
 
     A negative value follows "--": hilbench sdo write 1 target_torque -- -20
     """
-    with _object(node, name, config, bus, eds) as found:
+    with _object(node, name, config, bus, eds, writes=True, force=force) as found:
+        assert isinstance(found, _Object)
         found.write(found.parse(value))
         _print(found, found.read() if "r" in found.variable.access_type else None, as_json=json)
 
@@ -97,7 +113,8 @@ class _Object:
         from hilbench.fieldbus.data_types import data_type
 
         kind = data_type(self.variable.data_type or 0)
-        given = _WITH_UNIT.match(text) if kind.is_number and not text.lower().startswith("0x") else None
+        plain = not kind.is_number or text.lower().startswith("0x") or _is_number(text)
+        given = None if plain else _WITH_UNIT.match(text)
         if given is not None:
             return self._from_si(float(given[1]), given[2].strip(), whole=kind.is_integer)
         try:
@@ -117,38 +134,146 @@ class _Object:
         return round(number / self.unit[0]) if whole else number / self.unit[0]
 
 
+@dataclass(frozen=True)
+class _UnknownObject:
+    """An object of which no EDS file tells."""
+
+    reader: SdoReader
+    node_id: int
+    index: int
+    sub: int
+    why: str
+
+    @property
+    def key(self) -> str:
+        return f"{self.index:04X}h:{self.sub}"
+
+    def read(self) -> bytes:
+        answer = self.reader.read(self.node_id, self.index, self.sub)
+        if isinstance(answer, bytes):
+            return answer
+        reason = "no answer" if answer is None else str(answer)
+        raise BenchFaultError(f"node {self.node_id}, {self.key}: reading it: {reason}")
+
+
 @contextmanager
-def _object(node: str, name: str, config: Path | None, bus: str | None, eds: Path) -> Iterator[_Object]:
-    from hilbench.cli.attach import config_and_bus, master_of, node_on_bus
+def _object(
+    node: str,
+    name: str,
+    config: Path | None,
+    bus: str | None,
+    eds: Path,
+    *,
+    writes: bool = False,
+    force: bool = False,
+    may_be_unknown: bool = False,
+) -> Iterator[_Object | _UnknownObject]:
+    from hilbench.bus.open import open_python_can
+    from hilbench.cli.attach import (
+        config_and_bus,
+        is_the_bench,
+        known_to_master,
+        node_and_eds,
+        node_on_bus,
+        only_master,
+    )
     from hilbench.drives.configuration import read_units
     from hilbench.drives.object_units import has_drive_unit, si_unit
+    from hilbench.fieldbus.sdo_reader import SdoReader
 
     bench, address = config_and_bus(config, bus)
-    node_id, node_name, od = node_on_bus(node, bench, address, eds)
-    variable = _variable(od, name)
-    master = master_of(address, node_id, od, node_name)
-    try:
+    with ExitStack() as resources:
+        if writes and not is_the_bench(node, bench):
+            resources.enter_context(only_master(address, bench, f"sdo write to node {node}", force=force))
+        index = _index(name) if may_be_unknown else None
+        if index is not None:
+            node_id, node_name, known = node_and_eds(node, bench, address, eds)
+            why = "no EDS file" if known is None else "not in its EDS"
+            if known is None or not _has(known, *index):
+                reader = resources.enter_context(SdoReader(open_python_can(address), _TIMEOUT_S))
+                yield _UnknownObject(reader, node_id, *index, why)
+                return
+            od = known
+        else:
+            node_id, node_name, od = node_on_bus(node, bench, address, eds)
+        variable = _variable(od, name)
+        master = known_to_master(address, node_id, od, node_name)
+        resources.callback(master.close)
         units = None
         if has_drive_unit(variable.index):
             with suppress(UnusableInputError):  # the value is shown without a unit
                 units = read_units(master, node_id, od, {} if bench is None else bench.units_of(node_id), node_name)
         yield _Object(master, node_id, node_name, variable, si_unit(variable.index, units))
-    finally:
-        master.close()
+
+
+def _index(name: str) -> tuple[int, int] | None:
+    """Index and sub-index of an object that is named by them."""
+    match = _HEX_INDEX.match(name.strip())
+    return None if match is None else (int(match[1], 16), int(match[2] or "0", 16))
+
+
+def _has(od: Any, index: int, sub: int) -> bool:
+    from hilbench.fieldbus import eds as eds_files
+
+    try:
+        eds_files.variable(od, index, sub)
+    except KeyError:
+        return False
+    return True
 
 
 def _variable(od: Any, name: str) -> ODVariable:
     from hilbench.fieldbus import eds as eds_files
 
-    match = _HEX_INDEX.match(name.strip())
+    index = _index(name)
     try:
-        if match:
-            return eds_files.variable(od, int(match[1], 16), int(match[2] or "0", 16))
-        return eds_files.find(od, name)
+        return eds_files.find(od, name) if index is None else eds_files.variable(od, *index)
     except KeyError as error:
         raise UnusableInputError(
             "OBJECT", f"'{name}': {error.args[0]} in the EDS, expected an index or a name"
         ) from None
+
+
+def _is_number(text: str) -> bool:
+    """Also with an exponent, which is no unit."""
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _looks_like(data: bytes) -> dict[str, int | float | str]:
+    """What bytes of an unknown type could be: integers of their length, a floating-point number, text."""
+    found: dict[str, int | float | str] = {}
+    if 1 <= len(data) <= _LONGEST_INTEGER:
+        found["unsigned"] = int.from_bytes(data, "little")
+        if data[-1] & 0x80:
+            found["signed"] = int.from_bytes(data, "little", signed=True)
+    if len(data) == _REAL32.size:
+        (number,) = _REAL32.unpack(data)
+        if _LEAST_REAL <= abs(number) < _LARGEST_REAL:  # integers look like numbers far below
+            found["REAL32"] = float(f"{number:.7g}")
+    text = data.rstrip(b"\0").decode("latin-1")
+    if text and text.isascii() and text.isprintable():
+        found["text"] = text
+    return found
+
+
+def _print_bytes(found: _UnknownObject, data: bytes, *, as_json: bool) -> None:
+    from json import dumps
+
+    like = _looks_like(data)
+    if as_json:
+        known = {"node": found.node_id, "object": found.key, "name": None, "value": data.hex()}
+        print(dumps(known | {"si": None, "si_unit": None, "looks_like": like}, indent=2, ensure_ascii=False))
+        return
+    words = [
+        f"{name} {value} ({value:X}h)" if name == "unsigned" else f"{name} {value}" for name, value in like.items()
+    ]
+    count = f"{len(data)} byte" if len(data) == 1 else f"{len(data)} bytes"
+    shown = f"{data.hex(' ')} ({count}, {found.why})" if data else f"empty ({found.why})"
+    print(f"node {found.node_id} {found.key}: " + "; as ".join([shown, *words]))
 
 
 def _print(found: _Object, value: Any, *, as_json: bool) -> None:

@@ -24,8 +24,10 @@ from hilbench.doctor.judge_interface import InterfaceNeeds, judge_interface
 from hilbench.doctor.judge_machine import MachineNeeds, judge_machine
 from hilbench.doctor.judge_stations import judge_heard, judge_node
 from hilbench.doctor.machine import Lateness, measure_lateness, read_machine
-from hilbench.doctor.stations import ExpectedNode, ask, listen, present
+from hilbench.doctor.stations import ExpectedNode, ask
 from hilbench.errors import BenchFaultError
+from hilbench.fieldbus.listening import listen, present
+from hilbench.fieldbus.mastery import master_of
 from hilbench.fieldbus.sdo_reader import SdoReader
 
 _LISTEN_S = 1.0
@@ -65,6 +67,11 @@ class Examination:
 
     findings: list[Finding]
     lateness: Lateness
+
+    @property
+    def nodes_asked(self) -> int:
+        """How many nodes were asked; without any, nothing is known of them."""
+        return sum(finding.check is Check.NODE_ANSWERS for finding in self.findings)
 
     @property
     def passed(self) -> bool:
@@ -123,8 +130,10 @@ def _on_bus(
     announce(f"listen on {subject.bus}")
     heard = listen(link, _LISTEN_S)
     findings = [ok(Check.BUS, str(subject.bus), "opens")]
-    findings += judge_heard(heard, subject.nodes, subject.master_id, str(subject.bus))
-    if not subject.nodes or heard.another_master(subject.master_id):
+    master = master_of(subject.bus)
+    claimed_by = None if master is None else str(master)
+    findings += judge_heard(heard, subject.nodes, subject.master_id, str(subject.bus), claimed_by)
+    if not subject.nodes or claimed_by or heard.signs_of_master(subject.master_id):
         return findings
     ours = [node.node_id for node in subject.nodes if node.ours]
     if start is not None and ours and not present(link, ours, _PRESENT_S):

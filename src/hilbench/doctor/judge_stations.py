@@ -5,20 +5,25 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from hilbench.doctor.findings import Check, Finding, error, ok, warning
-from hilbench.doctor.stations import ExpectedNode, Heard, MappedObject, NodeAnswers
+from hilbench.doctor.stations import ExpectedNode, MappedObject, NodeAnswers
+from hilbench.fieldbus.listening import Heard, master_at_work
 from hilbench.fieldbus.sdo_reader import Answer, Refusal
 
 _PROFILE_MASK = 0xFFFF  # 1000h: device profile number in the low half
 _WRITE_ONLY = 0x06010001
 
 
-def judge_heard(heard: Heard, expected: Sequence[ExpectedNode], master_id: int, bus: str) -> list[Finding]:
-    """Findings on who talks without having been asked."""
+def judge_heard(
+    heard: Heard, expected: Sequence[ExpectedNode], master_id: int, bus: str, claimed_by: str | None = None
+) -> list[Finding]:
+    """Findings on who talks without having been asked; `claimed_by`: who has said that it is the master."""
     findings = []
-    if heard.another_master(master_id):
-        what = "SYNC" if heard.sync else f"a heartbeat of node {master_id}, the bench's own id"
+    master = master_at_work(heard, claimed_by, master_id)
+    if master is not None:
         advice = "end the other bench or master first; nodes are not asked meanwhile, so that nothing disturbs it"
-        findings.append(warning(Check.OTHER_MASTER, bus, f"heard {what}", "no other master on the bus", advice))
+        # A bench would be refused; of a bus without one it is only worth knowing.
+        level = error if expected else warning
+        findings.append(level(Check.OTHER_MASTER, bus, master, "no other master on the bus", advice))
     else:
         findings.append(ok(Check.OTHER_MASTER, bus, "none heard"))
     known = {node.node_id for node in expected} | {master_id}

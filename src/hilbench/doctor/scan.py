@@ -9,10 +9,10 @@ from pathlib import Path
 from hilbench.bus.frame import Frame
 from hilbench.bus.link import Link
 from hilbench.doctor.eds_match import EdsFile, read_identity
-from hilbench.doctor.stations import hear, present, sort_by_node
 from hilbench.drives import objects
 from hilbench.drives.state_machine import decode_statusword
 from hilbench.fieldbus.device import NmtState
+from hilbench.fieldbus.listening import hear, master_at_work, present, sort_by_node
 from hilbench.fieldbus.sdo_reader import SdoReader
 
 _HEARTBEAT = 0x700
@@ -41,33 +41,45 @@ class Station:
 
 @dataclass(frozen=True)
 class Scan:
-    """What is on a bus. With `master_at_work` (SYNC, or a master's heartbeat was heard) nobody was asked."""
+    """What is on a bus. While another master is at work nobody was asked; `master` says what tells of it."""
 
     stations: list[Station]
-    master_at_work: bool
+    master: str | None = None
+
+    @property
+    def master_at_work(self) -> bool:
+        """Whether there is one."""
+        return self.master is not None
 
 
 def scan(
-    link: Link, reader: SdoReader, files: Sequence[EdsFile], listen_s: float, master_id: int, *, ask: bool = True
+    link: Link,
+    reader: SdoReader,
+    files: Sequence[EdsFile],
+    listen_s: float,
+    master_id: int,
+    *,
+    claimed_by: str | None = None,
+    ask: bool = True,
 ) -> Scan:
     """Listen for `listen_s`, then ask every node id, unless another master is at work there or `ask` is false.
 
-    Raises BusError when the bus is lost.
+    `claimed_by`: the program that has said it is the master. Raises BusError when the bus is lost.
     """
     frames = hear(link, listen_s)
     heard = sort_by_node(frames)
-    at_work = heard.another_master(master_id)
+    master = master_at_work(heard, claimed_by, master_id)
     states = nmt_states(frames)
-    if at_work or not ask:
+    if master or not ask:
         known = sorted(heard.nodes.keys() - {master_id})
-        return Scan([Station(node_id, states.get(node_id)) for node_id in known], at_work)
+        return Scan([Station(node_id, states.get(node_id)) for node_id in known], master)
     answering = {
         node_id
         for first in range(_NODE_IDS.start, _NODE_IDS.stop, _AT_ONCE)
         for node_id in present(link, range(first, min(first + _AT_ONCE, _NODE_IDS.stop)), _ANSWER_S)
     }
     found = sorted(answering | heard.nodes.keys())
-    return Scan([_ask(reader, node_id, states.get(node_id), files) for node_id in found], at_work)
+    return Scan([_ask(reader, node_id, states.get(node_id), files) for node_id in found])
 
 
 def nmt_states(frames: Iterable[Frame]) -> dict[int, str]:

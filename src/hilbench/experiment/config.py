@@ -14,6 +14,7 @@ from pydantic import Field
 
 from hilbench import strict_yaml
 from hilbench.bench.config import BenchConfig
+from hilbench.bus.open import BusAddress
 from hilbench.errors import UnusableInputError
 from hilbench.experiment.criteria import Criterion
 from hilbench.experiment.steps import ExperimentStep
@@ -31,8 +32,23 @@ def load(path: Path) -> tuple[ExperimentConfig, strict_yaml.Document]:
 
     Raises UnusableInputError with file, line, key, what was found and what was expected.
     """
-    document = read_document(path)
+    document = _with_named_bus(read_document(path))
     return strict_yaml.validate(document, ExperimentConfig), document
+
+
+def bus_of_folder(path: Path) -> BusAddress:
+    """The embedded bus of a config that names none: that of its folder, the same for all configs there."""
+    return BusAddress("embedded", "").in_folder(path.resolve().parent)
+
+
+def _with_named_bus(document: strict_yaml.Document) -> strict_yaml.Document:
+    """Two checkouts of a config must not meet: `embedded` alone is the bus of the config's folder."""
+    location, data = ("bus", "address"), document.data
+    bus = data.get("bus", {})
+    given = bus.get("address", "embedded") if isinstance(bus, Mapping) else None
+    if not isinstance(given, str) or given.strip().rstrip(":") not in ("embedded", "hilbench"):
+        return document
+    return document.with_value(location, str(bus_of_folder(document.path)), document.place(location))
 
 
 def read_document(path: Path, including: tuple[Path, ...] = ()) -> strict_yaml.Document:
@@ -156,6 +172,7 @@ def load_with_overrides(
     for location, (option, given) in options.items():
         if given is not None:
             document = document.with_value(location, given, option)
+    document = _with_named_bus(document)
     return LoadedConfig(strict_yaml.validate(document, ExperimentConfig), document)
 
 

@@ -220,17 +220,26 @@ class Master:
     # -- SDO ---------------------------------------------------------------------------------------------
 
     def sdo_read(self, node_id: int, index: int, sub: int = 0) -> Any:
-        """The value of an object, decoded by its EDS type."""
+        """The value of an object, decoded by its EDS type, whose length the answer must have."""
         variable = self._variable(node_id, index, sub)
+        kind = data_type(variable.data_type or 0)
         try:
             with self._locks[node_id], _bus_errors():
-                data = self._network[node_id].sdo.upload(index, sub)
+                data = self._upload(node_id, index, sub, kind.width)
         except (canopen.SdoCommunicationError, canopen.SdoAbortedError) as error:
             raise self._fault(node_id, variable, "reading", error) from error
         try:
-            return data_type(variable.data_type or 0).decode(data)
+            return kind.decode(data)
         except ValueError as error:
             raise BenchFaultError(f"{self._place(node_id, variable)}: reading it: {error}") from error
+
+    def _upload(self, node_id: int, index: int, sub: int, width: int | None) -> bytes:
+        """All bytes of the answer: canopen's own `upload` cuts what is longer than the EDS says."""
+        client: Any = self._network[node_id].sdo
+        with client.open(index, sub, buffering=0) as answer:
+            data = bytes(answer.read())
+        # Expedited without a size (CiA 301, 7.2.4.3.6, s = 0): four bytes, of which the type's are meant.
+        return data[:width] if answer.exp_data is not None and answer.size is None else data
 
     def sdo_write(self, node_id: int, index: int, value: Any, sub: int = 0) -> None:
         """Write an object, encoded by its EDS type."""

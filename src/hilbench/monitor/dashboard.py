@@ -11,7 +11,7 @@ from functools import partial
 from typing import ClassVar
 
 from textual.app import App, ComposeResult
-from textual.binding import BindingType
+from textual.binding import Binding, BindingType
 from textual.containers import Horizontal, Vertical
 from textual.css.query import NoMatches
 from textual.screen import ModalScreen
@@ -28,18 +28,37 @@ _DRAW_S = 0.25
 _COLUMNS = ("node", "part", "NMT", "drive", "statusword", "velocity rad/s", "torque N·m")
 
 
+_STOP_KEY = "e"
+_STOP_HINT = f"{_STOP_KEY}: EMERGENCY STOP"
+
+
 class _Question(ModalScreen[bool]):
     """Asks once more; only `y` means yes."""
 
     BINDINGS: ClassVar[list[BindingType]] = [("y", "dismiss(True)", "yes"), ("n,escape", "dismiss(False)", "no")]
 
-    def __init__(self, text: str) -> None:
+    def __init__(self, text: str, hint: str = f"y: yes   n: no   {_STOP_HINT}") -> None:
         super().__init__()
-        self._text = text
+        self._text = f"{text}\n{hint}"
 
     def compose(self) -> ComposeResult:
         """The question."""
-        yield Static(f"{self._text}   y: yes   n: no", classes="dialogue")
+        yield Static(self._text, classes="dialogue")
+
+
+class _StopQuestion(_Question):
+    """Whether to stop everything; the key that asked for it means yes as well."""
+
+    def __init__(self) -> None:
+        super().__init__("Stop every device on the bus?", f"y or {_STOP_KEY}: STOP   n: no")
+
+
+class _Number(Input):
+    """A field for a number, without an exponent: that letter is the emergency stop's here, too."""
+
+    def check_consume_key(self, key: str, character: str | None) -> bool:
+        """Which keys are text; the others' bindings act."""
+        return key != _STOP_KEY and super().check_consume_key(key, character)
 
 
 class _NewValue(ModalScreen[float | None]):
@@ -54,8 +73,8 @@ class _NewValue(ModalScreen[float | None]):
     def compose(self) -> ComposeResult:
         """The field."""
         with Vertical(classes="dialogue"):
-            yield Static(self._text)
-            yield Input(type="number")
+            yield Static(f"{self._text}\n{_STOP_HINT}")
+            yield _Number(type="number")
 
     def on_input_submitted(self, event: Input.Submitted) -> None:
         """Return ends it; an empty field changes nothing."""
@@ -75,12 +94,14 @@ class Dashboard(App[None]):
     #nodes { height: 9; }
     #faults { height: 1fr; border-top: solid $panel; }
     ModalScreen { align: center middle; }
-    .dialogue { width: 70; height: auto; padding: 1 2; background: $panel; border: solid $warning; }
+    .dialogue { width: 70; max-width: 100%; height: auto; padding: 1 2; background: $panel; border: solid $warning; }
     """
     TITLE = "hilbench monitor"
+    ENABLE_COMMAND_PALETTE = False  # a dialogue that would take the key of the emergency stop for text
+    #: The first is what a narrow footer still shows; with priority it comes before every dialogue and field.
     BINDINGS: ClassVar[list[BindingType]] = [
+        Binding(_STOP_KEY, "emergency_stop", "EMERGENCY STOP", priority=True),
         *((key, f"change('{key}')", quantity.title) for key, quantity in CHANGEABLE.items()),
-        ("e", "emergency_stop", "EMERGENCY STOP"),
         ("q", "quit", "quit"),
     ]
 
@@ -113,8 +134,13 @@ class Dashboard(App[None]):
     # -- what keys ask for ---------------------------------------------------------------------------------
 
     def action_emergency_stop(self) -> None:
-        """Stop everything on the bus, once it is confirmed."""
-        self.push_screen(_Question("Stop every device on the bus?"), self._stop)
+        """Stop everything on the bus, once it is confirmed; a dialogue that is open gives way."""
+        while isinstance(self.screen, ModalScreen):
+            if isinstance(self.screen, _StopQuestion):
+                self.screen.dismiss(True)
+                return
+            self.screen.dismiss(None)
+        self.push_screen(_StopQuestion(), self._stop)
 
     def action_change(self, key: str) -> None:
         """Ask for a new value, and whether it is meant."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import signal
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from operator import attrgetter
@@ -21,8 +21,10 @@ from hilbench.bench.check import check_bench
 from hilbench.bench.in_process import check_in_process
 from hilbench.bench.notice import Notice
 from hilbench.bench.participants import Participants
+from hilbench.bench.processes import end_signals, leave_terminal
 from hilbench.bench.sample import CycleSample
 from hilbench.bench.signals import SIGNALS
+from hilbench.bench.startup import held_bus
 from hilbench.errors import (
     EXIT_BENCH_FAULT,
     EXIT_CRITERION_FAILED,
@@ -108,12 +110,14 @@ def run_experiment(
     observers: Sequence[CycleObserver] = (),
     participants: Participants = Participants.STARTED,
     announce: Callable[[str], None] = lambda text: None,
+    force: bool = False,
 ) -> RunOutcome:
     """Run all steps of a config, evaluate its criteria, write the run folder (the report is made from it).
 
     A bench fault, an interruption, or an exception that nobody foresaw ends the run in the safe state; what was
     recorded until then is written, and the fault is in the result (the traceback in the run folder). Raises
-    UnusableInputError before anything is started, BenchFaultError when the result can't be written.
+    UnusableInputError before anything is started or written, for a bus that has another master, too (`force`: unless it
+    was only heard), BenchFaultError when the result can't be written.
     """
     config = loaded.config
     check_bench(config, loaded.document)
@@ -122,14 +126,20 @@ def run_experiment(
     for step in config.steps:
         step.prepare()
     provenance = Provenance.of(config, loaded.document, participants)
-    folder = RunFolder.create(out, config.name)
-    config_files.dump(config, folder.config)
-    started = datetime.now(UTC)
     recorder = Recorder()
-    ending, verdicts = _Ending(folder), list[CriterionResult]()
+    verdicts = list[CriterionResult]()
     changes: list[Change] = []
-    trace = TraceWriter(folder.trace, config.bus_address.channel)
-    with JournalWriter(folder.journal) as journal:
+    if participants is not Participants.IN_PROCESS:
+        announce(f"look who is on {config.bus_address}")
+    with (
+        held_bus(config, participants, force=force),
+        nullcontext(RunFolder.create(out, config.name)) as folder,
+        JournalWriter(folder.journal) as journal,
+    ):
+        config_files.dump(config, folder.config)
+        started = datetime.now(UTC)
+        ending = _Ending(folder)
+        trace = TraceWriter(folder.trace, config.bus_address.channel)
 
         def note(change: Change) -> None:
             journal.write(change)
@@ -143,6 +153,7 @@ def run_experiment(
             participants=participants,
             announce=announce,
             journal=note,
+            bus_is_held=True,
         )
         with ending.told("bench", lambda: bench.fault_time_s), trace, stop_on_signals(bench), bench:
             announce("run the experiment")
@@ -259,7 +270,7 @@ def measure_timing(bench: Bench) -> Timing:
 
 @contextmanager
 def stop_on_signals(bench: Bench) -> Iterator[None]:
-    """SIGINT and SIGTERM end the run between two cycles, so that the quick stop starts from a whole one.
+    """SIGINT, SIGTERM and SIGHUP end the run between two cycles, so that the quick stop starts from a whole one.
 
     Before the drives are enabled KeyboardInterrupt is raised at once. Once the stop has begun it is not interrupted
     by further signals.
@@ -269,13 +280,15 @@ def stop_on_signals(bench: Bench) -> Iterator[None]:
         return
 
     def request(number: int, frame: FrameType | None) -> None:
+        if number == signal.SIGHUP:
+            leave_terminal()
         if bench.stopping:
             return
         if not bench.enabled:
             raise KeyboardInterrupt
         bench.interrupt_requested = True
 
-    previous = {number: signal.signal(number, request) for number in (signal.SIGINT, signal.SIGTERM)}
+    previous = {number: signal.signal(number, request) for number in end_signals()}
     try:
         yield
     finally:

@@ -50,7 +50,8 @@ class Bench(bench.Bench):
         bench.recording.to_pandas()[["F_true_N", "F_sim_N"]].plot()
 
     `bus`, `pace`, `seed` and `changes` (texts ``KEY=VALUE``) are what ``hilbench run`` takes. Raises UnusableInputError
-    for a config that cannot be used, before anything is started. Steps and criteria of the file are left alone.
+    for a config that cannot be used, before anything is started; entering raises it for a bus that has another master
+    (`force`: unless it was only heard). Steps and criteria of the file are left alone.
     """
 
     def __init__(
@@ -63,6 +64,7 @@ class Bench(bench.Bench):
         changes: Sequence[str] = (),
         participants: Participants = Participants.STARTED,
         announce: Callable[[str], None] = lambda text: None,
+        force: bool = False,
     ) -> None:
         loaded = load_with_overrides(Path(config), bus=bus, pace=pace, seed=seed, changes=changes)
         check_bench(loaded.config, loaded.document)
@@ -78,6 +80,7 @@ class Bench(bench.Bench):
             announce=announce,
             journal=self._changes.append,
             may_idle=True,
+            force=force,
         )
 
     def __enter__(self) -> Self:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
@@ -31,6 +32,7 @@ def pytest_configure(config: pytest.Config) -> None:
 @pytest.fixture
 def bench(request: pytest.FixtureRequest) -> Iterator[Bench]:
     """A running bench with enabled drives, of this test alone; a simulated one gets a bus of its own."""
+    from hilbench.experiment.config import bus_of_folder
     from hilbench.scripts.bench import Bench
 
     config = request.config.getoption("--hilbench-config") or next(iter(request.config.getini("hilbench_config")), None)
@@ -39,7 +41,7 @@ def bench(request: pytest.FixtureRequest) -> Iterator[Bench]:
     marks = request.node.iter_markers("hilbench_set")
     changes = [text for mark in marks for text in mark.args]
     made = Bench(config, bus=request.config.getoption("--hilbench-bus"), changes=changes)
-    if made.config.bus.address == "embedded":
+    if made.config.bus.address == str(bus_of_folder(Path(config))):
         made = Bench(config, bus=f"embedded:pytest{os.getpid()}", changes=changes)
     with made:
         yield made

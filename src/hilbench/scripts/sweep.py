@@ -28,6 +28,7 @@ from hilbench.errors import (
     UnusableInputError,
 )
 from hilbench.experiment.config import load_with_overrides, parse_change
+from hilbench.fieldbus.mastery import mastery
 
 _DEFINITION, _LOG, _TABLE, _PARQUET = "sweep.json", "results.jsonl", "results.csv", "results.parquet"
 _LAST_WORDS = 300
@@ -174,7 +175,8 @@ class Sweep:
         self.out = out
         #: Runs share the wire and the clock of a real bus: there is one at a time.
         self.alone = loaded.config.bus_address.interface != "embedded" or loaded.config.pace == "realtime"
-        self._embedded = loaded.config.bus_address.interface == "embedded"
+        self._bus, self._master_id = loaded.config.bus_address, loaded.config.master.node_id
+        self._embedded = self._bus.interface == "embedded"
         self._in_process = can_be_in_process(loaded.config)
         self._stopped = threading.Event()
         self.rows = self._resume()
@@ -201,9 +203,13 @@ class Sweep:
 
         `cluster`: address of a running Dask scheduler, whose workers do the runs instead, as many at a time as they
         have threads. They need this hilbench, and the config and the sweep's folder under the same paths. Runs that
-        are under way there go on after Ctrl-C. Raises UnusableInputError when there is no such cluster.
+        are under way there go on after Ctrl-C. Raises UnusableInputError when there is no such cluster, and for a real
+        bus that has a master.
         """
         left = [self._job(number) for number in range(len(self.runs)) if number not in self.rows]
+        if left and self.alone and not self._embedded:
+            with mastery(self._bus, self._master_id, f"sweep of {self._config.name}"):
+                pass  # each run takes the bus for itself; a bus that has a master would make all of them fail
         if cluster is not None and self.alone:
             raise UnusableInputError("--cluster", "runs on a real bus, or in real time, go one after the other here")
         with _on_cluster(cluster) if cluster else ThreadPoolExecutor(1 if self.alone else jobs) as pool:
