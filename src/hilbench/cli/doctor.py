@@ -22,8 +22,8 @@ if TYPE_CHECKING:  # the models take their time to import; an examination withou
 _COLOURS = {Level.OK: "green", Level.WARNING: "yellow", Level.ERROR: "red"}
 
 
-def doctor_command(loaded: LoadedConfig | None, bus: BusAddress, *, start: bool, as_json: bool) -> int:
-    """Examine a bench (or a bus alone), show what was found, and return the exit code."""
+def doctor_command(loaded: LoadedConfig | None, bus: BusAddress | None, *, start: bool, as_json: bool) -> int:
+    """Examine a bench (or a bus, or this machine alone), show what was found, and return the exit code."""
     console = Console(highlight=False)
     subject, start_nodes = (Subject.of_bus(bus), None) if loaded is None else _of_bench(loaded, start=start)
     if as_json:
@@ -76,7 +76,7 @@ def show(console: Console, examination: Examination) -> None:
     colour = _COLOURS[Level.ERROR if errors else Level.OK if asked and not warnings else Level.WARNING]
     counts = f"{_counted(errors, 'error')}, {_counted(warnings, 'warning')}"
     if not asked:
-        counts = "NO NODE WAS ASKED; of the rest: " + (
+        counts = "no node was asked; of the rest: " + (
             counts if errors else f"{_counted(warnings, 'warning')}, no error"
         )
     console.print(f"[{colour}]{counts}[/{colour}]; what is checked: docs/real_stand.md")

@@ -138,7 +138,11 @@ def doctor(
     if config is None and changes:
         raise UnusableInputError("--set", f"'{changes[0]}' without a config, expected CONFIG to change")
     loaded = None if config is None else _load(config, bus=bus, pace=pace, changes=changes or ())
-    address = BusAddress.parse(bus or "embedded").as_it_runs() if loaded is None else loaded.config.bus_address
+    address = None
+    if loaded is not None:
+        address = loaded.config.bus_address
+    elif bus is not None:
+        address = BusAddress.parse(bus).as_it_runs()
     raise typer.Exit(doctor_command(loaded, address, start=start, as_json=json))
 
 

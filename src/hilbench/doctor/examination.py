@@ -41,7 +41,7 @@ _SDO_ANSWERS: CanFilters = [{"can_id": 0x580, "can_mask": 0x780, "extended": Fal
 class Subject:
     """What is examined; the defaults are those of a bench config, for an examination without one."""
 
-    bus: BusAddress
+    bus: BusAddress | None  #: None: the machine alone
     realtime: bool
     cycle_s: float = 0.002
     frames_per_cycle: int = 16
@@ -52,11 +52,11 @@ class Subject:
     nodes: Sequence[ExpectedNode] = field(default=())
 
     @classmethod
-    def of_bus(cls, bus: BusAddress) -> Subject:
-        """A bus of which nothing else is known."""
+    def of_bus(cls, bus: BusAddress | None) -> Subject:
+        """A bus of which nothing else is known, or none: this machine."""
         return cls(
             bus,
-            realtime=bus.interface != "embedded",
+            realtime=bus is not None and bus.interface != "embedded",
             bitrate_source="which is a bench's when its config names none",
         )
 
@@ -91,48 +91,54 @@ def examine(subject: Subject, *, start: Start | None, announce: Callable[[str], 
     announce("measure the timer")
     lateness = measure_lateness(subject.cycle_s, _MEASURE_S)
     bus = subject.bus
-    machine_needs = MachineNeeds(subject.realtime, subject.cycle_s, bus.interface == "socketcan")
-    machine = judge_machine(read_machine(), lateness, machine_needs)
+    on_socketcan = bus is not None and bus.interface == "socketcan"
+    machine = judge_machine(read_machine(), lateness, MachineNeeds(subject.realtime, subject.cycle_s, on_socketcan))
+    if bus is None:
+        return Examination(machine, lateness)
     if bus.interface != "socketcan":
         what = "embedded" if bus.interface == "embedded" else f"python-can's {bus.interface}"
         interface = [ok(Check.INTERFACE, str(bus), f"{what}: nothing to check")]
-        return Examination(machine + interface + _stations(subject, start, announce), lateness)
+        return Examination(machine + interface + _stations(subject, bus, start, announce), lateness)
     needs = InterfaceNeeds(bus.bitrate, subject.frames_per_cycle, subject.bitrate_source)
     before = read_interface(bus.channel)
     interface = judge_interface(before, before, needs)
     if any(finding.level is Level.ERROR for finding in interface):
-        return Examination([*machine, *interface, _left_alone(subject)], lateness)
-    stations = _stations(subject, start, announce)
+        return Examination([*machine, *interface, _left_alone(bus)], lateness)
+    stations = _stations(subject, bus, start, announce)
     interface = judge_interface(before, read_interface(bus.channel), needs)
     return Examination(machine + interface + stations, lateness)
 
 
-def _left_alone(subject: Subject) -> Finding:
+def _left_alone(bus: BusAddress) -> Finding:
     advice = "put the interface right, then run hilbench doctor again"
-    return warning(Check.BUS, str(subject.bus), "not used: its interface is not right", "findings on nodes", advice)
+    return warning(Check.BUS, str(bus), "not used: its interface is not right", "findings on nodes", advice)
 
 
-def _stations(subject: Subject, start: Start | None, announce: Callable[[str], None]) -> list[Finding]:
+def _stations(subject: Subject, bus: BusAddress, start: Start | None, announce: Callable[[str], None]) -> list[Finding]:
     """Findings on the bus and those on it."""
     try:
         with ExitStack() as resources:
-            return _on_bus(subject, start, announce, resources)
+            return _on_bus(subject, bus, start, announce, resources)
     except BenchFaultError as fault:
         advice = "the other findings may say why; else the command that the message names"
-        return [error(Check.BUS, str(subject.bus), str(fault), "a bus that can be used", advice)]
+        return [error(Check.BUS, str(bus), str(fault), "a bus that can be used", advice)]
 
 
 def _on_bus(
-    subject: Subject, start: Start | None, announce: Callable[[str], None], resources: ExitStack
+    subject: Subject,
+    bus: BusAddress,
+    start: Start | None,
+    announce: Callable[[str], None],
+    resources: ExitStack,
 ) -> list[Finding]:
-    link = open_link(subject.bus)
+    link = open_link(bus)
     resources.callback(link.close)
-    announce(f"listen on {subject.bus}")
+    announce(f"listen on {bus}")
     heard = listen(link, _LISTEN_S)
-    findings = [ok(Check.BUS, str(subject.bus), "opens")]
-    master = master_of(subject.bus)
+    findings = [ok(Check.BUS, str(bus), "opens")]
+    master = master_of(bus)
     claimed_by = None if master is None else str(master)
-    findings += judge_heard(heard, subject.nodes, subject.master_id, str(subject.bus), claimed_by)
+    findings += judge_heard(heard, subject.nodes, subject.master_id, str(bus), claimed_by)
     if not subject.nodes or claimed_by or heard.signs_of_master(subject.master_id):
         return findings
     ours = [node.node_id for node in subject.nodes if node.ours]
@@ -144,7 +150,7 @@ def _on_bus(
             resources.callback(child.end)
         _wait_for(link, ours, children, subject.boot_timeout_s)
     announce("ask the nodes")
-    with SdoReader(open_python_can(subject.bus, _SDO_ANSWERS), subject.sdo_timeout_s) as reader:
+    with SdoReader(open_python_can(bus, _SDO_ANSWERS), subject.sdo_timeout_s) as reader:
         for node in subject.nodes:
             findings += judge_node(node, ask(reader, node))
     return findings
