@@ -168,7 +168,7 @@ def test_proposals_cover_the_vocabulary() -> None:
     plain = model()
     data = measured_from(blind_recording(plain, [], duration_s=10.0), plain, "blind")
     made = Proposer(plain, data)
-    ids = {t.effect.id for t in made.plain()} | {t.effect.id for t in made.coarse_steps([])}
+    ids = {t.effect.id for t in made.plain()} | {t.effect.id for t in made.steps(made.step_times_s()[0], [])}
     noise = {name: np.random.default_rng(0).standard_normal(5000) for name in ("tau1_Nm", "tau2_Nm")}
     ids |= {t.effect.id for t in made.searched(noise, [], 1)}
     assert ids == {e.id for e in EFFECTS}

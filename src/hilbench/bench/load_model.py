@@ -10,10 +10,10 @@ from __future__ import annotations
 from hilbench.bench.config import LoadConfig
 from hilbench.bench.quantities import WEB_BROKEN, YOUNGS_MODULUS, EffectPath, parse_effect_path
 from hilbench.web.effects import find_effect
+from hilbench.web.imitation import lead_s
 from hilbench.web.pairing import Pairing
 from hilbench.web.parameters import ModelParameters
 from hilbench.web.span import SpanFollower
-from hilbench.web.stability import SampledShaft, imitation_delay_s
 
 
 def imitated_web(model: ModelParameters, load: LoadConfig) -> ModelParameters:
@@ -39,7 +39,7 @@ class LoadModel:
     def __init__(self, model: ModelParameters, load: LoadConfig, cycle_s: float) -> None:
         self.web = SpanFollower(imitated_web(model, load))
         self._cycle_s = cycle_s
-        self._lead_s = imitation_delay_s(SampledShaft.of_model(model, cycle_s=cycle_s))
+        self._lead_s = lead_s(model, cycle_s)
         self._running = False
         self._broken = False
         self._pairing = Pairing()

@@ -10,15 +10,18 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
+from hilbench.bench.config import BenchConfig
 from hilbench.cli.columns import tell_unknown
-from hilbench.cli.model_option import holds_config, model_from
+from hilbench.cli.model_option import config_from, model_from
 from hilbench.cli.progress import ProgressDisplay
 from hilbench.diagnose.diagnosis import Diagnosis, NamedEffect, diagnose
+from hilbench.diagnose.imitated import imitation_beside, imitation_of
 from hilbench.diagnose.live import LiveGap, live_gap, run_bench
 from hilbench.errors import BenchFaultError, UnusableInputError
 from hilbench.experiment.config import load_with_overrides, write_config_over
 from hilbench.record.recording import read_recording
 from hilbench.report.diagnosis_page import LIVE_ROWS, write_diagnosis_page
+from hilbench.web.imitation import Imitation
 from hilbench.web.parameters import write_model
 
 #: Columns that the tables need; a narrower terminal wraps whole lines, it loses no figures.
@@ -63,11 +66,12 @@ def diagnose_command(source: Path, model_path: Path | None, out: Path | None, *,
                 raise UnusableInputError(
                     "--model", "missing, expected the model file that the recording is compared with"
                 )
-            config = model_path if holds_config(model_path) else None
             progress.announce("read the recording", 0.0)
-            model, recording = model_from(model_path), read_recording(source)
+            config, model, recording = config_from(model_path), model_from(model_path), read_recording(source)
             tell_unknown(recording, source)
-            found = _Found(diagnose(recording, model, source, progress.announce), config)
+            imitation = _imitation(source, config)
+            diagnosis = diagnose(recording, model, source, progress.announce, imitation)
+            found = _Found(diagnosis, None if config is None else model_path)
         files = None if out is None else _write(found, source, out)
     if as_json:
         print(json.dumps(as_data(found.diagnosis, found.live, found.not_compared, files), indent=2))
@@ -75,6 +79,11 @@ def diagnose_command(source: Path, model_path: Path | None, out: Path | None, *,
         _show_all(console, found, files)
     if found.fault is not None:
         raise found.fault
+
+
+def _imitation(recording: Path, config: BenchConfig | None) -> Imitation | None:
+    """How the web was imitated, if a bench made the recording: by the config of its run, else by that of the model."""
+    return imitation_beside(recording) or (None if config is None else imitation_of(config))
 
 
 def _on_the_bench(config: Path, model_path: Path | None, out: Path | None, progress: ProgressDisplay) -> _Found:
@@ -85,7 +94,8 @@ def _on_the_bench(config: Path, model_path: Path | None, out: Path | None, progr
     observer, announce = progress.of_run("run the bench", 0.0)
     first = run_bench(loaded, model, runs, observers=[observer], announce=announce)
     before = live_gap(first)
-    diagnosis = diagnose(read_recording(first.folder.recording), model, first.folder.recording, progress.announce)
+    recording, imitation = first.folder.recording, imitation_of(loaded.config)
+    diagnosis = diagnose(read_recording(recording), model, recording, progress.announce, imitation)
     found = _Found(diagnosis, config, [before])
     if not diagnosis.effects:
         return found

@@ -6,16 +6,19 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from hilbench import strict_yaml
-from hilbench.experiment.config import is_model, load
+from hilbench.experiment.config import ExperimentConfig, is_model, load
 from hilbench.web.parameters import ModelParameters, load_model
 
 
 def model_from(path: Path) -> ModelParameters:
     """Read it. Raises UnusableInputError (file, line, key, found, expected)."""
-    return load(path)[0].model if holds_config(path) else load_model(path)
+    config = config_from(path)
+    return load_model(path) if config is None else config.model
 
 
-def holds_config(path: Path) -> bool:
-    """Whether the file is a bench config, and no model file. Raises UnusableInputError for one that can't be read."""
+def config_from(path: Path) -> ExperimentConfig | None:
+    """The bench config, if the file is one. Raises UnusableInputError as `model_from`."""
     data = strict_yaml.load(path).data
-    return isinstance(data, Mapping) and bool({"model", "include"} & data.keys()) and not is_model(data)
+    if isinstance(data, Mapping) and {"model", "include"} & data.keys() and not is_model(data):
+        return load(path)[0]
+    return None

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.diagnose.experiments import shown_by, told_apart_by
-from hilbench.diagnose.fit import fit, sums
+from hilbench.diagnose.fit import around, fit, sums, time_profile
 from hilbench.diagnose.measured import Measured, measured_from
 from hilbench.diagnose.misfit import LARGEST_RATIO, Misfit, misfits, ratios
 from hilbench.diagnose.noise import Whitening, floor, repeats, scaling
@@ -19,8 +19,9 @@ from hilbench.diagnose.predictor import Predictor, predictor_for
 from hilbench.diagnose.proposals import Proposer
 from hilbench.diagnose.select import Search, Selection
 from hilbench.diagnose.space import Space
-from hilbench.diagnose.terms import Term, extended, pack_with
+from hilbench.diagnose.terms import TIME, Term, extended, pack_with
 from hilbench.record.recording import Recording
+from hilbench.web.imitation import Imitation
 from hilbench.web.parameters import ModelParameters
 
 Array = NDArray[np.float64]
@@ -31,6 +32,8 @@ _NORMAL_95: Final = 1.96
 _VISIBLE: Final = 5.0
 #: Share of the residual's rms up to which effects may leave it where a right model need not leave white noise.
 _UNEXPLAINED: Final = 0.25
+#: How far around a time its interval is looked for at first, s.
+_PROFILE_S: Final = 0.3
 _ROWS_OF_WHERE: Final = 8
 _PROFILES: Final = 4
 _DIGITS: Final = 8
@@ -132,12 +135,19 @@ def _size(gap: Gap) -> float:
 
 
 def diagnose(
-    recording: Recording, model: ModelParameters, place: str | Path, announce: Announce = lambda text, share: None
+    recording: Recording,
+    model: ModelParameters,
+    place: str | Path,
+    announce: Announce = lambda text, share: None,
+    imitation: Imitation | None = None,
 ) -> Diagnosis:
-    """Diagnose one recording. Raises UnusableInputError, one line, where it can't be used."""
+    """Diagnose one recording. Raises UnusableInputError, one line, where it can't be used.
+
+    `imitation`: how the bench imitated the web, if the recording is a bench's; by default as benches do it.
+    """
     announce("simulate the model", 0.02)
     data = measured_from(recording, model, place)
-    predictor = predictor_for(model, data)
+    predictor = predictor_for(model, data, imitation)
     space = Space(model, predictor, data.period_s)
     selection = Search(space, Proposer(model, data), announce, predictor.every).run()
     return _conclude(space, predictor, data, selection, announce)
@@ -149,7 +159,7 @@ def _conclude(
     announce("judge what is left", 0.95)
     trained = selection.fit
     before = space.residual([])
-    rows = space.split.block >= 0
+    rows = space.counted
     white, inflation = _weights(space, selection, rows)
     final = fit(space, white, trained.terms, rows) if trained.terms else trained
     torques = [k for k, name in enumerate(predictor.names) if name.startswith("tau")]
@@ -169,7 +179,10 @@ def _conclude(
         unknown = _rms(final.residual[torques], rows) > _UNEXPLAINED * _rms(before[torques], rows)
     unknown |= selection.exhausted
     verdict = "unknown" if unknown else ("named" if final.terms else "complete")
-    effects = [] if unknown else _named(final.terms, final.covariance, selection, inflation)
+    effects: list[NamedEffect] = []
+    if not unknown:
+        moments = _moments(space, white, final.terms, inflation)
+        effects = _named(final.terms, final.covariance, selection, inflation, moments)
     test = space.split.test
     gaps = [_gap(predictor.names[k], before[k], trained.residual[k], floors[k], test) for k in torques]
     where_from = [m for m in found if m.significant] or left
@@ -219,9 +232,37 @@ def _gap(name: str, before: Array, after: Array, noise: float, rows: NDArray[np.
     return Gap(name, rms(before), rms(after), noise, "N·m")
 
 
-def _named(terms: list[Term], covariance: Array, selection: Selection, inflation: float) -> list[NamedEffect]:
+def _moments(
+    space: Space, white: Whitening, terms: list[Term], inflation: float
+) -> dict[tuple[int, str], tuple[float, float]]:
+    """95 % intervals, by place among the terms and parameter, of times: from a profile, which may have many minima."""
+    found = {}
+    for place, term in enumerate(terms):
+        if not term.has_time:
+            continue
+        here, half_s = term.values[TIME], _PROFILE_S
+        rise = (_NORMAL_95 * inflation) ** 2
+        while True:
+            times = np.union1d(around(here, half_s, half_s / 30.0), around(here, half_s / 30.0, 0.5 * space.period_s))
+            low, high = time_profile(space, white, terms, place, times).interval_s(rise)
+            if (times[0] < low and high < times[-1]) or half_s > space.duration_s:
+                break
+            half_s *= 3.0
+        # When within a cycle it happened no recording says.
+        found[place, TIME] = (min(low, here - space.period_s), max(high, here + space.period_s))
+    return found
+
+
+def _named(
+    terms: list[Term],
+    covariance: Array,
+    selection: Selection,
+    inflation: float,
+    known: dict[tuple[int, str], tuple[float, float]],
+) -> list[NamedEffect]:
+    """`known`: intervals that do not follow from the covariance."""
     result, at = [], 0
-    for term in terms:
+    for place, term in enumerate(terms):
         size = len(term.coordinates())
         gradient = term.gradient()
         part = gradient @ covariance[at : at + size, at : at + size] @ gradient.T
@@ -230,10 +271,9 @@ def _named(terms: list[Term], covariance: Array, selection: Selection, inflation
         values = {}
         for parameter in term.effect.parameters:
             value, half = term.values[parameter.name], _NORMAL_95 * float(errors[parameter.name])
-            values[parameter.name] = Value(
-                _rounded(value), (_rounded(value - half), _rounded(value + half)), parameter.unit
-            )
-        tied = [place for place in selection.tied.get(term.key, []) if place != term.place]
+            low, high = known.get((place, parameter.name), (value - half, value + half))
+            values[parameter.name] = Value(_rounded(value), (_rounded(low), _rounded(high)), parameter.unit)
+        tied = [other for other in selection.tied.get(term.key, []) if other != term.place]
         names = [
             f"{effect}" if axis is None or axis == term.axis else f"{effect} (axis {axis})" for effect, axis in tied
         ]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -23,6 +23,9 @@ _FIRST_DAMPING: Final = 1e-4
 #: Strengths, and steps between two of them, with which one is searched for.
 _GRID: Final = 25
 _SEARCH: Final = 12
+#: How far from where it was proposed a time is looked for, and the steps of the first look, s: a step of E lets the web
+#: ring at some 20 Hz, and each period of it is a minimum.
+_TIME_SEARCH: Final = (0.3, 0.01)
 
 
 @dataclass(frozen=True)
@@ -55,11 +58,24 @@ def fit(
     Once the sum of squares does not promise to fall below `worth` the fit is left unfinished: it has lost.
     """
     rows = space.split.train if rows is None else rows
-    damping = _FIRST_DAMPING
-    point = space.point(terms)
-    problem = _Problem(white, point, rows)
+    point, problem = _descended(space, white, space.point(terms), rows, worth)
     if not problem.usable:  # where the linear guess has put it the model runs away
         return Fit(terms, point.residual, float("inf"), float("inf"), np.empty((0, 0)))
+    if problem.square <= worth and any(term.is_searched for term in point.terms):
+        found = _searched(space, white, point.terms, rows)
+        point, problem = _descended(space, white, space.point(found), rows, worth)
+    train, test = sums(space, white, point.residual)
+    return Fit(point.terms, point.residual, train, test, problem.covariance())
+
+
+def _descended(
+    space: Space, white: Whitening, point: Point, rows: NDArray[np.bool_], worth: float
+) -> tuple[Point, _Problem]:
+    """Where Gauss and Newton lead from a point."""
+    damping = _FIRST_DAMPING
+    problem = _Problem(white, point, rows)
+    if not problem.usable:
+        return point, problem
     for taken in range(_MOST_STEPS):
         step, promised = problem.step(damping)
         if promised < _ENOUGH or (taken >= _LEAST_STEPS and problem.square - promised > worth):
@@ -77,19 +93,65 @@ def fit(
             damping = max(30.0 * damping, 1e-6)
             if damping > 1e6:
                 break
-    if problem.square <= worth and any(term.probe is not None for term in point.terms):
-        point = space.point(_searched(space, white, point.terms, rows))
-        problem = _Problem(white, point, rows)
-    train, test = sums(space, white, point.residual)
-    return Fit(point.terms, point.residual, train, test, problem.covariance())
+    return point, problem
 
 
 def _searched(space: Space, white: Whitening, terms: list[Term], rows: NDArray[np.bool_]) -> list[Term]:
-    """With strengths searched for where the sum of squares has many minima (that of a delay has)."""
+    """With what is searched for where the sum of squares has many minima: that of a delay has, and that of a time.
+
+    A time is looked for on all rows: when something happened is only known where it happened.
+    """
     for place, term in enumerate(terms):
         if term.probe is not None:
             terms = _with_best_strength(space, white, terms, place, rows)
+        elif term.is_searched:
+            terms = with_best_time(space, white, terms, place)
     return terms
+
+
+@dataclass(frozen=True)
+class TimeProfile:
+    """Least sum of squares at each time of a term, its strength fitted to each."""
+
+    times_s: Array
+    squares: Array
+    scales: Array  #: of the strength
+
+    def interval_s(self, rise: float) -> tuple[float, float]:
+        """The times up to which the sum of squares is within `rise` of its least; those next to them."""
+        within = np.flatnonzero(self.squares <= np.min(self.squares) + rise)
+        first, last = max(int(within[0]) - 1, 0), min(int(within[-1]) + 1, len(self.times_s) - 1)
+        return float(self.times_s[first]), float(self.times_s[last])
+
+
+def time_profile(space: Space, white: Whitening, terms: list[Term], place: int, times_s: Array) -> TimeProfile:
+    """Of the term at `place`, the others as they are, on all rows that count."""
+    rows, term = space.counted, terms[place]
+    variants = [[*terms[:place], term.neutral(), *terms[place + 1 :]]]
+    variants += [[*terms[:place], term.moved_to(float(time)), *terms[place + 1 :]] for time in times_s]
+    residuals = white.apply(space.residuals(variants))[:, :, rows].reshape(len(variants), -1)
+    without, responses = residuals[0], residuals[0] - residuals[1:]
+    along, square = responses @ without, np.einsum("ij,ij->i", responses, responses)
+    scales = along / np.maximum(square, 1e-300)
+    return TimeProfile(times_s, float(without @ without) - along * scales, scales)
+
+
+def with_best_time(space: Space, white: Whitening, terms: list[Term], place: int) -> list[Term]:
+    """The term at `place` put at the time near its own at which it explains most, with the strength for it."""
+    term, scale = terms[place], 1.0
+    for half_s, step_s in (_TIME_SEARCH, (_TIME_SEARCH[1], 0.5 * space.period_s)):
+        profile = time_profile(space, white, terms, place, around(term.values["time_s"], half_s, step_s))
+        best = int(np.argmin(profile.squares))
+        term, scale = term.moved_to(float(profile.times_s[best])), float(profile.scales[best])
+    strength, *shape = term.coordinates()
+    found = term.at(np.array([strength * scale, *shape])) if term.allowed(strength * scale) else term
+    return [*terms[:place], replace(found, aimed=True), *terms[place + 1 :]]
+
+
+def around(time_s: float, half_s: float, step_s: float) -> Array:
+    """Times from `half_s` before to `half_s` after a time, none below zero."""
+    count = int(np.ceil(half_s / step_s - 1e-9))
+    return np.unique(np.maximum(time_s + step_s * np.arange(-count, count + 1), 0.0))
 
 
 def _with_best_strength(

@@ -28,6 +28,8 @@ _FASTEST_M_S, _LARGEST_STRAIN = 100.0, 0.1
 _STANDSTILL_M_S = 1e-3
 _COMMANDS = ("v1_cmd_m_s", "v2_cmd_m_s")
 _BOUNDARY = ("strain_prev", "F_next_N")
+#: Only a bench has it: who records a web that is there has no load motor.
+_LOAD_MOTOR = "tau_load_cmd_Nm"
 
 
 @dataclass(frozen=True)
@@ -42,6 +44,7 @@ class Measured:
     x_m: dict[int, Array]
     v_m_s: dict[int, Array]
     missing: list[str] = field(default_factory=list)
+    imitated: bool = False  #: a load motor stood for the web
 
     @property
     def duration_s(self) -> float:
@@ -82,6 +85,7 @@ def measured_from(recording: Recording, model: ModelParameters, place: str | Pat
         x_m=channels("x", "_m"),
         v_m_s=channels("v", "_m_s"),
         missing=[name for name in wanted if name not in there],
+        imitated=web and _LOAD_MOTOR in recording and bool(np.any(recording[_LOAD_MOTOR])),
     )
     _check_plausible(measured, model, place)
     return measured

@@ -17,6 +17,7 @@ from hilbench.diagnose.measured import Measured
 from hilbench.diagnose.misfit import Condition
 from hilbench.diagnose.noise import floor
 from hilbench.web import layout as lay
+from hilbench.web.imitation import Imitation, simulate_imitated
 from hilbench.web.inverse import required_torque_Nm
 from hilbench.web.offline import Simulation, simulate, start_state
 from hilbench.web.parameters import ModelParameters
@@ -33,8 +34,8 @@ _MOSTLY: Final = 0.6
 #: much that the rounding of a command would be found as an effect.
 _WINDOW_S: Final = 2.0
 _TOLERANCE_M: Final = 2e-6
-#: The same where a load motor imitates the web: it answers some milliseconds late, as a span 1 % shorter would.
-_IMITATED_TOLERANCE_M: Final = 1e-5
+#: The same on a bench of which it is not known what its drives make of a command.
+_UNROUNDED_TOLERANCE_M: Final = 1e-5
 #: Web transports (L/v) until the guess of a strain under way is forgotten.
 _TRANSPORTS: Final = 6.0
 #: Cycle in which commands of a coarser recording may have changed in truth.
@@ -85,14 +86,17 @@ class Predictor(Protocol):
 class FreeRun:
     """The closed model run on the recorded commands; positions as mean and difference, whose noise is independent.
 
-    Both encoders share the clock: their common error is not the one of their difference.
+    Both encoders share the clock: their common error is not the one of their difference. With an `imitation` the web is
+    the one that a load motor imitates: late, and without the noise of its sensors.
     """
 
-    def __init__(self, model: ModelParameters, data: Measured) -> None:
+    def __init__(self, model: ModelParameters, data: Measured, imitation: Imitation | None = None) -> None:
         self._model = model
+        self._imitation = imitation
+        self._cycle_s = _FINE_S if imitation is None else imitation.cycle_s
         self._boundary = data.boundary
         self._period_s = data.period_s
-        self._commands = [data.commands_m_s]
+        self._commands = [data.commands_m_s if imitation is None else imitation.as_taken(data.commands_m_s)]
         rows: list[Array] = []
         names: list[str] = []
         for axis in sorted(data.tau_Nm):
@@ -115,13 +119,13 @@ class FreeRun:
         rows += [data.v_m_s[axis] for axis in speeds]
         self._torques = sorted(data.tau_Nm)
         self.names, self.measured = tuple(names), np.array(rows)
-        # A web that is there pulls at every roller; an imitated one only where a load motor sits.
-        tolerance_m = _TOLERANCE_M if all(map(model.carries_web_load, (1, 2))) else _IMITATED_TOLERANCE_M
+        unrounded = imitation is not None and imitation.resolution_m_s is None
+        tolerance_m = _UNROUNDED_TOLERANCE_M if unrounded else _TOLERANCE_M
         self.tolerances = np.array([tolerance_m if "x" in name else 0.0 for name in names])
         self.every = 1
         self.exact = True
         self._start = self._start_state(data)
-        if data.period_s > 1.5 * _FINE_S:
+        if data.period_s > 1.5 * self._cycle_s:
             self._choose_hold(data)
 
         self._data = data
@@ -185,11 +189,12 @@ class FreeRun:
 
     def _choose_hold(self, data: Measured) -> None:
         """A recording coarser than the cycle: were commands held, or did they go on between its rows?"""
-        whole = round(data.period_s / _FINE_S)
-        if abs(whole * _FINE_S - data.period_s) > 1e-9 or whole < 2:
+        whole = round(data.period_s / self._cycle_s)
+        if abs(whole * self._cycle_s - data.period_s) > 1e-9 or whole < 2:
             return
-        fine = between(data.commands_m_s, whole)
-        options = [self._commands, [np.ascontiguousarray(fine[:, k, :]) for k in range(whole)]]
+        fine = between(self._commands[0], whole)
+        held = self._commands if self._imitation is None else self._commands * whole
+        options = [held, [np.ascontiguousarray(fine[:, k, :]) for k in range(whole)]]
         errors = []
         for option in options:
             self._commands = option
@@ -227,7 +232,10 @@ class FreeRun:
         if whole > 1:
             commands = np.stack(self._commands, axis=1).reshape(-1, commands.shape[1])
             boundary = np.repeat(boundary, whole, axis=0)
-        run = simulate(parameters, state, commands, boundary, self._period_s / whole)
+        if self._imitation is None:
+            run = simulate(parameters, state, commands, boundary, self._period_s / whole)
+        else:
+            run = simulate_imitated(self._imitation, self._model, parameters, state, commands, boundary)
         if whole == 1:
             return run
         rows = {name: getattr(run, name)[..., ::whole, :] for name in ("x_m", "v_m_s", "tau_Nm", "F_N", "strain")}
@@ -312,6 +320,13 @@ def between(rows: Array, whole: int) -> Array:
     return np.where(meet[:, None, :], broken, here + share * step[:, None, :])
 
 
-def predictor_for(model: ModelParameters, data: Measured) -> Predictor:
-    """A free run where there are commands and control loops; else on the measured motion."""
-    return FreeRun(model, data) if model.web is not None else OnMeasuredMotion(model, data)
+def predictor_for(model: ModelParameters, data: Measured, imitation: Imitation | None = None) -> Predictor:
+    """A free run where there are commands and control loops; else on the measured motion.
+
+    Where the recording has a load motor the web was imitated: as `imitation` says, or as benches do it by default.
+    """
+    if model.web is None:
+        return OnMeasuredMotion(model, data)
+    if not data.imitated:
+        return FreeRun(model, data)
+    return FreeRun(model, data, imitation or Imitation(data.period_s))

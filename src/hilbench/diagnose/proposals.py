@@ -26,10 +26,8 @@ _PEAKS: Final = 2
 _LEAST_CYCLES: Final = 4.0
 _HIGHEST_ORDER: Final = 64.0
 _HIGHEST_ORDER_OF_A_SCREW: Final = 1e4
-#: Steps that are simulated to know what one looks like; how far two proposed times are apart, s, and among how many
-#: times that can be told apart they were chosen.
-_COARSE: Final = 10
-_APART_S: Final = 1.0
+#: Times of a step that are simulated at first, and among how many that can be told apart it was chosen.
+_COARSE: Final = 24
 _TIMES: Final = 100.0
 #: A step's time is looked for this far from the ends, as a share of the recording.
 _EDGE: Final = 0.03
@@ -155,41 +153,18 @@ class Proposer:
         apart = 1.0 / float(np.ptp(angle_turns))
         return found + [order for order in others[:1] if all(abs(order - known) > apart for known in found)], count
 
-    def coarse_steps(self, present: list[Term]) -> list[Term]:
-        """Steps of E at a few times: what a step looks like in each part of the recording."""
+    def step_times_s(self) -> tuple[Array, float]:
+        """Times at which it is first looked what a step of E would explain, and how far they are apart, s."""
+        times = (_EDGE + (1.0 - 2.0 * _EDGE) * (np.arange(_COARSE) + 0.5) / _COARSE) * self._data.duration_s
+        return times, float(times[1] - times[0])
+
+    def steps(self, times_s: Array, present: list[Term]) -> list[Term]:
+        """Steps of E at these times, if the model can have another one."""
         effect = find_effect("elasticity_step")
         slot = self._slot(effect, None, present) if self._model.web is not None else None
         if slot is None:
             return []
-        shares = (np.arange(_COARSE) + 0.5) / _COARSE
-        return [self._term(effect, None, {"time_s": float(s * self._data.duration_s)}, slot) for s in shares]
-
-    def steps(self, whitened: Array, coarse: list[Term], responses: Array) -> list[Term]:
-        """The times at which the residuals (signals, n) look most like a step; `responses` (steps, signals, n).
-
-        The response to a step is moved along the residuals within its part: their correlation is its gain at each time.
-        """
-        if not coarse:
-            return []
-        period_s, n = self._data.period_s, whitened.shape[1]
-        reach = int(0.5 * self._data.duration_s / len(coarse) / period_s) + 1
-        gains, times = [], []
-        size = 1 << (2 * n - 1).bit_length()
-        spectrum = np.fft.rfft(whitened, size)
-        for term, response in zip(coarse, responses, strict=True):
-            correlation = np.fft.irfft(spectrum * np.conj(np.fft.rfft(response, size)), size).sum(0)
-            moved = np.concatenate([correlation[-reach:], correlation[: reach + 1]])
-            gains.append(moved**2 / max(float(np.sum(response**2)), 1e-300))
-            times.append(term.values["time_s"] + period_s * np.arange(-reach, reach + 1))
-        gain, time = np.concatenate(gains), np.concatenate(times)
-        edge_s = _EDGE * self._data.duration_s
-        gain[(time < edge_s) | (time > self._data.duration_s - edge_s)] = 0.0
-        found = []
-        for _ in range(_PEAKS):
-            best = float(time[int(np.argmax(gain))])
-            found.append(replace(coarse[0], values={**coarse[0].values, "time_s": best}, multiplicity=_TIMES))
-            gain[np.abs(time - best) < _APART_S] = 0.0
-        return found
+        return [self._term(effect, None, {"time_s": float(t)}, slot, _TIMES) for t in times_s]
 
     def _slot(self, effect: Effect, axis: int | None, present: list[Term]) -> int | None:
         slot = len(self._entries(effect, axis)) + sum(term.place == (effect.id, axis) for term in present)

@@ -61,6 +61,11 @@ _TIED: Final = 6.0
 _RANK: Final = {effect.id: place for place, effect in enumerate(EFFECTS)}
 #: Fall of the training rows' sum of squares that a fit must promise short of, to be finished and judged on all rows.
 _MARGIN: Final = 60.0
+#: How often, and at which shares of their distance, the best times of a step are looked at more closely; how many are
+#: proposed, and how many of the distances they are apart.
+_TIME_LEVELS: Final = 3
+_CLOSER: Final = np.linspace(-0.75, 0.75, 7)
+_STEP_PEAKS, _APART = 2, 2.5
 #: Information on a strength below which these data say nothing of it.
 _LEAST_INFORMATION: Final = 1e-6
 
@@ -146,13 +151,36 @@ class Search:
         whitened = self._counted(white.apply(current.residual))
         named = dict(zip(space.predictor.names, whitened, strict=True))
         searched = self._proposer.searched(named, current.terms, self._every)
-        coarse = self._proposer.coarse_steps(current.terms)
-        shapes = [self._counted(white.apply(r))[0] for r in space.strengths(current.terms, current.residual, coarse)]
-        searched += self._proposer.steps(whitened, coarse, np.array(shapes))
+        searched += self._steps(current, white)
         more = space.strengths(current.terms, current.residual, searched)
         responses = responses + self._tune(current, white, searched, more)
         white = noise_model(space, current.residual, np.concatenate([own, *responses]))
         return Scene(white, current.residual, own, plain + searched, responses)
+
+    def _steps(self, current: Fit, white: Whitening) -> list[Term]:
+        """Steps of E at the times at which they would explain most, looked for ever closer."""
+        times, apart_s = self._proposer.step_times_s()
+        residual, found = self._counted(white.apply(current.residual)), list[Term]()
+        for _ in range(_TIME_LEVELS):
+            terms = self._proposer.steps(times, current.terms)
+            gains = [
+                self._gain(white, residual, r) for r in self._space.strengths(current.terms, current.residual, terms)
+            ]
+            found = []
+            while terms and len(found) < _STEP_PEAKS:
+                best = terms[int(np.argmax(gains))]
+                found.append(best)
+                near = [abs(t.values["time_s"] - best.values["time_s"]) <= _APART * apart_s for t in terms]
+                gains = [gain for gain, there in zip(gains, near, strict=True) if not there]
+                terms = [term for term, there in zip(terms, near, strict=True) if not there]
+            times = np.concatenate([t.values["time_s"] + apart_s * _CLOSER for t in found]) if found else times
+            apart_s *= float(_CLOSER[1] - _CLOSER[0])
+        return found
+
+    def _gain(self, white: Whitening, residual: Array, response: Array) -> float:
+        """What a response (1, signals, n) would explain of a whitened residual."""
+        felt = self._counted(white.apply(response))[0]
+        return float(np.sum(felt * residual)) ** 2 / max(float(np.sum(felt**2)), 1e-300)
 
     def _tune(self, current: Fit, white: Whitening, searched: list[Term], responses: list[Array]) -> list[Array]:
         """Put orders and frequencies where responses fit best; simulate those anew that moved."""

@@ -19,7 +19,7 @@ from hilbench.web.parameters import EffectEntry, ModelParameters
 
 Array = NDArray[np.float64]
 
-_PHASE = "phase_rad"
+_PHASE, TIME = "phase_rad", "time_s"
 
 
 @dataclass(frozen=True)
@@ -38,6 +38,7 @@ class Term:
     shape_steps: Mapping[str, float]  #: steps of the parameters that only shape it
     multiplicity: float = 1.0
     probe: float | None = None  #: strength at which its response is looked at; default: a fifth of its scale
+    aimed: bool = False  #: its time has been searched for
 
     @property
     def key(self) -> tuple[str, int | None, int]:
@@ -48,6 +49,20 @@ class Term:
     def place(self) -> tuple[str, int | None]:
         """Effect and axis: what is named."""
         return self.effect.id, self.axis
+
+    @property
+    def is_searched(self) -> bool:
+        """Whether something of it is to be searched for, because the sum of squares has many minima in it."""
+        return self.probe is not None or (self.has_time and not self.aimed)
+
+    @property
+    def has_time(self) -> bool:
+        """Whether it begins at a time of its own."""
+        return TIME in self.values
+
+    def moved_to(self, time_s: float) -> Term:
+        """The same at another time."""
+        return replace(self, values={**self.values, TIME: time_s})
 
     @property
     def has_phase(self) -> bool:

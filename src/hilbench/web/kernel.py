@@ -572,8 +572,8 @@ def _advance_any(p: Vector, s: Vector, u: Vector, w: Vector, samples: int) -> No
 
 
 @merged
-def _advance(p: Vector, s: Vector, u: Vector, w: Vector, samples: int) -> None:
-    """Between `_enter` and `_leave`. The one-span line with its counts as constants, every other line without."""
+def go_on(p: Vector, s: Vector, u: Vector, w: Vector, samples: int) -> None:
+    """Between `enter` and `leave`. The one-span line with its counts as constants, every other line without."""
     if _is_one_span(p):
         _advance_one_span(p, s, u, w, samples)
     else:
@@ -581,7 +581,7 @@ def _advance(p: Vector, s: Vector, u: Vector, w: Vector, samples: int) -> None:
 
 
 @compiled
-def _enter(p: Vector, s: Vector, u: Vector, w: Vector) -> None:
+def enter(p: Vector, s: Vector, u: Vector, w: Vector) -> None:
     """Bring into the scratch space what is integrated, and what stays the same during a call."""
     n, m, k = _counts(p)
     for j in range(_block(n, k, 1)):
@@ -599,7 +599,7 @@ def _enter(p: Vector, s: Vector, u: Vector, w: Vector) -> None:
 
 
 @compiled
-def _leave(s: Vector, w: Vector, size: int) -> None:
+def leave(s: Vector, w: Vector, size: int) -> None:
     """Bring what is integrated back into the state."""
     for j in range(size):
         s[lay.S_Y + j] = w[j]
@@ -637,8 +637,8 @@ def _report_any(p: Vector, s: Vector, u: Vector, w: Vector, out: Vector, at: int
 
 
 @merged
-def _report(p: Vector, s: Vector, u: Vector, w: Vector, out: Vector, at: int) -> None:
-    """What is measured and true now, from place `at` of `out` on; between `_enter` and `_leave`."""
+def report(p: Vector, s: Vector, u: Vector, w: Vector, out: Vector, at: int) -> None:
+    """What is measured and true now, from place `at` of `out` on; between `enter` and `leave`."""
     if _is_one_span(p):
         _report_one_span(p, s, u, w, out, at)
     else:
@@ -649,15 +649,15 @@ def _report(p: Vector, s: Vector, u: Vector, w: Vector, out: Vector, at: int) ->
 def _rows(
     p: Vector, s: Vector, u: Vector, w: Vector, commands: Vector, boundary: Vector, samples: int, out: Vector, at: int
 ) -> None:
-    """Observe and advance, row by row, from place `at` of `out` on; between `_enter` and `_leave`."""
+    """Observe and advance, row by row, from place `at` of `out` on; between `enter` and `leave`."""
     _, m, k = _counts(p)
     for row in range(commands.shape[0]):
         u[lay.U_STRAIN_PREV] = boundary[row, 0]
         u[lay.U_F_NEXT_N] = boundary[row, 1]
         for j in range(commands.shape[1]):
             u[lay.U_MOTORS + j * lay.UM_SIZE + lay.UM_SETPOINT] = commands[row, j]
-        _report(p, s, u, w, out, at + row * (3 * m + 2 * k))
-        _advance(p, s, u, w, samples)
+        report(p, s, u, w, out, at + row * (3 * m + 2 * k))
+        go_on(p, s, u, w, samples)
 
 
 Advance = Callable[[Vector, Vector, Vector, Vector, int], None]
@@ -678,15 +678,15 @@ def _entry_points(sources: int) -> tuple[Advance, Observe, Simulate]:
     @entry_point
     def advance(p: Vector, s: Vector, u: Vector, work: Vector, samples: int) -> None:
         if sources >= 0:
-            _enter(p, s, u, work)
-            _advance(p, s, u, work, samples)
-            _leave(s, work, _block(int(p[lay.W_AXES]), int(p[lay.W_SPANS]), 1))
+            enter(p, s, u, work)
+            go_on(p, s, u, work, samples)
+            leave(s, work, _block(int(p[lay.W_AXES]), int(p[lay.W_SPANS]), 1))
 
     @entry_point
     def observe(p: Vector, s: Vector, u: Vector, work: Vector, out: Vector) -> None:
         if sources >= 0:
-            _enter(p, s, u, work)
-            _report(p, s, u, work, out, 0)
+            enter(p, s, u, work)
+            report(p, s, u, work, out, 0)
 
     @entry_point
     def simulate(
@@ -695,9 +695,9 @@ def _entry_points(sources: int) -> tuple[Advance, Observe, Simulate]:
         flat, rows, columns = out.reshape(-1), out.shape[1], out.shape[2]
         for b in range(p.shape[0] if sources >= 0 else 0):
             parameters, state = p[b], s[b]
-            _enter(parameters, state, u, work)
+            enter(parameters, state, u, work)
             _rows(parameters, state, u, work, commands, boundary, samples, flat, b * rows * columns)
-            _leave(state, work, _block(int(parameters[lay.W_AXES]), int(parameters[lay.W_SPANS]), 1))
+            leave(state, work, _block(int(parameters[lay.W_AXES]), int(parameters[lay.W_SPANS]), 1))
 
     return advance, observe, simulate
 

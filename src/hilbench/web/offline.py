@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache
@@ -46,6 +47,17 @@ def start_state(parameters: Vector, model: ModelParameters, strain: ArrayLike | 
     return lay.new_state(parameters, np.asarray(model.upstream_strain if strain is None else strain), lengths)
 
 
+def on_all_cores(run: Callable[[slice], None], count: int) -> None:
+    """Call `run` with shares of `count` things, one share for each core; it must let other threads run meanwhile."""
+    workers = min(len(os.sched_getaffinity(0)), count)
+    shares = [slice(*edges) for edges in pairwise(np.linspace(0, count, workers + 1, dtype=int))]
+    if len(shares) == 1:
+        run(shares[0])
+    else:
+        with ThreadPoolExecutor(len(shares)) as pool:
+            list(pool.map(run, shares))
+
+
 def simulate(
     parameters: Vector,
     state: Vector,
@@ -79,17 +91,11 @@ def simulate(
     samples = samples_per(dt_s, many[0, lay.W_SAMPLE_TIME_S])
     out = np.empty((len(many), len(rows), layout.output_size))
     limits = np.ascontiguousarray(boundary, dtype=np.float64)
-    workers = min(len(os.sched_getaffinity(0)), len(many))
-    shares = [slice(*edges) for edges in pairwise(np.linspace(0, len(many), workers + 1, dtype=int))]
 
     def run(share: slice) -> None:
         kernel.simulate(many[share], states[share], inputs.copy(), layout.new_work(), rows, limits, samples, out[share])
 
-    if len(shares) == 1:
-        run(shares[0])
-    else:
-        with ThreadPoolExecutor(len(shares)) as pool:
-            list(pool.map(run, shares))
+    on_all_cores(run, len(many))
     if np.ndim(parameters) == 1:
         out, states = out[0], states[0]
     columns = layout.columns

@@ -37,10 +37,21 @@ def _span_rates(
 
 
 @compiled
-def _follow(
-    p: Vector, s: Vector, w: Vector, v: Vector, strain_prev: float, f_next: float, duration: float, out: Vector
+def roll_on(
+    p: Vector,
+    s: Vector,
+    w: Vector,
+    v: Vector,
+    strain_prev: float,
+    f_next: float,
+    duration: float,
+    spread_s: float,
+    out: Vector,
 ) -> None:
-    """Advance s = [t, positions, unstretched lengths, lengths] with the rollers at constant speeds v."""
+    """Advance s = [t, positions, unstretched lengths, lengths] with the rollers at constant speeds v.
+
+    Tensions into `out`, with steps of E spread over the next `spread_s` (`laws.step_factor`).
+    """
     n, k = int(p[lay.W_AXES]), int(p[lay.W_SPANS])
     count = max(int(np.ceil(duration / _LONGEST_STEP_S - 1e-9)), 1)
     h, size = duration / count, 2 * k
@@ -72,7 +83,7 @@ def _follow(
         w[i] = s[1 + i]
     for j in range(size):
         s[1 + n + j] = w[now + j]
-    steps = laws.step_factor(p, s[0], _LONGEST_STEP_S)
+    steps = laws.step_factor(p, s[0], spread_s)
     _span_rates(p, w, n, k, now, slopes, s[0], steps, strain_prev, f_next)
     for j in range(k):
         out[j] = w[3 * n + k + j]
@@ -92,7 +103,7 @@ def _entry_points(sources: int) -> tuple[FollowCycle, FollowRows, Resistance, Mo
         p: Vector, s: Vector, w: Vector, v: Vector, strain_prev: float, f_next: float, duration: float, out: Vector
     ) -> None:
         if sources >= 0:
-            _follow(p, s, w, v, strain_prev, f_next, duration, out)
+            roll_on(p, s, w, v, strain_prev, f_next, duration, _LONGEST_STEP_S, out)
 
     @entry_point
     def follow_rows(
@@ -102,7 +113,8 @@ def _entry_points(sources: int) -> tuple[FollowCycle, FollowRows, Resistance, Mo
             for i in range(x.shape[1]):
                 v[i] = (x[row, i] - s[1 + i]) / dt if row > 0 else 0.0
             before = max(row - 1, 0)
-            _follow(p, s, w, v, boundary[before, 0], boundary[before, 1], dt if row > 0 else 0.0, out[row])
+            duration = dt if row > 0 else 0.0
+            roll_on(p, s, w, v, boundary[before, 0], boundary[before, 1], duration, _LONGEST_STEP_S, out[row])
 
     @entry_point
     def resistance(p: Vector, axis: int, v_m_s: float, width_m_s: float) -> float:
@@ -124,6 +136,11 @@ def _entry_points(sources: int) -> tuple[FollowCycle, FollowRows, Resistance, Mo
 _follow_cycle, _follow_rows, _resistance, _modulus = _entry_points(source_number(__file__))
 
 
+def new_follower_work(layout: Layout) -> Vector:
+    """Scratch space of `roll_on`."""
+    return np.zeros(3 * layout.axes + 14 * layout.spans)
+
+
 class SpanFollower:
     """The web of a model on measured roller positions; the rollers turn at constant speed within a cycle.
 
@@ -136,7 +153,7 @@ class SpanFollower:
         self._p = lay.pack(parameters)
         self._layout = Layout.of(self._p)
         n, k = self._layout.axes, self._layout.spans
-        self._work = np.zeros(3 * n + 14 * k)
+        self._work = new_follower_work(self._layout)
         self._state = np.zeros(1 + n + 2 * k)
         self._v = np.zeros(n)
         self._boundary = (parameters.upstream_strain, parameters.boundary.downstream_tension_N)

@@ -117,7 +117,8 @@ class StandParameters(BaseModel):
         )
 
 
-def _pack(stand: StandParameters, substeps: int) -> Vector:
+def pack_stand(stand: StandParameters, substeps: int = 1) -> Vector:
+    """The kernel's parameter vector of a stand: two axes, three motors, no span."""
     layout = Layout(_AXES, _AXES + 1, 0)
     p = np.zeros(layout.parameter_size)
     p[[lay.W_AXES, lay.W_MOTORS, lay.W_SPANS]] = layout.axes, layout.motors, layout.spans
@@ -162,7 +163,7 @@ class TestStand:
         if len(ports) != _AXES + 1:
             raise ValueError(f"{len(ports)} ports, expected those of axis 1, axis 2 and the load motor")
         self._ports = tuple(ports)
-        self._p = _pack(parameters, substeps)
+        self._p = pack_stand(parameters, substeps)
         self._layout = Layout.of(self._p)
         self._state = np.zeros(self._layout.state_size)
         self._inputs, self._work = self._layout.new_inputs(), self._layout.new_work()
