@@ -171,6 +171,7 @@ def test_proposals_cover_the_vocabulary() -> None:
     ids = {t.effect.id for t in made.plain()} | {t.effect.id for t in made.steps(made.step_times_s()[0], [])}
     noise = {name: np.random.default_rng(0).standard_normal(5000) for name in ("tau1_Nm", "tau2_Nm")}
     ids |= {t.effect.id for t in made.searched(noise, [], 1)}
+    ids |= {t.effect.id for t in [made.ramp(3.0, 2.0, [])] if t is not None}
     assert ids == {e.id for e in EFFECTS}
 
 

@@ -36,7 +36,7 @@ def entries(neutral: bool) -> list[dict[str, Any]]:
     result = []
     for item in EFFECTS:
         values = {q.name: q.neutral if neutral and q.name in item.strength else q.scale for q in item.parameters}
-        if item.id == "elasticity_step":
+        if item.id in ("elasticity_step", "elasticity_ramp"):
             values["time_s"] = 0.1
         result.append(effect(item.id, 2 if item.per_axis else None, **values))
     return result

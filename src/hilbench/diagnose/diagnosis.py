@@ -238,7 +238,7 @@ def _moments(
     """95 % intervals, by place among the terms and parameter, of times: from a profile, which may have many minima."""
     found = {}
     for place, term in enumerate(terms):
-        if not term.has_time:
+        if not term.is_sudden:
             continue
         here, half_s = term.values[TIME], _PROFILE_S
         rise = (_NORMAL_95 * inflation) ** 2

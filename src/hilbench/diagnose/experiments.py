@@ -21,6 +21,7 @@ SHOWN_BY: Final[dict[str, str]] = {
     "backlash": "let the torque change its sign: brake, reverse",
     "elasticity_shift": "step the tension",
     "elasticity_step": "record longer before and after the change",
+    "elasticity_ramp": "record longer before and after the change",
     "elasticity_drift": "record longer at constant conditions",
     "web_damping": "step the speed difference quickly",
     "web_slip": "hold several tensions at several line speeds",

@@ -31,7 +31,7 @@ _COARSE: Final = 24
 _TIMES: Final = 100.0
 #: A step's time is looked for this far from the ends, as a share of the recording.
 _EDGE: Final = 0.03
-_SEARCHED: Final = ("torque_ripple", "elasticity_step", "upstream_disturbance")
+_SEARCHED: Final = ("torque_ripple", "elasticity_step", "elasticity_ramp", "upstream_disturbance")
 _TURN = 2.0 * np.pi
 #: How far from a spectrum's peak the order or frequency is looked for, in steps, and the step in the spectrum's bins.
 _NEAR: Final = 40
@@ -63,6 +63,7 @@ class Proposer:
         steps = {
             "speed_m_s": 0.02 * values.get("speed_m_s", 1.0),
             "time_s": 2.0 * self._data.period_s,
+            "duration_s": 0.02 * values.get("duration_s", 1.0),
             "frequency_Hz": 0.02 / duration_s,
             "order": 0.1 / max(self._turns(axis) * _TURN, 1.0),
         }
@@ -165,6 +166,14 @@ class Proposer:
         if slot is None:
             return []
         return [self._term(effect, None, {"time_s": float(t)}, slot, _TIMES) for t in times_s]
+
+    def ramp(self, time_s: float, duration_s: float, present: list[Term]) -> Term | None:
+        """A ramp of E, if the model can have another one."""
+        effect = find_effect("elasticity_ramp")
+        slot = self._slot(effect, None, present) if self._model.web is not None else None
+        if slot is None:
+            return None
+        return self._term(effect, None, {"time_s": time_s, "duration_s": duration_s}, slot, _TIMES * _COARSE / 2.0)
 
     def _slot(self, effect: Effect, axis: int | None, present: list[Term]) -> int | None:
         slot = len(self._entries(effect, axis)) + sum(term.place == (effect.id, axis) for term in present)

@@ -24,7 +24,7 @@ from hilbench.diagnose.misfit import LARGEST_RATIO
 from hilbench.diagnose.noise import Whitening
 from hilbench.diagnose.proposals import Proposer
 from hilbench.diagnose.space import Linear, Space, finest, noise_model
-from hilbench.diagnose.terms import Term
+from hilbench.diagnose.terms import TIME, Term
 from hilbench.web.effects import EFFECTS
 
 Array = NDArray[np.float64]
@@ -99,6 +99,15 @@ class Selection:
     exhausted: bool = False  #: more terms would explain more than may be named
 
 
+def _apart(terms: list[Term], gains: Array, least_s: float) -> list[Term]:
+    """Those of most gain, at least `least_s` apart."""
+    found: list[Term] = []
+    for k in np.argsort(-gains):
+        if all(abs(terms[k].values[TIME] - other.values[TIME]) > least_s for other in found):
+            found.append(terms[k])
+    return found[:_STEP_PEAKS]
+
+
 class Search:
     """The search over one space."""
 
@@ -151,36 +160,44 @@ class Search:
         whitened = self._counted(white.apply(current.residual))
         named = dict(zip(space.predictor.names, whitened, strict=True))
         searched = self._proposer.searched(named, current.terms, self._every)
-        searched += self._steps(current, white)
+        searched += self._changes(current, white)
         more = space.strengths(current.terms, current.residual, searched)
         responses = responses + self._tune(current, white, searched, more)
         white = noise_model(space, current.residual, np.concatenate([own, *responses]))
         return Scene(white, current.residual, own, plain + searched, responses)
 
-    def _steps(self, current: Fit, white: Whitening) -> list[Term]:
-        """Steps of E at the times at which they would explain most, looked for ever closer."""
+    def _changes(self, current: Fit, white: Whitening) -> list[Term]:
+        """Steps of E at the times at which they would explain most, looked for ever closer, and a ramp of E."""
         times, apart_s = self._proposer.step_times_s()
-        residual, found = self._counted(white.apply(current.residual)), list[Term]()
-        for _ in range(_TIME_LEVELS):
+        found, ramp = list[Term](), None
+        for level in range(_TIME_LEVELS):
             terms = self._proposer.steps(times, current.terms)
-            gains = [
-                self._gain(white, residual, r) for r in self._space.strengths(current.terms, current.residual, terms)
-            ]
-            found = []
-            while terms and len(found) < _STEP_PEAKS:
-                best = terms[int(np.argmax(gains))]
-                found.append(best)
-                near = [abs(t.values["time_s"] - best.values["time_s"]) <= _APART * apart_s for t in terms]
-                gains = [gain for gain, there in zip(gains, near, strict=True) if not there]
-                terms = [term for term, there in zip(terms, near, strict=True) if not there]
-            times = np.concatenate([t.values["time_s"] + apart_s * _CLOSER for t in found]) if found else times
+            responses = self._felt(white, self._space.strengths(current.terms, current.residual, terms))
+            along = responses @ self._felt(white, [current.residual[None]])[0]
+            if level == 0 and terms:
+                ramp = self._ramp(current, times, responses, along)
+            found = _apart(terms, along**2 / np.maximum(np.sum(responses**2, axis=1), 1e-300), _APART * apart_s)
+            times = np.concatenate([t.values[TIME] + apart_s * _CLOSER for t in found]) if found else times
             apart_s *= float(_CLOSER[1] - _CLOSER[0])
-        return found
+        return found if ramp is None else [*found, ramp]
 
-    def _gain(self, white: Whitening, residual: Array, response: Array) -> float:
-        """What a response (1, signals, n) would explain of a whitened residual."""
-        felt = self._counted(white.apply(response))[0]
-        return float(np.sum(felt * residual)) ** 2 / max(float(np.sum(felt**2)), 1e-300)
+    def _ramp(self, current: Fit, times_s: Array, responses: Array, along: Array) -> Term | None:
+        """The ramp between two of the times that would explain most: its response is the mean of those of steps."""
+        gram = responses @ responses.T
+        best, chosen = 0.0, (0, 1)
+        for first, last in combinations(range(len(times_s)), 2):
+            weights = np.zeros(len(times_s))
+            weights[first : last + 1] = 1.0
+            weights[[first, last]] = 0.5
+            gain = float(weights @ along) ** 2 / max(float(weights @ gram @ weights), 1e-300)
+            if gain > best:
+                best, chosen = gain, (first, last)
+        begin_s, end_s = times_s[list(chosen)]
+        return self._proposer.ramp(float(begin_s), float(end_s - begin_s), current.terms)
+
+    def _felt(self, white: Whitening, responses: list[Array]) -> Array:
+        """Whitened responses (1, signals, n) where rows count, one after the other: (responses, signals·n)."""
+        return np.array([self._counted(white.apply(response)).ravel() for response in responses])
 
     def _tune(self, current: Fit, white: Whitening, searched: list[Term], responses: list[Array]) -> list[Array]:
         """Put orders and frequencies where responses fit best; simulate those anew that moved."""

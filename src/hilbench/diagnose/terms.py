@@ -19,7 +19,7 @@ from hilbench.web.parameters import EffectEntry, ModelParameters
 
 Array = NDArray[np.float64]
 
-_PHASE, TIME = "phase_rad", "time_s"
+_PHASE, TIME, _DURATION = "phase_rad", "time_s", "duration_s"
 
 
 @dataclass(frozen=True)
@@ -53,12 +53,12 @@ class Term:
     @property
     def is_searched(self) -> bool:
         """Whether something of it is to be searched for, because the sum of squares has many minima in it."""
-        return self.probe is not None or (self.has_time and not self.aimed)
+        return self.probe is not None or (self.is_sudden and not self.aimed)
 
     @property
-    def has_time(self) -> bool:
-        """Whether it begins at a time of its own."""
-        return TIME in self.values
+    def is_sudden(self) -> bool:
+        """Whether it sets in at once, at a time of its own."""
+        return TIME in self.values and _DURATION not in self.values
 
     def moved_to(self, time_s: float) -> Term:
         """The same at another time."""

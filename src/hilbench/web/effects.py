@@ -1,8 +1,8 @@
 """The vocabulary of what a model may lack: one table that configs, injection, kernel and diagnosis read.
 
 An effect is a named group of parameters of the one web model, neutral until they are given (design section 6).
-To add one: a row here, and its law in `hilbench.web.laws`; the places of its parameters in the kernel's arrays
-(`hilbench.web.layout`) follow from this table.
+To add one: a row here, at the end (its place is the number of its CANopen object), and its law in
+`hilbench.web.laws`; the places of its parameters in the kernel's arrays (`hilbench.web.layout`) follow from this table.
 """
 
 from __future__ import annotations
@@ -264,6 +264,19 @@ EFFECTS: tuple[Effect, ...] = (
         slots=4,
     ),
     Effect("span_length_error", False, "L·(1+s)", Domain.GEOMETRY, (_relative(),), ("relative_change",)),
+    Effect(
+        "elasticity_ramp",
+        False,
+        "E·(1 + s·(t - time_s)/duration_s) from time_s on, E·(1+s) after duration_s",
+        Domain.ELASTICITY,
+        (
+            Parameter("time_s", "s", 0.0, 0.0, inf, 1.0),
+            Parameter("duration_s", "s", 1.0, 1e-3, 1e9, 1.0),
+            _relative(),
+        ),
+        ("relative_change",),
+        slots=2,
+    ),
 )
 
 #: Axes of the stand: the load motor is on the second.

@@ -30,6 +30,8 @@ _DELAY_S = place("torque_delay", "delay_s")
 _SHIFT = place("elasticity_shift", "relative_change")
 _STEP = place("elasticity_step", "time_s")
 _STEPS = find_effect("elasticity_step").slots
+_RAMP = place("elasticity_ramp", "time_s")
+_RAMPS = find_effect("elasticity_ramp").slots
 _DRIFT = place("elasticity_drift", "rate_per_s")
 _DAMPING_S = place("web_damping", "time_constant_s")
 _CREEP = place("web_slip", "creep_per_N")
@@ -158,8 +160,8 @@ def true_torque_Nm(p: Vector, motor: int, measured_Nm: float) -> float:
 
 @inlined
 def step_factor(p: Vector, t_s: float, duration_s: float) -> float:
-    """Factor of the steps of E, averaged over [t, t + duration]: exact on the grid, continuous in the step's time."""
-    if not _is_any(p, _STEP + 1, 2, _STEPS):
+    """Factor of the steps and ramps of E, averaged over [t, t + duration]: continuous in the time of a step."""
+    if not (_is_any(p, _STEP + 1, 2, _STEPS) or _is_any(p, _RAMP + 2, 3, _RAMPS)):
         return 1.0
     return _step_factor(p, t_s, duration_s)
 
@@ -173,18 +175,23 @@ def _step_factor(p: Vector, t_s: float, duration_s: float) -> float:
         if p[at + 1] != 0.0:
             share = min(max((t_s + duration_s - p[at]) / duration_s, 0.0), 1.0)
             factor *= 1.0 + p[at + 1] * share
+    for slot in range(_RAMPS):
+        at = _RAMP + 3 * slot
+        if p[at + 2] != 0.0:
+            share = min(max((t_s + 0.5 * duration_s - p[at]) / p[at + 1], 0.0), 1.0)
+            factor *= 1.0 + p[at + 2] * share
     return factor
 
 
 @inlined
 def stiffness_N(p: Vector, t_s: float, factor_of_steps: float) -> float:
-    """E·S with shift, steps and drift."""
+    """E·S with shift, steps, ramps and drift."""
     return p[lay.W_MODULUS_PA] * elasticity_factor(p, t_s, factor_of_steps) * p[lay.W_SECTION_M2]
 
 
 @inlined
 def elasticity_factor(p: Vector, t_s: float, factor_of_steps: float) -> float:
-    """What shift, steps and drift make of E."""
+    """What shift, steps, ramps and drift make of E."""
     return (1.0 + p[_SHIFT]) * factor_of_steps * (1.0 + p[_DRIFT] * t_s)
 
 
