@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from hilbench.diagnose.experiments import shown_by, told_apart_by
 from hilbench.diagnose.fit import around, fit, sums, time_profile
 from hilbench.diagnose.measured import Measured, measured_from
-from hilbench.diagnose.misfit import LARGEST_RATIO, Misfit, misfits, ratios
+from hilbench.diagnose.misfit import LARGEST_RATIO, Misfit, located, misfits, ratios
 from hilbench.diagnose.noise import Whitening, floor, repeats, scaling
 from hilbench.diagnose.predictor import Predictor, predictor_for
 from hilbench.diagnose.proposals import Proposer
@@ -185,13 +185,15 @@ def _conclude(
         effects = _named(final.terms, final.covariance, selection, inflation, moments)
     test = space.split.test
     gaps = [_gap(predictor.names[k], before[k], trained.residual[k], floors[k], test) for k in torques]
-    where_from = [m for m in found if m.significant] or left
+    where = located(names, before[torques] / scale, rows, conditions, _ROWS_OF_WHERE)
+    if not where:
+        where = located(names, final.residual[torques] / scale, rows, conditions, _ROWS_OF_WHERE)
     floor_of = {predictor.names[k]: value for k, value in floors.items()}
     return Diagnosis(
         verdict=verdict,
         effects=effects,
         gaps=gaps,
-        where=_where(where_from),
+        where=_where(where),
         profiles=_profiles(found, after, floor_of, max(gaps, key=_size).signal),
         left=left,
         blind_to=_blind(selection),
@@ -288,13 +290,8 @@ def _rounded(value: float) -> float:
     return float(f"{value:.{_DIGITS}g}")
 
 
-def _where(found: list[Misfit]) -> list[Where]:
-    total: dict[str, float] = {}
-    for m in found:
-        total[m.signal] = max(total.get(m.signal, 0.0), m.excess)
-    gap = sum(total.values()) or 1.0
-    ranked = sorted(found, key=lambda m: -m.excess)[:_ROWS_OF_WHERE]
-    return [Where(m.signal, m.when, f"{m.condition}: {m.detail}", round(min(m.excess / gap, 1.0), 4)) for m in ranked]
+def _where(found: list[tuple[Misfit, float]]) -> list[Where]:
+    return [Where(m.signal, m.when, f"{m.condition}: {m.detail}", round(share, 4)) for m, share in found]
 
 
 def _profiles(before: list[Misfit], after: list[Misfit], floors: dict[str, float], signal: str) -> list[Profile]:

@@ -9,7 +9,7 @@ How often that is right: tools/diagnose_scoreboard.py, docs/diagnosis.md.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
@@ -27,8 +27,13 @@ _PEAK: Final = 24.0
 _WINDOW_S, _BURST = 0.5, 7.0
 #: Excess of the rms over the floor that counts even if no condition explains it.
 LARGEST_RATIO: Final = 1.05
-#: A fundamental and so many multiples are one peak.
+#: Highest frequency in Hz, or order of a turn, of a peak; the lowest order (what takes more than two turns does not
+#: come from the turning); and the lowest of both in cycles over the recording.
 _HIGHEST: Final = 64.0
+_LEAST_ORDER: Final = 0.5
+_LEAST_CYCLES: Final = 4.0
+#: Bins of a state narrower than this share of its range are none.
+_NARROWEST: Final = 1e-6
 
 
 @dataclass(frozen=True)
@@ -54,6 +59,7 @@ class Misfit:
     when: str
     points: tuple[tuple[float, float], ...] = ()  #: of a binned one: centre (in `unit`), mean residual in floors
     unit: str = ""
+    shape: Array | None = field(default=None, repr=False, compare=False)  #: (n,) what it explains of the residual
 
     @property
     def significant(self) -> bool:
@@ -75,13 +81,39 @@ def misfits(
     return sorted(found, key=lambda m: m.threshold - m.excess)
 
 
+def located(
+    names: tuple[str, ...], scaled: Array, rows: NDArray[np.bool_], conditions: list[Condition], most: int
+) -> list[tuple[Misfit, float]]:
+    """Where residuals (signals, n) are, with the share of all that is beyond noise; at most `most`, largest first.
+
+    Conditions go together (time, speed, tension): what the first explains is taken out before the next is looked for,
+    so that the shares are parts of one whole.
+    """
+    left = scaled.copy()
+    counted = float(np.count_nonzero(rows))
+    whole = float(np.sum(np.maximum(np.sum(scaled[:, rows] ** 2, axis=1) - counted, 0.0)))
+    found: list[tuple[Misfit, float]] = []
+    while len(found) < most:
+        best = max(misfits(names, left, rows, conditions), key=lambda m: m.excess if m.significant else 0.0)
+        if not best.significant or best.shape is None:
+            break
+        signal = names.index(best.signal)
+        before = float(np.sum(left[signal, rows] ** 2))
+        left[signal] -= best.shape
+        found.append((best, max(before - float(np.sum(left[signal, rows] ** 2)), 0.0) / max(whole, 1e-300)))
+    total = sum(share for _, share in found)
+    return [(m, share / max(total, 1.0)) for m, share in found]
+
+
 def _binned(name: str, values: Array, rows: NDArray[np.bool_], condition: Condition) -> Misfit:
     at, r = condition.values[rows], values[rows]
     if condition.period is not None:
         at = np.mod(at, condition.period)
         edges = np.linspace(0.0, condition.period, _ANGLE_BINS + 1)
     else:
-        edges = np.unique(np.quantile(at, np.linspace(0.0, 1.0, _BINS + 1)))
+        edges = np.quantile(at, np.linspace(0.0, 1.0, _BINS + 1))
+        wide = np.diff(edges) > _NARROWEST * max(float(np.max(np.abs(at))), 1e-300)
+        edges = np.concatenate([edges[:1], edges[1:][wide]])
         if len(edges) < 2:
             return Misfit(name, condition.name, "", 0.0, 1.0, "always")
     place = np.clip(np.searchsorted(edges, at, side="right") - 1, 0, len(edges) - 2)
@@ -90,11 +122,23 @@ def _binned(name: str, values: Array, rows: NDArray[np.bool_], condition: Condit
     part = count * mean**2
     bins = float(np.count_nonzero(count))
     worst = int(np.argmax(part))
-    detail = f"largest at {edges[worst]:.3g} to {edges[worst + 1]:.3g} {condition.unit}"
+    detail = f"largest at {_interval(float(edges[worst]), float(edges[worst + 1]))} {condition.unit}"
     centres = 0.5 * (edges[:-1] + edges[1:])
     points = tuple((float(c), float(m)) for c, m, n in zip(centres, mean, count, strict=True) if n)
     threshold = _ERRORS * float(np.sqrt(2.0 * bins)) + _LEAST
-    return Misfit(name, condition.name, detail, float(part.sum()) - bins, threshold, "always", points, condition.unit)
+    shape = np.zeros(len(values))
+    shape[rows] = mean[place]
+    excess = float(part.sum()) - bins
+    return Misfit(name, condition.name, detail, excess, threshold, "always", points, condition.unit, shape)
+
+
+def _interval(low: float, high: float) -> str:
+    """Both ends, with as many digits as tell them apart."""
+    for digits in range(3, 10):
+        ends = f"{low:.{digits}g}", f"{high:.{digits}g}"
+        if ends[0] != ends[1]:
+            break
+    return " to ".join(ends)
 
 
 def _peak(name: str, values: Array, rows: NDArray[np.bool_], condition: Condition) -> Misfit:
@@ -106,12 +150,16 @@ def _peak(name: str, values: Array, rows: NDArray[np.bool_], condition: Conditio
     place = np.minimum(((at - start) / max(total, 1e-9) * bins).astype(int), bins - 1)
     power = 2.0 * np.abs(np.fft.rfft(np.bincount(place, weights=r, minlength=bins))) ** 2 / len(r)
     order = np.arange(len(power)) / max(total, 1e-9)
-    power[(order < 4.0 / max(total, 1e-9)) | (order > highest)] = 0.0
+    least = _LEAST_CYCLES / max(total, 1e-9) if condition.period is None else _LEAST_ORDER
+    power[(order < max(least, _LEAST_CYCLES / max(total, 1e-9))) | (order > highest)] = 0.0
     count = max(float(np.count_nonzero(power)), 2.0)
     best = int(np.argmax(power))
     what = f"order {order[best]:.4g} of a turn" if condition.period is not None else f"{order[best]:.4g} Hz"
     label = "frequency" if condition.period is None else f"order of {condition.name}"
-    return Misfit(name, label, what, float(power[best]), 2.0 * float(np.log(count)) + _PEAK, "always")
+    wave = np.exp(2j * np.pi * order[best] * (at - start))
+    shape = np.zeros(len(values))
+    shape[rows] = 2.0 * np.real(wave * np.mean(r * np.conj(wave)))
+    return Misfit(name, label, what, float(power[best]), 2.0 * float(np.log(count)) + _PEAK, "always", shape=shape)
 
 
 def _burst(name: str, values: Array, rows: NDArray[np.bool_], time: Condition) -> Misfit:
@@ -128,7 +176,9 @@ def _burst(name: str, values: Array, rows: NDArray[np.bool_], time: Condition) -
         f" and {len(loud) - 1} more times" if len(loud) > 1 else ""
     )
     excess = float(z[worst] * np.sqrt(2.0 * max(count[worst], 1.0)))
-    return Misfit(name, "burst in time", when, excess, _BURST * float(np.sqrt(2.0 * max(count[worst], 1.0))), when)
+    threshold = _BURST * float(np.sqrt(2.0 * max(count[worst], 1.0)))
+    shape = np.where(rows & np.isin(window, loud), values, 0.0)
+    return Misfit(name, "burst in time", when, excess, threshold, when, shape=shape)
 
 
 def ratios(residual: Array, rows: NDArray[np.bool_], floors: Mapping[int, float]) -> dict[int, float]:

@@ -147,11 +147,9 @@ class FreeRun:
             Condition("strain rate", "1/s", np.gradient(run.strain[:, 0], data.period_s)),
         ]
         for axis, x in sorted(data.x_m.items()):
-            turn_m = 2.0 * np.pi * model.radius_m(axis)
-            found += [
-                Condition(f"angle of roller {axis}", "m", x, period=turn_m, spectral=True),
-                Condition(f"angle of motor {axis}", "m", x, period=turn_m / model.gear_ratio(axis), spectral=True),
-            ]
+            for what, rad_per_m in (("roller", 1.0 / model.radius_m(axis)), ("motor", model.motor_rad_per_m(axis))):
+                name = f"angle of {what} {axis}"
+                found.append(Condition(name, "rad", x * rad_per_m, period=2.0 * np.pi, spectral=True))
         return found
 
     def _usable(self, data: Measured) -> NDArray[np.bool_]:

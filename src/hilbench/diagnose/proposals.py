@@ -22,9 +22,10 @@ _STRIBECK_SHARES: Final = (0.01, 0.04, 0.15)
 _PROBES: Final = {"torque_delay": (0.001, 0.003, 0.01, 0.03)}
 #: Peaks of a spectrum, and times of a step, that are proposed.
 _PEAKS: Final = 2
-#: Lowest order or frequency that is looked for, in cycles over the recording; highest order of a motor turn.
+#: Lowest order or frequency that is looked for, in cycles over the recording; highest and lowest order of a turn.
 _LEAST_CYCLES: Final = 4.0
 _HIGHEST_ORDER: Final = 64.0
+_LEAST_SHARE_OF_A_TURN: Final = 0.5  #: of the roller's
 _HIGHEST_ORDER_OF_A_SCREW: Final = 1e4
 #: Times of a step that are simulated at first, and among how many that can be told apart it was chosen.
 _COARSE: Final = 24
@@ -67,7 +68,15 @@ class Proposer:
             "frequency_Hz": 0.02 / duration_s,
             "order": 0.1 / max(self._turns(axis) * _TURN, 1.0),
         }
-        return Term(effect, axis, slot, {**base, **values}, base, steps, multiplicity)
+        least = {"frequency_Hz": _LEAST_CYCLES / duration_s, "order": self._least_order(axis)}
+        return Term(effect, axis, slot, {**base, **values}, base, steps, multiplicity, least=least)
+
+    def _least_order(self, axis: int | None) -> float:
+        """Of a torque ripple: some of its periods are in the recording, and on a machine it comes from what turns."""
+        least = _LEAST_CYCLES / max(self._turns(axis), 1e-9)
+        if axis is None or self._model.web is None:
+            return least
+        return max(least, _LEAST_SHARE_OF_A_TURN / self._model.gear_ratio(axis))
 
     def _entries(self, effect: Effect, axis: int | None) -> list[EffectEntry]:
         """What the diagnosed model has of an effect at a place."""
@@ -131,10 +140,12 @@ class Proposer:
         even = 0.5 * float(np.sum(sine**2 + cosine**2))
         odd = turn**2 @ (0.5 * np.sum(cosine**2 - sine**2, axis=0) + 1j * np.sum(sine * cosine, axis=0))
         a11, a22, a12 = even + odd.real, even - odd.real, odd.imag
+        possible = term.values[name] + shifts >= term.least[name]
         gain = (a22 * b.real**2 - 2.0 * a12 * b.real * b.imag + a11 * b.imag**2) / np.maximum(
             a11 * a22 - a12**2, 1e-12 * even**2 + 1e-300
         )
-        return replace(term, values={**term.values, name: term.values[name] + float(shifts[int(np.argmax(gain))])})
+        best = int(np.argmax(np.where(possible, gain, -np.inf)))
+        return replace(term, values={**term.values, name: term.values[name] + float(shifts[best])})
 
     def _angle_rad(self, term: Term, every: int) -> tuple[str | None, Array]:
         """What the searched shape of a term multiplies, for each row; None for a term without one."""
@@ -146,11 +157,11 @@ class Proposer:
 
     @staticmethod
     def _peaks(
-        angle_turns: Array, whitened: dict[str, Array], sharp: list[str], highest: float
+        angle_turns: Array, whitened: dict[str, Array], sharp: list[str], lowest: float, highest: float
     ) -> tuple[list[float], float]:
         """The strongest order in the `sharp` signals, then in all."""
-        found, count = peaks(angle_turns, np.array([whitened[name] for name in sharp]), highest)
-        others, _ = peaks(angle_turns, np.array(list(whitened.values())), highest)
+        found, count = peaks(angle_turns, np.array([whitened[name] for name in sharp]), highest, lowest)
+        others, _ = peaks(angle_turns, np.array(list(whitened.values())), highest, lowest)
         apart = 1.0 / float(np.ptp(angle_turns))
         return found + [order for order in others[:1] if all(abs(order - known) > apart for known in found)], count
 
@@ -188,7 +199,7 @@ class Proposer:
         top = _HIGHEST_ORDER
         if self._data.commands_m_s.size == 0:  # a lone axis may be a screw: its turn is not the "motor's" of the model
             top = _HIGHEST_ORDER_OF_A_SCREW
-        orders, count = self._peaks(angle, whitened, [f"tau{axis}_Nm"], top)
+        orders, count = self._peaks(angle, whitened, [f"tau{axis}_Nm"], self._least_order(axis), top)
         return [self._term(effect, axis, {"order": order}, slot, count) for order in orders]
 
     def _disturbances(self, whitened: dict[str, Array], present: list[Term]) -> list[Term]:
@@ -198,12 +209,15 @@ class Proposer:
             return []
         highest = min(0.4 / self._data.period_s, 100.0)
         torques = [name for name in whitened if name.startswith("tau")]
-        frequencies, count = self._peaks(self._data.t_s, whitened, torques, highest)
+        lowest = _LEAST_CYCLES / self._data.duration_s
+        frequencies, count = self._peaks(self._data.t_s, whitened, torques, lowest, highest)
         return [self._term(effect, None, {"frequency_Hz": f}, slot, count) for f in frequencies]
 
 
-def peaks(angle_turns: Array, whitened: Array, highest: float) -> tuple[list[float], float]:
+def peaks(angle_turns: Array, whitened: Array, highest: float, lowest: float = 0.0) -> tuple[list[float], float]:
     """The strongest orders of residuals over an angle (or time), in cycles a turn, and how many were looked at.
+
+    None is below `lowest`, and none has less than some periods within the angle.
 
     Residuals (signals, n) are summed in bins of the angle, whose Fourier transform is their correlation with every
     order at once; powers of the signals add.
@@ -215,7 +229,7 @@ def peaks(angle_turns: Array, whitened: Array, highest: float) -> tuple[list[flo
     for values in whitened:
         power += np.abs(np.fft.rfft(np.bincount(place, weights=values, minlength=bins))) ** 2
     order = np.arange(len(power)) / total
-    power[(order < _LEAST_CYCLES / total) | (order > highest)] = 0.0
+    power[(order < max(lowest, _LEAST_CYCLES / total)) | (order > highest)] = 0.0
     count = float(np.count_nonzero(power))
     found = []
     for _ in range(_PEAKS):

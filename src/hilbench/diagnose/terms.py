@@ -7,7 +7,7 @@ is, its parameters, units, bounds and step sizes stand in `hilbench.web.effects`
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from math import atan2, cos, hypot, sin
 
 import numpy as np
@@ -39,6 +39,7 @@ class Term:
     multiplicity: float = 1.0
     probe: float | None = None  #: strength at which its response is looked at; default: a fifth of its scale
     aimed: bool = False  #: its time has been searched for
+    least: Mapping[str, float] = field(default_factory=dict)  #: below which a shape can't be known from a recording
 
     @property
     def key(self) -> tuple[str, int | None, int]:
@@ -100,7 +101,7 @@ class Term:
             values[self._strength] = float(coordinates[0])
         values |= dict(zip(self._shapes(), map(float, coordinates[self.linear :]), strict=True))
         for p in self.effect.parameters:
-            values[p.name] = min(max(values[p.name], p.lower), p.upper)
+            values[p.name] = min(max(values[p.name], p.lower, self.least.get(p.name, p.lower)), p.upper)
         return replace(self, values=values)
 
     def neutral(self) -> Term:
