@@ -18,7 +18,6 @@ import time
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
-from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -82,10 +81,13 @@ def _near(named: list[float], true: float, near: float) -> bool:
 def cases() -> list[Case]:
     """Every change at every speed, every third in a ramp; holds and seeds take turns."""
     made = []
-    for k, (change_pct, speed_m_s) in enumerate(product(CHANGES_PCT, SPEEDS_M_S)):
-        turn = k + k // len(SPEEDS_M_S)
-        hold_s, seed = HOLDS_S[turn % len(HOLDS_S)], SEEDS[turn % len(SEEDS)]
-        made.append(Case(change_pct, speed_m_s, hold_s, turn % 3 == 2, seed))
+    count = len(SPEEDS_M_S)
+    for row, change_pct in enumerate(CHANGES_PCT):
+        for column in range(count):
+            speed_m_s = SPEEDS_M_S[(column + row) % count]  # any share of the cases has all of them
+            turn = count * row + column + row // 2
+            hold_s, seed = HOLDS_S[turn % len(HOLDS_S)], SEEDS[turn % len(SEEDS)]
+            made.append(Case(change_pct, speed_m_s, hold_s, turn % 3 == 2, seed))
     return made
 
 

@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.diagnose.experiments import shown_by, told_apart_by
+from hilbench.diagnose.experiments import FORCE_STEP, shown_by, told_apart_by
 from hilbench.diagnose.fit import around, fit, sums, time_profile
 from hilbench.diagnose.measured import Measured, measured_from
 from hilbench.diagnose.misfit import LARGEST_RATIO, Misfit, located, misfits, ratios
@@ -177,7 +177,9 @@ def _conclude(
         unknown = bool(left) or max(ratios(final.residual, rows, floors).values()) > LARGEST_RATIO
     else:
         unknown = _rms(final.residual[torques], rows) > _UNEXPLAINED * _rms(before[torques], rows)
-    unknown |= selection.exhausted
+    unknown |= selection.exhausted or bool(selection.better)
+    if selection.better:
+        left = [Misfit("tau2_Nm", FORCE_STEP, selection.better, 0.0, 0.0, "always"), *left]
     verdict = "unknown" if unknown else ("named" if final.terms else "complete")
     effects: list[NamedEffect] = []
     if not unknown:
@@ -244,12 +246,13 @@ def _moments(
             continue
         here, half_s = term.values[TIME], _PROFILE_S
         rise = (_NORMAL_95 * inflation) ** 2
+        times = around(here, half_s / 30.0, 0.5 * space.period_s)
         while True:
-            times = np.union1d(around(here, half_s, half_s / 30.0), around(here, half_s / 30.0, 0.5 * space.period_s))
+            times = np.union1d(times, around(here, half_s, half_s / 30.0))
             low, high = time_profile(space, white, terms, place, times).interval_s(rise)
             if (times[0] < low and high < times[-1]) or half_s > space.duration_s:
                 break
-            half_s *= 3.0
+            half_s, times = 3.0 * half_s, np.array([here])
         # When within a cycle it happened no recording says.
         found[place, TIME] = (min(low, here - space.period_s), max(high, here + space.period_s))
     return found

@@ -30,6 +30,10 @@ SHOWN_BY: Final[dict[str, str]] = {
     "span_length_error": "step the speed difference at several line speeds",
 }
 
+#: What a step of E is like that the vocabulary has not: a force on roller 2 that sets in at a time.
+FORCE_STEP: Final = "a step of a force at roller 2 (friction, downstream tension)"
+_FORCE_STEP_TOLD_BY: Final = "step the tension after the change, and reverse"
+
 
 def shown_by(effect_id: str) -> str:
     """The excitation for one effect. Raises KeyError for an unknown id."""
@@ -38,5 +42,7 @@ def shown_by(effect_id: str) -> str:
 
 def told_apart_by(first: str, second: str) -> str:
     """The excitation that separates two effects that a recording can't tell apart."""
+    if second == FORCE_STEP:
+        return _FORCE_STEP_TOLD_BY
     one, other = shown_by(first), shown_by(second)
     return one if one == other else f"{one}; {other}"

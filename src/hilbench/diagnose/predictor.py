@@ -6,6 +6,7 @@ A predictor has `names` of its signals, what was `measured` (signals, n), the `r
 
 from __future__ import annotations
 
+from copy import copy
 from typing import Final, Protocol
 
 import numpy as np
@@ -129,6 +130,14 @@ class FreeRun:
             self._choose_hold(data)
 
         self._data = data
+
+    def with_force(self, force_N: float, time_s: float) -> FreeRun:
+        """The same with a force against the motion of roller 2 from a time on."""
+        other = copy(self)
+        share = np.clip((self._data.t_s + self._period_s - time_s) / self._period_s, 0.0, 1.0)
+        against = force_N * share * np.sign(self._data.commands_m_s[:, 1])
+        other._boundary = self._boundary - np.outer(against, [0.0, 1.0])
+        return other
 
     def floor(self, signal: int) -> float:
         """From fourth differences of what was measured."""

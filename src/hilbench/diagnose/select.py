@@ -19,7 +19,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.diagnose.fit import Fit, fit, sums
+from hilbench.diagnose.experiments import FORCE_STEP
+from hilbench.diagnose.fit import Fit, around, fit, sums
 from hilbench.diagnose.misfit import LARGEST_RATIO
 from hilbench.diagnose.noise import Whitening
 from hilbench.diagnose.proposals import Proposer
@@ -66,6 +67,9 @@ _MARGIN: Final = 60.0
 _TIME_LEVELS: Final = 3
 _CLOSER: Final = np.linspace(-0.75, 0.75, 7)
 _STEP_PEAKS, _APART = 2, 2.5
+#: A force with which its response is looked at, N; how far from a step's time, and in which steps, it is looked for, s.
+_FORCE_N: Final = 4.0
+_FORCE_SEARCH: Final = (0.02, 0.002)
 #: Information on a strength below which these data say nothing of it.
 _LEAST_INFORMATION: Final = 1e-6
 
@@ -97,6 +101,7 @@ class Selection:
     tied: dict[Key, list[Place]] = field(default_factory=dict)
     evidence: dict[Key, dict[str, float]] = field(default_factory=dict)
     exhausted: bool = False  #: more terms would explain more than may be named
+    better: str = ""  #: what the vocabulary has not, and explains better than a term
 
 
 def _apart(terms: list[Term], gains: Array, least_s: float) -> list[Term]:
@@ -138,7 +143,8 @@ class Search:
             return Selection(current, scene, self._samples)
         self._announce("what else could explain it", 0.85)
         current, tied, evidence = self._questioned(current, scene)
-        return Selection(current, scene, self._samples, tied, evidence)
+        better = self._against_forces(current, scene, tied)
+        return Selection(current, scene, self._samples, tied, evidence, better=better)
 
     # -- scenes ------------------------------------------------------------------------------------------
 
@@ -421,7 +427,7 @@ class Search:
                 continue
             others = self._ranked(scene, without.residual, self._own_without(scene, current.terms, k))
             tied[term.key] = []
-            for terms in others[: _CONTENDERS - 1]:
+            for terms in self._as_a_step(term, rest) + others[: _CONTENDERS - 1]:
                 if len(terms) > 1 or terms[0].place == term.place:
                     continue
                 cost = price([*rest, *terms], self._samples) - price(current.terms, self._samples)
@@ -441,6 +447,46 @@ class Search:
                 if abs(difference) < _TIED or difference < 0.0:
                     tied[term.key].append(terms[0].place)
         return current, tied, evidence
+
+    def _as_a_step(self, term: Term, rest: list[Term]) -> list[list[Term]]:
+        """A ramp as the step in its middle: what was proposed beside the ramp says nothing of that."""
+        if term.effect.id != "elasticity_ramp":
+            return []
+        middle_s = term.values[TIME] + 0.5 * term.values["duration_s"]
+        strength = float(term.coordinates()[0])
+        steps = self._proposer.steps(np.array([middle_s]), rest)
+        return [[step.at(np.concatenate([[strength], step.coordinates()[1:]]))] for step in steps]
+
+    def _against_forces(self, current: Fit, scene: Scene, tied: dict[Key, list[Place]]) -> str:
+        """Each step of E against a step of a force at roller 2; what is to be said where that explains more."""
+        fine = finest(self._space)
+        for k, term in enumerate(current.terms):
+            if not term.is_sudden or fine is None:
+                continue
+            difference, force_N, time_s = self._as_a_force(current, k, fine)
+            if difference < -_TIED:
+                return f"{force_N:.4g} N from t = {time_s:.3f} s on explain it better than {term.effect.id}"
+            if difference < _TIED:
+                tied[term.key].append((FORCE_STEP, None))
+        return ""
+
+    def _as_a_force(self, current: Fit, k: int, fine: Whitening) -> tuple[float, float, float]:
+        """By how much the sum of squares rises when term k is a step of a force instead; the force, N, and its time."""
+        space, rows = self._space, self._space.split.block >= 0
+        term, rest = current.terms[k], [*current.terms[:k], *current.terms[k + 1 :]]
+        point = space.point(rest)
+        own = [fine.apply(column)[:, rows].ravel() for column in point.derivatives]
+        residual = fine.apply(point.residual)[:, rows].ravel()
+        best = (float("inf"), 0.0, 0.0)
+        for time_s in around(term.values[TIME], *_FORCE_SEARCH):
+            pushed = space.residual_with_force(rest, _FORCE_N, float(time_s))
+            response = fine.apply(point.residual - pushed)[:, rows].ravel() / _FORCE_N
+            columns = np.array([*own, response])
+            theta, *_ = np.linalg.lstsq(columns.T, residual, rcond=None)
+            square = float(np.sum((residual - theta @ columns) ** 2))
+            best = min(best, (square, float(theta[-1]), float(time_s)))
+        close = sum(sums(space, fine, current.residual))
+        return best[0] - close, best[1], best[2]
 
     @staticmethod
     def _closest(current: Fit, k: int) -> Place:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.diagnose.noise import ORDER, Whitening, scaling, whitening
-from hilbench.diagnose.predictor import Predictor
+from hilbench.diagnose.predictor import FreeRun, Predictor
 from hilbench.diagnose.terms import Term, pack_with
 from hilbench.web.parameters import ModelParameters
 
@@ -108,6 +108,14 @@ class Space:
         with np.errstate(over="ignore", invalid="ignore"):  # a model far off may run away; fits see that
             predicted = self.predictor.predict(parameters)
         return np.asarray(self.predictor.measured - predicted, np.float64)
+
+    def residual_with_force(self, terms: list[Term], force_N: float, time_s: float) -> Array:
+        """The residual with a force against the motion of roller 2 from a time on. Raises TypeError on a lone axis."""
+        if not isinstance(self.predictor, FreeRun):
+            raise TypeError("a prediction on measured motion, expected a free run")
+        self.simulations += 1
+        predicted = self.predictor.with_force(force_N, time_s).predict(pack_with(self.model, terms)[None])
+        return np.asarray(self.predictor.measured - predicted[0], np.float64)
 
     def point(self, terms: list[Term], residual: Array | None = None) -> Point:
         """Residual (if it is not known) and derivatives by all coordinates of the terms, by forward differences."""
