@@ -133,7 +133,7 @@ def test_a_node_that_answers_with_the_id_of_a_simulated_one_is_told(tmp_path: Pa
     thread = threading.Thread(target=answer)
     thread.start()
     try:
-        for words in (("run", path, "--out", tmp_path / "runs"), ("simulate-hardware", path)):
+        for words in (("run", path, "--out", tmp_path / "runs"), ("simulate-hardware", path, "--pace", "lockstep")):
             refusal = hilbench(*words)
             assert refusal.returncode == 2
             assert "node 2 answers already" in refusal.stderr

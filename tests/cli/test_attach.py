@@ -8,7 +8,9 @@ import os
 import pty
 import subprocess
 import sys
+import threading
 import time
+import uuid
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -17,6 +19,7 @@ import yaml
 from tests.bench.test_runs import config
 from tests.cli.in_process import hilbench
 
+from hilbench.bus.frame import Frame
 from hilbench.bus.link import Link
 from hilbench.bus.open import BusAddress, open_link
 from hilbench.experiment.config import load
@@ -70,6 +73,84 @@ def test_sdo_reads_and_writes_by_index_and_name_with_units(bench: Path) -> None:
     assert data["si"] == pytest.approx(75.0, rel=1e-6)
     text = hilbench("sdo", "read", "3", "1008", *attached(bench)).stdout
     assert text == "node 3 1008h:0 Manufacturer device name: hilbench servo\n"
+
+
+@pytest.mark.parametrize(
+    ("name", "shown"),
+    [
+        ("1000h", "92 01 02 00 (4 bytes, {}); as unsigned 131474 (20192h)"),
+        ("0x1018sub2", "02 04 00 00 (4 bytes, {}); as unsigned 1026 (402h)"),
+        ("1008", "68 69 6c 62 65 6e 63 68 20 73 65 72 76 6f (14 bytes, {}); as text hilbench servo"),
+    ],
+)
+@pytest.mark.parametrize("with_eds", [False, True])
+def test_any_object_can_be_read_without_an_eds_that_tells_of_it(
+    bench: Path, tmp_path: Path, name: str, shown: str, with_eds: bool
+) -> None:
+    eds, why = tmp_path, "no EDS file"
+    if with_eds:  # of another device, which has nothing but what every device has
+        eds, why = tmp_path / "bare.eds", "not in its EDS"
+        eds.write_text("[DeviceInfo]\nVendorName=x\n[MandatoryObjects]\nSupportedObjects=1\n1=0x1001\n" + _REGISTER)
+    done = hilbench("sdo", "read", "1", name, "--bus", attached(bench)[1], "--eds", eds)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.partition(": ")[2].strip() == shown.format(why)
+    data = json.loads(hilbench("sdo", "read", "1", name, "--bus", attached(bench)[1], "--eds", eds, "--json").stdout)
+    assert bytes.fromhex(data["value"]) == bytes.fromhex(shown.partition(" (")[0])
+
+
+_REGISTER = """[1001]
+ParameterName=Error register
+ObjectType=0x7
+DataType=0x0005
+AccessType=ro
+PDOMapping=0
+"""
+
+
+def test_what_a_device_refuses_or_nobody_answers_is_one_line_without_an_eds(bench: Path, tmp_path: Path) -> None:
+    attach = ["--bus", attached(bench)[1], "--eds", tmp_path]
+    refused = hilbench("sdo", "read", "1", "5FFF", *attach)
+    assert refused.returncode == 3
+    assert "node 1, 5FFFh:0: reading it: abort 06020000h" in refused.stderr
+    silent = hilbench("sdo", "read", "99", "1000", *attach)
+    assert silent.returncode == 3
+    assert "no answer from node 99" in silent.stderr
+    named = hilbench("sdo", "read", "1", "statusword", *attach)  # a name is known to an EDS file only
+    assert named.returncode == 2
+    assert "no EDS file with the identity of node 1" in named.stderr
+
+
+@pytest.mark.parametrize(
+    ("answer", "code", "said"),
+    [
+        ("4341600037120000", 3, "4 bytes for data type 0006h, expected 2"),
+        ("4f41600037000000", 3, "1 bytes for data type 0006h, expected 2"),
+        ("4b41600037120000", 0, "4663 (1237h)"),
+        ("4241600037120000", 0, "4663 (1237h)"),  # expedited without a size: the type's bytes are meant
+    ],
+)
+def test_an_answer_of_another_length_than_the_eds_says_is_no_number(
+    tmp_path: Path, answer: str, code: int, said: str
+) -> None:
+    address = BusAddress.parse(f"embedded:t{uuid.uuid4().hex[:10]}")
+    link, done = open_link(address), threading.Event()
+
+    def device() -> None:
+        while not done.is_set():
+            for frame in link.receive(0.02):
+                if frame.can_id == 0x605:
+                    link.send([Frame(0x585, bytes.fromhex(answer))])
+
+    thread = threading.Thread(target=device)
+    thread.start()
+    try:
+        read = hilbench("sdo", "read", "5", "6041", "--bus", address, "--eds", EDS)
+    finally:
+        done.set()
+        thread.join()
+        link.close()
+    assert read.returncode == code
+    assert said in read.stdout + read.stderr
 
 
 @pytest.mark.parametrize(

@@ -33,7 +33,9 @@ class BusConfig(_Block):
     """Which bus: `embedded`, or any python-can interface and channel such as `socketcan:vcan0`."""
 
     address: str = Field(
-        default="embedded", description="embedded[:NAME], or a python-can interface and channel: socketcan:vcan0"
+        default="embedded",
+        description="embedded: the bus of the config's folder; embedded:NAME; or a python-can interface and channel: "
+        "socketcan:vcan0",
     )
     bitrate: int = Field(default=1_000_000, ge=10_000, le=1_000_000, description="bit/s")
 

@@ -17,7 +17,7 @@ app = typer.Typer(help="Help with config files: JSON Schema for editors, a new c
 #: What is asked: question, place in the config, value of the demonstrator.
 _QUESTIONS: tuple[tuple[str, tuple[str, ...], Any], ...] = (
     ("name of the bench", ("name",), "my_bench"),
-    ("bus (embedded, socketcan:can0, …)", ("bus", "address"), "embedded"),
+    ("bus (embedded: of the folder; embedded:NAME, socketcan:can0, …)", ("bus", "address"), "embedded"),
     ("bit rate in bit/s", ("bus", "bitrate"), 1_000_000),
     ("pace (lockstep: reproducible; realtime: by the wall clock)", ("pace",), "lockstep"),
     ("cycle time in s", ("cycle_time_s",), 0.002),

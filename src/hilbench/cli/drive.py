@@ -109,7 +109,7 @@ def _jog(manual: ManualDrive, heartbeat: Callable[[], None], speed_rad_s: float)
     with _keys() as key_pressed, manual.watching(MASTER_ID, _HEARTBEAT_TIME_OUT_MS):
         try:
             manual.enable()
-            print(f"hold {_FORWARD} (forward) or {_BACKWARD} (backward), q ends", file=sys.stderr)
+            print(f"hold {_FORWARD} (forward) or {_BACKWARD} (backward), q ends", file=sys.stderr, flush=True)
             _follow_keys(manual, key_pressed, heartbeat, speed_rad_s)
             manual.stop()
         finally:

@@ -12,7 +12,12 @@ ConfigOption = Annotated[
     Path | None, typer.Option("--config", help="bench config (YAML): names of the nodes, their EDS files, the bus")
 ]
 BusOption = Annotated[
-    str | None, typer.Option("--bus", help="embedded[:NAME], socketcan:vcan0, or another python-can interface:channel")
+    str | None,
+    typer.Option(
+        "--bus",
+        help="embedded:NAME, socketcan:vcan0, or another python-can interface:channel; embedded alone is the bus of "
+        "the config's folder or, without a config, the only one that runs",
+    ),
 ]
 PaceOption = Annotated[str | None, typer.Option("--pace", help="lockstep or realtime")]
 PacedByOption = Annotated[
