@@ -1,4 +1,4 @@
-"""What must hold before anything starts: EDS files, PDO maps and the capacity of the bus; errors name file and line."""
+"""What must hold before anything starts: EDS files, PDO maps, bus capacity, stability; errors name file and line."""
 
 from __future__ import annotations
 
@@ -8,19 +8,17 @@ from math import isclose
 from hilbench.bench.config import BenchConfig
 from hilbench.bench.load_model import imitated_web
 from hilbench.bench.nodes import Nodes, declared_units, drive_settings
+from hilbench.bench.tension_loop import OperatingPoint, TensionLoop
 from hilbench.bus.load import BusLoad, cycle_load
 from hilbench.drives.configuration import lacking
 from hilbench.errors import UnusableInputError
-from hilbench.strict_yaml import Document
-from hilbench.web.stability import (
-    SampledShaft,
-    imitation_delay_s,
-    largest_stiffness_Nm_per_rad,
-    web_stiffness_Nm_per_rad,
-)
+from hilbench.strict_yaml import Document, Location
+from hilbench.web.stability import SampledShaft, imitation_delay_s, largest_stiffness_Nm_per_rad
 
 #: Web tension that one unit of a drive may stand for without a note, N.
 _COARSE_N = 1.0
+#: Relative difference of E that is none.
+SAME_MODULUS = 0.01
 
 
 @dataclass(frozen=True)
@@ -29,7 +27,6 @@ class CheckedBench:
 
     load: BusLoad
     frames_per_cycle: float
-    stiffness_reserve: float  #: stiffest web that the load motor can imitate stably, over the stiffest in the config
     notes: list[str]  #: what can be run, and will not be good
 
 
@@ -37,7 +34,8 @@ def check_bench(config: BenchConfig, document: Document) -> CheckedBench:
     """Check a config as far as can be without a bus.
 
     Raises UnusableInputError with the place in the config when an EDS can't be used or lacks an object that is
-    mapped, when the PDO set does not fit on the bus at worst, or when the web is too stiff to be imitated stably.
+    mapped, when the PDO set does not fit on the bus at worst, when the set-point is beyond its trip level, or when the
+    loop through web, drives, bus and twin is unstable from the start.
     """
     without_file = [
         UnusableInputError(document.place(("nodes", part, "eds")), f"no file {node.eds}, expected an EDS file")
@@ -65,15 +63,9 @@ def check_bench(config: BenchConfig, document: Document) -> CheckedBench:
             f"{config.cycle_time_s * 1e3:g} ms at {config.bus.bitrate} bit/s ({100 * load.fraction:.0f} %), "
             f"expected at most 100 %: a longer cycle, a higher bit rate or fewer PDOs",
         )
-    reserve = stiffness_reserve(config)
-    if reserve < 1.0:
-        raise UnusableInputError(
-            document.place(("model", "web")),
-            f"the load motor can't imitate so stiff a web over a cycle of {config.cycle_time_s * 1e3:g} ms: the loop "
-            f"of web and sampled shaft is stable up to {100 * reserve:.0f} % of it, expected at least 100 %: a shorter "
-            f"cycle, a heavier axis 2 or a softer web",
-        )
-    return CheckedBench(load, sum(frame.per_cycle for frame in frames), reserve, _coarse_units(config, nodes))
+    _check_set_point(config, document)
+    check_stability(config, document, start_point(config), ("model", "web"))
+    return CheckedBench(load, sum(frame.per_cycle for frame in frames), _coarse_units(config, nodes))
 
 
 def _check_drives(config: BenchConfig, document: Document, nodes: Nodes) -> None:
@@ -96,6 +88,16 @@ def _check_drives(config: BenchConfig, document: Document, nodes: Nodes) -> None
             )
 
 
+def _check_set_point(config: BenchConfig, document: Document) -> None:
+    """A set-point that no run can reach."""
+    trip_N, set_point_N = config.safety.limits.tension_N.trip, config.tension_control.set_point_N
+    if trip_N is not None and set_point_N > trip_N:
+        raise UnusableInputError(
+            document.place(("tension_control", "set_point_N")),
+            f"set_point_N is {set_point_N:g}, expected less than the trip level of the tension, {trip_N:g} N",
+        )
+
+
 def _coarse_units(config: BenchConfig, nodes: Nodes) -> list[str]:
     """What one unit of an axis' position or velocity is in web tension, where that is more than 1 N."""
     web, notes = config.model.required_web, []
@@ -114,9 +116,44 @@ def _coarse_units(config: BenchConfig, nodes: Nodes) -> list[str]:
     return notes
 
 
-def stiffness_reserve(config: BenchConfig) -> float:
-    """Largest stable stiffness of the imitated web over the largest that the config asks for at the start."""
+def start_point(config: BenchConfig) -> OperatingPoint:
+    """The tension loop when the drives are enabled, with the E that the twin begins with."""
     web = imitated_web(config.model, config.load)
+    modulus_Pa, length_m = web.required_web.youngs_modulus_Pa, web.span_length_m(1)
+    return OperatingPoint(modulus_Pa, 0.0, length_m, config.model.required_web.youngs_modulus_Pa)
+
+
+def check_stability(config: BenchConfig, document: Document, point: OperatingPoint, where: Location) -> None:
+    """Raise UnusableInputError at `where` in the config when web, drives, bus and twin are unstable at this point."""
+    cycle = f"a cycle of {config.cycle_time_s * 1e3:g} ms"
+    if not TensionLoop(config, point, closed=False).stable:
+        share = stiffness_reserve(config, point.youngs_modulus_Pa / point.span_length_m)
+        raise UnusableInputError(
+            document.place(where),
+            f"the load motor can't imitate so stiff a web over {cycle} ({operating_point_text(point)}): the loop of "
+            f"web and sampled shaft is by itself stable up to {100 * share:.0f} % of it, expected a shorter cycle, a "
+            f"heavier axis 2, or a softer or longer web",
+        )
+    if not TensionLoop(config, point).stable:
+        raise UnusableInputError(
+            document.place(("tension_control", "bandwidth_rad_per_s")),
+            f"the tension loop is unstable with {config.tension_control.bandwidth_rad_per_s:g} rad/s over {cycle} at "
+            f"{operating_point_text(point)}, expected a smaller bandwidth_rad_per_s, more swing_damping_ratio or a "
+            f"shorter cycle",
+        )
+
+
+def operating_point_text(point: OperatingPoint) -> str:
+    """An operating point as a message names it."""
+    text = f"E {point.youngs_modulus_Pa * 1e-6:.4g} N/mm²"
+    if not abs(point.estimate_Pa / point.youngs_modulus_Pa - 1.0) <= SAME_MODULUS:
+        text += f" (believed: {point.estimate_Pa * 1e-6:.4g})"
+    return f"{text}, {point.line_speed_m_s:g} m/s"
+
+
+def stiffness_reserve(config: BenchConfig, modulus_Pa_per_m: float) -> float:
+    """Largest stiffness of a web that the load motor imitates stably by itself, over that of one with this E/L."""
     shaft = SampledShaft.of_model(config.model, cycle_s=config.cycle_time_s)
-    asked = max(web_stiffness_Nm_per_rad(web), web_stiffness_Nm_per_rad(config.model))
-    return largest_stiffness_Nm_per_rad(shaft, imitation_delay_s(shaft)) / asked
+    rad_per_m = config.model.motor_rad_per_m(2)
+    asked_Nm_per_rad = modulus_Pa_per_m * config.model.required_web.section_m2 / rad_per_m**2
+    return largest_stiffness_Nm_per_rad(shaft, imitation_delay_s(shaft)) / asked_Nm_per_rad

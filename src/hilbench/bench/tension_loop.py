@@ -62,11 +62,6 @@ class Margins:
     phase_deg: float
     growth_per_s: float
 
-    @property
-    def stable(self) -> bool:
-        """Whether nothing grows."""
-        return self.growth_per_s < _STAYS_PER_S
-
 
 @dataclass(frozen=True, slots=True)
 class _Axis:
@@ -111,12 +106,18 @@ class TensionLoop:
         gains = np.maximum(size[1:][crossing], 1.0 / size[1:][crossing])
         at_one = np.sign(size[1:] - 1.0) != np.sign(size[:-1] - 1.0)
         phases = np.degrees(np.abs(angle[1:]))[at_one]
-        eigenvalues = np.abs(np.linalg.eigvals(self._cycle @ self._sync(feedback=True)))
-        return Margins(
-            float(np.min(gains, initial=inf)),
-            float(np.min(phases, initial=180.0)),
-            log(max(float(np.max(eigenvalues)), 1e-12)) / cycle_s,
-        )
+        return Margins(float(np.min(gains, initial=inf)), float(np.min(phases, initial=180.0)), self.growth_per_s)
+
+    @cached_property
+    def growth_per_s(self) -> float:
+        """Of the slowest mode; below zero where all decay."""
+        sizes = np.abs(np.linalg.eigvals(self._cycle @ self._sync(feedback=True)))
+        return log(max(float(np.max(sizes)), 1e-12)) / self.config.cycle_time_s
+
+    @property
+    def stable(self) -> bool:
+        """Whether nothing grows."""
+        return self.growth_per_s < _STAYS_PER_S
 
     def course(self, tension_N: float, duration_s: float) -> NDArray[np.float64]:
         """Tension of the web each cycle, beyond the steady one, after it was off by `tension_N` (n,)."""

@@ -1,42 +1,73 @@
-"""`hilbench check`: says what a config means for the bus, or what is wrong with it."""
+"""`hilbench check`: says what a config means for the bus and its control loops, or what is wrong with it."""
 
 from __future__ import annotations
 
 import json
+from math import isfinite
 
-from hilbench.bench.check import check_bench
-from hilbench.experiment.config import LoadedConfig
+from hilbench.bus.open import open_link
+from hilbench.errors import BusError, UnusableInputError
+from hilbench.experiment.check import CheckedExperiment, check_experiment
+from hilbench.experiment.config import ExperimentConfig, LoadedConfig
 
 
 def check_command(loaded: LoadedConfig, *, as_json: bool) -> None:
-    """Print a summary of a config that can be run."""
-    checked = check_bench(loaded.config, loaded.document)
-    config, load = loaded.config, checked.load
+    """Print a summary of a config that can be run. Raises UnusableInputError, also for a bus that can't be opened."""
+    _check_bus(loaded)
+    checked = check_experiment(loaded, with_margins=True)
     if as_json:
-        summary = {
-            "name": config.name,
-            "bus": config.bus.address,
-            "bitrate": config.bus.bitrate,
-            "cycle_s": config.cycle_time_s,
-            "pace": config.pace,
-            "frames_per_cycle": checked.frames_per_cycle,
-            "bus_load_pct": 100 * load.fraction,
-            "stiffness_reserve": checked.stiffness_reserve,
-            "notes": checked.notes,
-            "steps": len(config.steps),
-            "criteria": len(config.criteria),
-        }
-        print(json.dumps(summary, indent=2))
+        print(json.dumps(_summary(loaded.config, checked), indent=2, ensure_ascii=False))
         return
+    config, bench, load = loaded.config, checked.bench, checked.bench.load
     print(f"{config.name}: usable")
     print(
         f"bus {config.bus.address}, {config.bus.bitrate} bit/s, cycle {config.cycle_time_s * 1e3:g} ms, {config.pace}"
     )
     print(
-        f"{checked.frames_per_cycle:.1f} frames a cycle, at worst {load.bits:.0f} of {load.capacity_bits:.0f} "
+        f"{bench.frames_per_cycle:.1f} frames a cycle, at worst {load.bits:.0f} of {load.capacity_bits:.0f} "
         f"bit times ({100 * load.fraction:.0f} %)"
     )
-    print(f"load motor: could imitate a web {checked.stiffness_reserve:.1f} times as stiff before its loop is unstable")
+    print(
+        f"load motor: by itself stable up to {checked.stiffness_reserve:.1f} times the stiffness of the stiffest web "
+        f"that is asked for"
+    )
+    if checked.worst is not None:
+        print(f"tension loop: {checked.worst}")
+    for warning in checked.warnings:
+        print(f"warning: {warning}")
     for note in checked.notes:
         print(f"note: {note}")
     print(f"{len(config.steps)} steps, {len(config.criteria)} criteria")
+
+
+def _check_bus(loaded: LoadedConfig) -> None:
+    """An interface can be opened and closed again without a frame; the embedded bus is started by who needs it."""
+    address = loaded.config.bus_address
+    if address.interface == "embedded":
+        return
+    try:
+        open_link(address).close()
+    except BusError as error:
+        place = loaded.document.place(("bus", "address"))
+        raise UnusableInputError(place, f"{error}, expected a bus that can be opened") from error
+
+
+def _summary(config: ExperimentConfig, checked: CheckedExperiment) -> dict[str, object]:
+    worst, load = checked.worst, checked.bench.load
+    margins = None if worst is None else worst.margins
+    return {
+        "name": config.name,
+        "bus": config.bus.address,
+        "bitrate": config.bus.bitrate,
+        "cycle_s": config.cycle_time_s,
+        "pace": config.pace,
+        "frames_per_cycle": checked.bench.frames_per_cycle,
+        "bus_load_pct": 100 * load.fraction,
+        "stiffness_reserve": checked.stiffness_reserve,
+        "gain_margin": margins.gain if margins and isfinite(margins.gain) else None,
+        "phase_margin_deg": None if margins is None else margins.phase_deg,
+        "warnings": checked.warnings,
+        "notes": checked.notes,
+        "steps": len(config.steps),
+        "criteria": len(config.criteria),
+    }

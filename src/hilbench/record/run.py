@@ -17,7 +17,6 @@ import numpy as np
 
 from hilbench.bench.bench import Bench, CycleObserver, InterruptedByOperatorError
 from hilbench.bench.change import Change
-from hilbench.bench.check import check_bench
 from hilbench.bench.in_process import check_in_process
 from hilbench.bench.notice import Notice
 from hilbench.bench.participants import Participants
@@ -36,6 +35,7 @@ from hilbench.errors import (
     printable,
 )
 from hilbench.experiment import config as config_files
+from hilbench.experiment.check import check_experiment
 from hilbench.experiment.config import LoadedConfig
 from hilbench.experiment.criteria import CriterionResult, evaluate
 from hilbench.experiment.events import journal_events
@@ -120,11 +120,9 @@ def run_experiment(
     was only heard), BenchFaultError when the result can't be written.
     """
     config = loaded.config
-    check_bench(config, loaded.document)
+    check_experiment(loaded)
     if participants is Participants.IN_PROCESS:
         check_in_process(config)
-    for step in config.steps:
-        step.prepare()
     provenance = Provenance.of(config, loaded.document, participants)
     recorder = Recorder()
     verdicts = list[CriterionResult]()
