@@ -56,14 +56,14 @@ class CheckedExperiment:
 def check_experiment(loaded: LoadedConfig, *, with_margins: bool = False) -> CheckedExperiment:
     """Check a config and what its steps ask for, as far as can be without a bus.
 
-    Raises UnusableInputError as `check_bench`, for a Python file that can't be used, for a step that changes an effect
-    where it is not, and with the step's place where the loop through web, drives, bus and twin would be unstable.
+    Raises UnusableInputError as `check_bench`, for a Python file that can't be used, and with the step's place where
+    the loop through web, drives, bus and twin would be unstable.
     """
     config, document = loaded.config, loaded.document
     bench = check_bench(config, document)
     for step in config.steps:
         step.prepare()
-    asked = list(moves(loaded))
+    asked = list(moves(config))
     places = _operating_points(config, asked)
     for point, place in places.items():
         check_stability(config, document, point, place if len(place) > 1 else ("model", "web"))

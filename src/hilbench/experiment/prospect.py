@@ -2,31 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
 from itertools import pairwise
+from math import prod
 
 from hilbench.bench import quantities
-from hilbench.errors import UnusableInputError
-from hilbench.experiment.config import ExperimentConfig, LoadedConfig
+from hilbench.experiment.config import ExperimentConfig
 from hilbench.experiment.scenario import read_scenario
+from hilbench.experiment.steps import TableStep
 from hilbench.strict_yaml import Location
-from hilbench.web.effects import IMITATED_DOMAINS, STAND_DOMAINS, Domain, find_effect
+from hilbench.web.effects import find_effect
+from hilbench.web.parameters import EffectEntry
 
-_LENGTH_ERROR = "load.effects.span_length_error.relative_change"
-_SHIFT = "load.effects.elasticity_shift.relative_change"
-_STEP_TIME = "load.effects.elasticity_step.time_s"
-_STEP = "load.effects.elasticity_step.relative_change"
-_DRIFT = "load.effects.elasticity_drift.rate_per_s"
+_LOAD_EFFECT = "load.effects."
 
 
 @dataclass(frozen=True)
 class State:
-    """What has been asked for, from `time_s` of the experiment on. `values`: by path (`bench.quantities`)."""
+    """What has been asked for, from `time_s` of the experiment on. `values`: by path (`bench.quantities`);
+    `effects`: those of the imitated web that stand in the config beside the ones that a path changes."""
 
     time_s: float
     place: Location  #: of the step in the config
-    values: dict[str, float] = field(default_factory=dict)
+    values: Mapping[str, float]
+    effects: tuple[EffectEntry, ...] = ()
 
     @property
     def line_speed_m_s(self) -> float:
@@ -41,15 +41,40 @@ class State:
     @property
     def youngs_modulus_Pa(self) -> float:
         """E of the imitated web, with its effects."""
-        values = self.values
-        stepped = 1.0 + values[_STEP] if self.time_s >= values[_STEP_TIME] else 1.0
-        drifted = 1.0 + values[_DRIFT] * self.time_s
-        return values[quantities.YOUNGS_MODULUS] * (1.0 + values[_SHIFT]) * stepped * drifted
+        modulus_Pa = self.values[quantities.YOUNGS_MODULUS]
+        for effect, parameters in self._all_effects():
+            modulus_Pa *= _elasticity_factor(effect, parameters, self.time_s)
+        return modulus_Pa
 
     @property
     def length_factor(self) -> float:
         """Of the imitated span."""
-        return 1.0 + self.values[_LENGTH_ERROR]
+        return prod(1.0 + p["relative_change"] for effect, p in self._all_effects() if effect == "span_length_error")
+
+    def _all_effects(self) -> Iterator[tuple[str, Mapping[str, float]]]:
+        for entry in self.effects:
+            yield entry.effect, find_effect(entry.effect).filled(entry.parameters)
+        changed: dict[str, dict[str, float]] = {}
+        for path, value in self.values.items():
+            if path.startswith(_LOAD_EFFECT):
+                known = quantities.parse_effect_path(path)
+                changed.setdefault(known.effect, {})[known.parameter] = value
+        for effect, parameters in changed.items():
+            yield effect, find_effect(effect).filled(parameters)
+
+
+def _elasticity_factor(effect: str, parameters: Mapping[str, float], t_s: float) -> float:
+    """What an effect makes of E, as `hilbench.web.laws` has it; 1 for one that is none of the elasticity."""
+    change = parameters.get("relative_change", 0.0)
+    if effect == "elasticity_shift":
+        return 1.0 + change
+    if effect == "elasticity_step":
+        return 1.0 + change if t_s >= parameters["time_s"] else 1.0
+    if effect == "elasticity_ramp":
+        return 1.0 + change * min(max((t_s - parameters["time_s"]) / parameters["duration_s"], 0.0), 1.0)
+    if effect == "elasticity_drift":
+        return 1.0 + parameters["rate_per_s"] * t_s
+    return 1.0
 
 
 @dataclass(frozen=True)
@@ -68,36 +93,37 @@ def start_of(config: ExperimentConfig) -> State:
         quantities.LINE_SPEED: 0.0,
         quantities.TENSION_SET_POINT: config.tension_control.set_point_N,
         quantities.YOUNGS_MODULUS: modulus_Pa,
-        **dict.fromkeys((_LENGTH_ERROR, _SHIFT, _STEP, _STEP_TIME, _DRIFT), 0.0),
     }
-    for entry in config.load.effects:
-        values |= {f"load.effects.{entry.effect}.{name}": value for name, value in entry.parameters.items()}
-    return State(0.0, ("steps",), values)
+    others: list[EffectEntry] = []
+    for number, entry in enumerate(config.load.effects):
+        if any(later.effect == entry.effect for later in config.load.effects[number + 1 :]):
+            others.append(entry)  # a path changes the last one of a kind
+            continue
+        axis = "" if entry.axis is None else f"axis{entry.axis}."
+        values |= {f"{_LOAD_EFFECT}{entry.effect}.{axis}{name}": value for name, value in entry.parameters.items()}
+    return State(0.0, ("steps",), values, tuple(others))
 
 
-def moves(loaded: LoadedConfig) -> Iterator[Move]:
-    """Every change that the YAML steps and tables ask for, in order; what Python files ask for is not in it.
-
-    Raises UnusableInputError with the place of a step that changes an effect which is not where it says.
-    """
-    state = start_of(loaded.config)
-    for number, step in enumerate(loaded.config.steps):
+def moves(config: ExperimentConfig) -> Iterator[Move]:
+    """Every change that the YAML steps and tables ask for, in order; what Python files ask for is not in it."""
+    state = start_of(config)
+    for number, step in enumerate(config.steps):
         place: Location = ("steps", number, step.kind)
         if step.ramp is not None:
             ramp = step.ramp
             way = abs(ramp.to - state.values.get(ramp.path, 0.0))
             lasts_s = ramp.duration_s or way / (ramp.rate_per_s or 1.0)
-            move = _move(loaded, state, place, ramp.path, ramp.to, lasts_s)
+            move = _move(state, place, ramp.path, ramp.to, lasts_s)
             yield move
             state = move.after
         elif step.set is not None or step.step is not None:
             given = step.set or step.step
             assert given is not None, "one of the two"
-            move = _move(loaded, state, place, given.path, given.to, 0.0)
+            move = _move(state, place, given.path, given.to, 0.0)
             yield move
             state = move.after
         elif step.table is not None:
-            for move in _of_table(loaded, state, place):
+            for move in _of_table(step.table, state, place):
                 yield move
                 state = move.after
         else:
@@ -113,18 +139,13 @@ def moves(loaded: LoadedConfig) -> Iterator[Move]:
             state = after
 
 
-def _move(loaded: LoadedConfig, state: State, place: Location, path: str, value: float, lasts_s: float) -> Move:
-    problem = _misplaced(path)
-    if problem:
-        raise UnusableInputError(loaded.document.place((*place, "path")), f"'{path}', expected {problem}")
-    values = {**state.values, path: value}
-    return Move(state, State(state.time_s + lasts_s, place, values), lasts_s)
+def _move(state: State, place: Location, path: str, value: float, lasts_s: float) -> Move:
+    after = replace(state, time_s=state.time_s + lasts_s, place=place, values={**state.values, path: value})
+    return Move(state, after, lasts_s)
 
 
-def _of_table(loaded: LoadedConfig, state: State, place: Location) -> Iterator[Move]:
-    step = loaded.config.steps[int(place[1])].table
-    assert step is not None, "a table"
-    scenario = read_scenario(step.file)
+def _of_table(table: TableStep, state: State, place: Location) -> Iterator[Move]:
+    scenario = read_scenario(table.file)
     points = [(t_s, path, value, 0.0) for path, course in scenario.jumps.items() for t_s, value in course]
     for path, course in scenario.ramps.items():
         times = [t_s for t_s, _ in course]
@@ -133,22 +154,7 @@ def _of_table(loaded: LoadedConfig, state: State, place: Location) -> Iterator[M
     began_s = state.time_s
     for t_s, path, value, lasts_s in sorted(points, key=lambda point: point[0]):
         begun = replace(state, time_s=began_s + t_s - lasts_s)
-        move = _move(loaded, begun, place, path, value, lasts_s)
+        move = _move(begun, place, path, value, lasts_s)
         yield move
         state = move.after
     yield Move(state, replace(state, time_s=began_s + scenario.duration_s), 0.0)
-
-
-def _misplaced(path: str) -> str | None:
-    """Why an effect can't be where a path has it, as what is expected, or None."""
-    if path in quantities.PLAIN_PATHS:
-        return None
-    known = quantities.parse_effect_path(path)
-    domain = find_effect(known.effect).domain
-    if known.place == "hardware":
-        return None if domain in STAND_DOMAINS else "an effect of the axes; the web's are in 'load.effects'"
-    if domain not in IMITATED_DOMAINS:
-        return "an effect of the web or a roller's resistance; those of the axes are in 'hardware.effects'"
-    if domain is Domain.ROLLER_RESISTANCE and known.axis != 2:
-        return "axis 2, where the load motor is; other axes' are in 'hardware.effects'"
-    return None
