@@ -28,6 +28,7 @@ import numpy as np
 
 from hilbench.diagnose.blind import UNKNOWNS, blind_recording
 from hilbench.diagnose.diagnosis import diagnose
+from hilbench.diagnose.experiments import FORCE_STEP
 from hilbench.diagnose.measured import measured_from
 from hilbench.diagnose.predictor import FreeRun
 from hilbench.record.recording import Recording
@@ -92,6 +93,8 @@ def entry(effect: Effect, axis: int | None, size: float, rng: np.random.Generato
             values[parameter.name] = float(rng.uniform(0.3, 3.0))
         elif parameter.name == "time_s":
             values[parameter.name] = float(rng.uniform(0.2, 0.8) * duration_s)
+        elif parameter.name == "duration_s":
+            values[parameter.name] = float(rng.uniform(0.05, 0.2) * duration_s)
         elif parameter.name == "speed_m_s":
             values[parameter.name] = float(rng.uniform(0.15, 0.6))
     return {"effect": effect.id, "axis": axis, "parameters": values}
@@ -206,6 +209,8 @@ def right(case: Case) -> bool:
 
 def named(tied: str, axis: int | None) -> tuple[str, int | None]:
     """Effect and axis of a tied effect as it is printed; without an axis it is the one of what it is tied with."""
+    if tied == FORCE_STEP:
+        return tied, None
     effect, _, other = tied.partition(" (axis ")
     if other:
         return effect, int(other.rstrip(")"))

@@ -12,7 +12,7 @@ from tests.web.models import effect, lone_axis, model
 from hilbench.diagnose.blind import blind_recording
 from hilbench.diagnose.experiments import SHOWN_BY
 from hilbench.diagnose.measured import measured_from
-from hilbench.diagnose.misfit import Condition, misfits
+from hilbench.diagnose.misfit import Condition, located, misfits
 from hilbench.diagnose.noise import floor, repeats, whitening
 from hilbench.diagnose.predictor import between
 from hilbench.diagnose.proposals import Proposer, peaks
@@ -197,3 +197,45 @@ def test_steps_between_rows_stay_within_their_rows() -> None:
     found = between(rows, 5)
     assert np.all((found >= -1e-12) & (found <= 1.0 + 1e-12))
     assert found[:, 0, 0] == pytest.approx(rows[:, 0])
+
+
+def test_shares_of_a_gap_are_parts_of_one_whole() -> None:
+    n = 10000
+    t = np.arange(n) * 0.002
+    v = np.interp(t, [0.0, 5.0, 10.0, 20.0], [0.0, 3.0, 3.0, 1.0])
+    conditions = [
+        Condition("time", "s", t, spectral=True),
+        Condition("speed", "m/s", v),
+        Condition("tension", "N", 80.0 + v),
+        Condition("angle", "rad", np.cumsum(v) * 0.05, period=2.0 * np.pi, spectral=True),
+    ]
+    r = np.random.default_rng(0).standard_normal((2, n)) + np.array([1.5, 0.7])[:, None] * v
+    found = located(("tau1", "tau2"), r, np.ones(n, bool), conditions, 8)
+    assert found[0][1] > 0.5
+    assert sum(share for _, share in found) <= 1.0 + 1e-9
+    assert [share for _, share in found] == sorted((share for _, share in found), reverse=True)
+
+
+def test_a_place_of_a_misfit_is_never_an_empty_interval() -> None:
+    n = 8000
+    speed = np.where(np.arange(n) < 2000, 1.0, 3.0 + 1e-5 * np.linspace(0.0, 1.0, n))
+    r = np.random.default_rng(0).standard_normal((1, n)) + np.where(np.arange(n) < 2000, 2.0, 0.0)
+    for m in misfits(
+        ("tau",), r, np.ones(n, bool), [Condition("time", "s", np.arange(n) * 0.002), Condition("speed", "m/s", speed)]
+    ):
+        if "largest at" in m.detail:
+            low, high = m.detail.removeprefix("largest at ").split(" ")[0:3:2]
+            assert float(low) < float(high)
+
+
+def test_no_ripple_is_proposed_whose_period_the_recording_does_not_hold() -> None:
+    plain = model()
+    data = measured_from(blind_recording(plain, [], duration_s=12.0), plain, "blind")
+    turns = np.ptp(data.x_m[1]) * plain.motor_rad_per_m(1) / (2.0 * np.pi)
+    slow = np.sin(2.0 * np.pi * data.x_m[1] * plain.motor_rad_per_m(1) / (2.0 * np.pi) * 0.5 / turns)
+    noise = dict.fromkeys(("tau1_Nm", "tau2_Nm"), 50.0 * slow)
+    made = [t for t in Proposer(plain, data).searched(noise, [], 1) if t.effect.id == "torque_ripple"]
+    assert made
+    for term in made:
+        assert term.values["order"] >= 0.5 / plain.gear_ratio(1)
+        assert term.at(np.array([0.1, 0.1, 1e-3])).values["order"] >= 4.0 / turns

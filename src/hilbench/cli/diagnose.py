@@ -177,6 +177,7 @@ def as_data(found: Diagnosis, live: list[LiveGap], not_compared: str, files: _Fi
             for b in found.blind_to
         ],
         "missing_channels": found.missing_channels,
+        "imitation_cycle_s": None if found.imitation is None else found.imitation.cycle_s,
         "live": [{**asdict(gap), "run": str(gap.run)} for gap in live],
         "not_compared": not_compared or None,
         "model": None if files is None else str(files.model),
@@ -205,6 +206,8 @@ def _show(console: Console, found: Diagnosis) -> None:
         "unknown": f"unknown: {_UNKNOWN}",
     }
     console.print(sentence[found.verdict])
+    if found.imitation is not None:
+        console.print(f"a bench's recording: web imitated by a load motor, every {1e3 * found.imitation.cycle_s:g} ms")
     if found.effects:
         console.print(_effects_table(found))
         for effect in found.effects:

@@ -123,6 +123,7 @@ class Diagnosis:
     after: Array
     held_out: NDArray[np.bool_]
     simulations: int
+    imitation: Imitation | None = None  #: how the web was imitated, of a bench's recording
 
     @property
     def gap(self) -> Gap:
@@ -207,6 +208,7 @@ def _conclude(
         after=final.residual,
         held_out=test,
         simulations=space.simulations,
+        imitation=predictor.imitation,
     )
 
 

@@ -55,24 +55,26 @@ def fit(
 ) -> Fit:
     """Fit all coordinates of the terms from where they are, on `rows` (default: those that are not held out).
 
-    Once the sum of squares does not promise to fall below `worth` the fit is left unfinished: it has lost.
+    Once the sum of squares does not promise to fall below `worth` the fit is left unfinished: it has lost. Without
+    `rows` times that have been searched for stay: what is held out may be where they are known from.
     """
+    timeless = rows is None
     rows = space.split.train if rows is None else rows
-    point, problem = _descended(space, white, space.point(terms), rows, worth)
+    point, problem = _descended(space, white, terms, rows, worth, timeless)
     if not problem.usable:  # where the linear guess has put it the model runs away
         return Fit(terms, point.residual, float("inf"), float("inf"), np.empty((0, 0)))
     if problem.square <= worth and any(term.is_searched for term in point.terms):
         found = _searched(space, white, point.terms, rows)
-        point, problem = _descended(space, white, space.point(found), rows, worth)
+        point, problem = _descended(space, white, found, rows, worth, timeless)
     train, test = sums(space, white, point.residual)
     return Fit(point.terms, point.residual, train, test, problem.covariance())
 
 
 def _descended(
-    space: Space, white: Whitening, point: Point, rows: NDArray[np.bool_], worth: float
+    space: Space, white: Whitening, terms: list[Term], rows: NDArray[np.bool_], worth: float, timeless: bool
 ) -> tuple[Point, _Problem]:
-    """Where Gauss and Newton lead from a point."""
-    damping = _FIRST_DAMPING
+    """Where Gauss and Newton lead from there."""
+    damping, point = _FIRST_DAMPING, space.point(terms, timeless=timeless)
     problem = _Problem(white, point, rows)
     if not problem.usable:
         return point, problem
@@ -84,7 +86,7 @@ def _descended(
         trial = space.residual(moved)
         if _Problem.square_of(white, trial, rows) < problem.square:
             damping = max(0.2 * damping, 1e-9)
-            nearer = space.point(moved, trial)
+            nearer = space.point(moved, trial, timeless=timeless)
             next_problem = _Problem(white, nearer, rows)
             if not next_problem.usable:
                 break
@@ -139,7 +141,8 @@ def time_profile(space: Space, white: Whitening, terms: list[Term], place: int, 
 def with_best_time(space: Space, white: Whitening, terms: list[Term], place: int) -> list[Term]:
     """The term at `place` put at the time near its own at which it explains most, with the strength for it."""
     term, scale = terms[place], 1.0
-    for half_s, step_s in (_TIME_SEARCH, (_TIME_SEARCH[1], 0.5 * space.period_s)):
+    closer = (_TIME_SEARCH[1], 0.5 * space.period_s), (0.5 * space.period_s, 0.05 * space.period_s)
+    for half_s, step_s in (_TIME_SEARCH, *closer):
         profile = time_profile(space, white, terms, place, around(term.values["time_s"], half_s, step_s))
         best = int(np.argmin(profile.squares))
         term, scale = term.moved_to(float(profile.times_s[best])), float(profile.scales[best])

@@ -74,6 +74,10 @@ class Predictor(Protocol):
     def tolerances(self) -> Array:
         """(signals,): what a signal may be off by beside its noise."""
 
+    @property
+    def imitation(self) -> Imitation | None:
+        """How the web was imitated; None where a web was there."""
+
     def floor(self, signal: int) -> float:
         """Standard deviation of the noise of a signal, from the recording alone."""
 
@@ -93,7 +97,7 @@ class FreeRun:
 
     def __init__(self, model: ModelParameters, data: Measured, imitation: Imitation | None = None) -> None:
         self._model = model
-        self._imitation = imitation
+        self.imitation = imitation
         self._cycle_s = _FINE_S if imitation is None else imitation.cycle_s
         self._boundary = data.boundary
         self._period_s = data.period_s
@@ -200,7 +204,7 @@ class FreeRun:
         if abs(whole * self._cycle_s - data.period_s) > 1e-9 or whole < 2:
             return
         fine = between(self._commands[0], whole)
-        held = self._commands if self._imitation is None else self._commands * whole
+        held = self._commands if self.imitation is None else self._commands * whole
         options = [held, [np.ascontiguousarray(fine[:, k, :]) for k in range(whole)]]
         errors = []
         for option in options:
@@ -239,10 +243,10 @@ class FreeRun:
         if whole > 1:
             commands = np.stack(self._commands, axis=1).reshape(-1, commands.shape[1])
             boundary = np.repeat(boundary, whole, axis=0)
-        if self._imitation is None:
+        if self.imitation is None:
             run = simulate(parameters, state, commands, boundary, self._period_s / whole)
         else:
-            run = simulate_imitated(self._imitation, self._model, parameters, state, commands, boundary)
+            run = simulate_imitated(self.imitation, self._model, parameters, state, commands, boundary)
         if whole == 1:
             return run
         rows = {name: getattr(run, name)[..., ::whole, :] for name in ("x_m", "v_m_s", "tau_Nm", "F_N", "strain")}
@@ -258,6 +262,7 @@ class OnMeasuredMotion:
 
     def __init__(self, model: ModelParameters, data: Measured) -> None:
         self.names = ("tau1_Nm",)
+        self.imitation = None
         self._period_s = data.period_s
         nyquist = 0.5 / data.period_s
         self._filter = butter(4, min(_CORNER_HZ, 0.8 * nyquist) / nyquist, output="sos")

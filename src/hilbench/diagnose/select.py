@@ -58,6 +58,8 @@ _LEAST_SHARE: Final = 0.01
 _SIMPLE: Final = ("viscous_friction", "coulomb_friction", "torque_offset")
 #: Difference of the criterion up to which two explanations are tied, as for BIC.
 _TIED: Final = 6.0
+#: The same up to which a step of E is not given up for what the vocabulary does not have.
+_DECISIVE: Final = 20.0
 #: Among tied explanations the one that stands first in the vocabulary is named.
 _RANK: Final = {effect.id: place for place, effect in enumerate(EFFECTS)}
 #: Fall of the training rows' sum of squares that a fit must promise short of, to be finished and judged on all rows.
@@ -459,33 +461,32 @@ class Search:
 
     def _against_forces(self, current: Fit, scene: Scene, tied: dict[Key, list[Place]]) -> str:
         """Each step of E against a step of a force at roller 2; what is to be said where that explains more."""
-        fine = finest(self._space)
         for k, term in enumerate(current.terms):
-            if not term.is_sudden or fine is None:
+            if not term.is_sudden:
                 continue
-            difference, force_N, time_s = self._as_a_force(current, k, fine)
-            if difference < -_TIED:
+            difference, force_N, time_s = self._as_a_force(current, k, scene.whitening)
+            if difference < -_DECISIVE:
                 return f"{force_N:.4g} N from t = {time_s:.3f} s on explain it better than {term.effect.id}"
             if difference < _TIED:
                 tied[term.key].append((FORCE_STEP, None))
         return ""
 
-    def _as_a_force(self, current: Fit, k: int, fine: Whitening) -> tuple[float, float, float]:
+    def _as_a_force(self, current: Fit, k: int, white: Whitening) -> tuple[float, float, float]:
         """By how much the sum of squares rises when term k is a step of a force instead; the force, N, and its time."""
         space, rows = self._space, self._space.split.block >= 0
         term, rest = current.terms[k], [*current.terms[:k], *current.terms[k + 1 :]]
         point = space.point(rest)
-        own = [fine.apply(column)[:, rows].ravel() for column in point.derivatives]
-        residual = fine.apply(point.residual)[:, rows].ravel()
+        own = [white.apply(column)[:, rows].ravel() for column in point.derivatives]
+        residual = white.apply(point.residual)[:, rows].ravel()
         best = (float("inf"), 0.0, 0.0)
         for time_s in around(term.values[TIME], *_FORCE_SEARCH):
             pushed = space.residual_with_force(rest, _FORCE_N, float(time_s))
-            response = fine.apply(point.residual - pushed)[:, rows].ravel() / _FORCE_N
+            response = white.apply(point.residual - pushed)[:, rows].ravel() / _FORCE_N
             columns = np.array([*own, response])
             theta, *_ = np.linalg.lstsq(columns.T, residual, rcond=None)
             square = float(np.sum((residual - theta @ columns) ** 2))
             best = min(best, (square, float(theta[-1]), float(time_s)))
-        close = sum(sums(space, fine, current.residual))
+        close = sum(sums(space, white, current.residual))
         return best[0] - close, best[1], best[2]
 
     @staticmethod

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from hilbench.diagnose.noise import ORDER, Whitening, scaling, whitening
 from hilbench.diagnose.predictor import FreeRun, Predictor
-from hilbench.diagnose.terms import Term, pack_with
+from hilbench.diagnose.terms import TIME, Term, pack_with
 from hilbench.web.parameters import ModelParameters
 
 Array = NDArray[np.float64]
@@ -117,13 +117,19 @@ class Space:
         predicted = self.predictor.with_force(force_N, time_s).predict(pack_with(self.model, terms)[None])
         return np.asarray(self.predictor.measured - predicted[0], np.float64)
 
-    def point(self, terms: list[Term], residual: Array | None = None) -> Point:
-        """Residual (if it is not known) and derivatives by all coordinates of the terms, by forward differences."""
+    def point(self, terms: list[Term], residual: Array | None = None, *, timeless: bool = False) -> Point:
+        """Residual (if it is not known) and derivatives by all coordinates of the terms, by forward differences.
+
+        `timeless`: those by times that have been searched for are zero.
+        """
         variants: list[list[Term]] = []
         steps: list[float] = []
+        free = [not (timeless and term.aimed and name == TIME) for term in terms for name in term.free()]
         for place, term in enumerate(terms):
             here = term.coordinates()
-            for k, step in enumerate(term.steps()):
+            for k, (step, name) in enumerate(zip(term.steps(), term.free(), strict=True)):
+                if timeless and term.aimed and name == TIME:
+                    continue
                 moved = here.copy()
                 moved[k] += step
                 variants.append([*terms[:place], term.at(moved), *terms[place + 1 :]])
@@ -133,7 +139,9 @@ class Space:
         found = self.residuals(variants) if variants else np.empty((0, *self.predictor.measured.shape))
         here_residual = found[-1] if residual is None else residual
         moved_residuals = found[: len(steps)]
-        return Point(terms, here_residual, (here_residual - moved_residuals) / np.array(steps)[:, None, None])
+        derivatives = np.zeros((len(free), *here_residual.shape))
+        derivatives[free] = (here_residual - moved_residuals) / np.array(steps)[:, None, None]
+        return Point(terms, here_residual, derivatives)
 
     def strengths(self, terms: list[Term], residual: Array, candidates: list[Term]) -> list[Array]:
         """Derivatives by the strength of each candidate (1 or 2 coordinates), added to a model with `terms`.

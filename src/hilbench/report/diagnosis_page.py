@@ -44,7 +44,7 @@ def write_diagnosis_page(
     residuals = _residuals(found)
     body = [
         f"<header>\n<h1>{escape(title)}</h1>\n"
-        f'<p class="facts">{found.verdict}: {_SENTENCES[found.verdict]}</p>\n</header>',
+        f'<p class="facts">{found.verdict}: {_SENTENCES[found.verdict]}</p>\n{_made_by(found)}</header>',
         section("Effects", _effects(found)) if found.effects else "",
         section("Gap", _gaps(found)),
         section("Residuals", '<div class="zooms" hidden></div>\n' + figure(residuals)),
@@ -61,6 +61,13 @@ def write_diagnosis_page(
     except OSError as error:
         raise UnusableInputError(path, f"cannot be written ({error.strerror}), expected a writable folder") from error
     return path
+
+
+def _made_by(found: Diagnosis) -> str:
+    if found.imitation is None:
+        return ""
+    cycle_ms = 1e3 * found.imitation.cycle_s
+    return f'<p class="facts">A bench’s recording: the web was imitated by a load motor, every {cycle_ms:g} ms.</p>\n'
 
 
 def _row(*cells: str, numbers: int = 0) -> str:
