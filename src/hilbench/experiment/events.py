@@ -1,6 +1,6 @@
 """What happened in a run: its steps (a quantity jumped), its ramps (it moved), and marks (the twin was lost, …).
 
-The journal of the bench says exactly what was set and when (`journal_events`). Where there is none, or where a quantity
+The journal of the bench says exactly what was set and when (`EventLog`). Where there is none, or where a quantity
 changed by itself (an effect that steps at a time of its own), the recorded signals show it (`signal_events`); slow
 drift is no event. `merged` makes one list of both.
 """
@@ -102,32 +102,74 @@ def find_events(channels: Channels, journal: Sequence[Event] = ()) -> list[Event
     return merged(within, shown, 1.5 * sample_s)
 
 
-def journal_events(changes: Iterable[Change], cycle_time_s: float) -> list[Event]:
-    """What the bench's journal says, in the time of the recording; what was set before the drives were enabled is left
-    out."""
-    began: int | None = None
-    events: list[Event] = []
-    by_path: dict[str, list[Change]] = {}
-    for change in changes:
+class EventLog:
+    """Collects what the bench notes (`Change`) as events, one change at a time: a ramp is one, however long it is.
+
+    What was set before the drives were enabled is left out.
+    """
+
+    def __init__(self, cycle_time_s: float) -> None:
+        self._cycle_s = cycle_time_s
+        self._began: int | None = None
+        self._done: list[Event] = []
+        self._open: dict[str, _Sets] = {}
+
+    def add(self, change: Change) -> None:
+        """The next change, in the order of the cycles."""
         if change.what == "enabled":
-            began = change.cycle
-            by_path = {}
-        elif began is not None and change.what == "set":
-            by_path.setdefault(change.path, []).append(change)
-        elif began is not None and change.what in _MARKS:
-            at_s = (change.cycle - began) * cycle_time_s
-            events.append(Event("mark", at_s, at_s, text=_MARKS[change.what]))
-    for path, sets in by_path.items():
-        for group in _groups([change.cycle for change in sets]):
-            first, last = sets[group[0]], sets[group[-1]]
-            before = first.before if first.before is not None else sets[group[0] - 1].value if group[0] else None
-            values = {sets[at].value for at in group}
-            if values == {before}:
-                continue
-            start_s, end_s = ((at.cycle - (began or 0)) * cycle_time_s for at in (first, last))
-            cycles = last.cycle - first.cycle + 1
-            events.append(_event(path, start_s, end_s, cycles, before, last.value))
-    return sorted(events, key=lambda event: event.start_s)
+            self._began = change.cycle
+        elif self._began is None:
+            return
+        elif change.what == "set":
+            self._set(change)
+        elif change.what in _MARKS:
+            at_s = self._time_s(change.cycle)
+            self._done.append(Event("mark", at_s, at_s, text=_MARKS[change.what]))
+
+    def events(self) -> list[Event]:
+        """What has happened until now, in order of time and in the time of the recording."""
+        unfinished = [event for sets in self._open.values() if (event := self._event(sets)) is not None]
+        return sorted([*self._done, *unfinished], key=lambda event: event.start_s)
+
+    def _set(self, change: Change) -> None:
+        sets = self._open.get(change.path)
+        if sets is not None and change.cycle - sets.last.cycle <= _GAP:
+            sets.moved |= change.value != sets.before
+            sets.last = change
+            return
+        known = None if sets is None else sets.last.value
+        if sets is not None and (event := self._event(sets)) is not None:
+            self._done.append(event)
+        before = known if change.before is None else change.before
+        self._open[change.path] = _Sets(change, change, before, moved=change.value != before)
+
+    def _event(self, sets: _Sets) -> Event | None:
+        if not sets.moved:
+            return None
+        start_s, end_s = self._time_s(sets.first.cycle), self._time_s(sets.last.cycle)
+        cycles = sets.last.cycle - sets.first.cycle + 1
+        return _event(sets.last.path, start_s, end_s, cycles, sets.before, sets.last.value)
+
+    def _time_s(self, cycle: int) -> float:
+        return (cycle - (self._began or 0)) * self._cycle_s
+
+
+@dataclass
+class _Sets:
+    """Changes of one quantity in cycles that follow each other."""
+
+    first: Change
+    last: Change
+    before: float | None
+    moved: bool
+
+
+def journal_events(changes: Iterable[Change], cycle_time_s: float) -> list[Event]:
+    """What a journal says as events."""
+    log = EventLog(cycle_time_s)
+    for change in changes:
+        log.add(change)
+    return log.events()
 
 
 def signal_events(t_s: ArrayLike, values: ArrayLike, path: str) -> list[Event]:

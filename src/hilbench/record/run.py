@@ -38,7 +38,7 @@ from hilbench.experiment import config as config_files
 from hilbench.experiment.check import check_experiment
 from hilbench.experiment.config import LoadedConfig
 from hilbench.experiment.criteria import CriterionResult, evaluate
-from hilbench.experiment.events import journal_events
+from hilbench.experiment.events import EventLog
 from hilbench.experiment.metrics import Judgement, judge
 from hilbench.record.journal import JournalWriter
 from hilbench.record.junit import write_junit
@@ -126,7 +126,7 @@ def run_experiment(
     provenance = Provenance.of(config, loaded.document, participants)
     recorder = Recorder()
     verdicts = list[CriterionResult]()
-    changes: list[Change] = []
+    happened = EventLog(config.cycle_time_s)
     if participants is not Participants.IN_PROCESS:
         announce(f"look who is on {config.bus_address}")
     with (
@@ -141,7 +141,7 @@ def run_experiment(
 
         def note(change: Change) -> None:
             journal.write(change)
-            changes.append(change)
+            happened.add(change)
 
         bench = Bench(
             config,
@@ -168,7 +168,7 @@ def run_experiment(
     timing = measure_timing(bench)
     judged = Judgement(())
     with ending.told("metrics"):
-        judged = judge(recording.channels, journal=journal_events(changes, config.cycle_time_s))
+        judged = judge(recording.channels, journal=happened.events())
     metrics = judged.metrics() | timing.metrics()
     criteria = verdicts + evaluate(config.criteria, metrics, judged)
     warnings = [_warned(notice) for notice in bench.notices]

@@ -14,12 +14,11 @@ from typing import Self
 
 from hilbench.bench import bench, quantities
 from hilbench.bench.bench import InterruptedByOperatorError
-from hilbench.bench.change import Change
 from hilbench.bench.check import check_bench
 from hilbench.bench.in_process import check_in_process
 from hilbench.bench.participants import Participants
 from hilbench.experiment.config import load_with_overrides
-from hilbench.experiment.events import journal_events
+from hilbench.experiment.events import EventLog
 from hilbench.experiment.metrics import Judgement, judge
 from hilbench.record.recording import Recording
 from hilbench.record.run import Recorder
@@ -72,13 +71,13 @@ class Bench(bench.Bench):
             check_in_process(loaded.config)
         self._recorder = Recorder()
         self._made = datetime.now(UTC)
-        self._changes: list[Change] = []
+        self._happened = EventLog(loaded.config.cycle_time_s)
         super().__init__(
             loaded.config,
             observers=[self._recorder],
             participants=participants,
             announce=announce,
-            journal=self._changes.append,
+            journal=self._happened.add,
             may_idle=True,
             force=force,
         )
@@ -107,8 +106,7 @@ class Bench(bench.Bench):
 
     def judge(self) -> Judgement:
         """Every step until now with its figures (`hilbench.experiment.metrics`)."""
-        journal = journal_events(self._changes, self.config.cycle_time_s)
-        return judge(self.recording.channels, journal=journal)
+        return judge(self.recording.channels, journal=self._happened.events())
 
     def metrics(self) -> dict[str, float | None]:
         """The metrics that the recording shows until now, of several steps the worst."""
