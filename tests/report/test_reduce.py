@@ -115,3 +115,12 @@ def test_a_short_signal_stays_as_it_is_and_a_gap_a_gap() -> None:
     coarse = reduced(data, stretches(t, [], 20))
     assert np.isnan(coarse).any()
     assert np.nanmax(coarse) == 49.0
+
+
+def test_a_ramp_stays_a_ramp_up_to_its_ends() -> None:
+    t = np.arange(2000) * 0.002
+    v = np.clip(t - 1, 0, 2)
+    x = np.cumsum(v) * 0.002
+    averaged = mean_velocity(t, x, 200, breaks=[500, 1500])
+    assert np.abs(averaged - v).max() < 0.015
+    assert np.abs(moving_average(v, 201, breaks=[500, 1500]) - v).max() < 0.015

@@ -173,15 +173,21 @@ def _criteria(criteria: Sequence[CriterionResult]) -> str:
         return section("Criteria", '<p class="note">The config sets none.</p>')
     rows = []
     for criterion in criteria:
-        reason = f'<span class="reason">{escape(criterion.reason)}</span>' if criterion.reason else ""
         word = criterion.verdict
         value = number(criterion.value, digits(criterion.unit))
         rows.append(
-            f"<tr><td>{escape(criterion.name)}{reason}</td>"
-            f'<td class="number">{value}</td><td class="number">{escape(criterion.limit)}</td>'
-            f'<td>{escape(criterion.unit)}</td><td class="result {word}">{_mark(criterion.passed)} {word}</td></tr>'
+            f'<tr><td>{escape(criterion.name)}</td><td class="number">{value}</td>'
+            f'<td class="number">{escape(criterion.limit)}</td><td>{escape(criterion.unit)}</td>'
+            f'<td class="result {word}">{_mark(criterion.passed)} {word}{_why(criterion)}</td></tr>'
         )
     return section("Criteria", table(("Criterion", ">Value", ">Limit", "Unit", "Result"), rows))
+
+
+def _why(criterion: CriterionResult) -> str:
+    """Beside the verdict: which step it is of, and what is to be said of it."""
+    told = [f"step {criterion.step}"] if criterion.step and criterion.value is not None else []
+    told += [criterion.reason] if criterion.reason else []
+    return f'<span class="reason">{escape("; ".join(told))}</span>' if told else ""
 
 
 def _faults(faults: Sequence[Fault]) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -10,32 +10,18 @@ from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
 
+#: A window at an event is that part of the others.
+_NARROWEST = 10
+
 
 def moving_average(values: ArrayLike, samples: int, breaks: Sequence[int] = ()) -> Array:
     """Centred mean over `samples` (made odd); at the ends over the samples that are there. NaN stays local.
 
     No mean reaches over one of the `breaks` (indices of the first sample after an event): what an event does is not
-    seen before it.
+    seen before it. It is the narrower the nearer the event is, on both sides alike, so that a ramp stays a ramp.
     """
     data = np.asarray(values, np.float64)
-    if not len(data):
-        return data
-    return np.concatenate([_centred_mean(part, samples) for part in _parts(data, breaks)])
-
-
-def _parts(data: Array, breaks: Sequence[int]) -> list[Array]:
-    return np.split(data, sorted({at for at in breaks if 0 < at < len(data)}))
-
-
-def _centred_mean(data: Array, samples: int) -> Array:
-    half = min(samples // 2, max(len(data) - 1, 0) // 2)
-    known = np.isfinite(data)
-    total = np.concatenate(([0.0], np.cumsum(np.where(known, data, 0.0))))
-    count = np.concatenate(([0], np.cumsum(known)))
-    start = np.clip(np.arange(len(data)) - half, 0, None)
-    stop = np.clip(np.arange(len(data)) + half + 1, None, len(data))
-    with np.errstate(invalid="ignore", divide="ignore"):
-        return np.asarray((total[stop] - total[start]) / (count[stop] - count[start]), np.float64)
+    return _by_part(breaks, lambda ends, part: _centred_mean(part, samples, ends), data)
 
 
 def mean_velocity(t_s: ArrayLike, x_m: ArrayLike, samples: int, breaks: Sequence[int] = ()) -> Array:
@@ -45,19 +31,51 @@ def mean_velocity(t_s: ArrayLike, x_m: ArrayLike, samples: int, breaks: Sequence
     half also takes out the steps of the encoder. `breaks` as in `moving_average`.
     """
     time_s, position_m = np.asarray(t_s, np.float64), np.asarray(x_m, np.float64)
-    if not len(time_s):
-        return time_s
-    parts = zip(_parts(time_s, breaks), _parts(position_m, breaks), strict=True)
-    return np.concatenate([_mean_slope(part_s, part_m, samples) for part_s, part_m in parts])
+    return _by_part(breaks, lambda ends, t, x: _mean_slope(t, x, samples, ends), time_s, position_m)
 
 
-def _mean_slope(time_s: Array, position_m: Array, samples: int) -> Array:
-    half = min(max(samples // 4, 1), max(len(time_s) - 1, 1))
-    start = np.clip(np.arange(len(time_s)) - half, 0, None)
-    stop = np.clip(np.arange(len(time_s)) + half, None, len(time_s) - 1)
+#: Whether a stretch begins and ends with an event.
+_Ends = tuple[bool, bool]
+
+
+def _by_part(breaks: Sequence[int], mean: Callable[..., Array], *signals: Array) -> Array:
+    """A mean of the stretches between the breaks, one by one."""
+    count = len(signals[0])
+    bounds = [0, *sorted({at for at in breaks if 0 < at < count}), count]
+    means = [
+        mean((start > 0, stop < count), *(signal[start:stop] for signal in signals)) for start, stop in pairwise(bounds)
+    ]
+    return np.concatenate(means) if count else signals[0]
+
+
+def _centred_mean(data: Array, samples: int, ends: _Ends) -> Array:
+    half = min(samples // 2, max(len(data) - 1, 0) // 2)
+    known = np.isfinite(data)
+    total = np.concatenate(([0.0], np.cumsum(np.where(known, data, 0.0))))
+    count = np.concatenate(([0], np.cumsum(known)))
+    start, last = _windows(len(data), half, ends)
+    stop = last + 1
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.asarray((total[stop] - total[start]) / (count[stop] - count[start]), np.float64)
+
+
+def _mean_slope(time_s: Array, position_m: Array, samples: int, ends: _Ends) -> Array:
+    start, stop = _windows(len(time_s), min(max(samples // 4, 1), max(len(time_s) - 1, 1)), ends)
     with np.errstate(invalid="ignore", divide="ignore"):
         slope = (position_m[stop] - position_m[start]) / (time_s[stop] - time_s[start])
-    return _centred_mean(slope, samples // 2)
+    return _centred_mean(slope, samples // 2, ends)
+
+
+def _windows(count: int, half: int, ends: _Ends) -> tuple[NDArray[np.int_], NDArray[np.int_]]:
+    """First and last sample of the window about each sample: `half` to both sides, and near an event only as far as
+    that is, but never so narrow that a mean would be of single samples."""
+    at = np.arange(count)
+    room = np.full(count, half)
+    for near, distance in zip(ends, (at, count - 1 - at), strict=True):
+        if near:
+            room = np.minimum(room, distance)
+    room = np.maximum(room, min(half, max(half // _NARROWEST, 1)))
+    return np.clip(at - room, 0, None), np.clip(at + room, None, count - 1)
 
 
 def envelope(t_s: ArrayLike, values: ArrayLike, columns: int) -> tuple[Array, Array, Array]:
