@@ -71,8 +71,10 @@ def _twin(run: Path, method: str | None, out: Path | None) -> dict[str, Any]:
     import numpy as np
 
     from hilbench.experiment.config import load
+    from hilbench.experiment.events import journal_events
     from hilbench.experiment.metrics import evaluate_metrics
     from hilbench.experiment.synchronization import measurements_of, methods_of
+    from hilbench.record.journal import read_journal
     from hilbench.record.recording import Recording, read_recording, write_recording
     from hilbench.record.run_folder import RunFolder
     from hilbench.twin.offline import run_offline
@@ -105,5 +107,7 @@ def _twin(run: Path, method: str | None, out: Path | None) -> dict[str, Any]:
     for name in ("F_sim_N", "E_sim_Pa"):
         if name in recording:
             figures[f"rms_difference_{name}"] = rms_difference(name)
-    figures |= {name: value for name, value in evaluate_metrics(again.channels).items() if name.startswith("E_")}
+    changes = read_journal(folder.journal) if folder.journal.exists() else []
+    found = evaluate_metrics(again.channels, journal=journal_events(changes, config.cycle_time_s))
+    figures |= {name: value for name, value in found.items() if name.startswith("E_")}
     return figures

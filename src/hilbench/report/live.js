@@ -73,9 +73,10 @@
         ctx.lineTo(x, bbox.top + bbox.height);
         ctx.stroke();
       }
+      const at = Math.max(x, bbox.left), next = page.marks.find((other) => other.n && other.from > mark.from);
+      const room = (next ? Math.max(u.valToPos(next.from, "x", true), at) : bbox.left + bbox.width) - at;
       let text = mark.n ? `${mark.n}  ${mark.text}` : mark.text;
-      const at = Math.max(x, bbox.left);
-      if (at < free) text = mark.n;
+      if (next && ctx.measureText(text).width + 6 * ratio > room) text = mark.n; // no room before the next step
       const wide = ctx.measureText(text).width;
       if (!text || at < free) continue;
       ctx.fillStyle = colour(end > x ? "--faint" : "--purple");
