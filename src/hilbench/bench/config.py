@@ -7,29 +7,28 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, field_validator, model_validator
+from pydantic import Field, PositiveFloat, field_validator, model_validator
 
 from hilbench.bench.tension_control import TensionControlConfig
+from hilbench.block import Block
 from hilbench.bus.open import BusAddress
 from hilbench.errors import UnusableInputError
 from hilbench.real_time import ProcessSettings
 from hilbench.twin.config import TwinConfig
 from hilbench.web.effects import imitated_effect_problem, stand_effect_problem
 from hilbench.web.noise import SensorParameters
-from hilbench.web.parameters import EffectEntry, ModelParameters, Modulus
+from hilbench.web.offline import samples_per
+from hilbench.web.parameters import EffectEntry, Length, ModelParameters, Modulus
 from hilbench.web.stand import LoadMotorParameters, StandParameters
 
 Pace = Literal["lockstep", "realtime"]
 Mirroring = Literal["listen", "copy"]
+TimeOut = Annotated[float, Field(gt=0.0, le=3600.0)]
 
 
-class _Block(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class BusConfig(_Block):
+class BusConfig(Block):
     """Which bus: `embedded`, or any python-can interface and channel such as `socketcan:vcan0`."""
 
     address: str = Field(
@@ -49,7 +48,7 @@ class BusConfig(_Block):
         return value
 
 
-class UnitsConfig(_Block):
+class UnitsConfig(Block):
     """What a drive's own objects do not tell of its units (608Fh, 60A9h, 6076h); motor side."""
 
     position_rad: PositiveFloat | None = Field(default=None, description="rad per unit of 6064h")
@@ -65,7 +64,7 @@ def parse_object(key: str) -> tuple[int, int]:
     return int(match[1], 16), int(match[2] or 0)
 
 
-class NodeConfig(_Block):
+class NodeConfig(Block):
     """One CANopen node of the bench."""
 
     node_id: int = Field(ge=1, le=127, description="CANopen node id; every node has one of its own")
@@ -94,7 +93,7 @@ class NodeConfig(_Block):
         return self.units.model_dump(exclude_none=True)
 
 
-class NodesConfig(_Block):
+class NodesConfig(Block):
     """The participants, by their part in the bench."""
 
     axis1: NodeConfig
@@ -114,19 +113,17 @@ class NodesConfig(_Block):
         return self
 
 
-class MasterConfig(_Block):
+class MasterConfig(Block):
     """The bench's own part on the bus."""
 
     node_id: int = Field(default=127, ge=1, le=127, description="the bench's own, for its heartbeat")
     heartbeat_ms: int = Field(default=100, ge=0, le=32767, description="the bench's own heartbeat; 0: none")
     node_heartbeat_ms: int = Field(default=100, ge=0, le=32767, description="heartbeat that the nodes produce")
-    boot_timeout_s: PositiveFloat = Field(
-        default=20.0, description="how long nodes may take to show themselves on the bus"
-    )
-    sdo_timeout_s: PositiveFloat = Field(default=1.0, description="how long a node may take to answer an SDO request")
+    boot_timeout_s: TimeOut = Field(default=20.0, description="how long nodes may take to show themselves on the bus")
+    sdo_timeout_s: TimeOut = Field(default=1.0, description="how long a node may take to answer an SDO request")
 
 
-class HardwareConfig(_Block):
+class HardwareConfig(Block):
     """The simulated hardware: the model's axes as motors with flywheels, and the load motor on the second shaft."""
 
     load_motor: LoadMotorParameters = LoadMotorParameters(inertia_kg_m2=0.0005)
@@ -143,14 +140,14 @@ class HardwareConfig(_Block):
         return entries
 
 
-class LoadWebConfig(_Block):
+class LoadWebConfig(Block):
     """Where the imitated web differs from the model; what is not given is as in `model:`."""
 
     youngs_modulus_Pa: Modulus | None = Field(default=None, description="Young's modulus E of the imitated web")
-    span_length_m: PositiveFloat | None = Field(default=None, description="free web between the two rollers")
+    span_length_m: Length | None = Field(default=None, description="free web between the two rollers")
 
 
-class LoadConfig(_Block):
+class LoadConfig(Block):
     """The load-model task: the web that the load motor imitates."""
 
     web: LoadWebConfig = LoadWebConfig()
@@ -166,7 +163,7 @@ class LoadConfig(_Block):
         return entries
 
 
-class Limit(_Block):
+class Limit(Block):
     """Two levels of one quantity's magnitude; a level that is not given (null) does not exist."""
 
     warning: PositiveFloat | None = Field(
@@ -181,7 +178,7 @@ class Limit(_Block):
         return self
 
 
-class LimitsConfig(_Block):
+class LimitsConfig(Block):
     """Levels of warning (noted in the result) and trip (the bench goes to the safe state)."""
 
     tension_N: Limit = Field(default=Limit(warning=300.0, trip=400.0), description="of the imitated web")
@@ -197,37 +194,39 @@ class LimitsConfig(_Block):
     )
 
 
-class SafetyConfig(_Block):
+class SafetyConfig(Block):
     """Limits of a run and how the safe state is reached: all drives at rest by quick stop, then without power."""
 
-    cycle_timeout_s: PositiveFloat = Field(
+    cycle_timeout_s: TimeOut = Field(
         default=5.0, description="lockstep: wall time to wait for a drive; for the twin 2 s at most"
     )
     missing_cycles: int = Field(default=25, ge=1, description="realtime: cycles in a row a PDO may be missing")
-    drive_timeout_s: PositiveFloat = Field(default=2.0, description="for a drive to reach a requested state")
-    quick_stop_m_s2: PositiveFloat = Field(default=3.0, description="deceleration of a quick stop, at the web")
+    drive_timeout_s: TimeOut = Field(default=2.0, description="for a drive to reach a requested state")
+    quick_stop_m_s2: float = Field(
+        default=3.0, ge=0.01, le=1000.0, description="deceleration of a quick stop, at the web"
+    )
     limits: LimitsConfig = LimitsConfig()
     on_web_break: Literal["stop", "warn"] = Field(default="stop", description="when the twin reports a web break")
     on_foreign_frames: Literal["stop", "warn"] = Field(
         default="warn",
         description="when somebody else sends what only the bench or its nodes send, or writes to the nodes by SDO",
     )
-    supervisor_timeout_s: PositiveFloat = Field(
+    supervisor_timeout_s: TimeOut = Field(
         default=0.5,
         description="realtime: silence of the bench's heartbeat after which the supervisor stops the drives; "
         "lockstep: so much longer than cycle_timeout_s",
     )
 
 
-class CoresConfig(_Block):
+class CoresConfig(Block):
     """Which core each process is pinned to; null: none."""
 
-    bench: int | None = Field(default=None, ge=0, description="the bench's cyclic loop")
-    hardware: int | None = Field(default=None, ge=0, description="the simulated hardware")
-    twin: int | None = Field(default=None, ge=0, description="the twin")
+    bench: int | None = Field(default=None, ge=0, le=4095, description="the bench's cyclic loop")
+    hardware: int | None = Field(default=None, ge=0, le=4095, description="the simulated hardware")
+    twin: int | None = Field(default=None, ge=0, le=4095, description="the twin")
 
 
-class RealtimeConfig(_Block):
+class RealtimeConfig(Block):
     """What the processes ask of the operating system at pace `realtime`; what is not permitted is a warning."""
 
     priority: int | None = Field(
@@ -239,7 +238,7 @@ class RealtimeConfig(_Block):
     cores: CoresConfig = CoresConfig()
 
 
-class BenchConfig(_Block):
+class BenchConfig(Block):
     """One bench. Keys that carry a unit say so in their name."""
 
     name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$", description="names the run folder")
@@ -270,6 +269,7 @@ class BenchConfig(_Block):
         if self.model.web is None or self.model.drives is None or self.model.axis_count != 2:
             raise ValueError("a model of two driven rollers with 'web:' and 'drives:'")
         self.stand_parameters()  # raises ValueError for a load motor that is too heavy
+        samples_per(self.cycle_time_s, self.model.drives.sample_time_s)  # raises ValueError for what is no multiple
         return self
 
     def stand_parameters(self) -> StandParameters:

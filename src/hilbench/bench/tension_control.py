@@ -15,8 +15,9 @@ a slower pole would be cancelled for the set point only, and a disturbance would
 
 from __future__ import annotations
 
-from pydantic import BaseModel, ConfigDict, Field, PositiveFloat
+from pydantic import Field, PositiveFloat
 
+from hilbench.block import Block
 from hilbench.web.parameters import ModelParameters
 
 #: Longest integral time, times the bandwidth.
@@ -26,10 +27,8 @@ _HOLD_S = 0.5
 _KNOWN_S = 0.5
 
 
-class TensionControlConfig(BaseModel):
+class TensionControlConfig(Block):
     """The tension loop: how the velocity of axis 1 keeps the simulated tension at its set-point."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     set_point_N: PositiveFloat = Field(default=80.0, description="of the simulated tension, the sensor of the loop")
     bandwidth_rad_per_s: PositiveFloat = Field(default=6.0, description="of the closed tension loop")

@@ -179,7 +179,10 @@ def _ask(connection: socket.socket, channel: str, content: dict[str, Any]) -> di
 
 def _connect(path: Path) -> socket.socket | None:
     """A connection to the hub listening at `path`; None: none does."""
-    connection = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    try:
+        connection = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    except OSError as error:
+        raise BusError(f"{path}: no socket to be had ({error.strerror})") from error
     connection.settimeout(_TIMEOUT_S)
     try:
         connection.connect(os.fspath(path))
@@ -202,8 +205,12 @@ def _connect_or_start(channel: str) -> socket.socket:
         return connection
     if protocol.is_path(channel):
         raise _nobody(channel)
-    with _lock(path.parent):
-        return _connect(path) or _start_hub(channel, path)
+    try:
+        with _lock(path.parent):
+            return _connect(path) or _start_hub(channel, path)
+    except OSError as error:
+        where = error.filename or path
+        raise BusError(f"embedded bus {channel}: its hub cannot be started ({error.strerror}): {where}") from error
 
 
 @contextlib.contextmanager

@@ -9,9 +9,7 @@ from typing import Annotated, Literal
 
 from pydantic import (
     AfterValidator,
-    BaseModel,
     BeforeValidator,
-    ConfigDict,
     Field,
     FilePath,
     PositiveFloat,
@@ -22,6 +20,7 @@ from pydantic import (
 from hilbench.bench.bench import Bench
 from hilbench.bench.quantities import LONGEST_S, permitted, rampable_path, settable_path
 from hilbench.bench.signals import SIGNALS
+from hilbench.block import Block
 from hilbench.errors import BenchFaultError
 from hilbench.experiment.criteria import CriterionResult
 from hilbench.experiment.python_file import load_experiment, run_experiment_function
@@ -69,11 +68,7 @@ def _condition(text: str) -> str:
     return text
 
 
-class _Step(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-
-class Ramp(_Step):
+class Ramp(Block):
     """Move a quantity linearly: at `rate_per_s` (unit of the quantity per second) or within `duration_s`."""
 
     path: RampedPath = Field(description="what is moved")
@@ -99,7 +94,7 @@ class Ramp(_Step):
         bench.ramp(self.path, self.to, max(duration_s, bench.config.cycle_time_s))
 
 
-class Hold(_Step):
+class Hold(Block):
     """Let the bench run: for `duration_s`, or until experiment time `until_s`."""
 
     duration_s: NoOrSomeTime | None = Field(default=None, description="how long")
@@ -117,7 +112,7 @@ class Hold(_Step):
         bench.run(max(0.0, left_s))
 
 
-class Set(_Step):
+class Set(Block):
     """Give quantities a value from the next cycle on."""
 
     path: Path = Field(description="what is set")
@@ -136,7 +131,7 @@ class Step(Set):
         bench.step(self.path, self.to)
 
 
-class WaitUntil(_Step):
+class WaitUntil(Block):
     """Run until a signal of the recording fulfils a condition; a bench fault when it does not in time."""
 
     condition: Annotated[str, AfterValidator(_condition)] = Field(
@@ -156,7 +151,7 @@ class WaitUntil(_Step):
             raise BenchFaultError(f"wait_until: '{self.condition}' did not come true within {self.timeout_s:g} s")
 
 
-class RestartTwin(_Step):
+class RestartTwin(Block):
     """Reset the twin while the plant runs; the tension loop is open until it is synchronized again."""
 
     def run(self, bench: Bench) -> None:
@@ -164,7 +159,7 @@ class RestartTwin(_Step):
         bench.restart_twin()
 
 
-class UseSynchronizer(_Step):
+class UseSynchronizer(Block):
     """Let the twin go on with another method from its present E, with that method's defaults."""
 
     method: Literal["pid", "lm", "global", "rls", "ekf", "changepoint"] = Field(
@@ -176,7 +171,7 @@ class UseSynchronizer(_Step):
         bench.use_synchronizer(self.method)
 
 
-class TableStep(_Step):
+class TableStep(Block):
     """Run a scenario table (`hilbench.experiment.scenario`); its expectations are judged as criteria are."""
 
     file: FilePath = Field(description="CSV or YAML; a relative path is taken from the config file's folder")
@@ -191,7 +186,7 @@ class TableStep(_Step):
         read_scenario(self.file).run(bench, judged)
 
 
-class PythonStep(_Step):
+class PythonStep(Block):
     """Run a generator function of a Python file, resumed every cycle; it passes when no assertion in it fails."""
 
     file: FilePath = Field(description="Python file; a relative path is taken from the config file's folder")
@@ -206,7 +201,7 @@ Action = Ramp | Hold | Set | Step | WaitUntil | RestartTwin | UseSynchronizer
 JudgedAction = TableStep | PythonStep
 
 
-class ExperimentStep(_Step):
+class ExperimentStep(Block):
     """One entry of `steps:`, a mapping with a single key that says what is done."""
 
     ramp: Ramp | None = None

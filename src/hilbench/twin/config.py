@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, PositiveFloat
+from pydantic import Field, PositiveFloat
+
+from hilbench.block import Block
+from hilbench.web.parameters import Modulus
 
 
-class _Block(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class AlsoEstimated(_Block):
+class AlsoEstimated(Block):
     """Parameters estimated beside E, each by what is believed of it: its standard deviation around 0; 0: not at all."""
 
     torque_offset_Nm: float = Field(default=0.0, ge=0, description="of axis 2's torque measurement, motor side")
@@ -24,7 +23,7 @@ class AlsoEstimated(_Block):
     )
 
 
-class PidConfig(_Block):
+class PidConfig(Block):
     """Gains of the tracking simulation: dE/dt = Kp·e + Ki·∫e dt + Kd·de/dt, e in N·m of motor torque.
 
     The defaults reproduce the published behaviour on the demonstrator (about 20 s to 1 %): the velocity loop of
@@ -37,11 +36,11 @@ class PidConfig(_Block):
     kd_Pa_per_Nm: float = Field(default=2.0e9, ge=0, description="Kd")
     integral_limit_Nm_s: PositiveFloat = Field(default=0.05, description="largest size of the integral")
     error_filter_s: float = Field(default=0.2, ge=0, description="first-order filter of the error")
-    lower_limit_Pa: PositiveFloat = Field(default=1.0e8, description="least E it gives")
-    upper_limit_Pa: PositiveFloat = Field(default=1.0e11, description="largest E it gives")
+    lower_limit_Pa: Modulus = Field(default=1.0e8, description="least E it gives")
+    upper_limit_Pa: Modulus = Field(default=1.0e11, description="largest E it gives")
 
 
-class _OnBalance(_Block):
+class _OnBalance(Block):
     """What the methods on the measured momentum balance of axis 2 have in common."""
 
     torque_noise_Nm: PositiveFloat = Field(default=0.05, description="believed until it is measured (0.1 s)")
@@ -81,8 +80,8 @@ class GlobalConfig(_OnBalance):
     method: Literal["global"] = "global"
     window_s: PositiveFloat = Field(default=0.4, description="how far back a solution looks")
     latency_cycles: int = Field(default=100, ge=10, description="cycles from a window's end to its result")
-    lower_limit_Pa: PositiveFloat = Field(default=1.0e8, description="least E that is looked for")
-    upper_limit_Pa: PositiveFloat = Field(default=1.0e11, description="largest E that is looked for")
+    lower_limit_Pa: Modulus = Field(default=1.0e8, description="least E that is looked for")
+    upper_limit_Pa: Modulus = Field(default=1.0e11, description="largest E that is looked for")
     seed: int = Field(default=1, ge=0, description="of the search's random numbers")
 
 
@@ -100,7 +99,7 @@ class ChangepointConfig(_OnBalance):
     wander_pct_per_sqrt_s: float = Field(default=0.02, ge=0, description="random walk of E at all times")
 
 
-class InputConfig(_Block):
+class InputConfig(Block):
     """For a black-box model: the strain of the web that enters it is corrected; its parameters stay.
 
     Measured states are not transferred into it either.
@@ -127,7 +126,7 @@ SynchronizerConfig = Annotated[
 ]
 
 
-class TransferConfig(_Block):
+class TransferConfig(Block):
     """Direct transfer of measured states into the simulation, each cycle, while they are plausible."""
 
     strain: bool = Field(default=True, description="the span's strain, as the real axes' encoders show it")
@@ -137,14 +136,14 @@ class TransferConfig(_Block):
     velocity_limit_m_s: PositiveFloat = Field(default=0.2, description="largest plausible difference of velocity")
 
 
-class TwinConfig(_Block):
+class TwinConfig(Block):
     """The twin: what it assumes and how it keeps in step with the bench."""
 
     synchronizer: SynchronizerConfig = Field(
         default=ChangepointConfig(), description="how E is found from the torque of axis 2"
     )
     transfer: TransferConfig = TransferConfig()
-    youngs_modulus_Pa: PositiveFloat | None = Field(
+    youngs_modulus_Pa: Modulus | None = Field(
         default=None, description="what the twin assumes at the start; the model's value if not given"
     )
     torque_delay: Literal["estimate", "model"] = Field(

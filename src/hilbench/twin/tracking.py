@@ -112,8 +112,14 @@ class Tracking:
         modulus_Pa, self._own_deviation_Pa = estimate.youngs_modulus_Pa, estimate.deviation_Pa
         if not 0.0 < modulus_Pa < inf:  # torque of somebody else's web, say: no material has such an E
             modulus_Pa, self._own_deviation_Pa = self.estimate.youngs_modulus_Pa, inf
-        deviation_Pa = hypot(self._own_deviation_Pa, self._unmodelled_N / self._web_per_Pa)
+        deviation_Pa = hypot(self._own_deviation_Pa, self._unmodelled_Pa())
         return Estimate(modulus_Pa, deviation_Pa, estimate.nuisances, estimate.upstream_strain)
+
+    def _unmodelled_Pa(self) -> float:
+        """A lasting error of the torque, as E; a web without strain says nothing of E."""
+        if not self._unmodelled_N:
+            return 0.0
+        return self._unmodelled_N / self._web_per_Pa if self._web_per_Pa else inf
 
     @property
     def synchronized(self) -> bool:

@@ -4,26 +4,20 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
+
+from hilbench.block import Block
 
 
-class SensorParameters(BaseModel):
+class SensorParameters(Block):
     """Sensors of one motor. Zero means perfect."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    torque_noise_Nm: float = Field(
-        default=0.0, ge=0.0, allow_inf_nan=False, description="standard deviation of the measured torque"
-    )
-    velocity_noise_rad_s: float = Field(
-        default=0.0, ge=0.0, allow_inf_nan=False, description="standard deviation of the measured velocity"
-    )
+    torque_noise_Nm: float = Field(default=0.0, ge=0.0, description="standard deviation of the measured torque")
+    velocity_noise_rad_s: float = Field(default=0.0, ge=0.0, description="standard deviation of the measured velocity")
     position_noise_rad: float = Field(
-        default=0.0, ge=0.0, allow_inf_nan=False, description="standard deviation of the position, before it is counted"
+        default=0.0, ge=0.0, description="standard deviation of the position, before it is counted"
     )
-    encoder_rad_per_count: float = Field(
-        default=0.0, ge=0.0, allow_inf_nan=False, description="resolution of the encoder"
-    )
+    encoder_rad_per_count: float = Field(default=0.0, ge=0.0, description="resolution of the encoder")
 
 
 class Gaussian:

@@ -11,9 +11,10 @@ from pathlib import Path
 from typing import Annotated, Any, Self, TypeVar
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationInfo, field_validator, model_validator
+from pydantic import BaseModel, Field, FiniteFloat, ValidationInfo, field_validator, model_validator
 
 from hilbench import strict_yaml
+from hilbench.block import Block
 from hilbench.errors import UnusableInputError
 from hilbench.web.effects import find_effect
 
@@ -21,21 +22,22 @@ Positive = Annotated[FiniteFloat, Field(gt=0.0)]
 NotNegative = Annotated[FiniteFloat, Field(ge=0.0)]
 #: Young's moduli with a meaning: from the softest gel to beyond diamond.
 LEAST_MODULUS_Pa, LARGEST_MODULUS_Pa = 1e3, 1e13
+Length = Annotated[FiniteFloat, Field(ge=1e-3, le=1e4)]
+Radius = Annotated[FiniteFloat, Field(ge=1e-4, le=100.0)]
+GearRatio = Annotated[FiniteFloat, Field(ge=1e-4, le=1e4)]
 Modulus = Annotated[FiniteFloat, Field(ge=LEAST_MODULUS_Pa, le=LARGEST_MODULUS_Pa)]
 Value = TypeVar("Value")
 
 
-class _Part(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class WebParameters(_Part):
+class WebParameters(Block):
     """The web: elastic, of constant section; one length for every span or a list."""
 
     youngs_modulus_Pa: Modulus = Field(description="E along the run of the web")
-    width_m: Positive = Field(description="across the machine")
-    thickness_m: Positive = Field(description="with the width: the section S, tension = E·S·strain")
-    span_length_m: Positive | Annotated[list[Positive], Field(min_length=1)] = Field(
+    width_m: Annotated[FiniteFloat, Field(ge=1e-3, le=100.0)] = Field(description="across the machine")
+    thickness_m: Annotated[FiniteFloat, Field(ge=1e-7, le=0.1)] = Field(
+        description="with the width: the section S, tension = E·S·strain"
+    )
+    span_length_m: Length | Annotated[list[Length], Field(min_length=1)] = Field(
         description="free web between two driven rollers"
     )
 
@@ -50,21 +52,23 @@ class WebParameters(_Part):
         return self.youngs_modulus_Pa * self.section_m2
 
 
-class RollerParameters(_Part):
+class RollerParameters(Block):
     """Rollers and their gears (motor turns `gear_ratio` times as fast)."""
 
-    radius_m: Positive | list[Positive] = Field(description="nominal radius")
+    radius_m: Radius | list[Radius] = Field(description="nominal radius")
     inertia_kg_m2: NotNegative | list[NotNegative] = Field(description="of a roller about its own shaft")
-    gear_ratio: Positive | list[Positive] = Field(default=1.0, description="turns of the motor per turn of the roller")
+    gear_ratio: GearRatio | list[GearRatio] = Field(
+        default=1.0, description="turns of the motor per turn of the roller"
+    )
 
 
-class MotorParameters(_Part):
+class MotorParameters(Block):
     """Motors of the rollers, at the motor shaft."""
 
     inertia_kg_m2: NotNegative | list[NotNegative] = Field(default=0.0, description="of a motor, at its shaft")
 
 
-class DriveParameters(_Part):
+class DriveParameters(Block):
     """Control loops of the drives, at the motor: position P above velocity PI above a first-order current loop."""
 
     velocity_kp_Nm_s_per_rad: NotNegative | list[NotNegative] = Field(
@@ -85,7 +89,7 @@ class DriveParameters(_Part):
     )
 
 
-class BoundaryParameters(_Part):
+class BoundaryParameters(Block):
     """What the neighbouring sections do. Without `upstream_strain` it is upstream_tension_N/(E·S) by the file's E."""
 
     upstream_tension_N: NotNegative = Field(default=0.0, description="before the first roller")
@@ -95,7 +99,7 @@ class BoundaryParameters(_Part):
     )
 
 
-class EffectEntry(_Part):
+class EffectEntry(Block):
     """One effect with its parameter values, checked against `hilbench.web.effects`."""
 
     effect: str = Field(description="its id in the vocabulary of effects")
@@ -119,7 +123,7 @@ def _count(name: str, value: object, expected: int) -> None:
         raise ValueError(f"{name} has {len(value)} values, expected one or {expected}")
 
 
-class ModelParameters(_Part):
+class ModelParameters(Block):
     """One model: web, rollers, motors, drives, boundary and effects.
 
     Immutable; `model_copy(update=…)` varies it.
@@ -148,6 +152,11 @@ class ModelParameters(_Part):
             _count("span_length_m", self.web.span_length_m, axes - 1)
         if self.web is None and (axes > 1 or self.boundary != BoundaryParameters()):
             raise ValueError("several rollers or a boundary without a web, expected 'web' or a lone axis")
+        if not -0.5 < self.upstream_strain < 1.0:
+            raise ValueError(
+                f"upstream_tension_N of {self.boundary.upstream_tension_N:g} N strains the web that enters by "
+                f"{self.upstream_strain:g}, expected less than 1 (E·S is {self.required_web.stiffness_N:g} N)"
+            )
         for axis in range(1, axes + 1):
             if self.mass_kg(axis) <= 0.0:
                 raise ValueError(f"axis {axis} has no inertia, expected inertia of roller or motor above 0")

@@ -11,8 +11,9 @@ from collections.abc import Sequence
 from typing import Annotated, Self
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, model_validator
+from pydantic import Field, FiniteFloat, model_validator
 
+from hilbench.block import Block
 from hilbench.drives.port import MotorPort
 from hilbench.web import kernel
 from hilbench.web import layout as lay
@@ -30,30 +31,24 @@ _AXES = 2
 _LOAD = 2  #: index of the load motor among the motors
 
 
-class LoadMotorParameters(BaseModel):
+class LoadMotorParameters(Block):
     """The load motor and its drive's torque loop, at the shaft."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    inertia_kg_m2: float = Field(
-        default=0.0, ge=0.0, allow_inf_nan=False, description="of its rotor, on the shaft of axis 2"
-    )
-    torque_limit_Nm: float = Field(default=20.0, gt=0.0, allow_inf_nan=False, description="of the motor")
+    inertia_kg_m2: float = Field(default=0.0, ge=0.0, description="of its rotor, on the shaft of axis 2")
+    torque_limit_Nm: float = Field(default=20.0, gt=0.0, description="of the motor")
     current_loop_time_constant_s: float = Field(
-        default=0.001, ge=0.0, allow_inf_nan=False, description="the torque follows its command as a first-order lag"
+        default=0.001, ge=0.0, description="the torque follows its command as a first-order lag"
     )
     velocity_kp_Nm_s_per_rad: float = Field(
-        default=1.5, ge=0.0, allow_inf_nan=False, description="proportional gain of its velocity loop, used to stop"
+        default=1.5, ge=0.0, description="proportional gain of its velocity loop, used to stop"
     )
     velocity_ki_Nm_per_rad: float = Field(
-        default=30.0, ge=0.0, allow_inf_nan=False, description="integral gain of its velocity loop, used to stop"
+        default=30.0, ge=0.0, description="integral gain of its velocity loop, used to stop"
     )
 
 
-class StandParameters(BaseModel):
+class StandParameters(Block):
     """The simulated hardware. One value for both axes or a list of two. `matching` fills it from a model."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     radius_m: Pair = 0.2
     gear_ratio: Pair = 5.0
