@@ -43,13 +43,19 @@ class JournalWriter:
         if written != len(line):
             raise BenchFaultError(f"{self.path}: the journal cannot be written (no space left)")
 
+    def close(self) -> None:
+        """Close the file. Calling it twice is no error."""
+        if self._file >= 0:
+            os.close(self._file)
+            self._file = -1
+
     def __enter__(self) -> Self:
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        os.close(self._file)
+        self.close()
 
 
 def read_journal(path: Path) -> list[Change]:

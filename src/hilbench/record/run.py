@@ -5,7 +5,7 @@ from __future__ import annotations
 import signal
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, nullcontext, suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from operator import attrgetter
@@ -37,7 +37,7 @@ from hilbench.errors import (
 from hilbench.experiment import config as config_files
 from hilbench.experiment.check import check_experiment
 from hilbench.experiment.config import LoadedConfig
-from hilbench.experiment.criteria import CriterionResult, evaluate
+from hilbench.experiment.criteria import Criterion, CriterionResult, evaluate
 from hilbench.experiment.events import EventLog
 from hilbench.experiment.metrics import Judgement, judge
 from hilbench.record.journal import JournalWriter
@@ -123,69 +123,94 @@ def run_experiment(
     check_experiment(loaded)
     if participants is Participants.IN_PROCESS:
         check_in_process(config)
-    provenance = Provenance.of(config, loaded.document, participants)
-    recorder = Recorder()
-    verdicts = list[CriterionResult]()
-    happened = EventLog(config.cycle_time_s)
     if participants is not Participants.IN_PROCESS:
         announce(f"look who is on {config.bus_address}")
-    with (
-        held_bus(config, participants, force=force),
-        nullcontext(RunFolder.create(out, config.name)) as folder,
-        JournalWriter(folder.journal) as journal,
-    ):
-        config_files.dump(config, folder.config)
-        started = datetime.now(UTC)
-        ending = _Ending(folder)
-        trace = TraceWriter(folder.trace, config.bus_address.channel)
-
-        def note(change: Change) -> None:
-            journal.write(change)
-            happened.add(change)
-
+    with held_bus(config, participants, force=force):
+        record = RunRecord(loaded, out, participants, announce=announce)
         bench = Bench(
             config,
-            observers=[recorder, *observers],
-            tap=trace,
-            work_folder=folder.path,
+            observers=[record.recorder, *observers],
+            tap=record.trace,
+            work_folder=record.folder.path,
             participants=participants,
             announce=announce,
-            journal=note,
+            journal=record.note,
             bus_is_held=True,
         )
-        with ending.told("bench", lambda: bench.fault_time_s), trace, stop_on_signals(bench), bench:
+        told = record.ending.told("bench", lambda: bench.fault_time_s)
+        with record.journal, told, record.trace, stop_on_signals(bench), bench:
             announce("run the experiment")
             for step in config.steps:
-                step.run(bench, verdicts)
-    ending.faults += [Fault(time_s=None, source="safe state", text=text) for text in bench.safe_state_problems]
-    with ending.told("record"):
-        announce("write recording and result")
-    ending.look_after_folder()
-    recording = recorder.recording(started, config.description)
-    if len(recording) >= LEAST_SAMPLES:
+                step.run(bench, record.verdicts)
+    return record.finish(bench, config.criteria)
+
+
+class RunRecord:
+    """What a run leaves behind: made before the bench, fed while it runs, finished after it.
+
+    `trace` and `journal` are to be entered, or closed, by whoever runs the bench. Raises UnusableInputError when the
+    run folder can't be made.
+    """
+
+    def __init__(
+        self,
+        loaded: LoadedConfig,
+        out: Path,
+        participants: Participants,
+        *,
+        name: str | None = None,
+        announce: Callable[[str], None] = lambda text: None,
+    ) -> None:
+        self.config = loaded.config
+        self.verdicts: list[CriterionResult] = []  #: what the experiment tests itself
+        self.recorder = Recorder()
+        self._announce = announce
+        self._provenance = Provenance.of(loaded.config, loaded.document, participants)
+        self._happened = EventLog(loaded.config.cycle_time_s)
+        self._started = datetime.now(UTC)
+        self.folder = RunFolder.create(out, name or loaded.config.name)
+        config_files.dump(loaded.config, self.folder.config)
+        self.ending = Ending(self.folder)
+        self.trace = TraceWriter(self.folder.trace, loaded.config.bus_address.channel)
+        self.journal = JournalWriter(self.folder.journal)
+
+    def note(self, change: Change) -> None:
+        """Keep what the bench did."""
+        self.journal.write(change)
+        self._happened.add(change)
+
+    def finish(self, bench: Bench, criteria: Sequence[Criterion]) -> RunOutcome:
+        """Write recording and result of a bench that has been left. Raises BenchFaultError when it can't be done."""
+        config, folder, ending = self.config, self.folder, self.ending
+        ending.faults += [Fault(time_s=None, source="safe state", text=text) for text in bench.safe_state_problems]
         with ending.told("record"):
-            write_recording(recording, folder.recording)
-    timing = measure_timing(bench)
-    judged = Judgement(())
-    with ending.told("metrics"):
-        judged = judge(recording.channels, journal=happened.events())
-    metrics = judged.metrics() | timing.metrics()
-    criteria = verdicts + evaluate(config.criteria, metrics, judged)
-    warnings = [_warned(notice) for notice in bench.notices]
-    environment = Environment.here(config.seed)
-    result = Result.of(criteria, metrics, timing, ending.faults, environment, warnings, judged, provenance)
-    try:
-        result.write(folder.result)
-        write_junit(result, config.name, started, folder.junit)
-    except UnusableInputError as error:
-        said = "".join(f"{fault.text}; " for fault in ending.faults)
-        raise BenchFaultError(f"{said}drives were stopped; then {error}") from error
-    if ending.exit_code == EXIT_PASSED and not result.passed:
-        ending.exit_code = EXIT_CRITERION_FAILED
-    return RunOutcome(folder, result, ending.exit_code)
+            self._announce("write recording and result")
+        ending.look_after_folder()
+        recording = self.recorder.recording(self._started, config.description)
+        if len(recording) >= LEAST_SAMPLES:
+            with ending.told("record"):
+                write_recording(recording, folder.recording)
+        timing = measure_timing(bench)
+        judged = Judgement(())
+        with ending.told("metrics"):
+            judged = judge(recording.channels, journal=self._happened.events())
+        metrics = judged.metrics() | timing.metrics()
+        verdicts = self.verdicts + evaluate(criteria, metrics, judged)
+        warnings = [_warned(notice) for notice in bench.notices]
+        environment = Environment.here(config.seed)
+        result = Result.of(verdicts, metrics, timing, ending.faults, environment, warnings, judged, self._provenance)
+        try:
+            result.write(folder.result)
+            write_junit(result, config.name, self._started, folder.junit)
+        except UnusableInputError as error:
+            said = "".join(f"{fault.text}; " for fault in ending.faults)
+            raise BenchFaultError(f"{said}drives were stopped; then {error}") from error
+        if ending.exit_code == EXIT_PASSED and not result.passed:
+            ending.exit_code = EXIT_CRITERION_FAILED
+        return RunOutcome(folder, result, ending.exit_code)
 
 
-class _Ending:
+class Ending:
     """How a run ends: the exit code of what went wrong first, and all that did."""
 
     def __init__(self, folder: RunFolder) -> None:
@@ -198,13 +223,18 @@ class _Ending:
         """What goes wrong in here ends no more than this block, and is a fault of `source`."""
         try:
             yield
-        except (InterruptedByOperatorError, KeyboardInterrupt) as error:
+        except (Exception, KeyboardInterrupt) as error:
+            self.tell(error, source, time_s())
+
+    def tell(self, error: Exception | KeyboardInterrupt, source: str, time_s: float | None) -> None:
+        """What went wrong, and when."""
+        if isinstance(error, InterruptedByOperatorError | KeyboardInterrupt):
             when = "during start" if source == "bench" else "while the run was written"
-            self._add(EXIT_INTERRUPTED, time_s(), "operator", str(error) or f"interrupted {when}")
-        except HilbenchError as error:
-            self._add(EXIT_BENCH_FAULT, time_s(), source, str(error))
-        except Exception as error:  # nobody foresaw it: told like all the others, with its traceback for who mends it
-            self._add(EXIT_BENCH_FAULT, time_s(), source, unexpected(error, self._folder.traceback))
+            self._add(EXIT_INTERRUPTED, time_s, "operator", str(error) or f"interrupted {when}")
+        elif isinstance(error, HilbenchError):
+            self._add(EXIT_BENCH_FAULT, time_s, source, str(error))
+        else:  # nobody foresaw it: told like all the others, with its traceback for who mends it
+            self._add(EXIT_BENCH_FAULT, time_s, source, unexpected(error, self._folder.traceback))
 
     def look_after_folder(self) -> None:
         """Somebody may have removed the run folder: what is still known is written all the same."""

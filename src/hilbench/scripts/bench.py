@@ -14,14 +14,18 @@ from typing import Self
 
 from hilbench.bench import bench, quantities
 from hilbench.bench.bench import InterruptedByOperatorError
+from hilbench.bench.change import Change
 from hilbench.bench.check import check_bench
 from hilbench.bench.in_process import check_in_process
 from hilbench.bench.participants import Participants
+from hilbench.bench.startup import held_bus
 from hilbench.experiment.config import load_with_overrides
+from hilbench.experiment.criteria import CriterionResult
 from hilbench.experiment.events import EventLog
 from hilbench.experiment.metrics import Judgement, judge
 from hilbench.record.recording import Recording
-from hilbench.record.run import Recorder
+from hilbench.record.run import Recorder, RunRecord
+from hilbench.record.run_folder import RunFolder
 
 
 @dataclass(frozen=True)
@@ -38,6 +42,13 @@ class StepResponse:
     not_judged: dict[str, str] = field(default_factory=dict)
 
 
+def failed_or_passed(name: str, reason: str = "") -> CriterionResult:
+    """A verdict without a number: failed for a `reason`, passed without one."""
+    return CriterionResult(
+        name=name, value=float(not reason), limit="≥ 1", unit="", passed=not reason, reason=reason or None
+    )
+
+
 class Bench(bench.Bench):
     """A bench from its config file that keeps what it measured.
 
@@ -51,6 +62,10 @@ class Bench(bench.Bench):
     `bus`, `pace`, `seed` and `changes` (texts ``KEY=VALUE``) are what ``hilbench run`` takes. Raises UnusableInputError
     for a config that cannot be used, before anything is started; entering raises it for a bus that has another master
     (`force`: unless it was only heard). Steps and criteria of the file are left alone.
+
+    With `out`, entering makes a run folder there (`folder`), as ``hilbench run`` does, with config, trace and journal;
+    leaving adds recording and result. In the result what ended the bench is a fault, but for a failed assertion, and
+    what was added to `verdicts`: those are criteria. `name`: of the folder, instead of the config's.
     """
 
     def __init__(
@@ -64,6 +79,8 @@ class Bench(bench.Bench):
         participants: Participants = Participants.STARTED,
         announce: Callable[[str], None] = lambda text: None,
         force: bool = False,
+        out: str | PathLike[str] | None = None,
+        name: str | None = None,
     ) -> None:
         loaded = load_with_overrides(Path(config), bus=bus, pace=pace, seed=seed, changes=changes)
         check_bench(loaded.config, loaded.document)
@@ -72,18 +89,29 @@ class Bench(bench.Bench):
         self._recorder = Recorder()
         self._made = datetime.now(UTC)
         self._happened = EventLog(loaded.config.cycle_time_s)
+        self._loaded, self._name = loaded, name
+        self._out = None if out is None else Path(out)
+        self._record: RunRecord | None = None
+        self._recorded = False
+        self.verdicts: list[CriterionResult] = []  #: what the script tests, for the result in the run folder
         super().__init__(
             loaded.config,
             observers=[self._recorder],
             participants=participants,
             announce=announce,
-            journal=self._happened.add,
+            journal=self._note_change,
             may_idle=True,
             force=force,
         )
 
     def __enter__(self) -> Self:
-        super().__enter__()
+        if self._phase == "made":
+            self._begin_record()
+        try:
+            super().__enter__()
+        except BaseException as error:
+            self._end_record(error)
+            raise
         atexit.register(self._leave_forgotten)
         return self
 
@@ -91,7 +119,52 @@ class Bench(bench.Bench):
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         atexit.unregister(self._leave_forgotten)
-        super().__exit__(kind, error, trace)
+        try:
+            super().__exit__(kind, error, trace)
+        except BaseException as failure:
+            self._end_record(failure)
+            raise
+        self._end_record(error)
+
+    @property
+    def folder(self) -> RunFolder | None:
+        """The run folder; None without `out`, or before the bench was entered."""
+        return None if self._record is None else self._record.folder
+
+    def _begin_record(self) -> None:
+        if self._out is None:
+            return
+        # Who is refused the bus leaves no folder.
+        self._resources.enter_context(held_bus(self.config, self._participants, force=self._force))
+        self._bus_is_held = True
+        try:
+            record = self._record = RunRecord(self._loaded, self._out, self._participants, name=self._name)
+        except BaseException:
+            self._resources.close()
+            raise
+        record.recorder = self._recorder
+        self._tap, self._work_folder = record.trace, record.folder.path
+
+    def _note_change(self, change: Change) -> None:
+        self._happened.add(change)
+        if self._record is not None:
+            self._record.note(change)
+
+    def _end_record(self, error: BaseException | None) -> None:
+        """Finish the run folder, once. `error`: what ended the bench."""
+        record = self._record
+        if record is None or self._recorded:
+            return
+        self._recorded = True
+        for file in (record.trace, record.journal):
+            with record.ending.told("record"):
+                file.close()
+        if isinstance(error, AssertionError):
+            self.verdicts.append(failed_or_passed("script", str(error) or "an assertion failed"))
+        elif isinstance(error, Exception | KeyboardInterrupt):
+            record.ending.tell(error, "bench", self.fault_time_s)
+        record.verdicts += self.verdicts
+        record.finish(self, ())
 
     def _leave_forgotten(self) -> None:
         """The program ends, and the bench still runs."""
