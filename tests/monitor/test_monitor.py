@@ -6,18 +6,24 @@ import asyncio
 from pathlib import Path
 
 import pytest
+from tests.bench.test_runs import config
 from textual.widgets import DataTable, Log, Static
 from textual.widgets._footer import FooterKey
 
 from hilbench.bench.config import BenchConfig
 from hilbench.bench.nodes import Nodes
+from hilbench.bench.participants import Participants
 from hilbench.bus.frame import Frame
 from hilbench.bus.memory import MemoryBus
-from hilbench.experiment.config import load
+from hilbench.experiment.config import load, load_with_overrides
 from hilbench.fieldbus.emergency_stop import EMERGENCY_STOP
+from hilbench.monitor import condition
+from hilbench.monitor import picture as picture_of
 from hilbench.monitor.changes import CHANGEABLE, ChangeRequests
 from hilbench.monitor.dashboard import Dashboard
 from hilbench.monitor.picture import BusPicture
+from hilbench.record.run import run_experiment
+from hilbench.record.trace import TraceReader
 
 SHIPPED = Path(__file__).resolve().parents[2] / "bench_configs" / "web_section_step.yaml"
 
@@ -61,7 +67,14 @@ def test_what_is_heard_is_decoded(bench: BenchConfig) -> None:
     ]
 
 
-def test_the_dashboard_shows_it_and_sends_nothing(bench: BenchConfig) -> None:
+@pytest.fixture
+def patient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Frames that are sent once are what a bench says all the time."""
+    for module in (condition, picture_of):
+        monkeypatch.setattr(module, "SILENCE_S", 1e9)
+
+
+def test_the_dashboard_shows_it_and_sends_nothing(bench: BenchConfig, patient: None) -> None:
     bus = MemoryBus()
     ours, theirs = bus.open_link(), bus.open_link()
     dashboard = Dashboard(BusPicture(bench), ours)
@@ -181,3 +194,112 @@ def test_a_bench_that_does_not_answer_is_said(bench: BenchConfig) -> None:
     requests.ask(CHANGEABLE["v"], 2.0)
     assert requests.take([], 0.0) == []
     assert requests.take([], 5.0) == ["line speed 2 m/s: no answer from the bench (node 127)"]
+
+
+#: What ends a cycle of frames that are heard every 0.1 s, what the monitor calls the bench 3 s later, and why.
+ENDS = [
+    ([], "STALE", "no SYNC for 3 s, nothing of the bench either"),
+    ([Frame(0x000, b"\x80\x00")], "ENDED", "the bench has let its nodes go"),
+    ([Frame(0x000, b"\x02\x00")], "ENDED", "the bench has let its nodes go"),
+    ([*EMERGENCY_STOP], "E-STOP", "an emergency stop was heard"),
+    ([Frame(0x000, b"\x80\x01")], "STALE", "nothing of the bench"),  # one node's own affair
+]
+
+
+def running(bench: BenchConfig) -> BusPicture:
+    picture = BusPicture(bench)
+    for k in range(20):
+        picture.take([*cycles(bench, 50, 80.0)[:-1], Frame(0x7A0, b"\5"), Frame(0x77F, b"\5")], 0.1 * k)
+    data = picture.as_data()
+    assert (data["condition"], data["nodes"][0]["drive_state"]) == ("running", "OPERATION ENABLED")
+    assert data["F_sim_N"] is not None
+    return picture
+
+
+@pytest.mark.parametrize(("last", "word", "why"), ENDS, ids=["silent", "let go", "stopped", "e-stop", "one node"])
+def test_a_bench_that_does_not_run_has_no_values(bench: BenchConfig, last: list[Frame], word: str, why: str) -> None:
+    picture = running(bench)
+    picture.take(last, 2.0)
+    picture.take([], 4.9)
+    data = picture.as_data()
+    assert data["condition"] == word
+    assert why in data["condition_text"]
+    assert (data["F_sim_N"], data["E_sim_Pa"]) == (None, None)
+    assert {node[key] for node in data["nodes"] for key in ("drive_state", "torque_Nm", "statusword")} == {None}
+    # The nodes are started again, and SYNC goes on.
+    picture.take([Frame(0x000, b"\x01\x00"), *cycles(bench, 50, 80.0)], 6.0)
+    again = picture.as_data()
+    assert (again["condition"], again["nodes"][0]["drive_state"]) == ("running", "OPERATION ENABLED")
+    assert again["F_sim_N"] is not None
+
+
+def test_sync_alone_does_not_end_an_emergency_stop(bench: BenchConfig) -> None:
+    picture = running(bench)
+    picture.take([*EMERGENCY_STOP, Frame(0x080, b"")], 2.0)  # the bench goes on to see whether the drives have stopped
+    assert picture.as_data()["condition"] == "E-STOP"
+
+
+def test_a_script_that_pauses_is_told_from_a_bench_that_is_gone(bench: BenchConfig) -> None:
+    picture = running(bench)
+    for k in range(20, 60):
+        picture.take([Frame(0x77F, b"\5")], 0.1 * k)
+    assert picture.as_data()["condition_text"] == "STALE: no SYNC for 4 s, the bench pauses"
+
+
+def test_of_a_node_that_falls_silent_nothing_old_is_shown(bench: BenchConfig) -> None:
+    picture = running(bench)
+    for k in range(20, 60):  # the twin is gone, the bench goes on without it
+        others = [frame for frame in cycles(bench, 50, 80.0) if frame.can_id < 0x1A0 or frame.can_id == 0x701]
+        picture.take(others, 0.1 * k)
+    data = picture.as_data()
+    assert (data["condition"], data["F_sim_N"]) == ("running", None)
+    stale = {node["node_id"] for node in data["nodes"] if node["stale"]}
+    assert stale == {32}
+    assert data["nodes"][0]["drive_state"] == "OPERATION ENABLED"
+
+
+def test_a_slow_bench_in_lockstep_is_not_stale_while_it_answers(bench: BenchConfig) -> None:
+    picture = BusPicture(bench.model_copy(update={"pace": "lockstep"}))
+    for k in range(40):  # heartbeats come with every 50th cycle: two cycles a second here
+        beat = [Frame(0x701, b"\5")] if k % 20 == 0 else []
+        picture.take([*cycles(bench, 1, 80.0)[:-2], *beat], 0.5 * k)
+    nodes = picture.as_data()["nodes"]
+    assert (nodes[0]["nmt_state"], nodes[0]["stale"]) == ("OPERATIONAL", False)
+
+
+def test_the_frames_of_a_whole_run_are_waited_for_run_and_ended(tmp_path: Path) -> None:
+    loaded = load_with_overrides(config(tmp_path, steps=[{"hold": {"duration_s": 0.5}}]))
+    outcome = run_experiment(loaded, tmp_path / "runs", participants=Participants.IN_PROCESS)
+    picture = BusPicture(loaded.config)
+    seen = [picture.as_data()["condition"]]
+    for frame in TraceReader(outcome.folder.trace):
+        picture.take([frame], 1e-9 * frame.time_ns)
+        if picture.as_data()["condition"] != seen[-1]:
+            seen.append(picture.as_data()["condition"])
+    assert seen == ["not heard", "running", "ENDED"]
+
+
+def test_the_dashboard_says_it_instead_of_old_values(bench: BenchConfig, patient: None) -> None:
+    bus = MemoryBus()
+    ours, theirs = bus.open_link(), bus.open_link()
+    dashboard = Dashboard(BusPicture(bench), ours)
+
+    async def watch() -> list[tuple[str, ...]]:
+        seen = []
+        async with dashboard.run_test(size=(110, 36)) as pilot:
+            heard = ([], "not heard"), (cycles(bench, 100, 80.0), "running"), ([*EMERGENCY_STOP], "E-STOP")
+            for frames, said in heard:
+                theirs.send(frames)
+                while not str(dashboard.query_one("#condition", Static).render()).startswith(said):
+                    await pilot.pause(0.05)
+                await pilot.pause(0.3)
+                tension = str(dashboard.query_one("#tension-value", Static).render())
+                row = dashboard.query_one("#nodes", DataTable).get_row_at(0)
+                seen.append((tension, row[3], row[6]))
+        return seen
+
+    before, runs, stopped = asyncio.run(asyncio.wait_for(watch(), 60.0))
+    assert before == ("tension: not heard", "-", "-")
+    assert runs[0].startswith("tension: 178.0 N")
+    assert runs[1:] == ("OPERATION ENABLED", "1.000")
+    assert stopped == ("tension: E-STOP", "E-STOP", "-")

@@ -14,6 +14,9 @@ if TYPE_CHECKING:
     from hilbench.monitor.picture import BusPicture
 
 
+_READ_S = 0.05
+
+
 def monitor(
     config: ConfigArgument,
     bus: BusOption = None,
@@ -23,7 +26,8 @@ def monitor(
 ) -> None:
     """Watch a running bench as a listener on its bus: trends of tension and E, drive states, bus load, jitter, faults.
 
-    It may be started before the bench and stay when it has ended. It sends nothing but what a key asks for and a second
+    It may be started before the bench and stay when it has ended; while no bench runs it says STALE, ENDED or E-STOP
+    instead of values. It sends nothing but what a key asks for and a second
     one confirms: v line speed, t tension set-point, m E of the imitated web, e emergency stop. With --json it listens
     for a while and prints what it heard as one object.
 
@@ -51,9 +55,10 @@ def monitor(
 
 
 def _print(picture: BusPicture, link: Link, duration_s: float) -> None:
+    import time
     from json import dumps
 
-    from hilbench.fieldbus.listening import hear
-
-    picture.take(hear(link, duration_s))
+    until_s = time.monotonic() + duration_s
+    while (left_s := until_s - time.monotonic()) > 0:
+        picture.take(link.receive(min(left_s, _READ_S)))
     print(dumps(picture.as_data(), indent=2))

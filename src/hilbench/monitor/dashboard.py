@@ -21,6 +21,7 @@ from hilbench.bus.link import Link
 from hilbench.errors import BusError
 from hilbench.fieldbus.emergency_stop import send_emergency_stop
 from hilbench.monitor.changes import CHANGEABLE, ChangeRequests, Quantity
+from hilbench.monitor.condition import Condition
 from hilbench.monitor.picture import BusPicture, NodePicture
 
 _READ_S = 0.05
@@ -87,6 +88,8 @@ class Dashboard(App[None]):
     """Trends of tension and E, the nodes with their decoded states, bus load, jitter and faults."""
 
     CSS = """
+    #condition { height: 1; padding: 0 1; background: $error; text-style: bold; }
+    #condition.running { display: none; }
     #figures { height: 1; background: $panel; padding: 0 1; }
     #trends { height: 9; }
     #trends Vertical { width: 1fr; padding: 0 1; }
@@ -114,6 +117,7 @@ class Dashboard(App[None]):
 
     def compose(self) -> ComposeResult:
         """The widgets."""
+        yield Static(id="condition")
         yield Static(id="figures")
         with Horizontal(id="trends"):
             for name in ("tension", "modulus"):
@@ -184,13 +188,16 @@ class Dashboard(App[None]):
 
     def _draw_widgets(self) -> None:
         picture = self._picture
+        condition = self.query_one("#condition", Static)
+        condition.set_class(picture.condition is Condition.RUNNING, "running")
+        condition.update(picture.condition_text)
         self.query_one("#figures", Static).update(_figures(picture, self._link.dropped))
         self._trend("tension", list(picture.tension_N), "tension", "N")
         self._trend("modulus", [value / 1e6 for value in picture.modulus_Pa], "E", "N/mm²")
         nodes = self.query_one("#nodes", DataTable)
         nodes.clear()
         for node in picture.nodes.values():
-            nodes.add_row(*_row(node))
+            nodes.add_row(*_row(node, picture.condition))
         unseen = min(picture.fault_count - self._noted, len(picture.faults))
         self._noted = picture.fault_count
         new = list(picture.faults)[len(picture.faults) - unseen :]
@@ -200,14 +207,20 @@ class Dashboard(App[None]):
         # A sparkline stands on 0: what matters is how the signal moves above its least value.
         least = min(values, default=0.0)
         self.query_one(f"#{name}", Sparkline).data = [value - least for value in values]
-        text = (
-            f"{title}: {values[-1]:.1f} {unit}  ({least:.1f} to {max(values):.1f})" if values else f"{title}: not heard"
-        )
-        self.query_one(f"#{name}-value", Static).update(text)
+        picture = self._picture
+        if not values:
+            now = Condition.NOT_HEARD.value
+        elif picture.twin_is_heard:
+            now = f"{values[-1]:.1f} {unit}  ({least:.1f} to {max(values):.1f})"
+        else:
+            now = (Condition.STALE if picture.condition is Condition.RUNNING else picture.condition).value
+        self.query_one(f"#{name}-value", Static).update(f"{title}: {now}")
 
 
 def _figures(picture: BusPicture, dropped: int | None) -> str:
     parts = [f"{picture.config.name}  {picture.config.bus.address}", f"cycle {picture.cycles}"]
+    if picture.condition is not Condition.RUNNING:  # load and jitter are those of a running bench
+        return "   ".join(parts)
     if picture.bus_load is not None:
         parts.append(f"bus load {100 * picture.bus_load:.0f} %")
     jitter = picture.jitter_us()
@@ -219,10 +232,12 @@ def _figures(picture: BusPicture, dropped: int | None) -> str:
     return "   ".join(part for part in parts if part)
 
 
-def _row(node: NodePicture) -> tuple[str, ...]:
+def _row(node: NodePicture, condition: Condition) -> tuple[str, ...]:
     def number(value: float | None) -> str:
         return "-" if value is None else f"{value:.3f}"
 
     statusword = "-" if node.statusword is None else f"{node.statusword:04X}h"
-    states = (node.nmt_state or "-", node.drive_state or "-", statusword)
+    over = condition not in (Condition.RUNNING, Condition.NOT_HEARD)
+    instead = condition.value if over else Condition.STALE.value if node.stale else "-"
+    states = (node.nmt_state or (Condition.STALE.value if node.stale else "-"), node.drive_state or instead, statusword)
     return (str(node.node_id), node.part, *states, number(node.velocity_rad_s), number(node.torque_Nm))

@@ -1,7 +1,12 @@
-"""What the frames on a bus tell of a bench; fed by a listener, and nothing here sends."""
+"""What the frames on a bus tell of a bench; fed by a listener, and nothing here sends.
+
+Nothing is shown that is not so any more: while the bench does not run, and of a node that is not heard, there is no
+value.
+"""
 
 from __future__ import annotations
 
+import time
 from collections import deque
 from collections.abc import Iterable
 from dataclasses import dataclass, field
@@ -18,6 +23,7 @@ from hilbench.drives import objects
 from hilbench.drives.object_units import si_unit
 from hilbench.drives.state_machine import State, decode_statusword
 from hilbench.drives.units import DriveUnits
+from hilbench.monitor.condition import SILENCE_S, BenchWatch, Condition
 
 _SYNC = 0x080
 _HEARTBEAT = 0x700
@@ -25,6 +31,9 @@ _HEARTBEAT = 0x700
 _WINDOW = 500
 _TREND_POINTS = 240
 _FAULTS_KEPT = 100
+#: Times in a row that a PDO or heartbeat may stay away before what it said is old.
+_MISSED = 25
+_HEARTBEATS_MISSED = 4
 
 
 @dataclass
@@ -39,6 +48,21 @@ class NodePicture:
     velocity_rad_s: float | None = None
     torque_Nm: float | None = None
     position_rad: float | None = None
+    stale: bool = False  #: it has been heard, and is not heard any more
+
+    def forget(self) -> None:
+        """What it last said is not so now."""
+        self.drive_state = self.statusword = None
+        self.velocity_rad_s = self.torque_Nm = self.position_rad = None
+
+
+@dataclass
+class _Heard:
+    """When something was last heard: in which cycle, and at which time of the monotonic clock, s."""
+
+    cycle: int
+    time_s: float
+    within_cycles: float  #: in so many it should be heard again
 
 
 @dataclass(frozen=True)
@@ -77,17 +101,23 @@ class BusPicture:
                 self._tpdos[pdo.cob_id] = (self.nodes[node.node_id], pdo, indices, units)
         self._bits: deque[int] = deque([0], maxlen=_WINDOW)
         self._sync_ns: deque[int] = deque(maxlen=_WINDOW)
+        self._watch = BenchWatch(self.config.master.node_id)
+        self._now_s = time.monotonic()
+        self._heard: dict[tuple[int, str], _Heard] = {}  # by node, and what: PDOs, heartbeat, the twin's answer
+        self._heartbeat_cycles = self.config.master.node_heartbeat_ms * 1e-3 / self.config.cycle_time_s
 
     # -- what was heard --------------------------------------------------------------------------------------
 
-    def take(self, frames: Iterable[Frame]) -> None:
-        """Add frames in the order in which they were heard."""
+    def take(self, frames: Iterable[Frame], now_s: float | None = None) -> None:
+        """Add frames in the order in which they were heard, at `now_s` of the monotonic clock (now, if not given)."""
+        self._now_s = time.monotonic() if now_s is None else now_s
         last: dict[int, bytes] = {}
         heartbeats: list[Frame] = []
         for frame in frames:
             self._bits[-1] += frame_bits(frame)
             if frame.can_id & EXTENDED_FLAG:
                 continue
+            self._watch.take(frame, self._now_s)
             if frame.can_id == _SYNC:
                 self._sync(frame)
             elif _SYNC < frame.can_id <= _SYNC + 0x7F:
@@ -99,8 +129,50 @@ class BusPicture:
                 if frame.can_id == self._state.cob_id:
                     self._state_data = frame.data
         self._decode(last)
+        if len(last.get(self._state.cob_id, b"")) == self._state.size:
+            self._hear(self.config.nodes.virtual_io.node_id, "PDO", _MISSED * self._state.period)
         for node_id, state in nmt_states(heartbeats).items():
+            self._hear(node_id, "heartbeat", _HEARTBEATS_MISSED * self._heartbeat_cycles)
             self._nmt(node_id, state)
+        self._look_for_silence()
+
+    def _hear(self, node_id: int, what: str, within_cycles: float) -> None:
+        self._heard[node_id, what] = _Heard(self.cycles, self._now_s, within_cycles)
+
+    def _look_for_silence(self) -> None:
+        """Who is not heard in time has no values any more."""
+        running = self.condition is Condition.RUNNING
+        for node_id, node in self.nodes.items():
+            said = {what: heard for (who, what), heard in self._heard.items() if who == node_id}
+            silent = {what for what, heard in said.items() if self._is_silent(heard, running=running)}
+            node.stale = bool(silent)
+            if not running or "PDO" in silent:
+                node.forget()
+            if "heartbeat" in silent:
+                node.nmt_state = None
+
+    def _is_silent(self, heard: _Heard, *, running: bool) -> bool:
+        """By the clock, and while SYNC runs by the cycles as well: in lockstep these may take their time."""
+        if self._now_s - heard.time_s <= SILENCE_S:
+            return False
+        return not running or self.cycles - heard.cycle > heard.within_cycles
+
+    @property
+    def condition(self) -> Condition:
+        """What the bench was doing when frames were last taken."""
+        return self._watch.condition(self._now_s)
+
+    @property
+    def condition_text(self) -> str:
+        """The same in words."""
+        return self._watch.text(self._now_s)
+
+    @property
+    def twin_is_heard(self) -> bool:
+        """Whether tension and E are those of now."""
+        heard = self._heard.get((self.config.nodes.virtual_io.node_id, "PDO"))
+        running = self.condition is Condition.RUNNING
+        return running and heard is not None and not self._is_silent(heard, running=running)
 
     def _sync(self, frame: Frame) -> None:
         self.cycles += 1
@@ -115,6 +187,7 @@ class BusPicture:
         for cob_id, (node, pdo, indices, units) in self._tpdos.items():
             data = last.get(cob_id)
             if data is not None and len(data) == pdo.size:
+                self._hear(node.node_id, "PDO", _MISSED * pdo.period)
                 self._show(node, dict(zip(indices, pdo.unpack(data), strict=True)), units)
 
     def _show(self, node: NodePicture, raw: dict[int, int | float], units: DriveUnits) -> None:
@@ -146,9 +219,7 @@ class BusPicture:
             return
         if node.nmt_state == "OPERATIONAL" and state != "OPERATIONAL":
             self._note(node.part, f"left OPERATIONAL: {state}")
-            # It sends no PDOs any more: what it last said is not so now.
-            node.drive_state = node.statusword = None
-            node.velocity_rad_s = node.torque_Nm = node.position_rad = None
+            node.forget()  # it sends no PDOs any more
         node.nmt_state = state
 
     def _note(self, part: str, text: str) -> None:
@@ -175,12 +246,14 @@ class BusPicture:
         """The picture for machines."""
         jitter = self.jitter_us()
         return {
+            "condition": self.condition.value,
+            "condition_text": self.condition_text,
             "cycles": self.cycles,
             "bus_load_pct": None if self.bus_load is None else 100 * self.bus_load,
             "jitter_p99_us": jitter and jitter[0],
             "jitter_max_us": jitter and jitter[1],
-            "F_sim_N": self.tension_N[-1] if self.tension_N else None,
-            "E_sim_Pa": self.modulus_Pa[-1] if self.modulus_Pa else None,
+            "F_sim_N": self.tension_N[-1] if self.tension_N and self.twin_is_heard else None,
+            "E_sim_Pa": self.modulus_Pa[-1] if self.modulus_Pa and self.twin_is_heard else None,
             "nodes": [vars(node) for node in self.nodes.values()],
             "faults": [vars(note) for note in self.faults],
         }

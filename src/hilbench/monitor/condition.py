@@ -1,0 +1,76 @@
+"""Whether what was heard of a bench is so now: it runs, has ended, was stopped, or nothing is heard of it any more."""
+
+from __future__ import annotations
+
+from enum import Enum
+
+from hilbench.bus.frame import Frame
+from hilbench.fieldbus.emergency_stop import EMERGENCY_STOP_COB_ID
+
+_NMT, _SYNC, _HEARTBEAT = 0x000, 0x080, 0x700
+_ALL = 0
+_START = 1
+#: NMT commands with which a bench lets its nodes go: stop, enter PRE-OPERATIONAL.
+_LET_GO = (2, 128)
+#: Wall time without a SYNC, or without anything of a node, after which what it said is old.
+SILENCE_S = 1.0
+
+
+class Condition(Enum):
+    """In the words of the monitor."""
+
+    NOT_HEARD = "not heard"
+    RUNNING = "running"
+    STALE = "STALE"
+    ENDED = "ENDED"
+    EMERGENCY_STOP = "E-STOP"
+
+
+class BenchWatch:
+    """Follows the frames of one bus; times are s of the monotonic clock."""
+
+    def __init__(self, master_id: int) -> None:
+        self._heartbeat = _HEARTBEAT + master_id
+        self._sync_s: float | None = None
+        self._master_s: float | None = None
+        self._ended: Condition | None = None
+
+    def take(self, frame: Frame, now_s: float) -> None:
+        """A frame was heard."""
+        if frame.can_id == _SYNC:
+            self._sync_s = now_s
+            if self._ended is Condition.ENDED:
+                self._ended = None  # somebody else let nodes go: the bench goes on
+        elif frame.can_id == EMERGENCY_STOP_COB_ID:
+            self._ended = Condition.EMERGENCY_STOP
+        elif frame.can_id == _NMT and len(frame.data) == 2:
+            self._command(frame.data[0], frame.data[1])
+        elif frame.can_id == self._heartbeat:
+            self._master_s = now_s
+
+    def _command(self, command: int, node_id: int) -> None:
+        if command == _START:
+            self._ended = None
+        elif command in _LET_GO and node_id == _ALL and self._ended is None and self._sync_s is not None:
+            self._ended = Condition.ENDED
+
+    def condition(self, now_s: float) -> Condition:
+        """What the bench is doing now."""
+        if self._ended is not None:
+            return self._ended
+        if self._sync_s is None:
+            return Condition.NOT_HEARD
+        return Condition.RUNNING if now_s - self._sync_s <= SILENCE_S else Condition.STALE
+
+    def text(self, now_s: float) -> str:
+        """The condition with what is known of it."""
+        condition = self.condition(now_s)
+        if condition is Condition.EMERGENCY_STOP:
+            return f"{condition.value}: an emergency stop was heard, nodes are not started again yet"
+        if condition is Condition.ENDED:
+            return f"{condition.value}: the bench has let its nodes go"
+        if condition is Condition.STALE:
+            alive = self._master_s is not None and now_s - self._master_s <= SILENCE_S
+            why = "the bench pauses" if alive else "nothing of the bench either"
+            return f"{condition.value}: no SYNC for {now_s - (self._sync_s or 0.0):.0f} s, {why}"
+        return str(condition.value)
