@@ -67,6 +67,16 @@ def test_what_is_heard_is_decoded(bench: BenchConfig) -> None:
     ]
 
 
+def test_who_answers_late_is_shown_with_the_share(bench: BenchConfig) -> None:
+    picture = BusPicture(bench)
+    frames = cycles(bench, 3000, 80.0)
+    late = [frame for n, frame in enumerate(frames) if not (frame.can_id == 0x181 and n // 3 % 5 == 0)]
+    picture.take(late)
+    shown = picture.as_data()["late_samples_pct"]
+    assert shown.keys() == {"axis1"}  # the others say nothing here: they are silent, not late
+    assert shown["axis1"] == pytest.approx(20.0, abs=2.0)
+
+
 @pytest.fixture
 def patient(monkeypatch: pytest.MonkeyPatch) -> None:
     """Frames that are sent once are what a bench says all the time."""

@@ -90,6 +90,7 @@ def test_timing_gives_metrics() -> None:
         "realtime_factor": 4.2,
         "bus_load_pct": 61.5,
         "lost_frames": None,
+        "late_samples_pct": None,
     }
     assert timing([5, 5]).metrics()["jitter_max_us"] == 5
 

@@ -30,6 +30,7 @@ from hilbench.bench.saturation import SaturationWatch
 from hilbench.bench.startup import TWIN, bring_up, held_bus
 from hilbench.bench.swing_damping import SwingDamping, SwingPlant
 from hilbench.bench.tension_control import TensionController
+from hilbench.bench.timeliness import Timeliness
 from hilbench.bench.twin_connection import TwinConnection
 from hilbench.bus.confinement import ControllerState
 from hilbench.drives.drive import Drive, DriveGoal
@@ -50,6 +51,8 @@ from hilbench.unexpected import TRACEBACK_FILE, unexpected
 _SETTLE_S = 0.3
 #: What is said of a bench that is not running (any more).
 _WHERE = {"made": "has not been entered", "running": "has been entered already", "ended": "has been left"}
+#: Cycles of late data of the twin that the tension controller makes up for in one step.
+_MOST_CYCLES_AT_ONCE = 10
 #: Cycles between two looks whether the supervisor lives.
 _LOOK_CYCLES = 64
 
@@ -124,6 +127,7 @@ class Bench:
         self.events: list[StepEvent] = []
         self.notices = Notices(announce)
         self.causes = Causes()
+        self.timeliness = Timeliness((), config.cycle_time_s)  #: whose answers came late, since the drives were enabled
         self.line_speed_m_s = 0.0
         self.tension_set_point_N = config.tension_control.set_point_N
         self.interrupt_requested = False
@@ -148,6 +152,7 @@ class Bench:
         self._may_idle = may_idle and idle.may_idle(config)
         self._resources = ExitStack()
         self._first_cycle = 0
+        self._controlled_cycle: int | None = None  # whose twin data the controller has had
         web = config.model.required_web
         self._load_model = LoadModel(config.model, config.load, config.cycle_time_s)
         self._controller = TensionController.of_model(config.tension_control, config.model)
@@ -187,6 +192,8 @@ class Bench:
                     announce=self._announce,
                 )
             )
+            participants = (*map(started.nodes.sender, started.nodes.drives), started.nodes.twin_name)
+            self.timeliness = Timeliness(participants, self.config.cycle_time_s)
             self.nodes, self.exchange, self.children = started.nodes, started.exchange, started.children
             self._phase = "running"
             self._supervisor = started.supervisor
@@ -386,6 +393,7 @@ class Bench:
         self._look_after_supervisor()
         self._exchange_once()
         sample = self.last
+        self._look_at_lateness(sample)
         self._follow_web(sample)
         self._look_at_controller()
         self._read_emergencies()
@@ -396,6 +404,13 @@ class Bench:
         for observer in self._observers:
             observer.sample(sample)
         return sample
+
+    def _look_at_lateness(self, sample: CycleSample) -> None:
+        twin_age = 0 if self._twin.away else sample.twin_age_cycles
+        self.timeliness.update((*self.nodes.ages_cycles(), twin_age))
+        trouble = self.timeliness.trouble()
+        if trouble:
+            self.causes.holds(self.time_s, "late samples", trouble)
 
     def _look_after_supervisor(self) -> None:
         supervisor = self._supervisor
@@ -620,9 +635,10 @@ class Bench:
             nodes.command(0.0, 0.0, 0.0)
             return
         sample.loop_closed = int(self._twin.loop_closed(sample))
+        since_s = self._since_controlled_s(sample)
         if sample.loop_closed:
             v1_m_s = self._controller.velocity(
-                self.line_speed_m_s, self.tension_set_point_N, sample.F_sim_N, sample.E_sim_Pa, self.config.cycle_time_s
+                self.line_speed_m_s, self.tension_set_point_N, sample.F_sim_N, sample.E_sim_Pa, since_s
             )
             self._damping.use_modulus(sample.E_sim_Pa)
         else:
@@ -631,8 +647,17 @@ class Bench:
         sample.v1_cmd_m_s, sample.v2_cmd_m_s = v1_m_s, self.line_speed_m_s
         nodes.command(v1_m_s, self.line_speed_m_s, sample.tau_load_cmd_Nm)
 
+    def _since_controlled_s(self, sample: CycleSample) -> float:
+        """The time that the twin's data have gone on since the controller's last step: none while they are repeated."""
+        told_cycle, before = sample.cycle - sample.twin_age_cycles, self._controlled_cycle
+        self._controlled_cycle = told_cycle
+        cycles = 1 if before is None else min(max(told_cycle - before, 0), _MOST_CYCLES_AT_ONCE)
+        return cycles * self.config.cycle_time_s
+
     def _follow_web(self, sample: CycleSample) -> None:
         web = self._load_model.web
-        sample.tau_load_cmd_Nm = self._load_model.update(sample.x1_m, sample.x2_m, sample.v2_m_s)
+        sample.tau_load_cmd_Nm = self._load_model.update(
+            sample.x1_m, sample.x2_m, sample.v2_m_s, late=self.nodes.axes_late
+        )
         sample.F_true_N, sample.strain_true = self._load_model.tension_N, self._load_model.strain
         sample.E_true_Pa = web.effective_modulus_Pa

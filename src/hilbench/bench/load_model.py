@@ -15,6 +15,11 @@ from hilbench.web.pairing import Pairing
 from hilbench.web.parameters import ModelParameters
 from hilbench.web.span import SpanFollower
 
+#: So many cycles that a sample is late by are made good by prediction; an older one says too little.
+_MOST_PREDICTED_CYCLES = 3
+#: Ways of a cycle that are longer than this are measured well enough to count cycles by them.
+_LEAST_WAY_M = 1e-4
+
 
 def imitated_web(model: ModelParameters, load: LoadConfig) -> ModelParameters:
     """The truth of the run: the model's machine without the model's effects, with what `load:` changes and hides.
@@ -33,7 +38,10 @@ class LoadModel:
     """Web on measured motion → torque set point of the load motor (N·m at its shaft).
 
     The torque acts later than the motion was measured, so the tension is predicted over that delay: without it the
-    loop of web and sampled shaft is unstable on the demonstrator (`hilbench.web.stability`).
+    loop of web and sampled shaft is unstable on the demonstrator (`hilbench.web.stability`). While samples are late, or
+    their positions not of one instant, the torque stays; the web then follows over the time that has really gone by,
+    and what the new sample is still late by is predicted as well. (To predict over a sample that is not there, from the
+    noise of the last one, does more harm than to hold.)
     """
 
     def __init__(self, model: ModelParameters, load: LoadConfig, cycle_s: float) -> None:
@@ -44,6 +52,8 @@ class LoadModel:
         self._broken = False
         self._pairing = Pairing()
         self._torque_Nm = 0.0
+        self._behind_cycles = 0  # since the instant of the positions that the web is at
+        self._x2_m = 0.0
         self._effects = {(entry.effect, entry.axis): dict(entry.parameters) for entry in load.effects}
 
     def warm_up(self) -> None:
@@ -57,25 +67,39 @@ class LoadModel:
         """Drives are off: no pull; the web is as at the start when it runs again."""
         self._running = False
 
-    def update(self, x1_m: float, x2_m: float, v2_m_s: float) -> float:
+    def update(self, x1_m: float, x2_m: float, v2_m_s: float, *, late: bool = False) -> float:
         """Follow the motion since the last cycle; returns the load motor's torque in N·m.
 
-        While the positions are not of one instant the torque stays what it was.
-
-        `x1_m`, `x2_m` are encoder positions at the web, `v2_m_s` is the measured speed of roller 2.
+        `x1_m`, `x2_m` are encoder positions at the web, `v2_m_s` is the measured speed of roller 2; `late`: one of
+        them is of an earlier cycle.
         """
         if not self._running:
             self.web.reset((x1_m, x2_m))
             self._pairing.reset()
             self._pairing.update(x1_m, x2_m)
             self._running = True
-        elif not self._pairing.update(x1_m, x2_m):
-            return self._torque_Nm
+            self._behind_cycles, self._x2_m = 0, x2_m
         else:
-            self.web.advance((x1_m, x2_m), self._cycle_s)
-        predicted_N = [0.0] if self._broken else self.web.predicted_tension_N(self._lead_s)
+            self._behind_cycles += 1
+            if late:
+                self._pairing.miss()
+            if late or not self._pairing.update(x1_m, x2_m):
+                return self._torque_Nm
+            self._follow(x1_m, x2_m, v2_m_s)
+        lead_s = self._lead_s + min(self._behind_cycles, _MOST_PREDICTED_CYCLES) * self._cycle_s
+        predicted_N = [0.0] if self._broken else self.web.predicted_tension_N(lead_s)
         self._torque_Nm = self.web.web_torque_Nm(2, v2_m_s, tension_N=predicted_N)
         return self._torque_Nm
+
+    def _follow(self, x1_m: float, x2_m: float, v2_m_s: float) -> None:
+        """After a gap the positions may still be those of an earlier cycle: the way says how many cycles it took."""
+        cycles = self._behind_cycles
+        way_m, way_of_a_cycle_m = abs(x2_m - self._x2_m), abs(v2_m_s) * self._cycle_s
+        if cycles > 1 and way_of_a_cycle_m > _LEAST_WAY_M:
+            cycles = min(max(round(way_m / way_of_a_cycle_m), 1), cycles)
+        self.web.advance((x1_m, x2_m), cycles * self._cycle_s)
+        self._behind_cycles -= cycles
+        self._x2_m = x2_m
 
     @property
     def tension_N(self) -> float:

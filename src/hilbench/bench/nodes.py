@@ -149,6 +149,7 @@ class Nodes:
             for drive in self.drives
             for _, pdo, _ in drive.pdos.tpdos
         }
+        self._tpdos_of = [[self._tpdos[pdo.cob_id] for _, pdo, _ in drive.pdos.tpdos] for drive in self.drives]
         self._twin_tpdos = [
             Tpdo(pdo.cob_id, pdo.size, pdo.period, self.twin_name)
             for pdo in (self.io.state, self.io.quality, self.io.status)
@@ -391,6 +392,15 @@ class Nodes:
                 data[cob_id] = tpdo.data
         self.foreign = self._watch.look(frames, tpdos.values()) if self._watch else []
         return data
+
+    def ages_cycles(self) -> tuple[int, ...]:
+        """How many cycles old the samples in use are, of each drive; 0 where it has answered this SYNC in time."""
+        return tuple(max(tpdo.age_cycles for tpdo in tpdos) for tpdos in self._tpdos_of)
+
+    @property
+    def axes_late(self) -> bool:
+        """Whether the positions of the axes are not those of this SYNC."""
+        return any(self.ages_cycles()[:2])
 
     def twin_age(self, syncs: int) -> int:
         """How many cycles old the twin's last answer is, `syncs` after the twin was started."""

@@ -187,6 +187,9 @@ def _timing_line(timing: Timing) -> str:
         parts.append(f"bus load {timing.bus_load_pct:.0f} %")
     if timing.lost_frames is not None:
         parts.append(f"{timing.lost_frames} frames lost")
+    if timing.late:
+        late = ", ".join(f"{each.share_pct:.1f} % of {name}" for name, each in timing.late.items())
+        parts.append(f"late samples: {late}")
     return ", ".join(parts)
 
 

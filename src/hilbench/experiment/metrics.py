@@ -95,6 +95,12 @@ METRICS: Final[dict[str, Metric]] = {
     "lost_frames": Metric(
         "", "frames that reached the interface of the bench and were not read in time", _NOT_COUNTED, of_steps=False
     ),
+    "late_samples_pct": Metric(
+        "%",
+        "cycles in which the participant that is late most often had not answered in time",
+        _NO_TIMING,
+        of_steps=False,
+    ),
     "bus_load_pct": Metric("%", "bits on the bus over its capacity", _NO_TIMING, of_steps=False),
 }
 

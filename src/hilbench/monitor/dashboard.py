@@ -227,6 +227,9 @@ def _figures(picture: BusPicture, dropped: int | None) -> str:
     parts.append("lockstep" if picture.config.pace == "lockstep" else "no SYNC" if jitter is None else "")
     if jitter is not None:
         parts.append(f"jitter {jitter[0]:.0f} µs (p99), {jitter[1]:.0f} µs (largest)")
+    late = picture.late_pct()
+    if late:
+        parts.append("late samples: " + ", ".join(f"{share:.0f} % of {part}" for part, share in late.items()))
     if dropped:
         parts.append(f"{dropped} frames not read in time")
     return "   ".join(part for part in parts if part)

@@ -16,6 +16,7 @@ import numpy as np
 
 from hilbench.bench.config import BenchConfig
 from hilbench.bench.nodes import Nodes, declared_units
+from hilbench.bench.timeliness import Timeliness
 from hilbench.bus.frame import EXTENDED_FLAG, Frame
 from hilbench.bus.wire import frame_bits
 from hilbench.doctor.scan import nmt_states
@@ -30,10 +31,14 @@ _HEARTBEAT = 0x700
 #: Cycles over which bus load and jitter are counted.
 _WINDOW = 500
 _TREND_POINTS = 240
+#: Cycles without an answer after which a node is not late, but silent.
+_SILENT_CYCLES = 50
 _FAULTS_KEPT = 100
 #: Times in a row that a PDO or heartbeat may stay away before what it said is old.
 _MISSED = 25
 _HEARTBEATS_MISSED = 4
+#: Share of late answers from which on a participant is shown.
+_WORTH_SHOWING = 0.005
 
 
 @dataclass
@@ -99,6 +104,11 @@ class BusPicture:
             for pdo in nodes.pdo_maps(part)[1:]:  # what it sends
                 indices = tuple(variable.index for variable in pdo.variables)
                 self._tpdos[pdo.cob_id] = (self.nodes[node.node_id], pdo, indices, units)
+        self._answers = {part: nodes.pdo_maps(part)[1].cob_id for part in ("axis1", "axis2", "load")}
+        self._answers["virtual_io"] = nodes.io.status.cob_id
+        self._ages = dict.fromkeys(self._answers, 0)
+        self.timeliness = Timeliness(tuple(self._answers), self.config.cycle_time_s)
+        self._answered: set[int] = set()  # since the last SYNC
         self._bits: deque[int] = deque([0], maxlen=_WINDOW)
         self._sync_ns: deque[int] = deque(maxlen=_WINDOW)
         self._watch = BenchWatch(self.config.master.node_id)
@@ -125,6 +135,7 @@ class BusPicture:
             elif frame.can_id > _HEARTBEAT:
                 heartbeats.append(frame)
             else:
+                self._answered.add(frame.can_id)
                 last[frame.can_id] = frame.data
                 if frame.can_id == self._state.cob_id:
                     self._state_data = frame.data
@@ -175,6 +186,8 @@ class BusPicture:
         return running and heard is not None and not self._is_silent(heard, running=running)
 
     def _sync(self, frame: Frame) -> None:
+        if self.cycles:
+            self._look_at_answers()
         self.cycles += 1
         self._bits.append(0)
         self._sync_ns.append(frame.time_ns)
@@ -182,6 +195,16 @@ class BusPicture:
             tension_N, modulus_Pa = self._state.unpack(self._state_data)
             self.tension_N.append(float(tension_N))
             self.modulus_Pa.append(float(modulus_Pa))
+
+    def _look_at_answers(self) -> None:
+        """Who has answered the last SYNC before this one; a node that sends nothing at all is not late."""
+        for part, cob_id in self._answers.items():
+            if cob_id in self._answered:
+                self._ages[part] = 0
+            elif self._ages[part] < _SILENT_CYCLES:
+                self._ages[part] += 1
+        self.timeliness.update(tuple(age % _SILENT_CYCLES for age in self._ages.values()))
+        self._answered.clear()
 
     def _decode(self, last: dict[int, bytes]) -> None:
         for cob_id, (node, pdo, indices, units) in self._tpdos.items():
@@ -242,6 +265,10 @@ class BusPicture:
         late_us = np.abs(np.diff(np.array(self._sync_ns, np.int64)) - self.config.cycle_ns) / 1000.0
         return float(np.percentile(late_us, 99)), float(late_us.max())
 
+    def late_pct(self) -> dict[str, float]:
+        """Who was late lately, and in which share of the cycles, %."""
+        return {part: 100 * each.lately for part, each in self.timeliness.of.items() if each.lately > _WORTH_SHOWING}
+
     def as_data(self) -> dict[str, Any]:
         """The picture for machines."""
         jitter = self.jitter_us()
@@ -252,6 +279,7 @@ class BusPicture:
             "bus_load_pct": None if self.bus_load is None else 100 * self.bus_load,
             "jitter_p99_us": jitter and jitter[0],
             "jitter_max_us": jitter and jitter[1],
+            "late_samples_pct": self.late_pct(),
             "F_sim_N": self.tension_N[-1] if self.tension_N and self.twin_is_heard else None,
             "E_sim_Pa": self.modulus_Pa[-1] if self.modulus_Pa and self.twin_is_heard else None,
             "nodes": [vars(node) for node in self.nodes.values()],

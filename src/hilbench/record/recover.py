@@ -291,7 +291,7 @@ class _Decoder:
 
     def _follow_web(self) -> None:
         sample, web = self._sample, self._load.web
-        sample.tau_load_cmd_Nm = self._load.update(sample.x1_m, sample.x2_m, sample.v2_m_s)
+        sample.tau_load_cmd_Nm = self._load.update(sample.x1_m, sample.x2_m, sample.v2_m_s, late=self._nodes.axes_late)
         sample.F_true_N, sample.strain_true = self._load.tension_N, self._load.strain
         sample.E_true_Pa = web.effective_modulus_Pa
         if self._changes is None:  # nobody knows what the experiment has changed

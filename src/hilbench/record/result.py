@@ -75,13 +75,26 @@ class Histogram(_Part):
         return self
 
 
+class Late(_Part):
+    """How often a participant's answer to SYNC came late since the drives were enabled: its last one was used again
+    (a drive), or one of an earlier SYNC (the twin), `oldest_cycles` old at most."""
+
+    cycles: Count
+    share_pct: float
+    oldest_cycles: Count
+
+
+#: Share of late samples, %, from which on they are told as a warning.
+_LATE_WARNING_PCT = 1.0
+
+
 class Timing(_PartWithOptions):
     """How the cycles went. `cycle_us` is the nominal cycle; `jitter_us` is None where nobody measured it.
 
     `realtime_factor` is bus time over wall time; `bus_load_pct` the mean share of the bus' capacity in use.
     `lost_frames` were received for the bench and not read in time (None: the bus interface does not count them),
     `first_loss_s` is when the first was noticed, in experiment time; `lost_frames_of` has the same count of the
-    processes that the bench started.
+    processes that the bench started. `late` has who answered late in any cycle (None: nobody looked).
     """
 
     pace: Literal["realtime", "lockstep"]
@@ -94,6 +107,7 @@ class Timing(_PartWithOptions):
     lost_frames: Count | None = None
     first_loss_s: float | None = None
     lost_frames_of: dict[str, Count | None] | None = None
+    late: dict[str, Late] | None = None
     jitter_histogram: Histogram | None = None
 
     def metrics(self) -> dict[str, float | None]:
@@ -105,7 +119,13 @@ class Timing(_PartWithOptions):
             "realtime_factor": self.realtime_factor,
             "bus_load_pct": self.bus_load_pct,
             "lost_frames": None if self.lost_frames is None else float(self.lost_frames),
+            "late_samples_pct": None
+            if self.late is None
+            else max((each.share_pct for each in self.late.values()), default=0.0),
         }
+
+    def _late_pct(self) -> float | None:
+        return None if self.late is None else max((each.share_pct for each in self.late.values()), default=0.0)
 
     def warnings(self) -> list[str]:
         """What a reader of the run must know before trusting it: one line for each process that lost frames."""
@@ -116,6 +136,10 @@ class Timing(_PartWithOptions):
         for process, lost in (self.lost_frames_of or {}).items():
             if lost:
                 told.append(f"the {process} lost {lost} frames: set points or measurements are missing there")
+        for participant, late in (self.late or {}).items():
+            if late.share_pct >= _LATE_WARNING_PCT:
+                oldest = f"up to {late.oldest_cycles} cycles old" if late.oldest_cycles > 1 else "a cycle old"
+                told.append(f"{participant}: {late.share_pct:.1f} % of the samples came late, {oldest}")
         return told
 
 

@@ -24,6 +24,7 @@ from hilbench.bench.processes import end_signals, leave_terminal
 from hilbench.bench.sample import CycleSample
 from hilbench.bench.signals import SIGNALS
 from hilbench.bench.startup import held_bus
+from hilbench.bench.timeliness import Timeliness
 from hilbench.errors import (
     EXIT_BENCH_FAULT,
     EXIT_CRITERION_FAILED,
@@ -44,7 +45,7 @@ from hilbench.record.journal import JournalWriter
 from hilbench.record.junit import write_junit
 from hilbench.record.provenance import Provenance
 from hilbench.record.recording import LEAST_SAMPLES, Recording, RecordingBuilder, write_recording
-from hilbench.record.result import Environment, Fault, Result, Timing, Warned, jitter
+from hilbench.record.result import Environment, Fault, Late, Result, Timing, Warned, jitter
 from hilbench.record.run_folder import RunFolder
 from hilbench.record.trace import TraceWriter
 from hilbench.unexpected import unexpected
@@ -292,8 +293,19 @@ def measure_timing(bench: Bench) -> Timing:
         lost_frames=exchange.lost_frames,
         first_loss_s=bench.experiment_time_s(timing.first_loss_cycle) if timing.first_loss_cycle else None,
         lost_frames_of={child.name: child.lost_frames for child in bench.children},
+        late=_late(bench.timeliness),
         jitter_histogram=histogram,
     )
+
+
+def _late(timeliness: Timeliness) -> dict[str, Late] | None:
+    if not timeliness.cycles:
+        return None
+    return {
+        name: Late(cycles=each.late, share_pct=100.0 * each.late / timeliness.cycles, oldest_cycles=each.oldest_cycles)
+        for name, each in timeliness.of.items()
+        if each.late
+    }
 
 
 @contextmanager

@@ -307,6 +307,10 @@ def _timing(timing: Timing) -> str:
             (f"frames lost by the {escape(name)}", _count(lost), "")
             for name, lost in (timing.lost_frames_of or {}).items()
         ),
+        *(
+            (f"late samples of {escape(name)}, up to {late.oldest_cycles} cycle(s) old", number(late.share_pct), "%")
+            for name, late in (timing.late or {}).items()
+        ),
     ]
     if timing.jitter_us is not None:
         late = timing.jitter_us

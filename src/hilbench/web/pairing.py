@@ -23,6 +23,10 @@ class Pairing:
         self._last: tuple[float, float] | None = None
         self._cycles = 0
 
+    def miss(self) -> None:
+        """A cycle without positions of its own."""
+        self._cycles += 1
+
     def update(self, x1_m: float, x2_m: float) -> bool:
         """Whether this cycle's positions, in m at the web, are of one instant."""
         self._cycles += 1

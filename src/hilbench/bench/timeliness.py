@@ -1,0 +1,47 @@
+"""How often each participant's answer to SYNC came late, so that its last one stood for longer than a cycle.
+
+In real time an answer that is not there shortly before the next SYNC is not waited for. Some of that is ridden out (the
+load model and the controllers know that a sample is old), more of it is a disturbance of its own: the imitated web is a
+stiff spring, and a cycle more of delay in it is negative damping.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+#: Time over which the present share is counted, and the share from which on it may be the cause of a fault.
+_WINDOW_S = 1.0
+TROUBLE = 0.05
+
+
+@dataclass(slots=True)
+class Lateness:
+    """Of one participant: cycles with a late answer, the oldest answer in cycles, the share of late ones lately."""
+
+    late: int = 0
+    oldest_cycles: int = 0
+    lately: float = 0.0
+
+
+class Timeliness:
+    """Counts the cycles of an experiment, and in how many of them each participant was late."""
+
+    def __init__(self, names: tuple[str, ...], cycle_s: float) -> None:
+        self.cycles = 0
+        self.of = {name: Lateness() for name in names}
+        self._weight = min(1.0, cycle_s / _WINDOW_S)
+
+    def update(self, ages_cycles: tuple[int, ...]) -> None:
+        """A cycle in which the answers in use were so old, in the order of the names; 0: in time."""
+        self.cycles += 1
+        for lateness, age in zip(self.of.values(), ages_cycles, strict=True):
+            if age:
+                lateness.late += 1
+                lateness.oldest_cycles = max(lateness.oldest_cycles, age)
+            if age or lateness.lately:
+                lateness.lately += self._weight * ((age > 0) - lateness.lately)
+
+    def trouble(self) -> str:
+        """Who is late so often that it may be why something else goes wrong; "" for nobody."""
+        late = [(name, each.lately) for name, each in self.of.items() if each.lately > TROUBLE]
+        return ", ".join(f"{100 * share:.0f} % late samples of {name}" for name, share in late)
