@@ -10,13 +10,16 @@ import subprocess
 import sys
 import threading
 import time
+import uuid
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from hilbench.bus import hub_client, protocol
+from hilbench.bus.claims import MASTER, claim
 from hilbench.bus.confinement import ControllerState
 from hilbench.bus.disturbance import ErrorInjection
 from hilbench.bus.frame import EXTENDED_FLAG, REMOTE_FLAG, Frame
@@ -25,7 +28,7 @@ from hilbench.bus.link import Link
 from hilbench.bus.open import BusAddress, open_link
 from hilbench.bus.requests import Wanted
 from hilbench.bus.wire import frame_bits
-from hilbench.errors import BusError
+from hilbench.errors import BusError, UnusableInputError
 
 VIRTUAL = BusAddress(timing="virtual")
 REAL = BusAddress()
@@ -473,6 +476,37 @@ def test_names_that_cannot_be_channels(runtime: Any, channel: str) -> None:
     with pytest.raises(BusError, match="channel") as caught:
         open_link(BusAddress("embedded", channel))
     assert "\n" not in str(caught.value)
+
+
+def test_a_bus_of_another_session_is_found_by_its_name(runtime: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    name = f"s{uuid.uuid4().hex[:10]}"
+    address = BusAddress("embedded", name, 500_000, "virtual")
+    place = address.place
+    with closing(open_link(address)) as link, claim(place, {MASTER: "nobody"}, "bench"):
+        monkeypatch.setenv("XDG_RUNTIME_DIR", str(runtime.folder))  # another one
+        runtime.folder.chmod(0o700)
+        assert not hub_client.runs(name)
+        found = BusAddress.parse(f"embedded:{name}").as_it_runs()
+        assert (found.bitrate, found.timing, found.place) == (500_000, "virtual", place)
+        with closing(open_link(found)) as there:
+            there.send([Frame(0x123, b"")])
+            assert collect(link, 1)
+        assert BusAddress.parse("embedded:none").as_it_runs().channel == "none"
+    (runtime.folder / "hilbench").rmdir()
+
+
+def test_without_a_name_it_is_the_only_bus_that_runs(runtime: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("hilbench.bus.open.embedded_channels", hub_client.running_channels)
+    unnamed = BusAddress.parse("embedded")
+    with pytest.raises(UnusableInputError, match="no embedded bus of this user runs; expected embedded:NAME"):
+        unnamed.as_it_runs()
+    with closing(open_link(VIRTUAL)):
+        assert unnamed.as_it_runs().channel == VIRTUAL.channel
+        with (
+            closing(open_link(BusAddress("embedded", "another"))),
+            pytest.raises(UnusableInputError, match=f"these run: another, {VIRTUAL.channel}; expected embedded:NAME"),
+        ):
+            unnamed.as_it_runs()
 
 
 def test_asking_a_bus_that_does_not_run(runtime: Any) -> None:

@@ -15,7 +15,7 @@ from tests.bench.test_runs import SHORT, config
 from tests.cli.in_process import hilbench
 
 from hilbench.bus import interfaces
-from hilbench.bus.claims import MASTER, Holder
+from hilbench.bus.claims import MASTER, Holder, holders
 from hilbench.bus.frame import Frame
 from hilbench.bus.memory import MemoryBus, MemoryLink
 from hilbench.bus.open import BusAddress
@@ -137,6 +137,18 @@ def test_another_users_embedded_bus_is_said_and_left_alone(machine: Machine, mon
     done = hilbench("estop")
     assert done.returncode == 0
     assert "/run/user/4712/hilbench/line.sock: left alone" in done.stdout
+    assert machine.stopped() == ["socketcan:can0"]
+
+
+def test_where_benches_cannot_be_asked_the_interfaces_are_stopped_all_the_same(
+    machine: Machine, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(estop.claims, "holders", holders)
+    monkeypatch.setattr(estop.claims, "_SOCKETS", tmp_path / "unix")
+    machine.interfaces = ["can0"]
+    done = hilbench("estop")
+    assert done.returncode == 3
+    assert "NOT ALL BENCHES ARE KNOWN" in done.stderr
     assert machine.stopped() == ["socketcan:can0"]
 
 

@@ -82,8 +82,11 @@ class BusAddress:
         if self.interface != "embedded":
             return self
         named = self if self.is_named else replace(self, channel=_the_only_one())
-        found = next((channel for channel in embedded_channels() if _name_of(channel) == _name_of(named.channel)), None)
-        if found is None:
+        found = named.channel
+        if not hub_client.runs(found):
+            elsewhere = (path for path in embedded_channels() if is_path(path) and Path(path).stem == named.channel)
+            found = next(elsewhere, "")
+        if not found:
             return named
         running = hub_client.statistics(found)
         return BusAddress(self.interface, found, running.bitrate, running.timing)
@@ -102,10 +105,6 @@ def embedded_channels() -> list[str]:
         if claimed.uid == os.getuid() and claimed.place.startswith("embedded:/")
     }
     return here + sorted(path for path in elsewhere - known if hub_client.runs(path))
-
-
-def _name_of(channel: str) -> str:
-    return Path(channel).stem if is_path(channel) else channel
 
 
 def _the_only_one() -> str:

@@ -45,8 +45,9 @@ class Target:
         bitrate = next((one.bitrate for one in self.known if one.bitrate), None)
         bus = BusAddress.parse(self.place) if bitrate is None else BusAddress.parse(self.place, bitrate=bitrate)
         if bus.interface == "embedded":
-            found = statistics(bus.channel)
-            return BusAddress(bus.interface, bus.channel, found.bitrate, found.timing)
+            bus = bus.as_it_runs()
+            statistics(bus.channel)  # to open a bus on which nobody is would make one
+            return bus
         if self.known and bitrate is None and bus.interface not in _RATE_IS_THERE:
             raise BusError(f"{bus}: the program there does not say its bit rate; a wrong one would disturb the bus")
         return bus
@@ -69,7 +70,10 @@ class Outcome:
 
 def estop_command(names: list[str] | None) -> int:
     """Stop each bus, all at once, whether or not another fails; returns the exit code."""
-    targets = [Target(str(BusAddress.parse(name))) for name in names] if names else everything()
+    if names:
+        targets, complete = [Target(str(BusAddress.parse(name))) for name in names], True
+    else:
+        targets, complete = everything()
     with ThreadPoolExecutor(len(targets)) as pool:
         outcomes = list(pool.map(_stop, targets))
     for outcome in outcomes:
@@ -77,7 +81,7 @@ def estop_command(names: list[str] | None) -> int:
             print(f"hilbench: {outcome.said}", file=sys.stderr)
         else:
             print(outcome.said)
-    return exit_code(outcomes, all_count=bool(names))
+    return exit_code(outcomes, all_count=bool(names)) if complete else EXIT_BENCH_FAULT
 
 
 def exit_code(outcomes: Sequence[Outcome], *, all_count: bool) -> int:
@@ -90,12 +94,16 @@ def exit_code(outcomes: Sequence[Outcome], *, all_count: bool) -> int:
     return EXIT_BENCH_FAULT if counts else EXIT_PASSED
 
 
-def everything() -> list[Target]:
+def everything() -> tuple[list[Target], bool]:
     """Every bus of this machine on which a bench or its nodes have said that they are, every embedded bus of this user
-    that runs, and every CAN interface that is up. Raises UnusableInputError when there is nothing of all that."""
+    that runs, and every CAN interface that is up; and whether that is all.
+
+    Raises UnusableInputError when there is nothing of all that.
+    """
     found: dict[str, list[Holder]] = {}
     others = set()
-    for claimed in claims.holders(_SAYS_WITHIN_S):
+    known, complete = _said()
+    for claimed in known:
         if _may_stop(claimed):
             found.setdefault(claimed.place, []).append(claimed)
         else:
@@ -112,7 +120,16 @@ def everything() -> list[Target]:
             "no bench says that it runs on this machine, no embedded bus of this user runs and no CAN interface is up, "
             "expected one, or --bus with the bus to stop",
         )
-    return [Target(place, tuple(known)) for place, known in found.items()]
+    return [Target(place, tuple(there)) for place, there in found.items()], complete
+
+
+def _said() -> tuple[list[Holder], bool]:
+    """Who says where he is; what else is found is stopped, too, where that can't be asked."""
+    try:
+        return claims.holders(_SAYS_WITHIN_S), True
+    except BusError as error:
+        print(f"hilbench: NOT ALL BENCHES ARE KNOWN: {error}", file=sys.stderr)
+        return [], False
 
 
 def _may_stop(claimed: Holder) -> bool:
