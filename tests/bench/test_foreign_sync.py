@@ -25,8 +25,8 @@ MS = 1_000_000
 SYNC = Frame(0x080, b"")
 POSITION_RAD, VELOCITY_RAD_S = 2 * pi / (1 << 20), 2 * pi / 60 * 1e-4
 RPM = 10_000
-#: 6064h is sampled once a sample time of the drive's loop, which is 1 ms; noise and resolution come on top.
-NEAREST_S = 1.2e-3
+#: 6064h is that of a sample time of the drive's loop (1 ms), two beside that of the SYNC at most where it is locked.
+NEAREST_S = 2.5e-3
 
 
 @dataclass

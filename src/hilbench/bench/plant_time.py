@@ -10,9 +10,11 @@ from typing import Protocol
 
 from hilbench.fieldbus.sync_time import SyncTime
 
-#: A real drive's clock follows the one that paces SYNC as far as two good clocks may differ; beyond that the drive's
-#: own time counts.
-_CLOCKS_DIFFER = 1e-3
+#: How far the clock that paces SYNC may be from ours, for the drives to follow it: this part of the time, and so many
+#: sample times, which jitter looks like.
+_CLOCKS_DIFFER, _JITTER_SAMPLES = 1e-3, 2
+#: A period is one of so many sample times if it is so near to it.
+_NEAR = 0.03
 #: A process that was away longer than this does not make up for it.
 _LONGEST_GAP_NS = 1_000_000_000
 #: Part of the cycle by which a period is said to be another one.
@@ -56,9 +58,10 @@ class BySync:
 class ByClock:
     """The plant keeps up with `now_ns`, whatever SYNC does: comes by another period than the config's, jitters, stops.
 
-    At a SYNC the plant is where it was at the time of that SYNC, as `SyncTime` has it, to the nearest sample time; an
-    arrival that jitters moves nothing. It runs ahead by no more than the config's cycle, so that set points that come
-    without SYNC act soon.
+    As long as SYNC comes by whole sample times the plant is locked to it, as a real drive is: so many sample times
+    for every period, however the arrivals jitter, and the difference of two good clocks is followed. When that does not
+    fit the time, the plant is, to the nearest sample time, where it has to be at the time of each SYNC. It runs ahead
+    by no more than the config's cycle, so that set points that come without SYNC act soon.
     """
 
     def __init__(self, cycle_s: float, sample_s: float, now_ns: Callable[[], int], say: Callable[[str], None]) -> None:
@@ -68,39 +71,83 @@ class ByClock:
         self._say = say
         self._sync = SyncTime(self._cycle_ns)
         self._told = False
-        self._plant_ns: int | None = None  #: the time that the plant has come to; None: it has not begun
+        self._gone = 0  #: sample times that the plant has gone
+        #: A time, and how many sample times are due then; None: the plant has not begun.
+        self._anchor_ns: int | None = None
+        self._anchor = 0
+        self._per_period = 0  #: sample times while locked, else 0
+        self._locked_ns = 0  #: since when
+        self._shift_ns = 0  #: what the anchor was moved by to follow SYNC
 
     def before_sync(self, behind: int) -> int:
-        self._sync.heard(self._now_ns(), behind)
+        first = self._sync.at_ns is None
+        periods = self._sync.heard(self._now_ns(), behind)
+        if first or self._sync.take_new_period():
+            self._lock()
+        else:
+            self._follow(periods)
         if not self._told and self._sync.settled:
             self._tell_period()
-        assert self._sync.at_ns is not None, "just heard"
-        return self._go_to(self._sync.at_ns)
+        return self._go_to(self._at_ns, nearest=True)
 
     def after_sync(self) -> int:
-        assert self._sync.at_ns is not None, "after a SYNC"
-        assert self._plant_ns is not None, "as far as the SYNC"
-        most_ns = int(_CLOCKS_DIFFER * self._sync.period_ns)
-        self._plant_ns += max(-most_ns, min(most_ns, self._sync.at_ns - self._plant_ns))
-        return self._go_to(self._sync.at_ns + min(self._sync.period_ns, self._cycle_ns))
+        return self._go_to(self._at_ns + min(self._sync.period_ns, self._cycle_ns), nearest=True)
 
     def without_sync(self, duration_s: float) -> int:
         now_ns = self._now_ns()
         if self._sync.at_ns is not None and now_ns < self._sync.next_ns + self._sync.period_ns // 2:
             now_ns = min(now_ns, self._sync.next_ns)  # it may still come in its time
-        return self._go_to(now_ns - self._sample_ns // 2)
+        return self._go_to(now_ns, nearest=False)
 
-    def _go_to(self, time_ns: int) -> int:
-        """Sample times to the one nearest to `time_ns`."""
-        if self._plant_ns is None:
-            self._plant_ns = time_ns
-        gap_ns = time_ns - self._plant_ns
+    @property
+    def _at_ns(self) -> int:
+        assert self._sync.at_ns is not None, "at or after a SYNC"
+        return self._sync.at_ns
+
+    def _lock(self) -> None:
+        """From this SYNC on follow its clock, if the period is one of whole sample times."""
+        self._unlock()
+        per_period = round(self._sync.period_ns / self._sample_ns)
+        if per_period and abs(self._sync.period_ns - per_period * self._sample_ns) <= _NEAR * self._sync.period_ns:
+            self._per_period = per_period
+            due = self._due(self._at_ns)
+            self._move_anchor(self._at_ns, (due + self._sample_ns // 2) // self._sample_ns)
+            self._locked_ns = self._at_ns
+
+    def _follow(self, periods: int) -> None:
+        if not self._per_period:
+            return
+        self._move_anchor(self._at_ns, self._anchor + periods * self._per_period)
+        followed_ns = self._at_ns - self._locked_ns
+        if abs(self._shift_ns) > _JITTER_SAMPLES * self._sample_ns + _CLOCKS_DIFFER * followed_ns:
+            self._unlock()
+
+    def _unlock(self) -> None:
+        """Go by our clock again, as if it had never been followed."""
+        if self._anchor_ns is not None:
+            self._anchor_ns -= self._shift_ns
+        self._per_period = self._shift_ns = 0
+
+    def _move_anchor(self, time_ns: int, samples: int) -> None:
+        assert self._anchor_ns is not None, "locked after it has begun"
+        self._shift_ns += time_ns - self._anchor_ns - (samples - self._anchor) * self._sample_ns
+        self._anchor_ns, self._anchor = time_ns, samples
+
+    def _due(self, time_ns: int) -> int:
+        """Time that the plant has to have gone, in ns since it began."""
+        if self._anchor_ns is None:
+            self._anchor_ns = time_ns
+        return self._anchor * self._sample_ns + time_ns - self._anchor_ns
+
+    def _go_to(self, time_ns: int, nearest: bool) -> int:
+        """Sample times to a time: the nearest to it, or the last before it."""
+        gap_ns = self._due(time_ns) - self._gone * self._sample_ns
         if gap_ns > _LONGEST_GAP_NS:
             self._say(f"held up for {gap_ns * 1e-9:.1f} s: the simulated hardware stood still meanwhile")
-            self._plant_ns = time_ns
+            self._anchor_ns, self._anchor, self._shift_ns = time_ns, self._gone, 0
             return 0
-        samples = max(0, (gap_ns + self._sample_ns // 2) // self._sample_ns)
-        self._plant_ns += samples * self._sample_ns
+        samples = max(0, (gap_ns + (self._sample_ns // 2 if nearest else 0)) // self._sample_ns)
+        self._gone += samples
         return samples
 
     def _tell_period(self) -> None:
