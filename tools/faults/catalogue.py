@@ -23,6 +23,7 @@ from faults.acts import (
     settable_clock,
     twin_bus_off,
 )
+from faults.attacks import attacks, download
 from faults.run import FOREVER, Fault, shipped_nodes
 from hilbench.bus.disturbance import ErrorInjection
 from hilbench.bus.frame import Frame
@@ -107,7 +108,7 @@ def faults() -> list[Fault]:
         Fault("emergency stop from a terminal", "drives stop at once, exit 3", (3,), "emergency stop", emergency_stop),
         Fault("drive to PRE-OPERATIONAL (NMT)", STOPPED, (3,), "axis", say(pre_operational)),
         Fault("drive power-cycled (boot-up)", STOPPED, (3,), "axis", say(reset)),
-        Fault("drive: fault by itself", STOPPED, (3,), "FAULT", say(_download(1, 0x2001, 0x5441, 2))),
+        Fault("drive: fault by itself", STOPPED, (3,), "FAULT", say(download(1, 0x2001, 0x5441, 2))),
         Fault(
             "trip: speed",
             STOPPED,
@@ -239,13 +240,13 @@ def faults() -> list[Fault]:
             say(Frame(0x081, bytes.fromhex("1023030000000000"))),
             {"steps": LONG},
         ),
-        Fault("drive: heartbeat stops", STOPPED, (3,), "has sent no heartbeat", say(_download(1, 0x1017, 0, 2))),
+        Fault("drive: heartbeat stops", STOPPED, (3,), "has sent no heartbeat", say(download(1, 0x1017, 0, 2))),
         Fault(
             "drive: fault, reset by somebody again and again",
             "quick stop, exit 3; not enabled again",
             (3,),
             "FAULT",
-            say(_download(1, 0x2001, 0x5441, 2), *(_download(1, 0x6040, word, 2) for word in RESET_AND_ENABLE * 8)),
+            say(download(1, 0x2001, 0x5441, 2), *(download(1, 0x6040, word, 2) for word in RESET_AND_ENABLE * 8)),
         ),
         Fault(
             "object that the drive refuses (SDO abort)",
@@ -290,6 +291,7 @@ def faults() -> list[Fault]:
             nothing,
             _silent_node(),
         ),
+        *attacks(LONG, _with_loop_back()),
     ]
 
 
@@ -327,11 +329,6 @@ def _with_loop_back() -> list[dict[str, Any]]:
         {"wait_until": {"condition": "loop_closed > 0", "timeout_s": 1000.0, "for_s": 1.0}},
         {"ramp": {"path": "line_speed_m_s", "to": 0.0, "duration_s": 0.4}},
     ]
-
-
-def _download(node_id: int, index: int, value: int, size: int) -> Frame:
-    head = bytes((0x23 | (4 - size) << 2,)) + index.to_bytes(2, "little") + b"\0"
-    return Frame(0x600 + node_id, head + value.to_bytes(4, "little"))
 
 
 def _same_id() -> dict[str, Any]:

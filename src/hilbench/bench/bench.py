@@ -329,6 +329,7 @@ class Bench:
     def _quick_stop(self, exchange: CyclicExchange) -> None:
         """No drive is vital any more: who does not answer must not keep the others from being stopped."""
         exchange.expect([replace(pdo, vital=False) for pdo in self.nodes.expected_pdos() if pdo.vital])
+        self.nodes.twin_is_not_waited_for()
 
         def silent(drive: Drive) -> bool:
             return self.nodes.sender(drive) in exchange.silent

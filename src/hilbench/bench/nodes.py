@@ -268,6 +268,11 @@ class Nodes:
         self._expected_boots = set(self._twin_ids)
         self.twin_problem, self.twin_heard = "", False
 
+    def twin_is_not_waited_for(self) -> None:
+        """While the drives are stopped nobody waits for the twin: it may answer several SYNCs at once."""
+        for tpdo in self._twin_tpdos:
+            tpdo.judge(False)
+
     def twin_is_back(self) -> None:
         """The twin's nodes were started: they are watched again from their first heartbeat as such."""
         self.twin_problem = ""
