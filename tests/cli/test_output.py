@@ -8,6 +8,7 @@ import os
 import re
 import subprocess
 import sys
+import threading
 from pathlib import Path
 from unittest.mock import patch
 
@@ -198,8 +199,15 @@ def test_what_nobody_foresaw_in_a_command_is_one_line_with_its_traceback_kept(
     assert "its traceback can't be kept (No such file or directory)" in said
 
 
-def test_a_question_without_an_answer_is_no_failed_criterion(tmp_path: Path) -> None:
-    code, said = hilbench("config", "new", tmp_path / "new.yaml", out=tmp_path / "out", typed="")
-    assert code == 130
-    assert said.endswith("no answer, nothing was done\n")
-    assert not (tmp_path / "new.yaml").exists()
+def test_a_thread_that_nobody_foresaw_to_end_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HILBENCH_TRACEBACKS", str(tmp_path))
+
+    def with_thread(*arguments: object, **options: object) -> None:
+        thread = threading.Thread(target=lambda: {}["what"])
+        thread.start()
+        thread.join()
+
+    with patch("hilbench.cli.check.check_command", side_effect=with_thread):
+        code, said = hilbench("check", SHIPPED, out=tmp_path / "out")
+    assert code == 0
+    assert re.fullmatch(r"hilbench: unexpected KeyError in .*: 'what'; traceback in .*\n", said)

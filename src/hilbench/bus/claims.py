@@ -158,7 +158,10 @@ def _address(name: str) -> bytes:
 def _bind(place: str, role: str, expected: str, bus: str, patience_s: float) -> socket.socket:
     began_s = time.monotonic()
     while True:
-        claimed = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        try:
+            claimed = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        except OSError as error:
+            raise BusError(f"{bus}: its {role} can't be claimed: {error.strerror}") from error
         try:
             claimed.bind(_address(_name(place, role)))
             claimed.listen(_BACKLOG)

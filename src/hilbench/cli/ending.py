@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
-import typer
 from typer.core import TyperGroup
 
 from hilbench.cli.output import OutputError, hold_standard_descriptors, honest_output
@@ -18,12 +19,9 @@ class Commands(TyperGroup):
     """The commands; what typer itself would end with exit code 1 is told as what it is."""
 
     def invoke(self, ctx: Any) -> Any:
-        """Run the command. An operating system's refusal is an error like others, no end of input passes for one."""
+        """Run the command. An operating system's refusal is an error like others, whoever's pipe has broken."""
         try:
             return super().invoke(ctx)
-        except (EOFError, typer.Abort):
-            _say("no answer, nothing was done")
-            raise typer.Exit(EXIT_INTERRUPTED) from None
         except OSError as error:  # typer takes a broken pipe, whosever it is, for the terminal's
             raise _RefusedError(unexpected(error)) from error
 
@@ -38,11 +36,26 @@ def ended(command: Callable[[], object]) -> int:
         hold_standard_descriptors()
     except OSError:
         return EXIT_BENCH_FAULT  # nothing can be opened, and there is nowhere to say it
-    with honest_output() as problems:
+    with honest_output() as problems, _threads_told():
         code = _code(command)
     for problem in problems:
         _say(str(problem))
     return code or (EXIT_BENCH_FAULT if problems else 0)
+
+
+@contextmanager
+def _threads_told() -> Iterator[None]:
+    """What ends a thread that nobody waits for is told as well, in one line."""
+
+    def tell(ended: threading.ExceptHookArgs) -> None:
+        if isinstance(ended.exc_value, Exception):
+            _say(unexpected(ended.exc_value))
+
+    before, threading.excepthook = threading.excepthook, tell
+    try:
+        yield
+    finally:
+        threading.excepthook = before
 
 
 def _code(command: Callable[[], object]) -> int:

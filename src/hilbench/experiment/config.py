@@ -117,16 +117,22 @@ def _named_files(data: Mapping[str, Any]) -> Iterator[tuple[tuple[str | int, ...
 def dump(config: BenchConfig, path: Path) -> None:
     """Write the resolved config, every default spelled out; `load` reads it back to a config that does the same.
 
-    Tables and Python files of its steps are copied beside it, so that the folder says by itself what was run.
+    Tables and Python files of its steps are copied beside it, so that the folder says by itself what was run. Raises
+    UnusableInputError when it cannot be written.
     """
     data: dict[str, Any] = config.model_dump(mode="json", exclude_none=True)
-    for number, step in enumerate(data.get("steps", []), 1):
-        for action in step.values():
-            if "file" in action:
-                source, name = Path(action["file"]), f"step{number}_{Path(action['file']).name}"
-                shutil.copyfile(source, path.parent / name)
-                action["file"] = name
-    path.write_text(yaml.safe_dump(data, sort_keys=False, allow_unicode=True), encoding="utf-8")
+    try:
+        for number, step in enumerate(data.get("steps", []), 1):
+            for action in step.values():
+                if "file" in action:
+                    source, name = Path(action["file"]), f"step{number}_{Path(action['file']).name}"
+                    shutil.copyfile(source, path.parent / name)
+                    action["file"] = name
+        path.write_text(yaml.safe_dump(data, sort_keys=False, allow_unicode=True), encoding="utf-8")
+    except OSError as error:
+        raise UnusableInputError(
+            error.filename or path, f"cannot be written ({error.strerror}), expected a writable folder"
+        ) from error
 
 
 def write_config_over(path: Path, files: Sequence[Path]) -> None:
