@@ -39,6 +39,8 @@ _TOLERANCE_M: Final = 2e-6
 _UNROUNDED_TOLERANCE_M: Final = 1e-5
 #: Web transports (L/v) until the guess of a strain under way is forgotten.
 _TRANSPORTS: Final = 6.0
+#: Share of a cycle by which a row of a bench's recording may be off the cycles.
+_UNEVEN_CYCLES: Final = 1e-6
 #: Cycle in which commands of a coarser recording may have changed in truth.
 _FINE_S: Final = 0.002
 #: Share of a corner's bend by which the slopes of one side of it may differ.
@@ -335,10 +337,13 @@ def between(rows: Array, whole: int) -> Array:
 def predictor_for(model: ModelParameters, data: Measured, imitation: Imitation | None = None) -> Predictor:
     """A free run where there are commands and control loops; else on the measured motion.
 
-    Where the recording has a load motor the web was imitated: as `imitation` says, or as benches do it by default.
+    Where the recording has a load motor the web was imitated: as `imitation` says, or as benches do it by default. What
+    happened in its cycles can't be told from rows between them.
     """
     if model.web is None:
         return OnMeasuredMotion(model, data)
-    if not data.imitated:
+    imitation = imitation or Imitation(data.period_s)
+    cycles = data.period_s / imitation.cycle_s
+    if not data.imitated or cycles < 0.5 or abs(cycles - round(cycles)) > _UNEVEN_CYCLES:
         return FreeRun(model, data)
-    return FreeRun(model, data, imitation or Imitation(data.period_s))
+    return FreeRun(model, data, imitation)

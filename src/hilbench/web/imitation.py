@@ -194,7 +194,9 @@ def simulate_imitated(
 def _stands(imitation: Imitation, model: ModelParameters, many: Vector) -> Vector:
     """(B, P): the stands of models (B, P), with what the models' effects make of axes and drives."""
     plain = model.model_copy(update={"effects": ()})
-    template = pack_stand(StandParameters.matching(plain, imitation.load_motor))
+    # Its rotor is part of the inertia that the model gives the roller.
+    load_motor = imitation.load_motor.model_copy(update={"inertia_kg_m2": 0.0})
+    template = pack_stand(StandParameters.matching(plain, load_motor))
     stands = np.tile(template, (len(many), 1))
     layout, of_model = Layout.of(template), Layout.of(many[0])
     for stand, parameters in zip(stands, many, strict=True):
