@@ -10,9 +10,11 @@ from typing import Protocol
 
 from hilbench.fieldbus.sync_time import SyncTime
 
-#: How far the clock that paces SYNC may be from ours, for the drives to follow it: this part of the time, and so many
-#: sample times, which jitter looks like.
-_CLOCKS_DIFFER, _JITTER_SAMPLES = 1e-3, 2
+#: How far the clock that paces SYNC may be from ours, for the drives to follow it: this part of the time, and what
+#: jitter looks like (sample times, and part of the config's cycle).
+_CLOCKS_DIFFER, _JITTER_SAMPLES, _JITTER_CYCLES = 1e-3, 2, 0.25
+#: So long it must have fitted again before it is followed anew.
+_FITS_NS = 1_000_000_000
 #: A period is one of so many sample times if it is so near to it.
 _NEAR = 0.03
 #: A process that was away longer than this does not make up for it.
@@ -76,7 +78,7 @@ class ByClock:
         self._anchor_ns: int | None = None
         self._anchor = 0
         self._per_period = 0  #: sample times while locked, else 0
-        self._locked_ns = 0  #: since when
+        self._since_ns, self._periods = 0, 0  #: since it was locked or unlocked: when, and periods of SYNC
         self._shift_ns = 0  #: what the anchor was moved by to follow SYNC
 
     def before_sync(self, behind: int) -> int:
@@ -91,18 +93,22 @@ class ByClock:
         return self._go_to(self._at_ns, nearest=True)
 
     def after_sync(self) -> int:
-        return self._go_to(self._at_ns + min(self._sync.period_ns, self._cycle_ns), nearest=True)
+        return self._go_to(self._at_ns + min(self._period_ns, self._cycle_ns), nearest=True)
 
     def without_sync(self, duration_s: float) -> int:
         now_ns = self._now_ns()
-        if self._sync.at_ns is not None and now_ns < self._sync.next_ns + self._sync.period_ns // 2:
-            now_ns = min(now_ns, self._sync.next_ns)  # it may still come in its time
+        if self._sync.at_ns is not None and now_ns < self._at_ns + 3 * self._period_ns // 2:
+            now_ns = min(now_ns, self._at_ns + self._period_ns)  # it may still come in its time
         return self._go_to(now_ns, nearest=False)
 
     @property
     def _at_ns(self) -> int:
         assert self._sync.at_ns is not None, "at or after a SYNC"
         return self._sync.at_ns
+
+    @property
+    def _period_ns(self) -> int:
+        return self._per_period * self._sample_ns or self._sync.period_ns
 
     def _lock(self) -> None:
         """From this SYNC on follow its clock, if the period is one of whole sample times."""
@@ -112,15 +118,29 @@ class ByClock:
             self._per_period = per_period
             due = self._due(self._at_ns)
             self._move_anchor(self._at_ns, (due + self._sample_ns // 2) // self._sample_ns)
-            self._locked_ns = self._at_ns
+        self._since_ns, self._periods = self._at_ns, 0
 
     def _follow(self, periods: int) -> None:
+        self._periods += periods
+        followed_ns = self._at_ns - self._since_ns
         if not self._per_period:
+            if followed_ns > _FITS_NS and self._fits(followed_ns):
+                self._lock()
             return
         self._move_anchor(self._at_ns, self._anchor + periods * self._per_period)
-        followed_ns = self._at_ns - self._locked_ns
-        if abs(self._shift_ns) > _JITTER_SAMPLES * self._sample_ns + _CLOCKS_DIFFER * followed_ns:
+        jitter_ns = _JITTER_SAMPLES * self._sample_ns + _JITTER_CYCLES * self._cycle_ns
+        if abs(self._shift_ns) > jitter_ns + _CLOCKS_DIFFER * followed_ns:
             self._unlock()
+            self._since_ns, self._periods = self._at_ns, 0
+
+    def _fits(self, duration_ns: int) -> bool:
+        """Whether the periods of a time were whole sample times, but for the clocks; if not, they are counted anew."""
+        per_period = round(duration_ns / max(1, self._periods) / self._sample_ns)
+        whole_ns = self._periods * per_period * self._sample_ns
+        if abs(duration_ns - whole_ns) <= _CLOCKS_DIFFER * duration_ns:
+            return True
+        self._since_ns, self._periods = self._at_ns, 0
+        return False
 
     def _unlock(self) -> None:
         """Go by our clock again, as if it had never been followed."""
