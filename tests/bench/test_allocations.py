@@ -20,7 +20,7 @@ def test_cycles_leave_neither_memory_nor_garbage_behind(tmp_path: Path) -> None:
     tracemalloc.start()  # before caches fill: what takes the place of something there is no growth
     with Bench(loaded.config, participants=Participants.IN_PROCESS) as bench:
         bench.ramp("line_speed_m_s", 1.0, 0.2)
-        bench.run(0.6)  # windows and caches fill
+        bench.run(2.0)  # windows and caches fill
         assert not gc.isenabled()
         gc.collect()
         before = tracemalloc.get_traced_memory()[0]

@@ -76,7 +76,7 @@ def test_a_torque_that_goes_to_and_fro_at_its_limit_is_one_saturation() -> None:
     said = []
     for k in range(1000):
         at_limit = k < 500 and k % 7 < 3
-        said += watch.update(sample(0.002 * k, tau1_Nm=9.0 if at_limit else 8.0))
+        said += [text for _, text in watch.update(sample(0.002 * k, tau1_Nm=9.0 if at_limit else 8.0))]
     assert len(said) == 2
     assert "axis 1 is at its limit (torque 9 N·m" in said[0]
     assert "at it for 0.432 s within 1 s" in said[1]
@@ -84,5 +84,5 @@ def test_a_torque_that_goes_to_and_fro_at_its_limit_is_one_saturation() -> None:
 
 def test_a_drive_that_says_so_itself_is_believed() -> None:
     watch = SaturationWatch(load_with_overrides(CONFIG).config)
-    (said,) = watch.update(sample(0.0, statusword2=INTERNAL_LIMIT))
+    ((_, said),) = watch.update(sample(0.0, statusword2=INTERNAL_LIMIT))
     assert "axis 2 is at its limit (statusword bit 11" in said

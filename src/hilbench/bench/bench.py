@@ -399,9 +399,9 @@ class Bench:
         self._look_at_controller()
         self._read_emergencies()
         for warning in self._limits.update(sample):
-            self._note("limits", warning)
-        for text in self._saturation.update(sample):
-            self._note("saturation", text)
+            self._note("limits", warning, kind=warning.partition(" is ")[0])
+        for kind, text in self._saturation.update(sample):
+            self._note("saturation", text, kind=kind)
         for observer in self._observers:
             observer.sample(sample)
         return sample

@@ -42,8 +42,8 @@ class SaturationWatch:
         }
         self._limited: dict[str, _Limited] = {}
 
-    def update(self, sample: CycleSample) -> list[str]:
-        """What begins or ends in this cycle, as text for the operator."""
+    def update(self, sample: CycleSample) -> list[tuple[str, str]]:
+        """What begins or ends in this cycle, as text for the operator, with the kind of notice that it is."""
         told = []
         for drive, torque_Nm, statusword in _drives(sample):
             limit_Nm, known = self._limits_Nm[drive], self._limited.get(drive)
@@ -53,13 +53,16 @@ class SaturationWatch:
                     known = self._limited[drive] = _Limited(sample.t_s, sample.t_s)
                     shown = f"torque {torque_Nm:.3g} N·m" if by_torque else "statusword bit 11"
                     shown += f", torque limit {limit_Nm:g} N·m"
-                    told.append(f"{drive} is at its limit ({shown}): it can't follow its set-point")
+                    told.append(
+                        (f"{drive} reached", f"{drive} is at its limit ({shown}): it can't follow its set-point")
+                    )
                 known.last_s = sample.t_s
                 known.total_s += self._cycle_s
             elif known is not None and sample.t_s - known.last_s > _QUIET_S:
                 del self._limited[drive]
                 lasted_s = known.last_s - known.since_s + self._cycle_s
-                told.append(f"{drive} has left its limit: at it for {known.total_s:.3g} s within {lasted_s:.3g} s")
+                text = f"{drive} has left its limit: at it for {known.total_s:.3g} s within {lasted_s:.3g} s"
+                told.append((f"{drive} left", text))
         return told
 
 
