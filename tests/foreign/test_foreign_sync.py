@@ -25,8 +25,8 @@ from tests.foreign.foreign_station import foreign_station
 
 from hilbench.bus.link import Link
 from hilbench.bus.open import BusAddress, open_link, open_python_can
-from hilbench.doctor.stations import present
 from hilbench.fieldbus.eds import load_eds
+from hilbench.fieldbus.listening import present
 
 pytestmark = pytest.mark.vcan
 
