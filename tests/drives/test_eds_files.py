@@ -2,12 +2,14 @@
 
 import configparser
 import importlib.util
+import subprocess
 import sys
 from pathlib import Path
 from types import ModuleType
 
 import dcf
 import pytest
+import yaml
 from tests.drives.stand_in import StandingClock
 
 from hilbench.bus.frame import Frame
@@ -63,6 +65,20 @@ def test_every_default_of_a_real32_is_one_number_to_all_who_read_the_file(name: 
     for section in reals:
         text = section.get("DefaultValue", "0")
         assert float(text) == dcf.REAL32.parse_value(text), section.name
+
+
+def test_lelys_dcfgen_configures_a_master_for_the_drives_from_these_files(tmp_path: Path) -> None:
+    """As `dcfgen` of the virtual environment does it: its output is what Lely's master writes to the nodes."""
+    nodes = {
+        "axis1": {"dcf": str(ROOT / "eds" / FILES[0]), "node_id": 1, "heartbeat_producer": 100},
+        "io": {"dcf": str(ROOT / "eds" / FILES[1]), "node_id": 32},
+    }
+    (tmp_path / "bus.yml").write_text(yaml.safe_dump({"master": {"node_id": 127, "sync_period": 10_000}, **nodes}))
+    command = [str(Path(sys.executable).with_name("dcfgen")), "-r", "-v", "bus.yml"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "axis1: writing 2 bytes to 0x1017/0: 64 00" in done.stdout
+    assert (tmp_path / "master.dcf").read_text().count("[") > 10
 
 
 def test_an_effect_starts_with_its_neutral_values_and_has_them_again_after_a_reset() -> None:
