@@ -108,6 +108,17 @@ def test_a_steady_difference_of_the_speeds_is_none_of_its_business():
     assert max(map(abs, told[2500:])) < 1e-9
 
 
+@pytest.mark.parametrize("speed_m_s", [-8.0, -3.0, -0.5, 3.0])
+def test_a_long_way_at_constant_speeds_leaves_nothing_to_add_in_reverse_either(speed_m_s):
+    damping = SwingDamping(DEMONSTRATOR, 1.3, 8.7e9)
+    noise_m = np.random.default_rng(5).normal(0.0, 2e-9, (30_000, 2))
+    commands = []
+    for cycle, (noise1, noise2) in enumerate(noise_m):
+        way = speed_m_s * cycle * DEMONSTRATOR.cycle_s  # what comes in is a thousandth of the strain off
+        commands.append(damping.velocity(way * (1 + 3e-7) + noise1, way + noise2))
+    assert np.max(np.abs(commands[5_000:])) < 2e-4
+
+
 def test_positions_of_different_instants_leave_the_command_as_it_was():
     damping = SwingDamping(DEMONSTRATOR, 1.3, 8.7e9)
     for k in range(5):

@@ -179,8 +179,14 @@ class SwingDamping:
         return command
 
     def _elongated_m(self, way1_m: float, way2_m: float) -> float:
-        """How much longer the span's web has become, ΔL = L·Δε, by what came in and went out unstretched."""
+        """How much longer the span's web has become, ΔL = L·Δε, by what came in and went out unstretched.
+
+        Forward the balance forgets an error of the strain within L/v. In reverse the same error would grow as fast: so
+        there the strain that is believed goes the other way, and what lasts longer than L/v is forgotten as well.
+        """
         plant, strain = self._plant, self._strain
-        self._unstretched_m += way1_m / (1.0 + plant.upstream_strain) - way2_m / (1.0 + strain)
+        direction = 1.0 if way2_m >= 0.0 else -1.0
+        came_in_m = way1_m / (1.0 + plant.upstream_strain) - way2_m / (1.0 + strain)
+        self._unstretched_m += direction * came_in_m
         self._strain = plant.span_length_m / self._unstretched_m - 1.0
-        return plant.span_length_m * (self._strain - strain)
+        return direction * plant.span_length_m * (self._strain - strain)
