@@ -149,7 +149,7 @@ def test_a_ramp_that_has_no_end_is_refused(tmp_path: Path, key: str, value: obje
 
 
 def test_a_ramp_too_slow_to_end_is_a_fault_with_a_result(tmp_path: Path) -> None:
-    steps = [{"ramp": {"path": "line_speed_m_s", "to": 1.0, "rate_per_s": 1e-300}}]
+    steps = [{"ramp": {"path": "line_speed_m_s", "to": 1.0, "rate_per_s": 1e-9}}]
     ran = hilbench("run", config(tmp_path, steps=steps), "--in-process", "--out", tmp_path / "runs")
     assert ran.returncode == 3
     assert f"expected at most {LONGEST_S:g} s" in ran.stdout.replace("\n", " ")

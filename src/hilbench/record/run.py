@@ -172,8 +172,8 @@ class RunRecord:
         self.folder = RunFolder.create(out, name or loaded.config.name)
         config_files.dump(loaded.config, self.folder.config)
         self.ending = Ending(self.folder)
-        self.trace = TraceWriter(self.folder.trace, loaded.config.bus_address.channel)
         self.journal = JournalWriter(self.folder.journal)
+        self.trace = TraceWriter(self.folder.trace, loaded.config.bus_address.channel)
 
     def note(self, change: Change) -> None:
         """Keep what the bench did."""
