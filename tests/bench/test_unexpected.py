@@ -151,7 +151,7 @@ def test_what_breaks_after_the_run_leaves_recording_and_result(tmp_path: Path, m
     def broken(*arguments: Any) -> None:
         raise IndexError("in the metrics")
 
-    monkeypatch.setattr(runs, "evaluate_metrics", broken)
+    monkeypatch.setattr(runs, "judge", broken)
     path = config(tmp_path, steps=MOVING, criteria=[{"name": "steady", "metric": "E_noise_pct", "max": 10.0}])
     result, kept, _ = ended(path, tmp_path / "runs")
     assert result.faults[0].source == "metrics"
@@ -224,7 +224,7 @@ def test_whatever_number_a_node_says_the_run_goes_on_or_ends_by_a_fault_that_is_
     monkeypatch.setattr(Nodes, "fill", forged)
     path = config(tmp_path, steps=[MOVING[0], {"hold": {"duration_s": 0.4}}])
     ran = hilbench("run", path, "--in-process", "--no-report", "--out", tmp_path / "runs", "--json")
-    result = Result.model_validate_json(ran.stdout)
+    result = Result.read(Path(json.loads(ran.stdout)["files"]["result"]))
     assert ran.returncode == (3 if result.faults else 0), ran
     assert "unexpected" not in ran.stdout + ran.stderr
     if signal == "E_sim_Pa":

@@ -115,7 +115,8 @@ def test_a_run_passes_on_a_terminal_without_utf_8(tmp_path: Path, encoding: str,
     text = (tmp_path / "said").read_text(encoding=encoding)
     (folder,) = run_folders(path)
     if options:
-        assert Result.model_validate_json(text) == Result.read(folder / "result.json")
+        printed = {key: value for key, value in json.loads(text).items() if key in Result.model_fields}
+        assert Result.model_validate(printed) == Result.read(folder / "result.json")
     else:
         assert "passed" in text
 
@@ -185,15 +186,15 @@ def test_what_nobody_foresaw_in_a_command_is_one_line_with_its_traceback_kept(
 ) -> None:
     monkeypatch.setenv("HILBENCH_TRACEBACKS", str(tmp_path))
     for error in (KeyError("what"), BrokenPipeError(32, "Broken pipe"), OSError(24, "Too many open files")):
-        with patch("hilbench.cli.check.check_bench", side_effect=error):
+        with patch("hilbench.cli.check.check_experiment", side_effect=error):
             code, said = hilbench("check", SHIPPED, out=tmp_path / "out")
         assert code == 3
         assert said.count("\n") == 1
         match = re.fullmatch(rf"hilbench: unexpected {type(error).__name__} in .*: .*; traceback in (.*)\n", said)
         assert match is not None, said
-        assert "check_bench" in Path(match[1]).read_text()
+        assert "check_experiment" in Path(match[1]).read_text()
     monkeypatch.setenv("HILBENCH_TRACEBACKS", str(tmp_path / "nowhere"))
-    with patch("hilbench.cli.check.check_bench", side_effect=KeyError("what")):
+    with patch("hilbench.cli.check.check_experiment", side_effect=KeyError("what")):
         code, said = hilbench("check", SHIPPED, out=tmp_path / "out")
     assert (code, said.count("\n")) == (3, 1)
     assert "its traceback can't be kept (No such file or directory)" in said

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from pathlib import Path
 
@@ -51,9 +52,10 @@ def test_a_short_recording_is_used_or_refused_in_one_line(tmp_path: Path, run: P
         if usable:
             assert ended.stderr == "", words
         else:
-            assert ended.stderr.count("\n") == 1, (words, ended.stderr)
-            assert "expected" in ended.stderr
-            assert ended.stderr.startswith(f"hilbench: {folder if folder in words else recording}")
+            # What is being done stands before it, where that may take long.
+            (said,) = [line for line in ended.stderr.splitlines() if not re.match(r" *[0-9.]+ s  ", line)]
+            assert "expected" in said
+            assert said.startswith(f"hilbench: {folder if folder in words else recording}")
 
 
 def test_a_step_too_near_the_end_has_no_settled_figures(tmp_path: Path, run: Path) -> None:
