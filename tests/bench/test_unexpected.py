@@ -148,7 +148,7 @@ def test_what_breaks_before_anything_moves_has_a_result_too(
 
 
 def test_what_breaks_after_the_run_leaves_recording_and_result(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def broken(*arguments: Any) -> None:
+    def broken(*arguments: Any, **options: Any) -> None:
         raise IndexError("in the metrics")
 
     monkeypatch.setattr(runs, "judge", broken)

@@ -8,19 +8,18 @@ from typing import Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
+from hilbench.block import Block
 from hilbench.experiment.metrics import LEAST_SETTLED_S, METRICS, Figure, Judgement, reasons
 from hilbench.suggest import did_you_mean
 
 
-class Criterion(BaseModel):
+class Criterion(Block):
     """A bound on one metric: `min`, `max` or both (inclusive), or a `target` with its `tolerance`.
 
     `unit`, where given, must be the metric's own: it is there for the reader, nothing is converted. A value that
     holds by less than `margin` (unit of the metric) is *marginal*: it passes, and is shown to be close to its bound.
     Every step of the run must hold it, or the one that `step` names; shown is the one that is nearest to its bound.
     """
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     name: str = Field(min_length=1, description="what report and JUnit XML call it")
     metric: str = Field(description="name of a metric")
