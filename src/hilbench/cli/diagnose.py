@@ -66,8 +66,9 @@ def diagnose_command(source: Path, model_path: Path | None, out: Path | None, *,
                 raise UnusableInputError(
                     "--model", "missing, expected the model file that the recording is compared with"
                 )
+            config, model = config_from(model_path), model_from(model_path)
             progress.announce("read the recording", 0.0)
-            config, model, recording = config_from(model_path), model_from(model_path), read_recording(source)
+            recording = read_recording(source)
             tell_unknown(recording, source)
             imitation = _imitation(source, config)
             diagnosis = diagnose(recording, model, source, progress.announce, imitation)

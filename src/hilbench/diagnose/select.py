@@ -180,9 +180,11 @@ class Search:
         found, ramp = list[Term](), None
         for level in range(_TIME_LEVELS):
             terms = self._proposer.steps(times, current.terms)
+            if not terms:  # no web, or no step more that it could have
+                break
             responses = self._felt(white, self._space.strengths(current.terms, current.residual, terms))
             along = responses @ self._felt(white, [current.residual[None]])[0]
-            if level == 0 and terms:
+            if level == 0:
                 ramp = self._ramp(current, times, responses, along)
             found = _apart(terms, along**2 / np.maximum(np.sum(responses**2, axis=1), 1e-300), _APART * apart_s)
             times = np.concatenate([t.values[TIME] + apart_s * _CLOSER for t in found]) if found else times
