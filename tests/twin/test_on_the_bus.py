@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,11 @@ import pytest
 import yaml
 from tests.bench.test_runs import config, run, run_folders
 
+from hilbench.bench.bench import Bench
+from hilbench.bench.participants import Participants
+from hilbench.experiment.config import load_with_overrides
 from hilbench.record.recording import Recording, read_recording
+from hilbench.twin.axis_listener import AxisListener
 from hilbench.twin.virtual_io import TwinStatus
 
 #: EMCY of node 32.
@@ -87,3 +92,24 @@ def test_standstill_under_dry_friction_is_told_by_emcy_and_taken_back(tmp_path: 
     assert not np.any(holding[speed > 0.1])
     moving = speed > 0.9
     assert np.asarray(found["E_sim_Pa"])[moving][-100:] == pytest.approx(8.7e9, rel=0.01)
+
+
+def test_positions_that_are_for_once_a_cycle_old_are_no_web_break(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    original, heard, said = AxisListener.decode, defaultdict[int, int](int), {}
+
+    def late(self: AxisListener, data: bytes) -> tuple[float, float]:
+        heard[self.cob_id] += 1
+        now = original(self, data)
+        if heard[self.cob_id] % 400 != 0:  # else what it said at the SYNC before
+            said[self.cob_id] = now
+        return said[self.cob_id]
+
+    monkeypatch.setattr(AxisListener, "decode", late)
+    with Bench(load_with_overrides(config(tmp_path)).config, participants=Participants.IN_PROCESS) as bench:
+        bench.ramp("line_speed_m_s", 3.0, 1.0)
+        bench.run(5.0)
+        assert not [notice.text for notice in bench.notices if "web break" in notice.text]
+        assert bench.last.E_sim_Pa == pytest.approx(bench.last.E_true_Pa, rel=0.01)
+        bench.ramp("line_speed_m_s", 0.0, 1.0)

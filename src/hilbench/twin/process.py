@@ -13,10 +13,11 @@ from hilbench.bus.frame import Frame
 from hilbench.bus.open import BusAddress, open_link
 from hilbench.drives.port import MotorMode, MotorPort
 from hilbench.drives.simulated import SimulatedDrive
-from hilbench.fieldbus.clock import Clock
+from hilbench.fieldbus.clock import Clock, SyncClock
 from hilbench.fieldbus.device import Device, NmtState, SdoAbort
 from hilbench.fieldbus.eds import load_eds
 from hilbench.fieldbus.host import DeviceHost, HostedDevices
+from hilbench.fieldbus.sync_time import SyncTime
 from hilbench.real_time import ProcessSettings, kept_ready
 from hilbench.twin.alarms import Alarms
 from hilbench.twin.axis_listener import AxisListener, RealAxis, TwinNode
@@ -39,6 +40,10 @@ _UNKNOWN_STRAIN = 0.3
 _WARM_UP_CYCLES = 100
 #: SYNCs that an axis may leave unanswered and answer later.
 _MOST_OWED = 100
+#: Beyond any acceleration of a line; and the share by which the way of a cycle may differ from the last one besides.
+_FASTEST_M_S2, _ALIKE = 100.0, 0.3
+#: Missed SYNCs in a row that the simulation makes up for; after more a twin has to find motion and tension anew.
+_MOST_SKIPPED = 100
 #: In the order in which `TwinApplication` puts them together.
 _STATUS_BITS = tuple(
     int(bit)
@@ -105,6 +110,8 @@ class TwinApplication:
         self._metres_per_rad = [1.0 / setup.model.motor_rad_per_m(axis) for axis in (1, 2)]
         self._tracking = Tracking(setup.model, setup.twin, line, ports[1], setup.cycle_s)
         self._pairing = Pairing()
+        self._x2_m: float | None = None  # where axis 2 was last measured, and its way to there
+        self._way2_m: float | None = None
         self._measured: list[tuple[float, float] | None] = [None, None]  # position in rad, torque in N·m
         self._owed = [0, 0]  # SYNCs that the axis has not answered
         self._positions_before: list[float] | None = None
@@ -113,6 +120,10 @@ class TwinApplication:
         self._pending = self._released = False
         self._sync_number = self._behind = 0
         self._time_s = 0.0
+        self._now_ns = setup.clock.now_ns
+        # In lockstep one SYNC is one cycle, however long it took.
+        self._sync_time = None if isinstance(setup.clock, SyncClock) else SyncTime(round(setup.cycle_s * 1e9))
+        self._ahead = False  # of a SYNC that was counted as missed, and came
         virtual_io.on_method(self._use_method)
         self._tell()
 
@@ -143,7 +154,24 @@ class TwinApplication:
         self._owed = [min(owed + 1, _MOST_OWED) for owed in self._owed]
         self._sync_number += 1
         self._behind = behind
+        self._catch_up(behind)
         self._io.tell_status(self._sync_number, behind, self._status())
+
+    def _catch_up(self, behind: int) -> None:
+        """In real time the axes have gone on through the cycles whose SYNC the bench has missed."""
+        if self._sync_time is None:
+            return
+        first = self._sync_time.at_ns is None
+        skipped = self._sync_time.heard(self._now_ns(), behind) - 1
+        self._ahead = skipped < 0 and not first
+        if not self._released or not 0 < skipped <= _MOST_SKIPPED:
+            return
+        for _ in range(skipped):
+            self._line.advance(self._cycle_s)
+            self._time_s += self._cycle_s
+        for drive in self._drives:
+            drive.publish()
+        self._tell()
 
     def after_sync(self) -> None:
         """The TPDOs are out, the drives have new set points: simulate as soon as the measurements are there."""
@@ -183,8 +211,9 @@ class TwinApplication:
                 self._compare()
                 strain_prev = self._tracking.upstream_strain(self._io.strain_prev)
                 self._line.set_boundary(strain_prev, self._io.tension_next_N)
-                self._line.advance(self._cycle_s)
-                self._time_s += self._cycle_s
+                if not self._ahead:
+                    self._line.advance(self._cycle_s)
+                    self._time_s += self._cycle_s
         else:
             self._released = False
             self._positions_before = None
@@ -216,6 +245,7 @@ class TwinApplication:
         )
         self._tracking.release(_UNKNOWN_STRAIN if moves else 0.0)
         self._pairing.reset()
+        self._x2_m = self._way2_m = None
         self._released = True
         self._time_s = 0.0
         return True
@@ -226,7 +256,7 @@ class TwinApplication:
             self._tracking.miss()
             return
         positions = (first[0] * self._metres_per_rad[0], second[0] * self._metres_per_rad[1])
-        if not self._pairing.update(*positions):
+        if not self._pairing.update(*positions) or not self._goes_on(positions[1]):
             self._tracking.miss()
             return
         self._tracking.compare(
@@ -239,6 +269,20 @@ class TwinApplication:
         )
         self._report_problem()
         self._report_shift()
+
+    def _goes_on(self, x2_m: float) -> bool:
+        """Whether axis 2 has come as far as in the cycle before, or as it can have been accelerated since.
+
+        On a bus that is late a position may be that of the cycle before, or two cycles on: as a speed that would be
+        an acceleration that no drive has, and a force that no web bears.
+        """
+        last_m, before_m = self._x2_m, self._way2_m
+        self._x2_m = x2_m
+        if last_m is None:
+            return True
+        self._way2_m = way_m = x2_m - last_m
+        most_m = _FASTEST_M_S2 * self._cycle_s**2
+        return before_m is None or abs(way_m - before_m) <= most_m + _ALIKE * abs(before_m)
 
     def _report_problem(self) -> None:
         """Say by EMCY why a measurement can't be used, and when it can be again."""
