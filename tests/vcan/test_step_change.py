@@ -13,6 +13,7 @@ import sys
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
+from itertools import dropwhile
 from pathlib import Path
 
 import numpy as np
@@ -74,6 +75,8 @@ def frames(log: Path) -> list[str]:
 @pytest.mark.skipif(shutil.which("candump") is None, reason="can-utils is not installed")
 def test_candump_has_the_frames_of_the_trace(run_and_witness: tuple[RunFolder, Path]) -> None:
     run, witness = run_and_witness
-    ours, theirs = Counter(frames(run.trace)), Counter(frames(witness))
+    # Before the bus is the bench's, and there is a run to keep a trace of, it asks whether its nodes are there already.
+    seen = dropwhile(lambda frame: frame.endswith("#4000100000000000"), frames(witness))
+    ours, theirs = Counter(frames(run.trace)), Counter(seen)
     assert ours - theirs == Counter(), "in trace.log alone"
     assert theirs - ours == Counter(), "seen by candump alone"
