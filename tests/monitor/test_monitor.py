@@ -189,8 +189,9 @@ def test_the_emergency_stop_is_first_in_the_footer_and_whole(bench: BenchConfig,
 
     async def look() -> tuple[str, str, int, int]:
         async with dashboard.run_test(size=(columns, 20)) as pilot:
-            await pilot.pause(0.2)
-            first = min(dashboard.query(FooterKey), key=lambda key: key.region.x)
+            while not any(key.region.width for key in dashboard.query(FooterKey)):  # until it is drawn
+                await pilot.pause(0.05)
+            first = min((key for key in dashboard.query(FooterKey) if key.region.width), key=lambda key: key.region.x)
             return first.key, first.description, first.region.x, first.region.right
 
     key, description, left, right = asyncio.run(asyncio.wait_for(look(), 30.0))
