@@ -82,7 +82,7 @@ class GlobalConfig(_OnBalance):
     latency_cycles: int = Field(default=100, ge=10, description="cycles from a window's end to its result")
     lower_limit_Pa: Modulus = Field(default=1.0e8, description="least E that is looked for")
     upper_limit_Pa: Modulus = Field(default=1.0e11, description="largest E that is looked for")
-    seed: int = Field(default=1, ge=0, description="of the search's random numbers")
+    seed: int = Field(default=1, ge=0, le=2**32 - 1, description="of the search's random numbers")
 
 
 class ChangepointConfig(_OnBalance):
