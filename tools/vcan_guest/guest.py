@@ -51,10 +51,6 @@ NOT_IN_ENVIRONMENT = [
             "mypy",
             "mypyc",
             "pip",
-            "matplotlib",
-            "fontTools",
-            "PIL",
-            "pillow.libs",
             "lxml",
             "textual",
         )
