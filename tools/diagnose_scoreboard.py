@@ -17,13 +17,13 @@ import json
 import time
 import zlib
 from collections import Counter
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from itertools import permutations
 from pathlib import Path
 from typing import Any
 
 import docs_page
+import finished_cases
 import numpy as np
 
 from hilbench.diagnose.blind import UNKNOWNS, blind_recording
@@ -244,12 +244,6 @@ def _strength(item: dict[str, Any]) -> float:
     return float(next(iter(item["parameters"].values())))
 
 
-def _done_before(file: Path | None) -> list[Case]:
-    if file is None or not file.exists():
-        return []
-    return [Case(**json.loads(line)) for line in file.read_text(encoding="utf-8").splitlines()]
-
-
 def main() -> None:
     """Run on all cores and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -265,16 +259,7 @@ def main() -> None:
     asked = cases(options.what.split(","), seeds, options.duration)
     for case in asked:
         case.duration_s, case.machine = options.duration, options.machines
-    names = {case.name for case in asked}
-    done = [case for case in _done_before(options.cases) if case.name in names]
-    known = {case.name for case in done}
-    with ProcessPoolExecutor() as pool:
-        for finished in as_completed([pool.submit(run, case) for case in asked if case.name not in known]):
-            case = finished.result()
-            done.append(case)
-            if options.cases is not None:
-                with options.cases.open("a", encoding="utf-8") as file:
-                    file.write(json.dumps(asdict(case)) + "\n")
+    done = finished_cases.finish(asked, run, options.cases)
     table = summary(sorted(done, key=lambda case: case.name))
     print(table)
     if options.docs is not None:

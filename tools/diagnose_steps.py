@@ -15,13 +15,13 @@ from __future__ import annotations
 import argparse
 import json
 import time
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import docs_page
+import finished_cases
 import numpy as np
 
 from hilbench.bench.bench import Bench
@@ -172,12 +172,6 @@ def table(done: list[Case]) -> str:
     return "\n".join(lines)
 
 
-def _done_before(file: Path | None) -> list[Case]:
-    if file is None or not file.exists():
-        return []
-    return [Case(**json.loads(line)) for line in file.read_text(encoding="utf-8").splitlines()]
-
-
 def main() -> None:
     """Run and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -187,15 +181,7 @@ def main() -> None:
     parser.add_argument("--docs", type=Path, help="page that gets the table")
     options = parser.parse_args()
     asked = cases()[:: options.every]
-    done = [case for case in _done_before(options.cases) if case.name in {a.name for a in asked}]
-    known = {case.name for case in done}
-    with ProcessPoolExecutor(options.jobs) as pool:
-        for finished in as_completed([pool.submit(run, case) for case in asked if case.name not in known]):
-            case = finished.result()
-            done.append(case)
-            if options.cases is not None:
-                with options.cases.open("a", encoding="utf-8") as file:
-                    file.write(json.dumps(asdict(case)) + "\n")
+    done = finished_cases.finish(asked, run, options.cases, options.jobs)
     order = [case.name for case in asked]
     text = table(sorted(done, key=lambda case: order.index(case.name)))
     print(text)
