@@ -13,7 +13,12 @@ from hilbench.bus.load import BusLoad, cycle_load
 from hilbench.drives.configuration import lacking
 from hilbench.errors import UnusableInputError
 from hilbench.strict_yaml import Document, Location
-from hilbench.web.stability import SampledShaft, imitation_delay_s, largest_stiffness_Nm_per_rad
+from hilbench.web.stability import (
+    SampledShaft,
+    imitation_delay_s,
+    largest_stiffness_Nm_per_rad,
+    web_stiffness_Nm_per_rad,
+)
 
 #: Web tension that one unit of a drive may stand for without a note, N.
 _COARSE_N = 1.0
@@ -154,6 +159,5 @@ def operating_point_text(point: OperatingPoint) -> str:
 def stiffness_reserve(config: BenchConfig, modulus_Pa_per_m: float) -> float:
     """Largest stiffness of a web that the load motor imitates stably by itself, over that of one with this E/L."""
     shaft = SampledShaft.of_model(config.model, cycle_s=config.cycle_time_s)
-    rad_per_m = config.model.motor_rad_per_m(2)
-    asked_Nm_per_rad = modulus_Pa_per_m * config.model.required_web.section_m2 / rad_per_m**2
+    asked_Nm_per_rad = web_stiffness_Nm_per_rad(config.model, modulus_Pa_per_m=modulus_Pa_per_m)
     return largest_stiffness_Nm_per_rad(shaft, imitation_delay_s(shaft)) / asked_Nm_per_rad

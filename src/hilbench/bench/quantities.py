@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import cache
 from itertools import product
 from math import isfinite
 from numbers import Real
@@ -90,6 +91,7 @@ class EffectPath:
     parameter: str
 
 
+@cache
 def parse_effect_path(text: str) -> EffectPath:
     """Take ``load|hardware.effects.ID[.axis1|.axis2].PARAMETER`` apart. Raises ValueError that says what is wrong."""
     parts = text.split(".")
@@ -148,6 +150,7 @@ def rampable_path(text: str) -> str:
     return text
 
 
+@cache
 def permitted(path: str) -> Permitted:
     """What values a quantity may have. Raises ValueError for an unknown path."""
     if path in _PLAIN:

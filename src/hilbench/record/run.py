@@ -149,7 +149,8 @@ def run_experiment(
 class RunRecord:
     """What a run leaves behind: made before the bench, fed while it runs, finished after it.
 
-    `trace` and `journal` are to be entered, or closed, by whoever runs the bench. Raises UnusableInputError when the
+    `trace` and `journal` are to be entered, or closed, by whoever runs the bench; one who keeps a `recorder` and what
+    `happened` anyway shares them. Raises UnusableInputError when the
     run folder can't be made.
     """
 
@@ -160,14 +161,16 @@ class RunRecord:
         participants: Participants,
         *,
         name: str | None = None,
+        recorder: Recorder | None = None,
+        happened: EventLog | None = None,
         announce: Callable[[str], None] = lambda text: None,
     ) -> None:
         self.config = loaded.config
         self.verdicts: list[CriterionResult] = []  #: what the experiment tests itself
-        self.recorder = Recorder()
+        self.recorder = recorder or Recorder()
         self._announce = announce
         self._provenance = Provenance.of(loaded.config, loaded.document, participants)
-        self._happened = EventLog(loaded.config.cycle_time_s)
+        self._happened = happened or EventLog(loaded.config.cycle_time_s)
         self._started = datetime.now(UTC)
         self.folder = RunFolder.create(out, name or loaded.config.name)
         config_files.dump(loaded.config, self.folder.config)

@@ -138,16 +138,23 @@ class Bench(bench.Bench):
         self._resources.enter_context(held_bus(self.config, self._participants, force=self._force))
         self._bus_is_held = True
         try:
-            record = self._record = RunRecord(self._loaded, self._out, self._participants, name=self._name)
+            record = self._record = RunRecord(
+                self._loaded,
+                self._out,
+                self._participants,
+                name=self._name,
+                recorder=self._recorder,
+                happened=self._happened,
+            )
         except BaseException:
             self._resources.close()
             raise
-        record.recorder = self._recorder
         self._tap, self._work_folder = record.trace, record.folder.path
 
     def _note_change(self, change: Change) -> None:
-        self._happened.add(change)
-        if self._record is not None:
+        if self._record is None:
+            self._happened.add(change)
+        else:
             self._record.note(change)
 
     def _end_record(self, error: BaseException | None) -> None:

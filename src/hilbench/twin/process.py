@@ -27,7 +27,7 @@ from hilbench.twin.torque_shift import TORQUE_SHIFT, UNDECIDED
 from hilbench.twin.tracking import Tracking
 from hilbench.twin.virtual_io import TwinStatus, VirtualIo
 from hilbench.web.line import Line
-from hilbench.web.pairing import Pairing
+from hilbench.web.pairing import Pairing, SteadyWay
 from hilbench.web.parameters import ModelParameters
 
 #: Error register (1001h): generic and device profile.
@@ -40,8 +40,6 @@ _UNKNOWN_STRAIN = 0.3
 _WARM_UP_CYCLES = 100
 #: SYNCs that an axis may leave unanswered and answer later.
 _MOST_OWED = 100
-#: Beyond any acceleration of a line; and the share by which the way of a cycle may differ from the last one besides.
-_FASTEST_M_S2, _ALIKE = 100.0, 0.3
 #: Missed SYNCs in a row that the simulation makes up for; after more a twin has to find motion and tension anew.
 _MOST_SKIPPED = 100
 #: In the order in which `TwinApplication` puts them together.
@@ -110,8 +108,7 @@ class TwinApplication:
         self._metres_per_rad = [1.0 / setup.model.motor_rad_per_m(axis) for axis in (1, 2)]
         self._tracking = Tracking(setup.model, setup.twin, line, ports[1], setup.cycle_s)
         self._pairing = Pairing()
-        self._x2_m: float | None = None  # where axis 2 was last measured, and its way to there
-        self._way2_m: float | None = None
+        self._steady = SteadyWay(setup.cycle_s)  # of axis 2
         self._measured: list[tuple[float, float] | None] = [None, None]  # position in rad, torque in N·m
         self._owed = [0, 0]  # SYNCs that the axis has not answered
         self._positions_before: list[float] | None = None
@@ -245,7 +242,7 @@ class TwinApplication:
         )
         self._tracking.release(_UNKNOWN_STRAIN if moves else 0.0)
         self._pairing.reset()
-        self._x2_m = self._way2_m = None
+        self._steady.reset()
         self._released = True
         self._time_s = 0.0
         return True
@@ -256,7 +253,7 @@ class TwinApplication:
             self._tracking.miss()
             return
         positions = (first[0] * self._metres_per_rad[0], second[0] * self._metres_per_rad[1])
-        if not self._pairing.update(*positions) or not self._goes_on(positions[1]):
+        if not self._pairing.update(*positions) or not self._steady.update(positions[1]):
             self._tracking.miss()
             return
         self._tracking.compare(
@@ -269,20 +266,6 @@ class TwinApplication:
         )
         self._report_problem()
         self._report_shift()
-
-    def _goes_on(self, x2_m: float) -> bool:
-        """Whether axis 2 has come as far as in the cycle before, or as it can have been accelerated since.
-
-        On a bus that is late a position may be that of the cycle before, or two cycles on: as a speed that would be
-        an acceleration that no drive has, and a force that no web bears.
-        """
-        last_m, before_m = self._x2_m, self._way2_m
-        self._x2_m = x2_m
-        if last_m is None:
-            return True
-        self._way2_m = way_m = x2_m - last_m
-        most_m = _FASTEST_M_S2 * self._cycle_s**2
-        return before_m is None or abs(way_m - before_m) <= most_m + _ALIKE * abs(before_m)
 
     def _report_problem(self) -> None:
         """Say by EMCY why a measurement can't be used, and when it can be again."""

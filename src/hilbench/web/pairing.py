@@ -1,4 +1,4 @@
-"""Whether the measured positions of two rollers are of one instant.
+"""Whether the measured positions of two rollers are of one instant, and those of one roller a cycle apart.
 
 On a bus that is late, or loses frames, one axis' position may be of an earlier SYNC than the other's. It is then off by
 the way of a cycle, which is many times what the web is strained by: 6 mm against 0.3 mm at 3 m/s.
@@ -9,6 +9,8 @@ from __future__ import annotations
 #: Ways of the rollers that differ by more than this share of a cycle's way, or this length, are not of one instant.
 _ALIKE = 0.3
 _LEAST_WAY_M = 1e-4
+#: Beyond any acceleration of a line.
+_FASTEST_M_S2 = 100.0
 
 
 class Pairing:
@@ -39,3 +41,29 @@ class Pairing:
                 return False
         self._last, self._cycles = (x1_m, x2_m), 0
         return True
+
+
+class SteadyWay:
+    """Whether a roller has come as far as in the cycle before, or as it can have been accelerated since.
+
+    On a bus that is late a position may be that of the cycle before, or two cycles on: as a speed that would be an
+    acceleration that no drive has, and a force that no web bears.
+    """
+
+    def __init__(self, cycle_s: float) -> None:
+        self._most_m = _FASTEST_M_S2 * cycle_s**2
+        self.reset()
+
+    def reset(self) -> None:
+        """The next positions are taken as they are."""
+        self._last_m: float | None = None
+        self._way_m: float | None = None
+
+    def update(self, x_m: float) -> bool:
+        """Whether this cycle's position, in m at the web, is one cycle after the last."""
+        last_m, before_m = self._last_m, self._way_m
+        self._last_m = x_m
+        if last_m is None:
+            return True
+        self._way_m = x_m - last_m
+        return before_m is None or abs(self._way_m - before_m) <= self._most_m + _ALIKE * abs(before_m)

@@ -79,9 +79,12 @@ def largest_stiffness_Nm_per_rad(shaft: SampledShaft, lead_s: float = 0.0, most:
     return _largest(lambda k: spectral_radius(shaft, stiffness_Nm_per_rad=k, lead_s=lead_s), most)
 
 
-def web_stiffness_Nm_per_rad(model: ModelParameters, axis: int = 2) -> float:
-    """The span before `axis` as a spring at its motor: E·S/L·(r/i)²."""
-    return model.required_web.stiffness_N / model.span_length_m(axis - 1) / model.motor_rad_per_m(axis) ** 2
+def web_stiffness_Nm_per_rad(model: ModelParameters, axis: int = 2, modulus_Pa_per_m: float | None = None) -> float:
+    """The span before `axis` as a spring at its motor: E·S/L·(r/i)²; `modulus_Pa_per_m`: E/L, unless the model's."""
+    web = model.required_web
+    if modulus_Pa_per_m is None:
+        modulus_Pa_per_m = web.youngs_modulus_Pa / model.span_length_m(axis - 1)
+    return modulus_Pa_per_m * web.section_m2 / model.motor_rad_per_m(axis) ** 2
 
 
 def imitation_delay_s(shaft: SampledShaft) -> float:
