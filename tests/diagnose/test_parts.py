@@ -10,6 +10,7 @@ from scipy.signal import lfilter
 from tests.web.models import effect, lone_axis, model
 
 from hilbench.diagnose.blind import blind_recording
+from hilbench.diagnose.diagnosis import Value
 from hilbench.diagnose.experiments import SHOWN_BY
 from hilbench.diagnose.measured import measured_from
 from hilbench.diagnose.misfit import Condition, located, misfits
@@ -239,3 +240,13 @@ def test_no_ripple_is_proposed_whose_period_the_recording_does_not_hold() -> Non
     for term in made:
         assert term.values["order"] >= 0.5 / plain.gear_ratio(1)
         assert term.at(np.array([0.1, 0.1, 1e-3])).values["order"] >= 4.0 / turns
+
+
+@pytest.mark.parametrize(
+    ("low", "high"),
+    [(10.0, 10.004), (0.2066, 0.2072), (-1.0, 1.0), (87012.3, 87012.9), (-3.0012, -3.0011), (0.0, 2e-6)],
+)
+def test_both_ends_of_an_interval_are_shown_as_different_numbers(low: float, high: float) -> None:
+    digits = Value(0.5 * (low + high), (low, high), "1").digits
+    assert f"{low:.{digits}g}" != f"{high:.{digits}g}"
+    assert float(f"{high:.{digits}g}") - float(f"{low:.{digits}g}") == pytest.approx(high - low, rel=0.5)

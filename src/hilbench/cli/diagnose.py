@@ -238,8 +238,8 @@ def _effects_table(found: Diagnosis) -> Table:
     for effect in found.effects:
         for k, (name, value) in enumerate(effect.parameters.items()):
             first = (effect.effect, str(effect.axis or "")) if k == 0 else ("", "")
-            interval = f"{value.ci95[0]:.4g} to {value.ci95[1]:.4g}"
-            shown.add_row(*first, name, f"{value.value:.5g}", interval, value.unit)
+            said, low, high = (f"{each:.{value.digits}g}" for each in (value.value, *value.ci95))
+            shown.add_row(*first, name, said, f"{low} to {high}", value.unit)
     return shown
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from math import ceil, log10
 from pathlib import Path
 from typing import Final
 
@@ -37,6 +38,7 @@ _PROFILE_S: Final = 0.3
 _ROWS_OF_WHERE: Final = 8
 _PROFILES: Final = 4
 _DIGITS: Final = 8
+_LEAST_DIGITS: Final = 5
 
 
 @dataclass(frozen=True)
@@ -46,6 +48,15 @@ class Value:
     value: float
     ci95: tuple[float, float]
     unit: str
+
+    @property
+    def digits(self) -> int:
+        """Significant digits with which the ends of the interval can be told apart, 5 at least."""
+        low, high = self.ci95
+        largest = max(abs(low), abs(high))
+        if not 0.0 < high - low <= largest:
+            return _LEAST_DIGITS
+        return max(_LEAST_DIGITS, min(ceil(log10(largest / (high - low))) + 2, _DIGITS))
 
 
 @dataclass(frozen=True)

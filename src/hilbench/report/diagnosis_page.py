@@ -83,9 +83,9 @@ def _effects(found: Diagnosis) -> str:
     for effect in found.effects:
         place = f" of axis {effect.axis}" if effect.axis else ""
         for name, value in effect.parameters.items():
-            low, high = value.ci95
+            said, low, high = (number(each, value.digits) for each in (value.value, *value.ci95))
             unit = "" if value.unit == "1" else value.unit
-            cells = (number(value.value, 5), f"{number(low, 5)} to {number(high, 5)}")
+            cells = (said, f"{low} to {high}")
             lines.append(_row(effect.effect + place, name, unit, *cells, numbers=2))
         if effect.tied_with:
             text = (
