@@ -99,6 +99,7 @@ def test_a_process_that_was_stopped_is_still_there_and_named(place: str, start: 
     first = start(place)
     assert said(first) == "mine"
     first.send_signal(signal.SIGSTOP)
+    os.waitid(os.P_PID, first.pid, os.WSTOPPED | os.WNOWAIT)  # it may still answer until it really stands
     found = holder(place, MASTER)
     assert found is not None
     assert (found.pid, found.place) == (first.pid, place)
