@@ -6,9 +6,8 @@ import os
 from typing import Protocol
 
 import can
-
-from hilbench.bus.link import Link
-from hilbench.bus.open import BusAddress, open_link, open_python_can
+from hilbench.can.link import Link
+from hilbench.can.open import BusAddress, open_link, open_python_can
 
 
 class Bus(Protocol):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from tests.buses import Bus, KernelBus
 
-from hilbench.bus.memory import MemoryBus
+from hilbench.can.memory import MemoryBus
 
 
 @pytest.fixture(params=["memory", pytest.param("kernel", marks=pytest.mark.vcan)])

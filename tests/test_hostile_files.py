@@ -13,14 +13,14 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from hilbench.bench.change import Change
+from hilbench.bench.operator.change import Change
+from hilbench.canopen.eds import load_eds
 from hilbench.errors import UnusableInputError
-from hilbench.experiment.config import load
-from hilbench.fieldbus.eds import load_eds
-from hilbench.record.journal import JournalWriter, read_journal
-from hilbench.record.recording import Recording, read_recording, write_recording
-from hilbench.record.result import Fault, Result, Timing
-from hilbench.record.trace import TraceReader
+from hilbench.results.journal import JournalWriter, read_journal
+from hilbench.results.recording import Recording, read_recording, write_recording
+from hilbench.results.result import Fault, Result, Timing
+from hilbench.results.trace import TraceReader
+from hilbench.runs.config import load
 
 ROOT = Path(__file__).resolve().parents[1]
 #: What an attacker, or a disk, puts into text.

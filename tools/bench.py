@@ -19,7 +19,7 @@ import docs_page
 from performance import cyclic_path, model_kernel, real_time, recordings, running
 from performance.table import Section, machine, markdown
 
-from hilbench.experiment.config import load_with_overrides
+from hilbench.runs.config import load_with_overrides
 
 CONFIG = Path(__file__).parents[1] / "bench_configs" / "web_section_step.yaml"
 LENGTHS_S = [12.0, 24.0, 48.0]

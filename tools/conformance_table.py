@@ -1,6 +1,6 @@
 """Run the conformance cases and write their table: ``python tools/conformance_table.py --write docs/conformance.md``.
 
-The list of cases is ``tests/fieldbus/conformance/cases.yaml``; the tests beside it name theirs by ``@case("SDO 5")``.
+The list of cases is ``tests/canopen/conformance/cases.yaml``; the tests beside it name theirs by ``@case("SDO 5")``.
 Nothing is written when a test fails.
 """
 

@@ -26,15 +26,15 @@ import docs_page
 import finished_cases
 import numpy as np
 
-from hilbench.diagnose.blind import UNKNOWNS, blind_recording
-from hilbench.diagnose.diagnosis import diagnose
-from hilbench.diagnose.experiments import FORCE_STEP
-from hilbench.diagnose.measured import measured_from
-from hilbench.diagnose.predictor import FreeRun
-from hilbench.record.recording import Recording
-from hilbench.web import layout as lay
-from hilbench.web.effects import EFFECTS, Effect, find_effect
-from hilbench.web.parameters import EffectEntry, ModelParameters
+from hilbench.diagnosis.diagnosis import diagnose
+from hilbench.diagnosis.experiments import FORCE_STEP
+from hilbench.diagnosis.measured import measured_from
+from hilbench.diagnosis.predictor import FreeRun
+from hilbench.diagnosis.unobservable import UNKNOWNS, blind_recording
+from hilbench.plant.effects import EFFECTS, Effect, find_effect
+from hilbench.plant.web_line import layout as lay
+from hilbench.plant.web_line.parameters import EffectEntry, ModelParameters
+from hilbench.results.recording import Recording
 
 DEMONSTRATOR: dict[str, Any] = {
     "web": {"youngs_modulus_Pa": 8.7e9, "width_m": 0.5, "thickness_m": 65e-6, "span_length_m": 1.0},

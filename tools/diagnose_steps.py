@@ -25,12 +25,12 @@ import finished_cases
 import numpy as np
 
 from hilbench.bench.bench import Bench
-from hilbench.bench.participants import Participants
-from hilbench.diagnose.diagnosis import Diagnosis, diagnose
-from hilbench.diagnose.imitated import imitation_of
-from hilbench.experiment.config import ExperimentConfig, load
-from hilbench.record.recording import Recording
-from hilbench.record.run import Recorder
+from hilbench.bench.lifecycle.participants import Participants
+from hilbench.diagnosis.diagnosis import Diagnosis, diagnose
+from hilbench.diagnosis.imitated import imitation_of
+from hilbench.results.recording import Recording
+from hilbench.results.run import Recorder
+from hilbench.runs.config import ExperimentConfig, load
 
 CONFIG = Path(__file__).resolve().parents[1] / "bench_configs" / "web_section_step.yaml"
 CHANGES_PCT = (2.0, -2.0, 5.0, -5.0, 10.0, -10.0, 20.0, -20.0, 40.0, -40.0)

@@ -26,7 +26,7 @@ import tempfile
 from pathlib import Path
 
 from faults.catalogue import faults
-from faults.outcome import carry_out
+from faults.outcome import execute
 from faults.table import HEAD, line, printed, write
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "faults.md"
@@ -54,7 +54,7 @@ def _make(only: str, bus: str | None, to_page: bool) -> int:
     for fault in faults():
         if not re.search(only, fault.name) or (bus and fault.embedded):
             continue
-        row = carry_out(fault, bus)
+        row = execute(fault, bus)
         all_passed &= row.passed
         lines.append(line(row, bus))
         print(f"{'ok ' if row.passed else 'BAD'} {fault.name}: {row.said[:1000]}", file=sys.stderr, flush=True)

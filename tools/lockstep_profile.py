@@ -19,10 +19,10 @@ from rich.console import Console
 from rich.table import Table
 
 from hilbench.bench.bench import Bench
-from hilbench.bench.participants import Participants
-from hilbench.experiment.config import load_with_overrides
-from hilbench.record.run import Recorder
-from hilbench.record.trace import TraceWriter
+from hilbench.bench.lifecycle.participants import Participants
+from hilbench.results.run import Recorder
+from hilbench.results.trace import TraceWriter
+from hilbench.runs.config import load_with_overrides
 
 
 def cpu_s(pid: int) -> float:
@@ -33,7 +33,7 @@ def cpu_s(pid: int) -> float:
 
 def hub_pid(channel: str) -> int | None:
     """The process that serves an embedded bus."""
-    found = (pid for pid, words in command_lines() if b"hilbench.bus.hub" in words and channel.encode() in words)
+    found = (pid for pid, words in command_lines() if b"hilbench.can.hub" in words and channel.encode() in words)
     return next(found, None)
 
 

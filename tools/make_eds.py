@@ -11,8 +11,8 @@ from collections.abc import Container, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from hilbench.web.effect_objects import EFFECTS_INDEX
-from hilbench.web.effects import EFFECTS, STAND_DOMAINS, Domain, Effect
+from hilbench.exchange.effect_objects import EFFECTS_INDEX
+from hilbench.plant.effects import EFFECTS, RIG_DOMAINS, Domain, Effect
 
 EDS_FOLDER = Path(__file__).resolve().parent.parent / "eds"
 
@@ -315,7 +315,7 @@ def servo() -> DeviceDescription:
         len(tpdos),
         (
             *communication_objects(device_type, product, name, rpdos, tpdos),
-            *effect_objects(EFFECTS, STAND_DOMAINS),
+            *effect_objects(EFFECTS, RIG_DOMAINS),
             *DRIVE_OBJECTS,
         ),
     )

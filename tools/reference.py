@@ -10,21 +10,21 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final
 
-import canopen
 import typer
 from canopen.objectdictionary import ODVariable
 
-from hilbench.bench.quantities import PLAIN_PATHS, permitted
-from hilbench.bench.signals import SIGNALS
+import canopen
+from hilbench.canopen import data_types
+from hilbench.canopen.eds import all_variables, load_eds
+from hilbench.canopen.eds import variable as find_variable
+from hilbench.cia402.object_units import has_drive_unit, si_unit
 from hilbench.cli.main import app
-from hilbench.drives.object_units import has_drive_unit, si_unit
-from hilbench.experiment.config import ExperimentConfig
-from hilbench.experiment.config_text import json_schema
-from hilbench.experiment.metrics import METRICS
-from hilbench.fieldbus import data_types
-from hilbench.fieldbus.eds import all_variables, load_eds
-from hilbench.fieldbus.eds import variable as find_variable
-from hilbench.web.effects import EFFECTS, IMITATED_DOMAINS, STAND_DOMAINS, Effect, Parameter
+from hilbench.plant.effects import EFFECTS, IMITATED_DOMAINS, RIG_DOMAINS, Effect, Parameter
+from hilbench.runs.config import ExperimentConfig
+from hilbench.runs.config_text import json_schema
+from hilbench.runs.metrics import METRICS
+from hilbench.topology.quantities import PLAIN_PATHS, permitted
+from hilbench.topology.signals import SIGNALS
 
 ROOT: Final = Path(__file__).resolve().parent.parent
 
@@ -309,7 +309,7 @@ def _domain(effect: Effect) -> str:
 
 
 def _hidden_in(effect: Effect) -> str:
-    places = (("`load:`", IMITATED_DOMAINS), ("`hardware:`", STAND_DOMAINS))
+    places = (("`load:`", IMITATED_DOMAINS), ("`hardware:`", RIG_DOMAINS))
     return ", ".join(name for name, domains in places if effect.domain in domains)
 
 

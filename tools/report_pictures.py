@@ -10,13 +10,13 @@ import sys
 from importlib import resources
 from pathlib import Path
 
-from hilbench.experiment.config import load_with_overrides
-from hilbench.experiment.synchronization import reference_estimate
-from hilbench.record.recording import read_recording
-from hilbench.record.result import Result
-from hilbench.record.run_folder import RunFolder
+from hilbench.diagnosis.synchronization import reference_estimate
 from hilbench.report.html import marks_of
 from hilbench.report.plots import run_pictures, zooms
+from hilbench.results.recording import read_recording
+from hilbench.results.result import Result
+from hilbench.results.run_folder import RunFolder
+from hilbench.runs.config import load_with_overrides
 
 
 def standalone(svg: str, page_css: str) -> str:

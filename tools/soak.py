@@ -30,14 +30,14 @@ import docs_page
 from processes import command_lines
 
 from hilbench.bench.bench import Bench
-from hilbench.bus.disturbance import ErrorInjection
-from hilbench.bus.frame import Frame
-from hilbench.bus.hub_client import inject_errors
-from hilbench.bus.open import open_link
+from hilbench.can.disturbance import ErrorInjection
+from hilbench.can.frame import Frame
+from hilbench.can.hub_client import inject_errors
+from hilbench.can.open import open_link
+from hilbench.canopen.emergency_stop import EMERGENCY_STOP
 from hilbench.errors import BenchFaultError
-from hilbench.experiment.config import load_with_overrides
-from hilbench.fieldbus.emergency_stop import EMERGENCY_STOP
-from hilbench.record.trace import TraceWriter
+from hilbench.results.trace import TraceWriter
+from hilbench.runs.config import load_with_overrides
 
 ROOT = Path(__file__).resolve().parents[1]
 CONFIG = ROOT / "bench_configs" / "web_section_step.yaml"
@@ -268,7 +268,7 @@ class Soak:
 
 def _what(pid: int) -> str:
     words = Path(f"/proc/{pid}/cmdline").read_bytes()
-    return "hub" if b"hilbench.bus.hub" in words else "supervisor"
+    return "hub" if b"hilbench.can.hub" in words else "supervisor"
 
 
 def main() -> int:

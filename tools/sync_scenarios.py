@@ -18,11 +18,11 @@ import docs_page
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.experiment.config import load_with_overrides
-from hilbench.experiment.synchronization import MethodResult, compare_methods
-from hilbench.twin.config import AlsoEstimated, ChangepointConfig, SynchronizerConfig
-from hilbench.twin.synchronizers.create import METHODS
-from hilbench.twin.synthetic import simulated_measurements
+from hilbench.diagnosis.synchronization import MethodResult, compare_methods
+from hilbench.estimation.config import AlsoEstimated, ChangepointConfig, SynchronizerConfig
+from hilbench.estimation.synchronizers.create import METHODS
+from hilbench.estimation.synthetic import simulated_measurements
+from hilbench.runs.config import load_with_overrides
 
 CONFIG = Path(__file__).parents[1] / "bench_configs" / "web_section_step.yaml"
 CYCLE_S, STEP_S, STEP = 0.002, 10.0, 10.5 / 8.7 - 1.0

@@ -33,8 +33,8 @@ TALKS = [
     "tests/vcan/test_lost_frames.py",
     "tests/vcan/test_controller_state.py",
     "tests/vcan/test_doctor.py",
-    "tests/fieldbus",
-    "tests/drives",
+    "tests/canopen",
+    "tests/cia402",
     "tests/foreign",
 ]
 

@@ -10,17 +10,17 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from hilbench.record.recording import Recording, read_recording
-    from hilbench.record.result import Result
+    from hilbench.results.recording import Recording, read_recording
+    from hilbench.results.result import Result
     from hilbench.scripts.bench import Bench
 
 __all__ = ["Bench", "Recording", "Result", "read_recording"]
 
 _PLACES = {
     "Bench": "hilbench.scripts.bench",
-    "Recording": "hilbench.record.recording",
-    "Result": "hilbench.record.result",
-    "read_recording": "hilbench.record.recording",
+    "Recording": "hilbench.results.recording",
+    "Result": "hilbench.results.result",
+    "read_recording": "hilbench.results.recording",
 }
 
 

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
         """The same for a long function with one caller or two: it is not compiled by itself as well."""
         return function
 
-    def kept_apart() -> None:
+    def noinline() -> None:
         """In the body of a compiled function that is called rarely: it stays a call, and its callers stay short."""
 
     def entry_point(function: Function) -> Function:
@@ -45,7 +45,7 @@ else:
     entry_point = numba.njit(error_model="numpy", cache=True, nogil=True)
 
     @intrinsic
-    def kept_apart(typing_context):
+    def noinline(typing_context):
         def generate(context, builder, signature, arguments):
             builder.function.attributes.add("noinline")
             return context.get_dummy_value()

@@ -8,9 +8,9 @@ from contextlib import contextmanager
 
 import pytest
 
-from hilbench.bench.cycle import CyclicExchange, ExpectedPdo
-from hilbench.bench.in_process import InProcess, ServingLink
-from hilbench.bus.frame import Frame
+from hilbench.bench.lifecycle.in_process import InProcess, ServingLink
+from hilbench.can.frame import Frame
+from hilbench.exchange.cycle import CyclicExchange, ExpectedPdo
 
 
 class LateLink(ServingLink):

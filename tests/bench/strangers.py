@@ -7,11 +7,11 @@ from contextlib import contextmanager
 
 import pytest
 
-from hilbench.bench import startup
-from hilbench.bench.config import BenchConfig
-from hilbench.bench.in_process import InProcess
-from hilbench.bus.frame import Frame
-from hilbench.bus.memory import MemoryLink
+from hilbench.bench.lifecycle import startup
+from hilbench.bench.lifecycle.in_process import InProcess
+from hilbench.can.frame import Frame
+from hilbench.can.memory import MemoryLink
+from hilbench.topology.config import BenchConfig
 
 #: What a stranger sends when it has heard the SYNC of this number (from 1), beside the frames it has heard since.
 Plan = Callable[[int, Sequence[Frame]], Sequence[Frame]]

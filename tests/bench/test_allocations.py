@@ -9,8 +9,8 @@ from pathlib import Path
 from tests.bench.test_runs import config
 
 from hilbench.bench.bench import Bench
-from hilbench.bench.participants import Participants
-from hilbench.experiment.config import load_with_overrides
+from hilbench.bench.lifecycle.participants import Participants
+from hilbench.runs.config import load_with_overrides
 
 _CYCLES = 400
 

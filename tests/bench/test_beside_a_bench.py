@@ -13,7 +13,7 @@ from tests.bench.test_one_master import ENDLESS, bus_of
 from tests.bench.test_runs import config, gone, run_folders, start, wait_for_frames
 from tests.cli.in_process import hilbench
 
-from hilbench.record.result import Result
+from hilbench.results.result import Result
 from hilbench.scripts.bench import Bench
 
 EDS = Path(__file__).resolve().parents[2] / "eds" / "hilbench_servo.eds"

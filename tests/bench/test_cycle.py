@@ -7,10 +7,10 @@ from collections.abc import Sequence
 
 import pytest
 
-from hilbench.bench.cycle import CyclicExchange, ExpectedPdo
-from hilbench.bus.confinement import ControllerState
-from hilbench.bus.frame import Frame
+from hilbench.can.confinement import ControllerState
+from hilbench.can.frame import Frame
 from hilbench.errors import BenchFaultError
+from hilbench.exchange.cycle import CyclicExchange, ExpectedPdo
 
 STATE, SLOW, EVERY = 0x181, 0x281, 10
 

@@ -13,13 +13,13 @@ from tests.bench.test_runs import config, start, wait_for_frames
 from tests.bench.test_safety import MOVING
 
 from hilbench.bench.bench import Bench
-from hilbench.bench.participants import Participants
-from hilbench.bus.frame import EXTENDED_FLAG, REMOTE_FLAG, Frame
-from hilbench.bus.open import open_link
-from hilbench.experiment.config import load_with_overrides
-from hilbench.record.recording import Recording, read_recording
-from hilbench.record.result import Result
-from hilbench.record.run import run_experiment
+from hilbench.bench.lifecycle.participants import Participants
+from hilbench.can.frame import EXTENDED_FLAG, REMOTE_FLAG, Frame
+from hilbench.can.open import open_link
+from hilbench.results.recording import Recording, read_recording
+from hilbench.results.result import Result
+from hilbench.results.run import run_experiment
+from hilbench.runs.config import load_with_overrides
 
 
 def run(folder: Path, *plans: Plan, **changes: object) -> tuple[int, Result, Recording]:

@@ -11,15 +11,15 @@ from pathlib import Path
 
 import pytest
 from tests.bench.test_runs import config
-from tests.fieldbus.test_host import WallClock
+from tests.canopen.test_host import WallClock
 
-from hilbench.bench.hardware import hardware
-from hilbench.bus.frame import Frame
-from hilbench.bus.memory import MemoryBus
-from hilbench.experiment.config import load
-from hilbench.fieldbus import clock as clock_module
-from hilbench.fieldbus import host as host_module
-from hilbench.fieldbus.host import DeviceHost
+from hilbench.can.frame import Frame
+from hilbench.can.memory import MemoryBus
+from hilbench.canopen import clock as clock_module
+from hilbench.canopen import host as host_module
+from hilbench.canopen.host import DeviceHost
+from hilbench.hardware.simulation import hardware
+from hilbench.runs.config import load
 
 MS = 1_000_000
 SYNC = Frame(0x080, b"")

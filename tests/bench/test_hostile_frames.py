@@ -9,13 +9,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hilbench.bench.nodes import Nodes
-from hilbench.bench.sample import CycleSample
-from hilbench.bus.frame import EXTENDED_FLAG, REMOTE_FLAG, Frame
-from hilbench.drives.configuration import default_reader
-from hilbench.drives.units import DriveUnits
+from hilbench.can.frame import EXTENDED_FLAG, REMOTE_FLAG, Frame
+from hilbench.cia402.configuration import default_reader
+from hilbench.cia402.units import DriveUnits
 from hilbench.errors import BenchFaultError
-from hilbench.experiment.config import ExperimentConfig, load
+from hilbench.exchange.nodes import Nodes
+from hilbench.runs.config import ExperimentConfig, load
+from hilbench.topology.sample import CycleSample
 
 SHIPPED = Path(__file__).resolve().parents[2] / "bench_configs" / "web_section_step.yaml"
 

@@ -10,12 +10,12 @@ import pytest
 from tests.bench.late_senders import late
 from tests.bench.test_runs import config
 
-from hilbench.bench.load_model import LoadModel
-from hilbench.bench.participants import Participants
-from hilbench.experiment.config import load, load_with_overrides
-from hilbench.record.recording import read_recording
-from hilbench.record.run import RunOutcome, run_experiment
+from hilbench.bench.lifecycle.participants import Participants
+from hilbench.bench.tasks.load_model import LoadModel
 from hilbench.report.html import write_report
+from hilbench.results.recording import read_recording
+from hilbench.results.run import RunOutcome, run_experiment
+from hilbench.runs.config import load, load_with_overrides
 
 SHIPPED = Path(__file__).resolve().parents[2] / "bench_configs" / "web_section_step.yaml"
 STEPS = [

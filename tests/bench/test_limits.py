@@ -6,9 +6,9 @@ import math
 
 import pytest
 
-from hilbench.bench.config import Limit, LimitsConfig
-from hilbench.bench.limits import LimitTripError, LimitWatch
-from hilbench.bench.sample import CycleSample
+from hilbench.bench.tasks.limits import LimitTripError, LimitWatch
+from hilbench.topology.config import Limit, LimitsConfig
+from hilbench.topology.sample import CycleSample
 from hilbench.twin.virtual_io import TwinStatus
 
 CYCLE_S = 0.002

@@ -10,18 +10,18 @@ import pytest
 from rich.console import Console
 from tests.bench.test_runs import SHORT, config, gone
 
-from hilbench.bench import startup
-from hilbench.bench.cycle import CyclicExchange, ExpectedPdo
-from hilbench.bus.confinement import ControllerState
-from hilbench.bus.frame import Frame
-from hilbench.bus.link import Link
-from hilbench.bus.open import open_link
+from hilbench.bench.lifecycle import startup
+from hilbench.can.confinement import ControllerState
+from hilbench.can.frame import Frame
+from hilbench.can.link import Link
+from hilbench.can.open import open_link
 from hilbench.cli.run import show_outcome
 from hilbench.errors import NoAnswerError
-from hilbench.experiment.config import load_with_overrides
-from hilbench.record.result import Timing
-from hilbench.record.run import run_experiment
+from hilbench.exchange.cycle import CyclicExchange, ExpectedPdo
 from hilbench.report.html import write_report
+from hilbench.results.result import Timing
+from hilbench.results.run import run_experiment
+from hilbench.runs.config import load_with_overrides
 
 LOST, LOST_IN_CYCLE = 5, 300
 

@@ -8,7 +8,7 @@ import pytest
 
 from hilbench.bench.check import check_bench
 from hilbench.errors import UnusableInputError
-from hilbench.experiment.config import load_with_overrides
+from hilbench.runs.config import load_with_overrides
 
 ROOT = Path(__file__).resolve().parents[2]
 MIXED = ROOT / "bench_configs" / "mixed_bench.yaml"

@@ -9,13 +9,13 @@ from tests.bench.strangers import from_sync, on_the_bus
 from tests.bench.test_hostile_frames import nodes
 from tests.bench.test_runs import config
 
-from hilbench.bench.emergencies import MOST_IN_A_CYCLE
-from hilbench.bench.notice import MOST_KINDS, Notices
-from hilbench.bench.participants import Participants
-from hilbench.bus.frame import Frame
-from hilbench.experiment.config import load_with_overrides
-from hilbench.record.run import RunOutcome, run_experiment
+from hilbench.bench.lifecycle.participants import Participants
+from hilbench.bench.operator.notice import MOST_KINDS, Notices
+from hilbench.can.frame import Frame
+from hilbench.exchange.emergencies import MOST_IN_A_CYCLE
 from hilbench.report.html import write_report
+from hilbench.results.run import RunOutcome, run_experiment
+from hilbench.runs.config import load_with_overrides
 
 STEPS = [{"ramp": {"path": "line_speed_m_s", "to": 0.5, "duration_s": 0.2}}, {"hold": {"until_s": 0.6}}]
 #: EMCY of axis 1 that it has not sent.

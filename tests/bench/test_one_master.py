@@ -20,11 +20,11 @@ import yaml
 from tests.bench.test_runs import SHORT, config, gone, run, run_folders, start, wait_for_frames
 from tests.cli.in_process import hilbench
 
-from hilbench.bus.frame import Frame
-from hilbench.bus.open import BusAddress, open_link
-from hilbench.experiment.config import load
-from hilbench.fieldbus import mastery
-from hilbench.record.result import Result
+from hilbench.can.frame import Frame
+from hilbench.can.open import BusAddress, open_link
+from hilbench.canopen import mastery
+from hilbench.results.result import Result
+from hilbench.runs.config import load
 
 EDS = Path(__file__).resolve().parents[2] / "eds" / "hilbench_servo.eds"
 ENDLESS = [SHORT[0], {"hold": {"duration_s": 1000.0}}]
@@ -65,7 +65,7 @@ def test_nodes_that_run_already_are_named_with_how_to_use_them(tmp_path: Path) -
 
 
 def wait_until_claimed(path: Path, role: str) -> None:
-    from hilbench.bus.claims import holder
+    from hilbench.can.claims import holder
 
     place = load(path)[0].bus_address.place
     deadline_s = time.monotonic() + 60.0
@@ -215,7 +215,7 @@ def test_a_terminal_that_closes_stops_the_drives_as_sigterm_does(tmp_path: Path)
 
 
 def test_a_run_under_nohup_outlives_its_terminal() -> None:
-    asks = "import signal; from hilbench.bench.processes import end_signals; print(signal.SIGHUP in end_signals())"
+    asks = "import signal; from hilbench.processes import end_signals; print(signal.SIGHUP in end_signals())"
     for before, expected in (("nohup", "False"), ("env", "True")):
         done = subprocess.run([before, sys.executable, "-c", asks], capture_output=True, text=True, check=True)
         assert done.stdout.strip() == expected

@@ -9,13 +9,13 @@ import numpy as np
 from tests.bench.test_recovery import recover
 from tests.bench.test_runs import SHORT, config, start, wait_for_frames
 
-from hilbench.bench.operator_objects import OperatorObjects
-from hilbench.bus.frame import Frame
-from hilbench.bus.link import Link
-from hilbench.bus.open import open_link
-from hilbench.experiment.config import load
+from hilbench.bench.operator.operator_objects import OperatorObjects
+from hilbench.can.frame import Frame
+from hilbench.can.link import Link
+from hilbench.can.open import open_link
 from hilbench.monitor.changes import CHANGEABLE, ChangeRequests
-from hilbench.record.recording import read_recording
+from hilbench.results.recording import read_recording
+from hilbench.runs.config import load
 
 SHIPPED = Path(__file__).resolve().parents[2] / "bench_configs" / "web_section_step.yaml"
 

@@ -3,7 +3,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hilbench.bench.pacing import Pacing, advance, start
+from hilbench.exchange.pacing import Pacing, advance, start
 
 PERIOD = 2_000_000
 

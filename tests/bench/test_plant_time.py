@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 import pytest
 
-from hilbench.bench.plant_time import ByClock
+from hilbench.hardware.plant_time import ByClock
 
 MS = 1_000_000
 

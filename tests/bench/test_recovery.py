@@ -10,8 +10,8 @@ import numpy as np
 from tests.bench.test_runs import SHORT, config, gone, run, run_folders, start, wait_for_frames
 from tests.cli.in_process import hilbench
 
-from hilbench.record.recording import read_recording
-from hilbench.record.result import Result
+from hilbench.results.recording import read_recording
+from hilbench.results.result import Result
 
 #: Told to the drives in whole device units: 0.0001 rpm at the motor, at the web.
 COMMANDED = ("v1_cmd_m_s", "v2_cmd_m_s")

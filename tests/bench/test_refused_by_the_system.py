@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from tests.bench.test_runs import SHORT, config, run_folders
 
-from hilbench.record.result import Result
+from hilbench.results.result import Result
 
 
 def run(path: Path, runtime: Path, *options: str, files: int | None = None) -> subprocess.CompletedProcess[str]:

@@ -17,11 +17,11 @@ import numpy as np
 import pytest
 import yaml
 
-from hilbench.bench.participants import Participants
+from hilbench.bench.lifecycle.participants import Participants
 from hilbench.errors import UnusableInputError
-from hilbench.experiment.config import load_with_overrides
-from hilbench.record.recording import read_recording
-from hilbench.record.run import run_experiment
+from hilbench.results.recording import read_recording
+from hilbench.results.run import run_experiment
+from hilbench.runs.config import load_with_overrides
 
 ROOT = Path(__file__).resolve().parents[2]
 SHIPPED = ROOT / "bench_configs" / "web_section_step.yaml"

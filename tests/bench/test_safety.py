@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 from tests.bench.test_runs import SHORT, config, gone, processes_of, run, run_folders, start, wait_for_frames
 
-from hilbench.record.recording import Recording, read_recording
-from hilbench.record.result import Result
-from hilbench.record.trace import TraceReader
+from hilbench.results.recording import Recording, read_recording
+from hilbench.results.result import Result
+from hilbench.results.trace import TraceReader
 
 MOVING = [SHORT[0], {"hold": {"duration_s": 1000.0}}]
 QUICK_STOP_M_S2 = 3.0

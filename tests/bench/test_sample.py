@@ -2,8 +2,8 @@
 
 from dataclasses import fields
 
-from hilbench.bench.sample import CycleSample
-from hilbench.bench.signals import SIGNALS
+from hilbench.topology.sample import CycleSample
+from hilbench.topology.signals import SIGNALS
 
 
 def test_a_sample_has_exactly_the_recorded_signals_and_the_cycle():

@@ -7,12 +7,12 @@ from pathlib import Path
 import pytest
 
 from hilbench.bench.bench import Bench
-from hilbench.bench.notice import Notice
-from hilbench.bench.participants import Participants
-from hilbench.bench.sample import CycleSample
-from hilbench.bench.saturation import SaturationWatch
+from hilbench.bench.lifecycle.participants import Participants
+from hilbench.bench.operator.notice import Notice
+from hilbench.bench.tasks.saturation import SaturationWatch
 from hilbench.errors import BenchFaultError
-from hilbench.experiment.config import load_with_overrides
+from hilbench.runs.config import load_with_overrides
+from hilbench.topology.sample import CycleSample
 
 CONFIG = Path(__file__).parents[2] / "bench_configs" / "web_section_step.yaml"
 INTERNAL_LIMIT = 0x0800

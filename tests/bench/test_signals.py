@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from hilbench.bench.signals import SIGNALS, unit_of
+from hilbench.topology.signals import SIGNALS, unit_of
 
 DESIGN = [
     "t_s",

@@ -8,16 +8,16 @@ from pathlib import Path
 
 import pytest
 from tests.bench.test_runs import config
-from tests.drives.stand_in import served
+from tests.cia402.stand_in import served
 
-from hilbench.bench.config import BenchConfig
-from hilbench.bench.hardware import hardware
-from hilbench.bench.startup import check_that_they_wait
-from hilbench.bus.memory import MemoryBus
+from hilbench.bench.lifecycle.startup import check_that_they_wait
+from hilbench.can.memory import MemoryBus
+from hilbench.canopen.eds import load_eds
+from hilbench.canopen.master import PRE_OPERATIONAL, START, Master
 from hilbench.errors import UnusableInputError
-from hilbench.experiment.config import load_with_overrides
-from hilbench.fieldbus.eds import load_eds
-from hilbench.fieldbus.master import PRE_OPERATIONAL, START, Master
+from hilbench.hardware.simulation import hardware
+from hilbench.runs.config import load_with_overrides
+from hilbench.topology.config import BenchConfig
 
 
 @contextmanager

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import threading
 
-from hilbench.bench.supervisor import Watch, watch_heartbeat
-from hilbench.bus.frame import Frame
-from hilbench.bus.memory import MemoryBus
-from hilbench.bus.open import BusAddress
-from hilbench.fieldbus.emergency_stop import EMERGENCY_STOP_COB_ID
+from hilbench.bench.lifecycle.supervisor import Watch, watch_heartbeat
+from hilbench.can.frame import Frame
+from hilbench.can.memory import MemoryBus
+from hilbench.can.open import BusAddress
+from hilbench.canopen.emergency_stop import EMERGENCY_STOP_COB_ID
 
 LIMIT_S = 0.1
 

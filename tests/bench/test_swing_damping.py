@@ -11,8 +11,8 @@ import pytest
 from numpy.typing import NDArray
 
 from hilbench import Bench
-from hilbench.bench.participants import Participants
-from hilbench.bench.swing_damping import SwingDamping, SwingPlant
+from hilbench.bench.lifecycle.participants import Participants
+from hilbench.bench.tasks.swing_damping import SwingDamping, SwingPlant
 
 CONFIG = Path(__file__).parents[2] / "bench_configs" / "web_section_step.yaml"
 DEMONSTRATOR = SwingPlant(

@@ -12,16 +12,16 @@ import pytest
 from tests.bench.strangers import Plan, from_sync, on_the_bus
 from tests.bench.test_runs import config
 
-from hilbench.bench.cycle import CyclicExchange
-from hilbench.bench.participants import Participants
-from hilbench.bus.frame import Frame
-from hilbench.bus.memory import MemoryBus
-from hilbench.experiment.config import load_with_overrides
-from hilbench.fieldbus.eds import load_eds
-from hilbench.fieldbus.master import Master
-from hilbench.record.recording import Recording, read_recording
-from hilbench.record.result import Result
-from hilbench.record.run import run_experiment
+from hilbench.bench.lifecycle.participants import Participants
+from hilbench.can.frame import Frame
+from hilbench.can.memory import MemoryBus
+from hilbench.canopen.eds import load_eds
+from hilbench.canopen.master import Master
+from hilbench.exchange.cycle import CyclicExchange
+from hilbench.results.recording import Recording, read_recording
+from hilbench.results.result import Result
+from hilbench.results.run import run_experiment
+from hilbench.runs.config import load_with_overrides
 
 SPEED_M_S = 1.0
 STEPS = [

@@ -10,23 +10,23 @@ import pytest
 from tests.bench.test_runs import config, run_folders
 from tests.cli.in_process import hilbench
 
-from hilbench.bench import in_process
 from hilbench.bench.bench import Bench
-from hilbench.bench.cycle import CyclicExchange
-from hilbench.bench.hardware import StandApplication
-from hilbench.bench.limits import LimitWatch
-from hilbench.bench.load_model import LoadModel
-from hilbench.bench.nodes import Nodes
-from hilbench.bench.operator_objects import OperatorObjects
-from hilbench.bench.sample import CycleSample
-from hilbench.bench.tension_control import TensionController
+from hilbench.bench.lifecycle import in_process
+from hilbench.bench.operator.operator_objects import OperatorObjects
+from hilbench.bench.tasks.limits import LimitWatch
+from hilbench.bench.tasks.load_model import LoadModel
+from hilbench.bench.tasks.tension_control import TensionController
 from hilbench.bench.twin_connection import TwinConnection
-from hilbench.drives.state_machine import State
-from hilbench.record import run as runs
-from hilbench.record.journal import JournalWriter
-from hilbench.record.result import Result
-from hilbench.record.trace import TraceWriter
-from hilbench.twin.tracking import Tracking
+from hilbench.cia402.state_machine import State
+from hilbench.estimation.tracking import Tracking
+from hilbench.exchange.cycle import CyclicExchange
+from hilbench.exchange.nodes import Nodes
+from hilbench.hardware.simulation import RigApplication
+from hilbench.results import run as runs
+from hilbench.results.journal import JournalWriter
+from hilbench.results.result import Result
+from hilbench.results.trace import TraceWriter
+from hilbench.topology.sample import CycleSample
 
 MOVING = [{"ramp": {"path": "line_speed_m_s", "to": 0.5, "duration_s": 0.2}}, {"hold": {"duration_s": 1.0}}]
 #: So many calls of the experiment's 0.2 s ramp are past that all of them happen while the line moves.
@@ -39,7 +39,7 @@ class Stands:
     """The simulated hardware of a run, to look at when it is over."""
 
     def __init__(self, patch: pytest.MonkeyPatch) -> None:
-        self.application: StandApplication | None = None
+        self.application: RigApplication | None = None
         made = in_process.hardware
 
         def kept(bench: Any) -> Any:

@@ -13,13 +13,13 @@ from hypothesis import strategies as st
 from tests.bench.test_runs import config
 from tests.cli.in_process import hilbench
 
-from hilbench.bench.participants import Participants
-from hilbench.bench.quantities import LONGEST_S, PLAIN_PATHS, all_paths, checked_value, permitted, settable_path
+from hilbench.bench.lifecycle.participants import Participants
 from hilbench.errors import BenchFaultError, UnusableInputError, UnusableValueError
-from hilbench.experiment.config import load
-from hilbench.experiment.scenario import read_scenario
+from hilbench.plant.effects import EFFECTS
+from hilbench.runs.config import load
+from hilbench.runs.scenario import read_scenario
 from hilbench.scripts.bench import Bench
-from hilbench.web.effects import EFFECTS
+from hilbench.topology.quantities import LONGEST_S, PLAIN_PATHS, all_paths, checked_value, permitted, settable_path
 
 PATHS = list(all_paths())
 HUGE = 10**400

@@ -19,11 +19,11 @@ import yaml
 from tests.bench.test_runs import config
 from tests.cli.in_process import hilbench
 
-from hilbench.bus.frame import Frame
-from hilbench.bus.link import Link
-from hilbench.bus.open import BusAddress, open_link
-from hilbench.experiment.config import load
-from hilbench.fieldbus.listening import hear, present
+from hilbench.can.frame import Frame
+from hilbench.can.link import Link
+from hilbench.can.open import BusAddress, open_link
+from hilbench.canopen.listening import hear, present
+from hilbench.runs.config import load
 
 EDS = Path(__file__).resolve().parents[2] / "eds" / "hilbench_servo.eds"
 HILBENCH = [sys.executable, "-m", "hilbench.cli"]

@@ -12,8 +12,8 @@ import pytest
 from tests.cli.in_process import hilbench
 
 from hilbench import strict_yaml
-from hilbench.experiment.config import load
-from hilbench.experiment.config_text import json_schema
+from hilbench.runs.config import load
+from hilbench.runs.config_text import json_schema
 
 ROOT = Path(__file__).resolve().parents[2]
 SHIPPED = sorted((ROOT / "bench_configs").glob("*.yaml"))

@@ -15,10 +15,10 @@ import yaml
 from tests.bench.test_runs import config, gone
 from tests.cli.in_process import hilbench
 
-from hilbench.bench.participants import Participants
-from hilbench.diagnose import live
-from hilbench.experiment.config import load
-from hilbench.record.run import run_experiment
+from hilbench.bench.lifecycle.participants import Participants
+from hilbench.diagnosis import live
+from hilbench.results.run import run_experiment
+from hilbench.runs.config import load
 
 #: Friction that the model does not know: the twin's E comes out 5 % too high until the model has it.
 FRICTION = {"effects": [{"effect": "coulomb_friction", "axis": 2, "parameters": {"force_N": 4.2}}]}

@@ -14,14 +14,14 @@ import pytest
 from tests.bench.test_runs import SHORT, config
 from tests.cli.in_process import hilbench
 
-from hilbench.bus import interfaces
-from hilbench.bus.claims import MASTER, Holder, holders
-from hilbench.bus.frame import Frame
-from hilbench.bus.memory import MemoryBus, MemoryLink
-from hilbench.bus.open import BusAddress
+from hilbench.can import interfaces
+from hilbench.can.claims import MASTER, Holder, holders
+from hilbench.can.frame import Frame
+from hilbench.can.memory import MemoryBus, MemoryLink
+from hilbench.can.open import BusAddress
+from hilbench.canopen.emergency_stop import EMERGENCY_STOP_COB_ID
 from hilbench.cli import estop
 from hilbench.errors import BusError
-from hilbench.fieldbus.emergency_stop import EMERGENCY_STOP_COB_ID
 
 ROOT = Path(__file__).resolve().parents[2]
 OWN_NAMESPACE = ["unshare", "--net"] if os.getuid() == 0 else ["unshare", "--map-root-user", "--net"]

@@ -17,7 +17,7 @@ from tests.bench.test_runs import config, run_folders
 from typer.main import get_command
 
 from hilbench.cli.main import app, main
-from hilbench.record.result import Result
+from hilbench.results.result import Result
 
 SHIPPED = Path(__file__).resolve().parents[2] / "bench_configs" / "web_section_step.yaml"
 SHORT = [{"ramp": {"path": "line_speed_m_s", "to": 0.5, "duration_s": 0.2}}, {"hold": {"duration_s": 0.3}}]

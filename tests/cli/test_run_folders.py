@@ -14,11 +14,11 @@ import pytest
 from tests.bench.test_runs import run_folders, start, wait_for_frames
 from tests.cli.in_process import hilbench
 
-from hilbench.bus.open import open_link
-from hilbench.experiment.config import load
-from hilbench.fieldbus.listening import hear
+from hilbench.can.open import open_link
+from hilbench.canopen.listening import hear
 from hilbench.monitor.picture import BusPicture
-from hilbench.record.recording import read_recording
+from hilbench.results.recording import read_recording
+from hilbench.runs.config import load
 
 SHIPPED = Path(__file__).resolve().parents[2] / "bench_configs"
 #: The shipped scenario on the shipped bench with an axis of other units; expectation and assertion that do not hold.

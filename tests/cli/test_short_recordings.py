@@ -12,7 +12,7 @@ import pytest
 from tests.bench.test_runs import config, run_folders
 from tests.cli.in_process import hilbench
 
-from hilbench.record.recording import Recording, read_recording, write_recording
+from hilbench.results.recording import Recording, read_recording, write_recording
 
 
 @pytest.fixture(scope="module")

@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 import yaml
 from tests.cli.in_process import hilbench
+from tests.plant.models import DEMONSTRATOR, model
 from tests.twin.runs import NEW_PA, Array, measured, stepped, tracked
-from tests.web.models import DEMONSTRATOR, model
 
+from hilbench.diagnosis.synchronization import NEEDED, compare_methods, compare_runs
 from hilbench.errors import UnusableInputError
-from hilbench.experiment.synchronization import NEEDED, compare_methods, compare_runs
-from hilbench.record.recording import Recording
+from hilbench.estimation.offline import Track
+from hilbench.estimation.synchronizers.create import METHODS
 from hilbench.report.sync_page import rows
-from hilbench.twin.offline import Track
-from hilbench.twin.synchronizers.create import METHODS
+from hilbench.results.recording import Recording
 
 COLUMNS = "t_s,v1_cmd_m_s,v2_cmd_m_s,x1_m,x2_m,tau2_Nm,strain_prev,F_next_N,E_true_Pa"
 

@@ -20,13 +20,13 @@ import yaml
 from tests.docs.shown import ROOT, shown
 from typer.testing import CliRunner
 
-from hilbench.bus.open import BusAddress, open_link
+from hilbench.can.open import BusAddress, open_link
+from hilbench.canopen.listening import present
 from hilbench.cli.main import app
-from hilbench.diagnose.blind import blind_recording
-from hilbench.experiment.config import load
-from hilbench.fieldbus.listening import present
-from hilbench.record.recording import write_recording
-from hilbench.web.parameters import EffectEntry, write_model
+from hilbench.diagnosis.unobservable import blind_recording
+from hilbench.plant.web_line.parameters import EffectEntry, write_model
+from hilbench.results.recording import write_recording
+from hilbench.runs.config import load
 
 pytestmark = pytest.mark.docs
 

@@ -8,10 +8,10 @@ import pytest
 from tools.docs_hook import on_page_content
 from tools.reference import pages, unit_of_key
 
-from hilbench.bench.signals import SIGNALS
-from hilbench.experiment.config import ExperimentConfig
-from hilbench.experiment.metrics import METRICS
-from hilbench.web.effects import EFFECTS
+from hilbench.plant.effects import EFFECTS
+from hilbench.runs.config import ExperimentConfig
+from hilbench.runs.metrics import METRICS
+from hilbench.topology.signals import SIGNALS
 
 
 @pytest.fixture(scope="module")

@@ -98,9 +98,9 @@ def start_hardware(path: Path) -> subprocess.Popen[str]:
 
 def wait_for_node(path: Path) -> None:
     """Until the simulated axis 2 answers."""
-    from hilbench.bus.open import open_link
-    from hilbench.experiment.config import load
-    from hilbench.fieldbus.listening import present
+    from hilbench.can.open import open_link
+    from hilbench.canopen.listening import present
+    from hilbench.runs.config import load
 
     link = open_link(load(path)[0].bus_address)
     try:

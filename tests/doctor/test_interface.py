@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
+from hilbench.doctor.check_interface import InterfaceNeeds, check_interface
 from hilbench.doctor.findings import Check, Finding, Level
 from hilbench.doctor.interface import InterfaceFacts, parse_ip_link, read_sysfs
-from hilbench.doctor.judge_interface import InterfaceNeeds, judge_interface
 
 CAPTURED = Path(__file__).parent / "captured"
 NEEDS = InterfaceNeeds(bitrate=1_000_000, frames_per_cycle=13)
@@ -20,7 +20,7 @@ def captured(name: str) -> InterfaceFacts:
 
 
 def judge(facts: InterfaceFacts, after: InterfaceFacts | None = None) -> dict[Check, Finding]:
-    findings = judge_interface(facts, after or facts, NEEDS)
+    findings = check_interface(facts, after or facts, NEEDS)
     assert len({finding.check for finding in findings}) == len(findings)
     for finding in findings:
         assert "\n" not in finding.advice

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from hilbench.doctor.check_machine import MachineNeeds, check_machine
 from hilbench.doctor.findings import Check, Finding, Level
-from hilbench.doctor.judge_machine import MachineNeeds, judge_machine
 from hilbench.doctor.machine import Lateness, MachineFacts, measure_lateness, read_machine
 
 GOOD = MachineFacts(
@@ -30,7 +30,7 @@ REALTIME = MachineNeeds(realtime=True, cycle_s=0.002, socketcan=True)
 
 
 def judge(facts: MachineFacts, lateness: Lateness = IN_TIME, needs: MachineNeeds = REALTIME) -> dict[Check, Finding]:
-    return {finding.check: finding for finding in judge_machine(facts, lateness, needs)}
+    return {finding.check: finding for finding in check_machine(facts, lateness, needs)}
 
 
 def not_ok(findings: dict[Check, Finding]) -> list[Check]:

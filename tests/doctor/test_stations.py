@@ -7,25 +7,25 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
-import can
 import pytest
 
-from hilbench.bench.nodes import Nodes
-from hilbench.bus.frame import Frame
-from hilbench.bus.memory import MemoryBus
+import can
+from hilbench.can.frame import Frame
+from hilbench.can.memory import MemoryBus
+from hilbench.canopen.clock import MonotonicClock
+from hilbench.canopen.device import Device
+from hilbench.canopen.eds import load_eds
+from hilbench.canopen.emergency_stop import EMERGENCY_STOP
+from hilbench.canopen.host import DeviceHost
+from hilbench.canopen.listening import present, sort_by_node
+from hilbench.canopen.sdo_reader import Refusal, SdoReader
 from hilbench.doctor.bench_subject import expected_nodes
+from hilbench.doctor.check_stations import check_heard, check_node
 from hilbench.doctor.findings import Check, Finding, Level
-from hilbench.doctor.judge_stations import judge_heard, judge_node
 from hilbench.doctor.stations import ExpectedNode, NodeAnswers, ask
 from hilbench.errors import BusError
-from hilbench.experiment.config import load
-from hilbench.fieldbus.clock import MonotonicClock
-from hilbench.fieldbus.device import Device
-from hilbench.fieldbus.eds import load_eds
-from hilbench.fieldbus.emergency_stop import EMERGENCY_STOP
-from hilbench.fieldbus.host import DeviceHost
-from hilbench.fieldbus.listening import present, sort_by_node
-from hilbench.fieldbus.sdo_reader import Refusal, SdoReader
+from hilbench.exchange.nodes import Nodes
+from hilbench.runs.config import load
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -65,19 +65,19 @@ def test_only_what_a_node_sends_counts_as_heard() -> None:
 
 
 def test_strangers_and_another_master(nodes: list[ExpectedNode]) -> None:
-    quiet = judge_heard(sort_by_node(frames(0x181, 0x703)), nodes, 127, "can0")
+    quiet = check_heard(sort_by_node(frames(0x181, 0x703)), nodes, 127, "can0")
     assert levels(quiet) == {Check.OTHER_MASTER: Level.OK, Check.STRANGERS: Level.OK}
-    stranger = judge_heard(sort_by_node(frames(0x185, 0x705)), nodes, 127, "can0")
+    stranger = check_heard(sort_by_node(frames(0x185, 0x705)), nodes, 127, "can0")
     assert levels(stranger) == {Check.OTHER_MASTER: Level.OK, Check.STRANGERS: Level.WARNING}
     assert "node 5 (185h 705h)" in stranger[1].found
     for identifier in (0x000, 0x080, 0x201, 0x543, 0x77F):
-        busy = judge_heard(sort_by_node(frames(identifier)), nodes, 127, "can0")
+        busy = check_heard(sort_by_node(frames(identifier)), nodes, 127, "can0")
         assert levels(busy) == {Check.OTHER_MASTER: Level.ERROR, Check.STRANGERS: Level.OK}
         assert f"{identifier:03X}h" in busy[0].found
         assert "no program of this machine" in busy[0].found
-        on_a_bus_alone = judge_heard(sort_by_node(frames(identifier)), [], 127, "can0")
+        on_a_bus_alone = check_heard(sort_by_node(frames(identifier)), [], 127, "can0")
         assert levels(on_a_bus_alone)[Check.OTHER_MASTER] is Level.WARNING
-    idle = judge_heard(sort_by_node([]), nodes, 127, "can0", claimed_by="bench line2 (process 4711)")
+    idle = check_heard(sort_by_node([]), nodes, 127, "can0", claimed_by="bench line2 (process 4711)")
     assert levels(idle)[Check.OTHER_MASTER] is Level.ERROR
     assert "bench line2 (process 4711)" in idle[0].found
 
@@ -119,7 +119,7 @@ def bus() -> Iterator[MemoryBus]:
 
 def examine(bus: MemoryBus, node: ExpectedNode) -> list[Finding]:
     with SdoReader(bus.open_python_can(), timeout_s=0.3) as reader:
-        return judge_node(node, ask(reader, node))
+        return check_node(node, ask(reader, node))
 
 
 def test_a_device_that_is_what_its_eds_says(bus: MemoryBus, nodes: list[ExpectedNode]) -> None:
@@ -163,14 +163,14 @@ def test_the_eds_of_another_device(bus: MemoryBus, nodes: list[ExpectedNode]) ->
 def test_identity(nodes: list[ExpectedNode], given: dict[str, object], level: Level) -> None:
     words = [number.to_bytes(4, "little") for number in (0x00020192, 0, 0x402, 0x10000)]
     node = replace(nodes[0], mapped=(), **given)  # type: ignore[arg-type]
-    assert levels(judge_node(node, NodeAnswers(words[0], tuple(words[1:]))))[Check.IDENTITY] is level
+    assert levels(check_node(node, NodeAnswers(words[0], tuple(words[1:]))))[Check.IDENTITY] is level
 
 
 def test_an_object_that_can_only_be_written_is_there(nodes: list[ExpectedNode]) -> None:
     word = bytes(4)
     node = replace(nodes[0], device_type=None, identity=(frozenset(),) * 3, mapped=nodes[0].mapped[:1])
     answers = NodeAnswers(word, (word, word, word), {(0x6040, 0): Refusal(0x06010001)})
-    assert levels(judge_node(node, answers))[Check.MAPPED_OBJECTS] is Level.OK
+    assert levels(check_node(node, answers))[Check.MAPPED_OBJECTS] is Level.OK
 
 
 def test_a_silent_node(bus: MemoryBus, nodes: list[ExpectedNode]) -> None:

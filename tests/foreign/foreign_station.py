@@ -12,8 +12,8 @@ from itertools import count
 from pathlib import Path
 from typing import Any
 
-from hilbench.bus.frame import EXTENDED_FLAG, REMOTE_FLAG, Frame
-from hilbench.bus.link import Link
+from hilbench.can.frame import EXTENDED_FLAG, REMOTE_FLAG, Frame
+from hilbench.can.link import Link
 
 SCRIPT = Path(__file__).with_name("station.js")
 PACKAGES = Path(__file__).parents[2] / ".cache" / "node-canopen" / "node_modules"

@@ -18,15 +18,15 @@ from math import pi
 from pathlib import Path
 
 import pytest
-from canopen import Network
 from canopen.profiles.p402 import BaseNode402
 from tests.buses import KernelBus
 from tests.foreign.foreign_station import foreign_station
 
-from hilbench.bus.link import Link
-from hilbench.bus.open import BusAddress, open_link, open_python_can
-from hilbench.fieldbus.eds import load_eds
-from hilbench.fieldbus.listening import present
+from canopen import Network
+from hilbench.can.link import Link
+from hilbench.can.open import BusAddress, open_link, open_python_can
+from hilbench.canopen.eds import load_eds
+from hilbench.canopen.listening import present
 
 pytestmark = pytest.mark.vcan
 

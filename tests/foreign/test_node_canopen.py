@@ -13,13 +13,13 @@ from pathlib import Path
 
 import pytest
 from tests.buses import Bus
-from tests.drives.stand_in import SimulatedDrives, served
-from tests.fieldbus.device_under_test import SECTIONS, SERVO_EDS, U32, eds_text, record, var
+from tests.canopen.device_under_test import SECTIONS, SERVO_EDS, U32, eds_text, record, var
+from tests.cia402.stand_in import SimulatedDrives, served
 from tests.foreign.foreign_station import OWN_NODE, PACKAGES, ForeignStation, Refused, foreign_station
 
-from hilbench.fieldbus.clock import MonotonicClock
-from hilbench.fieldbus.device import Device
-from hilbench.fieldbus.eds import load_eds
+from hilbench.canopen.clock import MonotonicClock
+from hilbench.canopen.device import Device
+from hilbench.canopen.eds import load_eds
 
 pytestmark = pytest.mark.skipif(shutil.which("npm") is None, reason="Node.js with npm is not installed")
 

@@ -13,26 +13,26 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
-from hilbench.bench.nodes import Nodes
-from hilbench.bus import protocol
-from hilbench.bus.frame import EXTENDED_FLAG, REMOTE_FLAG, Frame
-from hilbench.bus.hub import Client, Hub
-from hilbench.bus.requests import RefusedError, parse
-from hilbench.drives.configuration import default_reader
-from hilbench.drives.port import MotorPort
-from hilbench.drives.simulated import SimulatedDrive
-from hilbench.drives.units import DriveUnits
+from hilbench.can import protocol
+from hilbench.can.frame import EXTENDED_FLAG, REMOTE_FLAG, Frame
+from hilbench.can.hub import Client, Hub
+from hilbench.can.requests import RefusedError, parse
+from hilbench.canopen.clock import MonotonicClock
+from hilbench.canopen.device import Device
+from hilbench.canopen.eds import load_eds
+from hilbench.cia402.configuration import default_reader
+from hilbench.cia402.simulated import SimulatedDrive
+from hilbench.cia402.units import DriveUnits
 from hilbench.errors import BenchFaultError, UnusableInputError
-from hilbench.experiment.config import load
-from hilbench.fieldbus.clock import MonotonicClock
-from hilbench.fieldbus.device import Device
-from hilbench.fieldbus.eds import load_eds
+from hilbench.exchange.nodes import Nodes
 from hilbench.monitor.picture import BusPicture
-from hilbench.record.foreign import read_foreign
-from hilbench.record.journal import read_journal
-from hilbench.record.recording import read_recording
-from hilbench.record.result import Result
-from hilbench.record.trace_files import read_trace
+from hilbench.plant.motor_port import MotorPort
+from hilbench.results.import_mapping import read_foreign
+from hilbench.results.journal import read_journal
+from hilbench.results.recording import read_recording
+from hilbench.results.result import Result
+from hilbench.results.trace_files import read_trace
+from hilbench.runs.config import load
 
 ROOT = Path(__file__).resolve().parents[2]
 CONFIG = ROOT / "bench_configs" / "web_section_step.yaml"
@@ -188,7 +188,7 @@ def _recordings(name: str) -> Callable[[], list[bytes]]:
     def seeds() -> list[bytes]:
         import numpy as np
 
-        from hilbench.record.recording import Recording, write_recording
+        from hilbench.results.recording import Recording, write_recording
 
         t = np.arange(5) * 0.002
         path = _folder() / f"seed-{name}"
@@ -199,7 +199,7 @@ def _recordings(name: str) -> Callable[[], list[bytes]]:
 
 
 def _results() -> list[bytes]:
-    from hilbench.record.result import Fault, Timing
+    from hilbench.results.result import Fault, Timing
 
     timing = Timing(
         pace="lockstep", cycle_us=2000, cycles=9, missed=0, jitter_us=None, realtime_factor=1.0, bus_load_pct=60.0

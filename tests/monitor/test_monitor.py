@@ -10,20 +10,20 @@ from tests.bench.test_runs import config
 from textual.widgets import DataTable, Log, Static
 from textual.widgets._footer import FooterKey
 
-from hilbench.bench.config import BenchConfig
-from hilbench.bench.nodes import Nodes
-from hilbench.bench.participants import Participants
-from hilbench.bus.frame import Frame
-from hilbench.bus.memory import MemoryBus
-from hilbench.experiment.config import load, load_with_overrides
-from hilbench.fieldbus.emergency_stop import EMERGENCY_STOP
+from hilbench.bench.lifecycle.participants import Participants
+from hilbench.can.frame import Frame
+from hilbench.can.memory import MemoryBus
+from hilbench.canopen.emergency_stop import EMERGENCY_STOP
+from hilbench.exchange.nodes import Nodes
 from hilbench.monitor import condition
 from hilbench.monitor import picture as picture_of
 from hilbench.monitor.changes import CHANGEABLE, ChangeRequests
 from hilbench.monitor.dashboard import Dashboard
 from hilbench.monitor.picture import BusPicture
-from hilbench.record.run import run_experiment
-from hilbench.record.trace import TraceReader
+from hilbench.results.run import run_experiment
+from hilbench.results.trace import TraceReader
+from hilbench.runs.config import load, load_with_overrides
+from hilbench.topology.config import BenchConfig
 
 SHIPPED = Path(__file__).resolve().parents[2] / "bench_configs" / "web_section_step.yaml"
 

@@ -18,18 +18,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hilbench.bench.signals import SIGNALS
 from hilbench.errors import UnusableInputError
-from hilbench.experiment.criteria import CriterionResult
-from hilbench.experiment.events import Changed, Event
-from hilbench.experiment.metrics import evaluate_metrics, judge
-from hilbench.record.recording import Recording, write_recording
-from hilbench.record.result import Environment, Fault, Result, Timing, Warned, jitter
-from hilbench.record.run_folder import RunFolder
 from hilbench.report import live
 from hilbench.report.chart import BLUE, Chart, Curve
 from hilbench.report.html import write_report
 from hilbench.report.plots import Picture, drawn
+from hilbench.results.recording import Recording, write_recording
+from hilbench.results.result import Environment, Fault, Result, Timing, Warned, jitter
+from hilbench.results.run_folder import RunFolder
+from hilbench.runs.criteria import CriterionResult
+from hilbench.runs.events import Changed, Event
+from hilbench.runs.metrics import evaluate_metrics, judge
+from hilbench.topology.signals import SIGNALS
 
 E0, E1 = 8.7e9, 10.5e9
 EVIL = "<script>alert('1')</script> & \"x\""

@@ -13,9 +13,9 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from hilbench.bench.participants import Participants
-from hilbench.record.recording import read_recording
-from hilbench.record.result import Result
+from hilbench.bench.lifecycle.participants import Participants
+from hilbench.results.recording import read_recording
+from hilbench.results.result import Result
 from hilbench.scripts.bench import Bench
 
 ROOT = Path(__file__).resolve().parents[2]

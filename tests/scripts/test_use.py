@@ -19,13 +19,13 @@ from tests.bench.test_runs import config as bench_config
 from tests.cli.in_process import hilbench
 
 from hilbench.bench import bench as library
-from hilbench.bench.participants import Participants
-from hilbench.bus.frame import Frame
-from hilbench.bus.open import BusAddress, open_link
+from hilbench.bench.lifecycle.participants import Participants
+from hilbench.can.frame import Frame
+from hilbench.can.open import BusAddress, open_link
+from hilbench.canopen.emergency_stop import EMERGENCY_STOP_COB_ID
 from hilbench.errors import BenchNotRunningError, UnusableValueError
-from hilbench.experiment.config import load
-from hilbench.fieldbus.emergency_stop import EMERGENCY_STOP_COB_ID
-from hilbench.record.recording import Recording
+from hilbench.results.recording import Recording
+from hilbench.runs.config import load
 from hilbench.scripts.bench import Bench
 
 CONFIG = Path(__file__).resolve().parents[2] / "bench_configs" / "web_section_step.yaml"
@@ -238,7 +238,7 @@ def test_a_bench_is_entered_once(left: Bench) -> None:
 FORGETFUL_SCRIPT = """
 import sys
 from hilbench import Bench
-from hilbench.bench.participants import Participants
+from hilbench.bench.lifecycle.participants import Participants
 
 bench = Bench(sys.argv[1], bus=sys.argv[2], participants=Participants[sys.argv[3]])
 bench.__enter__()

@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from tests.web.models import model
+from tests.plant.models import model
 
-from hilbench.experiment.metrics import E_BAND, time_to_stay
-from hilbench.twin.config import SynchronizerConfig, TwinConfig
-from hilbench.twin.offline import Measurements, Track, run_offline
-from hilbench.twin.synthetic import simulated_measurements
-from hilbench.web.parameters import ModelParameters
+from hilbench.estimation.config import SynchronizerConfig, TwinConfig
+from hilbench.estimation.offline import Measurements, Track, run_offline
+from hilbench.estimation.synthetic import simulated_measurements
+from hilbench.plant.web_line.parameters import ModelParameters
+from hilbench.runs.metrics import E_BAND, time_to_stay
 
 Array = NDArray[np.float64]
 

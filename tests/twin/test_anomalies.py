@@ -8,19 +8,19 @@ import numpy as np
 import pytest
 from tests.bench.test_runs import config, run, run_folders
 from tests.bench.test_safety import result_of
+from tests.plant.models import model
 from tests.twin.runs import CYCLE_S, OLD_PA, STEP_S, Array, measured, stepped, times
-from tests.web.models import model
 
 from hilbench.bench.bench import Bench
-from hilbench.bench.participants import Participants
-from hilbench.drives.port import MotorMode, MotorPort
-from hilbench.experiment.config import load_with_overrides
-from hilbench.record.trace import TraceReader
+from hilbench.bench.lifecycle.participants import Participants
+from hilbench.estimation.config import TwinConfig
+from hilbench.estimation.plausibility import Problem
+from hilbench.estimation.tracking import Tracking
+from hilbench.plant.motor_port import MotorMode, MotorPort
+from hilbench.plant.web_line.line import Line
+from hilbench.results.trace import TraceReader
+from hilbench.runs.config import load_with_overrides
 from hilbench.twin.alarms import Alarms
-from hilbench.twin.config import TwinConfig
-from hilbench.twin.plausibility import Problem
-from hilbench.twin.tracking import Tracking
-from hilbench.web.line import Line
 
 AT_SPEED = [
     {"ramp": {"path": "line_speed_m_s", "to": 3.0, "duration_s": 1.0}},

@@ -11,9 +11,9 @@ import yaml
 from tests.bench.test_runs import config, run, run_folders
 
 from hilbench.bench.bench import Bench
-from hilbench.bench.participants import Participants
-from hilbench.experiment.config import load_with_overrides
-from hilbench.record.recording import Recording, read_recording
+from hilbench.bench.lifecycle.participants import Participants
+from hilbench.results.recording import Recording, read_recording
+from hilbench.runs.config import load_with_overrides
 from hilbench.twin.axis_listener import AxisListener
 from hilbench.twin.virtual_io import TwinStatus
 

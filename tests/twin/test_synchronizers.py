@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from tests.plant.models import effect, model
 from tests.twin.runs import CYCLE_S, NEW_PA, OLD_PA, STEP_S, Array, measured, stepped, time_to_1pct_s, times, tracked
-from tests.web.models import effect, model
 
-from hilbench.drives.port import MotorPort
-from hilbench.experiment.metrics import noise_pct, overshoot_pct
-from hilbench.twin.bound import least_deviation_Pa
-from hilbench.twin.config import (
+from hilbench.estimation.bound import least_deviation_Pa
+from hilbench.estimation.config import (
     AlsoEstimated,
     ChangepointConfig,
     EkfConfig,
@@ -20,11 +18,13 @@ from hilbench.twin.config import (
     SynchronizerConfig,
     TwinConfig,
 )
-from hilbench.twin.offline import Track, run_offline
-from hilbench.twin.synchronizers.create import METHODS
-from hilbench.twin.synthetic import simulated_measurements
-from hilbench.twin.tracking import Tracking
-from hilbench.web.line import Line
+from hilbench.estimation.offline import Track, run_offline
+from hilbench.estimation.synchronizers.create import METHODS
+from hilbench.estimation.synthetic import simulated_measurements
+from hilbench.estimation.tracking import Tracking
+from hilbench.plant.motor_port import MotorPort
+from hilbench.plant.web_line.line import Line
+from hilbench.runs.metrics import noise_pct, overshoot_pct
 
 ON_BALANCE = [name for name in METHODS if name != "pid"]
 #: Time to 1 % over the time in which the Cramér–Rao bound's two deviations are 1 %. Largest of 12 seeds: rls 22, lm 13,

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from hilbench.bench.bench import Bench
-from hilbench.bench.participants import Participants
-from hilbench.bench.sample import CycleSample
-from hilbench.experiment.config import load_with_overrides
-from hilbench.twin.torque_shift import TorqueShift, TorqueShiftFinder
-from hilbench.web.balance import BalanceSample
+from hilbench.bench.lifecycle.participants import Participants
+from hilbench.estimation.balance import BalanceSample
+from hilbench.estimation.torque_shift import TorqueShift, TorqueShiftFinder
+from hilbench.runs.config import load_with_overrides
+from hilbench.topology.sample import CycleSample
 
 CYCLE_S = 0.002
 E_PA, SECTION_M2, TENSION_N = 8.7e9, 0.5 * 65e-6, 80.0

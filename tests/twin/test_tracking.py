@@ -9,17 +9,17 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from tests.plant.models import effect, model
 from tests.twin.runs import CYCLE_S, NEW_PA, OLD_PA, Array, measured, stepped, tracked
-from tests.web.models import effect, model
 
-from hilbench.drives.port import MotorMode, MotorPort
-from hilbench.twin.config import ChangepointConfig, EkfConfig, LmConfig, PidConfig, RlsConfig, TwinConfig
-from hilbench.twin.delay import DelayFinder
-from hilbench.twin.offline import Measurements
-from hilbench.twin.plausibility import Plausibility, Problem
-from hilbench.twin.tracking import Tracking
-from hilbench.web.line import Line
-from hilbench.web.parameters import ModelParameters
+from hilbench.estimation.config import ChangepointConfig, EkfConfig, LmConfig, PidConfig, RlsConfig, TwinConfig
+from hilbench.estimation.delay import DelayFinder
+from hilbench.estimation.offline import Measurements
+from hilbench.estimation.plausibility import Plausibility, Problem
+from hilbench.estimation.tracking import Tracking
+from hilbench.plant.motor_port import MotorMode, MotorPort
+from hilbench.plant.web_line.line import Line
+from hilbench.plant.web_line.parameters import ModelParameters
 
 GOOD = np.full(2500, OLD_PA)
 FROM, TO = 1500, 1800  #: rows in which something is wrong

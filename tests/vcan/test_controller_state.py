@@ -12,10 +12,10 @@ from collections.abc import Iterator
 
 import pytest
 
-from hilbench.bus.confinement import ControllerState
-from hilbench.bus.frame import Frame
-from hilbench.bus.open import BusAddress, open_link
-from hilbench.bus.socketcan import SocketCanLink
+from hilbench.can.confinement import ControllerState
+from hilbench.can.frame import Frame
+from hilbench.can.open import BusAddress, open_link
+from hilbench.can.socketcan import SocketCanLink
 from hilbench.errors import BusError
 
 pytestmark = pytest.mark.vcan

@@ -14,13 +14,13 @@ from pathlib import Path
 
 import pytest
 
-from hilbench.bus.frame import Frame
-from hilbench.bus.open import BusAddress, open_link, open_python_can
-from hilbench.fieldbus.clock import MonotonicClock
-from hilbench.fieldbus.device import Device
-from hilbench.fieldbus.eds import load_eds
-from hilbench.fieldbus.host import DeviceHost
-from hilbench.fieldbus.sdo_reader import Refusal, SdoReader
+from hilbench.can.frame import Frame
+from hilbench.can.open import BusAddress, open_link, open_python_can
+from hilbench.canopen.clock import MonotonicClock
+from hilbench.canopen.device import Device
+from hilbench.canopen.eds import load_eds
+from hilbench.canopen.host import DeviceHost
+from hilbench.canopen.sdo_reader import Refusal, SdoReader
 
 pytestmark = pytest.mark.vcan
 

@@ -10,9 +10,9 @@ import socket
 
 import pytest
 
-from hilbench.bus.frame import Frame
-from hilbench.bus.open import BusAddress, open_link
-from hilbench.bus.socketcan import SocketCanLink
+from hilbench.can.frame import Frame
+from hilbench.can.open import BusAddress, open_link
+from hilbench.can.socketcan import SocketCanLink
 
 pytestmark = pytest.mark.vcan
 

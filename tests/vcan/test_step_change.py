@@ -19,8 +19,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hilbench.record.recording import read_recording
-from hilbench.record.run_folder import RunFolder
+from hilbench.results.recording import read_recording
+from hilbench.results.run_folder import RunFolder
 
 pytestmark = pytest.mark.vcan
 

@@ -17,10 +17,10 @@ import numpy as np
 import pytest
 
 from hilbench.doctor.machine import measure_lateness
-from hilbench.experiment.config import load
-from hilbench.record.recording import read_recording
-from hilbench.record.result import Result
-from hilbench.record.run_folder import RunFolder
+from hilbench.results.recording import read_recording
+from hilbench.results.result import Result
+from hilbench.results.run_folder import RunFolder
+from hilbench.runs.config import load
 
 pytestmark = [
     pytest.mark.vcan,

@@ -13,10 +13,10 @@ from pathlib import Path
 import yaml
 
 from faults.run import CLI, Run, shipped_nodes
-from hilbench.bus.disturbance import ErrorInjection
-from hilbench.bus.frame import Frame
-from hilbench.bus.hub_client import inject_errors
-from hilbench.bus.open import BusAddress, open_link
+from hilbench.can.disturbance import ErrorInjection
+from hilbench.can.frame import Frame
+from hilbench.can.hub_client import inject_errors
+from hilbench.can.open import BusAddress, open_link
 
 #: clock_gettime, gettimeofday and time of the C library, CLOCK_REALTIME off by the int64 ns in a file.
 SETTABLE_CLOCK = r"""

@@ -9,8 +9,8 @@ from typing import Any
 
 from faults.acts import bus_of
 from faults.run import Fault, Run
-from hilbench.bus.frame import Frame
-from hilbench.bus.open import open_link
+from hilbench.can.frame import Frame
+from hilbench.can.open import open_link
 from hilbench.errors import BusError
 
 #: What a stranger sends, in how many batches, and how long it waits after each.

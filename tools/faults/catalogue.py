@@ -25,8 +25,8 @@ from faults.acts import (
 )
 from faults.attacks import attacks, download
 from faults.run import FOREVER, Fault, shipped_nodes
-from hilbench.bus.disturbance import ErrorInjection
-from hilbench.bus.frame import Frame
+from hilbench.can.disturbance import ErrorInjection
+from hilbench.can.frame import Frame
 
 #: Controlwords: fault reset, shutdown, switch on, enable operation.
 RESET_AND_ENABLE = (0x80, 0x06, 0x07, 0x0F)
@@ -88,13 +88,19 @@ def faults() -> list[Fault]:
             "no answer to SYNC",
             send_signal(stop, "simulate-hardware"),
         ),
-        Fault("supervisor: kill -9", STOPPED, (3,), "supervisor ended", send_signal(kill, "hilbench.bench.supervisor")),
+        Fault(
+            "supervisor: kill -9",
+            STOPPED,
+            (3,),
+            "supervisor ended",
+            send_signal(kill, "hilbench.bench.lifecycle.supervisor"),
+        ),
         Fault(
             "hub: kill -9",
             "exit 3, bus lost; drives stop by 1016h",
             (3,),
             "hub",
-            send_signal(kill, "hilbench.bus.hub"),
+            send_signal(kill, "hilbench.can.hub"),
             embedded=True,
         ),
         Fault(
@@ -102,7 +108,7 @@ def faults() -> list[Fault]:
             "exit 3, nobody answers",
             (3,),
             "no answer",
-            send_signal(stop, "hilbench.bus.hub"),
+            send_signal(stop, "hilbench.can.hub"),
             embedded=True,
         ),
         Fault("emergency stop from a terminal", "drives stop at once, exit 3", (3,), "emergency stop", emergency_stop),
@@ -220,8 +226,8 @@ def faults() -> list[Fault]:
             )
             for what, command, expected, words in (
                 ("hardware", "simulate-hardware", "exit 3, nobody answers", "no answer to SYNC"),
-                ("supervisor", "hilbench.bench.supervisor", STOPPED, "supervisor ended"),
-                ("hub", "hilbench.bus.hub", "exit 3, bus lost; drives stop by 1016h", "hub"),
+                ("supervisor", "hilbench.bench.lifecycle.supervisor", STOPPED, "supervisor ended"),
+                ("hub", "hilbench.can.hub", "exit 3, bus lost; drives stop by 1016h", "hub"),
             )
         ),
         Fault(

@@ -6,11 +6,11 @@ import subprocess
 from dataclasses import dataclass
 
 from faults.run import CLI, Fault, Run, started
-from hilbench.drives.state_machine import POWERED, STATUS_TARGET_REACHED, State, decode_statusword
+from hilbench.cia402.state_machine import POWERED, STATUS_TARGET_REACHED, State, decode_statusword
 from hilbench.errors import HilbenchError
-from hilbench.record.recording import read_recording
-from hilbench.record.result import Result
-from hilbench.record.trace import TraceReader
+from hilbench.results.recording import read_recording
+from hilbench.results.result import Result
+from hilbench.results.trace import TraceReader
 
 #: Share of missed cycles from which a machine is too busy for a verdict, and how often a row is tried.
 BUSY, TRIES = 0.02, 3
@@ -75,7 +75,7 @@ def kept(run: Run) -> str:
     return f"{len(read_recording(folder.recording))} of {run.syncs()} cycles{how}"
 
 
-def carry_out(fault: Fault, bus: str | None) -> Row:
+def execute(fault: Fault, bus: str | None) -> Row:
     """Make the fault, again when the machine was too busy for it."""
     for _ in range(TRIES):
         row = _once(fault, bus)

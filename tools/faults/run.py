@@ -19,7 +19,7 @@ from typing import Any
 import yaml
 from processes import command_lines
 
-from hilbench.record.run_folder import RunFolder
+from hilbench.results.run_folder import RunFolder
 
 ROOT = Path(__file__).resolve().parents[2]
 CONFIG = ROOT / "bench_configs" / "web_section_step.yaml"

@@ -5,17 +5,17 @@ from __future__ import annotations
 import tracemalloc
 from typing import Any
 
-import can
-import canopen
 import numpy as np
 
-from hilbench.bench.config import BenchConfig
-from hilbench.bench.nodes import Nodes
-from hilbench.bus.frame import Frame
-from hilbench.drives.configuration import default_reader
-from hilbench.drives.drive import DriveGoal
-from hilbench.drives.units import DriveUnits
-from hilbench.fieldbus.pdo import PdoMap
+import can
+import canopen
+from hilbench.can.frame import Frame
+from hilbench.canopen.pdo import PdoMap
+from hilbench.cia402.configuration import default_reader
+from hilbench.cia402.drive import DriveGoal
+from hilbench.cia402.units import DriveUnits
+from hilbench.exchange.nodes import Nodes
+from hilbench.topology.config import BenchConfig
 from performance.table import Section, best_cpu_s
 
 _ENABLED = 0x0237  #: statusword of OPERATION ENABLED

@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.diagnose.blind import PERIOD_S, experiment
-from hilbench.web import kernel
-from hilbench.web import layout as lay
-from hilbench.web.offline import samples_per, simulate, start_state
-from hilbench.web.parameters import EffectEntry, ModelParameters
+from hilbench.diagnosis.unobservable import PERIOD_S, experiment
+from hilbench.plant.web_line import kernel
+from hilbench.plant.web_line import layout as lay
+from hilbench.plant.web_line.offline import samples_per, simulate, start_state
+from hilbench.plant.web_line.parameters import EffectEntry, ModelParameters
 from performance.plain_equations import PlainLine
 from performance.table import Section, best_cpu_s, best_s
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from hilbench.web.parameters import ModelParameters, per_item
+from hilbench.plant.web_line.parameters import ModelParameters, per_item
 
 State = list[float]
 

@@ -17,17 +17,17 @@ import numpy as np
 from lockstep_profile import cpu_s, pids_of
 
 from hilbench.bench.bench import Bench
-from hilbench.bench.config import BenchConfig
-from hilbench.bench.cycle import CyclicExchange
-from hilbench.bench.nodes import Nodes
-from hilbench.bench.pacing import Pacing
-from hilbench.bench.startup import start_children
-from hilbench.bus.frame import Frame
-from hilbench.bus.load import cycle_load
-from hilbench.bus.open import open_link
+from hilbench.bench.lifecycle.startup import start_children
+from hilbench.can.frame import Frame
+from hilbench.can.load import cycle_load
+from hilbench.can.open import open_link
+from hilbench.canopen.master import START
 from hilbench.errors import BenchFaultError
-from hilbench.experiment.config import load_with_overrides
-from hilbench.fieldbus.master import START
+from hilbench.exchange.cycle import CyclicExchange
+from hilbench.exchange.nodes import Nodes
+from hilbench.exchange.pacing import Pacing
+from hilbench.runs.config import load_with_overrides
+from hilbench.topology.config import BenchConfig
 from performance.table import Section
 
 _PATIENCE_CYCLES = 10_000
@@ -36,7 +36,7 @@ _BOOT_S = 60.0
 #: In a process of its own, as the bench is.
 _BARE_LOOP = """
 import json, sys
-from hilbench.bench.pacing import bare_loop
+from hilbench.exchange.pacing import bare_loop
 state = bare_loop(int(sys.argv[1]), int(sys.argv[2]))
 print(json.dumps([state.lateness_ns.tolist(), state.missed]))
 """

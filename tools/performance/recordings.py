@@ -6,11 +6,11 @@ import time
 
 import numpy as np
 
-from hilbench.diagnose.blind import blind_recording
-from hilbench.diagnose.diagnosis import diagnose
-from hilbench.experiment.synchronization import compare_methods, methods_of
-from hilbench.twin.synthetic import simulated_measurements
-from hilbench.web.parameters import EffectEntry, ModelParameters
+from hilbench.diagnosis.diagnosis import diagnose
+from hilbench.diagnosis.synchronization import compare_methods, methods_of
+from hilbench.diagnosis.unobservable import blind_recording
+from hilbench.estimation.synthetic import simulated_measurements
+from hilbench.plant.web_line.parameters import EffectEntry, ModelParameters
 from performance.table import Section
 
 _METHODS = "ekf,rls,pid"

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import lockstep_profile
 
-from hilbench.bench.participants import Participants
+from hilbench.bench.lifecycle.participants import Participants
 from performance.table import Section, best_s
 
 _HILBENCH = str(Path(sys.executable).with_name("hilbench"))

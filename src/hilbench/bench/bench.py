@@ -12,28 +12,22 @@ from pathlib import Path
 from types import TracebackType
 from typing import Literal, Protocol, Self
 
-from hilbench.bench import idle, quantities
-from hilbench.bench.causes import Causes
-from hilbench.bench.change import Change
-from hilbench.bench.config import BenchConfig
-from hilbench.bench.cycle import CyclicExchange, FrameTap
-from hilbench.bench.limits import LimitWatch
-from hilbench.bench.load_model import LoadModel
-from hilbench.bench.nodes import Nodes
-from hilbench.bench.notice import Notices
-from hilbench.bench.operator_objects import OperatorObjects
-from hilbench.bench.participants import Participants
-from hilbench.bench.processes import ChildProcess
-from hilbench.bench.safety import confirm_stopped, quick_stop
-from hilbench.bench.sample import CycleSample
-from hilbench.bench.saturation import SaturationWatch
-from hilbench.bench.startup import TWIN, bring_up, held_bus
-from hilbench.bench.swing_damping import SwingDamping, SwingPlant
-from hilbench.bench.tension_control import TensionController
-from hilbench.bench.timeliness import Timeliness
+from hilbench.bench.lifecycle import idle
+from hilbench.bench.lifecycle.participants import Participants
+from hilbench.bench.lifecycle.safety import confirm_stopped, quick_stop
+from hilbench.bench.lifecycle.startup import TWIN, bring_up, held_bus
+from hilbench.bench.operator.causes import Causes
+from hilbench.bench.operator.change import Change
+from hilbench.bench.operator.notice import Notices
+from hilbench.bench.operator.operator_objects import OperatorObjects
+from hilbench.bench.tasks.limits import LimitWatch
+from hilbench.bench.tasks.load_model import LoadModel
+from hilbench.bench.tasks.saturation import SaturationWatch
+from hilbench.bench.tasks.swing_damping import SwingDamping, SwingPlant
+from hilbench.bench.tasks.tension_control import TensionController
 from hilbench.bench.twin_connection import TwinConnection
-from hilbench.bus.confinement import ControllerState
-from hilbench.drives.drive import Drive, DriveGoal
+from hilbench.can.confinement import ControllerState
+from hilbench.cia402.drive import Drive, DriveGoal
 from hilbench.errors import (
     EXIT_INTERRUPTED,
     BenchFaultError,
@@ -42,9 +36,16 @@ from hilbench.errors import (
     HilbenchError,
     UnusableValueError,
 )
+from hilbench.estimation.plausibility import Problem
+from hilbench.estimation.synchronizers.create import METHODS
+from hilbench.exchange.cycle import CyclicExchange, FrameTap
+from hilbench.exchange.nodes import Nodes
+from hilbench.exchange.timeliness import Timeliness
+from hilbench.processes import ChildProcess
 from hilbench.suggest import did_you_mean
-from hilbench.twin.plausibility import Problem
-from hilbench.twin.synchronizers.create import METHODS
+from hilbench.topology import quantities
+from hilbench.topology.config import BenchConfig
+from hilbench.topology.sample import CycleSample
 from hilbench.unexpected import TRACEBACK_FILE, unexpected
 
 #: Time for the axes to stand still again after the load motor has let go.
@@ -98,7 +99,7 @@ class Bench:
     `tap` sees every frame on the bus; `work_folder` keeps the processes' config and logs (a temporary folder if not
     given); `participants`: who brings the simulated hardware and the twin, this bench unless said otherwise;
     `announce` is told what is being done, `journal` what the bench changes and no frame says; `may_idle`: in lockstep
-    with simulated nodes any time may pass between two cycles (`hilbench.bench.idle`).
+    with simulated nodes any time may pass between two cycles (`hilbench.bench.lifecycle.idle`).
     A bench is the only master of its bus: one that has another is refused (UnusableInputError), with `force` only where
     a program of this machine says that it is the master. `bus_is_held`: whoever made this bench is inside
     `startup.held_bus` already.
@@ -522,7 +523,7 @@ class Bench:
     # -- what can be changed -----------------------------------------------------------------------------
 
     def get(self, path: str) -> float:
-        """Present value of a quantity (see `hilbench.bench.quantities`).
+        """Present value of a quantity (see `hilbench.topology.quantities`).
 
         Raises UnusableValueError for an unknown path.
         """

@@ -5,20 +5,20 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import isclose
 
-from hilbench.bench.config import BenchConfig
-from hilbench.bench.load_model import imitated_web
-from hilbench.bench.nodes import Nodes, declared_units, drive_settings
-from hilbench.bench.tension_loop import OperatingPoint, TensionLoop
-from hilbench.bus.load import BusLoad, cycle_load
-from hilbench.drives.configuration import lacking
+from hilbench.bench.tasks.load_model import imitated_web
+from hilbench.bench.tasks.tension_loop import OperatingPoint, TensionLoop
+from hilbench.can.load import BusLoad, cycle_load
+from hilbench.cia402.configuration import lacking
 from hilbench.errors import UnusableInputError
-from hilbench.strict_yaml import Document, Location
-from hilbench.web.stability import (
+from hilbench.exchange.nodes import Nodes, declared_units, drive_settings
+from hilbench.plant.web_line.stability import (
     SampledShaft,
     imitation_delay_s,
     largest_stiffness_Nm_per_rad,
     web_stiffness_Nm_per_rad,
 )
+from hilbench.strict_yaml import Document, Location
+from hilbench.topology.config import BenchConfig
 
 #: Web tension that one unit of a drive may stand for without a note, N.
 _COARSE_N = 1.0

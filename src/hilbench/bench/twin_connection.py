@@ -14,14 +14,14 @@ from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from math import inf
 
-from hilbench.bench.change import Change
-from hilbench.bench.config import BenchConfig
-from hilbench.bench.cycle import CyclicExchange
-from hilbench.bench.nodes import Nodes
-from hilbench.bench.processes import ChildProcess
-from hilbench.bench.sample import CycleSample
-from hilbench.bench.twin_trust import TwinTrust
+from hilbench.bench.operator.change import Change
+from hilbench.bench.tasks.twin_trust import TwinTrust
 from hilbench.errors import BenchFaultError
+from hilbench.exchange.cycle import CyclicExchange
+from hilbench.exchange.nodes import Nodes
+from hilbench.processes import ChildProcess
+from hilbench.topology.config import BenchConfig
+from hilbench.topology.sample import CycleSample
 
 #: So often the twin's process is started again in one run.
 _MOST_STARTS = 3

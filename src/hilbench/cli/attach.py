@@ -7,17 +7,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import canopen
-
-from hilbench.bus.open import BusAddress, open_python_can
+from hilbench.can.open import BusAddress, open_python_can
+from hilbench.canopen.eds import load_eds
+from hilbench.canopen.master import Master
+from hilbench.canopen.mastery import mastery
+from hilbench.canopen.sdo_reader import SdoReader
 from hilbench.doctor.eds_match import find_eds
 from hilbench.errors import BenchFaultError, UnusableInputError
-from hilbench.fieldbus.eds import load_eds
-from hilbench.fieldbus.master import Master
-from hilbench.fieldbus.mastery import mastery
-from hilbench.fieldbus.sdo_reader import SdoReader
 
 if TYPE_CHECKING:  # the models take their time to import; a command without a config does not need them
-    from hilbench.experiment.config import ExperimentConfig
+    from hilbench.runs.config import ExperimentConfig
 
 _TIMEOUT_S = 1.0
 #: Node id of a bench of which there is no config.
@@ -28,7 +27,7 @@ def config_and_bus(config: Path | None, bus: str | None) -> tuple[ExperimentConf
     """The config, where one is given, and the bus as it runs. Raises UnusableInputError."""
     if config is None:
         return None, BusAddress.parse(bus or "embedded").as_it_runs()
-    from hilbench.experiment.config import load_with_overrides
+    from hilbench.runs.config import load_with_overrides
 
     loaded = load_with_overrides(config, bus=bus).config
     return loaded, loaded.bus_address.as_it_runs()
@@ -69,7 +68,7 @@ def node_and_eds(
         entry = getattr(config.nodes, node)
         return entry.node_id, node, load_eds(entry.eds, entry.node_id)
     if config is not None and is_the_bench(node, config):
-        from hilbench.bench.operator_objects import dictionary
+        from hilbench.bench.operator.operator_objects import dictionary
 
         return config.master.node_id, "bench", dictionary(config)
     if not node.isdecimal() or not 1 <= int(node) <= 127:

@@ -5,10 +5,10 @@ from __future__ import annotations
 import json
 from math import isfinite
 
-from hilbench.bus.open import open_link
+from hilbench.can.open import open_link
 from hilbench.errors import BusError, UnusableInputError
-from hilbench.experiment.check import CheckedExperiment, check_experiment
-from hilbench.experiment.config import ExperimentConfig, LoadedConfig
+from hilbench.runs.check import CheckedExperiment, check_experiment
+from hilbench.runs.config import ExperimentConfig, LoadedConfig
 
 
 def check_command(loaded: LoadedConfig, *, as_json: bool) -> None:

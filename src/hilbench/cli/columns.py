@@ -6,8 +6,8 @@ from pathlib import Path
 
 import typer
 
-from hilbench.record.columns import unknown_columns
-from hilbench.record.recording import Recording
+from hilbench.results.columns import unknown_columns
+from hilbench.results.recording import Recording
 
 
 def tell(path: Path, text: str) -> None:
@@ -15,7 +15,7 @@ def tell(path: Path, text: str) -> None:
     typer.echo(f"hilbench: {path}: {text}", err=True)
 
 
-def tell_unknown(recording: Recording, path: Path) -> None:
+def report_unknown(recording: Recording, path: Path) -> None:
     """Say which columns are no channel, and what may have been meant."""
     unknown = unknown_columns(list(recording.channels))
     if unknown:

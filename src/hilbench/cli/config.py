@@ -61,7 +61,7 @@ def schema(
     """
     from json import dumps
 
-    from hilbench.experiment.config_text import json_schema
+    from hilbench.runs.config_text import json_schema
 
     text = dumps(json_schema(), indent=2, ensure_ascii=False) + "\n"
     if out is None:
@@ -86,8 +86,8 @@ def new(
     """
     from hilbench import strict_yaml
     from hilbench.bench.check import check_bench
-    from hilbench.experiment.config import ExperimentConfig
-    from hilbench.experiment.config_text import commented_yaml
+    from hilbench.runs.config import ExperimentConfig
+    from hilbench.runs.config_text import commented_yaml
 
     if path.exists():
         raise UnusableInputError(path, "is there already, expected a new file")
@@ -121,7 +121,7 @@ def new(
 def _asked(document: Document) -> Document:
     """The document with an answer to every question; what it has already is suggested."""
     from hilbench import strict_yaml
-    from hilbench.experiment.config import ExperimentConfig
+    from hilbench.runs.config import ExperimentConfig
 
     for question, location, suggested in _QUESTIONS:
         while True:

@@ -29,10 +29,10 @@ def convert(
 
     Example: hilbench convert machine.csv recording.mf4 --columns columns.yaml
     """
-    from hilbench.cli.columns import tell, tell_unknown
-    from hilbench.record.foreign import read_foreign
-    from hilbench.record.recording import read_recording, write_recording
-    from hilbench.record.trace_files import FORMATS, read_trace, write_trace
+    from hilbench.cli.columns import report_unknown, tell
+    from hilbench.results.import_mapping import read_foreign
+    from hilbench.results.recording import read_recording, write_recording
+    from hilbench.results.trace_files import FORMATS, read_trace, write_trace
 
     for read in (source, columns):
         if read is not None and _is_same_file(read, target):
@@ -42,7 +42,7 @@ def convert(
         return
     if columns is None:
         recording = read_recording(source)
-        tell_unknown(recording, source)
+        report_unknown(recording, source)
     else:
         recording = read_foreign(source, columns, lambda text: tell(source, text))
     write_recording(recording, target)
@@ -64,8 +64,8 @@ def dbc(
 
     Example: hilbench dbc bench_configs/web_section_step.yaml --out web_section.dbc
     """
-    from hilbench.bench.pdo_set import pdo_set_dbc
-    from hilbench.experiment.config import load
+    from hilbench.exchange.pdo_set import pdo_set_dbc
+    from hilbench.runs.config import load
 
     text = pdo_set_dbc(load(config)[0])
     if out is None:

@@ -10,19 +10,19 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from hilbench.bench.config import BenchConfig
-from hilbench.cli.columns import tell_unknown
+from hilbench.cli.columns import report_unknown
 from hilbench.cli.model_option import config_from, model_from
 from hilbench.cli.progress import ProgressDisplay
-from hilbench.diagnose.diagnosis import Diagnosis, NamedEffect, diagnose
-from hilbench.diagnose.imitated import imitation_beside, imitation_of
-from hilbench.diagnose.live import LiveGap, live_gap, run_bench
+from hilbench.diagnosis.diagnosis import Diagnosis, NamedEffect, diagnose
+from hilbench.diagnosis.imitated import imitation_beside, imitation_of
+from hilbench.diagnosis.live import LiveGap, live_gap, run_bench
 from hilbench.errors import BenchFaultError, UnusableInputError
-from hilbench.experiment.config import load_with_overrides, write_config_over
-from hilbench.record.recording import read_recording
+from hilbench.plant.web_line.imitation import Imitation
+from hilbench.plant.web_line.parameters import write_model
 from hilbench.report.diagnosis_page import LIVE_ROWS, write_diagnosis_page
-from hilbench.web.imitation import Imitation
-from hilbench.web.parameters import write_model
+from hilbench.results.recording import read_recording
+from hilbench.runs.config import load_with_overrides, write_config_over
+from hilbench.topology.config import BenchConfig
 
 #: Columns that the tables need; a narrower terminal wraps whole lines, it loses no figures.
 _WIDTH = 100
@@ -69,7 +69,7 @@ def diagnose_command(source: Path, model_path: Path | None, out: Path | None, *,
             config, model = config_from(model_path), model_from(model_path)
             progress.announce("read the recording", 0.0)
             recording = read_recording(source)
-            tell_unknown(recording, source)
+            report_unknown(recording, source)
             imitation = _imitation(source, config)
             diagnosis = diagnose(recording, model, source, progress.announce, imitation)
             found = _Found(diagnosis, None if config is None else model_path)

@@ -11,13 +11,13 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from hilbench.bus.open import BusAddress
+from hilbench.can.open import BusAddress
 from hilbench.doctor.examination import Examination, Start, Subject, examine
 from hilbench.doctor.findings import Finding, Level
 from hilbench.errors import EXIT_CRITERION_FAILED, EXIT_PASSED
 
 if TYPE_CHECKING:  # the models take their time to import; an examination without a config does not need them
-    from hilbench.experiment.config import LoadedConfig
+    from hilbench.runs.config import LoadedConfig
 
 _COLOURS = {Level.OK: "green", Level.WARNING: "yellow", Level.ERROR: "red"}
 

@@ -16,7 +16,7 @@ from hilbench.cli.options import BusOption, ConfigOption, EdsOption, ForceOption
 from hilbench.errors import UnusableInputError
 
 if TYPE_CHECKING:
-    from hilbench.drives.manual import DriveStatus, ManualDrive
+    from hilbench.cia402.manual import DriveStatus, ManualDrive
 
 _HEARTBEAT_S = 0.1
 _HEARTBEAT_TIME_OUT_MS = 500
@@ -75,11 +75,11 @@ def _drive(
 ) -> Iterator[tuple[ManualDrive, Callable[[], None]]]:
     from contextlib import ExitStack, suppress
 
-    from hilbench.bus.frame import Frame
-    from hilbench.bus.open import open_link
+    from hilbench.can.frame import Frame
+    from hilbench.can.open import open_link
+    from hilbench.cia402.configuration import read_units
+    from hilbench.cia402.manual import ManualDrive
     from hilbench.cli.attach import MASTER_ID, config_and_bus, known_to_master, node_on_bus, only_master
-    from hilbench.drives.configuration import read_units
-    from hilbench.drives.manual import ManualDrive
 
     bench, address = config_and_bus(config, bus)
     with ExitStack() as resources:
@@ -119,7 +119,7 @@ def _jog(manual: ManualDrive, heartbeat: Callable[[], None], speed_rad_s: float)
 def _follow_keys(
     manual: ManualDrive, key_pressed: Callable[[float], str | None], heartbeat: Callable[[], None], speed_rad_s: float
 ) -> None:
-    from hilbench.drives.manual import DeadManKey
+    from hilbench.cia402.manual import DeadManKey
 
     key, commanded, next_heartbeat_s = DeadManKey(), 0, 0.0
     while True:

@@ -9,14 +9,14 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
-from hilbench.bus import claims
-from hilbench.bus.claims import MASTER, Holder
-from hilbench.bus.hub_client import running_channels, statistics
-from hilbench.bus.interfaces import can_interfaces_up
-from hilbench.bus.link import Link
-from hilbench.bus.open import BusAddress, open_link
+from hilbench.can import claims
+from hilbench.can.claims import MASTER, Holder
+from hilbench.can.hub_client import running_channels, statistics
+from hilbench.can.interfaces import can_interfaces_up
+from hilbench.can.link import Link
+from hilbench.can.open import BusAddress, open_link
+from hilbench.canopen.emergency_stop import send_emergency_stop
 from hilbench.errors import EXIT_BENCH_FAULT, EXIT_PASSED, BusError, HilbenchError, UnusableInputError
-from hilbench.fieldbus.emergency_stop import send_emergency_stop
 
 #: How long the nodes' heartbeats are listened to afterwards.
 _LISTEN_S = 0.5

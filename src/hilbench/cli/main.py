@@ -41,7 +41,7 @@ def hilbench(
 
 
 def _load(config: Path, **overrides: Any) -> Any:
-    from hilbench.experiment.config import load_with_overrides
+    from hilbench.runs.config import load_with_overrides
 
     return load_with_overrides(config, **overrides)
 
@@ -90,7 +90,7 @@ def run(
 
     Example: hilbench run bench_configs/web_section_step.yaml --in-process --no-report
     """
-    from hilbench.bench.participants import Participants
+    from hilbench.bench.lifecycle.participants import Participants
     from hilbench.cli.run import run_command
 
     loaded = _load(config, bus=bus, pace=pace, seed=seed, changes=changes or ())
@@ -132,7 +132,7 @@ def doctor(
 
     Example: hilbench doctor bench_configs/web_section_step.yaml --bus socketcan:can0
     """
-    from hilbench.bus.open import BusAddress
+    from hilbench.can.open import BusAddress
     from hilbench.cli.doctor import doctor_command
 
     if config is None and changes:
@@ -158,8 +158,8 @@ def simulate_hardware(
 
     Example: hilbench simulate-hardware bench_configs/web_section_step.yaml --set hardware.sensors.torque_noise_Nm=0.1
     """
-    from hilbench.bench.hardware import simulate
-    from hilbench.bench.processes import report_lost_frames
+    from hilbench.hardware.simulation import simulate
+    from hilbench.processes import report_lost_frames
 
     report_lost_frames(simulate(_load(config, bus=bus, pace=pace, changes=changes or ()).config))
 
@@ -172,10 +172,10 @@ def twin(
 
     Example: hilbench twin bench_configs/web_section_step.yaml --bus socketcan:vcan0
     """
-    from hilbench.bench.processes import report_lost_frames, say, started_by_bench, stop_request
-    from hilbench.bench.twin_setup import twin_setup
-    from hilbench.fieldbus.mastery import nodes_of_ours
+    from hilbench.canopen.mastery import nodes_of_ours
+    from hilbench.processes import report_lost_frames, say, started_by_bench, stop_request
     from hilbench.twin.process import run_twin
+    from hilbench.twin.setup import twin_setup
 
     loaded, stop = _load(config, bus=bus, pace=pace, changes=changes or ()).config, stop_request()
     with nodes_of_ours(loaded.bus_address, loaded.virtual_nodes, "twin", by_bench=started_by_bench()):
@@ -225,8 +225,8 @@ def report(run_folder: Annotated[Path, typer.Argument(metavar="RUN", help="run f
 
     Example: hilbench report runs/web_section_step-20260101-120000
     """
-    from hilbench.record.run_folder import RunFolder
     from hilbench.report.html import write_report
+    from hilbench.results.run_folder import RunFolder
 
     print(write_report(RunFolder.open(run_folder)))
 

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from hilbench import strict_yaml
-from hilbench.experiment.config import ExperimentConfig, is_model, load
-from hilbench.web.parameters import ModelParameters, load_model
+from hilbench.plant.web_line.parameters import ModelParameters, load_model
+from hilbench.runs.config import ExperimentConfig, is_model, load
 
 
 def model_from(path: Path) -> ModelParameters:

@@ -10,7 +10,7 @@ import typer
 from hilbench.cli.options import BusOption, ConfigArgument, JsonOption
 
 if TYPE_CHECKING:
-    from hilbench.bus.link import Link
+    from hilbench.can.link import Link
     from hilbench.monitor.picture import BusPicture
 
 
@@ -33,10 +33,10 @@ def monitor(
 
     Example: hilbench monitor bench_configs/web_section_step.yaml --bus socketcan:can0
     """
-    from hilbench.bus.open import open_link
+    from hilbench.can.open import open_link
     from hilbench.errors import UnusableInputError
-    from hilbench.experiment.config import load_with_overrides
     from hilbench.monitor.picture import BusPicture
+    from hilbench.runs.config import load_with_overrides
 
     if not json and not sys.stdout.isatty():
         raise UnusableInputError("standard output", "no terminal, expected one for the dashboard, or --json")

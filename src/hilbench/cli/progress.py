@@ -8,7 +8,7 @@ from collections.abc import Callable
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-from hilbench.bench.sample import CycleSample
+from hilbench.topology.sample import CycleSample
 
 #: Experiment time between two lines of a run where there is no terminal, and wall time between two words on one.
 _LINE_EVERY_S, _WORD_EVERY_S = 5.0, 0.2

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from hilbench.record.recording import read_recording
-from hilbench.record.recover import recover_run
-from hilbench.record.run_folder import RunFolder
 from hilbench.report.html import write_report
+from hilbench.results.recording import read_recording
+from hilbench.results.recover import recover_run
+from hilbench.results.run_folder import RunFolder
 
 
 def recover_command(path: Path) -> None:

@@ -11,7 +11,7 @@ from hilbench.cli.options import BusOption, ForceOption, JsonOption
 from hilbench.errors import UnusableInputError
 
 if TYPE_CHECKING:
-    from hilbench.record.run_folder import RunFolder
+    from hilbench.results.run_folder import RunFolder
 
 
 def replay(
@@ -51,12 +51,12 @@ def replay(
 def _trace(run: Path, bus: str | None, speed: float, *, commands: bool, force: bool) -> dict[str, Any]:
     from contextlib import closing
 
-    from hilbench.bus.open import open_link
+    from hilbench.can.open import open_link
     from hilbench.cli.attach import config_and_bus, only_master
-    from hilbench.record.replay import check_speed
-    from hilbench.record.replay import replay as replay_frames
-    from hilbench.record.run_folder import RunFolder
-    from hilbench.record.trace_files import read_trace
+    from hilbench.results.replay import check_speed
+    from hilbench.results.replay import replay as replay_frames
+    from hilbench.results.run_folder import RunFolder
+    from hilbench.results.trace_files import read_trace
 
     check_speed(speed)
     path = RunFolder.open(run).trace if run.is_dir() else run
@@ -70,14 +70,14 @@ def _trace(run: Path, bus: str | None, speed: float, *, commands: bool, force: b
 def _twin(run: Path, method: str | None, out: Path | None) -> dict[str, Any]:
     import numpy as np
 
-    from hilbench.experiment.config import load
-    from hilbench.experiment.events import journal_events
-    from hilbench.experiment.metrics import evaluate_metrics
-    from hilbench.experiment.synchronization import measurements_of, methods_of
-    from hilbench.record.journal import read_journal
-    from hilbench.record.recording import Recording, read_recording, write_recording
-    from hilbench.record.run_folder import RunFolder
-    from hilbench.twin.offline import run_offline
+    from hilbench.diagnosis.synchronization import measurements_of, methods_of
+    from hilbench.estimation.offline import run_offline
+    from hilbench.results.journal import read_journal
+    from hilbench.results.recording import Recording, read_recording, write_recording
+    from hilbench.results.run_folder import RunFolder
+    from hilbench.runs.config import load
+    from hilbench.runs.events import journal_events
+    from hilbench.runs.metrics import evaluate_metrics
 
     folder: RunFolder = RunFolder.open(run)
     config, _ = load(folder.config)

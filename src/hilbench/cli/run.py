@@ -12,12 +12,12 @@ from rich.markup import escape
 from rich.table import Table
 
 from hilbench.bench.bench import Bench
-from hilbench.bench.participants import Participants
-from hilbench.bench.sample import CycleSample
-from hilbench.experiment.config import LoadedConfig
-from hilbench.record.result import Result, StepRecord, Timing
-from hilbench.record.run import RunOutcome, run_experiment
+from hilbench.bench.lifecycle.participants import Participants
 from hilbench.report.html import write_report
+from hilbench.results.result import Result, StepRecord, Timing
+from hilbench.results.run import RunOutcome, run_experiment
+from hilbench.runs.config import LoadedConfig
+from hilbench.topology.sample import CycleSample
 
 _REFRESH_S = 0.2
 _PLAIN_LINE_EVERY_S = 5.0

@@ -12,7 +12,7 @@ from hilbench.errors import EXIT_CRITERION_FAILED, EXIT_PASSED
 
 if TYPE_CHECKING:
     from hilbench.doctor.scan import Scan, Station
-    from hilbench.experiment.config import ExperimentConfig
+    from hilbench.runs.config import ExperimentConfig
 
 _SDO_TIMEOUT_S = 0.3
 
@@ -38,13 +38,13 @@ def scan(
     """
     from json import dumps
 
-    from hilbench.bus.open import open_link, open_python_can
+    from hilbench.can.open import open_link, open_python_can
+    from hilbench.canopen.eds import load_eds
+    from hilbench.canopen.mastery import master_of
+    from hilbench.canopen.sdo_reader import SdoReader
     from hilbench.cli.attach import MASTER_ID, config_and_bus
     from hilbench.doctor.eds_match import EdsFile, eds_files, identity
     from hilbench.doctor.scan import scan as scan_bus
-    from hilbench.fieldbus.eds import load_eds
-    from hilbench.fieldbus.mastery import master_of
-    from hilbench.fieldbus.sdo_reader import SdoReader
 
     bench, address = config_and_bus(config, bus)
     files = eds_files(eds)

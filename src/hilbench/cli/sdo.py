@@ -18,8 +18,8 @@ from hilbench.errors import BenchFaultError, UnusableInputError
 if TYPE_CHECKING:
     from canopen.objectdictionary import ODVariable
 
-    from hilbench.fieldbus.master import Master
-    from hilbench.fieldbus.sdo_reader import SdoReader
+    from hilbench.canopen.master import Master
+    from hilbench.canopen.sdo_reader import SdoReader
 
 ObjectArgument = Annotated[
     str, typer.Argument(metavar="OBJECT", help="6041, 6041h, 0x1018sub1, 1018:1, or a name: target_velocity")
@@ -110,7 +110,7 @@ class _Object:
 
     def parse(self, text: str) -> Any:
         """A value as the object takes it. Raises UnusableInputError."""
-        from hilbench.fieldbus.data_types import data_type
+        from hilbench.canopen.data_types import data_type
 
         kind = data_type(self.variable.data_type or 0)
         plain = not kind.is_number or text.lower().startswith("0x") or _is_number(text)
@@ -168,7 +168,10 @@ def _object(
     force: bool = False,
     may_be_unknown: bool = False,
 ) -> Iterator[_Object | _UnknownObject]:
-    from hilbench.bus.open import open_python_can
+    from hilbench.can.open import open_python_can
+    from hilbench.canopen.sdo_reader import SdoReader
+    from hilbench.cia402.configuration import read_units
+    from hilbench.cia402.object_units import has_drive_unit, si_unit
     from hilbench.cli.attach import (
         config_and_bus,
         is_the_bench,
@@ -177,9 +180,6 @@ def _object(
         node_on_bus,
         only_master,
     )
-    from hilbench.drives.configuration import read_units
-    from hilbench.drives.object_units import has_drive_unit, si_unit
-    from hilbench.fieldbus.sdo_reader import SdoReader
 
     bench, address = config_and_bus(config, bus)
     with ExitStack() as resources:
@@ -213,7 +213,7 @@ def _index(name: str) -> tuple[int, int] | None:
 
 
 def _has(od: Any, index: int, sub: int) -> bool:
-    from hilbench.fieldbus import eds as eds_files
+    from hilbench.canopen import eds as eds_files
 
     try:
         eds_files.variable(od, index, sub)
@@ -223,7 +223,7 @@ def _has(od: Any, index: int, sub: int) -> bool:
 
 
 def _variable(od: Any, name: str) -> ODVariable:
-    from hilbench.fieldbus import eds as eds_files
+    from hilbench.canopen import eds as eds_files
 
     index = _index(name)
     try:

@@ -12,10 +12,9 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from hilbench.cli.columns import tell_unknown
+from hilbench.cli.columns import report_unknown
 from hilbench.cli.model_option import model_from
-from hilbench.errors import EXIT_CRITERION_FAILED, EXIT_PASSED, BenchFaultError, UnusableInputError
-from hilbench.experiment.synchronization import (
+from hilbench.diagnosis.synchronization import (
     SETTLED_AFTER_S,
     Comparison,
     compare_methods,
@@ -23,9 +22,10 @@ from hilbench.experiment.synchronization import (
     measurements_of,
     methods_of,
 )
-from hilbench.record.recording import read_recording
-from hilbench.record.run_folder import RunFolder
+from hilbench.errors import EXIT_CRITERION_FAILED, EXIT_PASSED, BenchFaultError, UnusableInputError
 from hilbench.report.sync_page import COLUMNS, rows, write_sync_page
+from hilbench.results.recording import read_recording
+from hilbench.results.run_folder import RunFolder
 from hilbench.scripts.sweep import Row, Sweep
 
 #: The published method transfers no state; a quicker tension loop would only follow its errors.
@@ -72,7 +72,7 @@ def sync_command(
     """Compare, print, and write the page into `out`. Raises UnusableInputError for what can't be used."""
     chosen = methods_of(methods)
     model, recording = model_from(model_path), read_recording(recording_path)
-    tell_unknown(recording, recording_path)
+    report_unknown(recording, recording_path)
     data = measurements_of(recording, recording_path)
     length_s = float(data.t_s[-1] - data.t_s[0])
     if length_s <= SETTLED_AFTER_S:

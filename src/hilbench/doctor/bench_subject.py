@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterable
 from math import ceil
 
-from hilbench.bench.config import BenchConfig
-from hilbench.bench.nodes import Nodes
-from hilbench.bench.startup import start_children
+from hilbench.bench.lifecycle.startup import start_children
+from hilbench.canopen.pdo import PdoMap, bit_length
 from hilbench.doctor.eds_match import default, identity
 from hilbench.doctor.examination import Start, Subject
 from hilbench.doctor.stations import ExpectedNode, MappedObject
-from hilbench.fieldbus.pdo import PdoMap, bit_length
+from hilbench.exchange.nodes import Nodes
+from hilbench.topology.config import BenchConfig
 
 
 def subject_of(config: BenchConfig) -> Subject:

@@ -6,10 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import canopen
-
+from hilbench.canopen import eds
+from hilbench.canopen.sdo_reader import SdoReader
 from hilbench.errors import UnusableInputError
-from hilbench.fieldbus import eds
-from hilbench.fieldbus.sdo_reader import SdoReader
 
 _SUFFIXES = (".eds", ".dcf")
 _VENDOR, _PRODUCT, _REVISION = 0, 1, 2

@@ -15,20 +15,20 @@ from pathlib import Path
 
 from can.typechecking import CanFilters
 
-from hilbench.bench.processes import ChildProcess
-from hilbench.bus.link import Link
-from hilbench.bus.open import BusAddress, open_link, open_python_can
+from hilbench.can.link import Link
+from hilbench.can.open import BusAddress, open_link, open_python_can
+from hilbench.canopen.listening import listen, present
+from hilbench.canopen.mastery import master_of
+from hilbench.canopen.sdo_reader import SdoReader
+from hilbench.doctor.check_interface import InterfaceNeeds, check_interface
+from hilbench.doctor.check_machine import MachineNeeds, check_machine
+from hilbench.doctor.check_stations import check_heard, check_node
 from hilbench.doctor.findings import Check, Finding, Level, error, ok, warning
 from hilbench.doctor.interface import read_interface
-from hilbench.doctor.judge_interface import InterfaceNeeds, judge_interface
-from hilbench.doctor.judge_machine import MachineNeeds, judge_machine
-from hilbench.doctor.judge_stations import judge_heard, judge_node
 from hilbench.doctor.machine import Lateness, measure_lateness, read_machine
 from hilbench.doctor.stations import ExpectedNode, ask
 from hilbench.errors import BenchFaultError
-from hilbench.fieldbus.listening import listen, present
-from hilbench.fieldbus.mastery import master_of
-from hilbench.fieldbus.sdo_reader import SdoReader
+from hilbench.processes import ChildProcess
 
 _LISTEN_S = 1.0
 _MEASURE_S = 0.5
@@ -92,7 +92,7 @@ def examine(subject: Subject, *, start: Start | None, announce: Callable[[str], 
     lateness = measure_lateness(subject.cycle_s, _MEASURE_S)
     bus = subject.bus
     on_socketcan = bus is not None and bus.interface == "socketcan"
-    machine = judge_machine(read_machine(), lateness, MachineNeeds(subject.realtime, subject.cycle_s, on_socketcan))
+    machine = check_machine(read_machine(), lateness, MachineNeeds(subject.realtime, subject.cycle_s, on_socketcan))
     if bus is None:
         return Examination(machine, lateness)
     if bus.interface != "socketcan":
@@ -101,11 +101,11 @@ def examine(subject: Subject, *, start: Start | None, announce: Callable[[str], 
         return Examination(machine + interface + _stations(subject, bus, start, announce), lateness)
     needs = InterfaceNeeds(bus.bitrate, subject.frames_per_cycle, subject.bitrate_source)
     before = read_interface(bus.channel)
-    interface = judge_interface(before, before, needs)
+    interface = check_interface(before, before, needs)
     if any(finding.level is Level.ERROR for finding in interface):
         return Examination([*machine, *interface, _left_alone(bus)], lateness)
     stations = _stations(subject, bus, start, announce)
-    interface = judge_interface(before, read_interface(bus.channel), needs)
+    interface = check_interface(before, read_interface(bus.channel), needs)
     return Examination(machine + interface + stations, lateness)
 
 
@@ -138,7 +138,7 @@ def _on_bus(
     findings = [ok(Check.BUS, str(bus), "opens")]
     master = master_of(bus)
     claimed_by = None if master is None else str(master)
-    findings += judge_heard(heard, subject.nodes, subject.master_id, str(bus), claimed_by)
+    findings += check_heard(heard, subject.nodes, subject.master_id, str(bus), claimed_by)
     if not subject.nodes or claimed_by or heard.signs_of_master(subject.master_id):
         return findings
     ours = [node.node_id for node in subject.nodes if node.ours]
@@ -152,7 +152,7 @@ def _on_bus(
     announce("ask the nodes")
     with SdoReader(open_python_can(bus, _SDO_ANSWERS), subject.sdo_timeout_s) as reader:
         for node in subject.nodes:
-            findings += judge_node(node, ask(reader, node))
+            findings += check_node(node, ask(reader, node))
     return findings
 
 

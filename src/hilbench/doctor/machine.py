@@ -8,7 +8,7 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from hilbench.bench import pacing
+from hilbench.exchange import pacing
 
 _ROOT = Path("/")
 _CAP_NET_ADMIN, _CAP_IPC_LOCK, _CAP_SYS_NICE = 12, 14, 23  # <linux/capability.h>

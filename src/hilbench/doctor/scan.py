@@ -6,14 +6,14 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from hilbench.bus.frame import Frame
-from hilbench.bus.link import Link
+from hilbench.can.frame import Frame
+from hilbench.can.link import Link
+from hilbench.canopen.device import NmtState
+from hilbench.canopen.listening import hear, master_at_work, present, sort_by_node
+from hilbench.canopen.sdo_reader import SdoReader
+from hilbench.cia402 import objects
+from hilbench.cia402.state_machine import decode_statusword
 from hilbench.doctor.eds_match import EdsFile, read_identity
-from hilbench.drives import objects
-from hilbench.drives.state_machine import decode_statusword
-from hilbench.fieldbus.device import NmtState
-from hilbench.fieldbus.listening import hear, master_at_work, present, sort_by_node
-from hilbench.fieldbus.sdo_reader import SdoReader
 
 _HEARTBEAT = 0x700
 _CIA_402 = 402

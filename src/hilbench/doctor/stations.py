@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from hilbench.fieldbus.sdo_reader import Answer, SdoReader
+from hilbench.canopen.sdo_reader import Answer, SdoReader
 
 _IDENTITY_ENTRIES = 3  # vendor id, product code, revision number
 

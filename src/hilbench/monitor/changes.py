@@ -1,4 +1,4 @@
-"""Asks a running bench to change a quantity: SDO writes of the bench's own node (`hilbench.bench.operator_objects`)."""
+"""Asks a running bench to change a quantity: SDO writes of its node (`hilbench.bench.operator.operator_objects`)."""
 
 from __future__ import annotations
 
@@ -9,12 +9,11 @@ from dataclasses import dataclass
 from typing import Final
 
 from canopen import SdoAbortedError
-
-from hilbench.bench.config import BenchConfig
-from hilbench.bench.operator_objects import INDEX, QUANTITIES, answer_id, ranges, request_id
-from hilbench.bench.quantities import LINE_SPEED, TENSION_SET_POINT, YOUNGS_MODULUS
-from hilbench.bus.frame import Frame
-from hilbench.fieldbus.object_store import PRESENT_STATE, VALUE_TOO_HIGH, VALUE_TOO_LOW
+from hilbench.bench.operator.operator_objects import INDEX, QUANTITIES, answer_id, ranges, request_id
+from hilbench.can.frame import Frame
+from hilbench.canopen.object_store import PRESENT_STATE, VALUE_TOO_HIGH, VALUE_TOO_LOW
+from hilbench.topology.config import BenchConfig
+from hilbench.topology.quantities import LINE_SPEED, TENSION_SET_POINT, YOUNGS_MODULUS
 
 #: Expedited download of four bytes, its confirmation, and an abort (CiA 301, 7.2.4.3).
 _DOWNLOAD, _DONE, _ABORT = 0x23, 0x60, 0x80

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from enum import Enum
 
-from hilbench.bus.frame import Frame
-from hilbench.fieldbus.emergency_stop import EMERGENCY_STOP_COB_ID
+from hilbench.can.frame import Frame
+from hilbench.canopen.emergency_stop import EMERGENCY_STOP_COB_ID
 
 _NMT, _SYNC, _HEARTBEAT = 0x000, 0x080, 0x700
 _ALL = 0

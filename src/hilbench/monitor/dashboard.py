@@ -17,9 +17,9 @@ from textual.css.query import NoMatches
 from textual.screen import ModalScreen
 from textual.widgets import DataTable, Footer, Input, Log, Sparkline, Static
 
-from hilbench.bus.link import Link
+from hilbench.can.link import Link
+from hilbench.canopen.emergency_stop import send_emergency_stop
 from hilbench.errors import BusError
-from hilbench.fieldbus.emergency_stop import send_emergency_stop
 from hilbench.monitor.changes import CHANGEABLE, ChangeRequests, Quantity
 from hilbench.monitor.condition import Condition
 from hilbench.monitor.picture import BusPicture, NodePicture

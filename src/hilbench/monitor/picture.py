@@ -14,17 +14,17 @@ from typing import Any
 
 import numpy as np
 
-from hilbench.bench.config import BenchConfig
-from hilbench.bench.nodes import Nodes, declared_units
-from hilbench.bench.timeliness import Timeliness
-from hilbench.bus.frame import EXTENDED_FLAG, Frame
-from hilbench.bus.wire import frame_bits
+from hilbench.can.frame import EXTENDED_FLAG, Frame
+from hilbench.can.wire import frame_bits
+from hilbench.cia402 import objects
+from hilbench.cia402.object_units import si_unit
+from hilbench.cia402.state_machine import State, decode_statusword
+from hilbench.cia402.units import DriveUnits
 from hilbench.doctor.scan import nmt_states
-from hilbench.drives import objects
-from hilbench.drives.object_units import si_unit
-from hilbench.drives.state_machine import State, decode_statusword
-from hilbench.drives.units import DriveUnits
+from hilbench.exchange.nodes import Nodes, declared_units
+from hilbench.exchange.timeliness import Timeliness
 from hilbench.monitor.condition import SILENCE_S, BenchWatch, Condition
+from hilbench.topology.config import BenchConfig
 
 _SYNC = 0x080
 _HEARTBEAT = 0x700

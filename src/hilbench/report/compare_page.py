@@ -12,16 +12,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.errors import UnusableInputError
-from hilbench.experiment.events import find_events
-from hilbench.experiment.metrics import METRICS, working_window
-from hilbench.record.recording import Recording, read_recording
-from hilbench.record.result import Result
-from hilbench.record.run_folder import RunFolder
 from hilbench.report.chart import BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILLION, Chart, Curve
 from hilbench.report.html import digits, figure, number, page, section, table
 from hilbench.report.live import interactive
 from hilbench.report.plots import SMOOTHING_S, Picture, drawn
 from hilbench.report.reduce import mean_velocity, moving_average
+from hilbench.results.recording import Recording, read_recording
+from hilbench.results.result import Result
+from hilbench.results.run_folder import RunFolder
+from hilbench.runs.events import find_events
+from hilbench.runs.metrics import METRICS, working_window
 
 Array = NDArray[np.float64]
 

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from hilbench.diagnose.diagnosis import Diagnosis
-from hilbench.diagnose.live import LiveGap
+from hilbench.diagnosis.diagnosis import Diagnosis
+from hilbench.diagnosis.live import LiveGap
 from hilbench.errors import UnusableInputError
 from hilbench.report.chart import BLUE, VERMILLION, Chart, Curve, Mark
 from hilbench.report.html import figure, number, page, section, table

@@ -15,19 +15,19 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from hilbench.diagnosis.synchronization import reference_estimate
 from hilbench.errors import UnusableInputError
-from hilbench.experiment.config import load_with_overrides
-from hilbench.experiment.criteria import CriterionResult
-from hilbench.experiment.events import find_events
-from hilbench.experiment.metrics import METRICS
-from hilbench.experiment.synchronization import reference_estimate
-from hilbench.record.provenance import Provenance
-from hilbench.record.recording import Recording, read_recording
-from hilbench.record.result import Environment, EventRecord, Fault, Result, StepRecord, Timing
-from hilbench.record.run_folder import RunFolder
 from hilbench.report.chart import Mark
 from hilbench.report.live import interactive, policy, style
 from hilbench.report.plots import Picture, draw_histogram, run_pictures, zooms
+from hilbench.results.provenance import Provenance
+from hilbench.results.recording import Recording, read_recording
+from hilbench.results.result import Environment, EventRecord, Fault, Result, StepRecord, Timing
+from hilbench.results.run_folder import RunFolder
+from hilbench.runs.config import load_with_overrides
+from hilbench.runs.criteria import CriterionResult
+from hilbench.runs.events import find_events
+from hilbench.runs.metrics import METRICS
 
 _DASH = "–"
 #: Steps that stand side by side in a table, and those in the list of them.

@@ -17,9 +17,6 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.experiment.metrics import E_BAND, expected_v1_m_s
-from hilbench.record.recording import Recording
-from hilbench.record.result import Histogram
 from hilbench.report.chart import (
     BLUE,
     BROWN,
@@ -35,6 +32,9 @@ from hilbench.report.chart import (
     Mark,
 )
 from hilbench.report.reduce import envelope, mean_velocity, moving_average, thinned
+from hilbench.results.recording import Recording
+from hilbench.results.result import Histogram
+from hilbench.runs.metrics import E_BAND, expected_v1_m_s
 
 Array = NDArray[np.float64]
 

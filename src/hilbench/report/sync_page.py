@@ -7,9 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
+from hilbench.diagnosis.synchronization import Comparison
 from hilbench.errors import UnusableInputError
-from hilbench.experiment.metrics import E_BAND
-from hilbench.experiment.synchronization import Comparison
 from hilbench.report.chart import (
     BLUE,
     BROWN,
@@ -27,6 +26,7 @@ from hilbench.report.chart import (
 from hilbench.report.html import figure, number, page, section, table
 from hilbench.report.live import interactive
 from hilbench.report.plots import Picture, drawn
+from hilbench.runs.metrics import E_BAND
 
 COLOURS = {
     "pid": INK,

@@ -12,27 +12,28 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from hilbench.bench import bench, quantities
+from hilbench.bench import bench
 from hilbench.bench.bench import InterruptedByOperatorError
-from hilbench.bench.change import Change
 from hilbench.bench.check import check_bench
-from hilbench.bench.in_process import check_in_process
-from hilbench.bench.participants import Participants
-from hilbench.bench.startup import held_bus
-from hilbench.experiment.config import load_with_overrides
-from hilbench.experiment.criteria import CriterionResult
-from hilbench.experiment.events import EventLog
-from hilbench.experiment.metrics import Judgement, judge
-from hilbench.record.recording import Recording
-from hilbench.record.run import Recorder, RunRecord
-from hilbench.record.run_folder import RunFolder
+from hilbench.bench.lifecycle.in_process import check_in_process
+from hilbench.bench.lifecycle.participants import Participants
+from hilbench.bench.lifecycle.startup import held_bus
+from hilbench.bench.operator.change import Change
+from hilbench.results.recording import Recording
+from hilbench.results.run import Recorder, RunRecord
+from hilbench.results.run_folder import RunFolder
+from hilbench.runs.config import load_with_overrides
+from hilbench.runs.criteria import CriterionResult
+from hilbench.runs.events import EventLog
+from hilbench.runs.metrics import Judgement, judge
+from hilbench.topology import quantities
 
 
 @dataclass(frozen=True)
 class StepResponse:
     """What a step change did: the whole recording, when the step was (s of experiment time), and the metrics.
 
-    Metrics are those of `hilbench.experiment.metrics.METRICS` that a recording decides, of this step alone; None for
+    Metrics are those of `hilbench.runs.metrics.METRICS` that a recording decides, of this step alone; None for
     what it does not show, `not_judged` says why.
     """
 
@@ -185,7 +186,7 @@ class Bench(bench.Bench):
         return self._recorder.recording(self._made, self.config.description)
 
     def judge(self) -> Judgement:
-        """Every step until now with its figures (`hilbench.experiment.metrics`)."""
+        """Every step until now with its figures (`hilbench.runs.metrics`)."""
         return judge(self.recording.channels, journal=self._happened.events())
 
     def metrics(self) -> dict[str, float | None]:

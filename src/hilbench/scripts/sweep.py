@@ -19,7 +19,8 @@ from typing import Any
 
 import numpy as np
 
-from hilbench.bench.in_process import can_be_in_process
+from hilbench.bench.lifecycle.in_process import can_be_in_process
+from hilbench.canopen.mastery import mastery
 from hilbench.errors import (
     EXIT_BENCH_FAULT,
     EXIT_CRITERION_FAILED,
@@ -27,8 +28,7 @@ from hilbench.errors import (
     EXIT_PASSED,
     UnusableInputError,
 )
-from hilbench.experiment.config import load_with_overrides, parse_change
-from hilbench.fieldbus.mastery import mastery
+from hilbench.runs.config import load_with_overrides, parse_change
 
 _DEFINITION, _LOG, _TABLE, _PARQUET = "sweep.json", "results.jsonl", "results.csv", "results.parquet"
 _LAST_WORDS = 300
@@ -71,7 +71,7 @@ class Job:
     folder: str
 
 
-def carry_out(job: Job) -> Row | None:
+def execute(job: Job) -> Row | None:
     """Do a run in a process of its own, here; None when it was interrupted."""
     command = [sys.executable, "-m", "hilbench.cli", *job.arguments]
     ended = subprocess.run(command, capture_output=True, text=True, check=False)
@@ -213,7 +213,7 @@ class Sweep:
         if cluster is not None and self.alone:
             raise UnusableInputError("--cluster", "runs on a real bus, or in real time, go one after the other here")
         with _on_cluster(cluster) if cluster else ThreadPoolExecutor(1 if self.alone else jobs) as pool:
-            act = carry_out if cluster else self._carry_out
+            act = execute if cluster else self._carry_out
             waiting = {pool.submit(act, job): job for job in left}
             try:
                 while waiting:
@@ -246,7 +246,7 @@ class Sweep:
         return Job(number, changes, tuple(arguments), str(folder))
 
     def _carry_out(self, job: Job) -> Row | None:
-        row = None if self._stopped.is_set() else carry_out(job)
+        row = None if self._stopped.is_set() else execute(job)
         return None if self._stopped.is_set() else row
 
     def write_table(self) -> Path:

@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from hilbench.drives import objects
-from hilbench.drives.configuration import DriveSettings, drive_pdos
-from hilbench.drives.objects import OperationMode
-from hilbench.drives.units import DriveUnits, UnwrappingCounter
-from hilbench.fieldbus.eds import load_eds
+from hilbench.canopen.eds import load_eds
+from hilbench.cia402 import objects
+from hilbench.cia402.configuration import DriveSettings, drive_pdos
+from hilbench.cia402.objects import OperationMode
+from hilbench.cia402.units import DriveUnits, UnwrappingCounter
 
 
 @dataclass(frozen=True)

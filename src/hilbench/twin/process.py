@@ -9,26 +9,26 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from struct import pack
 
-from hilbench.bus.frame import Frame
-from hilbench.bus.open import BusAddress, open_link
-from hilbench.drives.port import MotorMode, MotorPort
-from hilbench.drives.simulated import SimulatedDrive
-from hilbench.fieldbus.clock import Clock, SyncClock
-from hilbench.fieldbus.device import Device, NmtState, SdoAbort
-from hilbench.fieldbus.eds import load_eds
-from hilbench.fieldbus.host import DeviceHost, HostedDevices
-from hilbench.fieldbus.sync_time import SyncTime
+from hilbench.can.frame import Frame
+from hilbench.can.open import BusAddress, open_link
+from hilbench.canopen.clock import Clock, SyncClock
+from hilbench.canopen.device import Device, NmtState, SdoAbort
+from hilbench.canopen.eds import load_eds
+from hilbench.canopen.host import DeviceHost, HostedDevices
+from hilbench.canopen.sync_time import SyncTime
+from hilbench.cia402.simulated import SimulatedDrive
+from hilbench.estimation.config import TwinConfig
+from hilbench.estimation.synchronizers.create import METHODS
+from hilbench.estimation.torque_shift import TORQUE_SHIFT, UNDECIDED
+from hilbench.estimation.tracking import Tracking
+from hilbench.plant.motor_port import MotorMode, MotorPort
+from hilbench.plant.web_line.line import Line
+from hilbench.plant.web_line.pairing import Pairing, SteadyWay
+from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.real_time import ProcessSettings, kept_ready
 from hilbench.twin.alarms import Alarms
 from hilbench.twin.axis_listener import AxisListener, RealAxis, TwinNode
-from hilbench.twin.config import TwinConfig
-from hilbench.twin.synchronizers.create import METHODS
-from hilbench.twin.torque_shift import TORQUE_SHIFT, UNDECIDED
-from hilbench.twin.tracking import Tracking
 from hilbench.twin.virtual_io import TwinStatus, VirtualIo
-from hilbench.web.line import Line
-from hilbench.web.pairing import Pairing, SteadyWay
-from hilbench.web.parameters import ModelParameters
 
 #: Error register (1001h): generic and device profile.
 _PROFILE_SPECIFIC = 0x21
@@ -122,7 +122,7 @@ class TwinApplication:
         self._sync_time = None if isinstance(setup.clock, SyncClock) else SyncTime(round(setup.cycle_s * 1e9))
         self._ahead = False  # of a SYNC that was counted as missed, and came
         virtual_io.on_method(self._use_method)
-        self._tell()
+        self._publish()
 
     def reset(self) -> None:
         """Start anew with what is assumed at the start (reset of the virtual I/O node)."""
@@ -135,7 +135,7 @@ class TwinApplication:
         self._reported_shift_Nm, self._reported_undecided = 0.0, False
         self._pending = self._released = False
         self._time_s = 0.0
-        self._tell()
+        self._publish()
 
     def start(self) -> None:
         """NMT start: SYNCs are counted from here."""
@@ -152,7 +152,7 @@ class TwinApplication:
         self._sync_number += 1
         self._behind = behind
         self._catch_up(behind)
-        self._io.tell_status(self._sync_number, behind, self._status())
+        self._io.publish_status(self._sync_number, behind, self._status())
 
     def _catch_up(self, behind: int) -> None:
         """In real time the axes have gone on through the cycles whose SYNC the bench has missed."""
@@ -168,7 +168,7 @@ class TwinApplication:
             self._time_s += self._cycle_s
         for drive in self._drives:
             drive.publish()
-        self._tell()
+        self._publish()
 
     def after_sync(self) -> None:
         """The TPDOs are out, the drives have new set points: simulate as soon as the measurements are there."""
@@ -217,7 +217,7 @@ class TwinApplication:
         self._measured = [None, None]
         for drive in self._drives:
             drive.publish()
-        self._tell()
+        self._publish()
 
     def _release_web(self) -> bool:
         """Take over motion and torque of the axes from their first two measurements; whether both are there.
@@ -316,7 +316,7 @@ class TwinApplication:
                 status |= bit
         return status
 
-    def _tell(self) -> None:
+    def _publish(self) -> None:
         tracking = self._tracking
         factor = self._line.elasticity_factor  # the E that acts is told, as of a web that is measured
         self._io.tell(

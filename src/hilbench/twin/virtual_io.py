@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from enum import IntFlag
 
-from hilbench.fieldbus.device import Device
+from hilbench.canopen.device import Device
 
 _INPUTS = 0x6403  #: read analogue input float: what the twin tells
 _OUTPUTS = 0x6413  #: write analogue output float: what the twin is told
@@ -52,7 +52,7 @@ class VirtualIo:
         self._torque_Nm.value = torque_Nm
         self._residual_Nm.value = residual_Nm
 
-    def tell_status(self, sync_number: int, age_cycles: int, status: int) -> None:
+    def publish_status(self, sync_number: int, age_cycles: int, status: int) -> None:
         """For which SYNC since NMT start the data are, how many more were waiting, and the bits of `TwinStatus`."""
         self._sync_number.value = sync_number & 0xFFFF
         self._age.value = min(age_cycles, 0xFF)

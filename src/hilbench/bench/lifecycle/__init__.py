@@ -1,0 +1,1 @@
+"""From nothing to a running bench, and back to the safe state."""

@@ -1,0 +1,38 @@
+"""A bench whose script does something else for a while: plots, waits for somebody, computes.
+
+In lockstep time stands still meanwhile, for the simulated devices as well, as long as the bench says that it is alive
+(`hilbench.canopen.clock.SyncClock`). A small thread says so between two cycles. When the process is stopped or gone,
+or a cycle hangs, nothing is said, and devices and supervisor stop the drives as ever.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+from hilbench.topology.config import BenchConfig
+
+
+def may_idle(config: BenchConfig) -> bool:
+    """Whether time can stand still: not for real drives, and not for anybody who goes by the wall clock."""
+    simulated = all(node.simulated for _, node in config.nodes)
+    return config.pace == "lockstep" and simulated and config.master.heartbeat_ms > 0
+
+
+@contextmanager
+def kept_alive(stay_alive: Callable[[], None], period_s: float) -> Iterator[None]:
+    """Call `stay_alive` every `period_s` of wall time, from a thread of its own, until the context is left."""
+    left = threading.Event()
+
+    def keep() -> None:
+        while not left.wait(period_s):
+            stay_alive()
+
+    thread = threading.Thread(target=keep, name="bench-idle", daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        left.set()
+        thread.join()

@@ -1,0 +1,121 @@
+"""Simulated hardware and twin inside the bench's own process: the same devices and frames, on a bus in memory.
+
+Nothing runs beside the bench: the devices are served whenever it looks for frames or has sent a request. In lockstep
+that changes no value: each participant acts on SYNC and on the frames it hears, whoever calls it.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+
+import can
+from hilbench.can.confinement import ControllerState
+from hilbench.can.frame import Frame
+from hilbench.can.memory import MemoryBus, MemoryCanBus, MemoryLink
+from hilbench.canopen.host import DeviceHost
+from hilbench.errors import UnusableInputError
+from hilbench.hardware.simulation import hardware
+from hilbench.topology.config import BenchConfig
+from hilbench.twin.process import twin
+from hilbench.twin.setup import twin_setup
+
+#: While nobody has anything to say the devices are served so often: their timers go by the wall clock then.
+_IDLE_S = 0.001
+
+
+def can_be_in_process(config: BenchConfig) -> bool:
+    """Whether `check_in_process` has nothing to say."""
+    try:
+        check_in_process(config)
+    except UnusableInputError:
+        return False
+    return True
+
+
+def check_in_process(config: BenchConfig) -> None:
+    """Raise UnusableInputError for a config whose participants cannot live in the bench's process."""
+    real = [part for part, node in config.nodes if not node.simulated]
+    for found, expected in (
+        (f"pace {config.pace}" if config.pace != "lockstep" else "", "lockstep"),
+        (f"bus {config.bus_address}" if config.bus_address.interface != "embedded" else "", "the embedded bus"),
+        (f"{', '.join(real)} not simulated" if real else "", "all nodes simulated"),
+    ):
+        if found:
+            raise UnusableInputError("in-process", f"found {found}, expected {expected}")
+
+
+class InProcess:
+    """The bus of one bench with its devices on it; its links may be used from several threads."""
+
+    def __init__(self, config: BenchConfig) -> None:
+        self.bus = MemoryBus(config.bus_address.channel, config.bus.bitrate)
+        self._lock = threading.RLock()
+        self._hosts = [
+            DeviceHost(self.bus.open_link(), *hosted) for hosted in (hardware(config), twin(twin_setup(config)))
+        ]
+
+    def boot(self) -> None:
+        """Let the devices say boot-up."""
+        with self._lock:
+            for host in self._hosts:
+                host.boot()
+
+    def serve(self) -> None:
+        """Let the devices handle what they have received."""
+        with self._lock:
+            for host in self._hosts:
+                host.serve(0.0)
+
+    def open_link(self) -> ServingLink:
+        """The bench's link for the cyclic path."""
+        return ServingLink(self)
+
+    def open_python_can(self) -> can.BusABC:
+        """The bench's bus for configuration traffic: what is sent is answered before `send` returns."""
+        return _ServingCanBus(self)
+
+
+class ServingLink:
+    """A link that serves the devices when it is asked for frames."""
+
+    def __init__(self, participants: InProcess) -> None:
+        self._participants = participants
+        self._link: MemoryLink = participants.bus.open_link()
+        self.channel = self._link.channel
+        self.send = self._link.send
+        self.set_filters = self._link.set_filters
+        self.fileno = self._link.fileno
+        self.close = self._link.close
+
+    def receive(self, timeout_s: float) -> list[Frame]:
+        if timeout_s > 0.0 or self._participants.bus.waiting:
+            self._participants.serve()
+        frames = self._link.receive(0.0)
+        if frames or timeout_s <= 0.0:
+            return frames
+        deadline_s = time.monotonic() + timeout_s
+        while not frames and time.monotonic() < deadline_s:
+            frames = self._link.receive(_IDLE_S)
+            self._participants.serve()
+        return frames
+
+    @property
+    def dropped(self) -> int:
+        return self._link.dropped
+
+    @property
+    def controller(self) -> ControllerState:
+        return self._link.controller
+
+
+class _ServingCanBus(MemoryCanBus):
+    """A python-can bus that serves the devices after each message."""
+
+    def __init__(self, participants: InProcess) -> None:
+        self._participants = participants
+        super().__init__(participants.bus)
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        super().send(msg, timeout)
+        self._participants.serve()

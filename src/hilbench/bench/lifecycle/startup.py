@@ -1,0 +1,250 @@
+"""From nothing to nodes that answer SYNC: processes, boot-up, configuration, NMT start."""
+
+from __future__ import annotations
+
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+import yaml
+
+from hilbench.bench.lifecycle.in_process import InProcess
+from hilbench.bench.lifecycle.participants import Participants
+from hilbench.bench.lifecycle.supervisor import Watch
+from hilbench.can.link import Link
+from hilbench.can.open import open_link, open_python_can
+from hilbench.canopen import master as nmt
+from hilbench.canopen.emergency_stop import EMERGENCY_STOP_COB_ID
+from hilbench.canopen.master import Master, SentFrames
+from hilbench.canopen.mastery import mastery
+from hilbench.errors import BusError, EmergencyStopError, UnusableInputError
+from hilbench.exchange.cycle import CyclicExchange, FrameTap
+from hilbench.exchange.nodes import Nodes
+from hilbench.plant.web_line.line import Line
+from hilbench.processes import ChildProcess
+from hilbench.real_time import kept_ready
+from hilbench.topology.config import BenchConfig
+
+#: After the start command the nodes' clocks stand still until SYNC; what they said just before it must not arrive as
+#: part of the first cycle.
+_AFTER_START_S = 0.1
+#: Of a node that does not wait for SYNC one comes for certain.
+_HEARTBEATS_TO_WAIT = 1.5
+#: For the last command to come back from the bus: it belongs in the trace.
+_LAST_FRAME_S = 0.1
+_EXPECTED = "expected simulate-hardware and twin that were started with --pace "
+#: Name of the twin's process.
+TWIN = "twin"
+
+
+@dataclass
+class StartedBench:
+    """What runs once the nodes are operational."""
+
+    nodes: Nodes
+    exchange: CyclicExchange
+    children: list[ChildProcess]
+    supervisor: ChildProcess | None  #: None when there is no heartbeat to watch
+    warnings: list[str]  #: what the config asks of the operating system and is not permitted
+
+
+@contextmanager
+def held_bus(config: BenchConfig, participants: Participants, *, force: bool = False) -> Iterator[None]:
+    """The bus of a bench, for it alone as master; one inside the process is nobody else's anyway.
+
+    Raises UnusableInputError when somebody else is its master (`force`: for what is heard only, not for a program of
+    this machine that says so), or plays a node that is to be started.
+    """
+    if participants is Participants.IN_PROCESS:
+        yield
+        return
+    brings = config.simulated_drives | config.virtual_nodes if participants is Participants.STARTED else {}
+    with mastery(config.bus_address, config.master.node_id, f"bench {config.name}", brings=brings, despite_heard=force):
+        yield
+
+
+@contextmanager
+def bring_up(
+    config: BenchConfig,
+    *,
+    tap: FrameTap | None,
+    work_folder: Path | None,
+    participants: Participants,
+    announce: Callable[[str], None],
+) -> Iterator[StartedBench]:
+    """Start the simulated hardware and the twin (unless they run already), configure the nodes, start them (NMT).
+
+    Everything is ended again on leaving. Raises BenchFaultError when a process ends, a node does not answer, or
+    refuses what it is told.
+    """
+    with ExitStack() as resources:
+        folder = work_folder or Path(resources.enter_context(tempfile.TemporaryDirectory(prefix="hilbench-")))
+        nodes = Nodes(config)
+        if participants is Participants.PRESENT:
+            _check_timing(config)
+        here = InProcess(config) if participants is Participants.IN_PROCESS else None
+        link = here.open_link() if here else open_link(config.bus_address)
+        resources.callback(link.close)
+        bus = here.open_python_can() if here else open_python_can(config.bus_address)
+        master = Master(bus, config.master.sdo_timeout_s)
+        resources.callback(master.close)
+        nodes.introduce(master)
+        with _watched(link, tap, master.sent):
+            children: list[ChildProcess] = []
+            supervisor = None
+            if here:
+                announce("boot simulated hardware and twin")
+                here.boot()
+            elif participants is Participants.STARTED:
+                announce("start simulated hardware and twin")
+                children = start_children(config, folder)
+            else:
+                announce("look for simulated hardware and twin")
+            for child in children:
+                resources.callback(child.end)
+            if not here:  # whoever ends this process ends the devices with it
+                supervisor = _start_supervisor(config, folder)
+            if supervisor is not None:
+                resources.callback(supervisor.end)
+            _wait_for_nodes(config, master, children, participants)
+            announce("configure nodes")
+            nodes.configure(master)
+            master.nmt(nmt.START)
+            time.sleep(_AFTER_START_S)
+            if participants is Participants.PRESENT:
+                check_that_they_wait(config, master)
+            master.receive_only_answers()
+        warnings: list[str] = []
+        resources.enter_context(kept_ready(config.process_settings("bench"), warnings.append))
+        exchange = CyclicExchange(
+            link,
+            cycle_ns=config.cycle_ns,
+            bitrate=config.bus.bitrate,
+            lockstep=config.pace == "lockstep",
+            expected=nodes.expected_pdos(),
+            timeout_s=config.safety.cycle_timeout_s,
+            missing_limit=config.safety.missing_cycles,
+            heartbeat=(config.master.node_id, config.master.heartbeat_ms),
+            tap=tap,
+        )
+        resources.callback(_release_nodes, master, exchange)
+        yield StartedBench(nodes, exchange, children, supervisor, warnings)
+
+
+def _check_timing(config: BenchConfig) -> None:
+    """An embedded bus has the timing of the pace for which its first station was started."""
+    address = config.bus_address
+    running = address.as_it_runs().timing
+    if running != address.timing:
+        found = "by the clock" if running == "real" else "by SYNC"
+        raise UnusableInputError(
+            "pace", f"{config.pace}, but who is on {address} goes {found}: {_EXPECTED}{config.pace}"
+        )
+
+
+def check_that_they_wait(config: BenchConfig, master: Master) -> None:
+    """Lockstep with simulated hardware and twin that somebody else has started: do they wait for SYNC?
+
+    Those that do have no time of their own between NMT start and the first SYNC. Raises UnusableInputError naming who
+    sends a heartbeat then; nobody is left OPERATIONAL.
+    """
+    if config.pace != "lockstep":
+        return
+    heard = master.heard_within(_HEARTBEATS_TO_WAIT * config.master.node_heartbeat_ms * 1e-3)
+    by_clock = [
+        f"{part.replace('_', ' ')} (node {node.node_id})"
+        for part, node in config.nodes
+        if node.simulated and node.node_id in heard
+    ]
+    if by_clock:
+        master.nmt(nmt.PRE_OPERATIONAL)
+        raise UnusableInputError(
+            "pace",
+            f"lockstep, but {', '.join(by_clock)} went by the clock: {_EXPECTED}lockstep",
+        )
+
+
+def _release_nodes(master: Master, exchange: CyclicExchange) -> None:
+    """Leave the nodes in PRE-OPERATIONAL; on a bus that was lost they are on their own."""
+    with suppress(BusError):
+        exchange.discard_waiting()
+        master.nmt(nmt.PRE_OPERATIONAL)
+        exchange.discard_waiting(_LAST_FRAME_S)
+
+
+def start_children(config: BenchConfig, folder: Path) -> list[ChildProcess]:
+    """Start the simulated hardware, where a node is simulated, and the twin; their logs go to `folder`."""
+    # Once, into the cache on disk: compiling takes longer than a process has to show itself on the bus.
+    Line(config.model).advance(config.cycle_time_s)
+    path = folder / "config.yaml"
+    if not path.exists():
+        path.write_text(yaml.safe_dump(config.model_dump(mode="json", exclude_none=True), sort_keys=False))
+    # Started by anybody else they go by the clock: only a bench knows that it waits for them.
+    arguments = [str(path), "--pace", config.pace]
+    children = []
+    if config.simulated_drives:
+        hardware = ["hilbench.cli", "simulate-hardware", *arguments]
+        children.append(ChildProcess("simulated hardware", hardware, folder / "hardware.log"))
+    children.append(ChildProcess(TWIN, ["hilbench.cli", "twin", *arguments], folder / "twin.log"))
+    return children
+
+
+def _start_supervisor(config: BenchConfig, folder: Path) -> ChildProcess | None:
+    if not config.master.heartbeat_ms:
+        return None
+    # In lockstep the bench waits for its participants, and no heartbeat comes meanwhile.
+    patience_s = config.safety.cycle_timeout_s if config.pace == "lockstep" else 0.0
+    watch = Watch(config.bus_address, config.master.node_id, patience_s + config.safety.supervisor_timeout_s)
+    return ChildProcess("supervisor", watch.arguments(), folder / "supervisor.log")
+
+
+def _wait_for_nodes(
+    config: BenchConfig, master: Master, children: list[ChildProcess], participants: Participants
+) -> None:
+    for _, node in config.nodes:
+        if (
+            participants is Participants.PRESENT or not node.simulated
+        ):  # it is there already: from its own reset on everything is known
+            master.nmt(nmt.RESET_NODE, node.node_id)
+
+    def check() -> None:
+        for child in children:
+            child.check()
+
+    master.wait_for_boot([node.node_id for _, node in config.nodes], config.master.boot_timeout_s, check)
+
+
+@contextmanager
+def _watched(link: Link, tap: FrameTap | None, sent: SentFrames) -> Iterator[None]:
+    """Hand the frames of the configuration to the tap while somebody else talks; what `sent` waits for is heard."""
+    done = threading.Event()
+    failures: list[BaseException] = []
+
+    def drain() -> None:
+        try:
+            while not done.is_set():
+                frames = link.receive(0.02)
+                if any(frame.can_id == EMERGENCY_STOP_COB_ID for frame in frames):
+                    failures.append(EmergencyStopError("emergency stop (COB-ID 001h) on the bus during the start"))
+                for frame in frames:
+                    sent.take(frame.can_id, frame.data)
+                if frames and tap is not None:
+                    now_ns = time.time_ns()
+                    tap.write([frame._replace(time_ns=now_ns) for frame in frames])
+                    tap.end_cycle()
+        except BaseException as error:  # handed to the thread that waits for us
+            failures.append(error)
+
+    thread = threading.Thread(target=drain, name="configuration-trace", daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        done.set()
+        thread.join()
+    if failures:
+        raise failures[0]

@@ -1,0 +1,105 @@
+"""The supervisor: a process of its own that stops the drives when the bench's cyclic loop does not go on.
+
+The bench's heartbeat comes from its cyclic loop, so its silence says that the loop has stalled, whatever the reason
+(the process was stopped or killed, it waits for something, the machine is overloaded). Drives that watch 1016h stop by
+themselves then; the supervisor stops those that don't, and those that are watched too loosely, by the emergency stop.
+Nothing is imported here that it does not need for that: it starts with every bench.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from hilbench.can.link import Link
+from hilbench.can.open import BusAddress, open_link
+from hilbench.canopen.emergency_stop import send_emergency_stop
+from hilbench.errors import BusError
+
+_MODULE = "hilbench.bench.lifecycle.supervisor"
+_HEARTBEAT = 0x700
+_STANDARD_MASK = 0x7FF
+_LOOK_S = 0.05
+
+
+@dataclass(frozen=True)
+class Watch:
+    """What a supervisor watches: the heartbeat of `node_id`, which may stay away for `limit_s` of wall time."""
+
+    bus: BusAddress
+    node_id: int
+    limit_s: float
+
+    def arguments(self) -> list[str]:
+        """The command line of the supervisor's process, after ``python -m``."""
+        bus = self.bus
+        return [_MODULE, str(bus), str(bus.bitrate), bus.timing, str(self.node_id), repr(self.limit_s)]
+
+    @classmethod
+    def parse(cls, arguments: Sequence[str]) -> Watch:
+        """Take the arguments after the module's name."""
+        address, bitrate, timing, node_id, limit_s = arguments
+        return cls(BusAddress.parse(address, bitrate=int(bitrate), timing=timing), int(node_id), float(limit_s))
+
+
+def supervise(watch: Watch) -> None:
+    """Watch the bench until SIGTERM; an end of the bench without that is a reason to stop the drives.
+
+    Raises BusError when the bus is lost.
+    """
+    told_to_end, bench_gone = threading.Event(), threading.Event()
+    # Ctrl-C is the bench's to handle, which ends us afterwards.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, lambda *_: told_to_end.set())
+    threading.Thread(target=_follow, args=(bench_gone,), name="follow-bench", daemon=True).start()
+    link = open_link(watch.bus)
+    try:
+        watch_heartbeat(link, watch, told_to_end, bench_gone)
+    finally:
+        link.close()
+
+
+def _follow(bench_gone: threading.Event) -> None:
+    while os.read(0, 4096):
+        pass
+    bench_gone.set()
+
+
+def watch_heartbeat(link: Link, watch: Watch, told_to_end: threading.Event, bench_gone: threading.Event) -> None:
+    """Stop the drives over `link` when the heartbeat, once heard, stays away, or the bench is gone without a word."""
+    heartbeat = _HEARTBEAT + watch.node_id
+    link.set_filters([(heartbeat, _STANDARD_MASK)])
+    heard_s: float | None = None  # None: not heard yet, or stopped already
+    while not told_to_end.is_set():
+        # Others' frames may have come before the filter was there: while the nodes boot the bench sends no heartbeat.
+        if any(frame.can_id == heartbeat for frame in link.receive(_LOOK_S)):
+            heard_s = time.monotonic()
+        if bench_gone.is_set() and not told_to_end.is_set():
+            _stop(link, "the bench's process is gone")
+            return
+        if heard_s is not None and time.monotonic() - heard_s > watch.limit_s:
+            _stop(link, f"no heartbeat of the bench for {watch.limit_s:g} s")
+            heard_s = None
+
+
+def _stop(link: Link, reason: str) -> None:
+    print(f"emergency stop: {reason}", file=sys.stderr, flush=True)
+    send_emergency_stop(link)
+
+
+def main() -> None:
+    """Entry point of the process: errors are one line in its log."""
+    try:
+        supervise(Watch.parse(sys.argv[1:]))
+    except BusError as error:
+        print(error, file=sys.stderr)
+        sys.exit(error.exit_code)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""What an operator asks and is told: objects, notices, changes, causes."""

@@ -1,0 +1,23 @@
+"""What the bench itself knows of a run, and no frame on the bus says: when it changed what."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+
+@dataclass(frozen=True)
+class Change:
+    """Something that the bench did between two cycles.
+
+    `cycle` counts SYNCs: the change acts from the one after it. ``enabled``: the experiment's time begins;
+    ``set``: the quantity `path` (`hilbench.topology.quantities`) had `before` and has `value` from now on;
+    ``twin_lost``: the twin is not counted on any more; ``twin_back``: it is again, and counts the SYNCs after number
+    `value`; ``stopping``: the drives are brought to a stop.
+    """
+
+    cycle: int
+    what: Literal["enabled", "set", "twin_lost", "twin_back", "stopping"]
+    path: str = ""
+    value: float = 0.0
+    before: float | None = None

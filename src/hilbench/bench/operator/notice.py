@@ -1,0 +1,86 @@
+"""What an operator must know of a run that goes on: counted and bounded, however often it comes.
+
+Per source and kind the first and the last occurrence are kept, and how many there were. What is said aloud is said at
+once the first time, and then ever more seldom: a flood of alarms hides no other alarm, and takes no time of the cycle.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+#: Kinds that are told apart of one source; what comes beyond them is counted as one kind more.
+MOST_KINDS = 16
+_BEYOND = f"more than {MOST_KINDS} kinds"
+#: Occurrences of one kind are said again after this time, and after twice the time before each time.
+_AGAIN_S = 1.0
+#: Lines that are said in one cycle at most; what comes beyond is said when it comes again, or in the result.
+_MOST_LINES = 4
+_NUMBERS = re.compile(r"[-+]?\d[\d.,]*(e[-+]?\d+)?")
+
+
+@dataclass(slots=True)
+class Notice:
+    """One kind of thing that one source had to say: its first and last occurrence (experiment time, s), how often."""
+
+    time_s: float
+    source: str
+    text: str
+    last_time_s: float
+    last_text: str
+    count: int
+
+
+@dataclass(slots=True)
+class _Telling:
+    """When the next occurrence of a kind is said aloud."""
+
+    next_s: float
+    pause_s: float
+
+
+class Notices:
+    """The notices of one run, in the order of their first occurrence; `tell` gets the lines that are said aloud."""
+
+    def __init__(self, tell: Callable[[str], None]) -> None:
+        self._publish = tell
+        self._found: dict[tuple[str, str], Notice] = {}
+        self._telling: dict[tuple[str, str], _Telling] = {}
+        self._kinds: dict[str, int] = {}
+        self._cycle_s: float | None = None
+        self._lines = 0
+
+    def __iter__(self) -> Iterator[Notice]:
+        return iter(self._found.values())
+
+    def __len__(self) -> int:
+        return len(self._found)
+
+    def note(self, time_s: float, source: str, text: str, *, kind: str = "", count: int = 1) -> None:
+        """Something has happened at `time_s`, `count` times. `kind`: what counts as the same thing; by default that
+        is the text without its numbers."""
+        key = source, kind or _NUMBERS.sub("#", text)
+        if key not in self._found and self._kinds.get(source, 0) >= MOST_KINDS:
+            key = source, _BEYOND
+        found = self._found.get(key)
+        if found is None:
+            self._kinds[source] = self._kinds.get(source, 0) + 1
+            first = f"{_BEYOND}, the next: {text}" if key[1] == _BEYOND else text
+            self._found[key] = found = Notice(time_s, source, first, time_s, text, count)
+            self._telling[key] = _Telling(time_s, _AGAIN_S)
+        else:
+            found.last_time_s, found.last_text = time_s, text
+            found.count += count
+        self._say(time_s, found, self._telling[key])
+
+    def _say(self, time_s: float, found: Notice, telling: _Telling) -> None:
+        if time_s != self._cycle_s:
+            self._cycle_s, self._lines = time_s, 0
+        if time_s < telling.next_s or self._lines >= _MOST_LINES:
+            return
+        self._lines += 1
+        telling.next_s = time_s + telling.pause_s
+        telling.pause_s *= 2.0
+        times = "" if found.count == 1 else f" ({found.count} times by now)"
+        self._publish(f"t = {time_s:.3f} s: {found.source}: {found.last_text}{times}")

@@ -1,0 +1,72 @@
+"""Drives at their torque limit: what a run shows then is the limit, not the control or the web.
+
+A drive says so itself (statusword 6041h bit 11, internal limit active), or its torque does (6077h against the limit).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from hilbench.cia402.state_machine import STATUS_INTERNAL_LIMIT
+from hilbench.plant.web_line.parameters import per_item
+from hilbench.topology.config import BenchConfig
+from hilbench.topology.sample import CycleSample
+
+#: Share of the limit from which a measured torque is at it.
+_AT_LIMIT = 0.98
+#: How long a drive has to be off its limit for that to count as over.
+_QUIET_S = 0.5
+
+
+@dataclass
+class _Limited:
+    """A drive that has reached its limit: since when, when last, and how long altogether."""
+
+    since_s: float
+    last_s: float
+    total_s: float = 0.0
+
+
+class SaturationWatch:
+    """Watches the samples of one run."""
+
+    def __init__(self, config: BenchConfig) -> None:
+        drives = config.model.drives
+        assert drives is not None, "a bench's model has drives"
+        self._cycle_s = config.cycle_time_s
+        self._limits_Nm = {
+            "axis 1": per_item(drives.torque_limit_Nm, 1),
+            "axis 2": per_item(drives.torque_limit_Nm, 2),
+            "the load motor": config.hardware.load_motor.torque_limit_Nm,
+        }
+        self._limited: dict[str, _Limited] = {}
+
+    def update(self, sample: CycleSample) -> list[tuple[str, str]]:
+        """What begins or ends in this cycle, as text for the operator, with the kind of notice that it is."""
+        told = []
+        for drive, torque_Nm, statusword in _drives(sample):
+            limit_Nm, known = self._limits_Nm[drive], self._limited.get(drive)
+            by_torque = abs(torque_Nm) >= _AT_LIMIT * limit_Nm
+            if by_torque or statusword & STATUS_INTERNAL_LIMIT:
+                if known is None:
+                    known = self._limited[drive] = _Limited(sample.t_s, sample.t_s)
+                    shown = f"torque {torque_Nm:.3g} N·m" if by_torque else "statusword bit 11"
+                    shown += f", torque limit {limit_Nm:g} N·m"
+                    told.append(
+                        (f"{drive} reached", f"{drive} is at its limit ({shown}): it can't follow its set-point")
+                    )
+                known.last_s = sample.t_s
+                known.total_s += self._cycle_s
+            elif known is not None and sample.t_s - known.last_s > _QUIET_S:
+                del self._limited[drive]
+                lasted_s = known.last_s - known.since_s + self._cycle_s
+                text = f"{drive} has left its limit: at it for {known.total_s:.3g} s within {lasted_s:.3g} s"
+                told.append((f"{drive} left", text))
+        return told
+
+
+def _drives(sample: CycleSample) -> Iterator[tuple[str, float, int]]:
+    yield "axis 1", sample.tau1_Nm, sample.statusword1
+    yield "axis 2", sample.tau2_Nm, sample.statusword2
+    yield "the load motor", sample.tau_load_Nm, sample.statusword_load

@@ -1,0 +1,56 @@
+"""Whether the tension loop may close on the twin, and if not, why.
+
+What counts is what the twin says of itself (2100h), how old it is, and whether its numbers can be those of a web at
+all. Once in doubt, the loop stays open until the twin calls itself synchronized again.
+"""
+
+from __future__ import annotations
+
+from math import inf, isfinite
+
+from hilbench.plant.web_line.parameters import LARGEST_MODULUS_Pa, LEAST_MODULUS_Pa
+from hilbench.topology.config import TensionControlConfig
+from hilbench.topology.sample import CycleSample
+from hilbench.twin.virtual_io import TwinStatus
+
+_SYNCHRONIZED = int(TwinStatus.SYNCHRONIZED)
+#: A simulated tension may be as far below zero, N: rounding of REAL32.
+_BELOW_ZERO_N = 1.0
+
+
+class TwinTrust:
+    """Judges the twin cycle by cycle. `highest_tension_N`: what a simulated tension may reach and be believed."""
+
+    def __init__(self, config: TensionControlConfig, highest_tension_N: float) -> None:
+        self._config = config
+        self._highest_tension_N = highest_tension_N
+        self._synchronized = False
+        self.doubt = "not synchronized yet"  #: why the loop is open; "" while it may be closed
+
+    def forget(self, reason: str) -> None:
+        """Open the loop until the twin is synchronized anew."""
+        self._synchronized = False
+        self.doubt = reason
+
+    def update(self, sample: CycleSample) -> bool:
+        """Whether the loop may be closed on the twin's data in `sample`."""
+        doubt = self._doubt(sample)
+        if doubt:
+            self.forget(doubt)
+        elif sample.twin_status & _SYNCHRONIZED:
+            self._synchronized = True
+            self.doubt = ""
+        return self._synchronized
+
+    def _doubt(self, sample: CycleSample) -> str:
+        config = self._config
+        if sample.twin_age_cycles > config.twin_age_limit_cycles:
+            return f"the twin's data are more than {config.twin_age_limit_cycles} cycles old"
+        if not (isfinite(sample.F_sim_N) and LEAST_MODULUS_Pa <= sample.E_sim_Pa <= LARGEST_MODULUS_Pa):
+            return f"the twin's data are no web's: tension {sample.F_sim_N:g} N, E {sample.E_sim_Pa:g} Pa"
+        if not -_BELOW_ZERO_N <= sample.F_sim_N <= self._highest_tension_N:
+            return f"simulated tension {sample.F_sim_N:.1f} N is outside 0 to {self._highest_tension_N:g} N"
+        # An infinite deviation is that of a method which can't say.
+        if self._synchronized and 0.01 * config.twin_deviation_limit_pct * sample.E_sim_Pa < sample.E_sd_Pa < inf:
+            return f"the deviation of E is above {config.twin_deviation_limit_pct:g} %"
+        return ""

@@ -1,0 +1,437 @@
+"""The hub of the embedded bus: a process of its own that emulates one CAN wire between its clients.
+
+`python -m hilbench.can.hub` is started by the first client (see `hub_client`) with a listening socket; it ends when no
+connection is left. Only the standard library is imported here, so that it starts fast and without site-packages.
+
+Flow of a frame: client's packet, its station's transmit queue, arbitration and bus time (`medium`), one packet for
+every other station that wants some of the frames that were over. A station whose transmit queue is full is not read
+until there is room: its socket fills up and its sender blocks. A receiver that does not read loses the newest frames,
+and is told how many.
+"""
+
+from __future__ import annotations
+
+import argparse
+import fcntl
+import json
+import os
+import select
+import signal
+import socket
+import sys
+import time
+from collections import deque
+from collections.abc import Callable
+from itertools import islice, takewhile
+from pathlib import Path
+from typing import Any
+
+from hilbench.can import protocol, requests
+from hilbench.can.confinement import ControllerState
+from hilbench.can.disturbance import Disturber
+from hilbench.can.frame import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
+from hilbench.can.listeners import Listeners
+from hilbench.can.medium import FOREVER, Delivery, Medium, Station
+from hilbench.can.wire import FD_LENGTHS, bits_on_wire, fd_bits_on_wire
+
+#: The hub ends when nobody was connected for so long: time for a program to close one bus and open the next.
+GRACE_S = 0.1
+#: Frames a station may have waiting for the wire before the hub stops reading from it.
+TRANSMIT_LIMIT = 512
+#: Frames that wait in the hub for a receiver whose socket is full, before they are dropped.
+RECEIVE_LIMIT = 16384
+#: Records in one packet to a client.
+DELIVERED_RECORDS = 512
+#: Connections at a time; further ones are closed at once.
+MAX_CLIENTS = 128
+
+
+class Client(Station):
+    """One connection; a station on the wire once it has joined."""
+
+    __slots__ = (
+        "blocked",
+        "connection",
+        "dropped",
+        "fd",
+        "filters",
+        "identity",
+        "joined",
+        "reading",
+        "receive_own",
+        "single",
+        "waiting",
+    )
+
+    def __init__(self, connection: socket.socket, identity: int) -> None:
+        super().__init__()
+        self.connection = connection
+        self.identity = identity
+        self.joined = False
+        self.filters: list[tuple[int, int]] | None = None
+        self.receive_own = False
+        self.fd = False
+        self.single = False  # one frame a packet
+        self.dropped = 0
+        self.waiting: deque[bytes] = deque()  # stamped records its socket had no room for
+        self.reading = True  # not paused because of its full transmit queue
+        self.blocked = False  # epoll tells when its socket has room again
+
+
+class Hub:
+    """The server: one thread, one epoll loop."""
+
+    def __init__(self, channel: str, listener: socket.socket) -> None:
+        self.channel = channel
+        self.settings = requests.Settings()
+        self.malformed = 0
+        self._listener = listener
+        self._clients: dict[int, Client] = {}  # connected, by file descriptor
+        self._departed: list[Client] = []  # gone, with frames still to send
+        self._listeners = Listeners(lambda: [client for client in self._clients.values() if client.joined])
+        self._identities = 0
+        self._fd = False  # whether a station that may send FD frames has joined
+        self._epoll = select.epoll()
+        self._epoll.register(listener, select.EPOLLIN)
+        self._clock_offset_ns = time.time_ns() - time.monotonic_ns()
+        self._medium = Medium(self.settings.bitrate)
+
+    # --- the loop
+
+    def serve(self, may_end: Callable[[], bool]) -> None:
+        """Serve until nobody is connected for GRACE_S and `may_end()` agrees."""
+        idle_since = time.monotonic()
+        while True:
+            for descriptor, events in self._poll():
+                if descriptor == self._listener.fileno():
+                    self._accept()
+                else:
+                    self._attend(self._clients[descriptor], events)
+            self._run()
+            if self._clients or self._departed:
+                idle_since = time.monotonic()
+            elif time.monotonic() - idle_since >= GRACE_S:
+                if may_end():
+                    return
+                idle_since = time.monotonic()
+
+    def _poll(self) -> list[tuple[int, int]]:
+        """Ready descriptors; waits at most until the wire has something to do."""
+        event_ns = self._medium.next_event_ns() if self.settings.timing == "real" else None
+        if event_ns is not None:
+            # epoll waits in whole milliseconds: several frames. select has the resolution.
+            wait_s = (event_ns - self._now_ns()) * 1e-9
+            if wait_s > 0:
+                select.select([self._epoll.fileno()], [], [], wait_s)
+            return self._epoll.poll(0)
+        return self._epoll.poll(-1 if self._clients else GRACE_S)
+
+    def _now_ns(self) -> int:
+        """Bus time of `real` timing: CLOCK_REALTIME when the hub began, never set back or forth since."""
+        return time.monotonic_ns() + self._clock_offset_ns
+
+    # --- connections
+
+    def _accept(self) -> None:
+        try:
+            connection, _ = self._listener.accept()
+        except OSError:  # it has left again
+            return
+        if not protocol.may_join(connection) or len(self._clients) >= MAX_CLIENTS:
+            connection.close()
+            return
+        connection.setblocking(False)
+        self._identities += 1
+        self._clients[connection.fileno()] = Client(connection, self._identities)
+        self._epoll.register(connection, select.EPOLLIN)
+
+    def _attend(self, client: Client, events: int) -> None:
+        if events & select.EPOLLOUT:
+            self._flush(client)
+        if not client.reading or not events & (select.EPOLLIN | select.EPOLLHUP | select.EPOLLERR):
+            return
+        try:
+            packet = client.connection.recv(protocol.PACKET_BYTES)
+        except BlockingIOError:
+            return
+        except OSError:  # reset by a client that was killed
+            packet = b""
+        if not packet:
+            self._disconnect(client)
+        elif client.joined:
+            self._take_frames(client, packet)
+        else:
+            self._answer(client, packet)
+
+    def _disconnect(self, client: Client) -> None:
+        descriptor = client.connection.fileno()
+        self._epoll.unregister(descriptor)
+        del self._clients[descriptor]
+        client.connection.close()
+        if client.joined:
+            self._departed.append(client)
+            self._listeners.forget()
+
+    def _watch(self, client: Client) -> None:
+        """Tell epoll what to wait for. A paused socket would report its hang-up again and again: edges only."""
+        events = select.EPOLLIN if client.reading else select.EPOLLET
+        if client.blocked:
+            events |= select.EPOLLOUT
+        self._epoll.modify(client.connection, events)
+
+    # --- frames in
+
+    def _take_frames(self, client: Client, packet: bytes) -> None:
+        kind = packet[0]
+        body = memoryview(packet)[protocol.HEADER.size :]
+        record = protocol.FD_RECORD if kind == protocol.KIND_FD else protocol.CAN_RECORD
+        known = kind == protocol.KIND_CLASSICAL or (kind == protocol.KIND_FD and client.fd)
+        if len(packet) < protocol.HEADER.size or not known or len(body) % record.size:
+            self.malformed += 1
+            return
+        arrival_ns = self._now_ns() if self.settings.timing == "real" else self._medium.free_ns
+        queue = self._medium.queue
+        start = protocol.HEADER.size
+        classical = kind == protocol.KIND_CLASSICAL
+        for can_id, length, flags, data in record.iter_unpack(body):
+            bits = _classical_bits(can_id, length, data) if classical else self._fd_bits(can_id, length, flags, data)
+            if bits:
+                queue(client, can_id, packet[start : start + record.size], bits, arrival_ns)
+            else:
+                self.malformed += 1
+            start += record.size
+        if len(client.queue) >= TRANSMIT_LIMIT:
+            self._pause(client)
+
+    def _fd_bits(self, can_id: int, length: int, flags: int, data: bytes) -> int:
+        """Time of an FD record in nominal bit times; 0: no frame that could be on a wire."""
+        if length not in FD_LENGTHS or can_id & (ERROR_FLAG | REMOTE_FLAG):
+            return 0
+        if can_id & 0x1FFFF800 and not can_id & EXTENDED_FLAG:
+            return 0
+        nominal, fast = fd_bits_on_wire(can_id, data[:length], bool(flags & protocol.BIT_RATE_SWITCH))
+        return nominal + -(-fast * self.settings.bitrate // self.settings.data_bitrate)
+
+    def _pause(self, client: Client) -> None:
+        client.reading = False
+        self._watch(client)
+
+    def _resume(self) -> None:
+        """Read again from the stations whose transmit queue has room."""
+        for client in self._clients.values():
+            if not client.reading and len(client.queue) <= TRANSMIT_LIMIT // 2:
+                client.reading = True
+                self._watch(client)
+
+    # --- frames out
+
+    def _run(self) -> None:
+        """Let the wire carry what was over by now (virtual: everything), and hand it out."""
+        delivered = self._medium.run(self._now_ns() if self.settings.timing == "real" else FOREVER)
+        if delivered:
+            self._hand_out(delivered)
+            self._resume()
+        if self._medium.changed:
+            self._tell_states()
+        if self._departed:
+            self._forget_departed()
+
+    def _forget_departed(self) -> None:
+        """Take stations that left off the wire, once their last frames are sent or nobody is there to hear them."""
+        if not any(client.joined for client in self._clients.values()):
+            for client in self._departed:
+                client.queue.clear()
+        for client in [client for client in self._departed if not client.queue]:
+            self._departed.remove(client)
+            self._medium.leave(client)
+
+    def _hand_out(self, delivered: list[Delivery]) -> None:
+        """Give every station the frames that are for it; its own ones only on request, and marked."""
+        pack_time, listeners_of = protocol.STAMP.pack, self._listeners.of
+        records: dict[Client, list[bytes]] = {}
+        for sender, can_id, payload, time_ns in delivered:
+            record = payload + pack_time(time_ns)
+            for client in listeners_of(can_id):
+                if client is not sender:
+                    records.setdefault(client, []).append(record)
+                elif client.receive_own:
+                    records.setdefault(client, []).append(_marked_own(record))
+        for client, selected in records.items():
+            if client.state is not ControllerState.BUS_OFF:
+                self._deliver(client, selected)
+
+    def _tell_states(self) -> None:
+        """Each station hears of its own controller, whatever its filters are."""
+        changed, self._medium.changed = self._medium.changed, []
+        for client in self._clients.values():
+            if client in changed:
+                can_id, data = client.errors.told()
+                record = protocol.CAN_RECORD.pack(can_id, len(data), 0, data)
+                self._deliver(client, [record + protocol.STAMP.pack(self._medium.free_ns)])
+
+    def _deliver(self, client: Client, records: list[bytes]) -> None:
+        if self._fd and not client.fd:
+            records = [record for record in records if len(record) == protocol.STAMPED_CAN_RECORD.size]
+        room = RECEIVE_LIMIT - len(client.waiting)
+        if len(records) > room:
+            client.dropped += len(records) - room
+            records = records[:room]
+        client.waiting.extend(records)
+        if not client.blocked:
+            self._flush(client)
+
+    def _flush(self, client: Client) -> None:
+        """Send what waits for this client, as far as its socket takes it."""
+        waiting = client.waiting
+        blocked = False
+        while waiting:
+            records = self._next_packet(client)
+            kind = protocol.KIND_CLASSICAL if len(records[0]) == protocol.STAMPED_CAN_RECORD.size else protocol.KIND_FD
+            header = protocol.HEADER.pack(kind, client.dropped & 0xFFFFFFFF)
+            try:
+                client.connection.send(header + b"".join(records))
+            except BlockingIOError:
+                blocked = True
+                break
+            except OSError:  # it has gone; the next recv says so
+                waiting.clear()
+                break
+            if len(records) == len(waiting):
+                waiting.clear()
+            else:
+                for _ in records:
+                    waiting.popleft()
+        if blocked is not client.blocked:
+            client.blocked = blocked
+            self._watch(client)
+
+    def _next_packet(self, client: Client) -> list[bytes]:
+        """The waiting records that go into the next packet: all of one size."""
+        waiting = client.waiting
+        if client.single:
+            return [waiting[0]]
+        records = list(waiting) if len(waiting) <= DELIVERED_RECORDS else list(islice(waiting, DELIVERED_RECORDS))
+        if not client.fd:
+            return records
+        size = len(records[0])
+        return list(takewhile(lambda record: len(record) == size, records))
+
+    # --- requests
+
+    def _answer(self, client: Client, packet: bytes) -> None:
+        try:
+            reply = self._carry_out(client, requests.parse(packet))
+        except requests.RefusedError as error:
+            reply = {"error": str(error)}
+        try:
+            client.connection.send(json.dumps(reply).encode())
+        except OSError:  # it did not wait for the answer
+            return
+
+    def _carry_out(self, client: Client, request: requests.Request) -> dict[str, Any]:
+        if isinstance(request, requests.Join):
+            return self._join(client, request)
+        if isinstance(request, requests.SetFilters):
+            self._station(request.station).filters = request.filters
+            self._listeners.forget()
+            return {}
+        if isinstance(request, requests.SetErrors):
+            self._medium.disturber = Disturber(request.injection)
+            return {}
+        return self._statistics()
+
+    def _station(self, identity: int) -> Client:
+        for client in self._clients.values():
+            if client.joined and client.identity == identity:
+                return client
+        raise requests.RefusedError(f"station {identity}: not on this bus")
+
+    def _join(self, client: Client, join: requests.Join) -> dict[str, Any]:
+        alone = not self._departed and not any(other.joined for other in self._clients.values())
+        if alone:  # the first one says how the bus runs
+            self.settings = join.wanted.completed()
+            self._medium = Medium(self.settings.bitrate, self._now_ns() if self.settings.timing == "real" else 0)
+            self.malformed = 0
+        else:
+            join.wanted.check_against(self.settings)
+        client.filters = join.filters
+        self._listeners.forget()
+        client.receive_own, client.fd, client.single = join.receive_own, join.fd, join.single
+        client.joined = True
+        self._fd = (self._fd and not alone) or client.fd
+        self._medium.join(client)
+        return {"version": protocol.VERSION, "station": client.identity, **self.settings.as_json()}
+
+    def _statistics(self) -> dict[str, Any]:
+        counters = self._medium.counters
+        real = self.settings.timing == "real"
+        return {
+            **self.settings.as_json(),
+            "stations": sum(client.joined for client in self._clients.values()),
+            "frames": counters.frames,
+            "bits": counters.bits,
+            "error_frames": counters.error_frames,
+            "lost": counters.lost,
+            "dropped": sum(client.dropped for client in self._clients.values()),
+            "malformed": self.malformed,
+            "time_ns": (self._now_ns() if real else self._medium.free_ns) - self._medium.start_ns,
+        }
+
+
+def _classical_bits(can_id: int, length: int, data: bytes) -> int:
+    """Bit times of a classical record; 0: no frame that could be on a wire."""
+    if length > 8 or can_id & ERROR_FLAG or (can_id & 0x1FFFF800 and not can_id & EXTENDED_FLAG):
+        return 0
+    return bits_on_wire(can_id, data[:length])
+
+
+def _marked_own(record: bytes) -> bytes:
+    return record[:5] + bytes([record[5] | protocol.OWN]) + record[6:]
+
+
+def _end(path: Path, log: Path, lock: int, listener: socket.socket) -> bool:
+    """Take the socket away, unless a client is just coming: whoever connects or starts a hub holds the lock."""
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    if select.select([listener], [], [], 0)[0]:  # came before we had the lock
+        fcntl.flock(lock, fcntl.LOCK_UN)
+        return False
+    path.unlink(missing_ok=True)
+    log.unlink(missing_ok=True)
+    return True
+
+
+def _detach() -> None:
+    """Leave the starter's session and parentage: no terminal signals, and no child for anybody to wait for."""
+    if os.fork():
+        os._exit(0)
+    os.setsid()
+    os.chdir("/")
+
+
+def main(arguments: list[str] | None = None) -> None:
+    parser = argparse.ArgumentParser(prog="python -m hilbench.can.hub", description=__doc__)
+    parser.add_argument("--channel", required=True)
+    parser.add_argument("--directory", required=True, type=Path)
+    parser.add_argument("--listener", required=True, type=int, help="file descriptor of the listening socket")
+    options = parser.parse_args(arguments)
+    listener = socket.socket(fileno=options.listener)
+    path = options.directory / f"{options.channel}.sock"
+    log = protocol.log_path(options.directory, options.channel)
+    lock = os.open(protocol.lock_path(options.directory), os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+    _detach()
+    for number in (signal.SIGINT, signal.SIGHUP):
+        signal.signal(number, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
+    try:
+        Hub(options.channel, listener).serve(lambda: _end(path, log, lock, listener))
+    except SystemExit:  # terminated: the listening socket is still ours, so nobody else can have taken the place
+        path.unlink(missing_ok=True)
+        log.unlink(missing_ok=True)
+        raise
+
+
+if __name__ == "__main__":
+    main()

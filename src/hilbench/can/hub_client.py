@@ -1,0 +1,268 @@
+"""The way to the hub of the embedded bus: find or start it, join its bus, ask it things.
+
+The first client starts the hub: under a lock it binds the socket, connects to it, and hands the listening socket to
+the new process. A hub that ends takes the socket away under the same lock, so that nobody is left between the two.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import json
+import os
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from hilbench.can import protocol
+from hilbench.can.disturbance import ErrorInjection
+from hilbench.can.requests import Settings, Wanted
+from hilbench.errors import BusError
+
+#: How long a request, or the start of a hub, may take (the machine may be busy).
+_TIMEOUT_S = 10.0
+#: A hub that is just ending can close a connection: then another one is started.
+_ATTEMPTS = 5
+
+Filters = Sequence[tuple[int, int]] | None
+
+
+@dataclass(frozen=True)
+class Membership:
+    """A station's connection (non-blocking socket), its number on this bus and how the bus runs."""
+
+    connection: socket.socket
+    station: int
+    settings: Settings
+
+
+@dataclass(frozen=True)
+class BusStatistics:
+    """Counters of an embedded bus since its first station joined; `time_ns` is bus time since then."""
+
+    bitrate: int  #: bit/s
+    data_bitrate: int  #: bit/s, FD frames with bit rate switch
+    timing: str
+    stations: int
+    frames: int
+    bits: int  #: bit times the wire was taken: frames with stuff bits and intermission, error frames
+    error_frames: int
+    lost: int  #: frames that error injection took away
+    dropped: int  #: frames that present receivers did not read in time
+    malformed: int  #: records that were no frames
+    time_ns: int
+
+    @property
+    def load(self) -> float:
+        """Fraction of the bus time in which the wire was taken."""
+        return self.bits * 1e9 / (self.bitrate * self.time_ns) if self.time_ns else 0.0
+
+
+def join(
+    channel: str,
+    wanted: Wanted,
+    *,
+    filters: Filters = None,
+    receive_own: bool = False,
+    fd: bool = False,
+    single: bool = False,
+) -> Membership:
+    """Become a station of the embedded bus `channel`; starts its hub if none runs.
+
+    Raises BusError when the bus runs with other settings, or no hub can be started.
+    """
+    content = {
+        "request": "join",
+        **asdict(wanted),
+        "filters": _as_json(filters),
+        "receive_own": receive_own,
+        "fd": fd,
+        "single": single,
+    }
+    for _ in range(_ATTEMPTS):
+        connection = _connect_or_start(channel)
+        try:
+            reply = _ask(connection, channel, content)
+        except BaseException:
+            connection.close()
+            raise
+        if reply is not None:
+            connection.setblocking(False)
+            settings = Settings(reply["bitrate"], reply["data_bitrate"], reply["timing"])
+            return Membership(connection, reply["station"], settings)
+        connection.close()
+    raise hub_lost(channel)
+
+
+def set_filters(channel: str, station: int, filters: Filters) -> None:
+    """Let frames pass that one (identifier, mask) accepts; in effect for every frame that ends after the return."""
+    _request(channel, {"request": "set_filters", "station": station, "filters": _as_json(filters)})
+
+
+def inject_errors(channel: str, injection: ErrorInjection) -> None:
+    """Disturb the frames sent from now on, until the last station leaves. Raises BusError if nobody is on the bus."""
+    _request(channel, {"request": "set_errors", **asdict(injection)})
+
+
+def statistics(channel: str) -> BusStatistics:
+    """The counters of the embedded bus `channel`. Raises BusError if nobody has it open."""
+    return BusStatistics(**_request(channel, {"request": "statistics"}))
+
+
+def running_channels() -> list[str]:
+    """Channels of the embedded bus that this user's programs have open, in this runtime directory."""
+    return [name for name in sorted(path.stem for path in protocol.directory().glob("*.sock")) if runs(name)]
+
+
+def runs(channel: str) -> bool:
+    """Whether a hub serves `channel`."""
+    connection = _connect(protocol.socket_path(channel))
+    if connection is None:
+        return False
+    connection.close()
+    return True
+
+
+def hub_lost(channel: str) -> BusError:
+    """The error for a connection that the hub has closed."""
+    log = protocol.socket_path(channel).with_suffix(".log")
+    if log.exists() and log.stat().st_size:
+        return BusError(f"embedded bus {channel}: its hub failed: {_last_line(log)} (all of it: {log})")
+    return BusError(f"embedded bus {channel}: its hub has ended")
+
+
+def _nobody(channel: str) -> BusError:
+    return BusError(f"embedded bus {channel}: no program has it open")
+
+
+def _last_line(log: Path) -> str:
+    lines = log.read_text(errors="replace").strip().splitlines()
+    return lines[-1] if lines else "no output"
+
+
+def _as_json(filters: Filters) -> list[list[int]] | None:
+    return None if filters is None else [[identifier, mask] for identifier, mask in filters]
+
+
+def _request(channel: str, content: dict[str, Any]) -> dict[str, Any]:
+    """Ask over a connection of its own. Frames that arrive for a station never stand in an answer's way."""
+    connection = _connect(protocol.socket_path(channel))
+    if connection is None:
+        raise _nobody(channel)
+    with connection:
+        reply = _ask(connection, channel, content)
+    if reply is None:
+        raise hub_lost(channel)
+    return reply
+
+
+def _ask(connection: socket.socket, channel: str, content: dict[str, Any]) -> dict[str, Any] | None:
+    """The hub's reply; None: the hub has closed the connection."""
+    try:
+        connection.send(json.dumps(content).encode())
+        packet = connection.recv(protocol.PACKET_BYTES)
+    except TimeoutError:
+        raise BusError(f"embedded bus {channel}: its hub did not answer within {_TIMEOUT_S:g} s") from None
+    except (ConnectionError, BrokenPipeError):
+        return None
+    if not packet:
+        return None
+    reply: dict[str, Any] = json.loads(packet)
+    if "error" in reply:
+        raise BusError(f"embedded bus {channel}: {reply['error']}")
+    return reply
+
+
+def _connect(path: Path) -> socket.socket | None:
+    """A connection to the hub listening at `path`; None: none does."""
+    try:
+        connection = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    except OSError as error:
+        raise BusError(f"{path}: no socket to be had ({error.strerror})") from error
+    connection.settimeout(_TIMEOUT_S)
+    try:
+        connection.connect(os.fspath(path))
+    except (FileNotFoundError, ConnectionRefusedError):
+        connection.close()
+        return None
+    except OSError as error:
+        connection.close()
+        raise BusError(f"{path}: {error.strerror or error}, expected the embedded bus' socket") from None
+    if not protocol.may_trust(connection):
+        connection.close()
+        raise BusError(f"{path}: another user's process listens there")
+    return connection
+
+
+def _connect_or_start(channel: str) -> socket.socket:
+    path = protocol.socket_path(channel)
+    connection = _connect(path)
+    if connection is not None:
+        return connection
+    if protocol.is_path(channel):
+        raise _nobody(channel)
+    try:
+        with _lock(path.parent):
+            return _connect(path) or _start_hub(channel, path)
+    except OSError as error:
+        where = error.filename or path
+        raise BusError(f"embedded bus {channel}: its hub cannot be started ({error.strerror}): {where}") from error
+
+
+@contextlib.contextmanager
+def _lock(folder: Path) -> Iterator[None]:
+    descriptor = os.open(protocol.lock_path(folder), os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX)
+        yield
+        fcntl.flock(descriptor, fcntl.LOCK_UN)  # explicitly: a forked child may still hold the descriptor
+    finally:
+        os.close(descriptor)
+
+
+def _start_hub(channel: str, path: Path) -> socket.socket:
+    """Listen at `path` (a dead hub's socket file gives way), connect, and start the hub with the listening socket."""
+    path.unlink(missing_ok=True)
+    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as listener:
+        listener.bind(os.fspath(path))
+        path.chmod(0o600)
+        listener.listen(64)
+        connection = _connect(path)
+        assert connection is not None
+        try:
+            _spawn(channel, path.parent, listener)
+        except BaseException:
+            connection.close()
+            path.unlink(missing_ok=True)
+            raise
+    return connection
+
+
+def _spawn(channel: str, folder: Path, listener: socket.socket) -> None:
+    """Start the hub process; returns when it has detached itself."""
+    log = protocol.log_path(folder, channel)
+    # The hub needs the standard library and this package: no site-packages (-S), nothing from a current directory (-P).
+    command = [sys.executable, "-S", "-P", "-m", "hilbench.can.hub"]
+    options = ["--channel", channel, "--directory", os.fspath(folder), "--listener", str(listener.fileno())]
+    environment = {**os.environ, "PYTHONPATH": os.fspath(Path(__file__).resolve().parents[2])}
+    with log.open("wb") as output:
+        try:
+            starter = subprocess.run(
+                command + options,
+                env=environment,
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=output,
+                pass_fds=[listener.fileno()],
+                start_new_session=True,
+                timeout=_TIMEOUT_S,
+                check=False,
+            )
+        except subprocess.TimeoutExpired:
+            raise BusError(f"embedded bus {channel}: its hub did not start within {_TIMEOUT_S:g} s") from None
+    if starter.returncode:
+        raise BusError(f"embedded bus {channel}: its hub did not start: {_last_line(log)}")

@@ -1,0 +1,42 @@
+"""What the cyclic path asks of a bus: frames out in order, all waiting frames in, losses counted."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Protocol
+
+from hilbench.can.confinement import ControllerState
+from hilbench.can.frame import Frame
+
+
+class Link(Protocol):
+    """A connection to one bus. Frames sent over it are not received back on it."""
+
+    #: Name of the channel, as it stands in a trace ("vcan0", "hilbench0").
+    channel: str
+
+    def send(self, frames: Sequence[Frame]) -> None:
+        """Queue frames; they go onto the bus in this order. Raises BusError when the bus is lost."""
+
+    def receive(self, timeout_s: float) -> list[Frame]:
+        """All frames that are waiting; waits up to `timeout_s` for the first. Raises BusError when the bus is lost."""
+
+    def set_filters(self, identifiers: Sequence[tuple[int, int]] | None) -> None:
+        """Receive only frames for which ``can_id & mask == id & mask`` for one (id, mask); None: every frame."""
+
+    def fileno(self) -> int:
+        """A file descriptor that becomes readable when a frame waits (for select/poll)."""
+
+    @property
+    def dropped(self) -> int | None:
+        """Frames lost on this side because they were not read fast enough; None: this interface cannot tell.
+
+        Complete once the link is closed; while it is open, the latest losses may show with the next frame only.
+        """
+
+    @property
+    def controller(self) -> ControllerState:
+        """State of this side's controller, as far as the interface tells. When it goes bus off `receive` raises."""
+
+    def close(self) -> None:
+        """Leave the bus. Calling it twice is no error."""

@@ -1,0 +1,231 @@
+"""The wire itself, without any input or output: stations with transmit queues, arbitration, bus time, disturbances.
+
+Both emulations stand on it: the hub (frames between processes) and `memory.MemoryBus` (inside one process).
+One frame at a time is on the wire. When it is free, the heads of all transmit queues compete; the lowest arbitration
+field wins (two stations with the same one: who joined first). A frame that has begun is never interrupted, but by an
+error frame: then its transmitter and the others count errors, and a station whose counter is full is off the bus until
+it joins anew (as a SocketCAN interface without restart-ms).
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, NamedTuple
+
+from hilbench.can.arbitration import priority
+from hilbench.can.confinement import ControllerState, ErrorCounters
+from hilbench.can.disturbance import Disturber, FrameOutcome
+from hilbench.can.wire import ERROR_FRAME_BITS
+
+#: A point in time no bus reaches: `Medium.run(FOREVER)` sends all that is queued.
+FOREVER = 1 << 63
+
+
+class QueuedFrame(NamedTuple):
+    """A frame in a station's transmit queue. `payload` is whatever the emulation delivers."""
+
+    priority: int
+    can_id: int
+    payload: Any
+    bits: int
+    duration_ns: int
+    ready_ns: int
+    fate: FrameOutcome | None
+
+
+class Delivery(NamedTuple):
+    """A frame whose last bit (of the intermission) was over at `time_ns`."""
+
+    sender: Station
+    can_id: int
+    payload: Any
+    time_ns: int
+
+
+# A NamedTuple's own constructor takes twice as long, and these are made for every frame.
+_queued_frame = partial(tuple.__new__, QueuedFrame)
+_delivery = partial(tuple.__new__, Delivery)
+
+
+class Station:
+    """A controller on the wire: its frames leave in the order in which they were queued."""
+
+    __slots__ = ("errors", "queue", "state")
+
+    def __init__(self) -> None:
+        self.queue: deque[QueuedFrame] = deque()
+        self.errors = ErrorCounters()
+        self.state = ControllerState.ERROR_ACTIVE  #: what `errors` meant when it was last looked at
+
+
+@dataclass
+class Counters:
+    """What the wire has carried since the emulation began."""
+
+    frames: int = 0
+    bits: int = 0
+    error_frames: int = 0
+    lost: int = 0
+
+
+class Medium:
+    """One emulated CAN wire. `free_ns` is the bus time at which the last frame was over."""
+
+    def __init__(self, bitrate: int, start_ns: int = 0) -> None:
+        self.bitrate = bitrate
+        self.start_ns = start_ns
+        self.free_ns = start_ns
+        self.counters = Counters()
+        self.disturber: Disturber | None = None
+        self.changed: list[Station] = []  #: stations whose state is another one; whoever tells them empties it
+        self._counting = False  # some station has errors counted: only then is every frame counted, too
+        self._stations: list[Station] = []
+        self._sender: Station | None = None  # who is on the wire
+        self._end_ns = 0  # when its frame, or its error frame, is over
+
+    def join(self, station: Station) -> None:
+        self._stations.append(station)
+
+    def leave(self, station: Station) -> None:
+        """Take a station off the wire; what is in its queue is not sent."""
+        self._stations.remove(station)
+        if self._sender is station:
+            self._sender = None
+            self.free_ns = self._end_ns
+
+    def queue(self, station: Station, can_id: int, payload: Any, bits: int, arrival_ns: int) -> None:
+        """Append a frame of `bits` bit times to the station's queue; it competes from `arrival_ns` on.
+
+        What a station sends that is bus off is lost.
+        """
+        if station.state is ControllerState.BUS_OFF:
+            self.counters.lost += 1
+            return
+        fate = self.disturber.draw(can_id, bits) if self.disturber is not None else None
+        if fate is not None:
+            arrival_ns += fate.delay_ns
+        duration_ns = bits * 1_000_000_000 // self.bitrate
+        station.queue.append(_queued_frame((priority(can_id), can_id, payload, bits, duration_ns, arrival_ns, fate)))
+
+    def run(self, until_ns: int) -> list[Delivery]:
+        """Let time pass until `until_ns`; the frames that were over by then, in order."""
+        delivered: list[Delivery] = []
+        if until_ns == FOREVER and self._sender is None and not self._counting:
+            self._send_all_of_lone_station(delivered)
+        while (self._sender is not None or self._arbitrate(until_ns)) and self._end_ns <= until_ns:
+            self._finish(delivered)
+        return delivered
+
+    def _send_all_of_lone_station(self, delivered: list[Delivery]) -> None:
+        """What `run` does frame by frame, in one go: nobody competes, and nothing is going to happen to the frames."""
+        busy = [station for station in self._stations if station.queue]
+        if len(busy) != 1:
+            return
+        station, queue, free_ns = busy[0], busy[0].queue, self.free_ns
+        all_bits = 0
+        while queue:
+            _, can_id, payload, bits, duration_ns, ready_ns, fate = frame = queue.popleft()
+            if fate is not None:
+                queue.appendleft(frame)
+                break
+            free_ns = (free_ns if free_ns > ready_ns else ready_ns) + duration_ns
+            all_bits += bits
+            delivered.append(_delivery((station, can_id, payload, free_ns)))
+        self.free_ns = free_ns
+        self.counters.frames += len(delivered)
+        self.counters.bits += all_bits
+
+    def next_event_ns(self) -> int | None:
+        """When `run` has something to do next, if nothing more is queued; None: never."""
+        if self._sender is not None:
+            return self._end_ns
+        waiting = [station.queue[0].ready_ns for station in self._stations if station.queue]
+        return max(self.free_ns, min(waiting)) if waiting else None
+
+    def _arbitrate(self, until_ns: int) -> bool:
+        """Put the winner among the waiting heads on the wire, if one may begin by `until_ns`."""
+        heads = [station for station in self._stations if station.queue]
+        if not heads:
+            return False
+        winner = heads[0]
+        frame = winner.queue[0]
+        start = max(self.free_ns, frame.ready_ns)
+        if len(heads) > 1:
+            start = max(self.free_ns, min([station.queue[0].ready_ns for station in heads]))
+            winner = min(
+                (station for station in heads if station.queue[0].ready_ns <= start),
+                key=lambda station: station.queue[0].priority,
+            )
+            frame = winner.queue[0]
+        if start > until_ns:
+            return False
+        if frame.fate is not None and frame.fate.broken_off_after:
+            bits = frame.fate.broken_off_after[0] + ERROR_FRAME_BITS
+            self._end_ns = start + bits * 1_000_000_000 // self.bitrate
+        else:
+            self._end_ns = start + frame.duration_ns
+        self._sender = winner
+        return True
+
+    def _finish(self, delivered: list[Delivery]) -> None:
+        """What was on the wire is over: count it, and deliver it or leave it at the head for its next attempt."""
+        sender = self._sender
+        assert sender is not None
+        self._sender = None
+        self.free_ns = self._end_ns
+        frame = sender.queue.popleft()
+        if frame.fate is not None and not self._survives(sender, frame, frame.fate):
+            return
+        self.counters.frames += 1
+        self.counters.bits += frame.bits
+        if self._counting:
+            self._count_success(sender)
+        delivered.append(_delivery((sender, frame.can_id, frame.payload, self.free_ns)))
+
+    def _survives(self, sender: Station, frame: QueuedFrame, fate: FrameOutcome) -> bool:
+        """Apply a disturbance; whether the frame that was on the wire reaches the others."""
+        counters = self.counters
+        if fate.broken_off_after:
+            counters.error_frames += 1
+            counters.bits += fate.broken_off_after[0] + ERROR_FRAME_BITS
+            sender.queue.appendleft(frame._replace(fate=fate._replace(broken_off_after=fate.broken_off_after[1:])))
+            self._count_failure(sender)
+            return False
+        if fate.lost:
+            counters.lost += 1
+            counters.frames += 1
+            counters.bits += frame.bits
+            return False
+        if fate.duplicated:
+            sender.queue.appendleft(frame._replace(fate=None))
+        return True
+
+    def _count_failure(self, sender: Station) -> None:
+        """An error frame has broken off what `sender` sent: all have seen it."""
+        self._counting = True
+        for station in self._stations:
+            if station is sender:
+                station.errors.transmit_failed()
+            elif station.state is not ControllerState.BUS_OFF:
+                station.errors.receive_failed()
+            self._look_at(station)
+        if sender.state is ControllerState.BUS_OFF:
+            self.counters.lost += len(sender.queue)
+            sender.queue.clear()
+
+    def _count_success(self, sender: Station) -> None:
+        for station in self._stations:
+            if station is sender:
+                station.errors.transmit_succeeded()
+            elif station.state is not ControllerState.BUS_OFF:
+                station.errors.receive_succeeded()
+            self._look_at(station)
+        self._counting = not all(station.errors.clear for station in self._stations)
+
+    def _look_at(self, station: Station) -> None:
+        state = station.errors.state
+        if state is not station.state:
+            station.state = state
+            self.changed.append(station)

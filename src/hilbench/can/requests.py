@@ -1,0 +1,149 @@
+"""Requests to the hub of the embedded bus, checked: nothing a client sends can upset the hub."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass, field
+from typing import Any, TypeAlias
+
+from hilbench.can.disturbance import ErrorInjection
+from hilbench.can.protocol import DEFAULT_BITRATE, DEFAULT_DATA_BITRATE
+
+_MAX_FILTERS = 512  # as CAN_RAW_FILTER_MAX
+
+
+class RefusedError(Exception):
+    """A request that is not carried out; the text goes back to the client."""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How the emulated bus runs: bit rates in bit/s; timing "real" or "virtual"."""
+
+    bitrate: int = DEFAULT_BITRATE
+    data_bitrate: int = DEFAULT_DATA_BITRATE
+    timing: str = "real"
+
+    def as_json(self) -> dict[str, Any]:
+        return asdict(self)
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """Settings a client asks for; None: as they are."""
+
+    bitrate: int | None = None
+    data_bitrate: int | None = None
+    timing: str | None = None
+
+    def completed(self) -> Settings:
+        return Settings(**{name: value for name, value in asdict(self).items() if value is not None})
+
+    def check_against(self, settings: Settings) -> None:
+        """Raise RefusedError unless a bus with these settings is what the client asked for."""
+        for name, unit in (("bitrate", " bit/s"), ("data_bitrate", " bit/s"), ("timing", "")):
+            running, wanted = getattr(settings, name), getattr(self, name)
+            if wanted is not None and wanted != running:
+                raise RefusedError(f"{name} is {running}{unit} on the bus that runs, asked for {wanted}{unit}")
+
+
+@dataclass(frozen=True)
+class Join:
+    """Become a station. `single`: one frame a packet, so that the descriptor is readable while a frame waits."""
+
+    wanted: Wanted = field(default_factory=Wanted)
+    receive_own: bool = False
+    fd: bool = False
+    single: bool = False
+    filters: list[tuple[int, int]] | None = None
+
+
+@dataclass(frozen=True)
+class SetFilters:
+    """Frames that are over from now on reach the station only if a filter accepts them."""
+
+    station: int
+    filters: list[tuple[int, int]] | None
+
+
+@dataclass(frozen=True)
+class SetErrors:
+    """Disturb the frames that are queued from now on."""
+
+    injection: ErrorInjection
+
+
+@dataclass(frozen=True)
+class GetStatistics:
+    """Ask for the counters."""
+
+
+Request: TypeAlias = Join | SetFilters | SetErrors | GetStatistics
+
+
+def parse(packet: bytes) -> Request:
+    """The request in a packet. Raises RefusedError, with what was expected."""
+    try:
+        content = json.loads(packet)
+    except (ValueError, RecursionError):
+        raise RefusedError("found no JSON, expected a request") from None
+    if not isinstance(content, dict):
+        raise RefusedError("found no object, expected a request")
+    kind = content.pop("request", None)
+    if kind == "join":
+        return _join(content)
+    if kind == "set_filters":
+        return SetFilters(_integer(content, "station", 1), _filters(content.get("filters")))
+    if kind == "set_errors":
+        return SetErrors(_injection(content))
+    if kind == "statistics":
+        return GetStatistics()
+    raise RefusedError(f"request {kind!r}: unknown")
+
+
+def _join(content: dict[str, Any]) -> Join:
+    timing = content.get("timing")
+    if timing not in (None, "real", "virtual"):
+        raise RefusedError(f"timing: found {timing!r}, expected 'real' or 'virtual'")
+    wanted = Wanted(
+        None if content.get("bitrate") is None else _integer(content, "bitrate", 1000, 1_000_000),
+        None if content.get("data_bitrate") is None else _integer(content, "data_bitrate", 1000, 20_000_000),
+        timing,
+    )
+    return Join(
+        wanted,
+        receive_own=content.get("receive_own") is True,
+        fd=content.get("fd") is True,
+        single=content.get("single") is True,
+        filters=_filters(content.get("filters")),
+    )
+
+
+def _injection(content: dict[str, Any]) -> ErrorInjection:
+    filters = _filters(content.pop("filters", None))
+    try:
+        for name, value in content.items():
+            if isinstance(value, bool) or not isinstance(value, int | float):
+                raise RefusedError(f"{name}: found {value!r}, expected a number")
+        content["seed"] = int(content.get("seed", 0))
+        return ErrorInjection(**content, filters=None if filters is None else tuple(filters))
+    except (TypeError, ValueError, OverflowError) as error:
+        raise RefusedError(f"error injection: {error}") from None
+
+
+def _integer(content: dict[str, Any], name: str, least: int, most: int = 1 << 62) -> int:
+    value = content.get(name)
+    if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= most:
+        raise RefusedError(f"{name}: found {value!r}, expected an integer from {least} to {most}")
+    return value
+
+
+def _filters(content: Any) -> list[tuple[int, int]] | None:
+    if content is None:
+        return None
+    if not isinstance(content, list) or len(content) > _MAX_FILTERS:
+        raise RefusedError(f"filters: expected a list of up to {_MAX_FILTERS} pairs")
+    for pair in content:
+        if not (isinstance(pair, list) and len(pair) == 2 and all(type(part) is int for part in pair)):
+            raise RefusedError(f"filters: found {pair!r}, expected [identifier, mask]")
+    return [(identifier & 0xFFFFFFFF, mask & 0xFFFFFFFF) for identifier, mask in content]

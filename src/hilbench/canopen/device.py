@@ -1,0 +1,327 @@
+"""The CANopen device runtime, slave side (CiA 301): NMT states gate SDO, PDO, SYNC, EMCY and heartbeat.
+
+A device does nothing by itself: its host hands it frames (`handle`, `sync`) and time (`poll`) and sends what collects
+in `replies` (answers to a request, due at once) and `outbox` (what the device has to say on its own).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from enum import IntEnum
+from pathlib import Path
+
+import canopen
+from hilbench.can.frame import EXTENDED_FLAG, REMOTE_FLAG, Frame
+from hilbench.canopen.clock import Clock
+from hilbench.canopen.device_pdo import RPDO_TIMED_OUT, Rpdo, Tpdo
+from hilbench.canopen.emcy import COMMUNICATION_ERROR, EmergencyProducer
+from hilbench.canopen.emergency_stop import EMERGENCY_STOP_COB_ID
+from hilbench.canopen.heartbeat import HeartbeatConsumer, HeartbeatProducer
+from hilbench.canopen.identifiers import is_restricted
+from hilbench.canopen.object_store import INVALID_VALUE, PRESENT_STATE, Cell, ObjectStore, SdoAbort
+from hilbench.canopen.sdo_server import DeviceSdoServer
+from hilbench.canopen.storage import Storage
+from hilbench.errors import UnusableInputError
+
+__all__ = ["Cell", "Device", "NmtState", "SdoAbort"]
+
+#: What 1029h sub 1 asks for when a heartbeat is lost; any other value: no change.
+_TO_PRE_OPERATIONAL, _TO_STOPPED = 0, 2
+
+HEARTBEAT_LOST = 0x8130
+SYNC_LENGTH = 0x8240
+
+_PRODUCE_SYNC = 0x40000000
+_USUAL_SYNC = 0x80  #: restricted for everything but SYNC
+
+_BOOT_UP = b"\0"  #: has the identifier of the heartbeat and is none
+
+#: Error register, COB-ID of SYNC, producer heartbeat time.
+_NEEDED = (0x1001, 0x1005, 0x1017)
+
+_COMMUNICATION_AREA = (0x1000, 0x1FFF)
+_ALL_AREAS = (0x1000, 0x9FFF)
+
+
+class NmtState(IntEnum):
+    """NMT states by the value that a heartbeat carries."""
+
+    INITIALISING = 0
+    STOPPED = 4
+    OPERATIONAL = 5
+    PRE_OPERATIONAL = 127
+
+
+class Device:
+    """One CANopen device on the object dictionary of an EDS file.
+
+    `cell(index, sub)` is the one place of an object's value. The application may set `on_nmt(state)` (told of every
+    change, INITIALISING for a reset), `on_communication_error(code)` (EMCY code: a watched heartbeat or an RPDO
+    missed), `on_emergency_stop()` (the global fail-safe command has come) and `on_write` of cells.
+    Raises UnusableInputError when the EDS lacks what a device needs.
+    """
+
+    def __init__(self, od: canopen.ObjectDictionary, node_id: int, clock: Clock, *, store: Path | None = None) -> None:
+        self.node_id = node_id
+        self.nmt_state = NmtState.INITIALISING
+        self.replies: list[Frame] = []
+        self.outbox: list[Frame] = []
+        self.on_nmt: Callable[[NmtState], None] | None = None
+        self.on_communication_error: Callable[[int], None] | None = None
+        self.on_emergency_stop: Callable[[], None] | None = None
+        self._clock = clock
+        self._store = ObjectStore(od)
+        for index in _NEEDED:
+            if (index, 0) not in self._store:
+                raise UnusableInputError(f"EDS of node {node_id}", f"object {index:04X}h is missing, a device needs it")
+        self._storage = Storage(self._store, store)
+        self._sdo = DeviceSdoServer(node_id, self._store, self._reply)
+        self._emcy = EmergencyProducer(self._store, self._say, clock.now_ns, self._communicates)
+        self._producer = HeartbeatProducer(self._store, clock.now_ns)
+        self._consumer = HeartbeatConsumer(self._store, clock.now_ns, self._heartbeat_lost, self._heartbeat_back)
+        numbers = range(1, 513)
+        self._rpdos = [
+            Rpdo(self._store, n, self._emcy, clock.now_ns)
+            for n in numbers
+            if (0x13FF + n, 1) in self._store and (0x15FF + n, 0) in self._store
+        ]
+        self._tpdos = [
+            Tpdo(self._store, n, self._say)
+            for n in numbers
+            if (0x17FF + n, 1) in self._store and (0x19FF + n, 0) in self._store
+        ]
+        self._receivers: dict[int, Rpdo] = {}
+        self._synchronous: list[Tpdo] = []
+        self._event_driven: list[Tpdo] = []
+        self._restrict_sync_objects()
+        self._reset(*_ALL_AREAS)
+
+    # -- application side --------------------------------------------------------------------------------
+
+    def cell(self, index: int, sub: int = 0) -> Cell:
+        """The cell of an object. Raises KeyError when the EDS lacks it."""
+        return self._store.cell(index, sub)
+
+    def has(self, index: int, sub: int = 0) -> bool:
+        """Whether the EDS has the object."""
+        return (index, sub) in self._store
+
+    def emergency(self, code: int, register_bits: int, info: bytes = b"") -> None:
+        """An error has come (1001h, 1003h, and EMCY where the NMT state allows it); reported once until
+        `clear_emergency`."""
+        self._emcy.raise_error(code, register_bits, info)
+
+    def clear_emergency(self, code: int) -> None:
+        """An error has gone."""
+        self._emcy.clear_error(code)
+
+    def keep_emergency(self, code: int) -> None:
+        """The application is in fault because of this error: it stays in 1001h, and EMCY 0000h is not sent, though its
+        cause may go, until `acknowledge_emergency`."""
+        self._emcy.keep(code)
+
+    def acknowledge_emergency(self, code: int) -> None:
+        """The fault was reset: the error ends as soon as its cause is gone."""
+        self._emcy.acknowledge(code)
+
+    # -- host side ---------------------------------------------------------------------------------------
+
+    def boot(self) -> None:
+        """Say boot-up and be pre-operational."""
+        self._reply(0x700 + self.node_id, _BOOT_UP)
+        self._enter(NmtState.PRE_OPERATIONAL)
+
+    def identifiers(self) -> set[int]:
+        """Identifiers (REMOTE_FLAG in those of remote requests) of the frames, besides SYNC, that mean anything to the
+        device as it is configured now."""
+        return {
+            *(0, 0x600 + self.node_id, EMERGENCY_STOP_COB_ID),
+            *(0x700 + node_id for node_id in self._consumer.times_ns()),
+            *self._receivers,
+            *(tpdo.cob_id | REMOTE_FLAG for tpdo in self._tpdos if tpdo.valid),
+        }
+
+    def handle(self, frame: Frame) -> None:
+        """Any frame of the bus but SYNC."""
+        can_id = frame.can_id
+        receiver = self._receivers.get(can_id)
+        if receiver is not None:
+            if self.nmt_state is NmtState.OPERATIONAL:
+                receiver.receive(frame.data)
+        elif can_id == 0x600 + self.node_id:
+            if self._communicates():
+                self._sdo.handle(frame.data)
+                self._compile_pdos_if_changed()
+        elif can_id == 0:
+            self._nmt_command(frame.data)
+        elif can_id == EMERGENCY_STOP_COB_ID:
+            if self.on_emergency_stop is not None:
+                self.on_emergency_stop()
+        elif 0x701 <= can_id <= 0x77F and len(frame.data) == 1 and frame.data != _BOOT_UP:
+            self._consumer.heard(can_id - 0x700)
+        elif can_id & REMOTE_FLAG and not can_id & EXTENDED_FLAG and self.nmt_state is NmtState.OPERATIONAL:
+            for tpdo in self._tpdos:
+                if tpdo.valid and tpdo.cob_id == can_id & 0x7FF:
+                    tpdo.request()
+
+    @property
+    def sync_cob_id(self) -> int:
+        """Identifier of SYNC, 1005h."""
+        return int(self._sync_cob.value & 0x7FF)
+
+    def sync(self, data: bytes) -> None:
+        """SYNC: in OPERATIONAL synchronous RPDOs act, synchronous TPDOs are sampled and sent."""
+        if not self._communicates():
+            return
+        expected = 1 if self._sync_counter is not None and self._sync_counter.value else 0
+        if len(data) != expected:
+            self._emcy.raise_error(SYNC_LENGTH, COMMUNICATION_ERROR, bytes([len(data)]))
+            return
+        self._emcy.clear_error(SYNC_LENGTH)
+        if self.nmt_state is not NmtState.OPERATIONAL:
+            return
+        counter = data[0] if expected else None
+        for rpdo in self._receivers.values():
+            rpdo.sync()
+        for tpdo in self._synchronous:
+            tpdo.sync(counter)
+
+    def poll(self) -> None:
+        """Time has passed: heartbeats, time-outs, event-driven PDOs, held-back EMCYs."""
+        now_ns = self._clock.now_ns()
+        if self._producer.due(now_ns):
+            self._say(0x700 + self.node_id, bytes([self.nmt_state]))
+        self._consumer.poll(now_ns)
+        self._emcy.poll(now_ns)
+        if self.nmt_state is not NmtState.OPERATIONAL:
+            return
+        for rpdo in self._receivers.values():
+            if rpdo.poll(now_ns):
+                self._communication_error(RPDO_TIMED_OUT, rpdo.number)
+        for tpdo in self._event_driven:
+            tpdo.poll(now_ns)
+
+    def rephase(self) -> None:
+        """Count all periods from now: SYNC has begun, and with it a common time."""
+        now_ns = self._clock.now_ns()
+        self._producer.rephase()
+        self._consumer.rephase()
+        for rpdo in self._rpdos:
+            rpdo.rephase(now_ns)
+        for tpdo in self._tpdos:
+            tpdo.rephase(now_ns)
+
+    # -- NMT ---------------------------------------------------------------------------------------------
+
+    def _nmt_command(self, data: bytes) -> None:
+        if len(data) != 2 or data[1] not in (0, self.node_id):
+            return
+        command = data[0]
+        if command == 1:
+            self._enter(NmtState.OPERATIONAL)
+        elif command == 2:
+            self._enter(NmtState.STOPPED)
+        elif command == 128:
+            self._enter(NmtState.PRE_OPERATIONAL)
+        elif command in (129, 130):
+            self._enter(NmtState.INITIALISING)
+            self._reset(*(_ALL_AREAS if command == 129 else _COMMUNICATION_AREA))
+            self.boot()
+
+    def _enter(self, state: NmtState) -> None:
+        if state is self.nmt_state:
+            return
+        self.nmt_state = state
+        for rpdo in self._rpdos:
+            rpdo.reset()
+        if state is NmtState.OPERATIONAL:
+            for tpdo in self._tpdos:
+                tpdo.restart()
+        if self._communicates():
+            self._emcy.released()
+        if self.on_nmt is not None:
+            self.on_nmt(state)
+
+    def _reset(self, first: int, last: int) -> None:
+        self._store.reset(first, last)
+        self._storage.apply(first, last)
+        self._emcy.reset()
+        self._sdo.reset()
+        self._consumer.reset()
+        self._producer.rephase()
+        self._compile_pdos()
+
+    # -- PDOs --------------------------------------------------------------------------------------------
+
+    def _compile_pdos_if_changed(self) -> None:
+        pdos = (*self._rpdos, *self._tpdos)
+        changed = [pdo for pdo in pdos if pdo.parameters() != pdo.compiled]
+        if changed:
+            self._compile_pdos()
+        for pdo in changed:
+            pdo.restart()
+
+    def _compile_pdos(self) -> None:
+        for pdo in (*self._rpdos, *self._tpdos):
+            try:
+                pdo.compile()
+            except (SdoAbort, ValueError) as error:
+                # Writes are checked one by one, so this is what the device starts with.
+                raise UnusableInputError(
+                    f"EDS of node {self.node_id}", f"{pdo} cannot have its default mapping: {error}"
+                ) from error
+        self._receivers = {rpdo.cob_id: rpdo for rpdo in self._rpdos if rpdo.valid and rpdo.map is not None}
+        active = [tpdo for tpdo in self._tpdos if tpdo.valid and tpdo.map is not None]
+        self._synchronous = [tpdo for tpdo in active if tpdo.transmission_type <= 240]
+        self._event_driven = [tpdo for tpdo in active if tpdo.transmission_type > 240]
+
+    # -- SYNC objects ------------------------------------------------------------------------------------
+
+    def _restrict_sync_objects(self) -> None:
+        self._sync_cob = self.cell(0x1005)
+        self._sync_counter = self.cell(0x1019) if self.has(0x1019) else None
+        self._sync_cob.on_write = self._check_sync_cob
+        if self._sync_counter is not None:
+            self._sync_counter.on_write = self._check_sync_counter
+
+    def _check_sync_cob(self, value: int) -> None:
+        # This device produces no SYNC (bit 30).
+        if value & _PRODUCE_SYNC or (value & 0x7FFFFFFF != _USUAL_SYNC and is_restricted(value)):
+            raise SdoAbort(INVALID_VALUE)
+
+    def _check_sync_counter(self, value: int) -> None:
+        if self.has(0x1006) and self.cell(0x1006).value:
+            raise SdoAbort(PRESENT_STATE)
+        if value == 1 or value > 240:
+            raise SdoAbort(INVALID_VALUE)
+
+    # -- errors ------------------------------------------------------------------------------------------
+
+    def _heartbeat_lost(self, node_id: int) -> None:
+        self._communication_error(HEARTBEAT_LOST, node_id)
+        behaviour = self.cell(0x1029, 1).value if self.has(0x1029, 1) else _TO_PRE_OPERATIONAL
+        if behaviour == _TO_PRE_OPERATIONAL and self.nmt_state is NmtState.OPERATIONAL:
+            self._enter(NmtState.PRE_OPERATIONAL)
+        elif behaviour == _TO_STOPPED:
+            self._enter(NmtState.STOPPED)
+
+    def _heartbeat_back(self, node_id: int) -> None:
+        self._emcy.clear_error(HEARTBEAT_LOST, node_id)
+
+    def _communication_error(self, code: int, source: int) -> None:
+        """EMCY, and the application's reaction (6007h)."""
+        self._emcy.raise_error(code, COMMUNICATION_ERROR, bytes([source & 0xFF]), source)
+        if self.on_communication_error is not None:
+            self.on_communication_error(code)
+
+    def _communicates(self) -> bool:
+        """SDO, SYNC and EMCY live in PRE-OPERATIONAL and OPERATIONAL only (CiA 301, table 37)."""
+        return self.nmt_state in (NmtState.PRE_OPERATIONAL, NmtState.OPERATIONAL)
+
+    # -- frames out --------------------------------------------------------------------------------------
+
+    def _say(self, cob_id: int, data: bytes) -> None:
+        self.outbox.append(Frame(cob_id, bytes(data)))
+
+    def _reply(self, cob_id: int, data: bytes) -> None:
+        self.replies.append(Frame(cob_id, bytes(data)))

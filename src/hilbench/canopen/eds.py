@@ -1,0 +1,314 @@
+"""EDS and DCF files (CiA 306) as an object dictionary.
+
+The file is read twice: once here, with its line numbers, to check what matters and to drop what other makers
+leave empty; then by `canopen.import_od`, on the cleaned text.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+from copy import deepcopy
+from dataclasses import dataclass, field
+from functools import lru_cache
+from pathlib import Path
+
+from canopen.objectdictionary import ODArray, ODRecord, ODVariable
+
+import canopen
+from hilbench.canopen.data_types import Value, data_type
+from hilbench.errors import UnusableInputError
+
+#: Below it stand data types; 0001h to 0007h may be mapped as placeholders.
+_FIRST_OBJECT = 0x1000
+_VAR = 0x7
+_ARRAY_TYPES = (0x8, 0x9)  # ObjectType ARRAY, RECORD
+_DOMAIN = 0x2
+_NO_VALUE = (0x0, 0x5, 0x6)  # ObjectType NULL, DEFTYPE, DEFSTRUCT: nothing to read or write
+_ACCESS_TYPES = {"ro", "wo", "rw", "rwr", "rww", "const"}
+_OBJECT = re.compile(r"^([0-9A-Fa-f]{4})(?:sub([0-9A-Fa-f]{1,2}))?$", re.IGNORECASE)
+_INDEX_KEY = re.compile(r"^(?:0x)?([0-9A-Fa-f]{4})(?:sub([0-9A-Fa-f]{1,2}))?$", re.IGNORECASE)
+_KEYS = {
+    name.lower(): name
+    for name in (
+        "ParameterName", "ObjectType", "DataType", "AccessType", "DefaultValue", "ParameterValue", "LowLimit",
+        "HighLimit", "PDOMapping", "SubNumber", "CompactSubObj", "StorageLocation", "NrOfEntries",
+        "VendorName", "VendorNumber", "ProductName", "ProductNumber", "RevisionNumber", "OrderCode",
+    )
+}  # fmt: skip
+
+
+@dataclass
+class _Section:
+    name: str
+    line: int
+    options: dict[str, str] = field(default_factory=dict)
+    lines: dict[str, int] = field(default_factory=dict)
+
+
+def load_eds(path: Path | str, node_id: int) -> canopen.ObjectDictionary:
+    """Object dictionary of an EDS or DCF file for the device with this node id (``$NODEID`` is resolved).
+
+    Raises UnusableInputError with file and line when the file cannot be read or an object in it is not usable:
+    no name, type or access type, a default or a limit that is no value of its type, a sub-index without its object.
+    """
+    path = Path(path)
+    try:
+        status = path.stat()
+    except OSError as error:
+        raise _unreadable(path, error) from error
+    return deepcopy(_load(path, node_id, (status.st_mtime_ns, status.st_size)))
+
+
+@lru_cache(64)  # at its start a bench asks for each file several times; to copy takes an eighth of the time to read
+def _load(path: Path, node_id: int, _as_of: tuple[int, int]) -> canopen.ObjectDictionary:
+    sections = _read_sections(path)
+    objects = _object_sections(path, sections)
+    _check_hierarchy(path, objects)
+    written = [_write(section, _name(*key)) for key, section in objects.items()]
+    text = io.StringIO(_device_info(path, sections) + "".join(written))
+    text.name = f"{path.stem}.eds"
+    od = canopen.import_od(text, node_id)
+    od.node_id = node_id
+    for (index, sub), section in objects.items():
+        if sub is not None or _integer(path, section, "ObjectType", _VAR) not in _ARRAY_TYPES:
+            _take_values(path, section, variable(od, index, sub or 0), node_id)
+    return od
+
+
+def find(od: canopen.ObjectDictionary, key: int | str) -> ODVariable:
+    """One variable: by index, by ``0x6403sub1``, or by its parameter name in snake case (``target_velocity``; an
+    entry of a record as ``identity_object.vendor_id``).
+
+    A record or array needs the sub-index. Raises KeyError, with a text for a person, when the dictionary has no such
+    variable or several of that name.
+    """
+    if isinstance(key, int):
+        return variable(od, key, 0)
+    match = _INDEX_KEY.match(key.strip())
+    if match:
+        return variable(od, int(match[1], 16), int(match[2] or "0", 16))
+    return _find_by_name(od, key)
+
+
+def variable(od: canopen.ObjectDictionary, index: int, sub: int) -> ODVariable:
+    """The variable at index and sub-index. Raises KeyError."""
+    entry = od.indices.get(index)
+    if entry is None:
+        raise KeyError(f"no object {index:04X}h")
+    # canopen's arrays invent members on access; only those of the file count.
+    found = (entry if sub == 0 else None) if isinstance(entry, ODVariable) else entry.subindices.get(sub)
+    if found is None:
+        raise KeyError(f"{index:04X}h has no sub-index {sub}")
+    return found
+
+
+def all_variables(od: canopen.ObjectDictionary) -> list[ODVariable]:
+    """Every variable of the dictionary, entries of records and arrays included, dummy types (below 1000h) excluded."""
+    found: list[ODVariable] = []
+    for index in sorted(od.indices):
+        entry = od.indices[index]
+        if isinstance(entry, ODVariable):
+            found += [entry] if index >= _FIRST_OBJECT else []
+        else:
+            found += [entry.subindices[sub] for sub in sorted(entry.subindices)]
+    return found
+
+
+def snake_case(name: str) -> str:
+    """``Target velocity`` → ``target_velocity``."""
+    return re.sub(r"[^0-9a-z]+", "_", name.lower()).strip("_")
+
+
+def _find_by_name(od: canopen.ObjectDictionary, name: str) -> ODVariable:
+    found = [candidate for candidate in all_variables(od) if _full_name(candidate) == name]
+    if len(found) == 1:
+        return found[0]
+    if not found:
+        raise KeyError(f"no object named '{name}'")
+    where = ", ".join(f"0x{candidate.index:04X}sub{candidate.subindex:X}" for candidate in found)
+    raise KeyError(f"'{name}' names several objects: {where}")
+
+
+def _full_name(candidate: ODVariable) -> str:
+    parent: object = candidate.parent
+    own = snake_case(candidate.name)
+    return f"{snake_case(parent.name)}.{own}" if isinstance(parent, ODRecord | ODArray) else own
+
+
+def _unreadable(path: Path, error: OSError) -> UnusableInputError:
+    return UnusableInputError(path, f"cannot be read ({error.strerror}), expected an EDS file")
+
+
+def _read_sections(path: Path) -> dict[str, _Section]:
+    try:
+        text = path.read_bytes().decode("utf-8-sig", errors="replace")
+    except OSError as error:
+        raise _unreadable(path, error) from error
+    sections: dict[str, _Section] = {}
+    current: _Section | None = None
+    for number, raw in enumerate(text.splitlines(), start=1):
+        line = raw.strip()
+        if not line or line[0] in ";#":
+            continue
+        if line.startswith("[") and "]" in line:
+            current = _Section(line[1 : line.index("]")].strip(), number)
+            known = sections.setdefault(current.name.lower(), current)
+            if known is not current:
+                raise UnusableInputError(
+                    f"{path}:{number}", f"section [{current.name}] is repeated, first given in line {known.line}"
+                )
+        elif current is None or "=" not in line:
+            raise UnusableInputError(f"{path}:{number}", f"'{line[:40]}' found, expected [section] or key=value")
+        else:
+            _add_option(path, current, line, number)
+    return sections
+
+
+def _add_option(path: Path, section: _Section, line: str, number: int) -> None:
+    key, value = (part.strip() for part in line.split("=", 1))
+    key = _KEYS.get(key.lower(), key)
+    value = re.split(r"\s;", value, maxsplit=1)[0].strip()
+    if key in section.options:
+        raise UnusableInputError(
+            f"{path}:{number}", f"key '{key}' is repeated, first given in line {section.lines[key]}"
+        )
+    if value and not value.startswith(";"):  # an empty field says nothing
+        section.options[key] = value
+        section.lines[key] = number
+
+
+def _object_sections(path: Path, sections: dict[str, _Section]) -> dict[tuple[int, int | None], _Section]:
+    objects: dict[tuple[int, int | None], _Section] = {}
+    for section in sections.values():
+        match = _OBJECT.match(section.name)
+        if match:
+            index = int(match[1], 16)
+            objects[(index, int(match[2], 16) if match[2] else None)] = section
+    for (index, sub), section in list(objects.items()):
+        if sub is None and _integer(path, section, "ObjectType", _VAR) in _NO_VALUE:
+            for key in [key for key in objects if key[0] == index]:
+                del objects[key]
+    if not objects:
+        raise UnusableInputError(path, "no object is in the file, expected an EDS file (CiA 306)")
+    for (index, sub), section in list(objects.items()):
+        if sub is None and "CompactSubObj" in section.options:
+            objects.update(_expand_compact(path, index, section, sections))
+    objects.update(_dummies(sections.get("dummyusage")))
+    return dict(sorted(objects.items(), key=lambda item: (item[0][0], -1 if item[0][1] is None else item[0][1])))
+
+
+def _expand_compact(
+    path: Path, index: int, section: _Section, sections: dict[str, _Section]
+) -> dict[tuple[int, int | None], _Section]:
+    """The sub-indices that CompactSubObj stands for (CiA 306, 4.6.3.3), named and valued by their own sections."""
+    count = _integer(path, section, "CompactSubObj", 0)
+    names, values = (sections.get(f"{section.name}{what}".lower()) for what in ("Name", "Value"))
+    members: dict[tuple[int, int | None], _Section] = {}
+    head = {"ParameterName": "Number of entries", "DataType": "0x5", "AccessType": "ro", "DefaultValue": str(count)}
+    members[(index, 0)] = _Section(f"{section.name}sub0", section.line, head)
+    shared = {key: section.options[key] for key in section.options if key not in ("CompactSubObj", "ObjectType")}
+    for sub in range(1, count + 1):
+        options = dict(shared)
+        options["ParameterName"] = f"{shared.get('ParameterName', '')} {sub}".strip()
+        if names and str(sub) in names.options:
+            options["ParameterName"] = names.options[str(sub)]
+        if values and str(sub) in values.options:
+            options["ParameterValue"] = values.options[str(sub)]
+        members[(index, sub)] = _Section(f"{section.name}sub{sub:X}", section.line, options, section.lines)
+    section.options = {"ParameterName": section.options.get("ParameterName", section.name), "ObjectType": "0x8"}
+    return members
+
+
+def _dummies(usage: _Section | None) -> dict[tuple[int, int | None], _Section]:
+    """Data types that may be mapped as placeholders, as objects 0001h to 0007h."""
+    if usage is None:
+        return {}
+    return {
+        (code, None): _Section(
+            f"{code:04X}",
+            usage.line,
+            {"ParameterName": f"Dummy{code:04d}", "DataType": str(code), "AccessType": "wo", "PDOMapping": "1"},
+        )
+        for code in range(1, 8)
+        if usage.options.get(f"Dummy{code:04d}") == "1"
+    }
+
+
+def _check_hierarchy(path: Path, objects: dict[tuple[int, int | None], _Section]) -> None:
+    for (index, sub), section in objects.items():
+        place = f"{path}:{section.line}"
+        if sub is not None:
+            parent = objects.get((index, None))
+            if parent is None or _integer(path, parent, "ObjectType", _VAR) not in _ARRAY_TYPES:
+                raise UnusableInputError(place, f"[{section.name}] has no array or record [{index:04X}] it belongs to")
+        kind = _integer(path, section, "ObjectType", _VAR)
+        if kind not in (_VAR, _DOMAIN) and (sub is not None or kind not in _ARRAY_TYPES):
+            line = section.lines.get("ObjectType", section.line)
+            raise UnusableInputError(
+                f"{path}:{line}", f"ObjectType of [{section.name}] is {kind}, expected 2, 7, 8 or 9 (CiA 306)"
+            )
+        if "ParameterName" not in section.options:
+            raise UnusableInputError(place, f"[{section.name}] has no ParameterName")
+        if kind in _ARRAY_TYPES:
+            continue
+        for key in ("DataType", "AccessType"):
+            if key not in section.options:
+                raise UnusableInputError(place, f"[{section.name}] has no {key}")
+        access = section.options["AccessType"]
+        if access.lower() not in _ACCESS_TYPES:
+            raise UnusableInputError(
+                f"{path}:{section.lines.get('AccessType', section.line)}",
+                f"AccessType of [{section.name}] is '{access}', expected one of {', '.join(sorted(_ACCESS_TYPES))}",
+            )
+        for key in ("DataType", "PDOMapping"):
+            _integer(path, section, key, 0)
+
+
+def _integer(path: Path, section: _Section, key: str, default: int) -> int:
+    text = section.options.get(key)
+    try:
+        return default if text is None else int(text, 0)
+    except ValueError:
+        place = f"{path}:{section.lines.get(key, section.line)}"
+        raise UnusableInputError(place, f"{key} of [{section.name}] is '{text}', expected an integer") from None
+
+
+def _device_info(path: Path, sections: dict[str, _Section]) -> str:
+    section = sections.get("deviceinfo", _Section("DeviceInfo", 1))
+    for key in ("VendorNumber", "ProductNumber", "RevisionNumber"):
+        _integer(path, section, key, 0)
+    return _write(section, section.name)
+
+
+def _name(index: int, sub: int | None) -> str:
+    """As canopen reads it: it minds the case of a section's name."""
+    return f"{index:04X}" if sub is None else f"{index:04X}sub{sub:X}"
+
+
+def _write(section: _Section, name: str) -> str:
+    """The section for canopen, without the values that are taken from our own reading."""
+    kept = {key: text for key, text in section.options.items() if key in _KEYS.values() and key not in _VALUES}
+    return f"[{name}]\n" + "".join(f"{key}={text}\n" for key, text in kept.items()) + "\n"
+
+
+#: EDS key → attribute of canopen's variable. canopen skips values it cannot convert; here they are refused.
+_VALUES = {"DefaultValue": "default", "ParameterValue": "value", "LowLimit": "min", "HighLimit": "max"}
+
+
+def _take_values(path: Path, section: _Section, target: ODVariable, node_id: int) -> None:
+    kind = data_type(target.data_type or 0)
+    for key, attribute in _VALUES.items():
+        text = section.options.get(key)
+        if text is None or (attribute in ("min", "max") and not kind.is_number):
+            continue
+        try:
+            value: Value = kind.parse(text, node_id)
+        except ValueError:
+            if kind.width is None and attribute == "default":
+                continue  # DOMAIN and OCTET_STRING: makers write anything here, and nothing depends on it
+            place = f"{path}:{section.lines.get(key, section.line)}"
+            raise UnusableInputError(
+                place, f"{key} of [{section.name}] is '{text}', expected a value of data type {kind.code:04X}h"
+            ) from None
+        setattr(target, attribute, value)

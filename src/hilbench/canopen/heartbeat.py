@@ -1,0 +1,116 @@
+"""Heartbeat producer 1017h and consumers 1016h (CiA 301)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from hilbench.canopen.object_store import INCOMPATIBLE, Cell, ObjectStore, SdoAbort
+
+_MS = 1_000_000
+
+
+class HeartbeatProducer:
+    """Says the NMT state every 1017h ms."""
+
+    def __init__(self, store: ObjectStore, now_ns: Callable[[], int]) -> None:
+        self._period = store.cell(0x1017)
+        self._now_ns = now_ns
+        self._next_ns = 0
+        self._period.on_write = self._restart
+
+    def rephase(self) -> None:
+        """Count the period from now."""
+        self._next_ns = self._now_ns() + self._period.value * _MS
+
+    def due(self, now_ns: int) -> bool:
+        """Whether a heartbeat is to be sent now; the next one is due a period later."""
+        period_ns = self._period.value * _MS
+        if period_ns == 0 or now_ns < self._next_ns:
+            return False
+        self._next_ns = max(self._next_ns + period_ns, now_ns)
+        return True
+
+    def _restart(self, period_ms: int) -> None:
+        self._next_ns = self._now_ns() + period_ms * _MS
+
+
+@dataclass
+class _Watch:
+    deadline_ns: int | None = None  #: None until the first heartbeat
+    lost: bool = False
+
+
+class HeartbeatConsumer:
+    """Watches the nodes in 1016h; `on_lost(node)` and `on_back(node)` are told of changes."""
+
+    def __init__(
+        self,
+        store: ObjectStore,
+        now_ns: Callable[[], int],
+        on_lost: Callable[[int], None],
+        on_back: Callable[[int], None],
+    ) -> None:
+        self._entries = [store.cell(0x1016, n) for n in range(1, 128) if (0x1016, n) in store]
+        self._now_ns = now_ns
+        self._on_lost = on_lost
+        self._on_back = on_back
+        self._watches: dict[int, _Watch] = {}
+        for entry in self._entries:
+            entry.on_write = self._checker(entry)
+
+    def times_ns(self) -> dict[int, int]:
+        """Consumer heartbeat time by node id, of the entries in use."""
+        return {
+            entry.value >> 16 & 0x7F: (entry.value & 0xFFFF) * _MS
+            for entry in self._entries
+            if entry.value & 0xFFFF and 1 <= entry.value >> 16 & 0xFF <= 127
+        }
+
+    def heard(self, node_id: int) -> None:
+        """A heartbeat of a node has come."""
+        time_ns = self.times_ns().get(node_id)
+        if time_ns is None:
+            return
+        watch = self._watches.setdefault(node_id, _Watch())
+        watch.deadline_ns = self._now_ns() + time_ns
+        if watch.lost:
+            watch.lost = False
+            self._on_back(node_id)
+
+    def rephase(self) -> None:
+        """Give every watched node its full time from now on."""
+        for node_id, time_ns in self.times_ns().items():
+            watch = self._watches.get(node_id)
+            if watch is not None and watch.deadline_ns is not None:
+                watch.deadline_ns = self._now_ns() + time_ns
+
+    def poll(self, now_ns: int) -> None:
+        """Report the nodes whose time is over."""
+        for node_id, watch in self._watches.items():
+            if watch.deadline_ns is not None and not watch.lost and now_ns > watch.deadline_ns:
+                watch.lost = True
+                self._on_lost(node_id)
+
+    def reset(self) -> None:
+        """Watch nobody until heard again."""
+        self._watches.clear()
+
+    def _checker(self, own: Cell) -> Callable[[int], None]:
+        def check(value: int) -> None:
+            node_id = value >> 16 & 0xFF
+            if value & 0xFFFF and any(
+                entry is not own and entry.value & 0xFFFF and entry.value >> 16 & 0xFF == node_id
+                for entry in self._entries
+            ):
+                raise SdoAbort(INCOMPATIBLE)
+            for changed in {node_id, own.value >> 16 & 0xFF}:
+                self._forget(changed)
+
+        return check
+
+    def _forget(self, node_id: int) -> None:
+        """Watch it no more until it is heard again; a node that nobody watches is not missed."""
+        watch = self._watches.pop(node_id, None)
+        if watch is not None and watch.lost:
+            self._on_back(node_id)

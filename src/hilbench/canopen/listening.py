@@ -1,0 +1,122 @@
+"""Who is on the bus: heard, by the identifiers of the predefined connection set (CiA 301), or asked for 1000h."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Final
+
+from hilbench.can.frame import Frame
+from hilbench.can.link import Link
+from hilbench.canopen.emergency_stop import EMERGENCY_STOP, EMERGENCY_STOP_COB_ID
+
+_NMT, _SYNC = 0x000, 0x080
+_SDO_REQUEST, _SDO_ANSWER = 0x600, 0x580
+#: Function codes of what a node sends: EMCY, TPDO1 to 4, SDO, heartbeat.
+_SENT_BY_NODES: Final = (0x080, 0x180, 0x280, 0x380, 0x480, _SDO_ANSWER, 0x700)
+#: Function codes of set points for a node: RPDO1 to 4.
+_SENT_TO_NODES: Final = (0x200, 0x300, 0x400, 0x500)
+_READ_DEVICE_TYPE: Final = bytes([0x40, 0x00, 0x10, 0x00]) + bytes(4)
+#: After the first sign of a master: until what else it sends has come.
+_LOOK_ROUND_S: Final = 0.1
+
+
+@dataclass(frozen=True)
+class Heard:
+    """What others sent while nobody was asked anything."""
+
+    nodes: Mapping[int, frozenset[int]] = field(default_factory=dict)  #: node id → COB-IDs it used
+    sync: int = 0  #: frames of SYNC
+    nmt: int = 0  #: NMT commands, but for those of an emergency stop, which anybody may send
+    set_points: frozenset[int] = frozenset()  #: COB-IDs of RPDOs
+
+    def signs_of_master(self, master_id: int) -> list[str]:
+        """What says that another master is at work: who sends it, as identifiers. Empty: nothing does."""
+        signs = []
+        if self.sync:
+            signs.append(f"SYNC (080h, {_times(self.sync)})")
+        if self.nmt:
+            signs.append(f"NMT commands (000h, {_times(self.nmt)})")
+        if self.set_points:
+            signs.append(f"set points (RPDO {_hex(self.set_points)})")
+        if master_id in self.nodes:
+            signs.append(f"node {master_id}, which is the bench's own id ({_hex(self.nodes[master_id])})")
+        return signs
+
+
+def master_at_work(heard: Heard, claimed_by: str | None, master_id: int) -> str | None:
+    """What tells of another master: the program that has claimed the bus, or else what was heard. None: nothing."""
+    signs = ", ".join(heard.signs_of_master(master_id))
+    if claimed_by is not None:
+        return f"{claimed_by}; heard: {signs or 'nothing of it'}"
+    return f"heard {signs}; no program of this machine has claimed the bus" if signs else None
+
+
+def sort_by_node(frames: Iterable[Frame]) -> Heard:
+    """Whom the identifiers belong to."""
+    nodes: dict[int, set[int]] = {}
+    set_points: set[int] = set()
+    sync, commands, stopped = 0, list[bytes](), False
+    for can_id, data, _ in frames:
+        function, node_id = can_id & ~0x7F, can_id & 0x7F
+        if can_id == _SYNC:
+            sync += 1
+        elif can_id == _NMT:
+            commands.append(bytes(data))
+        elif can_id == EMERGENCY_STOP_COB_ID:
+            stopped = True
+        elif function in _SENT_BY_NODES and node_id:
+            nodes.setdefault(node_id, set()).add(can_id)
+        elif function in _SENT_TO_NODES and node_id:
+            set_points.add(can_id)
+    nmt = [data for data in commands if not (stopped and data == EMERGENCY_STOP[1].data)]
+    by_node = {node_id: frozenset(nodes[node_id]) for node_id in sorted(nodes)}
+    return Heard(by_node, sync, len(nmt), frozenset(set_points))
+
+
+def listen(link: Link, duration_s: float) -> Heard:
+    """Hear what others send. Raises BusError when the bus is lost."""
+    return sort_by_node(hear(link, duration_s))
+
+
+def listen_for_master(link: Link, duration_s: float, master_id: int) -> list[str]:
+    """The signs of another master; for as long as said where there is none. Raises BusError when the bus is lost."""
+    frames = hear(link, duration_s, lambda new: bool(sort_by_node(new).signs_of_master(master_id)))
+    if sort_by_node(frames).signs_of_master(master_id):
+        frames += hear(link, _LOOK_ROUND_S)
+    return sort_by_node(frames).signs_of_master(master_id)
+
+
+def present(link: Link, node_ids: Iterable[int], wait_s: float) -> set[int]:
+    """Which of these nodes answer an SDO read of 1000h within `wait_s`; all are asked at once."""
+    asked = set(node_ids)
+    link.send([Frame(_SDO_REQUEST + node_id, _READ_DEVICE_TYPE) for node_id in sorted(asked)])
+    answers: set[int] = set()
+
+    def everybody(frames: list[Frame]) -> bool:
+        answers.update(frame.can_id - _SDO_ANSWER for frame in frames)
+        return answers >= asked
+
+    hear(link, wait_s, everybody)
+    return answers & asked
+
+
+def hear(link: Link, duration_s: float, enough: Callable[[list[Frame]], bool] = lambda new: False) -> list[Frame]:
+    """All frames of a time, or until `enough` says so of new ones. Raises BusError when the bus is lost."""
+    frames: list[Frame] = []
+    deadline_s = time.monotonic() + duration_s
+    while (remaining_s := deadline_s - time.monotonic()) > 0:
+        new = link.receive(remaining_s)
+        frames += new
+        if enough(new):
+            break
+    return frames
+
+
+def _hex(identifiers: Iterable[int]) -> str:
+    return " ".join(f"{identifier:03X}h" for identifier in sorted(identifiers))
+
+
+def _times(count: int) -> str:
+    return f"{count} frame" if count == 1 else f"{count} frames"

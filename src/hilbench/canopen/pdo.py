@@ -1,0 +1,100 @@
+"""PDO layouts: which objects a PDO carries, and the codec that follows from their types."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from canopen.objectdictionary import ODVariable
+
+import canopen
+from hilbench.canopen import eds
+from hilbench.canopen.data_types import BOOLEAN, STRUCT_CODES, data_type
+
+#: Transmission types (CiA 301, table of 1400h/1800h sub 2).
+EVENT_DRIVEN_TYPES = (254, 255)
+
+
+def mapping_value(variable: ODVariable) -> int:
+    """The entry of a mapping object for a variable: index, sub-index, length in bits."""
+    return variable.index << 16 | variable.subindex << 8 | bit_length(variable)
+
+
+def bit_length(variable: ODVariable) -> int:
+    """Length of a mapped variable in bits. Raises ValueError for types that can't be mapped here."""
+    kind = data_type(variable.data_type or 0)
+    if kind.width is None or not kind.is_number or kind.code == BOOLEAN:
+        # A BOOLEAN is a single bit in a PDO (CiA 301, 7.4.7); this codec moves whole bytes.
+        raise ValueError(
+            f"{variable.index:04X}h sub {variable.subindex} ('{variable.name}') has data type "
+            f"{variable.data_type:04X}h, expected an integer of 8 to 64 bits or a REAL"
+        )
+    return 8 * kind.width
+
+
+class PdoMap:
+    """One PDO: its COB-ID, transmission type and mapped variables in order.
+
+    `pack(values)` and `unpack(data)` translate between the values and the frame's data (`size` bytes), little
+    endian as CiA 301 has it; unpack raises struct.error for data of another size. Raises ValueError when the
+    variables take more than 8 bytes or can't be mapped.
+    """
+
+    def __init__(self, cob_id: int, transmission_type: int, variables: Sequence[ODVariable]) -> None:
+        size = sum(bit_length(variable) for variable in variables) // 8
+        if size > 8:
+            raise ValueError(f"PDO {cob_id:03X}h maps {size} bytes, expected at most 8")
+        kinds = [data_type(variable.data_type or 0) for variable in variables]
+        self.cob_id = cob_id
+        self.transmission_type = transmission_type
+        self.variables = tuple(variables)
+        self.size = size
+        self._layout = struct.Struct("<" + "".join(STRUCT_CODES.get(kind.code, f"{kind.width}s") for kind in kinds))
+        #: Integers of 24, 40, 48 and 56 bits, which struct does not know: where they stand.
+        self._odd = tuple((place, kind) for place, kind in enumerate(kinds) if kind.code not in STRUCT_CODES)
+        self.unpack: Callable[[bytes], tuple[Any, ...]] = self._unpack_odd if self._odd else self._layout.unpack
+
+    @classmethod
+    def from_names(
+        cls, od: canopen.ObjectDictionary, cob_id: int, transmission_type: int, names: Sequence[int | str]
+    ) -> PdoMap:
+        """A map of objects looked up in the dictionary by `eds.find`.
+
+        Raises KeyError for an object that the dictionary lacks, ValueError for one that cannot be mapped.
+        """
+        variables = [eds.find(od, name) for name in names]
+        for variable in variables:
+            if not variable.pdo_mappable:
+                raise ValueError(f"{variable.index:04X}h ('{variable.name}') is not mappable by its EDS")
+        return cls(cob_id, transmission_type, variables)
+
+    def pack(self, values: Sequence[int | float]) -> bytes:
+        """The frame's data. Raises ValueError for a value that does not fit its object."""
+        try:
+            return self._layout.pack(*self._with_odd_as_bytes(values)) if self._odd else self._layout.pack(*values)
+        except (struct.error, OverflowError) as error:
+            names = ", ".join(variable.name for variable in self.variables)
+            raise ValueError(f"PDO {self.cob_id:03X}h ({names}) cannot carry {tuple(values)}: {error}") from error
+
+    def _unpack_odd(self, data: bytes) -> tuple[Any, ...]:
+        values = list(self._layout.unpack(data))
+        for place, kind in self._odd:
+            values[place] = kind.decode(values[place])
+        return tuple(values)
+
+    def _with_odd_as_bytes(self, values: Sequence[int | float]) -> list[Any]:
+        encoded: list[Any] = list(values)
+        for place, kind in self._odd:
+            encoded[place] = kind.encode(encoded[place])
+        return encoded
+
+    @property
+    def mapping(self) -> list[int]:
+        """The entries of its mapping object."""
+        return [mapping_value(variable) for variable in self.variables]
+
+    @property
+    def period(self) -> int:
+        """Sent every so many SYNCs; 0 for a PDO that is not cyclic."""
+        return self.transmission_type if 1 <= self.transmission_type <= 240 else 0

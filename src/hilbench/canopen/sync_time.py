@@ -1,0 +1,81 @@
+"""When SYNC comes: period and phase out of arrivals that jitter, stay away for a while, or are read in a bunch."""
+
+from __future__ import annotations
+
+from collections import deque
+
+#: Gains of the loop that follows SYNC: a third of the arrivals' jitter is left in the phase, a hundredth in the period.
+_PHASE_GAIN = 1 / 8
+_PERIOD_GAIN = 1 / 120
+#: So many intervals in a row that differ by no more than this part of them are a period.
+_ALIKE, _ALIKE_WITHIN = 5, 0.25
+_SHORTEST_NS = 100_000
+#: SYNCs that came one period after the last one, after which the period is known.
+_SETTLED = 8
+
+
+class SyncTime:
+    """Follows SYNC as the clock of a servo drive does that locks to it; times in ns of one clock.
+
+    An arrival belongs to the period that it is nearest to, so that lost SYNCs are counted, and jitter is not; one that
+    is off by more than the expected period is no jitter, and taken as it comes. A period that several intervals in a
+    row agree upon takes the place of the expected one.
+    """
+
+    def __init__(self, period_ns: int) -> None:
+        """`period_ns`: what is expected until another one is measured."""
+        self.period_ns = period_ns
+        self.at_ns: int | None = None  #: of the last SYNC, None before the first
+        self._most_jitter_ns = period_ns
+        self._heard_ns = 0
+        self._intervals: deque[int] = deque(maxlen=_ALIKE)
+        self._regular = 0
+
+    @property
+    def settled(self) -> bool:
+        """Whether the period is known."""
+        return self._regular >= _SETTLED
+
+    @property
+    def next_ns(self) -> int:
+        """When the next SYNC is due. Only after the first one."""
+        assert self.at_ns is not None, "after the first SYNC"
+        return self.at_ns + self.period_ns
+
+    def heard(self, now_ns: int, behind: int = 0) -> int:
+        """A SYNC was read, and `behind` more that came after it wait: it came by as many periods earlier.
+
+        Returns how many periods have passed since the one before: 1, more after lost ones, 0 for one too many.
+        """
+        came_ns = now_ns - behind * self.period_ns
+        if self.at_ns is None:
+            self.at_ns = self._heard_ns = came_ns
+            return 0
+        if behind == 0:
+            self._intervals.append(came_ns - self._heard_ns)
+        else:
+            self._intervals.clear()
+        self._heard_ns = came_ns
+        periods = max(0, 1 + round((came_ns - self.next_ns) / self.period_ns))
+        late_ns = came_ns - self.at_ns - periods * self.period_ns
+        if periods == 0:
+            return 0
+        jitters = abs(late_ns) <= self._most_jitter_ns
+        self.at_ns += periods * self.period_ns + (round(_PHASE_GAIN * late_ns) if jitters else late_ns)
+        if periods == 1:
+            self.period_ns += round(_PERIOD_GAIN * late_ns)
+            self._regular += 1
+        return periods
+
+    def pop_new_period(self) -> bool:
+        """Whether SYNC was found to have another period than expected, which is expected from here on."""
+        measured = sorted(self._intervals)
+        if len(measured) < _ALIKE:
+            return False
+        mean_ns = sum(measured) // _ALIKE
+        alike = measured[-1] - measured[0] <= _ALIKE_WITHIN * mean_ns
+        expected = abs(mean_ns - self.period_ns) <= _ALIKE_WITHIN * self.period_ns
+        if expected or not alike or mean_ns < _SHORTEST_NS:
+            return False
+        self.period_ns, self.at_ns, self._regular = mean_ns, self._heard_ns, 0
+        return True

@@ -1,0 +1,255 @@
+"""How a drive is set up over SDO before it is started: identity, units, mode, parameters, heartbeat, PDOs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Final
+
+from canopen.objectdictionary import ObjectDictionary
+
+from hilbench.canopen import eds
+from hilbench.canopen.master import Master
+from hilbench.canopen.pdo import PdoMap
+from hilbench.cia402 import objects
+from hilbench.cia402.objects import OperationMode
+from hilbench.cia402.units import DriveUnits, ObjectReader
+from hilbench.errors import BenchFaultError, UnusableInputError
+
+IDENTITY: Final = 0x1018
+CONSUMER_HEARTBEAT: Final = 0x1016
+PRODUCER_HEARTBEAT: Final = 0x1017
+RPDO_COMMUNICATION: Final = 0x1400
+TPDO_COMMUNICATION: Final = 0x1800
+_MAPPING: Final = 0x200  # from a PDO's communication parameters to its mapping
+
+#: The object that each mode with a cyclic set point takes it from.
+SETPOINT_OBJECTS: Final = {
+    OperationMode.PROFILE_VELOCITY: objects.TARGET_VELOCITY,
+    OperationMode.CYCLIC_SYNCHRONOUS_VELOCITY: objects.TARGET_VELOCITY,
+    OperationMode.TORQUE: objects.TARGET_TORQUE,
+    OperationMode.CYCLIC_SYNCHRONOUS_TORQUE: objects.TARGET_TORQUE,
+    OperationMode.CYCLIC_SYNCHRONOUS_POSITION: objects.TARGET_POSITION,
+}
+#: 6061h may lag behind 6060h: so often it is read before the mode counts as refused.
+_MODE_READS: Final = 50
+
+
+@dataclass(frozen=True)
+class RpdoCopy:
+    """A copy of RPDO1 for another device: its COB-ID, and what set points are multiplied by for that device's units."""
+
+    cob_id: int
+    factor: float = 1.0
+
+
+@dataclass(frozen=True)
+class DriveSettings:
+    """What the configuration says about one drive."""
+
+    name: str  #: for messages: "axis 1"
+    node_id: int
+    mode: OperationMode
+    cycle_s: float
+    has_velocity: bool = True  #: TPDO2 with 606Ch (axes); else velocity is taken from the position
+    #: Overrides of `DriveUnits.from_objects`, for drives whose objects do not tell their units.
+    units: Mapping[str, float] = field(default_factory=dict)
+    #: Objects written at configuration, in this order, by (index, sub): option codes, ramps, limits.
+    parameters: Mapping[tuple[int, int], int | float] = field(default_factory=dict)
+    #: (vendor-ID, product code) that the device must show; None: those of its EDS.
+    identity: tuple[int, int] | None = None
+    heartbeat_ms: int = 100  #: producer time of the drive; 0: none
+    #: Heartbeat that the drive expects of the master: (node-ID, time-out in ms); None: none.
+    master_heartbeat: tuple[int, int] | None = None
+    #: COB-ID of another drive's RPDO1 that this drive listens to (a virtual axis that mirrors it), or None.
+    listens_to: int | None = None
+    copies: tuple[RpdoCopy, ...] = ()  #: who else gets RPDO1 in the same cycle
+    tpdo_type: int | None = 1  #: transmission type of the TPDOs; None: the drive sends none
+    time_out_s: float = 2.0  #: longest stay in one state on the way to a goal, s of cycle time
+    ramp_time_out_s: float = 20.0  #: the same for a state that may end by a ramp
+
+
+@dataclass(frozen=True)
+class DrivePdos:
+    """The PDOs of one drive."""
+
+    rpdo: PdoMap  #: controlword, target
+    #: Number, map, and mapped indices of each TPDO; empty when the drive sends none.
+    tpdos: tuple[tuple[int, PdoMap, tuple[int, ...]], ...]
+
+
+def drive_pdos(settings: DriveSettings, od: ObjectDictionary) -> DrivePdos:
+    """The PDO layout (design section 4) with the types of the EDS.
+
+    RPDO1: controlword and target; TPDO1: statusword, 6077h, 6064h; TPDO2 (axes): 606Ch. Raises UnusableInputError
+    when the mode has no target object, or the EDS lacks an object that is mapped.
+    """
+    if settings.mode not in SETPOINT_OBJECTS:
+        expected = ", ".join(str(int(mode)) for mode in SETPOINT_OBJECTS)
+        raise UnusableInputError(settings.name, f"mode of operation {int(settings.mode)}, expected one of {expected}")
+    node_id = settings.node_id
+    received = (objects.CONTROLWORD, SETPOINT_OBJECTS[settings.mode])
+    cob_id = settings.listens_to if settings.listens_to is not None else 0x200 + node_id
+    rpdo = _pdo_map(settings, od, cob_id, 1, received)
+    tpdos: list[tuple[int, PdoMap, tuple[int, ...]]] = []
+    if settings.tpdo_type is not None:
+        sent = (objects.STATUSWORD, objects.TORQUE_ACTUAL_VALUE, objects.POSITION_ACTUAL_VALUE)
+        tpdos.append((1, _pdo_map(settings, od, 0x180 + node_id, settings.tpdo_type, sent), sent))
+        if settings.has_velocity:
+            velocity = (objects.VELOCITY_ACTUAL_VALUE,)
+            tpdos.append((2, _pdo_map(settings, od, 0x280 + node_id, settings.tpdo_type, velocity), velocity))
+    return DrivePdos(rpdo, tuple(tpdos))
+
+
+def _pdo_map(
+    settings: DriveSettings, od: ObjectDictionary, cob_id: int, transmission_type: int, indices: tuple[int, ...]
+) -> PdoMap:
+    try:
+        return PdoMap.from_names(od, cob_id, transmission_type, indices)
+    except KeyError:
+        missing = next(index for index in indices if index not in od)
+        raise UnusableInputError(
+            settings.name, f"the EDS lacks {missing:04X}h, expected it: it is mapped into a PDO"
+        ) from None
+    except ValueError as error:
+        raise UnusableInputError(settings.name, str(error)) from error
+
+
+def configure(master: Master, settings: DriveSettings, od: ObjectDictionary, pdos: DrivePdos) -> None:
+    """Set a drive in PRE-OPERATIONAL up for its part; blocks.
+
+    Raises BenchFaultError when the device is another one or does not take a value, UnusableInputError when the
+    configuration asks for what its EDS does not have.
+    """
+    node_id = settings.node_id
+    check_identity(master, settings, od)
+    for (index, sub), value in settings.parameters.items():
+        _write(master, settings, od, index, sub, value)
+    set_mode(master, settings, od)
+    _set_interpolation_period(master, settings, od)
+    _write(master, settings, od, PRODUCER_HEARTBEAT, 0, settings.heartbeat_ms)
+    if settings.master_heartbeat is not None:
+        master_id, time_out_ms = settings.master_heartbeat
+        _write(master, settings, od, CONSUMER_HEARTBEAT, 1, master_id << 16 | time_out_ms)
+    master.write_rpdo(node_id, 1, pdos.rpdo)
+    sent = {number: pdo for number, pdo, _ in pdos.tpdos}
+    for number in (1, 2):
+        if number in sent:
+            master.write_tpdo(node_id, number, sent[number])
+        elif _has(od, TPDO_COMMUNICATION + number - 1, 1):
+            master.disable_pdo(node_id, TPDO_COMMUNICATION + number - 1)
+
+
+def check_identity(master: Master, settings: DriveSettings, od: ObjectDictionary) -> None:
+    """Raise BenchFaultError unless vendor-ID and product code (1018h) are those of the settings or the EDS.
+
+    An EDS that leaves one of them open (0) says nothing about it.
+    """
+    declared = default_reader(od)
+    expected = settings.identity or (declared(IDENTITY, 1), declared(IDENTITY, 2))
+    for sub, name, value in zip((1, 2), ("vendor-ID", "product code"), expected, strict=True):
+        if value:
+            found = int(master.sdo_read(settings.node_id, IDENTITY, sub))
+            if found != value:
+                raise _fault(settings, f"{name} (1018h:{sub}) is {found:08X}h, expected {int(value):08X}h")
+
+
+def set_mode(master: Master, settings: DriveSettings, od: ObjectDictionary) -> None:
+    """Write 6060h and see it in 6061h. Raises BenchFaultError when 6502h does not offer it or it is not taken."""
+    node_id, mode = settings.node_id, settings.mode
+    if objects.SUPPORTED_DRIVE_MODES in od:
+        supported = int(master.sdo_read(node_id, objects.SUPPORTED_DRIVE_MODES))
+        if not supported & mode.supported_bit:
+            raise _fault(
+                settings, f"supported drive modes (6502h) are {supported:08X}h, expected mode {int(mode)} in it"
+            )
+    master.sdo_write(node_id, objects.MODES_OF_OPERATION, int(mode))
+    for _ in range(_MODE_READS):
+        shown = master.sdo_read(node_id, objects.MODES_OF_OPERATION_DISPLAY)
+        if shown == mode:
+            return
+    raise _fault(settings, f"mode of operation display (6061h) is {shown!r}, expected {int(mode)} as written to 6060h")
+
+
+def read_units(
+    master: Master, node_id: int, od: ObjectDictionary, overrides: Mapping[str, float], place: str
+) -> DriveUnits:
+    """The units as the device's objects tell them now, and `overrides` where they don't (see `DriveUnits`).
+
+    Raises UnusableInputError, at `place`, for a factor that nobody tells.
+    """
+
+    def read(index: int, sub: int) -> int | float | None:
+        value = master.sdo_read(node_id, index, sub) if _has(od, index, sub) else None
+        return value if isinstance(value, int | float) else None
+
+    return DriveUnits.from_objects(read, overrides, place)
+
+
+def default_reader(od: ObjectDictionary, written: Mapping[tuple[int, int], int | float] | None = None) -> ObjectReader:
+    """Read the default values of an EDS, and what will have been `written` by (index, sub)."""
+    known = written or {}
+
+    def read(index: int, sub: int) -> int | float | None:
+        if (index, sub) in known and _has(od, index, sub):
+            return known[(index, sub)]
+        default = eds.variable(od, index, sub).default if _has(od, index, sub) else None
+        return default if isinstance(default, int | float) else None
+
+    return read
+
+
+def lacking(settings: DriveSettings, od: ObjectDictionary) -> list[str]:
+    """What `configure` will need and the EDS does not have, one line each; empty for a drive that can be used."""
+    needed = {(objects.MODES_OF_OPERATION, 0): "the mode is written to it"}
+    needed |= {(objects.MODES_OF_OPERATION_DISPLAY, 0): "it shows the mode", (IDENTITY, 1): "it tells the device"}
+    needed |= {(PRODUCER_HEARTBEAT, 0): "the drive's heartbeat is set by it"}
+    if settings.master_heartbeat is not None:
+        needed |= {(CONSUMER_HEARTBEAT, 1): "the drive watches the bench by it (master: heartbeat_ms: 0 does without)"}
+    needed |= dict.fromkeys(settings.parameters, "the config or the bench writes it")
+    communication = [RPDO_COMMUNICATION]
+    if settings.tpdo_type is not None:
+        communication += [TPDO_COMMUNICATION + number for number in range(2 if settings.has_velocity else 1)]
+    for index in communication:
+        needed |= {(index, sub): "a PDO is set up by it" for sub in (1, 2)}
+        needed |= {(index + _MAPPING, sub): "a PDO is mapped by it" for sub in (0, 1, 2)}
+    found = [f"{index:04X}h:{sub} ({why})" for (index, sub), why in needed.items() if not _has(od, index, sub)]
+    supported = default_reader(od)(objects.SUPPORTED_DRIVE_MODES, 0)
+    if supported and not int(supported) & settings.mode.supported_bit:
+        found.append(f"mode {int(settings.mode)} in 6502h ({int(supported):08X}h)")
+    return found
+
+
+def _has(od: ObjectDictionary, index: int, sub: int) -> bool:
+    try:
+        eds.variable(od, index, sub)
+    except KeyError:
+        return False
+    return True
+
+
+def _set_interpolation_period(master: Master, settings: DriveSettings, od: ObjectDictionary) -> None:
+    """60C2h: the cycle, in the unit in which it fits UNSIGNED8 without loss."""
+    if not _has(od, objects.INTERPOLATION_TIME_PERIOD, 2):
+        return
+    for exponent in (-3, -4, -5, -6):
+        value = settings.cycle_s / 10.0**exponent
+        if abs(value - round(value)) < 1e-6 and 0 < round(value) < 256:
+            for sub, number in ((1, round(value)), (2, exponent)):
+                master.sdo_write(settings.node_id, objects.INTERPOLATION_TIME_PERIOD, number, sub)
+            return
+    raise UnusableInputError(settings.name, f"cycle {settings.cycle_s:g} s, expected one that 60C2h can express")
+
+
+def _write(
+    master: Master, settings: DriveSettings, od: ObjectDictionary, index: int, sub: int, value: int | float
+) -> None:
+    if not _has(od, index, sub):
+        raise UnusableInputError(
+            settings.name, f"the EDS lacks {index:04X}h:{sub}, expected it: it is to be set to {value}"
+        )
+    master.configure(settings.node_id, {(index, sub): value})
+
+
+def _fault(settings: DriveSettings, problem: str) -> BenchFaultError:
+    return BenchFaultError(f"{settings.name} (node {settings.node_id}): {problem}")

@@ -1,0 +1,76 @@
+"""SI units of single objects: what one device unit of an object is, where its standard says so."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from hilbench.cia402 import objects
+from hilbench.cia402.units import RPM, DriveUnits
+
+_POSITIONS: Final = frozenset(
+    {
+        objects.POSITION_DEMAND_VALUE,
+        objects.POSITION_ACTUAL_VALUE,
+        objects.FOLLOWING_ERROR_WINDOW,
+        objects.TARGET_POSITION,
+        objects.HOME_OFFSET,
+        objects.FOLLOWING_ERROR_ACTUAL_VALUE,
+    }
+)
+_VELOCITIES: Final = frozenset(
+    {
+        objects.VELOCITY_DEMAND_VALUE,
+        objects.VELOCITY_ACTUAL_VALUE,
+        objects.VELOCITY_WINDOW,
+        objects.VELOCITY_THRESHOLD,
+        objects.MAX_PROFILE_VELOCITY,
+        objects.VELOCITY_OFFSET,
+        objects.TARGET_VELOCITY,
+    }
+)
+_ACCELERATIONS: Final = frozenset(
+    {objects.PROFILE_ACCELERATION, objects.PROFILE_DECELERATION, objects.QUICK_STOP_DECELERATION}
+)
+_TORQUES: Final = frozenset(
+    {
+        objects.TARGET_TORQUE,
+        objects.MAX_TORQUE,
+        objects.TORQUE_DEMAND,
+        objects.TORQUE_ACTUAL_VALUE,
+        objects.TORQUE_OFFSET,
+    }
+)
+#: Objects whose unit does not depend on the drive.
+_FIXED: Final = {
+    0x1006: (1e-6, "s"),
+    0x1017: (1e-3, "s"),
+    objects.FOLLOWING_ERROR_TIME_OUT: (1e-3, "s"),
+    objects.VELOCITY_WINDOW_TIME: (1e-3, "s"),
+    objects.VELOCITY_THRESHOLD_TIME: (1e-3, "s"),
+    objects.MOTOR_RATED_CURRENT: (1e-3, "A"),
+    objects.MOTOR_RATED_TORQUE: (1e-3, "N·m"),
+    objects.MAX_MOTOR_SPEED: (RPM, "rad/s"),
+}
+
+
+def has_drive_unit(index: int) -> bool:
+    """Whether an object's unit is one of the drive's own."""
+    return index in _POSITIONS | _VELOCITIES | _ACCELERATIONS | _TORQUES
+
+
+def si_unit(index: int, units: DriveUnits | None) -> tuple[float, str] | None:
+    """What one unit of the object is in SI (motor side), and that unit's name; None where nobody says.
+
+    `units` are the drive's; without them only objects with a unit of their own have one.
+    """
+    if index in _FIXED:
+        return _FIXED[index]
+    if units is None:
+        return None
+    if index in _POSITIONS:
+        return units.position_rad, "rad"
+    if index in _VELOCITIES:
+        return units.velocity_rad_s, "rad/s"
+    if index in _ACCELERATIONS:
+        return units.acceleration_rad_s2, "rad/s²"
+    return (units.torque_Nm, "N·m") if index in _TORQUES else None

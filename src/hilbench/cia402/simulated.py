@@ -1,0 +1,377 @@
+"""The simulated CiA-402 servo drive: power state machine, modes of operation, limits and faults.
+
+It is the firmware only: it reads and writes the objects of a CANopen device on one side and a `MotorPort` on the
+other. Controlwords act when they are written (by SDO, or by an RPDO when its SYNC comes), so that two of them in one
+cycle are both obeyed; set points act at `sync`.
+
+A state whose option code asks for a ramp is left when the ramp has ended: a drive that is told to disable operation
+(605Ch = 1) stays in OPERATION ENABLED until the motor is at rest, and so its power stage is on in the states of
+`state_machine.POWERED` only.
+"""
+
+from __future__ import annotations
+
+from math import inf
+from typing import TYPE_CHECKING, Final
+
+from hilbench.canopen.device import NmtState, SdoAbort
+from hilbench.cia402 import objects
+from hilbench.cia402.firmware import Firmware
+from hilbench.cia402.modes import MODES, CyclicSynchronousPosition, DebouncedCondition
+from hilbench.cia402.objects import OperationMode
+from hilbench.cia402.state_machine import (
+    CONTROLWORD_HALT,
+    DESTINATION,
+    POWERED,
+    STATUS_INTERNAL_LIMIT,
+    STATUS_REMOTE,
+    STATUS_TARGET_REACHED,
+    STATUS_VOLTAGE_ENABLED,
+    Command,
+    State,
+    Transition,
+    commanded,
+    decode_controlword,
+)
+from hilbench.cia402.stopping import QUICK_STOP_OPTIONS, Stop, StopKind
+from hilbench.cia402.units import DriveUnits, ObjectReader
+from hilbench.plant.motor_port import MotorMode, MotorPort
+
+if TYPE_CHECKING:
+    from hilbench.canopen.device import Device
+
+#: Error codes (603Fh, EMCY) that the drive itself raises.
+ERROR_COMMUNICATION: Final = 0x8100
+ERROR_OVERSPEED: Final = 0x84FF
+ERROR_FOLLOWING: Final = 0x8611
+
+#: Error register (1001h): generic, and communication or device profile.
+REGISTER_COMMUNICATION: Final = 0x11
+REGISTER_PROFILE: Final = 0x21
+
+SIMULATED_FAULT: Final = 0x2001
+_ABORT_VALUE_RANGE: Final = 0x06090030
+
+HOMING_METHODS: Final = (35, 37)  #: both: the present position, where the motor stands
+
+_OPTION_CODES: Final = (
+    objects.ABORT_CONNECTION_OPTION_CODE,
+    objects.QUICK_STOP_OPTION_CODE,
+    objects.SHUTDOWN_OPTION_CODE,
+    objects.DISABLE_OPERATION_OPTION_CODE,
+    objects.HALT_OPTION_CODE,
+    objects.FAULT_REACTION_OPTION_CODE,
+)
+#: Transitions out of OPERATION ENABLED that an option code (1) puts behind a slow-down ramp.
+_DISABLING: Final = {
+    Transition.T5_DISABLE_OPERATION: objects.DISABLE_OPERATION_OPTION_CODE,
+    Transition.T8_SHUTDOWN: objects.SHUTDOWN_OPTION_CODE,
+}
+
+
+class SimulatedDrive:
+    """A CiA-402 slave on `device` that commands the motor behind `port`.
+
+    The host's application calls `sync` once per cycle (or tick) before the plant advances and `publish` after it.
+    """
+
+    def __init__(self, device: Device, port: MotorPort, units: DriveUnits | None = None) -> None:
+        """Take over the CiA-402 objects of `device`; `units` default to those its objects tell."""
+        self._device = device
+        self._firmware = Firmware(device, port, units or DriveUnits.from_objects(_reader(device)))
+        self._stop = Stop(self._firmware)
+        supported = int(device.cell(objects.SUPPORTED_DRIVE_MODES).value)
+        self._modes = {
+            code: kind(self._firmware)
+            for code, kind in MODES.items()
+            if code is OperationMode.NONE or supported & code.supported_bit
+        }
+        self._statusword = device.cell(objects.STATUSWORD)
+        self._error_code = device.cell(objects.ERROR_CODE)
+        self._mode_request = device.cell(objects.MODES_OF_OPERATION)
+        self._mode_display = device.cell(objects.MODES_OF_OPERATION_DISPLAY)
+        self._options = {index: device.cell(index) for index in _OPTION_CODES}
+        self._firmware.controlword.on_write = self._controlword_written
+        self._mode_request.on_write = self._mode_written
+        device.cell(objects.HOMING_METHOD).on_write = _check_homing_method
+        device.cell(SIMULATED_FAULT).on_write = self._simulated_fault_written
+        device.on_nmt = self._nmt_changed
+        device.on_communication_error = self._communication_error
+        device.on_emergency_stop = self._emergency_stop
+        self._operational = False
+        #: Error codes of EMCY messages that stand.
+        self._reported: list[int] = []
+        self._power_on()
+
+    def _power_on(self) -> None:
+        """Transitions 0 and 1: the drive as after power-on, on the objects' present values."""
+        self._controlword = 0
+        self._dt_s = 0.0
+        self._outside_window = DebouncedCondition()
+        self._error_code.value = 0
+        self._reported.clear()
+        self._firmware.refresh()
+        self._apply(Transition.T0_START)
+        self._requested_mode = self._stored_mode()
+        self._take_mode()
+        self._apply(Transition.T1_SELF_TEST_DONE)
+        self._show_status(0.0)
+
+    def _stored_mode(self) -> OperationMode:
+        stored = int(self._mode_request.value)
+        return OperationMode(stored) if stored in self._modes else OperationMode.NONE
+
+    @property
+    def state(self) -> State:
+        """The power state."""
+        return self._state
+
+    # --- once per cycle ----------------------------------------------------------------------------------------------
+
+    def sync(self, dt_s: float) -> None:
+        """Take this cycle's targets as set points of the motor; the plant advances by `dt_s` (seconds) after it."""
+        self._dt_s = dt_s
+        if self._firmware.stale:
+            self._firmware.refresh()
+        if not self._powered:
+            return
+        if self._requested_mode is not self._mode_code and self._stop.then is None:
+            self._take_mode()
+        if self._stop.active:
+            self._stop.command()
+        else:
+            self._mode.command()
+
+    def publish(self) -> None:
+        """Show the motor's feedback in the objects, supervise it, and bring the statusword up to date."""
+        self._firmware.show()
+        if self._powered:
+            self._supervise()
+            if self._stop.active and self._stop.check_rest() and self._stop.then is not None:
+                self._apply(self._stop.then)
+        self._show_status(self._dt_s)
+
+    def _supervise(self) -> None:
+        firmware, mode = self._firmware, self._mode
+        if not abs(firmware.port.velocity_rad_s) <= firmware.overspeed_rad_s:  # no number is too fast as well
+            self.fault(ERROR_OVERSPEED)
+        if isinstance(mode, CyclicSynchronousPosition):
+            mode.outside_window = abs(int(firmware.following_error.value)) > firmware.following_window
+            if self._outside_window.update(mode.outside_window, self._dt_s, firmware.following_time_s):
+                self.fault(ERROR_FOLLOWING)
+
+    def _show_status(self, dt_s: float) -> None:
+        """`dt_s`: time since the last one, for bits that need a condition to hold."""
+        bits = self._state_bits
+        if self._powered:
+            if self._stop.active:
+                bits |= STATUS_TARGET_REACHED if self._stop.at_rest else 0
+            else:
+                bits |= self._mode.status(dt_s)
+            if self._mode.limited or self._firmware.port.torque_limited:
+                bits |= STATUS_INTERNAL_LIMIT
+        self._statusword.value = bits
+
+    # --- power state machine -----------------------------------------------------------------------------------------
+
+    def _controlword_written(self, controlword: int) -> None:
+        previous, self._controlword = self._controlword, controlword
+        transition = commanded(self._state, controlword, previous)
+        while transition is not None and self._perform(transition):
+            transition = commanded(self._state, controlword, previous)
+        if self._state is State.OPERATION_ENABLED:
+            self._follow(controlword, previous)
+        if controlword != previous:
+            self._show_status(0.0)
+
+    def _perform(self, transition: Transition) -> bool:
+        """Carry out a commanded transition; whether a further one may follow by the same controlword."""
+        if transition in _DISABLING and self._options[_DISABLING[transition]].value:
+            self._begin_stop(StopKind.SLOW_DOWN_RAMP, then=transition)
+            return False
+        if transition is Transition.T11_QUICK_STOP:
+            self._quick_stop()
+            return False
+        if transition is Transition.T16_ENABLE_OPERATION and not self._quick_stop_option()[1]:
+            return False
+        if transition is Transition.T15_FAULT_RESET and not self._clear_fault():
+            return False
+        self._apply(transition)
+        return True
+
+    def _apply(self, transition: Transition) -> None:
+        """Enter the state that the transition leads to."""
+        self._state = state = DESTINATION[transition]
+        self._state_bits = state.value | STATUS_VOLTAGE_ENABLED | STATUS_REMOTE
+        self._powered = state in POWERED
+        if not self._powered:
+            self._stop.end()
+            self._switch_off()
+        elif state is State.OPERATION_ENABLED:
+            self._stop.end()
+            self._mode.enter()
+
+    def _switch_off(self) -> None:
+        port = self._firmware.port
+        port.mode = MotorMode.OFF
+        port.setpoint = 0.0
+        port.slope = inf
+
+    def _follow(self, controlword: int, previous: int) -> None:
+        """In OPERATION ENABLED: a ramp towards disabling taken back, halt, and the mode's own bits."""
+        stop = self._stop
+        disabling = stop.then is not None
+        if disabling and decode_controlword(controlword) is not Command.ENABLE_OPERATION:
+            return
+        halt = bool(controlword & CONTROLWORD_HALT)
+        if halt and (disabling or not stop.active):
+            self._begin_halt()
+        elif stop.active and not halt:
+            stop.end()
+            self._mode.enter()
+        if not halt:
+            self._mode.follow_controlword(controlword, previous)
+
+    def _begin_stop(self, kind: StopKind, then: Transition | None) -> None:
+        self._stop.begin(kind, self._mode.motor_mode is MotorMode.TORQUE, then)
+
+    def _begin_halt(self) -> None:
+        self._begin_stop(StopKind(self._options[objects.HALT_OPTION_CODE].value), then=None)
+
+    def _quick_stop_option(self) -> tuple[StopKind, bool]:
+        return QUICK_STOP_OPTIONS[int(self._options[objects.QUICK_STOP_OPTION_CODE].value)]
+
+    def _quick_stop(self) -> None:
+        kind, stays = self._quick_stop_option()
+        self._apply(Transition.T11_QUICK_STOP)
+        if kind is StopKind.COAST:
+            self._apply(Transition.T12_QUICK_STOP_DONE)
+        else:
+            self._begin_stop(kind, then=None if stays else Transition.T12_QUICK_STOP_DONE)
+
+    # --- modes of operation ------------------------------------------------------------------------------------------
+
+    def _mode_written(self, code: int) -> None:
+        if code not in self._modes:
+            raise SdoAbort(_ABORT_VALUE_RANGE)
+        self._requested_mode = OperationMode(code)
+        if not self._powered:
+            self._take_mode()
+
+    def _take_mode(self) -> None:
+        self._mode_code = self._requested_mode
+        self._mode = self._modes[self._mode_code]
+        self._mode_display.value = int(self._mode_code)
+        if self._stop.active:  # halted: go on with the stop of the new mode
+            self._begin_halt()
+        self._mode.enter()
+
+    # --- faults ------------------------------------------------------------------------------------------------------
+
+    def fault(self, code: int, register: int = REGISTER_PROFILE, coast: bool = False) -> None:
+        """Fail with error code `code` (603Fh, EMCY): transition 13, then the reaction that 605Eh asks for.
+
+        `register`: bits of 1001h. `coast`: the drive cannot brake any more (lost encoder, power stage). A fault
+        during a fault is not noted.
+        """
+        if self._state not in (State.FAULT, State.FAULT_REACTION_ACTIVE):
+            self._report(code, register)
+            self._fail(code, coast)
+
+    def _report(self, code: int, register: int) -> None:
+        self._reported.append(code)
+        self._device.emergency(code, register)
+
+    def _take_back(self, code: int) -> None:
+        if code in self._reported:
+            self._reported.remove(code)
+            self._device.clear_emergency(code)
+
+    def _fail(self, code: int, coast: bool = False) -> None:
+        reaction = StopKind(self._options[objects.FAULT_REACTION_OPTION_CODE].value)
+        brakes = self._powered and not coast and reaction is not StopKind.COAST
+        self._error_code.value = code
+        # FAULT is an error situation, and one is signalled in 1001h at least as generic error (CiA 301, 7.5.2.2): the
+        # error of a drive in FAULT ends with the fault reset (CiA 402, transition 15), not when its cause goes.
+        self._device.keep_emergency(code)
+        self._apply(Transition.T13_FAULT)
+        if brakes:
+            self._begin_stop(reaction, then=Transition.T14_FAULT_REACTION_DONE)
+        else:
+            self._apply(Transition.T14_FAULT_REACTION_DONE)
+        self._show_status(0.0)
+
+    def _clear_fault(self) -> bool:
+        """End the fault if its cause is gone; whether it was."""
+        code = int(self._error_code.value)
+        firmware = self._firmware
+        if code == ERROR_OVERSPEED and abs(firmware.port.velocity_rad_s) > firmware.motor_speed_limit_rad_s:
+            return False
+        self._error_code.value = 0
+        self._outside_window = DebouncedCondition()
+        # What the device's runtime has reported (a lost heartbeat) is its to take back: at once if the cause is gone.
+        self._device.acknowledge_emergency(code)
+        for reported in list(self._reported):
+            self._take_back(reported)
+        return True
+
+    def _simulated_fault_written(self, code: int) -> None:
+        if code:
+            self.fault(code)
+
+    # --- the connection to the master --------------------------------------------------------------------------------
+
+    def _communication_error(self, code: int) -> None:
+        """The device lost its master (its runtime has sent the EMCY already)."""
+        self._connection_lost(code)
+
+    def _emergency_stop(self) -> None:
+        """Quick stop at once, whatever 6007h says: the command does not come from a connection that was lost."""
+        if self._state is State.OPERATION_ENABLED:
+            self._quick_stop()
+            self._show_status(0.0)
+
+    def _nmt_changed(self, state: NmtState) -> None:
+        if state is NmtState.INITIALISING:
+            # The objects are reset after this: power off now, start anew when the device boots.
+            self._apply(Transition.T0_START)
+            self._operational = False
+            return
+        if self._state is State.NOT_READY_TO_SWITCH_ON:
+            self._power_on()
+        left = self._operational and state is not NmtState.OPERATIONAL
+        self._operational = state is NmtState.OPERATIONAL
+        if self._operational and self._state not in (State.FAULT, State.FAULT_REACTION_ACTIVE):
+            self._take_back(ERROR_COMMUNICATION)  # by 6007h it was no fault
+        if left and self._state is State.OPERATION_ENABLED:
+            # Set points come no more: an enabled drive would run on with the last one.
+            self._report(ERROR_COMMUNICATION, REGISTER_COMMUNICATION)
+            self._connection_lost(ERROR_COMMUNICATION)
+
+    def _connection_lost(self, code: int) -> None:
+        """Do what 6007h asks for: 0 nothing, 1 fault, 2 disable voltage, 3 quick stop."""
+        option = self._options[objects.ABORT_CONNECTION_OPTION_CODE].value
+        if self._state not in (State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE):
+            return
+        if option == 1:
+            self._fail(code)
+        elif option == 2:
+            self._apply(Transition.T9_DISABLE_VOLTAGE)
+        elif option == 3 and self._state is State.OPERATION_ENABLED:
+            self._quick_stop()
+        self._show_status(0.0)
+
+
+def _reader(device: Device) -> ObjectReader:
+    """Read the device's own objects; None for those it lacks."""
+
+    def read(index: int, sub: int) -> float | None:
+        value = device.cell(index, sub).value if device.has(index, sub) else None
+        return value if isinstance(value, int | float) else None
+
+    return read
+
+
+def _check_homing_method(method: int) -> None:
+    if method not in HOMING_METHODS:
+        raise SdoAbort(_ABORT_VALUE_RANGE)

@@ -1,0 +1,341 @@
+"""The workflow: simulate, locate, propose, add, show the gap shrink, and know the limits."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from math import ceil, log10
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilbench.diagnosis.experiments import FORCE_STEP, shown_by, told_apart_by
+from hilbench.diagnosis.fit import around, fit, sums, time_profile
+from hilbench.diagnosis.measured import Measured, measured_from
+from hilbench.diagnosis.misfit import LARGEST_RATIO, Misfit, located, misfits, ratios
+from hilbench.diagnosis.noise import Whitening, floor, repeats, scaling
+from hilbench.diagnosis.predictor import Predictor, predictor_for
+from hilbench.diagnosis.proposals import Proposer
+from hilbench.diagnosis.select import Search, Selection
+from hilbench.diagnosis.space import Space
+from hilbench.diagnosis.terms import TIME, Term, extended, pack_with
+from hilbench.plant.web_line.imitation import Imitation
+from hilbench.plant.web_line.parameters import ModelParameters
+from hilbench.results.recording import Recording
+
+Array = NDArray[np.float64]
+Announce = Callable[[str, float], None]
+
+_NORMAL_95: Final = 1.96
+#: An effect is invisible when a change of its usual size is below so many standard deviations.
+_VISIBLE: Final = 5.0
+#: Share of the residual's rms up to which effects may leave it where a right model need not leave white noise.
+_UNEXPLAINED: Final = 0.25
+#: How far around a time its interval is looked for at first, s.
+_PROFILE_S: Final = 0.3
+_ROWS_OF_WHERE: Final = 8
+_PROFILES: Final = 4
+_DIGITS: Final = 8
+_LEAST_DIGITS: Final = 5
+
+
+@dataclass(frozen=True)
+class Value:
+    """A parameter's estimate with its 95 % interval."""
+
+    value: float
+    ci95: tuple[float, float]
+    unit: str
+
+    @property
+    def digits(self) -> int:
+        """Significant digits with which the ends of the interval can be told apart, 5 at least."""
+        low, high = self.ci95
+        largest = max(abs(low), abs(high))
+        if not 0.0 < high - low <= largest:
+            return _LEAST_DIGITS
+        return max(_LEAST_DIGITS, min(ceil(log10(largest / (high - low))) + 2, _DIGITS))
+
+
+@dataclass(frozen=True)
+class NamedEffect:
+    """An effect that was found."""
+
+    effect: str
+    axis: int | None
+    parameters: dict[str, Value]
+    evidence: dict[str, float]
+    tied_with: list[str]
+    told_apart_by: str | None
+
+
+@dataclass(frozen=True)
+class Gap:
+    """Rms of one signal's residual on stretches that no fit has seen."""
+
+    signal: str
+    before: float
+    after: float
+    noise_floor: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class GapLocation:
+    """One row of the table of disagreements of the original model."""
+
+    signal: str
+    when: str
+    condition: str
+    share_of_gap: float
+
+
+@dataclass(frozen=True)
+class Profile:
+    """Mean residual of a torque, N·m, over a state, with the original model and with the effects that were found."""
+
+    signal: str
+    condition: str
+    unit: str  #: of the condition
+    at: Array  #: (bins,)
+    before: Array
+    after: Array
+
+
+@dataclass(frozen=True)
+class Unobservable:
+    """An effect that these data could not show at its usual size."""
+
+    effect: str
+    axis: int | None
+    smallest_visible: float | None
+    unit: str
+    experiment: str
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """All that was found."""
+
+    verdict: str
+    effects: list[NamedEffect]
+    gaps: list[Gap]
+    where: list[GapLocation]
+    profiles: list[Profile]  #: of the signal with the largest gap
+    left: list[Misfit]  #: significant dependences that no effect explains
+    blind_to: list[Unobservable]
+    missing_channels: list[str]
+    model: ModelParameters  #: extended
+    names: tuple[str, ...]
+    t_s: Array
+    before: Array  #: residuals (signals, n)
+    after: Array
+    held_out: NDArray[np.bool_]
+    simulations: int
+    imitation: Imitation | None = None  #: how the web was imitated, of a bench's recording
+
+    @property
+    def gap(self) -> Gap:
+        """The one that was largest in its own noise floors."""
+        return max(self.gaps, key=_size)
+
+
+def _size(gap: Gap) -> float:
+    return gap.before / gap.noise_floor
+
+
+def diagnose(
+    recording: Recording,
+    model: ModelParameters,
+    place: str | Path,
+    announce: Announce = lambda text, share: None,
+    imitation: Imitation | None = None,
+) -> Diagnosis:
+    """Diagnose one recording. Raises UnusableInputError, one line, where it can't be used.
+
+    `imitation`: how the bench imitated the web, if the recording is a bench's; by default as benches do it.
+    """
+    announce("simulate the model", 0.02)
+    data = measured_from(recording, model, place)
+    predictor = predictor_for(model, data, imitation)
+    space = Space(model, predictor, data.period_s)
+    selection = Search(space, Proposer(model, data), announce, predictor.every).run()
+    return _conclude(space, predictor, data, selection, announce)
+
+
+def _conclude(
+    space: Space, predictor: Predictor, data: Measured, selection: Selection, announce: Announce
+) -> Diagnosis:
+    announce("judge what is left", 0.95)
+    trained = selection.fit
+    before = space.residual([])
+    rows = space.counted
+    white, inflation = _weights(space, selection, rows)
+    final = fit(space, white, trained.terms, rows) if trained.terms else trained
+    torques = [k for k, name in enumerate(predictor.names) if name.startswith("tau")]
+    # Fast motion that the model explains is no noise.
+    floors = {k: floor(final.residual[k]) for k in torques}
+    if predictor.exact:
+        floors = {k: min(value, predictor.floor(k)) for k, value in floors.items()}
+    conditions = predictor.conditions(pack_with(space.model, final.terms))
+    scale = np.array([floors[k] for k in torques])[:, None]
+    names = tuple(predictor.names[k] for k in torques)
+    after = misfits(names, final.residual[torques] / scale, rows, conditions)
+    left = [m for m in after if m.significant]
+    found = misfits(names, before[torques] / scale, rows, conditions)
+    if predictor.exact:
+        unknown = bool(left) or max(ratios(final.residual, rows, floors).values()) > LARGEST_RATIO
+    else:
+        unknown = _rms(final.residual[torques], rows) > _UNEXPLAINED * _rms(before[torques], rows)
+    unknown |= selection.exhausted or bool(selection.better)
+    if selection.better:
+        left = [Misfit("tau2_Nm", FORCE_STEP, selection.better, 0.0, 0.0, "always"), *left]
+    verdict = "unknown" if unknown else ("named" if final.terms else "complete")
+    effects: list[NamedEffect] = []
+    if not unknown:
+        moments = _moments(space, white, final.terms, inflation)
+        effects = _named(final.terms, final.covariance, selection, inflation, moments)
+    test = space.split.test
+    gaps = [_gap(predictor.names[k], before[k], trained.residual[k], floors[k], test) for k in torques]
+    where = located(names, before[torques] / scale, rows, conditions, _ROWS_OF_WHERE)
+    if not where:
+        where = located(names, final.residual[torques] / scale, rows, conditions, _ROWS_OF_WHERE)
+    floor_of = {predictor.names[k]: value for k, value in floors.items()}
+    return Diagnosis(
+        verdict=verdict,
+        effects=effects,
+        gaps=gaps,
+        where=_where(where),
+        profiles=_profiles(found, after, floor_of, max(gaps, key=_size).signal),
+        left=left,
+        blind_to=_blind(selection),
+        missing_channels=data.missing,
+        model=extended(space.model, [] if unknown else final.terms),
+        names=predictor.names,
+        t_s=data.t_s[:: predictor.every][: before.shape[1]],
+        before=before,
+        after=final.residual,
+        held_out=test,
+        simulations=space.simulations,
+        imitation=predictor.imitation,
+    )
+
+
+def _rms(residual: Array, rows: NDArray[np.bool_]) -> float:
+    return float(np.sqrt(np.mean(residual[:, rows] ** 2)))
+
+
+def _weights(space: Space, selection: Selection, rows: NDArray[np.bool_]) -> tuple[Whitening, float]:
+    """How the last fit weights residuals, and by what its standard errors grow.
+
+    Where residuals are model error more than noise, whitening would weight the frequencies at which the model is worst:
+    then all count the same, and the errors grow with their correlation.
+    """
+    residual = selection.fit.residual
+    if not space.predictor.exact:
+        deviations = np.std(residual[:, rows], axis=-1)
+        return scaling(deviations), float(np.sqrt(max(repeats(values[rows]) for values in residual)))
+    train, test = sums(space, selection.scene.whitening, residual)
+    samples = np.count_nonzero(space.split.train | space.split.test) * len(space.predictor.names)
+    return selection.scene.whitening, float(np.sqrt(max((train + test) / samples, 1.0)))
+
+
+def _gap(name: str, before: Array, after: Array, noise: float, rows: NDArray[np.bool_]) -> Gap:
+    def rms(values: Array) -> float:
+        return float(np.sqrt(np.mean(values[rows] ** 2)))
+
+    return Gap(name, rms(before), rms(after), noise, "N·m")
+
+
+def _moments(
+    space: Space, white: Whitening, terms: list[Term], inflation: float
+) -> dict[tuple[int, str], tuple[float, float]]:
+    """95 % intervals, by place among the terms and parameter, of times: from a profile, which may have many minima."""
+    found = {}
+    for place, term in enumerate(terms):
+        if not term.is_sudden:
+            continue
+        here, half_s = term.values[TIME], _PROFILE_S
+        rise = (_NORMAL_95 * inflation) ** 2
+        times = around(here, half_s / 30.0, 0.5 * space.period_s)
+        while True:
+            times = np.union1d(times, around(here, half_s, half_s / 30.0))
+            low, high = time_profile(space, white, terms, place, times).interval_s(rise)
+            if (times[0] < low and high < times[-1]) or half_s > space.duration_s:
+                break
+            half_s, times = 3.0 * half_s, np.array([here])
+        # When within a cycle it happened no recording says.
+        found[place, TIME] = (min(low, here - space.period_s), max(high, here + space.period_s))
+    return found
+
+
+def _named(
+    terms: list[Term],
+    covariance: Array,
+    selection: Selection,
+    inflation: float,
+    known: dict[tuple[int, str], tuple[float, float]],
+) -> list[NamedEffect]:
+    """`known`: intervals that do not follow from the covariance."""
+    result, at = [], 0
+    for place, term in enumerate(terms):
+        size = len(term.coordinates())
+        gradient = term.gradient()
+        part = gradient @ covariance[at : at + size, at : at + size] @ gradient.T
+        at += size
+        errors = dict(zip(term.free(), np.sqrt(np.maximum(np.diag(part), 0.0)) * inflation, strict=True))
+        values = {}
+        for parameter in term.effect.parameters:
+            value, half = term.values[parameter.name], _NORMAL_95 * float(errors[parameter.name])
+            low, high = known.get((place, parameter.name), (value - half, value + half))
+            values[parameter.name] = Value(_rounded(value), (_rounded(low), _rounded(high)), parameter.unit)
+        tied = [other for other in selection.tied.get(term.key, []) if other != term.place]
+        names = [
+            f"{effect}" if axis is None or axis == term.axis else f"{effect} (axis {axis})" for effect, axis in tied
+        ]
+        advice = told_apart_by(term.effect.id, tied[0][0]) if tied else None
+        result.append(
+            NamedEffect(term.effect.id, term.axis, values, selection.evidence.get(term.key, {}), names, advice)
+        )
+    return result
+
+
+def _rounded(value: float) -> float:
+    return float(f"{value:.{_DIGITS}g}")
+
+
+def _where(found: list[tuple[Misfit, float]]) -> list[GapLocation]:
+    return [GapLocation(m.signal, m.when, f"{m.condition}: {m.detail}", round(share, 4)) for m, share in found]
+
+
+def _profiles(before: list[Misfit], after: list[Misfit], floors: dict[str, float], signal: str) -> list[Profile]:
+    """Those of one signal on which it depended most before."""
+    now = {m.condition: m for m in after if m.signal == signal and m.points}
+    binned = [m for m in before if m.signal == signal and m.condition in now and m.condition != "time"]
+    result = []
+    for m in sorted(binned, key=lambda m: -m.excess)[:_PROFILES]:
+        at, mean = np.array(m.points).T
+        left = np.array(now[m.condition].points)[:, 1]
+        result.append(Profile(signal, m.condition, m.unit, at, mean * floors[signal], left * floors[signal]))
+    return result
+
+
+def _blind(selection: Selection) -> list[Unobservable]:
+    """Effects of which a change of the usual size would drown in the noise of these data."""
+    scene, result = selection.scene, []
+    seen: set[tuple[str, int | None]] = set()
+    for candidate, response in zip(scene.candidates, scene.responses, strict=True):
+        if candidate.multiplicity > 1.0 or candidate.place in seen:
+            continue
+        seen.add(candidate.place)
+        strength = candidate.effect.parameter(candidate.effect.strength[0])
+        information = float(np.sum(scene.whitening.apply(response)[0] ** 2))
+        smallest = _VISIBLE / np.sqrt(information) if information > 0.0 else None
+        if smallest is None or smallest > strength.scale:
+            visible = None if smallest is None else _rounded(float(smallest))
+            result.append(
+                Unobservable(candidate.effect.id, candidate.axis, visible, strength.unit, shown_by(candidate.effect.id))
+            )
+    return result

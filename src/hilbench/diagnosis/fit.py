@@ -1,0 +1,226 @@
+"""Fitting chosen terms jointly: damped Gauss–Newton steps on whitened residuals, bounds kept, standard errors."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
+
+from hilbench.diagnosis.noise import Whitening
+from hilbench.diagnosis.space import Point, Space
+from hilbench.diagnosis.terms import Term
+
+Array = NDArray[np.float64]
+
+_MOST_STEPS: Final = 6
+_LEAST_STEPS: Final = 2
+#: A step that promises less than this fall of the sum of squares is the last.
+_ENOUGH: Final = 0.3
+_FIRST_DAMPING: Final = 1e-4
+#: Strengths, and steps between two of them, with which one is searched for.
+_GRID: Final = 25
+_SEARCH: Final = 12
+#: How far from where it was proposed a time is looked for, and the steps of the first look, s: a step of E lets the web
+#: ring at some 20 Hz, and each period of it is a minimum.
+_TIME_SEARCH: Final = (0.3, 0.01)
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Fitted terms; sums of squares of whitened residuals on the rows of the fit and on the others."""
+
+    terms: list[Term]
+    residual: Array  #: raw, (signals, n)
+    train: float
+    test: float
+    covariance: Array  #: of all coordinates, in the order of the terms
+
+
+def sums(space: Space, white: Whitening, residual: Array) -> tuple[float, float]:
+    """Sums of squares on training and held-out rows."""
+    w = white.apply(residual)
+    train, test = space.split.train, space.split.test
+    return float(np.sum(w[:, train] ** 2)), float(np.sum(w[:, test] ** 2))
+
+
+def fit(
+    space: Space,
+    white: Whitening,
+    terms: list[Term],
+    rows: NDArray[np.bool_] | None = None,
+    worth: float = float("inf"),
+) -> Fit:
+    """Fit all coordinates of the terms from where they are, on `rows` (default: those that are not held out).
+
+    Once the sum of squares does not promise to fall below `worth` the fit is left unfinished: it has lost. Without
+    `rows` times that have been searched for stay: what is held out may be where they are known from.
+    """
+    timeless = rows is None
+    rows = space.split.train if rows is None else rows
+    point, problem = _descended(space, white, terms, rows, worth, timeless)
+    if not problem.usable:  # where the linear guess has put it the model runs away
+        return Fit(terms, point.residual, float("inf"), float("inf"), np.empty((0, 0)))
+    if problem.square <= worth and any(term.is_searched for term in point.terms):
+        found = _searched(space, white, point.terms, rows)
+        point, problem = _descended(space, white, found, rows, worth, timeless)
+    train, test = sums(space, white, point.residual)
+    return Fit(point.terms, point.residual, train, test, problem.covariance())
+
+
+def _descended(
+    space: Space, white: Whitening, terms: list[Term], rows: NDArray[np.bool_], worth: float, timeless: bool
+) -> tuple[Point, _Problem]:
+    """Where Gauss and Newton lead from there."""
+    damping, point = _FIRST_DAMPING, space.point(terms, timeless=timeless)
+    problem = _Problem(white, point, rows)
+    if not problem.usable:
+        return point, problem
+    for taken in range(_MOST_STEPS):
+        step, promised = problem.step(damping)
+        if promised < _ENOUGH or (taken >= _LEAST_STEPS and problem.square - promised > worth):
+            break
+        moved = _moved(point.terms, step)
+        trial = space.residual(moved)
+        if _Problem.square_of(white, trial, rows) < problem.square:
+            damping = max(0.2 * damping, 1e-9)
+            nearer = space.point(moved, trial, timeless=timeless)
+            next_problem = _Problem(white, nearer, rows)
+            if not next_problem.usable:
+                break
+            point, problem = nearer, next_problem
+        else:
+            damping = max(30.0 * damping, 1e-6)
+            if damping > 1e6:
+                break
+    return point, problem
+
+
+def _searched(space: Space, white: Whitening, terms: list[Term], rows: NDArray[np.bool_]) -> list[Term]:
+    """With what is searched for where the sum of squares has many minima: that of a delay has, and that of a time.
+
+    A time is looked for on all rows: when something happened is only known where it happened.
+    """
+    for place, term in enumerate(terms):
+        if term.probe is not None:
+            terms = _with_best_strength(space, white, terms, place, rows)
+        elif term.is_searched:
+            terms = with_best_time(space, white, terms, place)
+    return terms
+
+
+@dataclass(frozen=True)
+class TimeProfile:
+    """Least sum of squares at each time of a term, its strength fitted to each."""
+
+    times_s: Array
+    squares: Array
+    scales: Array  #: of the strength
+
+    def interval_s(self, rise: float) -> tuple[float, float]:
+        """The times up to which the sum of squares is within `rise` of its least; those next to them."""
+        within = np.flatnonzero(self.squares <= np.min(self.squares) + rise)
+        first, last = max(int(within[0]) - 1, 0), min(int(within[-1]) + 1, len(self.times_s) - 1)
+        return float(self.times_s[first]), float(self.times_s[last])
+
+
+def time_profile(space: Space, white: Whitening, terms: list[Term], place: int, times_s: Array) -> TimeProfile:
+    """Of the term at `place`, the others as they are, on all rows that count."""
+    rows, term = space.counted, terms[place]
+    variants = [[*terms[:place], term.neutral(), *terms[place + 1 :]]]
+    variants += [[*terms[:place], term.moved_to(float(time)), *terms[place + 1 :]] for time in times_s]
+    residuals = white.apply(space.residuals(variants))[:, :, rows].reshape(len(variants), -1)
+    without, responses = residuals[0], residuals[0] - residuals[1:]
+    along, square = responses @ without, np.einsum("ij,ij->i", responses, responses)
+    scales = along / np.maximum(square, 1e-300)
+    return TimeProfile(times_s, float(without @ without) - along * scales, scales)
+
+
+def with_best_time(space: Space, white: Whitening, terms: list[Term], place: int) -> list[Term]:
+    """The term at `place` put at the time near its own at which it explains most, with the strength for it."""
+    term, scale = terms[place], 1.0
+    closer = (_TIME_SEARCH[1], 0.5 * space.period_s), (0.5 * space.period_s, 0.05 * space.period_s)
+    for half_s, step_s in (_TIME_SEARCH, *closer):
+        profile = time_profile(space, white, terms, place, around(term.values["time_s"], half_s, step_s))
+        best = int(np.argmin(profile.squares))
+        term, scale = term.moved_to(float(profile.times_s[best])), float(profile.scales[best])
+    strength, *shape = term.coordinates()
+    found = term.at(np.array([strength * scale, *shape])) if term.allowed(strength * scale) else term
+    return [*terms[:place], replace(found, aimed=True), *terms[place + 1 :]]
+
+
+def around(time_s: float, half_s: float, step_s: float) -> Array:
+    """Times from `half_s` before to `half_s` after a time, none below zero."""
+    count = int(np.ceil(half_s / step_s - 1e-9))
+    return np.unique(np.maximum(time_s + step_s * np.arange(-count, count + 1), 0.0))
+
+
+def _with_best_strength(
+    space: Space, white: Whitening, terms: list[Term], place: int, rows: NDArray[np.bool_]
+) -> list[Term]:
+    term = terms[place]
+    middle, *shape = term.coordinates()
+
+    def variant(strength: float) -> list[Term]:
+        return [*terms[:place], term.at(np.array([strength, *shape])), *terms[place + 1 :]]
+
+    def square(strength: float) -> float:
+        return _Problem.square_of(white, space.residual(variant(strength)), rows)
+
+    grid = np.linspace(0.0, 2.0 * middle + term.effect.parameter(term.effect.strength[0]).scale, _GRID)
+    residuals = space.residuals([variant(float(strength)) for strength in grid])
+    best = int(np.argmin([_Problem.square_of(white, residual, rows) for residual in residuals]))
+    bounds = (float(grid[max(best - 1, 0)]), float(grid[min(best + 1, _GRID - 1)]))
+    found = minimize_scalar(square, bounds=bounds, method="bounded", options={"maxiter": _SEARCH, "xatol": 1e-6})
+    return variant(float(found.x)) if found.fun < square(float(middle)) else terms
+
+
+class _Problem:
+    """The linearized problem at a point."""
+
+    def __init__(self, white: Whitening, point: Point, rows: NDArray[np.bool_]) -> None:
+        self._c = _flat(white.apply(point.derivatives)[:, :, rows])
+        self._r = _flat(white.apply(point.residual)[None, :, rows])[0]
+        self.square = float(self._r @ self._r)
+        self._gram = self._c @ self._c.T
+        self.usable = bool(np.isfinite(self.square) and np.all(np.isfinite(self._gram)))
+        self._scale = np.sqrt(np.maximum(np.diag(self._gram), 1e-300))
+
+    @staticmethod
+    def square_of(white: Whitening, residual: Array, rows: NDArray[np.bool_]) -> float:
+        """Sum of squares of raw residuals, whitened."""
+        r = _flat(white.apply(residual)[None, :, rows])[0]
+        return float(r @ r)
+
+    def step(self, damping: float) -> tuple[Array, float]:
+        """The damped step, and the fall of the sum of squares that it promises."""
+        if len(self._c) == 0:
+            return np.empty(0), 0.0
+        normal = self._gram / np.outer(self._scale, self._scale)
+        normal[np.diag_indices_from(normal)] *= 1.0 + damping
+        normal += 1e-12 * np.eye(len(normal))
+        step = np.linalg.solve(normal, self._c @ self._r / self._scale) / self._scale
+        return step, float(2.0 * step @ (self._c @ self._r) - step @ self._gram @ step)
+
+    def covariance(self) -> Array:
+        """Of the coordinates; the whitened noise has variance 1."""
+        if len(self._c) == 0:
+            return np.empty((0, 0))
+        normal = self._gram / np.outer(self._scale, self._scale)
+        return np.asarray(np.linalg.pinv(normal, rcond=1e-12, hermitian=True) / np.outer(self._scale, self._scale))
+
+
+def _flat(columns: Array) -> Array:
+    """(count, signals, rows) as (count, signals·rows)."""
+    return columns.reshape(len(columns), int(np.prod(columns.shape[1:])))
+
+
+def _moved(terms: list[Term], step: Array) -> list[Term]:
+    moved, at = [], 0
+    for term in terms:
+        here = term.coordinates()
+        moved.append(term.at(here + step[at : at + len(here)]))
+        at += len(here)
+    return moved

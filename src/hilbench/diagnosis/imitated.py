@@ -1,0 +1,38 @@
+"""How the web of a bench's recording was imitated: from the bench config that made it."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from pathlib import Path
+
+from hilbench.canopen.eds import load_eds
+from hilbench.errors import UnusableInputError
+from hilbench.exchange.nodes import declared_units
+from hilbench.plant.web_line.imitation import Imitation
+from hilbench.results.run_folder import RunFolder
+from hilbench.runs.config import load
+from hilbench.topology.config import BenchConfig
+
+
+def imitation_of(config: BenchConfig) -> Imitation:
+    """How the bench of this config imitates the web. Without its EDS files it is not known what its drives round to."""
+    resolution = None
+    with suppress(UnusableInputError):  # a run folder that was brought here from another machine
+        resolution = _resolution_m_s(config, 1), _resolution_m_s(config, 2)
+    return Imitation(config.cycle_time_s, config.hardware.load_motor, resolution)
+
+
+def _resolution_m_s(config: BenchConfig, axis: int) -> float:
+    part = f"axis{axis}"
+    node = getattr(config.nodes, part)
+    units = declared_units(config, part, load_eds(node.eds, node.node_id))
+    return units.velocity_rad_s / config.model.motor_rad_per_m(axis)
+
+
+def imitation_beside(recording: Path) -> Imitation | None:
+    """By the config in the run folder that a recording lies in; None if it lies in no run folder.
+
+    Raises UnusableInputError for a config that can't be read.
+    """
+    folder = RunFolder(recording.parent)
+    return imitation_of(load(folder.config)[0]) if folder.config.is_file() else None

@@ -1,0 +1,161 @@
+"""What a diagnosis takes from a recording, checked: nothing is guessed, nothing read that only a simulation knows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilbench.errors import UnusableInputError
+from hilbench.plant.web_line.parameters import ModelParameters
+from hilbench.results.recording import Recording
+
+Array = NDArray[np.float64]
+
+#: Sampling periods that can be worked with, s.
+SHORTEST_PERIOD_S: Final = 0.0005
+LONGEST_PERIOD_S: Final = 0.02
+#: Least length: below, not even a drift of the noise can be told from an effect.
+SHORTEST_S: Final = 5.0
+#: Share of the period by which two samples may be further apart than others.
+_UNEVEN: Final = 0.01
+#: Speeds (m/s) and strains that a web machine has; beyond them a channel is in other units than its name says.
+_FASTEST_M_S, _LARGEST_STRAIN = 100.0, 0.1
+#: Speed below which nothing moves.
+_STANDSTILL_M_S = 1e-3
+_COMMANDS = ("v1_cmd_m_s", "v2_cmd_m_s")
+_BOUNDARY = ("strain_prev", "F_next_N")
+#: Only a bench has it: who records a web that is there has no load motor.
+_LOAD_MOTOR = "tau_load_cmd_Nm"
+
+
+@dataclass(frozen=True)
+class Measured:
+    """Checked arrays of one recording; times from 0. `missing` are channels a diagnosis could have used."""
+
+    t_s: Array  #: (n,)
+    period_s: float
+    commands_m_s: Array  #: (n, axes); empty for a lone axis without commands
+    boundary: Array  #: (n, 2) upstream strain, downstream tension (N)
+    tau_Nm: dict[int, Array]  #: by axis, what is recorded of it
+    x_m: dict[int, Array]
+    v_m_s: dict[int, Array]
+    missing: list[str] = field(default_factory=list)
+    imitated: bool = False  #: a load motor stood for the web
+
+    @property
+    def duration_s(self) -> float:
+        """Length of the recording."""
+        return float(self.t_s[-1])
+
+
+def measured_from(recording: Recording, model: ModelParameters, place: str | Path) -> Measured:
+    """Check and take what is needed. Raises UnusableInputError, one line, for what can't be diagnosed."""
+    period_s = _period_s(recording.time_s, place)
+    web = model.web is not None
+    if web and model.axis_count != 2:
+        raise UnusableInputError(place, f"a model of {model.axis_count} rollers, expected two, or a lone axis")
+    if web and model.drives is None:
+        raise UnusableInputError(place, "a model with a web and no 'drives', expected the drives' control loops")
+    axes = range(1, model.axis_count + 1)
+    needed = [*_COMMANDS, *_BOUNDARY] if web else ["x1_m", "tau1_Nm"]
+    recording.require(needed, place)
+    wanted = [f"{name}{axis}{unit}" for axis in axes for name, unit in (("tau", "_Nm"), ("x", "_m"), ("v", "_m_s"))]
+    there = [name for name in wanted if name in recording]
+    recording.require(there, place)
+    if not any(name.startswith("tau") for name in there):
+        raise UnusableInputError(place, "channels tau1_Nm, tau2_Nm missing, expected at least one torque")
+
+    def channels(name: str, unit: str) -> dict[int, Array]:
+        found = {axis: f"{name}{axis}{unit}" for axis in axes}
+        return {axis: np.asarray(recording[key], np.float64) for axis, key in found.items() if key in recording}
+
+    n = len(recording)
+    commands = [np.asarray(recording[name], np.float64) for name in _COMMANDS] if web else []
+    boundary = [np.asarray(recording[name], np.float64) for name in _BOUNDARY] if web else []
+    measured = Measured(
+        t_s=recording.time_s - recording.time_s[0],
+        period_s=period_s,
+        commands_m_s=np.column_stack(commands) if commands else np.empty((n, 0)),
+        boundary=np.column_stack(boundary) if boundary else np.zeros((n, 2)),
+        tau_Nm=channels("tau", "_Nm"),
+        x_m=channels("x", "_m"),
+        v_m_s=channels("v", "_m_s"),
+        missing=[name for name in wanted if name not in there],
+        imitated=web and _LOAD_MOTOR in recording and bool(np.any(recording[_LOAD_MOTOR])),
+    )
+    _check_plausible(measured, model, place)
+    return measured
+
+
+def _period_s(t_s: Array, place: str | Path) -> float:
+    steps = np.diff(t_s)
+    if len(steps) == 0 or t_s[-1] - t_s[0] < SHORTEST_S:
+        length = t_s[-1] - t_s[0] if len(t_s) else 0.0
+        raise UnusableInputError(place, f"{length:g} s long, expected at least {SHORTEST_S:g} s")
+    period_s = float(np.median(steps))
+    odd = np.flatnonzero(np.abs(steps - period_s) > _UNEVEN * period_s)
+    if len(odd):
+        at = odd[0]
+        raise UnusableInputError(
+            place,
+            f"channel t_s: {steps[at]:g} s after t = {t_s[at]:g} s where the others are {period_s:g} s apart"
+            f" ({len(odd)} such places), expected even sampling",
+        )
+    if not SHORTEST_PERIOD_S <= period_s <= LONGEST_PERIOD_S:
+        raise UnusableInputError(
+            place,
+            f"channel t_s: samples {period_s:g} s apart, expected {SHORTEST_PERIOD_S:g} to {LONGEST_PERIOD_S:g} s",
+        )
+    return round(float((t_s[-1] - t_s[0]) / len(steps)), 9)
+
+
+def _check_plausible(measured: Measured, model: ModelParameters, place: str | Path) -> None:
+    speeds = {f"v{axis}_m_s": values for axis, values in measured.v_m_s.items()}
+    speeds |= {name: measured.commands_m_s[:, k] for k, name in enumerate(_COMMANDS) if measured.commands_m_s.size}
+    for name, values in speeds.items():
+        largest = float(np.max(np.abs(values)))
+        if largest > _FASTEST_M_S:
+            raise UnusableInputError(place, f"channel {name} reaches {largest:g}, expected m/s up to {_FASTEST_M_S:g}")
+    _check_positions(measured, place)
+    strain = float(np.max(np.abs(measured.boundary[:, 0])))
+    if strain > _LARGEST_STRAIN:
+        raise UnusableInputError(place, f"channel strain_prev reaches {strain:g}, expected a strain (1) below 0.1")
+    _check_torques(measured, model, place)
+    moves = [float(np.ptp(x)) for x in measured.x_m.values()]
+    moves += [float(np.max(np.abs(v))) * measured.duration_s for v in speeds.values()]
+    if max(moves, default=0.0) < _STANDSTILL_M_S * measured.duration_s:
+        raise UnusableInputError(place, "nothing moves, expected an experiment with changes of speed and tension")
+
+
+def _check_positions(measured: Measured, place: str | Path) -> None:
+    """A position must move as fast as its axis is told to."""
+    for axis, x in measured.x_m.items():
+        if axis > measured.commands_m_s.shape[1]:
+            continue
+        told = float(np.sum(np.abs(measured.commands_m_s[:-1, axis - 1]))) * measured.period_s
+        moved = float(np.sum(np.abs(np.diff(x[:: max(1, round(0.1 / measured.period_s))]))))
+        if told > 0.1 and not 0.5 < moved / told < 2.0:
+            raise UnusableInputError(
+                place,
+                f"channel x{axis}_m moves {moved:.4g} while v{axis}_cmd_m_s says {told:.4g} m,"
+                " expected position in m and speed in m/s",
+            )
+
+
+def _check_torques(measured: Measured, model: ModelParameters, place: str | Path) -> None:
+    if model.drives is None:
+        return
+    for axis, torque in measured.tau_Nm.items():
+        limits = model.drives.torque_limit_Nm
+        limit = limits[axis - 1] if isinstance(limits, list) else limits
+        largest = float(np.max(np.abs(torque)))
+        if largest > 3.0 * limit:
+            raise UnusableInputError(
+                place, f"channel tau{axis}_Nm reaches {largest:g}, expected N·m within the drive's limit of {limit:g}"
+            )
+        if float(np.ptp(torque)) == 0.0:
+            raise UnusableInputError(place, f"channel tau{axis}_Nm never changes, expected a measured torque")

@@ -1,0 +1,510 @@
+"""Which terms the data ask for: stepwise, earlier choices tested again, judged on stretches that no fit has seen.
+
+At each step every candidate's response is simulated once; the Gram matrix then says what any one or two of them would
+explain. The best few are fitted in full, jointly with what is there. A term stays when the criterion (sum of squares of
+whitened residuals plus a price for every parameter and every variant that was searched) falls, and the held-out
+stretches agree. Then each earlier term must show that the model is worse without it, and that no other explains
+the same as well: such others are tied with it.
+
+How often that is right: tools/diagnose_scoreboard.py, docs/diagnosis.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from itertools import combinations
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilbench.diagnosis.experiments import FORCE_STEP
+from hilbench.diagnosis.fit import Fit, around, fit, sums
+from hilbench.diagnosis.misfit import LARGEST_RATIO
+from hilbench.diagnosis.noise import Whitening
+from hilbench.diagnosis.proposals import Proposer
+from hilbench.diagnosis.space import Linear, Space, finest, noise_model
+from hilbench.diagnosis.terms import TIME, Term
+from hilbench.plant.effects import EFFECTS
+
+Array = NDArray[np.float64]
+Announce = Callable[[str, float], None]
+#: Effect, axis and slot of a term; effect and axis of what is named.
+Key = tuple[str, int | None, int]
+Place = tuple[str, int | None]
+
+#: Most effects that are named: where a right model leaves noise alone, three that leave more are none of them right,
+#: and many small ones together are a series expansion of something else.
+_MOST_TERMS, _MOST_ROUGH_TERMS = 3, 6
+#: Candidates (and pairs of them) that are fitted in full at a step.
+_CONTENDERS, _PAIRS = 4, 2
+#: Singles from which pairs are made.
+_PAIRED_FROM: Final = 14
+#: Price of a term beyond the one for its parameters: 2·ln of the number of places it was chosen from.
+_PLACES: Final = 60.0
+#: Fall of the held-out sum of squares from which it speaks for a term: 1.5 standard errors of its own size.
+_HELD_OUT_ERRORS: Final = 1.5
+#: Sum of squares of an addition's effect on the held-out rows from which they can judge it.
+_FELT: Final = 30.0
+#: Factor up to which a response to a probe speaks for other strengths of a law that is far from linear.
+_TRUSTED: Final = 1.8
+#: Standard deviations of its mean square from which a whitened signal is more than noise.
+_CALM: Final = 5.0
+#: Share of the held-out sum of squares by which it must fall where residuals are never noise alone.
+_LEAST_SHARE: Final = 0.01
+#: Where residuals are never noise alone the simple effects come first, and stay: |v| is the product of v and sign(v),
+#: and a term of higher order is read beside those it is made of, the constant included (marginality, Nelder 1977).
+_SIMPLE: Final = ("viscous_friction", "coulomb_friction", "torque_offset")
+#: Difference of the criterion up to which two explanations are tied, as for BIC.
+_TIED: Final = 6.0
+#: The same up to which a step of E is not given up for what the vocabulary does not have.
+_DECISIVE: Final = 20.0
+#: Among tied explanations the one that stands first in the vocabulary is named.
+_RANK: Final = {effect.id: place for place, effect in enumerate(EFFECTS)}
+#: Fall of the training rows' sum of squares that a fit must promise short of, to be finished and judged on all rows.
+_MARGIN: Final = 60.0
+#: How often, and at which shares of their distance, the best times of a step are looked at more closely; how many are
+#: proposed, and how many of the distances they are apart.
+_TIME_LEVELS: Final = 3
+_CLOSER: Final = np.linspace(-0.75, 0.75, 7)
+_STEP_PEAKS, _APART = 2, 2.5
+#: A force with which its response is looked at, N; how far from a step's time, and in which steps, it is looked for, s.
+_FORCE_N: Final = 4.0
+_FORCE_SEARCH: Final = (0.02, 0.002)
+#: Information on a strength below which these data say nothing of it.
+_LEAST_INFORMATION: Final = 1e-6
+
+
+def price(terms: list[Term], samples: float) -> float:
+    """What the terms' parameters and their search cost, in units of the sum of squares."""
+    parameters = sum(len(term.coordinates()) for term in terms)
+    return parameters * float(np.log(samples)) + sum(2.0 * float(np.log(_PLACES * t.multiplicity)) for t in terms)
+
+
+@dataclass
+class CandidateSet:
+    """The candidates at a model, and their raw responses."""
+
+    whitening: Whitening
+    residual: Array  #: raw
+    own: Array  #: raw columns of the terms that are there
+    candidates: list[Term]
+    responses: list[Array]  #: raw, (1 or 2, signals, n) each
+
+
+@dataclass
+class Selection:
+    """The chosen terms, fitted; with which others each is tied; the last scene."""
+
+    fit: Fit
+    scene: CandidateSet
+    samples: float
+    tied: dict[Key, list[Place]] = field(default_factory=dict)
+    evidence: dict[Key, dict[str, float]] = field(default_factory=dict)
+    exhausted: bool = False  #: more terms would explain more than may be named
+    better: str = ""  #: what the vocabulary has not, and explains better than a term
+
+
+def _apart(terms: list[Term], gains: Array, least_s: float) -> list[Term]:
+    """Those of most gain, at least `least_s` apart."""
+    found: list[Term] = []
+    for k in np.argsort(-gains):
+        if all(abs(terms[k].values[TIME] - other.values[TIME]) > least_s for other in found):
+            found.append(terms[k])
+    return found[:_STEP_PEAKS]
+
+
+class Search:
+    """The search over one space."""
+
+    def __init__(self, space: Space, proposer: Proposer, announce: Announce, every: int = 1) -> None:
+        self._space, self._proposer, self._announce, self._every = space, proposer, announce, every
+        self._samples = float(np.count_nonzero(space.split.train) * len(space.predictor.names))
+
+    def run(self) -> Selection:
+        """Add while it pays; then test again what is there."""
+        current = self._fit_of([])
+        scene = self._scene(current)
+        steps = _MOST_TERMS if self._space.predictor.exact else _MOST_ROUGH_TERMS
+        for depth in range(steps):
+            self._announce(f"step {depth + 1}: {len(scene.candidates)} candidates", 0.1 + 0.7 * depth / steps)
+            best = self._best_addition(current, scene)
+            if best is None:
+                break
+            pruned = self._pruned(best, scene.whitening)
+            if len(pruned.terms) > steps:
+                return Selection(current, scene, self._samples, exhausted=True)
+            current = pruned
+            scene = self._seen_from(current, scene)
+            if self._space.predictor.exact and not self._promises(scene):
+                break
+            scene = self._scene(current)
+            current = self._again(current, scene.whitening)
+        if self._is_rough(current):
+            return Selection(current, scene, self._samples)
+        self._announce("what else could explain it", 0.85)
+        current, tied, evidence = self._alternatives_tested(current, scene)
+        better = self._against_forces(current, scene, tied)
+        return Selection(current, scene, self._samples, tied, evidence, better=better)
+
+    # -- scenes ------------------------------------------------------------------------------------------
+
+    def _fit_of(self, terms: list[Term]) -> Fit:
+        residual = self._space.residual(terms)
+        return Fit(terms, residual, float("nan"), float("nan"), np.empty((0, 0)))
+
+    def _again(self, current: Fit, white: Whitening) -> Fit:
+        """Fitted again with the noise as it is seen now."""
+        return fit(self._space, white, current.terms)
+
+    def _scene(self, current: Fit) -> CandidateSet:
+        space = self._space
+        present = {term.key for term in current.terms}
+        plain = [t for t in self._proposer.plain() if t.key not in present]
+        responses = space.strengths(current.terms, current.residual, plain)
+        own = space.point(current.terms, current.residual).derivatives
+        white = noise_model(space, current.residual, np.concatenate([own, *responses]))
+        whitened = self._counted(white.apply(current.residual))
+        named = dict(zip(space.predictor.names, whitened, strict=True))
+        searched = self._proposer.searched(named, current.terms, self._every)
+        searched += self._changes(current, white)
+        more = space.strengths(current.terms, current.residual, searched)
+        responses = responses + self._tune(current, white, searched, more)
+        white = noise_model(space, current.residual, np.concatenate([own, *responses]))
+        return CandidateSet(white, current.residual, own, plain + searched, responses)
+
+    def _changes(self, current: Fit, white: Whitening) -> list[Term]:
+        """Steps of E at the times at which they would explain most, looked for ever closer, and a ramp of E."""
+        times, apart_s = self._proposer.step_times_s()
+        found, ramp = list[Term](), None
+        for level in range(_TIME_LEVELS):
+            terms = self._proposer.steps(times, current.terms)
+            if not terms:  # no web, or no step more that it could have
+                break
+            responses = self._observable(white, self._space.strengths(current.terms, current.residual, terms))
+            along = responses @ self._observable(white, [current.residual[None]])[0]
+            if level == 0:
+                ramp = self._ramp(current, times, responses, along)
+            found = _apart(terms, along**2 / np.maximum(np.sum(responses**2, axis=1), 1e-300), _APART * apart_s)
+            times = np.concatenate([t.values[TIME] + apart_s * _CLOSER for t in found]) if found else times
+            apart_s *= float(_CLOSER[1] - _CLOSER[0])
+        return found if ramp is None else [*found, ramp]
+
+    def _ramp(self, current: Fit, times_s: Array, responses: Array, along: Array) -> Term | None:
+        """The ramp between two of the times that would explain most: its response is the mean of those of steps."""
+        gram = responses @ responses.T
+        best, chosen = 0.0, (0, 1)
+        for first, last in combinations(range(len(times_s)), 2):
+            weights = np.zeros(len(times_s))
+            weights[first : last + 1] = 1.0
+            weights[[first, last]] = 0.5
+            gain = float(weights @ along) ** 2 / max(float(weights @ gram @ weights), 1e-300)
+            if gain > best:
+                best, chosen = gain, (first, last)
+        begin_s, end_s = times_s[list(chosen)]
+        return self._proposer.ramp(float(begin_s), float(end_s - begin_s), current.terms)
+
+    def _observable(self, white: Whitening, responses: list[Array]) -> Array:
+        """Whitened responses (1, signals, n) where rows count, one after the other: (responses, signals·n)."""
+        return np.array([self._counted(white.apply(response)).ravel() for response in responses])
+
+    def _tune(self, current: Fit, white: Whitening, searched: list[Term], responses: list[Array]) -> list[Array]:
+        """Put orders and frequencies where responses fit best; simulate those anew that moved."""
+        residual = self._trained(white.apply(current.residual))
+        moved = []
+        for k, response in enumerate(responses):
+            tuned = self._proposer.tuned(searched[k], residual, self._trained(white.apply(response)), self._every)
+            if tuned != searched[k]:
+                searched[k] = tuned
+                moved.append(k)
+        anew = self._space.strengths(current.terms, current.residual, [searched[k] for k in moved])
+        for k, response in zip(moved, anew, strict=True):
+            responses[k] = response
+        return responses
+
+    def _trained(self, values: Array) -> Array:
+        """Zero where fits do not see rows."""
+        return np.where(self._space.split.train, values, 0.0)
+
+    def _seen_from(self, current: Fit, scene: CandidateSet) -> CandidateSet:
+        """An older scene at another model: responses hardly change, the residual does."""
+        present = {term.key for term in current.terms}
+        kept = [k for k, t in enumerate(scene.candidates) if t.key not in present]
+        own = self._space.point(current.terms, current.residual).derivatives
+        candidates, responses = [scene.candidates[k] for k in kept], [scene.responses[k] for k in kept]
+        return CandidateSet(scene.whitening, current.residual, own, candidates, responses)
+
+    def _is_rough(self, current: Fit) -> bool:
+        """Whether far more than noise is left where a right model would leave noise alone: it was not found."""
+        space, rows = self._space, self._space.split.block >= 0
+        if not space.predictor.exact:
+            return False
+        torques = [k for k, name in enumerate(space.predictor.names) if name.startswith("tau")]
+        rms = np.sqrt(np.mean(current.residual[torques][:, rows] ** 2, axis=1))
+        return bool(np.any(rms > LARGEST_RATIO * np.array([space.predictor.floor(k) for k in torques])))
+
+    def _promises(self, scene: CandidateSet) -> bool:
+        """Whether anything is left that a candidate could explain, or that none can."""
+        if self._ranked(scene, scene.residual, scene.own):
+            return True
+        whitened = self._counted(scene.whitening.apply(scene.residual))
+        counted = float(np.count_nonzero(self._space.split.block >= 0))
+        excess = (whitened**2).sum(1) / counted - 1.0
+        return bool(np.max(excess) > _CALM * np.sqrt(2.0 / counted))
+
+    def _counted(self, values: Array) -> Array:
+        """Zero where rows do not count."""
+        return np.where(self._space.split.block >= 0, values, 0.0)
+
+    def _linear(self, scene: CandidateSet, residual: Array, own: Array) -> tuple[Linear, list[list[int]]]:
+        columns = scene.whitening.apply(np.concatenate([own, *scene.responses]))
+        problem = Linear(scene.whitening.apply(residual), columns, self._space.split)
+        groups, at = [], len(own)
+        for response in scene.responses:
+            groups.append(list(range(at, at + len(response))))
+            at += len(response)
+        return problem, groups
+
+    # -- additions ---------------------------------------------------------------------------------------
+
+    def _best_addition(self, current: Fit, scene: CandidateSet) -> Fit | None:
+        if not self._space.predictor.exact:
+            found = self._best_of(current, scene, self._ranked(scene, scene.residual, scene.own, _SIMPLE))
+            if found is not None:
+                return found
+        return self._best_of(current, scene, self._ranked(scene, scene.residual, scene.own))
+
+    def _best_of(self, current: Fit, scene: CandidateSet, additions: list[list[Term]]) -> Fit | None:
+        train, test = sums(self._space, scene.whitening, current.residual)
+        before = train + price(current.terms, self._samples)
+        fits = []
+        least = before
+        for chosen in additions:
+            terms = [*current.terms, *chosen]
+            cost = price(terms, self._samples)
+            found = fit(self._space, scene.whitening, terms, worth=least - cost)
+            fits.append((found.train + cost, found))
+            least = min(least, found.train + cost)
+        fits.sort(key=lambda item: item[0])
+        for criterion, found in fits:
+            if criterion < before and self._is_confirmed(scene.whitening, current, test, found):
+                return found
+        return None
+
+    def _is_confirmed(self, white: Whitening, current: Fit, test: float, found: Fit) -> bool:
+        """By the held-out rows; where they hardly feel the addition, by the two halves of what does."""
+        rows = self._space.split
+        change = white.apply(current.residual - found.residual)
+        if float(np.sum(change[:, rows.test] ** 2)) > _FELT:
+            return self._held_out_agrees(test, found.test)
+        change, residual = change[:, rows.train], white.apply(current.residual)[:, rows.train]
+        along, square = np.sum(change * residual, axis=0), np.sum(change**2, axis=0)
+        middle = int(np.searchsorted(np.cumsum(square), 0.5 * np.sum(square)))
+        early, late = slice(None, middle), slice(middle, None)
+        gain = 0.0
+        for one, other in ((early, late), (late, early)):
+            size = float(np.sum(along[one])) / max(float(np.sum(square[one])), 1e-300)
+            gain += size * (2.0 * float(np.sum(along[other])) - size * float(np.sum(square[other])))
+        return self._held_out_agrees(gain, 0.0)
+
+    def _held_out_agrees(self, before: float, after: float) -> bool:
+        """A gain beyond chance; where a right model leaves more than noise, also one that is worth a name."""
+        gain = before - after
+        least = 0.0 if self._space.predictor.exact else _LEAST_SHARE * before
+        return gain > least and gain > _HELD_OUT_ERRORS * 2.0 * float(np.sqrt(max(gain, 0.0)))
+
+    def _ranked(
+        self, scene: CandidateSet, residual: Array, own: Array, of: tuple[str, ...] | None = None
+    ) -> list[list[Term]]:
+        """Candidates, and pairs, that promise most; with start values. `of`: only these effects."""
+        problem, groups = self._linear(scene, residual, own)
+        mine = list(range(len(own)))
+        base = problem.gain(mine)[0]
+        singles = []
+        for k in range(len(groups)):
+            if of is not None and scene.candidates[k].effect.id not in of:
+                continue
+            started = self._started(scene, problem, mine, [k], groups)
+            if started is not None:
+                gain, terms = started
+                singles.append((gain - base - price(terms, self._samples), k, terms))
+        singles.sort(key=lambda item: -item[0])
+        chosen: list[list[Term]] = []
+        places: dict[Place, int] = {}
+        for score, _, terms in singles:
+            if score <= -5.0 or len(chosen) >= _CONTENDERS:
+                break
+            place = terms[0].place
+            if places.get(place, 0) < 1:
+                places[place] = places.get(place, 0) + 1
+                chosen.append(terms)
+        pairs = []
+        for a, b in combinations([k for _, k, _ in singles[:_PAIRED_FROM]], 2):
+            if scene.candidates[a].key != scene.candidates[b].key:
+                started = self._started(scene, problem, mine, [a, b], groups)
+                if started is not None:
+                    gain, terms = started
+                    pairs.append((gain - base - price(terms, self._samples), terms))
+        pairs.sort(key=lambda item: -item[0])
+        best = max((score for score, _, _ in singles), default=0.0)
+        chosen += [terms for score, terms in pairs[:_PAIRS] if score > max(best, 0.0) + _TIED]
+        return chosen
+
+    def _started(
+        self, scene: CandidateSet, problem: Linear, mine: list[int], members: list[int], groups: list[list[int]]
+    ) -> tuple[float, list[Term]] | None:
+        """Gain and start values of some candidates together; None where a bound forbids their sign."""
+        columns = [c for k in members for c in groups[k]]
+        if any(problem.information(c) < _LEAST_INFORMATION for c in columns):
+            return None
+        _, theta = problem.gain([*mine, *columns])
+        at, terms = len(mine), []
+        for k in members:
+            candidate = scene.candidates[k]
+            here = candidate.neutral().coordinates()
+            if candidate.probe is not None:
+                theta[at] = np.clip(theta[at], candidate.probe / _TRUSTED, candidate.probe * _TRUSTED)
+            strength = here[: candidate.linear] + theta[at : at + candidate.linear]
+            at += candidate.linear
+            if not candidate.allowed(float(strength[0])):
+                return None
+            terms.append(candidate.at(np.concatenate([strength, here[candidate.linear :]])))
+        return problem.gain_at([*mine, *columns], theta), terms
+
+    # -- earlier choices ---------------------------------------------------------------------------------
+
+    def _pruned(self, current: Fit, white: Whitening) -> Fit:
+        """Without the terms that the others make superfluous."""
+        while len(current.terms) > 1:
+            here = current.train + price(current.terms, self._samples)
+            fewer = []
+            for k in range(len(current.terms)):
+                rest = current.terms[:k] + current.terms[k + 1 :]
+                if not self._stays(current.terms[k]) and self._removable(current, k):
+                    found = fit(self._space, white, rest, worth=here - price(rest, self._samples))
+                    fewer.append((found.train + price(rest, self._samples), found))
+            better = min(fewer, key=lambda item: item[0], default=None)
+            if better is None or better[0] > here:
+                break
+            current = better[1]
+        return current
+
+    def _stays(self, term: Term) -> bool:
+        return not self._space.predictor.exact and term.effect.id in _SIMPLE
+
+    def _removable(self, current: Fit, k: int) -> bool:
+        """By Wald's statistic, generously: only then a fit without the term is worth its time."""
+        at = sum(len(t.coordinates()) for t in current.terms[:k])
+        term = current.terms[k]
+        part = slice(at, at + term.linear)
+        moved = term.coordinates()[: term.linear] - term.neutral().coordinates()[: term.linear]
+        wald = float(moved @ np.linalg.pinv(current.covariance[part, part]) @ moved)
+        return wald < 4.0 * price([term], self._samples)
+
+    def _alternatives_tested(
+        self, current: Fit, scene: CandidateSet
+    ) -> tuple[
+        Fit,
+        dict[Key, list[Place]],
+        dict[Key, dict[str, float]],
+    ]:
+        """Each term against what could stand in its place."""
+        tied: dict[Key, list[Place]] = {}
+        evidence: dict[Key, dict[str, float]] = {}
+        fine = finest(self._space) or scene.whitening
+        close = fit(self._space, fine, current.terms)
+        for k in range(len(current.terms)):
+            term = current.terms[k]
+            rest = current.terms[:k] + current.terms[k + 1 :]
+            here = current.train + price(current.terms, self._samples)
+            without = fit(self._space, scene.whitening, rest)
+            evidence[term.key] = {
+                "likelihood_ratio": without.train - current.train,
+                "criterion_gain": without.train + price(rest, self._samples) - here,
+                "held_out_gain": without.test - current.test,
+            }
+            superfluous = evidence[term.key]["criterion_gain"] <= 0.0
+            if superfluous and not self._stays(term):
+                scene = self._scene(without)
+                return self._alternatives_tested(self._again(without, scene.whitening), scene)
+            if superfluous:
+                tied[term.key] = [self._closest(current, k)]
+                continue
+            others = self._ranked(scene, without.residual, self._own_without(scene, current.terms, k))
+            tied[term.key] = []
+            for terms in self._as_a_step(term, rest) + others[: _CONTENDERS - 1]:
+                if len(terms) > 1 or terms[0].place == term.place:
+                    continue
+                cost = price([*rest, *terms], self._samples) - price(current.terms, self._samples)
+                found = fit(self._space, fine, [*rest, *terms], worth=close.train + _MARGIN - cost)
+                difference = found.train + found.test + cost - close.train - close.test
+                simpler = abs(difference) <= _TIED and _RANK[terms[0].effect.id] < _RANK[term.effect.id]
+                if (difference < -_TIED or simpler) and not self._stays(term):
+                    current = Fit(
+                        [*found.terms[:k], found.terms[-1], *found.terms[k:-1]],
+                        found.residual,
+                        found.train,
+                        found.test,
+                        found.covariance,
+                    )
+                    scene = self._scene(current)
+                    return self._alternatives_tested(fit(self._space, scene.whitening, current.terms), scene)
+                if abs(difference) < _TIED or difference < 0.0:
+                    tied[term.key].append(terms[0].place)
+        return current, tied, evidence
+
+    def _as_a_step(self, term: Term, rest: list[Term]) -> list[list[Term]]:
+        """A ramp as the step in its middle: what was proposed beside the ramp says nothing of that."""
+        if term.effect.id != "elasticity_ramp":
+            return []
+        middle_s = term.values[TIME] + 0.5 * term.values["duration_s"]
+        strength = float(term.coordinates()[0])
+        steps = self._proposer.steps(np.array([middle_s]), rest)
+        return [[step.at(np.concatenate([[strength], step.coordinates()[1:]]))] for step in steps]
+
+    def _against_forces(self, current: Fit, scene: CandidateSet, tied: dict[Key, list[Place]]) -> str:
+        """Each step of E against a step of a force at roller 2; what is to be said where that explains more."""
+        for k, term in enumerate(current.terms):
+            if not term.is_sudden:
+                continue
+            difference, force_N, time_s = self._as_a_force(current, k, scene.whitening)
+            if difference < -_DECISIVE:
+                return f"{force_N:.4g} N from t = {time_s:.3f} s on explain it better than {term.effect.id}"
+            if difference < _TIED:
+                tied[term.key].append((FORCE_STEP, None))
+        return ""
+
+    def _as_a_force(self, current: Fit, k: int, white: Whitening) -> tuple[float, float, float]:
+        """By how much the sum of squares rises when term k is a step of a force instead; the force, N, and its time."""
+        space, rows = self._space, self._space.split.block >= 0
+        term, rest = current.terms[k], [*current.terms[:k], *current.terms[k + 1 :]]
+        point = space.point(rest)
+        own = [white.apply(column)[:, rows].ravel() for column in point.derivatives]
+        residual = white.apply(point.residual)[:, rows].ravel()
+        best = (float("inf"), 0.0, 0.0)
+        for time_s in around(term.values[TIME], *_FORCE_SEARCH):
+            pushed = space.residual_with_force(rest, _FORCE_N, float(time_s))
+            response = white.apply(point.residual - pushed)[:, rows].ravel() / _FORCE_N
+            columns = np.array([*own, response])
+            theta, *_ = np.linalg.lstsq(columns.T, residual, rcond=None)
+            square = float(np.sum((residual - theta @ columns) ** 2))
+            best = min(best, (square, float(theta[-1]), float(time_s)))
+        close = sum(sums(space, white, current.residual))
+        return best[0] - close, best[1], best[2]
+
+    @staticmethod
+    def _closest(current: Fit, k: int) -> Place:
+        """The term whose strength is most correlated with that of term k."""
+        firsts = np.cumsum([0, *(len(term.coordinates()) for term in current.terms[:-1])])
+        deviations = np.sqrt(np.maximum(np.diag(current.covariance), 1e-300))
+        correlation = np.abs(current.covariance / np.outer(deviations, deviations))[firsts[k], firsts]
+        correlation[k] = -1.0
+        return current.terms[int(np.argmax(correlation))].place
+
+    @staticmethod
+    def _own_without(scene: CandidateSet, terms: list[Term], k: int) -> Array:
+        sizes = [len(term.coordinates()) for term in terms]
+        keep = np.ones(sum(sizes), bool)
+        keep[sum(sizes[:k]) : sum(sizes[: k + 1])] = False
+        return scene.own[keep]

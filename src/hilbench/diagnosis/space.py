@@ -1,0 +1,233 @@
+"""Residuals and sensitivities at one model, whitened, with the stretches that a fit sees and those it doesn't.
+
+From the columns' Gram matrix any subset of candidates is fitted at the cost of a small linear system.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilbench.diagnosis.noise import ORDER, Whitening, scaling, whitening
+from hilbench.diagnosis.predictor import FreeRun, Predictor
+from hilbench.diagnosis.terms import TIME, Term, pack_with
+from hilbench.plant.web_line.parameters import ModelParameters
+
+Array = NDArray[np.float64]
+Rows = NDArray[np.int64]
+
+#: Blocks a recording is cut into; every third is held out, so that each regime is on both sides.
+BLOCKS: Final = 12
+_HELD_OUT_OF: Final = 3
+#: Shortest block, s, and what is cut off both ends of a held-out one (about three web transports at 3 m/s), s.
+_SHORTEST_BLOCK_S: Final = 1.5
+_EMBARGO_S: Final = 1.0
+
+
+@dataclass(frozen=True)
+class Split:
+    """Block of every row, -1 for none; which blocks are held out."""
+
+    block: Rows
+    held_out: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, rows: NDArray[np.bool_], period_s: float) -> Split:
+        """Equal contiguous blocks over the rows that count."""
+        n = len(rows)
+        count = int(np.clip(n * period_s / _SHORTEST_BLOCK_S, 3, BLOCKS))
+        edges = np.linspace(0, n, count + 1).astype(int)
+        block = np.repeat(np.arange(count), np.diff(edges))
+        held_out = np.arange(count) % _HELD_OUT_OF == 1
+        length = n * period_s / count
+        embargo = int(min(_EMBARGO_S, 0.15 * length) / period_s)
+        for b in np.flatnonzero(held_out):
+            block[edges[b] : edges[b] + embargo] = -1
+            block[edges[b + 1] - embargo : edges[b + 1]] = -1
+        # A whitened sample holds the ORDER before it.
+        near = np.convolve(~rows, np.ones(ORDER + 1), "full")[:n] > 0.0
+        block[near] = -1
+        block[:ORDER] = -1
+        return cls(block, held_out)
+
+    @property
+    def train(self) -> NDArray[np.bool_]:
+        """Rows that fits see."""
+        return (self.block >= 0) & ~self.held_out[np.maximum(self.block, 0)]
+
+    @property
+    def test(self) -> NDArray[np.bool_]:
+        """Rows that no fit sees."""
+        return (self.block >= 0) & self.held_out[np.maximum(self.block, 0)]
+
+
+@dataclass(frozen=True)
+class Point:
+    """One model: its terms, raw residuals (signals, n), and raw derivatives (coordinates, signals, n) by the terms."""
+
+    terms: list[Term]
+    residual: Array
+    derivatives: Array
+
+
+@dataclass
+class Space:
+    """A recording and a model to extend; evaluates points."""
+
+    model: ModelParameters
+    predictor: Predictor
+    period_s: float
+    split: Split = field(init=False)
+    simulations: int = 0
+
+    def __post_init__(self) -> None:
+        self.split = Split.of(self.predictor.rows, self.period_s)
+
+    @property
+    def duration_s(self) -> float:
+        """Length of the recording."""
+        return len(self.predictor.rows) * self.period_s * self.predictor.every
+
+    @property
+    def counted(self) -> NDArray[np.bool_]:
+        """Rows of a last fit: where noise is white those beside held-out stretches as well."""
+        return self.predictor.rows if self.predictor.exact else self.split.block >= 0
+
+    def residual(self, terms: list[Term]) -> Array:
+        """Measured minus predicted, (signals, n)."""
+        found: Array = self.residuals([terms])[0]
+        return found
+
+    def residuals(self, variants: list[list[Term]]) -> Array:
+        """(variants, signals, n)."""
+        self.simulations += len(variants)
+        parameters = np.array([pack_with(self.model, terms) for terms in variants])
+        with np.errstate(over="ignore", invalid="ignore"):  # a model far off may run away; fits see that
+            predicted = self.predictor.predict(parameters)
+        return np.asarray(self.predictor.measured - predicted, np.float64)
+
+    def residual_with_force(self, terms: list[Term], force_N: float, time_s: float) -> Array:
+        """The residual with a force against the motion of roller 2 from a time on. Raises TypeError on a lone axis."""
+        if not isinstance(self.predictor, FreeRun):
+            raise TypeError("a prediction on measured motion, expected a free run")
+        self.simulations += 1
+        predicted = self.predictor.with_force(force_N, time_s).predict(pack_with(self.model, terms)[None])
+        return np.asarray(self.predictor.measured - predicted[0], np.float64)
+
+    def point(self, terms: list[Term], residual: Array | None = None, *, timeless: bool = False) -> Point:
+        """Residual (if it is not known) and derivatives by all coordinates of the terms, by forward differences.
+
+        `timeless`: those by times that have been searched for are zero.
+        """
+        variants: list[list[Term]] = []
+        steps: list[float] = []
+        free = [not (timeless and term.aimed and name == TIME) for term in terms for name in term.free()]
+        for place, term in enumerate(terms):
+            here = term.coordinates()
+            for k, (step, name) in enumerate(zip(term.steps(), term.free(), strict=True)):
+                if timeless and term.aimed and name == TIME:
+                    continue
+                moved = here.copy()
+                moved[k] += step
+                variants.append([*terms[:place], term.at(moved), *terms[place + 1 :]])
+                steps.append(step)
+        if residual is None:
+            variants.append(terms)
+        found = self.residuals(variants) if variants else np.empty((0, *self.predictor.measured.shape))
+        here_residual = found[-1] if residual is None else residual
+        moved_residuals = found[: len(steps)]
+        derivatives = np.zeros((len(free), *here_residual.shape))
+        derivatives[free] = (here_residual - moved_residuals) / np.array(steps)[:, None, None]
+        return Point(terms, here_residual, derivatives)
+
+    def strengths(self, terms: list[Term], residual: Array, candidates: list[Term]) -> list[Array]:
+        """Derivatives by the strength of each candidate (1 or 2 coordinates), added to a model with `terms`.
+
+        `residual` is the one of that model.
+        """
+        if not candidates:
+            return []
+        variants: list[list[Term]] = []
+        counts = []
+        for candidate in candidates:
+            neutral = candidate.neutral().coordinates()
+            for k in range(candidate.linear):
+                moved = neutral.copy()
+                moved[k] += candidate.probes()[k]
+                variants.append([*terms, candidate.at(moved)])
+            counts.append(candidate.linear)
+        found = self.residuals(variants)
+        result, at = [], 0
+        for candidate, count in zip(candidates, counts, strict=True):
+            steps = candidate.probes()[:, None, None]
+            result.append((residual - found[at : at + count]) / steps)
+            at += count
+        return result
+
+
+class Linear:
+    """A linear least-squares problem of whitened columns (J, signals, n), by blocks."""
+
+    def __init__(self, residual: Array, columns: Array, split: Split) -> None:
+        count, j = len(split.held_out), len(columns)
+        self.gram, self.cross = np.zeros((count, j, j)), np.zeros((count, j))
+        for b in range(count):
+            rows = split.block == b
+            c, r = columns[:, :, rows].reshape(j, -1), residual[:, rows].reshape(-1)
+            self.gram[b], self.cross[b] = c @ c.T, c @ r
+        train = ~split.held_out
+        self._gram, self._cross = self.gram[train].sum(0), self.cross[train].sum(0)
+
+    def information(self, column: int) -> float:
+        """Of the training blocks about one coordinate, if it were the only one."""
+        return float(self._gram[column, column])
+
+    def gain(self, chosen: list[int]) -> tuple[float, Array]:
+        """Fall of the training blocks' sum of squares by these columns, and their coordinates."""
+        if not chosen:
+            return 0.0, np.empty(0)
+        gram, cross = self._gram[np.ix_(chosen, chosen)], self._cross[chosen]
+        scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+        normal = gram / np.outer(scale, scale) + 1e-10 * np.eye(len(chosen))
+        theta = np.linalg.solve(normal, cross / scale) / scale
+        return float(2.0 * theta @ cross - theta @ gram @ theta), theta
+
+    def gain_at(self, chosen: list[int], theta: Array) -> float:
+        """The same at given coordinates."""
+        gram, cross = self._gram[np.ix_(chosen, chosen)], self._cross[chosen]
+        return float(2.0 * theta @ cross - theta @ gram @ theta)
+
+
+def finest(space: Space) -> Whitening | None:
+    """With a quarter of the tolerances, to choose between good explanations; None where nothing is tolerated."""
+    predictor = space.predictor
+    if not predictor.exact:
+        return None
+    floors = np.array([predictor.floor(k) for k in range(len(predictor.names))])
+    return scaling(np.hypot(floors, 0.25 * predictor.tolerances))
+
+
+def noise_model(space: Space, residual: Array, columns: Array) -> Whitening:
+    """What makes the noise white: its floor where a right model leaves white noise, else its colour.
+
+    The colour is that of what is left of the residual (signals, n) when every raw column (J, signals, n) has had its
+    say; each signal is scaled first, and a small ridge keeps collinear columns calm.
+    """
+    predictor = space.predictor
+    if predictor.exact:
+        floors = np.array([predictor.floor(k) for k in range(len(predictor.names))])
+        return scaling(np.hypot(floors, predictor.tolerances))
+    rows = predictor.rows
+    scale = np.maximum(np.std(np.diff(residual[:, rows], axis=-1), axis=-1), 1e-300)
+    r = (residual / scale[:, None])[:, rows].reshape(-1)
+    c = (columns / scale[None, :, None])[:, :, rows].reshape(len(columns), -1)
+    size = np.sqrt(np.einsum("ij,ij->i", c, c))
+    used = size > 0.0
+    c = c[used] / size[used, None]
+    theta = np.linalg.solve(c @ c.T + 1e-6 * np.eye(len(c)), c @ r)
+    left = np.zeros_like(residual)
+    left[:, rows] = (r - theta @ c).reshape(len(residual), -1) * scale[:, None]
+    return whitening(left[:, rows])

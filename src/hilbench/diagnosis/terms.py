@@ -1,0 +1,172 @@
+"""Candidates: effects of the vocabulary as terms of a fit, in coordinates in which a fit is well-behaved.
+
+An amplitude with a phase is fitted by its two components; everything else by its own parameters. What an effect
+is, its parameters, units, bounds and step sizes stand in `hilbench.plant.effects` alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from math import atan2, cos, hypot, sin
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilbench.plant.effects import Effect
+from hilbench.plant.web_line import layout as lay
+from hilbench.plant.web_line.parameters import EffectEntry, ModelParameters
+
+Array = NDArray[np.float64]
+
+_PHASE, TIME, _DURATION = "phase_rad", "time_s", "duration_s"
+
+
+@dataclass(frozen=True)
+class Term:
+    """One effect at one place, with values; `axis` counts from 1, None for the web.
+
+    `steps` are the finite-difference steps of the coordinates; `multiplicity` is how many variants (orders,
+    frequencies, times) were searched to propose this one. `probe` is for laws far from linear in it.
+    """
+
+    effect: Effect
+    axis: int | None
+    slot: int
+    values: Mapping[str, float]
+    base: Mapping[str, float]  #: values in the model that is diagnosed
+    shape_steps: Mapping[str, float]  #: steps of the parameters that only shape it
+    multiplicity: float = 1.0
+    probe: float | None = None  #: strength at which its response is looked at; default: a fifth of its scale
+    aimed: bool = False  #: its time has been searched for
+    least: Mapping[str, float] = field(default_factory=dict)  #: below which a shape can't be known from a recording
+
+    @property
+    def key(self) -> tuple[str, int | None, int]:
+        """Where it is in the model."""
+        return self.effect.id, self.axis, self.slot
+
+    @property
+    def place(self) -> tuple[str, int | None]:
+        """Effect and axis: what is named."""
+        return self.effect.id, self.axis
+
+    @property
+    def is_searched(self) -> bool:
+        """Whether something of it is to be searched for, because the sum of squares has many minima in it."""
+        return self.probe is not None or (self.is_sudden and not self.aimed)
+
+    @property
+    def is_sudden(self) -> bool:
+        """Whether it sets in at once, at a time of its own."""
+        return TIME in self.values and _DURATION not in self.values
+
+    def moved_to(self, time_s: float) -> Term:
+        """The same at another time."""
+        return replace(self, values={**self.values, TIME: time_s})
+
+    @property
+    def has_phase(self) -> bool:
+        """Whether strength and phase are fitted as two components."""
+        return any(p.name == _PHASE for p in self.effect.parameters)
+
+    @property
+    def _strength(self) -> str:
+        return self.effect.strength[0]
+
+    def _shapes(self) -> list[str]:
+        return [p.name for p in self.effect.parameters if p.name not in (self._strength, _PHASE)]
+
+    @property
+    def linear(self) -> int:
+        """Number of coordinates the model is nearly linear in: the strength, or its two components."""
+        return 2 if self.has_phase else 1
+
+    def coordinates(self, values: Mapping[str, float] | None = None) -> Array:
+        """Strength (or its two components), then shape; of `values`, or its own."""
+        values = self.values if values is None else values
+        strength = values[self._strength]
+        head = [strength]
+        if self.has_phase:
+            head = [strength * cos(values[_PHASE]), strength * sin(values[_PHASE])]
+        return np.array(head + [values[name] for name in self._shapes()])
+
+    def at(self, coordinates: Array) -> Term:
+        """The same term with these coordinates, within the parameters' bounds."""
+        values = dict(self.values)
+        if self.has_phase:
+            values[self._strength] = hypot(coordinates[0], coordinates[1])
+            values[_PHASE] = atan2(coordinates[1], coordinates[0])
+        else:
+            values[self._strength] = float(coordinates[0])
+        values |= dict(zip(self._shapes(), map(float, coordinates[self.linear :]), strict=True))
+        for p in self.effect.parameters:
+            values[p.name] = min(max(values[p.name], p.lower, self.least.get(p.name, p.lower)), p.upper)
+        return replace(self, values=values)
+
+    def neutral(self) -> Term:
+        """With the strength that the diagnosed model has, the shape as it is."""
+        values = dict(self.values)
+        values[self._strength] = self.base[self._strength]
+        if self.has_phase:
+            values[_PHASE] = self.base[_PHASE]
+        return replace(self, values=values)
+
+    def probes(self) -> Array:
+        """Steps of the coordinates in which the model is nearly linear, with which a response is looked at."""
+        return self.steps()[: self.linear] if self.probe is None else np.full(self.linear, self.probe)
+
+    def steps(self) -> Array:
+        """Finite-difference steps of the coordinates."""
+        scale = self.effect.parameter(self._strength).scale
+        return np.array([0.2 * scale] * self.linear + [self.shape_steps[name] for name in self._shapes()])
+
+    def free(self) -> list[str]:
+        """Names of what is fitted, one for each coordinate."""
+        head = [self._strength, _PHASE] if self.has_phase else [self._strength]
+        return head + self._shapes()
+
+    def allowed(self, strength: float) -> bool:
+        """Whether a strength (of a term without phase) is within its bounds."""
+        parameter = self.effect.parameter(self._strength)
+        return self.has_phase or parameter.lower <= strength <= parameter.upper
+
+    def write(self, parameters: Array) -> None:
+        """Into a parameter vector of the kernel."""
+        lay.write_effect(parameters, self.effect.id, self.axis, self.slot, dict(self.values))
+
+    def gradient(self) -> Array:
+        """(parameters, coordinates): derivatives of the named parameters `free()` by the coordinates."""
+        size = len(self.coordinates())
+        matrix = np.eye(size)
+        if self.has_phase:
+            amplitude, phase = max(self.values[self._strength], 1e-300), self.values[_PHASE]
+            matrix[0, :2] = cos(phase), sin(phase)
+            matrix[1, :2] = -sin(phase) / amplitude, cos(phase) / amplitude
+        return matrix
+
+    def entry(self) -> EffectEntry:
+        """As it stands in a model file."""
+        return EffectEntry(effect=self.effect.id, axis=self.axis, parameters=dict(self.values))
+
+
+def pack_with(model: ModelParameters, terms: list[Term]) -> Array:
+    """The kernel's parameter vector of a model with these terms."""
+    parameters = lay.pack(model)
+    for term in terms:
+        term.write(parameters)
+    return parameters
+
+
+def extended(model: ModelParameters, terms: list[Term]) -> ModelParameters:
+    """The model with the terms in its effects; a term at a place where the model has the effect replaces it."""
+    entries = list(model.effects)
+    for term in terms:
+        positions = [k for k, e in enumerate(entries) if (e.effect, e.axis) == term.place]
+        if term.slot < len(positions):
+            entries[positions[term.slot]] = term.entry()
+        else:
+            entries.append(term.entry())
+    data = model.model_dump()
+    data["effects"] = [entry.model_dump() for entry in entries]
+    return ModelParameters.model_validate(data)

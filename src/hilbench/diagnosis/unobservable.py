@@ -1,0 +1,130 @@
+"""Recordings in which something is hidden: what a diagnosis, given them and the plain model, is tried on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+
+from hilbench.plant.web_line import layout as lay
+from hilbench.plant.web_line.offline import simulate, start_state
+from hilbench.plant.web_line.parameters import EffectEntry, ModelParameters
+from hilbench.results.recording import Recording
+
+Array = NDArray[np.float64]
+
+PERIOD_S: Final = 0.002
+#: Noise of the demonstrator's measurements: torque N·m, position m, velocity m/s.
+_TORQUE_NM, _POSITION_M, _SPEED_M_S = 0.05, 3e-7, 1e-4
+_STANDS_S: Final = 1.0
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """Commands of both axes (n, 2), m/s, and the tension that they ask for."""
+
+    t_s: Array
+    commands_m_s: Array
+    F_ref_N: Array
+
+
+def experiment(model: ModelParameters, duration_s: float, seed: int, top_m_s: float = 4.0) -> Experiment:
+    """A rich one: speed levels and ramps, creep speed, tension steps, small pseudo-random steps of the speed ratio."""
+    rng = np.random.default_rng(seed)
+    t = np.asarray(np.arange(round(duration_s / PERIOD_S)) * PERIOD_S, np.float64)
+    levels = np.array([0.0, 0.75, 0.75, 1.0, 1.0, 0.375, 0.375, 0.75, 0.75, 0.075, 0.075, 0.75, 0.75, 0.2])
+    knots = _STANDS_S + (t[-1] - _STANDS_S) * np.linspace(0.0, 1.0, len(levels))
+    v2 = top_m_s * np.interp(t, knots, levels)
+    part = np.floor(t / 3.3).astype(int)
+    tension = model.boundary.upstream_tension_N * rng.choice([1.0, 1.0, 1.2, 0.85, 1.1, 0.9], part.max() + 1)[part]
+    wiggle = 0.03 * rng.choice([-1.0, 1.0], int(t[-1] / 0.7) + 2)[np.floor(t / 0.7).astype(int)]
+    wanted = tension / model.boundary.upstream_tension_N - 1.0 + wiggle * (t > 0.6 * t[-1])
+    wanted[t < _STANDS_S] = 0.0
+    v1 = v2 * (1.0 - model.upstream_strain * wanted)
+    return Experiment(t, np.column_stack([v1, v2]), tension)
+
+
+Disturbance = Callable[[ModelParameters, Experiment, float, np.random.Generator], tuple[Array, Array]]
+
+
+def _drag(model: ModelParameters, e: Experiment, size: float, rng: np.random.Generator) -> tuple[Array, Array]:
+    v = e.commands_m_s[:, 1]
+    return np.zeros_like(v), -size * v * np.abs(v)
+
+
+def _resonance(model: ModelParameters, e: Experiment, size: float, rng: np.random.Generator) -> tuple[Array, Array]:
+    """A lightly damped mode at some hertz that the axis' acceleration and the tension's steps excite."""
+    omega = 2.0 * np.pi * rng.uniform(4.0, 12.0)
+    drive = np.gradient(e.commands_m_s[:, 1], PERIOD_S) + 0.02 * np.gradient(e.F_ref_N, PERIOD_S)
+    radius, angle = np.exp(-0.02 * omega * PERIOD_S), omega * PERIOD_S
+    ring = lfilter([omega * PERIOD_S], [1.0, -2.0 * radius * np.cos(angle), radius**2], drive)
+    return np.zeros_like(ring), size * ring
+
+
+def _splice(model: ModelParameters, e: Experiment, size: float, rng: np.random.Generator) -> tuple[Array, Array]:
+    """A thicker piece of web every so many metres, some centimetres long: a pulse of the strain that enters."""
+    x = np.cumsum(e.commands_m_s[:, 0]) * PERIOD_S
+    return size * (np.mod(x, rng.uniform(9.0, 17.0)) < 0.3).astype(np.float64), np.zeros_like(x)
+
+
+def _hysteresis(model: ModelParameters, e: Experiment, size: float, rng: np.random.Generator) -> tuple[Array, Array]:
+    """A force that lags behind the speed like the output of a play."""
+    v, width = e.commands_m_s[:, 1], 0.6
+    out, state = np.empty_like(v), 0.0
+    for k, value in enumerate(v):
+        state = min(max(state, value - width), value + width)
+        out[k] = value - state
+    return np.zeros_like(v), -size * out / width
+
+
+#: What no effect of the vocabulary explains: additions to upstream strain (1) and downstream tension (N) that are not
+#: recorded, by name, with sizes from visible to gross.
+UNKNOWNS: Final[Mapping[str, tuple[Disturbance, tuple[float, float, float]]]] = {
+    "quadratic_drag": (_drag, (0.25, 0.6, 2.0)),
+    "resonance": (_resonance, (0.5, 1.5, 5.0)),
+    "splice": (_splice, (4e-6, 1.2e-5, 5e-5)),
+    "hysteresis": (_hysteresis, (1.0, 3.0, 8.0)),
+}
+
+
+def blind_recording(
+    model: ModelParameters,
+    effects: list[EffectEntry],
+    *,
+    duration_s: float = 66.0,
+    seed: int = 0,
+    unknown: tuple[str, float] | None = None,
+    noise: float = 1.0,
+    period_s: float = PERIOD_S,
+    top_m_s: float = 4.0,
+) -> Recording:
+    """Simulate the model with effects on a rich experiment, add measurement noise, keep every `period_s`-th row."""
+    run = experiment(model, duration_s, seed, top_m_s)
+    rng = np.random.default_rng([seed, 1])
+    plant = model.with_effects(*effects)
+    parameters = lay.pack(plant)
+    n = len(run.t_s)
+    recorded = np.tile([model.upstream_strain, model.boundary.downstream_tension_N], (n, 1))
+    hidden = recorded.copy()
+    if unknown is not None:
+        name, size = unknown
+        strain, force = UNKNOWNS[name][0](model, run, size, rng)
+        hidden += np.column_stack([strain, force])
+    found = simulate(parameters, start_state(parameters, plant), run.commands_m_s, hidden, PERIOD_S)
+    every = round(period_s / PERIOD_S)
+    columns: dict[str, Array] = {"t_s": run.t_s}
+    for axis in (0, 1):
+        columns[f"v{axis + 1}_cmd_m_s"] = run.commands_m_s[:, axis]
+    for name, values, sd in (
+        ("x{}_m", found.x_m, _POSITION_M),
+        ("v{}_m_s", found.v_m_s, _SPEED_M_S),
+        ("tau{}_Nm", found.tau_Nm, _TORQUE_NM),
+    ):
+        for axis in (0, 1):
+            columns[name.format(axis + 1)] = values[:, axis] + noise * sd * rng.standard_normal(n)
+    columns |= {"strain_prev": recorded[:, 0], "F_next_N": recorded[:, 1], "F_ref_N": run.F_ref_N}
+    return Recording({name: np.ascontiguousarray(values[::every]) for name, values in columns.items()})

@@ -1,0 +1,1 @@
+"""What changes in a machine, found from torques: balance, synchronizers, detectors."""

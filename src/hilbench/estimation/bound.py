@@ -1,0 +1,66 @@
+"""How well E can be known at all: the Cramér–Rao bound of a run's own samples.
+
+Each sample of the measured torque of axis 2 says τ = (r/i)·(E·h + …) + noise, so it adds (h·r/i)²/σ² to the information
+about E since its last change; what is estimated beside E adds its own sensitivities. The inverse of the information
+is the least variance that an unbiased estimate from these samples can have.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilbench.estimation.balance import MeasuredBalance
+from hilbench.estimation.config import AlsoEstimated
+from hilbench.estimation.offline import Measurements
+from hilbench.estimation.synchronizers.noise_level import NoiseLevel
+from hilbench.plant.web_line.parameters import ModelParameters
+
+Array = NDArray[np.float64]
+
+
+def torque_noise_Nm(data: Measurements) -> float:
+    """Standard deviation of the white noise on the measured torque of axis 2, over the whole recording."""
+    level = NoiseLevel(0.0, 1e-6, memory=len(data.t_s))
+    for torque in data.tau2_Nm:
+        level.update(float(torque))
+    return level.deviation
+
+
+def least_deviation_Pa(
+    model: ModelParameters, data: Measurements, start: int, noise_Nm: float, also: AlsoEstimated | None = None
+) -> Array:
+    """Bound of the standard deviation of E at each sample from `start` on, when E last changed there; (n - start,).
+
+    Infinite until a sample says something. `also`: what must be found beside E, with its prior deviation.
+    """
+    balance = MeasuredBalance(model)
+    cycle_s = data.cycle_s
+    per_Pa = np.empty(len(data.t_s))
+    for row in range(len(per_Pa)):
+        x1_m, x2_m = data.x_m[row]
+        now = balance.update(x1_m, x2_m, data.tau2_Nm[row], data.strain_prev[row], data.F_next_N[row], cycle_s)
+        per_Pa[row] = now.web_per_Pa
+    ratio = balance.force_per_torque_per_m
+    velocity = np.gradient(data.x_m[:, 1], data.t_s)[start:]
+    acceleration = np.gradient(velocity, data.t_s[start:])
+    # In the order of `AlsoEstimated`; forces at the web become torques at the motor by r/i.
+    others = np.column_stack(
+        [np.ones(len(velocity)), velocity / ratio, np.sign(velocity) / ratio, balance.mass_kg * acceleration / ratio]
+    )
+    priors = np.array([value for _, value in also or AlsoEstimated(inertia_share=0.0)])
+    used = priors > 0.0
+    rows = np.column_stack([per_Pa[start:] / ratio, others[:, used]]) / noise_Nm
+    information = np.cumsum(rows[:, :, None] * rows[:, None, :], axis=0)
+    information[:, 1:, 1:] += np.diag(1.0 / priors[used] ** 2)
+    return _deviation_of_first(information)
+
+
+def _deviation_of_first(information: Array) -> Array:
+    """Square root of the first element of the inverse of each (k, k) matrix, by its Schur complement."""
+    first = information[:, 0, 0].copy()
+    if information.shape[1] > 1:
+        cross = information[:, 0, 1:]
+        first -= np.einsum("ni,ni->n", cross, np.linalg.solve(information[:, 1:, 1:], cross[:, :, None])[:, :, 0])
+    with np.errstate(divide="ignore"):
+        return np.asarray(1.0 / np.sqrt(np.maximum(first, 0.0)))

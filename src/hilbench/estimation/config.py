@@ -1,0 +1,173 @@
+"""The `twin:` block of a bench config."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field, PositiveFloat
+
+from hilbench.block import Block
+from hilbench.plant.web_line.parameters import Modulus
+
+
+class AlsoEstimated(Block):
+    """Parameters estimated beside E, each by what is believed of it: its standard deviation around 0; 0: not at all."""
+
+    torque_offset_Nm: float = Field(default=0.0, ge=0, description="of axis 2's torque measurement, motor side")
+    viscous_friction_N_s_per_m: float = Field(default=0.0, ge=0, description="of roller 2 beyond the model's")
+    dry_friction_N: float = Field(default=0.0, ge=0, description="of roller 2 beyond the model's")
+    inertia_share: float = Field(
+        default=0.005,
+        ge=0,
+        description="of the moving mass of axis 2, relative; also covers that torque is sampled, not averaged",
+    )
+
+
+class PidConfig(Block):
+    """Gains of the tracking simulation: dE/dt = Kp·e + Ki·∫e dt + Kd·de/dt, e in N·m of motor torque.
+
+    The defaults reproduce the published behaviour on the demonstrator (about 20 s to 1 %): the velocity loop of
+    axis 2 gives way to a change of tension and takes it up with some seconds' lag, which Kd/Kp makes up for.
+    """
+
+    method: Literal["pid"] = "pid"
+    kp_Pa_per_Nm_s: float = Field(default=4.2e8, ge=0, description="Kp")
+    ki_Pa_per_Nm_s2: float = Field(default=2.0e7, ge=0, description="Ki")
+    kd_Pa_per_Nm: float = Field(default=2.0e9, ge=0, description="Kd")
+    integral_limit_Nm_s: PositiveFloat = Field(default=0.05, description="largest size of the integral")
+    error_filter_s: float = Field(default=0.2, ge=0, description="first-order filter of the error")
+    lower_limit_Pa: Modulus = Field(default=1.0e8, description="least E it gives")
+    upper_limit_Pa: Modulus = Field(default=1.0e11, description="largest E it gives")
+
+
+class _OnBalance(Block):
+    """What the methods on the measured momentum balance of axis 2 have in common."""
+
+    torque_noise_Nm: PositiveFloat = Field(default=0.05, description="believed until it is measured (0.1 s)")
+    initial_deviation_pct: PositiveFloat = Field(default=20.0, description="of E at the start")
+    hold_growth_pct_per_s: PositiveFloat = Field(
+        default=2.0, description="growth of the deviation, as a random walk, while there is no usable sample"
+    )
+    also: AlsoEstimated = AlsoEstimated()
+
+
+class RlsConfig(_OnBalance):
+    """Recursive least squares with exponential forgetting."""
+
+    method: Literal["rls"] = "rls"
+    memory_s: PositiveFloat = Field(default=0.05, description="time constant of forgetting")
+
+
+class EkfConfig(_OnBalance):
+    """Extended Kalman filter of motion and parameters; the process noise of E follows the innovations."""
+
+    method: Literal["ekf"] = "ekf"
+    drift_pct_per_sqrt_s: PositiveFloat = Field(default=0.1, description="random walk of E while innovations are white")
+    jump_pct_per_sqrt_s: PositiveFloat = Field(default=100.0, description="the same when the innovations are far off")
+
+
+class LmConfig(_OnBalance):
+    """Levenberg–Marquardt on a moving window."""
+
+    method: Literal["lm"] = "lm"
+    window_s: PositiveFloat = Field(default=0.15, description="how far back a solution looks")
+    every_cycles: int = Field(default=10, ge=1, description="cycles between two solutions")
+
+
+class GlobalConfig(_OnBalance):
+    """Differential evolution on a window, beside the cyclic path; its result acts `latency_cycles` later."""
+
+    method: Literal["global"] = "global"
+    window_s: PositiveFloat = Field(default=0.4, description="how far back a solution looks")
+    latency_cycles: int = Field(default=100, ge=10, description="cycles from a window's end to its result")
+    lower_limit_Pa: Modulus = Field(default=1.0e8, description="least E that is looked for")
+    upper_limit_Pa: Modulus = Field(default=1.0e11, description="largest E that is looked for")
+    seed: int = Field(default=1, ge=0, le=2**32 - 1, description="of the search's random numbers")
+
+
+class ChangepointConfig(_OnBalance):
+    """A bank of Kalman filters, one for each hypothesis of when E last jumped or began to drift, mixed by evidence."""
+
+    method: Literal["changepoint"] = "changepoint"
+    jumps_per_s: PositiveFloat = Field(default=1e-3, description="how often E is believed to jump")
+    jump_pct: PositiveFloat = Field(default=20.0, description="standard deviation of a jump")
+    drift_onsets_per_s: PositiveFloat = Field(default=1e-3, description="how often a drift is believed to begin")
+    drift_pct_per_s: PositiveFloat = Field(default=2.0, description="standard deviation of a drift's rate")
+    cautious_pct: PositiveFloat = Field(
+        default=0.09, description="deviation of the mixture above which E is followed only in part, against overshoot"
+    )
+    wander_pct_per_sqrt_s: float = Field(default=0.02, ge=0, description="random walk of E at all times")
+
+
+class InputConfig(Block):
+    """For a black-box model: the strain of the web that enters it is corrected; its parameters stay.
+
+    Measured states are not transferred into it either.
+    """
+
+    method: Literal["input"] = "input"
+    torque_noise_Nm: PositiveFloat = Field(default=0.05, description="believed until it is measured (0.1 s)")
+    observer_s: PositiveFloat = Field(default=0.1, description="time constant with which the correction is found")
+    agreement_per_s: PositiveFloat = Field(
+        default=20.0, description="rate with which the simulated tension is brought to the measured one"
+    )
+    limit_share: float = Field(
+        default=0.9, gt=0, lt=1, description="largest correction that acts, as a share of the upstream strain"
+    )
+    initial_deviation_pct: PositiveFloat = Field(default=20.0, description="of E at the start")
+    hold_growth_pct_per_s: PositiveFloat = Field(
+        default=2.0, description="growth of the deviation, as a random walk, while there is no usable sample"
+    )
+
+
+SynchronizerConfig = Annotated[
+    PidConfig | RlsConfig | EkfConfig | LmConfig | GlobalConfig | ChangepointConfig | InputConfig,
+    Field(discriminator="method"),
+]
+
+
+class TransferConfig(Block):
+    """Direct transfer of measured states into the simulation, each cycle, while they are plausible."""
+
+    strain: bool = Field(default=True, description="the span's strain, as the real axes' encoders show it")
+    axes: bool = Field(default=False, description="position and velocity of the real axes")
+    strain_limit: PositiveFloat = Field(default=2.0e-4, description="largest plausible difference of strain")
+    position_limit_m: PositiveFloat = Field(default=0.05, description="largest plausible difference of position")
+    velocity_limit_m_s: PositiveFloat = Field(default=0.2, description="largest plausible difference of velocity")
+
+
+class TwinConfig(Block):
+    """The twin: what it assumes and how it keeps in step with the bench."""
+
+    synchronizer: SynchronizerConfig = Field(
+        default=ChangepointConfig(), description="how E is found from the torque of axis 2"
+    )
+    transfer: TransferConfig = TransferConfig()
+    youngs_modulus_Pa: Modulus | None = Field(
+        default=None, description="what the twin assumes at the start; the model's value if not given"
+    )
+    torque_delay: Literal["estimate", "model"] = Field(
+        default="model", description="delay of the measured torque: found from the data, or as in the model's effects"
+    )
+    unmodelled_torque_Nm: float = Field(
+        default=0.03,
+        ge=0,
+        description="what the torque of axis 2 may lastingly be off the model's by (standard deviation): part of the "
+        "stated deviation of E, unless the method looks for it (also.torque_offset_Nm)",
+    )
+    torque_shift: Literal["compensate", "ignore"] = Field(
+        default="compensate",
+        description="a shift of friction or of the torque's offset that is told from a change of E: taken out of the "
+        "measured torque, or booked as E",
+    )
+    synchronized_pct: PositiveFloat = Field(
+        default=1.0,
+        description="deviation of E up to which the twin calls itself synchronized; without the unmodelled torque",
+    )
+    behind: Literal["catch_up", "hold"] = Field(
+        default="catch_up",
+        description="a late twin simulates the cycles it missed, or holds its state and goes on with the newest",
+    )
+    virtual_tpdo_every: int = Field(
+        default=0, ge=0, le=240, description="the virtual axes send their TPDOs every n-th SYNC; 0: never"
+    )

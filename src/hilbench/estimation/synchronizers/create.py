@@ -1,0 +1,53 @@
+"""The synchronizer that a config asks for."""
+
+from __future__ import annotations
+
+from hilbench.estimation.config import (
+    ChangepointConfig,
+    EkfConfig,
+    GlobalConfig,
+    InputConfig,
+    LmConfig,
+    PidConfig,
+    RlsConfig,
+    SynchronizerConfig,
+)
+from hilbench.estimation.synchronizers.base import Synchronizer
+from hilbench.estimation.synchronizers.changepoint import ChangepointSynchronizer
+from hilbench.estimation.synchronizers.ekf import EkfSynchronizer
+from hilbench.estimation.synchronizers.global_search import GlobalSynchronizer
+from hilbench.estimation.synchronizers.input_observer import InputSynchronizer
+from hilbench.estimation.synchronizers.lm import LmSynchronizer
+from hilbench.estimation.synchronizers.pid import PidSynchronizer
+from hilbench.estimation.synchronizers.plant import Plant
+from hilbench.estimation.synchronizers.rls import RlsSynchronizer
+
+#: Methods by their names in configs and on the command line.
+METHODS: dict[str, type[SynchronizerConfig]] = {
+    "pid": PidConfig,
+    "lm": LmConfig,
+    "global": GlobalConfig,
+    "rls": RlsConfig,
+    "ekf": EkfConfig,
+    "changepoint": ChangepointConfig,
+    "input": InputConfig,
+}
+
+
+def new_synchronizer(config: SynchronizerConfig, plant: Plant) -> Synchronizer:
+    """A fresh synchronizer for this plant, with the plant's E as its first guess."""
+    match config:
+        case PidConfig():
+            return PidSynchronizer(config, plant.youngs_modulus_Pa)
+        case RlsConfig():
+            return RlsSynchronizer(config, plant)
+        case EkfConfig():
+            return EkfSynchronizer(config, plant)
+        case LmConfig():
+            return LmSynchronizer(config, plant)
+        case GlobalConfig():
+            return GlobalSynchronizer(config, plant)
+        case ChangepointConfig():
+            return ChangepointSynchronizer(config, plant)
+        case InputConfig():
+            return InputSynchronizer(config, plant)

@@ -1,0 +1,98 @@
+"""Extended Kalman filter of motion, E and what is estimated beside it; the process noise of E adapts itself.
+
+The innovations of a filter that is right are white. A change of E shows as a run of innovations of one sign: the
+square of their short mean, beyond what white noise gives it, opens the random walk of E. Until it has closed
+again the parameters beside E are what they were before the run began.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from math import sqrt
+
+import numpy as np
+
+from hilbench.compiled import entry_point, number_of_sources
+from hilbench.estimation.config import EkfConfig
+from hilbench.estimation.synchronizers import kalman
+from hilbench.estimation.synchronizers.base import Estimate, SyncSample
+from hilbench.estimation.synchronizers.kalman import Array
+from hilbench.estimation.synchronizers.plant import FilterInputs, Plant, nuisances
+
+#: Samples that the short mean of the innovations reaches back; its variance for white ones is 1/(2·8).
+_MEMORY = 8.0
+#: The mean's square beyond so many variances opens the random walk, fully at twice as many.
+_FROM = 20.0
+
+
+Step = Callable[[Array, Array, Array, Array], float]
+
+
+def _compiled_step(sources: int) -> Step:
+    """The function that is called from Python; `sources` as in `number_of_sources`."""
+
+    @entry_point
+    def single_step(z: Array, p: Array, u: Array, row: Array) -> float:
+        return kalman.step(z, p, 0, u, row) if sources >= 0 else 0.0
+
+    return single_step
+
+
+_step = _compiled_step(number_of_sources(kalman.__file__, __file__))
+
+
+class EkfSynchronizer:
+    """One filter; state as in `kalman`."""
+
+    def __init__(self, config: EkfConfig, plant: Plant) -> None:
+        self._config = config
+        self._also = tuple(config.also)
+        self._reference_Pa = plant.youngs_modulus_Pa
+        self._inputs = FilterInputs(plant, config)
+        self._z = np.zeros((1, kalman.SIZE))
+        self._p = np.zeros((1, kalman.SIZE, kalman.SIZE))
+        self._row = np.zeros(kalman.SIZE)
+        self._started = False
+        self._mean = 0.0
+        self._nuisances_before: deque[Array] = deque(maxlen=2 * round(_MEMORY))
+
+    def update(self, sample: SyncSample) -> Estimate:
+        """One prediction and correction."""
+        inputs, c = self._inputs, self._config
+        if not self._started:
+            deviation = 0.01 * c.initial_deviation_pct
+            kalman.new_filter(self._z, self._p, 0, sample.balance.x2_m, deviation, inputs.priors)
+            self._started = True
+        if inputs.update(sample):
+            opened = min(max(self._mean**2 * 2.0 * _MEMORY / _FROM - 1.0, 0.0), 1.0)
+            walk = 0.01 * (c.drift_pct_per_sqrt_s + opened * c.jump_pct_per_sqrt_s)
+            inputs.u[kalman.E_VARIANCE_PER_S] = walk**2
+            _step(self._z, self._p, inputs.u, self._row)
+            self._keep_beside(opened)
+            normalized = self._row[0] / sqrt(self._row[1])
+            self._mean += (min(max(normalized, -5.0), 5.0) - self._mean) / _MEMORY
+        return self._estimate()
+
+    def _keep_beside(self, opened: float) -> None:
+        before, beside = self._nuisances_before, self._z[0, kalman.OFFSET :]
+        if opened > 0.0 and before:
+            beside[:] = before[0]
+        else:
+            before.append(beside.copy())
+
+    def hold(self, duration_s: float) -> Estimate:
+        """Let E walk, and find position and velocity anew afterwards."""
+        self._inputs.interrupt()
+        p, walk = self._p, 0.01 * self._config.hold_growth_pct_per_s
+        p[0, kalman.E, kalman.E] += walk**2 * duration_s
+        kalman.lose_motion(p)
+        return self._estimate()
+
+    def _estimate(self) -> Estimate:
+        z, deviations = self._z[0], np.sqrt(np.diag(self._p[0]))
+        return Estimate(
+            float(z[kalman.E]) * self._reference_Pa,
+            float(deviations[kalman.E]) * self._reference_Pa,
+            nuisances(self._also, z[kalman.OFFSET :].tolist(), deviations[kalman.OFFSET :].tolist()),
+        )

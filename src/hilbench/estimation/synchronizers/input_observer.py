@@ -1,0 +1,104 @@
+"""For a model that is a black box: not its parameters but one of its inputs is corrected until its outputs agree.
+
+The rollers of the model move as the measured ones. The input is the strain of the web that enters the span, and what
+has to agree is the tension: the one that the measured torque of axis 2 shows against the simulated one. A disturbance
+observer (Ohishi, Nakao, Ohnishi, Miyachi 1987) finds the correction w that the model lacks. With a = v/L, the transport
+of the span, and s the strain that is missing in it,
+
+    s' = a·(w − δ − s)
+
+where δ is the correction that acts. s is measured; the observer moves s and w by the same share of its innovation,
+because a change of the plant is missing in the whole span at once. δ = w + k·s then lets the model agree with the rate
+(1 + k)·a instead of that of the transport.
+"""
+
+from __future__ import annotations
+
+from math import exp, sqrt
+
+from hilbench.estimation.config import InputConfig
+from hilbench.estimation.synchronizers.base import Estimate, Nuisance, SyncSample
+from hilbench.estimation.synchronizers.noise_level import NoiseLevel
+from hilbench.estimation.synchronizers.plant import Plant, held
+from hilbench.estimation.synchronizers.regression import FILTER_S, RegressionRows
+
+_TORQUE_FLOOR_NM = 1e-4
+#: Most that the missing strain is amplified: at low speed the model can't follow faster, only the noise would.
+_MOST_GAIN = 30.0
+#: E that is told is positive, whatever the torque says.
+_LEAST_PA = 1.0
+
+
+class InputSynchronizer:
+    """Estimates the correction of the upstream strain; E is told as the one that would do the same."""
+
+    def __init__(self, config: InputConfig, plant: Plant) -> None:
+        self._config = config
+        self._plant = plant
+        self._rows = RegressionRows(plant)
+        self._noise = NoiseLevel(config.torque_noise_Nm, _TORQUE_FLOOR_NM)
+        self._missing = self._lacking = self._acting = 0.0
+        self._innovation = 0.0
+        self._simulated: list[float] | None = None  # tension a cycle ago, and behind each of the two low passes
+        deviation_Pa = 0.01 * config.initial_deviation_pct * plant.youngs_modulus_Pa
+        self._estimate = Estimate(plant.youngs_modulus_Pa, deviation_Pa, upstream_strain=0.0)
+
+    def update(self, sample: SyncSample) -> Estimate:
+        """One cycle: the model is compared, and its next input found."""
+        self._noise.update(sample.torque_real_Nm)
+        settled = self._rows.update(sample)
+        simulated_N = self._simulated_N(sample)
+        if not settled:
+            return self._estimate
+        plant, dt = self._plant, sample.cycle_s
+        stiffness_N = plant.youngs_modulus_Pa * plant.section_m2
+        rate_per_s = abs(sample.balance.velocity_m_s) / plant.span_length_m
+        self._missing += rate_per_s * dt * (self._lacking - self._acting - self._missing)
+        innovation = (float(self._rows.row[-1]) - simulated_N) / stiffness_N - self._missing
+        share = dt / (self._config.observer_s + dt)
+        self._missing += share * innovation
+        self._lacking += share * innovation
+        self._innovation += share * (innovation - self._innovation)
+        self._acting = self._correction(rate_per_s, sample.upstream_strain)
+        # The filter makes the noise smaller and correlated; over many samples it counts as what it was before it.
+        noise = self._noise.deviation * plant.force_per_torque_per_m / stiffness_N
+        self._publish(sample, sqrt(0.5 * share * noise**2 + self._innovation**2))
+        return self._estimate
+
+    def hold(self, duration_s: float) -> Estimate:
+        """The correction stays; filters start anew."""
+        self._rows.interrupt()
+        self._simulated = None
+        self._estimate = held(self._estimate, self._config.hold_growth_pct_per_s, duration_s)
+        return self._estimate
+
+    def _simulated_N(self, sample: SyncSample) -> float:
+        """The simulated tension, late and filtered as the measured one is (`RegressionRows`)."""
+        plant = self._plant
+        now_N = sample.torque_sim_sensitivity_Nm_per_Pa * plant.force_per_torque_per_m * plant.youngs_modulus_Pa
+        if self._simulated is None:
+            self._simulated = [now_N] * 3
+        before, first, second = self._simulated
+        decay = exp(-sample.cycle_s / FILTER_S)
+        first = before + (first - before) * decay
+        second = first + (second - first) * decay
+        self._simulated = [now_N, first, second]
+        return second
+
+    def _correction(self, rate_per_s: float, upstream_strain: float) -> float:
+        wanted = self._config.agreement_per_s
+        gain = min(max(wanted / rate_per_s - 1.0, 0.0), _MOST_GAIN) if rate_per_s > 0.0 else 0.0
+        limit = self._config.limit_share * upstream_strain
+        return min(max(self._lacking + gain * self._missing, -limit), limit)
+
+    def _publish(self, sample: SyncSample, deviation: float) -> None:
+        """E that would pull as much at the strain that the encoders show."""
+        simulated = sample.torque_sim_sensitivity_Nm_per_Pa * self._plant.force_per_torque_per_m
+        per_strain_Pa = self._plant.youngs_modulus_Pa * self._plant.section_m2 / sample.balance.web_per_Pa
+        strain = simulated / self._plant.section_m2 + self._missing
+        self._estimate = Estimate(
+            max(per_strain_Pa * strain, _LEAST_PA),
+            per_strain_Pa * deviation,
+            (Nuisance("upstream_strain", self._lacking, deviation, separable=True),),
+            upstream_strain=self._acting,
+        )

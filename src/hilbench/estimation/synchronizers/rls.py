@@ -1,0 +1,71 @@
+"""Recursive least squares with exponential forgetting on the filtered momentum balance.
+
+Source: Åström and Wittenmark, Adaptive Control, section 2.2. What is believed beforehand of the nuisances does not fade
+with the data: its share that was forgotten is given back each cycle.
+"""
+
+from __future__ import annotations
+
+from math import exp
+
+import numpy as np
+
+from hilbench.estimation.config import RlsConfig
+from hilbench.estimation.synchronizers.base import Estimate, SyncSample
+from hilbench.estimation.synchronizers.plant import Plant, held, nuisances, prior_deviations
+from hilbench.estimation.synchronizers.regression import PARAMETERS, RegressionRows, noise_gain
+
+
+class RlsSynchronizer:
+    """θ = [E/E0, offset, viscous, dry, mass] by its information matrix and vector."""
+
+    def __init__(self, config: RlsConfig, plant: Plant) -> None:
+        self._config = config
+        self._also = tuple(config.also)
+        self._reference_Pa = plant.youngs_modulus_Pa
+        self._rows = RegressionRows(plant)
+        priors = prior_deviations(config.also)
+        # A nuisance that is not estimated gets a prior that nothing moves.
+        self._prior = np.diag(np.concatenate([[0.0], 1.0 / np.maximum(priors, 1e-9) ** 2]))
+        noise_N = config.torque_noise_Nm * plant.force_per_torque_per_m
+        self._variance_N2 = noise_N**2
+        self._information = np.zeros((PARAMETERS, PARAMETERS))
+        self._information[0, 0] = (100.0 / config.initial_deviation_pct) ** 2
+        self._vector = np.zeros(PARAMETERS)
+        self._vector[0] = self._information[0, 0]
+        self._theta = np.array([1.0] + [0.0] * (PARAMETERS - 1))
+        self.estimate = self._estimate()
+
+    def update(self, sample: SyncSample) -> Estimate:
+        """Forget a little, add one row, solve."""
+        if not self._rows.update(sample):
+            self.estimate = held(self.estimate, self._config.hold_growth_pct_per_s, sample.cycle_s)
+            return self.estimate
+        keep = exp(-sample.cycle_s / self._config.memory_s)
+        row, y = self._rows.row[:PARAMETERS], self._rows.row[PARAMETERS]
+        error_N = y - row @ self._theta
+        share = sample.cycle_s / (10.0 * self._config.memory_s)
+        self._variance_N2 += share * (min(error_N**2, 9.0 * self._variance_N2) - self._variance_N2)
+        # The filter makes the noise smaller and correlated; over many rows it counts as what it was before it.
+        # Exponential weights have twice the information that their sum of squares says (Σλ² against (Σλ)²).
+        weight = 2.0 * noise_gain(sample.cycle_s) / self._variance_N2
+        self._information = keep * self._information + weight * np.outer(row, row)
+        self._vector = keep * self._vector + weight * row * y
+        self._theta = np.linalg.solve(self._information + self._prior, self._vector)
+        self.estimate = self._estimate()
+        return self.estimate
+
+    def hold(self, duration_s: float) -> Estimate:
+        """Keep what is known; the filter starts anew."""
+        self._rows.interrupt()
+        self.estimate = held(self.estimate, self._config.hold_growth_pct_per_s, duration_s)
+        return self.estimate
+
+    def _estimate(self) -> Estimate:
+        covariance = np.linalg.inv(self._information + self._prior)
+        deviations = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+        return Estimate(
+            float(self._theta[0]) * self._reference_Pa,
+            float(deviations[0]) * self._reference_Pa,
+            nuisances(self._also, self._theta[1:].tolist(), deviations[1:].tolist()),
+        )

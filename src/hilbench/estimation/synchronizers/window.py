@@ -1,0 +1,73 @@
+"""The last rows of the filtered balance, and how far a set of parameters is from them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hilbench.estimation.synchronizers.base import SyncSample
+from hilbench.estimation.synchronizers.plant import Plant
+from hilbench.estimation.synchronizers.regression import PARAMETERS, Array, RegressionRows, noise_gain
+
+
+class RowWindow:
+    """A moving window of `window_s`; parameters [E/E0, offset, viscous, dry, mass], residuals in noise deviations."""
+
+    def __init__(self, plant: Plant, window_s: float, torque_noise_Nm: float, priors: Array) -> None:
+        self._rows = RegressionRows(plant)
+        self._window_s = window_s
+        self._data = np.zeros((0, PARAMETERS + 1))
+        self._count = 0
+        self._noise_N = torque_noise_Nm * plant.force_per_torque_per_m
+        self._active = np.concatenate([[True], priors > 0.0])
+        self._priors = priors
+
+    @property
+    def active(self) -> Array:
+        """Which of the parameters are estimated."""
+        return self._active
+
+    def interrupt(self) -> None:
+        """A cycle is missing: start anew."""
+        self._rows.interrupt()
+        self._count = 0
+
+    def update(self, sample: SyncSample) -> bool:
+        """Take one sample; True when the window holds enough rows to be fitted."""
+        length = max(8, round(self._window_s / sample.cycle_s))
+        if len(self._data) != length:
+            self._data = np.zeros((length, PARAMETERS + 1))
+            self._count = 0
+        if self._rows.update(sample):
+            self._data[self._count % length] = self._rows.row
+            self._count += 1
+        self._noise_gain = noise_gain(sample.cycle_s)
+        return self._count >= length // 4
+
+    def rows(self) -> Array:
+        """A copy of the rows, in no order."""
+        return self._data[: min(self._count, len(self._data))].copy()
+
+    def residuals(self, rows: Array, theta: Array) -> Array:
+        """Whitened-equivalent residuals of the rows and of the priors; `theta` of the active parameters."""
+        full = np.zeros(PARAMETERS)
+        full[self._active] = theta
+        error = (rows[:, PARAMETERS] - rows[:, :PARAMETERS] @ full) / self._noise_N
+        held = self._active[1:]
+        return np.concatenate([error, full[1:][held] / self._priors[held]])
+
+    def scatter_N(self, rows: Array, theta: Array) -> float:
+        """Deviation of the noise before the filter that the residuals show."""
+        full = np.zeros(PARAMETERS)
+        full[self._active] = theta
+        error = rows[:, PARAMETERS] - rows[:, :PARAMETERS] @ full
+        return float(np.sqrt(np.mean(error**2) / self._noise_gain))
+
+    def deviations(self, rows: Array, theta: Array) -> Array:
+        """Standard deviations (5,) by the information of rows and priors; 0 for what is not estimated."""
+        a = rows[:, :PARAMETERS][:, self._active] / max(self.scatter_N(rows, theta), 1e-9)
+        information = a.T @ a
+        held = self._active[1:]
+        information[1:, 1:] += np.diag(1.0 / self._priors[held] ** 2)
+        result = np.zeros(PARAMETERS)
+        result[self._active] = np.sqrt(np.diag(np.linalg.pinv(information)))
+        return result

@@ -1,0 +1,250 @@
+"""One cycle of keeping the simulation in step with the measurement: compare, estimate, transfer.
+
+The same for the twin on the bus and for a recording.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import exp, hypot, inf, isfinite
+
+from hilbench.estimation.anomalies import Anomalies
+from hilbench.estimation.balance import BalanceSample, MeasuredBalance
+from hilbench.estimation.config import InputConfig, PidConfig, SynchronizerConfig, TwinConfig
+from hilbench.estimation.delay import DelayFinder, DelayLine
+from hilbench.estimation.plausibility import Plausibility, Problem
+from hilbench.estimation.synchronizers.base import Estimate, Synchronizer, SyncSample
+from hilbench.estimation.synchronizers.create import new_synchronizer
+from hilbench.estimation.synchronizers.plant import Plant
+from hilbench.estimation.torque_shift import TorqueShiftFinder
+from hilbench.plant.motor_port import MotorPort
+from hilbench.plant.web_line.line import Line
+from hilbench.plant.web_line.parameters import ModelParameters, per_item
+
+#: Relative uncertainty of the strain below which the web in the span counts as known.
+_KNOWN_STRAIN = 0.003
+#: Least deviation with which a method takes over the estimate of the one before.
+_LEAST_PRIOR_PCT = 0.1
+#: What is left of a shift of the torque that has gone again, as a share of it.
+_GONE = 0.1
+#: Largest strain, either way, of a measured state that is taken over: no web has more.
+_LARGEST_STRAIN = 0.5
+
+
+class Tracking:
+    """Moves E, and the transferred states, of `line` to where it agrees with what is measured.
+
+    `axis2` is the port of the line's second motor. Positions are at the web, torques at the motor.
+    """
+
+    def __init__(
+        self, model: ModelParameters, config: TwinConfig, line: Line, axis2: MotorPort, cycle_s: float
+    ) -> None:
+        self.config = config
+        self._line = line
+        self._axis2 = axis2
+        self._cycle_s = cycle_s
+        self._balance = MeasuredBalance(model)
+        self._initial_Pa = config.youngs_modulus_Pa or model.required_web.youngs_modulus_Pa
+        self._torque_limit_Nm = per_item(model.drives.torque_limit_Nm, 2) if model.drives else inf
+        self._strain_prev = model.upstream_strain
+        self._model_delay_s = next(
+            (e.parameters.get("delay_s", 0.0) for e in model.effects if (e.effect, e.axis) == ("torque_delay", 2)), 0.0
+        )
+        self._anomalies = Anomalies(
+            model.required_web.youngs_modulus_Pa, self._balance.mass_kg, model.span_length_m(1), cycle_s
+        )
+        self._shift_finder = TorqueShiftFinder(self._balance.mass_kg, cycle_s)
+        self._synchronizer: Synchronizer
+        self._unmodelled_N = 0.0
+        self.reset()
+
+    def reset(self) -> None:
+        """Start anew, with E as assumed at the start."""
+        self._line.youngs_modulus_Pa = self._initial_Pa
+        self._begin(self.config.synchronizer, self._initial_Pa)
+        self._web_per_Pa = self._balance.section_m2 * self._strain_prev
+        self._plausibility = Plausibility(
+            self._torque_limit_Nm,
+            self._balance.dry_friction_N,
+            self._balance.section_m2 * self._strain_prev,
+            self._cycle_s,
+        )
+        self._finder = DelayFinder(self._cycle_s) if self.config.torque_delay == "estimate" else None
+        self._delay_line = DelayLine(self._cycle_s)
+        self.delay_s = self._model_delay_s
+        self.estimate = self._stated(Estimate(self._initial_Pa, inf))
+        self.residual_Nm = 0.0
+        self.problem: Problem | None = None
+        self.torque_shift_Nm = 0.0  #: what the measured torque has shifted by, and is corrected for
+        self.refused = False  #: a measured state was not plausible in this cycle
+        self.release()
+
+    def release(self, strain_uncertainty: float = 0.0) -> None:
+        """The web is released anew, strained as upstream but for an unknown share (relative)."""
+        self._balance.reset()
+        self._delay_line.reset()
+        self._anomalies.reset()
+        self._shift_finder.reset()
+        self._strain_uncertainty = strain_uncertainty
+        self._running = False
+
+    def use(self, synchronizer: SynchronizerConfig | None) -> None:
+        """Go on with another method (None: the configured one) from the present E, without a jump."""
+        config, known = synchronizer or self.config.synchronizer, self.estimate
+        if not isinstance(config, PidConfig):
+            share_pct = 100.0 * self._own_deviation_Pa / known.youngs_modulus_Pa
+            known_pct = min(max(share_pct, _LEAST_PRIOR_PCT), config.initial_deviation_pct)
+            config = config.model_copy(update={"initial_deviation_pct": known_pct})
+        # A black box goes on as the model that it is.
+        black_box = isinstance(config, InputConfig)
+        self._begin(config, self._line.youngs_modulus_Pa if black_box else known.youngs_modulus_Pa)
+
+    def _begin(self, config: SynchronizerConfig, youngs_modulus_Pa: float) -> None:
+        self._method = config
+        self._synchronizer = new_synchronizer(config, Plant.of(self._balance, youngs_modulus_Pa))
+        looks_for_it = not isinstance(config, PidConfig | InputConfig) and config.also.torque_offset_Nm > 0.0
+        unmodelled_Nm = 0.0 if looks_for_it else self.config.unmodelled_torque_Nm
+        self._unmodelled_N = unmodelled_Nm * self._balance.force_per_torque_per_m
+
+    def _stated(self, estimate: Estimate) -> Estimate:
+        """With what a lasting error of the torque may add to the deviation: no method sees it in its data."""
+        modulus_Pa, self._own_deviation_Pa = estimate.youngs_modulus_Pa, estimate.deviation_Pa
+        if not 0.0 < modulus_Pa < inf:  # torque of somebody else's web, say: no material has such an E
+            modulus_Pa, self._own_deviation_Pa = self.estimate.youngs_modulus_Pa, inf
+        deviation_Pa = hypot(self._own_deviation_Pa, self._unmodelled_Pa())
+        return Estimate(modulus_Pa, deviation_Pa, estimate.nuisances, estimate.upstream_strain)
+
+    def _unmodelled_Pa(self) -> float:
+        """A lasting error of the torque, as E; a web without strain says nothing of E."""
+        if not self._unmodelled_N:
+            return 0.0
+        return self._unmodelled_N / self._web_per_Pa if self._web_per_Pa else inf
+
+    @property
+    def synchronized(self) -> bool:
+        """Whether E is known as well as the config asks for, and the web in the span is the one that was measured."""
+        limit = 0.01 * self.config.synchronized_pct * self.estimate.youngs_modulus_Pa
+        return self.problem is None and self._strain_uncertainty == 0.0 and self._own_deviation_Pa <= limit
+
+    @property
+    def torque_undecided(self) -> bool:
+        """Whether the torque has changed, and nothing tells yet whether that was E or a shift."""
+        return self._shift_finder.undecided
+
+    def miss(self) -> None:
+        """A cycle without measurement."""
+        self._anomalies.interrupt()
+        self._shift_finder.interrupt()
+        self.skip()
+
+    def skip(self) -> None:
+        """Hold the estimate for a cycle."""
+        self.estimate = self._stated(self._synchronizer.hold(self._cycle_s))
+
+    def compare(
+        self, time_s: float, x1_m: float, x2_m: float, torque_Nm: float, strain_prev: float, F_next_N: float
+    ) -> None:
+        """Take what was measured at the instant that the line has been simulated to; updates the line."""
+        line, balance = self._line, self._balance
+        torque_Nm -= self.torque_shift_Nm
+        balance.use_modulus(self.estimate.youngs_modulus_Pa)
+        now = balance.update(x1_m, x2_m, torque_Nm, strain_prev, F_next_N, self._cycle_s)
+        torque_sim_Nm = self._axis2.torque_Nm
+        self.residual_Nm = torque_Nm - torque_sim_Nm
+        self.problem = self._plausibility.problem(torque_Nm, now.web_per_Pa, now.velocity_m_s)
+        if self.problem is None:
+            self.problem = self._anomaly(now)
+        else:
+            self._anomalies.suspend()
+        moved = self._find_delay(torque_Nm, torque_sim_Nm)
+        paired = None
+        if not isfinite(now.force_N):
+            self._delay_line.reset()
+        else:
+            paired = self._delay_line.pair(now, torque_Nm * balance.force_per_torque_per_m, self.delay_s)
+        if self._strain_uncertainty > 0.0:
+            self._transport_out(now.velocity_m_s)
+        if self.problem is not None or paired is None or moved or self._strain_uncertainty > 0.0:
+            self.skip()
+        else:
+            strain = float(line.strain[0])
+            sensitivity = balance.section_m2 * strain / balance.force_per_torque_per_m
+            sample = SyncSample(time_s, self._cycle_s, torque_Nm, torque_sim_Nm, sensitivity, strain_prev, paired)
+            self._web_per_Pa = paired.web_per_Pa
+            self.estimate = self._stated(self._synchronizer.update(sample))
+        self._look_for_shift(now)
+        black_box = self.estimate.upstream_strain is not None
+        if not black_box:
+            line.youngs_modulus_Pa = self.estimate.youngs_modulus_Pa
+        if self._running:
+            transfer = self.config.transfer
+            self._transfer(x1_m, x2_m, strain=transfer.strain and not black_box, axes=transfer.axes or black_box)
+        self._running = True
+
+    def upstream_strain(self, told: float) -> float:
+        """The strain of the web that enters the simulation; `told` is what the real web's is said to be."""
+        return told + (self.estimate.upstream_strain or 0.0)
+
+    def _anomaly(self, now: BalanceSample) -> Problem | None:
+        """Only of a web that is known: one that is found under way says nothing yet."""
+        if self._strain_uncertainty > 0.0:
+            return None
+        self._anomalies.update(now)
+        if self._anomalies.broken:
+            return Problem.WEB_BREAK
+        return Problem.SLIP if self._anomalies.slipping else None
+
+    def _look_for_shift(self, now: BalanceSample) -> None:
+        """A shift is taken out of the torque from the next cycle on, and E goes on from what it was before it."""
+        if self.config.torque_shift == "ignore":
+            return
+        if self.problem is not None or self._strain_uncertainty > 0.0:
+            self._shift_finder.reset()
+            return
+        shift = self._shift_finder.update(now, self.estimate.youngs_modulus_Pa, may_decide=not self._anomalies.judging)
+        if shift is not None:
+            more_Nm = shift.force_N / self._balance.force_per_torque_per_m
+            self.torque_shift_Nm += more_Nm
+            if abs(self.torque_shift_Nm) < _GONE * abs(more_Nm):
+                self.torque_shift_Nm = 0.0
+            self.estimate = replace(self.estimate, youngs_modulus_Pa=shift.youngs_modulus_Pa)
+            self.use(self._method)
+
+    def _find_delay(self, torque_Nm: float, torque_sim_Nm: float) -> bool:
+        """Whether the delay is another one from this cycle on."""
+        before_s = self.delay_s
+        if self._finder is not None and self.problem is None:
+            self.delay_s = self._finder.update(torque_Nm, torque_sim_Nm)
+        return self.delay_s != before_s
+
+    def _transport_out(self, velocity_m_s: float) -> None:
+        """What is not known of the strain leaves with the web: it decays by exp(-v·t/L)."""
+        self._strain_uncertainty *= exp(-abs(velocity_m_s) * self._cycle_s / self._balance.span_length_m)
+        if self._strain_uncertainty < _KNOWN_STRAIN:
+            self._strain_uncertainty = 0.0
+
+    def _transfer(self, x1_m: float, x2_m: float, *, strain: bool, axes: bool) -> None:
+        """Put measured states in the place of simulated ones, unless they are too far off to be believed."""
+        transfer, line, web = self.config.transfer, self._line, self._balance.web
+        self.refused = False
+        new_strain = x_m = v_m_s = None
+        if strain:
+            measured = float(web.strain[0])
+            # Beyond any web: speeds that are no line's bring encoders there, and -1 would be a web of no length.
+            believable = abs(measured) <= _LARGEST_STRAIN
+            if believable and abs(measured - float(line.strain[0])) <= transfer.strain_limit:
+                new_strain = [measured]
+            else:
+                self.refused = True
+        if axes:
+            (x1_sim, x2_sim), (v1_sim, v2_sim) = line.x_m.tolist(), line.v_m_s.tolist()
+            v1, v2 = web.speeds_m_s.tolist()
+            near = max(abs(x1_m - x1_sim), abs(x2_m - x2_sim)) <= transfer.position_limit_m
+            slow = max(abs(v1 - v1_sim), abs(v2 - v2_sim)) <= transfer.velocity_limit_m_s
+            if near and slow:
+                x_m, v_m_s = [x1_m, x2_m], [v1, v2]
+            else:
+                self.refused = True
+        if new_strain is not None or x_m is not None:
+            line.set_state(strain=new_strain, x_m=x_m, v_m_s=v_m_s)

@@ -1,0 +1,1 @@
+"""The cyclic path: set points out, measurements in; frames stay below."""

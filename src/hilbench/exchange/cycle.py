@@ -1,0 +1,419 @@
+"""The cyclic path: set points and SYNC out, the answers of this SYNC in."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future
+from concurrent.futures import wait as wait_for
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+from hilbench.can.confinement import ControllerState
+from hilbench.can.frame import Frame
+from hilbench.can.link import Link
+from hilbench.can.wire import frame_bits
+from hilbench.canopen.emergency_stop import EMERGENCY_STOP_COB_ID, send_emergency_stop
+from hilbench.errors import BenchFaultError, EmergencyStopError, NoAnswerError
+from hilbench.exchange import pacing
+
+SYNC_COB_ID = 0x080
+#: COB-ID of the heartbeat of node 0.
+HEARTBEAT = 0x700
+
+#: Part of the cycle, at its end, that is kept for computing and sending the next set points (realtime pace):
+#: answers that are not there by then count as missing.
+_GUARD_FRACTION = 0.3
+#: Lockstep: part of the time-out after which a bench that waits for an answer says that it is alive.
+_ALIVE = 0.3
+#: The same for cycles that answer, but slowly.
+_SLOW = 0.6
+#: Between cycles: wall time in which devices of this process may take what was sent to them.
+_A_MOMENT_S = 0.001
+#: Lockstep: wall time to wait for who is not vital, where that is shorter than the time-out. The drives wait for SYNC
+#: meanwhile, and take a bench for dead after 5 s.
+_NOT_VITAL_S = 2.0
+
+
+#: NMT state in the bench's own heartbeat: OPERATIONAL, and PRE-OPERATIONAL after an emergency stop.
+_OPERATIONAL, _PRE_OPERATIONAL = b"\x05", b"\x7f"
+
+
+class FrameTap(Protocol):
+    """Sees every frame of the bus in the order of the wire; each has its time (ns since the epoch)."""
+
+    def write(self, frames: Sequence[Frame]) -> None:
+        """Frames that went over the bus."""
+
+    def end_cycle(self) -> None:
+        """The frames of a cycle are complete."""
+
+
+@dataclass(frozen=True)
+class ExpectedPdo:
+    """A TPDO that must answer every `every`-th SYNC after its node was started (NMT), which was after SYNC `since`."""
+
+    cob_id: int
+    every: int
+    sender: str  #: for messages: who should have sent it
+    size: int | None = None  #: bytes; a frame of another size is no answer. None: any
+    since: int = 0
+    vital: bool = True  #: false: the bench can go on without it
+
+
+@dataclass
+class CycleTiming:
+    """Counts and times of the cyclic path; ns of wall time."""
+
+    cycles: int = 0
+    bits: int = 0
+    missing_pdos: int = 0
+    first_loss_cycle: int | None = None  #: in which the link was first seen to have lost frames
+    wait_ns: int = 0  #: from SYNC to the last answer
+    started_ns: int = 0
+    ended_ns: int = 0
+
+
+class CyclicExchange:
+    """One SYNC after the other, paced in lockstep or by the wall clock.
+
+    `exchange` sends set points and SYNC and returns the frames that answered. In lockstep it waits until every
+    expected TPDO is there and raises NoAnswerError, naming who is missing, after `timeout_s` of wall time (2 s at most
+    where nobody vital is missing). In real time it waits for them until shortly before the next deadline, and raises
+    when one sender's PDO was missing `missing_limit` cycles in a row; not for a sender that is not vital. Who does not
+    answer is put into `silent`, and not waited for any longer. An emergency stop on the bus raises EmergencyStopError,
+    once.
+    """
+
+    def __init__(
+        self,
+        link: Link,
+        *,
+        cycle_ns: int,
+        bitrate: int,
+        lockstep: bool,
+        expected: Sequence[ExpectedPdo],
+        timeout_s: float,
+        missing_limit: int,
+        heartbeat: tuple[int, int] = (127, 0),
+        tap: FrameTap | None = None,
+    ) -> None:
+        self.timing = CycleTiming()
+        self.pacing = pacing.Pacing(period_ns=cycle_ns)
+        self._link = link
+        self._cycle_ns = cycle_ns
+        self._bit_ns = 1e9 / bitrate
+        self._lockstep = lockstep
+        self._timeout_s = timeout_s
+        self._missing_limit = missing_limit
+        self._missed_in_row: dict[int, int] = {}
+        self.expect(expected)
+        self.last_bits = 0  #: bits on the bus in the last cycle
+        self.before_sync = 0  #: so many of the frames that the last cycle returned came before its SYNC
+        self.silent: set[str] = set()  #: senders that don't answer: not waited for any longer
+        self._emergency_stop_seen = False
+        self._alive_s = 0.0  #: when the last heartbeat was sent, monotonic clock
+        self._tap = tap
+        self._lock = threading.Lock()  # who has it uses the link: a cycle, or between two of them `stay_alive`
+        self._came_between: list[Frame] = []
+        self._fault_between: Exception | None = None
+        self._epoch_ns = 0
+        self._sync = Frame(SYNC_COB_ID, b"")
+        self._sync_bits = frame_bits(self._sync)
+        self._since_sync_bits = 0  # on the bus from the beginning of SYNC on
+        self._unwritten: tuple[Sequence[Frame], Sequence[int], int] | None = None  # last answers, bits, when they began
+        node_id, period_ms = heartbeat
+        self._heartbeat = Frame(HEARTBEAT + node_id, _OPERATIONAL)
+        self._heartbeat_cycles = max(1, period_ms * 1_000_000 // cycle_ns) if period_ms else 0
+
+    def exchange(self, outgoing: Sequence[Frame]) -> list[Frame]:
+        """Run one cycle: `outgoing` and SYNC onto the bus, then the frames that came until all have answered.
+
+        `outgoing` is sent before the SYNC that makes it act.
+        """
+        with self._lock:
+            return self._exchange(outgoing)
+
+    def _exchange(self, outgoing: Sequence[Frame]) -> list[Frame]:
+        between, self._fault_between = self._fault_between, None
+        if between is not None:
+            raise between
+        timing = self.timing
+        if timing.cycles == 0:
+            timing.started_ns = time.monotonic_ns()
+            self._epoch_ns = time.time_ns()
+            pacing.start(self.pacing, timing.started_ns)
+        if self._heartbeat_is_due():
+            outgoing = [*outgoing, self._heartbeat]
+            self._alive_s = time.monotonic()
+        # Late answers (lockstep: those to a SYNC that was there twice) are no answers to this SYNC: counted as such
+        # they would push the true ones to the next.
+        if self._lockstep:
+            late = self._take_waiting()
+            self._link.send([*outgoing, self._sync])
+            trace_fault = self._write_last_answers()
+        else:
+            trace_fault = None
+            if outgoing:
+                self._link.send(outgoing)
+            now_ns = pacing.sleep_until(self.pacing.deadline_ns)
+            late = self._link.receive(0.0)
+            self._link.send([self._sync])
+            pacing.advance(self.pacing, now_ns)
+        timing.cycles += 1
+        before_ns = time.monotonic_ns()
+        self._account_before_sync(outgoing, late)
+        answers, failure = self._collect(self._due())
+        received, self.before_sync = late + answers, len(late)
+        timing.ended_ns = time.monotonic_ns()
+        timing.wait_ns += timing.ended_ns - before_ns
+        timing.bits += self.last_bits
+        if self._tap is not None and self._unwritten is None:
+            self._tap.end_cycle()
+        if self._link.dropped and timing.first_loss_cycle is None:
+            timing.first_loss_cycle = timing.cycles
+        if not self._emergency_stop_seen and any(frame.can_id == EMERGENCY_STOP_COB_ID for frame in received):
+            self._emergency_stop_seen = True
+            self._heartbeat = self._heartbeat._replace(data=_PRE_OPERATIONAL)
+            raise EmergencyStopError(f"cycle {timing.cycles}: emergency stop (COB-ID 001h) on the bus")
+        fault = trace_fault or failure
+        if fault is not None:
+            raise fault
+        return received
+
+    def _heartbeat_is_due(self) -> bool:
+        """By cycles, so that runs are alike; where these take very long in lockstep, before the supervisor wonders."""
+        if not self._heartbeat_cycles:
+            return False
+        slow = self._lockstep and time.monotonic() - self._alive_s > _SLOW * self._timeout_s
+        return slow or self.timing.cycles % self._heartbeat_cycles == 0
+
+    def expect(self, pdos: Sequence[ExpectedPdo]) -> None:
+        """From the next cycle on these TPDOs are waited for."""
+        self._due_always = {pdo.cob_id: pdo for pdo in pdos if pdo.every == 1}
+        self._due_at_times = [pdo for pdo in pdos if pdo.every != 1]
+        self._size = {pdo.cob_id: pdo.size for pdo in pdos if pdo.size is not None}
+        self._out_of_phase: dict[int, int] = {}  # PDOs whose phase is in doubt: the cycle in which one came between
+        self._missed_in_row.clear()
+
+    def _take_waiting(self) -> list[Frame]:
+        came, self._came_between = self._came_between, []
+        return came + self._link.receive(0.0) if came else self._link.receive(0.0)
+
+    def discard_waiting(self, timeout_s: float = 0.0) -> None:
+        """Put what waits to be read, or comes within `timeout_s`, into the trace only: no answer to the last SYNC."""
+        with self._lock:
+            self._discard_waiting(timeout_s)
+
+    def _discard_waiting(self, timeout_s: float) -> None:
+        trace_fault = self._write_last_answers()
+        came, self._came_between = self._came_between, []
+        waiting = came + self._link.receive(timeout_s)
+        if waiting and self._tap is not None:
+            bits = [frame_bits(frame) for frame in waiting]
+            self._tap.write(self._timed(waiting, bits, self._next_sync_ns - int(sum(bits) * self._bit_ns)))
+            self._tap.end_cycle()
+        if trace_fault is not None:
+            raise trace_fault
+
+    def emergency_stop(self) -> None:
+        """Stop everything on the bus at once. Raises BusError when it can't be sent."""
+        self._heartbeat = self._heartbeat._replace(data=_PRE_OPERATIONAL)
+        send_emergency_stop(self._link)
+
+    def stand_still(self, done: Future[None], longest_s: float) -> None:
+        """Lockstep: no cycle until `done`, or for `longest_s` of wall time: the nodes wait for SYNC meanwhile."""
+        with self._lock:
+            trace_fault = self._write_last_answers()
+            if trace_fault is not None:
+                raise trace_fault
+            self._say_alive()
+            end_s = time.monotonic() + longest_s
+            while (left_s := end_s - time.monotonic()) > 0.0:
+                if not wait_for([done], timeout=min(left_s, _ALIVE * self._timeout_s)).not_done:
+                    return
+                self._say_alive()
+
+    def stay_alive(self, silence_s: float) -> None:
+        """Lockstep, from another thread, while nobody wants a cycle: say that the bench is alive, where nothing has
+        said so for `silence_s` of wall time, and take what comes.
+
+        Does nothing while a cycle runs. After an emergency stop the bench says that it is not OPERATIONAL any more.
+        What goes wrong is raised by the next cycle.
+        """
+        if time.monotonic() - self._alive_s < silence_s or not self._lock.acquire(blocking=False):
+            return
+        try:
+            if self._fault_between is None:
+                self._fault_between = self._write_last_answers()
+                self._say_alive()
+                came = self._link.receive(_A_MOMENT_S)
+                self._came_between += came
+                if any(frame.can_id == EMERGENCY_STOP_COB_ID for frame in came):
+                    self._heartbeat = self._heartbeat._replace(data=_PRE_OPERATIONAL)
+                    self._say_alive()
+        except Exception as fault:
+            self._fault_between = fault
+        finally:
+            self._lock.release()
+
+    def _say_alive(self) -> None:
+        """In lockstep heartbeats come with the cycles; one that lasts is no stalled bench."""
+        if self._heartbeat_cycles:
+            self._alive_s = time.monotonic()
+            self._link.send([self._heartbeat])
+            if self._tap is not None:
+                self._tap.write([self._heartbeat._replace(time_ns=self._next_sync_ns)])
+
+    @property
+    def _next_sync_ns(self) -> int:
+        return self._epoch_ns + self.timing.cycles * self._cycle_ns
+
+    @property
+    def lost_frames(self) -> int | None:
+        """Frames the bench's own connection has lost because it was not read in time; None: not known there."""
+        return self._link.dropped
+
+    @property
+    def controller(self) -> ControllerState:
+        """State of the bench's own CAN controller."""
+        return self._link.controller
+
+    def _due(self) -> dict[int, ExpectedPdo]:
+        cycle, silent = self.timing.cycles, self.silent
+        due = self._due_always.copy()
+        for pdo in self._due_at_times:
+            if (cycle - pdo.since) % pdo.every == 0 and pdo.cob_id not in self._out_of_phase:
+                due[pdo.cob_id] = pdo
+        return {cob_id: pdo for cob_id, pdo in due.items() if pdo.sender not in silent} if silent else due
+
+    def _collect(self, due: dict[int, ExpectedPdo]) -> tuple[list[Frame], NoAnswerError | None]:
+        """What came until nothing more is due, and what to raise once that is in the trace."""
+        received: list[Frame] = []
+        failure = None
+        remaining_s = self._remaining_s if not self._lockstep else self._lockstep_remaining(due)
+        while due:
+            left_s = max(0.0, remaining_s())
+            batch = self._link.receive(min(left_s, _ALIVE * self._timeout_s) if self._lockstep else left_s)
+            if not batch:
+                if remaining_s() <= 0.0:
+                    failure = self._missing(due)
+                    break
+                if self._lockstep:
+                    self._say_alive()
+            for can_id, data, _ in batch:
+                if self._size.get(can_id, len(data)) != len(data):
+                    continue
+                self._missed_in_row.pop(can_id, None)
+                if due.pop(can_id, None) is not None:
+                    continue
+                if can_id == EMERGENCY_STOP_COB_ID:
+                    due.clear()  # the nodes leave OPERATIONAL: no answers will come
+                elif self._due_at_times:
+                    self._look_at_phase(can_id)
+            if batch:
+                self._account_received(batch, last=not due)
+            received += batch
+        return received, failure
+
+    def _write_last_answers(self) -> BenchFaultError | None:
+        """Lockstep: what waited for the next SYNC, while the others compute; what the trace has to say against it."""
+        if self._unwritten is None or self._tap is None:
+            return None
+        answers, self._unwritten = self._unwritten, None
+        try:
+            self._tap.write(self._timed(*answers))
+            self._tap.end_cycle()
+        except BenchFaultError as fault:
+            return fault
+        return None
+
+    def _look_at_phase(self, cob_id: int) -> None:
+        """A PDO of every n-th SYNC that comes between: its sender has heard a SYNC twice, or missed one, or it is none
+        of the sender's. It is not waited for until one comes when it was due, or n SYNCs after the one between."""
+        cycle, doubt = self.timing.cycles, self._out_of_phase
+        for at, pdo in enumerate(self._due_at_times):
+            if pdo.cob_id != cob_id:
+                continue
+            if (cycle - pdo.since) % pdo.every == 0:
+                doubt.pop(cob_id, None)
+            elif doubt.get(cob_id) == cycle - pdo.every:
+                self._due_at_times[at] = replace(pdo, since=cycle - pdo.every)
+                del doubt[cob_id]
+            else:
+                doubt[cob_id] = cycle
+
+    def _lockstep_remaining(self, due: Mapping[int, ExpectedPdo]) -> Callable[[], float]:
+        start_s, timeout_s = time.monotonic(), self._timeout_s
+
+        def remaining_s() -> float:
+            vital = any(pdo.vital for pdo in due.values())
+            return start_s + (timeout_s if vital else min(timeout_s, _NOT_VITAL_S)) - time.monotonic()
+
+        return remaining_s
+
+    def _remaining_s(self) -> float:
+        guard_ns = self.pacing.deadline_ns - int(_GUARD_FRACTION * self._cycle_ns)
+        return (guard_ns - time.monotonic_ns()) * 1e-9
+
+    def _missing(self, due: dict[int, ExpectedPdo]) -> NoAnswerError | None:
+        self.timing.missing_pdos += len(due)
+        if not self._lockstep:
+            for cob_id in due:
+                self._missed_in_row[cob_id] = self._missed_in_row.get(cob_id, 0) + 1
+            due = {cob_id: pdo for cob_id, pdo in due.items() if self._missed_in_row[cob_id] >= self._missing_limit}
+        self.silent |= {pdo.sender for pdo in due.values()}
+        names = ", ".join(f"{pdo.sender} (COB-ID {cob_id:03X}h)" for cob_id, pdo in due.items() if pdo.vital)
+        if not names:
+            return None
+        how_long = f"within {self._timeout_s:g} s" if self._lockstep else f"{self._missing_limit} times in a row"
+        return NoAnswerError(f"cycle {self.timing.cycles}: no answer to SYNC from {names} {how_long}{self._losses()}")
+
+    def _losses(self) -> str:
+        """For a missing answer: it may have come, and have been lost on this side."""
+        lost = self._link.dropped
+        return f"; the bench itself has lost {lost} frames in this run" if lost else ""
+
+    def _account_before_sync(self, outgoing: Sequence[Frame], late: Sequence[Frame]) -> None:
+        """Count the bits of what was sent, and came, before SYNC, and hand it to the tap, while the others compute.
+
+        In lockstep nobody's clock is right, so a frame's time is when it would be on a wire that starts each cycle
+        with its SYNC at k·cycle; what is before it ends the cycle before.
+        """
+        frames = [*outgoing, *late]
+        bits = [frame_bits(frame) for frame in frames]
+        self._since_sync_bits = self._sync_bits
+        self.last_bits = sum(bits) + self._sync_bits
+        if self._tap is not None:
+            start_ns = self._cycle_start_ns()
+            timed = self._timed(frames, bits, start_ns - int(sum(bits) * self._bit_ns))
+            if not self._lockstep:
+                timed[len(outgoing) :] = late
+            timed.append(Frame(SYNC_COB_ID, b"", start_ns + int(self._sync_bits * self._bit_ns)))
+            self._tap.write(timed)
+
+    def _account_received(self, frames: Sequence[Frame], *, last: bool = False) -> None:
+        """The same for answers, as they come; in real time each has its own time. The last ones of a cycle are what
+        everybody waits for: in lockstep they go into the trace once the next SYNC is out."""
+        bits = [frame_bits(frame) for frame in frames]
+        if self._tap is not None:
+            start_ns = self._cycle_start_ns() + int(self._since_sync_bits * self._bit_ns)
+            if not self._lockstep:
+                self._tap.write(frames)
+            elif last:
+                self._unwritten = (frames, bits, start_ns)
+            else:
+                self._tap.write(self._timed(frames, bits, start_ns))
+        self._since_sync_bits += sum(bits)
+        self.last_bits += sum(bits)
+
+    def _cycle_start_ns(self) -> int:
+        return self._epoch_ns + (self.timing.cycles - 1) * self._cycle_ns
+
+    def _timed(self, frames: Sequence[Frame], bits: Sequence[int], start_ns: int) -> list[Frame]:
+        timed, at_bits, bit_ns = [], 0, self._bit_ns
+        for (can_id, data, _), length in zip(frames, bits, strict=True):
+            at_bits += length
+            timed.append(Frame(can_id, data, start_ns + int(at_bits * bit_ns)))
+        return timed

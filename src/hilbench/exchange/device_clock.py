@@ -1,0 +1,14 @@
+"""The clock that simulated devices and virtual axes go by."""
+
+from __future__ import annotations
+
+from hilbench.canopen.clock import Clock, MonotonicClock, SyncClock
+from hilbench.exchange.cycle import HEARTBEAT
+from hilbench.topology.config import BenchConfig
+
+
+def device_clock(config: BenchConfig) -> Clock:
+    """The time base of simulated devices: SYNC in lockstep, else the monotonic clock."""
+    if config.pace != "lockstep":
+        return MonotonicClock()
+    return SyncClock(config.cycle_ns, kept_by=HEARTBEAT + config.master.node_id if config.master.heartbeat_ms else None)

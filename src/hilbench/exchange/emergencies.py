@@ -1,0 +1,106 @@
+"""EMCY messages of the nodes as a person reads them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from struct import unpack_from
+
+from hilbench.estimation.plausibility import Problem
+from hilbench.estimation.torque_shift import TORQUE_SHIFT, UNDECIDED
+
+#: Error codes and their classes (CiA 301, table 26), by the first digits that decide.
+_CLASSES = {
+    "10": "generic error",
+    "2": "current",
+    "3": "voltage",
+    "4": "temperature",
+    "5": "device hardware",
+    "6": "device software",
+    "7": "additional modules",
+    "80": "monitoring",
+    "8120": "CAN in error passive mode",
+    "81": "communication",
+    "82": "protocol error",
+    "84": "velocity control",
+    "86": "positioning",
+    "90": "external error",
+    "F0": "additional functions",
+    "FF": "device specific",
+}
+_OF_TWIN = {int(problem): problem.name.lower().replace("_", " ") for problem in Problem} | {
+    TORQUE_SHIFT: "shift of friction or torque offset of axis 2",
+    UNDECIDED: "torque of axis 2 has changed: E, or a shift of friction or offset; another tension would tell",
+}
+#: Codes that the bench acts on: these are never too many.
+ACTED_ON = frozenset({int(Problem.WEB_BREAK), int(Problem.SLIP)})
+#: Other messages that are told apart in one cycle; what comes beyond is counted as the last of its node.
+MOST_IN_A_CYCLE = 32
+_LENGTH = 8
+
+
+@dataclass(frozen=True)
+class Emergency:
+    """One EMCY message; `code` 0 takes the code in `cleared` back."""
+
+    node_id: int
+    node: str
+    code: int
+    register: int
+    cleared: int = 0
+    shift_Nm: float = 0.0  #: of TORQUE_SHIFT: what the measured torque has shifted by
+
+    @classmethod
+    def of(cls, node_id: int, node: str, data: bytes) -> Emergency | None:
+        """From the data of the frame; None for what is no EMCY message."""
+        if len(data) != _LENGTH:
+            return None
+        code = int.from_bytes(data[:2], "little")
+        cleared = int.from_bytes(data[3:5], "little") if code == 0 else 0
+        shift_Nm = float(unpack_from("<f", data, 3)[0]) if code == TORQUE_SHIFT else 0.0
+        return cls(node_id, node, code, data[2], cleared, shift_Nm)
+
+    @property
+    def kind(self) -> str:
+        """What counts as the same message: the code, or the code that is taken back."""
+        return f"{self.code:04X}{self.cleared:04X}"
+
+    def __str__(self) -> str:
+        if self.code == 0:
+            return f"EMCY 0000h: {_meaning(self.cleared)} is over" if self.cleared else "EMCY 0000h: no error any more"
+        size = f", {self.shift_Nm:+.3g} N·m" if self.code == TORQUE_SHIFT else ""
+        return f"EMCY {self.code:04X}h: {_meaning(self.code)}{size}"
+
+
+class EmergencyInbox:
+    """The EMCY messages of one cycle. A flood is counted, not decoded: alike frames once, and of others a few."""
+
+    def __init__(self) -> None:
+        self.messages: dict[Emergency, int] = {}  #: in their order, and how many of each
+        self._seen: dict[tuple[int, bytes], Emergency] = {}
+        self._last: dict[int, Emergency] = {}
+
+    def clear(self) -> None:
+        """A cycle begins."""
+        if self.messages:
+            self.messages, self._seen, self._last = {}, {}, {}
+
+    def take(self, node_id: int, node: str, data: bytes) -> bool:
+        """Take a frame's data; False for what is no EMCY message."""
+        emergency = self._seen.get((node_id, data))
+        if emergency is None and len(data) == _LENGTH and len(self._seen) >= MOST_IN_A_CYCLE:
+            known = self._last.get(node_id)
+            emergency = None if int.from_bytes(data[:2], "little") in ACTED_ON else known
+        if emergency is None:
+            emergency = Emergency.of(node_id, node, data)
+            if emergency is None:
+                return False
+            self._seen[node_id, data] = self._last[node_id] = emergency
+        self.messages[emergency] = self.messages.get(emergency, 0) + 1
+        return True
+
+
+def _meaning(code: int) -> str:
+    if code in _OF_TWIN:
+        return _OF_TWIN[code]
+    text = f"{code:04X}"
+    return next((name for start, name in _CLASSES.items() if text.startswith(start)), "error")

@@ -1,0 +1,481 @@
+"""The participants of a bench as the bench sees them: set points in, measurements out, each cycle."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from math import isclose
+from typing import Any
+
+import canopen
+from hilbench.can.frame import Frame
+from hilbench.can.load import CyclicFrame
+from hilbench.canopen import master as nmt
+from hilbench.canopen.eds import load_eds
+from hilbench.canopen.master import Master
+from hilbench.canopen.pdo import PdoMap
+from hilbench.cia402 import objects
+from hilbench.cia402.configuration import DriveSettings, RpdoCopy, default_reader
+from hilbench.cia402.drive import Drive
+from hilbench.cia402.objects import OperationMode
+from hilbench.cia402.state_machine import State, decode_statusword
+from hilbench.cia402.units import DriveUnits
+from hilbench.errors import BenchFaultError
+from hilbench.exchange.answers import Tpdo
+from hilbench.exchange.cycle import ExpectedPdo
+from hilbench.exchange.effect_objects import effect_object
+from hilbench.exchange.emergencies import Emergency, EmergencyInbox
+from hilbench.exchange.unexpected_senders import Foreign, ForeignFrames, Owned
+from hilbench.topology.config import BenchConfig, NodeConfig, NodesConfig
+from hilbench.topology.quantities import EffectPath
+from hilbench.topology.sample import CycleSample
+
+_SYNC, _HEARTBEAT = 0x080, 0x700
+_BOOT_UP, _OPERATIONAL = 0, 5
+_EMERGENCY = 0x080
+#: Heartbeats that may stay away before a node counts as lost (lost frames are no lost node).
+_HEARTBEATS_MISSED = 4
+_HEARTBEAT_LOOK_CYCLES = 16
+_ABORT_BY_QUICK_STOP = 3
+_QUICK_STOP_RAMP = 2
+#: Controlwords that lead from SWITCH ON DISABLED to OPERATION ENABLED: shutdown, switch on, enable operation.
+_ENABLE = (0x06, 0x07, 0x0F)
+_DEVIATION_EVERY = 10  # SYNCs between two TPDO2 of the virtual I/O
+
+
+@dataclass(frozen=True)
+class IoMaps:
+    """PDOs of the virtual I/O, node 32."""
+
+    state: PdoMap  #: TPDO1: simulated tension, E
+    quality: PdoMap  #: TPDO2: deviation of E, torque residual
+    status: PdoMap  #: TPDO3: SYNC that the data are of, age, status bits
+    boundary: PdoMap  #: RPDO1: upstream strain, downstream tension
+
+    @classmethod
+    def of(cls, node: NodeConfig, od: canopen.ObjectDictionary) -> IoMaps:
+        """The maps by the EDS of the virtual I/O. Raises KeyError or ValueError for what it lacks."""
+        inputs, outputs = "0x6403sub", "0x6413sub"
+        return cls(
+            PdoMap.from_names(od, 0x180 + node.node_id, 1, [inputs + "1", inputs + "2"]),
+            PdoMap.from_names(od, 0x280 + node.node_id, _DEVIATION_EVERY, [inputs + "3", inputs + "5"]),
+            PdoMap.from_names(od, 0x380 + node.node_id, 1, [f"0x2100sub{n}" for n in (1, 2, 3)]),
+            PdoMap.from_names(od, 0x200 + node.node_id, 1, [outputs + "1", outputs + "2"]),
+        )
+
+
+def drive_settings(config: BenchConfig, part: str, od: canopen.ObjectDictionary) -> DriveSettings:
+    """How the drive `part` (a field of `nodes:`) of a bench is configured."""
+    node: NodeConfig = getattr(config.nodes, part)
+    axis = 1 if part.endswith("1") else 2
+    virtual = part.startswith("virtual")
+    load = part == "load"
+    rad_per_m = config.model.motor_rad_per_m(axis)
+    units = declared_units(config, part, od)
+    deceleration = round(config.safety.quick_stop_m_s2 * rad_per_m / units.acceleration_rad_s2)
+    parameters = {
+        (objects.QUICK_STOP_DECELERATION, 0): deceleration,
+        (objects.QUICK_STOP_OPTION_CODE, 0): _QUICK_STOP_RAMP,
+        (objects.ABORT_CONNECTION_OPTION_CODE, 0): _ABORT_BY_QUICK_STOP,
+    }
+    real = config.nodes.axis1 if axis == 1 else config.nodes.axis2
+    copied = config.mirroring == "copy" and not virtual and not load
+    return DriveSettings(
+        name=part.replace("_", " "),
+        node_id=node.node_id,
+        mode=OperationMode.CYCLIC_SYNCHRONOUS_TORQUE if load else OperationMode.CYCLIC_SYNCHRONOUS_VELOCITY,
+        cycle_s=config.cycle_time_s,
+        has_velocity=not load,
+        units=node.unit_overrides,
+        parameters={**node.writes, **{key: value for key, value in parameters.items() if key[0] in od}},
+        heartbeat_ms=config.master.node_heartbeat_ms,
+        master_heartbeat=_master_heartbeat(config, virtual),
+        listens_to=0x200 + real.node_id if virtual and config.mirroring == "listen" else None,
+        copies=(_copy_for(config, f"virtual_axis{axis}", units),) if copied else (),
+        tpdo_type=(config.twin.virtual_tpdo_every or None) if virtual else 1,
+        time_out_s=config.safety.drive_timeout_s,
+    )
+
+
+def _copy_for(config: BenchConfig, virtual: str, units: DriveUnits) -> RpdoCopy:
+    """The copy of an axis' RPDO for its virtual axis, whose units may be others."""
+    node: NodeConfig = getattr(config.nodes, virtual)
+    theirs = declared_units(config, virtual, load_eds(node.eds, node.node_id))
+    return RpdoCopy(0x200 + node.node_id, units.velocity_rad_s / theirs.velocity_rad_s)
+
+
+def declared_units(config: BenchConfig, part: str, od: canopen.ObjectDictionary) -> DriveUnits:
+    """A drive's units as its EDS file and the config have them; the device itself is asked when it is configured."""
+    node: NodeConfig = getattr(config.nodes, part)
+    return DriveUnits.from_objects(default_reader(od, node.writes), node.unit_overrides, part)
+
+
+def _master_heartbeat(config: BenchConfig, virtual: bool) -> tuple[int, int] | None:
+    """What a real drive expects of the bench: its heartbeat, three periods late at most."""
+    period_ms = config.master.heartbeat_ms
+    return (config.master.node_id, 3 * period_ms) if period_ms and not virtual else None
+
+
+class Nodes:
+    """The drives and the virtual I/O of one bench."""
+
+    def __init__(self, config: BenchConfig) -> None:
+        self.config = config
+        nodes: NodesConfig = config.nodes
+        self._ods = {part: load_eds(node.eds, node.node_id) for part, node in nodes}
+        drives = {
+            part: Drive(drive_settings(config, part, od), od) for part, od in self._ods.items() if part != "virtual_io"
+        }
+        self.axis1, self.axis2, self.load = drives["axis1"], drives["axis2"], drives["load"]
+        self.virtual_axes = (drives["virtual_axis1"], drives["virtual_axis2"])
+        self.io = IoMaps.of(nodes.virtual_io, self._ods["virtual_io"])
+        self._rad_per_m = (config.model.motor_rad_per_m(1), config.model.motor_rad_per_m(2))
+        self._known = {node.node_id: part.replace("_", " ") for part, node in nodes}
+        self._master: Master | None = None
+        self._tension_N, self._modulus_Pa = 0.0, 0.0
+        self._deviation_Pa, self._residual_Nm = 0.0, 0.0
+        self._torque_before_Nm, self._torque_sim_Nm = 0.0, 0.0
+        self._twin_sync, self.twin_status = 0, 0  #: status: bits of `TwinStatus`
+        self.twin_told_cycle = 0  #: cycle, counted by `decode`, in which the twin last told its status
+        self._twin_ids = {nodes.virtual_axis1.node_id, nodes.virtual_axis2.node_id, nodes.virtual_io.node_id}
+        self.twin_problem = ""  #: why the twin's nodes can't be counted on; "" while they can
+        self.twin_heard = False  #: a heartbeat or boot-up of the virtual I/O has come since this was last reset
+        self._inbox = EmergencyInbox()
+        self.malformed = 0  #: frames with the COB-ID, but not the length, of a PDO that the bench reads
+        self._tpdos = {
+            pdo.cob_id: Tpdo(pdo.cob_id, pdo.size, pdo.period, self.sender(drive))
+            for drive in self.drives
+            for _, pdo, _ in drive.pdos.tpdos
+        }
+        self._tpdos_of = [[self._tpdos[pdo.cob_id] for _, pdo, _ in drive.pdos.tpdos] for drive in self.drives]
+        self._twin_tpdos = [
+            Tpdo(pdo.cob_id, pdo.size, pdo.period, self.twin_name)
+            for pdo in (self.io.state, self.io.quality, self.io.status)
+        ]
+        self._tpdos |= {pdo.cob_id: pdo for pdo in self._twin_tpdos}
+        self._watch: ForeignFrames | None = None  # from when the master is known
+        self.foreign: list[Foreign] = []  #: what came in this cycle and is not of the bench or its nodes
+        self._cycle = 0
+        self._heard_cycle: dict[int, int] = {}
+        self._silence_cycles = round(_HEARTBEATS_MISSED * config.master.node_heartbeat_ms * 1e-3 / config.cycle_time_s)
+        self._expected_boots: set[int] = set()
+
+    @property
+    def twin_name(self) -> str:
+        """Who the virtual I/O is, in messages and in `expected_pdos`."""
+        return f"virtual io (node {self.config.nodes.virtual_io.node_id})"
+
+    @property
+    def drives(self) -> Sequence[Drive]:
+        """The real (or simulated) drives: axis 1, axis 2, load motor."""
+        return (self.axis1, self.axis2, self.load)
+
+    @property
+    def emergencies(self) -> Mapping[Emergency, int]:
+        """EMCY messages of this cycle in their order, and how many of each came."""
+        return self._inbox.messages
+
+    def dictionary(self, part: str) -> canopen.ObjectDictionary:
+        """What the EDS file of a participant (a field of `nodes:`) says."""
+        return self._ods[part]
+
+    def pdo_maps(self, part: str) -> list[PdoMap]:
+        """The PDOs of a participant (a field of `nodes:`) that the bench maps."""
+        if part == "virtual_io":
+            return [self.io.state, self.io.quality, self.io.status, self.io.boundary]
+        node_id = getattr(self.config.nodes, part).node_id
+        drive = next(drive for drive in (*self.drives, *self.virtual_axes) if drive.settings.node_id == node_id)
+        return [drive.pdos.rpdo, *(pdo for _, pdo, _ in drive.pdos.tpdos)]
+
+    # -- configuration -----------------------------------------------------------------------------------
+
+    def introduce(self, master: Master) -> None:
+        """Make all nodes known to the master."""
+        self._master = master
+        self._watch = ForeignFrames(self._owned(), master.sent.take)
+        for part, node in self.config.nodes:
+            master.add(node.node_id, self._ods[part], part.replace("_", " "))
+
+    def _owned(self) -> Owned:
+        """Whose frames belong on the bus."""
+        rpdos = {cob_id: self.sender(drive) for drive in self.drives for cob_id in drive.rpdo_cob_ids}
+        rpdos |= {self.io.boundary.cob_id: self.twin_name}
+        dictionaries = {node.node_id: self._ods[part] for part, node in self.config.nodes}
+        return Owned(self.config.master.node_id, self._known, dictionaries, rpdos)
+
+    def configure(self, master: Master) -> None:
+        """Configure every node by SDO. Raises BenchFaultError naming node, object and reason."""
+        for drive in (*self.drives, *self.virtual_axes):
+            drive.configure(master)
+        for part in ("axis1", "axis2"):
+            self._check_units(part)
+        self._configure_io(master)
+
+    def _check_units(self, part: str) -> None:
+        """The twin and the mirrored set points go by the EDS file: the device must have the same units."""
+        drive: Drive = getattr(self, part)
+        declared = declared_units(self.config, part, self._ods[part])
+        for name in ("position_rad", "velocity_rad_s", "torque_Nm"):
+            found, expected = getattr(drive.units, name), getattr(declared, name)
+            if not isclose(found, expected, rel_tol=1e-6):
+                raise BenchFaultError(
+                    f"{drive.settings.name} (node {drive.settings.node_id}): one unit is {found:.6g} ({name}), "
+                    f"expected {expected:.6g} as by its EDS file: give the true one in nodes: {part}: units:"
+                )
+
+    def _configure_io(self, master: Master) -> None:
+        node_id = self.config.nodes.virtual_io.node_id
+        master.write_rpdo(node_id, 1, self.io.boundary)
+        for number, pdo in enumerate((self.io.state, self.io.quality, self.io.status), 1):
+            master.write_tpdo(node_id, number, pdo)
+        master.configure(node_id, {(0x1017, 0): self.config.master.node_heartbeat_ms})
+
+    def restart_twin(self) -> None:
+        """Reset the twin's nodes while the axes run, bring the virtual axes to where the axes are, start them (NMT).
+
+        The virtual axes are enabled by SDO before they hear the axes' RPDOs: these ask for OPERATION ENABLED already.
+        Raises BenchFaultError naming the node that does not answer.
+        """
+        master, nodes = self._sdo(), self.config.nodes
+        twin_nodes = [nodes.virtual_axis1.node_id, nodes.virtual_axis2.node_id, nodes.virtual_io.node_id]
+        self._expected_boots = set(twin_nodes)
+        # A twin that was held up first works off what it has missed; the reset would be lost among that. One that
+        # somebody has stopped (NMT) answers no SDO request.
+        for node_id in twin_nodes:
+            wake = partial(master.nmt, nmt.PRE_OPERATIONAL, node_id)
+            master.wait_for_answer([node_id], self.config.master.boot_timeout_s, wake)
+        for node_id in twin_nodes:
+            master.nmt(nmt.RESET_NODE, node_id)
+        master.wait_for_answer(twin_nodes, self.config.master.boot_timeout_s)
+        for drive in self.virtual_axes:
+            drive.configure(master)
+        self._configure_io(master)
+        for drive in self.virtual_axes:
+            for command in _ENABLE:
+                master.sdo_write(drive.settings.node_id, objects.CONTROLWORD, command)
+        for node_id in twin_nodes:
+            master.nmt(nmt.START, node_id)
+        # Set points and SYNC come by another socket: an answer says that the command was there before them.
+        master.wait_for_answer(twin_nodes, self.config.master.boot_timeout_s)
+
+    def twin_is_away(self) -> None:
+        """The twin is not counted on until `twin_is_back`: what it last said is not its state any more."""
+        self.twin_status = 0
+        for tpdo in self._twin_tpdos:
+            tpdo.judge(False)
+        self._expected_boots = set(self._twin_ids)
+        self.twin_problem, self.twin_heard = "", False
+
+    def twin_is_not_waited_for(self) -> None:
+        """While the drives are stopped nobody waits for the twin: it may answer several SYNCs at once."""
+        for tpdo in self._twin_tpdos:
+            tpdo.judge(False)
+
+    def twin_is_back(self) -> None:
+        """The twin's nodes were started: they are watched again from their first heartbeat as such."""
+        self.twin_problem = ""
+        for tpdo in self._twin_tpdos:
+            tpdo.judge(True)
+        for node_id in self._twin_ids:
+            self._heard_cycle.pop(node_id, None)
+
+    def read_statusword(self, drive: Drive) -> int:
+        """The statusword of a drive by SDO. Raises BenchFaultError when it does not answer."""
+        return int(self._sdo().sdo_read(drive.settings.node_id, objects.STATUSWORD))
+
+    def use_synchronizer(self, method: int) -> None:
+        """Let the twin go on with another method, by its number (2101h); 0: the configured one."""
+        self._sdo().sdo_write(self.config.nodes.virtual_io.node_id, 0x2101, method, 1)
+
+    def check_virtual_axes_enabled(self) -> None:
+        """Raise BenchFaultError when a virtual axis did not follow its real axis into OPERATION ENABLED."""
+        assert self._master is not None, "configured before it is enabled"
+        for drive in self.virtual_axes:
+            statusword = int(self._master.sdo_read(drive.settings.node_id, objects.STATUSWORD))
+            state = decode_statusword(statusword)
+            if state is not State.OPERATION_ENABLED:
+                raise BenchFaultError(
+                    f"{drive.settings.name} (node {drive.settings.node_id}) did not follow its real axis: "
+                    f"statusword {statusword:04X}h, expected OPERATION ENABLED"
+                )
+
+    @staticmethod
+    def sender(drive: Drive) -> str:
+        """Who a drive is, in messages and in `expected_pdos`."""
+        return f"{drive.settings.name} (node {drive.settings.node_id})"
+
+    def expected_pdos(self, twin_since: int = 0) -> list[ExpectedPdo]:
+        """The TPDOs that answer SYNC; `twin_since`: the SYNC before the twin was started."""
+        expected = []
+        for drive in self.drives:
+            sender = self.sender(drive)
+            expected += [ExpectedPdo(pdo.cob_id, pdo.period, sender, pdo.size) for _, pdo, _ in drive.pdos.tpdos]
+        for pdo in (self.io.state, self.io.quality, self.io.status):
+            expected.append(ExpectedPdo(pdo.cob_id, pdo.period, self.twin_name, pdo.size, twin_since, vital=False))
+        return expected
+
+    def cyclic_frames(self) -> list[CyclicFrame]:
+        """Everything that goes over the bus each cycle, for the bus load."""
+        frames = [CyclicFrame("SYNC", 0x80, 0)]
+        for drive in (*self.drives, *self.virtual_axes):
+            name, pdos = drive.settings.name, drive.pdos
+            if drive not in self.virtual_axes:
+                frames += [CyclicFrame(f"{name} RPDO", cob_id, pdos.rpdo.size) for cob_id in drive.rpdo_cob_ids]
+            frames += [CyclicFrame(f"{name} TPDO", pdo.cob_id, pdo.size, 1 / pdo.period) for _, pdo, _ in pdos.tpdos]
+        for name in ("state", "quality", "status", "boundary"):
+            pdo: PdoMap = getattr(self.io, name)
+            frames.append(CyclicFrame(f"virtual io {name}", pdo.cob_id, pdo.size, 1 / pdo.period))
+        periods_ms = [self.config.master.heartbeat_ms, *[self.config.master.node_heartbeat_ms] * len(self._known)]
+        per_cycle = sum(1000.0 * self.config.cycle_time_s / period for period in periods_ms if period)
+        return [*frames, CyclicFrame("heartbeats", _HEARTBEAT + 1, 1, per_cycle)]
+
+    # -- each cycle --------------------------------------------------------------------------------------
+
+    def command(self, v1_m_s: float, v2_m_s: float, load_torque_Nm: float) -> None:
+        """Set points of this cycle: velocities at the web, torque at the load motor's shaft."""
+        self.axis1.setpoint = v1_m_s * self._rad_per_m[0]
+        self.axis2.setpoint = v2_m_s * self._rad_per_m[1]
+        self.load.setpoint = load_torque_Nm
+
+    def encode(self, strain_prev: float, tension_next_N: float) -> list[Frame]:
+        """RPDOs of this cycle, the twin's among them."""
+        frames: list[Frame] = []
+        for drive in self.drives:
+            frames += drive.encode()
+        frames.append(Frame(self.io.boundary.cob_id, self.io.boundary.pack((strain_prev, tension_next_N))))
+        return frames
+
+    def decode(self, frames: Sequence[Frame], before_sync: int = 0) -> None:
+        """Take what came in this cycle, the first `before_sync` frames of it before its SYNC. Raises BenchFaultError
+        when a drive has a fault, has left OPERATIONAL, or is silent; the twin's nodes only get a `twin_problem`."""
+        self._cycle += 1
+        self._inbox.clear()
+        data = self._answers(frames, before_sync)
+        for can_id, content, _ in frames:
+            if can_id in self._tpdos:
+                continue
+            data[can_id] = content
+            if _HEARTBEAT < can_id <= _HEARTBEAT + 0x7F:
+                self._heartbeat(can_id - _HEARTBEAT, content)
+            elif _EMERGENCY < can_id <= _EMERGENCY + 0x7F:
+                self._emergency(can_id - _EMERGENCY, content)
+        if self._cycle % _HEARTBEAT_LOOK_CYCLES == 0:
+            self._look_for_silent_nodes()
+        for drive in self.drives:
+            drive.decode(data)
+        state, quality = data.get(self.io.state.cob_id), data.get(self.io.quality.cob_id)
+        status = data.get(self.io.status.cob_id)
+        if status is not None:
+            self._twin_sync, _, self.twin_status = self.io.status.unpack(status)
+            self.twin_told_cycle = self._cycle
+        if state is not None:
+            self._tension_N, self._modulus_Pa = self.io.state.unpack(state)
+        if quality is not None:
+            self._deviation_Pa, self._residual_Nm = self.io.quality.unpack(quality)
+            # The residual is that of the cycle before: the twin compared after this cycle's TPDO was due.
+            self._torque_sim_Nm = self._torque_before_Nm - self._residual_Nm
+        self._torque_before_Nm = self.axis2.feedback.torque_Nm
+
+    def _answers(self, frames: Sequence[Frame], before_sync: int) -> dict[int, bytes]:
+        """The answers to this SYNC by COB-ID; what is beside them is counted, and in `foreign`."""
+        tpdos = self._tpdos
+        for tpdo in tpdos.values():
+            tpdo.begin()
+        foreign_syncs = 0
+        for at, (can_id, content, _) in enumerate(frames):
+            if can_id in tpdos:
+                tpdos[can_id].take(content, before_sync=at < before_sync)
+            elif can_id == _SYNC:
+                foreign_syncs += 1
+        data = {}
+        for cob_id, tpdo in tpdos.items():
+            tpdo.end(foreign_syncs)
+            self.malformed += tpdo.wrong_size
+            if tpdo.data is not None:
+                data[cob_id] = tpdo.data
+        self.foreign = self._watch.look(frames, tpdos.values()) if self._watch else []
+        return data
+
+    def ages_cycles(self) -> tuple[int, ...]:
+        """How many cycles old the samples in use are, of each drive; 0 where it has answered this SYNC in time."""
+        return tuple(max(tpdo.age_cycles for tpdo in tpdos) for tpdos in self._tpdos_of)
+
+    @property
+    def axes_late(self) -> bool:
+        """Whether the positions of the axes are not those of this SYNC."""
+        return any(self.ages_cycles()[:2])
+
+    def twin_age(self, syncs: int) -> int:
+        """How many cycles old the twin's last answer is, `syncs` after the twin was started."""
+        # Started beside running SYNCs it may have counted one or two more than the bench.
+        return max(0, ((syncs - self._twin_sync + 0x8000) & 0xFFFF) - 0x8000)
+
+    def twin_started(self, syncs: int) -> int:
+        """The SYNC before that which the twin counts as its first, where its last answer was one to SYNC `syncs`."""
+        return syncs - self._twin_sync
+
+    def _heartbeat(self, node_id: int, content: bytes) -> None:
+        name = self._known.get(node_id)
+        if name is None or len(content) != 1:
+            return
+        state = content[0]
+        if node_id == self.config.nodes.virtual_io.node_id:
+            self.twin_heard = True
+        if state == _OPERATIONAL:
+            self._heard_cycle[node_id] = self._cycle
+            self._expected_boots.discard(node_id)
+        elif node_id not in self._expected_boots:
+            what = "has restarted (boot-up)" if state == _BOOT_UP else f"has left OPERATIONAL (heartbeat {state:02X}h)"
+            self._lost(node_id, f"{what} during the run")
+
+    def _look_for_silent_nodes(self) -> None:
+        for node_id, heard in self._heard_cycle.items():
+            if 0 < self._silence_cycles < self._cycle - heard and node_id not in self._expected_boots:
+                silent_s = (self._cycle - heard) * self.config.cycle_time_s
+                self._lost(node_id, f"has sent no heartbeat for {silent_s:.2f} s")
+
+    def _lost(self, node_id: int, what: str) -> None:
+        text = f"{self._known[node_id]} (node {node_id}) {what}"
+        if node_id not in self._twin_ids:
+            raise BenchFaultError(text)
+        self.twin_problem = text
+
+    def _emergency(self, node_id: int, content: bytes) -> None:
+        name = self._known.get(node_id)
+        if name is not None and not self._inbox.take(node_id, name, content):
+            self.malformed += 1
+
+    def fill(self, sample: CycleSample) -> None:
+        """Put the measurements of this cycle into a sample; SI, positions and velocities at the web."""
+        one, two, load = self.axis1.feedback, self.axis2.feedback, self.load.feedback
+        first, second = self._rad_per_m
+        sample.x1_m, sample.x2_m = one.position_rad / first, two.position_rad / second
+        sample.v1_m_s, sample.v2_m_s = one.velocity_rad_s / first, two.velocity_rad_s / second
+        sample.tau1_Nm, sample.tau2_Nm, sample.tau_load_Nm = one.torque_Nm, two.torque_Nm, load.torque_Nm
+        sample.x_load_m = load.position_rad / second
+        sample.statusword1, sample.statusword2 = one.statusword, two.statusword
+        sample.statusword_load = load.statusword
+        sample.F_sim_N, sample.E_sim_Pa, sample.E_sd_Pa = self._tension_N, self._modulus_Pa, self._deviation_Pa
+        sample.twin_status = self.twin_status
+        sample.tau2_residual_Nm, sample.tau2_sim_Nm = self._residual_Nm, self._torque_sim_Nm
+
+    # -- effects in the simulated hardware ---------------------------------------------------------------
+
+    def hardware_effect(self, path: EffectPath) -> float:
+        """A parameter of an effect in the simulated hardware, read by SDO."""
+        index, sub = effect_object(path.effect, path.parameter)
+        return float(self._sdo().sdo_read(self._effect_node(path), index, sub))
+
+    def set_hardware_effect(self, path: EffectPath, value: float) -> None:
+        """Change a parameter of an effect in the simulated hardware, by SDO."""
+        index, sub = effect_object(path.effect, path.parameter)
+        self._sdo().sdo_write(self._effect_node(path), index, value, sub)
+
+    def _effect_node(self, path: EffectPath) -> int:
+        node: Any = self.config.nodes.axis1 if path.axis == 1 else self.config.nodes.axis2
+        return int(node.node_id)
+
+    def _sdo(self) -> Master:
+        assert self._master is not None, "configured before an experiment changes anything"
+        return self._master

@@ -1,0 +1,36 @@
+"""The PDO set of a bench as a DBC file: every PDO once, with names and SI units."""
+
+from __future__ import annotations
+
+from hilbench.canopen.dbc import DbcMessage, dbc_text
+from hilbench.canopen.pdo import PdoMap
+from hilbench.cia402.object_units import si_unit
+from hilbench.cia402.units import DriveUnits
+from hilbench.exchange.nodes import Nodes, declared_units
+from hilbench.topology.config import BenchConfig
+
+_MASTER = "bench"
+#: Function codes of the predefined connection set that name a PDO.
+_TPDO = {0x180: "TPDO1", 0x280: "TPDO2", 0x380: "TPDO3", 0x480: "TPDO4"}
+_RPDO = {0x200: "RPDO1", 0x300: "RPDO2", 0x400: "RPDO3", 0x500: "RPDO4"}
+
+
+def pdo_set_dbc(config: BenchConfig) -> str:
+    """The file's text. Raises UnusableInputError for an EDS file that cannot be used."""
+    nodes = Nodes(config)
+    messages: dict[int, DbcMessage] = {}
+    for part, _ in config.nodes:
+        units = None
+        if part != "virtual_io":
+            units = declared_units(config, part, nodes.dictionary(part))
+        for pdo in nodes.pdo_maps(part):
+            # A virtual axis listens to the RPDO of its real axis: one frame, two receivers.
+            messages.setdefault(pdo.cob_id, _message(part, pdo, units))
+    return dbc_text(messages.values(), f"PDO set of the bench {config.name}; SI units, drives at the motor shaft")
+
+
+def _message(part: str, pdo: PdoMap, units: DriveUnits | None) -> DbcMessage:
+    function = pdo.cob_id & 0x780
+    number = _TPDO.get(function) or _RPDO.get(function) or f"PDO_{pdo.cob_id:X}"
+    sender = _MASTER if function in _RPDO else part
+    return DbcMessage(f"{part}_{number}", sender, pdo, tuple(si_unit(v.index, units) for v in pdo.variables))

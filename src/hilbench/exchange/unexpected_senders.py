@@ -1,0 +1,173 @@
+"""Frames on the bench's bus that are not of the bench or its nodes: a second sender, a second master, a stranger's SDO.
+
+The bench does not hear what it sends itself on the cyclic path, and knows what it has sent for configuration. So RPDOs,
+SYNC, its own heartbeat, NMT commands to its nodes, and SDO writes to them that it hears otherwise are not its own. What
+comes beside the nodes' own answers to SYNC is told apart in `hilbench.exchange.answers`.
+
+Reading by SDO does no harm, and writing to the bench's own node is how an operator asks for changes: neither is told.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+
+import canopen
+from hilbench.can.frame import Frame
+from hilbench.canopen import eds
+from hilbench.canopen import master as nmt
+from hilbench.canopen.data_types import data_type
+from hilbench.exchange.answers import Tpdo
+
+_NMT, _SYNC, _HEARTBEAT, _SDO_REQUEST, _SDO_ANSWER = 0x000, 0x080, 0x700, 0x600, 0x580
+_DOWNLOAD, _ABORT, _BLOCK_DOWNLOAD = 1, 4, 6  # command specifiers of an SDO client
+_COMMANDS = {
+    nmt.START: "start",
+    nmt.STOP: "stop",
+    nmt.PRE_OPERATIONAL: "enter PRE-OPERATIONAL",
+    nmt.RESET_NODE: "reset node",
+    nmt.RESET_COMMUNICATION: "reset communication",
+}
+#: What was foreign: the node that it is of, or to, and the text.
+_Told = tuple[str, str]
+#: Kinds of frames that are told apart in a cycle on one identifier; what comes beyond is counted as the last.
+_MOST_KINDS = 16
+#: So many TPDOs too many, of one sender, within so many cycles may be a SYNC that was on the wire twice.
+_BY_CHANCE, _CHANCE_CYCLES = 2, 500
+
+
+@dataclass(frozen=True)
+class Foreign:
+    """Frames of one kind in one cycle. `certain`: it can't be a whim of the wire."""
+
+    about: str  #: the node that they are of, or to
+    text: str
+    count: int
+    certain: bool
+
+
+@dataclass(frozen=True)
+class Owned:
+    """Who may be on the bus: `nodes` by id, with the dictionaries of their objects, and what only the bench sends."""
+
+    master_id: int
+    nodes: Mapping[int, str]
+    dictionaries: Mapping[int, canopen.ObjectDictionary]
+    rpdos: Mapping[int, str]  #: COB-IDs of the set points, and whom they are to
+
+
+class ForeignFrames:
+    """Looks at what came in each cycle. `sent`: whether the bench's own configuration has sent such a frame, once."""
+
+    def __init__(self, owned: Owned, sent: Callable[[int, bytes], bool]) -> None:
+        self._owned = owned
+        self._sent = sent
+        ours = {
+            _SYNC: "SYNC",
+            _HEARTBEAT + owned.master_id: "heartbeat",
+            _SDO_ANSWER + owned.master_id: "SDO answer",
+        }
+        self._read: dict[int, Callable[[int, bytes], _Told | None]] = {
+            _NMT: self._nmt,
+            **{can_id: self._only_ours("the bench", what) for can_id, what in ours.items()},
+            **{can_id: self._only_ours(whom, "RPDO") for can_id, whom in owned.rpdos.items()},
+            **{_SDO_REQUEST + node_id: self._sdo for node_id in owned.nodes},
+        }
+        self._seen: dict[tuple[int, bytes], _Told | None] = {}  # of this cycle: alike frames are looked at once
+        self._kinds: dict[int, int] = {}
+        self._last: dict[int, _Told] = {}
+        self._found: dict[_Told, int] = {}
+        self._cycle = 0
+        self._surplus: dict[int, list[int]] = {}  # by COB-ID: the cycles of the last ones
+
+    def look(self, frames: Iterable[Frame], tpdos: Iterable[Tpdo]) -> list[Foreign]:
+        """What was foreign among the frames of a cycle; `tpdos` have told their answers apart."""
+        self._cycle += 1
+        read = self._read
+        for can_id, data, _ in frames:
+            if can_id in read and not self._sent(can_id, data):
+                self._look_at(can_id, data)
+        found = [Foreign(about, text, count, certain=True) for (about, text), count in self._found.items()]
+        if self._seen:
+            self._seen, self._kinds, self._last, self._found = {}, {}, {}, {}
+        for tpdo in tpdos:
+            if tpdo.surplus or tpdo.wrong_size:
+                found += self._beside(tpdo)
+        return found
+
+    def _look_at(self, can_id: int, data: bytes) -> None:
+        """Count it; a flood of ever other content on one identifier is counted as the last that was told apart."""
+        key = can_id, data
+        if key in self._seen:
+            told = self._seen[key]
+        elif self._kinds.get(can_id, 0) < _MOST_KINDS:
+            self._seen[key] = told = self._read[can_id](can_id, data)
+            if told is not None:
+                self._kinds[can_id] = self._kinds.get(can_id, 0) + 1
+                self._last[can_id] = told
+        else:
+            told = self._last[can_id]
+        if told is not None:
+            self._found[told] = self._found.get(told, 0) + 1
+
+    def _beside(self, tpdo: Tpdo) -> Iterable[Foreign]:
+        where = f"TPDO (COB-ID {tpdo.cob_id:03X}h)"
+        if tpdo.wrong_size:
+            text = f"{where} of a length other than {tpdo.size} bytes: not used"
+            yield Foreign(tpdo.sender, text, tpdo.wrong_size, certain=self._is_no_chance(tpdo))
+        if tpdo.surplus:
+            text = f"{where} more often than SYNC asks for it: of two senders the first behind SYNC is used"
+            yield Foreign(tpdo.sender, text, tpdo.surplus, certain=self._is_no_chance(tpdo))
+
+    def _is_no_chance(self, tpdo: Tpdo) -> bool:
+        cycles = self._surplus.setdefault(tpdo.cob_id, [])
+        cycles.append(self._cycle)
+        del cycles[: -_BY_CHANCE - 1]
+        return len(cycles) > _BY_CHANCE and cycles[0] > self._cycle - _CHANCE_CYCLES
+
+    # -- by identifier ---------------------------------------------------------------------------------------
+
+    @staticmethod
+    def _only_ours(about: str, what: str) -> Callable[[int, bytes], _Told | None]:
+        return lambda can_id, data: (about, f"{what} (COB-ID {can_id:03X}h) that the bench has not sent")
+
+    def _nmt(self, can_id: int, data: bytes) -> _Told | None:
+        if len(data) != 2:
+            return None
+        command, node_id = data
+        if node_id != 0 and node_id not in self._owned.nodes:
+            return None
+        name = _COMMANDS.get(command, f"command {command}")
+        return "all nodes" if node_id == 0 else self._name(node_id), f"NMT '{name}' that the bench has not sent"
+
+    def _sdo(self, can_id: int, data: bytes) -> _Told | None:
+        if len(data) != 8:
+            return None
+        specifier, node_id = data[0] >> 5, can_id - _SDO_REQUEST
+        if specifier == _DOWNLOAD or (specifier == _BLOCK_DOWNLOAD and not data[0] & 1):
+            return self._name(node_id), f"SDO write by somebody else: {self._object(node_id, data)}"
+        return (self._name(node_id), "SDO abort by somebody else") if specifier == _ABORT else None
+
+    def _name(self, node_id: int) -> str:
+        return f"{self._owned.nodes[node_id]} (node {node_id})"
+
+    def _object(self, node_id: int, data: bytes) -> str:
+        """Object and, of an expedited download, value of a request that begins one (CiA 301, 7.2.4.3.3)."""
+        index, sub = int.from_bytes(data[1:3], "little"), data[3]
+        place = f"{index:04X}h sub {sub}"
+        expedited = data[0] >> 5 == _DOWNLOAD and data[0] & 2
+        content = data[4 : 8 - (data[0] >> 2 & 3 if data[0] & 1 else 0)] if expedited else b""
+        try:
+            variable = eds.variable(self._owned.dictionaries[node_id], index, sub)
+        except KeyError:
+            return f"{place} = {content.hex(' ')}" if content else place
+        value = f" = {_value(variable.data_type or 0, content)}" if content else ""
+        return f"{place} '{variable.name}'{value}"
+
+
+def _value(kind: int, content: bytes) -> str:
+    try:
+        value = data_type(kind).decode(content)
+    except ValueError:
+        return content.hex(" ")
+    return repr(value) if isinstance(value, str | bytes) else str(value)

@@ -1,0 +1,1 @@
+"""The simulated hardware: drives on their plant, a process of its own."""

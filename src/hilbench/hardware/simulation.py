@@ -1,0 +1,150 @@
+"""The simulated hardware: the drives of the bench on their test stand, a process of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from hilbench.can.frame import Frame
+from hilbench.can.open import open_link
+from hilbench.canopen.clock import Clock, MonotonicClock
+from hilbench.canopen.device import Device
+from hilbench.canopen.eds import load_eds
+from hilbench.canopen.host import DeviceHost, HostedDevices
+from hilbench.canopen.mastery import nodes_of_ours
+from hilbench.canopen.object_store import INVALID_VALUE, SdoAbort
+from hilbench.cia402.simulated import SimulatedDrive
+from hilbench.exchange.device_clock import device_clock
+from hilbench.exchange.effect_objects import bind_effect_objects
+from hilbench.exchange.nodes import declared_units
+from hilbench.hardware.plant_time import ByClock, BySync, PlantTime
+from hilbench.plant.motor_port import MotorMode, MotorPort
+from hilbench.plant.web_line.rig import TestRig
+from hilbench.processes import say, started_by_bench, stop_request
+from hilbench.real_time import kept_ready
+from hilbench.topology.config import BenchConfig, NodeConfig
+
+#: In real time the stand goes on without a SYNC that is late by so many cycles after the last one.
+_OVERDUE = 1.5
+
+
+class RigApplication:
+    """What the hardware does at a SYNC: the drives take their set points, then the stand moves on.
+
+    `time` says how far, in sample times of the drives' loops; the drives look at their set points at least once in
+    every cycle of the config.
+    """
+
+    listens_to: frozenset[int] = frozenset()
+
+    def __init__(
+        self,
+        drives: list[SimulatedDrive],
+        ports: Sequence[MotorPort],
+        stand: TestRig,
+        time: PlantTime,
+        cycle_s: float,
+        sample_s: float,
+    ) -> None:
+        self._drives = drives
+        self._ports = ports
+        self._in_use = False
+        self._stand = stand
+        self._time = time
+        self._sample_s = sample_s
+        self._longest_step = round(cycle_s / sample_s)
+
+    def before_sync(self, behind: int) -> None:
+        """Be at the time of this SYNC: in lockstep, and when it comes in time, the state is there since the last."""
+        self._go(self._time.before_sync(behind))
+
+    def after_sync(self) -> None:
+        """Advance to the time of the next SYNC."""
+        samples = self._time.after_sync()
+        if samples:
+            self._go(samples)
+        else:  # ahead of time already: the new set points are taken all the same
+            self._step(0)
+
+    def tick(self, duration_s: float) -> None:
+        """Go on, also when there is no SYNC."""
+        self._go(self._time.without_sync(duration_s))
+
+    def on_frame(self, frame: Frame) -> None:
+        """Frames for others don't concern the hardware."""
+
+    def _go(self, samples: int) -> None:
+        while samples > 0:
+            step = min(samples, self._longest_step)
+            self._step(step)
+            samples -= step
+
+    def _step(self, samples: int) -> None:
+        duration_s = samples * self._sample_s
+        for drive in self._drives:
+            drive.sync(duration_s)
+        # At rest with all power stages off nothing moves; the noise must not depend on how long that lasted.
+        if samples and (self._in_use or any(port.mode is not MotorMode.OFF for port in self._ports)):
+            self._in_use = True
+            self._stand.advance(duration_s)
+        for drive in self._drives:
+            drive.publish()
+
+
+def simulate(config: BenchConfig) -> int | None:
+    """Simulate the nodes of the bench that are marked `simulated` until SIGTERM, SIGINT or the end of the bench.
+
+    Returns how many frames were lost because they were not read in time (None: the bus cannot tell). Raises
+    UnusableInputError when a node with one of their ids is there already.
+    """
+    stop, bus, by_bench = stop_request(), config.bus_address, started_by_bench()
+    with nodes_of_ours(bus, config.simulated_drives, "simulated hardware", by_bench=by_bench):
+        hosted = hardware(config)
+        link = open_link(bus)
+        try:
+            with kept_ready(config.process_settings("hardware"), say):
+                DeviceHost(link, *hosted).run(stop)
+        finally:
+            link.close()
+    return link.dropped
+
+
+def hardware(config: BenchConfig) -> HostedDevices:
+    """The nodes of the bench that are marked `simulated`, on their stand."""
+    clock, time = _time_base(config)
+    ports = (MotorPort(), MotorPort(), MotorPort())
+    rig_parameters = config.rig_parameters()
+    # A scratch stand runs first, so that compiling is over before the devices boot.
+    TestRig(rig_parameters, tuple(MotorPort() for _ in ports)).advance(config.cycle_time_s)
+    stand = TestRig(rig_parameters, ports, config.seed)
+    devices, drives = [], []
+    for (part, axis), port in zip((("axis1", 1), ("axis2", 2), ("load", None)), ports, strict=True):
+        node: NodeConfig = getattr(config.nodes, part)
+        if not node.simulated:
+            continue
+        od = load_eds(node.eds, node.node_id)
+        device = Device(od, node.node_id, clock)
+        drives.append(SimulatedDrive(device, port, declared_units(config, part, od)))
+        devices.append(device)
+        if axis is not None:
+            bind_effect_objects(device, _effect_setter(stand, axis))
+    sample_s = rig_parameters.drives.sample_time_s
+    return HostedDevices(devices, clock, RigApplication(drives, ports, stand, time, config.cycle_time_s, sample_s))
+
+
+def _time_base(config: BenchConfig) -> tuple[Clock, PlantTime]:
+    """Of devices and stand: SYNC where the bench waits for everybody (lockstep), else the clock."""
+    sample_s = config.rig_parameters().drives.sample_time_s
+    if config.pace == "lockstep":
+        return device_clock(config), BySync(config.cycle_time_s, sample_s)
+    clock = MonotonicClock(stall_s=_OVERDUE * config.cycle_time_s)
+    return clock, ByClock(config.cycle_time_s, sample_s, clock.now_ns, say)
+
+
+def _effect_setter(stand: TestRig, axis: int) -> Callable[[str, dict[str, float]], None]:
+    def apply(effect: str, parameters: dict[str, float]) -> None:
+        try:
+            stand.set_effect(effect, axis, slot=0, **parameters)
+        except ValueError:
+            raise SdoAbort(INVALID_VALUE) from None
+
+    return apply

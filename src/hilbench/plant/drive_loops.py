@@ -1,0 +1,81 @@
+"""The sampled control loops of a drive, compiled: reference ramp, position P, velocity PI, current loop.
+
+One call of `drive_sample` is what a drive's firmware does once per sample time; between samples the torque
+follows its command through a first-order current loop (`torque_after`). SI, motor side.
+Used by `hilbench.plant.web_line.kernel`, which holds the state in flat arrays.
+"""
+
+from __future__ import annotations
+
+from math import exp
+
+from hilbench.compiled import inlined
+from hilbench.plant.motor_port import MotorMode
+
+#: Motor modes as plain numbers, as compiled code compares them.
+OFF, TORQUE, VELOCITY, POSITION = (
+    float(mode) for mode in (MotorMode.OFF, MotorMode.TORQUE, MotorMode.VELOCITY, MotorMode.POSITION)
+)
+
+
+@inlined
+def clip(value: float, limit: float) -> float:
+    """`value` within ±`limit`."""
+    return min(max(value, -limit), limit)
+
+
+@inlined
+def ramp(reference: float, setpoint: float, slope: float, sample_time_s: float) -> float:
+    """The reference one sample later: towards the set point, at most `slope` per second."""
+    return reference + clip(setpoint - reference, slope * sample_time_s)
+
+
+@inlined
+def velocity_loop(
+    error_rad_s: float, integral_Nm: float, kp: float, ki: float, limit_Nm: float, sample_time_s: float
+) -> tuple[float, float, bool]:
+    """One sample of the velocity PI: torque command, new integral, and whether the limit held the torque.
+
+    Anti-windup by conditional integration: at the limit the integral only moves back from it.
+    """
+    integral = integral_Nm + ki * error_rad_s * sample_time_s
+    wanted = kp * error_rad_s + integral
+    torque = clip(wanted, limit_Nm)
+    if wanted != torque:
+        if (wanted - torque) * error_rad_s > 0.0:
+            integral = clip(integral_Nm, limit_Nm)
+        return torque, integral, True
+    return torque, integral, False
+
+
+@inlined
+def current_decay(duration_s: float, time_constant_s: float) -> float:
+    """What is left of the distance between torque and command after `duration_s` (exact for a held command)."""
+    return exp(-duration_s / time_constant_s) if time_constant_s > 0.0 else 0.0
+
+
+@inlined
+def torque_after(torque_Nm: float, command_Nm: float, decay: float) -> float:
+    """Torque of the first-order current loop when the distance to the command has shrunk to `decay`."""
+    return command_Nm + (torque_Nm - command_Nm) * decay
+
+
+@inlined
+def bumpless_reference(mode: float, position_rad: float, velocity_rad_s: float, torque_Nm: float) -> float:
+    """Where the reference starts when a mode is entered: at the present value of what the mode controls."""
+    if mode == POSITION:
+        return position_rad
+    if mode == VELOCITY:
+        return velocity_rad_s
+    return torque_Nm
+
+
+@inlined
+def velocity_reference(
+    mode: float, before: float, reference: float, position_rad: float, kp_per_s: float, slope: float, sample_s: float
+) -> float:
+    """Reference of the velocity loop; the position loop adds the velocity of a ramped reference (feed-forward)."""
+    if mode != POSITION:
+        return reference
+    feed_forward = (reference - before) / sample_s if slope < 1e300 else 0.0
+    return kp_per_s * (reference - position_rad) + feed_forward

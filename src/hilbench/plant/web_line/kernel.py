@@ -1,0 +1,709 @@
+"""The model kernel: a line of driven rollers with the web between them, compiled.
+
+Per drive sample time: the drives' loops once, then Runge-Kutta steps of fourth order with the torque of the
+current loops known in closed form. Standstill under dry friction and the flanks of gear play are events: located
+in time, then the roller sticks or slides, the gear touches or not; nothing is smoothed, nothing chatters.
+
+Vectors as in `hilbench.plant.web_line.layout`. Compiled functions pass whole vectors and places in them; nothing is
+allocated while time goes on, and nothing is reference-counted (`hilbench.compiled`). A step without events is compiled
+once for the one-span line, with the counts of axes, motors and spans as constants: every place is one, and quantities
+stay in registers. Events, and laws with a wave or an iteration in them, stay calls. A step without events costs four
+evaluations of the rates; whether there was one shows in the speeds at its end, unless a roller sticks or a gear has
+play.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from hilbench import compiled as decorators
+from hilbench.compiled import compiled, entry_point, inlined, merged, noinline, number_of_sources
+from hilbench.plant import drive_loops as loops
+from hilbench.plant.web_line import laws
+from hilbench.plant.web_line import layout as lay
+from hilbench.plant.web_line.layout import Vector
+
+#: Events within one integration step before the rest of it is taken as it comes.
+_MOST_EVENTS = 16
+_EVENT_ITERATIONS = 40
+#: Size of a violation that is none: shares of 1 mm/s, 1 N, 1 µm.
+_EVENT_TOLERANCE = 1e-9
+#: Of a difference of two positions, per position: four units in the last place.
+_POSITION_ROUNDING = 1e-15
+
+
+@inlined
+def _axis(i: int) -> int:
+    """Where axis row i begins in the parameters."""
+    return lay.W_SIZE + i * lay.A_SIZE
+
+
+@inlined
+def _motor(n: int, j: int) -> int:
+    """Where motor row j begins in the parameters."""
+    return lay.W_SIZE + n * lay.A_SIZE + j * lay.M_SIZE
+
+
+@inlined
+def _axis_state(n: int, k: int, i: int) -> int:
+    """Where the direction and contact of axis i stand in the state."""
+    return lay.S_Y + 4 * n + 2 * k + i * lay.SA_SIZE
+
+
+@inlined
+def _motor_state(n: int, k: int, j: int) -> int:
+    """Where the state of motor j begins."""
+    return lay.S_Y + 4 * n + 2 * k + n * lay.SA_SIZE + j * lay.SM_SIZE
+
+
+@inlined
+def _past(n: int, m: int, k: int, j: int) -> int:
+    """Where the past torques of motor j begin in the state."""
+    return _motor_state(n, k, m) + j * lay.RING
+
+
+@inlined
+def _block(n: int, k: int, b: int) -> int:
+    """Where block b of integrated quantities begins in the scratch space."""
+    return b * (4 * n + 2 * k)
+
+
+@inlined
+def _part(n: int, m: int, k: int, part: int) -> int:
+    """Where a part behind the blocks begins in the scratch space."""
+    return _block(n, k, lay.BLOCKS) + part * m
+
+
+@inlined
+def _counts(p: Vector) -> tuple[int, int, int]:
+    """Axes, motors and spans of the line."""
+    return int(p[lay.W_AXES]), int(p[lay.W_MOTORS]), int(p[lay.W_SPANS])
+
+
+@inlined
+def _is_one_span(p: Vector) -> bool:
+    """Whether it is the line most often simulated, for which the path of a step is compiled with constant places."""
+    return p[lay.W_AXES] == 2.0 and p[lay.W_MOTORS] == 2.0 and p[lay.W_SPANS] == 1.0
+
+
+@inlined
+def _web(p: Vector, u: Vector, w: Vector, n: int, m: int, k: int, t: float, strain_prev: float, y: int) -> None:
+    """Tensions, and rates of the unstretched lengths, for the quantities at place `y` of the scratch space."""
+    speed, tension, rate = _part(n, m, k, lay.SPEED), _part(n, m, k, lay.TENSION), _part(n, m, k, lay.RATE)
+    if k > 0:
+        for i in range(n):
+            w[speed + i] = laws.web_speed_m_s(p, _axis(i), w[y + i], w[y + n + i])
+        stiffness = laws.stiffness_N(p, t, w[_part(n, m, k, lay.STEPS)])
+        length_rate = _part(n, m, k, lay.LENGTH_RATE)
+        laws.span_rates(
+            p, k, stiffness, strain_prev, u[lay.U_F_NEXT_N], w, speed, y + 4 * n, length_rate, tension, rate
+        )
+
+
+@inlined
+def _web_force_N(p: Vector, u: Vector, w: Vector, n: int, m: int, k: int, i: int, strain_prev: float) -> float:
+    """Pull of the web on roller i, forward."""
+    if p[_axis(i) + lay.A_WEB_LOAD] == 0.0:
+        return 0.0
+    tension = _part(n, m, k, lay.TENSION)
+    before = w[tension + i - 1] if i > 0 else strain_prev * p[lay.W_UPSTREAM_STIFFNESS_N]
+    return (w[tension + i] if i < k else u[lay.U_F_NEXT_N]) - before
+
+
+@inlined
+def _motor_force_N(p: Vector, w: Vector, n: int, m: int, k: int, j: int, x_m: float) -> float:
+    """Force of motor j at the web; `x_m` is where its shaft is."""
+    motor = _motor(n, j)
+    ratio = p[motor + lay.M_RAD_PER_M]
+    return ratio * laws.shaft_torque_Nm(p, motor, w[_part(n, m, k, lay.TORQUE) + j], x_m * ratio)
+
+
+@inlined
+def _own_force_N(p: Vector, w: Vector, n: int, m: int, k: int, i: int, y: int) -> float:
+    """Force on the roller's side of gear i without web and dry friction: coupled motors, smooth resistance."""
+    force = -laws.smooth_resistance_N(p, _axis(i), w[y + n + i])
+    if i == n - 1:
+        for j in range(n, m):
+            force += _motor_force_N(p, w, n, m, k, j, w[y + i])
+    return force
+
+
+@inlined
+def _is_apart(p: Vector, s: Vector, n: int, k: int, i: int) -> bool:
+    """Whether the motor of axis i moves within its gear play."""
+    return laws.has_gap(p, _axis(i)) and s[_axis_state(n, k, i) + lay.SA_CONTACT] == 0.0
+
+
+@inlined
+def _acceleration(
+    p: Vector, s: Vector, n: int, k: int, i: int, v: float, per_mass: float, force_N: float, web_N: float
+) -> float:
+    """Of a roller that does not stick, under the forces on all that turns with it."""
+    axis = _axis(i)
+    if laws.breakaway_N(p, axis) != 0.0:
+        force_N -= s[_axis_state(n, k, i) + lay.SA_DIRECTION] * laws.dry_friction_N(p, axis, v)
+    return (force_N + web_N) * per_mass
+
+
+@inlined
+def _go(w: Vector, size: int, j: int, rate: float, weight: float, ahead: float) -> None:
+    """Quantity j: its rate into the sum, and on to the next stage."""
+    w[lay.SUM * size + j] += weight * rate
+    w[lay.STAGE * size + j] = w[lay.NOW * size + j] + ahead * rate
+
+
+@inlined
+def _go_axis(
+    p: Vector,
+    s: Vector,
+    u: Vector,
+    w: Vector,
+    n: int,
+    m: int,
+    k: int,
+    i: int,
+    strain_prev: float,
+    weight: float,
+    ahead: float,
+    slides: bool,
+) -> None:
+    """Rates of axis i in the stage block: roller and motor as one, or apart within the gear play; it may stick."""
+    size, y = _block(n, k, 1), _block(n, k, lay.STAGE)
+    v, per_mass = w[y + n + i], w[_part(n, m, k, lay.PER_MASS) + i]
+    drive = _motor_force_N(p, w, n, m, k, i, w[y + 2 * n + i])
+    own, web = _own_force_N(p, w, n, m, k, i, y), _web_force_N(p, u, w, n, m, k, i, strain_prev)
+    apart = not slides and _is_apart(p, s, n, k, i)
+    if apart:
+        per_mass = w[_part(n, m, k, lay.PER_ROLLER_MASS) + i]
+    if not slides and _sticks(p, s, n, k, i):
+        acceleration = 0.0
+    else:
+        acceleration = _acceleration(p, s, n, k, i, v, per_mass, own if apart else own + drive, web)
+    motor_acceleration = drive * w[_part(n, m, k, lay.PER_MOTOR_MASS) + i] if apart else acceleration
+    _go(w, size, i, v, weight, ahead)
+    _go(w, size, n + i, acceleration, weight, ahead)
+    _go(w, size, 2 * n + i, w[y + 3 * n + i] if apart else v, weight, ahead)
+    _go(w, size, 3 * n + i, motor_acceleration, weight, ahead)
+
+
+@inlined
+def _sticks(p: Vector, s: Vector, n: int, k: int, i: int) -> bool:
+    """Whether dry friction holds roller i."""
+    return s[_axis_state(n, k, i) + lay.SA_DIRECTION] == 0.0 and laws.breakaway_N(p, _axis(i)) != 0.0
+
+
+@merged
+def _stage(
+    p: Vector,
+    s: Vector,
+    u: Vector,
+    w: Vector,
+    n: int,
+    m: int,
+    k: int,
+    t: float,
+    weight: float,
+    ahead: float,
+    slides: bool,
+) -> None:
+    """Rates at time t of what is in the stage block and the torques there, and the next stage `ahead` of now."""
+    size, y = _block(n, k, 1), _block(n, k, lay.STAGE)
+    strain_prev = laws.upstream_strain(p, u[lay.U_STRAIN_PREV], t)
+    _web(p, u, w, n, m, k, t, strain_prev, y)
+    for i in range(n):
+        _go_axis(p, s, u, w, n, m, k, i, strain_prev, weight, ahead, slides)
+    for j in range(k):
+        _go(w, size, 4 * n + j, w[_part(n, m, k, lay.RATE) + j], weight, ahead)
+        _go(w, size, 4 * n + k + j, w[_part(n, m, k, lay.LENGTH_RATE) + j], weight, ahead)
+
+
+@inlined
+def _torques(s: Vector, w: Vector, n: int, m: int, k: int, decay: int) -> None:
+    """Torques after the time that belongs to the decays at `decay`, exact for the held commands."""
+    torque = _part(n, m, k, lay.TORQUE)
+    for j in range(m):
+        at = _motor_state(n, k, j)
+        w[torque + j] = loops.torque_after(s[at + lay.SM_TORQUE_NM], s[at + lay.SM_COMMAND_NM], w[decay + j])
+
+
+@inlined
+def _torques_now(s: Vector, w: Vector, n: int, m: int, k: int) -> None:
+    for j in range(m):
+        w[_part(n, m, k, lay.TORQUE) + j] = s[_motor_state(n, k, j) + lay.SM_TORQUE_NM]
+
+
+@compiled
+def _set_decays(p: Vector, w: Vector, h: float) -> None:
+    """Decays of the current loops for steps of length h."""
+    noinline()
+    n, m, k = _counts(p)
+    half, full = _part(n, m, k, lay.DECAY_HALF), _part(n, m, k, lay.DECAY_FULL)
+    for j in range(m):
+        time_constant = p[_motor(n, j) + lay.M_CURRENT_S]
+        w[half + j] = loops.current_decay(0.5 * h, time_constant)
+        w[full + j] = loops.current_decay(h, time_constant)
+    w[_part(n, m, k, lay.DECAY_STEP_S)] = h
+
+
+@merged
+def _integrate(
+    p: Vector, s: Vector, u: Vector, w: Vector, n: int, m: int, k: int, t: float, h: float, slides: bool
+) -> None:
+    """One classical Runge-Kutta step: quantities at its end in the stage block, torques there; none taken over yet."""
+    size = _block(n, k, 1)
+    if w[_part(n, m, k, lay.DECAY_STEP_S)] != h:
+        _set_decays(p, w, h)
+    for j in range(size):
+        w[lay.STAGE * size + j] = w[lay.NOW * size + j]
+        w[lay.SUM * size + j] = 0.0
+    _torques_now(s, w, n, m, k)
+    _stage(p, s, u, w, n, m, k, t, 1.0, 0.5 * h, slides)
+    _torques(s, w, n, m, k, _part(n, m, k, lay.DECAY_HALF))
+    _stage(p, s, u, w, n, m, k, t + 0.5 * h, 2.0, 0.5 * h, slides)
+    _stage(p, s, u, w, n, m, k, t + 0.5 * h, 2.0, h, slides)
+    _torques(s, w, n, m, k, _part(n, m, k, lay.DECAY_FULL))
+    _stage(p, s, u, w, n, m, k, t + h, 1.0, h, slides)
+    for j in range(size):
+        w[lay.STAGE * size + j] = w[lay.NOW * size + j] + h / 6.0 * w[lay.SUM * size + j]
+
+
+@compiled
+def _integrate_any(p: Vector, s: Vector, u: Vector, w: Vector, t: float, h: float) -> None:
+    """The same for any line in any mode."""
+    noinline()
+    n, m, k = _counts(p)
+    _integrate(p, s, u, w, n, m, k, t, h, False)
+
+
+@inlined
+def _accept(s: Vector, w: Vector, n: int, m: int, k: int) -> None:
+    """Take the end of the step over."""
+    size = _block(n, k, 1)
+    for j in range(size):
+        w[lay.NOW * size + j] = w[lay.STAGE * size + j]
+    for j in range(m):
+        s[_motor_state(n, k, j) + lay.SM_TORQUE_NM] = w[_part(n, m, k, lay.TORQUE) + j]
+
+
+@inlined
+def _slides(p: Vector, s: Vector, n: int, k: int) -> bool:
+    """Whether no gear has play and no roller sticks: then an event shows in the speeds at a step's end."""
+    slides = True
+    for i in range(n):
+        slides &= not (laws.has_gap(p, _axis(i)) or _sticks(p, s, n, k, i))
+    return slides
+
+
+@inlined
+def _still_slides(p: Vector, s: Vector, w: Vector, n: int, k: int) -> bool:
+    """Whether at the end of the step every roller with dry friction still turns as it did."""
+    for i in range(n):
+        v, direction = w[_block(n, k, lay.STAGE) + n + i], s[_axis_state(n, k, i) + lay.SA_DIRECTION]
+        if _reversal(v, direction) > _EVENT_TOLERANCE and laws.breakaway_N(p, _axis(i)) != 0.0:
+            return False
+    return True
+
+
+@inlined
+def _reversal(v: float, direction: float) -> float:
+    """How far a speed is on the other side of standstill, mm/s."""
+    return -v * direction * 1e3
+
+
+@compiled
+def _violations(p: Vector, s: Vector, u: Vector, w: Vector, t: float, i: int, y: int) -> tuple[float, float, float]:
+    """How far axis i has left its mode at place `y`, tensions and torques there: gear, friction; the force on it.
+
+    Gear: a flank passed, or a flank that would have to pull. Friction: a speed against its direction, or a force too
+    great for it to stick.
+    """
+    n, m, k = _counts(p)
+    axis, mode = _axis(i), _axis_state(n, k, i)
+    v, gear, friction = w[y + n + i], -1.0, -1.0
+    drive = _motor_force_N(p, w, n, m, k, i, w[y + 2 * n + i])
+    web = _web_force_N(p, u, w, n, m, k, i, laws.upstream_strain(p, u[lay.U_STRAIN_PREV], t))
+    apart, sticks = _is_apart(p, s, n, k, i), _sticks(p, s, n, k, i)
+    own = _own_force_N(p, w, n, m, k, i, y) + (0.0 if apart else drive)
+    if apart:
+        # Positions grow: flanks that part must not count as passed because of the rounding of their distance.
+        rounding_m = _POSITION_ROUNDING * abs(w[y + i])
+        gear = (abs(w[y + 2 * n + i] - w[y + i]) - _half_gap_m(p, n, i) - rounding_m) * 1e6
+    elif laws.has_gap(p, axis):
+        per_mass = w[_part(n, m, k, lay.PER_MASS) + i]
+        acceleration = 0.0 if sticks else _acceleration(p, s, n, k, i, v, per_mass, own, web)
+        motor_mass = p[axis + lay.A_MOTOR_MASS_KG] * laws.inertia_factor(p, axis)
+        gear = (motor_mass * acceleration - drive) * s[mode + lay.SA_CONTACT]
+    net, breakaway = own + web, laws.breakaway_N(p, axis)
+    if breakaway != 0.0:
+        friction = abs(net) - breakaway if sticks else _reversal(v, s[mode + lay.SA_DIRECTION])
+    return gear, friction, net
+
+
+@inlined
+def _half_gap_m(p: Vector, n: int, i: int) -> float:
+    """Half the gear play of an axis, at the web."""
+    return laws.half_gap_m(p, _axis(i), p[_motor(n, i) + lay.M_RAD_PER_M])
+
+
+@compiled
+def _web_at(p: Vector, u: Vector, w: Vector, t: float, y: int) -> None:
+    """Tensions for the quantities at `y`."""
+    n, m, k = _counts(p)
+    _web(p, u, w, n, m, k, t, laws.upstream_strain(p, u[lay.U_STRAIN_PREV], t), y)
+
+
+@compiled
+def _settle_one(p: Vector, s: Vector, u: Vector, w: Vector, t: float) -> bool:
+    """Change the mode of the first axis that has left it, if there is one."""
+    n, _, k = _counts(p)
+    _web_at(p, u, w, t, 0)
+    for i in range(n):
+        mode = _axis_state(n, k, i)
+        gear, friction, net = _violations(p, s, u, w, t, i, 0)
+        if gear > _EVENT_TOLERANCE:
+            if s[mode + lay.SA_CONTACT] != 0.0:
+                s[mode + lay.SA_CONTACT] = 0.0
+            else:
+                _touch(p, s, w, n, k, i, _half_gap_m(p, n, i))
+            return True
+        if friction > _EVENT_TOLERANCE:
+            if s[mode + lay.SA_DIRECTION] == 0.0:
+                s[mode + lay.SA_DIRECTION] = 1.0 if net > 0.0 else -1.0
+            else:
+                _stick(p, s, w, n, k, i)
+            return True
+    return False
+
+
+@compiled
+def _stick(p: Vector, s: Vector, w: Vector, n: int, k: int, i: int) -> None:
+    """The roller stands."""
+    s[_axis_state(n, k, i) + lay.SA_DIRECTION] = 0.0
+    w[n + i] = 0.0
+    if not _is_apart(p, s, n, k, i):
+        w[3 * n + i] = 0.0
+
+
+@compiled
+def _touch(p: Vector, s: Vector, w: Vector, n: int, k: int, i: int, half_m: float) -> None:
+    """The gear's flanks meet: plastic impact, momentum kept."""
+    axis, mode = _axis(i), _axis_state(n, k, i)
+    motor_mass, roller_mass = p[axis + lay.A_MOTOR_MASS_KG], p[axis + lay.A_ROLLER_MASS_KG]
+    v = (motor_mass * w[3 * n + i] + roller_mass * w[n + i]) / (motor_mass + roller_mass)
+    side = 1.0 if w[2 * n + i] > w[i] else -1.0
+    s[mode + lay.SA_CONTACT] = side
+    w[2 * n + i] = w[i] + side * half_m
+    w[n + i] = v
+    w[3 * n + i] = v
+    if v != 0.0:
+        s[mode + lay.SA_DIRECTION] = 1.0 if v > 0.0 else -1.0
+
+
+@compiled
+def _settle(p: Vector, s: Vector, u: Vector, w: Vector, t: float) -> None:
+    """Change modes until every axis fits its own (a roller that stops may stick at once, or slide back)."""
+    n, m, k = _counts(p)
+    for i in range(n):
+        direction = _axis_state(n, k, i) + lay.SA_DIRECTION
+        if s[direction] == 0.0 and w[n + i] != 0.0:
+            s[direction] = 1.0 if w[n + i] > 0.0 else -1.0
+    _torques_now(s, w, n, m, k)
+    for _ in range(2 * _MOST_EVENTS):
+        if not _settle_one(p, s, u, w, t):
+            return
+
+
+@compiled
+def _try(p: Vector, s: Vector, u: Vector, w: Vector, t: float, h: float) -> float:
+    """One step of length h; the greatest violation of any axis at its end."""
+    n, _, k = _counts(p)
+    _integrate_any(p, s, u, w, t, h)
+    end = _block(n, k, lay.STAGE)
+    _web_at(p, u, w, t + h, end)
+    worst = -1.0
+    for i in range(n):
+        gear, friction, _ = _violations(p, s, u, w, t + h, i, end)
+        worst = max(worst, gear, friction)
+    return worst
+
+
+@compiled
+def _until_event(p: Vector, s: Vector, u: Vector, w: Vector, t: float, h: float, search: bool) -> float:
+    """A step of length h or, if there is an event in it and `search`, up to it; how long it was.
+
+    The event's time is found by the Illinois form of regula falsi.
+    """
+    low, high, within, beyond, last = 0.0, h, -_EVENT_TOLERANCE, 0.0, 0
+    cut, found = h, not search
+    for iteration in range(_EVENT_ITERATIONS):
+        violation = _try(p, s, u, w, t, cut)
+        if found or (iteration == 0 and violation <= _EVENT_TOLERANCE):
+            break
+        if violation > _EVENT_TOLERANCE:
+            within = 0.5 * within if last == 1 else within
+            high, beyond, last = cut, violation, 1
+        else:
+            beyond = 0.5 * beyond if last == -1 else beyond
+            low, within, last = cut, min(violation, -_EVENT_TOLERANCE), -1
+        found = high - low <= 1e-9 * h or iteration == _EVENT_ITERATIONS - 2
+        share = within / (within - beyond)
+        cut = high if found else low + (high - low) * min(max(share, 1e-3), 0.999)
+    return cut
+
+
+@compiled
+def _step_with_events(p: Vector, s: Vector, u: Vector, w: Vector, t: float, h: float) -> None:
+    """One step, cut at every event."""
+    noinline()
+    n, m, k = _counts(p)
+    left = h
+    for event in range(_MOST_EVENTS + 1):
+        search = event < _MOST_EVENTS
+        if search:
+            _settle(p, s, u, w, t)
+        done = _until_event(p, s, u, w, t, left, search)
+        _accept(s, w, n, m, k)
+        t += done
+        left -= done
+        if left <= 1e-12 * h:
+            return
+
+
+@inlined
+def _drive_sample(p: Vector, s: Vector, u: Vector, motor: int, state: int, inputs: int, x_m: float, v: float) -> None:
+    """What a drive does at a sample instant: new torque command from set point and motion."""
+    mode, slope, period = u[inputs + lay.UM_MODE], u[inputs + lay.UM_SLOPE], p[lay.W_SAMPLE_TIME_S]
+    limit = min(u[inputs + lay.UM_LIMIT_NM], p[motor + lay.M_LIMIT_NM])
+    position, velocity = x_m * p[motor + lay.M_RAD_PER_M], v * p[motor + lay.M_RAD_PER_M]
+    torque = s[state + lay.SM_TORQUE_NM]
+    if s[state + lay.SM_MODE] != mode:
+        s[state + lay.SM_MODE] = mode
+        s[state + lay.SM_REFERENCE] = loops.bumpless_reference(mode, position, velocity, torque)
+        s[state + lay.SM_INTEGRAL_NM] = torque
+    if mode == loops.OFF:
+        s[state + lay.SM_REFERENCE] = 0.0
+        s[state + lay.SM_COMMAND_NM] = 0.0
+        s[state + lay.SM_TORQUE_NM] = 0.0
+        s[state + lay.SM_INTEGRAL_NM] = 0.0
+        return
+    before = s[state + lay.SM_REFERENCE]
+    reference = loops.ramp(before, u[inputs + lay.UM_SETPOINT], slope, period)
+    s[state + lay.SM_REFERENCE] = reference
+    if mode == loops.TORQUE:
+        command = loops.clip(reference, limit)
+        limited = command != reference
+    else:
+        kp_position = p[motor + lay.M_POSITION_KP]
+        wanted = loops.velocity_reference(mode, before, reference, position, kp_position, slope, period)
+        kp, ki = p[motor + lay.M_KP], p[motor + lay.M_KI]
+        command, s[state + lay.SM_INTEGRAL_NM], limited = loops.velocity_loop(
+            wanted - velocity, s[state + lay.SM_INTEGRAL_NM], kp, ki, limit, period
+        )
+    s[state + lay.SM_COMMAND_NM] = command
+    if p[motor + lay.M_CURRENT_S] == 0.0:
+        s[state + lay.SM_TORQUE_NM] = command
+    if limited:
+        s[state + lay.SM_LIMITED] = 1.0
+
+
+@inlined
+def _motor_motion(n: int, j: int) -> int:
+    """Where the position of the shaft that motor j sits on stands among the integrated quantities."""
+    return 2 * n + j if j < n else n - 1
+
+
+@inlined
+def _sample_drives(p: Vector, s: Vector, u: Vector, w: Vector, n: int, m: int, k: int) -> None:
+    for j in range(m):
+        at = _motor_motion(n, j)
+        inputs = lay.U_MOTORS + j * lay.UM_SIZE
+        _drive_sample(p, s, u, _motor(n, j), _motor_state(n, k, j), inputs, w[at], w[at + n])
+
+
+@merged
+def _simple_step(
+    p: Vector, s: Vector, u: Vector, w: Vector, n: int, m: int, k: int, t: float, h: float, one_span: bool
+) -> bool:
+    """One step, taken only if there is no event in it; whether it was."""
+    if not _slides(p, s, n, k):
+        return False
+    if one_span:
+        _integrate(p, s, u, w, 2, 2, 1, t, h, True)
+    else:
+        _integrate_any(p, s, u, w, t, h)
+    if not _still_slides(p, s, w, n, k):
+        return False
+    _accept(s, w, n, m, k)
+    return True
+
+
+@merged
+def _advance_line(
+    p: Vector, s: Vector, u: Vector, w: Vector, n: int, m: int, k: int, samples: int, one_span: bool
+) -> None:
+    substeps = int(p[lay.W_SUBSTEPS])
+    period = p[lay.W_SAMPLE_TIME_S]
+    h = period / substeps
+    for _ in range(samples):
+        _sample_drives(p, s, u, w, n, m, k)
+        for substep in range(substeps):
+            t = s[lay.S_COUNT] * period + substep * h
+            w[_part(n, m, k, lay.STEPS)] = laws.step_factor(p, t, h)
+            if not _simple_step(p, s, u, w, n, m, k, t, h, one_span):
+                _step_with_events(p, s, u, w, t, h)
+        s[lay.S_COUNT] += 1.0
+        for j in range(m):
+            place = _past(n, m, k, j) + int(s[lay.S_COUNT]) % lay.RING
+            s[place] = s[_motor_state(n, k, j) + lay.SM_TORQUE_NM]
+
+
+@compiled
+def _advance_one_span(p: Vector, s: Vector, u: Vector, w: Vector, samples: int) -> None:
+    noinline()
+    _advance_line(p, s, u, w, 2, 2, 1, samples, True)
+
+
+@compiled
+def _advance_any(p: Vector, s: Vector, u: Vector, w: Vector, samples: int) -> None:
+    noinline()
+    n, m, k = _counts(p)
+    _advance_line(p, s, u, w, n, m, k, samples, False)
+
+
+@merged
+def go_on(p: Vector, s: Vector, u: Vector, w: Vector, samples: int) -> None:
+    """Between `enter` and `leave`. The one-span line with its counts as constants, every other line without."""
+    if _is_one_span(p):
+        _advance_one_span(p, s, u, w, samples)
+    else:
+        _advance_any(p, s, u, w, samples)
+
+
+@compiled
+def enter(p: Vector, s: Vector, u: Vector, w: Vector) -> None:
+    """Bring into the scratch space what is integrated, and what stays the same during a call."""
+    n, m, k = _counts(p)
+    for j in range(_block(n, k, 1)):
+        w[j] = s[lay.S_Y + j]
+    for j in range(k):
+        w[_part(n, m, k, lay.LENGTH_RATE) + j] = u[lay.U_MOTORS + m * lay.UM_SIZE + j]
+    for i in range(n):
+        axis = _axis(i)
+        factor = laws.inertia_factor(p, axis)
+        motor_mass, roller_mass = p[axis + lay.A_MOTOR_MASS_KG] * factor, p[axis + lay.A_ROLLER_MASS_KG] * factor
+        w[_part(n, m, k, lay.PER_MASS) + i] = 1.0 / (motor_mass + roller_mass)
+        w[_part(n, m, k, lay.PER_ROLLER_MASS) + i] = 1.0 / roller_mass
+        w[_part(n, m, k, lay.PER_MOTOR_MASS) + i] = 1.0 / motor_mass
+    _set_decays(p, w, p[lay.W_SAMPLE_TIME_S] / p[lay.W_SUBSTEPS])
+
+
+@compiled
+def leave(s: Vector, w: Vector, size: int) -> None:
+    """Bring what is integrated back into the state."""
+    for j in range(size):
+        s[lay.S_Y + j] = w[j]
+
+
+@merged
+def _report_line(p: Vector, s: Vector, u: Vector, w: Vector, n: int, m: int, k: int, out: Vector, at: int) -> None:
+    period = p[lay.W_SAMPLE_TIME_S]
+    t = s[lay.S_COUNT] * period
+    w[_part(n, m, k, lay.STEPS)] = laws.step_factor(p, t, period / p[lay.W_SUBSTEPS])
+    _web(p, u, w, n, m, k, t, laws.upstream_strain(p, u[lay.U_STRAIN_PREV], t), 0)
+    for j in range(m):
+        motion = _motor_motion(n, j)
+        torque = s[_motor_state(n, k, j) + lay.SM_TORQUE_NM]
+        out[at + j] = w[motion]
+        out[at + m + j] = w[motion + n]
+        out[at + 2 * m + j] = laws.measured_torque_Nm(
+            p, _motor(n, j), torque, s, _past(n, m, k, j), int(s[lay.S_COUNT])
+        )
+    for j in range(k):
+        out[at + 3 * m + j] = w[_part(n, m, k, lay.TENSION) + j]
+        out[at + 3 * m + k + j] = w[4 * n + k + j] * laws.length_factor(p) / w[4 * n + j] - 1.0
+
+
+@merged
+def _report_one_span(p: Vector, s: Vector, u: Vector, w: Vector, out: Vector, at: int) -> None:
+    _report_line(p, s, u, w, 2, 2, 1, out, at)
+
+
+@compiled
+def _report_any(p: Vector, s: Vector, u: Vector, w: Vector, out: Vector, at: int) -> None:
+    noinline()
+    n, m, k = _counts(p)
+    _report_line(p, s, u, w, n, m, k, out, at)
+
+
+@merged
+def report(p: Vector, s: Vector, u: Vector, w: Vector, out: Vector, at: int) -> None:
+    """What is measured and true now, from place `at` of `out` on; between `enter` and `leave`."""
+    if _is_one_span(p):
+        _report_one_span(p, s, u, w, out, at)
+    else:
+        _report_any(p, s, u, w, out, at)
+
+
+@compiled
+def _rows(
+    p: Vector, s: Vector, u: Vector, w: Vector, commands: Vector, boundary: Vector, samples: int, out: Vector, at: int
+) -> None:
+    """Observe and advance, row by row, from place `at` of `out` on; between `enter` and `leave`."""
+    _, m, k = _counts(p)
+    for row in range(commands.shape[0]):
+        u[lay.U_STRAIN_PREV] = boundary[row, 0]
+        u[lay.U_F_NEXT_N] = boundary[row, 1]
+        for j in range(commands.shape[1]):
+            u[lay.U_MOTORS + j * lay.UM_SIZE + lay.UM_SETPOINT] = commands[row, j]
+        report(p, s, u, w, out, at + row * (3 * m + 2 * k))
+        go_on(p, s, u, w, samples)
+
+
+Advance = Callable[[Vector, Vector, Vector, Vector, int], None]
+Observe = Callable[[Vector, Vector, Vector, Vector, Vector], None]
+Simulate = Callable[[Vector, Vector, Vector, Vector, Vector, Vector, int, Vector], None]
+
+
+def source_number(*further: str) -> int:
+    """A number that changes with the source of what is compiled here, and with `further` files."""
+    effects = str(Path(__file__).parents[1] / "effects.py")
+    names = (decorators.__file__, loops.__file__, laws.__file__, lay.__file__, __file__, effects, *further)
+    return number_of_sources(*names)
+
+
+def _entry_points(sources: int) -> tuple[Advance, Observe, Simulate]:
+    """The compiled functions others call; `sources` as in `number_of_sources`."""
+
+    @entry_point
+    def advance(p: Vector, s: Vector, u: Vector, work: Vector, samples: int) -> None:
+        if sources >= 0:
+            enter(p, s, u, work)
+            go_on(p, s, u, work, samples)
+            leave(s, work, _block(int(p[lay.W_AXES]), int(p[lay.W_SPANS]), 1))
+
+    @entry_point
+    def observe(p: Vector, s: Vector, u: Vector, work: Vector, out: Vector) -> None:
+        if sources >= 0:
+            enter(p, s, u, work)
+            report(p, s, u, work, out, 0)
+
+    @entry_point
+    def simulate(
+        p: Vector, s: Vector, u: Vector, work: Vector, commands: Vector, boundary: Vector, samples: int, out: Vector
+    ) -> None:
+        flat, rows, columns = out.reshape(-1), out.shape[1], out.shape[2]
+        for b in range(p.shape[0] if sources >= 0 else 0):
+            parameters, state = p[b], s[b]
+            enter(parameters, state, u, work)
+            _rows(parameters, state, u, work, commands, boundary, samples, flat, b * rows * columns)
+            leave(state, work, _block(int(parameters[lay.W_AXES]), int(parameters[lay.W_SPANS]), 1))
+
+    return advance, observe, simulate
+
+
+#: advance(parameters, state, inputs, work, samples): `samples` drive sample times onwards, state changed in place.
+#: observe(parameters, state, inputs, work, out): measured motion and torque, tension, strain (`Layout.columns`).
+#: simulate(parameters (B, P), states (B, S), inputs, work, commands (n, M), boundary (n, 2), samples, out (B, n, C)):
+#: for each row observe, then advance `samples` with the row's set points, upstream strain and downstream tension.
+advance, observe, simulate = _entry_points(source_number())

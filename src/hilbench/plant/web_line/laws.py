@@ -1,0 +1,308 @@
+"""The laws of the web model, each effect's in one place: small compiled functions of parameter rows and state.
+
+Design sections 5 and 6. Every effect is skipped, or multiplies by exactly 1, while its parameters are neutral.
+`p` is the parameter vector of `hilbench.plant.web_line.layout`; `axis` and `motor` are where a row begins in it.
+"""
+
+from __future__ import annotations
+
+from math import cos, exp, pi, sin
+
+from hilbench.compiled import compiled, inlined, noinline
+from hilbench.plant.effects import find_effect
+from hilbench.plant.web_line import layout as lay
+from hilbench.plant.web_line.layout import Vector, place
+
+_COULOMB_N = place("coulomb_friction", "force_N")
+_VISCOUS = place("viscous_friction", "coefficient_N_s_per_m")
+_STRIBECK_N = place("stribeck_friction", "force_N")
+_STRIBECK_SPEED = place("stribeck_friction", "speed_m_s")
+_ASYMMETRY = place("friction_asymmetry", "viscous_difference_N_s_per_m")
+_ECCENTRICITY_M = place("roller_eccentricity", "amplitude_m")
+_ECCENTRICITY_PHASE = place("roller_eccentricity", "phase_rad")
+_INERTIA = place("inertia_mismatch", "relative_change")
+_GAP_RAD = place("backlash", "gap_rad")
+_RIPPLE = place("torque_ripple", "amplitude_Nm")
+_RIPPLES = find_effect("torque_ripple").slots
+_OFFSET_NM = place("torque_offset", "offset_Nm")
+_SCALE = place("torque_scale", "relative_change")
+_DELAY_S = place("torque_delay", "delay_s")
+_SHIFT = place("elasticity_shift", "relative_change")
+_STEP = place("elasticity_step", "time_s")
+_STEPS = find_effect("elasticity_step").slots
+_RAMP = place("elasticity_ramp", "time_s")
+_RAMPS = find_effect("elasticity_ramp").slots
+_DRIFT = place("elasticity_drift", "rate_per_s")
+_DAMPING_S = place("web_damping", "time_constant_s")
+_CREEP = place("web_slip", "creep_per_N")
+_STRAIN_OFFSET = place("strain_offset", "strain")
+_DISTURBANCE = place("upstream_disturbance", "amplitude_N")
+_DISTURBANCES = find_effect("upstream_disturbance").slots
+_LENGTH = place("span_length_error", "relative_change")
+
+#: Tension change (N) at which the iteration for damping with creep stops.
+_TENSION_TOLERANCE_N = 1e-10
+_MOST_PASSES = 100
+
+
+@inlined
+def smooth_resistance_N(p: Vector, axis: int, v_m_s: float) -> float:
+    """Resistance that is continuous in v: b·v + d·|v|."""
+    return p[axis + _VISCOUS] * v_m_s + p[axis + _ASYMMETRY] * abs(v_m_s)
+
+
+@inlined
+def breakaway_N(p: Vector, axis: int) -> float:
+    """Dry friction at standstill: Fc + Fs."""
+    return p[axis + _COULOMB_N] + p[axis + _STRIBECK_N]
+
+
+@inlined
+def dry_friction_N(p: Vector, axis: int, v_m_s: float) -> float:
+    """Size of the dry friction at speed v: Fc + Fs·exp(-(v/vs)²)."""
+    force = p[axis + _COULOMB_N]
+    if p[axis + _STRIBECK_N] != 0.0:
+        force += p[axis + _STRIBECK_N] * exp(-((v_m_s / p[axis + _STRIBECK_SPEED]) ** 2))
+    return force
+
+
+@inlined
+def web_speed_m_s(p: Vector, axis: int, x_m: float, v_m_s: float) -> float:
+    """Speed of the web at a roller whose surface turns at v: eccentricity; roller angle phi = x/r."""
+    if p[axis + _ECCENTRICITY_M] == 0.0:
+        return v_m_s
+    radius = p[axis + lay.A_RADIUS_M]
+    return v_m_s * (1.0 + p[axis + _ECCENTRICITY_M] / radius * cos(x_m / radius + p[axis + _ECCENTRICITY_PHASE]))
+
+
+@inlined
+def inertia_factor(p: Vector, axis: int) -> float:
+    """Factor on the moving mass."""
+    return 1.0 + p[axis + _INERTIA]
+
+
+@inlined
+def half_gap_m(p: Vector, axis: int, motor_rad_per_m: float) -> float:
+    """Half the gear play, at the web."""
+    return 0.5 * p[axis + _GAP_RAD] / motor_rad_per_m
+
+
+@inlined
+def has_gap(p: Vector, axis: int) -> bool:
+    """Whether the gear has play."""
+    return p[axis + _GAP_RAD] > 0.0
+
+
+@inlined
+def shaft_torque_Nm(p: Vector, motor: int, torque_Nm: float, angle_rad: float) -> float:
+    """Torque on the shaft from the torque the drive knows: scale, then ripple over the motor's angle."""
+    torque = (1.0 + p[motor + _SCALE]) * torque_Nm
+    if _is_any(p, motor + _RIPPLE, 3, _RIPPLES):
+        torque += _ripple_Nm(p, motor, angle_rad)
+    return torque
+
+
+@compiled
+def _ripple_Nm(p: Vector, motor: int, angle_rad: float) -> float:
+    noinline()
+    torque = 0.0
+    for slot in range(_RIPPLES):
+        at = motor + _RIPPLE + 3 * slot
+        if p[at] != 0.0:
+            torque += p[at] * sin(p[at + 1] * angle_rad + p[at + 2])
+    return torque
+
+
+@inlined
+def _is_any(p: Vector, first: int, size: int, slots: int) -> bool:
+    """Whether any slot of an effect is taken: the strength of the first stands at `first`."""
+    found = False
+    for slot in range(slots):
+        found |= p[first + slot * size] != 0.0
+    return found
+
+
+@inlined
+def motor_torque_Nm(p: Vector, motor: int, shaft_Nm: float, angle_rad: float) -> float:
+    """The torque the drive must know of for this one on the shaft: the inverse of `shaft_torque_Nm`."""
+    return (shaft_Nm - _ripple_Nm(p, motor, angle_rad)) / (1.0 + p[motor + _SCALE])
+
+
+@inlined
+def reporting_delay_s(p: Vector, motor: int) -> float:
+    """By how much a reported torque is late."""
+    return p[motor + _DELAY_S]
+
+
+@inlined
+def reported_offset_Nm(p: Vector, motor: int) -> float:
+    """What a reported torque is off by."""
+    return p[motor + _OFFSET_NM]
+
+
+@inlined
+def measured_torque_Nm(p: Vector, motor: int, torque_Nm: float, s: Vector, past: int, count: int) -> float:
+    """Torque as the drive reports it: `s` holds the torque of sample k at `past` + k % RING; linear between."""
+    delay = p[motor + _DELAY_S] / p[lay.W_SAMPLE_TIME_S]
+    if delay > 0.0:
+        whole = int(delay)
+        newer = s[past + max(count - whole, 0) % lay.RING]
+        older = s[past + max(count - whole - 1, 0) % lay.RING]
+        torque_Nm = newer + (older - newer) * (delay - whole)
+    return torque_Nm + p[motor + _OFFSET_NM]
+
+
+@inlined
+def true_torque_Nm(p: Vector, motor: int, measured_Nm: float) -> float:
+    """Torque that the drive produced, from what it reported: without the offset (the delay is not undone)."""
+    return measured_Nm - p[motor + _OFFSET_NM]
+
+
+@inlined
+def step_factor(p: Vector, t_s: float, duration_s: float) -> float:
+    """Factor of the steps and ramps of E, averaged over [t, t + duration]: continuous in the time of a step."""
+    if not (_is_any(p, _STEP + 1, 2, _STEPS) or _is_any(p, _RAMP + 2, 3, _RAMPS)):
+        return 1.0
+    return _step_factor(p, t_s, duration_s)
+
+
+@compiled
+def _step_factor(p: Vector, t_s: float, duration_s: float) -> float:
+    noinline()
+    factor = 1.0
+    for slot in range(_STEPS):
+        at = _STEP + 2 * slot
+        if p[at + 1] != 0.0:
+            share = min(max((t_s + duration_s - p[at]) / duration_s, 0.0), 1.0)
+            factor *= 1.0 + p[at + 1] * share
+    for slot in range(_RAMPS):
+        at = _RAMP + 3 * slot
+        if p[at + 2] != 0.0:
+            share = min(max((t_s + 0.5 * duration_s - p[at]) / p[at + 1], 0.0), 1.0)
+            factor *= 1.0 + p[at + 2] * share
+    return factor
+
+
+@inlined
+def stiffness_N(p: Vector, t_s: float, factor_of_steps: float) -> float:
+    """E·S with shift, steps, ramps and drift."""
+    return p[lay.W_MODULUS_PA] * elasticity_factor(p, t_s, factor_of_steps) * p[lay.W_SECTION_M2]
+
+
+@inlined
+def elasticity_factor(p: Vector, t_s: float, factor_of_steps: float) -> float:
+    """What shift, steps, ramps and drift make of E."""
+    return (1.0 + p[_SHIFT]) * factor_of_steps * (1.0 + p[_DRIFT] * t_s)
+
+
+@inlined
+def upstream_strain(p: Vector, strain_prev: float, t_s: float) -> float:
+    """Strain of the web that enters, with the disturbance; F_prev is it times W_UPSTREAM_STIFFNESS_N."""
+    if _is_any(p, _DISTURBANCE, 3, _DISTURBANCES):
+        return strain_prev + _disturbance_N(p, t_s) / p[lay.W_UPSTREAM_STIFFNESS_N]
+    return strain_prev
+
+
+@compiled
+def _disturbance_N(p: Vector, t_s: float) -> float:
+    noinline()
+    force = 0.0
+    for slot in range(_DISTURBANCES):
+        at = _DISTURBANCE + 3 * slot
+        if p[at] != 0.0:
+            force += p[at] * sin(2.0 * pi * p[at + 1] * t_s + p[at + 2])
+    return force
+
+
+@inlined
+def length_factor(p: Vector) -> float:
+    """Factor on the nominal length of every span."""
+    return 1.0 + p[_LENGTH]
+
+
+@inlined
+def span_rates(
+    p: Vector,
+    spans: int,
+    stiffness: float,
+    strain_prev: float,
+    f_next_N: float,
+    w: Vector,
+    speed: int,
+    material: int,
+    length_rate: int,
+    tension: int,
+    rate: int,
+) -> None:
+    """Tensions of the K spans and the rates of the unstretched web in them, in the vector `w` at the given places.
+
+    The exact mass conservation of the design, written for the unstretched length m = L/(1 + strain) that lies in
+    a span: m' = v1/(1 + strain_prev) - v2/(1 + strain). It holds for any L(t), and a Runge-Kutta step conserves
+    the web to rounding. Read: K + 1 speeds of the web at the rollers without creep (`speed`), unstretched and then
+    nominal lengths (`material`), rates of the nominal length. Written: `tension`, `rate`.
+    """
+    scale, offset = length_factor(p), p[_STRAIN_OFFSET]
+    for k in range(spans):
+        strain = w[material + spans + k] * scale / w[material + k] - 1.0
+        w[tension + k] = max(stiffness * (strain - offset), 0.0)
+    _flows(p, spans, strain_prev, f_next_N, w, speed, material, tension, rate)
+    if p[_DAMPING_S] > 0.0:
+        _damped(p, spans, stiffness, strain_prev, f_next_N, w, speed, material, length_rate, tension, rate)
+
+
+@inlined
+def _flows(
+    p: Vector,
+    spans: int,
+    strain_prev: float,
+    f_next_N: float,
+    w: Vector,
+    speed: int,
+    material: int,
+    tension: int,
+    rate: int,
+) -> None:
+    """Rates of the unstretched web in the spans at these tensions: what comes in less what goes out."""
+    scale, creep = length_factor(p), p[_CREEP]
+    inflow = w[speed] / (1.0 + strain_prev)
+    for k in range(spans):
+        outflow = w[speed + k + 1] * w[material + k] / (w[material + spans + k] * scale)
+        if creep != 0.0:
+            behind = w[tension + k + 1] if k + 1 < spans else f_next_N
+            outflow *= 1.0 - creep * (w[tension + k] - behind)
+        w[rate + k] = inflow - outflow
+        inflow = outflow
+
+
+@compiled
+def _damped(
+    p: Vector,
+    spans: int,
+    stiffness: float,
+    strain_prev: float,
+    f_next_N: float,
+    w: Vector,
+    speed: int,
+    material: int,
+    length_rate: int,
+    tension: int,
+    rate: int,
+) -> None:
+    """Add the damping to the tensions. It needs the rates, and with creep the rates need the tensions: iterated."""
+    noinline()
+    scale, offset = length_factor(p), p[_STRAIN_OFFSET]
+    damping, creep = p[_DAMPING_S], p[_CREEP]
+    for _ in range(_MOST_PASSES):
+        change = 0.0
+        for k in range(spans):
+            stretch = w[material + spans + k] * scale / w[material + k]
+            strain_rate = (w[length_rate + k] * scale - stretch * w[rate + k]) / w[material + k]
+            force = max(stiffness * (stretch - 1.0 - offset + damping * strain_rate), 0.0)
+            # Newton: the tension lowers the strain's rate by creep at the rollers around the span.
+            slope = stiffness * damping * creep * abs(w[speed + k + 1]) / w[material + k]
+            force = w[tension + k] + (force - w[tension + k]) / (1.0 + slope * (2.0 if k > 0 else 1.0))
+            change = max(change, abs(force - w[tension + k]))
+            w[tension + k] = force
+        if creep == 0.0 or change < _TENSION_TOLERANCE_N:
+            break
+        _flows(p, spans, strain_prev, f_next_N, w, speed, material, tension, rate)

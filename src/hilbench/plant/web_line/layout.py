@@ -1,0 +1,348 @@
+"""Where everything stands in the kernel's flat arrays. Effects' places follow from the table of effects.
+
+Three vectors of float64 describe a line of N axes, M motors and K spans:
+
+- parameters: web row, N axis rows, M motor rows (the counts stand in front, so the vector describes itself);
+- state: sample counter, the integrated quantities (x, v, motor x, motor v per axis; material length and length per
+  span), per axis the friction direction and gear contact, M motor rows, M rows of past torques;
+- inputs: boundary, M motor rows (mode, set point, slope, limit), K rates of length.
+
+Motor k drives axis k. Motors beyond the last axis (the stand's load motor) sit on its roller's side of the gear play.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from functools import cache
+from math import inf
+from types import MappingProxyType
+from typing import Final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hilbench.plant.effects import EFFECTS, Domain, Effect, find_effect
+from hilbench.plant.motor_port import MotorMode
+from hilbench.plant.web_line.parameters import DriveParameters, EffectEntry, ModelParameters, per_item
+
+Vector = NDArray[np.float64]
+
+# Web row.
+W_AXES: Final = 0
+W_MOTORS: Final = 1
+W_SPANS: Final = 2
+W_SAMPLE_TIME_S: Final = 3
+W_SUBSTEPS: Final = 4  #: integration steps per sample time
+W_SECTION_M2: Final = 5
+W_MODULUS_PA: Final = 6
+W_UPSTREAM_STIFFNESS_N: Final = 7
+# Axis rows.
+A_RADIUS_M: Final = 0
+A_MOTOR_MASS_KG: Final = 1  #: on the motor's side of the gear play
+A_ROLLER_MASS_KG: Final = 2  #: on the roller's side
+A_WEB_LOAD: Final = 3
+# Motor rows.
+M_RAD_PER_M: Final = 0  #: i/r
+M_KP: Final = 1
+M_KI: Final = 2
+M_POSITION_KP: Final = 3
+M_LIMIT_NM: Final = 4
+M_CURRENT_S: Final = 5
+_FIXED = {"web": 8, "axis": 4, "motor": 6}
+
+# State.
+S_COUNT: Final = 0
+S_Y: Final = 1
+SA_DIRECTION: Final = 0  #: of the dry friction: -1, 1, or 0 (sticks)
+SA_CONTACT: Final = 1  #: gear flank: -1, 1, or 0 (in the play)
+SA_SIZE: Final = 2
+SM_TORQUE_NM: Final = 0
+SM_COMMAND_NM: Final = 1
+SM_INTEGRAL_NM: Final = 2
+SM_REFERENCE: Final = 3
+SM_LIMITED: Final = 4
+SM_MODE: Final = 5
+SM_SIZE: Final = 6
+RING: Final = 128  #: past torques kept per motor, one per sample time
+
+# Inputs.
+U_STRAIN_PREV: Final = 0
+U_F_NEXT_N: Final = 1
+U_MOTORS: Final = 2
+UM_MODE: Final = 0
+UM_SETPOINT: Final = 1
+UM_SLOPE: Final = 2
+UM_LIMIT_NM: Final = 3
+UM_SIZE: Final = 4
+
+# Scratch space: blocks as long as the integrated quantities, then parts as long as there are motors.
+NOW: Final = 0  #: at the start of a step
+STAGE: Final = 1  #: where rates are taken; after the last stage the end of the step
+SUM: Final = 2  #: weighted rates of the stages so far
+BLOCKS: Final = 3
+TORQUE: Final = 0
+TENSION: Final = 1
+SPEED: Final = 2  #: of the web at the rollers
+RATE: Final = 3  #: of the unstretched lengths
+LENGTH_RATE: Final = 4
+DECAY_HALF: Final = 5  #: of the current loops, in half a step
+DECAY_FULL: Final = 6
+PER_MASS: Final = 7  #: 1/kg of motor and roller together
+PER_ROLLER_MASS: Final = 8
+PER_MOTOR_MASS: Final = 9
+STEPS: Final = 10  #: factor of the steps of E in this step
+DECAY_STEP_S: Final = 11  #: length of step that the decays are for
+PARTS: Final = 12
+
+
+def row_of(effect: Effect) -> str:
+    """Which row holds an effect's parameters: "web", "axis" or "motor"."""
+    if not effect.per_axis:
+        return "web"
+    return "motor" if effect.domain in (Domain.MOTOR_TORQUE, Domain.TORQUE_MEASUREMENT) else "axis"
+
+
+def _allocate() -> tuple[dict[str, int], dict[str, int]]:
+    sizes, first = dict(_FIXED), {}
+    for effect in EFFECTS:
+        first[effect.id] = sizes[row_of(effect)]
+        sizes[row_of(effect)] += effect.slots * len(effect.parameters)
+    return sizes, first
+
+
+_SIZES, _FIRST = _allocate()
+W_SIZE: Final = _SIZES["web"]
+A_SIZE: Final = _SIZES["axis"]
+M_SIZE: Final = _SIZES["motor"]
+
+
+@cache
+def place(effect_id: str, parameter: str, slot: int = 0) -> int:
+    """Column of an effect's parameter in its row. Raises KeyError."""
+    effect = find_effect(effect_id)
+    names = [p.name for p in effect.parameters]
+    return _FIRST[effect_id] + slot * len(names) + names.index(parameter)
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """Sizes and views of the vectors of one line."""
+
+    axes: int
+    motors: int
+    spans: int
+
+    @classmethod
+    def of(cls, parameters: Vector) -> Layout:
+        """The layout a parameter vector describes."""
+        return cls(int(parameters[W_AXES]), int(parameters[W_MOTORS]), int(parameters[W_SPANS]))
+
+    @property
+    def parameter_size(self) -> int:
+        return W_SIZE + self.axes * A_SIZE + self.motors * M_SIZE
+
+    @property
+    def y_size(self) -> int:
+        """Integrated quantities."""
+        return 4 * self.axes + 2 * self.spans
+
+    @property
+    def state_size(self) -> int:
+        return S_Y + self.y_size + self.axes * SA_SIZE + self.motors * (SM_SIZE + RING)
+
+    @property
+    def input_size(self) -> int:
+        return U_MOTORS + self.motors * UM_SIZE + self.spans
+
+    @property
+    def output_size(self) -> int:
+        """Columns of `kernel.simulate`: see `columns`."""
+        return 3 * self.motors + 2 * self.spans
+
+    @property
+    def columns(self) -> Mapping[str, slice]:
+        """Columns of `kernel.simulate`: motor motion at the web, measured torque, tensions, strains."""
+        return _columns(self.motors, self.spans)
+
+    def axis_rows(self, parameters: Vector) -> Vector:
+        """View (N, A_SIZE)."""
+        return parameters[W_SIZE : W_SIZE + self.axes * A_SIZE].reshape(self.axes, A_SIZE)
+
+    def motor_rows(self, parameters: Vector) -> Vector:
+        """View (M, M_SIZE)."""
+        return parameters[W_SIZE + self.axes * A_SIZE :].reshape(self.motors, M_SIZE)
+
+    def y(self, state: Vector) -> Vector:
+        """View of the integrated quantities."""
+        return state[S_Y : S_Y + self.y_size]
+
+    def axis_states(self, state: Vector) -> Vector:
+        """View (N, SA_SIZE)."""
+        start = S_Y + self.y_size
+        return state[start : start + self.axes * SA_SIZE].reshape(self.axes, SA_SIZE)
+
+    def motor_states(self, state: Vector) -> Vector:
+        """View (M, SM_SIZE)."""
+        start = S_Y + self.y_size + self.axes * SA_SIZE
+        return state[start : start + self.motors * SM_SIZE].reshape(self.motors, SM_SIZE)
+
+    def motor_inputs(self, inputs: Vector) -> Vector:
+        """View (M, UM_SIZE)."""
+        return inputs[U_MOTORS : U_MOTORS + self.motors * UM_SIZE].reshape(self.motors, UM_SIZE)
+
+    def length_rates(self, inputs: Vector) -> Vector:
+        """View (K,): m/s."""
+        return inputs[U_MOTORS + self.motors * UM_SIZE :]
+
+    def new_inputs(self) -> Vector:
+        """Inputs with every motor off."""
+        inputs = np.zeros(self.input_size)
+        motors = self.motor_inputs(inputs)
+        motors[:, UM_MODE] = MotorMode.OFF
+        motors[:, UM_SLOPE] = inf
+        motors[:, UM_LIMIT_NM] = inf
+        return inputs
+
+    def new_work(self) -> Vector:
+        """Scratch space of the kernel; one for each line that may run at the same time."""
+        return np.zeros(BLOCKS * self.y_size + PARTS * self.motors)
+
+
+@cache
+def _columns(motors: int, spans: int) -> Mapping[str, slice]:
+    edges = {"x_m": motors, "v_m_s": motors, "tau_Nm": motors, "F_N": spans, "strain": spans}
+    result, start = {}, 0
+    for name, width in edges.items():
+        result[name] = slice(start, start + width)
+        start += width
+    return MappingProxyType(result)
+
+
+def write_effect(parameters: Vector, effect_id: str, axis: int | None, slot: int, values: dict[str, float]) -> None:
+    """Write an effect's (checked, complete) parameters into a parameter vector."""
+    layout, effect = Layout.of(parameters), find_effect(effect_id)
+    row = parameters
+    if effect.per_axis and axis is not None:
+        rows = layout.axis_rows(parameters) if row_of(effect) == "axis" else layout.motor_rows(parameters)
+        row = rows[axis - 1]
+    for name, value in values.items():
+        row[place(effect_id, name, slot)] = value
+
+
+def clear_effects(parameters: Vector) -> None:
+    """Set every effect of a parameter vector neutral."""
+    layout = Layout.of(parameters)
+    for effect in EFFECTS:
+        neutral = effect.filled({})
+        for axis in range(1, layout.axes + 1) if effect.per_axis else (None,):
+            for slot in range(effect.slots):
+                write_effect(parameters, effect.id, axis, slot, neutral)
+    _neutral_spare_motors(parameters, layout)
+
+
+def _neutral_spare_motors(parameters: Vector, layout: Layout) -> None:
+    for row in layout.motor_rows(parameters)[layout.axes :]:
+        for effect in EFFECTS:
+            if row_of(effect) == "motor":
+                for slot in range(effect.slots):
+                    for p in effect.parameters:
+                        row[place(effect.id, p.name, slot)] = p.neutral
+
+
+def write_drive(row: Vector, drives: DriveParameters | None, axis: int) -> None:
+    """Write the control loops of a motor row; without drives the motor has no loops and no limit."""
+    row[M_KP] = per_item(drives.velocity_kp_Nm_s_per_rad, axis) if drives else 0.0
+    row[M_KI] = per_item(drives.velocity_ki_Nm_per_rad, axis) if drives else 0.0
+    row[M_POSITION_KP] = per_item(drives.position_kp_per_s, axis) if drives else 0.0
+    row[M_LIMIT_NM] = per_item(drives.torque_limit_Nm, axis) if drives else inf
+    row[M_CURRENT_S] = per_item(drives.current_loop_time_constant_s, axis) if drives else 0.0
+
+
+def pack(model: ModelParameters, substeps: int = 1) -> Vector:
+    """The parameter vector of a model: `substeps` integration steps per drive sample time.
+
+    Raises ValueError for gear play without motor inertia and for a torque delay longer than is kept.
+    """
+    axes = model.axis_count
+    layout = Layout(axes, axes, model.span_count if model.web else 0)
+    parameters = np.zeros(layout.parameter_size)
+    parameters[[W_AXES, W_MOTORS, W_SPANS]] = layout.axes, layout.motors, layout.spans
+    parameters[W_SAMPLE_TIME_S] = model.drives.sample_time_s if model.drives else 0.001
+    parameters[W_SUBSTEPS] = substeps
+    if model.web is not None:
+        parameters[W_SECTION_M2] = model.web.section_m2
+        parameters[W_MODULUS_PA] = model.web.youngs_modulus_Pa
+        parameters[W_UPSTREAM_STIFFNESS_N] = model.upstream_stiffness_N
+    clear_effects(parameters)
+    for axis in range(1, axes + 1):
+        row = layout.axis_rows(parameters)[axis - 1]
+        row[A_RADIUS_M] = model.radius_m(axis)
+        row[A_MOTOR_MASS_KG] = model.motor_mass_kg(axis)
+        row[A_ROLLER_MASS_KG] = model.roller_mass_kg(axis)
+        row[A_WEB_LOAD] = model.carries_web_load(axis)
+        motor = layout.motor_rows(parameters)[axis - 1]
+        motor[M_RAD_PER_M] = model.motor_rad_per_m(axis)
+        write_drive(motor, model.drives, axis)
+    write_entries(parameters, model.effects)
+    return parameters
+
+
+def write_entries(parameters: Vector, entries: Iterable[EffectEntry]) -> None:
+    """Write the effects of a config; those that can be given several times fill their slots in order.
+
+    Raises ValueError as `check_effects`, and when there are more than slots.
+    """
+    used: dict[tuple[str, int | None], int] = {}
+    for entry in entries:
+        effect = find_effect(entry.effect)
+        key = (entry.effect, entry.axis if effect.per_axis else None)
+        slot = used.get(key, 0)
+        used[key] = slot + 1
+        if slot >= effect.slots:
+            raise ValueError(f"effect '{effect.id}' is given more than {effect.slots} times at one place")
+        write_effect(parameters, entry.effect, entry.axis, slot, effect.filled(entry.parameters))
+    check_effects(parameters)
+
+
+def check_effects(parameters: Vector) -> None:
+    """Raises ValueError for effects that this line cannot show: gear play without motor inertia, too long a delay."""
+    layout = Layout.of(parameters)
+    longest = (RING - 2) * parameters[W_SAMPLE_TIME_S]
+    for axis in range(layout.axes):
+        row, motor = layout.axis_rows(parameters)[axis], layout.motor_rows(parameters)[axis]
+        if row[place("backlash", "gap_rad")] > 0.0 and min(row[A_MOTOR_MASS_KG], row[A_ROLLER_MASS_KG]) <= 0.0:
+            raise ValueError(f"effect 'backlash' at axis {axis + 1}, expected inertia on both sides of the gear")
+        if motor[place("torque_delay", "delay_s")] > longest:
+            raise ValueError(f"effect 'torque_delay' at axis {axis + 1}, expected at most {longest:g} s")
+
+
+def new_state(parameters: Vector, strain: float | Vector = 0.0, length_m: float | Vector = 1.0) -> Vector:
+    """A state at rest, at position zero, with the given strains and (nominal) lengths of the spans."""
+    layout = Layout.of(parameters)
+    state = np.zeros(layout.state_size)
+    y, n, k = layout.y(state), layout.axes, layout.spans
+    y[4 * n + k :] = length_m
+    set_strain(parameters, state, strain)
+    return state
+
+
+def set_strain(parameters: Vector, state: Vector, strain: ArrayLike) -> None:
+    """Set the strain of every span (state transfer): material length = length/(1 + strain)."""
+    k, material = int(parameters[W_SPANS]), S_Y + 4 * int(parameters[W_AXES])
+    factor = 1.0 + parameters.item(place("span_length_error", "relative_change"))
+    strains = np.asarray(strain, dtype=float)
+    for span, of_span in enumerate(strains.tolist() if strains.ndim else [float(strains)] * k):
+        state[material + span] = state.item(material + k + span) * factor / (1.0 + of_span)
+
+
+def refresh_modes(parameters: Vector, state: Vector) -> None:
+    """Make friction direction and gear contact fit the motion after state or effects were changed from outside."""
+    n, gap = int(parameters[W_AXES]), W_SIZE + place("backlash", "gap_rad")
+    modes = S_Y + 4 * n + 2 * int(parameters[W_SPANS])
+    for axis in range(n):  # in plain Python: of two axes, every cycle, that is a fifth of numpy's time
+        speed = state.item(S_Y + n + axis)
+        state[modes + axis * SA_SIZE + SA_DIRECTION] = 1.0 if speed > 0.0 else -1.0 if speed < 0.0 else speed
+        if parameters[gap + axis * A_SIZE] == 0.0:
+            state[modes + axis * SA_SIZE + SA_CONTACT] = 0.0
+            state[S_Y + 3 * n + axis] = speed

@@ -1,0 +1,109 @@
+"""Whole recordings in one compiled call: for the diagnosis, the synchronizers' tests, and plots."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import lru_cache
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hilbench.plant.motor_port import MotorMode
+from hilbench.plant.web_line import kernel
+from hilbench.plant.web_line import layout as lay
+from hilbench.plant.web_line.layout import Layout, Vector
+from hilbench.plant.web_line.parameters import ModelParameters
+
+
+@dataclass(frozen=True, slots=True)
+class Simulation:
+    """What the model did; arrays of shape (…, n, number of motors or spans), values at the start of each row."""
+
+    x_m: Vector  #: motor positions at the web, by nominal radius
+    v_m_s: Vector
+    tau_Nm: Vector  #: measured torques, motor side
+    F_N: Vector
+    strain: Vector
+    state: Vector  #: at the end, to go on from
+
+
+@lru_cache(64)
+def samples_per(duration_s: float, sample_time_s: float) -> int:
+    """How many drive samples a duration holds. Raises ValueError unless it is a whole, positive number."""
+    samples = round(duration_s / sample_time_s)
+    if samples < 1 or abs(samples * sample_time_s - duration_s) > 1e-6 * sample_time_s:
+        raise ValueError(f"{duration_s!r} s, expected a multiple of the drives' sample time {sample_time_s!r} s")
+    return samples
+
+
+def start_state(parameters: Vector, model: ModelParameters, strain: ArrayLike | None = None) -> Vector:
+    """At rest, at position zero; every span strained by `strain` (default: as the web that enters)."""
+    spans = Layout.of(parameters).spans
+    lengths = np.array([model.span_length_m(k + 1) for k in range(spans)])
+    return lay.new_state(parameters, np.asarray(model.upstream_strain if strain is None else strain), lengths)
+
+
+def on_all_cores(run: Callable[[slice], None], count: int) -> None:
+    """Call `run` with shares of `count` things, one share for each core; it must let other threads run meanwhile."""
+    workers = min(len(os.sched_getaffinity(0)), count)
+    shares = [slice(*edges) for edges in pairwise(np.linspace(0, count, workers + 1, dtype=int))]
+    if len(shares) == 1:
+        run(shares[0])
+    else:
+        with ThreadPoolExecutor(len(shares)) as pool:
+            list(pool.map(run, shares))
+
+
+def simulate(
+    parameters: Vector,
+    state: Vector,
+    commands: NDArray[np.float64],
+    boundary: NDArray[np.float64],
+    dt_s: float,
+    mode: MotorMode = MotorMode.VELOCITY,
+    length_rates_m_s: ArrayLike = 0.0,
+) -> Simulation:
+    """Simulate recorded commands.
+
+    parameters: (P,) from `layout.pack`, or (B, P) for B variants, shared out among all cores; state: (S,) or (B, S),
+    not changed.
+    commands: (n, M) set points at the web by `mode`: m/s, m, or N·m (torque, motor side), each held for `dt_s`.
+    boundary: (n, 2) upstream strain and downstream tension (N). length_rates_m_s: (K,) L' of the spans.
+    Raises ValueError when `dt_s` is no multiple of the sample time, or shapes do not fit.
+    """
+    many = np.atleast_2d(np.ascontiguousarray(parameters))
+    layout = Layout.of(many[0])
+    rows = np.ascontiguousarray(commands, dtype=np.float64)
+    if rows.ndim != 2 or rows.shape[1] != layout.motors or np.shape(boundary) != (len(rows), 2):
+        raise ValueError(
+            f"commands {rows.shape}, boundary {np.shape(boundary)}, expected (n, {layout.motors}) and (n, 2)"
+        )
+    if mode != MotorMode.TORQUE:
+        rows = rows * layout.motor_rows(many[0])[:, lay.M_RAD_PER_M]
+    states = np.array(np.broadcast_to(np.atleast_2d(state), (len(many), layout.state_size)))
+    inputs = layout.new_inputs()
+    layout.length_rates(inputs)[:] = length_rates_m_s
+    layout.motor_inputs(inputs)[:, lay.UM_MODE] = mode
+    samples = samples_per(dt_s, many[0, lay.W_SAMPLE_TIME_S])
+    out = np.empty((len(many), len(rows), layout.output_size))
+    limits = np.ascontiguousarray(boundary, dtype=np.float64)
+
+    def run(share: slice) -> None:
+        kernel.simulate(many[share], states[share], inputs.copy(), layout.new_work(), rows, limits, samples, out[share])
+
+    on_all_cores(run, len(many))
+    if np.ndim(parameters) == 1:
+        out, states = out[0], states[0]
+    columns = layout.columns
+    return Simulation(
+        x_m=out[..., columns["x_m"]],
+        v_m_s=out[..., columns["v_m_s"]],
+        tau_Nm=out[..., columns["tau_Nm"]],
+        F_N=out[..., columns["F_N"]],
+        strain=out[..., columns["strain"]],
+        state=states,
+    )

@@ -1,0 +1,294 @@
+"""The model file (also the ``model:`` block of a bench config): what it may hold, and what follows from it.
+
+All quantities SI, units in the key names. A value that may differ from roller to roller (or span to span) is
+one number for all of them or a list. Without ``web:`` the model is a lone axis.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Self, TypeVar
+
+import yaml
+from pydantic import BaseModel, Field, FiniteFloat, ValidationInfo, field_validator, model_validator
+
+from hilbench import strict_yaml
+from hilbench.block import Block
+from hilbench.errors import UnusableInputError
+from hilbench.plant.effects import find_effect
+
+Positive = Annotated[FiniteFloat, Field(gt=0.0)]
+NotNegative = Annotated[FiniteFloat, Field(ge=0.0)]
+#: Young's moduli with a meaning: from the softest gel to beyond diamond.
+LEAST_MODULUS_Pa, LARGEST_MODULUS_Pa = 1e3, 1e13
+Length = Annotated[FiniteFloat, Field(ge=1e-3, le=1e4)]
+Radius = Annotated[FiniteFloat, Field(ge=1e-4, le=100.0)]
+GearRatio = Annotated[FiniteFloat, Field(ge=1e-4, le=1e4)]
+Modulus = Annotated[FiniteFloat, Field(ge=LEAST_MODULUS_Pa, le=LARGEST_MODULUS_Pa)]
+Value = TypeVar("Value")
+
+
+class WebParameters(Block):
+    """The web: elastic, of constant section; one length for every span or a list."""
+
+    youngs_modulus_Pa: Modulus = Field(description="E along the run of the web")
+    width_m: Annotated[FiniteFloat, Field(ge=1e-3, le=100.0)] = Field(description="across the machine")
+    thickness_m: Annotated[FiniteFloat, Field(ge=1e-7, le=0.1)] = Field(
+        description="with the width: the section S, tension = E·S·strain"
+    )
+    span_length_m: Length | Annotated[list[Length], Field(min_length=1)] = Field(
+        description="free web between two driven rollers"
+    )
+
+    @property
+    def section_m2(self) -> float:
+        """Cross-section S of the web."""
+        return self.width_m * self.thickness_m
+
+    @property
+    def stiffness_N(self) -> float:
+        """E·S: tension per strain, by the modulus of the model file."""
+        return self.youngs_modulus_Pa * self.section_m2
+
+
+class RollerParameters(Block):
+    """Rollers and their gears (motor turns `gear_ratio` times as fast)."""
+
+    radius_m: Radius | list[Radius] = Field(description="nominal radius")
+    inertia_kg_m2: NotNegative | list[NotNegative] = Field(description="of a roller about its own shaft")
+    gear_ratio: GearRatio | list[GearRatio] = Field(
+        default=1.0, description="turns of the motor per turn of the roller"
+    )
+
+
+class MotorParameters(Block):
+    """Motors of the rollers, at the motor shaft."""
+
+    inertia_kg_m2: NotNegative | list[NotNegative] = Field(default=0.0, description="of a motor, at its shaft")
+
+
+class DriveParameters(Block):
+    """Control loops of the drives, at the motor: position P above velocity PI above a first-order current loop."""
+
+    velocity_kp_Nm_s_per_rad: NotNegative | list[NotNegative] = Field(
+        description="proportional gain of the velocity loop"
+    )
+    velocity_ki_Nm_per_rad: NotNegative | list[NotNegative] = Field(
+        default=0.0, description="integral gain of the velocity loop"
+    )
+    position_kp_per_s: NotNegative | list[NotNegative] = Field(
+        default=10.0, description="gain of the position loop, where a drive has one"
+    )
+    torque_limit_Nm: Positive | list[Positive] = Field(description="of the motor")
+    current_loop_time_constant_s: NotNegative | list[NotNegative] = Field(
+        default=0.0, description="the torque follows its command as a first-order lag"
+    )
+    sample_time_s: Annotated[Positive, Field(le=0.005)] = Field(
+        default=0.001, description="of the velocity loop; the bus cycle is a multiple of it"
+    )
+
+
+class BoundaryParameters(Block):
+    """What the neighbouring sections do. Without `upstream_strain` it is upstream_tension_N/(E·S) by the file's E."""
+
+    upstream_tension_N: NotNegative = Field(default=0.0, description="before the first roller")
+    downstream_tension_N: NotNegative = Field(default=0.0, description="behind the last roller")
+    upstream_strain: Annotated[FiniteFloat, Field(gt=-0.5, lt=1.0)] | None = Field(
+        default=None, description="of the web that enters; stays what it is when E steps"
+    )
+
+
+class EffectEntry(Block):
+    """One effect with its parameter values, checked against `hilbench.plant.effects`."""
+
+    effect: str = Field(description="its id in the vocabulary of effects")
+    axis: int | None = Field(default=None, description="1 is the first roller's; for effects that belong to an axis")
+    parameters: dict[str, FiniteFloat] = Field(default_factory=dict, description="its values, by name")
+
+    @model_validator(mode="after")
+    def _known(self) -> Self:
+        try:
+            effect = find_effect(self.effect)
+        except KeyError as error:
+            raise ValueError(error.args[0]) from None
+        problem = effect.axis_problem(self.axis) or effect.problem(self.parameters)
+        if problem:
+            raise ValueError(problem)
+        return self
+
+
+def _count(name: str, value: object, expected: int) -> None:
+    if isinstance(value, list) and len(value) != expected:
+        raise ValueError(f"{name} has {len(value)} values, expected one or {expected}")
+
+
+class ModelParameters(Block):
+    """One model: web, rollers, motors, drives, boundary and effects.
+
+    Immutable; `model_copy(update=…)` varies it.
+    """
+
+    web: WebParameters | None = None
+    rollers: RollerParameters
+    motors: MotorParameters = MotorParameters()
+    drives: DriveParameters | None = None
+    boundary: BoundaryParameters = BoundaryParameters()
+    web_load: bool | list[bool] = Field(
+        default=True, description="whether the web's tensions load the roller; one value or one per roller"
+    )
+    effects: tuple[EffectEntry, ...] = Field(
+        default=(), description="what else the model has, of the vocabulary of effects"
+    )
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        axes = self.axis_count
+        for part in (self.rollers, self.motors, self.drives):
+            for name, value in part or ():
+                _count(name, value, axes)
+        _count("web_load", self.web_load, axes)
+        if self.web is not None:
+            _count("span_length_m", self.web.span_length_m, axes - 1)
+        if self.web is None and (axes > 1 or self.boundary != BoundaryParameters()):
+            raise ValueError("several rollers or a boundary without a web, expected 'web' or a lone axis")
+        if not -0.5 < self.upstream_strain < 1.0:
+            raise ValueError(
+                f"upstream_tension_N of {self.boundary.upstream_tension_N:g} N strains the web that enters by "
+                f"{self.upstream_strain:g}, expected less than 1 (E·S is {self.required_web.stiffness_N:g} N)"
+            )
+        for axis in range(1, axes + 1):
+            if self.mass_kg(axis) <= 0.0:
+                raise ValueError(f"axis {axis} has no inertia, expected inertia of roller or motor above 0")
+        return self
+
+    @field_validator("effects", mode="before")
+    @classmethod
+    def _nothing_is_no_effect(cls, value: object) -> object:
+        return () if value is None else value
+
+    @field_validator("effects")
+    @classmethod
+    def _effects_fit(cls, entries: tuple[EffectEntry, ...], info: ValidationInfo) -> tuple[EffectEntry, ...]:
+        if "rollers" not in info.data:
+            return entries  # the rollers' own error is the one to report
+        axes = _axis_count(info.data.get("web"), info.data["rollers"], info.data.get("motors"), info.data.get("drives"))
+        used: dict[tuple[str, int | None], int] = {}
+        for position, entry in enumerate(entries):
+            effect = find_effect(entry.effect)
+            place = (entry.effect, entry.axis if effect.per_axis else None)
+            used[place] = used.get(place, 0) + 1
+            problem = effect.axis_problem(entry.axis, axes if effect.per_axis else None)
+            if problem is None and info.data.get("web") is None and not effect.per_axis:
+                problem = f"effect '{effect.id}' in a model without a web"
+            if problem is None and used[place] > effect.slots:
+                problem = f"effect '{effect.id}' is given more than {effect.slots} times at one place"
+            if problem:
+                raise ValueError(f"entry {position + 1}: {problem}")
+        return entries
+
+    @property
+    def axis_count(self) -> int:
+        """N: driven rollers in the line (1 without a web)."""
+        return _axis_count(self.web, self.rollers, self.motors, self.drives)
+
+    @property
+    def span_count(self) -> int:
+        """Free spans between driven rollers."""
+        return self.axis_count - 1
+
+    def radius_m(self, axis: int) -> float:
+        """Nominal radius of the roller of `axis` (counted from 1)."""
+        return per_item(self.rollers.radius_m, axis)
+
+    def gear_ratio(self, axis: int) -> float:
+        """Motor speed over roller speed."""
+        return per_item(self.rollers.gear_ratio, axis)
+
+    def motor_rad_per_m(self, axis: int) -> float:
+        """i/r: motor angle per metre of web; also web force per motor torque."""
+        return self.gear_ratio(axis) / self.radius_m(axis)
+
+    def roller_mass_kg(self, axis: int) -> float:
+        """J_roller/r²: the roller alone, at the web."""
+        return per_item(self.rollers.inertia_kg_m2, axis) / self.radius_m(axis) ** 2
+
+    def motor_mass_kg(self, axis: int) -> float:
+        """i²·J_motor/r²: the motor alone, at the web."""
+        return per_item(self.motors.inertia_kg_m2, axis) * self.motor_rad_per_m(axis) ** 2
+
+    def mass_kg(self, axis: int) -> float:
+        """m = (J_roller + i²·J_motor)/r² (design section 5)."""
+        return self.roller_mass_kg(axis) + self.motor_mass_kg(axis)
+
+    def drive_stiffness_N_per_m(self, axis: int) -> float:
+        """ki·(i/r)²: how stiffly the integral part of the velocity loop holds the roller; inf without one."""
+        ki = per_item(self.drives.velocity_ki_Nm_per_rad, axis) if self.drives else 0.0
+        return ki * self.motor_rad_per_m(axis) ** 2 if ki > 0.0 else float("inf")
+
+    def carries_web_load(self, axis: int) -> bool:
+        """Whether the tensions act on the roller of `axis`."""
+        return self.web is not None and per_item(self.web_load, axis)
+
+    def span_length_m(self, span: int) -> float:
+        """Nominal length of a span (counted from 1). Raises ValueError without a web."""
+        return per_item(self.required_web.span_length_m, span)
+
+    @property
+    def required_web(self) -> WebParameters:
+        """The web. Raises ValueError when the model is a lone axis."""
+        if self.web is None:
+            raise ValueError("the model has no web, expected 'web' in the model file")
+        return self.web
+
+    @property
+    def upstream_strain(self) -> float:
+        """Strain of the web that enters; stays what it is when E changes (0 without a web)."""
+        if self.boundary.upstream_strain is not None:
+            return self.boundary.upstream_strain
+        return self.boundary.upstream_tension_N / self.web.stiffness_N if self.web else 0.0
+
+    @property
+    def upstream_stiffness_N(self) -> float:
+        """Upstream tension per upstream strain: how F_prev follows a recorded strain."""
+        strain, tension = self.upstream_strain, self.boundary.upstream_tension_N
+        if tension > 0.0 and strain > 0.0:
+            return tension / strain
+        return self.web.stiffness_N if self.web else 0.0
+
+    def with_effects(self, *entries: EffectEntry) -> ModelParameters:
+        """The same model with further effects, validated. Raises pydantic.ValidationError."""
+        data = self.model_dump()
+        data["effects"] = [*data["effects"], *(entry.model_dump() for entry in entries)]
+        return ModelParameters.model_validate(data)
+
+
+def per_item(value: Value | list[Value], number: int) -> Value:
+    """The value for item `number` (counted from 1) of a parameter that is one for all, or a list."""
+    return value[number - 1] if isinstance(value, list) else value
+
+
+def _axis_count(web: WebParameters | None, *parts: BaseModel | None) -> int:
+    lengths = [len(value) for part in parts for _, value in part or () if isinstance(value, list)]
+    if web is not None and isinstance(web.span_length_m, list):
+        lengths.append(len(web.span_length_m) + 1)
+    return max(lengths, default=1 if web is None else 2)
+
+
+def load_model(path: str | Path) -> ModelParameters:
+    """Read a model file. Raises UnusableInputError (file, line, key, found, expected)."""
+    document = strict_yaml.load(Path(path))
+    if not isinstance(document.data, Mapping):
+        raise UnusableInputError(document.place(), "no mapping, expected a model file with the key 'rollers'")
+    return strict_yaml.validate(document, ModelParameters)
+
+
+def write_model(path: str | Path, parameters: ModelParameters) -> None:
+    """Write a model file that `load_model` reads back to an equal model. Raises UnusableInputError."""
+    data: dict[str, Any] = parameters.model_dump(mode="json", exclude_none=True, exclude_unset=True)
+    data["effects"] = [entry.model_dump(mode="json", exclude_none=True) for entry in parameters.effects]
+    text = yaml.safe_dump(data, sort_keys=False, allow_unicode=True)
+    try:
+        Path(path).write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise UnusableInputError(path, f"cannot be written ({error.strerror})") from error

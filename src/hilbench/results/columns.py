@@ -1,0 +1,28 @@
+"""Columns of a recording that are no channel: a misspelt one is not used, and nobody would see it."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+
+from hilbench.suggest import closest
+from hilbench.topology.signals import BY_NAME, unit_of
+
+
+def _without_numbers(name: str) -> str:
+    return "".join(sign for sign in name if not sign.isdigit())
+
+
+def unknown_columns(names: Collection[str]) -> list[str]:
+    """What is to be said of each: its name, and the channel that may have been meant, of those that are not there.
+
+    A name that is not in the signal list, but ends in an SI unit, is a channel as well (`hilbench.topology.signals`),
+    unless it is much like one that is missing. The same name with another number is that of another axis.
+    """
+    missing = [known for known in BY_NAME if known not in names]
+    said = []
+    for name in names:
+        meant = closest(name, [known for known in missing if _without_numbers(known) != _without_numbers(name)])
+        if name in BY_NAME or (unit_of(name) and not meant):
+            continue
+        said.append(f"'{name}'" + (f" (did you mean {meant[0]}?)" if meant else ""))
+    return said

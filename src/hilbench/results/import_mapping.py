@@ -1,0 +1,123 @@
+"""Recordings of other machines: which of their columns is which channel, by a mapping file (YAML).
+
+::
+
+    file: {delimiter: ";", decimal: ","}     # CSV only; also skip_rows, encoding
+    channels:
+      t_s: {column: "Zeit [ms]", factor: 0.001}
+      v2_m_s: {column: Bahngeschwindigkeit, factor: 0.01666667}
+      tau2_Nm: M2                            # as it is
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, field_validator
+
+from hilbench import strict_yaml
+from hilbench.errors import UnusableInputError
+from hilbench.results.recording import Recording, check_recording, read_recording
+from hilbench.suggest import did_you_mean
+from hilbench.topology.signals import BY_NAME, TIME, unit_of
+
+_CSV = (".csv", ".txt", ".tsv", ".gz")
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class TextFile(_Part):
+    """How the text file is written."""
+
+    delimiter: str = ","
+    decimal: str = Field(default=".", min_length=1, max_length=1)
+    skip_rows: int = Field(default=0, ge=0, description="lines before the header row")
+    encoding: str = "utf-8-sig"
+
+
+class Column(_Part):
+    """Where a channel comes from: value = factor · column + offset, in the channel's SI unit."""
+
+    column: str
+    factor: FiniteFloat = 1.0
+    offset: FiniteFloat = 0.0
+
+
+class ColumnMapping(_Part):
+    """The mapping file."""
+
+    file: TextFile = TextFile()
+    channels: dict[str, Column]
+
+    @field_validator("channels", mode="before")
+    @classmethod
+    def _plain_names(cls, value: Any) -> Any:
+        if not isinstance(value, dict):
+            return value
+        return {name: {"column": entry} if isinstance(entry, str) else entry for name, entry in value.items()}
+
+    @field_validator("channels")
+    @classmethod
+    def _channels_of_ours(cls, value: dict[str, Column]) -> dict[str, Column]:
+        if TIME not in value:
+            raise ValueError(f"a column for {TIME}")
+        for name in value:
+            if name not in BY_NAME and not unit_of(name):
+                meant = did_you_mean(name, BY_NAME)
+                raise ValueError(
+                    f"channels of the signal list, or names that end in an SI unit; '{name}' does not{meant}"
+                )
+        return value
+
+
+def read_foreign(path: Path, mapping_path: Path, tell: Callable[[str], None] = lambda text: None) -> Recording:
+    """Read a recording of another machine; `tell` hears which columns the mapping leaves out.
+
+    Raises UnusableInputError: file, what was found, what was expected.
+    """
+    mapping = strict_yaml.validate(strict_yaml.load(mapping_path), ColumnMapping)
+    columns = _columns(path, mapping.file)
+    channels = {}
+    for name, source in sorted(mapping.channels.items(), key=lambda item: item[0] != TIME):
+        if source.column not in columns:
+            meant = did_you_mean(source.column, columns)
+            raise UnusableInputError(
+                path, f"no column '{source.column}' for {name}, expected among {', '.join(columns)}{meant}"
+            )
+        channels[name] = source.factor * columns[source.column] + source.offset
+    left_out = [name for name in columns if name not in {source.column for source in mapping.channels.values()}]
+    if left_out:
+        tell(f"columns that {mapping_path} does not name: {', '.join(left_out)}")
+    recording = Recording(channels, comment=f"from {path.name}")
+    check_recording(recording, path)
+    return recording
+
+
+def _columns(path: Path, file: TextFile) -> dict[str, NDArray[np.float64]]:
+    if path.suffix.lower() not in _CSV:
+        recording = read_recording(path)
+        return {name: np.asarray(values, np.float64) for name, values in recording.channels.items()}
+    import pandas
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            table = pandas.read_csv(
+                path, sep=file.delimiter, decimal=file.decimal, skiprows=file.skip_rows, encoding=file.encoding
+            )
+    except (OSError, ValueError, LookupError) as error:  # pandas' parser errors are ValueErrors
+        raise UnusableInputError(path, f"cannot be read as a table ({' '.join(str(error).split())})") from error
+    columns = {}
+    for name in table.columns:
+        try:
+            columns[str(name).strip()] = table[name].to_numpy(np.float64)
+        except ValueError:
+            continue  # text: no channel; asked for, it is missing
+    return columns

@@ -1,0 +1,85 @@
+"""``journal.log``: what the bench did and no frame says, one JSON object per line, written as it happens."""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import asdict
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from pydantic import TypeAdapter, ValidationError
+
+from hilbench.bench.operator.change import Change
+from hilbench.errors import BenchFaultError, UnusableInputError
+
+_CHANGE = TypeAdapter(Change)
+_LONGEST_LINE = 512
+
+
+class JournalWriter:
+    """Hands each change to the operating system at once, so that it survives the end of the process (``kill -9``).
+
+    `path` must not exist yet. Raises UnusableInputError if it cannot be created.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        try:
+            self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND | os.O_CLOEXEC, 0o666)
+        except OSError as error:
+            raise UnusableInputError(
+                path, f"cannot be created ({error.strerror}), expected a new file in a writable folder"
+            ) from error
+
+    def write(self, change: Change) -> None:
+        """Add one change. Raises BenchFaultError (disk full, …)."""
+        line = (json.dumps(asdict(change), separators=(",", ":")) + "\n").encode()
+        try:
+            written = os.write(self._file, line)
+        except OSError as error:
+            raise BenchFaultError(f"{self.path}: the journal cannot be written ({error.strerror})") from error
+        if written != len(line):
+            raise BenchFaultError(f"{self.path}: the journal cannot be written (no space left)")
+
+    def close(self) -> None:
+        """Close the file. Calling it twice is no error."""
+        if self._file >= 0:
+            os.close(self._file)
+            self._file = -1
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+def read_journal(path: Path) -> list[Change]:
+    """All changes in their order; a last line that a crash cut off is left out.
+
+    Raises UnusableInputError with file and line on anything that is no change.
+    """
+    changes: list[Change] = []
+    try:
+        with open(path, "rb") as file:
+            number = 0
+            while line := file.readline(_LONGEST_LINE):
+                number += 1
+                if not line.endswith(b"\n") and not file.read(1):
+                    break
+                changes.append(_change(line, f"{path}:{number}"))
+    except OSError as error:
+        raise UnusableInputError(path, f"cannot be read ({error.strerror}), expected a run's journal") from error
+    return changes
+
+
+def _change(line: bytes, place: str) -> Change:
+    try:
+        return _CHANGE.validate_json(line)
+    except ValidationError:
+        found = line[:60].decode("latin-1").strip()
+        raise UnusableInputError(place, f"'{found}', expected a change of the bench as one JSON object") from None

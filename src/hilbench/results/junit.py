@@ -1,0 +1,51 @@
+"""`result.xml`: the verdict of a run as JUnit XML, one test case a criterion, for CI servers."""
+
+from __future__ import annotations
+
+from datetime import datetime
+from pathlib import Path
+from xml.etree import ElementTree
+
+from hilbench.errors import UnusableInputError
+from hilbench.results.result import Result
+from hilbench.runs.criteria import CriterionResult
+
+
+def write_junit(result: Result, name: str, started: datetime, path: Path) -> None:
+    """Write it; `name` is the bench's. Raises UnusableInputError if it cannot be written."""
+    suite = ElementTree.Element("testsuite", name=name, timestamp=started.strftime("%Y-%m-%dT%H:%M:%S"))
+    for criterion in result.criteria:
+        _add_criterion(suite, name, criterion)
+    _add_run(suite, name, result)
+    bus_s = result.timing.cycles * result.timing.cycle_us * 1e-6
+    suite.set("time", f"{bus_s:.3f}")
+    suite.set("tests", str(len(suite)))
+    for kind in ("failure", "error"):
+        suite.set(kind + "s", str(len(suite.findall(f"testcase/{kind}"))))
+    ElementTree.indent(suite)
+    try:
+        path.write_bytes(ElementTree.tostring(suite, encoding="utf-8", xml_declaration=True) + b"\n")
+    except OSError as error:
+        raise UnusableInputError(
+            path, f"cannot be written ({error.strerror}), expected a file in a writable folder"
+        ) from error
+
+
+def _add_criterion(suite: ElementTree.Element, name: str, criterion: CriterionResult) -> None:
+    case = ElementTree.SubElement(suite, "testcase", classname=name, name=criterion.name)
+    value = "no value" if criterion.value is None else f"{criterion.value:.6g} {criterion.unit}".strip()
+    text = f"{value}, limit {criterion.limit} {criterion.unit}".strip()
+    if criterion.verdict == "error":
+        ElementTree.SubElement(case, "error", message=criterion.reason or text)
+    elif criterion.verdict == "failed":
+        ElementTree.SubElement(case, "failure", message=f"{text}: {criterion.reason}" if criterion.reason else text)
+    else:
+        ElementTree.SubElement(case, "system-out").text = text + (", marginal" if criterion.marginal else "")
+
+
+def _add_run(suite: ElementTree.Element, name: str, result: Result) -> None:
+    """The run itself: a fault is an error of the bench, whatever the criteria say."""
+    case = ElementTree.SubElement(suite, "testcase", classname=name, name="the run ends without a fault")
+    for fault in result.faults:
+        when = "" if fault.time_s is None else f"t = {fault.time_s:g} s, "
+        ElementTree.SubElement(case, "error", message=f"{when}{fault.source}: {fault.text}")

@@ -1,0 +1,128 @@
+"""Where a run comes from: what was overridden, which commit its config is of, on which host, with which EDS files."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import platform
+import subprocess
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any, Self
+
+from pydantic import BaseModel, ConfigDict
+
+from hilbench import strict_yaml
+from hilbench.bench.lifecycle.participants import Participants
+from hilbench.errors import UnusableInputError
+from hilbench.topology.config import BenchConfig
+
+_GIT_TIMEOUT_S = 5.0
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Override(_Part):
+    """A value of the config that an option gave: ``pace`` is ``realtime`` by ``--pace``."""
+
+    key: str
+    value: Any
+    option: str
+
+
+class Commit(_Part):
+    """The git commit that is checked out where the config lies; `changed`: files of it differ from the commit, or the
+    config itself is not part of it."""
+
+    commit: str
+    changed: bool
+
+
+class EdsFile(_Part):
+    """An EDS or DCF file as it was when the run began, and the nodes it was used for."""
+
+    file: str
+    sha256: str
+    nodes: list[str]
+
+
+class Provenance(_Part):
+    """Where a run comes from. `participants`: who brought the simulated hardware and the twin; `git` is None where the
+    config is in no checkout."""
+
+    config: str
+    host: str
+    participants: str
+    overridden: list[Override]
+    git: Commit | None
+    eds: list[EdsFile]
+
+    @classmethod
+    def of(cls, config: BenchConfig, document: strict_yaml.Document, participants: Participants) -> Self:
+        """Of a run that is about to start. Raises UnusableInputError for an EDS file that has gone."""
+        return cls(
+            config=str(document.path),
+            host=platform.node(),
+            participants=participants.value,
+            overridden=overridden(document),
+            git=commit_of(document.path),
+            eds=list(_eds_files(config)),
+        )
+
+
+def overridden(document: strict_yaml.Document) -> list[Override]:
+    """The values that options gave, by their keys."""
+    return [
+        Override(key=".".join(map(str, location)), value=_value(document.data, location), option=place.split(" ")[0])
+        for location, place in document.places.items()
+        if place.startswith("--")
+    ]
+
+
+def _value(data: Any, location: Iterable[str | int]) -> Any:
+    for key in location:
+        data = data[key]
+    return data
+
+
+def commit_of(path: Path) -> Commit | None:
+    """The commit that is checked out at a file; None outside of a checkout, or without git."""
+    commit = _git(path, "rev-parse", "--verify", "HEAD")
+    if commit is None:
+        return None
+    status = _git(path, "status", "--porcelain", "--untracked-files=no")
+    tracked = _git(path, "ls-files", "--error-unmatch", "--", path.resolve().name) is not None
+    return Commit(commit=commit.strip(), changed=status is None or bool(status.strip()) or not tracked)
+
+
+def _git(path: Path, *words: str) -> str | None:
+    """What git says in the folder of a file; it writes nothing there, and runs nothing that the checkout names."""
+    command = ["git", "-c", "core.fsmonitor=false", "-C", str(path.resolve().parent), *words]
+    environment = {**os.environ, "GIT_OPTIONAL_LOCKS": "0"}
+    try:
+        done = subprocess.run(
+            command,
+            capture_output=True,
+            text=True,
+            errors="replace",
+            timeout=_GIT_TIMEOUT_S,
+            env=environment,
+            check=False,
+        )
+    except (OSError, subprocess.TimeoutExpired):
+        return None
+    return done.stdout if done.returncode == 0 else None
+
+
+def _eds_files(config: BenchConfig) -> Iterable[EdsFile]:
+    nodes: dict[Path, list[str]] = {}
+    for name, node in config.nodes:
+        nodes.setdefault(Path(node.eds), []).append(name)
+    for file, names in nodes.items():
+        try:
+            content = file.read_bytes()
+        except OSError as error:
+            raise UnusableInputError(file, f"cannot be read ({error.strerror}), expected an EDS file") from error
+        yield EdsFile(file=str(file), sha256=hashlib.sha256(content).hexdigest(), nodes=names)

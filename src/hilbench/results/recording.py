@@ -1,0 +1,537 @@
+"""A recording: channels with one time base, as MDF4 (``.mf4``), CSV (``.csv``, ``.csv.gz``, a header row) or Parquet.
+
+Channel names, units and descriptions are those of `hilbench.topology.signals`; a channel that is not in that list is
+kept, its unit read from its name's suffix. Numbers survive every format exactly (CSV uses the shortest text that
+reads back as the same binary64 number).
+"""
+
+from __future__ import annotations
+
+import gc
+import gzip
+import io
+import logging
+import os
+import struct
+import sys
+import warnings
+import zlib
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, redirect_stdout
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilbench.errors import UnusableInputError
+from hilbench.suggest import did_you_mean
+from hilbench.topology.signals import BY_NAME, TIME, unit_of
+
+#: Start time written into an MDF4 file when none is given, so that equal samples make equal files.
+NO_START_TIME = datetime(2000, 1, 1, tzinfo=UTC)
+
+#: Samples from which on there is something to draw or to evaluate; a run that ended earlier leaves no recording.
+LEAST_SAMPLES = 2
+
+_FORMATS = "expected a recording: .mf4, .csv, .csv.gz or .parquet"
+_BLOCK_ROWS = 8192
+#: The most that deflate can shrink data (RFC 1951: 258 bytes by two bits), and a little.
+_DEFLATE_MOST = 1040
+_MDF_HEAD_BYTES = 64 + 104  # identification block and header block (ASAM MDF 4: IDBLOCK, HDBLOCK)
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Named one-dimensional arrays over one strictly increasing time base.
+
+    `channels` holds the time channel ``t_s`` (s) too, always first. `start_time` is when the run began, if known;
+    `comment` is free text.
+    """
+
+    channels: Mapping[str, NDArray[Any]]
+    start_time: datetime | None = None
+    comment: str = ""
+    units: Mapping[str, str] = field(default_factory=dict)
+
+    def __getitem__(self, name: str) -> NDArray[Any]:
+        return self.channels[name]
+
+    def __contains__(self, name: object) -> bool:
+        return name in self.channels
+
+    def __len__(self) -> int:
+        """Number of samples."""
+        return len(self.channels[TIME])
+
+    @property
+    def time_s(self) -> NDArray[np.float64]:
+        """The time base, shape (samples,), s."""
+        return np.asarray(self.channels[TIME], np.float64)
+
+    def unit(self, name: str) -> str:
+        """Unit of a channel, "" for a pure number."""
+        return self.units.get(name) or unit_of(name)
+
+    def to_pandas(self) -> Any:
+        """The channels as a pandas DataFrame over ``t_s``; their units stand in its ``attrs["units"]``."""
+        import pandas
+
+        frame = pandas.DataFrame({name: values for name, values in self.channels.items() if name != TIME})
+        frame.index = pandas.Index(self.time_s, name=TIME)
+        frame.attrs["units"] = {name: self.unit(name) for name in self.channels}
+        return frame
+
+    def to_xarray(self) -> Any:
+        """The channels as an xarray Dataset over ``t_s``; units stand where plots look for them, in ``attrs["units"]``.
+
+        Needs xarray: ``pip install hilbench[xarray]``.
+        """
+        import xarray
+
+        channels = {
+            name: (TIME, values, {"units": self.unit(name)}) for name, values in self.channels.items() if name != TIME
+        }
+        time = {TIME: (TIME, self.time_s, {"units": self.unit(TIME)})}
+        return xarray.Dataset(channels, time, {"description": self.comment})
+
+    def require(self, names: Sequence[str], place: str | Path) -> None:
+        """Raise UnusableInputError, naming `place`, unless all these channels are there and finite everywhere."""
+        missing = [name for name in names if name not in self.channels]
+        if missing:
+            meant = did_you_mean(missing[0], [name for name in self.channels if name not in BY_NAME])
+            raise UnusableInputError(
+                place, f"channel {', '.join(missing)} missing, expected beside {', '.join(self.channels)}{meant}"
+            )
+        for name in names:
+            finite = np.isfinite(np.asarray(self.channels[name], np.float64))
+            if not finite.all():
+                count, first = int((~finite).sum()), int(np.argmin(finite))
+                raise UnusableInputError(
+                    place,
+                    f"channel {name} has {count} value(s) that are no finite number, the first in sample {first + 1}"
+                    f" (t = {self.time_s[first]:g} s), expected none",
+                )
+
+
+class RecordingBuilder:
+    """Collects one row a cycle, cheaply and without ever copying what is there.
+
+    `names` are the channels in the order of a row; the first must be ``t_s``. `expected_rows` are allocated and
+    touched at once, so that a run of that length allocates nothing; a longer run goes on in further blocks.
+    """
+
+    def __init__(self, names: Sequence[str], expected_rows: int = _BLOCK_ROWS) -> None:
+        if not names or names[0] != TIME or len(set(names)) != len(names):
+            raise ValueError(f"channels {list(names)}: expected distinct names, {TIME} first")
+        self.names = tuple(names)
+        self._row = struct.Struct(f"={len(names)}d")
+        self._full: list[NDArray[np.float64]] = []
+        self._open_block(max(expected_rows, 1))
+
+    def _open_block(self, rows: int) -> None:
+        self._block = np.full((rows, len(self.names)), np.nan)
+        self._bytes = self._block.data.cast("B")
+        self._offset = 0
+
+    def append(self, row: Sequence[float]) -> None:
+        """Add one sample: a value per channel. Raises struct.error if the row has another length."""
+        if self._offset == len(self._bytes):
+            self._full.append(self._block)
+            self._open_block(_BLOCK_ROWS)
+        self._row.pack_into(self._bytes, self._offset, *row)
+        self._offset += self._row.size
+
+    def __len__(self) -> int:
+        """Number of samples so far."""
+        return sum(map(len, self._full)) + self._offset // self._row.size
+
+    def build(self, start_time: datetime | None = None, comment: str = "") -> Recording:
+        """What was recorded so far, as a copy; counts and bit fields become integers where every sample is one."""
+        rows = np.concatenate([*self._full, self._block[: self._offset // self._row.size]])
+        channels = {name: _typed(name, np.ascontiguousarray(rows[:, column])) for column, name in enumerate(self.names)}
+        return Recording(channels, start_time, comment)
+
+
+def _typed(name: str, values: NDArray[np.float64]) -> NDArray[Any]:
+    if name in BY_NAME and BY_NAME[name].integer and np.isfinite(values).all():
+        integers = values.astype(np.int64)
+        if (integers == values).all() and (integers >= 0).all() and (integers < 2**32).all():
+            return integers.astype(np.uint32)
+    return values
+
+
+# -- writing ---------------------------------------------------------------------------------------------------------
+
+
+def write_recording(recording: Recording, path: Path) -> None:
+    """Write a recording in the format that the file name asks for; the file appears complete or not at all.
+
+    Equal recordings give equal files, byte for byte, with the same versions of the libraries.
+    Raises UnusableInputError for another suffix or a file that cannot be written.
+    """
+    path = Path(path)
+    kind = _kind(path)
+    partial = path.with_name(f".{os.getpid()}.{path.name}")
+    try:
+        try:
+            _WRITERS[kind](recording, partial)
+            partial.replace(path)
+        finally:
+            partial.unlink(missing_ok=True)
+    except OSError as error:
+        raise UnusableInputError(
+            path, f"cannot be written ({error.strerror}), expected a file in a writable folder"
+        ) from error
+
+
+def _write_mdf(recording: Recording, path: Path) -> None:
+    asammdf = _asammdf()
+    from asammdf.blocks.v4_blocks import FileHistory
+
+    start = recording.start_time or NO_START_TIME
+    time_s = recording.time_s
+    with asammdf.MDF(version="4.10") as mdf:
+        mdf.start_time = start
+        mdf.header.comment = recording.comment
+        history = FileHistory()
+        history.comment = "<FHcomment><TX>recorded</TX><tool_id>hilbench</tool_id></FHcomment>"
+        history.time_stamp = start
+        mdf.file_history = [history]
+        for group, names in _groups(recording).items():
+            signals = [
+                asammdf.Signal(
+                    samples=np.asarray(recording.channels[name]),
+                    timestamps=time_s,
+                    name=name,
+                    unit=recording.unit(name),
+                    comment=BY_NAME[name].description if name in BY_NAME else "",
+                    master_metadata=(TIME, 1),
+                )
+                for name in names
+            ]
+            mdf.append(signals, acq_name=group, comment=group, common_timebase=True)
+        # Transposed deflate: the samples of one channel lie together, which halves the file.
+        mdf.save(path, overwrite=True, compression=2, add_history_block=False)
+
+
+def _groups(recording: Recording) -> dict[str, list[str]]:
+    groups: dict[str, list[str]] = {}
+    for name in recording.channels:
+        if name != TIME:
+            groups.setdefault(BY_NAME[name].group if name in BY_NAME else "other", []).append(name)
+    return groups
+
+
+def _write_csv(recording: Recording, path: Path) -> None:
+    def lines(file: IO[bytes]) -> None:
+        file.write((",".join(recording.channels) + "\n").encode())
+        columns = [np.asarray(values).tolist() for values in recording.channels.values()]
+        for row in zip(*columns, strict=True):
+            file.write((",".join(map(repr, row)) + "\n").encode())
+
+    with open(path, "wb") as raw:
+        if path.suffix == ".gz":
+            with gzip.GzipFile(filename="", mode="wb", fileobj=raw, mtime=0, compresslevel=6) as packed:
+                lines(packed)  # type: ignore[arg-type]
+        else:
+            lines(raw)
+
+
+def _write_parquet(recording: Recording, path: Path) -> None:
+    pyarrow, parquet = _pyarrow(path)
+    fields = [
+        pyarrow.field(name, pyarrow.from_numpy_dtype(np.asarray(values).dtype), metadata={"unit": recording.unit(name)})
+        for name, values in recording.channels.items()
+    ]
+    about = {"comment": recording.comment}
+    if recording.start_time is not None:
+        about["start_time"] = recording.start_time.isoformat()
+    schema = pyarrow.schema(fields, metadata=about)
+    arrays = [pyarrow.array(np.asarray(values)) for values in recording.channels.values()]
+    parquet.write_table(pyarrow.Table.from_arrays(arrays, schema=schema), path, compression="zstd")
+
+
+def _pyarrow(path: Path) -> tuple[Any, Any]:
+    try:
+        import pyarrow
+        from pyarrow import parquet
+    except ImportError as error:
+        raise UnusableInputError(path, "Parquet needs pyarrow, expected hilbench[parquet] to be installed") from error
+    return pyarrow, parquet
+
+
+_WRITERS = {".mf4": _write_mdf, ".csv": _write_csv, ".csv.gz": _write_csv, ".parquet": _write_parquet}
+
+
+# -- reading ---------------------------------------------------------------------------------------------------------
+
+
+def read_recording(path: Path, required: Sequence[str] = ()) -> Recording:
+    """Read a recording and check it.
+
+    The time must be finite and strictly increasing, and every channel in `required` there and finite; other
+    channels may hold NaN (a value not known yet). Channels come as one-dimensional arrays, ``t_s`` first.
+    Raises UnusableInputError, one line: file, line or sample, what was found and expected.
+    """
+    path = Path(path)
+    recording = _READERS[_kind(path)](path)
+    check_recording(recording, path)
+    recording.require(required, path)
+    return recording
+
+
+def check_recording(recording: Recording, place: Path) -> None:
+    """Raise UnusableInputError, naming `place`, unless the time is there, finite and strictly increasing."""
+    if TIME not in recording:
+        recording.require([TIME], place)
+    _check_time(recording.time_s, place)
+
+
+def _kind(path: Path) -> str:
+    suffixes = path.name.lower()
+    for kind in _WRITERS:
+        if suffixes.endswith(kind):
+            return kind
+    raise UnusableInputError(path, f"file name '{path.name}', {_FORMATS}")
+
+
+def _check_time(time_s: NDArray[np.float64], path: Path) -> None:
+    if len(time_s) < LEAST_SAMPLES:
+        raise UnusableInputError(path, f"{len(time_s)} sample(s), expected at least {LEAST_SAMPLES}")
+    finite = np.isfinite(time_s)
+    if not finite.all():
+        raise UnusableInputError(
+            path, f"{TIME} of sample {int(np.argmin(finite)) + 1} is no finite number, expected a time in s"
+        )
+    steps = np.diff(time_s)
+    if not (steps > 0).all():
+        at = int(np.argmin(steps > 0))
+        raise UnusableInputError(
+            path,
+            f"{TIME} goes from {time_s[at]:g} s to {time_s[at + 1]:g} s in sample {at + 2},"
+            " expected a strictly increasing time",
+        )
+
+
+def _asammdf() -> Any:
+    """The MDF library, imported when first needed: it takes half a second."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        import asammdf
+    return asammdf
+
+
+def _read_mdf(path: Path) -> Recording:
+    _check_mdf_head(path)
+    asammdf = _asammdf()
+    with _tracebacks_dropped():
+        try:
+            with asammdf.MDF(path) as mdf:
+                _check_mdf_blocks(mdf, path)
+                return _mdf_channels(mdf, path)
+        except (UnusableInputError, MemoryError):
+            raise
+        except Exception as error:  # asammdf raises whatever its parser stumbles over: struct.error, KeyError, …
+            found = _one_line(error)
+        gc.collect()  # what it had half made
+    raise UnusableInputError(path, f"not a readable MDF4 file ({found})")
+
+
+@contextmanager
+def _tracebacks_dropped() -> Iterator[None]:
+    """Of a damaged file asammdf prints tracebacks, too: on standard output, by its logger, and when half-made objects
+    are let go."""
+    logger, hook = logging.getLogger("asammdf"), sys.unraisablehook
+    logger.disabled, disabled = True, logger.disabled
+    sys.unraisablehook = lambda _: None
+    try:
+        with redirect_stdout(io.StringIO()):
+            yield
+    finally:
+        logger.disabled, sys.unraisablehook = disabled, hook
+
+
+def _check_mdf_head(path: Path) -> None:
+    """Refuse early what the library's destructor would answer with a traceback on standard error."""
+    try:
+        with open(path, "rb") as file:
+            head = file.read(_MDF_HEAD_BYTES)
+            size = os.fstat(file.fileno()).st_size
+    except OSError as error:
+        raise UnusableInputError(path, f"cannot be read ({error.strerror}), {_FORMATS}") from error
+    if not head.startswith(b"MDF     4.") or len(head) < _MDF_HEAD_BYTES:
+        raise UnusableInputError(path, f"not an MDF file of version 4, {_FORMATS}")
+    if any(link >= size for link in struct.unpack_from("<6Q", head, 64 + 24)):  # links of the header block
+        raise UnusableInputError(path, f"cut off after {size} bytes, expected a whole MDF file")
+    _check_mdf_lists(path, struct.unpack_from("<2Q", head, 64 + 24))
+
+
+def _check_mdf_lists(path: Path, first: Sequence[int]) -> None:
+    """Refuse lists of blocks that never end: the library follows a block's first link for ever.
+
+    `first`: the first data group and the first entry of the file history. Data groups lead to channel groups, and these
+    to channels, by their second link.
+    """
+    seen: set[int] = set()
+    waiting = list(first)
+    size = path.stat().st_size
+    with open(path, "rb") as file:
+        while waiting:
+            address = waiting.pop()
+            if address == 0:
+                continue
+            if address in seen:
+                raise UnusableInputError(
+                    path, f"a list of blocks comes back to byte {address}, expected a whole MDF file"
+                )
+            seen.add(address)
+            if address >= size:
+                continue  # the library says what is missing
+            file.seek(address)
+            block = file.read(24 + 16)
+            if len(block) == 24 + 16:
+                following, inner = struct.unpack_from("<2Q", block, 24)
+                waiting += [following, inner] if block[:4] in (b"##DG", b"##CG") else [following]
+
+
+def _check_mdf_blocks(mdf: Any, path: Path) -> None:
+    """Refuse sizes that can't be: the library's compiled part takes them as they are, and reads and writes by them."""
+    size = path.stat().st_size
+    for group in mdf.groups:
+        info = group.channel_group
+        record_bytes = info.samples_byte_nr + info.invalidation_bytes_nr
+        blocks = list(group.get_data_blocks())
+        if any(
+            block.address + block.compressed_size > size or block.original_size > _DEFLATE_MOST * block.compressed_size
+            for block in blocks
+        ):
+            raise UnusableInputError(path, "a data block is larger than the file, expected a whole MDF file")
+        if sum(block.original_size for block in blocks) != info.cycles_nr * record_bytes:
+            raise UnusableInputError(
+                path, f"the data are not those of {info.cycles_nr} samples, expected a whole MDF file"
+            )
+        for channel in group.channels:
+            if channel.byte_offset + (channel.bit_offset + channel.bit_count + 7) // 8 > record_bytes:
+                raise UnusableInputError(
+                    path, f"channel {channel.name} is outside its record, expected a whole MDF file"
+                )
+
+
+def _mdf_channels(mdf: Any, path: Path) -> Recording:
+    channels: dict[str, NDArray[Any]] = {}
+    units: dict[str, str] = {}
+    for signal in mdf.iter_channels(skip_master=True):
+        if signal.samples.ndim != 1 or signal.samples.dtype.kind not in "fiu":
+            continue  # text and structures are no channels of ours
+        if TIME not in channels:
+            channels[TIME] = np.array(signal.timestamps, np.float64)
+        elif not np.array_equal(channels[TIME], signal.timestamps):
+            raise UnusableInputError(path, f"channel {signal.name} has a time base of its own, expected one for all")
+        if signal.name in channels and signal.name != TIME:
+            raise UnusableInputError(path, f"channel {signal.name} is there twice, expected once")
+        if signal.name != TIME:
+            channels[signal.name] = np.array(signal.samples)
+            units[signal.name] = signal.unit
+    start = mdf.start_time.astimezone(UTC)
+    return Recording(channels, None if start == NO_START_TIME else start, mdf.header.description or "", units)
+
+
+def _read_csv(path: Path) -> Recording:
+    try:
+        with _open_text(path) as file:
+            names = _header(path, file.readline())
+            rows = _rows(path, file, len(names))
+    except (OSError, EOFError, zlib.error, UnicodeDecodeError) as error:
+        if isinstance(error, OSError) and error.strerror:
+            reason = error.strerror
+        else:
+            reason = "not UTF-8 text" if isinstance(error, UnicodeDecodeError) else _one_line(error)
+        raise UnusableInputError(path, f"cannot be read ({reason}), {_FORMATS}") from error
+    columns = {name: _typed(name, np.ascontiguousarray(rows[:, index])) for index, name in enumerate(names)}
+    ordered = {TIME: columns.pop(TIME), **columns} if TIME in columns else columns
+    return Recording(ordered)
+
+
+def _read_parquet(path: Path) -> Recording:
+    pyarrow, parquet = _pyarrow(path)
+    try:
+        table = parquet.read_table(path)
+    except (OSError, pyarrow.ArrowException) as error:
+        raise UnusableInputError(path, f"not a readable Parquet file ({_one_line(error)})") from error
+    columns = {
+        field.name: np.ascontiguousarray(table[field.name].to_numpy())
+        for field in table.schema
+        if pyarrow.types.is_floating(field.type) or pyarrow.types.is_integer(field.type)
+    }
+    ordered = {TIME: columns.pop(TIME), **columns} if TIME in columns else columns
+    units = {
+        field.name: field.metadata[b"unit"].decode()
+        for field in table.schema
+        if field.metadata and b"unit" in field.metadata
+    }
+    about = {key.decode(): value.decode() for key, value in (table.schema.metadata or {}).items()}
+    start = datetime.fromisoformat(about["start_time"]) if "start_time" in about else None
+    return Recording(ordered, start, about.get("comment", ""), units)
+
+
+def _open_text(path: Path) -> IO[str]:
+    if path.suffix.lower() == ".gz":
+        return gzip.open(path, "rt", encoding="utf-8-sig", newline=None)
+    return open(path, encoding="utf-8-sig")
+
+
+def _header(path: Path, line: str) -> list[str]:
+    names = [name.strip().strip('"') for name in line.rstrip("\n").split(",")]
+    place = f"{path}:1"
+    if any(not name or name[0].isdigit() or name[0] in "-+." for name in names):
+        raise UnusableInputError(place, f"'{line.strip()[:60]}', expected a row of channel names separated by commas")
+    for position, name in enumerate(names):
+        if name in names[:position]:
+            raise UnusableInputError(place, f"channel {name} is there twice, expected once")
+    return names
+
+
+def _rows(path: Path, file: IO[str], width: int) -> NDArray[np.float64]:
+    """The numbers below the header, shape (samples, width)."""
+    lines = file.readlines()
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # "no data": said better by the check of the time
+            rows = np.loadtxt(lines, delimiter=",", ndmin=2, comments=None)
+    except ValueError as error:
+        raise UnusableInputError(*_bad_line(path, lines, width)) from error
+    if not rows.size:
+        return np.empty((0, width))
+    if rows.shape[1] != width:
+        raise UnusableInputError(f"{path}:2", f"{rows.shape[1]} values, expected {width} as in the header")
+    return np.asarray(rows, np.float64)
+
+
+def _bad_line(path: Path, lines: Sequence[str], width: int) -> tuple[str, str]:
+    for number, problem in _problems(lines, width):
+        return f"{path}:{number}", problem
+    return str(path), "not readable as numbers, expected a table separated by commas"
+
+
+def _problems(lines: Sequence[str], width: int) -> Iterator[tuple[int, str]]:
+    for number, line in enumerate(lines, start=2):
+        if not line.strip():
+            continue
+        fields = line.rstrip("\n").split(",")
+        if len(fields) != width:
+            yield number, f"{len(fields)} values, expected {width} as in the header"
+        for position, text in enumerate(fields):
+            try:
+                float(text)
+            except ValueError:
+                yield number, f"value {position + 1} is '{text.strip()[:40]}', expected a number"
+
+
+def _one_line(error: BaseException) -> str:
+    return " ".join(str(error).split())[:200] or type(error).__name__
+
+
+_READERS = {".mf4": _read_mdf, ".csv": _read_csv, ".csv.gz": _read_csv, ".parquet": _read_parquet}

@@ -1,0 +1,298 @@
+"""What a run that was cut off (``kill -9``, power, a full disk) could not write, rebuilt from what it left.
+
+The trace has every frame up to the last cycle or two, so what was measured and commanded is decoded from it as the
+bench did; the web that the load motor imitated is computed anew from the measured motion. What no frame says (when
+the experiment began, set-points, changes of the imitated web) is in the journal. Commands come back as the drives
+were told them, in their units' resolution; all else is exactly what the run had.
+"""
+
+from __future__ import annotations
+
+import fcntl
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from math import nan
+from operator import attrgetter
+from pathlib import Path
+
+from hilbench.bench.operator.change import Change
+from hilbench.bench.operator.operator_objects import answer_id
+from hilbench.bench.tasks.load_model import LoadModel
+from hilbench.bench.tasks.twin_trust import TwinTrust
+from hilbench.can.frame import Frame
+from hilbench.can.wire import frame_bits
+from hilbench.cia402.configuration import default_reader
+from hilbench.cia402.state_machine import State
+from hilbench.cia402.units import DriveUnits
+from hilbench.errors import BenchFaultError, UnusableInputError
+from hilbench.exchange.cycle import SYNC_COB_ID
+from hilbench.exchange.nodes import Nodes
+from hilbench.results.journal import read_journal
+from hilbench.results.junit import write_junit
+from hilbench.results.recording import LEAST_SAMPLES, Recording, RecordingBuilder, write_recording
+from hilbench.results.result import Environment, Fault, Result, Timing
+from hilbench.results.run_folder import RunFolder
+from hilbench.results.trace import TraceReader
+from hilbench.runs.config import ExperimentConfig, load
+from hilbench.runs.criteria import evaluate
+from hilbench.runs.events import journal_events
+from hilbench.runs.metrics import judge
+from hilbench.topology import quantities
+from hilbench.topology.config import BenchConfig
+from hilbench.topology.sample import CycleSample
+from hilbench.topology.signals import SIGNALS
+
+_SDO_ANSWER = 0x580
+_NANOSECOND = 1e-9
+
+
+@dataclass
+class _Cycle:
+    """The frames of one cycle: what the bench sent and received before its SYNC, and what it received after it."""
+
+    sent: list[Frame] = field(default_factory=list)
+    late: list[Frame] = field(default_factory=list)
+    sync: Frame | None = None
+    received: list[Frame] = field(default_factory=list)
+
+
+@dataclass
+class Recovery:
+    """What was rebuilt, and what was found."""
+
+    recording: Recording
+    started: datetime  #: time of the first SYNC
+    cycles: int
+    bits: int
+    missed: int
+    fault: str  #: what ended the run as far as its frames show it, "" for nothing
+    torn: bool  #: the trace ends in the middle of a line
+
+
+def recover_run(folder: RunFolder) -> list[Path]:
+    """Write the recording and the result that a run folder lacks; returns what was written.
+
+    Raises UnusableInputError when there is nothing to recover, or nothing to recover it from.
+    """
+    if folder.recording.exists():
+        raise UnusableInputError(folder.recording, "there already, expected a run without recording")
+    _require_ended(folder.trace)
+    config, _ = load(folder.config)
+    found = replay(config, folder)
+    write_recording(found.recording, folder.recording)
+    written = [folder.recording]
+    if not folder.result.exists():
+        result = _result(config, found, read_journal(folder.journal) if folder.journal.exists() else [])
+        result.write(folder.result)
+        write_junit(result, config.name, found.started, folder.junit)
+        written += [folder.result, folder.junit]
+    return written
+
+
+def _require_ended(trace: Path) -> None:
+    try:
+        with open(trace, "rb") as file:
+            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        raise UnusableInputError(trace, "still being written, expected the trace of a run that has ended") from None
+    except OSError as error:
+        raise UnusableInputError(trace, f"cannot be read ({error.strerror}), expected a trace") from error
+
+
+def _result(config: ExperimentConfig, found: Recovery, changes: list[Change]) -> Result:
+    judged = judge(found.recording.channels, journal=journal_events(changes, config.cycle_time_s))
+    metrics = judged.metrics()
+    timing = Timing(
+        pace=config.pace,
+        cycle_us=config.cycle_time_s * 1e6,
+        cycles=found.cycles,
+        missed=found.missed,
+        jitter_us=None,
+        realtime_factor=None,
+        bus_load_pct=100.0 * found.bits / (config.bus.bitrate * config.cycle_time_s * found.cycles),
+    )
+    ended = "the run was cut off; recovered from trace.log" + (f"; {found.fault}" if found.fault else "")
+    fault = Fault(time_s=float(found.recording.time_s[-1]), source="bench", text=ended)
+    criteria = evaluate(config.criteria, metrics, judged)
+    return Result.of(criteria, metrics, timing, [fault], Environment.here(config.seed), judged=judged)
+
+
+def replay(config: BenchConfig, folder: RunFolder) -> Recovery:
+    """Decode the frames of a run as its bench did. Raises UnusableInputError for a trace that shows no two cycles."""
+    nodes = Nodes(config)
+    reader = TraceReader(folder.trace)
+    own = {cob_id for cob_id, _ in _own_frames(nodes)} | {0x700 + config.master.node_id, answer_id(config)}
+    cycles = _cycles(reader, own, nodes.axis1.pdos.rpdo.cob_id)
+    configuration = next(cycles, _Cycle())
+    _take_units(nodes, configuration.received)
+    changes = read_journal(folder.journal) if folder.journal.exists() else None
+    decoder = _Decoder(config, nodes, changes)
+    bits, count, missed, last_ns, first_ns = 0, 0, 0, 0, 0
+    fault = ""
+    for cycle in _complete(cycles, nodes):
+        assert cycle.sync is not None, "only the configuration has none"
+        count += 1
+        gap = round((cycle.sync.time_ns - last_ns) * _NANOSECOND / config.cycle_time_s) if last_ns else 1
+        missed += max(0, gap - 1)
+        last_ns = cycle.sync.time_ns
+        first_ns = first_ns or last_ns
+        try:
+            bits += decoder.take(cycle)
+        except BenchFaultError as error:
+            fault = str(error)
+            break
+    if len(decoder.rows) < LEAST_SAMPLES:
+        found = f"{len(decoder.rows)} cycle(s) with enabled drives"
+        raise UnusableInputError(folder.trace, f"{found}, expected at least {LEAST_SAMPLES}")
+    started = datetime.fromtimestamp(first_ns * _NANOSECOND, UTC)
+    recording = decoder.rows.build(started, config.description)
+    return Recovery(recording, started, count, bits, missed, fault, reader.torn)
+
+
+def _cycles(frames: Iterable[Frame], own: set[int], first: int) -> Iterator[_Cycle]:
+    """First what came before the cyclic path (its last frames are the first cycle's), then cycle after cycle.
+
+    What the bench sends for a cycle begins with the frame `first`; its other frames have identifiers of `own`.
+    """
+    current = _Cycle()
+    for frame in frames:
+        if frame.can_id != SYNC_COB_ID:
+            current.received.append(frame)
+            continue
+        received = current.received
+        at = next((at for at in reversed(range(len(received))) if received[at].can_id == first), len(received))
+        following = _Cycle(sync=frame)
+        for before in received[at:]:
+            (following.sent if before.can_id in own else following.late).append(before)
+        del received[at:]
+        yield current
+        current = following
+    yield current
+
+
+def _complete(cycles: Iterator[_Cycle], nodes: Nodes) -> Iterator[_Cycle]:
+    """All cycles but a last one that lacks the drives' answers."""
+    needed = {pdo.cob_id for pdo in nodes.expected_pdos() if pdo.every == 1 and pdo.vital}
+    before: _Cycle | None = None
+    for cycle in cycles:
+        if before is not None:
+            yield before
+        before = cycle
+    if before is not None and needed <= {frame.can_id for frame in before.received}:
+        yield before
+
+
+def _own_frames(nodes: Nodes) -> Iterator[tuple[int, str]]:
+    for drive in nodes.drives:
+        yield from ((cob_id, drive.settings.name) for cob_id in drive.rpdo_cob_ids)
+    yield nodes.io.boundary.cob_id, nodes.twin_name
+
+
+def _take_units(nodes: Nodes, frames: Iterable[Frame]) -> None:
+    """Units as the drives told them by SDO when they were configured (expedited uploads); else by their EDS."""
+    told: dict[tuple[int, int, int], bytes] = {}
+    for can_id, data, _ in frames:
+        if _SDO_ANSWER < can_id < _SDO_ANSWER + 0x80 and len(data) == 8 and data[0] & 0xE2 == 0x42:
+            size = 4 - (data[0] >> 2 & 3) if data[0] & 1 else 4
+            told[can_id - _SDO_ANSWER, int.from_bytes(data[1:3], "little"), data[3]] = data[4 : 4 + size]
+    for drive in nodes.drives:
+        default = default_reader(drive.od)
+        node_id = drive.settings.node_id
+
+        def read(index: int, sub: int, node_id: int = node_id, default: object = default) -> int | float | None:
+            data = told.get((node_id, index, sub))
+            return default(index, sub) if data is None else int.from_bytes(data, "little")  # type: ignore[operator]
+
+        drive.units = DriveUnits.from_objects(read, drive.settings.units, drive.settings.name)
+
+
+class _Decoder:
+    """Takes cycle after cycle; `rows` are the samples of the enabled bench."""
+
+    def __init__(self, config: BenchConfig, nodes: Nodes, changes: list[Change] | None) -> None:
+        names = [signal.name for signal in SIGNALS]
+        self.rows = RecordingBuilder(names)
+        self._row = attrgetter(*names)
+        self._cycle_s = config.cycle_time_s
+        self._nodes = nodes
+        self._changes = changes
+        self._next_change = 0
+        self._metres_per_rad = [1.0 / config.model.motor_rad_per_m(axis) for axis in (1, 2)]
+        self._sample = CycleSample(
+            strain_prev=config.model.upstream_strain, F_next_N=config.model.boundary.downstream_tension_N
+        )
+        self._set_point_N = config.tension_control.set_point_N
+        self._load = LoadModel(config.model, config.load, config.cycle_time_s)
+        self._load.warm_up()
+        self._trust = TwinTrust(config.tension_control, config.safety.limits.tension_N.trip or float("inf"))
+        self._twin_away = False
+        self._twin_started = 0
+        self._first: int | None = None
+        self._ended = False
+
+    def take(self, cycle: _Cycle) -> int:
+        """Decode one cycle; returns the bits on the bus. Raises BenchFaultError as the bench did."""
+        sample, nodes = self._sample, self._nodes
+        self._apply_changes(sample.cycle)
+        sample.cycle += 1
+        if self._first is not None:
+            sample.loop_closed = int(not self._twin_away and self._trust.update(sample))
+            self._take_commands(cycle.sent)
+        nodes.decode([*cycle.late, *cycle.received], len(cycle.late))
+        nodes.fill(sample)
+        sample.twin_age_cycles = nodes.twin_age(sample.cycle - self._twin_started)
+        sample.F_ref_N = self._set_point_N
+        sync = cycle.sync
+        sample.bus_bits = sum(map(frame_bits, [*cycle.sent, *cycle.late, *cycle.received, *([sync] if sync else [])]))
+        if self._first is not None and not self._ended:
+            sample.t_s = (sample.cycle - self._first) * self._cycle_s
+            self._follow_web()
+            self.rows.append(self._row(sample))
+        elif self._changes is None and self._first is None and self._all_enabled():
+            self._first = sample.cycle + 1
+        return sample.bus_bits
+
+    def _all_enabled(self) -> bool:
+        return all(drive.feedback.state is State.OPERATION_ENABLED for drive in self._nodes.drives)
+
+    def _apply_changes(self, cycle: int) -> None:
+        """What the bench did before the cycle after `cycle`."""
+        changes = self._changes or []
+        while self._next_change < len(changes) and changes[self._next_change].cycle <= cycle:
+            self._apply(changes[self._next_change])
+            self._next_change += 1
+
+    def _apply(self, change: Change) -> None:
+        if change.what == "enabled":
+            self._first = change.cycle + 1
+        elif change.what == "stopping":
+            self._ended = True
+        elif change.what == "twin_lost":
+            self._twin_away = True
+            self._trust.forget("")
+            self._nodes.twin_is_away()
+        elif change.what == "twin_back":
+            self._twin_away, self._twin_started = False, round(change.value) or change.cycle
+            self._nodes.twin_is_back()
+        elif change.path == quantities.TENSION_SET_POINT:
+            self._set_point_N = change.value
+        elif quantities.is_of_load(change.path):
+            self._load.set(change.path, change.value)
+
+    def _take_commands(self, sent: Iterable[Frame]) -> None:
+        data = {frame.can_id: frame.data for frame in sent}
+        axes = zip((self._nodes.axis1, self._nodes.axis2), self._metres_per_rad, strict=True)
+        for (axis, metres_per_rad), name in zip(axes, ("v1_cmd_m_s", "v2_cmd_m_s"), strict=True):
+            content = data.get(axis.pdos.rpdo.cob_id)
+            if content is not None and len(content) == axis.pdos.rpdo.size:
+                _, target = axis.pdos.rpdo.unpack(content)
+                setattr(self._sample, name, target * axis.units.velocity_rad_s * metres_per_rad)
+
+    def _follow_web(self) -> None:
+        sample, web = self._sample, self._load.web
+        sample.tau_load_cmd_Nm = self._load.update(sample.x1_m, sample.x2_m, sample.v2_m_s, late=self._nodes.axes_late)
+        sample.F_true_N, sample.strain_true = self._load.tension_N, self._load.strain
+        sample.E_true_Pa = web.effective_modulus_Pa
+        if self._changes is None:  # nobody knows what the experiment has changed
+            sample.F_ref_N = sample.E_true_Pa = sample.F_true_N = sample.strain_true = sample.tau_load_cmd_Nm = nan

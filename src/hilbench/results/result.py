@@ -1,0 +1,350 @@
+"""`result.json`: the verdict of a run, as a program reads it (design: files)."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Sequence
+from importlib import metadata
+from math import isfinite
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+import numpy as np
+from numpy.typing import ArrayLike
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    SerializerFunctionWrapHandler,
+    ValidationError,
+    model_serializer,
+    model_validator,
+)
+
+from hilbench.errors import UnusableInputError
+from hilbench.results.provenance import Provenance
+from hilbench.runs.criteria import CriterionResult
+from hilbench.runs.events import Event
+from hilbench.runs.metrics import Judgement, StepFigures
+
+Count = Annotated[int, Field(ge=0)]
+
+#: Libraries whose version a result depends on.
+LIBRARIES = ("numpy", "numba", "scipy", "canopen", "python-can", "asammdf", "pydantic", "matplotlib")
+_HISTOGRAM_BINS = 60
+#: Steps and events that a result holds, of a run with more the first.
+MOST_EVENTS = 500
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class _PartWithOptions(_Part):
+    """A part whose optional members are left out, rather than null, where there is nothing to say."""
+
+    @model_serializer(mode="wrap")
+    def _without_absent_options(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        fields: dict[str, Any] = serialize(self)
+        return {name: value for name, value in fields.items() if value is not None or self._is_required(name)}
+
+    @classmethod
+    def _is_required(cls, name: str) -> bool:
+        return cls.model_fields[name].is_required()
+
+
+class Jitter(_Part):
+    """Lateness of SYNC against its absolute time, in µs: median, 99 %, 99.9 %, largest."""
+
+    p50: float
+    p99: float
+    p999: float
+    max: float
+
+
+class Histogram(_Part):
+    """How many cycles were how late: `counts[i]` between `edges_us[i]` and `edges_us[i + 1]`."""
+
+    edges_us: list[float]
+    counts: list[Count]
+
+    @model_validator(mode="after")
+    def _edges_enclose_counts(self) -> Self:
+        if len(self.edges_us) != len(self.counts) + 1:
+            raise ValueError("one edge more than counts")
+        return self
+
+
+class Late(_Part):
+    """How often a participant's answer to SYNC came late since the drives were enabled: its last one was used again
+    (a drive), or one of an earlier SYNC (the twin), `oldest_cycles` old at most."""
+
+    cycles: Count
+    share_pct: float
+    oldest_cycles: Count
+
+
+#: Share of late samples, %, from which on they are told as a warning.
+_LATE_WARNING_PCT = 1.0
+
+
+class Timing(_PartWithOptions):
+    """How the cycles went. `cycle_us` is the nominal cycle; `jitter_us` is None where nobody measured it.
+
+    `realtime_factor` is bus time over wall time; `bus_load_pct` the mean share of the bus' capacity in use.
+    `lost_frames` were received for the bench and not read in time (None: the bus interface does not count them),
+    `first_loss_s` is when the first was noticed, in experiment time; `lost_frames_of` has the same count of the
+    processes that the bench started. `late` has who answered late in any cycle (None: nobody looked).
+    """
+
+    pace: Literal["realtime", "lockstep"]
+    cycle_us: float = Field(gt=0)
+    cycles: Count
+    missed: Count
+    jitter_us: Jitter | None
+    realtime_factor: float | None
+    bus_load_pct: float | None
+    lost_frames: Count | None = None
+    first_loss_s: float | None = None
+    lost_frames_of: dict[str, Count | None] | None = None
+    late: dict[str, Late] | None = None
+    jitter_histogram: Histogram | None = None
+
+    def metrics(self) -> dict[str, float | None]:
+        """The timing as metrics that criteria can bound."""
+        return {
+            "cycles_missed": float(self.missed),
+            "jitter_p99_us": self.jitter_us.p99 if self.jitter_us else None,
+            "jitter_max_us": self.jitter_us.max if self.jitter_us else None,
+            "realtime_factor": self.realtime_factor,
+            "bus_load_pct": self.bus_load_pct,
+            "lost_frames": None if self.lost_frames is None else float(self.lost_frames),
+            "late_samples_pct": None
+            if self.late is None
+            else max((each.share_pct for each in self.late.values()), default=0.0),
+        }
+
+    def _late_pct(self) -> float | None:
+        return None if self.late is None else max((each.share_pct for each in self.late.values()), default=0.0)
+
+    def warnings(self) -> list[str]:
+        """What a reader of the run must know before trusting it: one line for each process that lost frames."""
+        told = []
+        if self.lost_frames:
+            since = "" if self.first_loss_s is None else f", first noticed at t = {self.first_loss_s:.3f} s"
+            told.append(f"the bench lost {self.lost_frames} frames{since}: they are missing in trace and measurements")
+        for process, lost in (self.lost_frames_of or {}).items():
+            if lost:
+                told.append(f"the {process} lost {lost} frames: set points or measurements are missing there")
+        for participant, late in (self.late or {}).items():
+            if late.share_pct >= _LATE_WARNING_PCT:
+                oldest = f"up to {late.oldest_cycles} cycles old" if late.oldest_cycles > 1 else "a cycle old"
+                told.append(f"{participant}: {late.share_pct:.1f} % of the samples came late, {oldest}")
+        return told
+
+
+def jitter(lateness_us: ArrayLike) -> tuple[Jitter, Histogram] | tuple[None, None]:
+    """Percentiles and histogram of every cycle's lateness (µs, one value per cycle); None without cycles."""
+    late = np.asarray(lateness_us, np.float64)
+    if not len(late):
+        return None, None
+    p50, p99, p999 = np.percentile(late, [50, 99, 99.9])
+    counts, edges = np.histogram(late, bins=_HISTOGRAM_BINS)
+    return (
+        Jitter(p50=float(p50), p99=float(p99), p999=float(p999), max=float(late.max())),
+        Histogram(edges_us=edges.tolist(), counts=counts.tolist()),
+    )
+
+
+class Fault(_Part):
+    """Something that went wrong in a run: when (s of bus time, None before the first cycle), where, what."""
+
+    time_s: float | None
+    source: str
+    text: str
+
+
+class Warned(_PartWithOptions):
+    """What did not stop the run, counted by source and kind: the first time (s of bus time) and its text, the number
+    of times, and, where there were several, the last time and its text."""
+
+    time_s: float | None
+    source: str
+    text: str
+    count: int = Field(default=1, ge=1)
+    last_time_s: float | None = None
+    last_text: str | None = None
+
+    def line(self) -> str:
+        """As a terminal shows it."""
+        when = "" if self.time_s is None else f"t = {self.time_s:.3f} s, "
+        return f"{when}{self.source}: {self.text}{self.repeated()}"
+
+    def repeated(self) -> str:
+        """What is to be said of further times, "" where it was the only one."""
+        if self.count == 1:
+            return ""
+        last = "" if self.last_text in (None, self.text) else f", then: {self.last_text}"
+        until = "" if self.last_time_s is None else f", last at t = {self.last_time_s:.3f} s"
+        return f" ({self.count} times{until}{last})"
+
+
+def _version(package: str) -> str:
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return "not installed"
+
+
+class Environment(_Part):
+    """What a run ran on, so that its result can be judged later and elsewhere."""
+
+    hilbench: str
+    python: str
+    platform: str
+    libraries: dict[str, str]
+    seed: int | None
+
+    @classmethod
+    def here(cls, seed: int | None) -> Self:
+        """The environment of this process."""
+        return cls(
+            hilbench=_version("hilbench"),
+            python=platform.python_version(),
+            platform=f"{platform.system()} {platform.release()} {platform.machine()}",
+            libraries={name: _version(name) for name in LIBRARIES},
+            seed=seed,
+        )
+
+
+class ChangeRecord(_Part):
+    """A quantity that an event changed, SI; None where nobody knows the value."""
+
+    path: str
+    before: float | None
+    after: float | None
+
+
+class EventRecord(_Part):
+    """A step, a ramp, or a mark (the twin was lost), from when to when (s of experiment time)."""
+
+    kind: Literal["step", "ramp", "mark"]
+    text: str
+    start_s: float
+    end_s: float
+    changes: list[ChangeRecord]
+
+    @classmethod
+    def of(cls, event: Event) -> Self:
+        """As it stands in the file."""
+        changes = [
+            ChangeRecord(path=change.path, before=_known(change.before), after=_known(change.after))
+            for change in event.changes
+        ]
+        return cls(kind=event.kind, text=str(event), start_s=event.start_s, end_s=event.end_s, changes=changes)
+
+
+class StepRecord(_Part):
+    """One step with its figures by metric, from when it acts to the next event; `reasons`: why one has no value."""
+
+    number: int
+    text: str
+    time_s: float
+    until_s: float
+    figures: dict[str, float | None]
+    reasons: dict[str, str]
+
+    @classmethod
+    def of(cls, step: StepFigures) -> Self:
+        """As it stands in the file."""
+        return cls(
+            number=step.number,
+            text=str(step.event) if step.event else str(step),
+            time_s=step.start_s,
+            until_s=step.until_s,
+            figures={name: _known(figure.value) for name, figure in step.figures.items()},
+            reasons={name: figure.reason for name, figure in step.figures.items() if figure.reason},
+        )
+
+
+def _known(value: float | None) -> float | None:
+    return value if value is not None and isfinite(value) else None
+
+
+class Result(_PartWithOptions):
+    """The verdict of one run. `passed` holds exactly when every criterion does and no fault stopped the run.
+
+    `not_judged`: why a metric has no value; `steps`: every step of the run with its figures; `events`: these and all
+    else that happened, the first `MOST_EVENTS` of each.
+    `warnings`: what did not stop the run (a limit's warning level, an EMCY message, a tension loop that opened), each
+    kind once with its count.
+    """
+
+    passed: bool
+    criteria: list[CriterionResult]
+    metrics: dict[str, float | None]
+    timing: Timing
+    faults: list[Fault]
+    environment: Environment | None = None
+    provenance: Provenance | None = None
+    warnings: list[Warned] | None = None
+    not_judged: dict[str, str] | None = None
+    steps: list[StepRecord] | None = None
+    events: list[EventRecord] | None = None
+
+    @classmethod
+    def of(
+        cls,
+        criteria: Sequence[CriterionResult],
+        metrics: dict[str, float | None],
+        timing: Timing,
+        faults: Sequence[Fault],
+        environment: Environment | None = None,
+        warnings: Sequence[Warned] = (),
+        judged: Judgement | None = None,
+        provenance: Provenance | None = None,
+    ) -> Self:
+        """A result whose `passed` follows from its criteria and faults."""
+        passed = all(criterion.passed for criterion in criteria) and not faults
+        return cls(
+            passed=passed,
+            criteria=list(criteria),
+            metrics=metrics,
+            timing=timing,
+            faults=list(faults),
+            environment=environment,
+            provenance=provenance,
+            warnings=list(warnings) or None,
+            not_judged=judged.not_judged() if judged else None,
+            steps=[StepRecord.of(step) for step in judged.steps[:MOST_EVENTS]] if judged else None,
+            events=[EventRecord.of(event) for event in judged.events[:MOST_EVENTS]] if judged else None,
+        )
+
+    def all_warnings(self) -> list[str]:
+        """One line for each: losses of frames, then what the bench noted, in the order of time."""
+        return [*self.timing.warnings(), *(warning.line() for warning in self.warnings or [])]
+
+    def write(self, path: Path) -> None:
+        """Write as JSON; the file appears complete or not at all. Raises UnusableInputError if it cannot be."""
+        partial = path.with_name(f".{path.name}.partial")
+        try:
+            partial.write_text(self.model_dump_json(indent=2) + "\n", encoding="utf-8")
+            partial.replace(path)
+        except OSError as error:
+            raise UnusableInputError(
+                path, f"cannot be written ({error.strerror}), expected a file in a writable folder"
+            ) from error
+
+    @classmethod
+    def read(cls, path: Path) -> Self:
+        """Read and check. Raises UnusableInputError: file, key, what was found."""
+        try:
+            return cls.model_validate_json(path.read_bytes())
+        except OSError as error:
+            raise UnusableInputError(path, f"cannot be read ({error.strerror}), expected a run's result") from error
+        except ValidationError as error:
+            first = error.errors()[0]
+            key = ".".join(map(str, first["loc"])) or "the file"
+            raise UnusableInputError(
+                path, f"{key}: {' '.join(first['msg'].split())}, expected a run's result"
+            ) from error

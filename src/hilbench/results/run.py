@@ -1,0 +1,339 @@
+"""Runs the experiment of a config on its bench and leaves a run folder behind, whatever happens."""
+
+from __future__ import annotations
+
+import signal
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from operator import attrgetter
+from pathlib import Path
+from types import FrameType
+from typing import Any, Literal
+
+import numpy as np
+
+from hilbench.bench.bench import Bench, CycleObserver, InterruptedByOperatorError
+from hilbench.bench.lifecycle.in_process import check_in_process
+from hilbench.bench.lifecycle.participants import Participants
+from hilbench.bench.lifecycle.startup import held_bus
+from hilbench.bench.operator.change import Change
+from hilbench.bench.operator.notice import Notice
+from hilbench.errors import (
+    EXIT_BENCH_FAULT,
+    EXIT_CRITERION_FAILED,
+    EXIT_INTERRUPTED,
+    EXIT_PASSED,
+    BenchFaultError,
+    HilbenchError,
+    UnusableInputError,
+    printable,
+)
+from hilbench.exchange.timeliness import Timeliness
+from hilbench.processes import end_signals, leave_terminal
+from hilbench.results.journal import JournalWriter
+from hilbench.results.junit import write_junit
+from hilbench.results.provenance import Provenance
+from hilbench.results.recording import LEAST_SAMPLES, Recording, RecordingBuilder, write_recording
+from hilbench.results.result import Environment, Fault, Late, Result, Timing, Warned, jitter
+from hilbench.results.run_folder import RunFolder
+from hilbench.results.trace import TraceWriter
+from hilbench.runs import config as config_files
+from hilbench.runs.check import check_experiment
+from hilbench.runs.config import LoadedConfig
+from hilbench.runs.criteria import Criterion, CriterionResult, evaluate
+from hilbench.runs.events import EventLog
+from hilbench.runs.metrics import Judgement, judge
+from hilbench.topology.sample import CycleSample
+from hilbench.topology.signals import SIGNALS
+from hilbench.unexpected import unexpected
+
+
+@dataclass
+class RunOutcome:
+    """What a run left: its folder, its result, and the exit code it means."""
+
+    folder: RunFolder
+    result: Result
+    exit_code: int
+
+    @property
+    def verdict(self) -> Literal["passed", "failed", "fault", "interrupted"]:
+        """What the exit code means, in one word."""
+        words: dict[int, Literal["failed", "fault", "interrupted"]] = {
+            EXIT_CRITERION_FAILED: "failed",
+            EXIT_BENCH_FAULT: "fault",
+            EXIT_INTERRUPTED: "interrupted",
+        }
+        return words.get(self.exit_code, "passed")
+
+    def as_object(self) -> dict[str, Any]:
+        """For a program: folder, files, exit code, verdict and what was overridden, and all that result.json has."""
+        provenance = self.result.provenance
+        return {
+            "run": str(self.folder.path.resolve()),
+            "exit_code": self.exit_code,
+            "verdict": self.verdict,
+            "files": {name: str(path.resolve()) for name, path in self.folder.files().items()},
+            "overridden": {each.key: each.value for each in provenance.overridden} if provenance else {},
+            **self.result.model_dump(mode="json"),
+        }
+
+    @property
+    def recorded(self) -> bool:
+        """Whether the run got as far as a recording; a report can be made only then."""
+        return self.folder.recording.exists()
+
+
+class Recorder:
+    """Cycle observer that keeps every sample in memory."""
+
+    def __init__(self) -> None:
+        names = [signal.name for signal in SIGNALS]
+        self._builder = RecordingBuilder(names)
+        self._row = attrgetter(*names)
+
+    def sample(self, sample: CycleSample) -> None:
+        """Keep one cycle."""
+        self._builder.append(self._row(sample))
+
+    def recording(self, started: datetime, comment: str) -> Recording:
+        """What was kept so far."""
+        return self._builder.build(started, comment)
+
+
+def run_experiment(
+    loaded: LoadedConfig,
+    out: Path,
+    *,
+    observers: Sequence[CycleObserver] = (),
+    participants: Participants = Participants.STARTED,
+    announce: Callable[[str], None] = lambda text: None,
+    force: bool = False,
+) -> RunOutcome:
+    """Run all steps of a config, evaluate its criteria, write the run folder (the report is made from it).
+
+    A bench fault, an interruption, or an exception that nobody foresaw ends the run in the safe state; what was
+    recorded until then is written, and the fault is in the result (the traceback in the run folder). Raises
+    UnusableInputError before anything is started or written, for a bus that has another master, too (`force`: unless it
+    was only heard), BenchFaultError when the result can't be written.
+    """
+    config = loaded.config
+    check_experiment(loaded)
+    if participants is Participants.IN_PROCESS:
+        check_in_process(config)
+    if participants is not Participants.IN_PROCESS:
+        announce(f"look who is on {config.bus_address}")
+    with held_bus(config, participants, force=force):
+        record = RunRecord(loaded, out, participants, announce=announce)
+        bench = Bench(
+            config,
+            observers=[record.recorder, *observers],
+            tap=record.trace,
+            work_folder=record.folder.path,
+            participants=participants,
+            announce=announce,
+            journal=record.note,
+            bus_is_held=True,
+        )
+        told = record.ending.told("bench", lambda: bench.fault_time_s)
+        with record.journal, told, record.trace, stop_on_signals(bench), bench:
+            announce("run the experiment")
+            for step in config.steps:
+                step.run(bench, record.verdicts)
+    return record.finish(bench, config.criteria)
+
+
+class RunRecord:
+    """What a run leaves behind: made before the bench, fed while it runs, finished after it.
+
+    `trace` and `journal` are to be entered, or closed, by whoever runs the bench; one who keeps a `recorder` and what
+    `happened` anyway shares them. Raises UnusableInputError when the
+    run folder can't be made.
+    """
+
+    def __init__(
+        self,
+        loaded: LoadedConfig,
+        out: Path,
+        participants: Participants,
+        *,
+        name: str | None = None,
+        recorder: Recorder | None = None,
+        happened: EventLog | None = None,
+        announce: Callable[[str], None] = lambda text: None,
+    ) -> None:
+        self.config = loaded.config
+        self.verdicts: list[CriterionResult] = []  #: what the experiment tests itself
+        self.recorder = recorder or Recorder()
+        self._announce = announce
+        self._provenance = Provenance.of(loaded.config, loaded.document, participants)
+        self._happened = happened or EventLog(loaded.config.cycle_time_s)
+        self._started = datetime.now(UTC)
+        self.folder = RunFolder.create(out, name or loaded.config.name)
+        config_files.dump(loaded.config, self.folder.config)
+        self.ending = Ending(self.folder)
+        self.journal = JournalWriter(self.folder.journal)
+        self.trace = TraceWriter(self.folder.trace, loaded.config.bus_address.channel)
+
+    def note(self, change: Change) -> None:
+        """Keep what the bench did."""
+        self.journal.write(change)
+        self._happened.add(change)
+
+    def finish(self, bench: Bench, criteria: Sequence[Criterion]) -> RunOutcome:
+        """Write recording and result of a bench that has been left. Raises BenchFaultError when it can't be done."""
+        config, folder, ending = self.config, self.folder, self.ending
+        ending.faults += [Fault(time_s=None, source="safe state", text=text) for text in bench.safe_state_problems]
+        with ending.told("record"):
+            self._announce("write recording and result")
+        ending.look_after_folder()
+        recording = self.recorder.recording(self._started, config.description)
+        if len(recording) >= LEAST_SAMPLES:
+            with ending.told("record"):
+                write_recording(recording, folder.recording)
+        timing = measure_timing(bench)
+        judged = Judgement(())
+        with ending.told("metrics"):
+            judged = judge(recording.channels, journal=self._happened.events())
+        metrics = judged.metrics() | timing.metrics()
+        verdicts = self.verdicts + evaluate(criteria, metrics, judged)
+        warnings = [_warned(notice) for notice in bench.notices]
+        environment = Environment.here(config.seed)
+        result = Result.of(verdicts, metrics, timing, ending.faults, environment, warnings, judged, self._provenance)
+        try:
+            result.write(folder.result)
+            write_junit(result, config.name, self._started, folder.junit)
+        except UnusableInputError as error:
+            said = "".join(f"{fault.text}; " for fault in ending.faults)
+            raise BenchFaultError(f"{said}drives were stopped; then {error}") from error
+        if ending.exit_code == EXIT_PASSED and not result.passed:
+            ending.exit_code = EXIT_CRITERION_FAILED
+        return RunOutcome(folder, result, ending.exit_code)
+
+
+class Ending:
+    """How a run ends: the exit code of what went wrong first, and all that did."""
+
+    def __init__(self, folder: RunFolder) -> None:
+        self.exit_code = EXIT_PASSED
+        self.faults: list[Fault] = []
+        self._folder = folder
+
+    @contextmanager
+    def told(self, source: str, time_s: Callable[[], float | None] = lambda: None) -> Iterator[None]:
+        """What goes wrong in here ends no more than this block, and is a fault of `source`."""
+        try:
+            yield
+        except (Exception, KeyboardInterrupt) as error:
+            self.tell(error, source, time_s())
+
+    def tell(self, error: Exception | KeyboardInterrupt, source: str, time_s: float | None) -> None:
+        """What went wrong, and when."""
+        if isinstance(error, InterruptedByOperatorError | KeyboardInterrupt):
+            when = "during start" if source == "bench" else "while the run was written"
+            self._add(EXIT_INTERRUPTED, time_s, "operator", str(error) or f"interrupted {when}")
+        elif isinstance(error, HilbenchError):
+            self._add(EXIT_BENCH_FAULT, time_s, source, str(error))
+        else:  # nobody foresaw it: told like all the others, with its traceback for who mends it
+            self._add(EXIT_BENCH_FAULT, time_s, source, unexpected(error, self._folder.traceback))
+
+    def look_after_folder(self) -> None:
+        """Somebody may have removed the run folder: what is still known is written all the same."""
+        folder = self._folder
+        if folder.trace.exists():
+            return
+        with suppress(OSError):  # what can't be written says so itself
+            folder.path.mkdir(parents=True, exist_ok=True)
+        text = f"{folder.path}: was removed while the run wrote to it, trace and journal are lost"
+        self._add(EXIT_BENCH_FAULT, None, "record", text)
+
+    def _add(self, exit_code: int, time_s: float | None, source: str, text: str) -> None:
+        self.exit_code = self.exit_code or exit_code
+        self.faults.append(Fault(time_s=time_s, source=source, text=printable(text)))
+
+
+def _warned(notice: Notice) -> Warned:
+    again = notice.count > 1
+    return Warned(
+        time_s=notice.time_s,
+        source=notice.source,
+        text=notice.text,
+        count=notice.count,
+        last_time_s=notice.last_time_s if again else None,
+        last_text=notice.last_text if again else None,
+    )
+
+
+def measure_timing(bench: Bench) -> Timing:
+    """Counts and times of the cyclic path of a run that has ended; lateness only where SYNC had a deadline."""
+    config, exchange = bench.config, bench.exchange
+    if exchange is None:
+        return Timing(
+            pace=config.pace,
+            cycle_us=config.cycle_time_s * 1e6,
+            cycles=0,
+            missed=0,
+            jitter_us=None,
+            realtime_factor=None,
+            bus_load_pct=None,
+        )
+    timing = exchange.timing
+    bus_s = timing.cycles * config.cycle_time_s
+    wall_s = (timing.ended_ns - timing.started_ns) * 1e-9
+    lateness_us = np.asarray(exchange.pacing.lateness_ns, float) / 1000.0
+    percentiles, histogram = jitter(lateness_us) if config.pace == "realtime" else (None, None)
+    return Timing(
+        pace=config.pace,
+        cycle_us=config.cycle_time_s * 1e6,
+        cycles=timing.cycles,
+        missed=exchange.pacing.missed,
+        jitter_us=percentiles,
+        realtime_factor=bus_s / wall_s if wall_s > 0 else None,
+        bus_load_pct=100.0 * timing.bits / (config.bus.bitrate * bus_s) if bus_s else None,
+        lost_frames=exchange.lost_frames,
+        first_loss_s=bench.experiment_time_s(timing.first_loss_cycle) if timing.first_loss_cycle else None,
+        lost_frames_of={child.name: child.lost_frames for child in bench.children},
+        late=_late(bench.timeliness),
+        jitter_histogram=histogram,
+    )
+
+
+def _late(timeliness: Timeliness) -> dict[str, Late] | None:
+    if not timeliness.cycles:
+        return None
+    return {
+        name: Late(cycles=each.late, share_pct=100.0 * each.late / timeliness.cycles, oldest_cycles=each.oldest_cycles)
+        for name, each in timeliness.of.items()
+        if each.late
+    }
+
+
+@contextmanager
+def stop_on_signals(bench: Bench) -> Iterator[None]:
+    """SIGINT, SIGTERM and SIGHUP end the run between two cycles, so that the quick stop starts from a whole one.
+
+    Before the drives are enabled KeyboardInterrupt is raised at once. Once the stop has begun it is not interrupted
+    by further signals.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def request(number: int, frame: FrameType | None) -> None:
+        if number == signal.SIGHUP:
+            leave_terminal()
+        if bench.stopping:
+            return
+        if not bench.enabled:
+            raise KeyboardInterrupt
+        bench.interrupt_requested = True
+
+    previous = {number: signal.signal(number, request) for number in end_signals()}
+    try:
+        yield
+    finally:
+        for number, handler in previous.items():
+            signal.signal(number, handler)

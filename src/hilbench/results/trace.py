@@ -1,0 +1,187 @@
+"""``trace.log``: every frame of a run in candump's log format, written as it happens.
+
+    (1700000000.000123) vcan0 181#0011AABB      11-bit identifier: three hex digits
+    (1700000000.000240) vcan0 18DAF110#0102     29-bit identifier: eight hex digits
+    (1700000000.000300) vcan0 181#R8            remote frame with its data length
+    (1700000000.000400) vcan0 20000080#0000000000000000   error frame: error class with CAN_ERR_FLAG
+
+The format is that of ``candump -L`` (can-utils), which ``log2asc``, ``canplayer`` and python-can's
+``CanutilsLogReader`` read. Each time stamp is the frame's own, cut to microseconds; one that lies before
+its predecessor's is written as it is: a clock that jumped is something a trace must show.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import re
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from hilbench.can.frame import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, Frame
+from hilbench.errors import BenchFaultError, UnusableInputError
+
+_EXTENDED_MASK = 0x1FFFFFFF
+_STANDARD_MASK = 0x7FF
+_LONG_FLAGS = EXTENDED_FLAG | ERROR_FLAG
+_KNOWN_HEADS = 4096  # identifiers whose text is kept; a bus of a bench has a few dozen
+
+
+class TraceWriter:
+    """Writes one line per frame; `end_cycle` hands what has collected to the operating system.
+
+    What was handed over survives the end of the process, however abrupt (``kill -9``): at most the frames since
+    the last `end_cycle` are lost. It is not forced onto the disk, so that no cycle waits for one: a power
+    failure may cost the last seconds. Memory does not grow with the length of the run.
+
+    While it is open the file is locked (flock): who finds it unlocked knows that the run has ended.
+
+    `path` must not exist yet (a trace is never overwritten); `channel` is the bus name in every line.
+    Raises UnusableInputError if the file cannot be created or the channel is not one word.
+    """
+
+    def __init__(self, path: Path, channel: str) -> None:
+        if not channel or not channel.isprintable() or " " in channel:
+            raise UnusableInputError(path, f"channel {channel!r}, expected one word without blanks")
+        self.path = path
+        self.frames = 0  #: frames handed to the operating system so far
+        self._channel = channel
+        self._lines: list[str] = []
+        self._heads: dict[int, str] = {}
+        self._failed = False
+        self._seconds = -1
+        self._seconds_text = ""
+        try:
+            self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND | os.O_CLOEXEC, 0o666)
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            raise UnusableInputError(
+                path, f"cannot be created ({error.strerror}), expected a new file in a writable folder"
+            ) from error
+
+    def write(self, frames: Iterable[Frame], sent_ns: int = 0) -> None:
+        """Add frames in the order given.
+
+        `sent_ns` (CLOCK_REALTIME, or the emulated bus' time) stamps the frames that carry no time of their
+        own: those the bench itself sends.
+        """
+        add = self._lines.append
+        heads = self._heads
+        for can_id, data, time_ns in frames:
+            seconds, rest_ns = divmod(time_ns or sent_ns, 1_000_000_000)
+            if seconds != self._seconds:
+                self._seconds = seconds
+                self._seconds_text = f"({seconds}."
+            head = heads.get(can_id) or self._head(can_id)
+            body = f"R{len(data)}" if can_id & REMOTE_FLAG else data.hex().upper()
+            add(f"{self._seconds_text}{rest_ns // 1000:06d}{head}{body}\n")
+
+    def _head(self, can_id: int) -> str:
+        identifier = (
+            f"{can_id & (_EXTENDED_MASK | ERROR_FLAG):08X}" if can_id & _LONG_FLAGS else f"{can_id & 0x7FF:03X}"
+        )
+        head = f") {self._channel} {identifier}#"
+        if len(self._heads) < _KNOWN_HEADS:
+            self._heads[can_id] = head
+        return head
+
+    def end_cycle(self) -> None:
+        """Hand the collected lines to the operating system in one write.
+
+        Raises BenchFaultError (disk full, …) once; from then on the trace ends, so that the drives can be stopped.
+        """
+        if not self._lines or self._failed:
+            self._lines.clear()
+            return
+        rest = memoryview("".join(self._lines).encode("ascii", "backslashreplace"))
+        count = len(self._lines)
+        self._lines.clear()
+        try:
+            while rest:
+                rest = rest[os.write(self._file, rest) :]
+        except OSError as error:
+            self._failed = True
+            raise BenchFaultError(f"{self.path}: the trace cannot be written ({error.strerror})") from error
+        self.frames += count
+
+    def close(self) -> None:
+        """Write what is left and close the file. Calling it twice is no error."""
+        if self._file < 0:
+            return
+        try:
+            self.end_cycle()
+        finally:
+            os.close(self._file)
+            self._file = -1
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+_LINE = re.compile(
+    rb"\((?P<seconds>\d{1,11})\.(?P<fraction>\d{1,9})\) (?P<channel>\S+) "
+    rb"(?P<id>[0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})#(?:R(?P<length>[0-8]?)|(?P<data>(?:[0-9A-Fa-f]{2}){0,8}))(?: [RT])?"
+)
+_LONGEST_LINE = 512
+
+
+class TraceReader:
+    """Reads a trace back, frame by frame; a file of any size takes the same memory.
+
+    The last line of a trace that a crash cut off (it has no line end) is left out, and `torn` is then true:
+    whether its data are complete cannot be known. `channels` collects the bus names met so far.
+
+    Raises UnusableInputError, with file and line, on anything else that is not a classical CAN frame in
+    candump's log format.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.torn = False
+        self.channels: set[str] = set()
+
+    def __iter__(self) -> Iterator[Frame]:
+        try:
+            file = open(self.path, "rb")  # noqa: SIM115 (closed by the generator below)
+        except OSError as error:
+            raise UnusableInputError(self.path, f"cannot be read ({error.strerror}), expected a trace") from error
+        with file:
+            number = 0
+            while line := file.readline(_LONGEST_LINE):
+                number += 1
+                if not line.endswith(b"\n"):
+                    self.torn = self._is_end(file.read(1), number)
+                    return
+                if line.strip():
+                    yield self._frame(line, number)
+
+    def _is_end(self, following: bytes, number: int) -> bool:
+        if following:
+            raise UnusableInputError(f"{self.path}:{number}", "a line without end, expected a trace in candump format")
+        return True
+
+    def _frame(self, line: bytes, number: int) -> Frame:
+        match = _LINE.fullmatch(line.rstrip())
+        if match is None:
+            found = line[:60].decode("ascii", "backslashreplace").strip()
+            raise UnusableInputError(
+                f"{self.path}:{number}", f"'{found}', expected a frame such as (1700000000.000123) vcan0 181#0011AABB"
+            )
+        self.channels.add(match["channel"].decode("ascii", "backslashreplace"))
+        can_id = int(match["id"], 16)
+        if len(match["id"]) > 3 and not can_id & ERROR_FLAG:
+            can_id |= EXTENDED_FLAG
+        elif len(match["id"]) == 3 and can_id > _STANDARD_MASK:
+            raise UnusableInputError(f"{self.path}:{number}", f"identifier {can_id:X}h, expected at most 7FFh")
+        if match["data"] is None:
+            can_id |= REMOTE_FLAG
+        data = bytes.fromhex(match["data"].decode()) if match["data"] is not None else bytes(int(match["length"] or 0))
+        nanoseconds = int(match["fraction"].ljust(9, b"0"))
+        return Frame(can_id, data, int(match["seconds"]) * 1_000_000_000 + nanoseconds)

@@ -1,0 +1,201 @@
+"""What must hold of a config and its experiment before anything starts, and what an operator should know of it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from math import inf, isfinite
+
+from hilbench.bench.check import (
+    SAME_MODULUS,
+    CheckedBench,
+    check_bench,
+    check_stability,
+    operating_point_text,
+    stiffness_reserve,
+)
+from hilbench.bench.tasks.tension_loop import Margins, OperatingPoint, TensionLoop
+from hilbench.plant.web_line.parameters import per_item
+from hilbench.runs.config import ExperimentConfig, LoadedConfig
+from hilbench.runs.prospect import Move, State, moves, start_of
+from hilbench.strict_yaml import Location
+from hilbench.topology.config import Limit
+
+#: Margins below which a loop is noted.
+_LEAST_GAIN, _LEAST_PHASE_DEG = 2.0, 30.0
+#: A difference that makes no other operating point.
+_SAME_SPEED_M_S = 0.05
+#: So many operating points are looked at; of more those with extreme values.
+_MOST_POINTS = 24
+
+
+@dataclass(frozen=True)
+class Worst:
+    """The operating point with the least margins."""
+
+    point: OperatingPoint
+    margins: Margins
+
+    def __str__(self) -> str:
+        gain = f"{self.margins.gain:.2f}" if isfinite(self.margins.gain) else "any"
+        at = operating_point_text(self.point)
+        return f"gain margin {gain}, phase margin {self.margins.phase_deg:.0f}° where they are least: {at}"
+
+
+@dataclass(frozen=True)
+class CheckedExperiment:
+    """What the check found."""
+
+    bench: CheckedBench
+    stiffness_reserve: float  #: stiffest web that the load motor could imitate by itself, over the stiffest asked for
+    worst: Worst | None  #: None where margins were not asked for
+    warnings: list[str]  #: what will happen that hardly anybody means to happen
+    notes: list[str]  #: what can be run, and will not be good; what can't be known
+
+
+def check_experiment(loaded: LoadedConfig, *, with_margins: bool = False) -> CheckedExperiment:
+    """Check a config and what its steps ask for, as far as can be without a bus.
+
+    Raises UnusableInputError as `check_bench`, for a Python file that can't be used, and with the step's place where
+    the loop through web, drives, bus and twin would be unstable.
+    """
+    config, document = loaded.config, loaded.document
+    bench = check_bench(config, document)
+    for step in config.steps:
+        step.prepare()
+    asked = list(moves(config))
+    places = _operating_points(config, asked)
+    for point, place in places.items():
+        check_stability(config, document, point, place if len(place) > 1 else ("model", "web"))
+    stiffest_Pa_per_m = max(point.youngs_modulus_Pa / point.span_length_m for point in places)
+    reserve = stiffness_reserve(config, stiffest_Pa_per_m)
+    worst = _worst(config, list(places)) if with_margins else None
+    warnings = list(_warnings(loaded, asked))
+    notes = list(bench.notes)
+    if worst is not None and (worst.margins.gain < _LEAST_GAIN or worst.margins.phase_deg < _LEAST_PHASE_DEG):
+        warnings.append(
+            f"the tension loop rings: {worst}, expected at least {_LEAST_GAIN:g} and {_LEAST_PHASE_DEG:g}°, by a "
+            f"smaller tension_control: bandwidth_rad_per_s, more swing_damping_ratio or a shorter cycle"
+        )
+    if reserve < 1.0:
+        notes.append(
+            "the load motor imitates so stiff a web only with the active damping of axis 1 (swing_damping_ratio)"
+        )
+    for number, step in enumerate(config.steps):
+        if step.python is not None:
+            notes.append(
+                f"{document.place(('steps', number))}: what '{step.python.function}' of {step.python.file.name} asks "
+                f"for can't be known before it runs: neither stability nor limits are checked for it"
+            )
+    return CheckedExperiment(bench, reserve, worst, warnings, notes)
+
+
+# -- stability ---------------------------------------------------------------------------------------------------------
+
+
+def _operating_points(config: ExperimentConfig, asked: list[Move]) -> dict[OperatingPoint, Location]:
+    """Where the loop will be, each with the step that brings it there; behind a step of E with the old one believed."""
+    start = start_of(config)
+    model_Pa = config.model.required_web.youngs_modulus_Pa
+    points: dict[OperatingPoint, Location] = {}
+
+    def add(state: State, believed_Pa: float) -> None:
+        if state.youngs_modulus_Pa <= 0.0 or believed_Pa <= 0.0:
+            return  # values are checked where they enter
+        length_m = (config.load.web.span_length_m or config.model.span_length_m(1)) * state.length_factor
+        point = OperatingPoint(state.youngs_modulus_Pa, abs(state.line_speed_m_s), length_m, believed_Pa)
+        if not any(_alike(point, known) for known in points):
+            points[point] = state.place
+
+    add(start, model_Pa)
+    add(start, start.youngs_modulus_Pa)
+    for move in asked:
+        if move.duration_s == 0.0 and move.before.youngs_modulus_Pa != move.after.youngs_modulus_Pa:
+            add(move.after, move.before.youngs_modulus_Pa)
+        add(move.after, move.after.youngs_modulus_Pa)
+    return points if len(points) <= _MOST_POINTS else _extremes(points)
+
+
+def _alike(one: OperatingPoint, other: OperatingPoint) -> bool:
+    return (
+        abs(one.line_speed_m_s - other.line_speed_m_s) <= _SAME_SPEED_M_S
+        and one.span_length_m == other.span_length_m
+        and abs(one.youngs_modulus_Pa / other.youngs_modulus_Pa - 1.0) <= SAME_MODULUS
+        and abs(one.estimate_Pa / other.estimate_Pa - 1.0) <= SAME_MODULUS
+    )
+
+
+def _extremes(points: dict[OperatingPoint, Location]) -> dict[OperatingPoint, Location]:
+    """The softest and the stiffest, the slowest and the fastest, those that are believed wrongly the most."""
+
+    def mistake(point: OperatingPoint) -> float:
+        return point.youngs_modulus_Pa / point.estimate_Pa
+
+    kept: dict[OperatingPoint, Location] = {}
+    for order in (
+        lambda point: point.youngs_modulus_Pa / point.span_length_m,
+        lambda point: point.line_speed_m_s,
+        mistake,
+    ):
+        ordered = sorted(points, key=order)
+        kept |= {point: points[point] for point in (*ordered[: _MOST_POINTS // 6], *ordered[-_MOST_POINTS // 6 :])}
+    return kept
+
+
+def _worst(config: ExperimentConfig, points: list[OperatingPoint]) -> Worst:
+    found = [Worst(point, TensionLoop(config, point).margins) for point in points]
+    return min(found, key=lambda one: min(one.margins.gain / _LEAST_GAIN, one.margins.phase_deg / _LEAST_PHASE_DEG))
+
+
+# -- limits ------------------------------------------------------------------------------------------------------------
+
+
+def _warnings(loaded: LoadedConfig, asked: list[Move]) -> Iterator[str]:
+    """What the steps will run into."""
+    limits = loaded.config.safety.limits
+    model_Pa = loaded.config.model.required_web.youngs_modulus_Pa
+    for move in asked:
+        before, after = move.before, move.after
+        at = loaded.document.place(after.place)
+        modulus_Pa = after.youngs_modulus_Pa
+        if after.set_point_N != before.set_point_N:
+            yield from _beyond(at, "set-point of the tension", after.set_point_N, limits.tension_N, "N")
+        if after.line_speed_m_s != before.line_speed_m_s:
+            yield from _beyond(at, "line speed", abs(after.line_speed_m_s), limits.speed_m_s, "m/s")
+            yield from _too_fast(loaded.config, at, move)
+        if modulus_Pa > 0.0 and before.youngs_modulus_Pa > 0.0 and modulus_Pa != before.youngs_modulus_Pa:
+            ratio = max(modulus_Pa / model_Pa, model_Pa / modulus_Pa)
+            yield from _beyond(at, "E over the model's (or its inverse)", ratio, limits.estimate_ratio, "")
+            if move.duration_s == 0.0:
+                tension_N = after.set_point_N * modulus_Pa / before.youngs_modulus_Pa
+                yield from _beyond(at, "tension right behind this step of E", tension_N, limits.tension_N, "N")
+
+
+def _beyond(at: str, what: str, value: float, limit: Limit, unit: str) -> Iterator[str]:
+    if limit.trip is not None and value > limit.trip:
+        told, level = f"{value:.4g} {unit}".strip(), f"{limit.trip:g} {unit}".strip()
+        yield f"{at}: {what} {told} is beyond the trip level {level}: the run will end there in the safe state"
+
+
+def _too_fast(config: ExperimentConfig, at: str, move: Move) -> Iterator[str]:
+    """An acceleration, or a jump, that takes more torque than a drive has."""
+    drives, model = config.model.drives, config.model
+    assert drives is not None, "a bench's model has drives"
+    way_m_s = abs(move.after.line_speed_m_s - move.before.line_speed_m_s)
+    longest_s, named, needed_Nm, limit_Nm = 0.0, 0, 0.0, inf
+    for axis in (1, 2):
+        rad_per_m, most_Nm = model.motor_rad_per_m(axis), per_item(drives.torque_limit_Nm, axis)
+        if move.duration_s > 0.0:
+            asks_Nm = model.mass_kg(axis) * way_m_s / move.duration_s / rad_per_m
+        else:
+            asks_Nm = per_item(drives.velocity_kp_Nm_s_per_rad, axis) * way_m_s * rad_per_m
+        at_least_s = model.mass_kg(axis) * way_m_s / (most_Nm * rad_per_m)
+        if asks_Nm > most_Nm and at_least_s > longest_s:
+            longest_s, named, needed_Nm, limit_Nm = at_least_s, axis, asks_Nm, most_Nm
+    if named:
+        how = f"within {move.duration_s:g} s" if move.duration_s > 0.0 else "at once"
+        yield (
+            f"{at}: line speed from {move.before.line_speed_m_s:g} to {move.after.line_speed_m_s:g} m/s {how} asks for "
+            f"{needed_Nm:.3g} N·m of axis {named}, which has {limit_Nm:g} N·m: it is at its limit and there no sooner "
+            f"than {longest_s:.2g} s later, expected a ramp of more than that"
+        )

@@ -1,0 +1,195 @@
+"""A whole config file: a bench and the experiment that runs on it."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+from pydantic import Field
+
+from hilbench import strict_yaml
+from hilbench.can.open import BusAddress
+from hilbench.errors import UnusableInputError
+from hilbench.runs.criteria import Criterion
+from hilbench.runs.steps import ExperimentStep
+from hilbench.topology.config import BenchConfig
+
+
+class ExperimentConfig(BenchConfig):
+    """Bench, experiment steps and criteria, as one YAML file holds them."""
+
+    steps: list[ExperimentStep] = Field(default=[], description="run one after the other, drives enabled")
+    criteria: list[Criterion] = Field(default=[], description="what the run must show to pass")
+
+
+def load(path: Path) -> tuple[ExperimentConfig, strict_yaml.Document]:
+    """Read and validate a config file with what it includes.
+
+    Raises UnusableInputError with file, line, key, what was found and what was expected.
+    """
+    document = _with_named_bus(read_document(path))
+    return strict_yaml.validate(document, ExperimentConfig), document
+
+
+def bus_of_folder(path: Path) -> BusAddress:
+    """The embedded bus of a config that names none: that of its folder, the same for all configs there."""
+    return BusAddress("embedded", "").in_folder(path.resolve().parent)
+
+
+def _with_named_bus(document: strict_yaml.Document) -> strict_yaml.Document:
+    """Two checkouts of a config must not meet: `embedded` alone is the bus of the config's folder."""
+    location, data = ("bus", "address"), document.data
+    bus = data.get("bus", {})
+    given = bus.get("address", "embedded") if isinstance(bus, Mapping) else None
+    if not isinstance(given, str) or given.strip().rstrip(":") not in ("embedded", "hilbench"):
+        return document
+    return document.with_value(location, str(bus_of_folder(document.path)), document.place(location))
+
+
+def read_document(path: Path, including: tuple[Path, ...] = ()) -> strict_yaml.Document:
+    """A config file on top of the files that its key `include` names (one, or a list; the later one counts).
+
+    What a file names (includes, EDS files, tables) is looked for in its own folder. A model file counts as a config
+    that has nothing but its `model:`. Raises UnusableInputError with file and line; for files that include each other
+    too.
+    """
+    document = strict_yaml.load(path)
+    if not isinstance(document.data, Mapping):
+        raise UnusableInputError(document.place(), "no mapping, expected a bench config")
+    if is_model(document.data):
+        document = document.below("model")
+    here = (*including, path.resolve())
+    document = _with_files_of_its_folder(document)
+    if "include" not in document.data:
+        return document
+    given, place = document.data["include"], document.place(("include",))
+    names = [given] if isinstance(given, str) else given
+    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+        raise UnusableInputError(place, f"'include' is {given!r}, expected a file name or a list of them")
+    below: strict_yaml.Document | None = None
+    for name in names:
+        file = path.parent / name
+        if file.resolve() in here:
+            raise UnusableInputError(place, f"'{name}' includes this file, expected no circle")
+        if not file.is_file():
+            raise UnusableInputError(place, f"no file {file}, expected a config to include")
+        included = read_document(file, here)
+        below = included if below is None else included.over(below)
+    top = document.without("include")
+    return top if below is None else top.over(below)
+
+
+def is_model(data: Mapping[str, Any]) -> bool:
+    """Whether a file's data are a model, as `hilbench.plant.web_line.parameters.load_model` reads it."""
+    return "rollers" in data
+
+
+def _with_files_of_its_folder(document: strict_yaml.Document) -> strict_yaml.Document:
+    """Files that a config names are looked for in its own folder."""
+    for location, name in list(_named_files(document.data)):
+        file = (document.path.resolve().parent / name).resolve()
+        document = document.with_value(location, str(file), document.place(location))
+    return document
+
+
+def _named_files(data: Mapping[str, Any]) -> Iterator[tuple[tuple[str | int, ...], str]]:
+    nodes, steps = data.get("nodes"), data.get("steps")
+    blocks: list[tuple[tuple[str | int, ...], Any, str]] = []
+    if isinstance(nodes, Mapping):
+        blocks += [(("nodes", part), node, "eds") for part, node in nodes.items()]
+    if isinstance(steps, list):
+        blocks += [
+            (("steps", number, kind), action, "file")
+            for number, step in enumerate(steps)
+            if isinstance(step, Mapping)
+            for kind, action in step.items()
+        ]
+    for location, block, key in blocks:
+        if isinstance(block, Mapping) and isinstance(block.get(key), str):
+            yield (*location, key), block[key]
+
+
+def dump(config: BenchConfig, path: Path) -> None:
+    """Write the resolved config, every default spelled out; `load` reads it back to a config that does the same.
+
+    Tables and Python files of its steps are copied beside it, so that the folder says by itself what was run. Raises
+    UnusableInputError when it cannot be written.
+    """
+    data: dict[str, Any] = config.model_dump(mode="json", exclude_none=True)
+    try:
+        for number, step in enumerate(data.get("steps", []), 1):
+            for action in step.values():
+                if "file" in action:
+                    source, name = Path(action["file"]), f"step{number}_{Path(action['file']).name}"
+                    shutil.copyfile(source, path.parent / name)
+                    action["file"] = name
+        path.write_text(yaml.safe_dump(data, sort_keys=False, allow_unicode=True), encoding="utf-8")
+    except OSError as error:
+        raise UnusableInputError(
+            error.filename or path, f"cannot be written ({error.strerror}), expected a writable folder"
+        ) from error
+
+
+def write_config_over(path: Path, files: Sequence[Path]) -> None:
+    """Write a config that includes others, the later one counting, under a name of its own (``…_extended``).
+
+    Raises UnusableInputError when it cannot be written, or the files make no config.
+    """
+    folder = path.resolve().parent
+    names = [Path(os.path.relpath(file.resolve(), folder)).as_posix() for file in files]
+    name = read_document(files[0]).data.get("name", files[0].stem)
+    text = yaml.safe_dump({"include": names, "name": f"{name}_extended"}, sort_keys=False, allow_unicode=True)
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise UnusableInputError(path, f"cannot be written ({error.strerror}), expected a writable folder") from error
+
+
+@dataclass(frozen=True)
+class LoadedConfig:
+    """A config with the document it came from, so that later checks can name file and line."""
+
+    config: ExperimentConfig
+    document: strict_yaml.Document
+
+
+def load_with_overrides(
+    path: Path,
+    *,
+    bus: str | None = None,
+    pace: str | None = None,
+    seed: int | None = None,
+    changes: Sequence[str] = (),
+) -> LoadedConfig:
+    """`load`, with what the command line says instead: `changes` are texts ``model.web.width_m=0.6``.
+
+    Raises UnusableInputError that names the file and line, or the option.
+    """
+    document = read_document(path)
+    for text in changes:
+        option, (location, value) = f"--set {text}", parse_change(text)
+        document = document.with_value(location, value, option)
+    options = {("bus", "address"): ("--bus", bus), ("pace",): ("--pace", pace), ("seed",): ("--seed", seed)}
+    for location, (option, given) in options.items():
+        if given is not None:
+            document = document.with_value(location, given, option)
+    document = _with_named_bus(document)
+    return LoadedConfig(strict_yaml.validate(document, ExperimentConfig), document)
+
+
+def parse_change(text: str) -> tuple[tuple[str | int, ...], Any]:
+    """Location and value of ``load.web.youngs_modulus_Pa=10.5e9`` (a number is a position in a list).
+
+    Raises UnusableInputError when it is no such text.
+    """
+    path, equals, value = text.partition("=")
+    keys = [key.strip() for key in path.split(".")]
+    if not equals or not all(keys):
+        raise UnusableInputError("--set", f"{text!r}, expected KEY=VALUE such as model.web.youngs_modulus_Pa=9e9")
+    location = tuple(int(key) if key.isdecimal() else key for key in keys)
+    return location, strict_yaml.parse_value(value.strip(), f"--set {text}")

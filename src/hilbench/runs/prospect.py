@@ -1,0 +1,160 @@
+"""What the steps of an experiment will ask of a bench, as far as that can be known before it runs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from math import prod
+
+from hilbench.plant.effects import find_effect
+from hilbench.plant.web_line.parameters import EffectEntry
+from hilbench.runs.config import ExperimentConfig
+from hilbench.runs.scenario import read_scenario
+from hilbench.runs.steps import TableStep
+from hilbench.strict_yaml import Location
+from hilbench.topology import quantities
+
+_LOAD_EFFECT = "load.effects."
+
+
+@dataclass(frozen=True)
+class State:
+    """What has been asked for, from `time_s` of the experiment on. `values`: by path (`bench.quantities`);
+    `effects`: those of the imitated web that stand in the config beside the ones that a path changes."""
+
+    time_s: float
+    place: Location  #: of the step in the config
+    values: Mapping[str, float]
+    effects: tuple[EffectEntry, ...] = ()
+
+    @property
+    def line_speed_m_s(self) -> float:
+        """Set-point of axis 2."""
+        return self.values[quantities.LINE_SPEED]
+
+    @property
+    def set_point_N(self) -> float:
+        """Of the tension."""
+        return self.values[quantities.TENSION_SET_POINT]
+
+    @property
+    def youngs_modulus_Pa(self) -> float:
+        """E of the imitated web, with its effects."""
+        modulus_Pa = self.values[quantities.YOUNGS_MODULUS]
+        for effect, parameters in self._all_effects():
+            modulus_Pa *= _elasticity_factor(effect, parameters, self.time_s)
+        return modulus_Pa
+
+    @property
+    def length_factor(self) -> float:
+        """Of the imitated span."""
+        return prod(1.0 + p["relative_change"] for effect, p in self._all_effects() if effect == "span_length_error")
+
+    def _all_effects(self) -> Iterator[tuple[str, Mapping[str, float]]]:
+        for entry in self.effects:
+            yield entry.effect, find_effect(entry.effect).filled(entry.parameters)
+        changed: dict[str, dict[str, float]] = {}
+        for path, value in self.values.items():
+            if path.startswith(_LOAD_EFFECT):
+                known = quantities.parse_effect_path(path)
+                changed.setdefault(known.effect, {})[known.parameter] = value
+        for effect, parameters in changed.items():
+            yield effect, find_effect(effect).filled(parameters)
+
+
+def _elasticity_factor(effect: str, parameters: Mapping[str, float], t_s: float) -> float:
+    """What an effect makes of E, as `hilbench.plant.web_line.laws` has it; 1 for one that is none of the elasticity."""
+    change = parameters.get("relative_change", 0.0)
+    if effect == "elasticity_shift":
+        return 1.0 + change
+    if effect == "elasticity_step":
+        return 1.0 + change if t_s >= parameters["time_s"] else 1.0
+    if effect == "elasticity_ramp":
+        return 1.0 + change * min(max((t_s - parameters["time_s"]) / parameters["duration_s"], 0.0), 1.0)
+    if effect == "elasticity_drift":
+        return 1.0 + parameters["rate_per_s"] * t_s
+    return 1.0
+
+
+@dataclass(frozen=True)
+class Move:
+    """From one state to the next, within `duration_s` (0: at once)."""
+
+    before: State
+    after: State
+    duration_s: float
+
+
+def start_of(config: ExperimentConfig) -> State:
+    """The state in which the drives are enabled."""
+    modulus_Pa = config.load.web.youngs_modulus_Pa or config.model.required_web.youngs_modulus_Pa
+    values = {
+        quantities.LINE_SPEED: 0.0,
+        quantities.TENSION_SET_POINT: config.tension_control.set_point_N,
+        quantities.YOUNGS_MODULUS: modulus_Pa,
+    }
+    others: list[EffectEntry] = []
+    for number, entry in enumerate(config.load.effects):
+        if any(later.effect == entry.effect for later in config.load.effects[number + 1 :]):
+            others.append(entry)  # a path changes the last one of a kind
+            continue
+        axis = "" if entry.axis is None else f"axis{entry.axis}."
+        values |= {f"{_LOAD_EFFECT}{entry.effect}.{axis}{name}": value for name, value in entry.parameters.items()}
+    return State(0.0, ("steps",), values, tuple(others))
+
+
+def moves(config: ExperimentConfig) -> Iterator[Move]:
+    """Every change that the YAML steps and tables ask for, in order; what Python files ask for is not in it."""
+    state = start_of(config)
+    for number, step in enumerate(config.steps):
+        place: Location = ("steps", number, step.kind)
+        if step.ramp is not None:
+            ramp = step.ramp
+            way = abs(ramp.to - state.values.get(ramp.path, 0.0))
+            lasts_s = ramp.duration_s or way / (ramp.rate_per_s or 1.0)
+            move = _move(state, place, ramp.path, ramp.to, lasts_s)
+            yield move
+            state = move.after
+        elif step.set is not None or step.step is not None:
+            given = step.set or step.step
+            assert given is not None, "one of the two"
+            move = _move(state, place, given.path, given.to, 0.0)
+            yield move
+            state = move.after
+        elif step.table is not None:
+            for move in _of_table(step.table, state, place):
+                yield move
+                state = move.after
+        else:
+            passes_s = 0.0
+            if step.hold is not None:
+                until_s = step.hold.until_s or 0.0
+                given_s = step.hold.duration_s
+                passes_s = given_s if given_s is not None else max(0.0, until_s - state.time_s)
+            elif step.wait_until is not None:
+                passes_s = step.wait_until.timeout_s
+            after = replace(state, time_s=state.time_s + passes_s, place=place)
+            yield Move(state, after, passes_s)
+            state = after
+
+
+def _move(state: State, place: Location, path: str, value: float, lasts_s: float) -> Move:
+    after = replace(state, time_s=state.time_s + lasts_s, place=place, values={**state.values, path: value})
+    return Move(state, after, lasts_s)
+
+
+def _of_table(table: TableStep, state: State, place: Location) -> Iterator[Move]:
+    scenario = read_scenario(table.file)
+    points = [(t_s, path, value, 0.0) for path, course in scenario.jumps.items() for t_s, value in course]
+    for path, course in scenario.ramps.items():
+        times = [t_s for t_s, _ in course]
+        lasting = [0.0, *(later - earlier for earlier, later in pairwise(times))]
+        points += [(t_s, path, value, lasts_s) for (t_s, value), lasts_s in zip(course, lasting, strict=True)]
+    began_s = state.time_s
+    for t_s, path, value, lasts_s in sorted(points, key=lambda point: point[0]):
+        begun = replace(state, time_s=began_s + t_s - lasts_s)
+        move = _move(begun, place, path, value, lasts_s)
+        yield move
+        state = move.after
+    yield Move(state, replace(state, time_s=began_s + scenario.duration_s), 0.0)

@@ -1,0 +1,242 @@
+"""The steps of an experiment as they stand in YAML, and how each is run on a bench."""
+
+from __future__ import annotations
+
+import operator
+import re
+from collections.abc import Callable
+from typing import Annotated, Literal
+
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    Field,
+    FilePath,
+    PositiveFloat,
+    ValidationInfo,
+    model_validator,
+)
+
+from hilbench.bench.bench import Bench
+from hilbench.block import Block
+from hilbench.errors import BenchFaultError
+from hilbench.runs.criteria import CriterionResult
+from hilbench.runs.python_file import load_experiment, run_experiment_function
+from hilbench.runs.scenario import read_scenario
+from hilbench.suggest import did_you_mean
+from hilbench.topology.quantities import LONGEST_S, permitted, rampable_path, settable_path
+from hilbench.topology.signals import SIGNALS
+
+_COMPARISONS: dict[str, Callable[[float, float], bool]] = {
+    "<": operator.lt,
+    "<=": operator.le,
+    ">": operator.gt,
+    ">=": operator.ge,
+}
+_CONDITION = re.compile(r"^\s*(\w+)\s*(<=|>=|<|>)\s*([-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?)\s*$")
+
+
+def _permitted_value(value: object, info: ValidationInfo) -> object:
+    """Checked against the path beside it; where that is none, its own error is the one to tell."""
+    path = info.data.get("path")
+    if path is not None and not permitted(path).holds(value):
+        raise ValueError(f"{permitted(path)} for {path}")
+    return value
+
+
+Path = Annotated[str, AfterValidator(settable_path)]
+RampedPath = Annotated[str, AfterValidator(rampable_path)]
+Value = Annotated[float, BeforeValidator(_permitted_value)]
+Duration = Annotated[float, Field(gt=0.0, le=LONGEST_S)]
+NoOrSomeTime = Annotated[float, Field(ge=0.0, le=LONGEST_S)]
+
+
+def parse_condition(text: str) -> tuple[str, str, float]:
+    """Split ``signal < value`` into its parts. Raises ValueError when it is no comparison of a known signal."""
+    match = _CONDITION.match(text)
+    if match is None:
+        raise ValueError("a comparison such as 'v1_m_s >= 2.9'")
+    signal, comparison, value = match.groups()
+    known = [entry.name for entry in SIGNALS]
+    if signal not in known:
+        raise ValueError(f"a signal of the recording, '{signal}' is none{did_you_mean(signal, known)}")
+    return signal, comparison, float(value)
+
+
+def _condition(text: str) -> str:
+    parse_condition(text)
+    return text
+
+
+class Ramp(Block):
+    """Move a quantity linearly: at `rate_per_s` (unit of the quantity per second) or within `duration_s`."""
+
+    path: RampedPath = Field(description="what is moved")
+    to: Value = Field(description="value at the end, SI")
+    rate_per_s: PositiveFloat | None = Field(default=None, description="how fast, in the quantity's unit per second")
+    duration_s: Duration | None = Field(default=None, description="how long it takes")
+
+    @model_validator(mode="after")
+    def _one_of_two(self) -> Ramp:
+        if (self.rate_per_s is None) == (self.duration_s is None):
+            raise ValueError("either rate_per_s or duration_s")
+        return self
+
+    def run(self, bench: Bench) -> None:
+        """Run cycles until the quantity has arrived."""
+        distance = abs(self.to - bench.get(self.path))
+        duration_s = self.duration_s or distance / (self.rate_per_s or 1.0)
+        if duration_s > LONGEST_S:
+            raise BenchFaultError(
+                f"ramp of {self.path} by {distance:g} at {self.rate_per_s:g} per s takes {duration_s:g} s, "
+                f"expected at most {LONGEST_S:g} s"
+            )
+        bench.ramp(self.path, self.to, max(duration_s, bench.config.cycle_time_s))
+
+
+class Hold(Block):
+    """Let the bench run: for `duration_s`, or until experiment time `until_s`."""
+
+    duration_s: NoOrSomeTime | None = Field(default=None, description="how long")
+    until_s: NoOrSomeTime | None = Field(default=None, description="experiment time at the end")
+
+    @model_validator(mode="after")
+    def _one_of_two(self) -> Hold:
+        if (self.duration_s is None) == (self.until_s is None):
+            raise ValueError("either duration_s or until_s")
+        return self
+
+    def run(self, bench: Bench) -> None:
+        """Run cycles for the time; an `until_s` that has passed already runs none."""
+        left_s = self.duration_s if self.duration_s is not None else (self.until_s or 0.0) - bench.time_s
+        bench.run(max(0.0, left_s))
+
+
+class Set(Block):
+    """Give quantities a value from the next cycle on."""
+
+    path: Path = Field(description="what is set")
+    to: Value = Field(description="its new value, SI")
+
+    def run(self, bench: Bench) -> None:
+        """Set it; takes no time."""
+        bench.set(self.path, self.to)
+
+
+class Step(Set):
+    """A step change under test: as `set`, and marked as an event that metrics and report refer to."""
+
+    def run(self, bench: Bench) -> None:
+        """Set it and note the event."""
+        bench.step(self.path, self.to)
+
+
+class WaitUntil(Block):
+    """Run until a signal of the recording fulfils a condition; a bench fault when it does not in time."""
+
+    condition: Annotated[str, AfterValidator(_condition)] = Field(
+        description="a comparison of a signal: 'v1_m_s >= 2.9'"
+    )
+    timeout_s: Duration = Field(description="how long it may take; then the run ends as a bench fault")
+    for_s: NoOrSomeTime = Field(default=0.0, description="the condition must hold so long without a break")
+
+    def run(self, bench: Bench) -> None:
+        """Run cycles until the condition has held for `for_s`."""
+        signal, comparison, value = parse_condition(self.condition)
+        holds = _COMPARISONS[comparison]
+        fulfilled = bench.wait_until(
+            lambda sample: holds(getattr(sample, signal), value), timeout_s=self.timeout_s, for_s=self.for_s
+        )
+        if not fulfilled:
+            raise BenchFaultError(f"wait_until: '{self.condition}' did not come true within {self.timeout_s:g} s")
+
+
+class RestartTwin(Block):
+    """Reset the twin while the plant runs; the tension loop is open until it is synchronized again."""
+
+    def run(self, bench: Bench) -> None:
+        """Reset, configure and start the twin's nodes."""
+        bench.restart_twin()
+
+
+class UseSynchronizer(Block):
+    """Let the twin go on with another method from its present E, with that method's defaults."""
+
+    method: Literal["pid", "lm", "global", "rls", "ekf", "changepoint"] = Field(
+        description="as in twin: synchronizer: method"
+    )
+
+    def run(self, bench: Bench) -> None:
+        """Switch; takes no time."""
+        bench.use_synchronizer(self.method)
+
+
+class TableStep(Block):
+    """Run a scenario table (`hilbench.runs.scenario`); its expectations are judged as criteria are."""
+
+    file: FilePath = Field(description="CSV or YAML; a relative path is taken from the config file's folder")
+
+    @model_validator(mode="after")
+    def _can_be_read(self) -> TableStep:
+        read_scenario(self.file)  # raises UnusableInputError with the table's own file and line
+        return self
+
+    def run(self, bench: Bench, judged: list[CriterionResult]) -> None:
+        """Run cycles until the table ends."""
+        read_scenario(self.file).run(bench, judged)
+
+
+class PythonStep(Block):
+    """Run a generator function of a Python file, resumed every cycle; it passes when no assertion in it fails."""
+
+    file: FilePath = Field(description="Python file; a relative path is taken from the config file's folder")
+    function: str = Field(default="experiment", description="generator function, called with the bench")
+
+    def run(self, bench: Bench, judged: list[CriterionResult]) -> None:
+        """Run cycles until it returns."""
+        run_experiment_function(bench, self.file, self.function, judged)
+
+
+Action = Ramp | Hold | Set | Step | WaitUntil | RestartTwin | UseSynchronizer
+JudgedAction = TableStep | PythonStep
+
+
+class ExperimentStep(Block):
+    """One entry of `steps:`, a mapping with a single key that says what is done."""
+
+    ramp: Ramp | None = None
+    hold: Hold | None = None
+    set: Set | None = None
+    step: Step | None = None
+    wait_until: WaitUntil | None = None
+    restart_twin: RestartTwin | None = None
+    synchronizer: UseSynchronizer | None = None
+    table: TableStep | None = None
+    python: PythonStep | None = None
+
+    @model_validator(mode="after")
+    def _single(self) -> ExperimentStep:
+        if len(self._given()) != 1:
+            raise ValueError(f"one of {', '.join(type(self).model_fields)} in each step")
+        return self
+
+    def _given(self) -> list[tuple[str, Action | JudgedAction]]:
+        return [(name, value) for name, value in self if value is not None]
+
+    @property
+    def kind(self) -> str:
+        """Its key."""
+        return self._given()[0][0]
+
+    def prepare(self) -> None:
+        """Raise UnusableInputError for a Python file that cannot be used; before anything is started."""
+        if self.python is not None:
+            load_experiment(self.python.file, self.python.function)
+
+    def run(self, bench: Bench, judged: list[CriterionResult]) -> None:
+        """Run it on a bench; verdicts of what it tests itself are added to `judged`."""
+        action = self._given()[0][1]
+        if isinstance(action, TableStep | PythonStep):
+            action.run(bench, judged)
+        else:
+            action.run(bench)

@@ -1,0 +1,1 @@
+"""What a bench is made of: config, parts, signals, settable quantities."""

@@ -1,0 +1,341 @@
+"""The bench config: everything the bench, the simulated hardware and the twin are built from.
+
+The experiment and its criteria stand in the same file; `hilbench.runs.config` adds them.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import Field, PositiveFloat, field_validator, model_validator
+
+from hilbench.block import Block
+from hilbench.can.open import BusAddress
+from hilbench.errors import UnusableInputError
+from hilbench.estimation.config import TwinConfig
+from hilbench.plant.effects import imitated_effect_problem, rig_effect_problem
+from hilbench.plant.sensors import SensorParameters
+from hilbench.plant.web_line.offline import samples_per
+from hilbench.plant.web_line.parameters import EffectEntry, Length, ModelParameters, Modulus
+from hilbench.plant.web_line.rig import LoadMotorParameters, RigParameters
+from hilbench.real_time import ProcessSettings
+
+Pace = Literal["lockstep", "realtime"]
+Mirroring = Literal["listen", "copy"]
+TimeOut = Annotated[float, Field(gt=0.0, le=3600.0)]
+
+
+class BusConfig(Block):
+    """Which bus: `embedded`, or any python-can interface and channel such as `socketcan:vcan0`."""
+
+    address: str = Field(
+        default="embedded",
+        description="embedded: the bus of the config's folder; embedded:NAME; or a python-can interface and channel: "
+        "socketcan:vcan0",
+    )
+    bitrate: int = Field(default=1_000_000, ge=10_000, le=1_000_000, description="bit/s")
+
+    @field_validator("address")
+    @classmethod
+    def _parses(cls, value: str) -> str:
+        try:
+            BusAddress.parse(value)
+        except UnusableInputError as error:  # the place is this key's, which pydantic tells
+            raise ValueError(error.problem.partition("expected ")[2] or error.problem) from error
+        return value
+
+
+class UnitsConfig(Block):
+    """What a drive's own objects do not tell of its units (608Fh, 60A9h, 6076h); motor side."""
+
+    position_rad: PositiveFloat | None = Field(default=None, description="rad per unit of 6064h")
+    velocity_rad_s: PositiveFloat | None = Field(default=None, description="rad/s per unit of 60FFh and 606Ch")
+    rated_torque_Nm: PositiveFloat | None = Field(default=None, description="N·m that 1000 units of 6077h are")
+
+
+def parse_object(key: str) -> tuple[int, int]:
+    """Index and sub-index of ``60A9h`` or ``60C2h:1``. Raises ValueError."""
+    match = re.fullmatch(r"([0-9A-Fa-f]{4})h(?::([0-9]{1,3}))?", key)
+    if match is None:
+        raise ValueError(f"an object such as 60A9h or 60C2h:1, '{key}' is none")
+    return int(match[1], 16), int(match[2] or 0)
+
+
+class NodeConfig(Block):
+    """One CANopen node of the bench."""
+
+    node_id: int = Field(ge=1, le=127, description="CANopen node id; every node has one of its own")
+    eds: Path = Field(description="EDS or DCF file; a relative path is taken from the config file's folder")
+    simulated: bool = Field(default=True, description="part of the simulated hardware; false: a real device")
+    units: UnitsConfig = Field(default=UnitsConfig(), description="a drive's units where its objects do not tell them")
+    parameters: dict[str, int | float] = Field(
+        default={}, description="objects written to a drive at configuration, device units: {60A9h: 0xFAB44700}"
+    )
+
+    @field_validator("parameters")
+    @classmethod
+    def _name_objects(cls, value: dict[str, int | float]) -> dict[str, int | float]:
+        for key in value:
+            parse_object(key)
+        return value
+
+    @property
+    def writes(self) -> dict[tuple[int, int], int | float]:
+        """`parameters` by index and sub-index."""
+        return {parse_object(key): value for key, value in self.parameters.items()}
+
+    @property
+    def unit_overrides(self) -> dict[str, float]:
+        """The units that the config gives, as `DriveUnits.from_objects` takes them."""
+        return self.units.model_dump(exclude_none=True)
+
+
+class NodesConfig(Block):
+    """The participants, by their part in the bench."""
+
+    axis1: NodeConfig
+    axis2: NodeConfig
+    load: NodeConfig
+    virtual_axis1: NodeConfig
+    virtual_axis2: NodeConfig
+    virtual_io: NodeConfig
+
+    @model_validator(mode="after")
+    def _ids_differ(self) -> NodesConfig:
+        seen: dict[int, str] = {}
+        for name, node in self:
+            if node.node_id in seen:
+                raise ValueError(f"node ids that differ: {seen[node.node_id]} and {name} both have {node.node_id}")
+            seen[node.node_id] = name
+        return self
+
+
+class MasterConfig(Block):
+    """The bench's own part on the bus."""
+
+    node_id: int = Field(default=127, ge=1, le=127, description="the bench's own, for its heartbeat")
+    heartbeat_ms: int = Field(default=100, ge=0, le=32767, description="the bench's own heartbeat; 0: none")
+    node_heartbeat_ms: int = Field(default=100, ge=0, le=32767, description="heartbeat that the nodes produce")
+    boot_timeout_s: TimeOut = Field(default=20.0, description="how long nodes may take to show themselves on the bus")
+    sdo_timeout_s: TimeOut = Field(default=1.0, description="how long a node may take to answer an SDO request")
+
+
+class HardwareConfig(Block):
+    """The simulated hardware: the model's axes as motors with flywheels, and the load motor on the second shaft."""
+
+    load_motor: LoadMotorParameters = LoadMotorParameters(inertia_kg_m2=0.0005)
+    sensors: SensorParameters = SensorParameters(torque_noise_Nm=0.05, velocity_noise_rad_s=0.002)
+    effects: list[EffectEntry] = Field(default=[], description="hidden in the simulated axes")
+
+    @field_validator("effects")
+    @classmethod
+    def _of_axes(cls, entries: list[EffectEntry]) -> list[EffectEntry]:
+        for entry in entries:
+            problem = rig_effect_problem(entry.effect, entry.axis)
+            if problem:
+                raise ValueError(problem)
+        return entries
+
+
+class LoadWebConfig(Block):
+    """Where the imitated web differs from the model; what is not given is as in `model:`."""
+
+    youngs_modulus_Pa: Modulus | None = Field(default=None, description="Young's modulus E of the imitated web")
+    span_length_m: Length | None = Field(default=None, description="free web between the two rollers")
+
+
+class LoadConfig(Block):
+    """The load-model task: the web that the load motor imitates."""
+
+    web: LoadWebConfig = LoadWebConfig()
+    effects: list[EffectEntry] = Field(default=[], description="hidden in the imitated mechanics")
+
+    @field_validator("effects")
+    @classmethod
+    def _imitable(cls, entries: list[EffectEntry]) -> list[EffectEntry]:
+        for entry in entries:
+            problem = imitated_effect_problem(entry.effect, entry.axis)
+            if problem:
+                raise ValueError(problem)
+        return entries
+
+
+class TensionControlConfig(Block):
+    """The tension loop: how the velocity of axis 1 keeps the simulated tension at its set-point."""
+
+    set_point_N: PositiveFloat = Field(default=80.0, description="of the simulated tension, the sensor of the loop")
+    bandwidth_rad_per_s: PositiveFloat = Field(default=6.0, description="of the closed tension loop")
+    twin_age_limit_cycles: int = Field(
+        default=10, ge=0, description="age of the twin's data up to which the loop stays closed on them"
+    )
+    twin_deviation_limit_pct: PositiveFloat = Field(
+        default=30.0, description="stated deviation of E up to which the loop stays closed on the twin"
+    )
+    correction_limit_m_s: PositiveFloat = Field(
+        default=0.02, description="largest |v1 - v2| the controller asks for, without the damping"
+    )
+    swing_damping_ratio: float = Field(
+        default=1.3,
+        ge=0.0,
+        le=2.0,
+        description="damping ratio that axis 1 gives the swing of roller 2 against the web; 0: none",
+    )
+
+
+class Limit(Block):
+    """Two levels of one quantity's magnitude; a level that is not given (null) does not exist."""
+
+    warning: PositiveFloat | None = Field(
+        default=None, description="noted once until the quantity has fallen below 95 % of it"
+    )
+    trip: PositiveFloat | None = Field(default=None, description="the bench goes to the safe state")
+
+    @model_validator(mode="after")
+    def _warning_comes_first(self) -> Limit:
+        if self.warning is not None and self.trip is not None and self.warning > self.trip:
+            raise ValueError(f"a warning level that is not above the trip level {self.trip:g}")
+        return self
+
+
+class LimitsConfig(Block):
+    """Levels of warning (noted in the result) and trip (the bench goes to the safe state)."""
+
+    tension_N: Limit = Field(default=Limit(warning=300.0, trip=400.0), description="of the imitated web")
+    torque_Nm: Limit = Field(default=Limit(warning=10.0, trip=15.0), description="of any drive, motor side")
+    speed_m_s: Limit = Field(default=Limit(warning=8.0, trip=10.0), description="of either axis, at the web")
+    position_difference_m: Limit = Field(
+        default=Limit(warning=0.05, trip=0.2),
+        description="of axis 1 from axis 2, beyond what their set points add up to since the drives were enabled",
+    )
+    estimate_ratio: Limit = Field(
+        default=Limit(warning=3.0, trip=10.0),
+        description="of the twin's E, while it is synchronized, to the model's E, or its inverse",
+    )
+
+
+class SafetyConfig(Block):
+    """Limits of a run and how the safe state is reached: all drives at rest by quick stop, then without power."""
+
+    cycle_timeout_s: TimeOut = Field(
+        default=5.0, description="lockstep: wall time to wait for a drive; for the twin 2 s at most"
+    )
+    missing_cycles: int = Field(default=25, ge=1, description="realtime: cycles in a row a PDO may be missing")
+    drive_timeout_s: TimeOut = Field(default=2.0, description="for a drive to reach a requested state")
+    quick_stop_m_s2: float = Field(
+        default=3.0, ge=0.01, le=1000.0, description="deceleration of a quick stop, at the web"
+    )
+    limits: LimitsConfig = LimitsConfig()
+    on_web_break: Literal["stop", "warn"] = Field(default="stop", description="when the twin reports a web break")
+    on_foreign_frames: Literal["stop", "warn"] = Field(
+        default="warn",
+        description="when somebody else sends what only the bench or its nodes send, or writes to the nodes by SDO",
+    )
+    supervisor_timeout_s: TimeOut = Field(
+        default=0.5,
+        description="realtime: silence of the bench's heartbeat after which the supervisor stops the drives; "
+        "lockstep: so much longer than cycle_timeout_s",
+    )
+
+
+class CoresConfig(Block):
+    """Which core each process is pinned to; null: none."""
+
+    bench: int | None = Field(default=None, ge=0, le=4095, description="the bench's cyclic loop")
+    hardware: int | None = Field(default=None, ge=0, le=4095, description="the simulated hardware")
+    twin: int | None = Field(default=None, ge=0, le=4095, description="the twin")
+
+
+class RealtimeConfig(Block):
+    """What the processes ask of the operating system at pace `realtime`; what is not permitted is a warning."""
+
+    priority: int | None = Field(
+        default=None, ge=2, le=99, description="SCHED_FIFO priority of the bench, simulated hardware and twin one below"
+    )
+    lock_memory: bool | None = Field(
+        default=None, description="keep memory from being paged out; null: where permitted"
+    )
+    cores: CoresConfig = CoresConfig()
+
+
+class BenchConfig(Block):
+    """One bench. Keys that carry a unit say so in their name."""
+
+    name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$", description="names the run folder")
+    description: str = Field(default="", description="stands in report and recording")
+    seed: int = Field(default=1, ge=0, description="of every random number of the run")
+    pace: Pace = Field(
+        default="lockstep",
+        description="lockstep: the next SYNC when everybody has answered, reproducible; realtime: by the wall clock",
+    )
+    cycle_time_s: float = Field(default=0.002, ge=0.0005, le=0.1, description="SYNC period, whole microseconds")
+    mirroring: Mirroring = Field(
+        default="listen",
+        description="listen: virtual axes hear the real axes' RPDOs; copy: they get RPDOs of their own",
+    )
+    bus: BusConfig = BusConfig()
+    master: MasterConfig = MasterConfig()
+    nodes: NodesConfig
+    model: ModelParameters
+    hardware: HardwareConfig = HardwareConfig()
+    load: LoadConfig = LoadConfig()
+    twin: TwinConfig = TwinConfig()
+    tension_control: TensionControlConfig = TensionControlConfig()
+    safety: SafetyConfig = SafetyConfig()
+    realtime: RealtimeConfig = RealtimeConfig()
+
+    @model_validator(mode="after")
+    def _fits_the_rig(self) -> BenchConfig:
+        if self.model.web is None or self.model.drives is None or self.model.axis_count != 2:
+            raise ValueError("a model of two driven rollers with 'web:' and 'drives:'")
+        self.rig_parameters()  # raises ValueError for a load motor that is too heavy
+        samples_per(self.cycle_time_s, self.model.drives.sample_time_s)  # raises ValueError for what is no multiple
+        return self
+
+    def rig_parameters(self) -> RigParameters:
+        """The simulated hardware: the model's axes without the model's effects, with those hidden in the hardware."""
+        hardware = self.hardware
+        return RigParameters.matching(self.model, hardware.load_motor, hardware.sensors, hardware.effects)
+
+    @field_validator("cycle_time_s")
+    @classmethod
+    def _whole_microseconds(cls, value: float) -> float:
+        if abs(value * 1e6 - round(value * 1e6)) > 1e-6:
+            raise ValueError("whole microseconds (1006h, communication cycle period)")
+        return value
+
+    @property
+    def simulated_drives(self) -> dict[int, str]:
+        """Parts that the simulated hardware plays, by node id."""
+        parts = ("axis1", "axis2", "load")
+        return {node.node_id: part for part, node in self.nodes if part in parts and node.simulated}
+
+    @property
+    def virtual_nodes(self) -> dict[int, str]:
+        """Parts that the twin plays, by node id."""
+        return {node.node_id: part for part, node in self.nodes if part.startswith("virtual")}
+
+    def process_settings(self, part: Literal["bench", "hardware", "twin"]) -> ProcessSettings | None:
+        """What the process of a part asks of the operating system; None in lockstep."""
+        if self.pace == "lockstep":
+            return None
+        wanted = self.realtime
+        below = 0 if part == "bench" else 1
+        priority = None if wanted.priority is None else wanted.priority - below
+        return ProcessSettings(priority, getattr(wanted.cores, part), wanted.lock_memory)
+
+    def units_of(self, node_id: int) -> dict[str, float]:
+        """Units that the config gives for a node; none for one that is not the bench's."""
+        return next((node.unit_overrides for _, node in self.nodes if node.node_id == node_id), {})
+
+    @property
+    def bus_address(self) -> BusAddress:
+        """The bus with its bitrate; an embedded bus takes its timing from the pace."""
+        timing = "virtual" if self.pace == "lockstep" else "real"
+        return BusAddress.parse(self.bus.address, bitrate=self.bus.bitrate, timing=timing)
+
+    @property
+    def cycle_ns(self) -> int:
+        """The SYNC period in ns."""
+        return round(self.cycle_time_s * 1e6) * 1000

@@ -1,0 +1,192 @@
+"""The quantities of a running bench that an experiment may change, by path, and what values each of them may have.
+
+`line_speed_m_s`, `tension_control.set_point_N`, `load.web.youngs_modulus_Pa`, `load.web.broken` (1: the web of the span
+has torn and pulls no more; 0: it is whole), and any parameter of any effect, hidden
+in the imitated mechanics or in the simulated hardware: `load.effects.elasticity_drift.rate_per_s`,
+`hardware.effects.coulomb_friction.axis1.force_N`.
+
+The ranges here are those of values with a meaning, whatever the config. What an operator may ask for of a running
+bench is less (`hilbench.bench.operator.operator_objects`), and `safety: limits` end a run before that.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import cache
+from itertools import product
+from math import isfinite
+from numbers import Real
+
+from hilbench.errors import UnusableValueError
+from hilbench.plant.effects import EFFECTS, find_effect, imitated_effect_problem, rig_effect_problem
+from hilbench.plant.web_line.parameters import LARGEST_MODULUS_Pa, LEAST_MODULUS_Pa
+from hilbench.suggest import did_you_mean
+
+LINE_SPEED = "line_speed_m_s"
+TENSION_SET_POINT = "tension_control.set_point_N"
+YOUNGS_MODULUS = "load.web.youngs_modulus_Pa"
+WEB_BROKEN = "load.web.broken"
+
+#: Longest time that a step of an experiment may take, s: twelve days. More is a wrong unit, and fits no memory.
+LONGEST_S = 1e6
+
+
+@dataclass(frozen=True)
+class Permitted:
+    """Values that a quantity may have: finite numbers from `lower` to `upper` (inclusive), in `unit` ("1": a ratio).
+
+    As text it says what was expected: ``a number from 0 to 100000 N``.
+    """
+
+    lower: float
+    upper: float
+    unit: str
+    only_ends: bool = False  #: a switch: `lower` or `upper`, nothing between
+
+    def holds(self, value: object) -> bool:
+        """Whether `value` is one of them. Texts are none, and truth values only where there is a switch."""
+        number = _number(value, truth=self.only_ends)
+        if number is None or not self.lower <= number <= self.upper:
+            return False
+        return not self.only_ends or number in (self.lower, self.upper)
+
+    def __str__(self) -> str:
+        if self.only_ends:
+            return f"{self.lower:g} or {self.upper:g}"
+        unit = "" if self.unit == "1" else f" {self.unit}"
+        return f"a number from {self.lower:g} to {self.upper:g}{unit}"
+
+
+def _number(value: object, *, truth: bool) -> float | None:
+    if not isinstance(value, Real) or (isinstance(value, bool) and not truth):
+        return None
+    try:
+        number = float(value)
+    except OverflowError:
+        return None
+    return number if isfinite(number) else None
+
+
+_PLAIN = {
+    LINE_SPEED: Permitted(-100.0, 100.0, "m/s"),
+    TENSION_SET_POINT: Permitted(0.0, 1e5, "N"),
+    YOUNGS_MODULUS: Permitted(LEAST_MODULUS_Pa, LARGEST_MODULUS_Pa, "Pa"),
+    WEB_BROKEN: Permitted(0.0, 1.0, "1", only_ends=True),
+}
+PLAIN_PATHS = tuple(_PLAIN)
+
+
+#: Where effects can be, and what is wrong with one (its id and axis) there.
+_PLACES = {"load": imitated_effect_problem, "hardware": rig_effect_problem}
+
+
+@dataclass(frozen=True)
+class EffectPath:
+    """One parameter of one effect, in the imitated mechanics (`load`) or the simulated `hardware`."""
+
+    place: str
+    effect: str
+    axis: int | None
+    parameter: str
+
+
+@cache
+def parse_effect_path(text: str) -> EffectPath:
+    """Take ``load|hardware.effects.ID[.axis1|.axis2].PARAMETER`` apart. Raises ValueError that says what is wrong."""
+    parts = text.split(".")
+    if len(parts) not in (4, 5) or parts[0] not in ("load", "hardware") or parts[1] != "effects":
+        known = ", ".join(PLAIN_PATHS)
+        raise ValueError(
+            f"one of {known}, or load|hardware.effects.ID[.axisN].PARAMETER{did_you_mean(text, all_paths())}"
+        )
+    place, _, name, *axis_part, parameter = parts
+    try:
+        effect = find_effect(name)
+    except KeyError:
+        meant = did_you_mean(name, (effect.id for effect in EFFECTS))
+        raise ValueError(f"an effect of the vocabulary, '{name}' is none{meant}") from None
+    axis = {"axis1": 1, "axis2": 2}.get(axis_part[0]) if axis_part else None
+    if effect.per_axis and axis is None:
+        raise ValueError(f"'{name}' with its axis: {place}.effects.{name}.axis1|axis2.{parameter}")
+    if not effect.per_axis and axis_part:
+        raise ValueError(f"'{name}' without an axis: {place}.effects.{name}.{parameter}")
+    names = [known.name for known in effect.parameters]
+    if parameter not in names:
+        meant = did_you_mean(parameter, names)
+        raise ValueError(f"a parameter of '{name}' ({', '.join(names)}), '{parameter}' is none{meant}")
+    problem = _PLACES[place](name, axis)
+    if problem:
+        raise ValueError(problem)
+    return EffectPath(place, name, axis, parameter)
+
+
+def all_paths() -> Iterator[str]:
+    """Every path that can be set."""
+    yield from PLAIN_PATHS
+    for effect in EFFECTS:
+        for (place, problem), axis in product(_PLACES.items(), (1, 2) if effect.per_axis else (None,)):
+            if not problem(effect.id, axis):
+                at = f"{place}.effects.{effect.id}." + ("" if axis is None else f"axis{axis}.")
+                yield from (at + parameter.name for parameter in effect.parameters)
+
+
+def is_of_load(path: str) -> bool:
+    """Whether a quantity belongs to the imitated mechanics."""
+    return path.startswith("load.")
+
+
+def settable_path(text: str) -> str:
+    """The path itself when it names a quantity that can be set; ValueError otherwise."""
+    if text not in PLAIN_PATHS:
+        parse_effect_path(text)
+    return text
+
+
+def rampable_path(text: str) -> str:
+    """The path itself when it names a quantity that can have every value between two; ValueError otherwise."""
+    if permitted(text).only_ends:
+        raise ValueError(f"a quantity that can be ramped, '{text}' is a switch")
+    return text
+
+
+@cache
+def permitted(path: str) -> Permitted:
+    """What values a quantity may have. Raises ValueError for an unknown path."""
+    if path in _PLAIN:
+        return _PLAIN[path]
+    of = parse_effect_path(path)
+    parameter = find_effect(of.effect).parameter(of.parameter)
+    return Permitted(parameter.lower, parameter.upper, parameter.unit)
+
+
+def checked_path(path: object, check: Callable[[str], str] = settable_path) -> str:
+    """The path when it is text that passes `check`. Raises UnusableValueError: what was found, what was expected."""
+    try:
+        if isinstance(path, str):
+            return check(path)
+        expected = f"text such as '{LINE_SPEED}'"
+    except ValueError as error:
+        expected = str(error)
+    raise UnusableValueError(f"path {path!r}, expected {expected}")
+
+
+def checked_duration_s(name: str, value: object, *, above_zero: bool = False) -> float:
+    """A time in s as a number. Raises UnusableValueError that names it, what was found and what was expected."""
+    number = _number(value, truth=False)
+    if number is None or not 0.0 <= number <= LONGEST_S or (above_zero and number == 0.0):
+        least = "above 0 and up" if above_zero else "from 0"
+        raise UnusableValueError(f"{name} is {value!r}, expected a number {least} to {LONGEST_S:g} s")
+    return number
+
+
+def checked_value(path: str, value: object) -> float:
+    """The value as a number when the quantity may have it.
+
+    Raises UnusableValueError (a ValueError) that names the path, what was found and what was expected; ValueError for
+    an unknown path.
+    """
+    allowed = permitted(path)
+    if not allowed.holds(value):
+        raise UnusableValueError(f"{path} is {value!r}, expected {allowed}")
+    return float(value)  # type: ignore[arg-type]  # a Real, as `holds` has seen

@@ -1,0 +1,218 @@
+"""The master and canopen's own client against a device host, on a bus."""
+
+from __future__ import annotations
+
+import re
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from tests.buses import Bus
+from tests.canopen.device_under_test import NODE, eds_text
+
+import can
+import canopen
+from hilbench.can.frame import Frame
+from hilbench.canopen.clock import MonotonicClock
+from hilbench.canopen.device import Device, NmtState
+from hilbench.canopen.eds import load_eds
+from hilbench.canopen.host import DeviceHost
+from hilbench.canopen.master import START, Master
+from hilbench.canopen.pdo import PdoMap
+from hilbench.errors import BenchFaultError, BusError
+
+
+class Idle:
+    """An application without a plant."""
+
+    listens_to: frozenset[int] = frozenset()
+
+    def before_sync(self, behind: int) -> None:
+        pass
+
+    def after_sync(self) -> None:
+        pass
+
+    def on_frame(self, frame: Frame) -> None:
+        pass
+
+    def tick(self, duration_s: float) -> None:
+        pass
+
+
+class Rig:
+    def __init__(self, folder: Path, bus: Bus) -> None:
+        path = folder / "device.eds"
+        path.write_text(eds_text(), encoding="ascii")
+        self.bus = bus
+        self.od = load_eds(path, NODE)
+        clock = MonotonicClock()
+        self.device = Device(load_eds(path, NODE), NODE, clock)
+        self._link = self.bus.open_link()
+        self._host = DeviceHost(self._link, [self.device], clock, Idle())
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._host.run, args=(self._stop.is_set,))
+
+    def start(self) -> None:
+        self._thread.start()
+
+    def stop(self) -> None:
+        self._stop.set()
+        if self._thread.ident is not None:
+            self._thread.join()
+        self._link.close()
+
+
+@pytest.fixture
+def rig(tmp_path: Path, bus: Bus) -> Iterator[Rig]:
+    made = Rig(tmp_path, bus)
+    yield made
+    made.stop()
+
+
+@pytest.fixture
+def master(rig: Rig) -> Iterator[Master]:
+    made = Master(rig.bus.open_python_can())
+    made.add(NODE, rig.od, "axis 1")
+    yield made
+    made.close()
+
+
+def test_boot_configure_and_identity(rig: Rig, master: Master) -> None:
+    rig.start()
+    master.wait_for_boot([NODE], 5.0)
+    master.configure(NODE, {(0x2000, 0): 42, (0x2006, 0): -0.5, (0x2004, 0): -3, (0x2002, 0): "a longer text"})
+    assert master.sdo_read(NODE, 0x2000) == 42
+    assert rig.device.cell(0x2004).value == -3
+    assert master.sdo_read(NODE, 0x1018, 1) == 0x1234
+
+
+def test_pdo_map_is_written_and_read_back(rig: Rig, master: Master) -> None:
+    rig.start()
+    master.wait_for_boot([NODE], 5.0)
+    pdo = PdoMap.from_names(rig.od, 0x1A5, 2, ["torque_actual_value", "position_actual_value"])
+    master.write_tpdo(NODE, 1, pdo)
+    assert master.sdo_read(NODE, 0x1800, 1) & 0x7FF == 0x1A5
+    assert master.sdo_read(NODE, 0x1800, 2) == 2
+    assert [master.sdo_read(NODE, 0x1A00, sub) for sub in (0, 1, 2)] == [2, 0x60770010, 0x60640020]
+
+
+def test_pdo_that_reads_back_otherwise_is_a_fault(rig: Rig, master: Master) -> None:
+    rig.device.cell(0x1800, 2).on_read = lambda: 9  # a device that has a will of its own
+    rig.start()
+    with pytest.raises(BenchFaultError, match=r"1800h reads back .* type 9, expected 1A5h, 2"):
+        master.write_tpdo(NODE, 1, PdoMap.from_names(rig.od, 0x1A5, 2, ["torque_actual_value"]))
+
+
+@pytest.mark.parametrize(
+    ("index", "value", "message"),
+    [
+        (0x2000, 101, "axis 1 (node 5), 2000h sub 0 'Parameter': writing 101 to it: abort 06090031h"),
+        (0x1008, "x", "axis 1 (node 5), 1008h sub 0 'Device name': writing 'x' to it: abort 06010002h"),
+    ],
+)
+def test_refusal_names_node_object_and_reason(
+    rig: Rig, master: Master, index: int, value: int | str, message: str
+) -> None:
+    rig.start()
+    with pytest.raises(BenchFaultError, match=re.escape(message)) as error:
+        master.sdo_write(NODE, index, value)
+    assert "\n" not in str(error.value)
+
+
+def test_value_out_of_its_type_is_a_fault_not_a_traceback(rig: Rig, master: Master) -> None:
+    with pytest.raises(BenchFaultError, match="'Parameter': writing 70000"):
+        master.sdo_write(NODE, 0x2000, 70000)
+
+
+def test_silent_node_is_named_with_what_was_tried(rig: Rig) -> None:
+    master = Master(rig.bus.open_python_can(), sdo_timeout_s=0.05)
+    master.add(NODE, rig.od, "axis 1")
+    with pytest.raises(BenchFaultError, match=r"axis 1 \(node 5\): no boot-up or heartbeat .*1000h"):
+        master.wait_for_boot([NODE], 0.1)
+    with pytest.raises(
+        BenchFaultError, match=r"axis 1 \(node 5\), 1000h sub 0 'Device type'.*no answer within 0\.05 s"
+    ):
+        master.sdo_read(NODE, 0x1000)
+    master.close()
+
+
+def test_nmt(rig: Rig, master: Master) -> None:
+    changed = threading.Event()
+    rig.start()
+    master.wait_for_boot([NODE], 5.0)
+    rig.device.on_nmt = lambda state: changed.set()
+    master.nmt(START, NODE)
+    assert changed.wait(5.0)
+    assert rig.device.nmt_state is NmtState.OPERATIONAL
+
+
+class BusThatIsLost(can.BusABC):
+    """A python-can bus that nothing comes from, and whose other end goes away when told."""
+
+    def __init__(self) -> None:
+        self.lost = threading.Event()
+        super().__init__("none")
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        pass
+
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        if self.lost.wait(timeout):
+            raise can.CanOperationError("its hub has ended")
+        return None, True
+
+
+def test_a_lost_bus_is_an_error_where_it_is_used_next_and_no_traceback(monkeypatch: pytest.MonkeyPatch) -> None:
+    ended_by = []
+    monkeypatch.setattr(threading, "excepthook", lambda hooked: ended_by.append(hooked.exc_type))
+    bus = BusThatIsLost()
+    before = set(threading.enumerate())
+    master = Master(bus)
+    receiving = set(threading.enumerate()) - before
+    assert receiving
+    bus.lost.set()
+    for thread in receiving:
+        thread.join(10.0)
+        assert not thread.is_alive()
+    with pytest.raises(BusError, match="its hub has ended"):
+        master.nmt(START)
+    master.close()
+    assert ended_by == [SystemExit]  # of which Python prints nothing
+
+
+def test_canopens_client_reads_writes_maps_and_transfers_blocks(rig: Rig) -> None:
+    network = canopen.Network(rig.bus.open_python_can())
+    network.connect()
+    node = network.add_node(NODE, rig.od)
+    node.sdo.RESPONSE_TIMEOUT = 5.0
+    rig.start()
+    try:
+        assert node.sdo["Device name"].raw == "hilbench test device"
+        node.sdo["Parameter"].raw = 12
+        assert rig.device.cell(0x2000).value == 12
+        with pytest.raises(canopen.SdoAbortedError) as refused:
+            node.sdo["Statusword"].raw = 1
+        assert refused.value.code == 0x06010002
+
+        node.tpdo.read()
+        node.tpdo[2].clear()
+        node.tpdo[2].add_variable("Position actual value")
+        node.tpdo[2].trans_type = 255
+        node.tpdo[2].enabled = True
+        node.tpdo.save()
+        node.nmt.state = "OPERATIONAL"
+        rig.device.cell(0x6064).value = -123456
+        node.tpdo[2].wait_for_reception(5.0)
+        while node.tpdo[2]["Position actual value"].raw != -123456:
+            assert node.tpdo[2].wait_for_reception(5.0) is not None
+
+        data = bytes(range(256)) * 8
+        with node.sdo.open(0x2003, 0, "wb", size=len(data), block_transfer=True) as stream:
+            stream.write(data)
+        assert rig.device.cell(0x2003).value == data
+        with node.sdo.open(0x2003, 0, "rb", block_transfer=True) as stream:
+            assert stream.read() == data
+    finally:
+        network.disconnect()

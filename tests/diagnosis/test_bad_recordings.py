@@ -1,0 +1,96 @@
+"""What can't be diagnosed is said in one line, and nothing is guessed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from tests.plant.models import model
+
+from hilbench.diagnosis.diagnosis import diagnose
+from hilbench.diagnosis.measured import measured_from
+from hilbench.diagnosis.unobservable import blind_recording
+from hilbench.errors import UnusableInputError
+from hilbench.results.recording import Recording
+
+Channels = dict[str, np.ndarray]
+
+
+@pytest.fixture(scope="module")
+def good() -> Channels:
+    return dict(blind_recording(model(), [], duration_s=12.0).channels)
+
+
+def without(name: str) -> Callable[[Channels], Channels]:
+    return lambda c: {key: values for key, values in c.items() if key != name}
+
+
+def scaled(name: str, factor: float) -> Callable[[Channels], Channels]:
+    return lambda c: {**c, name: c[name] * factor}
+
+
+def gap(c: Channels) -> Channels:
+    return {name: np.delete(values, slice(1000, 1010)) for name, values in c.items()}
+
+
+def not_a_number(c: Channels) -> Channels:
+    torque = c["tau2_Nm"].copy()
+    torque[500] = np.nan
+    return {**c, "tau2_Nm": torque}
+
+
+def short(c: Channels) -> Channels:
+    return {name: values[:400] for name, values in c.items()}
+
+
+def quiet(c: Channels) -> Channels:
+    noise = {name: values - values.mean() for name, values in c.items() if name[0] in "xv" and "cmd" not in name}
+    still = {name: np.random.default_rng(0).normal(0.0, 1e-7, len(v)) for name, v in noise.items()}
+    zero = {name: np.zeros(len(c["t_s"])) for name in ("v1_cmd_m_s", "v2_cmd_m_s")}
+    return {**c, **still, **zero}
+
+
+@pytest.mark.parametrize(
+    ("damage", "said"),
+    [
+        (without("v1_cmd_m_s"), "channel v1_cmd_m_s missing"),
+        (without("strain_prev"), "channel strain_prev missing"),
+        (gap, "0.022 s after t = 1.998 s where the others are 0.002 s apart (1 such places)"),
+        (not_a_number, "channel tau2_Nm has 1 value(s) that are no finite number"),
+        (short, "expected at least 5 s"),
+        (quiet, "nothing moves"),
+        (scaled("t_s", 1000.0), "channel t_s: samples 2 s apart"),
+        (scaled("x2_m", 1000.0), "channel x2_m moves"),
+        (scaled("v2_cmd_m_s", 60.0), "reaches"),
+        (scaled("tau1_Nm", 1000.0), "expected N·m within the drive's limit of 9"),
+        (scaled("strain_prev", 1e6), "channel strain_prev reaches"),
+        (scaled("tau2_Nm", 0.0), "channel tau2_Nm never changes"),
+    ],
+)
+def test_it_is_named(good: Channels, damage: Callable[[Channels], Channels], said: str) -> None:
+    with pytest.raises(UnusableInputError) as caught:
+        measured_from(Recording(damage(good)), model(), "run.csv")
+    text = str(caught.value)
+    assert said in text
+    assert text.startswith("run.csv")
+    assert "\n" not in text
+
+
+def test_no_torque_at_all_is_refused_and_one_missing_is_gone_without(good: Channels) -> None:
+    one = without("tau1_Nm")(good)
+    with pytest.raises(UnusableInputError, match="expected at least one torque"):
+        measured_from(Recording(without("tau2_Nm")(one)), model(), "run.csv")
+    found = diagnose(Recording(one), model(), "run.csv")
+    assert found.verdict == "complete"
+    assert found.missing_channels == ["tau1_Nm"]
+    assert [g.signal for g in found.gaps] == ["tau2_Nm"]
+
+
+def test_a_web_of_three_rollers_and_one_without_drives_are_refused(good: Channels) -> None:
+    from tests.plant.models import line_of
+
+    with pytest.raises(UnusableInputError, match="3 rollers"):
+        measured_from(Recording(good), line_of(3), "run.csv")
+    with pytest.raises(UnusableInputError, match="no 'drives'"):
+        measured_from(Recording(good), model(drives=None), "run.csv")

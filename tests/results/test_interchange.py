@@ -1,0 +1,181 @@
+"""What other tools read, and what is read of other machines."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from pathlib import Path
+
+import cantools
+import numpy as np
+import pytest
+from tests.cli.in_process import hilbench
+
+from hilbench.can.frame import EXTENDED_FLAG, Frame
+from hilbench.canopen.dbc import DbcMessage, dbc_text
+from hilbench.canopen.eds import load_eds
+from hilbench.canopen.pdo import PdoMap
+from hilbench.errors import UnusableInputError
+from hilbench.exchange.nodes import Nodes
+from hilbench.exchange.pdo_set import pdo_set_dbc
+from hilbench.results.import_mapping import read_foreign
+from hilbench.results.recording import Recording, read_recording, write_recording
+from hilbench.results.trace_files import read_trace, write_trace
+from hilbench.runs.config import load
+
+CONFIG = Path(__file__).resolve().parents[2] / "bench_configs" / "web_section_step.yaml"
+
+
+def test_parquet_gives_back_what_was_written(tmp_path: Path) -> None:
+    channels = {"t_s": np.arange(5) * 0.002, "x1_m": np.array([0.1, 0.2, np.nan, 1e-300, 3.0])}
+    channels["statusword1"] = np.array([1, 2, 3, 4, 5], np.uint32)
+    written = Recording(channels, datetime(2026, 1, 2, tzinfo=UTC), "a run")
+    write_recording(written, tmp_path / "a.parquet")
+    found = read_recording(tmp_path / "a.parquet")
+    assert (found.start_time, found.comment, found.unit("x1_m")) == (written.start_time, "a run", "m")
+    for name, values in channels.items():
+        assert found[name].dtype == values.dtype
+        assert np.array_equal(found[name], values, equal_nan=name == "x1_m")
+    (tmp_path / "b.parquet").write_bytes(b"PAR1 no table")
+    with pytest.raises(UnusableInputError, match=r"b.parquet: not a readable Parquet file"):
+        read_recording(tmp_path / "b.parquet")
+
+
+@pytest.mark.parametrize("suffix", [".asc", ".blf", ".log"])
+def test_frames_survive_the_formats_of_other_tools(tmp_path: Path, suffix: str) -> None:
+    start_ns = 1_790_000_000_000_000_000
+    frames = [Frame(0x181, bytes(range(8)), start_ns), Frame(EXTENDED_FLAG | 0x12345, b"\1", start_ns + 2_000_000)]
+    path = tmp_path / f"trace{suffix}"
+    assert write_trace(frames, path, "can0") == 2
+    found = list(read_trace(path))
+    assert [(frame.can_id, frame.data) for frame in found] == [(frame.can_id, frame.data) for frame in frames]
+    assert found[1].time_ns - found[0].time_ns == pytest.approx(2_000_000, abs=2_000)
+
+
+@pytest.mark.parametrize("name", ["bad.asc", "bad.blf", "missing.blf"])
+def test_what_is_no_trace_is_refused(tmp_path: Path, name: str) -> None:
+    if name.startswith("bad"):
+        (tmp_path / name).write_bytes(b"no trace at all")
+    with pytest.raises(UnusableInputError, match=rf"{name}: .*expected a trace|{name}: not a readable .blf trace"):
+        list(read_trace(tmp_path / name))
+
+
+def test_a_dbc_reader_decodes_the_pdos_of_a_bench_in_si_units() -> None:
+    config, _ = load(CONFIG)
+    database = cantools.database.load_string(pdo_set_dbc(config), "dbc")
+    nodes = Nodes(config)
+    tpdo1 = database.get_message_by_name("axis2_TPDO1")
+    told = tpdo1.decode(nodes.pdo_maps("axis2")[1].pack((0x1637, -200, 1_048_576)))
+    assert told["Torque_actual_value"] == pytest.approx(-1.0)  # per mille of 5 N·m
+    assert told["Position_actual_value"] == pytest.approx(2 * np.pi)
+    assert tpdo1.get_signal_by_name("Position_actual_value").unit == "rad"
+    twin = database.get_message_by_name("virtual_io_TPDO1")
+    values = twin.decode(nodes.io.state.pack((80.5, 8.7e9)))
+    assert list(values.values()) == pytest.approx([80.5, 8.7e9])
+    shared = [message.name for message in database.messages if message.frame_id == 0x201]
+    assert shared == ["axis1_RPDO1"]
+
+
+MAPPING = """
+file: {delimiter: ";", decimal: ",", skip_rows: 1, encoding: latin-1}
+channels:
+  tau2_Nm: M2
+  v2_m_s: {column: "v Bahn [m/min]", factor: 0.0166666666666667}
+  t_s: {column: Zeit, factor: 0.001, offset: 1.0}
+"""
+
+
+def test_a_recording_of_another_machine_comes_in_by_its_columns(tmp_path: Path) -> None:
+    (tmp_path / "map.yaml").write_text(MAPPING)
+    table = "Anlage Süd\nZeit;v Bahn [m/min];M2;Text\n0;180,0;1,25;a\n2;181,2;1,5;b\n"
+    (tmp_path / "machine.csv").write_bytes(table.encode("latin-1"))
+    found = read_foreign(tmp_path / "machine.csv", tmp_path / "map.yaml")
+    assert list(found.channels) == ["t_s", "tau2_Nm", "v2_m_s"]
+    assert found.time_s == pytest.approx([1.0, 1.002])
+    assert found["v2_m_s"] == pytest.approx([3.0, 3.02])
+    (tmp_path / "map.yaml").write_text(MAPPING.replace("M2", "M3"))
+    with pytest.raises(UnusableInputError, match="no column 'M3' for tau2_Nm, expected among Zeit"):
+        read_foreign(tmp_path / "machine.csv", tmp_path / "map.yaml")
+    (tmp_path / "map.yaml").write_text(MAPPING.replace("tau2_Nm", "torque"))
+    with pytest.raises(UnusableInputError, match=r"map.yaml:3: .*'torque' does not"):
+        read_foreign(tmp_path / "machine.csv", tmp_path / "map.yaml")
+
+
+@pytest.mark.parametrize("encoding", [None, "utf-8", "cp1252"], ids=["as cantools does", "utf-8", "cp1252"])
+def test_units_and_comments_of_a_dbc_file_are_the_same_in_any_encoding(tmp_path: Path, encoding: str | None) -> None:
+    done = hilbench("dbc", CONFIG, "--out", tmp_path / "bench.dbc")
+    assert done.returncode == 0, done.stderr
+    database = cantools.database.load_file(tmp_path / "bench.dbc", **({"encoding": encoding} if encoding else {}))
+    assert {signal.unit for message in database.messages for signal in message.signals} == {None, "rad", "rad/s", "Nm"}
+    assert (tmp_path / "bench.dbc").read_bytes().isascii()
+
+
+def test_names_of_any_language_come_into_a_dbc_file() -> None:
+    od = load_eds(CONFIG.parents[1] / "eds" / "hilbench_servo.eds", 1)
+    variable = od[0x6064]
+    variable.name = "Lage-Istwert der Förderachse Ω"
+    message = DbcMessage("axis", "axis", PdoMap(0x181, 1, (variable,)), ((1.0, "µm/s²"),))
+    text = dbc_text([message], "Prüfstand")
+    assert text.isascii()
+    (signal,) = cantools.database.load_string(text, "dbc").messages[0].signals
+    assert (signal.unit, signal.comment) == ("um/s^2", "6064h:0 Lage-Istwert der Forderachse ?")
+
+
+@pytest.mark.parametrize("how", ["same name", "another path", "symbolic link", "hard link"])
+@pytest.mark.parametrize("suffix", [".csv", ".log"])
+def test_convert_never_writes_over_what_it_reads(tmp_path: Path, how: str, suffix: str) -> None:
+    source = tmp_path / f"a{suffix}"
+    content = b"t_s,x1_m\n0,1\n0.002,2\n" if suffix == ".csv" else b"(1.000001) vcan0 181#0011\n"
+    source.write_bytes(content)
+    target = tmp_path / f"b{suffix}"
+    if how == "same name":
+        target = source
+    elif how == "another path":
+        target = tmp_path / "folder" / ".." / source.name
+        (tmp_path / "folder").mkdir()
+    elif how == "symbolic link":
+        target.symlink_to(source)
+    else:
+        target.hardlink_to(source)
+    done = hilbench("convert", source, target)
+    assert done.returncode == 2
+    assert "is what is read" in done.stderr
+    assert source.read_bytes() == content
+
+
+def test_convert_does_not_write_over_its_mapping_file(tmp_path: Path) -> None:
+    (tmp_path / "machine.csv").write_text("Zeit,M2\n0,1\n2,2\n")
+    mapping = tmp_path / "columns.csv"
+    mapping.write_text("channels: {t_s: {column: Zeit, factor: 0.001}, tau2_Nm: M2}\n")
+    done = hilbench("convert", tmp_path / "machine.csv", mapping, "--columns", mapping)
+    assert done.returncode == 2
+    assert mapping.read_text().startswith("channels:")
+
+
+def test_columns_that_are_no_channel_are_told_with_what_may_have_been_meant(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text(
+        "t_s,x1_m,x3_m,tau2_NM,v2_cmdm_s,note,bearing_N\n0,1,1,1,1,1,1\n0.002,2,2,2,2,2,2\n"
+    )
+    done = hilbench("convert", tmp_path / "a.csv", tmp_path / "b.csv")
+    assert done.returncode == 0
+    expected = "'tau2_NM' (did you mean tau2_Nm?), 'v2_cmdm_s' (did you mean v2_cmd_m_s?), 'note'"
+    assert done.stderr.splitlines() == [f"hilbench: {tmp_path / 'a.csv'}: columns that are no channel: {expected}"]
+    assert "tau2_NM" in read_recording(tmp_path / "b.csv")  # it is kept as it is
+    model = CONFIG.parent / "identification.yaml"
+    for command in ("diagnose", "sync"):
+        refused = hilbench(command, tmp_path / "a.csv", "--model", model)
+        assert refused.returncode == 2
+        assert expected in refused.stderr
+    with pytest.raises(UnusableInputError, match=r"channel tau2_Nm missing, expected .*, did you mean 'tau2_NM'"):
+        read_recording(tmp_path / "b.csv").require(["tau2_Nm"], "b.csv")
+
+
+def test_columns_that_a_mapping_leaves_out_are_told(tmp_path: Path) -> None:
+    (tmp_path / "map.yaml").write_text("channels: {t_s: Zeit, tau2_Nm: M2}\n")
+    (tmp_path / "machine.csv").write_text("Zeit,M1,M2,v\n0,1,1,1\n2,2,2,2\n")
+    words = ["convert", tmp_path / "machine.csv", tmp_path / "a.csv", "--columns", tmp_path / "map.yaml"]
+    done = hilbench(*words)
+    assert done.stderr.splitlines() == [
+        f"hilbench: {tmp_path / 'machine.csv'}: columns that {tmp_path / 'map.yaml'} does not name: M1, v"
+    ]
+    (tmp_path / "map.yaml").write_text("channels: {t_s: Zeit, tau2_Nm: m2}\n")
+    assert "did you mean 'M2'?" in hilbench(*words).stderr

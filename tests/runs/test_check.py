@@ -1,0 +1,174 @@
+"""What `check` says of a config, beside what the bench then does."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.cli.in_process import hilbench
+
+from hilbench.bench.bench import Bench
+from hilbench.bench.lifecycle.participants import Participants
+from hilbench.bench.tasks.tension_loop import OperatingPoint, TensionLoop
+from hilbench.errors import UnusableInputError
+from hilbench.runs.check import CheckedExperiment, check_experiment
+from hilbench.runs.config import load_with_overrides
+from hilbench.topology.sample import CycleSample
+
+CONFIGS = Path(__file__).resolve().parents[2] / "bench_configs"
+CONFIG = CONFIGS / "web_section_step.yaml"
+RAMPING = (
+    "load.effects=[{effect: elasticity_ramp, parameters: {time_s: 5, duration_s: 5, relative_change: 9}}, "
+    "{effect: elasticity_ramp, parameters: {time_s: 1, duration_s: 1, relative_change: 0.1}}]"
+)
+UNDAMPED = "tension_control.swing_damping_ratio=0"
+
+
+def config_of(folder: Path, *steps: str) -> Path:
+    """The demo's bench with other steps, the first of them in line 3 of the file."""
+    path = folder / "config.yaml"
+    path.write_text(f"include: {CONFIG}\nsteps:\n" + "".join(f"  - {step}\n" for step in steps) + "criteria: []\n")
+    return path
+
+
+def check(path: Path, *changes: str, with_margins: bool = False) -> CheckedExperiment:
+    return check_experiment(load_with_overrides(path, changes=changes), with_margins=with_margins)
+
+
+@pytest.mark.parametrize("bandwidth", [2, 4, 6, 8, 10])
+def test_every_bandwidth_of_the_sweep_in_the_readme_has_margin(bandwidth: int) -> None:
+    found = check(CONFIG, f"tension_control.bandwidth_rad_per_s={bandwidth}", with_margins=True)
+    assert found.worst is not None
+    assert found.worst.margins.gain > 2.5
+    assert found.worst.margins.phase_deg > 40.0
+    assert not found.warnings
+
+
+def test_a_loop_that_rings_is_told_with_its_margins_and_one_that_is_unstable_is_refused() -> None:
+    (warning,) = check(CONFIG, UNDAMPED, with_margins=True).warnings
+    assert "rings: gain margin 1." in warning
+    assert "1.05e+04 N/mm²" in warning
+    match = "bandwidth_rad_per_s=10: the tension loop is unstable with 10 rad/s over a cycle of 2 ms at E 8700 N/mm²"
+    with pytest.raises(UnusableInputError, match=match):
+        check(CONFIG, UNDAMPED, "tension_control.bandwidth_rad_per_s=10")
+
+
+def swing_behind_a_kick_N(bandwidth: float) -> float:
+    """Of the true tension at standstill, from 2 s after its set-point was stepped on; not damped."""
+    changes = [UNDAMPED, f"tension_control.bandwidth_rad_per_s={bandwidth}"]
+    seen: list[float] = []
+
+    class Watch:
+        def sample(self, sample: CycleSample) -> None:
+            seen.append(sample.F_true_N)
+
+    config = load_with_overrides(CONFIG, changes=changes).config
+    with Bench(config, participants=Participants.IN_PROCESS, observers=[Watch()]) as bench:
+        bench.run(1.0)
+        bench.set("tension_control.set_point_N", 85.0)
+        bench.run(2.3)
+    return float(np.ptp(seen[-150:]))
+
+
+def test_the_border_of_stability_is_where_the_bench_has_it() -> None:
+    config = load_with_overrides(CONFIG, changes=[UNDAMPED]).config
+    border = 6.0 * TensionLoop(config, OperatingPoint(8.7e9, 0.0, 1.0, 8.7e9)).margins.gain
+    assert swing_behind_a_kick_N(0.9 * border) < 3.0
+    assert swing_behind_a_kick_N(1.1 * border) > 20.0
+
+
+def test_what_the_steps_make_of_e_is_looked_at(tmp_path: Path) -> None:
+    table = tmp_path / "table.csv"
+    table.write_text("t_s,load.web.youngs_modulus_Pa\n0,8.7e9\n1,90e9\n2,\n")
+    for step in (
+        "step: {path: load.web.youngs_modulus_Pa, to: 90e9}",
+        "ramp: {path: load.web.youngs_modulus_Pa, to: 90e9, duration_s: 3}",
+        "set: {path: load.effects.elasticity_shift.relative_change, to: 9}",
+        "hold: {duration_s: 12}",
+        f"table: {{file: {table}}}",
+    ):
+        with pytest.raises(UnusableInputError, match=r"config.yaml:3: the load motor can't imitate so stiff a web"):
+            check(config_of(tmp_path, step), *([RAMPING] if "hold" in step else []))
+
+
+@pytest.mark.parametrize(
+    ("steps", "changes", "said"),
+    [
+        (["set: {path: tension_control.set_point_N, to: 450}"], [], "set-point of the tension 450 N is beyond"),
+        (["ramp: {path: line_speed_m_s, to: 12, duration_s: 9}"], [], "line speed 12 m/s is beyond the trip level 10"),
+        (
+            ["step: {path: load.web.youngs_modulus_Pa, to: 17e9}"],
+            ["safety.limits.tension_N.warning=90", "safety.limits.tension_N.trip=100"],
+            "tension right behind this step of E 156.3 N is beyond the trip level 100 N",
+        ),
+        (["set: {path: line_speed_m_s, to: 3}"], [], r"3 m/s at once asks for 112 N·m of axis 1, which has 9 N·m"),
+        (
+            ["ramp: {path: line_speed_m_s, to: 3, duration_s: 4}"],
+            ["model.rollers.inertia_kg_m2=100"],
+            "within 4 s asks for 75 N·m of axis 1, which has 9 N·m: it is at its limit and there no sooner than 33 s",
+        ),
+    ],
+)
+def test_what_a_step_will_run_into_is_a_warning_with_its_line(
+    tmp_path: Path, steps: list[str], changes: list[str], said: str
+) -> None:
+    (warning,) = check(config_of(tmp_path, *steps), *changes).warnings
+    assert "config.yaml:3: " in warning
+    assert said in warning
+
+
+def test_a_gentle_experiment_has_no_warning(tmp_path: Path) -> None:
+    found = check(
+        config_of(
+            tmp_path,
+            "ramp: {path: line_speed_m_s, to: 3, duration_s: 4}",
+            "step: {path: load.web.youngs_modulus_Pa, to: 12e9}",
+        )
+    )
+    assert not found.warnings
+    assert not found.notes
+
+
+def test_a_set_point_beyond_the_trip_level_is_refused() -> None:
+    with pytest.raises(UnusableInputError, match="set_point_N is 450, expected less than the trip level"):
+        check(CONFIG, "tension_control.set_point_N=450")
+
+
+def test_python_files_are_looked_at_before_and_what_they_ask_for_is_said_to_be_unknown(tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text("def experiment(bench):\n    yield\n")
+    (note,) = check(config_of(tmp_path, f"python: {{file: {tmp_path / 'mine.py'}}}")).notes
+    assert "config.yaml:3: what 'experiment' of mine.py asks for can't be known" in note
+    with pytest.raises(UnusableInputError, match="no function 'other'"):
+        check(config_of(tmp_path, f"python: {{file: {tmp_path / 'mine.py'}, function: other}}"))
+
+
+def test_a_bus_that_is_not_there_is_refused_in_one_line() -> None:
+    done = hilbench("check", CONFIG, "--bus", "socketcan:nosuchcan0")
+    assert done.returncode == 2
+    assert not done.stdout
+    assert len(done.stderr.strip().splitlines()) == 1
+    assert "nosuchcan0" in done.stderr
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        ["cycle_time_s=0.004"],
+        ["model.web.span_length_m=0.05", "model.web.youngs_modulus_Pa=1.1e9"],
+        ["model.web.span_length_m=0.05", "model.web.youngs_modulus_Pa=1e8"],
+        ["tension_control.bandwidth_rad_per_s=10"],
+    ],
+)
+def test_what_check_calls_usable_runs_through_a_step_of_e(changes: list[str]) -> None:
+    config = load_with_overrides(CONFIG, changes=changes).config
+    before_Pa = config.model.required_web.youngs_modulus_Pa
+    changes = [*changes, f"steps.2.step.to={1.207 * before_Pa}"]
+    check(CONFIG, *changes)
+    with Bench(config, participants=Participants.IN_PROCESS) as bench:
+        bench.ramp("line_speed_m_s", 3.0, 3.0)
+        bench.run(1.0)
+        bench.step("load.web.youngs_modulus_Pa", 1.207 * before_Pa)
+        bench.run(1.5)
+        assert bench.last.F_true_N == pytest.approx(80.0, abs=2.0)
+        assert not [notice.text for notice in bench.notices if notice.source in ("limits", "saturation", "twin")]
