@@ -23,7 +23,7 @@ from hilbench.runs.metrics import time_to_stay
 from hilbench.scripts.bench import Bench
 
 CONFIG = Path(__file__).resolve().parents[1] / "bench_configs" / "web_section_step.yaml"
-UNDAMPED = "tension_control.swing_damping_ratio=0"
+UNDAMPED = "controllers.tension_control.swing_damping_ratio=0"
 STEPS, SPEEDS_M_S = (-0.4, -0.207, -0.1, -0.02, 0.02, 0.1, 0.207, 0.4), (0.5, 3.0, 8.0)
 MODULUS_PA, AFTER_S, SWING_S, MEAN_S, BAND = 8.7e9, 1.8, 0.15, 0.1, 0.01
 

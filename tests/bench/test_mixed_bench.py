@@ -25,7 +25,7 @@ def other_eds(folder: Path, *changes: tuple[str, str]) -> str:
         assert old in text
         text = text.replace(old, new)
     (folder / "other.eds").write_text(text)
-    return f"nodes.axis2.eds={folder / 'other.eds'}"
+    return f"drives.axis2.eds={folder / 'other.eds'}"
 
 
 def test_units_that_differ_are_refused_where_one_frame_feeds_two_devices() -> None:
@@ -39,13 +39,13 @@ def test_a_file_that_lacks_what_the_bench_needs_is_refused_with_the_objects_and_
     eds = other_eds(tmp_path, *changes)
     with pytest.raises(UnusableInputError, match=r"yaml:\d+: the EDS lacks 1016h:1 \(the drive watches.*605Eh:0 \(the"):
         check(eds)
-    check(eds, "master.heartbeat_ms=0", "nodes.axis2.parameters={}")
+    check(eds, "master.heartbeat_ms=0", "drives.axis2.parameters={}")
     with pytest.raises(UnusableInputError, match="an object such as 60A9h or 60C2h:1, 'ramp' is none"):
-        check("nodes.axis2.parameters={ramp: 1}")
+        check("drives.axis2.parameters={ramp: 1}")
 
 
 def test_a_drive_that_does_not_tell_its_units_is_refused_until_the_config_does(tmp_path: Path) -> None:
     eds = other_eds(tmp_path, ("[6076]", "[3076]"), ("=0x6076\n", "=0x3076\n"))
     with pytest.raises(UnusableInputError, match=r"yaml:\d+: 6076h is absent or 0, expected it or the unit"):
         check(eds)
-    check(eds, "nodes.axis2.units.rated_torque_Nm=5.0")
+    check(eds, "drives.axis2.units.rated_torque_Nm=5.0")

@@ -36,11 +36,14 @@ SHORT = [
 
 def config(folder: Path, **changes: object) -> Path:
     data = yaml.safe_load(SHIPPED.read_text(encoding="utf-8"))
-    for node in data["nodes"].values():
+    drives = data["drives"].values()
+    nodes = [*drives, *(drive["virtual"] for drive in drives), *data["load_motors"].values(), data["twin"]["node"]]
+    for node in nodes:
         node["eds"] = str((SHIPPED.parent / node["eds"]).resolve())
-    data["model"]["web"] |= {"youngs_modulus_Pa": 8.7e9, "thickness_m": 65e-6}
+    data["machine"]["web"] |= {"youngs_modulus_Pa": 8.7e9, "thickness_m": 65e-6}
     data["steps"], data["criteria"] = SHORT, []
     data["bus"]["address"] = f"embedded:t{uuid.uuid4().hex[:10]}"
+    changes["twin"] = data["twin"] | changes.get("twin", {})  # type: ignore[operator]
     data |= changes
     path = folder / "bench.yaml"
     path.write_text(yaml.safe_dump(data, sort_keys=False), encoding="utf-8")
@@ -204,7 +207,7 @@ def test_a_wrong_config_is_exit_2_and_one_line(tmp_path, change, message):
 def test_two_nodes_with_one_id_are_named(tmp_path):
     path = config(tmp_path)
     data = yaml.safe_load(path.read_text())
-    data["nodes"]["load"]["node_id"] = 2
+    data["load_motors"]["load"]["node_id"] = 2
     path.write_text(yaml.safe_dump(data, sort_keys=False))
     code, _, err = run(path)
     assert code == 2
@@ -215,9 +218,9 @@ def test_an_eds_without_a_mapped_object_is_named_with_its_line(tmp_path):
     path = config(tmp_path)
     data = yaml.safe_load(path.read_text())
     eds = tmp_path / "no_target.eds"
-    text = Path(data["nodes"]["axis1"]["eds"]).read_text().replace("[60FF]", "[5FFF]")
+    text = Path(data["drives"]["axis1"]["eds"]).read_text().replace("[60FF]", "[5FFF]")
     eds.write_text(text)
-    data["nodes"]["axis1"]["eds"] = str(eds)
+    data["drives"]["axis1"]["eds"] = str(eds)
     path.write_text(yaml.safe_dump(data, sort_keys=False))
     code, _, err = run(path)
     assert code == 2
@@ -228,7 +231,7 @@ def test_an_eds_without_a_mapped_object_is_named_with_its_line(tmp_path):
 def test_a_silent_node_is_named_with_what_was_tried(tmp_path):
     path = config(tmp_path, master={"boot_timeout_s": 2.0})
     data = yaml.safe_load(path.read_text())
-    data["nodes"]["axis1"]["simulated"] = False
+    data["drives"]["axis1"]["simulated"] = False
     path.write_text(yaml.safe_dump(data, sort_keys=False))
     code, out, _ = run(path)
     assert code == 3

@@ -106,7 +106,7 @@ def test_a_twin_that_is_killed_is_started_again_while_the_loop_holds(tmp_path: P
     ]
     # The damping goes on beside the loop, open or closed: what it makes of the encoders' noise would hide a bump.
     control = {"set_point_N": 80.0, "swing_damping_ratio": 0.0}
-    path = config(tmp_path, steps=steps, safety={"cycle_timeout_s": 1.0}, tension_control=control)
+    path = config(tmp_path, steps=steps, safety={"cycle_timeout_s": 1.0}, controllers={"tension_control": control})
     process = start(path)
     folder = wait_for_frames(path, 1200)
     os.kill(pid_of(path, "twin"), signal.SIGKILL)

@@ -43,7 +43,7 @@ def test_a_step_of_the_line_speed_that_no_drive_can_follow_is_no_web_break(speed
 
 
 def test_a_line_too_heavy_for_its_drives_runs_at_their_limit_and_says_so_once() -> None:
-    with bench("model.rollers.inertia_kg_m2=100") as running:
+    with bench("machine.rollers.inertia_kg_m2=100") as running:
         running.ramp("line_speed_m_s", 0.3, 0.5)
         running.run(1.0)
         assert not [notice for notice in running.notices if "FF15" in notice.text or "FF16" in notice.text]

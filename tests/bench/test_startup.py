@@ -29,10 +29,11 @@ def started(path: Path, pace: str) -> Iterator[tuple[BenchConfig, Master]]:
     with served(bus.open_link(), devices, clock, application):
         master = Master(bus.open_python_can(), sdo_timeout_s=5.0)
         try:
-            for part, node in bench.nodes:
-                if part in ("axis1", "axis2", "load"):
-                    master.add(node.node_id, load_eds(node.eds, node.node_id), part)
-                    master.sdo_write(node.node_id, 0x1017, bench.master.node_heartbeat_ms)
+            for part in bench.parts:
+                if part.is_simulated:
+                    node_id = part.node.node_id
+                    master.add(node_id, load_eds(part.node.eds, node_id), part.name)
+                    master.sdo_write(node_id, 0x1017, bench.master.node_heartbeat_ms)
             master.nmt(START)
             master.heard_within(0.1)
             yield bench, master

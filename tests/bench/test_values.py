@@ -91,7 +91,7 @@ def test_a_script_that_sets_what_is_no_value_is_told_and_its_bench_goes_on_and_s
             assert running.get(path) == before
         running.run(0.05)
         assert not running.events
-    assert running.nodes.axis1.feedback.state.name == "SWITCH_ON_DISABLED"
+    assert running.nodes.axes[0].feedback.state.name == "SWITCH_ON_DISABLED"
     assert not running.safe_state_problems
     assert running.fault_time_s is None
 

@@ -35,7 +35,7 @@ def test_the_schema_takes_what_is_shipped_and_no_misspelt_key(path, validator):
 
 def test_a_file_that_includes_nothing_is_complete(validator):
     data = strict_yaml.load(ROOT / "bench_configs" / "web_section_step.yaml").data
-    without = {key: value for key, value in data.items() if key != "nodes"}
+    without = {key: value for key, value in data.items() if key != "drives"}
     assert list(validator.iter_errors(without))
     assert not list(validator.iter_errors({**without, "include": "base.yaml"}))
 
@@ -54,8 +54,8 @@ def test_check_says_all_that_is_wrong_with_a_config_each_with_its_place(tmp_path
     path = tmp_path / "bench.yaml"
     path.write_text(
         f"include: {ROOT / 'bench_configs' / 'web_section_step.yaml'}\n"
-        "tension_control: {setpoint_N: 90}\n"
-        "model: {web: {width_m: wide}}\n"
+        "controllers: {tension_control: {setpoint_N: 90}}\n"
+        "machine: {web: {width_m: wide}}\n"
         "steps:\n"
         "  - ramp: {path: line_sped_m_s, to: 2, duration_s: 1}\n"
         "  - wait_until: {condition: v2_ms > 1, timeout_s: 1}\n"
@@ -67,7 +67,7 @@ def test_check_says_all_that_is_wrong_with_a_config_each_with_its_place(tmp_path
     lines = done.stderr.splitlines()
     expected = [
         ("hilbench: --set pce=lockstep: ", "'pace'"),
-        (f"hilbench: {path}:2: ", "'tension_control.set_point_N'"),
+        (f"hilbench: {path}:2: ", "'controllers.tension_control.set_point_N'"),
         (f"hilbench: {path}:3: ", None),
         (f"hilbench: {path}:5: ", "'line_speed_m_s'"),
         (f"hilbench: {path}:6: ", "'v2_m_s'"),
@@ -81,7 +81,7 @@ def test_check_says_all_that_is_wrong_with_a_config_each_with_its_place(tmp_path
 
 def test_check_names_every_eds_file_that_is_not_there(tmp_path):
     shipped = ROOT / "bench_configs" / "web_section_step.yaml"
-    changes = ["--set", "nodes.axis1.eds=nowhere.eds", "--set", "nodes.load.eds=away.eds"]
+    changes = ["--set", "drives.axis1.eds=nowhere.eds", "--set", "load_motors.load.eds=away.eds"]
     done = hilbench("check", shipped, *changes)
     assert done.returncode == 2
     assert [line.partition(": ")[2].partition(": ")[0] for line in done.stderr.splitlines()] == [
@@ -95,7 +95,7 @@ def test_new_asks_and_writes_a_bench_that_can_be_run(tmp_path):
     done = hilbench("config", "new", path, "--eds", ROOT / "eds", typed=answers)
     assert done.returncode == 0, done.stderr
     config, _ = load(path)
-    assert (config.name, config.bus.address, config.model.required_web.youngs_modulus_Pa) == (
+    assert (config.name, config.bus.address, config.machine.required_web.youngs_modulus_Pa) == (
         "mine",
         "embedded:mine",
         4e9,
@@ -129,7 +129,7 @@ def test_new_asks_again_for_an_answer_that_cannot_be_used(tmp_path):
     refused = [line.partition("' is ")[2].partition(",")[0] for line in done.stderr.splitlines()]
     assert refused == ["'a b'", "'socketcn'", "5", "'slow'", "-1.0", "0.0"]
     config, _ = load(path)
-    assert (config.name, config.bus.bitrate, config.model.required_web.youngs_modulus_Pa) == ("mine", 1_000_000, 4e9)
+    assert (config.name, config.bus.bitrate, config.machine.required_web.youngs_modulus_Pa) == ("mine", 1_000_000, 4e9)
 
 
 def test_new_keeps_the_answers_when_they_do_not_go_together(tmp_path):

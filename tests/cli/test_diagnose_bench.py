@@ -151,8 +151,8 @@ def test_the_extended_config_and_an_include_of_the_extended_model_are_benches_wi
     for path, name in ((found / "config_extended.yaml", f"{original.name}_extended"), (mine, "mine")):
         extended = load(path)[0]
         assert extended.name == name
-        assert [entry.model_dump(exclude_none=True) for entry in extended.model.effects] == effects
-        assert extended.model_copy(update={"name": original.name, "model": original.model}) == original
+        assert [entry.model_dump(exclude_none=True) for entry in extended.machine.effects] == effects
+        assert extended.model_copy(update={"name": original.name, "machine": original.machine}) == original
     assert effects
     assert hilbench("check", found / "config_extended.yaml").returncode == 0
     # A recording diagnosed with the extended bench as its model has nothing left to find.

@@ -63,7 +63,7 @@ def bench(steps: Steps, seed: int = 1, **changes: Any) -> tuple[ExperimentConfig
 
 
 def diagnosed(config: ExperimentConfig, recording: Recording) -> Diagnosis:
-    return diagnose(recording, config.model, "the bench", imitation=imitation_of(config))
+    return diagnose(recording, config.machine, "the bench", imitation=imitation_of(config))
 
 
 def acted_s(recording: Recording) -> float:
@@ -116,7 +116,7 @@ def test_a_bench_without_noise_is_predicted_to_the_resolution_of_its_drives() ->
     steps = [hold(0.3), speed(3.0), hold(1.5), elasticity(15.0), hold(2.0), speed(2.0)]
     config, recording = bench(steps, hardware={**demo().hardware.model_dump(), **quiet})
     hidden = effect("elasticity_step", time_s=acted_s(recording), relative_change=0.15)
-    plant = config.model.with_effects(EffectEntry.model_validate(hidden))
+    plant = config.machine.with_effects(EffectEntry.model_validate(hidden))
     predictor = predictor_for(plant, measured_from(recording, plant, "the bench"), imitation_of(config))
     left = predictor.measured - predictor.predict(lay.pack(plant)[None])[0]
     for name, residual in zip(predictor.names, left[:, predictor.rows], strict=True):
@@ -136,7 +136,7 @@ def test_a_web_that_is_there_is_not_predicted_as_an_imitated_one() -> None:
 def test_the_run_folder_says_how_the_web_was_imitated(tmp_path: Path) -> None:
     assert imitation_beside(tmp_path / "recording.mf4") is None
     data = demo().model_dump()
-    data["hardware"]["load_motor"]["current_loop_time_constant_s"] = 0.002
+    data["load_motors"]["load"]["motor"]["current_loop_time_constant_s"] = 0.002
     config_files.dump(ExperimentConfig.model_validate(data), tmp_path / "config.yaml")
     found = imitation_beside(tmp_path / "recording.mf4")
     assert found is not None

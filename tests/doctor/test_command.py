@@ -42,7 +42,8 @@ def of_check(found: list[dict[str, Any]], check: str) -> list[tuple[str, str]]:
 def edited(path: Path, change: dict[str, Any]) -> Path:
     data = yaml.safe_load(path.read_text())
     for part, values in change.items():
-        data["nodes"][part] |= values
+        group = "load_motors" if part == "load" else "drives"
+        data[group][part] |= values
     path.write_text(yaml.safe_dump(data, sort_keys=False))
     return path
 

@@ -138,6 +138,8 @@ def test_what_a_program_of_the_checkout_could_do_is_not_run(tmp_path: Path) -> N
 def test_overridden_is_what_options_gave() -> None:
     path = ROOT / "bench_configs" / "web_section_step.yaml"
     assert overridden(load_with_overrides(path).document) == []
-    loaded = load_with_overrides(path, bus="embedded:other", changes=["model.web.width_m=0.6", "model.web.width_m=0.7"])
+    loaded = load_with_overrides(
+        path, bus="embedded:other", changes=["machine.web.width_m=0.6", "machine.web.width_m=0.7"]
+    )
     values = {each.key: (each.value, each.option) for each in overridden(loaded.document)}
-    assert values == {"model.web.width_m": (0.7, "--set"), "bus.address": ("embedded:other", "--bus")}
+    assert values == {"machine.web.width_m": (0.7, "--set"), "bus.address": ("embedded:other", "--bus")}

@@ -22,7 +22,7 @@ RAMPING = (
     "load.effects=[{effect: elasticity_ramp, parameters: {time_s: 5, duration_s: 5, relative_change: 9}}, "
     "{effect: elasticity_ramp, parameters: {time_s: 1, duration_s: 1, relative_change: 0.1}}]"
 )
-UNDAMPED = "tension_control.swing_damping_ratio=0"
+UNDAMPED = "controllers.tension_control.swing_damping_ratio=0"
 
 
 def config_of(folder: Path, *steps: str) -> Path:
@@ -38,7 +38,7 @@ def check(path: Path, *changes: str, with_margins: bool = False) -> CheckedExper
 
 @pytest.mark.parametrize("bandwidth", [2, 4, 6, 8, 10])
 def test_every_bandwidth_of_the_sweep_in_the_readme_has_margin(bandwidth: int) -> None:
-    found = check(CONFIG, f"tension_control.bandwidth_rad_per_s={bandwidth}", with_margins=True)
+    found = check(CONFIG, f"controllers.tension_control.bandwidth_rad_per_s={bandwidth}", with_margins=True)
     assert found.worst is not None
     assert found.worst.margins.gain > 2.5
     assert found.worst.margins.phase_deg > 40.0
@@ -51,12 +51,12 @@ def test_a_loop_that_rings_is_told_with_its_margins_and_one_that_is_unstable_is_
     assert "1.05e+04 N/mm²" in warning
     match = "bandwidth_rad_per_s=10: the tension loop is unstable with 10 rad/s over a cycle of 2 ms at E 8700 N/mm²"
     with pytest.raises(UnusableInputError, match=match):
-        check(CONFIG, UNDAMPED, "tension_control.bandwidth_rad_per_s=10")
+        check(CONFIG, UNDAMPED, "controllers.tension_control.bandwidth_rad_per_s=10")
 
 
 def swing_behind_a_kick_N(bandwidth: float) -> float:
     """Of the true tension at standstill, from 2 s after its set-point was stepped on; not damped."""
-    changes = [UNDAMPED, f"tension_control.bandwidth_rad_per_s={bandwidth}"]
+    changes = [UNDAMPED, f"controllers.tension_control.bandwidth_rad_per_s={bandwidth}"]
     seen: list[float] = []
 
     class Watch:
@@ -105,7 +105,7 @@ def test_what_the_steps_make_of_e_is_looked_at(tmp_path: Path) -> None:
         (["set: {path: line_speed_m_s, to: 3}"], [], r"3 m/s at once asks for 112 N·m of axis 1, which has 9 N·m"),
         (
             ["ramp: {path: line_speed_m_s, to: 3, duration_s: 4}"],
-            ["model.rollers.inertia_kg_m2=100"],
+            ["machine.rollers.inertia_kg_m2=100"],
             "within 4 s asks for 75 N·m of axis 1, which has 9 N·m: it is at its limit and there no sooner than 33 s",
         ),
     ],
@@ -132,7 +132,7 @@ def test_a_gentle_experiment_has_no_warning(tmp_path: Path) -> None:
 
 def test_a_set_point_beyond_the_trip_level_is_refused() -> None:
     with pytest.raises(UnusableInputError, match="set_point_N is 450, expected less than the trip level"):
-        check(CONFIG, "tension_control.set_point_N=450")
+        check(CONFIG, "controllers.tension_control.set_point_N=450")
 
 
 def test_python_files_are_looked_at_before_and_what_they_ask_for_is_said_to_be_unknown(tmp_path: Path) -> None:
@@ -155,14 +155,14 @@ def test_a_bus_that_is_not_there_is_refused_in_one_line() -> None:
     "changes",
     [
         ["cycle_time_s=0.004"],
-        ["model.web.span_length_m=0.05", "model.web.youngs_modulus_Pa=1.1e9"],
-        ["model.web.span_length_m=0.05", "model.web.youngs_modulus_Pa=1e8"],
-        ["tension_control.bandwidth_rad_per_s=10"],
+        ["machine.web.span_length_m=0.05", "machine.web.youngs_modulus_Pa=1.1e9"],
+        ["machine.web.span_length_m=0.05", "machine.web.youngs_modulus_Pa=1e8"],
+        ["controllers.tension_control.bandwidth_rad_per_s=10"],
     ],
 )
 def test_what_check_calls_usable_runs_through_a_step_of_e(changes: list[str]) -> None:
     config = load_with_overrides(CONFIG, changes=changes).config
-    before_Pa = config.model.required_web.youngs_modulus_Pa
+    before_Pa = config.machine.required_web.youngs_modulus_Pa
     changes = [*changes, f"steps.2.step.to={1.207 * before_Pa}"]
     check(CONFIG, *changes)
     with Bench(config, participants=Participants.IN_PROCESS) as bench:

@@ -14,11 +14,11 @@ SHIPPED = Path(__file__).resolve().parents[2] / "bench_configs" / "web_section_s
 
 def test_a_config_stands_on_what_it_includes(tmp_path: Path) -> None:
     path = tmp_path / "mine.yaml"
-    path.write_text(f"include: {SHIPPED}\nname: mine\nmodel:\n  web:\n    width_m: 0.6\nsteps: []\n")
+    path.write_text(f"include: {SHIPPED}\nname: mine\nmachine:\n  web:\n    width_m: 0.6\nsteps: []\n")
     config = load_with_overrides(path).config
-    assert (config.name, config.model.required_web.width_m, config.steps) == ("mine", 0.6, [])
-    assert config.model.required_web.thickness_m == 65e-6
-    assert config.nodes.axis1.eds == SHIPPED.parents[1] / "eds" / "hilbench_servo.eds"
+    assert (config.name, config.machine.required_web.width_m, config.steps) == ("mine", 0.6, [])
+    assert config.machine.required_web.thickness_m == 65e-6
+    assert config.drives["axis1"].eds == SHIPPED.parents[1] / "eds" / "hilbench_servo.eds"
 
 
 def test_files_that_include_each_other_are_named(tmp_path: Path) -> None:
@@ -34,9 +34,9 @@ def test_the_command_line_comes_last_and_is_named() -> None:
     assert (config.seed, config.load.web.youngs_modulus_Pa) == (5, 9e9)
     assert config.steps[1].hold is not None
     assert config.steps[1].hold.until_s == 6
-    with pytest.raises(UnusableInputError, match=r"--set model.web.width_m=wide: 'model.web.width_m' is 'wide'"):
-        load_with_overrides(SHIPPED, changes=["model.web.width_m=wide"])
-    with pytest.raises(UnusableInputError, match=r"--set model.colour=red: unknown key 'model.colour'"):
-        load_with_overrides(SHIPPED, changes=["model.colour=red"])
+    with pytest.raises(UnusableInputError, match=r"--set machine.web.width_m=wide: 'machine.web.width_m' is 'wide'"):
+        load_with_overrides(SHIPPED, changes=["machine.web.width_m=wide"])
+    with pytest.raises(UnusableInputError, match=r"--set machine.colour=red: unknown key 'machine.colour'"):
+        load_with_overrides(SHIPPED, changes=["machine.colour=red"])
     with pytest.raises(UnusableInputError, match="--set: 'width', expected KEY=VALUE"):
         load_with_overrides(SHIPPED, changes=["width"])

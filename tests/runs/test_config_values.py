@@ -83,14 +83,14 @@ def test_a_hostile_value_is_refused_in_one_printable_line_or_taken_as_the_number
     "key",
     [
         "cycle_time_s",
-        "model.web.youngs_modulus_Pa",
-        "model.rollers.radius_m",
-        "model.boundary.upstream_tension_N",
+        "machine.web.youngs_modulus_Pa",
+        "machine.rollers.radius_m",
+        "machine.boundary.upstream_tension_N",
         "safety.quick_stop_m_s2",
         "safety.limits.tension_N.trip",
-        "hardware.load_motor.torque_limit_Nm",
+        "load_motors.load.motor.torque_limit_Nm",
         "hardware.sensors.torque_noise_Nm",
-        "tension_control.bandwidth_rad_per_s",
+        "controllers.tension_control.bandwidth_rad_per_s",
         "twin.synchronized_pct",
         "master.boot_timeout_s",
     ],
@@ -104,14 +104,14 @@ def test_a_number_that_is_none_or_beyond_everything_is_refused_by_its_key(key: s
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ("model.drives.sample_time_s=0.0015", "a multiple of the drives' sample time 0.0015 s"),
+        ("machine.drives.sample_time_s=0.0015", "a multiple of the drives' sample time 0.0015 s"),
         ("cycle_time_s=0.0025", "a multiple of the drives' sample time 0.001 s"),
-        ("model.boundary.upstream_tension_N=1e6", "strains the web that enters by"),
-        ("model.web.youngs_modulus_Pa=1e3", "strains the web that enters by"),
+        ("machine.boundary.upstream_tension_N=1e6", "strains the web that enters by"),
+        ("machine.web.youngs_modulus_Pa=1e3", "strains the web that enters by"),
         ("load.web.youngs_modulus_Pa=-9e9", "greater than or equal to 1000"),
         ("load.web.span_length_m=.inf", "load.web.span_length_m"),
         ("twin.synchronizer={method: rls, memory_s: yes}", "memory_s"),
-        ("tension_control.bandwidth_rad_per_s=1e6", "the tension loop is unstable"),
+        ("controllers.tension_control.bandwidth_rad_per_s=1e6", "the tension loop is unstable"),
     ],
 )
 def test_values_that_do_not_go_together_are_refused_by_check_and_run(tmp_path: Path, change: str, said: str) -> None:
@@ -128,10 +128,10 @@ def test_values_that_do_not_go_together_are_refused_by_check_and_run(tmp_path: P
 @pytest.mark.parametrize(
     "change",
     [
-        "model.boundary.upstream_tension_N=0",
-        "model.boundary.upstream_strain=-0.4",
-        "model.drives.velocity_ki_Nm_per_rad=0",
-        "model.web.thickness_m=1e-6",
+        "machine.boundary.upstream_tension_N=0",
+        "machine.boundary.upstream_strain=-0.4",
+        "machine.drives.velocity_ki_Nm_per_rad=0",
+        "machine.web.thickness_m=1e-6",
         "hardware.sensors.position_noise_rad=1e6",
         "hardware.sensors.torque_noise_Nm=1e6",
         "load.web.span_length_m=1e4",

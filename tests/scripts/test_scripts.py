@@ -44,7 +44,7 @@ def test_the_script_of_the_page_finds_the_step_and_its_recording_is_a_data_frame
 
 
 def test_the_test_of_the_page_passes_and_its_bench_can_be_changed(pytester: pytest.Pytester):
-    mark = "import pytest\n\n@pytest.mark.hilbench_set('tension_control.set_point_N=90')\n"
+    mark = "import pytest\n\n@pytest.mark.hilbench_set('controllers.tension_control.set_point_N=90')\n"
     pytester.makepyfile(f"{mark}{TEST}    assert response.recording['F_ref_N'][-1] == 90.0\n")
     result = pytester.runpytest_subprocess(f"--hilbench-config={CONFIG}", "-p", "no:cacheprovider")
     result.assert_outcomes(passed=1)

@@ -175,7 +175,7 @@ def test_a_cycle_that_hangs_says_nothing_and_a_pause_does(tmp_path: Path) -> Non
 def test_two_benches_at_a_time_in_one_process_don_t_meet() -> None:
     with here() as bench:
         alone = experiment(bench)
-    with here() as one, Bench(CONFIG, bus=bus(), changes=["tension_control.set_point_N=95"]) as other:
+    with here() as one, Bench(CONFIG, bus=bus(), changes=["controllers.tension_control.set_point_N=95"]) as other:
         for k in range(150):
             for bench in (one, other):
                 bench.set("line_speed_m_s", (k + 1) / 150)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from tests.plant.models import model
 
-from hilbench.estimation.config import SynchronizerConfig, TwinConfig
+from hilbench.estimation.config import EstimationConfig, SynchronizerConfig
 from hilbench.estimation.offline import Measurements, Track, run_offline
 from hilbench.estimation.synthetic import simulated_measurements
 from hilbench.plant.web_line.parameters import ModelParameters
@@ -39,7 +39,7 @@ def measured(
 
 
 def tracked(data: Measurements, method: SynchronizerConfig, **twin: Any) -> Track:
-    return run_offline(model(), TwinConfig(synchronizer=method, **twin), data)
+    return run_offline(model(), EstimationConfig(synchronizer=method, **twin), data)
 
 
 def time_to_1pct_s(data: Measurements, track: Track, modulus_Pa: Array) -> float | None:

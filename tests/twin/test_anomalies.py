@@ -13,7 +13,7 @@ from tests.twin.runs import CYCLE_S, OLD_PA, STEP_S, Array, measured, stepped, t
 
 from hilbench.bench.bench import Bench
 from hilbench.bench.lifecycle.participants import Participants
-from hilbench.estimation.config import TwinConfig
+from hilbench.estimation.config import EstimationConfig
 from hilbench.estimation.plausibility import Problem
 from hilbench.estimation.tracking import Tracking
 from hilbench.plant.motor_port import MotorMode, MotorPort
@@ -55,7 +55,7 @@ def slipping(modulus_Pa: Array, slip: Array) -> set[float]:
     data = measured(modulus_Pa)
     data.x_m[:, 1] += np.cumsum(slip * 3.0) * CYCLE_S
     ports = (MotorPort(mode=MotorMode.VELOCITY), MotorPort(mode=MotorMode.VELOCITY))
-    tracking = Tracking(model(), TwinConfig(), Line(model(), ports), ports[1], CYCLE_S)
+    tracking = Tracking(model(), EstimationConfig(), Line(model(), ports), ports[1], CYCLE_S)
     told = set()
     for row, t_s in enumerate(data.t_s):
         x1, x2 = data.x_m[row]

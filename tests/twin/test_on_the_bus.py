@@ -38,7 +38,7 @@ def test_a_twin_joins_a_running_plant_and_only_then_the_loop_closes(tmp_path: Pa
     ]
     # The damping goes on beside the loop: what it makes of the encoders' noise would hide a bump.
     control = {"set_point_N": 80.0, "swing_damping_ratio": 0.0}
-    found = recorded(config(tmp_path, steps=steps, tension_control=control))
+    found = recorded(config(tmp_path, steps=steps, controllers={"tension_control": control}))
     time_s, status = found.time_s, np.asarray(found["twin_status"]).astype(int)
     closed = np.asarray(found["loop_closed"]) > 0.5
     synchronized = (status & TwinStatus.SYNCHRONIZED) > 0
@@ -71,7 +71,7 @@ def test_standstill_under_dry_friction_is_told_by_emcy_and_taken_back(tmp_path: 
     friction = [{"effect": "coulomb_friction", "axis": 2, "parameters": {"force_N": 4.0}}]
     path = config(tmp_path)
     data = yaml.safe_load(path.read_text())
-    data["model"]["effects"] = friction
+    data["machine"]["effects"] = friction
     data["hardware"] = {**data.get("hardware", {}), "effects": friction}
     data["steps"] = [
         {"hold": {"duration_s": 0.3}},

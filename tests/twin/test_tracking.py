@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from tests.plant.models import effect, model
 from tests.twin.runs import CYCLE_S, NEW_PA, OLD_PA, Array, measured, stepped, tracked
 
-from hilbench.estimation.config import ChangepointConfig, EkfConfig, LmConfig, PidConfig, RlsConfig, TwinConfig
+from hilbench.estimation.config import ChangepointConfig, EkfConfig, EstimationConfig, LmConfig, PidConfig, RlsConfig
 from hilbench.estimation.delay import DelayFinder
 from hilbench.estimation.offline import Measurements
 from hilbench.estimation.plausibility import Plausibility, Problem
@@ -45,7 +45,7 @@ def twin(plant: ModelParameters | None = None, **options: object) -> Twin:
     plant = plant or model()
     ports = (MotorPort(mode=MotorMode.VELOCITY), MotorPort(mode=MotorMode.VELOCITY))
     line = Line(plant, ports)
-    config = TwinConfig.model_validate({"synchronizer": ChangepointConfig(), **options})
+    config = EstimationConfig.model_validate({"synchronizer": ChangepointConfig(), **options})
     return Twin(Tracking(plant, config, line, ports[1], CYCLE_S), line, ports, plant)
 
 

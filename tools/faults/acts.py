@@ -12,7 +12,7 @@ from pathlib import Path
 
 import yaml
 
-from faults.run import CLI, Run, shipped_nodes
+from faults.run import CLI, Run, shipped_parts
 from hilbench.can.disturbance import ErrorInjection
 from hilbench.can.frame import Frame
 from hilbench.can.hub_client import inject_errors
@@ -185,7 +185,7 @@ def second_hardware(run: Run) -> None:
 def other_devices(run: Run) -> None:
     """The devices are those of the shipped config, not those that the run's EDS files describe."""
     data = yaml.safe_load(run.config.read_text(encoding="utf-8"))
-    data["nodes"] = shipped_nodes()
+    data |= shipped_parts()
     config = run.work / "devices.yaml"
     config.write_text(yaml.safe_dump(data, sort_keys=False), encoding="utf-8")
     for command in ("simulate-hardware", "twin"):

@@ -24,7 +24,7 @@ from faults.acts import (
     twin_bus_off,
 )
 from faults.attacks import attacks, download
-from faults.run import FOREVER, Fault, shipped_nodes
+from faults.run import FOREVER, Fault, shipped_parts
 from hilbench.can.disturbance import ErrorInjection
 from hilbench.can.frame import Frame
 
@@ -338,30 +338,30 @@ def _with_loop_back() -> list[dict[str, Any]]:
 
 
 def _same_id() -> dict[str, Any]:
-    nodes = shipped_nodes()
-    nodes["load"]["node_id"] = 2
-    return {"nodes": nodes}
+    parts = shipped_parts()
+    parts["load_motors"]["load"]["node_id"] = 2
+    return parts
 
 
 def _refused_object() -> dict[str, Any]:
     """1001h, the error register, can't be written: abort 06010002h."""
-    nodes = shipped_nodes()
-    nodes["axis1"]["parameters"] = {"1001h": 1}
-    return {"nodes": nodes}
+    parts = shipped_parts()
+    parts["drives"]["axis1"]["parameters"] = {"1001h": 1}
+    return parts
 
 
 def _silent_node() -> dict[str, Any]:
-    nodes = shipped_nodes()
-    nodes["axis1"]["simulated"] = False
-    return {"nodes": nodes, "master": {"boot_timeout_s": 3.0}}
+    parts = shipped_parts()
+    parts["drives"]["axis1"]["simulated"] = False
+    return {**parts, "master": {"boot_timeout_s": 3.0}}
 
 
 def _wrong_eds() -> dict[str, Any]:
     """The nodes, axis 1 with the EDS of another product (1018h:2)."""
-    nodes = shipped_nodes()
-    text = Path(nodes["axis1"]["eds"]).read_text(encoding="utf-8")
+    parts = shipped_parts()
+    text = Path(parts["drives"]["axis1"]["eds"]).read_text(encoding="utf-8")
     at = text.index("DefaultValue", text.index("[1018sub2]"))
     path = Path(tempfile.gettempdir()) / f"wrong-{os.getpid()}.eds"
     path.write_text(text[:at] + "DefaultValue=0x12345678" + text[text.index("\n", at) :], encoding="utf-8")
-    nodes["axis1"]["eds"] = str(path)
-    return {"nodes": nodes}
+    parts["drives"]["axis1"]["eds"] = str(path)
+    return parts

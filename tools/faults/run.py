@@ -126,11 +126,11 @@ class Fault:
 def make_config(work: Path, address: str, changes: dict[str, Any], real_time: bool) -> Path:
     """The shipped bench with short steps on a bus of its own."""
     data = yaml.safe_load(CONFIG.read_text(encoding="utf-8"))
-    data["nodes"] = shipped_nodes()
+    data |= shipped_parts()
     data |= {"steps": FOREVER, "criteria": [], "safety": {"cycle_timeout_s": 1.0}}
     if real_time:
         data |= {"pace": "realtime", "cycle_time_s": SLOW_CYCLE_S, "safety": PATIENT, "master": PATIENT_MASTER}
-        data["model"]["web"]["youngs_modulus_Pa"] = SOFT_PA
+        data["machine"]["web"]["youngs_modulus_Pa"] = SOFT_PA
     else:
         data["master"] = {"boot_timeout_s": 120.0}  # an emulated machine starts slowly
     data |= changes
@@ -172,8 +172,12 @@ def started(fault: Fault, bus: str | None) -> Iterator[Run]:
             run.clear()
 
 
-def shipped_nodes() -> dict[str, Any]:
-    nodes: dict[str, Any] = yaml.safe_load(CONFIG.read_text(encoding="utf-8"))["nodes"]
-    for node in nodes.values():
+def shipped_parts() -> dict[str, Any]:
+    """The blocks of the shipped config that name EDS files, these with their whole path."""
+    data = yaml.safe_load(CONFIG.read_text(encoding="utf-8"))
+    parts: dict[str, Any] = {key: data[key] for key in ("drives", "load_motors", "twin")}
+    drives = parts["drives"].values()
+    nodes = [*drives, *(drive["virtual"] for drive in drives), *parts["load_motors"].values(), parts["twin"]["node"]]
+    for node in nodes:
         node["eds"] = str((CONFIG.parent / node["eds"]).resolve())
-    return nodes
+    return parts

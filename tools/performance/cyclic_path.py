@@ -60,7 +60,7 @@ def measure(config: BenchConfig) -> Section:
     def whole_path() -> None:
         for _ in range(_CYCLES):
             nodes.decode(frames)
-            nodes.command(3.0, 3.0, 1.0)
+            nodes.command((3.0, 3.0), (1.0,))
             nodes.encode(2.8e-4, 70.0)
 
     canopens_codec = _canopen(nodes, tpdos, rpdos, frames, values)
@@ -103,7 +103,9 @@ def _canopen(nodes: Nodes, tpdos: list[PdoMap], rpdos: list[PdoMap], frames: lis
     """The same by canopen: `Network.notify` dispatches, a variable's `raw` decodes and encodes, `transmit` sends."""
     bus = _NoBus()
     network = canopen.Network(bus=bus)
-    parts = {part: canopen.RemoteNode(n.node_id, nodes.dictionary(part)) for part, n in nodes.config.nodes}
+    parts = {
+        part.name: canopen.RemoteNode(part.node.node_id, nodes.dictionary(part.name)) for part in nodes.config.parts
+    }
     for node in parts.values():
         network.add_node(node)
     read, write = [], []

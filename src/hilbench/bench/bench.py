@@ -154,11 +154,11 @@ class Bench:
         self._resources = ExitStack()
         self._first_cycle = 0
         self._controlled_cycle: int | None = None  # whose twin data the controller has had
-        web = config.model.required_web
-        self._load_model = LoadModel(config.model, config.load, config.cycle_time_s)
-        self._controller = TensionController.of_model(config.tension_control, config.model)
+        web = config.machine.required_web
+        self._load_model = LoadModel(config.machine, config.load, config.cycle_time_s)
+        self._controller = TensionController.of_model(config.tension_control, config.machine)
         self._damping = SwingDamping(
-            SwingPlant.of_model(config.model, config.cycle_time_s),
+            SwingPlant.of_model(config.machine, config.cycle_time_s),
             config.tension_control.swing_damping_ratio,
             web.youngs_modulus_Pa,
         )
@@ -171,8 +171,8 @@ class Bench:
         self._twin: TwinConnection
         self._supervisor: ChildProcess | None = None
         self._controller_state = ControllerState.ERROR_ACTIVE
-        self._strain_prev = config.model.upstream_strain
-        self._tension_next_N = config.model.boundary.downstream_tension_N
+        self._strain_prev = config.machine.upstream_strain
+        self._tension_next_N = config.machine.boundary.downstream_tension_N
 
     # -- start and end -----------------------------------------------------------------------------------
 
@@ -634,7 +634,7 @@ class Bench:
         nodes, sample = self.nodes, self.last
         if not self.enabled:
             self._damping.reset()
-            nodes.command(0.0, 0.0, 0.0)
+            nodes.command([0.0] * len(nodes.axes), [0.0] * len(nodes.load_motors))
             return
         sample.loop_closed = int(self._twin.loop_closed(sample))
         since_s = self._since_controlled_s(sample)
@@ -647,7 +647,7 @@ class Bench:
             v1_m_s = self._controller.hold(self.line_speed_m_s, self.tension_set_point_N, self.config.cycle_time_s)
         v1_m_s += self._damping.velocity(sample.x1_m, sample.x2_m)
         sample.v1_cmd_m_s, sample.v2_cmd_m_s = v1_m_s, self.line_speed_m_s
-        nodes.command(v1_m_s, self.line_speed_m_s, sample.tau_load_cmd_Nm)
+        nodes.command((v1_m_s, self.line_speed_m_s), (sample.tau_load_cmd_Nm,))
 
     def _since_controlled_s(self, sample: CycleSample) -> float:
         """The time that the twin's data have gone on since the controller's last step: none while they are repeated."""

@@ -18,7 +18,7 @@ from hilbench.plant.web_line.stability import (
     web_stiffness_Nm_per_rad,
 )
 from hilbench.strict_yaml import Document, Location
-from hilbench.topology.config import BenchConfig
+from hilbench.topology.config import BenchConfig, Role
 
 #: Web tension that one unit of a drive may stand for without a note, N.
 _COARSE_N = 1.0
@@ -43,20 +43,20 @@ def check_bench(config: BenchConfig, document: Document) -> CheckedBench:
     loop through web, drives, bus and twin is unstable from the start.
     """
     without_file = [
-        UnusableInputError(document.place(("nodes", part, "eds")), f"no file {node.eds}, expected an EDS file")
-        for part, node in config.nodes
-        if not node.eds.is_file()
+        UnusableInputError(document.place((*part.location, "eds")), f"no file {part.node.eds}, expected an EDS file")
+        for part in config.parts
+        if not part.node.eds.is_file()
     ]
     if without_file:
         raise UnusableInputError.of(without_file)
     try:
         nodes = Nodes(config)
     except (KeyError, ValueError) as error:
-        raise UnusableInputError(document.place(("nodes",)), f"PDO map: {error.args[0]!s}") from error
+        raise UnusableInputError(document.place(("drives",)), f"PDO map: {error.args[0]!s}") from error
     except UnusableInputError as error:
-        part = error.place.replace(" ", "_")
-        if part in config.nodes.__class__.model_fields:
-            raise UnusableInputError(document.place(("nodes", part)), error.problem) from error
+        for part in config.parts:
+            if error.place == part.label:
+                raise UnusableInputError(document.place(part.location), error.problem) from error
         raise
     _check_drives(config, document, nodes)
     frames = nodes.cyclic_frames()
@@ -69,26 +69,26 @@ def check_bench(config: BenchConfig, document: Document) -> CheckedBench:
             f"expected at most 100 %: a longer cycle, a higher bit rate or fewer PDOs",
         )
     _check_set_point(config, document)
-    check_stability(config, document, start_point(config), ("model", "web"))
+    check_stability(config, document, start_point(config), ("machine", "web"))
     return CheckedBench(load, sum(frame.per_cycle for frame in frames), _coarse_units(config, nodes))
 
 
 def _check_drives(config: BenchConfig, document: Document, nodes: Nodes) -> None:
     """Every drive has what it is configured by, and a virtual axis understands the frames that it listens to."""
-    for part in ("axis1", "axis2", "load", "virtual_axis1", "virtual_axis2"):
-        od = nodes.dictionary(part)
-        missing = lacking(drive_settings(config, part, od), od)
+    for part in config.parts:
+        od = nodes.dictionary(part.name)
+        missing = lacking(drive_settings(config, part, od), od) if part.role is not Role.VIRTUAL_IO else []
         if missing:
-            raise UnusableInputError(document.place(("nodes", part)), f"the EDS lacks {'; '.join(missing)}")
+            raise UnusableInputError(document.place(part.location), f"the EDS lacks {'; '.join(missing)}")
     if config.mirroring != "listen":
         return
-    for real, virtual in (("axis1", "virtual_axis1"), ("axis2", "virtual_axis2")):
-        ours, theirs = (declared_units(config, part, nodes.dictionary(part)).velocity_rad_s for part in (real, virtual))
-        same_layout = nodes.pdo_maps(real)[0].mapping == nodes.pdo_maps(virtual)[0].mapping
+    for real, virtual in zip(config.parts_of(Role.AXIS), config.parts_of(Role.VIRTUAL_AXIS), strict=True):
+        ours, theirs = (declared_units(part, nodes.dictionary(part.name)).velocity_rad_s for part in (real, virtual))
+        same_layout = nodes.pdo_maps(real.name)[0].mapping == nodes.pdo_maps(virtual.name)[0].mapping
         if not same_layout or not isclose(ours, theirs, rel_tol=1e-9):
             raise UnusableInputError(
-                document.place(("nodes", real)),
-                f"its velocity unit is {ours:.6g} rad/s and that of {virtual}, which listens to its RPDO, "
+                document.place(real.location),
+                f"its velocity unit is {ours:.6g} rad/s and that of {virtual.name}, which listens to its RPDO, "
                 f"{theirs:.6g} rad/s, expected one unit and one PDO layout, or mirroring: copy",
             )
 
@@ -98,34 +98,35 @@ def _check_set_point(config: BenchConfig, document: Document) -> None:
     trip_N, set_point_N = config.safety.limits.tension_N.trip, config.tension_control.set_point_N
     if trip_N is not None and set_point_N > trip_N:
         raise UnusableInputError(
-            document.place(("tension_control", "set_point_N")),
+            document.place(("controllers", next(iter(config.controllers)), "set_point_N")),
             f"set_point_N is {set_point_N:g}, expected less than the trip level of the tension, {trip_N:g} N",
         )
 
 
 def _coarse_units(config: BenchConfig, nodes: Nodes) -> list[str]:
     """What one unit of an axis' position or velocity is in web tension, where that is more than 1 N."""
-    web, notes = config.model.required_web, []
-    for axis in (1, 2):
-        units = declared_units(config, f"axis{axis}", nodes.dictionary(f"axis{axis}"))
-        rad_per_m, span_m = config.model.motor_rad_per_m(axis), config.model.span_length_m(1)
+    web, notes = config.machine.required_web, []
+    for part in config.parts_of(Role.AXIS):
+        axis = part.axis or 1
+        units = declared_units(part, nodes.dictionary(part.name))
+        rad_per_m, span_m = config.machine.motor_rad_per_m(axis), config.machine.span_length_m(1)
         position_N = web.stiffness_N * units.position_rad / rad_per_m / span_m
         if position_N > _COARSE_N:
-            notes.append(f"axis{axis}: one unit of position (6064h) stands for {position_N:.3g} N of web tension")
+            notes.append(f"{part.name}: one unit of position (6064h) stands for {position_N:.3g} N of web tension")
         # Steady tension changes by E·S·Δv/v; the slowest that the line is meant to run at would be worse than 1 m/s.
         velocity_N = web.stiffness_N * units.velocity_rad_s / rad_per_m
         if velocity_N > _COARSE_N:
             notes.append(
-                f"axis{axis}: one unit of velocity (60FFh) moves the web tension by {velocity_N:.3g} N at 1 m/s"
+                f"{part.name}: one unit of velocity (60FFh) moves the web tension by {velocity_N:.3g} N at 1 m/s"
             )
     return notes
 
 
 def start_point(config: BenchConfig) -> OperatingPoint:
     """The tension loop when the drives are enabled, with the E that the twin begins with."""
-    web = imitated_web(config.model, config.load)
+    web = imitated_web(config.machine, config.load)
     modulus_Pa, length_m = web.required_web.youngs_modulus_Pa, web.span_length_m(1)
-    return OperatingPoint(modulus_Pa, 0.0, length_m, config.model.required_web.youngs_modulus_Pa)
+    return OperatingPoint(modulus_Pa, 0.0, length_m, config.machine.required_web.youngs_modulus_Pa)
 
 
 def check_stability(config: BenchConfig, document: Document, point: OperatingPoint, where: Location) -> None:
@@ -158,6 +159,6 @@ def operating_point_text(point: OperatingPoint) -> str:
 
 def stiffness_reserve(config: BenchConfig, modulus_Pa_per_m: float) -> float:
     """Largest stiffness of a web that the load motor imitates stably by itself, over that of one with this E/L."""
-    shaft = SampledShaft.of_model(config.model, cycle_s=config.cycle_time_s)
-    asked_Nm_per_rad = web_stiffness_Nm_per_rad(config.model, modulus_Pa_per_m=modulus_Pa_per_m)
+    shaft = SampledShaft.of_model(config.machine, cycle_s=config.cycle_time_s)
+    asked_Nm_per_rad = web_stiffness_Nm_per_rad(config.machine, modulus_Pa_per_m=modulus_Pa_per_m)
     return largest_stiffness_Nm_per_rad(shaft, imitation_delay_s(shaft)) / asked_Nm_per_rad

@@ -64,20 +64,18 @@ def node_and_eds(
     node: str, config: ExperimentConfig | None, bus: BusAddress, eds: Path
 ) -> tuple[int, str, canopen.ObjectDictionary | None]:
     """The same, with no object dictionary where no EDS file is known for the device."""
-    if config is not None and node in config.nodes.__class__.model_fields:
-        entry = getattr(config.nodes, node)
-        return entry.node_id, node, load_eds(entry.eds, entry.node_id)
+    parts = () if config is None else config.parts
+    for part in parts:
+        if node in (part.name, str(part.node.node_id)):
+            return part.node.node_id, part.name, load_eds(part.node.eds, part.node.node_id)
     if config is not None and is_the_bench(node, config):
         from hilbench.bench.operator.operator_objects import dictionary
 
         return config.master.node_id, "bench", dictionary(config)
     if not node.isdecimal() or not 1 <= int(node) <= 127:
-        names = "" if config is None else f", or one of {', '.join(config.nodes.__class__.model_fields)}, bench"
+        names = "" if config is None else f", or one of {', '.join(part.name for part in parts)}, bench"
         raise UnusableInputError("NODE", f"'{node}', expected a node id from 1 to 127{names}")
     node_id = int(node)
-    for part, entry in config.nodes if config is not None else ():
-        if entry.node_id == node_id:
-            return node_id, part, load_eds(entry.eds, node_id)
     if eds.is_file():
         return node_id, "node", load_eds(eds, node_id)
     with SdoReader(open_python_can(bus), _TIMEOUT_S) as reader:

@@ -21,32 +21,41 @@ _QUESTIONS: tuple[tuple[str, tuple[str, ...], Any], ...] = (
     ("bit rate in bit/s", ("bus", "bitrate"), 1_000_000),
     ("pace (lockstep: reproducible; realtime: by the wall clock)", ("pace",), "lockstep"),
     ("cycle time in s", ("cycle_time_s",), 0.002),
-    ("Young's modulus of the web in Pa", ("model", "web", "youngs_modulus_Pa"), 8.7e9),
-    ("width of the web in m", ("model", "web", "width_m"), 0.5),
-    ("thickness of the web in m", ("model", "web", "thickness_m"), 65e-6),
-    ("length of the span in m", ("model", "web", "span_length_m"), 1.0),
-    ("radius of the rollers in m", ("model", "rollers", "radius_m"), 0.2),
-    ("inertia of a roller in kg·m²", ("model", "rollers", "inertia_kg_m2"), 1.167),
-    ("gear ratio, motor to roller", ("model", "rollers", "gear_ratio"), 5.0),
-    ("inertia of a motor in kg·m²", ("model", "motors", "inertia_kg_m2"), 0.001),
-    ("torque limit of a motor in N·m", ("model", "drives", "torque_limit_Nm"), 9.0),
-    ("web tension upstream in N", ("model", "boundary", "upstream_tension_N"), 80.0),
-    ("web tension downstream in N", ("model", "boundary", "downstream_tension_N"), 70.0),
-    ("set-point of the web tension in N", ("tension_control", "set_point_N"), 80.0),
+    ("Young's modulus of the web in Pa", ("machine", "web", "youngs_modulus_Pa"), 8.7e9),
+    ("width of the web in m", ("machine", "web", "width_m"), 0.5),
+    ("thickness of the web in m", ("machine", "web", "thickness_m"), 65e-6),
+    ("length of the span in m", ("machine", "web", "span_length_m"), 1.0),
+    ("radius of the rollers in m", ("machine", "rollers", "radius_m"), 0.2),
+    ("inertia of a roller in kg·m²", ("machine", "rollers", "inertia_kg_m2"), 1.167),
+    ("gear ratio, motor to roller", ("machine", "rollers", "gear_ratio"), 5.0),
+    ("inertia of a motor in kg·m²", ("machine", "motors", "inertia_kg_m2"), 0.001),
+    ("torque limit of a motor in N·m", ("machine", "drives", "torque_limit_Nm"), 9.0),
+    ("web tension upstream in N", ("machine", "boundary", "upstream_tension_N"), 80.0),
+    ("web tension downstream in N", ("machine", "boundary", "downstream_tension_N"), 70.0),
+    ("set-point of the web tension in N", ("controllers", "tension_control", "set_point_N"), 80.0),
 )
 #: What the demonstrator has and nobody is asked for.
 _GIVEN: dict[tuple[str, ...], Any] = {
-    ("model", "web_load"): [False, True],
-    ("model", "drives", "velocity_kp_Nm_s_per_rad"): 1.5,
-    ("model", "drives", "velocity_ki_Nm_per_rad"): 30.0,
-    ("model", "drives", "current_loop_time_constant_s"): 0.001,
+    ("load_motors", "load", "shaft"): "axis2",
+    ("machine", "web_load"): [False, True],
+    ("machine", "drives", "velocity_kp_Nm_s_per_rad"): 1.5,
+    ("machine", "drives", "velocity_ki_Nm_per_rad"): 30.0,
+    ("machine", "drives", "current_loop_time_constant_s"): 0.001,
     ("steps",): [
         {"ramp": {"path": "line_speed_m_s", "to": 3.0, "duration_s": 4.0}},
         {"hold": {"duration_s": 6.0}},
         {"ramp": {"path": "line_speed_m_s", "to": 0.0, "duration_s": 4.0}},
     ],
 }
-_NODES = {"axis1": 1, "axis2": 2, "load": 3, "virtual_axis1": 17, "virtual_axis2": 18, "virtual_io": 32}
+#: Where each node stands, and its id.
+_NODES: dict[tuple[str, ...], int] = {
+    ("drives", "axis1"): 1,
+    ("drives", "axis2"): 2,
+    ("load_motors", "load"): 3,
+    ("drives", "axis1", "virtual"): 17,
+    ("drives", "axis2", "virtual"): 18,
+    ("twin", "node"): 32,
+}
 
 
 @app.command()
@@ -94,11 +103,12 @@ def new(
     if not path.absolute().parent.is_dir():
         raise UnusableInputError(path, f"no folder {path.parent}, expected one to write into")
     document = strict_yaml.Document(path, {}, {})
-    for part, node_id in _NODES.items():
-        file = eds / ("hilbench_virtual_io.eds" if part == "virtual_io" else "hilbench_servo.eds")
+    for place, node_id in _NODES.items():
+        file = eds / ("hilbench_virtual_io.eds" if place[0] == "twin" else "hilbench_servo.eds")
         if not file.is_file():
             raise UnusableInputError("--eds", f"no file {file}, expected the folder with the devices' EDS files")
-        document = document.with_value(("nodes", part), {"node_id": node_id, "eds": str(file.resolve())}, "--eds")
+        for key, value in (("node_id", node_id), ("eds", str(file.resolve()))):
+            document = document.with_value((*place, key), value, "--eds")
     for location, value in _GIVEN.items():
         document = document.with_value(location, value, str(path))
     for question, location, suggested in _QUESTIONS:

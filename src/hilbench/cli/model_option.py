@@ -1,4 +1,4 @@
-"""The model that a command is given: a model file, or a bench config, whose `model:` block is one."""
+"""The model that a command is given: a model file, or a bench config, whose `machine:` block is one."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from hilbench.runs.config import ExperimentConfig, is_model, load
 def model_from(path: Path) -> ModelParameters:
     """Read it. Raises UnusableInputError (file, line, key, found, expected)."""
     config = config_from(path)
-    return load_model(path) if config is None else config.model
+    return load_model(path) if config is None else config.machine
 
 
 def config_from(path: Path) -> ExperimentConfig | None:
     """The bench config, if the file is one. Raises UnusableInputError as `model_from`."""
     data = strict_yaml.load(path).data
-    if isinstance(data, Mapping) and {"model", "include"} & data.keys() and not is_model(data):
+    if isinstance(data, Mapping) and {"machine", "include"} & data.keys() and not is_model(data):
         return load(path)[0]
     return None

@@ -49,7 +49,7 @@ def scan(
     bench, address = config_and_bus(config, bus)
     files = eds_files(eds)
     if bench is not None:
-        named = {node.eds: node.node_id for _, node in bench.nodes}
+        named = {part.node.eds: part.node.node_id for part in bench.parts}
         files = [EdsFile(path, identity(load_eds(path, node_id))) for path, node_id in named.items()] + files
     link = open_link(address)
     try:
@@ -68,19 +68,20 @@ def scan(
 
 
 def _parts(bench: ExperimentConfig | None) -> dict[int, str]:
-    return {node.node_id: part for part, node in bench.nodes} if bench is not None else {}
+    return {part.node.node_id: part.name for part in bench.parts} if bench is not None else {}
 
 
 def _problems(found: Scan, bench: ExperimentConfig) -> list[str]:
     stations = {station.node_id: station for station in found.stations}
     problems = []
-    for part, node in bench.nodes:
+    for part in bench.parts:
+        name, node = part.name, part.node
         station = stations.get(node.node_id)
         if station is None:
-            problems.append(f"{part} (node {node.node_id}) is not there")
+            problems.append(f"{name} (node {node.node_id}) is not there")
         elif station.device_type is not None and station.eds != node.eds:
             problems.append(
-                f"{part} (node {node.node_id}) is {_device(station)}, expected the device of {node.eds.name}"
+                f"{name} (node {node.node_id}) is {_device(station)}, expected the device of {node.eds.name}"
             )
     return problems
 

@@ -11,22 +11,21 @@ from hilbench.exchange.nodes import declared_units
 from hilbench.plant.web_line.imitation import Imitation
 from hilbench.results.run_folder import RunFolder
 from hilbench.runs.config import load
-from hilbench.topology.config import BenchConfig
+from hilbench.topology.config import BenchConfig, Role
 
 
 def imitation_of(config: BenchConfig) -> Imitation:
     """How the bench of this config imitates the web. Without its EDS files it is not known what its drives round to."""
-    resolution = None
+    resolution, motor = None, next(iter(config.load_motors.values()))
     with suppress(UnusableInputError):  # a run folder that was brought here from another machine
         resolution = _resolution_m_s(config, 1), _resolution_m_s(config, 2)
-    return Imitation(config.cycle_time_s, config.hardware.load_motor, resolution)
+    return Imitation(config.cycle_time_s, motor.motor, resolution)
 
 
 def _resolution_m_s(config: BenchConfig, axis: int) -> float:
-    part = f"axis{axis}"
-    node = getattr(config.nodes, part)
-    units = declared_units(config, part, load_eds(node.eds, node.node_id))
-    return units.velocity_rad_s / config.model.motor_rad_per_m(axis)
+    part = config.parts_of(Role.AXIS)[axis - 1]
+    units = declared_units(part, load_eds(part.node.eds, part.node.node_id))
+    return units.velocity_rad_s / config.machine.motor_rad_per_m(axis)
 
 
 def imitation_beside(recording: Path) -> Imitation | None:

@@ -45,7 +45,7 @@ def run_bench(
     such a run shows is no experiment; UnusableInputError as `run_experiment`.
     """
     data = loaded.config.model_dump()
-    data["model"] = model.model_dump()
+    data["machine"] = model.model_dump()
     loaded = LoadedConfig(ExperimentConfig.model_validate(data), loaded.document)
     outcome = run_experiment(loaded, out, observers=observers, announce=announce)
     said = f"{outcome.folder.path}: {'; '.join(fault.text for fault in outcome.result.faults)}"

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from hilbench.errors import UnusableInputError
 from hilbench.estimation.bound import least_deviation_Pa, torque_noise_Nm
-from hilbench.estimation.config import PidConfig, SynchronizerConfig, TransferConfig, TwinConfig
+from hilbench.estimation.config import EstimationConfig, PidConfig, SynchronizerConfig, TransferConfig
 from hilbench.estimation.offline import Measurements, Track, run_offline
 from hilbench.estimation.synchronizers.create import METHODS
 from hilbench.plant.web_line.parameters import ModelParameters
@@ -100,12 +100,12 @@ def measurements_of(recording: Recording, place: str | Path) -> Measurements:
     )
 
 
-def twin_config(method: SynchronizerConfig, unmodelled_torque_Nm: float | None = None) -> TwinConfig:
+def twin_config(method: SynchronizerConfig, unmodelled_torque_Nm: float | None = None) -> EstimationConfig:
     """A twin with this method; the published one transfers no state, as it was published. None: the default."""
     transfer = TransferConfig(strain=not isinstance(method, PidConfig))
     if unmodelled_torque_Nm is None:
-        return TwinConfig(synchronizer=method, transfer=transfer)
-    return TwinConfig(synchronizer=method, transfer=transfer, unmodelled_torque_Nm=unmodelled_torque_Nm)
+        return EstimationConfig(synchronizer=method, transfer=transfer)
+    return EstimationConfig(synchronizer=method, transfer=transfer, unmodelled_torque_Nm=unmodelled_torque_Nm)
 
 
 def compare_methods(
@@ -117,7 +117,7 @@ def compare_methods(
 ) -> Comparison:
     """Run each method (by the name it is shown under) over the recording and score it.
 
-    `unmodelled_torque_Nm` as in `TwinConfig`, whose default None stands for.
+    `unmodelled_torque_Nm` as in `EstimationConfig`, whose default None stands for.
 
     The first second of a recording, while a twin settles, is not scored. Raises ValueError for a model without drives
     or of other than two rollers, and for a sampling period that is no multiple of the drives'.
@@ -209,4 +209,4 @@ def reference_estimate(config: BenchConfig, recording: Recording) -> Array | Non
     if isinstance(config.twin.synchronizer, PidConfig) or any(name not in recording for name in NEEDED):
         return None
     data = measurements_of(recording, "recording")
-    return run_offline(config.model, twin_config(PidConfig()), data).E_Pa
+    return run_offline(config.machine, twin_config(PidConfig()), data).E_Pa

@@ -36,18 +36,17 @@ def starter(config: BenchConfig) -> Start:
 
 def expected_nodes(nodes: Nodes) -> list[ExpectedNode]:
     """The nodes of a bench with what their EDS files promise."""
-    real = {part for part, node in nodes.config.nodes if not node.simulated}
     return [
         ExpectedNode(
-            part=part,
-            node_id=node.node_id,
-            eds=node.eds,
-            ours=part not in real or part.startswith("virtual"),
-            device_type=default(nodes.dictionary(part), 0x1000, 0),
-            identity=identity(nodes.dictionary(part)),
-            mapped=_mapped(nodes.pdo_maps(part)),
+            part=part.name,
+            node_id=part.node.node_id,
+            eds=part.node.eds,
+            ours=part.is_simulated or part.is_virtual,
+            device_type=default(nodes.dictionary(part.name), 0x1000, 0),
+            identity=identity(nodes.dictionary(part.name)),
+            mapped=_mapped(nodes.pdo_maps(part.name)),
         )
-        for part, node in nodes.config.nodes
+        for part in nodes.config.parts
     ]
 
 

@@ -33,7 +33,7 @@ def check_heard(
             f"node {node_id} ({' '.join(f'{cob_id:03X}h' for cob_id in sorted(ids))})"
             for node_id, ids in strangers.items()
         )
-        advice = "give it its place under nodes: in the config, or take it off the bus"
+        advice = "give it its place under drives: or load_motors: in the config, or take it off the bus"
         findings.append(warning(Check.STRANGERS, bus, found, "only the nodes of the config", advice))
     else:
         findings.append(ok(Check.STRANGERS, bus, "no node that is not in the config was heard"))
@@ -76,7 +76,7 @@ def _identity(node: ExpectedNode, answers: NodeAnswers) -> Finding:
                 node.subject,
                 f"device profile {found}",
                 f"{node.device_type & _PROFILE_MASK}, by 1000h of {node.eds.name}",
-                f"is this the device with node id {node.node_id}? Name its own EDS file under nodes: in the config",
+                f"is this the device with node id {node.node_id}? Name its own EDS file in the config",
             )
     for name, answer, wanted, finding in checks:
         if wanted and _number(answer) not in wanted:

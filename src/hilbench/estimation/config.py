@@ -136,7 +136,7 @@ class TransferConfig(Block):
     velocity_limit_m_s: PositiveFloat = Field(default=0.2, description="largest plausible difference of velocity")
 
 
-class TwinConfig(Block):
+class EstimationConfig(Block):
     """The twin: what it assumes and how it keeps in step with the bench."""
 
     synchronizer: SynchronizerConfig = Field(

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.estimation.config import TwinConfig
+from hilbench.estimation.config import EstimationConfig
 from hilbench.estimation.tracking import Tracking
 from hilbench.plant.motor_port import MotorMode, MotorPort
 from hilbench.plant.web_line.line import Line
@@ -46,7 +46,7 @@ class Track:
     synchronizer_us: float | None  #: mean CPU time of a cycle of the method alone; None where it was not measured
 
 
-def run_offline(model: ModelParameters, config: TwinConfig, data: Measurements) -> Track:
+def run_offline(model: ModelParameters, config: EstimationConfig, data: Measurements) -> Track:
     """Run the twin of `model` over a recording. Raises ValueError where `Line` and `MeasuredBalance` do."""
     cycle_s = round(data.cycle_s, 9)
     ports = (MotorPort(mode=MotorMode.VELOCITY), MotorPort(mode=MotorMode.VELOCITY))

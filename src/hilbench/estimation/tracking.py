@@ -10,7 +10,7 @@ from math import exp, hypot, inf, isfinite
 
 from hilbench.estimation.anomalies import Anomalies
 from hilbench.estimation.balance import BalanceSample, MeasuredBalance
-from hilbench.estimation.config import InputConfig, PidConfig, SynchronizerConfig, TwinConfig
+from hilbench.estimation.config import EstimationConfig, InputConfig, PidConfig, SynchronizerConfig
 from hilbench.estimation.delay import DelayFinder, DelayLine
 from hilbench.estimation.plausibility import Plausibility, Problem
 from hilbench.estimation.synchronizers.base import Estimate, Synchronizer, SyncSample
@@ -38,7 +38,7 @@ class Tracking:
     """
 
     def __init__(
-        self, model: ModelParameters, config: TwinConfig, line: Line, axis2: MotorPort, cycle_s: float
+        self, model: ModelParameters, config: EstimationConfig, line: Line, axis2: MotorPort, cycle_s: float
     ) -> None:
         self.config = config
         self._line = line

@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from math import isclose
-from typing import Any
 
 import canopen
 from hilbench.can.frame import Frame
@@ -27,7 +26,7 @@ from hilbench.exchange.cycle import ExpectedPdo
 from hilbench.exchange.effect_objects import effect_object
 from hilbench.exchange.emergencies import Emergency, EmergencyInbox
 from hilbench.exchange.unexpected_senders import Foreign, ForeignFrames, Owned
-from hilbench.topology.config import BenchConfig, NodeConfig, NodesConfig
+from hilbench.topology.config import BenchConfig, NodeConfig, Part, Role
 from hilbench.topology.quantities import EffectPath
 from hilbench.topology.sample import CycleSample
 
@@ -65,24 +64,22 @@ class IoMaps:
         )
 
 
-def drive_settings(config: BenchConfig, part: str, od: canopen.ObjectDictionary) -> DriveSettings:
-    """How the drive `part` (a field of `nodes:`) of a bench is configured."""
-    node: NodeConfig = getattr(config.nodes, part)
-    axis = 1 if part.endswith("1") else 2
-    virtual = part.startswith("virtual")
-    load = part == "load"
-    rad_per_m = config.model.motor_rad_per_m(axis)
-    units = declared_units(config, part, od)
+def drive_settings(config: BenchConfig, part: Part, od: canopen.ObjectDictionary) -> DriveSettings:
+    """How a drive, real or virtual, of a bench is configured."""
+    assert part.axis is not None, "the virtual I/O is no drive"
+    node, virtual, load = part.node, part.role is Role.VIRTUAL_AXIS, part.role is Role.LOAD_MOTOR
+    rad_per_m = config.machine.motor_rad_per_m(part.axis)
+    units = declared_units(part, od)
     deceleration = round(config.safety.quick_stop_m_s2 * rad_per_m / units.acceleration_rad_s2)
     parameters = {
         (objects.QUICK_STOP_DECELERATION, 0): deceleration,
         (objects.QUICK_STOP_OPTION_CODE, 0): _QUICK_STOP_RAMP,
         (objects.ABORT_CONNECTION_OPTION_CODE, 0): _ABORT_BY_QUICK_STOP,
     }
-    real = config.nodes.axis1 if axis == 1 else config.nodes.axis2
+    real = config.parts_of(Role.AXIS)[part.axis - 1].node
     copied = config.mirroring == "copy" and not virtual and not load
     return DriveSettings(
-        name=part.replace("_", " "),
+        name=part.label,
         node_id=node.node_id,
         mode=OperationMode.CYCLIC_SYNCHRONOUS_TORQUE if load else OperationMode.CYCLIC_SYNCHRONOUS_VELOCITY,
         cycle_s=config.cycle_time_s,
@@ -92,23 +89,22 @@ def drive_settings(config: BenchConfig, part: str, od: canopen.ObjectDictionary)
         heartbeat_ms=config.master.node_heartbeat_ms,
         master_heartbeat=_master_heartbeat(config, virtual),
         listens_to=0x200 + real.node_id if virtual and config.mirroring == "listen" else None,
-        copies=(_copy_for(config, f"virtual_axis{axis}", units),) if copied else (),
+        copies=(_copy_for(config.parts_of(Role.VIRTUAL_AXIS)[part.axis - 1], units),) if copied else (),
         tpdo_type=(config.twin.virtual_tpdo_every or None) if virtual else 1,
         time_out_s=config.safety.drive_timeout_s,
     )
 
 
-def _copy_for(config: BenchConfig, virtual: str, units: DriveUnits) -> RpdoCopy:
+def _copy_for(virtual: Part, units: DriveUnits) -> RpdoCopy:
     """The copy of an axis' RPDO for its virtual axis, whose units may be others."""
-    node: NodeConfig = getattr(config.nodes, virtual)
-    theirs = declared_units(config, virtual, load_eds(node.eds, node.node_id))
-    return RpdoCopy(0x200 + node.node_id, units.velocity_rad_s / theirs.velocity_rad_s)
+    node_id = virtual.node.node_id
+    theirs = declared_units(virtual, load_eds(virtual.node.eds, node_id))
+    return RpdoCopy(0x200 + node_id, units.velocity_rad_s / theirs.velocity_rad_s)
 
 
-def declared_units(config: BenchConfig, part: str, od: canopen.ObjectDictionary) -> DriveUnits:
+def declared_units(part: Part, od: canopen.ObjectDictionary) -> DriveUnits:
     """A drive's units as its EDS file and the config have them; the device itself is asked when it is configured."""
-    node: NodeConfig = getattr(config.nodes, part)
-    return DriveUnits.from_objects(default_reader(od, node.writes), node.unit_overrides, part)
+    return DriveUnits.from_objects(default_reader(od, part.node.writes), part.node.unit_overrides, part.name)
 
 
 def _master_heartbeat(config: BenchConfig, virtual: bool) -> tuple[int, int] | None:
@@ -122,23 +118,23 @@ class Nodes:
 
     def __init__(self, config: BenchConfig) -> None:
         self.config = config
-        nodes: NodesConfig = config.nodes
-        self._ods = {part: load_eds(node.eds, node.node_id) for part, node in nodes}
-        drives = {
-            part: Drive(drive_settings(config, part, od), od) for part, od in self._ods.items() if part != "virtual_io"
-        }
-        self.axis1, self.axis2, self.load = drives["axis1"], drives["axis2"], drives["load"]
-        self.virtual_axes = (drives["virtual_axis1"], drives["virtual_axis2"])
-        self.io = IoMaps.of(nodes.virtual_io, self._ods["virtual_io"])
-        self._rad_per_m = (config.model.motor_rad_per_m(1), config.model.motor_rad_per_m(2))
-        self._known = {node.node_id: part.replace("_", " ") for part, node in nodes}
+        parts = config.parts
+        self._ods = {part.name: load_eds(part.node.eds, part.node.node_id) for part in parts}
+        self.axes, self.load_motors, self.virtual_axes = (
+            tuple(Drive(drive_settings(config, part, self._ods[part.name]), self._ods[part.name]) for part in group)
+            for group in map(config.parts_of, (Role.AXIS, Role.LOAD_MOTOR, Role.VIRTUAL_AXIS))
+        )
+        self.io = IoMaps.of(config.twin.node, self._ods["virtual_io"])
+        self._rad_per_m = [config.machine.motor_rad_per_m(axis) for axis in range(1, len(self.axes) + 1)]
+        self._fills = self._filled_signals()
+        self._known = {part.node.node_id: part.label for part in parts}
         self._master: Master | None = None
         self._tension_N, self._modulus_Pa = 0.0, 0.0
         self._deviation_Pa, self._residual_Nm = 0.0, 0.0
         self._torque_before_Nm, self._torque_sim_Nm = 0.0, 0.0
         self._twin_sync, self.twin_status = 0, 0  #: status: bits of `TwinStatus`
         self.twin_told_cycle = 0  #: cycle, counted by `decode`, in which the twin last told its status
-        self._twin_ids = {nodes.virtual_axis1.node_id, nodes.virtual_axis2.node_id, nodes.virtual_io.node_id}
+        self._twin_ids = dict.fromkeys(config.virtual_nodes)  # in the order of the config
         self.twin_problem = ""  #: why the twin's nodes can't be counted on; "" while they can
         self.twin_heard = False  #: a heartbeat or boot-up of the virtual I/O has come since this was last reset
         self._inbox = EmergencyInbox()
@@ -161,15 +157,28 @@ class Nodes:
         self._silence_cycles = round(_HEARTBEATS_MISSED * config.master.node_heartbeat_ms * 1e-3 / config.cycle_time_s)
         self._expected_boots: set[int] = set()
 
+    def _filled_signals(self) -> list[tuple[Drive, float, str, str, str, str]]:
+        """Each drive with what turns rad at its shaft into the machine's unit, and the signals that it fills."""
+        axes = [
+            (drive, ratio, f"x{k}_m", f"v{k}_m_s", f"tau{k}_Nm", f"statusword{k}")
+            for k, (drive, ratio) in enumerate(zip(self.axes, self._rad_per_m, strict=True), 1)
+        ]
+        loads = [
+            (drive, self._rad_per_m[(part.axis or 1) - 1], f"x_{name}_m", "", f"tau_{name}_Nm", f"statusword_{name}")
+            for drive, part in zip(self.load_motors, self.config.parts_of(Role.LOAD_MOTOR), strict=True)
+            for name in (part.name,)
+        ]
+        return axes + loads
+
     @property
     def twin_name(self) -> str:
         """Who the virtual I/O is, in messages and in `expected_pdos`."""
-        return f"virtual io (node {self.config.nodes.virtual_io.node_id})"
+        return f"virtual io (node {self.config.twin.node.node_id})"
 
     @property
     def drives(self) -> Sequence[Drive]:
-        """The real (or simulated) drives: axis 1, axis 2, load motor."""
-        return (self.axis1, self.axis2, self.load)
+        """The real (or simulated) drives: the axes, then the load motors."""
+        return (*self.axes, *self.load_motors)
 
     @property
     def emergencies(self) -> Mapping[Emergency, int]:
@@ -177,14 +186,14 @@ class Nodes:
         return self._inbox.messages
 
     def dictionary(self, part: str) -> canopen.ObjectDictionary:
-        """What the EDS file of a participant (a field of `nodes:`) says."""
+        """What the EDS file of a part says, by its name."""
         return self._ods[part]
 
     def pdo_maps(self, part: str) -> list[PdoMap]:
-        """The PDOs of a participant (a field of `nodes:`) that the bench maps."""
+        """The PDOs of a part that the bench maps, by its name."""
         if part == "virtual_io":
             return [self.io.state, self.io.quality, self.io.status, self.io.boundary]
-        node_id = getattr(self.config.nodes, part).node_id
+        node_id = self.config.part(part).node.node_id
         drive = next(drive for drive in (*self.drives, *self.virtual_axes) if drive.settings.node_id == node_id)
         return [drive.pdos.rpdo, *(pdo for _, pdo, _ in drive.pdos.tpdos)]
 
@@ -194,38 +203,37 @@ class Nodes:
         """Make all nodes known to the master."""
         self._master = master
         self._watch = ForeignFrames(self._owned(), master.sent.take)
-        for part, node in self.config.nodes:
-            master.add(node.node_id, self._ods[part], part.replace("_", " "))
+        for part in self.config.parts:
+            master.add(part.node.node_id, self._ods[part.name], part.label)
 
     def _owned(self) -> Owned:
         """Whose frames belong on the bus."""
         rpdos = {cob_id: self.sender(drive) for drive in self.drives for cob_id in drive.rpdo_cob_ids}
         rpdos |= {self.io.boundary.cob_id: self.twin_name}
-        dictionaries = {node.node_id: self._ods[part] for part, node in self.config.nodes}
+        dictionaries = {part.node.node_id: self._ods[part.name] for part in self.config.parts}
         return Owned(self.config.master.node_id, self._known, dictionaries, rpdos)
 
     def configure(self, master: Master) -> None:
         """Configure every node by SDO. Raises BenchFaultError naming node, object and reason."""
         for drive in (*self.drives, *self.virtual_axes):
             drive.configure(master)
-        for part in ("axis1", "axis2"):
-            self._check_units(part)
+        for part, drive in zip(self.config.parts_of(Role.AXIS), self.axes, strict=True):
+            self._check_units(part, drive)
         self._configure_io(master)
 
-    def _check_units(self, part: str) -> None:
+    def _check_units(self, part: Part, drive: Drive) -> None:
         """The twin and the mirrored set points go by the EDS file: the device must have the same units."""
-        drive: Drive = getattr(self, part)
-        declared = declared_units(self.config, part, self._ods[part])
+        declared = declared_units(part, self._ods[part.name])
         for name in ("position_rad", "velocity_rad_s", "torque_Nm"):
             found, expected = getattr(drive.units, name), getattr(declared, name)
             if not isclose(found, expected, rel_tol=1e-6):
                 raise BenchFaultError(
                     f"{drive.settings.name} (node {drive.settings.node_id}): one unit is {found:.6g} ({name}), "
-                    f"expected {expected:.6g} as by its EDS file: give the true one in nodes: {part}: units:"
+                    f"expected {expected:.6g} as by its EDS file: give the true one in drives: {part.name}: units:"
                 )
 
     def _configure_io(self, master: Master) -> None:
-        node_id = self.config.nodes.virtual_io.node_id
+        node_id = self.config.twin.node.node_id
         master.write_rpdo(node_id, 1, self.io.boundary)
         for number, pdo in enumerate((self.io.state, self.io.quality, self.io.status), 1):
             master.write_tpdo(node_id, number, pdo)
@@ -237,8 +245,7 @@ class Nodes:
         The virtual axes are enabled by SDO before they hear the axes' RPDOs: these ask for OPERATION ENABLED already.
         Raises BenchFaultError naming the node that does not answer.
         """
-        master, nodes = self._sdo(), self.config.nodes
-        twin_nodes = [nodes.virtual_axis1.node_id, nodes.virtual_axis2.node_id, nodes.virtual_io.node_id]
+        master, twin_nodes = self._sdo(), list(self._twin_ids)
         self._expected_boots = set(twin_nodes)
         # A twin that was held up first works off what it has missed; the reset would be lost among that. One that
         # somebody has stopped (NMT) answers no SDO request.
@@ -286,7 +293,7 @@ class Nodes:
 
     def use_synchronizer(self, method: int) -> None:
         """Let the twin go on with another method, by its number (2101h); 0: the configured one."""
-        self._sdo().sdo_write(self.config.nodes.virtual_io.node_id, 0x2101, method, 1)
+        self._sdo().sdo_write(self.config.twin.node.node_id, 0x2101, method, 1)
 
     def check_virtual_axes_enabled(self) -> None:
         """Raise BenchFaultError when a virtual axis did not follow its real axis into OPERATION ENABLED."""
@@ -332,11 +339,12 @@ class Nodes:
 
     # -- each cycle --------------------------------------------------------------------------------------
 
-    def command(self, v1_m_s: float, v2_m_s: float, load_torque_Nm: float) -> None:
-        """Set points of this cycle: velocities at the web, torque at the load motor's shaft."""
-        self.axis1.setpoint = v1_m_s * self._rad_per_m[0]
-        self.axis2.setpoint = v2_m_s * self._rad_per_m[1]
-        self.load.setpoint = load_torque_Nm
+    def command(self, velocities: Sequence[float], load_torques_Nm: Sequence[float]) -> None:
+        """Set points of this cycle: velocities of the axes (m/s at the web), torques at the load motors' shafts."""
+        for drive, velocity, rad_per_m in zip(self.axes, velocities, self._rad_per_m, strict=True):
+            drive.setpoint = velocity * rad_per_m
+        for drive, torque_Nm in zip(self.load_motors, load_torques_Nm, strict=True):
+            drive.setpoint = torque_Nm
 
     def encode(self, strain_prev: float, tension_next_N: float) -> list[Frame]:
         """RPDOs of this cycle, the twin's among them."""
@@ -375,7 +383,7 @@ class Nodes:
             self._deviation_Pa, self._residual_Nm = self.io.quality.unpack(quality)
             # The residual is that of the cycle before: the twin compared after this cycle's TPDO was due.
             self._torque_sim_Nm = self._torque_before_Nm - self._residual_Nm
-        self._torque_before_Nm = self.axis2.feedback.torque_Nm
+        self._torque_before_Nm = self.axes[-1].feedback.torque_Nm
 
     def _answers(self, frames: Sequence[Frame], before_sync: int) -> dict[int, bytes]:
         """The answers to this SYNC by COB-ID; what is beside them is counted, and in `foreign`."""
@@ -404,7 +412,7 @@ class Nodes:
     @property
     def axes_late(self) -> bool:
         """Whether the positions of the axes are not those of this SYNC."""
-        return any(self.ages_cycles()[:2])
+        return any(self.ages_cycles()[: len(self.axes)])
 
     def twin_age(self, syncs: int) -> int:
         """How many cycles old the twin's last answer is, `syncs` after the twin was started."""
@@ -420,7 +428,7 @@ class Nodes:
         if name is None or len(content) != 1:
             return
         state = content[0]
-        if node_id == self.config.nodes.virtual_io.node_id:
+        if node_id == self.config.twin.node.node_id:
             self.twin_heard = True
         if state == _OPERATIONAL:
             self._heard_cycle[node_id] = self._cycle
@@ -448,14 +456,13 @@ class Nodes:
 
     def fill(self, sample: CycleSample) -> None:
         """Put the measurements of this cycle into a sample; SI, positions and velocities at the web."""
-        one, two, load = self.axis1.feedback, self.axis2.feedback, self.load.feedback
-        first, second = self._rad_per_m
-        sample.x1_m, sample.x2_m = one.position_rad / first, two.position_rad / second
-        sample.v1_m_s, sample.v2_m_s = one.velocity_rad_s / first, two.velocity_rad_s / second
-        sample.tau1_Nm, sample.tau2_Nm, sample.tau_load_Nm = one.torque_Nm, two.torque_Nm, load.torque_Nm
-        sample.x_load_m = load.position_rad / second
-        sample.statusword1, sample.statusword2 = one.statusword, two.statusword
-        sample.statusword_load = load.statusword
+        for drive, rad_per_m, position, velocity, torque, statusword in self._fills:
+            feedback = drive.feedback
+            setattr(sample, position, feedback.position_rad / rad_per_m)
+            if velocity:
+                setattr(sample, velocity, feedback.velocity_rad_s / rad_per_m)
+            setattr(sample, torque, feedback.torque_Nm)
+            setattr(sample, statusword, feedback.statusword)
         sample.F_sim_N, sample.E_sim_Pa, sample.E_sd_Pa = self._tension_N, self._modulus_Pa, self._deviation_Pa
         sample.twin_status = self.twin_status
         sample.tau2_residual_Nm, sample.tau2_sim_Nm = self._residual_Nm, self._torque_sim_Nm
@@ -473,8 +480,8 @@ class Nodes:
         self._sdo().sdo_write(self._effect_node(path), index, value, sub)
 
     def _effect_node(self, path: EffectPath) -> int:
-        node: Any = self.config.nodes.axis1 if path.axis == 1 else self.config.nodes.axis2
-        return int(node.node_id)
+        assert path.axis is not None, "effects of the hardware are effects of an axis"
+        return self.config.parts_of(Role.AXIS)[path.axis - 1].node.node_id
 
     def _sdo(self) -> Master:
         assert self._master is not None, "configured before an experiment changes anything"

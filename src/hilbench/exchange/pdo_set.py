@@ -7,7 +7,7 @@ from hilbench.canopen.pdo import PdoMap
 from hilbench.cia402.object_units import si_unit
 from hilbench.cia402.units import DriveUnits
 from hilbench.exchange.nodes import Nodes, declared_units
-from hilbench.topology.config import BenchConfig
+from hilbench.topology.config import BenchConfig, Role
 
 _MASTER = "bench"
 #: Function codes of the predefined connection set that name a PDO.
@@ -19,13 +19,13 @@ def pdo_set_dbc(config: BenchConfig) -> str:
     """The file's text. Raises UnusableInputError for an EDS file that cannot be used."""
     nodes = Nodes(config)
     messages: dict[int, DbcMessage] = {}
-    for part, _ in config.nodes:
+    for part in config.parts:
         units = None
-        if part != "virtual_io":
-            units = declared_units(config, part, nodes.dictionary(part))
-        for pdo in nodes.pdo_maps(part):
+        if part.role is not Role.VIRTUAL_IO:
+            units = declared_units(part, nodes.dictionary(part.name))
+        for pdo in nodes.pdo_maps(part.name):
             # A virtual axis listens to the RPDO of its real axis: one frame, two receivers.
-            messages.setdefault(pdo.cob_id, _message(part, pdo, units))
+            messages.setdefault(pdo.cob_id, _message(part.name, pdo, units))
     return dbc_text(messages.values(), f"PDO set of the bench {config.name}; SI units, drives at the motor shaft")
 
 

@@ -21,7 +21,7 @@ from hilbench.plant.motor_port import MotorMode, MotorPort
 from hilbench.plant.web_line.rig import TestRig
 from hilbench.processes import say, started_by_bench, stop_request
 from hilbench.real_time import kept_ready
-from hilbench.topology.config import BenchConfig, NodeConfig
+from hilbench.topology.config import BenchConfig, Role
 
 #: In real time the stand goes on without a SYNC that is late by so many cycles after the last one.
 _OVERDUE = 1.5
@@ -111,22 +111,22 @@ def simulate(config: BenchConfig) -> int | None:
 def hardware(config: BenchConfig) -> HostedDevices:
     """The nodes of the bench that are marked `simulated`, on their stand."""
     clock, time = _time_base(config)
-    ports = (MotorPort(), MotorPort(), MotorPort())
+    parts = (*config.parts_of(Role.AXIS), *config.parts_of(Role.LOAD_MOTOR))
+    ports = tuple(MotorPort() for _ in parts)
     rig_parameters = config.rig_parameters()
     # A scratch stand runs first, so that compiling is over before the devices boot.
     TestRig(rig_parameters, tuple(MotorPort() for _ in ports)).advance(config.cycle_time_s)
     stand = TestRig(rig_parameters, ports, config.seed)
     devices, drives = [], []
-    for (part, axis), port in zip((("axis1", 1), ("axis2", 2), ("load", None)), ports, strict=True):
-        node: NodeConfig = getattr(config.nodes, part)
-        if not node.simulated:
+    for part, port in zip(parts, ports, strict=True):
+        if not part.is_simulated:
             continue
-        od = load_eds(node.eds, node.node_id)
-        device = Device(od, node.node_id, clock)
-        drives.append(SimulatedDrive(device, port, declared_units(config, part, od)))
+        od = load_eds(part.node.eds, part.node.node_id)
+        device = Device(od, part.node.node_id, clock)
+        drives.append(SimulatedDrive(device, port, declared_units(part, od)))
         devices.append(device)
-        if axis is not None:
-            bind_effect_objects(device, _effect_setter(stand, axis))
+        if part.role is Role.AXIS and part.axis is not None:
+            bind_effect_objects(device, _effect_setter(stand, part.axis))
     sample_s = rig_parameters.drives.sample_time_s
     return HostedDevices(devices, clock, RigApplication(drives, ports, stand, time, config.cycle_time_s, sample_s))
 

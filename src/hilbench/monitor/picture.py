@@ -24,7 +24,7 @@ from hilbench.doctor.scan import nmt_states
 from hilbench.exchange.nodes import Nodes, declared_units
 from hilbench.exchange.timeliness import Timeliness
 from hilbench.monitor.condition import SILENCE_S, BenchWatch, Condition
-from hilbench.topology.config import BenchConfig
+from hilbench.topology.config import BenchConfig, Role
 
 _SYNC = 0x080
 _HEARTBEAT = 0x700
@@ -96,15 +96,20 @@ class BusPicture:
         self._state = nodes.io.state
         self._state_data = b""  #: its last frame; a batch of frames may end between it and the SYNC after it
         self._tpdos: dict[int, tuple[NodePicture, Any, tuple[int, ...], DriveUnits]] = {}
-        self.nodes = {node.node_id: NodePicture(part, node.node_id) for part, node in self.config.nodes}
-        for part, node in self.config.nodes:
-            if part == "virtual_io":
+        parts = self.config.parts
+        self.nodes = {part.node.node_id: NodePicture(part.name, part.node.node_id) for part in parts}
+        for part in parts:
+            if part.role is Role.VIRTUAL_IO:
                 continue
-            units = declared_units(self.config, part, nodes.dictionary(part))
-            for pdo in nodes.pdo_maps(part)[1:]:  # what it sends
+            units = declared_units(part, nodes.dictionary(part.name))
+            for pdo in nodes.pdo_maps(part.name)[1:]:  # what it sends
                 indices = tuple(variable.index for variable in pdo.variables)
-                self._tpdos[pdo.cob_id] = (self.nodes[node.node_id], pdo, indices, units)
-        self._answers = {part: nodes.pdo_maps(part)[1].cob_id for part in ("axis1", "axis2", "load")}
+                self._tpdos[pdo.cob_id] = (self.nodes[part.node.node_id], pdo, indices, units)
+        self._answers = {
+            part.name: nodes.pdo_maps(part.name)[1].cob_id
+            for part in parts
+            if part.role in (Role.AXIS, Role.LOAD_MOTOR)
+        }
         self._answers["virtual_io"] = nodes.io.status.cob_id
         self._ages = dict.fromkeys(self._answers, 0)
         self.timeliness = Timeliness(tuple(self._answers), self.config.cycle_time_s)
@@ -141,7 +146,7 @@ class BusPicture:
                     self._state_data = frame.data
         self._decode(last)
         if len(last.get(self._state.cob_id, b"")) == self._state.size:
-            self._hear(self.config.nodes.virtual_io.node_id, "PDO", _MISSED * self._state.period)
+            self._hear(self.config.twin.node.node_id, "PDO", _MISSED * self._state.period)
         for node_id, state in nmt_states(heartbeats).items():
             self._hear(node_id, "heartbeat", _HEARTBEATS_MISSED * self._heartbeat_cycles)
             self._nmt(node_id, state)
@@ -181,7 +186,7 @@ class BusPicture:
     @property
     def twin_is_heard(self) -> bool:
         """Whether tension and E are those of now."""
-        heard = self._heard.get((self.config.nodes.virtual_io.node_id, "PDO"))
+        heard = self._heard.get((self.config.twin.node.node_id, "PDO"))
         running = self.condition is Condition.RUNNING
         return running and heard is not None and not self._is_silent(heard, running=running)
 

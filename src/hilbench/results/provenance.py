@@ -118,8 +118,8 @@ def _git(path: Path, *words: str) -> str | None:
 
 def _eds_files(config: BenchConfig) -> Iterable[EdsFile]:
     nodes: dict[Path, list[str]] = {}
-    for name, node in config.nodes:
-        nodes.setdefault(Path(node.eds), []).append(name)
+    for part in config.parts:
+        nodes.setdefault(part.node.eds, []).append(part.name)
     for file, names in nodes.items():
         try:
             content = file.read_bytes()

@@ -123,7 +123,7 @@ def replay(config: BenchConfig, folder: RunFolder) -> Recovery:
     nodes = Nodes(config)
     reader = TraceReader(folder.trace)
     own = {cob_id for cob_id, _ in _own_frames(nodes)} | {0x700 + config.master.node_id, answer_id(config)}
-    cycles = _cycles(reader, own, nodes.axis1.pdos.rpdo.cob_id)
+    cycles = _cycles(reader, own, nodes.axes[0].pdos.rpdo.cob_id)
     configuration = next(cycles, _Cycle())
     _take_units(nodes, configuration.received)
     changes = read_journal(folder.journal) if folder.journal.exists() else None
@@ -218,12 +218,12 @@ class _Decoder:
         self._nodes = nodes
         self._changes = changes
         self._next_change = 0
-        self._metres_per_rad = [1.0 / config.model.motor_rad_per_m(axis) for axis in (1, 2)]
+        self._metres_per_rad = [1.0 / config.machine.motor_rad_per_m(axis) for axis in (1, 2)]
         self._sample = CycleSample(
-            strain_prev=config.model.upstream_strain, F_next_N=config.model.boundary.downstream_tension_N
+            strain_prev=config.machine.upstream_strain, F_next_N=config.machine.boundary.downstream_tension_N
         )
         self._set_point_N = config.tension_control.set_point_N
-        self._load = LoadModel(config.model, config.load, config.cycle_time_s)
+        self._load = LoadModel(config.machine, config.load, config.cycle_time_s)
         self._load.warm_up()
         self._trust = TwinTrust(config.tension_control, config.safety.limits.tension_N.trip or float("inf"))
         self._twin_away = False
@@ -282,7 +282,7 @@ class _Decoder:
 
     def _take_commands(self, sent: Iterable[Frame]) -> None:
         data = {frame.can_id: frame.data for frame in sent}
-        axes = zip((self._nodes.axis1, self._nodes.axis2), self._metres_per_rad, strict=True)
+        axes = zip(self._nodes.axes, self._metres_per_rad, strict=True)
         for (axis, metres_per_rad), name in zip(axes, ("v1_cmd_m_s", "v2_cmd_m_s"), strict=True):
             content = data.get(axis.pdos.rpdo.cob_id)
             if content is not None and len(content) == axis.pdos.rpdo.size:

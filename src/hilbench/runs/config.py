@@ -55,14 +55,14 @@ def read_document(path: Path, including: tuple[Path, ...] = ()) -> strict_yaml.D
     """A config file on top of the files that its key `include` names (one, or a list; the later one counts).
 
     What a file names (includes, EDS files, tables) is looked for in its own folder. A model file counts as a config
-    that has nothing but its `model:`. Raises UnusableInputError with file and line; for files that include each other
+    that has nothing but its `machine:`. Raises UnusableInputError with file and line; for files that include each other
     too.
     """
     document = strict_yaml.load(path)
     if not isinstance(document.data, Mapping):
         raise UnusableInputError(document.place(), "no mapping, expected a bench config")
     if is_model(document.data):
-        document = document.below("model")
+        document = document.below("machine")
     here = (*including, path.resolve())
     document = _with_files_of_its_folder(document)
     if "include" not in document.data:
@@ -98,10 +98,16 @@ def _with_files_of_its_folder(document: strict_yaml.Document) -> strict_yaml.Doc
 
 
 def _named_files(data: Mapping[str, Any]) -> Iterator[tuple[tuple[str | int, ...], str]]:
-    nodes, steps = data.get("nodes"), data.get("steps")
     blocks: list[tuple[tuple[str | int, ...], Any, str]] = []
-    if isinstance(nodes, Mapping):
-        blocks += [(("nodes", part), node, "eds") for part, node in nodes.items()]
+    for group in ("drives", "load_motors"):
+        parts = data.get(group)
+        for name, node in parts.items() if isinstance(parts, Mapping) else ():
+            blocks.append(((group, name), node, "eds"))
+            if isinstance(node, Mapping):
+                blocks.append(((group, name, "virtual"), node.get("virtual"), "eds"))
+    twin, steps = data.get("twin"), data.get("steps")
+    if isinstance(twin, Mapping):
+        blocks.append((("twin", "node"), twin.get("node"), "eds"))
     if isinstance(steps, list):
         blocks += [
             (("steps", number, kind), action, "file")
@@ -166,7 +172,7 @@ def load_with_overrides(
     seed: int | None = None,
     changes: Sequence[str] = (),
 ) -> LoadedConfig:
-    """`load`, with what the command line says instead: `changes` are texts ``model.web.width_m=0.6``.
+    """`load`, with what the command line says instead: `changes` are texts ``machine.web.width_m=0.6``.
 
     Raises UnusableInputError that names the file and line, or the option.
     """
@@ -190,6 +196,6 @@ def parse_change(text: str) -> tuple[tuple[str | int, ...], Any]:
     path, equals, value = text.partition("=")
     keys = [key.strip() for key in path.split(".")]
     if not equals or not all(keys):
-        raise UnusableInputError("--set", f"{text!r}, expected KEY=VALUE such as model.web.youngs_modulus_Pa=9e9")
+        raise UnusableInputError("--set", f"{text!r}, expected KEY=VALUE such as machine.web.youngs_modulus_Pa=9e9")
     location = tuple(int(key) if key.isdecimal() else key for key in keys)
     return location, strict_yaml.parse_value(value.strip(), f"--set {text}")

@@ -49,6 +49,12 @@ def _lines(block: BaseModel, folder: Path, depth: int) -> Iterator[str]:
             continue
         if isinstance(value, Path):
             value = Path(os.path.relpath(value, folder))
+        if value and isinstance(value, Mapping) and all(isinstance(part, BaseModel) for part in value.values()):
+            yield _line(depth, f"{name}:", field.description)
+            for key, part in value.items():
+                yield _line(depth + 1, f"{key}:", _first_line(part))
+                yield from _lines(part, folder, depth + 2)
+            continue
         if value and isinstance(value, list | tuple) and isinstance(value[0], BaseModel):
             yield _line(depth, f"{name}:", field.description)
             yield from ("  " * (depth + 1) + "- " + _flow(_plain(entry)) for entry in value)

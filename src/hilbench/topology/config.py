@@ -6,6 +6,8 @@ The experiment and its criteria stand in the same file; `hilbench.runs.config` a
 from __future__ import annotations
 
 import re
+from dataclasses import dataclass
+from enum import Enum
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -14,7 +16,7 @@ from pydantic import Field, PositiveFloat, field_validator, model_validator
 from hilbench.block import Block
 from hilbench.can.open import BusAddress
 from hilbench.errors import UnusableInputError
-from hilbench.estimation.config import TwinConfig
+from hilbench.estimation.config import EstimationConfig
 from hilbench.plant.effects import imitated_effect_problem, rig_effect_problem
 from hilbench.plant.sensors import SensorParameters
 from hilbench.plant.web_line.offline import samples_per
@@ -24,6 +26,7 @@ from hilbench.real_time import ProcessSettings
 
 Pace = Literal["lockstep", "realtime"]
 Mirroring = Literal["listen", "copy"]
+PartName = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$", max_length=32)]
 TimeOut = Annotated[float, Field(gt=0.0, le=3600.0)]
 
 
@@ -68,7 +71,6 @@ class NodeConfig(Block):
 
     node_id: int = Field(ge=1, le=127, description="CANopen node id; every node has one of its own")
     eds: Path = Field(description="EDS or DCF file; a relative path is taken from the config file's folder")
-    simulated: bool = Field(default=True, description="part of the simulated hardware; false: a real device")
     units: UnitsConfig = Field(default=UnitsConfig(), description="a drive's units where its objects do not tell them")
     parameters: dict[str, int | float] = Field(
         default={}, description="objects written to a drive at configuration, device units: {60A9h: 0xFAB44700}"
@@ -92,24 +94,62 @@ class NodeConfig(Block):
         return self.units.model_dump(exclude_none=True)
 
 
-class NodesConfig(Block):
-    """The participants, by their part in the bench."""
+class DeviceConfig(NodeConfig):
+    """A node that is a real device, or one of the simulated hardware."""
 
-    axis1: NodeConfig
-    axis2: NodeConfig
-    load: NodeConfig
-    virtual_axis1: NodeConfig
-    virtual_axis2: NodeConfig
-    virtual_io: NodeConfig
+    simulated: bool = Field(default=True, description="part of the simulated hardware; false: a real device")
 
-    @model_validator(mode="after")
-    def _ids_differ(self) -> NodesConfig:
-        seen: dict[int, str] = {}
-        for name, node in self:
-            if node.node_id in seen:
-                raise ValueError(f"node ids that differ: {seen[node.node_id]} and {name} both have {node.node_id}")
-            seen[node.node_id] = name
-        return self
+
+class DriveConfig(DeviceConfig):
+    """The drive of one driven axis of the machine, and its virtual axis in the twin."""
+
+    virtual: NodeConfig = Field(description="the virtual axis: what the twin plays beside this drive")
+
+
+class LoadMotorConfig(DeviceConfig):
+    """A load motor: it imitates the machine's pull on the shaft of an axis."""
+
+    shaft: str = Field(description="the drive, by its name under `drives:`, on whose shaft the motor sits")
+    motor: LoadMotorParameters = LoadMotorParameters(inertia_kg_m2=0.0005)
+
+
+class Role(Enum):
+    """What a node is for."""
+
+    AXIS = "axis"
+    LOAD_MOTOR = "load motor"
+    VIRTUAL_AXIS = "virtual axis"
+    VIRTUAL_IO = "virtual io"
+
+
+@dataclass(frozen=True)
+class Part:
+    """A node of the bench with its place in the topology.
+
+    `name` is how messages and commands call it; `axis` the number of the driven axis it turns, simulates, or (a load
+    motor) sits on, None for the virtual I/O; `location` where it stands in the config.
+    """
+
+    name: str
+    role: Role
+    node: NodeConfig
+    axis: int | None
+    location: tuple[str, ...]
+
+    @property
+    def label(self) -> str:
+        """The name as it is written in messages."""
+        return self.name.replace("_", " ")
+
+    @property
+    def is_simulated(self) -> bool:
+        """Whether the simulated hardware plays it."""
+        return isinstance(self.node, DeviceConfig) and self.node.simulated
+
+    @property
+    def is_virtual(self) -> bool:
+        """Whether the twin plays it."""
+        return self.role in (Role.VIRTUAL_AXIS, Role.VIRTUAL_IO)
 
 
 class MasterConfig(Block):
@@ -123,9 +163,8 @@ class MasterConfig(Block):
 
 
 class HardwareConfig(Block):
-    """The simulated hardware: the model's axes as motors with flywheels, and the load motor on the second shaft."""
+    """The simulated hardware: the machine's axes as motors with flywheels, and the load motors on their shafts."""
 
-    load_motor: LoadMotorParameters = LoadMotorParameters(inertia_kg_m2=0.0005)
     sensors: SensorParameters = SensorParameters(torque_noise_Nm=0.05, velocity_noise_rad_s=0.002)
     effects: list[EffectEntry] = Field(default=[], description="hidden in the simulated axes")
 
@@ -140,7 +179,7 @@ class HardwareConfig(Block):
 
 
 class LoadWebConfig(Block):
-    """Where the imitated web differs from the model; what is not given is as in `model:`."""
+    """Where the imitated web differs from the model; what is not given is as in `machine:`."""
 
     youngs_modulus_Pa: Modulus | None = Field(default=None, description="Young's modulus E of the imitated web")
     span_length_m: Length | None = Field(default=None, description="free web between the two rollers")
@@ -163,8 +202,10 @@ class LoadConfig(Block):
 
 
 class TensionControlConfig(Block):
-    """The tension loop: how the velocity of axis 1 keeps the simulated tension at its set-point."""
+    """The tension loop: how the velocity of the axis before a span keeps its simulated tension at the set-point."""
 
+    kind: Literal["tension"] = "tension"
+    span: int = Field(default=1, ge=1, description="number of the span whose tension is kept")
     set_point_N: PositiveFloat = Field(default=80.0, description="of the simulated tension, the sensor of the loop")
     bandwidth_rad_per_s: PositiveFloat = Field(default=6.0, description="of the closed tension loop")
     twin_age_limit_cycles: int = Field(
@@ -259,6 +300,12 @@ class RealtimeConfig(Block):
     cores: CoresConfig = CoresConfig()
 
 
+class TwinConfig(EstimationConfig):
+    """The twin: its virtual I/O, what it assumes and how it keeps in step with the bench."""
+
+    node: NodeConfig = Field(description="the virtual I/O: what the twin is told and what it tells")
+
+
 class BenchConfig(Block):
     """One bench. Keys that carry a unit say so in their name."""
 
@@ -276,27 +323,103 @@ class BenchConfig(Block):
     )
     bus: BusConfig = BusConfig()
     master: MasterConfig = MasterConfig()
-    nodes: NodesConfig
-    model: ModelParameters
+    machine: ModelParameters = Field(description="what the twin believes of the machine")
+    drives: dict[PartName, DriveConfig] = Field(
+        min_length=1, description="of the machine's driven axes, in the order of the machine, by the names they get"
+    )
+    load_motors: dict[PartName, LoadMotorConfig] = Field(
+        default={}, description="motors that imitate the machine's pull, by the names they get"
+    )
     hardware: HardwareConfig = HardwareConfig()
     load: LoadConfig = LoadConfig()
-    twin: TwinConfig = TwinConfig()
-    tension_control: TensionControlConfig = TensionControlConfig()
+    twin: TwinConfig
+    controllers: dict[PartName, TensionControlConfig] = Field(
+        default={"tension_control": TensionControlConfig()},
+        min_length=1,
+        description="what keeps a quantity of the machine at its set-point, by the names they get",
+    )
     safety: SafetyConfig = SafetyConfig()
     realtime: RealtimeConfig = RealtimeConfig()
 
     @model_validator(mode="after")
-    def _fits_the_rig(self) -> BenchConfig:
-        if self.model.web is None or self.model.drives is None or self.model.axis_count != 2:
-            raise ValueError("a model of two driven rollers with 'web:' and 'drives:'")
+    def _parts_differ(self) -> BenchConfig:
+        ids: dict[int, str] = {}
+        names: set[str] = set()
+        for part in self.parts:
+            if part.name in names:
+                raise ValueError(f"names that differ: there are two parts named {part.name}")
+            names.add(part.name)
+            if part.node.node_id in ids:
+                raise ValueError(
+                    f"node ids that differ: {ids[part.node.node_id]} and {part.name} both have {part.node.node_id}"
+                )
+            ids[part.node.node_id] = part.name
+        return self
+
+    @model_validator(mode="after")
+    def _fits_the_machine(self) -> BenchConfig:
+        machine = self.machine
+        if machine.web is None or machine.drives is None:
+            raise ValueError("a machine with 'web:' and 'drives:'")
+        if machine.axis_count != len(self.drives):
+            raise ValueError(
+                f"as many drives as the machine has driven rollers: {len(self.drives)} under 'drives:', "
+                f"{machine.axis_count} rollers"
+            )
+        for name, motor in self.load_motors.items():
+            if motor.shaft not in self.drives:
+                raise ValueError(
+                    f"the drive on whose shaft '{name}' sits: {', '.join(self.drives)}; '{motor.shaft}' is none"
+                )
         self.rig_parameters()  # raises ValueError for a load motor that is too heavy
-        samples_per(self.cycle_time_s, self.model.drives.sample_time_s)  # raises ValueError for what is no multiple
+        samples_per(self.cycle_time_s, machine.drives.sample_time_s)  # raises ValueError for what is no multiple
         return self
 
     def rig_parameters(self) -> RigParameters:
-        """The simulated hardware: the model's axes without the model's effects, with those hidden in the hardware."""
+        """The simulated hardware: the machine's axes without its effects, with those hidden in the hardware."""
         hardware = self.hardware
-        return RigParameters.matching(self.model, hardware.load_motor, hardware.sensors, hardware.effects)
+        (motor,) = (motor.motor for motor in self.load_motors.values())
+        return RigParameters.matching(self.machine, motor, hardware.sensors, hardware.effects)
+
+    @property
+    def parts(self) -> tuple[Part, ...]:
+        """All nodes: the drives, the load motors, the virtual axes, the virtual I/O."""
+        return (
+            *self.parts_of(Role.AXIS),
+            *self.parts_of(Role.LOAD_MOTOR),
+            *self.parts_of(Role.VIRTUAL_AXIS),
+            *self.parts_of(Role.VIRTUAL_IO),
+        )
+
+    def parts_of(self, role: Role) -> tuple[Part, ...]:
+        """The nodes of one role, in the order of the config."""
+        if role is Role.VIRTUAL_IO:
+            return (Part("virtual_io", role, self.twin.node, None, ("twin", "node")),)
+        if role is Role.LOAD_MOTOR:
+            axes = {name: axis for axis, name in enumerate(self.drives, 1)}
+            return tuple(
+                Part(name, role, node, axes.get(node.shaft), ("load_motors", name))
+                for name, node in self.load_motors.items()
+            )
+        drives = enumerate(self.drives.items(), 1)
+        if role is Role.AXIS:
+            return tuple(Part(name, role, node, axis, ("drives", name)) for axis, (name, node) in drives)
+        return tuple(
+            Part(f"virtual_{name}", role, node.virtual, axis, ("drives", name, "virtual"))
+            for axis, (name, node) in drives
+        )
+
+    def part(self, name: str) -> Part:
+        """The node of a name. Raises KeyError for none."""
+        for part in self.parts:
+            if part.name == name:
+                return part
+        raise KeyError(name)
+
+    @property
+    def tension_control(self) -> TensionControlConfig:
+        """The first controller."""
+        return next(iter(self.controllers.values()))
 
     @field_validator("cycle_time_s")
     @classmethod
@@ -308,13 +431,12 @@ class BenchConfig(Block):
     @property
     def simulated_drives(self) -> dict[int, str]:
         """Parts that the simulated hardware plays, by node id."""
-        parts = ("axis1", "axis2", "load")
-        return {node.node_id: part for part, node in self.nodes if part in parts and node.simulated}
+        return {part.node.node_id: part.name for part in self.parts if part.is_simulated}
 
     @property
     def virtual_nodes(self) -> dict[int, str]:
         """Parts that the twin plays, by node id."""
-        return {node.node_id: part for part, node in self.nodes if part.startswith("virtual")}
+        return {part.node.node_id: part.name for part in self.parts if part.is_virtual}
 
     def process_settings(self, part: Literal["bench", "hardware", "twin"]) -> ProcessSettings | None:
         """What the process of a part asks of the operating system; None in lockstep."""
@@ -327,7 +449,7 @@ class BenchConfig(Block):
 
     def units_of(self, node_id: int) -> dict[str, float]:
         """Units that the config gives for a node; none for one that is not the bench's."""
-        return next((node.unit_overrides for _, node in self.nodes if node.node_id == node_id), {})
+        return next((part.node.unit_overrides for part in self.parts if part.node.node_id == node_id), {})
 
     @property
     def bus_address(self) -> BusAddress:

@@ -17,7 +17,7 @@ from hilbench.canopen.eds import load_eds
 from hilbench.canopen.host import DeviceHost, HostedDevices
 from hilbench.canopen.sync_time import SyncTime
 from hilbench.cia402.simulated import SimulatedDrive
-from hilbench.estimation.config import TwinConfig
+from hilbench.estimation.config import EstimationConfig
 from hilbench.estimation.synchronizers.create import METHODS
 from hilbench.estimation.torque_shift import TORQUE_SHIFT, UNDECIDED
 from hilbench.estimation.tracking import Tracking
@@ -64,9 +64,9 @@ class TwinSetup:
     clock: Clock
     cycle_s: float
     model: ModelParameters
-    twin: TwinConfig
-    real_axes: tuple[RealAxis, RealAxis]
-    virtual_axes: tuple[TwinNode, TwinNode]
+    twin: EstimationConfig
+    real_axes: tuple[RealAxis, ...]
+    virtual_axes: tuple[TwinNode, ...]
     virtual_io: TwinNode
     process: ProcessSettings | None  #: what the twin's process asks of the operating system
 
@@ -368,7 +368,7 @@ def twin(setup: TwinSetup) -> HostedDevices:
     return HostedDevices([*devices, io_device], setup.clock, application)
 
 
-def warm_up(model: ModelParameters, config: TwinConfig, cycle_s: float) -> None:
+def warm_up(model: ModelParameters, config: EstimationConfig, cycle_s: float) -> None:
     """Compile (or load) what a cycle runs on scratch objects, so that it is over before the devices boot."""
     ports = (MotorPort(), MotorPort())
     line = Line(model, ports)

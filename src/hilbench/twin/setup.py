@@ -5,31 +5,29 @@ from __future__ import annotations
 from hilbench.canopen.eds import load_eds
 from hilbench.exchange.device_clock import device_clock
 from hilbench.exchange.nodes import declared_units
-from hilbench.topology.config import BenchConfig, NodeConfig
+from hilbench.topology.config import BenchConfig, Part, Role
 from hilbench.twin.axis_listener import RealAxis, TwinNode
 from hilbench.twin.process import TwinSetup
 
 
 def twin_setup(config: BenchConfig) -> TwinSetup:
     """The twin's part of a bench config."""
-    nodes = config.nodes
 
-    def node(part: NodeConfig) -> TwinNode:
-        return TwinNode(part.node_id, part.eds)
+    def node(part: Part) -> TwinNode:
+        return TwinNode(part.node.node_id, part.node.eds)
 
-    def axis(name: str) -> RealAxis:
-        part: NodeConfig = getattr(nodes, name)
-        od = load_eds(part.eds, part.node_id)
-        return RealAxis(part.node_id, part.eds, declared_units(config, name, od))
+    def axis(part: Part) -> RealAxis:
+        od = load_eds(part.node.eds, part.node.node_id)
+        return RealAxis(part.node.node_id, part.node.eds, declared_units(part, od))
 
     return TwinSetup(
         bus=config.bus_address,
         clock=device_clock(config),
         cycle_s=config.cycle_time_s,
-        model=config.model,
+        model=config.machine,
         twin=config.twin,
-        real_axes=(axis("axis1"), axis("axis2")),
-        virtual_axes=(node(nodes.virtual_axis1), node(nodes.virtual_axis2)),
-        virtual_io=node(nodes.virtual_io),
+        real_axes=tuple(map(axis, config.parts_of(Role.AXIS))),
+        virtual_axes=tuple(map(node, config.parts_of(Role.VIRTUAL_AXIS))),
+        virtual_io=node(*config.parts_of(Role.VIRTUAL_IO)),
         process=config.process_settings("twin"),
     )

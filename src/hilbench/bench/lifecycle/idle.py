@@ -16,7 +16,7 @@ from hilbench.topology.config import BenchConfig
 
 def may_idle(config: BenchConfig) -> bool:
     """Whether time can stand still: not for real drives, and not for anybody who goes by the wall clock."""
-    simulated = all(node.simulated for _, node in config.nodes)
+    simulated = all(part.is_simulated or part.is_virtual for part in config.parts)
     return config.pace == "lockstep" and simulated and config.master.heartbeat_ms > 0
 
 

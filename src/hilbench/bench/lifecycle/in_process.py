@@ -35,7 +35,7 @@ def can_be_in_process(config: BenchConfig) -> bool:
 
 def check_in_process(config: BenchConfig) -> None:
     """Raise UnusableInputError for a config whose participants cannot live in the bench's process."""
-    real = [part for part, node in config.nodes if not node.simulated]
+    real = [part.name for part in config.parts if not (part.is_simulated or part.is_virtual)]
     for found, expected in (
         (f"pace {config.pace}" if config.pace != "lockstep" else "", "lockstep"),
         (f"bus {config.bus_address}" if config.bus_address.interface != "embedded" else "", "the embedded bus"),

@@ -156,9 +156,9 @@ def check_that_they_wait(config: BenchConfig, master: Master) -> None:
         return
     heard = master.heard_within(_HEARTBEATS_TO_WAIT * config.master.node_heartbeat_ms * 1e-3)
     by_clock = [
-        f"{part.replace('_', ' ')} (node {node.node_id})"
-        for part, node in config.nodes
-        if node.simulated and node.node_id in heard
+        f"{part.label} (node {part.node.node_id})"
+        for part in config.parts
+        if (part.is_simulated or part.is_virtual) and part.node.node_id in heard
     ]
     if by_clock:
         master.nmt(nmt.PRE_OPERATIONAL)
@@ -179,7 +179,7 @@ def _release_nodes(master: Master, exchange: CyclicExchange) -> None:
 def start_children(config: BenchConfig, folder: Path) -> list[ChildProcess]:
     """Start the simulated hardware, where a node is simulated, and the twin; their logs go to `folder`."""
     # Once, into the cache on disk: compiling takes longer than a process has to show itself on the bus.
-    Line(config.model).advance(config.cycle_time_s)
+    Line(config.machine).advance(config.cycle_time_s)
     path = folder / "config.yaml"
     if not path.exists():
         path.write_text(yaml.safe_dump(config.model_dump(mode="json", exclude_none=True), sort_keys=False))
@@ -205,17 +205,16 @@ def _start_supervisor(config: BenchConfig, folder: Path) -> ChildProcess | None:
 def _wait_for_nodes(
     config: BenchConfig, master: Master, children: list[ChildProcess], participants: Participants
 ) -> None:
-    for _, node in config.nodes:
-        if (
-            participants is Participants.PRESENT or not node.simulated
-        ):  # it is there already: from its own reset on everything is known
-            master.nmt(nmt.RESET_NODE, node.node_id)
+    for part in config.parts:
+        # It is there already: from its own reset on everything is known.
+        if participants is Participants.PRESENT or not (part.is_simulated or part.is_virtual):
+            master.nmt(nmt.RESET_NODE, part.node.node_id)
 
     def check() -> None:
         for child in children:
             child.check()
 
-    master.wait_for_boot([node.node_id for _, node in config.nodes], config.master.boot_timeout_s, check)
+    master.wait_for_boot([part.node.node_id for part in config.parts], config.master.boot_timeout_s, check)
 
 
 @contextmanager

@@ -5,12 +5,11 @@ A drive says so itself (statusword 6041h bit 11, internal limit active), or its 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 from hilbench.cia402.state_machine import STATUS_INTERNAL_LIMIT
 from hilbench.plant.web_line.parameters import per_item
-from hilbench.topology.config import BenchConfig
+from hilbench.topology.config import BenchConfig, Role
 from hilbench.topology.sample import CycleSample
 
 #: Share of the limit from which a measured torque is at it.
@@ -32,20 +31,22 @@ class SaturationWatch:
     """Watches the samples of one run."""
 
     def __init__(self, config: BenchConfig) -> None:
-        drives = config.model.drives
-        assert drives is not None, "a bench's model has drives"
+        drives = config.machine.drives
+        assert drives is not None, "a bench's machine has drives"
         self._cycle_s = config.cycle_time_s
-        self._limits_Nm = {
-            "axis 1": per_item(drives.torque_limit_Nm, 1),
-            "axis 2": per_item(drives.torque_limit_Nm, 2),
-            "the load motor": config.hardware.load_motor.torque_limit_Nm,
-        }
+        axes, motors = config.parts_of(Role.AXIS), config.load_motors
+        self._limits_Nm = {f"axis {part.axis}": per_item(drives.torque_limit_Nm, part.axis or 1) for part in axes}
+        labels = {name: "the load motor" if len(motors) == 1 else f"load motor {name}" for name in motors}
+        self._limits_Nm |= {labels[name]: motor.motor.torque_limit_Nm for name, motor in motors.items()}
+        self._signals = [(f"axis {k}", f"tau{k}_Nm", f"statusword{k}") for k in range(1, len(axes) + 1)]
+        self._signals += [(label, f"tau_{name}_Nm", f"statusword_{name}") for name, label in labels.items()]
         self._limited: dict[str, _Limited] = {}
 
     def update(self, sample: CycleSample) -> list[tuple[str, str]]:
         """What begins or ends in this cycle, as text for the operator, with the kind of notice that it is."""
         told = []
-        for drive, torque_Nm, statusword in _drives(sample):
+        for drive, torque, status in self._signals:
+            torque_Nm, statusword = getattr(sample, torque), getattr(sample, status)
             limit_Nm, known = self._limits_Nm[drive], self._limited.get(drive)
             by_torque = abs(torque_Nm) >= _AT_LIMIT * limit_Nm
             if by_torque or statusword & STATUS_INTERNAL_LIMIT:
@@ -64,9 +65,3 @@ class SaturationWatch:
                 text = f"{drive} has left its limit: at it for {known.total_s:.3g} s within {lasted_s:.3g} s"
                 told.append((f"{drive} left", text))
         return told
-
-
-def _drives(sample: CycleSample) -> Iterator[tuple[str, float, int]]:
-    yield "axis 1", sample.tau1_Nm, sample.statusword1
-    yield "axis 2", sample.tau2_Nm, sample.statusword2
-    yield "the load motor", sample.tau_load_Nm, sample.statusword_load

@@ -134,11 +134,11 @@ class TensionLoop:
     @property
     def _stiffness_N_per_m(self) -> float:
         point = self.point
-        return point.youngs_modulus_Pa * self.config.model.required_web.section_m2 / point.span_length_m
+        return point.youngs_modulus_Pa * self.config.machine.required_web.section_m2 / point.span_length_m
 
     @cached_property
     def _damping(self) -> DampingGains:
-        plant = SwingPlant.of_model(self.config.model, self.config.cycle_time_s)
+        plant = SwingPlant.of_model(self.config.machine, self.config.cycle_time_s)
         return damping_gains(plant, self.config.tension_control.swing_damping_ratio, self.point.estimate_Pa)
 
     def _unit(self, name: str) -> Matrix:
@@ -149,15 +149,16 @@ class TensionLoop:
     @cached_property
     def _cycle(self) -> Matrix:
         """From just after a SYNC to just before the next one."""
-        drives = self.config.model.drives
+        drives = self.config.machine.drives
         assert drives is not None, "a bench's model has drives"
         samples = max(1, round(self.config.cycle_time_s / drives.sample_time_s))
         return np.asarray(np.linalg.matrix_power(self._drive_sample(drives.sample_time_s), samples))
 
     def _drive_sample(self, sample_s: float) -> Matrix:
         """Velocity loops at their sample, then motion and current loops for its time."""
-        model, size = self.config.model, len(self._places)
+        model, size = self.config.machine, len(self._places)
         at, axes = self._places, [_Axis.of(model, axis) for axis in (1, 2)]
+        load_motor = next(iter(self.config.load_motors.values()))
         loops, rates = np.eye(size), np.zeros((size + 4, size + 4))
         held = np.zeros((size + 4, size))
         for number, (v, f, i, u) in enumerate((*_AXES, *_SIMULATED)):
@@ -167,7 +168,7 @@ class TensionLoop:
             held[size + number] = loops[at[i]] + axis.kp_N_s_per_m * error
             rates[at[f], [at[f], size + number]] = -1.0 / axis.current_loop_s, 1.0 / axis.current_loop_s
             rates[at[v], at[f]] = 1.0 / axis.mass_kg
-        load_s = max(self.config.hardware.load_motor.current_loop_time_constant_s, _FASTEST_S)
+        load_s = max(load_motor.motor.current_loop_time_constant_s, _FASTEST_S)
         rates[at["load"], [at["load"], at["load_set"]]] = -1.0 / load_s, 1.0 / load_s
         rates[at["v2"], at["load"]] = 1.0 / axes[1].mass_kg
         rates[at["way1"], at["v1"]] = rates[at["way2"], at["v2"]] = 1.0
@@ -186,9 +187,9 @@ class TensionLoop:
         """At SYNC: new commands take effect, what was measured becomes the next ones."""
         tick, at = np.eye(len(self._places)), self._places
         tick[at["u1"]], tick[at["load_set"]] = self._unit("u1_next"), self._unit("load_next")
-        shaft = SampledShaft.of_model(self.config.model, cycle_s=self.config.cycle_time_s)
+        shaft = SampledShaft.of_model(self.config.machine, cycle_s=self.config.cycle_time_s)
         web, ahead = self._web_now(self.config.cycle_time_s), imitation_delay_s(shaft)
-        loaded = self.config.model.carries_web_load(2)
+        loaded = self.config.machine.carries_web_load(2)
         tick[at["web"]] = web
         tick[at["load_next"]] = -self._web_later(web, ahead) if loaded else 0.0
         tick[at["way1"]] = tick[at["way2"]] = 0.0
@@ -233,7 +234,7 @@ class TensionLoop:
             rows[f"sent{n}"] = self._unit(f"sent{n - 1}") if n else damping
         rows["u1_next"] = damping
         if self.closed:
-            kp, ki = TensionController.of_model(config.tension_control, config.model).gains(
+            kp, ki = TensionController.of_model(config.tension_control, config.machine).gains(
                 self.point.line_speed_m_s, self.point.estimate_Pa
             )
             error = -self._unit("web_sim")
