@@ -109,7 +109,7 @@ def experiment(case: Case, E_Pa: float) -> list[dict[str, Any]]:
 
 def recorded(config: ExperimentConfig) -> Recording:
     """What a bench inside this process records of the experiment. Raises BenchFaultError."""
-    recorder = Recorder()
+    recorder = Recorder(config.signals)
     with Bench(config, observers=[recorder], participants=Participants.IN_PROCESS) as bench:
         for step in config.steps:
             step.run(bench, [])

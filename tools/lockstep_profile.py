@@ -49,7 +49,7 @@ def measure(
 ) -> dict[str, float]:
     """Run the bench at 3 m/s for so much experiment time; µs per cycle of each part, and the real-time factor."""
     config = load_with_overrides(config_path, bus=f"embedded:profile{os.getpid()}", pace="lockstep").config
-    recorder = Recorder()
+    recorder = Recorder(config.signals)
     with (
         TraceWriter(folder / f"trace-{os.getpid()}-{participants.name}.log", "profile") as trace,
         Bench(config, observers=[recorder], tap=trace, participants=participants) as bench,

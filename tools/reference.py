@@ -24,7 +24,7 @@ from hilbench.runs.config import ExperimentConfig
 from hilbench.runs.config_text import json_schema
 from hilbench.runs.metrics import METRICS
 from hilbench.topology.quantities import PLAIN_PATHS, permitted
-from hilbench.topology.signals import SIGNALS
+from hilbench.topology.signals import signals_of
 
 ROOT: Final = Path(__file__).resolve().parent.parent
 
@@ -354,7 +354,8 @@ def signals_page() -> str:
         + ", and every parameter of every [effect](effects.md) within its bounds.",
         "",
         *_table(
-            ("signal", "unit", "group", "what"), ((f"`{s.name}`", s.unit, s.group, s.description) for s in SIGNALS)
+            ("signal", "unit", "group", "what"),
+            ((f"`{s.name}`", s.unit, s.group, s.description) for s in signals_of("web_line", 2, ["load"], 1)),
         ),
     ]
     return "\n".join(lines)

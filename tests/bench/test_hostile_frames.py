@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from tests.bench.samples import sample_of_two_axes
 
 from hilbench.can.frame import EXTENDED_FLAG, REMOTE_FLAG, Frame
 from hilbench.cia402.configuration import default_reader
@@ -15,7 +16,6 @@ from hilbench.cia402.units import DriveUnits
 from hilbench.errors import BenchFaultError
 from hilbench.exchange.nodes import Nodes
 from hilbench.runs.config import ExperimentConfig, load
-from hilbench.topology.sample import CycleSample
 
 SHIPPED = Path(__file__).resolve().parents[2] / "bench_configs" / "web_section_step.yaml"
 
@@ -62,7 +62,7 @@ def told(bench: Nodes, frames: list[Frame]) -> str:
 @settings(max_examples=8, derandomize=True, deadline=None, database=None)
 @given(st.lists(st.lists(FRAMES, max_size=12), min_size=1, max_size=150))
 def test_any_frames(cycles: list[list[Frame]]) -> None:
-    bench, sample = nodes(), CycleSample()
+    bench, sample = nodes(), sample_of_two_axes()
     for frames in cycles:
         assert told(bench, frames) in ("", *NAMES), frames
         bench.fill(sample)
@@ -75,7 +75,7 @@ def test_a_pdo_of_another_length_is_counted_and_not_taken() -> None:
     bench.decode([Frame(0x181, bytes(7)), Frame(0x281, b""), Frame(0x1A0, bytes(4)), Frame(0x081, b"\x10")])
     assert bench.malformed == 4
     assert not bench.emergencies
-    assert not bench.axis1.feedback.fresh
+    assert not bench.axes[0].feedback.fresh
 
 
 @pytest.mark.parametrize(("data", "text"), [(b"\x00", r"axis2 \(node 2\) has restarted"), (b"\x7f", "7Fh")])

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 
 import pytest
+from tests.bench.samples import sample_of_two_axes
 
 from hilbench.bench.tasks.limits import LimitTripError, LimitWatch
 from hilbench.topology.config import Limit, LimitsConfig
-from hilbench.topology.sample import CycleSample
 from hilbench.twin.virtual_io import TwinStatus
 
 CYCLE_S = 0.002
@@ -33,16 +33,16 @@ def watch(**limits: Limit) -> LimitWatch:
 )
 def test_a_quantity_warns_once_until_it_was_well_below_and_then_trips(limit, signal, scale, name):
     limits = watch(**{limit: LEVELS})
-    limits.update(CycleSample())  # where the axes were enabled
+    limits.update(sample_of_two_axes())  # where the axes were enabled
     told = []
     for value in (1.0, 1.9, 2.1, 3.0, 1.95, 2.1, 1.8, 2.1):
-        sample = CycleSample(E_sim_Pa=MODULUS_PA, twin_status=int(TwinStatus.SYNCHRONIZED))
+        sample = sample_of_two_axes(E_sim_Pa=MODULUS_PA, twin_status=int(TwinStatus.SYNCHRONIZED))
         setattr(sample, signal, value * scale)
         told.append(limits.update(sample))
     assert [len(warnings) for warnings in told] == [0, 0, 1, 0, 0, 0, 0, 1]
     assert name in told[2][0]
     for value in (4.1 * scale, math.nan):
-        sample = CycleSample(E_sim_Pa=MODULUS_PA, twin_status=int(TwinStatus.SYNCHRONIZED))
+        sample = sample_of_two_axes(E_sim_Pa=MODULUS_PA, twin_status=int(TwinStatus.SYNCHRONIZED))
         setattr(sample, signal, value)
         with pytest.raises(LimitTripError, match=f"{name}.* trip level 4"):
             limits.update(sample)
@@ -50,18 +50,18 @@ def test_a_quantity_warns_once_until_it_was_well_below_and_then_trips(limit, sig
 
 def test_an_estimate_far_too_small_trips_as_one_far_too_large_but_only_of_a_synchronized_twin():
     limits = watch(estimate_ratio=LEVELS)
-    assert not limits.update(CycleSample(E_sim_Pa=MODULUS_PA / 5.0))
+    assert not limits.update(sample_of_two_axes(E_sim_Pa=MODULUS_PA / 5.0))
     with pytest.raises(LimitTripError, match="estimate of E"):
-        limits.update(CycleSample(E_sim_Pa=MODULUS_PA / 5.0, twin_status=int(TwinStatus.SYNCHRONIZED)))
+        limits.update(sample_of_two_axes(E_sim_Pa=MODULUS_PA / 5.0, twin_status=int(TwinStatus.SYNCHRONIZED)))
 
 
 def test_what_the_set_points_add_up_to_is_no_position_difference():
     limits = watch(position_difference_m=LEVELS)
     for cycle in range(3000):
         x1_m = 1.0 * CYCLE_S * cycle
-        assert not limits.update(CycleSample(v1_cmd_m_s=1.0, x1_m=x1_m))
+        assert not limits.update(sample_of_two_axes(v1_cmd_m_s=1.0, x1_m=x1_m))
     with pytest.raises(LimitTripError, match="position difference"):
-        limits.update(CycleSample(v1_cmd_m_s=1.0, x1_m=0.0))
+        limits.update(sample_of_two_axes(v1_cmd_m_s=1.0, x1_m=0.0))
 
 
 def test_a_warning_above_the_trip_is_refused():

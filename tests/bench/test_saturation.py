@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from tests.bench.samples import sample_of_two_axes
 
 from hilbench.bench.bench import Bench
 from hilbench.bench.lifecycle.participants import Participants
@@ -68,7 +69,7 @@ def test_a_web_that_breaks_while_the_torque_is_at_its_limit_is_told_when_it_is_f
 
 
 def sample(t_s: float, tau1_Nm: float = 0.0, statusword2: int = 0) -> CycleSample:
-    return CycleSample(t_s=t_s, tau1_Nm=tau1_Nm, statusword2=statusword2)
+    return sample_of_two_axes(t_s=t_s, tau1_Nm=tau1_Nm, statusword2=statusword2)
 
 
 def test_a_torque_that_goes_to_and_fro_at_its_limit_is_one_saturation() -> None:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import pytest
+from tests.bench.samples import SIGNALS
 
-from hilbench.topology.signals import SIGNALS, unit_of
+from hilbench.topology.signals import find_signal, signals_of, unit_of
 
 DESIGN = [
     "t_s",
@@ -37,3 +38,21 @@ def test_unit_agrees_with_the_suffix_of_the_name() -> None:
 )
 def test_unit_of_any_channel(name: str, unit: str) -> None:
     assert unit_of(name) == unit
+
+
+def test_every_part_has_its_own_signals_in_recording_order() -> None:
+    names = [signal.name for signal in signals_of("web_line", 3, ["first", "second"], 2)]
+    assert names[1:4] == ["v1_cmd_m_s", "v2_cmd_m_s", "v3_cmd_m_s"]
+    assert {"tau_first_Nm", "x_second_m", "statusword_second", "E2_sim_Pa", "F1_true_N", "tau3_residual_Nm"} <= {*names}
+    assert "F_sim_N" not in names
+    assert len(set(names)) == len(names)
+
+
+@pytest.mark.parametrize("signal", signals_of("web_line", 3, ["first", "second"], 2), ids=lambda signal: signal.name)
+def test_a_signal_is_found_by_its_name_whatever_the_bench(signal) -> None:
+    assert find_signal(signal.name) == signal
+
+
+@pytest.mark.parametrize("name", ["x0_m", "F0_sim_N", "own_m_s", "v1", "x1_m_s_", "E1_sim"])
+def test_a_name_of_no_part_is_no_signal(name: str) -> None:
+    assert find_signal(name) is None

@@ -55,7 +55,7 @@ def bench(steps: Steps, seed: int = 1, **changes: Any) -> tuple[ExperimentConfig
     """What the demonstrator's bench records of an experiment, inside this process."""
     data = {**demo().model_dump(), "seed": seed, "steps": steps, "criteria": [], **changes}
     config = ExperimentConfig.model_validate(data)
-    recorder = Recorder()
+    recorder = Recorder(config.signals)
     with Bench(config, observers=[recorder], participants=Participants.IN_PROCESS) as running:
         for step in config.steps:
             step.run(running, [])

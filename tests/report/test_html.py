@@ -29,7 +29,7 @@ from hilbench.results.run_folder import RunFolder
 from hilbench.runs.criteria import CriterionResult
 from hilbench.runs.events import Changed, Event
 from hilbench.runs.metrics import evaluate_metrics, judge
-from hilbench.topology.signals import SIGNALS
+from hilbench.topology.signals import signals_of
 
 E0, E1 = 8.7e9, 10.5e9
 EVIL = "<script>alert('1')</script> & \"x\""
@@ -61,7 +61,9 @@ def recording(samples: int = 8000) -> Recording:
         "F_sim_N": 80 + random.normal(0, 0.1, samples),
         "F_ref_N": np.full(samples, 80.0),
     }
-    channels = {signal.name: known.get(signal.name, np.zeros(samples)) for signal in SIGNALS}
+    channels = {
+        signal.name: known.get(signal.name, np.zeros(samples)) for signal in signals_of("web_line", 2, ["load"], 1)
+    }
     return Recording(channels, datetime(2026, 3, 4, 5, 6, 7, tzinfo=UTC))
 
 

@@ -45,7 +45,7 @@ from hilbench.processes import ChildProcess
 from hilbench.suggest import did_you_mean
 from hilbench.topology import quantities
 from hilbench.topology.config import BenchConfig
-from hilbench.topology.sample import CycleSample
+from hilbench.topology.sample import CycleSample, sample_type
 from hilbench.unexpected import TRACEBACK_FILE, unexpected
 
 #: Time for the axes to stand still again after the load motor has let go.
@@ -136,7 +136,7 @@ class Bench:
         self.stopping = False
         self.fault_time_s: float | None = None  #: when what led to the safe state was seen
         self.safe_state_problems: list[str] = []
-        self.last = CycleSample()
+        self.last = sample_type(config.signals)()
         self.nodes: Nodes
         self.exchange: CyclicExchange | None = None
         self.children: list[ChildProcess] = []

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection
 
 from hilbench.suggest import closest
-from hilbench.topology.signals import BY_NAME, unit_of
+from hilbench.topology.signals import example_names, unit_of
 
 
 def _without_numbers(name: str) -> str:
@@ -18,11 +18,12 @@ def unknown_columns(names: Collection[str]) -> list[str]:
     A name that is not in the signal list, but ends in an SI unit, is a channel as well (`hilbench.topology.signals`),
     unless it is much like one that is missing. The same name with another number is that of another axis.
     """
-    missing = [known for known in BY_NAME if known not in names]
+    known_names = example_names()
+    missing = [known for known in known_names if known not in names]
     said = []
     for name in names:
         meant = closest(name, [known for known in missing if _without_numbers(known) != _without_numbers(name)])
-        if name in BY_NAME or (unit_of(name) and not meant):
+        if name in known_names or (unit_of(name) and not meant):
             continue
         said.append(f"'{name}'" + (f" (did you mean {meant[0]}?)" if meant else ""))
     return said

@@ -24,7 +24,7 @@ from hilbench import strict_yaml
 from hilbench.errors import UnusableInputError
 from hilbench.results.recording import Recording, check_recording, read_recording
 from hilbench.suggest import did_you_mean
-from hilbench.topology.signals import BY_NAME, TIME, unit_of
+from hilbench.topology.signals import TIME, example_names, find_signal, unit_of
 
 _CSV = (".csv", ".txt", ".tsv", ".gz")
 
@@ -69,8 +69,8 @@ class ColumnMapping(_Part):
         if TIME not in value:
             raise ValueError(f"a column for {TIME}")
         for name in value:
-            if name not in BY_NAME and not unit_of(name):
-                meant = did_you_mean(name, BY_NAME)
+            if find_signal(name) is None and not unit_of(name):
+                meant = did_you_mean(name, example_names())
                 raise ValueError(
                     f"channels of the signal list, or names that end in an SI unit; '{name}' does not{meant}"
                 )

@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from hilbench.errors import UnusableInputError
 from hilbench.suggest import did_you_mean
-from hilbench.topology.signals import BY_NAME, TIME, unit_of
+from hilbench.topology.signals import TIME, find_signal, unit_of
 
 #: Start time written into an MDF4 file when none is given, so that equal samples make equal files.
 NO_START_TIME = datetime(2000, 1, 1, tzinfo=UTC)
@@ -101,7 +101,7 @@ class Recording:
         """Raise UnusableInputError, naming `place`, unless all these channels are there and finite everywhere."""
         missing = [name for name in names if name not in self.channels]
         if missing:
-            meant = did_you_mean(missing[0], [name for name in self.channels if name not in BY_NAME])
+            meant = did_you_mean(missing[0], [name for name in self.channels if find_signal(name) is None])
             raise UnusableInputError(
                 place, f"channel {', '.join(missing)} missing, expected beside {', '.join(self.channels)}{meant}"
             )
@@ -156,7 +156,8 @@ class RecordingBuilder:
 
 
 def _typed(name: str, values: NDArray[np.float64]) -> NDArray[Any]:
-    if name in BY_NAME and BY_NAME[name].integer and np.isfinite(values).all():
+    signal = find_signal(name)
+    if signal is not None and signal.integer and np.isfinite(values).all():
         integers = values.astype(np.int64)
         if (integers == values).all() and (integers >= 0).all() and (integers < 2**32).all():
             return integers.astype(np.uint32)
@@ -207,7 +208,7 @@ def _write_mdf(recording: Recording, path: Path) -> None:
                     timestamps=time_s,
                     name=name,
                     unit=recording.unit(name),
-                    comment=BY_NAME[name].description if name in BY_NAME else "",
+                    comment=signal.description if (signal := find_signal(name)) is not None else "",
                     master_metadata=(TIME, 1),
                 )
                 for name in names
@@ -221,7 +222,8 @@ def _groups(recording: Recording) -> dict[str, list[str]]:
     groups: dict[str, list[str]] = {}
     for name in recording.channels:
         if name != TIME:
-            groups.setdefault(BY_NAME[name].group if name in BY_NAME else "other", []).append(name)
+            signal = find_signal(name)
+            groups.setdefault("other" if signal is None else signal.group, []).append(name)
     return groups
 
 

@@ -40,8 +40,7 @@ from hilbench.runs.events import journal_events
 from hilbench.runs.metrics import judge
 from hilbench.topology import quantities
 from hilbench.topology.config import BenchConfig
-from hilbench.topology.sample import CycleSample
-from hilbench.topology.signals import SIGNALS
+from hilbench.topology.sample import sample_type
 
 _SDO_ANSWER = 0x580
 _NANOSECOND = 1e-9
@@ -211,7 +210,7 @@ class _Decoder:
     """Takes cycle after cycle; `rows` are the samples of the enabled bench."""
 
     def __init__(self, config: BenchConfig, nodes: Nodes, changes: list[Change] | None) -> None:
-        names = [signal.name for signal in SIGNALS]
+        names = [signal.name for signal in config.signals]
         self.rows = RecordingBuilder(names)
         self._row = attrgetter(*names)
         self._cycle_s = config.cycle_time_s
@@ -219,7 +218,7 @@ class _Decoder:
         self._changes = changes
         self._next_change = 0
         self._metres_per_rad = [1.0 / config.machine.motor_rad_per_m(axis) for axis in (1, 2)]
-        self._sample = CycleSample(
+        self._sample = sample_type(config.signals)(
             strain_prev=config.machine.upstream_strain, F_next_N=config.machine.boundary.downstream_tension_N
         )
         self._set_point_N = config.tension_control.set_point_N

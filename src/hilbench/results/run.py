@@ -47,7 +47,7 @@ from hilbench.runs.criteria import Criterion, CriterionResult, evaluate
 from hilbench.runs.events import EventLog
 from hilbench.runs.metrics import Judgement, judge
 from hilbench.topology.sample import CycleSample
-from hilbench.topology.signals import SIGNALS
+from hilbench.topology.signals import Signal
 from hilbench.unexpected import unexpected
 
 
@@ -88,10 +88,10 @@ class RunOutcome:
 
 
 class Recorder:
-    """Cycle observer that keeps every sample in memory."""
+    """Cycle observer that keeps every sample, of a bench with these signals, in memory."""
 
-    def __init__(self) -> None:
-        names = [signal.name for signal in SIGNALS]
+    def __init__(self, signals: Sequence[Signal]) -> None:
+        names = [signal.name for signal in signals]
         self._builder = RecordingBuilder(names)
         self._row = attrgetter(*names)
 
@@ -167,7 +167,7 @@ class RunRecord:
     ) -> None:
         self.config = loaded.config
         self.verdicts: list[CriterionResult] = []  #: what the experiment tests itself
-        self.recorder = recorder or Recorder()
+        self.recorder = recorder or Recorder(loaded.config.signals)
         self._announce = announce
         self._provenance = Provenance.of(loaded.config, loaded.document, participants)
         self._happened = happened or EventLog(loaded.config.cycle_time_s)

@@ -22,7 +22,7 @@ from hilbench.runs.criteria import CriterionResult
 from hilbench.suggest import did_you_mean
 from hilbench.topology.quantities import LONGEST_S, permitted, rampable_path, settable_path
 from hilbench.topology.sample import CycleSample
-from hilbench.topology.signals import BY_NAME
+from hilbench.topology.signals import example_names, find_signal, unit_of
 
 _TIME = "t_s"
 _RAMP, _EXPECT = "ramp:", "expect:"
@@ -94,7 +94,7 @@ class _Watched:
             name=f"{wanted.signal} from t = {wanted.start_s:g} s of the table",
             value=self.worst if known else None,
             limit=f"{low} … {high}" if low and high else f"≥ {low}" if low else f"≤ {high}",
-            unit=BY_NAME[wanted.signal].unit,
+            unit=unit_of(wanted.signal),
             passed=known and self._least >= 0,
             reason=None if known else f"{wanted.signal} has no value in its time",
         )
@@ -149,8 +149,8 @@ def read_scenario(path: Path) -> Scenario:
 
 
 def _expectations(signal: str, cells: list[tuple[str, float, Any]], end_s: float) -> Iterator[Expectation]:
-    if signal not in BY_NAME:
-        meant = did_you_mean(signal, BY_NAME)
+    if find_signal(signal) is None:
+        meant = did_you_mean(signal, example_names())
         raise UnusableInputError(cells[0][0], f"column '{_EXPECT}{signal}', expected a signal of the recording{meant}")
     ends = [t_s for _, t_s, _ in cells[1:]] + [end_s]
     for (place, t_s, cell), until_s in zip(cells, ends, strict=True):

@@ -25,7 +25,7 @@ from hilbench.runs.python_file import load_experiment, run_experiment_function
 from hilbench.runs.scenario import read_scenario
 from hilbench.suggest import did_you_mean
 from hilbench.topology.quantities import LONGEST_S, permitted, rampable_path, settable_path
-from hilbench.topology.signals import SIGNALS
+from hilbench.topology.signals import example_names, find_signal
 
 _COMPARISONS: dict[str, Callable[[float, float], bool]] = {
     "<": operator.lt,
@@ -57,9 +57,8 @@ def parse_condition(text: str) -> tuple[str, str, float]:
     if match is None:
         raise ValueError("a comparison such as 'v1_m_s >= 2.9'")
     signal, comparison, value = match.groups()
-    known = [entry.name for entry in SIGNALS]
-    if signal not in known:
-        raise ValueError(f"a signal of the recording, '{signal}' is none{did_you_mean(signal, known)}")
+    if find_signal(signal) is None:
+        raise ValueError(f"a signal of the recording, '{signal}' is none{did_you_mean(signal, example_names())}")
     return signal, comparison, float(value)
 
 

@@ -87,7 +87,7 @@ class Bench(bench.Bench):
         check_bench(loaded.config, loaded.document)
         if participants is Participants.IN_PROCESS:
             check_in_process(loaded.config)
-        self._recorder = Recorder()
+        self._recorder = Recorder(loaded.config.signals)
         self._made = datetime.now(UTC)
         self._happened = EventLog(loaded.config.cycle_time_s)
         self._loaded, self._name = loaded, name

@@ -23,6 +23,7 @@ from hilbench.plant.web_line.offline import samples_per
 from hilbench.plant.web_line.parameters import EffectEntry, Length, ModelParameters, Modulus
 from hilbench.plant.web_line.rig import LoadMotorParameters, RigParameters
 from hilbench.real_time import ProcessSettings
+from hilbench.topology.signals import Signal, signals_of
 
 Pace = Literal["lockstep", "realtime"]
 Mirroring = Literal["listen", "copy"]
@@ -415,6 +416,12 @@ class BenchConfig(Block):
             if part.name == name:
                 return part
         raise KeyError(name)
+
+    @property
+    def signals(self) -> tuple[Signal, ...]:
+        """What a sample of this bench has, in recording order."""
+        machine = self.machine
+        return signals_of("web_line", machine.axis_count, list(self.load_motors), machine.axis_count - 1)
 
     @property
     def tension_control(self) -> TensionControlConfig:

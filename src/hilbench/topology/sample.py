@@ -2,41 +2,43 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import field, make_dataclass
+from functools import cache
+from typing import TYPE_CHECKING, cast
+
+from hilbench.topology.signals import Signal
 
 
-@dataclass(slots=True)
 class CycleSample:
-    """The signals of `hilbench.topology.signals` (units and meaning there), and the number of the cycle."""
+    """The signals of a bench (`BenchConfig.signals`: units and meaning there), and the number of the cycle.
 
-    cycle: int = 0
-    t_s: float = 0.0
-    v1_cmd_m_s: float = 0.0
-    v2_cmd_m_s: float = 0.0
-    x1_m: float = 0.0
-    x2_m: float = 0.0
-    v1_m_s: float = 0.0
-    v2_m_s: float = 0.0
-    tau1_Nm: float = 0.0
-    tau2_Nm: float = 0.0
-    strain_prev: float = 0.0
-    F_next_N: float = 0.0
-    F_ref_N: float = 0.0
-    tau_load_Nm: float = 0.0
-    tau_load_cmd_Nm: float = 0.0
-    x_load_m: float = 0.0
-    F_sim_N: float = 0.0
-    E_sim_Pa: float = 0.0
-    E_sd_Pa: float = 0.0
-    tau2_sim_Nm: float = 0.0
-    tau2_residual_Nm: float = 0.0
-    twin_age_cycles: int = 0
-    twin_status: int = 0
-    loop_closed: int = 0
-    E_true_Pa: float = 0.0
-    F_true_N: float = 0.0
-    strain_true: float = 0.0
-    bus_bits: int = 0
-    statusword1: int = 0
-    statusword2: int = 0
-    statusword_load: int = 0
+    Every bench has a class of its own, with its signals as attributes (`sample_type`).
+    """
+
+    __slots__ = ()
+
+    if TYPE_CHECKING:
+        cycle: int
+        t_s: float
+        twin_age_cycles: int
+        twin_status: int
+        loop_closed: int
+        bus_bits: int
+
+        def __init__(self, **values: float) -> None: ...
+        def __getattr__(self, name: str) -> float: ...
+        def __setattr__(self, name: str, value: float) -> None: ...
+
+
+def sample_type(signals: Sequence[Signal]) -> type[CycleSample]:
+    """The class of a bench's samples: every signal an attribute, zero at first."""
+    return _sample_type(tuple((signal.name, signal.integer) for signal in signals))
+
+
+@cache
+def _sample_type(signals: tuple[tuple[str, bool], ...]) -> type[CycleSample]:
+    named = (("cycle", True), *signals)
+    fields = [(name, int if whole else float, field(default=0 if whole else 0.0)) for name, whole in named]
+    made = make_dataclass("CycleSample", fields, bases=(CycleSample,), slots=True)
+    return cast("type[CycleSample]", made)
