@@ -262,7 +262,7 @@ def test_hardware_that_is_killed_ends_the_run_with_exit_3(tmp_path):
     path = config(tmp_path, steps=steps, safety={"cycle_timeout_s": 1.0})
     process = start(path)
     folder = wait_for_frames(path, 500)
-    subprocess.run(["pkill", "-KILL", "-f", f"hilbench.cli simulate-hardware {folder}"], check=True)
+    subprocess.run(["pkill", "-KILL", "-f", f"hilbench.hardware {folder}"], check=True)
     out, _ = process.communicate(timeout=60)
     assert process.returncode == 3
     assert "no answer to SYNC from axis1" in out.replace("\n", " ")

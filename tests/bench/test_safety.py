@@ -109,7 +109,7 @@ def test_a_twin_that_is_killed_is_started_again_while_the_loop_holds(tmp_path: P
     path = config(tmp_path, steps=steps, safety={"cycle_timeout_s": 1.0}, controllers={"tension_control": control})
     process = start(path)
     folder = wait_for_frames(path, 1200)
-    os.kill(pid_of(path, "twin"), signal.SIGKILL)
+    os.kill(pid_of(path, "hilbench.twin"), signal.SIGKILL)
     out, _ = process.communicate(timeout=120)
     assert process.returncode == 0, out
     found = read_recording(folder / "recording.mf4")

@@ -7,7 +7,7 @@ import sys
 
 _PROGRAM = """if True:
     import sys
-    import hilbench.bench.lifecycle.supervisor, hilbench.hardware.simulation, hilbench.twin.process, hilbench.cli.run
+    import hilbench.bench.lifecycle.supervisor, hilbench.hardware.simulation, hilbench.twin.run, hilbench.cli.run
     assert "pandas" not in sys.modules and "asammdf" not in sys.modules
     import asammdf  # a recording is still written with it
     assert asammdf.MDF

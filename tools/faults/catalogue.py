@@ -63,7 +63,7 @@ def faults() -> list[Fault]:
             "loop opens, process started again, loop closes",
             (0,),
             "tension loop closed again",
-            send_signal(kill, "twin"),
+            send_signal(kill, "hilbench.twin"),
             {"steps": _with_loop_back()},
         ),
         Fault(
@@ -71,7 +71,7 @@ def faults() -> list[Fault]:
             "loop opens, twin taken back, loop closes",
             (0,),
             "tension loop closed again",
-            hold_up(3.0, "twin"),
+            hold_up(3.0, "hilbench.twin"),
             {"steps": _with_loop_back()},
         ),
         Fault(
@@ -79,14 +79,14 @@ def faults() -> list[Fault]:
             "exit 3, nobody answers",
             (3,),
             "no answer to SYNC",
-            send_signal(kill, "simulate-hardware"),
+            send_signal(kill, "hilbench.hardware"),
         ),
         Fault(
             "hardware: SIGSTOP",
             "exit 3, nobody answers",
             (3,),
             "no answer to SYNC",
-            send_signal(stop, "simulate-hardware"),
+            send_signal(stop, "hilbench.hardware"),
         ),
         Fault(
             "supervisor: kill -9",
@@ -225,7 +225,7 @@ def faults() -> list[Fault]:
                 embedded=what == "hub",
             )
             for what, command, expected, words in (
-                ("hardware", "simulate-hardware", "exit 3, nobody answers", "no answer to SYNC"),
+                ("hardware", "hilbench.hardware", "exit 3, nobody answers", "no answer to SYNC"),
                 ("supervisor", "hilbench.bench.lifecycle.supervisor", STOPPED, "supervisor ended"),
                 ("hub", "hilbench.can.hub", "exit 3, bus lost; drives stop by 1016h", "hub"),
             )

@@ -1,4 +1,4 @@
-"""``python -m hilbench.cli``: the same as the ``hilbench`` command, for child processes."""
+"""``python -m hilbench.cli``: the same as the ``hilbench`` command."""
 
 from hilbench.cli.main import main
 

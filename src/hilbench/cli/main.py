@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import sys
 from importlib.metadata import version
 from pathlib import Path
@@ -11,8 +10,9 @@ from typing import Annotated, Any
 import typer
 
 from hilbench.cli import compare, config, convert, drive, monitor, replay, scan, sdo, sweep
-from hilbench.cli.ending import Commands, ended
+from hilbench.cli.commands import Commands
 from hilbench.cli.options import BusOption, ConfigArgument, JsonOption, PacedByOption, PaceOption, SetOption
+from hilbench.ending import ended
 from hilbench.errors import UnusableInputError
 
 app = typer.Typer(
@@ -172,14 +172,10 @@ def twin(
 
     Example: hilbench twin bench_configs/web_section_step.yaml --bus socketcan:vcan0
     """
-    from hilbench.canopen.mastery import nodes_of_ours
-    from hilbench.processes import report_lost_frames, say, started_by_bench, stop_request
-    from hilbench.twin.process import run_twin
-    from hilbench.twin.setup import twin_setup
+    from hilbench.processes import report_lost_frames
+    from hilbench.twin.run import run
 
-    loaded, stop = _load(config, bus=bus, pace=pace, changes=changes or ()).config, stop_request()
-    with nodes_of_ours(loaded.bus_address, loaded.virtual_nodes, "twin", by_bench=started_by_bench()):
-        report_lost_frames(run_twin(twin_setup(loaded), stop, say))
+    report_lost_frames(run(_load(config, bus=bus, pace=pace, changes=changes or ()).config))
 
 
 @app.command()
@@ -275,8 +271,6 @@ def sync(
     if source.suffix in (".yaml", ".yml"):
         sync_runs_command(source, method, out, jobs, as_json=json)
     elif model is None:
-        from hilbench.errors import UnusableInputError
-
         raise UnusableInputError("--model", "missing, expected the model of the recorded machine")
     else:
         sync_command(source, model, method, out, unmodelled_torque, as_json=json)
@@ -330,6 +324,4 @@ app.command()(convert.dbc)
 
 def main() -> None:
     """Entry point: errors meant for a person become one line on standard error and the exit code of their kind."""
-    # canopen logs what it also raises; the errors' own text is what a person needs.
-    logging.getLogger("canopen").addHandler(logging.NullHandler())
     sys.exit(ended(app))

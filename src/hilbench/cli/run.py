@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from pathlib import Path
 
@@ -38,8 +37,7 @@ def run_command(
         outcome = run_experiment(loaded, out, participants=participants, force=force)
         if outcome.recorded and with_report:
             write_report(outcome.folder)
-        # ASCII, whatever the terminal: a character that is typed in another way is not the result any more.
-        print(json.dumps(outcome.as_object(), indent=2))
+        print(outcome.as_json())
         return outcome.exit_code
     console = Console(highlight=False)
     console.print(f"[bold]{loaded.config.name}[/bold]  {loaded.config.bus.address}, {loaded.config.pace}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import signal
 import threading
 from collections.abc import Callable, Iterator, Sequence
@@ -80,6 +81,10 @@ class RunOutcome:
             "overridden": {each.key: each.value for each in provenance.overridden} if provenance else {},
             **self.result.model_dump(mode="json"),
         }
+
+    def as_json(self) -> str:
+        """The same as text. ASCII, whatever reads it: a character typed in another way is not the result any more."""
+        return json.dumps(self.as_object(), indent=2)
 
     @property
     def recorded(self) -> bool:

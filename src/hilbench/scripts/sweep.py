@@ -63,7 +63,7 @@ class Row:
 
 @dataclass(frozen=True)
 class Job:
-    """One run to be done: the arguments of ``hilbench``, and the folder that it makes its run folder in."""
+    """One run to be done: the arguments of `hilbench.results`, and the folder that it makes its run folder in."""
 
     number: int
     changes: dict[str, str]
@@ -73,7 +73,7 @@ class Job:
 
 def execute(job: Job) -> Row | None:
     """Do a run in a process of its own, here; None when it was interrupted."""
-    command = [sys.executable, "-m", "hilbench.cli", *job.arguments]
+    command = [sys.executable, "-m", "hilbench.results", *job.arguments]
     ended = subprocess.run(command, capture_output=True, text=True, check=False)
     if ended.returncode == EXIT_INTERRUPTED:
         return None
@@ -236,7 +236,7 @@ class Sweep:
 
     def _job(self, number: int) -> Job:
         changes, folder = self.runs[number], self.out.resolve() / "runs" / f"{number:05d}"
-        arguments = ["run", str(self._config.resolve()), "--json", "--no-report", "--out", str(folder)]
+        arguments = [str(self._config.resolve()), "--out", str(folder)]
         for text in [*self._changes, *_texts(changes)]:
             arguments += ["--set", text]
         if self._in_process:

@@ -10,8 +10,6 @@ from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-import yaml
-
 from hilbench.bench.lifecycle.in_process import InProcess
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.bench.lifecycle.supervisor import Watch
@@ -28,6 +26,7 @@ from hilbench.plant.web_line.line import Line
 from hilbench.processes import ChildProcess
 from hilbench.real_time import kept_ready
 from hilbench.topology.config import BenchConfig
+from hilbench.topology.resolved import write_resolved
 
 #: After the start command the nodes' clocks stand still until SYNC; what they said just before it must not arrive as
 #: part of the first cycle.
@@ -181,15 +180,13 @@ def start_children(config: BenchConfig, folder: Path) -> list[ChildProcess]:
     # Once, into the cache on disk: compiling takes longer than a process has to show itself on the bus.
     Line(config.machine).advance(config.cycle_time_s)
     path = folder / "config.yaml"
-    if not path.exists():
-        path.write_text(yaml.safe_dump(config.model_dump(mode="json", exclude_none=True), sort_keys=False))
-    # Started by anybody else they go by the clock: only a bench knows that it waits for them.
+    write_resolved(config, path)
     arguments = [str(path), "--pace", config.pace]
     children = []
     if config.simulated_drives:
-        hardware = ["hilbench.cli", "simulate-hardware", *arguments]
+        hardware = ["hilbench.hardware", *arguments]
         children.append(ChildProcess("simulated hardware", hardware, folder / "hardware.log"))
-    children.append(ChildProcess(TWIN, ["hilbench.cli", "twin", *arguments], folder / "twin.log"))
+    children.append(ChildProcess(TWIN, ["hilbench.twin", *arguments], folder / "twin.log"))
     return children
 
 

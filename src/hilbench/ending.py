@@ -1,37 +1,22 @@
-"""How a command ends: every error becomes one line on standard error and the exit code of its kind."""
+"""How a process of hilbench ends: every error becomes one line on standard error and the exit code of its kind."""
 
 from __future__ import annotations
 
+import logging
 import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any
 
-from typer.core import TyperGroup
-
-from hilbench.cli.output import OutputError, hold_standard_descriptors, honest_output
 from hilbench.errors import EXIT_BENCH_FAULT, EXIT_INTERRUPTED, HilbenchError
+from hilbench.output import OutputError, hold_standard_descriptors, honest_output
 from hilbench.unexpected import unexpected
-
-
-class Commands(TyperGroup):
-    """The commands; what typer itself would end with exit code 1 is told as what it is."""
-
-    def invoke(self, ctx: Any) -> Any:
-        """Run the command. An operating system's refusal is an error like others, whoever's pipe has broken."""
-        try:
-            return super().invoke(ctx)
-        except OSError as error:  # typer takes a broken pipe, whosever it is, for the terminal's
-            raise _RefusedError(unexpected(error)) from error
-
-
-class _RefusedError(HilbenchError):
-    """The operating system refused what nobody foresaw that it would."""
 
 
 def ended(command: Callable[[], object]) -> int:
     """Run a command with honest standard streams; its exit code."""
+    # canopen logs what it also raises; the errors' own text is what a person needs.
+    logging.getLogger("canopen").addHandler(logging.NullHandler())
     try:
         hold_standard_descriptors()
     except OSError:

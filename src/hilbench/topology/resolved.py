@@ -1,0 +1,42 @@
+"""The resolved config as a bench hands it to the processes that it starts: a file, every default spelled out."""
+
+from __future__ import annotations
+
+from argparse import ArgumentParser
+from pathlib import Path
+from typing import get_args
+
+import yaml
+
+from hilbench import strict_yaml
+from hilbench.topology.config import BenchConfig, Pace
+
+
+def write_resolved(config: BenchConfig, path: Path) -> None:
+    """Write the config for `read_resolved`; a file that is there already is that of this bench."""
+    if not path.exists():
+        path.write_text(yaml.safe_dump(config.model_dump(mode="json", exclude_none=True), sort_keys=False))
+
+
+def read_resolved(path: Path) -> BenchConfig:
+    """The bench of a resolved config; the experiment that stands beside it in a run folder is not looked at.
+
+    Raises UnusableInputError with file, line and what was expected.
+    """
+    document = strict_yaml.load(path)
+    for key in set(document.data) - set(BenchConfig.model_fields):
+        document = document.without(key)
+    return strict_yaml.validate(document, BenchConfig)
+
+
+def config_of_process(program: str) -> BenchConfig:
+    """The config by the command line of a process of the bench: ``CONFIG [--pace PACE]``.
+
+    Started by anybody else than a bench they go by the clock: only a bench knows that it waits for them. Raises
+    UnusableInputError.
+    """
+    parser = ArgumentParser(prog=f"python -m {program}")
+    parser.add_argument("config", type=Path, help="resolved bench config")
+    parser.add_argument("--pace", choices=get_args(Pace), default="realtime", help="by the clock, or by SYNC")
+    given = parser.parse_args()
+    return read_resolved(given.config).model_copy(update={"pace": given.pace})
