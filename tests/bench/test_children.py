@@ -38,7 +38,8 @@ def test_children_read_the_bench_that_was_resolved_without_its_experiment(tmp_pa
     path = tmp_path / "resolved.yaml"
     write_resolved(experiment, path)
     read = read_resolved(path)
-    assert experiment.steps and "steps" in yaml.safe_load(path.read_text())
+    assert experiment.steps
+    assert "steps" in yaml.safe_load(path.read_text())
     assert read.model_dump() == {
         name: value for name, value in experiment.model_dump().items() if name in type(read).model_fields
     }

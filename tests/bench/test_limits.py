@@ -40,7 +40,7 @@ def test_a_quantity_warns_once_until_it_was_well_below_and_then_trips(limit, sig
         setattr(sample, signal, value * scale)
         told.append(limits.update(sample))
     assert [len(warnings) for warnings in told] == [0, 0, 1, 0, 0, 0, 0, 1]
-    assert name in told[2][0]
+    assert name in told[2][0][1]
     for value in (4.1 * scale, math.nan):
         sample = sample_of_two_axes(E_sim_Pa=MODULUS_PA, twin_status=int(TwinStatus.SYNCHRONIZED))
         setattr(sample, signal, value)

@@ -67,7 +67,7 @@ def test_what_can_not_be_changed_now_is_no_number_or_is_no_object_is_refused() -
     objects = OperatorObjects(bench, lambda path: 3.0, lambda path: "line" not in path)
 
     def ask(data: str) -> str:
-        objects.take([Frame(0x67F, bytes.fromhex(data)), Frame(0x601, bytes(8))])
+        objects.handle([Frame(0x67F, bytes.fromhex(data)), Frame(0x601, bytes(8))])
         (answer,) = objects.answers()
         assert answer.can_id == 0x5FF
         return answer.data.hex()

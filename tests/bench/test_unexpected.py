@@ -10,13 +10,13 @@ import pytest
 from tests.bench.test_runs import config, run_folders
 from tests.cli.in_process import hilbench
 
-from hilbench.bench.bench import Bench
 from hilbench.bench.lifecycle import in_process
+from hilbench.bench.operator.operator import Operator
 from hilbench.bench.operator.operator_objects import OperatorObjects
 from hilbench.bench.tasks.limits import LimitWatch
 from hilbench.bench.tasks.load_model import LoadModel
 from hilbench.bench.tasks.tension_control import TensionController
-from hilbench.bench.twin_connection import TwinConnection
+from hilbench.bench.tasks.twin_connection import TwinConnection
 from hilbench.cia402.state_machine import State
 from hilbench.estimation.tracking import Tracking
 from hilbench.exchange.cycle import CyclicExchange
@@ -92,13 +92,13 @@ def ended(path: Path, folder: Path) -> tuple[Result, str, str]:
         (Nodes, "decode"),
         (Nodes, "encode"),
         (Nodes, "fill"),
-        (TwinConnection, "before_cycle"),
-        (OperatorObjects, "take"),
+        (TwinConnection, "before"),
+        (OperatorObjects, "handle"),
         (OperatorObjects, "changes"),
         (TraceWriter, "write"),
         (CyclicExchange, "exchange"),
         (Tracking, "compare"),
-        (Bench, "set"),
+        (Operator, "set"),
         (runs.Recorder, "sample"),
     ],
 )

@@ -139,7 +139,7 @@ def _to_bench(data: bytes) -> None:
         except BenchFaultError as error:
             said = str(error)
         assert said.isprintable()
-    nodes.encode(0.0, 0.0)
+    nodes.encode({"strain_prev": 0.0, "F_next_N": 0.0})
 
 
 @cache

@@ -313,4 +313,4 @@ def test_what_cannot_be_done_is_said_before_anything_moves(use: Callable[[Bench]
     with pytest.raises(UnusableValueError, match=said) as caught:
         use(running)
     assert "\n" not in str(caught.value)
-    assert (running.last.cycle, running.line_speed_m_s, running.events) == (cycles, 0.0, [])
+    assert (running.last.cycle, running.get("line_speed_m_s"), running.events) == (cycles, 0.0, [])

@@ -126,6 +126,10 @@ class Nodes:
         )
         self.io = IoMaps.of(config.twin.node, self._ods["virtual_io"])
         self._rad_per_m = [config.machine.motor_rad_per_m(axis) for axis in range(1, len(self.axes) + 1)]
+        self._set_points = [
+            *zip(self.axes, (part.name for part in config.parts_of(Role.AXIS)), self._rad_per_m, strict=True),
+            *((drive, name, 1.0) for drive, name in zip(self.load_motors, config.load_motors, strict=True)),
+        ]
         self._fills = self._filled_signals()
         self._known = {part.node.node_id: part.label for part in parts}
         self._master: Master | None = None
@@ -339,19 +343,18 @@ class Nodes:
 
     # -- each cycle --------------------------------------------------------------------------------------
 
-    def command(self, velocities: Sequence[float], load_torques_Nm: Sequence[float]) -> None:
-        """Set points of this cycle: velocities of the axes (m/s at the web), torques at the load motors' shafts."""
-        for drive, velocity, rad_per_m in zip(self.axes, velocities, self._rad_per_m, strict=True):
-            drive.setpoint = velocity * rad_per_m
-        for drive, torque_Nm in zip(self.load_motors, load_torques_Nm, strict=True):
-            drive.setpoint = torque_Nm
+    def encode(self, outputs: Mapping[str, float]) -> list[Frame]:
+        """RPDOs of this cycle, the twin's among them.
 
-    def encode(self, strain_prev: float, tension_next_N: float) -> list[Frame]:
-        """RPDOs of this cycle, the twin's among them."""
+        `outputs`: by drive the velocity at the web (m/s) or the torque at the load motor's shaft (N·m), zero where
+        there is none; by signal what the twin is told of the boundary.
+        """
         frames: list[Frame] = []
-        for drive in self.drives:
+        for drive, name, per_unit in self._set_points:
+            drive.setpoint = outputs.get(name, 0.0) * per_unit
             frames += drive.encode()
-        frames.append(Frame(self.io.boundary.cob_id, self.io.boundary.pack((strain_prev, tension_next_N))))
+        boundary = outputs["strain_prev"], outputs["F_next_N"]
+        frames.append(Frame(self.io.boundary.cob_id, self.io.boundary.pack(boundary)))
         return frames
 
     def decode(self, frames: Sequence[Frame], before_sync: int = 0) -> None:

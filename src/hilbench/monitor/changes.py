@@ -9,7 +9,8 @@ from dataclasses import dataclass
 from typing import Final
 
 from canopen import SdoAbortedError
-from hilbench.bench.operator.operator_objects import INDEX, QUANTITIES, answer_id, ranges, request_id
+from hilbench.bench.machines.ranges import operator_ranges
+from hilbench.bench.operator.operator_objects import INDEX, answer_id, request_id
 from hilbench.can.frame import Frame
 from hilbench.canopen.object_store import PRESENT_STATE, VALUE_TOO_HIGH, VALUE_TOO_LOW
 from hilbench.topology.config import BenchConfig
@@ -26,19 +27,16 @@ class Quantity:
     """One that can be changed, as a person is asked for it."""
 
     path: str
-    sub: int
     title: str
     unit: str
     si_per_unit: float
 
 
-_SUBS: Final = {path: sub for sub, path in QUANTITIES.items()}
-
 #: By the key that asks for it.
 CHANGEABLE: Final = {
-    "v": Quantity(LINE_SPEED, _SUBS[LINE_SPEED], "line speed", "m/s", 1.0),
-    "t": Quantity(TENSION_SET_POINT, _SUBS[TENSION_SET_POINT], "tension set-point", "N", 1.0),
-    "m": Quantity(YOUNGS_MODULUS, _SUBS[YOUNGS_MODULUS], "E of the imitated web", "N/mm²", 1e6),
+    "v": Quantity(LINE_SPEED, "line speed", "m/s", 1.0),
+    "t": Quantity(TENSION_SET_POINT, "tension set-point", "N", 1.0),
+    "m": Quantity(YOUNGS_MODULUS, "E of the imitated web", "N/mm²", 1e6),
 }
 
 
@@ -47,6 +45,7 @@ class ChangeRequests:
 
     def __init__(self, config: BenchConfig, send: Callable[[Sequence[Frame]], None]) -> None:
         self._config = config
+        self._ranges = operator_ranges(config)
         self._send = send
         self._waiting: deque[tuple[Quantity, float]] = deque()
         self._sent_s: float | None = None
@@ -67,14 +66,14 @@ class ChangeRequests:
             self._next()
         if self._waiting and self._sent_s is None:
             quantity, value = self._waiting[0]
-            data = struct.pack("<BHBf", _DOWNLOAD, INDEX, quantity.sub, value * quantity.si_per_unit)
+            data = struct.pack("<BHBf", _DOWNLOAD, INDEX, self._sub(), value * quantity.si_per_unit)
             self._send([Frame(request_id(self._config), data)])
             self._sent_s = now_s
         return ended
 
     def range_of(self, quantity: Quantity) -> tuple[float, float]:
         """What the bench accepts by its config, in the quantity's unit."""
-        low, high = ranges(self._config)[quantity.path]
+        low, high = self._ranges[quantity.path]
         return low / quantity.si_per_unit, high / quantity.si_per_unit
 
     def _next(self) -> None:
@@ -89,7 +88,7 @@ class ChangeRequests:
         return len(data) == 8 and data[0] in (_DONE, _ABORT) and data[1:4] == struct.pack("<HB", INDEX, self._sub())
 
     def _sub(self) -> int:
-        return self._waiting[0][0].sub
+        return list(self._ranges).index(self._waiting[0][0].path) + 1
 
     def _said(self, data: bytes) -> str:
         if data[0] == _DONE:

@@ -334,7 +334,7 @@ def stop_on_signals(bench: Bench) -> Iterator[None]:
             return
         if not bench.enabled:
             raise KeyboardInterrupt
-        bench.interrupt_requested = True
+        bench.request_interrupt()
 
     previous = {number: signal.signal(number, request) for number in end_signals()}
     try:

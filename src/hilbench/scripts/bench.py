@@ -106,7 +106,7 @@ class Bench(bench.Bench):
         )
 
     def __enter__(self) -> Self:
-        if self._phase == "made":
+        if self._state.phase == "made":
             self._begin_record()
         try:
             super().__enter__()

@@ -1,8 +1,8 @@
 """A bench whose script does something else for a while: plots, waits for somebody, computes.
 
-In lockstep time stands still meanwhile, for the simulated devices as well, as long as the bench says that it is alive
-(`hilbench.canopen.clock.SyncClock`). A small thread says so between two cycles. When the process is stopped or gone,
-or a cycle hangs, nothing is said, and devices and supervisor stop the drives as ever.
+In lockstep time stands still meanwhile, for the simulated devices as well, as long as the bench sends its heartbeat
+(`hilbench.canopen.clock.SyncClock`). A small thread sends it between two cycles. When the process is stopped or gone,
+or a cycle hangs, nothing is sent, and devices and supervisor stop the drives as ever.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Simulated hardware and twin inside the bench's own process: the same devices and frames, on a bus in memory.
 
 Nothing runs beside the bench: the devices are served whenever it looks for frames or has sent a request. In lockstep
-that changes no value: each participant acts on SYNC and on the frames it hears, whoever calls it.
+that changes no value: each participant acts on SYNC and on the frames it receives, whoever calls it.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from hilbench.topology.config import BenchConfig
 from hilbench.twin.process import twin
 from hilbench.twin.setup import twin_setup
 
-#: While nobody has anything to say the devices are served so often: their timers go by the wall clock then.
+#: While nobody sends anything the devices are served so often: their timers go by the wall clock then.
 _IDLE_S = 0.001
 
 
 def can_be_in_process(config: BenchConfig) -> bool:
-    """Whether `check_in_process` has nothing to say."""
+    """Whether `check_in_process` finds nothing."""
     try:
         check_in_process(config)
     except UnusableInputError:
@@ -56,7 +56,7 @@ class InProcess:
         ]
 
     def boot(self) -> None:
-        """Let the devices say boot-up."""
+        """Let the devices send boot-up."""
         with self._lock:
             for host in self._hosts:
                 host.boot()

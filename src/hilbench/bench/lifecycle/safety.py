@@ -8,8 +8,9 @@ from hilbench.cia402.drive import Drive, DriveGoal
 from hilbench.cia402.state_machine import POWERED, STATUS_TARGET_REACHED, State, decode_statusword
 from hilbench.errors import BenchFaultError, BusError, EmergencyStopError
 
-#: Every drive is told to stop in so many cycles, who says nothing as well: it may still hear, and a frame can be lost.
-_TOLD_CYCLES = 3
+#: Every drive is commanded to stop in so many cycles, a silent one as well: it may still receive, and a frame can be
+#: lost.
+_REPEATED_CYCLES = 3
 #: Cycles between two questions to the drives while they stop after an emergency stop.
 _ASK_EVERY = 25
 
@@ -27,7 +28,7 @@ def quick_stop(
     longest_s = max(drive.settings.time_out_s + drive.settings.ramp_time_out_s for drive in drives)
     problem = "no fault was reported"
     for cycle in range(round(longest_s / cycle_s)):
-        if cycle >= _TOLD_CYCLES and all(drive.reached or silent(drive) for drive in drives):
+        if cycle >= _REPEATED_CYCLES and all(drive.reached or silent(drive) for drive in drives):
             break
         try:
             exchange()
@@ -43,7 +44,7 @@ def quick_stop(
 def confirm_stopped(
     drives: Sequence[Drive], statusword: Callable[[Drive], int], exchange: Callable[[], None], cycle_s: float
 ) -> None:
-    """Run cycles until drives that send no PDOs (after an emergency stop) say by SDO that they have stopped.
+    """Run cycles until drives that send no PDOs (after an emergency stop) report by SDO that they have stopped.
 
     Raises BenchFaultError naming the drives that have not within their time-out, or do not answer.
     """

@@ -28,7 +28,7 @@ from hilbench.real_time import kept_ready
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.resolved import write_resolved
 
-#: After the start command the nodes' clocks stand still until SYNC; what they said just before it must not arrive as
+#: After the start command the nodes' clocks stand still until SYNC; what they sent just before it must not arrive as
 #: part of the first cycle.
 _AFTER_START_S = 0.1
 #: Of a node that does not wait for SYNC one comes for certain.
@@ -55,8 +55,8 @@ class StartedBench:
 def held_bus(config: BenchConfig, participants: Participants, *, force: bool = False) -> Iterator[None]:
     """The bus of a bench, for it alone as master; one inside the process is nobody else's anyway.
 
-    Raises UnusableInputError when somebody else is its master (`force`: for what is heard only, not for a program of
-    this machine that says so), or plays a node that is to be started.
+    Raises UnusableInputError when somebody else is its master (`force`: for what is received only, not for a program of
+    this machine that claims it), or plays a node that is to be started.
     """
     if participants is Participants.IN_PROCESS:
         yield
@@ -78,7 +78,7 @@ def bring_up(
     """Start the simulated hardware and the twin (unless they run already), configure the nodes, start them (NMT).
 
     Everything is ended again on leaving. Raises BenchFaultError when a process ends, a node does not answer, or
-    refuses what it is told.
+    refuses what it is sent.
     """
     with ExitStack() as resources:
         folder = work_folder or Path(resources.enter_context(tempfile.TemporaryDirectory(prefix="hilbench-")))
@@ -216,7 +216,7 @@ def _wait_for_nodes(
 
 @contextmanager
 def _watched(link: Link, tap: FrameTap | None, sent: SentFrames) -> Iterator[None]:
-    """Hand the frames of the configuration to the tap while somebody else talks; what `sent` waits for is heard."""
+    """Hand the frames of the configuration to the tap while somebody else is sending; `sent` gets what it waits for."""
     done = threading.Event()
     failures: list[BaseException] = []
 

@@ -1,6 +1,6 @@
 """The supervisor: a process of its own that stops the drives when the bench's cyclic loop does not go on.
 
-The bench's heartbeat comes from its cyclic loop, so its silence says that the loop has stalled, whatever the reason
+The bench's heartbeat comes from its cyclic loop, so its silence shows that the loop has stalled, whatever the reason
 (the process was stopped or killed, it waits for something, the machine is overloaded). Drives that watch 1016h stop by
 themselves then; the supervisor stops those that don't, and those that are watched too loosely, by the emergency stop.
 Nothing is imported here that it does not need for that: it starts with every bench.
@@ -42,7 +42,7 @@ class Watch:
 
     @classmethod
     def parse(cls, arguments: Sequence[str]) -> Watch:
-        """Take the arguments after the module's name."""
+        """Parse the arguments after the module's name."""
         address, bitrate, timing, node_id, limit_s = arguments
         return cls(BusAddress.parse(address, bitrate=int(bitrate), timing=timing), int(node_id), float(limit_s))
 
@@ -52,14 +52,14 @@ def supervise(watch: Watch) -> None:
 
     Raises BusError when the bus is lost.
     """
-    told_to_end, bench_gone = threading.Event(), threading.Event()
+    asked_to_end, bench_gone = threading.Event(), threading.Event()
     # Ctrl-C is the bench's to handle, which ends us afterwards.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, lambda *_: told_to_end.set())
+    signal.signal(signal.SIGTERM, lambda *_: asked_to_end.set())
     threading.Thread(target=_follow, args=(bench_gone,), name="follow-bench", daemon=True).start()
     link = open_link(watch.bus)
     try:
-        watch_heartbeat(link, watch, told_to_end, bench_gone)
+        watch_heartbeat(link, watch, asked_to_end, bench_gone)
     finally:
         link.close()
 
@@ -70,21 +70,21 @@ def _follow(bench_gone: threading.Event) -> None:
     bench_gone.set()
 
 
-def watch_heartbeat(link: Link, watch: Watch, told_to_end: threading.Event, bench_gone: threading.Event) -> None:
-    """Stop the drives over `link` when the heartbeat, once heard, stays away, or the bench is gone without a word."""
+def watch_heartbeat(link: Link, watch: Watch, asked_to_end: threading.Event, bench_gone: threading.Event) -> None:
+    """Stop the drives over `link` when the heartbeat, once received, stays away, or the bench is gone."""
     heartbeat = _HEARTBEAT + watch.node_id
     link.set_filters([(heartbeat, _STANDARD_MASK)])
-    heard_s: float | None = None  # None: not heard yet, or stopped already
-    while not told_to_end.is_set():
+    received_s: float | None = None  # None: not received yet, or stopped already
+    while not asked_to_end.is_set():
         # Others' frames may have come before the filter was there: while the nodes boot the bench sends no heartbeat.
         if any(frame.can_id == heartbeat for frame in link.receive(_LOOK_S)):
-            heard_s = time.monotonic()
-        if bench_gone.is_set() and not told_to_end.is_set():
+            received_s = time.monotonic()
+        if bench_gone.is_set() and not asked_to_end.is_set():
             _stop(link, "the bench's process is gone")
             return
-        if heard_s is not None and time.monotonic() - heard_s > watch.limit_s:
+        if received_s is not None and time.monotonic() - received_s > watch.limit_s:
             _stop(link, f"no heartbeat of the bench for {watch.limit_s:g} s")
-            heard_s = None
+            received_s = None
 
 
 def _stop(link: Link, reason: str) -> None:

@@ -1,1 +1,1 @@
-"""What an operator asks and is told: objects, notices, changes, causes."""
+"""What an operator asks for, and what is reported: objects, notices, changes, causes."""

@@ -1,7 +1,7 @@
 """What may have led to a fault: conditions that last, in the order in which they began.
 
 A fault names what broke in the end. What was wrong before it is often the better place to look: so whoever sees such a
-condition says so in each cycle in which it holds, and the fault that ends the run names the one that began first.
+condition reports it in each cycle in which it holds, and the fault that ends the run names the one that began first.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ class Causes:
         self._conditions: dict[str, _Condition] = {}
 
     def holds(self, time_s: float, kind: str, text: str) -> None:
-        """The condition `kind` holds now; `text` says it as it is now."""
+        """The condition `kind` holds now; `text` describes it as it is now."""
         known = self._conditions.get(kind)
         if known is None or time_s - known.until_s > _HELD_S:
             self._conditions[kind] = _Condition(time_s, time_s, text)
@@ -35,7 +35,7 @@ class Causes:
 
     def first(self, time_s: float, fault: str) -> str:
         """Of those that held until just before `time_s` the one that began first, with its time; "" for none, and
-        where the text of the `fault` says it already."""
+        where the text of the `fault` has it already."""
         lasting = [condition for condition in self._conditions.values() if time_s - condition.until_s <= _HELD_S]
         if not lasting:
             return ""

@@ -1,4 +1,4 @@
-"""What the bench itself knows of a run, and no frame on the bus says: when it changed what."""
+"""What the bench itself knows of a run, and no frame on the bus shows: when it changed what."""
 
 from __future__ import annotations
 

@@ -1,7 +1,8 @@
 """What an operator must know of a run that goes on: counted and bounded, however often it comes.
 
-Per source and kind the first and the last occurrence are kept, and how many there were. What is said aloud is said at
-once the first time, and then ever more seldom: a flood of alarms hides no other alarm, and takes no time of the cycle.
+Per source and kind the first and the last occurrence are kept, and how many there were. It is
+published at once the first time, and then ever more seldom: a flood of alarms hides no other alarm, and takes no time
+of the cycle.
 """
 
 from __future__ import annotations
@@ -13,16 +14,16 @@ from dataclasses import dataclass
 #: Kinds that are told apart of one source; what comes beyond them is counted as one kind more.
 MOST_KINDS = 16
 _BEYOND = f"more than {MOST_KINDS} kinds"
-#: Occurrences of one kind are said again after this time, and after twice the time before each time.
+#: Occurrences of one kind are published again after this time, and after twice the time before each time.
 _AGAIN_S = 1.0
-#: Lines that are said in one cycle at most; what comes beyond is said when it comes again, or in the result.
+#: Lines that are published in one cycle at most; what comes beyond is published when it comes again, or in the result.
 _MOST_LINES = 4
 _NUMBERS = re.compile(r"[-+]?\d[\d.,]*(e[-+]?\d+)?")
 
 
 @dataclass(slots=True)
 class Notice:
-    """One kind of thing that one source had to say: its first and last occurrence (experiment time, s), how often."""
+    """One kind of thing that one source has reported: its first and last occurrence (experiment time, s), how often."""
 
     time_s: float
     source: str
@@ -33,20 +34,20 @@ class Notice:
 
 
 @dataclass(slots=True)
-class _Telling:
-    """When the next occurrence of a kind is said aloud."""
+class _Schedule:
+    """When the next occurrence of a kind is published."""
 
     next_s: float
     pause_s: float
 
 
 class Notices:
-    """The notices of one run, in the order of their first occurrence; `tell` gets the lines that are said aloud."""
+    """The notices of one run, in the order of their first occurrence; `publish` gets the lines for the operator."""
 
-    def __init__(self, tell: Callable[[str], None]) -> None:
-        self._publish = tell
+    def __init__(self, publish: Callable[[str], None]) -> None:
+        self._publish = publish
         self._found: dict[tuple[str, str], Notice] = {}
-        self._telling: dict[tuple[str, str], _Telling] = {}
+        self._due: dict[tuple[str, str], _Schedule] = {}
         self._kinds: dict[str, int] = {}
         self._cycle_s: float | None = None
         self._lines = 0
@@ -68,19 +69,19 @@ class Notices:
             self._kinds[source] = self._kinds.get(source, 0) + 1
             first = f"{_BEYOND}, the next: {text}" if key[1] == _BEYOND else text
             self._found[key] = found = Notice(time_s, source, first, time_s, text, count)
-            self._telling[key] = _Telling(time_s, _AGAIN_S)
+            self._due[key] = _Schedule(time_s, _AGAIN_S)
         else:
             found.last_time_s, found.last_text = time_s, text
             found.count += count
-        self._say(time_s, found, self._telling[key])
+        self._publish_if_due(time_s, found, self._due[key])
 
-    def _say(self, time_s: float, found: Notice, telling: _Telling) -> None:
+    def _publish_if_due(self, time_s: float, found: Notice, due: _Schedule) -> None:
         if time_s != self._cycle_s:
             self._cycle_s, self._lines = time_s, 0
-        if time_s < telling.next_s or self._lines >= _MOST_LINES:
+        if time_s < due.next_s or self._lines >= _MOST_LINES:
             return
         self._lines += 1
-        telling.next_s = time_s + telling.pause_s
-        telling.pause_s *= 2.0
+        due.next_s = time_s + due.pause_s
+        due.pause_s *= 2.0
         times = "" if found.count == 1 else f" ({found.count} times by now)"
         self._publish(f"t = {time_s:.3f} s: {found.source}: {found.last_text}{times}")

@@ -1,60 +1,34 @@
 """What an operator may change while the bench runs: objects of the bench's own node, written by SDO.
 
-2200h of node `master: node_id` holds the present values as REAL32, SI: sub 1 the line speed (m/s), sub 2 the tension
-set-point (N), sub 3 Young's modulus of the imitated web (Pa). A write is a request: what is in range is applied between
-two cycles and answered with the next one, so that it is in the trace, in lockstep too. A refusal is an abort code of
-CiA 301.
+2200h of node `master: node_id` holds the present values as REAL32, SI, a sub-index for each quantity in the order of
+`hilbench.bench.machines.ranges`: of a web line sub 1 the line speed (m/s), sub 2 the tension set-point (N), sub 3
+Young's modulus of the imitated web (Pa). A write is a request: what is in range is applied between two cycles and
+answered with the next one, so that it is in the trace, in lockstep too. A refusal is an abort code of CiA 301.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from math import inf
 from typing import Final
 
 from canopen.objectdictionary import ODRecord, ODVariable
 
 import canopen
+from hilbench.bench.machines.ranges import operator_ranges
 from hilbench.can.frame import Frame
 from hilbench.canopen.data_types import REAL32
 from hilbench.canopen.object_store import INVALID_VALUE, PRESENT_STATE, Cell, ObjectStore, SdoAbort
 from hilbench.canopen.sdo_server import DeviceSdoServer
-from hilbench.topology.config import BenchConfig, Limit
-from hilbench.topology.quantities import LINE_SPEED, TENSION_SET_POINT, YOUNGS_MODULUS, permitted
+from hilbench.topology.config import BenchConfig
+from hilbench.topology.quantities import permitted
 
-#: The object, and what its sub-indices are.
 INDEX: Final = 0x2200
-QUANTITIES: Final = {1: LINE_SPEED, 2: TENSION_SET_POINT, 3: YOUNGS_MODULUS}
 
 _REQUEST, _ANSWER = 0x600, 0x580
-#: What E may be off the model's by where the config sets no limit.
-_LARGEST_RATIO: Final = 1e3
-
-
-def ranges(config: BenchConfig) -> dict[str, tuple[float, float]]:
-    """Least and largest value of each quantity, SI: to where the config's limits warn (or trip, where none warns).
-
-    Never beyond what the quantity may have at all (`hilbench.topology.quantities`).
-    """
-    limits = config.safety.limits
-
-    def highest(limit: Limit) -> float:
-        return limit.warning or limit.trip or inf
-
-    speed_m_s, ratio = highest(limits.speed_m_s), min(highest(limits.estimate_ratio), _LARGEST_RATIO)
-    modulus_Pa = config.machine.required_web.youngs_modulus_Pa
-    asked = {
-        LINE_SPEED: (-speed_m_s, speed_m_s),
-        TENSION_SET_POINT: (0.0, highest(limits.tension_N)),
-        YOUNGS_MODULUS: (modulus_Pa / ratio, modulus_Pa * ratio),
-    }
-    return {
-        path: (max(low, permitted(path).lower), min(high, permitted(path).upper)) for path, (low, high) in asked.items()
-    }
 
 
 class OperatorObjects:
-    """The SDO server of the bench's node. `get` tells a present value, `may_change` whether it may be changed now."""
+    """The SDO server of the bench's node. `get`: present value of a path; `may_change`: whether it may be now."""
 
     def __init__(self, config: BenchConfig, get: Callable[[str], float], may_change: Callable[[str], bool]) -> None:
         node_id = config.master.node_id
@@ -62,13 +36,13 @@ class OperatorObjects:
         self._request_id = request_id(config)
         self._answers: list[Frame] = []
         store = ObjectStore(dictionary(config))
-        for sub, path in QUANTITIES.items():
+        for sub, path in enumerate(operator_ranges(config), 1):
             self._serve(store.cell(INDEX, sub), path, get, may_change)
         self._server = DeviceSdoServer(
             node_id, store, lambda can_id, data: self._answers.append(Frame(can_id, bytes(data)))
         )
 
-    def take(self, frames: Iterable[Frame]) -> None:
+    def handle(self, frames: Iterable[Frame]) -> None:
         """Look for requests in what came in a cycle."""
         for can_id, data, _ in frames:
             if can_id == self._request_id:
@@ -97,7 +71,7 @@ class OperatorObjects:
 
 
 def request_id(config: BenchConfig) -> int:
-    """COB-ID of the requests, which the bench hears."""
+    """COB-ID of the requests, which the bench receives."""
     return _REQUEST + config.master.node_id
 
 
@@ -107,13 +81,13 @@ def answer_id(config: BenchConfig) -> int:
 
 
 def dictionary(config: BenchConfig) -> canopen.ObjectDictionary:
-    """What the bench's own node has, as an EDS file would say it."""
+    """What the bench's own node has, as an EDS file would describe it."""
     od = canopen.ObjectDictionary()
     record = ODRecord("Quantities that an operator may change", INDEX)
-    for sub, path in QUANTITIES.items():
+    for sub, (path, (least, largest)) in enumerate(operator_ranges(config).items(), 1):
         variable = ODVariable(path, INDEX, sub)
         variable.data_type, variable.access_type = REAL32, "rw"
-        variable.min, variable.max = ranges(config)[path]  # type: ignore[assignment]
+        variable.min, variable.max = least, largest  # type: ignore[assignment]
         record.add_member(variable)
     od.add_object(record)
     return od

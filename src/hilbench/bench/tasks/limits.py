@@ -27,11 +27,14 @@ class LimitWatch:
         self._modulus_Pa = model_modulus_Pa
         self._cycle_s = cycle_s
         self._difference_at_start_m: float | None = None
-        self._told_difference_m = 0.0
+        self._commanded_difference_m = 0.0
         self._warned: set[str] = set()
 
-    def update(self, sample: CycleSample) -> list[str]:
-        """The warnings that begin in this cycle. Raises LimitTripError; no number counts as beyond the trip level."""
+    def update(self, sample: CycleSample) -> list[tuple[str, str]]:
+        """The warnings that begin in this cycle, each after its quantity.
+
+        Raises LimitTripError; no number counts as beyond the trip level.
+        """
         warnings = []
         for name, value, unit, limit in self._quantities(sample):
             if limit.trip is not None and not value <= limit.trip:
@@ -42,7 +45,8 @@ class LimitWatch:
                 self._warned.discard(name)
             elif value > limit.warning and name not in self._warned:
                 self._warned.add(name)
-                warnings.append(f"{name} is {value:.4g}{unit}, beyond its warning level {limit.warning:g}{unit}")
+                text = f"{name} is {value:.4g}{unit}, beyond its warning level {limit.warning:g}{unit}"
+                warnings.append((name, text))
         return warnings
 
     def _quantities(self, sample: CycleSample) -> Iterator[tuple[str, float, str, Limit]]:
@@ -63,5 +67,5 @@ class LimitWatch:
         difference_m = sample.x1_m - sample.x2_m
         if self._difference_at_start_m is None:
             self._difference_at_start_m = difference_m
-        self._told_difference_m += (sample.v1_cmd_m_s - sample.v2_cmd_m_s) * self._cycle_s
-        return abs(difference_m - self._difference_at_start_m - self._told_difference_m)
+        self._commanded_difference_m += (sample.v1_cmd_m_s - sample.v2_cmd_m_s) * self._cycle_s
+        return abs(difference_m - self._difference_at_start_m - self._commanded_difference_m)

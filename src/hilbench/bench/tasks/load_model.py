@@ -1,6 +1,6 @@
 """The load-model task: the web that the load motor imitates, from the measured motion of the axes.
 
-Torque emulation: the load motor applies the pull of the web; the inertia of the roller is real (the stand's
+Torque emulation: the load motor applies the pull of the web; the inertia of the roller is real (the rig's
 flywheel), because imitating an inertia by torque over a sampled bus is stable only below the real one
 (`hilbench.plant.web_line.stability`).
 """
@@ -15,7 +15,7 @@ from hilbench.plant.web_line.span import SpanFollower
 from hilbench.topology.config import LoadConfig
 from hilbench.topology.quantities import WEB_BROKEN, YOUNGS_MODULUS, EffectPath, parse_effect_path
 
-#: So many cycles that a sample is late by are made good by prediction; an older one says too little.
+#: So many cycles that a sample is late by are made good by prediction; an older one has too little in it.
 _MOST_PREDICTED_CYCLES = 3
 #: Ways of a cycle that are longer than this are measured well enough to count cycles by them.
 _LEAST_WAY_M = 1e-4

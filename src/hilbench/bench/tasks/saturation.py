@@ -1,6 +1,6 @@
 """Drives at their torque limit: what a run shows then is the limit, not the control or the web.
 
-A drive says so itself (statusword 6041h bit 11, internal limit active), or its torque does (6077h against the limit).
+The drive reports it (statusword 6041h bit 11, internal limit active), or its torque shows it (6077h at the limit).
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class SaturationWatch:
 
     def update(self, sample: CycleSample) -> list[tuple[str, str]]:
         """What begins or ends in this cycle, as text for the operator, with the kind of notice that it is."""
-        told = []
+        found = []
         for drive, torque, status in self._signals:
             torque_Nm, statusword = getattr(sample, torque), getattr(sample, status)
             limit_Nm, known = self._limits_Nm[drive], self._limited.get(drive)
@@ -54,7 +54,7 @@ class SaturationWatch:
                     known = self._limited[drive] = _Limited(sample.t_s, sample.t_s)
                     shown = f"torque {torque_Nm:.3g} N·m" if by_torque else "statusword bit 11"
                     shown += f", torque limit {limit_Nm:g} N·m"
-                    told.append(
+                    found.append(
                         (f"{drive} reached", f"{drive} is at its limit ({shown}): it can't follow its set-point")
                     )
                 known.last_s = sample.t_s
@@ -63,5 +63,5 @@ class SaturationWatch:
                 del self._limited[drive]
                 lasted_s = known.last_s - known.since_s + self._cycle_s
                 text = f"{drive} has left its limit: at it for {known.total_s:.3g} s within {lasted_s:.3g} s"
-                told.append((f"{drive} left", text))
-        return told
+                found.append((f"{drive} left", text))
+        return found

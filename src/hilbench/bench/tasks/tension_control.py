@@ -1,6 +1,6 @@
 """Upstream tension control: the velocity of axis 1 is set from the simulated tension; axis 2 holds the line speed.
 
-The loop is closed once the twin says that it is synchronized, and open while the twin can't be trusted. An open loop
+The loop is closed once the twin reports that it is synchronized, and open while the twin can't be trusted. An open loop
 goes from the last ratio of speeds to the one that gives the set-point by mass conservation, with E as it was known:
 (v1/v2)·(1 + ε_ref) = 1 + ε_prev, ε_ref = F_ref/ES. Kept as it was, the ratio of a moment in which the controller was
 busy would take the web to another strain altogether.

@@ -1,6 +1,6 @@
 """Whether the tension loop may close on the twin, and if not, why.
 
-What counts is what the twin says of itself (2100h), how old it is, and whether its numbers can be those of a web at
+What counts is what the twin reports of itself (2100h), how old it is, and whether its numbers can be those of a web at
 all. Once in doubt, the loop stays open until the twin calls itself synchronized again.
 """
 
@@ -19,7 +19,7 @@ _BELOW_ZERO_N = 1.0
 
 
 class TwinTrust:
-    """Judges the twin cycle by cycle. `highest_tension_N`: what a simulated tension may reach and be believed."""
+    """Checks the twin cycle by cycle. `highest_tension_N`: what a simulated tension may reach and be believed."""
 
     def __init__(self, config: TensionControlConfig, highest_tension_N: float) -> None:
         self._config = config
@@ -50,7 +50,7 @@ class TwinTrust:
             return f"the twin's data are no web's: tension {sample.F_sim_N:g} N, E {sample.E_sim_Pa:g} Pa"
         if not -_BELOW_ZERO_N <= sample.F_sim_N <= self._highest_tension_N:
             return f"simulated tension {sample.F_sim_N:.1f} N is outside 0 to {self._highest_tension_N:g} N"
-        # An infinite deviation is that of a method which can't say.
+        # An infinite deviation is that of a method which has none.
         if self._synchronized and 0.01 * config.twin_deviation_limit_pct * sample.E_sim_Pa < sample.E_sd_Pa < inf:
             return f"the deviation of E is above {config.twin_deviation_limit_pct:g} %"
         return ""

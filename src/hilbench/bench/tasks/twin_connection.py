@@ -1,6 +1,6 @@
 """The bench's connection to its twin: lost when it does not answer, taken back when it is heard again.
 
-The bench can do without its twin: axis 1 follows the ratio of speeds meanwhile (`tension_control`). A twin
+The bench can do without its twin: what its controllers do meanwhile is theirs (`TwinState.fresh`). A twin
 that comes back, whether it was held up or its process had to be started again, is reset and configured anew, because
 nobody knows what it has missed; the loop closes when it calls itself synchronized.
 
@@ -10,22 +10,20 @@ the short time that a twin takes which answers, so that a reset on purpose is in
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
-from math import inf
 
 from hilbench.bench.operator.change import Change
-from hilbench.bench.tasks.twin_trust import TwinTrust
+from hilbench.bench.state import BenchState
+from hilbench.bench.tasks.task import CyclicTask, Outputs
 from hilbench.errors import BenchFaultError
 from hilbench.exchange.cycle import CyclicExchange
 from hilbench.exchange.nodes import Nodes
 from hilbench.processes import ChildProcess
-from hilbench.topology.config import BenchConfig
 from hilbench.topology.sample import CycleSample
 
 #: So often the twin's process is started again in one run.
 _MOST_STARTS = 3
-#: Cycles from a loss of the twin, or an attempt to take it back, to the next attempt where it is not heard.
+#: Cycles from a loss of the twin, or an attempt to take it back, to the next attempt where nothing is received from it.
 _RETRY_CYCLES = 500
 #: A twin that was back for so many cycles is not lost again and again. After so many losses in a row that time doubles
 #: with each further one, so many times.
@@ -34,66 +32,39 @@ _STAYED_CYCLES, _LOSSES_FREE, _MOST_DOUBLINGS = 5000, 3, 6
 _LOOK_CYCLES = 64
 #: Lockstep: the bus stands still for so long at most while the twin is reset, far less than the nodes wait for SYNC.
 _STAND_STILL_S = 1.0
-#: Cycles within which a twin that was started beside running SYNCs tells which of them it has counted, and for which
-#: an answer may tell another count.
-_TOLD_CYCLES = 100
+#: Cycles within which a twin that was started beside running SYNCs reports which of them it has counted, and for
+#: which an answer may report another count.
+_REPORT_CYCLES = 100
 
 
-class TwinConnection:
-    """State of the connection in one run. `process` is None when somebody else started the twin."""
+class TwinConnection(CyclicTask):
+    """Looks after the connection in one run, and keeps `state.twin`. `process` is None when somebody else started the
+    twin; `age_limit_cycles`: age of its data from which they may be those of a twin that counts SYNC anew."""
 
     def __init__(
         self,
-        config: BenchConfig,
+        state: BenchState,
         nodes: Nodes,
         exchange: CyclicExchange,
         process: ChildProcess | None,
-        note: Callable[[str], None],
-        journal: Callable[[Change], None],
+        *,
+        lockstep: bool,
+        age_limit_cycles: int,
     ) -> None:
-        self._lockstep = config.pace == "lockstep"
+        self._lockstep = lockstep
+        self._twin = state.twin
         self._nodes = nodes
         self._exchange = exchange
         self._process = process
-        self._note = note
-        self._journal = journal
-        self._trust = TwinTrust(config.tension_control, config.safety.limits.tension_N.trip or inf)
-        self._was_closed: bool | None = None  # None before it was closed for the first time
-        self._away = False
+        self._reports = state.reports
+        self._journal = state.journal
         self._starts = 0
-        self._started_cycle = self._back_cycle = 0
-        self._age_limit = config.tension_control.twin_age_limit_cycles
+        self._age_limit = age_limit_cycles
         self._age_before = self._jumped_for = 0
         self._lost_cycle = self._losses = 0
         self._return: Future[None] | None = None
-        self._returned_cycle: int | None = None  # when it was started beside running SYNCs, and has not told its count
+        self._returned_cycle: int | None = None  # when it was started beside running SYNCs, and reports no count
         self._planned = False
-
-    def age_cycles(self, cycle: int) -> int:
-        """How many cycles old the twin's last answer is."""
-        return self._nodes.twin_age(cycle - self._started_cycle)
-
-    def loop_closed(self, sample: CycleSample) -> bool:
-        """Whether the tension loop is closed on the twin's data in `sample`."""
-        # A sample from before the twin was taken back may still say that it is synchronized.
-        fresh = not self._away and sample.cycle > self._back_cycle
-        closed = fresh and self._trust.update(sample)
-        if self._was_closed and not closed:
-            self._note(f"tension loop open, axis 1 follows the ratio of speeds: {self._trust.doubt}")
-        elif closed and self._was_closed is False:
-            self._note("tension loop closed again: the twin is synchronized")
-        if closed or self._was_closed is not None:
-            self._was_closed = closed
-        return closed
-
-    @property
-    def away(self) -> bool:
-        """Whether the twin is not counted on: it is gone, or not taken back yet."""
-        return self._away
-
-    def distrust(self, reason: str) -> None:
-        """Open the loop until the twin is synchronized again."""
-        self._trust.forget(reason)
 
     def reset(self) -> None:
         """Begin to reset the twin on purpose; `returning` until it is there again."""
@@ -106,7 +77,7 @@ class TwinConnection:
         """Whether a reset on purpose is under way."""
         return self._planned
 
-    def before_cycle(self) -> None:
+    def before(self, sample: CycleSample, outputs: Outputs) -> None:
         """Look after the connection. Raises BenchFaultError when a reset on purpose fails."""
         nodes = self._nodes
         if self._exchange.timing.cycles % _LOOK_CYCLES == 0:
@@ -116,7 +87,7 @@ class TwinConnection:
                 self._end_return(self._return)
         elif self._returned_cycle is not None:
             self._look_for_count(self._returned_cycle)
-        elif self._away:
+        elif self._twin.away:
             if self._is_due():
                 self._begin_return()
         elif nodes.twin_name in self._exchange.silent:
@@ -128,17 +99,17 @@ class TwinConnection:
 
     def _counts_anew(self) -> bool:
         """Whether the age of the twin's answers has jumped, which late answers can't do, and stays what it is."""
-        age = self.age_cycles(self._exchange.timing.cycles)
+        age = self._nodes.twin_age(self._exchange.timing.cycles - self._twin.started_cycle)
         if age <= self._age_limit:
             self._jumped_for = 0
         elif self._jumped_for or age > self._age_before + 1:
             self._jumped_for += 1
         self._age_before = age
-        return self._jumped_for > _TOLD_CYCLES
+        return self._jumped_for > _REPORT_CYCLES
 
     def _is_due(self) -> bool:
-        """Whether to ask the twin: at once when it is heard, later when it is not (one that was not configured sends no
-        heartbeat), and ever more seldom while it is lost again and again."""
+        """Whether to ask the twin: at once when it has sent something, later else (one that was not configured
+        sends no heartbeat), and ever more seldom while it is lost again and again."""
         waited = self._exchange.timing.cycles - self._lost_cycle
         again = max(0, self._losses - _LOSSES_FREE)
         if self._nodes.twin_heard and not again:
@@ -149,19 +120,21 @@ class TwinConnection:
         process = self._process
         if process is None or not process.ended or self._starts == _MOST_STARTS:
             return
-        if not self._away:
+        if not self._twin.away:
             self._lose("the twin's process has ended")
         self._starts += 1
-        self._note(f"the twin's process has ended and is started again ({self._starts} of {_MOST_STARTS})")
+        self._reports.note(
+            "twin", f"the twin's process has ended and is started again ({self._starts} of {_MOST_STARTS})"
+        )
         process.restart()
 
     def _lose(self, reason: str) -> None:
-        self._away = True
+        self._twin.away = True
         self._age_before = self._jumped_for = 0
         cycle = self._exchange.timing.cycles
-        self._losses = self._losses + 1 if cycle - self._back_cycle < _STAYED_CYCLES else 1
+        self._losses = self._losses + 1 if cycle - self._twin.back_cycle < _STAYED_CYCLES else 1
         self._lost_cycle = cycle
-        self._trust.forget(reason)
+        self._twin.why = reason
         self._nodes.twin_is_away()
         self._journal(Change(self._exchange.timing.cycles, "twin_lost"))
         self._exchange.expect([pdo for pdo in self._nodes.expected_pdos() if pdo.vital])
@@ -179,7 +152,7 @@ class TwinConnection:
                 self._take_back(self._exchange.timing.cycles)
 
     def _end_return(self, done: Future[None]) -> bool:
-        """Whether the twin was started; it is taken back when it has told which SYNCs it counts."""
+        """Whether the twin was started; it is taken back when it has reported which SYNCs it counts."""
         self._return = None
         try:
             done.result()
@@ -194,25 +167,25 @@ class TwinConnection:
         if self._planned:
             self._planned = False
             raise error
-        self._note(f"the twin did not come back: {error}")
+        self._reports.note("twin", f"the twin did not come back: {error}")
         self._losses += 1
         self._lost_cycle = self._exchange.timing.cycles
 
     def _look_for_count(self, returned_cycle: int) -> None:
-        """What it told before the bench knew that it was started may be from before its reset."""
+        """What it reported before the bench knew that it was started may be from before its reset."""
         cycle, nodes = self._exchange.timing.cycles, self._nodes
         if nodes.twin_told_cycle > returned_cycle:
             self._take_back(nodes.twin_started(nodes.twin_told_cycle))
-        elif cycle - returned_cycle > _TOLD_CYCLES:
-            self._fail(BenchFaultError(f"it was started, and tells nothing within {_TOLD_CYCLES} cycles"))
+        elif cycle - returned_cycle > _REPORT_CYCLES:
+            self._fail(BenchFaultError(f"it was started, and reports nothing within {_REPORT_CYCLES} cycles"))
 
     def _take_back(self, started_cycle: int) -> None:
         """`started_cycle`: the SYNC before that which the twin counts as its first."""
         exchange = self._exchange
         self._returned_cycle, self._planned = None, False
-        self._away = False
-        self._started_cycle, self._back_cycle = started_cycle, exchange.timing.cycles
+        self._twin.away = False
+        self._twin.started_cycle, self._twin.back_cycle = started_cycle, exchange.timing.cycles
         exchange.silent.discard(self._nodes.twin_name)
         exchange.expect(self._nodes.expected_pdos(started_cycle))
         self._nodes.twin_is_back()
-        self._journal(Change(self._back_cycle, "twin_back", value=float(started_cycle)))
+        self._journal(Change(self._twin.back_cycle, "twin_back", value=float(started_cycle)))

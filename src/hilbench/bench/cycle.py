@@ -1,0 +1,125 @@
+"""One cycle of a running bench: the tasks of its machine around the exchange with the nodes, and what watches the run.
+
+Nothing here knows what machine it is: set points and measurements pass through by name.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Protocol
+
+from hilbench.bench.operator.operator_objects import OperatorObjects
+from hilbench.bench.state import BenchState
+from hilbench.bench.tasks.task import CyclicTask, Outputs
+from hilbench.errors import EXIT_INTERRUPTED, BenchFaultError, HilbenchError
+from hilbench.exchange.cycle import CyclicExchange
+from hilbench.exchange.nodes import Nodes
+from hilbench.topology.sample import CycleSample
+
+
+class InterruptedByOperatorError(HilbenchError):
+    """The operator asked the run to end; the drives were stopped."""
+
+    exit_code = EXIT_INTERRUPTED
+
+
+class CycleObserver(Protocol):
+    """Sees a run as it happens: recorder, progress display, an experiment's own code."""
+
+    def sample(self, sample: CycleSample) -> None:
+        """One cycle of the enabled bench; the object is reused, so copy what is kept."""
+
+
+class BenchCycle:
+    """The cycle of one bench whose nodes are operational.
+
+    `machine`: the tasks of the machine, in each exchange; `watches`: those of the run, in each cycle of the experiment;
+    `stop_on_unexpected_frames`: frames that only somebody else can have sent are a fault.
+    """
+
+    def __init__(
+        self,
+        state: BenchState,
+        nodes: Nodes,
+        exchange: CyclicExchange,
+        objects: OperatorObjects,
+        *,
+        machine: Sequence[CyclicTask],
+        watches: Sequence[CyclicTask],
+        observers: Sequence[CycleObserver],
+        stop_on_unexpected_frames: bool,
+    ) -> None:
+        self._state = state
+        self._nodes = nodes
+        self._exchange = exchange
+        self._objects = objects
+        self._machine = machine
+        self._watches = watches
+        self._observers = observers
+        self._stop_on_unexpected_frames = stop_on_unexpected_frames
+        self._in_cycle = False
+
+    def run(self) -> CycleSample:
+        """One cycle of the experiment. Raises BenchFaultError on faults and limits, InterruptedByOperatorError."""
+        self._in_cycle = True
+        try:
+            return self._run()
+        finally:
+            self._in_cycle = False
+
+    def stay_alive(self, silence_s: float) -> None:
+        """From another thread, between two cycles; one that hangs is for the supervisor."""
+        if not self._in_cycle:
+            self._exchange.stay_alive(silence_s)
+
+    def _run(self) -> CycleSample:
+        sample, outputs = self._state.sample, Outputs()
+        if self._state.interrupt_requested:
+            raise InterruptedByOperatorError("interrupted, drives were stopped")
+        for task in self._watches:
+            task.before(sample, outputs)
+        self.exchange()
+        for task in self._watches:
+            task.after(sample, self._nodes)
+        for observer in self._observers:
+            observer.sample(sample)
+        return sample
+
+    def exchange(self) -> None:
+        """Set points and SYNC out, measurements in; the machine's tasks rest while the drives are not enabled."""
+        state, nodes, exchange = self._state, self._nodes, self._exchange
+        sample, outputs = state.sample, Outputs()
+        for task in self._machine:
+            (task.before if state.enabled else task.rest)(sample, outputs)
+        received = exchange.exchange([*nodes.encode(outputs), *self._objects.answers()])
+        self._objects.handle(received)
+        try:
+            nodes.decode(received, exchange.before_sync)
+        finally:
+            self._report_unexpected_frames()
+        self._check_unexpected_frames()
+        nodes.fill(sample)
+        sample.cycle = exchange.timing.cycles
+        sample.twin_age_cycles = nodes.twin_age(sample.cycle - state.twin.started_cycle)
+        sample.t_s = state.experiment_time_s(sample.cycle)
+        sample.bus_bits = exchange.last_bits
+        if state.enabled:
+            for task in self._machine:
+                task.after(sample, nodes)
+
+    def _report_unexpected_frames(self) -> None:
+        """Somebody else who sends as the bench or its nodes do, or changes them."""
+        reports = self._state.reports
+        for found in self._nodes.foreign:
+            source = f"foreign frames, {found.about}"
+            reports.note(source, found.text, count=found.count)
+            if found.certain:
+                reports.condition("foreign frames", f"{source}: {found.text}")
+
+    def _check_unexpected_frames(self) -> None:
+        if not self._stop_on_unexpected_frames or self._state.stopping:
+            return
+        for found in self._nodes.foreign:
+            if found.certain:
+                time_s = self._state.sample.t_s
+                raise BenchFaultError(f"t = {time_s:.3f} s: foreign frames, {found.about}: {found.text}")

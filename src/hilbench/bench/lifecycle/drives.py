@@ -1,0 +1,149 @@
+"""The drives of a bench: enabled and let go in order, or brought to the safe state."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+
+from hilbench.bench.cycle import BenchCycle
+from hilbench.bench.lifecycle.safety import confirm_stopped, quick_stop
+from hilbench.bench.operator.change import Change
+from hilbench.bench.operator.operator import Operator
+from hilbench.bench.state import BenchState
+from hilbench.cia402.drive import Drive, DriveGoal
+from hilbench.errors import BenchFaultError, EmergencyStopError, HilbenchError
+from hilbench.exchange.cycle import CyclicExchange
+from hilbench.exchange.nodes import Nodes
+
+#: Time for the axes to stand still again after the load motor has let go.
+_SETTLE_S = 0.3
+
+
+class Drives:
+    """Brings the drives up and down. `unexpected`: one line of an exception that nobody foresaw.
+
+    In `lockstep` SYNC stands still while something is asked by SDO, in real time it goes on.
+    """
+
+    def __init__(
+        self,
+        state: BenchState,
+        nodes: Nodes,
+        exchange: CyclicExchange,
+        cycle: BenchCycle,
+        *,
+        lockstep: bool,
+        unexpected: Callable[[Exception], str],
+    ) -> None:
+        self._state = state
+        self._nodes = nodes
+        self._exchange = exchange
+        self._cycle = cycle
+        self._lockstep = lockstep
+        self._unexpected = unexpected
+
+    def enable(self) -> None:
+        """Enable all; the experiment's time begins. Raises BenchFaultError when one does not come up."""
+        self._bring_to(DriveGoal.ENABLED)
+        self._check_virtual_axes()
+        state = self._state
+        state.enabled = True
+        state.first_cycle = self._exchange.timing.cycles + 1
+        state.journal(Change(state.first_cycle - 1, "enabled"))
+
+    def _bring_to(self, goal: DriveGoal) -> None:
+        for drive in self._nodes.drives:
+            drive.request(goal)
+        while not all(drive.reached for drive in self._nodes.drives):
+            self._cycle.exchange()
+
+    def _check_virtual_axes(self) -> None:
+        """Ask the virtual axes by SDO whether they followed."""
+        if self._lockstep:
+            self._nodes.check_virtual_axes_enabled()
+            return
+        with ThreadPoolExecutor(1) as pool:
+            check = pool.submit(self._nodes.check_virtual_axes_enabled)
+            while not check.done():
+                self._cycle.exchange()
+            check.result()
+
+    def disable(self, operator: Operator) -> None:
+        """Let go of all, from standstill: an experiment may end at speed, and must not stop within a cycle."""
+        state = self._state
+        state.stopping = True
+        state.journal(Change(self._exchange.timing.cycles, "stopping"))
+        for _ in operator.slow_down():
+            self._cycle.exchange()
+        state.enabled = False
+        # The pull of the load has just gone: the axes take that up before they are let go.
+        for _ in range(round(_SETTLE_S / state.cycle_s)):
+            self._cycle.exchange()
+        self._bring_to(DriveGoal.DISABLED)
+
+    def stop(self, reason: BaseException | None) -> None:
+        """Quick stop, as far as the bus still carries it; after an emergency stop see that all have stopped.
+
+        What fails here is kept in `safe_state_problems`: the drives' own supervision of the bench's heartbeat stops
+        them then.
+        """
+        began_cycle = self._exchange.timing.cycles
+        problems = self._state.safe_state_problems
+        try:
+            try:
+                if not isinstance(reason, EmergencyStopError):
+                    self._quick_stop()
+                    return
+            except EmergencyStopError:
+                pass  # while it was stopping: the nodes have left OPERATIONAL now
+            self._confirm_stopped(self._nodes.drives)
+        except HilbenchError as error:
+            problems.append(f"quick stop not confirmed: {error}")
+        except Exception as error:  # nobody foresaw it: what is left is the way that needs least
+            problems.append(f"quick stop not confirmed: {self._unexpected(error)}")
+            self._emergency_stop()
+        finally:
+            self._journal_stop(began_cycle)
+
+    def _quick_stop(self) -> None:
+        """No drive is vital any more: who does not answer must not keep the others from being stopped."""
+        nodes, exchange = self._nodes, self._exchange
+        exchange.expect([replace(pdo, vital=False) for pdo in nodes.expected_pdos() if pdo.vital])
+        nodes.twin_is_not_waited_for()
+
+        def silent(drive: Drive) -> bool:
+            return nodes.sender(drive) in exchange.silent
+
+        quick_stop(nodes.drives, silent, self._cycle.exchange, self._state.cycle_s)
+        missing = [drive for drive in nodes.drives if silent(drive)]
+        if missing:
+            self._confirm_stopped(missing)
+
+    def _emergency_stop(self) -> None:
+        try:
+            self._exchange.emergency_stop()
+            self._confirm_stopped(self._nodes.drives)
+        except Exception as error:
+            known = isinstance(error, HilbenchError)
+            text = str(error) if known else self._unexpected(error)
+            self._state.safe_state_problems.append(f"emergency stop not confirmed: {text}")
+
+    def _journal_stop(self, cycle: int) -> None:
+        try:
+            self._state.journal(Change(cycle, "stopping"))
+        except BenchFaultError as error:  # a full disk must not come between the drives and their stop
+            self._state.safe_state_problems.append(str(error))
+        except Exception as error:
+            self._state.safe_state_problems.append(self._unexpected(error))
+
+    def _confirm_stopped(self, drives: Sequence[Drive]) -> None:
+        """Ask drives that send no PDOs any more; SYNC goes on, because simulated time does with it."""
+        exchange = self._exchange
+        exchange.expect([])
+
+        def cycle() -> None:
+            exchange.exchange([])
+            exchange.discard_waiting()
+
+        confirm_stopped(drives, self._nodes.read_statusword, cycle, self._state.cycle_s)

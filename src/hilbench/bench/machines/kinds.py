@@ -1,0 +1,13 @@
+"""Which kind of machine a config is of."""
+
+from __future__ import annotations
+
+from hilbench.bench.machines import web_line
+from hilbench.bench.machines.machine import MachineTasks
+from hilbench.bench.state import BenchState
+from hilbench.topology.config import BenchConfig
+
+
+def machine_tasks(config: BenchConfig, state: BenchState) -> MachineTasks:
+    """The tasks of a config's machine; what they report and know of the twin is in `state`."""
+    return web_line.tasks(config, state)

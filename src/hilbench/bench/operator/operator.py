@@ -1,0 +1,104 @@
+"""What is asked of a running bench: values of its quantities by path, steps under test, requests over the bus."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+from hilbench.bench.operator.change import Change
+from hilbench.bench.operator.operator_objects import OperatorObjects
+from hilbench.bench.state import BenchState
+from hilbench.bench.tasks.reference import Reference
+from hilbench.bench.tasks.task import CyclicTask, Outputs, SettableQuantity
+from hilbench.topology import quantities
+from hilbench.topology.config import BenchConfig
+from hilbench.topology.sample import CycleSample
+
+
+@dataclass(frozen=True)
+class StepEvent:
+    """A step change under test."""
+
+    time_s: float
+    path: str
+    before: float
+    after: float
+
+
+class Operator(CyclicTask):
+    """The quantities of one bench, whoever changes them: an experiment, or an operator over the bus.
+
+    `owners`: who has the quantities; every path of `hilbench.topology.quantities` is one's. As a task it applies what
+    was asked for over the bus between two cycles; the reference goes there at the rate at which the bench itself slows
+    down.
+    """
+
+    def __init__(
+        self, config: BenchConfig, state: BenchState, reference: Reference, owners: Sequence[SettableQuantity]
+    ) -> None:
+        self.events: list[StepEvent] = []
+        self.objects = OperatorObjects(config, self.get, self._may_change)
+        self._state = state
+        self._reference = reference
+        self._owners = owners
+        self._ramped = ""  # the quantity that a ramp of the experiment moves
+
+    def get(self, path: str) -> float:
+        """Present value. Raises UnusableValueError for an unknown path."""
+        path = quantities.checked_path(path)
+        self._state.running()
+        return self._owner(path).value(path)
+
+    def set(self, path: str, value: float) -> None:
+        """Another value from the next cycle on. Raises UnusableValueError."""
+        value, before = quantities.checked_value(quantities.checked_path(path), value), self.get(path)
+        self._owner(path).set(path, value)
+        self._state.journal(Change(self._state.running().timing.cycles, "set", path, value, before))
+
+    def step(self, path: str, to: float) -> None:
+        """`set`, noted as an event under test."""
+        to = quantities.checked_value(quantities.checked_path(path), to)
+        self.events.append(StepEvent(self._state.sample.t_s, path, self.get(path), to))
+        self.set(path, to)
+
+    def ramp(self, path: str, to: float, duration_s: float, cycle: Callable[[], object]) -> None:
+        """Move a quantity linearly, one `cycle` after the other. Raises UnusableValueError before anything moves."""
+        path = quantities.checked_path(path, quantities.rampable_path)
+        to = quantities.checked_value(path, to)
+        duration_s = quantities.checked_duration_s("duration_s", duration_s, above_zero=True)
+        cycles = max(1, round(duration_s / self._state.cycle_s))
+        start = self.get(path)
+        self._ramped = path
+        try:
+            for k in range(1, cycles + 1):
+                self.set(path, start + (to - start) * k / cycles)
+                cycle()
+        finally:
+            self._ramped = ""
+
+    def before(self, sample: CycleSample, outputs: Outputs) -> None:
+        """Apply what was asked for over the bus since the last cycle."""
+        for path, value in self.objects.changes():
+            self._state.reports.note("operator", f"{path} from {self.get(path):.6g} to {value:.6g}")
+            if self._reference.owns(path):
+                self._reference.head_for(value)
+            else:
+                self.step(path, value)
+        goal = self._reference.goal
+        if goal is not None:
+            value, is_there = self._reference.step_to(goal)
+            self.set(self._reference.path, value)
+            if not is_there:
+                self._reference.head_for(goal)
+
+    def slow_down(self) -> Iterator[None]:
+        """Bring the reference to zero at the rate of a quick stop, a step for each item."""
+        while self._reference.slow_down():
+            yield
+
+    def _owner(self, path: str) -> SettableQuantity:
+        return next(owner for owner in self._owners if owner.owns(path))
+
+    def _may_change(self, path: str) -> bool:
+        """Only while the experiment runs, and nothing that it moves itself just now."""
+        return self._state.enabled and not self._state.stopping and path != self._ramped

@@ -1,0 +1,98 @@
+"""What the parts of a bench (lifecycle, cycle, operator, tasks) know in common."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Literal
+
+from hilbench.bench.operator.causes import Causes
+from hilbench.bench.operator.change import Change
+from hilbench.bench.operator.notice import Notices
+from hilbench.errors import BenchFaultError, BenchNotRunningError, EmergencyStopError
+from hilbench.exchange.cycle import CyclicExchange
+from hilbench.topology.sample import CycleSample
+
+#: What a message calls a bench that is not running (any more).
+_WHERE = {"made": "has not been entered", "running": "has been entered already", "ended": "has been left"}
+
+
+class Reports:
+    """What is reported of a run that goes on: notices for the operator, and what may have led to a fault.
+
+    The time of both is that of the last sample.
+    """
+
+    def __init__(self, sample: CycleSample, announce: Callable[[str], None]) -> None:
+        self.notices = Notices(announce)
+        self.causes = Causes()
+        self._sample = sample
+
+    def note(self, source: str, text: str, *, kind: str = "", count: int = 1) -> None:
+        """Something that an operator must know, as in `Notices.note`."""
+        self.notices.note(self._sample.t_s, source, text, kind=kind, count=count)
+
+    def condition(self, kind: str, text: str) -> None:
+        """Something that holds now and may be why a fault comes, as in `Causes.holds`."""
+        self.causes.holds(self._sample.t_s, kind, text)
+
+
+@dataclass
+class TwinState:
+    """Whether the bench counts on its twin, as `hilbench.bench.tasks.twin_connection` finds it."""
+
+    away: bool = False  #: it is gone, or not taken back yet
+    why: str = ""  #: why it was lost last
+    started_cycle: int = 0  #: the SYNC before that which it counts as its first
+    back_cycle: int = 0  #: in which it was taken back
+
+    def fresh(self, sample: CycleSample) -> bool:
+        """Whether the twin's data in a sample are of now: one from before it was taken back may still tell the old."""
+        return not self.away and sample.cycle > self.back_cycle
+
+
+@dataclass
+class BenchState:
+    """One bench from its making to its end."""
+
+    cycle_s: float
+    sample: CycleSample  #: of the last cycle; one object for all of them
+    announce: Callable[[str], None]
+    journal: Callable[[Change], None]
+    phase: Literal["made", "running", "ended"] = "made"
+    enabled: bool = False  #: the drives are, and the experiment's time goes on
+    stopping: bool = False
+    interrupt_requested: bool = False
+    first_cycle: int = 0  #: number of the first cycle with all drives enabled
+    fault_time_s: float | None = None  #: when what led to the safe state was seen
+    safe_state_problems: list[str] = field(default_factory=list)
+    twin: TwinState = field(default_factory=TwinState)
+    exchange: CyclicExchange | None = None
+
+    def __post_init__(self) -> None:
+        self.reports = Reports(self.sample, self.announce)
+
+    def require_new(self) -> None:
+        """Raise BenchNotRunningError for a bench that was entered before."""
+        if self.phase != "made":
+            raise BenchNotRunningError(f"the bench {_WHERE[self.phase]}, expected a new Bench for each 'with'")
+
+    def running(self) -> CyclicExchange:
+        """The exchange with the nodes. Raises BenchNotRunningError before a bench was entered and once it was left."""
+        if self.phase != "running" or self.exchange is None:
+            where = _WHERE[self.phase]
+            raise BenchNotRunningError(f"the bench {where}, expected 'with Bench(…) as bench:' around this")
+        return self.exchange
+
+    def experiment_time_s(self, cycle: int) -> float:
+        """Experiment time of a cycle, counted as in `CycleSample`; negative before the drives were enabled."""
+        return (cycle - self.first_cycle) * self.cycle_s
+
+    def end(self, reason: BaseException | None) -> None:
+        """The drives are to be stopped; a fault gets what may have led to it as its cause."""
+        self.fault_time_s = self.sample.t_s
+        if isinstance(reason, BenchFaultError) and not isinstance(reason, EmergencyStopError):
+            cause = self.reports.causes.first(self.sample.t_s, str(reason))
+            if cause:
+                reason.add_cause(cause)
+        self.enabled, self.stopping = False, True

@@ -1,0 +1,25 @@
+"""Effects in the simulated hardware, which an experiment changes by SDO."""
+
+from __future__ import annotations
+
+from hilbench.exchange.nodes import Nodes
+from hilbench.topology.quantities import parse_effect_path
+
+
+class HardwareEffects:
+    """Parameters of effects in the simulated drives, by ``hardware.effects…`` paths."""
+
+    def __init__(self, nodes: Nodes) -> None:
+        self._nodes = nodes
+
+    def owns(self, path: str) -> bool:
+        """Whether it is an effect in the hardware."""
+        return path.startswith("hardware.")
+
+    def value(self, path: str) -> float:
+        """Present value as the drive has it."""
+        return self._nodes.hardware_effect(parse_effect_path(path))
+
+    def set(self, path: str, value: float) -> None:
+        """Write another value."""
+        self._nodes.set_hardware_effect(parse_effect_path(path), value)

@@ -1,0 +1,89 @@
+"""What is looked at in every cycle of an experiment, whatever the machine is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+
+from hilbench.bench.state import Reports, TwinState
+from hilbench.bench.tasks.task import CyclicTask, Inputs, Outputs
+from hilbench.can.confinement import ControllerState
+from hilbench.exchange.cycle import CyclicExchange
+from hilbench.exchange.timeliness import Timeliness
+from hilbench.processes import ChildProcess
+from hilbench.topology.sample import CycleSample
+
+#: Cycles between two looks whether the supervisor lives.
+_LOOK_CYCLES = 64
+
+
+class Watch(CyclicTask):
+    """Notes of one source: `look`: what begins or ends in a sample, each with its kind; it may raise a fault."""
+
+    def __init__(self, source: str, look: Callable[[CycleSample], Iterable[tuple[str, str]]], reports: Reports) -> None:
+        self._source = source
+        self._look = look
+        self._reports = reports
+
+    def after(self, sample: CycleSample, inputs: Inputs) -> None:
+        """Note what is new."""
+        for kind, text in self._look(sample):
+            self._reports.note(self._source, text, kind=kind)
+
+
+class SupervisorWatch(CyclicTask):
+    """Whether the supervisor's process lives, now and then. Raises BenchFaultError when it does not."""
+
+    def __init__(self, supervisor: ChildProcess, exchange: CyclicExchange) -> None:
+        self._supervisor = supervisor
+        self._exchange = exchange
+
+    def before(self, sample: CycleSample, outputs: Outputs) -> None:
+        """Look, when it is time to."""
+        if self._exchange.timing.cycles % _LOOK_CYCLES == 0:
+            self._supervisor.check()
+
+
+class LatenessWatch(CyclicTask):
+    """Whose answers came late, and whether that may be why something else goes wrong."""
+
+    def __init__(self, timeliness: Timeliness, twin: TwinState, reports: Reports) -> None:
+        self._timeliness = timeliness
+        self._twin = twin
+        self._reports = reports
+
+    def after(self, sample: CycleSample, inputs: Inputs) -> None:
+        """Count this cycle."""
+        twin_age = 0 if self._twin.away else sample.twin_age_cycles
+        self._timeliness.update((*inputs.ages_cycles(), twin_age))
+        trouble = self._timeliness.trouble()
+        if trouble:
+            self._reports.condition("late samples", trouble)
+
+
+class ControllerWatch(CyclicTask):
+    """The bench's own CAN controller. Many broken-off frames: still a bus, but not for long."""
+
+    def __init__(self, exchange: CyclicExchange, reports: Reports) -> None:
+        self._exchange = exchange
+        self._reports = reports
+        self._state = ControllerState.ERROR_ACTIVE
+
+    def after(self, sample: CycleSample, inputs: Inputs) -> None:
+        """Note another state of the controller."""
+        state = self._exchange.controller
+        if state is not self._state:
+            self._state = state
+            self._reports.note("bus", f"the bench's CAN controller is {state.value}")
+
+
+class EmergencyWatch(CyclicTask):
+    """EMCY messages of the nodes, as notices."""
+
+    def __init__(self, reports: Reports) -> None:
+        self._reports = reports
+
+    def after(self, sample: CycleSample, inputs: Inputs) -> None:
+        """Note those of this cycle."""
+        for emergency, count in inputs.emergencies.items():
+            source = f"{emergency.node} (node {emergency.node_id})"
+            self._reports.note(source, str(emergency), kind=emergency.kind, count=count)
