@@ -10,7 +10,7 @@ from typing import Protocol
 
 from hilbench.bench.operator.operator_objects import OperatorObjects
 from hilbench.bench.state import BenchState
-from hilbench.bench.tasks.task import CyclicTask, Outputs
+from hilbench.bench.tasks.task import CyclicTask, Outputs, overrides
 from hilbench.errors import EXIT_INTERRUPTED, BenchFaultError, HilbenchError
 from hilbench.exchange.cycle import CyclicExchange
 from hilbench.exchange.nodes import Nodes
@@ -53,8 +53,11 @@ class BenchCycle:
         self._nodes = nodes
         self._exchange = exchange
         self._objects = objects
-        self._machine = machine
-        self._watches = watches
+        self._command = [task.before for task in machine if overrides(task, "before")]
+        self._rest = [task.rest for task in machine if overrides(task, "rest")]
+        self._follow = [task.after for task in machine if overrides(task, "after")]
+        self._watch_before = [task.before for task in watches if overrides(task, "before")]
+        self._watch_after = [task.after for task in watches if overrides(task, "after")]
         self._observers = observers
         self._stop_on_unexpected_frames = stop_on_unexpected_frames
         self._in_cycle = False
@@ -76,11 +79,11 @@ class BenchCycle:
         sample, outputs = self._state.sample, Outputs()
         if self._state.interrupt_requested:
             raise InterruptedByOperatorError("interrupted, drives were stopped")
-        for task in self._watches:
-            task.before(sample, outputs)
+        for before in self._watch_before:
+            before(sample, outputs)
         self.exchange()
-        for task in self._watches:
-            task.after(sample, self._nodes)
+        for after in self._watch_after:
+            after(sample, self._nodes)
         for observer in self._observers:
             observer.sample(sample)
         return sample
@@ -89,8 +92,8 @@ class BenchCycle:
         """Set points and SYNC out, measurements in; the machine's tasks rest while the drives are not enabled."""
         state, nodes, exchange = self._state, self._nodes, self._exchange
         sample, outputs = state.sample, Outputs()
-        for task in self._machine:
-            (task.before if state.enabled else task.rest)(sample, outputs)
+        for command in self._command if state.enabled else self._rest:
+            command(sample, outputs)
         received = exchange.exchange([*nodes.encode(outputs), *self._objects.answers()])
         self._objects.handle(received)
         try:
@@ -104,8 +107,8 @@ class BenchCycle:
         sample.t_s = state.experiment_time_s(sample.cycle)
         sample.bus_bits = exchange.last_bits
         if state.enabled:
-            for task in self._machine:
-                task.after(sample, nodes)
+            for follow in self._follow:
+                follow(sample, nodes)
 
     def _report_unexpected_frames(self) -> None:
         """Somebody else who sends as the bench or its nodes do, or changes them."""

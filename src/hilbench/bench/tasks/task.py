@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Protocol
+from typing import Literal, Protocol
 
 from hilbench.exchange.emergencies import Emergency
 from hilbench.topology.sample import CycleSample
@@ -44,6 +44,11 @@ class CyclicTask:
 
     def rest(self, sample: CycleSample, outputs: Outputs) -> None:
         """The drives are off; one that has no set point gets zero."""
+
+
+def overrides(task: CyclicTask, moment: Literal["before", "after", "rest"]) -> bool:
+    """Whether a task has something to do in this moment: the others need no call in every cycle."""
+    return getattr(type(task), moment) is not getattr(CyclicTask, moment)
 
 
 class SettableQuantity(Protocol):
