@@ -32,8 +32,9 @@ from hilbench.diagnosis.measured import measured_from
 from hilbench.diagnosis.predictor import FreeRun
 from hilbench.diagnosis.unobservable import UNKNOWNS, blind_recording
 from hilbench.plant.effects import EFFECTS, Effect, find_effect
+from hilbench.plant.parameters import EffectEntry
 from hilbench.plant.web_line import layout as lay
-from hilbench.plant.web_line.parameters import EffectEntry, ModelParameters
+from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.results.recording import Recording
 
 DEMONSTRATOR: dict[str, Any] = {

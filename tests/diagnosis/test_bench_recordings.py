@@ -20,9 +20,9 @@ from hilbench.diagnosis.imitated import imitation_beside, imitation_of
 from hilbench.diagnosis.measured import measured_from
 from hilbench.diagnosis.predictor import predictor_for
 from hilbench.diagnosis.unobservable import blind_recording
+from hilbench.plant.parameters import EffectEntry
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.imitation import Imitation
-from hilbench.plant.web_line.parameters import EffectEntry
 from hilbench.results.recording import Recording, write_recording
 from hilbench.results.run import Recorder
 from hilbench.runs import config as config_files

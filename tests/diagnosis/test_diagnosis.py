@@ -15,7 +15,8 @@ from tests.plant.models import DEMONSTRATOR, effect, model
 
 from hilbench.diagnosis.diagnosis import Diagnosis, diagnose
 from hilbench.diagnosis.unobservable import UNKNOWNS, blind_recording
-from hilbench.plant.web_line.parameters import EffectEntry, load_model
+from hilbench.plant.parameters import EffectEntry
+from hilbench.plant.web_line.parameters import load_model
 from hilbench.results.recording import read_recording, write_recording
 
 ROOT = Path(__file__).resolve().parents[2]

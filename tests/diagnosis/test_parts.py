@@ -20,9 +20,10 @@ from hilbench.diagnosis.space import Linear, Split
 from hilbench.diagnosis.terms import Term, extended, pack_with
 from hilbench.diagnosis.unobservable import blind_recording
 from hilbench.plant.effects import EFFECTS, find_effect
+from hilbench.plant.parameters import EffectEntry
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.inverse import required_torque_Nm
-from hilbench.plant.web_line.parameters import EffectEntry, ModelParameters, load_model, write_model
+from hilbench.plant.web_line.parameters import ModelParameters, load_model, write_model
 
 
 def term(effect_id: str, axis: int | None, **values: float) -> Term:

@@ -24,7 +24,8 @@ from hilbench.can.open import BusAddress, open_link
 from hilbench.canopen.listening import present
 from hilbench.cli.main import app
 from hilbench.diagnosis.unobservable import blind_recording
-from hilbench.plant.web_line.parameters import EffectEntry, write_model
+from hilbench.plant.parameters import EffectEntry
+from hilbench.plant.web_line.parameters import write_model
 from hilbench.results.recording import write_recording
 from hilbench.runs.config import load
 

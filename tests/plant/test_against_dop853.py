@@ -179,7 +179,8 @@ RECORDINGS = Path(__file__).parents[3] / "shared" / "recordings"
 def test_recording_of_an_independent_simulator_is_met_within_its_noise(name: str) -> None:
     import yaml
 
-    from hilbench.plant.web_line.parameters import EffectEntry, load_model
+    from hilbench.plant.parameters import EffectEntry
+    from hilbench.plant.web_line.parameters import load_model
 
     labels = yaml.safe_load((RECORDINGS / "labels.yaml").read_text())[f"{name}.csv.gz"]
     model = load_model(RECORDINGS / "model.yaml").with_effects(*(EffectEntry(**label) for label in labels))

@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 
 from hilbench.errors import UnusableInputError
-from hilbench.plant.web_line.parameters import EffectEntry, load_model, write_model
+from hilbench.plant.parameters import EffectEntry
+from hilbench.plant.web_line.parameters import load_model, write_model
 
 from .models import effect, line_of, model
 

@@ -9,15 +9,15 @@ import pytest
 from pydantic import ValidationError
 
 from hilbench.plant.motor_port import MotorMode, MotorPort
+from hilbench.plant.parameters import EffectEntry, LoadMotorParameters
+from hilbench.plant.sampled_shaft import SampledShaft, imitation_delay_s
 from hilbench.plant.sensors import Gaussian, SensorParameters
-from hilbench.plant.web_line.parameters import EffectEntry
-from hilbench.plant.web_line.rig import LoadMotorParameters, RigParameters, TestRig
+from hilbench.plant.web_line.rig import RigParameters, TestRig
 from hilbench.plant.web_line.span import SpanFollower
 from hilbench.plant.web_line.stability import (
-    SampledShaft,
-    imitation_delay_s,
     largest_inertia_ratio,
     largest_stiffness_Nm_per_rad,
+    sampled_shaft,
     spectral_radius,
     web_stiffness_Nm_per_rad,
 )
@@ -115,7 +115,7 @@ def imitate_inertia(ratio: float) -> np.ndarray:
 
 
 def test_inertia_can_be_imitated_up_to_the_computed_limit_and_not_beyond() -> None:
-    limit = largest_inertia_ratio(SampledShaft.of_model(model()))
+    limit = largest_inertia_ratio(sampled_shaft(model()))
     below, above = imitate_inertia(0.97 * limit), imitate_inertia(1.03 * limit)
     assert np.abs(below[-200:]).max() < 0.1 * np.abs(below[:200]).max()
     assert np.abs(above[-200:]).max() > 10 * np.abs(above[:200]).max()
@@ -146,7 +146,7 @@ def imitate_web(lead_s: float) -> np.ndarray:
 
 def test_the_web_can_be_imitated_only_with_the_delay_made_good() -> None:
     parameters = model()
-    shaft, web = SampledShaft.of_model(parameters), web_stiffness_Nm_per_rad(parameters)
+    shaft, web = sampled_shaft(parameters), web_stiffness_Nm_per_rad(parameters)
     lead = imitation_delay_s(shaft)
     assert spectral_radius(shaft, stiffness_Nm_per_rad=web) > 1.0
     assert spectral_radius(shaft, stiffness_Nm_per_rad=web, lead_s=lead) < 1.0

@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from hilbench.plant.web_line.parameters import ModelParameters, per_item
+from hilbench.plant.parameters import per_item
+from hilbench.plant.web_line.parameters import ModelParameters
 
 State = list[float]
 

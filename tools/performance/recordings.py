@@ -10,7 +10,8 @@ from hilbench.diagnosis.diagnosis import diagnose
 from hilbench.diagnosis.synchronization import compare_methods, methods_of
 from hilbench.diagnosis.unobservable import blind_recording
 from hilbench.estimation.synthetic import simulated_measurements
-from hilbench.plant.web_line.parameters import EffectEntry, ModelParameters
+from hilbench.plant.parameters import EffectEntry
+from hilbench.plant.web_line.parameters import ModelParameters
 from performance.table import Section
 
 _METHODS = "ekf,rls,pid"

@@ -11,10 +11,10 @@ from hilbench.can.load import BusLoad, cycle_load
 from hilbench.cia402.configuration import lacking
 from hilbench.errors import UnusableInputError
 from hilbench.exchange.nodes import Nodes, declared_units, drive_settings
+from hilbench.plant.sampled_shaft import imitation_delay_s
 from hilbench.plant.web_line.stability import (
-    SampledShaft,
-    imitation_delay_s,
     largest_stiffness_Nm_per_rad,
+    sampled_shaft,
     web_stiffness_Nm_per_rad,
 )
 from hilbench.strict_yaml import Document, Location
@@ -159,6 +159,6 @@ def operating_point_text(point: OperatingPoint) -> str:
 
 def stiffness_reserve(config: BenchConfig, modulus_Pa_per_m: float) -> float:
     """Largest stiffness of a web that the load motor imitates stably by itself, over that of one with this E/L."""
-    shaft = SampledShaft.of_model(config.machine, cycle_s=config.cycle_time_s)
+    shaft = sampled_shaft(config.machine, cycle_s=config.cycle_time_s)
     asked_Nm_per_rad = web_stiffness_Nm_per_rad(config.machine, modulus_Pa_per_m=modulus_Pa_per_m)
     return largest_stiffness_Nm_per_rad(shaft, imitation_delay_s(shaft)) / asked_Nm_per_rad

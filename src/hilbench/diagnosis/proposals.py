@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from hilbench.diagnosis.measured import Measured
 from hilbench.diagnosis.terms import Term
 from hilbench.plant.effects import EFFECTS, Effect, find_effect
-from hilbench.plant.web_line.parameters import EffectEntry, ModelParameters
+from hilbench.plant.parameters import EffectEntry
+from hilbench.plant.web_line.parameters import ModelParameters
 
 Array = NDArray[np.float64]
 

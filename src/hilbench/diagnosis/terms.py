@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.plant.effects import Effect
+from hilbench.plant.parameters import EffectEntry
 from hilbench.plant.web_line import layout as lay
-from hilbench.plant.web_line.parameters import EffectEntry, ModelParameters
+from hilbench.plant.web_line.parameters import ModelParameters
 
 Array = NDArray[np.float64]
 

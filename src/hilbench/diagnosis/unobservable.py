@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
+from hilbench.plant.parameters import EffectEntry
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.offline import simulate, start_state
-from hilbench.plant.web_line.parameters import EffectEntry, ModelParameters
+from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.results.recording import Recording
 
 Array = NDArray[np.float64]

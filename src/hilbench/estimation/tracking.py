@@ -18,8 +18,9 @@ from hilbench.estimation.synchronizers.create import new_synchronizer
 from hilbench.estimation.synchronizers.plant import Plant
 from hilbench.estimation.torque_shift import TorqueShiftFinder
 from hilbench.plant.motor_port import MotorPort
+from hilbench.plant.parameters import per_item
 from hilbench.plant.web_line.line import Line
-from hilbench.plant.web_line.parameters import ModelParameters, per_item
+from hilbench.plant.web_line.parameters import ModelParameters
 
 #: Relative uncertainty of the strain below which the web in the span counts as known.
 _KNOWN_STRAIN = 0.003

@@ -2,12 +2,16 @@
 
 One call of `drive_sample` is what a drive's firmware does once per sample time; between samples the torque
 follows its command through a first-order current loop (`torque_after`). SI, motor side.
-Used by `hilbench.plant.web_line.kernel`, which holds the state in flat arrays.
+Used by the kernels of the machines, which hold parameters, state and inputs of their drives in flat arrays.
 """
 
 from __future__ import annotations
 
 from math import exp
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
 
 from hilbench.compiled import inlined
 from hilbench.plant.motor_port import MotorMode
@@ -16,6 +20,30 @@ from hilbench.plant.motor_port import MotorMode
 OFF, TORQUE, VELOCITY, POSITION = (
     float(mode) for mode in (MotorMode.OFF, MotorMode.TORQUE, MotorMode.VELOCITY, MotorMode.POSITION)
 )
+
+Vector = NDArray[np.float64]
+
+# Parameters of a drive's loops, motor side.
+KP: Final = 0
+KI: Final = 1
+POSITION_KP: Final = 2
+LIMIT_NM: Final = 3
+CURRENT_S: Final = 4
+LOOPS_SIZE: Final = 5
+# State of a drive.
+TORQUE_NM: Final = 0
+COMMAND_NM: Final = 1
+INTEGRAL_NM: Final = 2
+REFERENCE: Final = 3
+LIMITED: Final = 4
+MODE: Final = 5
+STATE_SIZE: Final = 6
+# Inputs of a drive.
+IN_MODE: Final = 0
+IN_SETPOINT: Final = 1
+IN_SLOPE: Final = 2
+IN_LIMIT_NM: Final = 3
+IN_SIZE: Final = 4
 
 
 @inlined
@@ -79,3 +107,51 @@ def velocity_reference(
         return reference
     feed_forward = (reference - before) / sample_s if slope < 1e300 else 0.0
     return kp_per_s * (reference - position_rad) + feed_forward
+
+
+@inlined
+def drive_sample(
+    p: Vector,
+    s: Vector,
+    u: Vector,
+    gains: int,
+    state: int,
+    inputs: int,
+    period_s: float,
+    position_rad: float,
+    velocity_rad_s: float,
+) -> None:
+    """What a drive does at a sample instant: new torque command from set point and motion.
+
+    `gains`, `state`, `inputs`: where its loops' parameters begin in `p`, its state in `s`, its inputs in `u`.
+    """
+    mode, slope = u[inputs + IN_MODE], u[inputs + IN_SLOPE]
+    limit = min(u[inputs + IN_LIMIT_NM], p[gains + LIMIT_NM])
+    torque = s[state + TORQUE_NM]
+    if s[state + MODE] != mode:
+        s[state + MODE] = mode
+        s[state + REFERENCE] = bumpless_reference(mode, position_rad, velocity_rad_s, torque)
+        s[state + INTEGRAL_NM] = torque
+    if mode == OFF:
+        s[state + REFERENCE] = 0.0
+        s[state + COMMAND_NM] = 0.0
+        s[state + TORQUE_NM] = 0.0
+        s[state + INTEGRAL_NM] = 0.0
+        return
+    before = s[state + REFERENCE]
+    reference = ramp(before, u[inputs + IN_SETPOINT], slope, period_s)
+    s[state + REFERENCE] = reference
+    if mode == TORQUE:
+        command = clip(reference, limit)
+        limited = command != reference
+    else:
+        kp_position = p[gains + POSITION_KP]
+        wanted = velocity_reference(mode, before, reference, position_rad, kp_position, slope, period_s)
+        command, s[state + INTEGRAL_NM], limited = velocity_loop(
+            wanted - velocity_rad_s, s[state + INTEGRAL_NM], p[gains + KP], p[gains + KI], limit, period_s
+        )
+    s[state + COMMAND_NM] = command
+    if p[gains + CURRENT_S] == 0.0:
+        s[state + TORQUE_NM] = command
+    if limited:
+        s[state + LIMITED] = 1.0

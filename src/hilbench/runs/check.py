@@ -15,7 +15,7 @@ from hilbench.bench.check import (
     stiffness_reserve,
 )
 from hilbench.bench.tasks.tension_loop import Margins, OperatingPoint, TensionLoop
-from hilbench.plant.web_line.parameters import per_item
+from hilbench.plant.parameters import per_item
 from hilbench.runs.config import ExperimentConfig, LoadedConfig
 from hilbench.runs.prospect import Move, State, moves, start_of
 from hilbench.strict_yaml import Location

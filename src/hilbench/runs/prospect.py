@@ -8,7 +8,7 @@ from itertools import pairwise
 from math import prod
 
 from hilbench.plant.effects import find_effect
-from hilbench.plant.web_line.parameters import EffectEntry
+from hilbench.plant.parameters import EffectEntry
 from hilbench.runs.config import ExperimentConfig
 from hilbench.runs.scenario import read_scenario
 from hilbench.runs.steps import TableStep

@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from hilbench.cia402.state_machine import STATUS_INTERNAL_LIMIT
-from hilbench.plant.web_line.parameters import per_item
+from hilbench.plant.parameters import per_item
 from hilbench.topology.config import BenchConfig, Role
 from hilbench.topology.sample import CycleSample
 

@@ -23,8 +23,9 @@ from collections import deque
 from dataclasses import dataclass
 from math import cos, exp, inf, sin, sqrt
 
+from hilbench.plant.parameters import per_item
 from hilbench.plant.web_line.pairing import Pairing
-from hilbench.plant.web_line.parameters import ModelParameters, per_item
+from hilbench.plant.web_line.parameters import ModelParameters
 
 #: Cycles from measuring to the start of a command's hold.
 _DELAY_CYCLES = 1

@@ -19,8 +19,10 @@ from scipy.linalg import expm
 
 from hilbench.bench.tasks.swing_damping import DampingGains, SwingPlant, damping_gains
 from hilbench.bench.tasks.tension_control import TensionController
-from hilbench.plant.web_line.parameters import ModelParameters, per_item
-from hilbench.plant.web_line.stability import SampledShaft, imitation_delay_s
+from hilbench.plant.parameters import per_item
+from hilbench.plant.sampled_shaft import imitation_delay_s
+from hilbench.plant.web_line.parameters import ModelParameters
+from hilbench.plant.web_line.stability import sampled_shaft
 from hilbench.topology.config import BenchConfig
 
 Matrix = NDArray[np.float64]
@@ -187,7 +189,7 @@ class TensionLoop:
         """At SYNC: new commands take effect, what was measured becomes the next ones."""
         tick, at = np.eye(len(self._places)), self._places
         tick[at["u1"]], tick[at["load_set"]] = self._unit("u1_next"), self._unit("load_next")
-        shaft = SampledShaft.of_model(self.config.machine, cycle_s=self.config.cycle_time_s)
+        shaft = sampled_shaft(self.config.machine, cycle_s=self.config.cycle_time_s)
         web, ahead = self._web_now(self.config.cycle_time_s), imitation_delay_s(shaft)
         loaded = self.config.machine.carries_web_load(2)
         tick[at["web"]] = web

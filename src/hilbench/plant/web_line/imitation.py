@@ -15,14 +15,16 @@ from numpy.typing import NDArray
 
 from hilbench.compiled import compiled, entry_point
 from hilbench.plant.motor_port import MotorMode
+from hilbench.plant.parameters import LoadMotorParameters
+from hilbench.plant.sampled_shaft import imitation_delay_s
 from hilbench.plant.web_line import kernel, laws
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line import span as spans
 from hilbench.plant.web_line.layout import Layout, Vector
 from hilbench.plant.web_line.offline import Simulation, on_all_cores, samples_per
 from hilbench.plant.web_line.parameters import ModelParameters
-from hilbench.plant.web_line.rig import LoadMotorParameters, RigParameters, pack_rig
-from hilbench.plant.web_line.stability import SampledShaft, imitation_delay_s
+from hilbench.plant.web_line.rig import RigParameters, pack_rig
+from hilbench.plant.web_line.stability import sampled_shaft
 
 _AXES, _MOTORS = 2, 3
 #: Columns of a row: motion and torque of the stand's three motors, then tension and strain of the imitated web.
@@ -54,7 +56,7 @@ def lead_s(model: ModelParameters, cycle_s: float) -> float:
 
     Raises ValueError for a model without drives.
     """
-    return imitation_delay_s(SampledShaft.of_model(model, cycle_s=cycle_s))
+    return imitation_delay_s(sampled_shaft(model, cycle_s=cycle_s))
 
 
 @compiled

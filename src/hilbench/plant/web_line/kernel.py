@@ -471,43 +471,6 @@ def _step_with_events(p: Vector, s: Vector, u: Vector, w: Vector, t: float, h: f
 
 
 @inlined
-def _drive_sample(p: Vector, s: Vector, u: Vector, motor: int, state: int, inputs: int, x_m: float, v: float) -> None:
-    """What a drive does at a sample instant: new torque command from set point and motion."""
-    mode, slope, period = u[inputs + lay.UM_MODE], u[inputs + lay.UM_SLOPE], p[lay.W_SAMPLE_TIME_S]
-    limit = min(u[inputs + lay.UM_LIMIT_NM], p[motor + lay.M_LIMIT_NM])
-    position, velocity = x_m * p[motor + lay.M_RAD_PER_M], v * p[motor + lay.M_RAD_PER_M]
-    torque = s[state + lay.SM_TORQUE_NM]
-    if s[state + lay.SM_MODE] != mode:
-        s[state + lay.SM_MODE] = mode
-        s[state + lay.SM_REFERENCE] = loops.bumpless_reference(mode, position, velocity, torque)
-        s[state + lay.SM_INTEGRAL_NM] = torque
-    if mode == loops.OFF:
-        s[state + lay.SM_REFERENCE] = 0.0
-        s[state + lay.SM_COMMAND_NM] = 0.0
-        s[state + lay.SM_TORQUE_NM] = 0.0
-        s[state + lay.SM_INTEGRAL_NM] = 0.0
-        return
-    before = s[state + lay.SM_REFERENCE]
-    reference = loops.ramp(before, u[inputs + lay.UM_SETPOINT], slope, period)
-    s[state + lay.SM_REFERENCE] = reference
-    if mode == loops.TORQUE:
-        command = loops.clip(reference, limit)
-        limited = command != reference
-    else:
-        kp_position = p[motor + lay.M_POSITION_KP]
-        wanted = loops.velocity_reference(mode, before, reference, position, kp_position, slope, period)
-        kp, ki = p[motor + lay.M_KP], p[motor + lay.M_KI]
-        command, s[state + lay.SM_INTEGRAL_NM], limited = loops.velocity_loop(
-            wanted - velocity, s[state + lay.SM_INTEGRAL_NM], kp, ki, limit, period
-        )
-    s[state + lay.SM_COMMAND_NM] = command
-    if p[motor + lay.M_CURRENT_S] == 0.0:
-        s[state + lay.SM_TORQUE_NM] = command
-    if limited:
-        s[state + lay.SM_LIMITED] = 1.0
-
-
-@inlined
 def _motor_motion(n: int, j: int) -> int:
     """Where the position of the shaft that motor j sits on stands among the integrated quantities."""
     return 2 * n + j if j < n else n - 1
@@ -517,8 +480,11 @@ def _motor_motion(n: int, j: int) -> int:
 def _sample_drives(p: Vector, s: Vector, u: Vector, w: Vector, n: int, m: int, k: int) -> None:
     for j in range(m):
         at = _motor_motion(n, j)
-        inputs = lay.U_MOTORS + j * lay.UM_SIZE
-        _drive_sample(p, s, u, _motor(n, j), _motor_state(n, k, j), inputs, w[at], w[at + n])
+        motor, inputs = _motor(n, j), lay.U_MOTORS + j * lay.UM_SIZE
+        position, velocity = w[at] * p[motor + lay.M_RAD_PER_M], w[at + n] * p[motor + lay.M_RAD_PER_M]
+        loops.drive_sample(
+            p, s, u, motor + lay.M_LOOPS, _motor_state(n, k, j), inputs, p[lay.W_SAMPLE_TIME_S], position, velocity
+        )
 
 
 @merged

@@ -22,9 +22,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from hilbench.plant import drive_loops as loops
 from hilbench.plant.effects import EFFECTS, Domain, Effect, find_effect
 from hilbench.plant.motor_port import MotorMode
-from hilbench.plant.web_line.parameters import DriveParameters, EffectEntry, ModelParameters, per_item
+from hilbench.plant.parameters import DriveParameters, EffectEntry, per_item
+from hilbench.plant.web_line.parameters import ModelParameters
 
 Vector = NDArray[np.float64]
 
@@ -44,12 +46,13 @@ A_ROLLER_MASS_KG: Final = 2  #: on the roller's side
 A_WEB_LOAD: Final = 3
 # Motor rows.
 M_RAD_PER_M: Final = 0  #: i/r
-M_KP: Final = 1
-M_KI: Final = 2
-M_POSITION_KP: Final = 3
-M_LIMIT_NM: Final = 4
-M_CURRENT_S: Final = 5
-_FIXED = {"web": 8, "axis": 4, "motor": 6}
+M_LOOPS: Final = 1  #: from here on as `drive_loops` has them
+M_KP: Final = M_LOOPS + loops.KP
+M_KI: Final = M_LOOPS + loops.KI
+M_POSITION_KP: Final = M_LOOPS + loops.POSITION_KP
+M_LIMIT_NM: Final = M_LOOPS + loops.LIMIT_NM
+M_CURRENT_S: Final = M_LOOPS + loops.CURRENT_S
+_FIXED = {"web": 8, "axis": 4, "motor": M_LOOPS + loops.LOOPS_SIZE}
 
 # State.
 S_COUNT: Final = 0
@@ -57,24 +60,24 @@ S_Y: Final = 1
 SA_DIRECTION: Final = 0  #: of the dry friction: -1, 1, or 0 (sticks)
 SA_CONTACT: Final = 1  #: gear flank: -1, 1, or 0 (in the play)
 SA_SIZE: Final = 2
-SM_TORQUE_NM: Final = 0
-SM_COMMAND_NM: Final = 1
-SM_INTEGRAL_NM: Final = 2
-SM_REFERENCE: Final = 3
-SM_LIMITED: Final = 4
-SM_MODE: Final = 5
-SM_SIZE: Final = 6
+SM_TORQUE_NM: Final = loops.TORQUE_NM
+SM_COMMAND_NM: Final = loops.COMMAND_NM
+SM_INTEGRAL_NM: Final = loops.INTEGRAL_NM
+SM_REFERENCE: Final = loops.REFERENCE
+SM_LIMITED: Final = loops.LIMITED
+SM_MODE: Final = loops.MODE
+SM_SIZE: Final = loops.STATE_SIZE
 RING: Final = 128  #: past torques kept per motor, one per sample time
 
 # Inputs.
 U_STRAIN_PREV: Final = 0
 U_F_NEXT_N: Final = 1
 U_MOTORS: Final = 2
-UM_MODE: Final = 0
-UM_SETPOINT: Final = 1
-UM_SLOPE: Final = 2
-UM_LIMIT_NM: Final = 3
-UM_SIZE: Final = 4
+UM_MODE: Final = loops.IN_MODE
+UM_SETPOINT: Final = loops.IN_SETPOINT
+UM_SLOPE: Final = loops.IN_SLOPE
+UM_LIMIT_NM: Final = loops.IN_LIMIT_NM
+UM_SIZE: Final = loops.IN_SIZE
 
 # Scratch space: blocks as long as the integrated quantities, then parts as long as there are motors.
 NOW: Final = 0  #: at the start of a step

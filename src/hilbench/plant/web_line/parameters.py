@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Self, TypeVar
+from typing import Annotated, Any, Self
 
 import yaml
 from pydantic import BaseModel, Field, FiniteFloat, ValidationInfo, field_validator, model_validator
@@ -17,16 +17,13 @@ from hilbench import strict_yaml
 from hilbench.block import Block
 from hilbench.errors import UnusableInputError
 from hilbench.plant.effects import find_effect
+from hilbench.plant.parameters import DriveParameters, EffectEntry, GearRatio, NotNegative, per_item
 
-Positive = Annotated[FiniteFloat, Field(gt=0.0)]
-NotNegative = Annotated[FiniteFloat, Field(ge=0.0)]
 #: Young's moduli with a meaning: from the softest gel to beyond diamond.
 LEAST_MODULUS_Pa, LARGEST_MODULUS_Pa = 1e3, 1e13
 Length = Annotated[FiniteFloat, Field(ge=1e-3, le=1e4)]
 Radius = Annotated[FiniteFloat, Field(ge=1e-4, le=100.0)]
-GearRatio = Annotated[FiniteFloat, Field(ge=1e-4, le=1e4)]
 Modulus = Annotated[FiniteFloat, Field(ge=LEAST_MODULUS_Pa, le=LARGEST_MODULUS_Pa)]
-Value = TypeVar("Value")
 
 
 class WebParameters(Block):
@@ -68,27 +65,6 @@ class MotorParameters(Block):
     inertia_kg_m2: NotNegative | list[NotNegative] = Field(default=0.0, description="of a motor, at its shaft")
 
 
-class DriveParameters(Block):
-    """Control loops of the drives, at the motor: position P above velocity PI above a first-order current loop."""
-
-    velocity_kp_Nm_s_per_rad: NotNegative | list[NotNegative] = Field(
-        description="proportional gain of the velocity loop"
-    )
-    velocity_ki_Nm_per_rad: NotNegative | list[NotNegative] = Field(
-        default=0.0, description="integral gain of the velocity loop"
-    )
-    position_kp_per_s: NotNegative | list[NotNegative] = Field(
-        default=10.0, description="gain of the position loop, where a drive has one"
-    )
-    torque_limit_Nm: Positive | list[Positive] = Field(description="of the motor")
-    current_loop_time_constant_s: NotNegative | list[NotNegative] = Field(
-        default=0.0, description="the torque follows its command as a first-order lag"
-    )
-    sample_time_s: Annotated[Positive, Field(le=0.005)] = Field(
-        default=0.001, description="of the velocity loop; the bus cycle is a multiple of it"
-    )
-
-
 class BoundaryParameters(Block):
     """What the neighbouring sections do. Without `upstream_strain` it is upstream_tension_N/(E·S) by the file's E."""
 
@@ -97,25 +73,6 @@ class BoundaryParameters(Block):
     upstream_strain: Annotated[FiniteFloat, Field(gt=-0.5, lt=1.0)] | None = Field(
         default=None, description="of the web that enters; stays what it is when E steps"
     )
-
-
-class EffectEntry(Block):
-    """One effect with its parameter values, checked against `hilbench.plant.effects`."""
-
-    effect: str = Field(description="its id in the vocabulary of effects")
-    axis: int | None = Field(default=None, description="1 is the first roller's; for effects that belong to an axis")
-    parameters: dict[str, FiniteFloat] = Field(default_factory=dict, description="its values, by name")
-
-    @model_validator(mode="after")
-    def _known(self) -> Self:
-        try:
-            effect = find_effect(self.effect)
-        except KeyError as error:
-            raise ValueError(error.args[0]) from None
-        problem = effect.axis_problem(self.axis) or effect.problem(self.parameters)
-        if problem:
-            raise ValueError(problem)
-        return self
 
 
 def _count(name: str, value: object, expected: int) -> None:
@@ -261,11 +218,6 @@ class ModelParameters(Block):
         data = self.model_dump()
         data["effects"] = [*data["effects"], *(entry.model_dump() for entry in entries)]
         return ModelParameters.model_validate(data)
-
-
-def per_item(value: Value | list[Value], number: int) -> Value:
-    """The value for item `number` (counted from 1) of a parameter that is one for all, or a list."""
-    return value[number - 1] if isinstance(value, list) else value
 
 
 def _axis_count(web: WebParameters | None, *parts: BaseModel | None) -> int:

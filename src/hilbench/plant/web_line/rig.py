@@ -16,35 +16,20 @@ from pydantic import Field, FiniteFloat, model_validator
 from hilbench.block import Block
 from hilbench.plant.effects import find_effect, rig_effect_problem
 from hilbench.plant.motor_port import MotorPort
+from hilbench.plant.parameters import DriveParameters, EffectEntry, LoadMotorParameters, per_item
 from hilbench.plant.sensors import SensorParameters, Sensors
 from hilbench.plant.web_line import kernel
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.layout import Layout, Vector
 from hilbench.plant.web_line.line import set_effect
 from hilbench.plant.web_line.offline import samples_per
-from hilbench.plant.web_line.parameters import DriveParameters, EffectEntry, ModelParameters, per_item
+from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.ports import read_ports, write_ports
 
 Pair = FiniteFloat | Annotated[list[FiniteFloat], Field(min_length=2, max_length=2)]
 
 _AXES = 2
 _LOAD = 2  #: index of the load motor among the motors
-
-
-class LoadMotorParameters(Block):
-    """The load motor and its drive's torque loop, at the shaft."""
-
-    inertia_kg_m2: float = Field(default=0.0, ge=0.0, description="of its rotor, on the shaft of axis 2")
-    torque_limit_Nm: float = Field(default=20.0, gt=0.0, description="of the motor")
-    current_loop_time_constant_s: float = Field(
-        default=0.001, ge=0.0, description="the torque follows its command as a first-order lag"
-    )
-    velocity_kp_Nm_s_per_rad: float = Field(
-        default=1.5, ge=0.0, description="proportional gain of its velocity loop, used to stop"
-    )
-    velocity_ki_Nm_per_rad: float = Field(
-        default=30.0, ge=0.0, description="integral gain of its velocity loop, used to stop"
-    )
 
 
 class RigParameters(Block):
