@@ -121,10 +121,10 @@ def _motor_force_N(p: Vector, w: Vector, n: int, m: int, k: int, j: int, x_m: fl
 
 @inlined
 def _own_force_N(p: Vector, w: Vector, n: int, m: int, k: int, i: int, y: int) -> float:
-    """Force on the roller's side of gear i without web and dry friction: coupled motors, smooth resistance."""
+    """Force on the roller's side of gear i without web and dry friction: load motors, smooth resistance."""
     force = -laws.smooth_resistance_N(p, _axis(i), w[y + n + i])
-    if i == n - 1:
-        for j in range(n, m):
+    for j in range(n, m):  # load motors; of a line without any, the loop is not compiled
+        if p[_motor(n, j) + lay.M_AXIS] == i:
             force += _motor_force_N(p, w, n, m, k, j, w[y + i])
     return force
 
@@ -471,15 +471,18 @@ def _step_with_events(p: Vector, s: Vector, u: Vector, w: Vector, t: float, h: f
 
 
 @inlined
-def _motor_motion(n: int, j: int) -> int:
-    """Where the position of the shaft that motor j sits on stands among the integrated quantities."""
-    return 2 * n + j if j < n else n - 1
+def _motor_motion(p: Vector, n: int, j: int) -> int:
+    """Where the position of the shaft that motor j sits on stands among the integrated quantities.
+
+    An axis' own motor is on the motor's side of the gear play, a load motor on the roller's.
+    """
+    return 2 * n + j if j < n else int(p[_motor(n, j) + lay.M_AXIS])
 
 
 @inlined
 def _sample_drives(p: Vector, s: Vector, u: Vector, w: Vector, n: int, m: int, k: int) -> None:
     for j in range(m):
-        at = _motor_motion(n, j)
+        at = _motor_motion(p, n, j)
         motor, inputs = _motor(n, j), lay.U_MOTORS + j * lay.UM_SIZE
         position, velocity = w[at] * p[motor + lay.M_RAD_PER_M], w[at + n] * p[motor + lay.M_RAD_PER_M]
         loops.drive_sample(
@@ -578,7 +581,7 @@ def _report_line(p: Vector, s: Vector, u: Vector, w: Vector, n: int, m: int, k: 
     w[_part(n, m, k, lay.STEPS)] = laws.step_factor(p, t, period / p[lay.W_SUBSTEPS])
     _web(p, u, w, n, m, k, t, laws.upstream_strain(p, u[lay.U_STRAIN_PREV], t), 0)
     for j in range(m):
-        motion = _motor_motion(n, j)
+        motion = _motor_motion(p, n, j)
         torque = s[_motor_state(n, k, j) + lay.SM_TORQUE_NM]
         out[at + j] = w[motion]
         out[at + m + j] = w[motion + n]

@@ -7,7 +7,8 @@ Three vectors of float64 describe a line of N axes, M motors and K spans:
   span), per axis the friction direction and gear contact, M motor rows, M rows of past torques;
 - inputs: boundary, M motor rows (mode, set point, slope, limit), K rates of length.
 
-Motor k drives axis k. Motors beyond the last axis (the stand's load motor) sit on its roller's side of the gear play.
+Motor k drives axis k. Motors beyond the last axis (load motors of a rig) sit on the roller's side of the gear play of the
+axis that their row names.
 """
 
 from __future__ import annotations
@@ -52,7 +53,8 @@ M_KI: Final = M_LOOPS + loops.KI
 M_POSITION_KP: Final = M_LOOPS + loops.POSITION_KP
 M_LIMIT_NM: Final = M_LOOPS + loops.LIMIT_NM
 M_CURRENT_S: Final = M_LOOPS + loops.CURRENT_S
-_FIXED = {"web": 8, "axis": 4, "motor": M_LOOPS + loops.LOOPS_SIZE}
+M_AXIS: Final = M_LOOPS + loops.LOOPS_SIZE  #: on whose shaft it is, from 0; of a motor beyond the last axis any
+_FIXED = {"web": 8, "axis": 4, "motor": M_AXIS + 1}
 
 # State.
 S_COUNT: Final = 0
@@ -286,6 +288,7 @@ def pack(model: ModelParameters, substeps: int = 1) -> Vector:
         row[A_WEB_LOAD] = model.carries_web_load(axis)
         motor = layout.motor_rows(parameters)[axis - 1]
         motor[M_RAD_PER_M] = model.motor_rad_per_m(axis)
+        motor[M_AXIS] = axis - 1
         write_drive(motor, model.drives, axis)
     write_entries(parameters, model.effects)
     return parameters

@@ -114,6 +114,7 @@ def pack_rig(stand: RigParameters, substeps: int = 1) -> Vector:
         row[lay.A_ROLLER_MASS_KG] = turned * ratio**2
         motor = layout.motor_rows(p)[axis - 1]
         motor[lay.M_RAD_PER_M] = ratio
+        motor[lay.M_AXIS] = axis - 1
         lay.write_drive(motor, stand.drives, axis)
     _write_load_motor(layout.motor_rows(p)[_LOAD], stand.load_motor, ratio)
     lay.write_entries(p, stand.effects)
@@ -122,6 +123,7 @@ def pack_rig(stand: RigParameters, substeps: int = 1) -> Vector:
 
 def _write_load_motor(row: Vector, load: LoadMotorParameters, rad_per_m: float) -> None:
     row[lay.M_RAD_PER_M] = rad_per_m
+    row[lay.M_AXIS] = 1
     row[lay.M_KP] = load.velocity_kp_Nm_s_per_rad
     row[lay.M_KI] = load.velocity_ki_Nm_per_rad
     row[lay.M_POSITION_KP] = 10.0
