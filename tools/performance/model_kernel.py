@@ -9,9 +9,10 @@ from numpy.typing import NDArray
 
 from hilbench.diagnosis.unobservable import PERIOD_S, experiment
 from hilbench.plant.parameters import EffectEntry
+from hilbench.plant.sampling import samples_per
 from hilbench.plant.web_line import kernel
 from hilbench.plant.web_line import layout as lay
-from hilbench.plant.web_line.offline import samples_per, simulate, start_state
+from hilbench.plant.web_line.offline import simulate, start_state
 from hilbench.plant.web_line.parameters import ModelParameters
 from performance.plain_equations import PlainLine
 from performance.table import Section, best_cpu_s, best_s

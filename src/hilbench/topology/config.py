@@ -19,8 +19,8 @@ from hilbench.errors import UnusableInputError
 from hilbench.estimation.config import EstimationConfig
 from hilbench.plant.effects import imitated_effect_problem, rig_effect_problem
 from hilbench.plant.parameters import EffectEntry, LoadMotorParameters
+from hilbench.plant.sampling import samples_per
 from hilbench.plant.sensors import SensorParameters
-from hilbench.plant.web_line.offline import samples_per
 from hilbench.plant.web_line.parameters import Length, ModelParameters, Modulus
 from hilbench.plant.web_line.rig import RigParameters
 from hilbench.real_time import ProcessSettings

@@ -17,11 +17,12 @@ from hilbench.compiled import compiled, entry_point
 from hilbench.plant.motor_port import MotorMode
 from hilbench.plant.parameters import LoadMotorParameters
 from hilbench.plant.sampled_shaft import imitation_delay_s
+from hilbench.plant.sampling import on_all_cores, samples_per
 from hilbench.plant.web_line import kernel, laws
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line import span as spans
 from hilbench.plant.web_line.layout import Layout, Vector
-from hilbench.plant.web_line.offline import Simulation, on_all_cores, samples_per
+from hilbench.plant.web_line.offline import Simulation
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.rig import RigParameters, pack_rig
 from hilbench.plant.web_line.stability import sampled_shaft

@@ -9,10 +9,11 @@ from numpy.typing import ArrayLike
 
 from hilbench.plant.effects import Domain, find_effect
 from hilbench.plant.motor_port import MotorPort
+from hilbench.plant.sampling import samples_per
 from hilbench.plant.web_line import kernel, laws
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.layout import Layout, Vector
-from hilbench.plant.web_line.offline import samples_per, start_state
+from hilbench.plant.web_line.offline import start_state
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.ports import read_ports, write_ports
 

@@ -17,12 +17,12 @@ from hilbench.block import Block
 from hilbench.plant.effects import find_effect, rig_effect_problem
 from hilbench.plant.motor_port import MotorPort
 from hilbench.plant.parameters import DriveParameters, EffectEntry, LoadMotorParameters, per_item
+from hilbench.plant.sampling import samples_per
 from hilbench.plant.sensors import SensorParameters, Sensors
 from hilbench.plant.web_line import kernel
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.layout import Layout, Vector
 from hilbench.plant.web_line.line import set_effect
-from hilbench.plant.web_line.offline import samples_per
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.ports import read_ports, write_ports
 

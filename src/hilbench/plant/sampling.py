@@ -1,0 +1,31 @@
+"""Time in whole samples of the drives, and simulations shared out among the cores."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from functools import lru_cache
+from itertools import pairwise
+
+import numpy as np
+
+
+@lru_cache(64)
+def samples_per(duration_s: float, sample_time_s: float) -> int:
+    """How many drive samples a duration holds. Raises ValueError unless it is a whole, positive number."""
+    samples = round(duration_s / sample_time_s)
+    if samples < 1 or abs(samples * sample_time_s - duration_s) > 1e-6 * sample_time_s:
+        raise ValueError(f"{duration_s!r} s, expected a multiple of the drives' sample time {sample_time_s!r} s")
+    return samples
+
+
+def on_all_cores(run: Callable[[slice], None], count: int) -> None:
+    """Call `run` with shares of `count` things, one share for each core; it must let other threads run meanwhile."""
+    workers = min(len(os.sched_getaffinity(0)), count)
+    shares = [slice(*edges) for edges in pairwise(np.linspace(0, count, workers + 1, dtype=int))]
+    if len(shares) == 1:
+        run(shares[0])
+    else:
+        with ThreadPoolExecutor(len(shares)) as pool:
+            list(pool.map(run, shares))
