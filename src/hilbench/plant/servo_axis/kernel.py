@@ -1,0 +1,227 @@
+"""The kernel of the servo axis: one shaft with one or two motors, compiled.
+
+Per drive sample time: the drives' loops once, then Runge-Kutta steps of fourth order with the torques of the current
+loops known in closed form. Standstill under dry friction is an event: it is located in time, then the shaft sticks or
+turns back; nothing is smoothed, nothing chatters.
+
+    J·v' = τ + Σ A·sin(n·x + φ) + τ_load + τ_outside + A_u·sin(x/i + φ_u) − b·v − d·|v| − (Tc + Ts·e^{−(v/vs)²})·sign(v)
+
+Vectors as in `hilbench.plant.servo_axis.layout`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from hilbench import compiled as decorators
+from hilbench.compiled import compiled, entry_point, inlined, number_of_sources
+from hilbench.plant import drive_loops as loops
+from hilbench.plant.servo_axis import laws
+from hilbench.plant.servo_axis import layout as lay
+from hilbench.plant.servo_axis.layout import Vector
+
+#: Events within one integration step before the rest of it is taken as it comes.
+_MOST_EVENTS = 16
+_EVENT_ITERATIONS = 40
+#: Size of a violation that is none: rad/s against the direction of motion, N·m beyond the breakaway torque.
+_EVENT_TOLERANCE = 1e-10
+
+
+@inlined
+def _torque_Nm(p: Vector, s: Vector, u: Vector, ahead_s: float) -> float:
+    """What the motors and the outside do to the shaft `ahead_s` from now, while the commands are held; no ripple."""
+    torque = u[lay.U_TORQUE_NM]
+    for j in range(int(p[lay.P_MOTORS])):
+        at = lay.S_MOTORS + j * loops.STATE_SIZE
+        decay = loops.current_decay(ahead_s, p[lay.P_LOOPS + j * loops.LOOPS_SIZE + loops.CURRENT_S])
+        of_motor = loops.torque_after(s[at + loops.TORQUE_NM], s[at + loops.COMMAND_NM], decay)
+        torque += laws.scaled_torque_Nm(p, of_motor) if j == 0 else of_motor
+    return torque
+
+
+@inlined
+def _net_Nm(p: Vector, torque_Nm: float, x: float, v: float) -> float:
+    """All torques on the shaft but dry friction."""
+    return torque_Nm + laws.ripple_Nm(p, x) + laws.unbalance_Nm(p, x) - laws.smooth_friction_Nm(p, v)
+
+
+@inlined
+def _acceleration(p: Vector, torque_Nm: float, x: float, v: float, direction: float) -> float:
+    """Of a shaft that turns in `direction`, rad/s²."""
+    net = _net_Nm(p, torque_Nm, x, v)
+    if laws.breakaway_Nm(p) != 0.0:
+        net -= direction * laws.dry_friction_Nm(p, v)
+    return net / laws.inertia_kg_m2(p)
+
+
+@compiled
+def _attempt(p: Vector, s: Vector, u: Vector, h: float) -> tuple[float, float, float]:
+    """Position and speed after h in the present mode, and how far the shaft has left it then (0 or less: not at all).
+
+    A shaft that turns leaves its mode by a speed against its direction, one that sticks by a torque beyond breakaway.
+    """
+    x, v, direction = s[lay.S_X], s[lay.S_V], s[lay.S_DIRECTION]
+    last, breakaway = _torque_Nm(p, s, u, h), laws.breakaway_Nm(p)
+    if direction == 0.0 and breakaway != 0.0:
+        return x, 0.0, abs(_net_Nm(p, last, x, 0.0)) - breakaway
+    middle = _torque_Nm(p, s, u, 0.5 * h)
+    a1 = _acceleration(p, _torque_Nm(p, s, u, 0.0), x, v, direction)
+    v2 = v + 0.5 * h * a1
+    a2 = _acceleration(p, middle, x + 0.5 * h * v, v2, direction)
+    v3 = v + 0.5 * h * a2
+    a3 = _acceleration(p, middle, x + 0.5 * h * v2, v3, direction)
+    v4 = v + h * a3
+    a4 = _acceleration(p, last, x + h * v3, v4, direction)
+    x += h / 6.0 * (v + 2.0 * v2 + 2.0 * v3 + v4)
+    v += h / 6.0 * (a1 + 2.0 * a2 + 2.0 * a3 + a4)
+    return x, v, -v * direction if breakaway != 0.0 else 0.0
+
+
+@compiled
+def _settle(p: Vector, s: Vector, u: Vector) -> None:
+    """Change the mode until it fits: a shaft that has stopped sticks, or turns back at once."""
+    v = s[lay.S_V]
+    if s[lay.S_DIRECTION] == 0.0 and v != 0.0:
+        s[lay.S_DIRECTION] = 1.0 if v > 0.0 else -1.0
+    breakaway = laws.breakaway_Nm(p)
+    if breakaway == 0.0:  # kept fit, for friction that begins under way
+        s[lay.S_DIRECTION] = 1.0 if v > 0.0 else -1.0 if v < 0.0 else 0.0
+        return
+    if -v * s[lay.S_DIRECTION] > _EVENT_TOLERANCE:
+        s[lay.S_DIRECTION] = 0.0
+        s[lay.S_V] = 0.0
+    if s[lay.S_DIRECTION] == 0.0:
+        net = _net_Nm(p, _torque_Nm(p, s, u, 0.0), s[lay.S_X], 0.0)
+        if abs(net) > breakaway + _EVENT_TOLERANCE:
+            s[lay.S_DIRECTION] = 1.0 if net > 0.0 else -1.0
+
+
+@compiled
+def _until_event(p: Vector, s: Vector, u: Vector, h: float) -> float:
+    """How long a step of length h may be until there is an event in it.
+
+    The event's time is found by the Illinois form of regula falsi.
+    """
+    low, high, within, last = 0.0, h, -_EVENT_TOLERANCE, 0
+    beyond = _attempt(p, s, u, h)[2]
+    if beyond <= _EVENT_TOLERANCE:
+        return h
+    for _ in range(_EVENT_ITERATIONS):
+        if high - low <= 1e-9 * h:
+            break
+        share = within / (within - beyond)
+        cut = low + (high - low) * min(max(share, 1e-3), 0.999)
+        violation = _attempt(p, s, u, cut)[2]
+        if violation > _EVENT_TOLERANCE:
+            within = 0.5 * within if last == 1 else within
+            high, beyond, last = cut, violation, 1
+        else:
+            beyond = 0.5 * beyond if last == -1 else beyond
+            low, within, last = cut, min(violation, -_EVENT_TOLERANCE), -1
+    return high
+
+
+@inlined
+def _accept(p: Vector, s: Vector, x: float, v: float, h: float) -> None:
+    """Take the end of a step of length h over; the torques have followed their commands."""
+    s[lay.S_X] = x
+    s[lay.S_V] = v
+    for j in range(int(p[lay.P_MOTORS])):
+        at = lay.S_MOTORS + j * loops.STATE_SIZE
+        decay = loops.current_decay(h, p[lay.P_LOOPS + j * loops.LOOPS_SIZE + loops.CURRENT_S])
+        s[at + loops.TORQUE_NM] = loops.torque_after(s[at + loops.TORQUE_NM], s[at + loops.COMMAND_NM], decay)
+
+
+@compiled
+def _step(p: Vector, s: Vector, u: Vector, h: float) -> None:
+    """One integration step, cut at every event."""
+    left = h
+    for event in range(_MOST_EVENTS + 1):
+        _settle(p, s, u)
+        x, v, violation = _attempt(p, s, u, left)
+        done = left
+        if violation > _EVENT_TOLERANCE and event < _MOST_EVENTS:
+            done = _until_event(p, s, u, left)
+            x, v, violation = _attempt(p, s, u, done)
+        _accept(p, s, x, v, done)
+        left -= done
+        if left <= 1e-12 * h:
+            return
+
+
+@compiled
+def _advance(p: Vector, s: Vector, u: Vector, samples: int) -> None:
+    period, substeps = p[lay.P_SAMPLE_TIME_S], int(p[lay.P_SUBSTEPS])
+    for _ in range(samples):
+        for j in range(int(p[lay.P_MOTORS])):
+            loops.drive_sample(
+                p,
+                s,
+                u,
+                lay.P_LOOPS + j * loops.LOOPS_SIZE,
+                lay.S_MOTORS + j * loops.STATE_SIZE,
+                lay.U_MOTORS + j * loops.IN_SIZE,
+                period,
+                s[lay.S_X],
+                s[lay.S_V],
+            )
+        for _ in range(substeps):
+            _step(p, s, u, period / substeps)
+        s[lay.S_COUNT] += 1.0
+
+
+@compiled
+def _observe(p: Vector, s: Vector, out: Vector, at: int) -> None:
+    out[at + lay.O_X] = s[lay.S_X]
+    out[at + lay.O_V] = s[lay.S_V]
+    for j in range(int(p[lay.P_MOTORS])):
+        torque = s[lay.S_MOTORS + j * loops.STATE_SIZE + loops.TORQUE_NM]
+        out[at + lay.O_TORQUE + j] = torque + laws.reported_offset_Nm(p) if j == 0 else torque
+
+
+Advance = Callable[[Vector, Vector, Vector, int], None]
+Observe = Callable[[Vector, Vector, Vector], None]
+Simulate = Callable[[Vector, Vector, Vector, Vector, Vector, int, Vector], None]
+
+
+def source_number(*further: str) -> int:
+    """A number that changes with the source of what is compiled here, and with `further` files."""
+    rows = (str(Path(__file__).parents[1] / "effects.py"), str(Path(__file__).parent / "effects.py"))
+    return number_of_sources(
+        decorators.__file__, loops.__file__, laws.__file__, lay.__file__, __file__, *rows, *further
+    )
+
+
+def _entry_points(sources: int) -> tuple[Advance, Observe, Simulate]:
+    """The compiled functions others call; `sources` as in `number_of_sources`."""
+
+    @entry_point
+    def advance(p: Vector, s: Vector, u: Vector, samples: int) -> None:
+        if sources >= 0:
+            _advance(p, s, u, samples)
+
+    @entry_point
+    def observe(p: Vector, s: Vector, out: Vector) -> None:
+        if sources >= 0:
+            _observe(p, s, out, 0)
+
+    @entry_point
+    def simulate(p: Vector, s: Vector, u: Vector, commands: Vector, torques: Vector, samples: int, out: Vector) -> None:
+        flat, rows, columns = out.reshape(-1), out.shape[1], out.shape[2]
+        for b in range(p.shape[0] if sources >= 0 else 0):
+            for row in range(rows):
+                for j in range(commands.shape[1]):
+                    u[lay.U_MOTORS + j * loops.IN_SIZE + loops.IN_SETPOINT] = commands[row, j]
+                u[lay.U_TORQUE_NM] = torques[row]
+                _observe(p[b], s[b], flat, (b * rows + row) * columns)
+                _advance(p[b], s[b], u, samples)
+
+    return advance, observe, simulate
+
+
+#: advance(parameters, state, inputs, samples): `samples` drive sample times onwards, state changed in place.
+#: observe(parameters, state, out): position, speed, and the torques as the drives report them.
+#: simulate(parameters (B, P), states (B, S), inputs, commands (n, M), torques (n,), samples, out (B, n, C)): for each
+#: row observe, then advance `samples` with the row's set points and the row's torque from outside.
+advance, observe, simulate = _entry_points(source_number())

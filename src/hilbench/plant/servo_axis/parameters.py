@@ -1,0 +1,81 @@
+"""The `machine:` block (or model file) of `kind: servo_axis`: one shaft, its motor and its drive.
+
+All quantities are those at the motor shaft, SI, units in the key names: the angle is the motor's, and what stands
+behind a gear is given as the motor feels it (inertia divided by i², torques by i). The gear ratio says only how often
+the motor turns per turn of what is unbalanced.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, FiniteFloat, field_validator, model_validator
+
+from hilbench.block import Block
+from hilbench.plant.parameters import DriveParameters, EffectEntry, GearRatio, NotNegative
+from hilbench.plant.servo_axis.effects import effects_problem
+
+Phase = Annotated[FiniteFloat, Field(ge=-7.0, le=7.0)]
+
+
+class ShaftParameters(Block):
+    """What the motor turns."""
+
+    inertia_kg_m2: NotNegative = Field(description="of all that turns with the motor's rotor")
+    coulomb_friction_Nm: NotNegative = Field(default=0.0, description="dry friction; it holds a shaft that stands")
+    viscous_friction_Nm_s_per_rad: NotNegative = Field(default=0.0, description="friction in proportion to the speed")
+    unbalance_Nm: NotNegative = Field(
+        default=0.0, description="amplitude of the torque A·sin(phi + phi0), phi the angle of what is unbalanced"
+    )
+    unbalance_phase_rad: Phase = Field(default=0.0, description="phi0: where position zero is in that sine")
+    gear_ratio: GearRatio = Field(default=1.0, description="turns of the motor per turn of what is unbalanced")
+
+
+class MotorParameters(Block):
+    """The motor."""
+
+    inertia_kg_m2: NotNegative = Field(default=0.0, description="of its rotor")
+
+
+class ServoAxisParameters(Block):
+    """One servo axis. Immutable; `model_copy(update=…)` varies it."""
+
+    kind: Literal["servo_axis"] = Field(default="servo_axis", description="what machine this is")
+    shaft: ShaftParameters
+    motor: MotorParameters = MotorParameters()
+    drives: DriveParameters | None = None
+    effects: tuple[EffectEntry, ...] = Field(
+        default=(), description="what else the model has, of the vocabulary of effects"
+    )
+
+    @model_validator(mode="after")
+    def _possible(self) -> Self:
+        if self.inertia_kg_m2 <= 0.0:
+            raise ValueError("the shaft has no inertia, expected that of shaft or motor above 0")
+        for name, value in self.drives or ():
+            if isinstance(value, list) and len(value) != 1:
+                raise ValueError(f"{name} has {len(value)} values, expected one: the machine has one drive")
+        return self
+
+    @field_validator("effects", mode="before")
+    @classmethod
+    def _nothing_is_no_effect(cls, value: object) -> object:
+        return () if value is None else value
+
+    @field_validator("effects")
+    @classmethod
+    def _effects_fit(cls, entries: tuple[EffectEntry, ...]) -> tuple[EffectEntry, ...]:
+        problem = effects_problem([(entry.effect, entry.axis) for entry in entries])
+        if problem:
+            raise ValueError(problem)
+        return entries
+
+    @property
+    def axis_count(self) -> int:
+        """Driven axes: one."""
+        return 1
+
+    @property
+    def inertia_kg_m2(self) -> float:
+        """J: motor and all that it turns, without effects."""
+        return self.motor.inertia_kg_m2 + self.shaft.inertia_kg_m2

@@ -1,0 +1,190 @@
+"""What the closed model and the simulated hardware of a servo axis have in common: the kernel behind a plant's face."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Final
+
+import numpy as np
+
+from hilbench.plant import drive_loops as loops
+from hilbench.plant.interface import Motor, PlantDescription, PlantState, Quantity, checked_name
+from hilbench.plant.motor_port import MotorPort
+from hilbench.plant.parameters import LoadMotorParameters
+from hilbench.plant.sampling import samples_per
+from hilbench.plant.servo_axis import kernel
+from hilbench.plant.servo_axis import layout as lay
+from hilbench.plant.servo_axis.effects import IDS, find
+from hilbench.plant.servo_axis.parameters import ServoAxisParameters
+
+#: What can be asked for and given, and where it stands in the kernel's parameters.
+PARAMETERS: Final[Mapping[str, tuple[Quantity, int]]] = {
+    quantity.name: (quantity, column)
+    for quantity, column in (
+        (Quantity("inertia_kg_m2", "kg·m²", "inertia of all that turns"), lay.P_INERTIA),
+        (Quantity("coulomb_friction_Nm", "N·m", "dry friction"), lay.P_COULOMB),
+        (Quantity("viscous_friction_Nm_s_per_rad", "N·m·s/rad", "friction per speed"), lay.P_VISCOUS),
+        (Quantity("unbalance_Nm", "N·m", "amplitude of the torque of what is unbalanced"), lay.P_UNBALANCE),
+        (Quantity("unbalance_phase_rad", "rad", "its phase at position zero"), lay.P_UNBALANCE_PHASE),
+    )
+}
+_TORQUE = Quantity("external_torque_Nm", "N·m", "torque on the shaft from outside, forward")
+
+
+def checked_parameter(name: str, value: float) -> float:
+    """A value that a parameter may have. Raises ValueError."""
+    quantity = PARAMETERS[checked_name("parameter", name, (q for q, _ in PARAMETERS.values()))][0]
+    positive, any_sign = name == "inertia_kg_m2", name.endswith("_rad")
+    if not np.isfinite(value) or (value <= 0.0 if positive else value < 0.0 and not any_sign):
+        expected = "more than 0" if positive else "a finite number" if any_sign else "0 or more"
+        raise ValueError(f"{name} = {value!r} {quantity.unit}, expected {expected}")
+    return value
+
+
+class Shaft:
+    """A shaft with its motors; angle and torques at the motor shaft. Starts at rest at position zero.
+
+    `step` takes the set points from the ports and writes the feedback to them; without ports every motor is off.
+    """
+
+    def __init__(
+        self,
+        parameters: ServoAxisParameters,
+        load_motor: LoadMotorParameters | None,
+        ports: Sequence[MotorPort],
+        substeps: int,
+    ) -> None:
+        self._p = lay.pack(parameters, load_motor, substeps)
+        self._ports = tuple(ports)
+        self._state = lay.new_state(self._p)
+        self._inputs = lay.new_inputs(self._p)
+        self._out = np.zeros(lay.output_size(self._p))
+        self._observe()
+
+    def describe(self) -> PlantDescription:
+        """One axis in rad; motor 2 is the load motor, where there is one."""
+        motors = lay.motor_count(self._p)
+        motion = (
+            Quantity("x1_rad", "rad", "position of the motor shaft"),
+            Quantity("v1_rad_s", "rad/s", "speed of the motor shaft"),
+        )
+        torques = tuple(Quantity(f"tau{k}_Nm", "N·m", f"torque of motor {k}") for k in range(1, motors + 1))
+        return PlantDescription(
+            kind="servo_axis",
+            position_unit="rad",
+            axes=1,
+            motors=(Motor(axis=1, rad_per_unit=1.0),) * motors,
+            states=motion + torques,
+            inputs=(_TORQUE,),
+            outputs=motion + torques,
+            parameters=tuple(quantity for quantity, _ in PARAMETERS.values()),
+            effects=IDS,
+        )
+
+    @property
+    def ports(self) -> tuple[MotorPort, ...]:
+        """One for each motor; empty if every motor is off for good."""
+        return self._ports
+
+    @property
+    def time_s(self) -> float:
+        """Time since the start."""
+        return float(self._state[lay.S_COUNT] * self._p[lay.P_SAMPLE_TIME_S])
+
+    def step(self, duration_s: float) -> None:
+        """Go on by a multiple of the drives' sample time, with the ports' set points held.
+
+        Raises ValueError for another duration.
+        """
+        samples = samples_per(duration_s, self._p.item(lay.P_SAMPLE_TIME_S))
+        for row, state, port in zip(
+            lay.motor_inputs(self._inputs), lay.motor_states(self._state), self._ports, strict=False
+        ):
+            row[:] = port.mode, port.setpoint, port.slope, port.torque_limit_Nm
+            state[loops.LIMITED] = 0.0
+        kernel.advance(self._p, self._state, self._inputs, samples)
+        self._observe()
+
+    def _observe(self) -> None:
+        kernel.observe(self._p, self._state, self._out)
+        position, velocity, *torques = self._out.tolist()
+        for port, torque, state in zip(self._ports, torques, lay.motor_states(self._state), strict=False):
+            port.position_rad = position
+            port.velocity_rad_s = velocity
+            port.torque_Nm = torque
+            port.reference = float(state[loops.REFERENCE])
+            port.torque_limited = bool(state[loops.LIMITED] != 0.0)
+
+    def outputs(self) -> dict[str, float]:
+        """Motion of the shaft and the motors' torques as their drives report them, without sensors."""
+        return dict(zip((q.name for q in self.describe().outputs), self._out.tolist(), strict=True))
+
+    def get_state(self) -> PlantState:
+        """The state now: motion and torques by name, the drives' loops beside them."""
+        torques = lay.motor_states(self._state)[:, loops.TORQUE_NM].tolist()
+        values = [self._state.item(lay.S_X), self._state.item(lay.S_V), *torques]
+        names = (quantity.name for quantity in self.describe().states)
+        return PlantState(dict(zip(names, values, strict=True)), self._memory())
+
+    def set_state(self, state: PlantState | Mapping[str, float]) -> None:
+        """Go on from a state of an equal shaft, or transfer the states given by name. Raises ValueError."""
+        if isinstance(state, PlantState):
+            self._restore(state.memory)
+        else:
+            for name, value in state.items():
+                self._transfer(checked_name("state", name, self.describe().states), value)
+            self._refresh_direction()
+            self._observe()
+
+    def _memory(self) -> object:
+        return self._state.copy()
+
+    def _restore(self, memory: object) -> None:
+        if not isinstance(memory, np.ndarray) or memory.shape != self._state.shape:
+            raise ValueError("a state of another machine, expected one of an equal servo axis")
+        self._state[:] = memory
+        self._observe()
+
+    def _transfer(self, name: str, value: float) -> None:
+        if not np.isfinite(value):
+            raise ValueError(f"{name} = {value!r}, expected a finite number")
+        if name == "x1_rad":
+            self._state[lay.S_X] = value
+        elif name == "v1_rad_s":
+            self._state[lay.S_V] = value
+        else:
+            motor = lay.motor_states(self._state)[int(name.removeprefix("tau").removesuffix("_Nm")) - 1]
+            motor[[loops.TORQUE_NM, loops.COMMAND_NM, loops.INTEGRAL_NM]] = value
+
+    def _refresh_direction(self) -> None:
+        self._state[lay.S_DIRECTION] = np.sign(self._state[lay.S_V])
+
+    def parameter(self, name: str) -> float:
+        """Present value, without what effects make of it. Raises ValueError for an unknown name."""
+        known = (quantity for quantity, _ in PARAMETERS.values())
+        return self._p.item(PARAMETERS[checked_name("parameter", name, known)][1])
+
+    def set_parameter(self, name: str, value: float) -> None:
+        """Give a parameter a value from now on. Raises ValueError for an unknown name or an impossible value."""
+        value = checked_parameter(name, value)
+        self._p[PARAMETERS[name][1]] = value
+        self._refresh_direction()
+
+    def set_input(self, name: str, value: float) -> None:
+        """Torque from outside, from now on. Raises ValueError for an unknown name or a value that is not finite."""
+        checked_name("input", name, (_TORQUE,))
+        if not np.isfinite(value):
+            raise ValueError(f"{name} = {value!r} N·m, expected a finite number")
+        self._inputs[lay.U_TORQUE_NM] = value
+
+    def set_effect(self, effect_id: str, axis: int | None = None, *, slot: int = 0, **parameters: float) -> None:
+        """Give the axis an effect from now on. Raises ValueError for what it cannot have."""
+        lay.check_effect(effect_id, axis, slot, parameters)
+        lay.write_effect(self._p, effect_id, slot, find(effect_id).filled(parameters).values())
+        self._refresh_direction()
+
+    def clear_effect(self, effect_id: str, axis: int | None = None, *, slot: int = 0) -> None:
+        """Make an effect neutral from now on. Raises as `set_effect`."""
+        lay.check_effect(effect_id, axis, slot, find(effect_id).filled({}) if effect_id in IDS else {})
+        lay.write_effect(self._p, effect_id, slot, find(effect_id).filled({}).values())
+        self._refresh_direction()
