@@ -237,3 +237,13 @@ def test_variants_simulated_together_are_those_simulated_alone() -> None:
         simulate(packed, lay.new_state(packed[0]), commands, 0.0015)
     with pytest.raises(ValueError, match=r"expected \(n,\) for one"):
         simulate(packed, lay.new_state(packed[0]), commands[:, None], ROW_S)
+
+
+def test_mean_torque_of_a_cycle_is_what_has_moved_the_shaft() -> None:
+    """Torque at SYNC is not the mean torque: set points come with SYNC, and the torque ripples with them."""
+    model = axis(coulomb_friction_Nm=0.0, viscous_friction_Nm_s_per_rad=0.0)
+    commands = 8.0 * np.sin(6.0 * np.arange(1000) * ROW_S)
+    result = simulate(lay.pack(model), lay.new_state(lay.pack(model)), commands, ROW_S)
+    np.testing.assert_allclose(result.mean_tau_Nm[1:] * ROW_S, J * np.diff(result.v_rad_s), atol=2e-7)
+    between = 0.5 * (result.tau_Nm[1:] + result.tau_Nm[:-1])
+    assert np.abs(between - result.mean_tau_Nm[1:])[100:].max() > 0.005

@@ -129,7 +129,11 @@ def _accept(p: Vector, s: Vector, x: float, v: float, h: float) -> None:
     s[lay.S_V] = v
     for j in range(int(p[lay.P_MOTORS])):
         at = lay.S_MOTORS + j * loops.STATE_SIZE
-        decay = loops.current_decay(h, p[lay.P_LOOPS + j * loops.LOOPS_SIZE + loops.CURRENT_S])
+        time_constant = p[lay.P_LOOPS + j * loops.LOOPS_SIZE + loops.CURRENT_S]
+        decay = loops.current_decay(h, time_constant)
+        if j == 0:
+            command = s[at + loops.COMMAND_NM]
+            s[lay.S_MEAN] += command * h + (s[at + loops.TORQUE_NM] - command) * time_constant * (1.0 - decay)
         s[at + loops.TORQUE_NM] = loops.torque_after(s[at + loops.TORQUE_NM], s[at + loops.COMMAND_NM], decay)
 
 
@@ -153,6 +157,7 @@ def _step(p: Vector, s: Vector, u: Vector, h: float) -> None:
 @compiled
 def _advance(p: Vector, s: Vector, u: Vector, samples: int) -> None:
     period, substeps = p[lay.P_SAMPLE_TIME_S], int(p[lay.P_SUBSTEPS])
+    s[lay.S_MEAN] = 0.0
     for _ in range(samples):
         for j in range(int(p[lay.P_MOTORS])):
             loops.drive_sample(
@@ -169,12 +174,14 @@ def _advance(p: Vector, s: Vector, u: Vector, samples: int) -> None:
         for _ in range(substeps):
             _step(p, s, u, period / substeps)
         s[lay.S_COUNT] += 1.0
+    s[lay.S_MEAN] /= samples * period
 
 
 @compiled
 def _observe(p: Vector, s: Vector, out: Vector, at: int) -> None:
     out[at + lay.O_X] = s[lay.S_X]
     out[at + lay.O_V] = s[lay.S_V]
+    out[at + lay.O_MEAN] = s[lay.S_MEAN] + laws.reported_offset_Nm(p)
     for j in range(int(p[lay.P_MOTORS])):
         torque = s[lay.S_MOTORS + j * loops.STATE_SIZE + loops.TORQUE_NM]
         out[at + lay.O_TORQUE + j] = torque + laws.reported_offset_Nm(p) if j == 0 else torque

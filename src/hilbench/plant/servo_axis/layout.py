@@ -42,16 +42,18 @@ S_COUNT: Final = 0
 S_X: Final = 1
 S_V: Final = 2
 S_DIRECTION: Final = 3  #: of the dry friction: -1, 1, or 0 (sticks)
-S_MOTORS: Final = 4
+S_MEAN: Final = 4  #: N·m, mean torque of the drive in the last step
+S_MOTORS: Final = 5
 
 # Inputs.
 U_TORQUE_NM: Final = 0  #: from outside, forward
 U_MOTORS: Final = 1
 
-# Columns of what is observed: position, speed, then the torque of each motor.
+# Columns of what is observed: position, speed, mean torque of the drive in the last step, then each motor's torque.
 O_X: Final = 0
 O_V: Final = 1
-O_TORQUE: Final = 2
+O_MEAN: Final = 2
+O_TORQUE: Final = 3
 
 
 def _allocate() -> tuple[dict[str, int], int]:

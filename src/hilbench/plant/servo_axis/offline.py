@@ -22,6 +22,7 @@ class Simulation:
     x_rad: Vector
     v_rad_s: Vector
     tau_Nm: Vector  #: torque as the drive reports it
+    mean_tau_Nm: Vector  #: its mean over the time since the row before
     state: Vector  #: (..., S) at the end, to go on from
 
 
@@ -57,4 +58,4 @@ def simulate(
     on_all_cores(run, len(many))
     if np.ndim(parameters) == 1:
         out, states = out[0], states[0]
-    return Simulation(out[..., lay.O_X], out[..., lay.O_V], out[..., lay.O_TORQUE], states)
+    return Simulation(out[..., lay.O_X], out[..., lay.O_V], out[..., lay.O_TORQUE], out[..., lay.O_MEAN], states)

@@ -15,6 +15,7 @@ from hilbench.plant.sampling import samples_per
 from hilbench.plant.servo_axis import kernel
 from hilbench.plant.servo_axis import layout as lay
 from hilbench.plant.servo_axis.effects import IDS, find
+from hilbench.plant.servo_axis.layout import Vector
 from hilbench.plant.servo_axis.parameters import ServoAxisParameters
 
 #: What can be asked for and given, and where it stands in the kernel's parameters.
@@ -68,6 +69,7 @@ class Shaft:
             Quantity("x1_rad", "rad", "position of the motor shaft"),
             Quantity("v1_rad_s", "rad/s", "speed of the motor shaft"),
         )
+        mean = Quantity("tau1_mean_Nm", "N·m", "mean torque of motor 1 in the last step")
         torques = tuple(Quantity(f"tau{k}_Nm", "N·m", f"torque of motor {k}") for k in range(1, motors + 1))
         return PlantDescription(
             kind="servo_axis",
@@ -76,10 +78,20 @@ class Shaft:
             motors=(Motor(axis=1, rad_per_unit=1.0),) * motors,
             states=motion + torques,
             inputs=(_TORQUE,),
-            outputs=motion + torques,
+            outputs=(*motion, mean, *torques),
             parameters=tuple(quantity for quantity, _ in PARAMETERS.values()),
             effects=IDS,
         )
+
+    @property
+    def packed(self) -> Vector:
+        """The kernel's parameter vector, effects included."""
+        return self._p
+
+    @property
+    def external_torque_Nm(self) -> float:
+        """Torque from outside."""
+        return self._inputs.item(lay.U_TORQUE_NM)
 
     @property
     def ports(self) -> tuple[MotorPort, ...]:
@@ -107,7 +119,7 @@ class Shaft:
 
     def _observe(self) -> None:
         kernel.observe(self._p, self._state, self._out)
-        position, velocity, *torques = self._out.tolist()
+        position, velocity, _, *torques = self._out.tolist()
         for port, torque, state in zip(self._ports, torques, lay.motor_states(self._state), strict=False):
             port.position_rad = position
             port.velocity_rad_s = velocity

@@ -1,0 +1,64 @@
+"""How much inertia a load motor can imitate on a servo axis over a sampled bus.
+
+The imitation feeds the acceleration back, filtered and predicted: a loop of gain (J_i − J_r)/J_r with the delay of the
+bus in it. `hilbench.plant.sampled_shaft` has the loop, this module the law.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hilbench.plant.parameters import per_item
+from hilbench.plant.sampled_shaft import (
+    LinearLaw,
+    SampledShaft,
+    imitation_delay_s,
+    largest_stable,
+    spectral_radius_under,
+)
+from hilbench.plant.servo_axis.imitation import FILTER_CYCLES
+from hilbench.plant.servo_axis.rig import ServoRigParameters
+from hilbench.plant.servo_axis.tracking_filter import gains, transition
+
+#: Multiples of the real inertia that are looked through; a shaft of none is the least.
+_MOST_RATIO, _LEAST_RATIO = 20.0, 1.0
+_ACCELERATION = 2  #: place in the filter's motion
+
+
+def sampled_shaft(rig: ServoRigParameters, cycle_s: float) -> SampledShaft:
+    """The real shaft with its drive and load motor. Raises ValueError for an axis without drives."""
+    drives = rig.axis.drives
+    if drives is None:
+        raise ValueError("the axis has no drives, expected 'drives'")
+    return SampledShaft(
+        inertia_kg_m2=rig.inertia_kg_m2,
+        velocity_kp_Nm_s_per_rad=per_item(drives.velocity_kp_Nm_s_per_rad, 1),
+        velocity_ki_Nm_per_rad=per_item(drives.velocity_ki_Nm_per_rad, 1),
+        current_loop_time_constant_s=per_item(drives.current_loop_time_constant_s, 1),
+        load_current_loop_time_constant_s=rig.load_motor.current_loop_time_constant_s,
+        sample_time_s=drives.sample_time_s,
+        cycle_s=cycle_s,
+    )
+
+
+def imitation_law(inertia_kg_m2: float, cycle_s: float, filter_s: float, lead_s: float) -> LinearLaw:
+    """Inertia beyond the real one as `hilbench.plant.servo_axis.imitation` brings it: its memory is the motion."""
+    gain, forward = gains(cycle_s, filter_s), transition(cycle_s)
+    memory = forward - np.outer(gain, forward[0])
+    acceleration = -inertia_kg_m2 * transition(lead_s)[_ACCELERATION]
+    motion = np.column_stack([gain, np.zeros(len(gain))])
+    return LinearLaw(memory, motion, acceleration @ memory, acceleration @ motion)
+
+
+def spectral_radius(shaft: SampledShaft, inertia_kg_m2: float, filter_cycles: float = FILTER_CYCLES) -> float:
+    """Greatest magnitude of the loop's eigenvalues while so much inertia beyond the real one is imitated."""
+    filter_s, lead_s = filter_cycles * shaft.cycle_s, imitation_delay_s(shaft)
+    return spectral_radius_under(shaft, imitation_law(inertia_kg_m2, shaft.cycle_s, filter_s, lead_s))
+
+
+def imitable_inertia_kg_m2(shaft: SampledShaft, filter_cycles: float = FILTER_CYCLES) -> tuple[float, float]:
+    """The least and the largest inertia that the shaft can be made to have without the loop going unstable."""
+    real = shaft.inertia_kg_m2
+    lighter = largest_stable(lambda ratio: spectral_radius(shaft, -ratio * real, filter_cycles), _LEAST_RATIO)
+    heavier = largest_stable(lambda ratio: spectral_radius(shaft, ratio * real, filter_cycles), _MOST_RATIO)
+    return real * (1.0 - lighter), real * (1.0 + heavier)

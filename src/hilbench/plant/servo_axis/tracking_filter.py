@@ -1,0 +1,54 @@
+"""Motion from positions alone: position, speed, acceleration and jerk of a shaft, for what has to follow from them.
+
+An observer of a shaft with constant jerk between two samples, its four poles at exp(-T/T_f): what it says of a motion
+with constant jerk has no lag, whatever T_f is; T_f trades noise against how fast the jerk may change.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from math import exp, factorial
+
+import numpy as np
+
+from hilbench.plant.servo_axis.layout import Vector
+
+#: Position, speed, acceleration, jerk.
+ORDER = 4
+
+
+@lru_cache(64)
+def transition(duration_s: float) -> Vector:
+    """(4, 4): the motion `duration_s` later, with constant jerk."""
+    rows = range(ORDER)
+    return np.array([[duration_s ** (j - i) / factorial(j - i) if j >= i else 0.0 for j in rows] for i in rows])
+
+
+@lru_cache(64)
+def gains(duration_s: float, filter_s: float) -> Vector:
+    """(4,): how much of the deviation of a position goes into the motion (Ackermann's formula)."""
+    forward = transition(duration_s)
+    observed = np.array([forward[0] @ np.linalg.matrix_power(forward, k) for k in range(ORDER)])
+    wanted = np.linalg.matrix_power(forward - exp(-duration_s / filter_s) * np.eye(ORDER), ORDER)
+    return np.asarray(wanted @ np.linalg.solve(observed, np.eye(ORDER)[:, -1]))
+
+
+class TrackingFilter:
+    """The observer; `motion` (4,) is what it says: rad, rad/s, rad/s², rad/s³."""
+
+    def __init__(self, filter_s: float) -> None:
+        self.motion: Vector = np.zeros(ORDER)
+        self._filter_s = filter_s
+
+    def reset(self, position_rad: float) -> None:
+        """At rest at this position."""
+        self.motion = np.array([position_rad, 0.0, 0.0, 0.0])
+
+    def update(self, position_rad: float, duration_s: float) -> None:
+        """The shaft is at `position_rad`, `duration_s` after the last."""
+        ahead = transition(duration_s) @ self.motion
+        self.motion = ahead + gains(duration_s, self._filter_s) * (position_rad - ahead[0])
+
+    def predicted(self, lead_s: float) -> Vector:
+        """(4,): the motion `lead_s` later, with constant jerk."""
+        return np.asarray(transition(lead_s) @ self.motion)
