@@ -1,0 +1,158 @@
+"""A bank of Kalman filters, one for each hypothesis of when a parameter last jumped or began to drift.
+
+They are mixed by evidence: Bayesian change-point detection (Adams and MacKay 2007) with a Kalman filter as the model of
+a run, so that
+a hypothesis is weighed by how well it predicts the next encoder position. Each young hypothesis is kept for a while,
+whatever its weight, so that a small change has time to show; after that the least probable ones go. Between changes
+the mixture is one long-run filter, and quiet; at a change the right hypothesis is already there, and takes over as
+soon as the data prefer it. The deviation is that of the mixture: it says so while it is undecided.
+
+Three kinds of child are born of the most probable hypothesis: a *jump* of the watched parameter (large and small in
+turn), a *drift* (a rate of it), and, of a drift, its *end*.
+
+Means (H, n) and covariances (H, n, n) of all hypotheses stand in arrays, beside them a record (H, RECORD) of each. What
+kind of filter it is the bank does not know: a cycle is a step of each living filter, whose log likelihood is added to
+its weight, then `compare`, `mix` and `births`.
+"""
+
+from __future__ import annotations
+
+from math import exp, log, sqrt
+
+from hilbench.compiled import compiled
+from hilbench.estimation.synchronizers.kalman import Array
+
+_JUMP, _DRIFT, _END = 0, 1, 2
+#: Cycles between two births of a kind, and how long a newborn is kept whatever its weight.
+_EVERY = (2, 50, 50)
+_PROTECTED = (40, 500, 500)
+#: Room for the young of every kind, and for those that have proved themselves.
+_YOUNG = sum(kept // every + 1 for every, kept in zip(_EVERY, _PROTECTED, strict=True))
+CAPACITY = _YOUNG + 8
+#: A hypothesis that has come of age goes when it is less probable than the best by this factor (logarithm).
+_HOPELESS = 12.0
+_SMALL_JUMP = 0.15  #: size of the small jumps over that of the large ones
+
+# Columns of the hypotheses' records.
+WEIGHT, _KIND, _AGE, ALIVE = range(4)
+RECORD = 4
+# What decides of births: priors (logarithms), variances of a jump and of a drift's rate, and the cycle's number.
+LOG_JUMP, LOG_DRIFT, JUMP_VARIANCE, DRIFT_VARIANCE, CYCLE = range(5)
+SETTINGS = 5
+
+
+def set_priors(settings: Array, jumps_per_s: float, drift_onsets_per_s: float, cycle_s: float) -> None:
+    """How often jumps are believed to be, and drifts to begin, as the prior of one birth."""
+    settings[LOG_JUMP] = log(jumps_per_s * _EVERY[_JUMP] * cycle_s)
+    settings[LOG_DRIFT] = log(drift_onsets_per_s * _EVERY[_DRIFT] * cycle_s)
+
+
+@compiled
+def _free_place(records: Array) -> int:
+    """Place of a hypothesis that may go; -1: all are needed."""
+    worst = -1
+    for i in range(records.shape[0]):
+        if records[i, ALIVE] == 0.0:
+            return i
+        of_age = records[i, _AGE] >= _PROTECTED[int(records[i, _KIND])]
+        if of_age and (worst < 0 or records[i, WEIGHT] < records[worst, WEIGHT]):
+            worst = i
+    return worst
+
+
+@compiled
+def _best(records: Array) -> int:
+    best = -1
+    for i in range(records.shape[0]):
+        if records[i, ALIVE] != 0.0 and (best < 0 or records[i, WEIGHT] > records[best, WEIGHT]):
+            best = i
+    return best
+
+
+@compiled
+def _birth(
+    z: Array,
+    p: Array,
+    records: Array,
+    kind: int,
+    log_prior: float,
+    watched: int,
+    rate: int,
+    variance: float,
+    rate_variance: float,
+) -> None:
+    """A child of the best hypothesis, with these variances added to the watched parameter and set for its rate."""
+    parent = _best(records)
+    i = _free_place(records)
+    if i < 0 or i == parent:
+        return
+    size = z.shape[1]
+    for j in range(size):
+        z[i, j] = z[parent, j]
+        for k in range(size):
+            p[i, j, k] = p[parent, j, k]
+    z[i, rate] = 0.0
+    for j in range(size):
+        p[i, rate, j] = 0.0
+        p[i, j, rate] = 0.0
+    p[i, watched, watched] += variance
+    p[i, rate, rate] = rate_variance
+    records[i, WEIGHT] = records[parent, WEIGHT] + log_prior
+    records[i, _KIND] = kind
+    records[i, _AGE] = 0.0
+    records[i, ALIVE] = 1.0
+
+
+@compiled
+def births(z: Array, p: Array, records: Array, settings: Array, watched: int, rate: int) -> None:
+    """The children of this cycle; `watched` and `rate` are places in the filters' state."""
+    cycle = int(settings[CYCLE])
+    if cycle % _EVERY[_JUMP] == 0:
+        size = _SMALL_JUMP if cycle // _EVERY[_JUMP] % 2 else 1.0
+        _birth(z, p, records, _JUMP, settings[LOG_JUMP], watched, rate, settings[JUMP_VARIANCE] * size * size, 0.0)
+    if cycle % _EVERY[_DRIFT] == 0:
+        _birth(z, p, records, _DRIFT, settings[LOG_DRIFT], watched, rate, 0.0, settings[DRIFT_VARIANCE])
+    if cycle % _EVERY[_END] == _EVERY[_END] // 2:
+        best = _best(records)
+        if p[best, rate, rate] > 0.0:
+            _birth(z, p, records, _END, settings[LOG_DRIFT], watched, rate, 0.0, 0.0)
+
+
+@compiled
+def compare(records: Array) -> float:
+    """A cycle older; weights against the best, the hopeless gone. The sum of what is left of them."""
+    best_weight = -1e300
+    for i in range(records.shape[0]):
+        if records[i, ALIVE] != 0.0:
+            records[i, _AGE] += 1.0
+            best_weight = max(best_weight, records[i, WEIGHT])
+    total = 0.0
+    for i in range(records.shape[0]):
+        if records[i, ALIVE] != 0.0:
+            records[i, WEIGHT] -= best_weight
+            if records[i, WEIGHT] < -_HOPELESS and records[i, _AGE] >= _PROTECTED[int(records[i, _KIND])]:
+                records[i, ALIVE] = 0.0
+            else:
+                total += exp(records[i, WEIGHT])
+    return total
+
+
+@compiled
+def mix(z: Array, p: Array, records: Array, total: float, out: Array) -> None:
+    """Means and standard deviations of the mixture into the first two rows of `out`; `total` as of `compare`."""
+    size = z.shape[1]
+    for j in range(size):
+        out[0, j] = 0.0
+        out[1, j] = 0.0
+    for i in range(records.shape[0]):
+        if records[i, ALIVE] != 0.0:
+            share = exp(records[i, WEIGHT]) / total
+            for j in range(size):
+                out[0, j] += share * z[i, j]
+    for i in range(records.shape[0]):
+        if records[i, ALIVE] != 0.0:
+            share = exp(records[i, WEIGHT]) / total
+            for j in range(size):
+                out[1, j] += share * (p[i, j, j] + (z[i, j] - out[0, j]) ** 2)
+    for j in range(size):
+        out[1, j] = sqrt(max(out[1, j], 0.0))
