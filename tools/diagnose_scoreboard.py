@@ -27,14 +27,14 @@ import finished_cases
 import numpy as np
 
 from hilbench.diagnosis.diagnosis import diagnose
-from hilbench.diagnosis.experiments import FORCE_STEP
 from hilbench.diagnosis.measured import measured_from
 from hilbench.diagnosis.predictor import FreeRun
-from hilbench.diagnosis.unobservable import UNKNOWNS, blind_recording
-from hilbench.plant.effects import EFFECTS, Effect, find_effect
+from hilbench.diagnosis.synthetic import UNKNOWNS, hidden_recording
+from hilbench.plant.effects import Effect, MachineKind, effects_of, find_effect
 from hilbench.plant.parameters import EffectEntry
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.parameters import ModelParameters
+from hilbench.plant.web_line.sizes import machine_sizes
 from hilbench.results.recording import Recording
 
 DEMONSTRATOR: dict[str, Any] = {
@@ -50,7 +50,8 @@ DEMONSTRATOR: dict[str, Any] = {
     },
     "boundary": {"upstream_tension_N": 80.0, "downstream_tension_N": 70.0},
 }
-SIZES = (0.25, 1.0, 3.0)  #: of the scale that the vocabulary gives
+TOP_M_S = 4.0
+SIZES = (0.25, 1.0, 3.0)  #: of what the vocabulary says is usual on the demonstrator
 VISIBLE = 50.0
 
 
@@ -82,10 +83,11 @@ class Case:
 def entry(effect: Effect, axis: int | None, size: float, rng: np.random.Generator, duration_s: float) -> dict[str, Any]:
     """An effect of that size; what shapes it at random."""
     values: dict[str, float] = {}
+    sizes = machine_sizes(ModelParameters.model_validate(DEMONSTRATOR), axis, top_speed_m_s=TOP_M_S)
     for parameter in effect.parameters:
         if parameter.name in effect.strength:
             sign = rng.choice([-1.0, 1.0]) if parameter.lower < 0.0 else 1.0
-            values[parameter.name] = float(sign * size * parameter.scale)
+            values[parameter.name] = float(sign * size * parameter.size.on(sizes))
         elif parameter.name == "phase_rad":
             values[parameter.name] = float(rng.uniform(-3.0, 3.0))
         elif parameter.name == "order":
@@ -103,7 +105,11 @@ def entry(effect: Effect, axis: int | None, size: float, rng: np.random.Generato
 
 def places() -> list[tuple[Effect, int | None]]:
     """Every effect at every place."""
-    return [(effect, axis) for effect in EFFECTS for axis in ((1, 2) if effect.per_axis else (None,))]
+    return [
+        (effect, axis)
+        for effect in effects_of(MachineKind.WEB_LINE)
+        for axis in ((1, 2) if effect.per_axis else (None,))
+    ]
 
 
 def machine(seed: int) -> tuple[ModelParameters, float, float]:
@@ -154,13 +160,13 @@ def cases(what: list[str], seeds: range, duration_s: float) -> list[Case]:
 
 def run(case: Case) -> Case:
     """Make the recording, diagnose, compare."""
-    model, top_m_s, noise = ModelParameters.model_validate(DEMONSTRATOR), 4.0, 1.0
+    model, top_m_s, noise = ModelParameters.model_validate(DEMONSTRATOR), TOP_M_S, 1.0
     if case.machine:
         model, top_m_s, noise = machine(zlib.crc32(case.name.encode()))
     effects = [EffectEntry.model_validate(item) for item in case.hidden]
 
     def made(factor: float) -> Recording:
-        return blind_recording(
+        return hidden_recording(
             model,
             effects,
             duration_s=case.duration_s,
@@ -210,7 +216,7 @@ def right(case: Case) -> bool:
 
 def named(tied: str, axis: int | None) -> tuple[str, int | None]:
     """Effect and axis of a tied effect as it is printed; without an axis it is the one of what it is tied with."""
-    if tied == FORCE_STEP:
+    if tied in {effect.lookalike.name for effect in effects_of(MachineKind.WEB_LINE) if effect.lookalike is not None}:
         return tied, None
     effect, _, other = tied.partition(" (axis ")
     if other:

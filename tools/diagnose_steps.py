@@ -144,7 +144,7 @@ def _note(case: Case, found: Diagnosis) -> None:
             time_s, change = effect.parameters["time_s"], effect.parameters["relative_change"]
             case.named_time_s, case.named_change = [time_s.value, *time_s.ci95], [change.value, *change.ci95]
     if found.verdict == "unknown":
-        case.problem = "; ".join(f"{m.signal} {m.condition} {m.detail}" for m in found.left[:3])
+        case.problem = "; ".join(f"{m.signal} {m.condition} {m.detail}" for m in found.unexplained[:3])
 
 
 def table(done: list[Case]) -> str:

@@ -7,12 +7,11 @@ the same to all of them. A device has other values of its own in such objects fr
 
 from __future__ import annotations
 
-from collections.abc import Container, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from hilbench.exchange.effect_objects import EFFECTS_INDEX
-from hilbench.plant.effects import EFFECTS, RIG_DOMAINS, Domain, Effect
+from hilbench.plant.effects import Effect, EffectPlace, MachineKind, effects_of
 
 EDS_FOLDER = Path(__file__).resolve().parent.parent / "eds"
 
@@ -193,12 +192,15 @@ def _by_group(index: int, name: str, verb: str) -> Object:
 # --- effects of the simulated hardware -------------------------------------------------------------------------------
 
 
-def effect_objects(effects: Sequence[Effect], domains: Container[Domain]) -> list[Object]:
-    """One record per effect of `domains` at 2200h + its position in the table; sub-indices: its parameters, REAL32."""
+def effect_objects(place: EffectPlace) -> list[Object]:
+    """One record per effect that enters there, of every kind of machine; sub-indices: its parameters, REAL32."""
+    effects: dict[int, Effect] = {}
+    for kind in MachineKind:
+        effects |= {effect.object_index: effect for effect in effects_of(kind) if effect.enters(place)}
     return [
         compound(
-            EFFECTS_INDEX + position,
-            effect.id,
+            index,
+            effect.id if effect in effects_of(MachineKind.WEB_LINE) else f"{effect.id} (rotary)",
             RECORD,
             {
                 sub: Entry(
@@ -210,8 +212,7 @@ def effect_objects(effects: Sequence[Effect], domains: Container[Domain]) -> lis
                 for sub, parameter in enumerate(effect.parameters, 1)
             },
         )
-        for position, effect in enumerate(effects)
-        if effect.domain in domains
+        for index, effect in sorted(effects.items())
     ]
 
 
@@ -315,7 +316,7 @@ def servo() -> DeviceDescription:
         len(tpdos),
         (
             *communication_objects(device_type, product, name, rpdos, tpdos),
-            *effect_objects(EFFECTS, RIG_DOMAINS),
+            *effect_objects(EffectPlace.HARDWARE),
             *DRIVE_OBJECTS,
         ),
     )

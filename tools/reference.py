@@ -19,7 +19,7 @@ from hilbench.canopen.eds import all_variables, load_eds
 from hilbench.canopen.eds import variable as find_variable
 from hilbench.cia402.object_units import has_drive_unit, si_unit
 from hilbench.cli.main import app
-from hilbench.plant.effects import EFFECTS, IMITATED_DOMAINS, RIG_DOMAINS, Effect, Parameter
+from hilbench.plant.effects import EFFECTS, Effect, EffectPlace, MachineKind, Parameter
 from hilbench.runs.config import ExperimentConfig
 from hilbench.runs.config_text import json_schema
 from hilbench.runs.metrics import METRICS
@@ -294,10 +294,23 @@ def effects_page() -> str:
     for effect in EFFECTS:
         several = f" Up to {effect.slots} at one place." if effect.slots > 1 else ""
         lines += [f"## {effect.id}", "", f"{effect.law}. Of {_place(effect)}; enters: {_domain(effect)}.{several}", ""]
-        lines += _table(
-            ("parameter", "unit", "neutral", "least", "largest", ""), (_effect_row(p) for p in effect.parameters)
+        kinds = " and ".join(f"`{kind}`" for kind in MachineKind if kind in effect.kinds)
+        bus = (
+            f"Object {effect.object_index:04X}h of the drive, on its bus. "
+            if effect.enters(EffectPlace.HARDWARE)
+            else ""
         )
+        lines += [f"Machines: {kinds}. {bus}Shown best: {effect.shown_by}.", ""]
+        lines += _parameters(effect)
+        if effect.rotary is not None:
+            turned = effect.in_kind(MachineKind.SERVO_AXIS)
+            lines += [f"On a machine that only turns, object {turned.object_index:04X}h: {turned.law}.", ""]
+            lines += _parameters(turned)
     return "\n".join(lines)
+
+
+def _parameters(effect: Effect) -> Iterator[str]:
+    return _table(("parameter", "unit", "neutral", "least", "largest", ""), (_effect_row(p) for p in effect.parameters))
 
 
 def _place(effect: Effect) -> str:
@@ -309,8 +322,7 @@ def _domain(effect: Effect) -> str:
 
 
 def _hidden_in(effect: Effect) -> str:
-    places = (("`load:`", IMITATED_DOMAINS), ("`hardware:`", RIG_DOMAINS))
-    return ", ".join(name for name, domains in places if effect.domain in domains)
+    return ", ".join(f"`{place}:`" for place in (EffectPlace.LOAD, EffectPlace.HARDWARE) if effect.enters(place))
 
 
 def _effect_row(parameter: Parameter) -> tuple[str, ...]:

@@ -15,7 +15,7 @@ from tests.cli.in_process import hilbench
 
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.errors import BenchFaultError, UnusableInputError, UnusableValueError
-from hilbench.plant.effects import EFFECTS
+from hilbench.plant.effects import MachineKind, effects_of
 from hilbench.runs.config import load
 from hilbench.runs.scenario import read_scenario
 from hilbench.scripts.bench import Bench
@@ -40,7 +40,9 @@ def as_number(value: object) -> float | None:
 
 
 def test_every_effect_can_be_set_somewhere_and_where_it_has_no_place_it_is_refused() -> None:
-    assert {path.split(".")[2] for path in PATHS if ".effects." in path} == {effect.id for effect in EFFECTS}
+    assert {path.split(".")[2] for path in PATHS if ".effects." in path} == {
+        effect.id for effect in effects_of(MachineKind.WEB_LINE)
+    }
     for path in ("hardware.effects.elasticity_drift.rate_per_s", "load.effects.inertia_mismatch.axis2.relative_change"):
         with pytest.raises(ValueError, match=r"load model|hardware"):
             settable_path(path)

@@ -18,7 +18,7 @@ from hilbench.canopen.eds import load_eds
 from hilbench.cia402.configuration import default_reader
 from hilbench.cia402.units import DriveUnits
 from hilbench.exchange.effect_objects import bind_effect_objects, effect_object
-from hilbench.plant.effects import EFFECTS, RIG_DOMAINS
+from hilbench.plant.effects import EffectPlace, MachineKind, effects_of
 
 ROOT = Path(__file__).parents[2]
 FILES = ("hilbench_servo.eds", "hilbench_virtual_io.eds")
@@ -87,8 +87,8 @@ def test_an_effect_starts_with_its_neutral_values_and_has_them_again_after_a_res
     device.boot()
     neutral = {
         effect_object(effect.id, parameter.name): parameter.neutral
-        for effect in EFFECTS
-        if effect.domain in RIG_DOMAINS
+        for effect in effects_of(MachineKind.WEB_LINE)
+        if effect.enters(EffectPlace.HARDWARE)
         for parameter in effect.parameters
     }
     assert any(neutral.values())
@@ -106,15 +106,40 @@ def test_units_of_the_demonstrator() -> None:
     assert units.velocity_rad_s == pytest.approx(1.0472e-5, rel=1e-4)
 
 
-def test_every_effect_of_the_stand_has_its_object() -> None:
+@pytest.mark.parametrize("kind", MachineKind)
+def test_every_effect_of_the_rig_has_its_object(kind: MachineKind) -> None:
     od = load_eds(ROOT / "eds" / FILES[0], 1)
-    for position, effect in enumerate(EFFECTS):
-        index = 0x2200 + position
-        assert (index in od) == (effect.domain in RIG_DOMAINS)
-        if index in od:
-            assert od[index].name == effect.id
-            names = [od[index][sub].name.split(" ")[0] for sub in range(1, len(effect.parameters) + 1)]
+    for effect in effects_of(kind):
+        assert (effect.object_index in od) == effect.enters(EffectPlace.HARDWARE)
+        if effect.object_index in od:
+            record = od[effect.object_index]
+            assert record.name.split(" ")[0] == effect.id
+            names = [record[sub].name.split(" ")[0] for sub in range(1, len(effect.parameters) + 1)]
             assert names == [parameter.name for parameter in effect.parameters]
+
+
+#: What is in the field: masters that were written for these addresses must go on to find what they did there.
+ADDRESSES = {
+    "coulomb_friction": 0x2200,
+    "viscous_friction": 0x2201,
+    "stribeck_friction": 0x2202,
+    "friction_asymmetry": 0x2204,
+    "torque_ripple": 0x2205,
+    "torque_offset": 0x2206,
+    "torque_scale": 0x2207,
+    "torque_delay": 0x2208,
+    "inertia_mismatch": 0x2209,
+    "backlash": 0x220A,
+    "unbalance": 0x2214,
+}
+
+
+def test_a_new_row_of_the_vocabulary_renumbers_no_object() -> None:
+    hardware = [effect for effect in effects_of(MachineKind.WEB_LINE) if effect.enters(EffectPlace.HARDWARE)]
+    assert {effect.id: effect.object_index for effect in hardware}.items() >= ADDRESSES.items()
+    rows = [effect for kind in MachineKind for effect in effects_of(kind)]
+    index = {(effect.id, effect.parameters): effect.object_index for effect in rows}
+    assert len(set(index.values())) == len(index)
 
 
 def test_virtual_io_maps_what_the_design_says() -> None:

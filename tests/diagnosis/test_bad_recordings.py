@@ -10,7 +10,7 @@ from tests.plant.models import model
 
 from hilbench.diagnosis.diagnosis import diagnose
 from hilbench.diagnosis.measured import measured_from
-from hilbench.diagnosis.unobservable import blind_recording
+from hilbench.diagnosis.synthetic import hidden_recording
 from hilbench.errors import UnusableInputError
 from hilbench.results.recording import Recording
 
@@ -19,7 +19,7 @@ Channels = dict[str, np.ndarray]
 
 @pytest.fixture(scope="module")
 def good() -> Channels:
-    return dict(blind_recording(model(), [], duration_s=12.0).channels)
+    return dict(hidden_recording(model(), [], duration_s=12.0).channels)
 
 
 def without(name: str) -> Callable[[Channels], Channels]:

@@ -15,11 +15,11 @@ from tests.plant.models import effect, model
 from hilbench.bench.bench import Bench
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.diagnosis.diagnosis import Diagnosis, diagnose
-from hilbench.diagnosis.experiments import FORCE_STEP
 from hilbench.diagnosis.imitated import imitation_beside, imitation_of
 from hilbench.diagnosis.measured import measured_from
 from hilbench.diagnosis.predictor import predictor_for
-from hilbench.diagnosis.unobservable import blind_recording
+from hilbench.diagnosis.synthetic import hidden_recording
+from hilbench.plant.effects import find_effect
 from hilbench.plant.parameters import EffectEntry
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.imitation import Imitation
@@ -107,8 +107,10 @@ def test_dry_friction_that_sets_in_is_not_sold_as_a_step_of_E() -> None:
     friction = {"step": {"path": "hardware.effects.coulomb_friction.axis2.force_N", "to": 6.0}}
     config, recording = bench([hold(0.3), speed(3.0), hold(2.0), friction, hold(2.5), speed(1.0), hold(0.5)])
     found = diagnosed(config, recording)
-    said = [other for named in found.effects for other in named.tied_with] + [m.condition for m in found.left]
-    assert FORCE_STEP in said
+    said = [other for named in found.effects for other in named.tied_with] + [m.condition for m in found.unexplained]
+    lookalike = find_effect("elasticity_step").lookalike
+    assert lookalike is not None
+    assert lookalike.name in said
 
 
 def test_a_bench_without_noise_is_predicted_to_the_resolution_of_its_drives() -> None:
@@ -126,7 +128,7 @@ def test_a_bench_without_noise_is_predicted_to_the_resolution_of_its_drives() ->
 
 def test_a_web_that_is_there_is_not_predicted_as_an_imitated_one() -> None:
     item = EffectEntry.model_validate(effect("elasticity_step", time_s=6.1, relative_change=0.1))
-    recording = blind_recording(model(), [item], duration_s=12.0, seed=3)
+    recording = hidden_recording(model(), [item], duration_s=12.0, seed=3)
     plain = diagnose(recording, model(), "a machine")
     with_bench = diagnose(recording, model(), "a machine", imitation=Imitation(0.002))
     assert plain.effects == with_bench.effects

@@ -14,7 +14,7 @@ from tests.cli.in_process import hilbench
 from tests.plant.models import DEMONSTRATOR, effect, model
 
 from hilbench.diagnosis.diagnosis import Diagnosis, diagnose
-from hilbench.diagnosis.unobservable import UNKNOWNS, blind_recording
+from hilbench.diagnosis.synthetic import UNKNOWNS, hidden_recording
 from hilbench.plant.parameters import EffectEntry
 from hilbench.plant.web_line.parameters import load_model
 from hilbench.results.recording import read_recording, write_recording
@@ -27,7 +27,7 @@ DURATION_S = 24.0
 
 def hidden(*effects: dict[str, Any], duration_s: float = DURATION_S, **options: Any) -> Diagnosis:
     entries = [EffectEntry.model_validate(item) for item in effects]
-    recording = blind_recording(model(), entries, duration_s=duration_s, **options)
+    recording = hidden_recording(model(), entries, duration_s=duration_s, **options)
     return diagnose(recording, model(), "blind")
 
 
@@ -75,7 +75,7 @@ def test_a_pair_is_told_apart_and_the_extended_model_closes_the_gap(tmp_path: Pa
     found = hidden(*pair, seed=4)
     assert places(found) == [("coulomb_friction", 2), ("elasticity_shift", None)]
     again = diagnose(
-        blind_recording(model(), [EffectEntry.model_validate(p) for p in pair], duration_s=DURATION_S, seed=5),
+        hidden_recording(model(), [EffectEntry.model_validate(p) for p in pair], duration_s=DURATION_S, seed=5),
         found.model,
         "blind",
     )
@@ -87,7 +87,7 @@ def test_what_no_effect_explains_is_called_unknown(name: str) -> None:
     found = hidden(seed=2, unknown=(name, UNKNOWNS[name][1][2]), duration_s=12.0)
     assert found.verdict == "unknown"
     assert found.effects == []
-    assert found.left or found.gap.after > 1.05 * found.gap.noise_floor
+    assert found.unexplained or found.gap.after > 1.05 * found.gap.noise_floor
     assert found.model.effects == ()
 
 
@@ -141,7 +141,7 @@ def command(*arguments: object) -> subprocess.CompletedProcess[str]:
 
 def test_the_command_prints_the_agreed_object_and_writes_page_and_model(tmp_path: Path) -> None:
     item = effect("viscous_friction", 2, coefficient_N_s_per_m=3.0)
-    recording = blind_recording(model(), [EffectEntry.model_validate(item)], duration_s=12.0)
+    recording = hidden_recording(model(), [EffectEntry.model_validate(item)], duration_s=12.0)
     write_recording(recording, tmp_path / "run.csv.gz")
     (tmp_path / "model.yaml").write_text(yaml.safe_dump(DEMONSTRATOR))
     out = tmp_path / "out"

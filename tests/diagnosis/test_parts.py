@@ -10,16 +10,15 @@ from scipy.signal import lfilter
 from tests.plant.models import effect, lone_axis, model
 
 from hilbench.diagnosis.diagnosis import Value
-from hilbench.diagnosis.experiments import SHOWN_BY
 from hilbench.diagnosis.measured import measured_from
 from hilbench.diagnosis.misfit import Condition, located, misfits
 from hilbench.diagnosis.noise import floor, repeats, whitening
 from hilbench.diagnosis.predictor import between
 from hilbench.diagnosis.proposals import Proposer, peaks
 from hilbench.diagnosis.space import Linear, Split
+from hilbench.diagnosis.synthetic import hidden_recording
 from hilbench.diagnosis.terms import Term, extended, pack_with
-from hilbench.diagnosis.unobservable import blind_recording
-from hilbench.plant.effects import EFFECTS, find_effect
+from hilbench.plant.effects import MachineKind, effects_of, find_effect
 from hilbench.plant.parameters import EffectEntry
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.inverse import required_torque_Nm
@@ -28,7 +27,9 @@ from hilbench.plant.web_line.parameters import ModelParameters, load_model, writ
 
 def term(effect_id: str, axis: int | None, **values: float) -> Term:
     found = find_effect(effect_id)
-    return Term(found, axis, 0, {**found.filled({}), **values}, found.filled({}), {"order": 1e-3, "speed_m_s": 1e-3})
+    return Term(
+        found, axis, 0, {**found.filled({}), **values}, found.filled({}), {"order": 1e-3, "speed_m_s": 1e-3}, 1.0
+    )
 
 
 @given(st.floats(1e-6, 1e-3), st.floats(-3.1, 3.1))
@@ -57,13 +58,11 @@ def test_a_strength_is_kept_within_its_bounds() -> None:
     assert term("torque_offset", 1, offset_Nm=0.1).allowed(-2.0)
 
 
-def test_every_effect_knows_the_experiment_that_shows_it() -> None:
-    assert set(SHOWN_BY) == {e.id for e in EFFECTS}
-
-
 def test_an_extended_model_is_a_model_file_that_runs_with_what_was_there(tmp_path) -> None:
     base = model(effect("coulomb_friction", 2, force_N=2.0), effect("torque_ripple", 1, amplitude_Nm=0.1, order=3.0))
-    ripple = Term(find_effect("torque_ripple"), 1, 1, {"amplitude_Nm": 0.2, "order": 7.0, "phase_rad": 0.0}, {}, {})
+    ripple = Term(
+        find_effect("torque_ripple"), 1, 1, {"amplitude_Nm": 0.2, "order": 7.0, "phase_rad": 0.0}, {}, {}, 1.0
+    )
     found = extended(base, [term("coulomb_friction", 2, force_N=5.0), ripple])
     write_model(tmp_path / "m.yaml", found)
     again = load_model(tmp_path / "m.yaml")
@@ -168,20 +167,22 @@ def test_the_required_torque_of_a_lone_axis_is_newtons() -> None:
 
 def test_proposals_cover_the_vocabulary() -> None:
     plain = model()
-    data = measured_from(blind_recording(plain, [], duration_s=10.0), plain, "blind")
+    data = measured_from(hidden_recording(plain, [], duration_s=10.0), plain, "blind")
     made = Proposer(plain, data)
-    ids = {t.effect.id for t in made.plain()} | {t.effect.id for t in made.steps(made.step_times_s()[0], [])}
+    ids = {t.effect.id for t in made.plain()} | {
+        t.effect.id for t in made.onsets(find_effect("elasticity_step"), made.onset_times_s()[0], [])
+    }
     noise = {name: np.random.default_rng(0).standard_normal(5000) for name in ("tau1_Nm", "tau2_Nm")}
     ids |= {t.effect.id for t in made.searched(noise, [], 1)}
-    ids |= {t.effect.id for t in [made.ramp(3.0, 2.0, [])] if t is not None}
-    assert ids == {e.id for e in EFFECTS}
+    ids |= {t.effect.id for t in made.gradual(find_effect("elasticity_step"), 3.0, 2.0, [])}
+    assert ids == {e.id for e in effects_of(MachineKind.WEB_LINE)}
 
 
 def test_a_lone_axis_has_no_effects_of_a_web() -> None:
     axis = ModelParameters.model_validate({"rollers": {"radius_m": 1.0, "inertia_kg_m2": 3.0}})
     assert EffectEntry(effect="coulomb_friction", axis=1, parameters={"force_N": 1.0})
     plain = model()
-    data = measured_from(blind_recording(plain, [], duration_s=10.0), plain, "blind")
+    data = measured_from(hidden_recording(plain, [], duration_s=10.0), plain, "blind")
     assert {t.effect.per_axis for t in Proposer(axis, data).plain()} == {True}
 
 
@@ -232,7 +233,7 @@ def test_a_place_of_a_misfit_is_never_an_empty_interval() -> None:
 
 def test_no_ripple_is_proposed_whose_period_the_recording_does_not_hold() -> None:
     plain = model()
-    data = measured_from(blind_recording(plain, [], duration_s=12.0), plain, "blind")
+    data = measured_from(hidden_recording(plain, [], duration_s=12.0), plain, "blind")
     turns = np.ptp(data.x_m[1]) * plain.motor_rad_per_m(1) / (2.0 * np.pi)
     slow = np.sin(2.0 * np.pi * data.x_m[1] * plain.motor_rad_per_m(1) / (2.0 * np.pi) * 0.5 / turns)
     noise = dict.fromkeys(("tau1_Nm", "tau2_Nm"), 50.0 * slow)

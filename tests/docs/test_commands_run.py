@@ -23,7 +23,7 @@ from typer.testing import CliRunner
 from hilbench.can.open import BusAddress, open_link
 from hilbench.canopen.listening import present
 from hilbench.cli.main import app
-from hilbench.diagnosis.unobservable import blind_recording
+from hilbench.diagnosis.synthetic import hidden_recording
 from hilbench.plant.parameters import EffectEntry
 from hilbench.plant.web_line.parameters import write_model
 from hilbench.results.recording import write_recording
@@ -108,7 +108,7 @@ def stand(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stand]:
     model = load(folder / "bench_configs" / "web_section_step.yaml")[0].model
     write_model(folder / "model.yaml", model)
     friction = EffectEntry(effect="coulomb_friction", axis=2, parameters={"force_N": 4.2})
-    write_recording(blind_recording(model, [friction], duration_s=12.0), folder / "blind.mf4")
+    write_recording(hidden_recording(model, [friction], duration_s=12.0), folder / "blind.mf4")
     (folder / "machine.csv").write_text("Zeit;M2\n0;1,5\n2;1,6\n4;1,4\n")
     columns = {"file": {"delimiter": ";", "decimal": ","}}
     columns["channels"] = {"t_s": {"column": "Zeit", "factor": "0.001"}, "tau2_Nm": "M2"}

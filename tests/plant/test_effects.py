@@ -8,13 +8,24 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
 
-from hilbench.plant.effects import EFFECTS, find_effect
+from hilbench.plant.effects import (
+    EFFECTS,
+    Effect,
+    EffectPlace,
+    MachineKind,
+    effect_problem,
+    effects_of,
+    find_effect,
+)
 from hilbench.plant.motor_port import MotorMode, MotorPort
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line import offline
 from hilbench.plant.web_line.line import Line
 from hilbench.plant.web_line.parameters import ModelParameters
+from hilbench.plant.web_line.sizes import machine_sizes
+from hilbench.plant.web_line.span import SpanFollower
 
 from .models import effect, line_of, lone_axis, model
 
@@ -32,12 +43,19 @@ def run(parameters: ModelParameters, rows: int = 400, speed: float = 1.0) -> off
     return offline.simulate(p, offline.start_state(p, parameters), commands, boundary, ROW_S)
 
 
+def usual(item: Effect) -> dict[str, float]:
+    """Every parameter at its usual size on the demonstrator, onsets early."""
+    sizes = machine_sizes(model(), 2, top_speed_m_s=4.0)
+    values = {q.name: min(max(q.size.on(sizes), q.lower), q.upper) for q in item.parameters}
+    return values | ({"time_s": 0.1} if "time_s" in values else {})
+
+
 def entries(neutral: bool) -> list[dict[str, Any]]:
     result = []
-    for item in EFFECTS:
-        values = {q.name: q.neutral if neutral and q.name in item.strength else q.scale for q in item.parameters}
-        if item.id in ("elasticity_step", "elasticity_ramp"):
-            values["time_s"] = 0.1
+    for item in effects_of(MachineKind.WEB_LINE):
+        values = usual(item)
+        if neutral:
+            values |= {name: item.parameter(name).neutral for name in item.strength}
         result.append(effect(item.id, 2 if item.per_axis else None, **values))
     return result
 
@@ -225,8 +243,7 @@ def test_web_is_conserved_in_a_line_whose_ends_stand_still() -> None:
 )
 def test_no_web_pushes_and_nothing_runs_away(speeds: list[float], difference: float, which: str) -> None:
     item = find_effect(which)
-    values = {q.name: min(max(q.scale, q.lower), q.upper) for q in item.parameters}
-    parameters = model(effect(which, 2 if item.per_axis else None, **values))
+    parameters = model(effect(which, 2 if item.per_axis else None, **usual(item)))
     p = lay.pack(parameters)
     v = np.repeat(speeds, 50)
     commands = np.column_stack([v, v * (1 + difference)])
@@ -258,3 +275,79 @@ def test_time_of_a_step_acts_continuously() -> None:
 
     early, middle, late = strain_after(0.05), strain_after(0.0505), strain_after(0.051)
     assert min(early, late) < middle < max(early, late)
+
+
+UNBALANCE = {"amplitude_Nm": 4.0, "phase_rad": 0.7}
+
+
+def test_a_roller_out_of_balance_swings_like_a_pendulum() -> None:
+    """3·θ'' = T - 2·θ' + A·sin(θ + φ0) on a roller of 1 m and 3 kg at the web, by another solver."""
+    entries = effect("unbalance", 1, **UNBALANCE), effect("viscous_friction", 1, coefficient_N_s_per_m=2.0)
+    swung = lone(1.5, 2000, *entries)
+
+    def rates(t: float, y: Any) -> list[float]:
+        return [y[1], (1.5 - 2.0 * y[1] + 4.0 * np.sin(y[0] + 0.7)) / 3.0]
+
+    t = np.arange(2000) * ROW_S
+    expected = solve_ivp(rates, (0.0, t[-1]), [0.0, 0.0], t_eval=t, method="DOP853", rtol=1e-11, atol=1e-12).y
+    assert np.ptp(expected[0]) > 0.5
+    np.testing.assert_allclose(swung.x_m[:, 0], expected[0], atol=1e-8)
+    np.testing.assert_allclose(swung.v_m_s[:, 0], expected[1], atol=1e-8)
+
+
+def test_unbalance_of_a_geared_roller_is_the_ripple_of_the_motor_that_has_its_angle_and_torque() -> None:
+    """Of the roller's angle and torque: through a gear of 5, a ripple of a fifth of the order and of the amplitude."""
+    ripple = effect("torque_ripple", 2, amplitude_Nm=0.8, order=0.2, phase_rad=0.7)
+    one, other = run(model(effect("unbalance", 2, **UNBALANCE))), run(model(ripple))
+    assert np.abs(one.tau_Nm - run(model()).tau_Nm).max() > 0.1
+    np.testing.assert_allclose(one.tau_Nm, other.tau_Nm, atol=1e-7)
+    np.testing.assert_allclose(one.F_N, other.F_N, atol=1e-5)
+
+
+def test_a_load_motor_imitates_unbalance_by_the_angle_of_the_roller() -> None:
+    plain, unbalanced = (SpanFollower(model(*entries)) for entries in ((), (effect("unbalance", 2, **UNBALANCE),)))
+    for x_m in (0.03, 0.3, 0.9):
+        torques = []
+        for web in (plain, unbalanced):
+            web.reset((x_m, x_m))
+            torques.append(web.web_torque_Nm(2, 1.0))
+        assert torques[1] - torques[0] == pytest.approx(4.0 * np.sin(x_m / 0.2 + 0.7) / 5.0)
+
+
+def test_effects_of_a_roller_are_imitated_only_where_a_load_motor_is() -> None:
+    def problem(effect_id: str, axis: int | None, place: EffectPlace) -> str | None:
+        return effect_problem(effect_id, axis, place, 3, (2,))
+
+    for effect_id in ("coulomb_friction", "unbalance"):
+        assert problem(effect_id, 2, EffectPlace.LOAD) is None
+        assert "axis 2, where the load motor is" in str(problem(effect_id, 3, EffectPlace.LOAD))
+        assert problem(effect_id, 3, EffectPlace.HARDWARE) is None
+        assert "1 to 3" in str(problem(effect_id, 4, EffectPlace.HARDWARE))
+    assert "'hardware:'" in str(problem("torque_offset", 2, EffectPlace.LOAD))
+    assert "the web is the load model's" in str(problem("elasticity_shift", None, EffectPlace.HARDWARE))
+    assert "unknown effect 'friction'" in str(problem("friction", 1, EffectPlace.LOAD))
+
+
+def test_a_machine_that_turns_has_frictions_in_newton_metres_and_no_web() -> None:
+    rotary = {item.id: item for item in effects_of(MachineKind.SERVO_AXIS)}
+    assert {"coulomb_friction", "viscous_friction", "inertia_mismatch", "unbalance"} <= rotary.keys()
+    assert not {"elasticity_step", "web_slip", "roller_eccentricity"} & rotary.keys()
+    units = {q.unit for item in rotary.values() for q in item.parameters}
+    assert not {unit for unit in units if unit in ("N", "m", "m/s", "N·s/m")}
+    assert find_effect("coulomb_friction", MachineKind.SERVO_AXIS).parameters[0].name == "torque_Nm"
+    with pytest.raises(KeyError, match="unknown effect 'web_slip'"):
+        find_effect("web_slip", MachineKind.SERVO_AXIS)
+
+
+@pytest.mark.parametrize("item", EFFECTS, ids=lambda e: e.id)
+def test_a_row_has_all_that_a_search_needs(item: Effect) -> None:
+    assert item.shown_by
+    names = {q.name for q in item.parameters}
+    if item.probe is not None:
+        assert item.probe.parameter in names
+        assert not item.probe.duration or item.probe.duration in names
+    for q in item.parameters:
+        assert q.size.on(machine_sizes(model(), 1, top_speed_m_s=4.0)) > 0.0
+    if item.at_once is not None:
+        sudden = find_effect(item.at_once)
+        assert {q.name for q in sudden.parameters} < names

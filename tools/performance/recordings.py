@@ -8,7 +8,7 @@ import numpy as np
 
 from hilbench.diagnosis.diagnosis import diagnose
 from hilbench.diagnosis.synchronization import compare_methods, methods_of
-from hilbench.diagnosis.unobservable import blind_recording
+from hilbench.diagnosis.synthetic import hidden_recording
 from hilbench.estimation.synthetic import simulated_measurements
 from hilbench.plant.parameters import EffectEntry
 from hilbench.plant.web_line.parameters import ModelParameters
@@ -24,10 +24,10 @@ def diagnosis(model: ModelParameters, lengths_s: list[float]) -> Section:
         "Diagnosis against length of recording",
         "One effect hidden, the whole vocabulary tried; rows of 2 ms, machine code in place.",
     )
-    diagnose(blind_recording(model, [_HIDDEN], duration_s=min(lengths_s), seed=1), model, "warm-up")
+    diagnose(hidden_recording(model, [_HIDDEN], duration_s=min(lengths_s), seed=1), model, "warm-up")
     first = 0.0
     for length in lengths_s:
-        recording = blind_recording(model, [_HIDDEN], duration_s=length, seed=2)
+        recording = hidden_recording(model, [_HIDDEN], duration_s=length, seed=2)
         start = time.perf_counter()
         found = diagnose(recording, model, "blind")
         spent = time.perf_counter() - start

@@ -165,7 +165,7 @@ def as_data(found: Diagnosis, live: list[LiveGap], not_compared: str, files: _Fi
         ],
         "unexplained": [
             {"signal": m.signal, "when": m.when, "condition": m.condition, "detail": m.detail, "points": m.points}
-            for m in found.left
+            for m in found.unexplained
         ],
         "blind_to": [
             {
@@ -175,7 +175,7 @@ def as_data(found: Diagnosis, live: list[LiveGap], not_compared: str, files: _Fi
                 "unit": b.unit,
                 "experiment": b.experiment,
             }
-            for b in found.blind_to
+            for b in found.unobservable
         ],
         "missing_channels": found.missing_channels,
         "imitation_cycle_s": None if found.imitation is None else found.imitation.cycle_s,
@@ -222,7 +222,7 @@ def _show(console: Console, found: Diagnosis) -> None:
         gaps.add_row(gap.signal, f"{gap.before:.4g}", f"{gap.after:.4g}", f"{gap.noise_floor:.4g}")
     console.print(gaps)
     _show_where(console, found)
-    for blind in found.blind_to:
+    for blind in found.unobservable:
         place = f" of axis {blind.axis}" if blind.axis else ""
         console.print(f"these data could hardly show {blind.effect}{place}; next experiment: {blind.experiment}")
     if found.missing_channels:
@@ -255,7 +255,7 @@ def _live_table(live: list[LiveGap]) -> Table:
 
 def _show_where(console: Console, found: Diagnosis) -> None:
     if found.verdict == "unknown":
-        for misfit in found.left[:5]:
+        for misfit in found.unexplained[:5]:
             console.print(f"left in {misfit.signal}: {misfit.condition}, {misfit.detail}")
     elif found.where:
         shown = Table(title="where the original model disagreed", title_justify="left")

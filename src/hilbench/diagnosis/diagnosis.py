@@ -11,7 +11,6 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.diagnosis.experiments import FORCE_STEP, shown_by, told_apart_by
 from hilbench.diagnosis.fit import around, fit, sums, time_profile
 from hilbench.diagnosis.measured import Measured, measured_from
 from hilbench.diagnosis.misfit import LARGEST_RATIO, Misfit, located, misfits, ratios
@@ -20,7 +19,8 @@ from hilbench.diagnosis.predictor import Predictor, predictor_for
 from hilbench.diagnosis.proposals import Proposer
 from hilbench.diagnosis.select import Search, Selection
 from hilbench.diagnosis.space import Space
-from hilbench.diagnosis.terms import TIME, Term, extended, pack_with
+from hilbench.diagnosis.terms import Term, extended, pack_with
+from hilbench.plant.effects import Effect, find_effect
 from hilbench.plant.web_line.imitation import Imitation
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.results.recording import Recording
@@ -124,8 +124,8 @@ class Diagnosis:
     gaps: list[Gap]
     where: list[GapLocation]
     profiles: list[Profile]  #: of the signal with the largest gap
-    left: list[Misfit]  #: significant dependences that no effect explains
-    blind_to: list[Unobservable]
+    unexplained: list[Misfit]  #: significant dependences of the residual that no effect explains
+    unobservable: list[Unobservable]
     missing_channels: list[str]
     model: ModelParameters  #: extended
     names: tuple[str, ...]
@@ -168,7 +168,7 @@ def diagnose(
 def _conclude(
     space: Space, predictor: Predictor, data: Measured, selection: Selection, announce: Announce
 ) -> Diagnosis:
-    announce("judge what is left", 0.95)
+    announce("judge the residual", 0.95)
     trained = selection.fit
     before = space.residual([])
     rows = space.counted
@@ -183,15 +183,16 @@ def _conclude(
     scale = np.array([floors[k] for k in torques])[:, None]
     names = tuple(predictor.names[k] for k in torques)
     after = misfits(names, final.residual[torques] / scale, rows, conditions)
-    left = [m for m in after if m.significant]
+    unexplained = [m for m in after if m.significant]
     found = misfits(names, before[torques] / scale, rows, conditions)
     if predictor.exact:
-        unknown = bool(left) or max(ratios(final.residual, rows, floors).values()) > LARGEST_RATIO
+        unknown = bool(unexplained) or max(ratios(final.residual, rows, floors).values()) > LARGEST_RATIO
     else:
         unknown = _rms(final.residual[torques], rows) > _UNEXPLAINED * _rms(before[torques], rows)
-    unknown |= selection.exhausted or bool(selection.better)
-    if selection.better:
-        left = [Misfit("tau2_Nm", FORCE_STEP, selection.better, 0.0, 0.0, "always"), *left]
+    better = selection.better
+    unknown |= selection.exhausted or better is not None
+    if better is not None:  # what pulls at the last roller shows in its torque
+        unexplained = [Misfit(names[-1], better.name, better.detail, 0.0, 0.0, "always"), *unexplained]
     verdict = "unknown" if unknown else ("named" if final.terms else "complete")
     effects: list[NamedEffect] = []
     if not unknown:
@@ -209,8 +210,8 @@ def _conclude(
         gaps=gaps,
         where=_where(where),
         profiles=_profiles(found, after, floor_of, max(gaps, key=_size).signal),
-        left=left,
-        blind_to=_blind(selection),
+        unexplained=unexplained,
+        unobservable=_unobservable(selection),
         missing_channels=data.missing,
         model=extended(space.model, [] if unknown else final.terms),
         names=predictor.names,
@@ -237,9 +238,9 @@ def _weights(space: Space, selection: Selection, rows: NDArray[np.bool_]) -> tup
     if not space.predictor.exact:
         deviations = np.std(residual[:, rows], axis=-1)
         return scaling(deviations), float(np.sqrt(max(repeats(values[rows]) for values in residual)))
-    train, test = sums(space, selection.scene.whitening, residual)
+    train, test = sums(space, selection.candidates.whitening, residual)
     samples = np.count_nonzero(space.split.train | space.split.test) * len(space.predictor.names)
-    return selection.scene.whitening, float(np.sqrt(max((train + test) / samples, 1.0)))
+    return selection.candidates.whitening, float(np.sqrt(max((train + test) / samples, 1.0)))
 
 
 def _gap(name: str, before: Array, after: Array, noise: float, rows: NDArray[np.bool_]) -> Gap:
@@ -257,7 +258,7 @@ def _moments(
     for place, term in enumerate(terms):
         if not term.is_sudden:
             continue
-        here, half_s = term.values[TIME], _PROFILE_S
+        here, half_s = term.time_s, _PROFILE_S
         rise = (_NORMAL_95 * inflation) ** 2
         times = around(here, half_s / 30.0, 0.5 * space.period_s)
         while True:
@@ -267,7 +268,7 @@ def _moments(
                 break
             half_s, times = 3.0 * half_s, np.array([here])
         # When within a cycle it happened no recording says.
-        found[place, TIME] = (min(low, here - space.period_s), max(high, here + space.period_s))
+        found[place, term.onset] = (min(low, here - space.period_s), max(high, here + space.period_s))
     return found
 
 
@@ -295,11 +296,18 @@ def _named(
         names = [
             f"{effect}" if axis is None or axis == term.axis else f"{effect} (axis {axis})" for effect, axis in tied
         ]
-        advice = told_apart_by(term.effect.id, tied[0][0]) if tied else None
+        advice = _experiment(term.effect, tied[0][0]) if tied else None
         result.append(
             NamedEffect(term.effect.id, term.axis, values, selection.evidence.get(term.key, {}), names, advice)
         )
     return result
+
+
+def _experiment(effect: Effect, other: str) -> str:
+    """What tells an effect from another effect, by its id, or from what it may be mistaken for."""
+    if effect.lookalike is not None and other == effect.lookalike.name:
+        return effect.lookalike.told_apart_by
+    return effect.told_apart_from(find_effect(other))
 
 
 def _rounded(value: float) -> float:
@@ -317,25 +325,24 @@ def _profiles(before: list[Misfit], after: list[Misfit], floors: dict[str, float
     result = []
     for m in sorted(binned, key=lambda m: -m.excess)[:_PROFILES]:
         at, mean = np.array(m.points).T
-        left = np.array(now[m.condition].points)[:, 1]
-        result.append(Profile(signal, m.condition, m.unit, at, mean * floors[signal], left * floors[signal]))
+        mean_after = np.array(now[m.condition].points)[:, 1]
+        result.append(Profile(signal, m.condition, m.unit, at, mean * floors[signal], mean_after * floors[signal]))
     return result
 
 
-def _blind(selection: Selection) -> list[Unobservable]:
+def _unobservable(selection: Selection) -> list[Unobservable]:
     """Effects of which a change of the usual size would drown in the noise of these data."""
-    scene, result = selection.scene, []
+    offered, result = selection.candidates, []
     seen: set[tuple[str, int | None]] = set()
-    for candidate, response in zip(scene.candidates, scene.responses, strict=True):
+    for candidate, response in zip(offered.candidates, offered.responses, strict=True):
         if candidate.multiplicity > 1.0 or candidate.place in seen:
             continue
         seen.add(candidate.place)
-        strength = candidate.effect.parameter(candidate.effect.strength[0])
-        information = float(np.sum(scene.whitening.apply(response)[0] ** 2))
+        effect = candidate.effect
+        information = float(np.sum(offered.whitening.apply(response)[0] ** 2))
         smallest = _VISIBLE / np.sqrt(information) if information > 0.0 else None
-        if smallest is None or smallest > strength.scale:
+        if smallest is None or smallest > candidate.size:
             visible = None if smallest is None else _rounded(float(smallest))
-            result.append(
-                Unobservable(candidate.effect.id, candidate.axis, visible, strength.unit, shown_by(candidate.effect.id))
-            )
+            unit = effect.parameter(effect.strength[0]).unit
+            result.append(Unobservable(effect.id, candidate.axis, visible, unit, effect.shown_by))
     return result

@@ -143,7 +143,7 @@ def with_best_time(space: Space, white: Whitening, terms: list[Term], place: int
     term, scale = terms[place], 1.0
     closer = (_TIME_SEARCH[1], 0.5 * space.period_s), (0.5 * space.period_s, 0.05 * space.period_s)
     for half_s, step_s in (_TIME_SEARCH, *closer):
-        profile = time_profile(space, white, terms, place, around(term.values["time_s"], half_s, step_s))
+        profile = time_profile(space, white, terms, place, around(term.time_s, half_s, step_s))
         best = int(np.argmin(profile.squares))
         term, scale = term.moved_to(float(profile.times_s[best])), float(profile.scales[best])
     strength, *shape = term.coordinates()
@@ -169,7 +169,7 @@ def _with_best_strength(
     def square(strength: float) -> float:
         return _Problem.square_of(white, space.residual(variant(strength)), rows)
 
-    grid = np.linspace(0.0, 2.0 * middle + term.effect.parameter(term.effect.strength[0]).scale, _GRID)
+    grid = np.linspace(0.0, 2.0 * middle + term.size, _GRID)
     residuals = space.residuals([variant(float(strength)) for strength in grid])
     best = int(np.argmin([_Problem.square_of(white, residual, rows) for residual in residuals]))
     bounds = (float(grid[max(best - 1, 0)]), float(grid[min(best + 1, _GRID - 1)]))

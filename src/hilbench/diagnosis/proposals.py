@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Final
 
@@ -11,16 +11,13 @@ from numpy.typing import NDArray
 
 from hilbench.diagnosis.measured import Measured
 from hilbench.diagnosis.terms import Term
-from hilbench.plant.effects import EFFECTS, Effect, find_effect
+from hilbench.plant.effects import Effect, MachineKind, MachineSizes, ProbeOver, effects_of
 from hilbench.plant.parameters import EffectEntry
 from hilbench.plant.web_line.parameters import ModelParameters
+from hilbench.plant.web_line.sizes import machine_sizes
 
 Array = NDArray[np.float64]
 
-#: Stribeck speeds that are tried, as shares of the highest speed.
-_STRIBECK_SHARES: Final = (0.01, 0.04, 0.15)
-#: Strengths at which an effect is looked at that is far from linear in it: a delay (s).
-_PROBES: Final = {"torque_delay": (0.001, 0.003, 0.01, 0.03)}
 #: Peaks of a spectrum, and times of a step, that are proposed.
 _PEAKS: Final = 2
 #: Lowest order or frequency that is looked for, in cycles over the recording; highest and lowest order of a turn.
@@ -33,7 +30,10 @@ _COARSE: Final = 24
 _TIMES: Final = 100.0
 #: A step's time is looked for this far from the ends, as a share of the recording.
 _EDGE: Final = 0.03
-_SEARCHED: Final = ("torque_ripple", "elasticity_step", "elasticity_ramp", "upstream_disturbance")
+#: Rows of these are not proposed until it is known where to look.
+_SEARCHED: Final = (ProbeOver.MOTOR_ANGLE, ProbeOver.TIME, ProbeOver.ONSET, ProbeOver.ONSET_AND_DURATION)
+#: Finite-difference step of a parameter that shapes a law, as a share of it.
+_SHAPE_STEP: Final = 0.02
 _TURN = 2.0 * np.pi
 #: How far from a spectrum's peak the order or frequency is looked for, in steps, and the step in the spectrum's bins.
 _NEAR: Final = 40
@@ -41,36 +41,53 @@ _NEAR_STEP: Final = 0.25
 
 
 class Proposer:
-    """Makes terms for one model and recording."""
+    """Makes terms for one model and recording, of the effects that its kind of machine has."""
 
-    def __init__(self, model: ModelParameters, data: Measured) -> None:
+    def __init__(
+        self, model: ModelParameters, data: Measured, vocabulary: Sequence[Effect] = effects_of(MachineKind.WEB_LINE)
+    ) -> None:
         self._model = model
         self._data = data
+        self._vocabulary = [effect for effect in vocabulary if effect.per_axis or model.web is not None]
         self._axes = range(1, model.axis_count + 1)
         speeds = [np.abs(v) for v in data.v_m_s.values()] + [np.abs(data.commands_m_s).ravel()]
         if data.commands_m_s.size == 0 and not data.v_m_s:
             speeds.append(np.abs(np.diff(data.x_m[1])) / data.period_s)
         self._top_m_s = max((float(np.max(v)) for v in speeds if v.size), default=1.0)
+        self._torque_Nm = max(float(np.sqrt(np.mean(tau**2))) for tau in data.tau_Nm.values())
+
+    def sizes(self, axis: int | None) -> MachineSizes:
+        """What is usual on the machine at an axis (None: the first), by its model and how it ran."""
+        return machine_sizes(
+            self._model,
+            axis,
+            top_speed_m_s=self._top_m_s,
+            torque_Nm=self._torque_Nm,
+            sample_time_s=self._data.period_s,
+        )
 
     def _term(
         self, effect: Effect, axis: int | None, values: Mapping[str, float], slot: int = 0, multiplicity: float = 1.0
     ) -> Term:
-        base = effect.filled({})
-        entries = [
-            e for e in self._model.effects if (e.effect, e.axis if effect.per_axis else None) == (effect.id, axis)
-        ]
+        base, entries = effect.filled({}), self._entries(effect, axis)
         if slot < len(entries):
             base = effect.filled(entries[slot].parameters)
-        duration_s = self._data.duration_s
-        steps = {
-            "speed_m_s": 0.02 * values.get("speed_m_s", 1.0),
-            "time_s": 2.0 * self._data.period_s,
-            "duration_s": 0.02 * values.get("duration_s", 1.0),
-            "frequency_Hz": 0.02 / duration_s,
-            "order": 0.1 / max(self._turns(axis) * _TURN, 1.0),
-        }
-        least = {"frequency_Hz": _LEAST_CYCLES / duration_s, "order": self._least_order(axis)}
-        return Term(effect, axis, slot, {**base, **values}, base, steps, multiplicity, least=least)
+        filled = {**base, **values}
+        size = effect.parameter(effect.strength[0]).size.on(self.sizes(axis))
+        steps = {name: _SHAPE_STEP * value for name, value in filled.items()}
+        least: dict[str, float] = {}
+        if effect.probe is not None:
+            searched = effect.probe.parameter
+            match effect.probe.over:
+                case ProbeOver.ONSET | ProbeOver.ONSET_AND_DURATION:
+                    steps[searched] = 2.0 * self._data.period_s
+                case ProbeOver.TIME:
+                    steps[searched] = 0.02 / self._data.duration_s
+                    least[searched] = _LEAST_CYCLES / self._data.duration_s
+                case ProbeOver.MOTOR_ANGLE:
+                    steps[searched] = 0.1 / max(self._turns(axis) * _TURN, 1.0)
+                    least[searched] = self._least_order(axis)
+        return Term(effect, axis, slot, filled, base, steps, size, multiplicity, least=least)
 
     def _least_order(self, axis: int | None) -> float:
         """Of a torque ripple: some of its periods are in the recording, and on a machine it comes from what turns."""
@@ -91,24 +108,34 @@ class Proposer:
     def plain(self) -> list[Term]:
         """Every effect that needs no search, at every place it can be."""
         terms = []
-        for effect in EFFECTS:
-            if effect.id in _SEARCHED or not (effect.per_axis or self._model.web):
-                continue
+        for effect in self._vocabulary:
             for axis in self._axes if effect.per_axis else (None,):
-                if effect.id == "stribeck_friction":
-                    speeds = [share * self._top_m_s for share in _STRIBECK_SHARES]
-                    terms += [self._term(effect, axis, {"speed_m_s": v}, multiplicity=len(speeds)) for v in speeds]
-                elif effect.id in _PROBES:
-                    plain, probes = self._term(effect, axis, {}), _PROBES[effect.id]
-                    terms += [replace(plain, probe=probe, multiplicity=len(probes)) for probe in probes]
-                elif self._possible(effect, axis):
-                    terms.append(self._term(effect, axis, {}))
+                if self._possible(effect, axis):
+                    terms += self._looks(effect, axis)
         return terms
 
+    def _looks(self, effect: Effect, axis: int | None) -> list[Term]:
+        """The terms with which an effect is looked at at one place; none of one that is searched for."""
+        probe = effect.probe
+        if probe is None:
+            return [self._term(effect, axis, {})]
+        if probe.over in _SEARCHED:
+            return []
+        count = len(probe.tried)
+        if probe.over is ProbeOver.SHARES_OF_TOP_SPEED:
+            speeds = [share * self._top_m_s for share in probe.tried]
+            return [self._term(effect, axis, {probe.parameter: v}, multiplicity=count) for v in speeds]
+        plain, unit = self._term(effect, axis, {}), self.sizes(axis).sample_time_s
+        return [replace(plain, probe=times * unit, multiplicity=count) for times in probe.tried]
+
     def _possible(self, effect: Effect, axis: int | None) -> bool:
-        if effect.id != "backlash" or axis is None:
+        if not effect.needs_gear or axis is None:
             return True
         return self._model.motor_mass_kg(axis) > 0.0 and self._model.roller_mass_kg(axis) > 0.0
+
+    def _over(self, over: ProbeOver) -> list[Effect]:
+        """The effects that are searched for over this."""
+        return [effect for effect in self._vocabulary if effect.probe is not None and effect.probe.over is over]
 
     def searched(self, whitened: dict[str, Array], present: list[Term], every: int) -> list[Term]:
         """Orders and frequencies at which the whitened residuals, by signal (n,), show something.
@@ -116,11 +143,12 @@ class Proposer:
         Torques have the sharper peaks, positions the stronger ones. `every`: rows of the recording per row.
         """
         terms = []
-        for axis in self._axes:
-            if axis in self._data.x_m and axis in self._data.tau_Nm:
-                terms += self._ripples(whitened, axis, present, every)
-        if self._model.web is not None:
-            terms += self._disturbances(whitened, present)
+        for effect in self._over(ProbeOver.MOTOR_ANGLE):
+            for axis in self._axes:
+                if axis in self._data.x_m and axis in self._data.tau_Nm:
+                    terms += self._orders(effect, axis, whitened, present, every)
+        for effect in self._over(ProbeOver.TIME):
+            terms += self._frequencies(effect, whitened, present)
         return terms
 
     def tuned(self, term: Term, residual: Array, response: Array, every: int) -> Term:
@@ -150,10 +178,11 @@ class Proposer:
 
     def _angle_rad(self, term: Term, every: int) -> tuple[str | None, Array]:
         """What the searched shape of a term multiplies, for each row; None for a term without one."""
-        if term.effect.id == "torque_ripple" and term.axis is not None:
-            return "order", self._data.x_m[term.axis][::every] * self._model.motor_rad_per_m(term.axis)
-        if term.effect.id == "upstream_disturbance":
-            return "frequency_Hz", _TURN * self._data.t_s[::every]
+        probe = term.effect.probe
+        if probe is not None and probe.over is ProbeOver.MOTOR_ANGLE and term.axis is not None:
+            return probe.parameter, self._data.x_m[term.axis][::every] * self._model.motor_rad_per_m(term.axis)
+        if probe is not None and probe.over is ProbeOver.TIME:
+            return probe.parameter, _TURN * self._data.t_s[::every]
         return None, np.empty(0)
 
     @staticmethod
@@ -166,53 +195,68 @@ class Proposer:
         apart = 1.0 / float(np.ptp(angle_turns))
         return found + [order for order in others[:1] if all(abs(order - known) > apart for known in found)], count
 
-    def step_times_s(self) -> tuple[Array, float]:
-        """Times at which it is first looked what a step of E would explain, and how far they are apart, s."""
+    def sudden(self) -> list[Effect]:
+        """The effects that set in at once, at a time that is searched for."""
+        return self._over(ProbeOver.ONSET)
+
+    def onset_times_s(self) -> tuple[Array, float]:
+        """Times at which it is first looked what a sudden effect would explain, and how far they are apart, s."""
         times = (_EDGE + (1.0 - 2.0 * _EDGE) * (np.arange(_COARSE) + 0.5) / _COARSE) * self._data.duration_s
         return times, float(times[1] - times[0])
 
-    def steps(self, times_s: Array, present: list[Term]) -> list[Term]:
-        """Steps of E at these times, if the model can have another one."""
-        effect = find_effect("elasticity_step")
-        slot = self._slot(effect, None, present) if self._model.web is not None else None
-        if slot is None:
+    def onsets(self, effect: Effect, times_s: Array, present: list[Term]) -> list[Term]:
+        """A sudden effect at each of these times (n,), if the model can have another one."""
+        slot = self._slot(effect, None, present)
+        if slot is None or effect.probe is None:
             return []
-        return [self._term(effect, None, {"time_s": float(t)}, slot, _TIMES) for t in times_s]
+        return [self._term(effect, None, {effect.probe.parameter: float(t)}, slot, _TIMES) for t in times_s]
 
-    def ramp(self, time_s: float, duration_s: float, present: list[Term]) -> Term | None:
-        """A ramp of E, if the model can have another one."""
-        effect = find_effect("elasticity_ramp")
-        slot = self._slot(effect, None, present) if self._model.web is not None else None
-        if slot is None:
-            return None
-        return self._term(effect, None, {"time_s": time_s, "duration_s": duration_s}, slot, _TIMES * _COARSE / 2.0)
+    def gradual(self, effect: Effect, time_s: float, duration_s: float, present: list[Term]) -> list[Term]:
+        """What grows over a time into what the sudden `effect` is at once, if the model can have another one."""
+        terms = []
+        for other in self._over(ProbeOver.ONSET_AND_DURATION):
+            slot = self._slot(other, None, present)
+            if other.at_once == effect.id and slot is not None and other.probe is not None:
+                values = {other.probe.parameter: time_s, other.probe.duration: duration_s}
+                terms.append(self._term(other, None, values, slot, _TIMES * _COARSE / 2.0))
+        return terms
+
+    def at_once(self, term: Term, present: list[Term]) -> list[Term]:
+        """A gradual term as the sudden effect in its middle, with its strength; none of a term that is not gradual."""
+        if term.effect.at_once is None:
+            return []
+        middle_s = np.array([term.time_s + 0.5 * term.duration_s])
+        (effect,) = (known for known in self.sudden() if known.id == term.effect.at_once)
+        found = self.onsets(effect, middle_s, present)
+        strength = float(term.coordinates()[0])
+        return [sudden.at(np.concatenate([[strength], sudden.coordinates()[1:]])) for sudden in found]
 
     def _slot(self, effect: Effect, axis: int | None, present: list[Term]) -> int | None:
         slot = len(self._entries(effect, axis)) + sum(term.place == (effect.id, axis) for term in present)
         return slot if slot < effect.slots else None
 
-    def _ripples(self, whitened: dict[str, Array], axis: int, present: list[Term], every: int) -> list[Term]:
-        effect = find_effect("torque_ripple")
+    def _orders(
+        self, effect: Effect, axis: int, whitened: dict[str, Array], present: list[Term], every: int
+    ) -> list[Term]:
         slot, turns = self._slot(effect, axis, present), self._turns(axis)
-        if slot is None or turns < 2.0 * _LEAST_CYCLES:
+        if slot is None or turns < 2.0 * _LEAST_CYCLES or effect.probe is None:
             return []
         angle = self._data.x_m[axis][::every] * self._model.motor_rad_per_m(axis) / _TURN
         top = _HIGHEST_ORDER
         if self._data.commands_m_s.size == 0:  # a lone axis may be a screw: its turn is not the "motor's" of the model
             top = _HIGHEST_ORDER_OF_A_SCREW
         orders, count = self._peaks(angle, whitened, [f"tau{axis}_Nm"], self._least_order(axis), top)
-        return [self._term(effect, axis, {"order": order}, slot, count) for order in orders]
+        return [self._term(effect, axis, {effect.probe.parameter: order}, slot, count) for order in orders]
 
-    def _disturbances(self, whitened: dict[str, Array], present: list[Term]) -> list[Term]:
-        effect = find_effect("upstream_disturbance")
+    def _frequencies(self, effect: Effect, whitened: dict[str, Array], present: list[Term]) -> list[Term]:
         slot = self._slot(effect, None, present)
-        if slot is None:
+        if slot is None or effect.probe is None:
             return []
         highest = min(0.4 / self._data.period_s, 100.0)
         torques = [name for name in whitened if name.startswith("tau")]
         lowest = _LEAST_CYCLES / self._data.duration_s
         frequencies, count = self._peaks(self._data.t_s, whitened, torques, lowest, highest)
-        return [self._term(effect, None, {"frequency_Hz": f}, slot, count) for f in frequencies]
+        return [self._term(effect, None, {effect.probe.parameter: f}, slot, count) for f in frequencies]
 
 
 def peaks(angle_turns: Array, whitened: Array, highest: float, lowest: float = 0.0) -> tuple[list[float], float]:
@@ -246,7 +290,7 @@ def _refined(order: Array, power: Array, at: int) -> float:
     """The peak between bins, by a parabola through the square roots."""
     if not 0 < at < len(power) - 1:
         return float(order[at])
-    left, middle, right = np.sqrt(power[at - 1 : at + 2])
-    bend = left - 2.0 * middle + right
-    shift = 0.5 * (left - right) / bend if bend < 0.0 else 0.0
+    before, middle, after = np.sqrt(power[at - 1 : at + 2])
+    bend = before - 2.0 * middle + after
+    shift = 0.5 * (before - after) / bend if bend < 0.0 else 0.0
     return float(order[at] + np.clip(shift, -0.5, 0.5) * (order[1] - order[0]))

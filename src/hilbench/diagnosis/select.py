@@ -19,14 +19,13 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.diagnosis.experiments import FORCE_STEP
 from hilbench.diagnosis.fit import Fit, around, fit, sums
 from hilbench.diagnosis.misfit import LARGEST_RATIO
 from hilbench.diagnosis.noise import Whitening
 from hilbench.diagnosis.proposals import Proposer
 from hilbench.diagnosis.space import Linear, Space, finest, noise_model
-from hilbench.diagnosis.terms import TIME, Term
-from hilbench.plant.effects import EFFECTS
+from hilbench.diagnosis.terms import Term
+from hilbench.plant.effects import EFFECTS, Effect
 
 Array = NDArray[np.float64]
 Announce = Callable[[str, float], None]
@@ -45,17 +44,14 @@ _PAIRED_FROM: Final = 14
 _PLACES: Final = 60.0
 #: Fall of the held-out sum of squares from which it speaks for a term: 1.5 standard errors of its own size.
 _HELD_OUT_ERRORS: Final = 1.5
-#: Sum of squares of an addition's effect on the held-out rows from which they can judge it.
-_FELT: Final = 30.0
+#: Sum of squares of an addition's response on the held-out rows from which they can confirm or refute it.
+_OBSERVABLE: Final = 30.0
 #: Factor up to which a response to a probe speaks for other strengths of a law that is far from linear.
 _TRUSTED: Final = 1.8
 #: Standard deviations of its mean square from which a whitened signal is more than noise.
 _CALM: Final = 5.0
 #: Share of the held-out sum of squares by which it must fall where residuals are never noise alone.
 _LEAST_SHARE: Final = 0.01
-#: Where residuals are never noise alone the simple effects come first, and stay: |v| is the product of v and sign(v),
-#: and a term of higher order is read beside those it is made of, the constant included (marginality, Nelder 1977).
-_SIMPLE: Final = ("viscous_friction", "coulomb_friction", "torque_offset")
 #: Difference of the criterion up to which two explanations are tied, as for BIC.
 _TIED: Final = 6.0
 #: The same up to which a step of E is not given up for what the vocabulary does not have.
@@ -69,8 +65,9 @@ _MARGIN: Final = 60.0
 _TIME_LEVELS: Final = 3
 _CLOSER: Final = np.linspace(-0.75, 0.75, 7)
 _STEP_PEAKS, _APART = 2, 2.5
-#: A force with which its response is looked at, N; how far from a step's time, and in which steps, it is looked for, s.
-_FORCE_N: Final = 4.0
+#: Share of a usual force with which its response is looked at; how far from a step's time, and in which steps, it is
+#: looked for, s.
+_FORCE_SHARE: Final = 0.05
 _FORCE_SEARCH: Final = (0.02, 0.002)
 #: Information on a strength below which these data say nothing of it.
 _LEAST_INFORMATION: Final = 1e-6
@@ -93,24 +90,32 @@ class CandidateSet:
     responses: list[Array]  #: raw, (1 or 2, signals, n) each
 
 
+@dataclass(frozen=True)
+class Better:
+    """What the vocabulary does not have, and explains better than a term."""
+
+    name: str
+    detail: str  #: size and time, for a person
+
+
 @dataclass
 class Selection:
-    """The chosen terms, fitted; with which others each is tied; the last scene."""
+    """The chosen terms, fitted; with which others each is tied; the candidates that were there at the end."""
 
     fit: Fit
-    scene: CandidateSet
+    candidates: CandidateSet
     samples: float
     tied: dict[Key, list[Place]] = field(default_factory=dict)
     evidence: dict[Key, dict[str, float]] = field(default_factory=dict)
     exhausted: bool = False  #: more terms would explain more than may be named
-    better: str = ""  #: what the vocabulary has not, and explains better than a term
+    better: Better | None = None
 
 
 def _apart(terms: list[Term], gains: Array, least_s: float) -> list[Term]:
     """Those of most gain, at least `least_s` apart."""
     found: list[Term] = []
     for k in np.argsort(-gains):
-        if all(abs(terms[k].values[TIME] - other.values[TIME]) > least_s for other in found):
+        if all(abs(terms[k].time_s - other.time_s) > least_s for other in found):
             found.append(terms[k])
     return found[:_STEP_PEAKS]
 
@@ -125,30 +130,30 @@ class Search:
     def run(self) -> Selection:
         """Add while it pays; then test again what is there."""
         current = self._fit_of([])
-        scene = self._scene(current)
+        offered = self._candidates(current)
         steps = _MOST_TERMS if self._space.predictor.exact else _MOST_ROUGH_TERMS
         for depth in range(steps):
-            self._announce(f"step {depth + 1}: {len(scene.candidates)} candidates", 0.1 + 0.7 * depth / steps)
-            best = self._best_addition(current, scene)
+            self._announce(f"step {depth + 1}: {len(offered.candidates)} candidates", 0.1 + 0.7 * depth / steps)
+            best = self._best_addition(current, offered)
             if best is None:
                 break
-            pruned = self._pruned(best, scene.whitening)
+            pruned = self._pruned(best, offered.whitening)
             if len(pruned.terms) > steps:
-                return Selection(current, scene, self._samples, exhausted=True)
+                return Selection(current, offered, self._samples, exhausted=True)
             current = pruned
-            scene = self._seen_from(current, scene)
-            if self._space.predictor.exact and not self._promises(scene):
+            offered = self._carried_over(current, offered)
+            if self._space.predictor.exact and not self._promises(offered):
                 break
-            scene = self._scene(current)
-            current = self._again(current, scene.whitening)
+            offered = self._candidates(current)
+            current = self._again(current, offered.whitening)
         if self._is_rough(current):
-            return Selection(current, scene, self._samples)
+            return Selection(current, offered, self._samples)
         self._announce("what else could explain it", 0.85)
-        current, tied, evidence = self._alternatives_tested(current, scene)
-        better = self._against_forces(current, scene, tied)
-        return Selection(current, scene, self._samples, tied, evidence, better=better)
+        current, tied, evidence = self._alternatives_tested(current, offered)
+        better = self._against_forces(current, offered, tied)
+        return Selection(current, offered, self._samples, tied, evidence, better=better)
 
-    # -- scenes ------------------------------------------------------------------------------------------
+    # -- candidates ------------------------------------------------------------------------------------------
 
     def _fit_of(self, terms: list[Term]) -> Fit:
         residual = self._space.residual(terms)
@@ -158,7 +163,7 @@ class Search:
         """Fitted again with the noise as it is seen now."""
         return fit(self._space, white, current.terms)
 
-    def _scene(self, current: Fit) -> CandidateSet:
+    def _candidates(self, current: Fit) -> CandidateSet:
         space = self._space
         present = {term.key for term in current.terms}
         plain = [t for t in self._proposer.plain() if t.key not in present]
@@ -175,24 +180,36 @@ class Search:
         return CandidateSet(white, current.residual, own, plain + searched, responses)
 
     def _changes(self, current: Fit, white: Whitening) -> list[Term]:
-        """Steps of E at the times at which they would explain most, looked for ever closer, and a ramp of E."""
-        times, apart_s = self._proposer.step_times_s()
-        found, ramp = list[Term](), None
+        """Of each sudden effect the times at which it would explain most, and what grows into it over a while."""
+        return [term for effect in self._proposer.sudden() for term in self._changes_by(effect, current, white)]
+
+    def _changes_by(self, effect: Effect, current: Fit, white: Whitening) -> list[Term]:
+        """One sudden effect: a coarse grid of times, then ever closer ones around the best.
+
+        What it explains has a narrow peak at the right time. A fit started beside it runs into another minimum, and
+        simulating every time would cost thousands of runs.
+        """
+        times, apart_s = self._proposer.onset_times_s()
+        found, gradual = list[Term](), list[Term]()
         for level in range(_TIME_LEVELS):
-            terms = self._proposer.steps(times, current.terms)
-            if not terms:  # no web, or no step more that it could have
+            terms = self._proposer.onsets(effect, times, current.terms)
+            if not terms:  # the model can't have one more of it
                 break
             responses = self._observable(white, self._space.strengths(current.terms, current.residual, terms))
             along = responses @ self._observable(white, [current.residual[None]])[0]
             if level == 0:
-                ramp = self._ramp(current, times, responses, along)
+                gradual = self._gradual(effect, current, times, responses, along)
             found = _apart(terms, along**2 / np.maximum(np.sum(responses**2, axis=1), 1e-300), _APART * apart_s)
-            times = np.concatenate([t.values[TIME] + apart_s * _CLOSER for t in found]) if found else times
+            times = np.concatenate([t.time_s + apart_s * _CLOSER for t in found]) if found else times
             apart_s *= float(_CLOSER[1] - _CLOSER[0])
-        return found if ramp is None else [*found, ramp]
+        return [*found, *gradual]
 
-    def _ramp(self, current: Fit, times_s: Array, responses: Array, along: Array) -> Term | None:
-        """The ramp between two of the times that would explain most: its response is the mean of those of steps."""
+    def _gradual(self, effect: Effect, current: Fit, times_s: Array, responses: Array, along: Array) -> list[Term]:
+        """What grows between two of the times (T,), those that would explain most.
+
+        responses (T, signals·n) are those of the sudden effect at each time, along (T,) their products with the
+        residual. The response of a ramp is the mean of those of the steps within it, so no ramp need be simulated.
+        """
         gram = responses @ responses.T
         best, chosen = 0.0, (0, 1)
         for first, last in combinations(range(len(times_s)), 2):
@@ -203,7 +220,7 @@ class Search:
             if gain > best:
                 best, chosen = gain, (first, last)
         begin_s, end_s = times_s[list(chosen)]
-        return self._proposer.ramp(float(begin_s), float(end_s - begin_s), current.terms)
+        return self._proposer.gradual(effect, float(begin_s), float(end_s - begin_s), current.terms)
 
     def _observable(self, white: Whitening, responses: list[Array]) -> Array:
         """Whitened responses (1, signals, n) where rows count, one after the other: (responses, signals·n)."""
@@ -227,13 +244,13 @@ class Search:
         """Zero where fits do not see rows."""
         return np.where(self._space.split.train, values, 0.0)
 
-    def _seen_from(self, current: Fit, scene: CandidateSet) -> CandidateSet:
-        """An older scene at another model: responses hardly change, the residual does."""
+    def _carried_over(self, current: Fit, offered: CandidateSet) -> CandidateSet:
+        """An older set at another model: responses hardly change, the residual does."""
         present = {term.key for term in current.terms}
-        kept = [k for k, t in enumerate(scene.candidates) if t.key not in present]
+        kept = [k for k, t in enumerate(offered.candidates) if t.key not in present]
         own = self._space.point(current.terms, current.residual).derivatives
-        candidates, responses = [scene.candidates[k] for k in kept], [scene.responses[k] for k in kept]
-        return CandidateSet(scene.whitening, current.residual, own, candidates, responses)
+        candidates, responses = [offered.candidates[k] for k in kept], [offered.responses[k] for k in kept]
+        return CandidateSet(offered.whitening, current.residual, own, candidates, responses)
 
     def _is_rough(self, current: Fit) -> bool:
         """Whether far more than noise is left where a right model would leave noise alone: it was not found."""
@@ -244,11 +261,11 @@ class Search:
         rms = np.sqrt(np.mean(current.residual[torques][:, rows] ** 2, axis=1))
         return bool(np.any(rms > LARGEST_RATIO * np.array([space.predictor.floor(k) for k in torques])))
 
-    def _promises(self, scene: CandidateSet) -> bool:
+    def _promises(self, offered: CandidateSet) -> bool:
         """Whether anything is left that a candidate could explain, or that none can."""
-        if self._ranked(scene, scene.residual, scene.own):
+        if self._ranked(offered, offered.residual, offered.own):
             return True
-        whitened = self._counted(scene.whitening.apply(scene.residual))
+        whitened = self._counted(offered.whitening.apply(offered.residual))
         counted = float(np.count_nonzero(self._space.split.block >= 0))
         excess = (whitened**2).sum(1) / counted - 1.0
         return bool(np.max(excess) > _CALM * np.sqrt(2.0 / counted))
@@ -257,38 +274,39 @@ class Search:
         """Zero where rows do not count."""
         return np.where(self._space.split.block >= 0, values, 0.0)
 
-    def _linear(self, scene: CandidateSet, residual: Array, own: Array) -> tuple[Linear, list[list[int]]]:
-        columns = scene.whitening.apply(np.concatenate([own, *scene.responses]))
-        problem = Linear(scene.whitening.apply(residual), columns, self._space.split)
+    def _linear(self, offered: CandidateSet, residual: Array, own: Array) -> tuple[Linear, list[list[int]]]:
+        columns = offered.whitening.apply(np.concatenate([own, *offered.responses]))
+        problem = Linear(offered.whitening.apply(residual), columns, self._space.split)
         groups, at = [], len(own)
-        for response in scene.responses:
+        for response in offered.responses:
             groups.append(list(range(at, at + len(response))))
             at += len(response)
         return problem, groups
 
     # -- additions ---------------------------------------------------------------------------------------
 
-    def _best_addition(self, current: Fit, scene: CandidateSet) -> Fit | None:
+    def _best_addition(self, current: Fit, offered: CandidateSet) -> Fit | None:
         if not self._space.predictor.exact:
-            found = self._best_of(current, scene, self._ranked(scene, scene.residual, scene.own, _SIMPLE))
+            # The simple effects come first: see `Effect.removable`.
+            found = self._best_of(current, offered, self._ranked(offered, offered.residual, offered.own, simple=True))
             if found is not None:
                 return found
-        return self._best_of(current, scene, self._ranked(scene, scene.residual, scene.own))
+        return self._best_of(current, offered, self._ranked(offered, offered.residual, offered.own))
 
-    def _best_of(self, current: Fit, scene: CandidateSet, additions: list[list[Term]]) -> Fit | None:
-        train, test = sums(self._space, scene.whitening, current.residual)
+    def _best_of(self, current: Fit, offered: CandidateSet, additions: list[list[Term]]) -> Fit | None:
+        train, test = sums(self._space, offered.whitening, current.residual)
         before = train + price(current.terms, self._samples)
         fits = []
         least = before
         for chosen in additions:
             terms = [*current.terms, *chosen]
             cost = price(terms, self._samples)
-            found = fit(self._space, scene.whitening, terms, worth=least - cost)
+            found = fit(self._space, offered.whitening, terms, worth=least - cost)
             fits.append((found.train + cost, found))
             least = min(least, found.train + cost)
         fits.sort(key=lambda item: item[0])
         for criterion, found in fits:
-            if criterion < before and self._is_confirmed(scene.whitening, current, test, found):
+            if criterion < before and self._is_confirmed(offered.whitening, current, test, found):
                 return found
         return None
 
@@ -296,7 +314,7 @@ class Search:
         """By the held-out rows; where they hardly feel the addition, by the two halves of what does."""
         rows = self._space.split
         change = white.apply(current.residual - found.residual)
-        if float(np.sum(change[:, rows.test] ** 2)) > _FELT:
+        if float(np.sum(change[:, rows.test] ** 2)) > _OBSERVABLE:
             return self._held_out_agrees(test, found.test)
         change, residual = change[:, rows.train], white.apply(current.residual)[:, rows.train]
         along, square = np.sum(change * residual, axis=0), np.sum(change**2, axis=0)
@@ -314,18 +332,20 @@ class Search:
         least = 0.0 if self._space.predictor.exact else _LEAST_SHARE * before
         return gain > least and gain > _HELD_OUT_ERRORS * 2.0 * float(np.sqrt(max(gain, 0.0)))
 
-    def _ranked(
-        self, scene: CandidateSet, residual: Array, own: Array, of: tuple[str, ...] | None = None
-    ) -> list[list[Term]]:
-        """Candidates, and pairs, that promise most; with start values. `of`: only these effects."""
-        problem, groups = self._linear(scene, residual, own)
+    def _ranked(self, offered: CandidateSet, residual: Array, own: Array, *, simple: bool = False) -> list[list[Term]]:
+        """Candidates, and pairs, that promise most; with start values.
+
+        residual: raw (signals, n); own: raw columns (J, signals, n) of the terms that are there. simple: only effects
+        that are kept.
+        """
+        problem, groups = self._linear(offered, residual, own)
         mine = list(range(len(own)))
         base = problem.gain(mine)[0]
         singles = []
         for k in range(len(groups)):
-            if of is not None and scene.candidates[k].effect.id not in of:
+            if simple and offered.candidates[k].effect.removable:
                 continue
-            started = self._started(scene, problem, mine, [k], groups)
+            started = self._started(offered, problem, mine, [k], groups)
             if started is not None:
                 gain, terms = started
                 singles.append((gain - base - price(terms, self._samples), k, terms))
@@ -341,8 +361,8 @@ class Search:
                 chosen.append(terms)
         pairs = []
         for a, b in combinations([k for _, k, _ in singles[:_PAIRED_FROM]], 2):
-            if scene.candidates[a].key != scene.candidates[b].key:
-                started = self._started(scene, problem, mine, [a, b], groups)
+            if offered.candidates[a].key != offered.candidates[b].key:
+                started = self._started(offered, problem, mine, [a, b], groups)
                 if started is not None:
                     gain, terms = started
                     pairs.append((gain - base - price(terms, self._samples), terms))
@@ -352,7 +372,7 @@ class Search:
         return chosen
 
     def _started(
-        self, scene: CandidateSet, problem: Linear, mine: list[int], members: list[int], groups: list[list[int]]
+        self, offered: CandidateSet, problem: Linear, mine: list[int], members: list[int], groups: list[list[int]]
     ) -> tuple[float, list[Term]] | None:
         """Gain and start values of some candidates together; None where a bound forbids their sign."""
         columns = [c for k in members for c in groups[k]]
@@ -361,7 +381,7 @@ class Search:
         _, theta = problem.gain([*mine, *columns])
         at, terms = len(mine), []
         for k in members:
-            candidate = scene.candidates[k]
+            candidate = offered.candidates[k]
             here = candidate.neutral().coordinates()
             if candidate.probe is not None:
                 theta[at] = np.clip(theta[at], candidate.probe / _TRUSTED, candidate.probe * _TRUSTED)
@@ -391,7 +411,8 @@ class Search:
         return current
 
     def _stays(self, term: Term) -> bool:
-        return not self._space.predictor.exact and term.effect.id in _SIMPLE
+        """Whether a term is kept even where others make it superfluous."""
+        return not self._space.predictor.exact and not term.effect.removable
 
     def _removable(self, current: Fit, k: int) -> bool:
         """By Wald's statistic, generously: only then a fit without the term is worth its time."""
@@ -403,7 +424,7 @@ class Search:
         return wald < 4.0 * price([term], self._samples)
 
     def _alternatives_tested(
-        self, current: Fit, scene: CandidateSet
+        self, current: Fit, offered: CandidateSet
     ) -> tuple[
         Fit,
         dict[Key, list[Place]],
@@ -412,13 +433,13 @@ class Search:
         """Each term against what could stand in its place."""
         tied: dict[Key, list[Place]] = {}
         evidence: dict[Key, dict[str, float]] = {}
-        fine = finest(self._space) or scene.whitening
+        fine = finest(self._space) or offered.whitening
         close = fit(self._space, fine, current.terms)
         for k in range(len(current.terms)):
             term = current.terms[k]
             rest = current.terms[:k] + current.terms[k + 1 :]
             here = current.train + price(current.terms, self._samples)
-            without = fit(self._space, scene.whitening, rest)
+            without = fit(self._space, offered.whitening, rest)
             evidence[term.key] = {
                 "likelihood_ratio": without.train - current.train,
                 "criterion_gain": without.train + price(rest, self._samples) - here,
@@ -426,14 +447,16 @@ class Search:
             }
             superfluous = evidence[term.key]["criterion_gain"] <= 0.0
             if superfluous and not self._stays(term):
-                scene = self._scene(without)
-                return self._alternatives_tested(self._again(without, scene.whitening), scene)
+                offered = self._candidates(without)
+                return self._alternatives_tested(self._again(without, offered.whitening), offered)
             if superfluous:
                 tied[term.key] = [self._closest(current, k)]
                 continue
-            others = self._ranked(scene, without.residual, self._own_without(scene, current.terms, k))
+            others = self._ranked(offered, without.residual, self._own_without(offered, current.terms, k))
             tied[term.key] = []
-            for terms in self._as_a_step(term, rest) + others[: _CONTENDERS - 1]:
+            # What was proposed beside a gradual change says nothing of a sudden one in its middle.
+            sudden = [[other] for other in self._proposer.at_once(term, rest)]
+            for terms in sudden + others[: _CONTENDERS - 1]:
                 if len(terms) > 1 or terms[0].place == term.place:
                     continue
                 cost = price([*rest, *terms], self._samples) - price(current.terms, self._samples)
@@ -448,32 +471,28 @@ class Search:
                         found.test,
                         found.covariance,
                     )
-                    scene = self._scene(current)
-                    return self._alternatives_tested(fit(self._space, scene.whitening, current.terms), scene)
+                    offered = self._candidates(current)
+                    return self._alternatives_tested(fit(self._space, offered.whitening, current.terms), offered)
                 if abs(difference) < _TIED or difference < 0.0:
                     tied[term.key].append(terms[0].place)
         return current, tied, evidence
 
-    def _as_a_step(self, term: Term, rest: list[Term]) -> list[list[Term]]:
-        """A ramp as the step in its middle: what was proposed beside the ramp says nothing of that."""
-        if term.effect.id != "elasticity_ramp":
-            return []
-        middle_s = term.values[TIME] + 0.5 * term.values["duration_s"]
-        strength = float(term.coordinates()[0])
-        steps = self._proposer.steps(np.array([middle_s]), rest)
-        return [[step.at(np.concatenate([[strength], step.coordinates()[1:]]))] for step in steps]
+    def _against_forces(self, current: Fit, offered: CandidateSet, tied: dict[Key, list[Place]]) -> Better | None:
+        """Each sudden term against the step of a force that it may be mistaken for; that where it explains more.
 
-    def _against_forces(self, current: Fit, scene: CandidateSet, tied: dict[Key, list[Place]]) -> str:
-        """Each step of E against a step of a force at roller 2; what is to be said where that explains more."""
+        `tied`: gets the force where the two explain as much.
+        """
         for k, term in enumerate(current.terms):
-            if not term.is_sudden:
+            lookalike = term.effect.lookalike
+            if lookalike is None:
                 continue
-            difference, force_N, time_s = self._as_a_force(current, k, scene.whitening)
+            difference, force_N, time_s = self._as_a_force(current, k, offered.whitening)
             if difference < -_DECISIVE:
-                return f"{force_N:.4g} N from t = {time_s:.3f} s on explain it better than {term.effect.id}"
+                detail = f"{force_N:.4g} N from t = {time_s:.3f} s on explain it better than {term.effect.id}"
+                return Better(lookalike.name, detail)
             if difference < _TIED:
-                tied[term.key].append((FORCE_STEP, None))
-        return ""
+                tied[term.key].append((lookalike.name, None))
+        return None
 
     def _as_a_force(self, current: Fit, k: int, white: Whitening) -> tuple[float, float, float]:
         """By how much the sum of squares rises when term k is a step of a force instead; the force, N, and its time."""
@@ -482,10 +501,11 @@ class Search:
         point = space.point(rest)
         own = [white.apply(column)[:, rows].ravel() for column in point.derivatives]
         residual = white.apply(point.residual)[:, rows].ravel()
+        probe_N = _FORCE_SHARE * self._proposer.sizes(None).force_N
         best = (float("inf"), 0.0, 0.0)
-        for time_s in around(term.values[TIME], *_FORCE_SEARCH):
-            pushed = space.residual_with_force(rest, _FORCE_N, float(time_s))
-            response = white.apply(point.residual - pushed)[:, rows].ravel() / _FORCE_N
+        for time_s in around(term.time_s, *_FORCE_SEARCH):
+            pushed = space.residual_with_force(rest, probe_N, float(time_s))
+            response = white.apply(point.residual - pushed)[:, rows].ravel() / probe_N
             columns = np.array([*own, response])
             theta, *_ = np.linalg.lstsq(columns.T, residual, rcond=None)
             square = float(np.sum((residual - theta @ columns) ** 2))
@@ -503,8 +523,8 @@ class Search:
         return current.terms[int(np.argmax(correlation))].place
 
     @staticmethod
-    def _own_without(scene: CandidateSet, terms: list[Term], k: int) -> Array:
+    def _own_without(offered: CandidateSet, terms: list[Term], k: int) -> Array:
         sizes = [len(term.coordinates()) for term in terms]
         keep = np.ones(sum(sizes), bool)
         keep[sum(sizes[:k]) : sum(sizes[: k + 1])] = False
-        return scene.own[keep]
+        return offered.own[keep]

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from hilbench.diagnosis.noise import ORDER, Whitening, scaling, whitening
 from hilbench.diagnosis.predictor import FreeRun, Predictor
-from hilbench.diagnosis.terms import TIME, Term, pack_with
+from hilbench.diagnosis.terms import Term, pack_with
 from hilbench.plant.web_line.parameters import ModelParameters
 
 Array = NDArray[np.float64]
@@ -124,11 +124,11 @@ class Space:
         """
         variants: list[list[Term]] = []
         steps: list[float] = []
-        free = [not (timeless and term.aimed and name == TIME) for term in terms for name in term.free()]
+        free = [not (timeless and term.stays_at(name)) for term in terms for name in term.free()]
         for place, term in enumerate(terms):
             here = term.coordinates()
             for k, (step, name) in enumerate(zip(term.steps(), term.free(), strict=True)):
-                if timeless and term.aimed and name == TIME:
+                if timeless and term.stays_at(name):
                     continue
                 moved = here.copy()
                 moved[k] += step
@@ -213,8 +213,9 @@ def finest(space: Space) -> Whitening | None:
 def noise_model(space: Space, residual: Array, columns: Array) -> Whitening:
     """What makes the noise white: its floor where a right model leaves white noise, else its colour.
 
-    The colour is that of what is left of the residual (signals, n) when every raw column (J, signals, n) has had its
-    say; each signal is scaled first, and a small ridge keeps collinear columns calm.
+    residual: measured less predicted (signals, n); columns: raw responses (J, signals, n). The colour is that of the
+    residual after every column has had its say; each signal is scaled first, and a small ridge keeps collinear columns
+    calm.
     """
     predictor = space.predictor
     if predictor.exact:
@@ -228,6 +229,4 @@ def noise_model(space: Space, residual: Array, columns: Array) -> Whitening:
     used = size > 0.0
     c = c[used] / size[used, None]
     theta = np.linalg.solve(c @ c.T + 1e-6 * np.eye(len(c)), c @ r)
-    left = np.zeros_like(residual)
-    left[:, rows] = (r - theta @ c).reshape(len(residual), -1) * scale[:, None]
-    return whitening(left[:, rows])
+    return whitening((r - theta @ c).reshape(len(residual), -1) * scale[:, None])

@@ -13,22 +13,22 @@ from math import atan2, cos, hypot, sin
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.plant.effects import Effect
+from hilbench.plant.effects import Effect, ProbeOver
 from hilbench.plant.parameters import EffectEntry
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.parameters import ModelParameters
 
 Array = NDArray[np.float64]
 
-_PHASE, TIME, _DURATION = "phase_rad", "time_s", "duration_s"
+_PHASE = "phase_rad"
 
 
 @dataclass(frozen=True)
 class Term:
-    """One effect at one place, with values; `axis` counts from 1, None for the web.
+    """One effect at one place, with values.
 
-    `steps` are the finite-difference steps of the coordinates; `multiplicity` is how many variants (orders,
-    frequencies, times) were searched to propose this one. `probe` is for laws far from linear in it.
+    `axis` counts from 1 and is None for the web; `slot` counts what the place has of the effect, from 0. `values` and
+    `base` have every parameter of the effect by name, in its unit.
     """
 
     effect: Effect
@@ -36,9 +36,10 @@ class Term:
     slot: int
     values: Mapping[str, float]
     base: Mapping[str, float]  #: values in the model that is diagnosed
-    shape_steps: Mapping[str, float]  #: steps of the parameters that only shape it
-    multiplicity: float = 1.0
-    probe: float | None = None  #: strength at which its response is looked at; default: a fifth of its scale
+    shape_steps: Mapping[str, float]  #: finite-difference steps of the parameters that only shape it
+    size: float  #: of its strength on this machine, when it shows clearly
+    multiplicity: float = 1.0  #: how many variants (orders, frequencies, times) were searched to propose this one
+    probe: float | None = None  #: strength at which its response is looked at; default: a fifth of its size
     aimed: bool = False  #: its time has been searched for
     least: Mapping[str, float] = field(default_factory=dict)  #: below which a shape can't be known from a recording
 
@@ -60,11 +61,34 @@ class Term:
     @property
     def is_sudden(self) -> bool:
         """Whether it sets in at once, at a time of its own."""
-        return TIME in self.values and _DURATION not in self.values
+        return self.effect.probe is not None and self.effect.probe.over is ProbeOver.ONSET
+
+    @property
+    def onset(self) -> str:
+        """Name of the parameter that is the time from which it acts, s. Raises ValueError for a term without one."""
+        probe = self.effect.probe
+        if probe is None or probe.over not in (ProbeOver.ONSET, ProbeOver.ONSET_AND_DURATION):
+            raise ValueError(f"effect '{self.effect.id}' sets in at no time of its own")
+        return probe.parameter
+
+    @property
+    def time_s(self) -> float:
+        """The time from which it acts, s. Raises ValueError for a term without one."""
+        return self.values[self.onset]
+
+    @property
+    def duration_s(self) -> float:
+        """How long it takes to grow, s; 0 of what sets in at once."""
+        probe = self.effect.probe
+        return self.values[probe.duration] if probe is not None and probe.duration else 0.0
 
     def moved_to(self, time_s: float) -> Term:
-        """The same at another time."""
-        return replace(self, values={**self.values, TIME: time_s})
+        """The same from another time on. Raises ValueError for a term without one."""
+        return replace(self, values={**self.values, self.onset: time_s})
+
+    def stays_at(self, name: str) -> bool:
+        """Whether a parameter is a time that has been searched for already."""
+        return self.aimed and name == self.onset
 
     @property
     def has_phase(self) -> bool:
@@ -119,8 +143,7 @@ class Term:
 
     def steps(self) -> Array:
         """Finite-difference steps of the coordinates."""
-        scale = self.effect.parameter(self._strength).scale
-        return np.array([0.2 * scale] * self.linear + [self.shape_steps[name] for name in self._shapes()])
+        return np.array([0.2 * self.size] * self.linear + [self.shape_steps[name] for name in self._shapes()])
 
     def free(self) -> list[str]:
         """Names of what is fitted, one for each coordinate."""

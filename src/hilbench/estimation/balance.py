@@ -18,8 +18,6 @@ from hilbench.plant.web_line.layout import Layout, Vector
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.span import SpanFollower
 
-#: Width of the change of dry friction around standstill, as in the load model.
-_FRICTION_WIDTH_M_S = 1e-3
 _AXIS = 1  #: index of axis 2
 #: Relative change of E from which the follower is told: creep and damping depend on it.
 _WORTH_TELLING = 1e-4
@@ -50,8 +48,7 @@ def _measured_force(sources: int) -> MeasuredForce:
         motor = lay.W_SIZE + n * lay.A_SIZE + _AXIS * lay.M_SIZE
         ratio = p[motor + lay.M_RAD_PER_M]
         torque = laws.shaft_torque_Nm(p, motor, laws.true_torque_Nm(p, motor, torque_Nm), x_m * ratio)
-        direction = min(max(v_m_s / _FRICTION_WIDTH_M_S, -1.0), 1.0)
-        resistance = laws.smooth_resistance_N(p, axis, v_m_s) + direction * laws.dry_friction_N(p, axis, v_m_s)
+        resistance = laws.measured_resistance_N(p, axis, x_m, v_m_s, laws.FRICTION_WIDTH_M_S)
         force: float = ratio * torque + f_next_N - resistance
         return force
 

@@ -1,36 +1,34 @@
 """Effects of the simulated hardware as CANopen objects.
 
-The n-th effect of the table (from 0) is object 2200h + n, its parameters are the sub-indices in order.
+The object index of an effect stands in its row of the vocabulary, its parameters are the sub-indices in order.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import Final
 
 from hilbench.canopen.device import Cell, Device
-from hilbench.plant.effects import EFFECTS, RIG_DOMAINS
-
-EFFECTS_INDEX: Final = 0x2200
+from hilbench.plant.effects import EffectPlace, MachineKind, effects_of, find_effect
 
 
-def effect_object(effect_id: str, parameter: str) -> tuple[int, int]:
-    """Index and sub-index of an effect's parameter. Raises KeyError for what the table does not have."""
-    for position, effect in enumerate(EFFECTS):
-        if effect.id == effect_id:
-            for sub, known in enumerate(effect.parameters, 1):
-                if known.name == parameter:
-                    return EFFECTS_INDEX + position, sub
+def effect_object(effect_id: str, parameter: str, kind: MachineKind = MachineKind.WEB_LINE) -> tuple[int, int]:
+    """Index and sub-index of an effect's parameter. Raises KeyError for what a machine of that kind does not have."""
+    effect = find_effect(effect_id, kind)
+    for sub, known in enumerate(effect.parameters, 1):
+        if known.name == parameter:
+            return effect.object_index, sub
     raise KeyError(f"{effect_id}.{parameter}")
 
 
-def bind_effect_objects(device: Device, apply: Callable[[str, dict[str, float]], None]) -> None:
+def bind_effect_objects(
+    device: Device, apply: Callable[[str, dict[str, float]], None], kind: MachineKind = MachineKind.WEB_LINE
+) -> None:
     """Give the effect objects of a device their neutral values, and let writes act: `apply(effect id, all its
     parameters)`."""
-    for position, effect in enumerate(EFFECTS):
-        index = EFFECTS_INDEX + position
-        if effect.domain not in RIG_DOMAINS or not device.has(index, 1):
+    for effect in effects_of(kind):
+        index = effect.object_index
+        if not effect.enters(EffectPlace.HARDWARE) or not device.has(index, 1):
             continue
         cells = {parameter.name: device.cell(index, sub) for sub, parameter in enumerate(effect.parameters, 1)}
         for parameter in effect.parameters:

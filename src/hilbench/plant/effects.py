@@ -1,23 +1,30 @@
-"""The vocabulary of what a model may lack: one table that configs, injection, kernel and diagnosis read.
+"""The vocabulary of what a model may lack: one table that configs, injection, kernels, bus and diagnosis read.
 
-An effect is a named group of parameters of the one web model, neutral until they are given (design section 6).
-To add one: a row here, at the end (its place is the number of its CANopen object), and its law in
-`hilbench.plant.web_line.laws`; the places of its parameters in the kernel's arrays (`hilbench.plant.web_line.layout`)
-follow from this table.
+An effect is a named group of parameters of a machine's model, neutral until they are given. Its row has all that is
+known of it. To add one: a row in `EFFECTS`, and its law in the plants that have it (`hilbench.plant.web_line.laws`;
+the places of its parameters in the kernel's arrays, `hilbench.plant.web_line.layout`, follow from this table).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from math import inf, isfinite, pi
+
+
+class MachineKind(StrEnum):
+    """Kinds of machine, as `kind:` of a config's machine names them."""
+
+    WEB_LINE = "web_line"  #: driven rollers with a web between them; forces in N at the web
+    SERVO_AXIS = "servo_axis"  #: one shaft; torques in N·m at the shaft
 
 
 class Domain(StrEnum):
     """Where an effect enters the model."""
 
     ROLLER_RESISTANCE = "roller_resistance"  #: force against the roller's motion, at the web
+    ROLLER_TORQUE = "roller_torque"  #: torque that acts on the roller, by its angle
     MOTOR_TORQUE = "motor_torque"  #: torque that acts on the shaft
     TORQUE_MEASUREMENT = "torque_measurement"  #: torque as the drive reports it
     WEB_KINEMATICS = "web_kinematics"  #: speed of the web at a roller
@@ -28,14 +35,56 @@ class Domain(StrEnum):
     GEAR = "gear"  #: between motor and roller
 
 
-#: Effects of the simulated hardware: drives, shafts and gears.
-RIG_DOMAINS = frozenset(
-    {Domain.ROLLER_RESISTANCE, Domain.MOTOR_TORQUE, Domain.TORQUE_MEASUREMENT, Domain.INERTIA, Domain.GEAR}
-)
-#: Effects the load model can imitate: the web's, and forces at the roller.
-IMITATED_DOMAINS = frozenset(
-    {Domain.ROLLER_RESISTANCE, Domain.WEB_KINEMATICS, Domain.ELASTICITY, Domain.BOUNDARY, Domain.GEOMETRY}
-)
+class EffectPlace(StrEnum):
+    """Where an effect can be hidden, by the config's key for it."""
+
+    HARDWARE = "hardware"  #: in the simulated drives, shafts and gears
+    LOAD = "load"  #: in what a load motor imitates: the machine, and what acts on a roller from outside
+
+
+#: What acts on a roller: the simulated hardware can have it, and a load motor on the roller's shaft can imitate it.
+_AT_A_ROLLER = frozenset({Domain.ROLLER_RESISTANCE, Domain.ROLLER_TORQUE})
+_DOMAINS: Mapping[EffectPlace, frozenset[Domain]] = {
+    EffectPlace.HARDWARE: _AT_A_ROLLER | {Domain.MOTOR_TORQUE, Domain.TORQUE_MEASUREMENT, Domain.INERTIA, Domain.GEAR},
+    EffectPlace.LOAD: _AT_A_ROLLER | {Domain.WEB_KINEMATICS, Domain.ELASTICITY, Domain.BOUNDARY, Domain.GEOMETRY},
+}
+
+
+@dataclass(frozen=True, slots=True)
+class MachineSizes:
+    """What is usual on one machine, at one of its axes; sizes of effects are shares of it."""
+
+    force_N: float  #: at the web: its tension, or what the drive pushes with
+    speed_m_s: float  #: highest, at the web
+    radius_m: float  #: of the roller
+    gear_ratio: float  #: motor turns per roller turn
+    strain: float  #: of the web, 1
+    sample_time_s: float  #: of the drives
+
+
+@dataclass(frozen=True, slots=True)
+class Size:
+    """A share of what is usual on a machine: `share` times the machine's sizes to these powers."""
+
+    share: float
+    force: int = 0
+    speed: int = 0
+    radius: int = 0
+    gear: int = 0
+    strain: int = 0
+    sample_time: int = 0
+
+    def on(self, machine: MachineSizes) -> float:
+        """The size on one machine, in the unit of the parameter that has it."""
+        return (
+            self.share
+            * machine.force_N**self.force
+            * machine.speed_m_s**self.speed
+            * machine.radius_m**self.radius
+            * machine.gear_ratio**self.gear
+            * machine.strain**self.strain
+            * machine.sample_time_s**self.sample_time
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +96,7 @@ class Parameter:
     neutral: float  #: value in a model without the effect
     lower: float  #: least value with a meaning (inclusive)
     upper: float  #: greatest value with a meaning (inclusive)
-    scale: float  #: size of a change that shows clearly on the demonstrator: step size and start value of a fit
+    size: Size  #: a change that shows clearly on a machine: step size and start value of a fit
     required: bool = True  #: must be given with the effect (phases need not)
 
     def problem(self, value: float) -> str | None:
@@ -57,9 +106,55 @@ class Parameter:
         return None
 
 
+class ProbeOver(StrEnum):
+    """Over what a search looks for a parameter of an effect before a fit starts from there."""
+
+    SHARES_OF_TOP_SPEED = "shares of top speed"  #: a speed of the law: tried at some shares of the highest
+    STRENGTHS = "strengths"  #: a law far from linear in its strength: looked at with several
+    MOTOR_ANGLE = "motor angle"  #: an order of the motor's turn: peaks of the residual's spectrum over the angle
+    TIME = "time"  #: a frequency: peaks of the residual's spectrum over time
+    ONSET = "onset"  #: the time from which it acts: looked for ever closer
+    ONSET_AND_DURATION = "onset and duration"  #: the time from which it grows, and for how long
+
+
 @dataclass(frozen=True, slots=True)
+class Probe:
+    """How a search looks for an effect that one look at its response does not show."""
+
+    over: ProbeOver
+    parameter: str  #: what is searched for
+    duration: str = ""  #: ONSET_AND_DURATION: the parameter that is the duration
+    tried: tuple[float, ...] = ()  #: SHARES_OF_TOP_SPEED: the shares; STRENGTHS: in sample times of the drives
+
+
+@dataclass(frozen=True, slots=True)
+class Lookalike:
+    """What the vocabulary does not have and an effect may be mistaken for: said beside it, never named."""
+
+    name: str
+    told_apart_by: str  #: the experiment that separates the two
+
+
+@dataclass(frozen=True, slots=True)
+class Rotary:
+    """What of a row is different on a machine that turns and transports nothing: its parameters' units, at the shaft.
+
+    It has an object index of its own, so that an object on the bus has one unit.
+    """
+
+    law: str
+    parameters: tuple[Parameter, ...]
+    strength: tuple[str, ...]
+    object_index: int
+
+
+_EVERY_KIND = frozenset(MachineKind)
+_WEB_ONLY = frozenset({MachineKind.WEB_LINE})
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Effect:
-    """One effect: id, law, parameters and where it enters."""
+    """One effect: id, law, parameters, where it enters, and how it is found and shown."""
 
     id: str
     per_axis: bool
@@ -68,10 +163,27 @@ class Effect:
     parameters: tuple[Parameter, ...]
     #: Parameters that make the effect vanish when all are neutral; the others only shape it.
     strength: tuple[str, ...]
+    #: CANopen object of it; its parameters are the sub-indices in order, from 1. Never given again to another effect.
+    object_index: int
+    #: The experiment that shows it best.
+    shown_by: str
     #: How many of it a model can hold at one place (several ripple orders, several steps).
     slots: int = 1
     #: Axis that may be named although the effect has no choice of axis: the one at which its law acts.
     implied_axis: int | None = None
+    kinds: frozenset[MachineKind] = field(default=_WEB_ONLY)
+    rotary: Rotary | None = None
+    #: How a search probes it; None: one look at its response, at a strength of its usual size.
+    probe: Probe | None = None
+    #: Whether a search may drop it again where residuals are never noise alone. The simple effects are kept, and
+    #: looked for first: |v| is the product of v and sign(v), and a term of higher order is read beside those that it
+    #: is made of, the constant included (marginality, Nelder 1977).
+    removable: bool = True
+    #: Whether it needs inertia on both sides of a gear.
+    needs_gear: bool = False
+    #: The effect that it is when it takes no time.
+    at_once: str | None = None
+    lookalike: Lookalike | None = None
 
     def parameter(self, name: str) -> Parameter:
         """The parameter `name`. Raises KeyError."""
@@ -96,7 +208,7 @@ class Effect:
         return None
 
     def axis_problem(self, axis: int | None, axes: int | None = None) -> str | None:
-        """What is wrong with the axis given for it (of a line of `axes`), in one line, or None."""
+        """What is wrong with the axis given for it (of a machine with `axes`), in one line, or None."""
         if self.per_axis and axis is None:
             return f"effect '{self.id}' lacks its axis, expected one of the axes 1, 2, ..."
         if not self.per_axis and axis not in (None, self.implied_axis):
@@ -105,224 +217,372 @@ class Effect:
             return f"effect '{self.id}' with axis {axis}, expected 1 to {axes if axes is not None else 'N'}"
         return None
 
+    def enters(self, place: EffectPlace) -> bool:
+        """Whether it can be hidden at a place."""
+        return self.domain in _DOMAINS[place]
+
     def filled(self, parameters: Mapping[str, float]) -> dict[str, float]:
         """All parameters, with the neutral value of those not given."""
         return {p.name: float(parameters.get(p.name, p.neutral)) for p in self.parameters}
 
+    def told_apart_from(self, other: Effect) -> str:
+        """The experiment that separates it from another effect that a recording can't tell it from."""
+        return self.shown_by if self.shown_by == other.shown_by else f"{self.shown_by}; {other.shown_by}"
+
+    def in_kind(self, kind: MachineKind) -> Effect:
+        """The row as a kind of machine has it. Raises ValueError for a kind that does not have the effect."""
+        if kind not in self.kinds:
+            raise ValueError(f"effect '{self.id}' of a {kind}, expected one of {', '.join(sorted(self.kinds))}")
+        if kind is MachineKind.WEB_LINE or self.rotary is None:
+            return self
+        of = self.rotary
+        return replace(
+            self, law=of.law, parameters=of.parameters, strength=of.strength, object_index=of.object_index, rotary=None
+        )
+
 
 def _phase() -> Parameter:
-    return Parameter("phase_rad", "rad", 0.0, -2.0 * pi, 2.0 * pi, 1.0, required=False)
+    return Parameter("phase_rad", "rad", 0.0, -2.0 * pi, 2.0 * pi, Size(1.0), required=False)
 
 
-def _relative(scale: float = 0.1) -> Parameter:
-    return Parameter("relative_change", "1", 0.0, -0.95, 10.0, scale)
+def _relative(size: float = 0.1) -> Parameter:
+    return Parameter("relative_change", "1", 0.0, -0.95, 10.0, Size(size))
 
 
+def _onset() -> Parameter:
+    return Parameter("time_s", "s", 0.0, 0.0, inf, Size(1.0))
+
+
+# Sizes: 5 % of a usual force, at the web, at the roller's shaft, or as speed-dependent force at half the top speed;
+# a third of that where it is compared with the torque of the motor directly.
+_FORCE, _TORQUE = Size(0.05, force=1), Size(0.05, force=1, radius=1)
+_PER_SPEED, _PER_ANGULAR_SPEED = Size(0.1, force=1, speed=-1), Size(0.1, force=1, radius=2, speed=-1)
+_MOTOR_TORQUE = Size(1.0 / 64.0, force=1, radius=1, gear=-1)
+
+#: Among explanations that a recording can't tell apart the one that stands first here is named.
 EFFECTS: tuple[Effect, ...] = (
     Effect(
-        "coulomb_friction",
-        True,
-        "R += Fc·sign(v), sticks at v = 0",
-        Domain.ROLLER_RESISTANCE,
-        (Parameter("force_N", "N", 0.0, 0.0, 1e5, 4.0),),
-        ("force_N",),
-    ),
-    Effect(
-        "viscous_friction",
-        True,
-        "R += b·v",
-        Domain.ROLLER_RESISTANCE,
-        (Parameter("coefficient_N_s_per_m", "N·s/m", 0.0, 0.0, 1e5, 2.0),),
-        ("coefficient_N_s_per_m",),
-    ),
-    Effect(
-        "stribeck_friction",
-        True,
-        "R += Fs·exp(-(v/vs)²)·sign(v), sticks at v = 0",
-        Domain.ROLLER_RESISTANCE,
-        (
-            Parameter("force_N", "N", 0.0, 0.0, 1e5, 4.0),
-            Parameter("speed_m_s", "m/s", 0.1, 1e-5, 100.0, 0.1),
+        id="coulomb_friction",
+        per_axis=True,
+        law="R += Fc·sign(v), sticks at v = 0",
+        domain=Domain.ROLLER_RESISTANCE,
+        parameters=(Parameter("force_N", "N", 0.0, 0.0, 1e5, _FORCE),),
+        strength=("force_N",),
+        object_index=0x2200,
+        shown_by="stop, start and reverse the axis",
+        kinds=_EVERY_KIND,
+        rotary=Rotary(
+            "friction torque += Tc·sign(ω), sticks at ω = 0",
+            (Parameter("torque_Nm", "N·m", 0.0, 0.0, 1e5, _TORQUE),),
+            ("torque_Nm",),
+            0x2280,
         ),
-        ("force_N",),
+        removable=False,
     ),
     Effect(
-        "roller_eccentricity",
-        True,
-        "web speed = v·(1 + (a/r)·cos(phi + phi0)), phi the roller's angle",
-        Domain.WEB_KINEMATICS,
-        (Parameter("amplitude_m", "m", 0.0, 0.0, 0.1, 2e-5), _phase()),
-        ("amplitude_m",),
+        id="viscous_friction",
+        per_axis=True,
+        law="R += b·v",
+        domain=Domain.ROLLER_RESISTANCE,
+        parameters=(Parameter("coefficient_N_s_per_m", "N·s/m", 0.0, 0.0, 1e5, _PER_SPEED),),
+        strength=("coefficient_N_s_per_m",),
+        object_index=0x2201,
+        shown_by="hold several speeds",
+        kinds=_EVERY_KIND,
+        rotary=Rotary(
+            "friction torque += b·ω",
+            (Parameter("coefficient_Nm_s_per_rad", "N·m·s/rad", 0.0, 0.0, 1e5, _PER_ANGULAR_SPEED),),
+            ("coefficient_Nm_s_per_rad",),
+            0x2281,
+        ),
+        removable=False,
     ),
     Effect(
-        "friction_asymmetry",
-        True,
-        "R += d·|v|: viscous b+d forward, b-d backward",
-        Domain.ROLLER_RESISTANCE,
-        (Parameter("viscous_difference_N_s_per_m", "N·s/m", 0.0, -1e5, 1e5, 2.0),),
-        ("viscous_difference_N_s_per_m",),
+        id="stribeck_friction",
+        per_axis=True,
+        law="R += Fs·exp(-(v/vs)²)·sign(v), sticks at v = 0",
+        domain=Domain.ROLLER_RESISTANCE,
+        parameters=(
+            Parameter("force_N", "N", 0.0, 0.0, 1e5, _FORCE),
+            Parameter("speed_m_s", "m/s", 0.1, 1e-5, 100.0, Size(0.025, speed=1)),
+        ),
+        strength=("force_N",),
+        object_index=0x2202,
+        shown_by="creep at 1 to 20 % of the highest speed",
+        kinds=_EVERY_KIND,
+        rotary=Rotary(
+            "friction torque += Ts·exp(-(ω/ωs)²)·sign(ω), sticks at ω = 0",
+            (
+                Parameter("torque_Nm", "N·m", 0.0, 0.0, 1e5, _TORQUE),
+                Parameter("speed_rad_s", "rad/s", 0.5, 1e-5, 1e4, Size(0.025, speed=1, radius=-1)),
+            ),
+            ("torque_Nm",),
+            0x2282,
+        ),
+        probe=Probe(ProbeOver.SHARES_OF_TOP_SPEED, "speed_m_s", tried=(0.01, 0.04, 0.15)),
     ),
     Effect(
-        "torque_ripple",
-        True,
-        "shaft torque = motor torque + A·sin(n·phi_motor + phi0)",
-        Domain.MOTOR_TORQUE,
-        (
-            Parameter("amplitude_Nm", "N·m", 0.0, 0.0, 1e4, 0.05),
-            Parameter("order", "1/turn", 1.0, 1e-3, 1e4, 1.0),
+        id="roller_eccentricity",
+        per_axis=True,
+        law="web speed = v·(1 + (a/r)·cos(phi + phi0)), phi the roller's angle",
+        domain=Domain.WEB_KINEMATICS,
+        parameters=(Parameter("amplitude_m", "m", 0.0, 0.0, 0.1, Size(0.35, radius=1, strain=1)), _phase()),
+        strength=("amplitude_m",),
+        object_index=0x2203,
+        shown_by="hold a speed for many turns of the roller",
+    ),
+    Effect(
+        id="friction_asymmetry",
+        per_axis=True,
+        law="R += d·|v|: viscous b+d forward, b-d backward",
+        domain=Domain.ROLLER_RESISTANCE,
+        parameters=(Parameter("viscous_difference_N_s_per_m", "N·s/m", 0.0, -1e5, 1e5, _PER_SPEED),),
+        strength=("viscous_difference_N_s_per_m",),
+        object_index=0x2204,
+        shown_by="run the same speeds in both directions",
+        kinds=_EVERY_KIND,
+        rotary=Rotary(
+            "friction torque += d·|ω|: viscous b+d forward, b-d backward",
+            (Parameter("viscous_difference_Nm_s_per_rad", "N·m·s/rad", 0.0, -1e5, 1e5, _PER_ANGULAR_SPEED),),
+            ("viscous_difference_Nm_s_per_rad",),
+            0x2284,
+        ),
+    ),
+    Effect(
+        id="torque_ripple",
+        per_axis=True,
+        law="shaft torque = motor torque + A·sin(n·phi_motor + phi0)",
+        domain=Domain.MOTOR_TORQUE,
+        parameters=(
+            Parameter("amplitude_Nm", "N·m", 0.0, 0.0, 1e4, _MOTOR_TORQUE),
+            Parameter("order", "1/turn", 1.0, 1e-3, 1e4, Size(1.0)),
             _phase(),
         ),
-        ("amplitude_Nm",),
+        strength=("amplitude_Nm",),
+        object_index=0x2205,
+        shown_by="ramp the speed slowly through many motor turns",
         slots=4,
+        kinds=_EVERY_KIND,
+        probe=Probe(ProbeOver.MOTOR_ANGLE, "order"),
     ),
     Effect(
-        "torque_offset",
-        True,
-        "measured torque = motor torque + b",
-        Domain.TORQUE_MEASUREMENT,
-        (Parameter("offset_Nm", "N·m", 0.0, -1e4, 1e4, 0.05),),
-        ("offset_Nm",),
+        id="torque_offset",
+        per_axis=True,
+        law="measured torque = motor torque + b",
+        domain=Domain.TORQUE_MEASUREMENT,
+        parameters=(Parameter("offset_Nm", "N·m", 0.0, -1e4, 1e4, _MOTOR_TORQUE),),
+        strength=("offset_Nm",),
+        object_index=0x2206,
+        shown_by="hold two loads that are well apart",
+        kinds=_EVERY_KIND,
+        removable=False,
     ),
     Effect(
-        "torque_scale",
-        True,
-        "shaft torque = (1+s)·(motor torque as the drive knows it)",
-        Domain.MOTOR_TORQUE,
-        (_relative(0.05),),
-        ("relative_change",),
+        id="torque_scale",
+        per_axis=True,
+        law="shaft torque = (1+s)·(motor torque as the drive knows it)",
+        domain=Domain.MOTOR_TORQUE,
+        parameters=(_relative(0.05),),
+        strength=("relative_change",),
+        object_index=0x2207,
+        shown_by="ramp the speed steeply and hold two loads",
+        kinds=_EVERY_KIND,
     ),
     Effect(
-        "torque_delay",
-        True,
-        "measured torque is the motor torque of delay_s ago",
-        Domain.TORQUE_MEASUREMENT,
-        (Parameter("delay_s", "s", 0.0, 0.0, 0.05, 0.004),),
-        ("delay_s",),
+        id="torque_delay",
+        per_axis=True,
+        law="measured torque is the motor torque of delay_s ago",
+        domain=Domain.TORQUE_MEASUREMENT,
+        parameters=(Parameter("delay_s", "s", 0.0, 0.0, 0.05, Size(4.0, sample_time=1)),),
+        strength=("delay_s",),
+        object_index=0x2208,
+        shown_by="ramp the speed steeply",
+        kinds=_EVERY_KIND,
+        probe=Probe(ProbeOver.STRENGTHS, "delay_s", tried=(1.0, 3.0, 10.0, 30.0)),
     ),
-    Effect("inertia_mismatch", True, "m·(1+s)", Domain.INERTIA, (_relative(),), ("relative_change",)),
     Effect(
-        "backlash",
-        True,
-        "gear play: the motor turns by gap_rad (motor side, stop to stop) without moving the roller",
-        Domain.GEAR,
-        (Parameter("gap_rad", "rad", 0.0, 0.0, 1.0, 0.01),),
-        ("gap_rad",),
+        id="inertia_mismatch",
+        per_axis=True,
+        law="m·(1+s)",
+        domain=Domain.INERTIA,
+        parameters=(_relative(),),
+        strength=("relative_change",),
+        object_index=0x2209,
+        shown_by="ramp the speed steeply",
+        kinds=_EVERY_KIND,
     ),
-    Effect("elasticity_shift", False, "E·(1+s)", Domain.ELASTICITY, (_relative(),), ("relative_change",)),
     Effect(
-        "elasticity_step",
-        False,
-        "E·(1+s) from time_s on",
-        Domain.ELASTICITY,
-        (Parameter("time_s", "s", 0.0, 0.0, inf, 1.0), _relative()),
-        ("relative_change",),
+        id="backlash",
+        per_axis=True,
+        law="gear play: the motor turns by gap_rad (motor side, stop to stop) without moving the roller",
+        domain=Domain.GEAR,
+        parameters=(Parameter("gap_rad", "rad", 0.0, 0.0, 1.0, Size(0.01)),),
+        strength=("gap_rad",),
+        object_index=0x220A,
+        shown_by="let the torque change its sign: brake, reverse",
+        needs_gear=True,
+    ),
+    Effect(
+        id="elasticity_shift",
+        per_axis=False,
+        law="E·(1+s)",
+        domain=Domain.ELASTICITY,
+        parameters=(_relative(),),
+        strength=("relative_change",),
+        object_index=0x220B,
+        shown_by="step the tension",
+    ),
+    Effect(
+        id="elasticity_step",
+        per_axis=False,
+        law="E·(1+s) from time_s on",
+        domain=Domain.ELASTICITY,
+        parameters=(_onset(), _relative()),
+        strength=("relative_change",),
+        object_index=0x220C,
+        shown_by="record longer before and after the change",
         slots=4,
+        probe=Probe(ProbeOver.ONSET, "time_s"),
+        lookalike=Lookalike(
+            "a step of a force at roller 2 (friction, downstream tension)",
+            "step the tension after the change, and reverse",
+        ),
     ),
     Effect(
-        "elasticity_drift",
-        False,
-        "E·(1 + k·t)",
-        Domain.ELASTICITY,
-        (Parameter("rate_per_s", "1/s", 0.0, -1.0, 1.0, 1e-3),),
-        ("rate_per_s",),
+        id="elasticity_drift",
+        per_axis=False,
+        law="E·(1 + k·t)",
+        domain=Domain.ELASTICITY,
+        parameters=(Parameter("rate_per_s", "1/s", 0.0, -1.0, 1.0, Size(1e-3)),),
+        strength=("rate_per_s",),
+        object_index=0x220D,
+        shown_by="record longer at constant conditions",
     ),
     Effect(
-        "web_damping",
-        False,
-        "F = E·S·(strain + T·strain')",
-        Domain.ELASTICITY,
-        (Parameter("time_constant_s", "s", 0.0, 0.0, 1.0, 0.005),),
-        ("time_constant_s",),
+        id="web_damping",
+        per_axis=False,
+        law="F = E·S·(strain + T·strain')",
+        domain=Domain.ELASTICITY,
+        parameters=(Parameter("time_constant_s", "s", 0.0, 0.0, 1.0, Size(5.0, sample_time=1)),),
+        strength=("time_constant_s",),
+        object_index=0x220E,
+        shown_by="step the speed difference quickly",
     ),
     Effect(
-        "web_slip",
-        False,
-        "web speed at the roller behind a span = v·(1 - c·(F - F_next)) (creep)",
-        Domain.WEB_KINEMATICS,
-        (Parameter("creep_per_N", "1/N", 0.0, 0.0, 1e-2, 2e-6),),
-        ("creep_per_N",),
+        id="web_slip",
+        per_axis=False,
+        law="web speed at the roller behind a span = v·(1 - c·(F - F_next)) (creep)",
+        domain=Domain.WEB_KINEMATICS,
+        parameters=(Parameter("creep_per_N", "1/N", 0.0, 0.0, 1e-2, Size(0.565, strain=1, force=-1)),),
+        strength=("creep_per_N",),
+        object_index=0x220F,
+        shown_by="hold several tensions at several line speeds",
         implied_axis=2,
     ),
     Effect(
-        "strain_offset",
-        False,
-        "F = E·S·(strain - strain0)",
-        Domain.ELASTICITY,
-        (Parameter("strain", "1", 0.0, -0.1, 0.1, 2e-5),),
-        ("strain",),
+        id="strain_offset",
+        per_axis=False,
+        law="F = E·S·(strain - strain0)",
+        domain=Domain.ELASTICITY,
+        parameters=(Parameter("strain", "1", 0.0, -0.1, 0.1, Size(0.07, strain=1)),),
+        strength=("strain",),
+        object_index=0x2210,
+        shown_by="let E change, or load axis 1 with the web",
     ),
     Effect(
-        "upstream_disturbance",
-        False,
-        "F_prev += A·sin(2·pi·f·t + phi0), the upstream strain in proportion",
-        Domain.BOUNDARY,
-        (
-            Parameter("amplitude_N", "N", 0.0, 0.0, 1e5, 2.0),
-            Parameter("frequency_Hz", "Hz", 1.0, 0.0, 250.0, 1.0),
+        id="upstream_disturbance",
+        per_axis=False,
+        law="F_prev += A·sin(2·pi·f·t + phi0), the upstream strain in proportion",
+        domain=Domain.BOUNDARY,
+        parameters=(
+            Parameter("amplitude_N", "N", 0.0, 0.0, 1e5, Size(0.025, force=1)),
+            Parameter("frequency_Hz", "Hz", 1.0, 0.0, 250.0, Size(1.0)),
             _phase(),
         ),
-        ("amplitude_N",),
+        strength=("amplitude_N",),
+        object_index=0x2211,
+        shown_by="record longer at constant speed, then at another speed",
         slots=4,
+        probe=Probe(ProbeOver.TIME, "frequency_Hz"),
     ),
-    Effect("span_length_error", False, "L·(1+s)", Domain.GEOMETRY, (_relative(),), ("relative_change",)),
     Effect(
-        "elasticity_ramp",
-        False,
-        "E·(1 + s·(t - time_s)/duration_s) from time_s on, E·(1+s) after duration_s",
-        Domain.ELASTICITY,
-        (
-            Parameter("time_s", "s", 0.0, 0.0, inf, 1.0),
-            Parameter("duration_s", "s", 1.0, 1e-3, 1e9, 1.0),
-            _relative(),
-        ),
-        ("relative_change",),
+        id="span_length_error",
+        per_axis=False,
+        law="L·(1+s)",
+        domain=Domain.GEOMETRY,
+        parameters=(_relative(),),
+        strength=("relative_change",),
+        object_index=0x2212,
+        shown_by="step the speed difference at several line speeds",
+    ),
+    Effect(
+        id="elasticity_ramp",
+        per_axis=False,
+        law="E·(1 + s·(t - time_s)/duration_s) from time_s on, E·(1+s) after duration_s",
+        domain=Domain.ELASTICITY,
+        parameters=(_onset(), Parameter("duration_s", "s", 1.0, 1e-3, 1e9, Size(1.0)), _relative()),
+        strength=("relative_change",),
+        object_index=0x2213,
+        shown_by="record longer before and after the change",
         slots=2,
+        probe=Probe(ProbeOver.ONSET_AND_DURATION, "time_s", "duration_s"),
+        at_once="elasticity_step",
+    ),
+    Effect(
+        id="unbalance",
+        per_axis=True,
+        law="torque on the roller += A·sin(phi + phi0), phi the roller's angle",
+        domain=Domain.ROLLER_TORQUE,
+        parameters=(Parameter("amplitude_Nm", "N·m", 0.0, 0.0, 1e5, _TORQUE), _phase()),
+        strength=("amplitude_Nm",),
+        object_index=0x2214,
+        shown_by="turn slowly for many turns of the roller, then at another speed",
+        kinds=_EVERY_KIND,
     ),
 )
 
-#: Axes of the stand: the load motor is on the second.
-_STAND_AXES = 2
+_OF_KIND: Mapping[MachineKind, Mapping[str, Effect]] = {
+    kind: {effect.id: effect.in_kind(kind) for effect in EFFECTS if kind in effect.kinds} for kind in MachineKind
+}
 
-_BY_ID = {effect.id: effect for effect in EFFECTS}
+
+def effects_of(kind: MachineKind) -> tuple[Effect, ...]:
+    """The vocabulary of a kind of machine, with the units that it has there."""
+    return tuple(_OF_KIND[kind].values())
 
 
-def find_effect(effect_id: str) -> Effect:
-    """The effect with this id. Raises KeyError with a message that lists the known ids."""
+def find_effect(effect_id: str, kind: MachineKind = MachineKind.WEB_LINE) -> Effect:
+    """The effect with this id. Raises KeyError with a message that lists the ids a machine of that kind knows."""
+    known = _OF_KIND[kind]
     try:
-        return _BY_ID[effect_id]
+        return known[effect_id]
     except KeyError:
-        raise KeyError(f"unknown effect '{effect_id}', expected one of {', '.join(_BY_ID)}") from None
+        raise KeyError(f"unknown effect '{effect_id}', expected one of {', '.join(known)}") from None
 
 
-def axis_effects() -> tuple[Effect, ...]:
-    """The effects that belong to one axis each."""
-    return tuple(effect for effect in EFFECTS if effect.per_axis)
+def effect_problem(
+    effect_id: str,
+    axis: int | None,
+    place: EffectPlace,
+    axes: int,
+    loaded: Collection[int] = (),
+    kind: MachineKind = MachineKind.WEB_LINE,
+) -> str | None:
+    """Why an effect can't be hidden at a place, in one line, or None.
 
-
-def web_effects() -> tuple[Effect, ...]:
-    """The effects that belong to the web (every span of the line)."""
-    return tuple(effect for effect in EFFECTS if not effect.per_axis)
-
-
-def rig_effect_problem(effect_id: str, axis: int | None) -> str | None:
-    """Why the simulated hardware cannot have an effect, in one line, or None."""
+    axis: the one given for it, from 1 (None: none). axes: how many the machine has. loaded: those on whose shaft a load
+    motor is.
+    """
     try:
-        effect = find_effect(effect_id)
+        effect = find_effect(effect_id, kind)
     except KeyError as error:
         return str(error.args[0])
-    if effect.domain not in RIG_DOMAINS:
-        return f"effect '{effect_id}' in the simulated hardware, expected one of the axes; the web is the load model's"
-    return effect.axis_problem(axis, _STAND_AXES)
-
-
-def imitated_effect_problem(effect_id: str, axis: int | None) -> str | None:
-    """Why the load model cannot imitate an effect, in one line, or None."""
-    try:
-        effect = find_effect(effect_id)
-    except KeyError as error:
-        return str(error.args[0])
-    if effect.domain not in IMITATED_DOMAINS:
+    if not effect.enters(place):
+        if place is EffectPlace.HARDWARE:
+            expected = "expected one of the axes; the web is the load model's"
+            return f"effect '{effect_id}' in the simulated hardware, {expected}"
         return f"an effect of the web or a roller's resistance; {effect_id} belongs in 'hardware:'"
-    if effect.domain is Domain.ROLLER_RESISTANCE and axis != 2:
-        return f"{effect_id} of axis 2, where the load motor is; other axes' in 'hardware:'"
-    return effect.axis_problem(axis, _STAND_AXES)
+    if place is EffectPlace.LOAD and effect.domain in _AT_A_ROLLER and axis not in loaded:
+        where = " or ".join(str(known) for known in loaded)
+        return f"{effect_id} of axis {where}, where the load motor is; other axes' in 'hardware:'"
+    return effect.axis_problem(axis, axes)

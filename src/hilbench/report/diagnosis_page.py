@@ -51,8 +51,8 @@ def write_diagnosis_page(
         section("Against what it depends on", _profiles(found)) if found.profiles else "",
         section("The twin on the bench", _live(live, not_compared)) if live else "",
         section("Where the model disagreed", _where(found)) if found.where else "",
-        section("Not explained", _left(found)) if found.left else "",
-        section("What these data could not show", _blind(found)) if found.blind_to else "",
+        section("Not explained", _unexplained(found)) if found.unexplained else "",
+        section("What these data could not show", _unobservable(found)) if found.unobservable else "",
         section("The extended model in use", _use(config)) if found.effects else "",
         interactive([residuals], _held_out(found)),
     ]
@@ -185,13 +185,13 @@ def _where(found: Diagnosis) -> str:
     return table(("Signal", "Condition", "When", ">Share of gap"), lines)
 
 
-def _left(found: Diagnosis) -> str:
-    lines = [_row(m.signal, m.condition, m.detail, number(m.excess, 3), numbers=1) for m in found.left]
+def _unexplained(found: Diagnosis) -> str:
+    lines = [_row(m.signal, m.condition, m.detail, number(m.excess, 3), numbers=1) for m in found.unexplained]
     note = '<p class="note">Excess of the statistic over its expectation under noise alone.</p>'
     return table(("Signal", "Depends on", "Detail", ">Excess"), lines) + note
 
 
-def _blind(found: Diagnosis) -> str:
+def _unobservable(found: Diagnosis) -> str:
     lines = [
         _row(
             b.effect + (f" of axis {b.axis}" if b.axis else ""),
@@ -199,6 +199,6 @@ def _blind(found: Diagnosis) -> str:
             "never" if b.smallest_visible is None else f"{number(b.smallest_visible, 3)} {b.unit}",
             numbers=1,
         )
-        for b in found.blind_to
+        for b in found.unobservable
     ]
     return table(("Effect", "Next experiment", ">Smallest visible"), lines)

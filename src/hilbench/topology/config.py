@@ -17,13 +17,14 @@ from hilbench.block import Block
 from hilbench.can.open import BusAddress
 from hilbench.errors import UnusableInputError
 from hilbench.estimation.config import EstimationConfig
-from hilbench.plant.effects import imitated_effect_problem, rig_effect_problem
+from hilbench.plant.effects import EffectPlace, effect_problem
 from hilbench.plant.parameters import EffectEntry, LoadMotorParameters
 from hilbench.plant.sampling import samples_per
 from hilbench.plant.sensors import SensorParameters
 from hilbench.plant.web_line.parameters import Length, ModelParameters, Modulus
 from hilbench.plant.web_line.rig import RigParameters
 from hilbench.real_time import ProcessSettings
+from hilbench.topology.quantities import AXES, LOADED_AXES
 from hilbench.topology.signals import Signal, signals_of
 
 Pace = Literal["lockstep", "realtime"]
@@ -174,7 +175,7 @@ class HardwareConfig(Block):
     @classmethod
     def _of_axes(cls, entries: list[EffectEntry]) -> list[EffectEntry]:
         for entry in entries:
-            problem = rig_effect_problem(entry.effect, entry.axis)
+            problem = effect_problem(entry.effect, entry.axis, EffectPlace.HARDWARE, AXES)
             if problem:
                 raise ValueError(problem)
         return entries
@@ -197,7 +198,7 @@ class LoadConfig(Block):
     @classmethod
     def _imitable(cls, entries: list[EffectEntry]) -> list[EffectEntry]:
         for entry in entries:
-            problem = imitated_effect_problem(entry.effect, entry.axis)
+            problem = effect_problem(entry.effect, entry.axis, EffectPlace.LOAD, AXES, LOADED_AXES)
             if problem:
                 raise ValueError(problem)
         return entries

@@ -19,7 +19,7 @@ from math import isfinite
 from numbers import Real
 
 from hilbench.errors import UnusableValueError
-from hilbench.plant.effects import EFFECTS, find_effect, imitated_effect_problem, rig_effect_problem
+from hilbench.plant.effects import EffectPlace, MachineKind, effect_problem, effects_of, find_effect
 from hilbench.plant.web_line.parameters import LARGEST_MODULUS_Pa, LEAST_MODULUS_Pa
 from hilbench.suggest import did_you_mean
 
@@ -77,8 +77,8 @@ _PLAIN = {
 PLAIN_PATHS = tuple(_PLAIN)
 
 
-#: Where effects can be, and what is wrong with one (its id and axis) there.
-_PLACES = {"load": imitated_effect_problem, "hardware": rig_effect_problem}
+#: Axes of the machine, and those on whose shaft a load motor is.
+AXES, LOADED_AXES = 2, (2,)
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,7 @@ class EffectPath:
 def parse_effect_path(text: str) -> EffectPath:
     """Take ``load|hardware.effects.ID[.axis1|.axis2].PARAMETER`` apart. Raises ValueError that says what is wrong."""
     parts = text.split(".")
-    if len(parts) not in (4, 5) or parts[0] not in ("load", "hardware") or parts[1] != "effects":
+    if len(parts) not in (4, 5) or parts[0] not in list(EffectPlace) or parts[1] != "effects":
         known = ", ".join(PLAIN_PATHS)
         raise ValueError(
             f"one of {known}, or load|hardware.effects.ID[.axisN].PARAMETER{did_you_mean(text, all_paths())}"
@@ -104,7 +104,7 @@ def parse_effect_path(text: str) -> EffectPath:
     try:
         effect = find_effect(name)
     except KeyError:
-        meant = did_you_mean(name, (effect.id for effect in EFFECTS))
+        meant = did_you_mean(name, (effect.id for effect in effects_of(MachineKind.WEB_LINE)))
         raise ValueError(f"an effect of the vocabulary, '{name}' is none{meant}") from None
     axis = {"axis1": 1, "axis2": 2}.get(axis_part[0]) if axis_part else None
     if effect.per_axis and axis is None:
@@ -115,7 +115,7 @@ def parse_effect_path(text: str) -> EffectPath:
     if parameter not in names:
         meant = did_you_mean(parameter, names)
         raise ValueError(f"a parameter of '{name}' ({', '.join(names)}), '{parameter}' is none{meant}")
-    problem = _PLACES[place](name, axis)
+    problem = effect_problem(name, axis, EffectPlace(place), AXES, LOADED_AXES)
     if problem:
         raise ValueError(problem)
     return EffectPath(place, name, axis, parameter)
@@ -124,9 +124,9 @@ def parse_effect_path(text: str) -> EffectPath:
 def all_paths() -> Iterator[str]:
     """Every path that can be set."""
     yield from PLAIN_PATHS
-    for effect in EFFECTS:
-        for (place, problem), axis in product(_PLACES.items(), (1, 2) if effect.per_axis else (None,)):
-            if not problem(effect.id, axis):
+    for effect in effects_of(MachineKind.WEB_LINE):
+        for place, axis in product(EffectPlace, range(1, AXES + 1) if effect.per_axis else (None,)):
+            if not effect_problem(effect.id, axis, place, AXES, LOADED_AXES):
                 at = f"{place}.effects.{effect.id}." + ("" if axis is None else f"axis{axis}.")
                 yield from (at + parameter.name for parameter in effect.parameters)
 

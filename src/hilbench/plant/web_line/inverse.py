@@ -9,9 +9,6 @@ from hilbench.plant.web_line import kernel, laws
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.layout import Vector
 
-#: Width of the change of dry friction around standstill, m/s: about what filtered motion resolves.
-_FRICTION_WIDTH_M_S = 1e-3
-
 RequiredTorque = Callable[[Vector, Vector, Vector, Vector, float, Vector], None]
 
 
@@ -32,8 +29,7 @@ def _required_torque(sources: int) -> RequiredTorque:
             x = x_m[first] + share * (x_m[first + 1] - x_m[first])
             v = v_m_s[first] + share * (v_m_s[first + 1] - v_m_s[first])
             a = a_m_s2[first] + share * (a_m_s2[first + 1] - a_m_s2[first])
-            direction = min(max(v / _FRICTION_WIDTH_M_S, -1.0), 1.0)
-            force = mass * a + laws.smooth_resistance_N(p, axis, v) + direction * laws.dry_friction_N(p, axis, v)
+            force = mass * a + laws.measured_resistance_N(p, axis, x, v, laws.FRICTION_WIDTH_M_S)
             out_Nm[k] = laws.motor_torque_Nm(p, motor, force / ratio, x * ratio) + laws.reported_offset_Nm(p, motor)
 
     return required

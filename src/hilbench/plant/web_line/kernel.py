@@ -121,8 +121,10 @@ def _motor_force_N(p: Vector, w: Vector, n: int, m: int, k: int, j: int, x_m: fl
 
 @inlined
 def _own_force_N(p: Vector, w: Vector, n: int, m: int, k: int, i: int, y: int) -> float:
-    """Force on the roller's side of gear i without web and dry friction: load motors, smooth resistance."""
+    """Force on the roller's side of gear i without web and dry friction: load motors, resistance, unbalance."""
     force = -laws.smooth_resistance_N(p, _axis(i), w[y + n + i])
+    if laws.has_unbalance(p, _axis(i)):
+        force += laws.unbalance_N(p, _axis(i), w[y + i])
     for j in range(n, m):  # load motors; of a line without any, the loop is not compiled
         if p[_motor(n, j) + lay.M_AXIS] == i:
             force += _motor_force_N(p, w, n, m, k, j, w[y + i])

@@ -21,6 +21,8 @@ _ASYMMETRY = place("friction_asymmetry", "viscous_difference_N_s_per_m")
 _ECCENTRICITY_M = place("roller_eccentricity", "amplitude_m")
 _ECCENTRICITY_PHASE = place("roller_eccentricity", "phase_rad")
 _INERTIA = place("inertia_mismatch", "relative_change")
+_UNBALANCE_NM = place("unbalance", "amplitude_Nm")
+_UNBALANCE_PHASE = place("unbalance", "phase_rad")
 _GAP_RAD = place("backlash", "gap_rad")
 _RIPPLE = place("torque_ripple", "amplitude_Nm")
 _RIPPLES = find_effect("torque_ripple").slots
@@ -40,6 +42,9 @@ _DISTURBANCE = place("upstream_disturbance", "amplitude_N")
 _DISTURBANCES = find_effect("upstream_disturbance").slots
 _LENGTH = place("span_length_error", "relative_change")
 
+#: Width of the change of dry friction around standstill, m/s, where motion is measured: a force that is worked out of
+#: it must not flip with the noise of v.
+FRICTION_WIDTH_M_S = 1e-3
 #: Tension change (N) at which the iteration for damping with creep stops.
 _TENSION_TOLERANCE_N = 1e-10
 _MOST_PASSES = 100
@@ -64,6 +69,31 @@ def dry_friction_N(p: Vector, axis: int, v_m_s: float) -> float:
     if p[axis + _STRIBECK_N] != 0.0:
         force += p[axis + _STRIBECK_N] * exp(-((v_m_s / p[axis + _STRIBECK_SPEED]) ** 2))
     return force
+
+
+@inlined
+def has_unbalance(p: Vector, axis: int) -> bool:
+    """Whether the roller is out of balance."""
+    return p[axis + _UNBALANCE_NM] != 0.0
+
+
+@compiled
+def unbalance_N(p: Vector, axis: int, x_m: float) -> float:
+    """Force at the web of a roller's unbalance: A·sin(phi + phi0)/r, forward; roller angle phi = x/r."""
+    noinline()
+    radius = p[axis + lay.A_RADIUS_M]
+    return p[axis + _UNBALANCE_NM] * sin(x_m / radius + p[axis + _UNBALANCE_PHASE]) / radius
+
+
+@inlined
+def measured_resistance_N(p: Vector, axis: int, x_m: float, v_m_s: float, width_m_s: float) -> float:
+    """Force against a roller of which motion is measured: position x, speed v; dry friction, that a simulation takes as
+    an event at standstill, turns over linearly within ±`width_m_s`, and unbalance is a resistance by the angle."""
+    direction = min(max(v_m_s / width_m_s, -1.0), 1.0)
+    resistance = smooth_resistance_N(p, axis, v_m_s) + direction * dry_friction_N(p, axis, v_m_s)
+    if has_unbalance(p, axis):
+        resistance -= unbalance_N(p, axis, x_m)
+    return resistance
 
 
 @inlined

@@ -7,8 +7,8 @@ Three vectors of float64 describe a line of N axes, M motors and K spans:
   span), per axis the friction direction and gear contact, M motor rows, M rows of past torques;
 - inputs: boundary, M motor rows (mode, set point, slope, limit), K rates of length.
 
-Motor k drives axis k. Motors beyond the last axis (load motors of a rig) sit on the roller's side of the gear play of the
-axis that their row names.
+Motor k drives axis k. Motors beyond the last axis (load motors of a rig) sit on the roller's side of the gear play of
+the axis that their row names.
 """
 
 from __future__ import annotations
@@ -24,12 +24,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hilbench.plant import drive_loops as loops
-from hilbench.plant.effects import EFFECTS, Domain, Effect, find_effect
+from hilbench.plant.effects import Domain, Effect, MachineKind, effects_of, find_effect
 from hilbench.plant.motor_port import MotorMode
 from hilbench.plant.parameters import DriveParameters, EffectEntry, per_item
 from hilbench.plant.web_line.parameters import ModelParameters
 
 Vector = NDArray[np.float64]
+
+_EFFECTS: Final = effects_of(MachineKind.WEB_LINE)
 
 # Web row.
 W_AXES: Final = 0
@@ -110,7 +112,7 @@ def row_of(effect: Effect) -> str:
 
 def _allocate() -> tuple[dict[str, int], dict[str, int]]:
     sizes, first = dict(_FIXED), {}
-    for effect in EFFECTS:
+    for effect in _EFFECTS:
         first[effect.id] = sizes[row_of(effect)]
         sizes[row_of(effect)] += effect.slots * len(effect.parameters)
     return sizes, first
@@ -238,7 +240,7 @@ def write_effect(parameters: Vector, effect_id: str, axis: int | None, slot: int
 def clear_effects(parameters: Vector) -> None:
     """Set every effect of a parameter vector neutral."""
     layout = Layout.of(parameters)
-    for effect in EFFECTS:
+    for effect in _EFFECTS:
         neutral = effect.filled({})
         for axis in range(1, layout.axes + 1) if effect.per_axis else (None,):
             for slot in range(effect.slots):
@@ -248,7 +250,7 @@ def clear_effects(parameters: Vector) -> None:
 
 def _neutral_spare_motors(parameters: Vector, layout: Layout) -> None:
     for row in layout.motor_rows(parameters)[layout.axes :]:
-        for effect in EFFECTS:
+        for effect in _EFFECTS:
             if row_of(effect) == "motor":
                 for slot in range(effect.slots):
                     for p in effect.parameters:

@@ -14,7 +14,7 @@ import numpy as np
 from pydantic import Field, FiniteFloat, model_validator
 
 from hilbench.block import Block
-from hilbench.plant.effects import find_effect, rig_effect_problem
+from hilbench.plant.effects import EffectPlace, effect_problem, find_effect
 from hilbench.plant.motor_port import MotorPort
 from hilbench.plant.parameters import DriveParameters, EffectEntry, LoadMotorParameters, per_item
 from hilbench.plant.sampling import samples_per
@@ -56,7 +56,7 @@ class RigParameters(Block):
             if min(motor, flywheel) < 0.0 or motor + flywheel <= 0.0:
                 raise ValueError(f"axis {axis}: inertias {motor} and {flywheel} kg·m², expected 0 or more, not both 0")
         for position, entry in enumerate(self.effects):
-            problem = rig_effect_problem(entry.effect, entry.axis)
+            problem = effect_problem(entry.effect, entry.axis, EffectPlace.HARDWARE, _AXES)
             if problem:
                 raise ValueError(f"effects, entry {position + 1}: {problem}")
         return self
@@ -190,7 +190,7 @@ class TestRig:
 
     def set_effect(self, effect_id: str, axis: int | None = None, *, slot: int = 0, **parameters: float) -> None:
         """Give an axis an effect from now on. Raises ValueError, also for an effect of the web."""
-        problem = rig_effect_problem(effect_id, axis)
+        problem = effect_problem(effect_id, axis, EffectPlace.HARDWARE, _AXES)
         if problem:
             raise ValueError(problem)
         set_effect(self._p, effect_id, axis, slot, parameters)
@@ -198,7 +198,7 @@ class TestRig:
 
     def clear_effect(self, effect_id: str, axis: int | None = None, *, slot: int = 0) -> None:
         """Make an effect neutral from now on. Raises as `set_effect`."""
-        problem = rig_effect_problem(effect_id, axis)
+        problem = effect_problem(effect_id, axis, EffectPlace.HARDWARE, _AXES)
         if problem:
             raise ValueError(problem)
         self.set_effect(effect_id, axis, slot=slot, **find_effect(effect_id).filled({}))

@@ -91,7 +91,7 @@ def roll_on(
 
 FollowCycle = Callable[[Vector, Vector, Vector, Vector, float, float, float, Vector], None]
 FollowRows = Callable[[Vector, Vector, Vector, Vector, Vector, float, Vector, Vector], None]
-Resistance = Callable[[Vector, int, float, float], float]
+Resistance = Callable[[Vector, int, float, float, float], float]
 Modulus = Callable[[Vector, float], float]
 
 
@@ -117,12 +117,10 @@ def _entry_points(sources: int) -> tuple[FollowCycle, FollowRows, Resistance, Mo
             roll_on(p, s, w, v, boundary[before, 0], boundary[before, 1], duration, _LONGEST_STEP_S, out[row])
 
     @entry_point
-    def resistance(p: Vector, axis: int, v_m_s: float, width_m_s: float) -> float:
+    def resistance(p: Vector, axis: int, x_m: float, v_m_s: float, width_m_s: float) -> float:
         if sources < 0:
             return 0.0
-        row = lay.W_SIZE + axis * lay.A_SIZE
-        direction = min(max(v_m_s / width_m_s, -1.0), 1.0)
-        return laws.smooth_resistance_N(p, row, v_m_s) + direction * laws.dry_friction_N(p, row, v_m_s)
+        return laws.measured_resistance_N(p, lay.W_SIZE + axis * lay.A_SIZE, x_m, v_m_s, width_m_s)
 
     @entry_point
     def modulus(p: Vector, t: float) -> float:
@@ -253,13 +251,18 @@ class SpanFollower:
         self._evaluate()
 
     def web_torque_Nm(
-        self, axis: int, v_m_s: float, *, tension_N: ArrayLike | None = None, friction_width_m_s: float = 1e-3
+        self,
+        axis: int,
+        v_m_s: float,
+        *,
+        tension_N: ArrayLike | None = None,
+        friction_width_m_s: float = laws.FRICTION_WIDTH_M_S,
     ) -> float:
         """Torque at the motor of `axis` that imitates the web and the roller's resistance: (r/i)·(F_next - F - R(v)).
 
         For axis 1 F_next is the span's tension and F the upstream one. `tension_N` (K,): tensions to use, default the
         present ones. Dry friction turns over linearly within ±`friction_width_m_s`: imitated by a torque it must not
-        flip with the noise of v. Inertia and gear effects can't be imitated by it (`effects.IMITATED_DOMAINS`).
+        flip with the noise of v. Inertia and gear effects can't be imitated by it.
         """
         tensions = self._tension if tension_N is None else np.asarray(tension_N, dtype=float)
         force = 0.0
@@ -267,7 +270,8 @@ class SpanFollower:
             before = tensions[axis - 2] if axis > 1 else self._upstream_tension_N()
             behind = tensions[axis - 1] if axis <= len(tensions) else self._boundary[1]
             force = float(behind - before)
-        force -= _resistance(self._p, axis - 1, float(v_m_s), friction_width_m_s)
+        position_m = self._state.item(axis)
+        force -= _resistance(self._p, axis - 1, position_m, float(v_m_s), friction_width_m_s)
         return float(force / self._rad_per_m[axis - 1])
 
     def _upstream_tension_N(self) -> float:

@@ -92,7 +92,7 @@ UNKNOWNS: Final[Mapping[str, tuple[Disturbance, tuple[float, float, float]]]] = 
 }
 
 
-def blind_recording(
+def hidden_recording(
     model: ModelParameters,
     effects: list[EffectEntry],
     *,

@@ -1,0 +1,42 @@
+"""What is usual on one web line or lone axis, of which the sizes of effects are shares."""
+
+from __future__ import annotations
+
+from hilbench.plant.effects import MachineSizes
+from hilbench.plant.parameters import per_item
+from hilbench.plant.web_line.parameters import ModelParameters
+
+
+def machine_sizes(
+    model: ModelParameters,
+    axis: int | None,
+    *,
+    top_speed_m_s: float,
+    torque_Nm: float | None = None,
+    sample_time_s: float | None = None,
+) -> MachineSizes:
+    """What is usual at an axis (from 1; None: the first) of the machine of a model.
+
+    top_speed_m_s: highest speed at the web, which no model tells. torque_Nm: usual torque at the motor; where there is
+    no web the force comes from it, and its default is the drive's limit (1 N·m where the model has none).
+    sample_time_s: that of what was recorded, for a model without drives; default 1 ms.
+    """
+    axis = 1 if axis is None else axis
+    radius_m, per_m = model.radius_m(axis), model.motor_rad_per_m(axis)
+    tension_N = max(model.boundary.upstream_tension_N, model.boundary.downstream_tension_N)
+    drives = model.drives
+    if model.web is None or tension_N <= 0.0:
+        limit_Nm = per_item(drives.torque_limit_Nm, axis) if drives is not None else 1.0
+        force_N = per_m * (limit_Nm if torque_Nm is None else torque_Nm)
+    else:
+        force_N = tension_N
+    strain = force_N / model.web.stiffness_N if model.web is not None else 1.0
+    time_s = drives.sample_time_s if drives is not None else sample_time_s
+    return MachineSizes(
+        force_N=force_N,
+        speed_m_s=top_speed_m_s,
+        radius_m=radius_m,
+        gear_ratio=per_m * radius_m,
+        strain=strain,
+        sample_time_s=0.001 if time_s is None else time_s,
+    )
