@@ -1,0 +1,107 @@
+"""Predictors in closed form, for tests of fit and search: what the right answer is follows from the formula."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+from tests.plant.models import lone_axis, model
+
+from hilbench.diagnosis.measured import Measured
+from hilbench.diagnosis.misfit import Condition
+from hilbench.diagnosis.proposals import Proposer
+from hilbench.diagnosis.space import Space
+from hilbench.diagnosis.terms import Term
+from hilbench.plant.effects import find_effect
+from hilbench.plant.web_line import layout as lay
+from hilbench.plant.web_line.inverse import required_torque_Nm
+
+Array = NDArray[np.float64]
+
+PERIOD_S, SECONDS, NOISE = 0.005, 30.0, 0.05
+
+
+class Analytic:
+    """One signal that is a formula of a parameter vector, measured with white noise of a known size."""
+
+    imitation = None
+    every = 1
+
+    def __init__(self, formula: Callable[[Array], Array], truth: Array, *, exact: bool = True, seed: int = 0) -> None:
+        """formula: (P,) to (n,); truth: the parameter vector (P,) of what is measured."""
+        self._formula = formula
+        self.names = ("tau1_Nm",)
+        clean = formula(truth)
+        self.measured = (clean + NOISE * np.random.default_rng(seed).standard_normal(len(clean)))[None]
+        self.rows = np.ones(len(clean), bool)
+        self.exact = exact
+        self.tolerances = np.zeros(1)
+
+    def floor(self, signal: int) -> float:
+        return NOISE
+
+    def conditions(self, parameters: Array) -> list[Condition]:
+        return []
+
+    def predict(self, parameters: Array) -> Array:
+        return np.array([self._formula(vector) for vector in np.atleast_2d(parameters)])[:, None, :]
+
+
+class Axis:
+    """A lone axis of 3 kg that is known to move to and fro at several speeds: torque equals force."""
+
+    def __init__(self, *effects: dict[str, object], forward: bool = False, seed: int = 0, exact: bool = True) -> None:
+        self.model = lone_axis()
+        self.t_s = np.arange(round(SECONDS / PERIOD_S)) * PERIOD_S
+        phase = np.array([0.0, 0.4, 1.1, 2.0])
+        omega = np.array([0.4, 1.3, 2.9, 6.1])
+        wave = omega * self.t_s[:, None] + phase
+        size = np.array([0.8, 0.5, 0.3, 0.2])
+        self.v_m_s = np.sin(wave) @ size + (2.0 if forward else 0.0)
+        self.a_m_s2 = np.cos(wave) @ (size * omega)
+        self.x_m = -np.cos(wave) @ (size / omega) + (2.0 * self.t_s if forward else 0.0)
+        self.space = Space(
+            self.model, Analytic(self._torque_Nm, lay.pack(lone_axis(*effects)), seed=seed, exact=exact), PERIOD_S
+        )  # type: ignore[arg-type]
+
+    def _torque_Nm(self, parameters: Array) -> Array:
+        out = np.empty(len(self.t_s))
+        required_torque_Nm(parameters, self.x_m, self.v_m_s, self.a_m_s2, PERIOD_S, out)
+        return out
+
+    def proposer(self, *vocabulary: str) -> Proposer:
+        """Of these effects only, in this order."""
+        data = Measured(
+            t_s=self.t_s,
+            period_s=PERIOD_S,
+            commands_m_s=np.empty((len(self.t_s), 0)),
+            boundary=np.zeros((len(self.t_s), 2)),
+            tau_Nm={1: self.space.predictor.measured[0]},
+            x_m={1: self.x_m},
+            v_m_s={1: self.v_m_s},
+        )
+        return Proposer(self.model, data, [find_effect(effect_id) for effect_id in vocabulary])
+
+    def term(self, effect_id: str, **values: float) -> Term:
+        """A plain term of an effect with these values."""
+        (plain, *_) = self.proposer(effect_id).plain()
+        here = plain.coordinates({**plain.values, **values})
+        return plain.at(here)
+
+
+class Ringing:
+    """A web whose tension jumps with E at a time and rings at 20 Hz after it: a sum of squares with many minima."""
+
+    def __init__(self, time_s: float, change: float) -> None:
+        self.model = model()
+        self.t_s = np.arange(round(SECONDS / PERIOD_S)) * PERIOD_S
+        truth = lay.pack(self.model)
+        lay.write_effect(truth, "elasticity_step", None, 0, {"time_s": time_s, "relative_change": change})
+        self.space = Space(self.model, Analytic(self._torque_Nm, truth), PERIOD_S)  # type: ignore[arg-type]
+
+    def _torque_Nm(self, parameters: Array) -> Array:
+        since = self.t_s - parameters[lay.place("elasticity_step", "time_s")]
+        size = parameters[lay.place("elasticity_step", "relative_change")]
+        ringing = np.exp(-np.maximum(since, 0.0) / 0.3) * np.cos(2.0 * np.pi * 20.0 * since)
+        return np.where(since >= 0.0, size * (0.1 + 10.0 * ringing), 0.0)

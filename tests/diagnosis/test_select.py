@@ -1,0 +1,121 @@
+"""The search for terms, on an axis of which every response is a formula: what is right is known."""
+
+from __future__ import annotations
+
+from itertools import permutations
+
+import numpy as np
+import pytest
+from tests.diagnosis.analytic import NOISE, Axis
+from tests.plant.models import effect
+
+from hilbench.diagnosis.select import Search, Selection, price
+
+SMOOTH = ("coulomb_friction", "viscous_friction", "friction_asymmetry", "torque_offset", "inertia_mismatch")
+
+
+def searched(axis: Axis, *vocabulary: str) -> Selection:
+    return Search(axis.space, axis.proposer(*(vocabulary or SMOOTH)), lambda text, share: None).run()
+
+
+def named(selection: Selection) -> list[str]:
+    return sorted(term.effect.id for term in selection.fit.terms)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_nothing_is_chosen_where_there_is_only_noise(seed: int) -> None:
+    assert named(searched(Axis(seed=seed))) == []
+
+
+@pytest.mark.parametrize(
+    "item",
+    [
+        effect("coulomb_friction", 1, force_N=0.05),
+        effect("viscous_friction", 1, coefficient_N_s_per_m=0.05),
+        effect("friction_asymmetry", 1, viscous_difference_N_s_per_m=-0.05),
+        effect("torque_offset", 1, offset_Nm=0.02),
+        effect("inertia_mismatch", 1, relative_change=-0.01),
+    ],
+    ids=lambda item: str(item["effect"]),
+)
+def test_what_is_hidden_is_chosen_alone_with_its_value(item: dict[str, object]) -> None:
+    found = searched(Axis(item, seed=7))
+    assert named(found) == [item["effect"]]
+    (name, value), *_ = item["parameters"].items()  # type: ignore[attr-defined]
+    deviation = float(np.sqrt(found.fit.covariance[0, 0]))
+    assert found.fit.terms[0].values[name] == pytest.approx(value, abs=4.0 * deviation)
+    evidence = found.evidence[found.fit.terms[0].key]
+    assert evidence["criterion_gain"] > 0.0
+    assert evidence["held_out_gain"] > 0.0
+    assert not found.exhausted
+
+
+def test_the_order_in_which_effects_are_offered_changes_nothing() -> None:
+    hidden = effect("coulomb_friction", 1, force_N=0.5), effect("inertia_mismatch", 1, relative_change=0.1)
+    results = []
+    for order in list(permutations(SMOOTH))[::30]:
+        found = searched(Axis(*hidden, seed=1), *order)
+        values = {t.effect.id: t.values[t.effect.strength[0]] for t in found.fit.terms}
+        results.append(values)
+    assert all(values.keys() == {"coulomb_friction", "inertia_mismatch"} for values in results)
+    for values in results[1:]:
+        assert values == pytest.approx(results[0], rel=1e-3)
+
+
+def test_of_explanations_that_are_the_same_the_first_of_the_vocabulary_is_named_and_the_other_tied() -> None:
+    """Forward only, b·v and d·|v| are one."""
+    forward = Axis(effect("friction_asymmetry", 1, viscous_difference_N_s_per_m=0.4), forward=True)
+    assert forward.v_m_s.min() > 0.0
+    found = searched(forward, "friction_asymmetry", "viscous_friction", "torque_offset")
+    assert named(found) == ["viscous_friction"]
+    assert found.tied[found.fit.terms[0].key] == [("friction_asymmetry", 1)]
+    both_ways = searched(Axis(effect("friction_asymmetry", 1, viscous_difference_N_s_per_m=0.4)))
+    assert named(both_ways) == ["friction_asymmetry"]
+    assert both_ways.tied[both_ways.fit.terms[0].key] == []
+
+
+def test_three_effects_at_once_are_chosen_and_nothing_beside_them() -> None:
+    hidden = (
+        effect("coulomb_friction", 1, force_N=1.0),
+        effect("viscous_friction", 1, coefficient_N_s_per_m=1.0),
+        effect("torque_offset", 1, offset_Nm=0.5),
+    )
+    found = searched(Axis(*hidden, seed=2))
+    assert named(found) == ["coulomb_friction", "torque_offset", "viscous_friction"]
+
+
+def test_a_residual_that_nothing_offered_explains_stays_and_is_not_spread_over_what_is_offered() -> None:
+    axis = Axis(seed=3)
+    axis.space.predictor.measured = axis.space.predictor.measured + 0.5 * np.sign(np.sin(2.0 * np.pi * 7.3 * axis.t_s))
+    found = searched(axis)
+    assert np.std(found.fit.residual) > 5.0 * NOISE
+    assert found.tied == {}
+    assert found.evidence == {}
+
+
+def test_where_residuals_are_never_noise_alone_the_simple_effects_are_kept() -> None:
+    """Friction and offset beside what is not in the vocabulary: they stay, whatever else is offered."""
+    hidden = (
+        effect("coulomb_friction", 1, force_N=2.0),
+        effect("viscous_friction", 1, coefficient_N_s_per_m=3.0),
+        effect("torque_offset", 1, offset_Nm=0.5),
+    )
+    axis = Axis(*hidden, exact=False)
+    slow = 0.3 * np.sin(0.9 * axis.t_s) * np.cos(3.1 * axis.x_m)
+    axis.space.predictor.measured = axis.space.predictor.measured + slow
+    found = searched(axis)
+    assert {"coulomb_friction", "torque_offset", "viscous_friction"} <= set(named(found))
+    values = {t.effect.id: t.values[t.effect.strength[0]] for t in found.fit.terms}
+    assert values["coulomb_friction"] == pytest.approx(2.0, rel=0.1)
+    assert values["viscous_friction"] == pytest.approx(3.0, rel=0.1)
+
+
+def test_every_parameter_and_every_variant_that_was_searched_has_its_price() -> None:
+    axis = Axis()
+    friction, stribeck = axis.term("coulomb_friction"), axis.proposer("stribeck_friction").plain()
+    assert len(stribeck) == 3
+    one = price([friction], 1000.0)
+    assert one > np.log(1000.0)
+    assert price([friction, friction], 1000.0) == pytest.approx(2.0 * one)
+    assert price(stribeck[:1], 1000.0) == pytest.approx(one + np.log(1000.0) + 2.0 * np.log(3.0))
+    assert price([], 1000.0) == 0.0
