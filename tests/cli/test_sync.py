@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 import yaml
 from tests.cli.in_process import hilbench
+from tests.estimation.runs import NEW_PA, Array, measured, stepped, tracked
 from tests.plant.models import DEMONSTRATOR, model
-from tests.twin.runs import NEW_PA, Array, measured, stepped, tracked
 
 from hilbench.diagnosis.synchronization import NEEDED, compare_methods, compare_runs
 from hilbench.errors import UnusableInputError

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from tests.bench.test_runs import config, run, run_folders
 from tests.bench.test_safety import result_of
+from tests.estimation.runs import CYCLE_S, OLD_PA, STEP_S, Array, measured, stepped, times
 from tests.plant.models import model
-from tests.twin.runs import CYCLE_S, OLD_PA, STEP_S, Array, measured, stepped, times
 
 from hilbench.bench.bench import Bench
 from hilbench.bench.lifecycle.participants import Participants

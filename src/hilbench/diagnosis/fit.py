@@ -36,7 +36,7 @@ class Fit:
     residual: Array  #: raw, (signals, n)
     train: float
     test: float
-    covariance: Array  #: of all coordinates, in the order of the terms
+    covariance: Array  #: (J, J) of all coordinates, in the order of the terms
 
 
 def sums(space: Space, white: Whitening, residual: Array) -> tuple[float, float]:
@@ -53,10 +53,14 @@ def fit(
     rows: NDArray[np.bool_] | None = None,
     worth: float = float("inf"),
 ) -> Fit:
-    """Fit all coordinates of the terms from where they are, on `rows` (default: those that are not held out).
+    """Fit all coordinates of the terms from where they are.
 
-    Once the sum of squares does not promise to fall below `worth` the fit is left unfinished: it has lost. Without
-    `rows` times that have been searched for stay: what is held out may be where they are known from.
+    space: recording and model; white: what makes the noise of its signals white; terms: with the values to start from.
+    rows (n,): those to fit on, by default those that are not held out; then times that have been searched for stay,
+    because what is held out may be where they are known from. worth: a sum of squares of the whitened residuals; once
+    it does not promise to fall below that the fit is left unfinished: it has lost.
+
+    Where the model runs away the sums of squares are infinite and the terms are those that were given.
     """
     timeless = rows is None
     rows = space.split.train if rows is None else rows
@@ -73,7 +77,7 @@ def fit(
 def _descended(
     space: Space, white: Whitening, terms: list[Term], rows: NDArray[np.bool_], worth: float, timeless: bool
 ) -> tuple[Point, _Problem]:
-    """Where Gauss and Newton lead from there."""
+    """The point where damped Gauss–Newton steps from the terms end, and the linearized problem there; as in `fit`."""
     damping, point = _FIRST_DAMPING, space.point(terms, timeless=timeless)
     problem = _Problem(white, point, rows)
     if not problem.usable:
@@ -99,7 +103,7 @@ def _descended(
 
 
 def _searched(space: Space, white: Whitening, terms: list[Term], rows: NDArray[np.bool_]) -> list[Term]:
-    """With what is searched for where the sum of squares has many minima: that of a delay has, and that of a time.
+    """The terms with delays and times, in which the sum of squares has many minima, put where it is least.
 
     A time is looked for on all rows: when something happened is only known where it happened.
     """
@@ -127,7 +131,7 @@ class TimeProfile:
 
 
 def time_profile(space: Space, white: Whitening, terms: list[Term], place: int, times_s: Array) -> TimeProfile:
-    """Of the term at `place`, the others as they are, on all rows that count."""
+    """The profile of the term at `place` over times_s (T,), the other terms as they are, on all rows that count."""
     rows, term = space.counted, terms[place]
     variants = [[*terms[:place], term.neutral(), *terms[place + 1 :]]]
     variants += [[*terms[:place], term.moved_to(float(time)), *terms[place + 1 :]] for time in times_s]

@@ -89,18 +89,18 @@ def located(
     Conditions go together (time, speed, tension): what the first explains is taken out before the next is looked for,
     so that the shares are parts of one whole.
     """
-    left = scaled.copy()
+    residual = scaled.copy()
     counted = float(np.count_nonzero(rows))
     whole = float(np.sum(np.maximum(np.sum(scaled[:, rows] ** 2, axis=1) - counted, 0.0)))
     found: list[tuple[Misfit, float]] = []
     while len(found) < most:
-        best = max(misfits(names, left, rows, conditions), key=lambda m: m.excess if m.significant else 0.0)
+        best = max(misfits(names, residual, rows, conditions), key=lambda m: m.excess if m.significant else 0.0)
         if not best.significant or best.shape is None:
             break
         signal = names.index(best.signal)
-        before = float(np.sum(left[signal, rows] ** 2))
-        left[signal] -= best.shape
-        found.append((best, max(before - float(np.sum(left[signal, rows] ** 2)), 0.0) / max(whole, 1e-300)))
+        before = float(np.sum(residual[signal, rows] ** 2))
+        residual[signal] -= best.shape
+        found.append((best, max(before - float(np.sum(residual[signal, rows] ** 2)), 0.0) / max(whole, 1e-300)))
     total = sum(share for _, share in found)
     return [(m, share / max(total, 1.0)) for m, share in found]
 

@@ -20,23 +20,26 @@ from hilbench.diagnosis.noise import floor
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.imitation import Imitation, simulate_imitated
 from hilbench.plant.web_line.inverse import required_torque_Nm
+from hilbench.plant.web_line.laws import FRICTION_WIDTH_M_S
 from hilbench.plant.web_line.offline import Simulation, simulate, start_state
 from hilbench.plant.web_line.parameters import ModelParameters
+from hilbench.plant.web_line.sizes import machine_sizes
 
 Array = NDArray[np.float64]
 
 #: Speed from which a recording counts as begun under way.
-_MOVES_M_S: Final = 0.01
-#: Speed below which an axis stands, how long that is felt after it, and the share of a recording that may be left out.
-_STANDSTILL_M_S: Final = 0.005
+_MOVES_M_S: Final = 10.0 * FRICTION_WIDTH_M_S
+#: Speed below which an axis stands, how long that acts on what comes after it, s, and the share of a recording that may
+#: be left out.
+_STANDSTILL_M_S: Final = 5.0 * FRICTION_WIDTH_M_S
 _MOVING_S: Final = 0.25
 _MOSTLY: Final = 0.6
-#: Positions are compared without what is slower than this, s, and believed this far, m: in a closed loop they tell so
-#: much that the rounding of a command would be found as an effect.
+#: Positions are compared without what is slower than this, s, and believed to this share of what the web in the span is
+#: stretched by: in a closed loop they tell so much that the rounding of a command would be found as an effect.
 _WINDOW_S: Final = 2.0
-_TOLERANCE_M: Final = 2e-6
+_TOLERANCE: Final = 0.007
 #: The same on a bench of which it is not known what its drives make of a command.
-_UNROUNDED_TOLERANCE_M: Final = 1e-5
+_UNROUNDED_TOLERANCE: Final = 0.035
 #: Web transports (L/v) until the guess of a strain under way is forgotten.
 _TRANSPORTS: Final = 6.0
 #: Share of a cycle by which a row of a bench's recording may be off the cycles.
@@ -127,7 +130,7 @@ class FreeRun:
         self._torques = sorted(data.tau_Nm)
         self.names, self.measured = tuple(names), np.array(rows)
         unrounded = imitation is not None and imitation.resolution_m_s is None
-        tolerance_m = _UNROUNDED_TOLERANCE_M if unrounded else _TOLERANCE_M
+        tolerance_m = (_UNROUNDED_TOLERANCE if unrounded else _TOLERANCE) * _stretch_m(model)
         self.tolerances = np.array([tolerance_m if "x" in name else 0.0 for name in names])
         self.every = 1
         self.exact = True
@@ -255,6 +258,11 @@ class FreeRun:
         return Simulation(**rows, state=run.state)
 
 
+def _stretch_m(model: ModelParameters) -> float:
+    """What the web in the first span is usually longer by than it would be at rest."""
+    return machine_sizes(model, 1).strain * model.span_length_m(1)
+
+
 class OnMeasuredMotion:
     """The torque that the measured motion of a lone axis needs; no control loop has to be known.
 
@@ -329,8 +337,8 @@ def between(rows: Array, whole: int) -> Array:
     corner = np.divide(after - step, bend, out=np.zeros_like(bend), where=straight)
     meet = (corner > 0.0) & (corner < 1.0)
     here, ahead = rows[:, None, :], (rows + step)[:, None, :]
-    left, right = here + share * before[:, None, :], ahead - (1.0 - share) * after[:, None, :]
-    broken = np.where(share < corner[:, None, :], left, right)
+    first, second = here + share * before[:, None, :], ahead - (1.0 - share) * after[:, None, :]
+    broken = np.where(share < corner[:, None, :], first, second)
     return np.where(meet[:, None, :], broken, here + share * step[:, None, :])
 
 

@@ -128,7 +128,11 @@ class Search:
         self._samples = float(np.count_nonzero(space.split.train) * len(space.predictor.names))
 
     def run(self) -> Selection:
-        """Add while it pays; then test again what is there."""
+        """Add terms while that pays, then test again what is there.
+
+        Where a right model leaves white noise the search may end early: nothing is left that a candidate promises to
+        explain, and nothing that none can. Elsewhere something is always left, and the number of terms ends it.
+        """
         current = self._fit_of([])
         offered = self._candidates(current)
         steps = _MOST_TERMS if self._space.predictor.exact else _MOST_ROUGH_TERMS
@@ -137,15 +141,18 @@ class Search:
             best = self._best_addition(current, offered)
             if best is None:
                 break
+            # An early term may have stood for two others that came later: it goes before the next is looked for.
             pruned = self._pruned(best, offered.whitening)
             if len(pruned.terms) > steps:
                 return Selection(current, offered, self._samples, exhausted=True)
             current = pruned
+            # Responses hardly change by a term more. Only where they promise something are they simulated anew.
             offered = self._carried_over(current, offered)
             if self._space.predictor.exact and not self._promises(offered):
                 break
             offered = self._candidates(current)
             current = self._again(current, offered.whitening)
+        # What is not explained would be spread over the alternatives of every term: they would all seem tied.
         if self._is_rough(current):
             return Selection(current, offered, self._samples)
         self._announce("what else could explain it", 0.85)
@@ -160,10 +167,15 @@ class Search:
         return Fit(terms, residual, float("nan"), float("nan"), np.empty((0, 0)))
 
     def _again(self, current: Fit, white: Whitening) -> Fit:
-        """Fitted again with the noise as it is seen now."""
+        """The same terms fitted again, weighted by the noise as it is seen now."""
         return fit(self._space, white, current.terms)
 
     def _candidates(self, current: Fit) -> CandidateSet:
+        """All candidates at a model, each with its response.
+
+        Searched ones need to know the noise first, which is seen when every plain candidate has had its say; then the
+        noise is seen once more, beside all of them.
+        """
         space = self._space
         present = {term.key for term in current.terms}
         plain = [t for t in self._proposer.plain() if t.key not in present]
@@ -223,11 +235,15 @@ class Search:
         return self._proposer.gradual(effect, float(begin_s), float(end_s - begin_s), current.terms)
 
     def _observable(self, white: Whitening, responses: list[Array]) -> Array:
-        """Whitened responses (1, signals, n) where rows count, one after the other: (responses, signals·n)."""
+        """Whitened responses (1, signals, n) each, zero where rows do not count, as rows of (responses, signals·n)."""
         return np.array([self._counted(white.apply(response)).ravel() for response in responses])
 
     def _tune(self, current: Fit, white: Whitening, searched: list[Term], responses: list[Array]) -> list[Array]:
-        """Put orders and frequencies where responses fit best; simulate those anew that moved."""
+        """Put orders and frequencies where responses fit best, and simulate those anew that moved.
+
+        responses: raw, (1 or 2, signals, n) each. The peak of a spectrum is beside the right order where the machine
+        answers more strongly at another speed; a fit started there ends in a minimum beside it.
+        """
         residual = self._trained(white.apply(current.residual))
         moved = []
         for k, response in enumerate(responses):
@@ -241,7 +257,7 @@ class Search:
         return responses
 
     def _trained(self, values: Array) -> Array:
-        """Zero where fits do not see rows."""
+        """Values (…, n) with zeros in the rows that fits do not see."""
         return np.where(self._space.split.train, values, 0.0)
 
     def _carried_over(self, current: Fit, offered: CandidateSet) -> CandidateSet:
@@ -253,7 +269,7 @@ class Search:
         return CandidateSet(offered.whitening, current.residual, own, candidates, responses)
 
     def _is_rough(self, current: Fit) -> bool:
-        """Whether far more than noise is left where a right model would leave noise alone: it was not found."""
+        """Whether far more than noise is left where a right model would leave noise alone, so that it was not found."""
         space, rows = self._space, self._space.split.block >= 0
         if not space.predictor.exact:
             return False
@@ -271,10 +287,12 @@ class Search:
         return bool(np.max(excess) > _CALM * np.sqrt(2.0 / counted))
 
     def _counted(self, values: Array) -> Array:
-        """Zero where rows do not count."""
+        """Values (…, n) with zeros in the rows that do not count."""
         return np.where(self._space.split.block >= 0, values, 0.0)
 
     def _linear(self, offered: CandidateSet, residual: Array, own: Array) -> tuple[Linear, list[list[int]]]:
+        """The linear problem of a raw residual (signals, n) in the terms' own columns (J, signals, n) and those of the
+        candidates; of each candidate which columns are its own."""
         columns = offered.whitening.apply(np.concatenate([own, *offered.responses]))
         problem = Linear(offered.whitening.apply(residual), columns, self._space.split)
         groups, at = [], len(own)
@@ -294,6 +312,10 @@ class Search:
         return self._best_of(current, offered, self._ranked(offered, offered.residual, offered.own))
 
     def _best_of(self, current: Fit, offered: CandidateSet, additions: list[list[Term]]) -> Fit | None:
+        """The best full fit with one of the additions that lowers the criterion and that the held-out rows confirm.
+
+        Each fit has to promise to beat the best so far, or it is left unfinished.
+        """
         train, test = sums(self._space, offered.whitening, current.residual)
         before = train + price(current.terms, self._samples)
         fits = []
@@ -311,7 +333,11 @@ class Search:
         return None
 
     def _is_confirmed(self, white: Whitening, current: Fit, test: float, found: Fit) -> bool:
-        """By the held-out rows; where they hardly feel the addition, by the two halves of what does."""
+        """Whether rows that no fit has seen speak for an addition, too.
+
+        Where it hardly shows on the held-out rows (creep speed that came once, say) they can't tell. Then what was
+        found in either half of the rows on which it shows has to hold in the other half.
+        """
         rows = self._space.split
         change = white.apply(current.residual - found.residual)
         if float(np.sum(change[:, rows.test] ** 2)) > _OBSERVABLE:
@@ -327,7 +353,10 @@ class Search:
         return self._held_out_agrees(gain, 0.0)
 
     def _held_out_agrees(self, before: float, after: float) -> bool:
-        """A gain beyond chance; where a right model leaves more than noise, also one that is worth a name."""
+        """Whether a fall of the sum of squares is beyond chance; also worth a name, where residuals are never noise alone.
+
+        The whitened noise has variance 1, so the standard error of a gain is 2·√gain.
+        """
         gain = before - after
         least = 0.0 if self._space.predictor.exact else _LEAST_SHARE * before
         return gain > least and gain > _HELD_OUT_ERRORS * 2.0 * float(np.sqrt(max(gain, 0.0)))
@@ -356,9 +385,10 @@ class Search:
             if score <= -5.0 or len(chosen) >= _CONTENDERS:
                 break
             place = terms[0].place
-            if places.get(place, 0) < 1:
+            if places.get(place, 0) < 1:  # variants of one effect at one place would fill all seats
                 places[place] = places.get(place, 0) + 1
                 chosen.append(terms)
+        # Two effects that only together explain anything (friction against an offset) are never found one by one.
         pairs = []
         for a, b in combinations([k for _, k, _ in singles[:_PAIRED_FROM]], 2):
             if offered.candidates[a].key != offered.candidates[b].key:
@@ -374,7 +404,11 @@ class Search:
     def _started(
         self, offered: CandidateSet, problem: Linear, mine: list[int], members: list[int], groups: list[list[int]]
     ) -> tuple[float, list[Term]] | None:
-        """Gain and start values of some candidates together; None where a bound forbids their sign."""
+        """Gain and start values of some candidates together; None where a bound forbids their sign.
+
+        mine: columns of the terms that are there; members: candidates that are added, by number; groups: columns of
+        each candidate.
+        """
         columns = [c for k in members for c in groups[k]]
         if any(problem.information(c) < _LEAST_INFORMATION for c in columns):
             return None
@@ -384,6 +418,7 @@ class Search:
             candidate = offered.candidates[k]
             here = candidate.neutral().coordinates()
             if candidate.probe is not None:
+                # Its response was looked at with one strength, and speaks for others near it only.
                 theta[at] = np.clip(theta[at], candidate.probe / _TRUSTED, candidate.probe * _TRUSTED)
             strength = here[: candidate.linear] + theta[at : at + candidate.linear]
             at += candidate.linear
@@ -395,7 +430,7 @@ class Search:
     # -- earlier choices ---------------------------------------------------------------------------------
 
     def _pruned(self, current: Fit, white: Whitening) -> Fit:
-        """Without the terms that the others make superfluous."""
+        """The fit without the terms that the others have made superfluous, one by one, the worst first."""
         while len(current.terms) > 1:
             here = current.train + price(current.terms, self._samples)
             fewer = []
@@ -415,7 +450,10 @@ class Search:
         return not self._space.predictor.exact and not term.effect.removable
 
     def _removable(self, current: Fit, k: int) -> bool:
-        """By Wald's statistic, generously: only then a fit without the term is worth its time."""
+        """Whether term k may be superfluous, by Wald's statistic: only then a fit without it is worth its time.
+
+        The statistic is that of the linearized model, so it is believed with a factor of four to spare.
+        """
         at = sum(len(t.coordinates()) for t in current.terms[:k])
         term = current.terms[k]
         part = slice(at, at + term.linear)
@@ -430,7 +468,11 @@ class Search:
         dict[Key, list[Place]],
         dict[Key, dict[str, float]],
     ]:
-        """Each term against what could stand in its place."""
+        """Each term against what could stand in its place: the fit, what is tied with each term, and the evidence.
+
+        When a term turns out to be superfluous, or something else explains more, everything is tested again from
+        there: the evidence of each term is that beside the others.
+        """
         tied: dict[Key, list[Place]] = {}
         evidence: dict[Key, dict[str, float]] = {}
         fine = finest(self._space) or offered.whitening
@@ -449,7 +491,7 @@ class Search:
             if superfluous and not self._stays(term):
                 offered = self._candidates(without)
                 return self._alternatives_tested(self._again(without, offered.whitening), offered)
-            if superfluous:
+            if superfluous:  # kept all the same: what makes it superfluous is the term most like it
                 tied[term.key] = [self._closest(current, k)]
                 continue
             others = self._ranked(offered, without.residual, self._own_without(offered, current.terms, k))
@@ -460,6 +502,7 @@ class Search:
                 if len(terms) > 1 or terms[0].place == term.place:
                     continue
                 cost = price([*rest, *terms], self._samples) - price(current.terms, self._samples)
+                # With finer tolerances than the search, and on all rows: between good explanations small things decide.
                 found = fit(self._space, fine, [*rest, *terms], worth=close.train + _MARGIN - cost)
                 difference = found.train + found.test + cost - close.train - close.test
                 simpler = abs(difference) <= _TIED and _RANK[terms[0].effect.id] < _RANK[term.effect.id]
@@ -495,7 +538,10 @@ class Search:
         return None
 
     def _as_a_force(self, current: Fit, k: int, white: Whitening) -> tuple[float, float, float]:
-        """By how much the sum of squares rises when term k is a step of a force instead; the force, N, and its time."""
+        """By how much the sum of squares rises when term k is a step of a force instead; the force, N, and its time, s.
+
+        The force is looked for near the time of the term, with the other terms free to adapt to it.
+        """
         space, rows = self._space, self._space.split.block >= 0
         term, rest = current.terms[k], [*current.terms[:k], *current.terms[k + 1 :]]
         point = space.point(rest)
@@ -515,7 +561,7 @@ class Search:
 
     @staticmethod
     def _closest(current: Fit, k: int) -> Place:
-        """The term whose strength is most correlated with that of term k."""
+        """The place of the term whose strength is most correlated with that of term k."""
         firsts = np.cumsum([0, *(len(term.coordinates()) for term in current.terms[:-1])])
         deviations = np.sqrt(np.maximum(np.diag(current.covariance), 1e-300))
         correlation = np.abs(current.covariance / np.outer(deviations, deviations))[firsts[k], firsts]
@@ -524,6 +570,7 @@ class Search:
 
     @staticmethod
     def _own_without(offered: CandidateSet, terms: list[Term], k: int) -> Array:
+        """The raw columns (J, signals, n) of the terms without those of term k."""
         sizes = [len(term.coordinates()) for term in terms]
         keep = np.ones(sum(sizes), bool)
         keep[sum(sizes[:k]) : sum(sizes[: k + 1])] = False

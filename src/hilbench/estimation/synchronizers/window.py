@@ -32,7 +32,7 @@ class RowWindow:
         self._count = 0
 
     def update(self, sample: SyncSample) -> bool:
-        """Take one sample; True when the window holds enough rows to be fitted."""
+        """Take one sample; True when the window holds enough rows to be fitted, and a web that pulled in one of them."""
         length = max(8, round(self._window_s / sample.cycle_s))
         if len(self._data) != length:
             self._data = np.zeros((length, PARAMETERS + 1))
@@ -41,7 +41,7 @@ class RowWindow:
             self._data[self._count % length] = self._rows.row
             self._count += 1
         self._noise_gain = noise_gain(sample.cycle_s)
-        return self._count >= length // 4
+        return self._count >= length // 4 and bool(np.any(self._data[: self._count, 0]))
 
     def rows(self) -> Array:
         """A copy of the rows, in no order."""

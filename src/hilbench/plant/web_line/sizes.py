@@ -11,14 +11,15 @@ def machine_sizes(
     model: ModelParameters,
     axis: int | None,
     *,
-    top_speed_m_s: float,
+    top_speed_m_s: float = 1.0,
     torque_Nm: float | None = None,
     sample_time_s: float | None = None,
 ) -> MachineSizes:
     """What is usual at an axis (from 1; None: the first) of the machine of a model.
 
-    top_speed_m_s: highest speed at the web, which no model tells. torque_Nm: usual torque at the motor; where there is
-    no web the force comes from it, and its default is the drive's limit (1 N·m where the model has none).
+    top_speed_m_s: highest speed at the web, which no model tells; only sizes that go with it need it.
+    torque_Nm: usual torque at the motor; where there is no web the force comes from it, and its default is the drive's
+    limit (1 N·m where the model has none).
     sample_time_s: that of what was recorded, for a model without drives; default 1 ms.
     """
     axis = 1 if axis is None else axis

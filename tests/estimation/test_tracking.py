@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from tests.estimation.runs import CYCLE_S, NEW_PA, OLD_PA, Array, measured, stepped, tracked
 from tests.plant.models import effect, model
-from tests.twin.runs import CYCLE_S, NEW_PA, OLD_PA, Array, measured, stepped, tracked
 
 from hilbench.estimation.config import ChangepointConfig, EkfConfig, EstimationConfig, LmConfig, PidConfig, RlsConfig
 from hilbench.estimation.delay import DelayFinder

@@ -4,8 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from tests.estimation.runs import (
+    CYCLE_S,
+    NEW_PA,
+    OLD_PA,
+    STEP_S,
+    Array,
+    measured,
+    stepped,
+    time_to_1pct_s,
+    times,
+    tracked,
+)
 from tests.plant.models import effect, model
-from tests.twin.runs import CYCLE_S, NEW_PA, OLD_PA, STEP_S, Array, measured, stepped, time_to_1pct_s, times, tracked
 
 from hilbench.estimation.bound import least_deviation_Pa
 from hilbench.estimation.config import (
