@@ -18,7 +18,7 @@ import pytest
 import yaml
 
 ROOT = Path(__file__).resolve().parent.parent
-FOLDER = ROOT / "tests" / "fieldbus" / "conformance"
+FOLDER = ROOT / "tests" / "canopen" / "conformance"
 BEGIN, END = "<!-- table: tools/conformance_table.py -->\n", "<!-- end of table -->\n"
 
 
