@@ -13,6 +13,8 @@ from hilbench.can.frame import Frame
 from hilbench.can.memory import MemoryLink
 from hilbench.topology.config import BenchConfig
 
+#: Of a run in which strangers have their say.
+STEPS = [{"ramp": {"path": "line_speed_m_s", "to": 0.5, "duration_s": 0.2}}, {"hold": {"until_s": 0.6}}]
 #: What a stranger sends when it has heard the SYNC of this number (from 1), beside the frames it has heard since.
 Plan = Callable[[int, Sequence[Frame]], Sequence[Frame]]
 

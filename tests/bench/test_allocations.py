@@ -6,7 +6,7 @@ import gc
 import tracemalloc
 from pathlib import Path
 
-from tests.bench.test_runs import config
+from tests.bench.whole_runs import config
 
 from hilbench.bench.bench import Bench
 from hilbench.bench.lifecycle.participants import Participants

@@ -9,8 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from tests.bench.test_one_master import ENDLESS, bus_of
-from tests.bench.test_runs import config, gone, run_folders, start, wait_for_frames
+from tests.bench.whole_runs import ENDLESS, bus_of, config, gone, run_folders, start, wait_for_frames
 from tests.cli.in_process import hilbench
 
 from hilbench.results.result import Result

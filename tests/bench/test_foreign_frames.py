@@ -7,10 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.bench.strangers import Plan, from_sync, on_the_bus
-from tests.bench.test_notices import STEPS
-from tests.bench.test_runs import config, start, wait_for_frames
-from tests.bench.test_safety import MOVING
+from tests.bench.strangers import STEPS, Plan, from_sync, on_the_bus
+from tests.bench.whole_runs import ENDLESS, config, start, wait_for_frames
 
 from hilbench.bench.bench import Bench
 from hilbench.bench.lifecycle.participants import Participants
@@ -173,7 +171,7 @@ def test_a_flood_of_writes_is_counted_and_bounded(tmp_path: Path) -> None:
 
 
 def test_a_stranger_beside_a_run_of_real_processes_is_in_its_result(tmp_path: Path) -> None:
-    path = config(tmp_path, steps=MOVING)
+    path = config(tmp_path, steps=ENDLESS)
     process = start(path)
     folder = wait_for_frames(path, 500)
     link = open_link(load_with_overrides(path).config.bus_address.as_it_runs())

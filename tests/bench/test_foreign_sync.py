@@ -10,8 +10,8 @@ from math import pi
 from pathlib import Path
 
 import pytest
-from tests.bench.test_runs import config
-from tests.canopen.test_host import WallClock
+from tests.bench.whole_runs import config
+from tests.canopen.wall_clock import WallClock
 
 from hilbench.can.frame import Frame
 from hilbench.can.memory import MemoryBus

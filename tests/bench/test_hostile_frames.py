@@ -2,35 +2,15 @@
 
 from __future__ import annotations
 
-from functools import cache
-from pathlib import Path
-
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from tests.bench.bench_nodes import nodes, shipped
 from tests.bench.samples import sample_of_two_axes
 
 from hilbench.can.frame import EXTENDED_FLAG, REMOTE_FLAG, Frame
-from hilbench.cia402.configuration import default_reader
-from hilbench.cia402.units import DriveUnits
 from hilbench.errors import BenchFaultError
 from hilbench.exchange.nodes import Nodes
-from hilbench.runs.config import ExperimentConfig, load
-
-SHIPPED = Path(__file__).resolve().parents[2] / "bench_configs" / "web_section_step.yaml"
-
-
-@cache
-def shipped() -> ExperimentConfig:
-    return load(SHIPPED)[0]
-
-
-def nodes() -> Nodes:
-    found = Nodes(shipped())
-    for drive in found.drives:
-        drive.units = DriveUnits.from_objects(default_reader(drive.od), {}, drive.settings.name)
-    return found
-
 
 #: Every function code of CiA 301 with the bench's nodes and others, and what is no CANopen at all.
 IDENTIFIERS = st.one_of(

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from tests.bench.late_senders import late
-from tests.bench.test_runs import config
+from tests.bench.whole_runs import config
 
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.bench.tasks.load_model import LoadModel

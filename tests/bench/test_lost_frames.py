@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 from rich.console import Console
-from tests.bench.test_runs import SHORT, config, gone
+from tests.bench.whole_runs import SHORT, config, gone
 
 from hilbench.bench.lifecycle import startup
 from hilbench.can.confinement import ControllerState

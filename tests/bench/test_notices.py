@@ -5,9 +5,9 @@ from __future__ import annotations
 import random
 from pathlib import Path
 
-from tests.bench.strangers import from_sync, on_the_bus
-from tests.bench.test_hostile_frames import nodes
-from tests.bench.test_runs import config
+from tests.bench.bench_nodes import nodes
+from tests.bench.strangers import STEPS, from_sync, on_the_bus
+from tests.bench.whole_runs import config
 
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.bench.operator.notice import MOST_KINDS, Notices
@@ -17,7 +17,6 @@ from hilbench.report.html import write_report
 from hilbench.results.run import RunOutcome, run_experiment
 from hilbench.runs.config import load_with_overrides
 
-STEPS = [{"ramp": {"path": "line_speed_m_s", "to": 0.5, "duration_s": 0.2}}, {"hold": {"until_s": 0.6}}]
 #: EMCY of axis 1 that it has not sent.
 FORGED = Frame(0x081, bytes.fromhex("1023030000000000"))
 A_CYCLE = 400

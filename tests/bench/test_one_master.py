@@ -17,7 +17,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from tests.bench.test_runs import SHORT, config, gone, run, run_folders, start, wait_for_frames
+from tests.bench.whole_runs import ENDLESS, bus_of, config, gone, run, run_folders, start, wait_for_frames
 from tests.cli.in_process import hilbench
 
 from hilbench.can.frame import Frame
@@ -27,15 +27,10 @@ from hilbench.results.result import Result
 from hilbench.runs.config import load
 
 EDS = Path(__file__).resolve().parents[2] / "eds" / "hilbench_servo.eds"
-ENDLESS = [SHORT[0], {"hold": {"duration_s": 1000.0}}]
 
 
 #: Long enough to be there.
 BRIEF = [{"hold": {"duration_s": 0.2}}]
-
-
-def bus_of(path: Path) -> str:
-    return str(yaml.safe_load(path.read_text())["bus"]["address"])
 
 
 def test_of_two_runs_that_start_in_the_same_moment_one_runs_and_one_is_refused(tmp_path: Path) -> None:

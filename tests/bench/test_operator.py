@@ -6,8 +6,7 @@ import time
 from pathlib import Path
 
 import numpy as np
-from tests.bench.test_recovery import recover
-from tests.bench.test_runs import SHORT, config, start, wait_for_frames
+from tests.bench.whole_runs import SHORT, config, recover, start, wait_for_frames
 
 from hilbench.bench.operator.operator_objects import OperatorObjects
 from hilbench.can.frame import Frame

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import random
-import subprocess
 from pathlib import Path
 
 import numpy as np
-from tests.bench.test_runs import SHORT, config, gone, run, run_folders, start, wait_for_frames
-from tests.cli.in_process import hilbench
+from tests.bench.whole_runs import SHORT, config, gone, recover, run, run_folders, start, wait_for_frames
 
 from hilbench.results.recording import read_recording
 from hilbench.results.result import Result
@@ -16,10 +14,6 @@ from hilbench.results.result import Result
 #: Told to the drives in whole device units: 0.0001 rpm at the motor, at the web.
 COMMANDED = ("v1_cmd_m_s", "v2_cmd_m_s")
 RESOLUTION_M_S = 0.0001 / 60.0 * 2.0 * np.pi * 0.2 / 5.0
-
-
-def recover(folder: Path) -> subprocess.CompletedProcess[str]:
-    return hilbench("recover", folder)
 
 
 def test_a_killed_run_is_recovered_as_it_would_have_been_recorded(tmp_path: Path) -> None:

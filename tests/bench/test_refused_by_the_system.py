@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from tests.bench.test_runs import SHORT, config, run_folders
+from tests.bench.whole_runs import SHORT, config, run_folders
 
 from hilbench.results.result import Result
 

@@ -6,111 +6,29 @@ import json
 import os
 import re
 import signal
-import subprocess
-import sys
-import time
-import uuid
-from collections import Counter
 from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
+from tests.bench.whole_runs import (
+    ENDLESS,
+    config,
+    frames_by_cycle,
+    gone,
+    pid_of,
+    processes_of,
+    run,
+    run_folders,
+    start,
+    wait_for_frames,
+)
 
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.errors import UnusableInputError
 from hilbench.results.recording import read_recording
 from hilbench.results.run import run_experiment
 from hilbench.runs.config import load_with_overrides
-
-ROOT = Path(__file__).resolve().parents[2]
-SHIPPED = ROOT / "bench_configs" / "web_section_step.yaml"
-SHORT = [
-    {"ramp": {"path": "line_speed_m_s", "to": 1.0, "duration_s": 0.4}},
-    {"hold": {"until_s": 0.6}},
-    {"step": {"path": "load.web.youngs_modulus_Pa", "to": 10.5e9}},
-    {"hold": {"duration_s": 1.2}},
-    {"ramp": {"path": "line_speed_m_s", "to": 0.0, "duration_s": 0.4}},
-]
-
-
-def config(folder: Path, **changes: object) -> Path:
-    data = yaml.safe_load(SHIPPED.read_text(encoding="utf-8"))
-    drives = data["drives"].values()
-    nodes = [*drives, *(drive["virtual"] for drive in drives), *data["load_motors"].values(), data["twin"]["node"]]
-    for node in nodes:
-        node["eds"] = str((SHIPPED.parent / node["eds"]).resolve())
-    data["machine"]["web"] |= {"youngs_modulus_Pa": 8.7e9, "thickness_m": 65e-6}
-    data["steps"], data["criteria"] = SHORT, []
-    data["bus"]["address"] = f"embedded:t{uuid.uuid4().hex[:10]}"
-    changes["twin"] = data["twin"] | changes.get("twin", {})  # type: ignore[operator]
-    data |= changes
-    path = folder / "bench.yaml"
-    path.write_text(yaml.safe_dump(data, sort_keys=False), encoding="utf-8")
-    return path
-
-
-def start(path: Path, *options: str) -> subprocess.Popen[str]:
-    command = [sys.executable, "-m", "hilbench.cli", "run", str(path), "--out", str(path.parent / "runs"), *options]
-    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True)
-
-
-def run(path: Path, *options: str) -> tuple[int, str, str]:
-    process = start(path, *options)
-    out, err = process.communicate(timeout=120)
-    return process.returncode, out, err
-
-
-def run_folders(path: Path) -> list[Path]:
-    folders = path.parent / "runs"
-    return sorted(folders.iterdir()) if folders.exists() else []
-
-
-def processes_of(path: Path) -> list[str]:
-    """Command lines of the processes that a run of this config started (children by path, hub by channel)."""
-    channel = yaml.safe_load(path.read_text())["bus"]["address"].partition(":")[2]
-    found = []
-    for entry in Path("/proc").iterdir():
-        if entry.name.isdigit():
-            try:
-                words = (entry / "cmdline").read_bytes().split(b"\0")
-            except OSError:
-                continue
-            if any(str(path.parent).encode() in word or channel.encode() in word for word in words):
-                found.append(b" ".join(words).decode())
-    return found
-
-
-def gone(path: Path, within_s: float = 15.0) -> bool:
-    deadline = time.monotonic() + within_s
-    while time.monotonic() < deadline:
-        if not processes_of(path):
-            return True
-        time.sleep(0.1)
-    return False
-
-
-def frames_by_cycle(trace: Path) -> list[Counter[str]]:
-    cycles: list[Counter[str]] = []
-    for line in trace.read_text().splitlines():
-        frame = line.split()[2]
-        if frame == "080#":
-            cycles.append(Counter())
-        elif cycles:
-            cycles[-1][frame] += 1
-    return cycles
-
-
-def wait_for_frames(path: Path, count: int, within_s: float = 60.0) -> Path:
-    """The run folder, once its trace has so many lines."""
-    deadline = time.monotonic() + within_s
-    while time.monotonic() < deadline:
-        for folder in run_folders(path):
-            trace = folder / "trace.log"
-            if trace.exists() and trace.read_bytes().count(b" 080#") >= count:
-                return folder
-        time.sleep(0.05)
-    raise AssertionError("the run did not get so far")
 
 
 def test_one_seed_gives_one_recording_and_the_same_frames_in_every_cycle(tmp_path):
@@ -241,7 +159,7 @@ def test_a_silent_node_is_named_with_what_was_tried(tmp_path):
 
 
 def test_ctrl_c_stops_the_drives_and_keeps_the_recording(tmp_path):
-    path = config(tmp_path, steps=[SHORT[0], {"hold": {"duration_s": 1000.0}}])
+    path = config(tmp_path, steps=ENDLESS)
     process = start(path)
     folder = wait_for_frames(path, 500)
     os.killpg(process.pid, signal.SIGINT)
@@ -258,11 +176,10 @@ def test_ctrl_c_stops_the_drives_and_keeps_the_recording(tmp_path):
 
 
 def test_hardware_that_is_killed_ends_the_run_with_exit_3(tmp_path):
-    steps = [SHORT[0], {"hold": {"duration_s": 1000.0}}]
-    path = config(tmp_path, steps=steps, safety={"cycle_timeout_s": 1.0})
+    path = config(tmp_path, steps=ENDLESS, safety={"cycle_timeout_s": 1.0})
     process = start(path)
     folder = wait_for_frames(path, 500)
-    subprocess.run(["pkill", "-KILL", "-f", f"hilbench.hardware {folder}"], check=True)
+    os.kill(pid_of(path, "hardware"), signal.SIGKILL)
     out, _ = process.communicate(timeout=60)
     assert process.returncode == 3
     assert "no answer to SYNC from axis1" in out.replace("\n", " ")

@@ -10,30 +10,14 @@ import time
 from pathlib import Path
 
 import numpy as np
-from tests.bench.test_runs import SHORT, config, gone, processes_of, run, run_folders, start, wait_for_frames
+from tests.bench.whole_runs import ENDLESS, config, gone, pid_of, result_of, run, run_folders, start, wait_for_frames
 
 from hilbench.results.recording import Recording, read_recording
-from hilbench.results.result import Result
 from hilbench.results.trace import TraceReader
 
-MOVING = [SHORT[0], {"hold": {"duration_s": 1000.0}}]
 QUICK_STOP_M_S2 = 3.0
 CYCLE_S = 0.002
 METRES_PER_RAD = 0.2 / 5.0
-
-
-def pid_of(path: Path, command: str) -> int:
-    """Of a process that a run of this config started."""
-    for entry in Path("/proc").iterdir():
-        if entry.name.isdigit():
-            words = (entry / "cmdline").read_bytes().split(b"\0")
-            if command.encode() in words and any(str(path.parent).encode() in word for word in words):
-                return int(entry.name)
-    raise AssertionError(f"no process {command}: {processes_of(path)}")
-
-
-def result_of(folder: Path) -> Result:
-    return Result.read(folder / "result.json")
 
 
 def velocity_m_s(trace: Path, cob_id: int = 0x281) -> np.ndarray:
@@ -48,7 +32,7 @@ def settled(recording: Recording, name: str) -> np.ndarray:
 
 
 def test_emergency_stop_from_another_terminal(tmp_path: Path) -> None:
-    path = config(tmp_path, steps=MOVING)
+    path = config(tmp_path, steps=ENDLESS)
     process = start(path)
     folder = wait_for_frames(path, 500)
     address = Path(path).read_text().split("address: ")[1].split()[0]
@@ -130,7 +114,7 @@ def test_a_twin_that_is_killed_is_started_again_while_the_loop_holds(tmp_path: P
 
 
 def test_a_bench_that_is_stopped_has_its_drives_stopped_by_the_supervisor(tmp_path: Path) -> None:
-    path = config(tmp_path, steps=MOVING, safety={"cycle_timeout_s": 1.0})
+    path = config(tmp_path, steps=ENDLESS, safety={"cycle_timeout_s": 1.0})
     process = start(path)
     folder = wait_for_frames(path, 500)
     os.kill(process.pid, signal.SIGSTOP)

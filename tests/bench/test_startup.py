@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from tests.bench.test_runs import config
+from tests.bench.whole_runs import config
 from tests.cia402.stand_in import served
 
 from hilbench.bench.lifecycle.startup import check_that_they_wait

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from tests.bench.strangers import Plan, from_sync, on_the_bus
-from tests.bench.test_runs import config
+from tests.bench.whole_runs import config
 
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.can.frame import Frame

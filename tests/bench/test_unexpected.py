@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from tests.bench.test_runs import config, run_folders
+from tests.bench.whole_runs import config, run_folders
 from tests.cli.in_process import hilbench
 
 from hilbench.bench.lifecycle import in_process

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from tests.bench.test_runs import config
+from tests.bench.whole_runs import config
 from tests.cli.in_process import hilbench
 
 from hilbench.bench.lifecycle.participants import Participants

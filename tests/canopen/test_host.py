@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 from tests.canopen.device_under_test import eds_text
+from tests.canopen.wall_clock import WallClock
 
 from hilbench.can.confinement import ControllerState
 from hilbench.can.frame import Frame
@@ -20,19 +21,6 @@ from hilbench.errors import BusError
 
 SYNC = Frame(0x080, b"")
 CYCLE_NS = 2_000_000
-
-
-class WallClock:
-    """The machine's time, set by hand, in place of the module `time`."""
-
-    def __init__(self) -> None:
-        self.ns = 10**12
-
-    def monotonic_ns(self) -> int:
-        return self.ns
-
-    def monotonic(self) -> float:
-        return self.ns / 1e9
 
 
 class ScriptedLink:

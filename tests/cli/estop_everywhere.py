@@ -17,7 +17,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from tests.bench.test_runs import start, wait_for_frames
+from tests.bench.whole_runs import start, wait_for_frames
 
 
 def main(paths: list[Path]) -> None:

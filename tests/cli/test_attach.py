@@ -16,7 +16,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from tests.bench.test_runs import config
+from tests.bench.whole_runs import config
 from tests.cli.in_process import hilbench
 
 from hilbench.can.frame import Frame

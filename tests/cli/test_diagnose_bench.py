@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from tests.bench.test_runs import config, gone
+from tests.bench.whole_runs import config, gone
 from tests.cli.in_process import hilbench
 
 from hilbench.bench.lifecycle.participants import Participants

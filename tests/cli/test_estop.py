@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import pytest
-from tests.bench.test_runs import SHORT, config
+from tests.bench.whole_runs import SHORT, config
 from tests.cli.in_process import hilbench
 
 from hilbench.can import interfaces

@@ -13,7 +13,7 @@ from pathlib import Path
 from unittest.mock import patch
 
 import pytest
-from tests.bench.test_runs import config, run_folders
+from tests.bench.whole_runs import config, run_folders
 from typer.main import get_command
 
 from hilbench.cli.main import app, main

@@ -11,7 +11,7 @@ from typing import Any
 from xml.etree import ElementTree
 
 import pytest
-from tests.bench.test_runs import run_folders, start, wait_for_frames
+from tests.bench.whole_runs import run_folders, start, wait_for_frames
 from tests.cli.in_process import hilbench
 
 from hilbench.can.open import open_link

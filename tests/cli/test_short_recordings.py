@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.bench.test_runs import config, run_folders
+from tests.bench.whole_runs import config, run_folders
 from tests.cli.in_process import hilbench
 
 from hilbench.results.recording import Recording, read_recording, write_recording

@@ -36,7 +36,7 @@ _PROGRAMS = {
 
 #: What is not run by the tests of the docs, and why.
 NOT_RUN = {
-    r"make (setup|demo|test|docs|bench|lint)\b": "CI runs it, or it takes longer than all tests; the target is looked up",
+    r"make (setup|demo|test|docs|bench|lint)\b": "CI runs it, or it takes longer than all tests; it is looked up",
     r"python tools/\S+": "writes the tables of a page from runs that take minutes; the tool is looked up",
     r"source \.venv/bin/activate": "changes the shell it stands in",
     r"pip install ": "loads packages",

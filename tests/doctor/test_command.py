@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 import yaml
-from tests.bench.test_runs import SHORT, config, gone, start, wait_for_frames
+from tests.bench.whole_runs import SHORT, config, gone, start, wait_for_frames
 from tests.cli.in_process import hilbench
 
 from hilbench.doctor.findings import Check

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import threading
 from collections.abc import Iterator, Mapping
@@ -20,6 +21,11 @@ PACKAGES = Path(__file__).parents[2] / ".cache" / "node-canopen" / "node_modules
 OWN_NODE = 0x7E
 _PATIENCE_S = 30.0
 _POLL_S = 0.05
+
+
+def with_node_id(eds: str, node: int) -> str:
+    """The EDS with its COB-IDs as numbers: npm's canopen knows no $NODEID."""
+    return re.sub(r"\$NODEID\+(0x[0-9A-Fa-f]+)", lambda match: hex(int(match[1], 0) + node), eds)
 
 
 class Refused(Exception):  # noqa: N818 - an answer

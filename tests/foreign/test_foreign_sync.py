@@ -20,7 +20,7 @@ from pathlib import Path
 import pytest
 from canopen.profiles.p402 import BaseNode402
 from tests.buses import KernelBus
-from tests.foreign.foreign_station import foreign_station
+from tests.foreign.foreign_station import foreign_station, with_node_id
 
 from canopen import Network
 from hilbench.can.link import Link
@@ -169,8 +169,6 @@ def test_base_node_402(address: BusAddress, hardware: Path, period_ms: int) -> N
 @pytest.mark.skipif(shutil.which("npm") is None, reason="Node.js with npm is not installed")
 @pytest.mark.parametrize("period_ms", PERIODS_MS)
 def test_npms_canopen(address: BusAddress, hardware: Path, period_ms: int, tmp_path: Path) -> None:
-    from tests.foreign.test_node_canopen import with_node_id
-
     file = tmp_path / "servo.eds"
     file.write_text(with_node_id(EDS.read_text(encoding="ascii"), 1), encoding="ascii")
     with witness(address) as seen, foreign_station(open_link(address), 1, file) as station:

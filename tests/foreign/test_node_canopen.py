@@ -5,7 +5,6 @@ It runs in a Node.js process; its frames go over the in-process bus (and, marked
 
 from __future__ import annotations
 
-import re
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -15,7 +14,7 @@ import pytest
 from tests.buses import Bus
 from tests.canopen.device_under_test import SECTIONS, SERVO_EDS, U32, eds_text, record, var
 from tests.cia402.stand_in import SimulatedDrives, served
-from tests.foreign.foreign_station import OWN_NODE, PACKAGES, ForeignStation, Refused, foreign_station
+from tests.foreign.foreign_station import OWN_NODE, PACKAGES, ForeignStation, Refused, foreign_station, with_node_id
 
 from hilbench.canopen.clock import MonotonicClock
 from hilbench.canopen.device import Device
@@ -34,16 +33,11 @@ SDO_SERVER = record(
 )
 
 
-def with_node_id(eds: str, node: int = NODE) -> str:
-    """The EDS with its COB-IDs as numbers: npm's canopen knows no $NODEID."""
-    return re.sub(r"\$NODEID\+(0x[0-9A-Fa-f]+)", lambda match: hex(int(match[1], 0) + node), eds)
-
-
 @contextmanager
 def station_and_device(bus: Bus, eds: str, folder: Path) -> Iterator[tuple[ForeignStation, Device]]:
     """The foreign station, and a device of this EDS; a drive when the EDS describes one."""
     file = folder / "device.eds"
-    file.write_text(with_node_id(eds), encoding="ascii")
+    file.write_text(with_node_id(eds, NODE), encoding="ascii")
     clock = MonotonicClock(stall_s=1.0)
     device = Device(load_eds(file, NODE), NODE, clock)
     application = SimulatedDrives([device] if device.has(0x6502) else [])

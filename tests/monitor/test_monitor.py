@@ -6,7 +6,7 @@ import asyncio
 from pathlib import Path
 
 import pytest
-from tests.bench.test_runs import config
+from tests.bench.whole_runs import config
 from textual.widgets import DataTable, Log, Static
 from textual.widgets._footer import FooterKey
 

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from tests.bench.test_runs import config
+from tests.bench.whole_runs import config
 from tests.cli.in_process import hilbench
 
 from hilbench import strict_yaml

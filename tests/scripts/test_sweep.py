@@ -11,7 +11,7 @@ from pathlib import Path
 import pandas
 import pytest
 from distributed import LocalCluster
-from tests.bench.test_runs import config
+from tests.bench.whole_runs import config
 
 from hilbench.errors import UnusableInputError
 from hilbench.scripts.sweep import Axis, Sweep, parse_axis, points

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.bench.test_runs import config as bench_config
+from tests.bench.whole_runs import config as bench_config
 from tests.cli.in_process import hilbench
 
 from hilbench.bench import bench as library

@@ -6,8 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.bench.test_runs import config, run, run_folders
-from tests.bench.test_safety import result_of
+from tests.bench.whole_runs import config, result_of, run, run_folders
 from tests.estimation.runs import CYCLE_S, OLD_PA, STEP_S, Array, measured, stepped, times
 from tests.plant.models import model
 

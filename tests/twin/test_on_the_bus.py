@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from tests.bench.test_runs import config, run, run_folders
+from tests.bench.whole_runs import config, run, run_folders
 
 from hilbench.bench.bench import Bench
 from hilbench.bench.lifecycle.participants import Participants
