@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from tests import independent
 
 from hilbench.plant.motor_port import MotorMode
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line import offline
+from hilbench.plant.web_line.parameters import load_model
 
 from .models import effect, line_of
 
@@ -171,20 +172,10 @@ def test_error_falls_with_the_fourth_power_of_the_step() -> None:
     assert errors[1] / errors[2] > 12.0
 
 
-RECORDINGS = Path(__file__).parents[3] / "shared" / "recordings"
-
-
-@pytest.mark.skipif(not RECORDINGS.is_dir(), reason="the recordings do not lie beside the checkout")
-@pytest.mark.parametrize("name", ["nominal", "elasticity_shift", "coulomb_friction", "roller_eccentricity", "web_slip"])
+@pytest.mark.parametrize("name", ["web_slip", "nominal", "elasticity_shift", "coulomb_friction", "roller_eccentricity"])
 def test_recording_of_an_independent_simulator_is_met_within_its_noise(name: str) -> None:
-    import yaml
-
-    from hilbench.plant.parameters import EffectEntry
-    from hilbench.plant.web_line.parameters import load_model
-
-    labels = yaml.safe_load((RECORDINGS / "labels.yaml").read_text())[f"{name}.csv.gz"]
-    model = load_model(RECORDINGS / "model.yaml").with_effects(*(EffectEntry(**label) for label in labels))
-    data = np.genfromtxt(RECORDINGS / f"{name}.csv.gz", delimiter=",", names=True, max_rows=12_000)
+    model = load_model(independent.MODEL).with_effects(*independent.hidden_in(name))
+    data = np.genfromtxt(independent.recording(name), delimiter=",", names=True, max_rows=12_000)
     p = lay.pack(model)
     commands = np.column_stack([data["v1_cmd_m_s"], data["v2_cmd_m_s"]])
     boundary = np.column_stack([data["strain_prev"], data["F_next_N"]])
