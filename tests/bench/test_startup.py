@@ -13,7 +13,8 @@ from tests.cia402.stand_in import served
 from hilbench.bench.lifecycle.startup import check_that_they_wait
 from hilbench.can.memory import MemoryBus
 from hilbench.canopen.eds import load_eds
-from hilbench.canopen.master import PRE_OPERATIONAL, START, Master
+from hilbench.canopen.identifiers import NmtCommand
+from hilbench.canopen.master import Master
 from hilbench.errors import UnusableInputError
 from hilbench.hardware.simulation import hardware
 from hilbench.runs.config import load_with_overrides
@@ -34,10 +35,10 @@ def started(path: Path, pace: str) -> Iterator[tuple[BenchConfig, Master]]:
                     node_id = part.node.node_id
                     master.add(node_id, load_eds(part.node.eds, node_id), part.name)
                     master.sdo_write(node_id, 0x1017, bench.master.node_heartbeat_ms)
-            master.nmt(START)
+            master.nmt(NmtCommand.START)
             master.heard_within(0.1)
             yield bench, master
-            master.nmt(PRE_OPERATIONAL)
+            master.nmt(NmtCommand.ENTER_PRE_OPERATIONAL)
         finally:
             master.close()
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from tests.canopen.device_under_test import SECTIONS, DeviceUnderTest
 
-from hilbench.canopen.device import NmtState
+from hilbench.canopen.identifiers import NmtState
 from hilbench.errors import UnusableInputError
 
 SAVE = int.from_bytes(b"save", "little")

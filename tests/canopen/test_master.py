@@ -15,10 +15,11 @@ import can
 import canopen
 from hilbench.can.frame import Frame
 from hilbench.canopen.clock import MonotonicClock
-from hilbench.canopen.device import Device, NmtState
+from hilbench.canopen.device import Device
 from hilbench.canopen.eds import load_eds
 from hilbench.canopen.host import DeviceHost
-from hilbench.canopen.master import START, Master
+from hilbench.canopen.identifiers import NmtCommand, NmtState
+from hilbench.canopen.master import Master
 from hilbench.canopen.pdo import PdoMap
 from hilbench.errors import BenchFaultError, BusError
 
@@ -143,7 +144,7 @@ def test_nmt(rig: Rig, master: Master) -> None:
     rig.start()
     master.wait_for_boot([NODE], 5.0)
     rig.device.on_nmt = lambda state: changed.set()
-    master.nmt(START, NODE)
+    master.nmt(NmtCommand.START, NODE)
     assert changed.wait(5.0)
     assert rig.device.nmt_state is NmtState.OPERATIONAL
 
@@ -177,7 +178,7 @@ def test_a_lost_bus_is_an_error_where_it_is_used_next_and_no_traceback(monkeypat
         thread.join(10.0)
         assert not thread.is_alive()
     with pytest.raises(BusError, match="its hub has ended"):
-        master.nmt(START)
+        master.nmt(NmtCommand.START)
     master.close()
     assert ended_by == [SystemExit]  # of which Python prints nothing
 

@@ -17,7 +17,8 @@ from hilbench.can.link import Link
 from hilbench.canopen.clock import MonotonicClock
 from hilbench.canopen.device import Device
 from hilbench.canopen.eds import load_eds
-from hilbench.canopen.master import START, Master
+from hilbench.canopen.identifiers import NmtCommand
+from hilbench.canopen.master import Master
 from hilbench.cia402.configuration import DriveSettings, RpdoCopy
 from hilbench.cia402.drive import Drive, DriveGoal
 from hilbench.cia402.objects import OperationMode
@@ -162,7 +163,7 @@ def test_our_master_configures_and_drives_it(bus: Bus) -> None:
         assert master.sdo_read(1, 0x605A) == 6
         assert (master.sdo_read(1, 0x60C2, 1), master.sdo_read(1, 0x60C2, 2)) == (2, -3)
         link = bus.open_link()
-        master.nmt(START)
+        master.nmt(NmtCommand.START)
         drive.request(DriveGoal.ENABLED)
         drive.setpoint = 20.0
         run_cycles(link, drive, 100)
@@ -179,7 +180,7 @@ def test_a_virtual_axis_hears_the_same_commands(bus: Bus, way: str) -> None:
         for drive in (axis, virtual):
             drive.configure(master)
         link = bus.open_link()
-        master.nmt(START)
+        master.nmt(NmtCommand.START)
         axis.request(DriveGoal.ENABLED)
         axis.setpoint = 20.0
         run_cycles(link, axis, 60)

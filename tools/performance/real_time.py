@@ -21,7 +21,7 @@ from hilbench.bench.lifecycle.startup import start_children
 from hilbench.can.frame import Frame
 from hilbench.can.load import cycle_load
 from hilbench.can.open import open_link
-from hilbench.canopen.master import START
+from hilbench.canopen.identifiers import NMT, NmtCommand
 from hilbench.errors import BenchFaultError
 from hilbench.exchange.cycle import CyclicExchange
 from hilbench.exchange.nodes import Nodes
@@ -98,7 +98,7 @@ def _three_drives(config: BenchConfig, seconds: float) -> Section:
             resources.callback(child.end)
         ids = [drive.settings.node_id for drive in nodes.drives]
         _wait_for_boot(link.receive, ids)
-        link.send([Frame(0, bytes([START, node_id])) for node_id in ids])
+        link.send([Frame(NMT, NmtCommand.START.to(node_id)) for node_id in ids])
         exchange = CyclicExchange(
             link,
             cycle_ns=config.cycle_ns,

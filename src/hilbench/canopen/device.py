@@ -7,7 +7,6 @@ in `replies` (answers to a request, due at once) and `outbox` (what the device h
 from __future__ import annotations
 
 from collections.abc import Callable
-from enum import IntEnum
 from pathlib import Path
 
 import canopen
@@ -17,13 +16,24 @@ from hilbench.canopen.device_pdo import RPDO_TIMED_OUT, Rpdo, Tpdo
 from hilbench.canopen.emcy import COMMUNICATION_ERROR, EmergencyProducer
 from hilbench.canopen.emergency_stop import EMERGENCY_STOP_COB_ID
 from hilbench.canopen.heartbeat import HeartbeatConsumer, HeartbeatProducer
-from hilbench.canopen.identifiers import is_restricted
+from hilbench.canopen.identifiers import (
+    COB_ID,
+    HEARTBEAT,
+    NMT,
+    PRODUCE_SYNC,
+    SDO_REQUEST,
+    SYNC,
+    NmtCommand,
+    NmtState,
+    is_restricted,
+    node_of,
+)
 from hilbench.canopen.object_store import INVALID_VALUE, PRESENT_STATE, Cell, ObjectStore, SdoAbort
 from hilbench.canopen.sdo_server import DeviceSdoServer
 from hilbench.canopen.storage import Storage
 from hilbench.errors import UnusableInputError
 
-__all__ = ["Cell", "Device", "NmtState", "SdoAbort"]
+__all__ = ["Cell", "Device", "SdoAbort"]
 
 #: What 1029h sub 1 asks for when a heartbeat is lost; any other value: no change.
 _TO_PRE_OPERATIONAL, _TO_STOPPED = 0, 2
@@ -31,25 +41,13 @@ _TO_PRE_OPERATIONAL, _TO_STOPPED = 0, 2
 HEARTBEAT_LOST = 0x8130
 SYNC_LENGTH = 0x8240
 
-_PRODUCE_SYNC = 0x40000000
-_USUAL_SYNC = 0x80  #: restricted for everything but SYNC
-
-_BOOT_UP = b"\0"  #: has the identifier of the heartbeat and is none
+_WITHOUT_TOP_BIT = 0x7FFFFFFF  #: of 1005h: it means nothing there
 
 #: Error register, COB-ID of SYNC, producer heartbeat time.
 _NEEDED = (0x1001, 0x1005, 0x1017)
 
 _COMMUNICATION_AREA = (0x1000, 0x1FFF)
 _ALL_AREAS = (0x1000, 0x9FFF)
-
-
-class NmtState(IntEnum):
-    """NMT states by the value that a heartbeat carries."""
-
-    INITIALISING = 0
-    STOPPED = 4
-    OPERATIONAL = 5
-    PRE_OPERATIONAL = 127
 
 
 class Device:
@@ -128,15 +126,15 @@ class Device:
 
     def boot(self) -> None:
         """Say boot-up and be pre-operational."""
-        self._reply(0x700 + self.node_id, _BOOT_UP)
+        self._reply(HEARTBEAT + self.node_id, NmtState.INITIALISING.heartbeat)
         self._enter(NmtState.PRE_OPERATIONAL)
 
     def identifiers(self) -> set[int]:
         """Identifiers (REMOTE_FLAG in those of remote requests) of the frames, besides SYNC, that mean anything to the
         device as it is configured now."""
         return {
-            *(0, 0x600 + self.node_id, EMERGENCY_STOP_COB_ID),
-            *(0x700 + node_id for node_id in self._consumer.times_ns()),
+            *(NMT, SDO_REQUEST + self.node_id, EMERGENCY_STOP_COB_ID),
+            *(HEARTBEAT + node_id for node_id in self._consumer.times_ns()),
             *self._receivers,
             *(tpdo.cob_id | REMOTE_FLAG for tpdo in self._tpdos if tpdo.valid),
         }
@@ -148,26 +146,27 @@ class Device:
         if receiver is not None:
             if self.nmt_state is NmtState.OPERATIONAL:
                 receiver.receive(frame.data)
-        elif can_id == 0x600 + self.node_id:
+        elif can_id == SDO_REQUEST + self.node_id:
             if self._communicates():
                 self._sdo.handle(frame.data)
                 self._compile_pdos_if_changed()
-        elif can_id == 0:
+        elif can_id == NMT:
             self._nmt_command(frame.data)
         elif can_id == EMERGENCY_STOP_COB_ID:
             if self.on_emergency_stop is not None:
                 self.on_emergency_stop()
-        elif 0x701 <= can_id <= 0x77F and len(frame.data) == 1 and frame.data != _BOOT_UP:
-            self._consumer.heard(can_id - 0x700)
+        elif sender := node_of(can_id, HEARTBEAT):
+            if len(frame.data) == 1 and frame.data != NmtState.INITIALISING.heartbeat:
+                self._consumer.heard(sender)
         elif can_id & REMOTE_FLAG and not can_id & EXTENDED_FLAG and self.nmt_state is NmtState.OPERATIONAL:
             for tpdo in self._tpdos:
-                if tpdo.valid and tpdo.cob_id == can_id & 0x7FF:
+                if tpdo.valid and tpdo.cob_id == can_id & COB_ID:
                     tpdo.request()
 
     @property
     def sync_cob_id(self) -> int:
         """Identifier of SYNC, 1005h."""
-        return int(self._sync_cob.value & 0x7FF)
+        return int(self._sync_cob.value & COB_ID)
 
     def sync(self, data: bytes) -> None:
         """SYNC: in OPERATIONAL synchronous RPDOs act, synchronous TPDOs are sampled and sent."""
@@ -190,7 +189,7 @@ class Device:
         """Time has passed: heartbeats, time-outs, event-driven PDOs, held-back EMCYs."""
         now_ns = self._clock.now_ns()
         if self._producer.due(now_ns):
-            self._say(0x700 + self.node_id, bytes([self.nmt_state]))
+            self._say(HEARTBEAT + self.node_id, self.nmt_state.heartbeat)
         self._consumer.poll(now_ns)
         self._emcy.poll(now_ns)
         if self.nmt_state is not NmtState.OPERATIONAL:
@@ -217,15 +216,15 @@ class Device:
         if len(data) != 2 or data[1] not in (0, self.node_id):
             return
         command = data[0]
-        if command == 1:
+        if command == NmtCommand.START:
             self._enter(NmtState.OPERATIONAL)
-        elif command == 2:
+        elif command == NmtCommand.STOP:
             self._enter(NmtState.STOPPED)
-        elif command == 128:
+        elif command == NmtCommand.ENTER_PRE_OPERATIONAL:
             self._enter(NmtState.PRE_OPERATIONAL)
-        elif command in (129, 130):
+        elif command in (NmtCommand.RESET_NODE, NmtCommand.RESET_COMMUNICATION):
             self._enter(NmtState.INITIALISING)
-            self._reset(*(_ALL_AREAS if command == 129 else _COMMUNICATION_AREA))
+            self._reset(*(_ALL_AREAS if command == NmtCommand.RESET_NODE else _COMMUNICATION_AREA))
             self.boot()
 
     def _enter(self, state: NmtState) -> None:
@@ -286,7 +285,7 @@ class Device:
 
     def _check_sync_cob(self, value: int) -> None:
         # This device produces no SYNC (bit 30).
-        if value & _PRODUCE_SYNC or (value & 0x7FFFFFFF != _USUAL_SYNC and is_restricted(value)):
+        if value & PRODUCE_SYNC or (value & _WITHOUT_TOP_BIT != SYNC and is_restricted(value)):
             raise SdoAbort(INVALID_VALUE)
 
     def _check_sync_counter(self, value: int) -> None:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from canopen.objectdictionary import ODVariable
 
 from hilbench.canopen.emcy import COMMUNICATION_ERROR, EmergencyProducer
-from hilbench.canopen.identifiers import is_restricted
+from hilbench.canopen.identifiers import COB_ID, INVALID, is_restricted
 from hilbench.canopen.object_store import (
     INVALID_VALUE,
     NOT_MAPPABLE,
@@ -19,8 +19,6 @@ from hilbench.canopen.object_store import (
 )
 from hilbench.canopen.pdo import EVENT_DRIVEN_TYPES, PdoMap, bit_length
 
-_INVALID = 0x80000000
-_IDENTIFIER = 0x7FF
 _DUMMIES = range(0x0002, 0x0008)
 
 PDO_TOO_SHORT = 0x8210
@@ -60,12 +58,12 @@ class _Pdo:
     @property
     def valid(self) -> bool:
         """Bit 31 of the COB-ID is clear."""
-        return not self._cob.value & _INVALID
+        return not self._cob.value & INVALID
 
     @property
     def cob_id(self) -> int:
         """Identifier of its frames."""
-        return int(self._cob.value & _IDENTIFIER)
+        return int(self._cob.value & COB_ID)
 
     @property
     def transmission_type(self) -> int:
@@ -120,9 +118,9 @@ class _Pdo:
 
     def _check_cob(self, value: int) -> None:
         """Bits 0 to 29 may change only while the PDO is invalid, before and after the write."""
-        if value & _INVALID:
+        if value & INVALID:
             return
-        if is_restricted(value) or (self.valid and value & _IDENTIFIER != self.cob_id):
+        if is_restricted(value) or (self.valid and value & COB_ID != self.cob_id):
             raise SdoAbort(INVALID_VALUE)
 
     def _check_type(self, value: int) -> None:
@@ -301,4 +299,4 @@ class Tpdo(_Pdo):
 
     def _transmit(self, data: bytes) -> None:
         self._sent = data
-        self._send(self._cob.value & _IDENTIFIER, data)
+        self._send(self._cob.value & COB_ID, data)

@@ -5,14 +5,13 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable
 
-from hilbench.canopen.identifiers import is_restricted
+from hilbench.canopen.identifiers import COB_ID, INVALID, is_restricted
 from hilbench.canopen.object_store import INVALID_VALUE, NO_DATA, ObjectStore, SdoAbort
 
 GENERIC_ERROR = 0x01
 COMMUNICATION_ERROR = 0x10
 
 _EMCY = struct.Struct("<HB5s")
-_INVALID = 0x80000000
 
 
 class EmergencyProducer:
@@ -141,9 +140,9 @@ class EmergencyProducer:
             self._transmit(data, now_ns)
 
     def _transmit(self, data: bytes, now_ns: int) -> None:
-        if self._cob_id is None or self._cob_id.value & _INVALID:
+        if self._cob_id is None or self._cob_id.value & INVALID:
             return
-        self._send(self._cob_id.value & 0x7FF, data)
+        self._send(self._cob_id.value & COB_ID, data)
         if self._inhibit is not None:
             self._free_ns = now_ns + self._inhibit.value * 100_000
 
@@ -180,8 +179,8 @@ class EmergencyProducer:
     def _check_cob_id(self, value: int) -> None:
         """1014h: 11-bit identifiers that CiA 301 leaves free; changed only while bit 31 is set."""
         assert self._cob_id is not None
-        if value & _INVALID:
+        if value & INVALID:
             return
-        in_use = not self._cob_id.value & _INVALID
+        in_use = not self._cob_id.value & INVALID
         if is_restricted(value) or (in_use and value != self._cob_id.value):
             raise SdoAbort(INVALID_VALUE)

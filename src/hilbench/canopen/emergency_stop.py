@@ -13,14 +13,15 @@ from typing import Final
 
 from hilbench.can.frame import Frame
 from hilbench.can.link import Link
+from hilbench.canopen.identifiers import NMT, NmtCommand
 from hilbench.errors import BusError
 
 EMERGENCY_STOP_COB_ID: Final = 0x001
 
-_NMT_COB_ID: Final = 0x000
-_PRE_OPERATIONAL_ALL: Final = bytes((128, 0))
-
-EMERGENCY_STOP: Final = (Frame(EMERGENCY_STOP_COB_ID, b""), Frame(_NMT_COB_ID, _PRE_OPERATIONAL_ALL))
+EMERGENCY_STOP: Final = (
+    Frame(EMERGENCY_STOP_COB_ID, b""),
+    Frame(NMT, NmtCommand.ENTER_PRE_OPERATIONAL.to(0)),
+)
 
 #: The stop is sent so often: a frame can be lost.
 _TIMES: Final = 3

@@ -16,14 +16,12 @@ from hilbench.can.confinement import ControllerState
 from hilbench.can.frame import EXTENDED_FLAG, REMOTE_FLAG, Frame
 from hilbench.can.link import Link
 from hilbench.canopen.clock import Clock, SyncClock
-from hilbench.canopen.device import Device, NmtState
+from hilbench.canopen.device import Device
+from hilbench.canopen.identifiers import LAST_NODE, NMT, SDO_REQUEST, NmtState
 
-_NMT_COB_ID = 0x000
 _ERROR_PASSIVE = 0x8120  #: EMCY error code: CAN in error passive mode
 _COMMUNICATION_ERROR = 0x11  #: error register (1001h): generic and communication
-_SDO_REQUEST, _LAST_NODE = 0x600, 127
 _EXACTLY = 0x1FFFFFFF | EXTENDED_FLAG | REMOTE_FLAG
-_OPERATIONAL = bytes([NmtState.OPERATIONAL])  # what a heartbeat says
 _POLL_S = 0.005
 _TICK_S = 0.002
 _TICK_STEP_S = 0.001
@@ -93,24 +91,25 @@ class DeviceHost:
         sync_cob_id = self._devices[0].sync_cob_id
         behind = sum(frame.can_id == sync_cob_id for frame in frames)
         listens_to, sync_clock = self._application.listens_to, self._sync_clock
+        operational = NmtState.OPERATIONAL.heartbeat
         for frame in frames:
             can_id = frame.can_id
             if can_id == sync_cob_id:
                 behind -= 1
                 self._sync(frame, behind)
                 continue
-            if sync_clock is not None and can_id == sync_clock.kept_by and frame.data == _OPERATIONAL:
+            if sync_clock is not None and can_id == sync_clock.kept_by and frame.data == operational:
                 sync_clock.keep()
             devices = self._addressees.get(can_id, ())
             for device in devices:
                 device.handle(frame)
             if can_id in listens_to:
                 self._application.on_frame(frame)
-            if can_id == _NMT_COB_ID or _SDO_REQUEST < can_id <= _SDO_REQUEST + _LAST_NODE:
+            if can_id == NMT or SDO_REQUEST < can_id <= SDO_REQUEST + LAST_NODE:
                 self._listen()  # before the answer goes out
             if devices:
                 self._flush_replies()
-            if can_id == _NMT_COB_ID:
+            if can_id == NMT:
                 self._nmt_commanded()
         self._time_passes()
 

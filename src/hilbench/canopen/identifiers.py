@@ -1,13 +1,76 @@
-"""Which identifiers CiA 301 leaves to configuration (table 40, "restricted CAN-IDs")."""
+"""Identifiers, NMT commands and NMT states of CANopen (CiA 301): the one table of them.
+
+Function codes are those of the predefined connection set (tables 38 and 39): the COB-ID of node n is code + n.
+"""
 
 from __future__ import annotations
 
-_RESERVED_BITS = 0x3FFFF800  #: 29-bit identifiers and the frame bit: this runtime speaks 11-bit identifiers only
+from enum import IntEnum
+from typing import Final
+
+#: Broadcast objects: the whole COB-ID.
+NMT: Final = 0x000
+SYNC: Final = 0x080
+
+EMERGENCY: Final = 0x080
+TPDOS: Final = (0x180, 0x280, 0x380, 0x480)
+RPDOS: Final = (0x200, 0x300, 0x400, 0x500)
+SDO_ANSWER: Final = 0x580
+SDO_REQUEST: Final = 0x600
+HEARTBEAT: Final = 0x700
+
+#: Parts of an 11-bit COB-ID.
+FUNCTION_CODE: Final = 0x780
+NODE_ID: Final = 0x07F
+COB_ID: Final = 0x7FF
+LAST_NODE: Final = 127
+
+#: Bits beside the COB-ID in 1014h and in the parameters of PDOs: not in use; a TPDO that no remote frame asks for.
+INVALID: Final = 0x8000_0000
+NO_REMOTE_REQUEST: Final = 0x4000_0000
+#: The same in 1005h: the device produces SYNC.
+PRODUCE_SYNC: Final = 0x4000_0000
+
+#: 29-bit identifiers and the frame bit: this runtime speaks 11-bit identifiers only.
+_RESERVED_BITS: Final = 0x3FFF_F800
+
+
+class NmtCommand(IntEnum):
+    """What an NMT master asks for (table 34 ff.): the first byte of its frame."""
+
+    START = 1
+    STOP = 2
+    ENTER_PRE_OPERATIONAL = 128
+    RESET_NODE = 129
+    RESET_COMMUNICATION = 130
+
+    def to(self, node_id: int) -> bytes:
+        """The data of the command to one node, or to all (0)."""
+        return bytes((self, node_id))
+
+
+class NmtState(IntEnum):
+    """NMT states by the value that a heartbeat carries; INITIALISING is the boot-up message."""
+
+    INITIALISING = 0
+    STOPPED = 4
+    OPERATIONAL = 5
+    PRE_OPERATIONAL = 127
+
+    @property
+    def heartbeat(self) -> bytes:
+        """The data of the heartbeat that says it."""
+        return bytes((self,))
+
+
+def node_of(can_id: int, function: int) -> int:
+    """The node whose message with this function code it is; 0: it is none."""
+    return can_id - function if function < can_id <= function + LAST_NODE else 0
 
 
 def is_restricted(cob_id: int) -> bool:
-    """Whether an object other than NMT, SDO, heartbeat, SYNC and TIME must not take this COB-ID."""
-    identifier = cob_id & 0x7FF
+    """Whether an object other than NMT, SDO, heartbeat, SYNC and TIME must not take this COB-ID (table 40)."""
+    identifier = cob_id & COB_ID
     return (
         bool(cob_id & _RESERVED_BITS)
         or identifier <= 0x080

@@ -10,13 +10,10 @@ from typing import Final
 from hilbench.can.frame import Frame
 from hilbench.can.link import Link
 from hilbench.canopen.emergency_stop import EMERGENCY_STOP, EMERGENCY_STOP_COB_ID
+from hilbench.canopen.identifiers import EMERGENCY, HEARTBEAT, NMT, NODE_ID, RPDOS, SDO_ANSWER, SDO_REQUEST, SYNC, TPDOS
 
-_NMT, _SYNC = 0x000, 0x080
-_SDO_REQUEST, _SDO_ANSWER = 0x600, 0x580
 #: Function codes of what a node sends: EMCY, TPDO1 to 4, SDO, heartbeat.
-_SENT_BY_NODES: Final = (0x080, 0x180, 0x280, 0x380, 0x480, _SDO_ANSWER, 0x700)
-#: Function codes of set points for a node: RPDO1 to 4.
-_SENT_TO_NODES: Final = (0x200, 0x300, 0x400, 0x500)
+_SENT_BY_NODES: Final = (EMERGENCY, *TPDOS, SDO_ANSWER, HEARTBEAT)
 _READ_DEVICE_TYPE: Final = bytes([0x40, 0x00, 0x10, 0x00]) + bytes(4)
 #: After the first sign of a master: until what else it sends has come.
 _LOOK_ROUND_S: Final = 0.1
@@ -59,16 +56,16 @@ def sort_by_node(frames: Iterable[Frame]) -> Heard:
     set_points: set[int] = set()
     sync, commands, stopped = 0, list[bytes](), False
     for can_id, data, _ in frames:
-        function, node_id = can_id & ~0x7F, can_id & 0x7F
-        if can_id == _SYNC:
+        function, node_id = can_id & ~NODE_ID, can_id & NODE_ID
+        if can_id == SYNC:
             sync += 1
-        elif can_id == _NMT:
+        elif can_id == NMT:
             commands.append(bytes(data))
         elif can_id == EMERGENCY_STOP_COB_ID:
             stopped = True
         elif function in _SENT_BY_NODES and node_id:
             nodes.setdefault(node_id, set()).add(can_id)
-        elif function in _SENT_TO_NODES and node_id:
+        elif function in RPDOS and node_id:
             set_points.add(can_id)
     nmt = [data for data in commands if not (stopped and data == EMERGENCY_STOP[1].data)]
     by_node = {node_id: frozenset(nodes[node_id]) for node_id in sorted(nodes)}
@@ -91,11 +88,11 @@ def listen_for_master(link: Link, duration_s: float, master_id: int) -> list[str
 def present(link: Link, node_ids: Iterable[int], wait_s: float) -> set[int]:
     """Which of these nodes answer an SDO read of 1000h within `wait_s`; all are asked at once."""
     asked = set(node_ids)
-    link.send([Frame(_SDO_REQUEST + node_id, _READ_DEVICE_TYPE) for node_id in sorted(asked)])
+    link.send([Frame(SDO_REQUEST + node_id, _READ_DEVICE_TYPE) for node_id in sorted(asked)])
     answers: set[int] = set()
 
     def everybody(frames: list[Frame]) -> bool:
-        answers.update(frame.can_id - _SDO_ANSWER for frame in frames)
+        answers.update(frame.can_id - SDO_ANSWER for frame in frames)
         return answers >= asked
 
     hear(link, wait_s, everybody)

@@ -15,20 +15,24 @@ import canopen
 from hilbench.can.python_can import can
 from hilbench.canopen import eds
 from hilbench.canopen.data_types import data_type
+from hilbench.canopen.identifiers import (
+    COB_ID,
+    FUNCTION_CODE,
+    HEARTBEAT,
+    INVALID,
+    NMT,
+    NO_REMOTE_REQUEST,
+    SDO_ANSWER,
+    NmtCommand,
+)
 from hilbench.canopen.pdo import PdoMap
 from hilbench.errors import BenchFaultError, BusError
-
-#: NMT commands (CiA 301).
-START, STOP, PRE_OPERATIONAL, RESET_NODE, RESET_COMMUNICATION = 1, 2, 128, 129, 130
 
 #: How long canopen's thread may go on after `close`.
 _NOTIFIER_CYCLE_S = 0.1
 
 #: Of so many contents what was sent and not heard yet is kept, and for so long: a bus in lockstep may stand still.
 _SENT_KEPT, _SENT_KNOWN_S = 256, 60.0
-
-_INVALID = 0x80000000
-_NO_REMOTE_REQUEST = 0x40000000
 
 
 @dataclass(frozen=True)
@@ -129,13 +133,13 @@ class Master:
         node.sdo.MAX_RETRIES = 1  # one try: canopen counts down to zero before it gives up
         self._names[node_id] = name
         self._locks[node_id] = threading.Lock()
-        self._network.subscribe(0x700 + node_id, self._heartbeat)
+        self._network.subscribe(HEARTBEAT + node_id, self._heartbeat)
 
     def receive_only_answers(self) -> None:
         """From now on only SDO answers are received: the cyclic traffic is somebody else's to read."""
         bus = self._network.bus
         assert bus is not None, "connected since it was made"
-        bus.set_filters([{"can_id": 0x580, "can_mask": 0x780, "extended": False}])
+        bus.set_filters([{"can_id": SDO_ANSWER, "can_mask": FUNCTION_CODE, "extended": False}])
 
     def close(self) -> None:
         """Leave the bus. One that is lost was reported by whoever used it."""
@@ -144,15 +148,15 @@ class Master:
 
     # -- NMT ---------------------------------------------------------------------------------------------
 
-    def nmt(self, command: int, node_id: int = 0) -> None:
+    def nmt(self, command: NmtCommand, node_id: int = 0) -> None:
         """Send an NMT command to one node, or to all (0). Raises BusError when the bus is lost."""
         with _bus_errors():
-            self._network.send_message(0, bytes([command, node_id]))
+            self._network.send_message(NMT, command.to(node_id))
 
     def _heartbeat(self, can_id: int, data: bytearray, timestamp: float) -> None:
         if len(data) == 1:
             with self._boot_seen:
-                self._booted.add(can_id - 0x700)
+                self._booted.add(can_id - HEARTBEAT)
                 self._boot_seen.notify_all()
 
     def heard_within(self, duration_s: float) -> set[int]:
@@ -290,18 +294,18 @@ class Master:
     def disable_pdo(self, node_id: int, communication_index: int) -> None:
         """Make a PDO invalid (bit 31 of its COB-ID)."""
         cob_id = int(self.sdo_read(node_id, communication_index, 1))
-        self.sdo_write(node_id, communication_index, cob_id | _INVALID, 1)
+        self.sdo_write(node_id, communication_index, cob_id | INVALID, 1)
 
     def _write_pdo(self, node_id: int, communication: int, mapping: int, pdo: PdoMap) -> None:
         """The procedure of CiA 301: PDO invalid, number 0, entries, number, valid."""
         self.disable_pdo(node_id, communication)
-        remote = _NO_REMOTE_REQUEST if communication >= 0x1800 else 0
+        remote = NO_REMOTE_REQUEST if communication >= 0x1800 else 0
         self.sdo_write(node_id, mapping, 0, 0)
         for sub, entry in enumerate(pdo.mapping, 1):
             self.sdo_write(node_id, mapping, entry, sub)
         self.sdo_write(node_id, mapping, len(pdo.mapping), 0)
         self.sdo_write(node_id, communication, pdo.transmission_type, 2)
-        self.sdo_write(node_id, communication, pdo.cob_id | remote | _INVALID, 1)
+        self.sdo_write(node_id, communication, pdo.cob_id | remote | INVALID, 1)
         self.sdo_write(node_id, communication, pdo.cob_id | remote, 1)
         self._check_pdo(node_id, communication, mapping, pdo)
 
@@ -317,7 +321,7 @@ class Master:
                 f"expected {' '.join(f'{entry:08X}h' for entry in pdo.mapping)}"
             )
         cob_id, kind = (int(self.sdo_read(node_id, communication, sub)) for sub in (1, 2))
-        if cob_id & (_INVALID | 0x7FF) != pdo.cob_id or kind != pdo.transmission_type:
+        if cob_id & (INVALID | COB_ID) != pdo.cob_id or kind != pdo.transmission_type:
             raise BenchFaultError(
                 f"{place}: {communication:04X}h reads back COB-ID {cob_id:X}h, transmission type {kind}, "
                 f"expected {pdo.cob_id:X}h, {pdo.transmission_type}"

@@ -15,6 +15,7 @@ from hilbench.can import claims, hub_client
 from hilbench.can.claims import MASTER, Holder, bringer_of, player_of
 from hilbench.can.link import Link
 from hilbench.can.open import BusAddress, open_link
+from hilbench.canopen.identifiers import FUNCTION_CODE, SDO_ANSWER
 from hilbench.canopen.listening import listen_for_master, present
 from hilbench.errors import BusError, UnusableInputError
 
@@ -87,7 +88,7 @@ def _refuse_answers(bus: BusAddress, nodes: Mapping[int, str]) -> None:
         return
     link = _open(bus)
     try:
-        link.set_filters([(0x580, 0x780)])
+        link.set_filters([(SDO_ANSWER, FUNCTION_CODE)])
         there = sorted(present(link, nodes, _ANSWER_S))
     finally:
         link.close()

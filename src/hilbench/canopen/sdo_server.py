@@ -14,6 +14,7 @@ from canopen.sdo.server import SdoServer
 
 import canopen
 from canopen import SdoAbortedError
+from hilbench.canopen.identifiers import SDO_ANSWER, SDO_REQUEST
 from hilbench.canopen.object_store import (
     NO_DATA,
     READ_ONLY,
@@ -68,7 +69,7 @@ class DeviceSdoServer(SdoServer):
     """SDO server whose requests come in by `handle` and whose answers go out through `send(cob_id, data)`."""
 
     def __init__(self, node_id: int, store: ObjectStore, send: Callable[[int, bytes], None]) -> None:
-        super().__init__(0x600 + node_id, 0x580 + node_id, _Node(node_id, store))
+        super().__init__(SDO_REQUEST + node_id, SDO_ANSWER + node_id, _Node(node_id, store))
         self.network = _Outlet(send)  # type: ignore[assignment]
         self._store = store
         self._index, self._subindex = 0, 0  # named by an abort before the first transfer

@@ -9,6 +9,7 @@ from typing import Final
 from canopen.objectdictionary import ObjectDictionary
 
 from hilbench.canopen import eds
+from hilbench.canopen.identifiers import RPDOS, TPDOS
 from hilbench.canopen.master import Master
 from hilbench.canopen.pdo import PdoMap
 from hilbench.cia402 import objects
@@ -89,15 +90,15 @@ def drive_pdos(settings: DriveSettings, od: ObjectDictionary) -> DrivePdos:
         raise UnusableInputError(settings.name, f"mode of operation {int(settings.mode)}, expected one of {expected}")
     node_id = settings.node_id
     received = (objects.CONTROLWORD, SETPOINT_OBJECTS[settings.mode])
-    cob_id = settings.listens_to if settings.listens_to is not None else 0x200 + node_id
+    cob_id = settings.listens_to if settings.listens_to is not None else RPDOS[0] + node_id
     rpdo = _pdo_map(settings, od, cob_id, 1, received)
     tpdos: list[tuple[int, PdoMap, tuple[int, ...]]] = []
     if settings.tpdo_type is not None:
         sent = (objects.STATUSWORD, objects.TORQUE_ACTUAL_VALUE, objects.POSITION_ACTUAL_VALUE)
-        tpdos.append((1, _pdo_map(settings, od, 0x180 + node_id, settings.tpdo_type, sent), sent))
+        tpdos.append((1, _pdo_map(settings, od, TPDOS[0] + node_id, settings.tpdo_type, sent), sent))
         if settings.has_velocity:
             velocity = (objects.VELOCITY_ACTUAL_VALUE,)
-            tpdos.append((2, _pdo_map(settings, od, 0x280 + node_id, settings.tpdo_type, velocity), velocity))
+            tpdos.append((2, _pdo_map(settings, od, TPDOS[1] + node_id, settings.tpdo_type, velocity), velocity))
     return DrivePdos(rpdo, tuple(tpdos))
 
 

@@ -13,6 +13,7 @@ from math import isfinite, nan
 from typing import TYPE_CHECKING, Final
 
 from hilbench.can.frame import Frame
+from hilbench.canopen.identifiers import EMERGENCY
 from hilbench.cia402 import objects
 from hilbench.cia402.configuration import SETPOINT_OBJECTS, DriveSettings, configure, drive_pdos, read_units
 from hilbench.cia402.state_machine import (
@@ -32,7 +33,6 @@ if TYPE_CHECKING:
     import canopen
     from hilbench.canopen.master import Master
 
-EMERGENCY_COB_ID: Final = 0x80
 #: A reset bit that does not act is released and raised again after so many cycles.
 _RESET_HALF_PERIOD: Final = 10
 
@@ -95,7 +95,7 @@ class Drive:
         self._position_mode = self._target == objects.TARGET_POSITION
         #: Last value of each object that the TPDOs bring.
         self._raw: dict[int, int | float] = {}
-        self._emergency_cob_id = EMERGENCY_COB_ID + settings.node_id
+        self._emergency_cob_id = EMERGENCY + settings.node_id
         self.units = DriveUnits(nan, nan, nan)
 
     def configure(self, master: Master) -> None:

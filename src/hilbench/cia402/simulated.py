@@ -14,7 +14,8 @@ from __future__ import annotations
 from math import inf
 from typing import TYPE_CHECKING, Final
 
-from hilbench.canopen.device import NmtState, SdoAbort
+from hilbench.canopen.device import SdoAbort
+from hilbench.canopen.identifiers import NmtState
 from hilbench.cia402 import objects
 from hilbench.cia402.firmware import Firmware
 from hilbench.cia402.modes import MODES, CyclicSynchronousPosition, DebouncedCondition

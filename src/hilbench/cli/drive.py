@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from hilbench.canopen.identifiers import COB_ID, HEARTBEAT, NMT, NmtState
 from hilbench.cli.options import BusOption, ConfigOption, EdsOption, ForceOption, JsonOption, NodeArgument
 from hilbench.errors import UnusableInputError
 
@@ -89,7 +90,7 @@ def _drive(
         node_id, name, od = node_on_bus(node, bench, address, eds)
         link = open_link(address)
         resources.callback(link.close)
-        link.set_filters([(0, 0x7FF)])  # nothing is received here: NMT commands are for the devices
+        link.set_filters([(NMT, COB_ID)])  # nothing is received here: NMT commands are for the devices
         master = known_to_master(address, node_id, od, name)
         resources.callback(master.close)
         units = None
@@ -97,7 +98,7 @@ def _drive(
             units = read_units(master, node_id, od, {} if bench is None else bench.units_of(node_id), name)
         yield (
             ManualDrive(master, node_id, name, units, time_out_s),
-            lambda: link.send([Frame(0x700 + MASTER_ID, b"\5")]),
+            lambda: link.send([Frame(HEARTBEAT + MASTER_ID, NmtState.OPERATIONAL.heartbeat)]),
         )
 
 

@@ -16,11 +16,11 @@ from hilbench.can.interfaces import can_interfaces_up
 from hilbench.can.link import Link
 from hilbench.can.open import BusAddress, open_link
 from hilbench.canopen.emergency_stop import send_emergency_stop
+from hilbench.canopen.identifiers import FUNCTION_CODE, HEARTBEAT, NmtState
 from hilbench.errors import EXIT_BENCH_FAULT, EXIT_PASSED, BusError, HilbenchError, UnusableInputError
 
 #: How long the nodes' heartbeats are listened to afterwards.
 _LISTEN_S = 0.5
-_OPERATIONAL = 5
 #: For a program to say what it does there; it is stopped without that, too.
 _SAYS_WITHIN_S = 0.05
 #: Interfaces that are joined with the bit rate at which they run, whatever we ask for.
@@ -141,7 +141,7 @@ def _stop(target: Target) -> Outcome:
     try:
         link = open_link(target.address())
         try:
-            link.set_filters([(0x700, 0x780)])
+            link.set_filters([(HEARTBEAT, FUNCTION_CODE)])
             send_emergency_stop(link)
             moving = _still_operational(link)
         finally:
@@ -161,5 +161,5 @@ def _still_operational(link: Link) -> list[int]:
     link.receive(0.0)  # what was said before
     while (left_s := deadline_s - time.monotonic()) > 0.0:
         for frame in link.receive(left_s):
-            states[frame.can_id - 0x700] = frame.data
-    return sorted(node for node, data in states.items() if data == bytes([_OPERATIONAL]))
+            states[frame.can_id - HEARTBEAT] = frame.data
+    return sorted(node for node, data in states.items() if data == NmtState.OPERATIONAL.heartbeat)

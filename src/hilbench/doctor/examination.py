@@ -17,6 +17,7 @@ from can.typechecking import CanFilters
 
 from hilbench.can.link import Link
 from hilbench.can.open import BusAddress, open_link, open_python_can
+from hilbench.canopen.identifiers import FUNCTION_CODE, SDO_ANSWER
 from hilbench.canopen.listening import listen, present
 from hilbench.canopen.mastery import master_of
 from hilbench.canopen.sdo_reader import SdoReader
@@ -34,7 +35,7 @@ _LISTEN_S = 1.0
 _MEASURE_S = 0.5
 #: For nodes of simulated hardware and twin that run already to answer.
 _PRESENT_S = 0.5
-_SDO_ANSWERS: CanFilters = [{"can_id": 0x580, "can_mask": 0x780, "extended": False}]
+_SDO_ANSWERS: CanFilters = [{"can_id": SDO_ANSWER, "can_mask": FUNCTION_CODE, "extended": False}]
 
 
 @dataclass(frozen=True)

@@ -8,18 +8,17 @@ from pathlib import Path
 
 from hilbench.can.frame import Frame
 from hilbench.can.link import Link
-from hilbench.canopen.device import NmtState
+from hilbench.canopen.identifiers import HEARTBEAT, LAST_NODE, NmtState, node_of
 from hilbench.canopen.listening import hear, master_at_work, present, sort_by_node
 from hilbench.canopen.sdo_reader import SdoReader
 from hilbench.cia402 import objects
 from hilbench.cia402.state_machine import decode_statusword
 from hilbench.doctor.eds_match import EdsFile, read_identity
 
-_HEARTBEAT = 0x700
 _CIA_402 = 402
 _AT_ONCE = 16  # requests: what a short transmit queue takes
 _ANSWER_S = 0.06
-_NODE_IDS = range(1, 128)
+_NODE_IDS = range(1, LAST_NODE + 1)
 
 
 @dataclass(frozen=True)
@@ -86,9 +85,9 @@ def nmt_states(frames: Iterable[Frame]) -> dict[int, str]:
     """Node id → NMT state by the last heartbeat of each."""
     known = {state.value: state.name.replace("_", "-") for state in NmtState}
     return {
-        frame.can_id - _HEARTBEAT: known.get(frame.data[0] & 0x7F, f"unknown ({frame.data[0]:02X}h)")
+        node_id: known.get(frame.data[0] & 0x7F, f"unknown ({frame.data[0]:02X}h)")
         for frame in frames
-        if _HEARTBEAT < frame.can_id <= _HEARTBEAT + 0x7F and frame.data
+        if (node_id := node_of(frame.can_id, HEARTBEAT)) and frame.data
     }
 
 

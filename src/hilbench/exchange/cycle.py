@@ -15,12 +15,9 @@ from hilbench.can.frame import Frame
 from hilbench.can.link import Link
 from hilbench.can.wire import frame_bits
 from hilbench.canopen.emergency_stop import EMERGENCY_STOP_COB_ID, send_emergency_stop
+from hilbench.canopen.identifiers import HEARTBEAT, SYNC, NmtState
 from hilbench.errors import BenchFaultError, EmergencyStopError, NoAnswerError
 from hilbench.exchange import pacing
-
-SYNC_COB_ID = 0x080
-#: COB-ID of the heartbeat of node 0.
-HEARTBEAT = 0x700
 
 #: Part of the cycle, at its end, that is kept for computing and sending the next set points (realtime pace):
 #: answers that are not there by then count as missing.
@@ -37,7 +34,7 @@ _NOT_VITAL_S = 2.0
 
 
 #: NMT state in the bench's own heartbeat: OPERATIONAL, and PRE-OPERATIONAL after an emergency stop.
-_OPERATIONAL, _PRE_OPERATIONAL = b"\x05", b"\x7f"
+_OPERATIONAL, _PRE_OPERATIONAL = NmtState.OPERATIONAL.heartbeat, NmtState.PRE_OPERATIONAL.heartbeat
 
 
 class FrameTap(Protocol):
@@ -119,7 +116,7 @@ class CyclicExchange:
         self._came_between: list[Frame] = []
         self._fault_between: Exception | None = None
         self._epoch_ns = 0
-        self._sync = Frame(SYNC_COB_ID, b"")
+        self._sync = Frame(SYNC, b"")
         self._sync_bits = frame_bits(self._sync)
         self._since_sync_bits = 0  # on the bus from the beginning of SYNC on
         self._unwritten: tuple[Sequence[Frame], Sequence[int], int] | None = None  # last answers, bits, when they began
@@ -390,7 +387,7 @@ class CyclicExchange:
             timed = self._timed(frames, bits, start_ns - int(sum(bits) * self._bit_ns))
             if not self._lockstep:
                 timed[len(outgoing) :] = late
-            timed.append(Frame(SYNC_COB_ID, b"", start_ns + int(self._sync_bits * self._bit_ns)))
+            timed.append(Frame(SYNC, b"", start_ns + int(self._sync_bits * self._bit_ns)))
             self._tap.write(timed)
 
     def _account_received(self, frames: Sequence[Frame], *, last: bool = False) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from hilbench.canopen.clock import Clock, MonotonicClock, SyncClock
-from hilbench.exchange.cycle import HEARTBEAT
+from hilbench.canopen.identifiers import HEARTBEAT
 from hilbench.topology.config import BenchConfig
 
 

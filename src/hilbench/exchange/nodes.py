@@ -10,8 +10,8 @@ from math import isclose
 import canopen
 from hilbench.can.frame import Frame
 from hilbench.can.load import CyclicFrame
-from hilbench.canopen import master as nmt
 from hilbench.canopen.eds import load_eds
+from hilbench.canopen.identifiers import EMERGENCY, HEARTBEAT, LAST_NODE, RPDOS, SYNC, TPDOS, NmtCommand, NmtState
 from hilbench.canopen.master import Master
 from hilbench.canopen.pdo import PdoMap
 from hilbench.cia402 import objects
@@ -30,9 +30,6 @@ from hilbench.topology.config import BenchConfig, NodeConfig, Part, Role
 from hilbench.topology.quantities import EffectPath
 from hilbench.topology.sample import CycleSample
 
-_SYNC, _HEARTBEAT = 0x080, 0x700
-_BOOT_UP, _OPERATIONAL = 0, 5
-_EMERGENCY = 0x080
 #: Heartbeats that may stay away before a node counts as lost (lost frames are no lost node).
 _HEARTBEATS_MISSED = 4
 _HEARTBEAT_LOOK_CYCLES = 16
@@ -57,10 +54,10 @@ class IoMaps:
         """The maps by the EDS of the virtual I/O. Raises KeyError or ValueError for what it lacks."""
         inputs, outputs = "0x6403sub", "0x6413sub"
         return cls(
-            PdoMap.from_names(od, 0x180 + node.node_id, 1, [inputs + "1", inputs + "2"]),
-            PdoMap.from_names(od, 0x280 + node.node_id, _DEVIATION_EVERY, [inputs + "3", inputs + "5"]),
-            PdoMap.from_names(od, 0x380 + node.node_id, 1, [f"0x2100sub{n}" for n in (1, 2, 3)]),
-            PdoMap.from_names(od, 0x200 + node.node_id, 1, [outputs + "1", outputs + "2"]),
+            PdoMap.from_names(od, TPDOS[0] + node.node_id, 1, [inputs + "1", inputs + "2"]),
+            PdoMap.from_names(od, TPDOS[1] + node.node_id, _DEVIATION_EVERY, [inputs + "3", inputs + "5"]),
+            PdoMap.from_names(od, TPDOS[2] + node.node_id, 1, [f"0x2100sub{n}" for n in (1, 2, 3)]),
+            PdoMap.from_names(od, RPDOS[0] + node.node_id, 1, [outputs + "1", outputs + "2"]),
         )
 
 
@@ -88,7 +85,7 @@ def drive_settings(config: BenchConfig, part: Part, od: canopen.ObjectDictionary
         parameters={**node.writes, **{key: value for key, value in parameters.items() if key[0] in od}},
         heartbeat_ms=config.master.node_heartbeat_ms,
         master_heartbeat=_master_heartbeat(config, virtual),
-        listens_to=0x200 + real.node_id if virtual and config.mirroring == "listen" else None,
+        listens_to=RPDOS[0] + real.node_id if virtual and config.mirroring == "listen" else None,
         copies=(_copy_for(config.parts_of(Role.VIRTUAL_AXIS)[part.axis - 1], units),) if copied else (),
         tpdo_type=(config.twin.virtual_tpdo_every or None) if virtual else 1,
         time_out_s=config.safety.drive_timeout_s,
@@ -99,7 +96,7 @@ def _copy_for(virtual: Part, units: DriveUnits) -> RpdoCopy:
     """The copy of an axis' RPDO for its virtual axis, whose units may be others."""
     node_id = virtual.node.node_id
     theirs = declared_units(virtual, load_eds(virtual.node.eds, node_id))
-    return RpdoCopy(0x200 + node_id, units.velocity_rad_s / theirs.velocity_rad_s)
+    return RpdoCopy(RPDOS[0] + node_id, units.velocity_rad_s / theirs.velocity_rad_s)
 
 
 def declared_units(part: Part, od: canopen.ObjectDictionary) -> DriveUnits:
@@ -254,10 +251,10 @@ class Nodes:
         # A twin that was held up first works off what it has missed; the reset would be lost among that. One that
         # somebody has stopped (NMT) answers no SDO request.
         for node_id in twin_nodes:
-            wake = partial(master.nmt, nmt.PRE_OPERATIONAL, node_id)
+            wake = partial(master.nmt, NmtCommand.ENTER_PRE_OPERATIONAL, node_id)
             master.wait_for_answer([node_id], self.config.master.boot_timeout_s, wake)
         for node_id in twin_nodes:
-            master.nmt(nmt.RESET_NODE, node_id)
+            master.nmt(NmtCommand.RESET_NODE, node_id)
         master.wait_for_answer(twin_nodes, self.config.master.boot_timeout_s)
         for drive in self.virtual_axes:
             drive.configure(master)
@@ -266,7 +263,7 @@ class Nodes:
             for command in _ENABLE:
                 master.sdo_write(drive.settings.node_id, objects.CONTROLWORD, command)
         for node_id in twin_nodes:
-            master.nmt(nmt.START, node_id)
+            master.nmt(NmtCommand.START, node_id)
         # Set points and SYNC come by another socket: an answer says that the command was there before them.
         master.wait_for_answer(twin_nodes, self.config.master.boot_timeout_s)
 
@@ -328,7 +325,7 @@ class Nodes:
 
     def cyclic_frames(self) -> list[CyclicFrame]:
         """Everything that goes over the bus each cycle, for the bus load."""
-        frames = [CyclicFrame("SYNC", 0x80, 0)]
+        frames = [CyclicFrame("SYNC", SYNC, 0)]
         for drive in (*self.drives, *self.virtual_axes):
             name, pdos = drive.settings.name, drive.pdos
             if drive not in self.virtual_axes:
@@ -339,7 +336,7 @@ class Nodes:
             frames.append(CyclicFrame(f"virtual io {name}", pdo.cob_id, pdo.size, 1 / pdo.period))
         periods_ms = [self.config.master.heartbeat_ms, *[self.config.master.node_heartbeat_ms] * len(self._known)]
         per_cycle = sum(1000.0 * self.config.cycle_time_s / period for period in periods_ms if period)
-        return [*frames, CyclicFrame("heartbeats", _HEARTBEAT + 1, 1, per_cycle)]
+        return [*frames, CyclicFrame("heartbeats", HEARTBEAT + 1, 1, per_cycle)]
 
     # -- each cycle --------------------------------------------------------------------------------------
 
@@ -367,10 +364,10 @@ class Nodes:
             if can_id in self._tpdos:
                 continue
             data[can_id] = content
-            if _HEARTBEAT < can_id <= _HEARTBEAT + 0x7F:
-                self._heartbeat(can_id - _HEARTBEAT, content)
-            elif _EMERGENCY < can_id <= _EMERGENCY + 0x7F:
-                self._emergency(can_id - _EMERGENCY, content)
+            if HEARTBEAT < can_id <= HEARTBEAT + LAST_NODE:
+                self._heartbeat(can_id - HEARTBEAT, content)
+            elif EMERGENCY < can_id <= EMERGENCY + LAST_NODE:
+                self._emergency(can_id - EMERGENCY, content)
         if self._cycle % _HEARTBEAT_LOOK_CYCLES == 0:
             self._look_for_silent_nodes()
         for drive in self.drives:
@@ -397,7 +394,7 @@ class Nodes:
         for at, (can_id, content, _) in enumerate(frames):
             if can_id in tpdos:
                 tpdos[can_id].take(content, before_sync=at < before_sync)
-            elif can_id == _SYNC:
+            elif can_id == SYNC:
                 foreign_syncs += 1
         data = {}
         for cob_id, tpdo in tpdos.items():
@@ -433,11 +430,12 @@ class Nodes:
         state = content[0]
         if node_id == self.config.twin.node.node_id:
             self.twin_heard = True
-        if state == _OPERATIONAL:
+        if state == NmtState.OPERATIONAL:
             self._heard_cycle[node_id] = self._cycle
             self._expected_boots.discard(node_id)
         elif node_id not in self._expected_boots:
-            what = "has restarted (boot-up)" if state == _BOOT_UP else f"has left OPERATIONAL (heartbeat {state:02X}h)"
+            booted = state == NmtState.INITIALISING
+            what = "has restarted (boot-up)" if booted else f"has left OPERATIONAL (heartbeat {state:02X}h)"
             self._lost(node_id, f"{what} during the run")
 
     def _look_for_silent_nodes(self) -> None:

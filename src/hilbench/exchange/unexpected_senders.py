@@ -15,18 +15,17 @@ from dataclasses import dataclass
 import canopen
 from hilbench.can.frame import Frame
 from hilbench.canopen import eds
-from hilbench.canopen import master as nmt
 from hilbench.canopen.data_types import data_type
+from hilbench.canopen.identifiers import HEARTBEAT, NMT, SDO_ANSWER, SDO_REQUEST, SYNC, NmtCommand
 from hilbench.exchange.answers import Tpdo
 
-_NMT, _SYNC, _HEARTBEAT, _SDO_REQUEST, _SDO_ANSWER = 0x000, 0x080, 0x700, 0x600, 0x580
 _DOWNLOAD, _ABORT, _BLOCK_DOWNLOAD = 1, 4, 6  # command specifiers of an SDO client
-_COMMANDS = {
-    nmt.START: "start",
-    nmt.STOP: "stop",
-    nmt.PRE_OPERATIONAL: "enter PRE-OPERATIONAL",
-    nmt.RESET_NODE: "reset node",
-    nmt.RESET_COMMUNICATION: "reset communication",
+_COMMANDS: Mapping[int, str] = {
+    NmtCommand.START: "start",
+    NmtCommand.STOP: "stop",
+    NmtCommand.ENTER_PRE_OPERATIONAL: "enter PRE-OPERATIONAL",
+    NmtCommand.RESET_NODE: "reset node",
+    NmtCommand.RESET_COMMUNICATION: "reset communication",
 }
 #: What was foreign: the node that it is of, or to, and the text.
 _Told = tuple[str, str]
@@ -63,15 +62,15 @@ class ForeignFrames:
         self._owned = owned
         self._sent = sent
         ours = {
-            _SYNC: "SYNC",
-            _HEARTBEAT + owned.master_id: "heartbeat",
-            _SDO_ANSWER + owned.master_id: "SDO answer",
+            SYNC: "SYNC",
+            HEARTBEAT + owned.master_id: "heartbeat",
+            SDO_ANSWER + owned.master_id: "SDO answer",
         }
         self._read: dict[int, Callable[[int, bytes], _Told | None]] = {
-            _NMT: self._nmt,
+            NMT: self._nmt,
             **{can_id: self._only_ours("the bench", what) for can_id, what in ours.items()},
             **{can_id: self._only_ours(whom, "RPDO") for can_id, whom in owned.rpdos.items()},
-            **{_SDO_REQUEST + node_id: self._sdo for node_id in owned.nodes},
+            **{SDO_REQUEST + node_id: self._sdo for node_id in owned.nodes},
         }
         self._seen: dict[tuple[int, bytes], _Told | None] = {}  # of this cycle: alike frames are looked at once
         self._kinds: dict[int, int] = {}
@@ -143,7 +142,7 @@ class ForeignFrames:
     def _sdo(self, can_id: int, data: bytes) -> _Told | None:
         if len(data) != 8:
             return None
-        specifier, node_id = data[0] >> 5, can_id - _SDO_REQUEST
+        specifier, node_id = data[0] >> 5, can_id - SDO_REQUEST
         if specifier == _DOWNLOAD or (specifier == _BLOCK_DOWNLOAD and not data[0] & 1):
             return self._name(node_id), f"SDO write by somebody else: {self._object(node_id, data)}"
         return (self._name(node_id), "SDO abort by somebody else") if specifier == _ABORT else None

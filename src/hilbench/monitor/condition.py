@@ -6,12 +6,11 @@ from enum import Enum
 
 from hilbench.can.frame import Frame
 from hilbench.canopen.emergency_stop import EMERGENCY_STOP_COB_ID
+from hilbench.canopen.identifiers import HEARTBEAT, NMT, SYNC, NmtCommand
 
-_NMT, _SYNC, _HEARTBEAT = 0x000, 0x080, 0x700
 _ALL = 0
-_START = 1
 #: NMT commands with which a bench lets its nodes go: stop, enter PRE-OPERATIONAL.
-_LET_GO = (2, 128)
+_LET_GO = (NmtCommand.STOP, NmtCommand.ENTER_PRE_OPERATIONAL)
 #: Wall time without a SYNC, or without anything of a node, after which what it said is old.
 SILENCE_S = 1.0
 
@@ -30,26 +29,26 @@ class BenchWatch:
     """Follows the frames of one bus; times are s of the monotonic clock."""
 
     def __init__(self, master_id: int) -> None:
-        self._heartbeat = _HEARTBEAT + master_id
+        self._heartbeat = HEARTBEAT + master_id
         self._sync_s: float | None = None
         self._master_s: float | None = None
         self._ended: Condition | None = None
 
     def take(self, frame: Frame, now_s: float) -> None:
         """A frame was heard."""
-        if frame.can_id == _SYNC:
+        if frame.can_id == SYNC:
             self._sync_s = now_s
             if self._ended is Condition.ENDED:
                 self._ended = None  # somebody else let nodes go: the bench goes on
         elif frame.can_id == EMERGENCY_STOP_COB_ID:
             self._ended = Condition.EMERGENCY_STOP
-        elif frame.can_id == _NMT and len(frame.data) == 2:
+        elif frame.can_id == NMT and len(frame.data) == 2:
             self._command(frame.data[0], frame.data[1])
         elif frame.can_id == self._heartbeat:
             self._master_s = now_s
 
     def _command(self, command: int, node_id: int) -> None:
-        if command == _START:
+        if command == NmtCommand.START:
             self._ended = None
         elif command in _LET_GO and node_id == _ALL and self._ended is None and self._sync_s is not None:
             self._ended = Condition.ENDED

@@ -16,6 +16,7 @@ import numpy as np
 
 from hilbench.can.frame import EXTENDED_FLAG, Frame
 from hilbench.can.wire import frame_bits
+from hilbench.canopen.identifiers import EMERGENCY, HEARTBEAT, SYNC, node_of
 from hilbench.cia402 import objects
 from hilbench.cia402.object_units import si_unit
 from hilbench.cia402.state_machine import State, decode_statusword
@@ -26,8 +27,6 @@ from hilbench.exchange.timeliness import Timeliness
 from hilbench.monitor.condition import SILENCE_S, BenchWatch, Condition
 from hilbench.topology.config import BenchConfig, Role
 
-_SYNC = 0x080
-_HEARTBEAT = 0x700
 #: Cycles over which bus load and jitter are counted.
 _WINDOW = 500
 _TREND_POINTS = 240
@@ -133,11 +132,11 @@ class BusPicture:
             if frame.can_id & EXTENDED_FLAG:
                 continue
             self._watch.take(frame, self._now_s)
-            if frame.can_id == _SYNC:
+            if frame.can_id == SYNC:
                 self._sync(frame)
-            elif _SYNC < frame.can_id <= _SYNC + 0x7F:
+            elif node_of(frame.can_id, EMERGENCY):
                 self._emergency(frame)
-            elif frame.can_id > _HEARTBEAT:
+            elif frame.can_id > HEARTBEAT:
                 heartbeats.append(frame)
             else:
                 self._answered.add(frame.can_id)
@@ -235,10 +234,10 @@ class BusPicture:
             node.drive_state = label
 
     def _emergency(self, frame: Frame) -> None:
-        node = self.nodes.get(frame.can_id - _SYNC)
+        node = self.nodes.get(frame.can_id - EMERGENCY)
         if len(frame.data) >= 3:
             code = int.from_bytes(frame.data[:2], "little")
-            part = node.part if node is not None else f"node {frame.can_id - _SYNC}"
+            part = node.part if node is not None else f"node {frame.can_id - EMERGENCY}"
             self._note(part, f"EMCY {code:04X}h, register {frame.data[2]:02X}h" if code else "EMCY: no error any more")
 
     def _nmt(self, node_id: int, state: str) -> None:

@@ -22,11 +22,11 @@ from hilbench.bench.tasks.load_model import LoadModel
 from hilbench.bench.tasks.twin_trust import TwinTrust
 from hilbench.can.frame import Frame
 from hilbench.can.wire import frame_bits
+from hilbench.canopen.identifiers import HEARTBEAT, SDO_ANSWER, SYNC, node_of
 from hilbench.cia402.configuration import default_reader
 from hilbench.cia402.state_machine import State
 from hilbench.cia402.units import DriveUnits
 from hilbench.errors import BenchFaultError, UnusableInputError
-from hilbench.exchange.cycle import SYNC_COB_ID
 from hilbench.exchange.nodes import Nodes
 from hilbench.results.journal import read_journal
 from hilbench.results.junit import write_junit
@@ -42,7 +42,6 @@ from hilbench.topology import quantities
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.sample import sample_type
 
-_SDO_ANSWER = 0x580
 _NANOSECOND = 1e-9
 
 
@@ -121,7 +120,7 @@ def replay(config: BenchConfig, folder: RunFolder) -> Recovery:
     """Decode the frames of a run as its bench did. Raises UnusableInputError for a trace that shows no two cycles."""
     nodes = Nodes(config)
     reader = TraceReader(folder.trace)
-    own = {cob_id for cob_id, _ in _own_frames(nodes)} | {0x700 + config.master.node_id, answer_id(config)}
+    own = {cob_id for cob_id, _ in _own_frames(nodes)} | {HEARTBEAT + config.master.node_id, answer_id(config)}
     cycles = _cycles(reader, own, nodes.axes[0].pdos.rpdo.cob_id)
     configuration = next(cycles, _Cycle())
     _take_units(nodes, configuration.received)
@@ -156,7 +155,7 @@ def _cycles(frames: Iterable[Frame], own: set[int], first: int) -> Iterator[_Cyc
     """
     current = _Cycle()
     for frame in frames:
-        if frame.can_id != SYNC_COB_ID:
+        if frame.can_id != SYNC:
             current.received.append(frame)
             continue
         received = current.received
@@ -192,9 +191,10 @@ def _take_units(nodes: Nodes, frames: Iterable[Frame]) -> None:
     """Units as the drives told them by SDO when they were configured (expedited uploads); else by their EDS."""
     told: dict[tuple[int, int, int], bytes] = {}
     for can_id, data, _ in frames:
-        if _SDO_ANSWER < can_id < _SDO_ANSWER + 0x80 and len(data) == 8 and data[0] & 0xE2 == 0x42:
+        node_id = node_of(can_id, SDO_ANSWER)
+        if node_id and len(data) == 8 and data[0] & 0xE2 == 0x42:
             size = 4 - (data[0] >> 2 & 3) if data[0] & 1 else 4
-            told[can_id - _SDO_ANSWER, int.from_bytes(data[1:3], "little"), data[3]] = data[4 : 4 + size]
+            told[node_id, int.from_bytes(data[1:3], "little"), data[3]] = data[4 : 4 + size]
     for drive in nodes.drives:
         default = default_reader(drive.od)
         node_id = drive.settings.node_id

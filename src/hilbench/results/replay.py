@@ -8,12 +8,12 @@ from dataclasses import dataclass
 
 from hilbench.can.frame import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, Frame
 from hilbench.can.link import Link
+from hilbench.canopen.identifiers import COB_ID, FUNCTION_CODE, NMT, RPDOS, SDO_REQUEST, SYNC
 from hilbench.errors import UnusableInputError
 
 #: Function codes of what makes nodes do something (predefined connection set): NMT, RPDO1 to 4, SDO requests.
 #: SYNC is one of them, too: synchronous RPDOs act on it.
-_COMMANDS = frozenset({0x000, 0x200, 0x300, 0x400, 0x500, 0x600})
-_SYNC = 0x080
+_COMMANDS = frozenset({NMT, *RPDOS, SDO_REQUEST})
 #: Frames due within so long go out together: a shorter wait is not kept by the machine anyway.
 _TOGETHER_S = 0.0005
 
@@ -30,7 +30,8 @@ class Replayed:
 def is_command(frame: Frame) -> bool:
     """Whether a frame tells nodes to do something (by the predefined connection set)."""
     can_id = frame.can_id
-    return not can_id & (EXTENDED_FLAG | ERROR_FLAG) and (can_id & 0x780 in _COMMANDS or can_id & 0x7FF == _SYNC)
+    commands_something = can_id & FUNCTION_CODE in _COMMANDS or can_id & COB_ID == SYNC
+    return commands_something and not can_id & (EXTENDED_FLAG | ERROR_FLAG)
 
 
 def replay(

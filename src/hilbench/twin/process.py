@@ -12,9 +12,10 @@ from struct import pack
 from hilbench.can.frame import Frame
 from hilbench.can.open import BusAddress, open_link
 from hilbench.canopen.clock import Clock, SyncClock
-from hilbench.canopen.device import Device, NmtState, SdoAbort
+from hilbench.canopen.device import Device, SdoAbort
 from hilbench.canopen.eds import load_eds
 from hilbench.canopen.host import DeviceHost, HostedDevices
+from hilbench.canopen.identifiers import NmtState
 from hilbench.canopen.sync_time import SyncTime
 from hilbench.cia402.simulated import SimulatedDrive
 from hilbench.estimation.config import EstimationConfig

@@ -15,8 +15,8 @@ from hilbench.bench.lifecycle.participants import Participants
 from hilbench.bench.lifecycle.supervisor import Watch
 from hilbench.can.link import Link
 from hilbench.can.open import open_link, open_python_can
-from hilbench.canopen import master as nmt
 from hilbench.canopen.emergency_stop import EMERGENCY_STOP_COB_ID
+from hilbench.canopen.identifiers import NmtCommand
 from hilbench.canopen.master import Master, SentFrames
 from hilbench.canopen.mastery import mastery
 from hilbench.errors import BusError, EmergencyStopError, UnusableInputError
@@ -112,7 +112,7 @@ def bring_up(
             _wait_for_nodes(config, master, children, participants)
             announce("configure nodes")
             nodes.configure(master)
-            master.nmt(nmt.START)
+            master.nmt(NmtCommand.START)
             time.sleep(_AFTER_START_S)
             if participants is Participants.PRESENT:
                 check_that_they_wait(config, master)
@@ -160,7 +160,7 @@ def check_that_they_wait(config: BenchConfig, master: Master) -> None:
         if (part.is_simulated or part.is_virtual) and part.node.node_id in heard
     ]
     if by_clock:
-        master.nmt(nmt.PRE_OPERATIONAL)
+        master.nmt(NmtCommand.ENTER_PRE_OPERATIONAL)
         raise UnusableInputError(
             "pace",
             f"lockstep, but {', '.join(by_clock)} went by the clock: {_EXPECTED}lockstep",
@@ -171,7 +171,7 @@ def _release_nodes(master: Master, exchange: CyclicExchange) -> None:
     """Leave the nodes in PRE-OPERATIONAL; on a bus that was lost they are on their own."""
     with suppress(BusError):
         exchange.discard_waiting()
-        master.nmt(nmt.PRE_OPERATIONAL)
+        master.nmt(NmtCommand.ENTER_PRE_OPERATIONAL)
         exchange.discard_waiting(_LAST_FRAME_S)
 
 
@@ -205,7 +205,7 @@ def _wait_for_nodes(
     for part in config.parts:
         # It is there already: from its own reset on everything is known.
         if participants is Participants.PRESENT or not (part.is_simulated or part.is_virtual):
-            master.nmt(nmt.RESET_NODE, part.node.node_id)
+            master.nmt(NmtCommand.RESET_NODE, part.node.node_id)
 
     def check() -> None:
         for child in children:

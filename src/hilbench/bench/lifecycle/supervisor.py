@@ -19,11 +19,10 @@ from dataclasses import dataclass
 from hilbench.can.link import Link
 from hilbench.can.open import BusAddress, open_link
 from hilbench.canopen.emergency_stop import send_emergency_stop
+from hilbench.canopen.identifiers import COB_ID, HEARTBEAT
 from hilbench.errors import BusError
 
 _MODULE = "hilbench.bench.lifecycle.supervisor"
-_HEARTBEAT = 0x700
-_STANDARD_MASK = 0x7FF
 _LOOK_S = 0.05
 
 
@@ -72,8 +71,8 @@ def _follow(bench_gone: threading.Event) -> None:
 
 def watch_heartbeat(link: Link, watch: Watch, asked_to_end: threading.Event, bench_gone: threading.Event) -> None:
     """Stop the drives over `link` when the heartbeat, once received, stays away, or the bench is gone."""
-    heartbeat = _HEARTBEAT + watch.node_id
-    link.set_filters([(heartbeat, _STANDARD_MASK)])
+    heartbeat = HEARTBEAT + watch.node_id
+    link.set_filters([(heartbeat, COB_ID)])
     received_s: float | None = None  # None: not received yet, or stopped already
     while not asked_to_end.is_set():
         # Others' frames may have come before the filter was there: while the nodes boot the bench sends no heartbeat.

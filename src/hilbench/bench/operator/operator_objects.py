@@ -17,14 +17,13 @@ import canopen
 from hilbench.bench.machines.ranges import operator_ranges
 from hilbench.can.frame import Frame
 from hilbench.canopen.data_types import REAL32
+from hilbench.canopen.identifiers import SDO_ANSWER, SDO_REQUEST
 from hilbench.canopen.object_store import INVALID_VALUE, PRESENT_STATE, Cell, ObjectStore, SdoAbort
 from hilbench.canopen.sdo_server import DeviceSdoServer
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.quantities import permitted
 
 INDEX: Final = 0x2200
-
-_REQUEST, _ANSWER = 0x600, 0x580
 
 
 class OperatorObjects:
@@ -72,12 +71,12 @@ class OperatorObjects:
 
 def request_id(config: BenchConfig) -> int:
     """COB-ID of the requests, which the bench receives."""
-    return _REQUEST + config.master.node_id
+    return SDO_REQUEST + config.master.node_id
 
 
 def answer_id(config: BenchConfig) -> int:
     """COB-ID of the answers, which the bench sends."""
-    return _ANSWER + config.master.node_id
+    return SDO_ANSWER + config.master.node_id
 
 
 def dictionary(config: BenchConfig) -> canopen.ObjectDictionary:

@@ -32,7 +32,7 @@ class RowWindow:
         self._count = 0
 
     def update(self, sample: SyncSample) -> bool:
-        """Take one sample; True when the window holds enough rows to be fitted, and a web that pulled in one of them."""
+        """Take one sample; True when the window holds enough rows to be fitted, and a web that pulled in one."""
         length = max(8, round(self._window_s / sample.cycle_s))
         if len(self._data) != length:
             self._data = np.zeros((length, PARAMETERS + 1))
