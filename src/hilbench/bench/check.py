@@ -142,7 +142,7 @@ def check_stability(config: BenchConfig, document: Document, point: OperatingPoi
         )
     if not TensionLoop(config, point).stable:
         raise UnusableInputError(
-            document.place(("tension_control", "bandwidth_rad_per_s")),
+            document.place(("controllers", next(iter(config.controllers)), "bandwidth_rad_per_s")),
             f"the tension loop is unstable with {config.tension_control.bandwidth_rad_per_s:g} rad/s over {cycle} at "
             f"{operating_point_text(point)}, expected a smaller bandwidth_rad_per_s, more swing_damping_ratio or a "
             f"shorter cycle",

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hilbench.errors import UnusableInputError
+from hilbench.files import writing
 
 if TYPE_CHECKING:
     from hilbench.strict_yaml import Document
@@ -76,7 +77,8 @@ def schema(
     if out is None:
         print(text, end="")
     else:
-        _write(out, text)
+        with writing(out):
+            out.write_text(text, encoding="utf-8")
 
 
 @app.command()
@@ -124,7 +126,8 @@ def new(
             if defaults:
                 raise
             typer.echo(f"{error}\nOnce more; Return keeps an answer.", err=True)
-    _write(path, commented_yaml(config, path.resolve().parent))
+    with writing(path):
+        path.write_text(commented_yaml(config, path.resolve().parent), encoding="utf-8")
     print(f"{path}: usable; run it with: hilbench run {path}")
 
 
@@ -155,10 +158,3 @@ def _answer(question: str, suggested: Any, kind: type) -> Any:
         raise UnusableInputError(
             "standard input", f"ended at the question '{question}', expected an answer, or --defaults"
         ) from ended
-
-
-def _write(path: Path, text: str) -> None:
-    try:
-        path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise UnusableInputError(path, f"cannot be written ({error.strerror}), expected a writable folder") from error

@@ -9,6 +9,7 @@ import typer
 
 from hilbench.cli.options import ConfigArgument
 from hilbench.errors import UnusableInputError
+from hilbench.files import writing
 
 
 def convert(
@@ -71,7 +72,5 @@ def dbc(
     if out is None:
         print(text, end="")
         return
-    try:
+    with writing(out):
         out.write_text(text, encoding="ascii")
-    except OSError as error:
-        raise UnusableInputError(out, f"cannot be written ({error.strerror}), expected a writable folder") from error

@@ -17,6 +17,7 @@ from hilbench.diagnosis.diagnosis import Diagnosis, NamedEffect, diagnose
 from hilbench.diagnosis.imitated import imitation_beside, imitation_of
 from hilbench.diagnosis.live import LiveGap, live_gap, run_bench
 from hilbench.errors import BenchFaultError, UnusableInputError
+from hilbench.files import make_folder
 from hilbench.plant.web_line.imitation import Imitation
 from hilbench.plant.web_line.parameters import write_model
 from hilbench.report.diagnosis_page import LIVE_ROWS, write_diagnosis_page
@@ -117,10 +118,7 @@ def _on_the_bench(config: Path, model_path: Path | None, out: Path | None, progr
 
 
 def _write(found: _Found, source: Path, out: Path) -> _Files:
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UnusableInputError(out, f"cannot be made ({error.strerror}), expected a folder") from error
+    make_folder(out)
     files = _Files(out / "diagnosis.html", out / "model_extended.yaml", None)
     write_model(files.model, found.diagnosis.model)
     if found.config is not None:

@@ -23,6 +23,7 @@ from hilbench.diagnosis.synchronization import (
     methods_of,
 )
 from hilbench.errors import EXIT_CRITERION_FAILED, EXIT_PASSED, BenchFaultError, UnusableInputError
+from hilbench.files import make_folder
 from hilbench.report.sync_page import COLUMNS, rows, write_sync_page
 from hilbench.results.recording import read_recording
 from hilbench.results.run_folder import RunFolder
@@ -80,7 +81,7 @@ def sync_command(
             recording_path, f"{length_s:g} s long, expected more than {SETTLED_AFTER_S:g} s, in which a twin settles"
         )
     if out is not None:  # before what takes its time
-        _make_folder(out)
+        make_folder(out)
     true = np.asarray(recording["E_true_Pa"], np.float64) if "E_true_Pa" in recording else None
     try:
         comparison = compare_methods(model, data, chosen, true, unmodelled_torque_Nm)
@@ -100,13 +101,6 @@ def _show(comparison: Comparison, page: Path | None, as_json: bool) -> None:
     console.print(_table(comparison))
     if page is not None:
         console.print(f"page: {page}", soft_wrap=True)
-
-
-def _make_folder(out: Path) -> None:
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UnusableInputError(out, f"cannot be made ({error.strerror}), expected a folder") from error
 
 
 def _table(comparison: Comparison) -> Table:

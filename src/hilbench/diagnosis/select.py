@@ -353,7 +353,7 @@ class Search:
         return self._held_out_agrees(gain, 0.0)
 
     def _held_out_agrees(self, before: float, after: float) -> bool:
-        """Whether a fall of the sum of squares is beyond chance, and worth a name where residuals are never noise alone.
+        """Whether a fall of the sum of squares is beyond chance, and worth a name where there is never noise alone.
 
         The whitened noise has variance 1, so the standard error of a gain is 2·√gain.
         """

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from html import escape
 from pathlib import Path
 from typing import Final
 
@@ -13,8 +12,7 @@ from numpy.typing import NDArray
 
 from hilbench.errors import UnusableInputError
 from hilbench.report.chart import BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILLION, Chart, Curve
-from hilbench.report.html import digits, figure, number, page, section, table
-from hilbench.report.live import interactive
+from hilbench.report.page import quantity, write_page
 from hilbench.report.plots import SMOOTHING_S, Picture, drawn
 from hilbench.report.reduce import mean_velocity, moving_average
 from hilbench.results.recording import Recording, read_recording
@@ -84,43 +82,19 @@ def metric_rows(runs: Sequence[ComparedRun]) -> list[MetricRow]:
 
 def write_compare_page(runs: Sequence[ComparedRun], path: Path) -> Path:
     """Write the page; returns its path. Raises UnusableInputError if it cannot be."""
-    pictures = _pictures(runs)
-    zooms = '<div class="zooms" hidden></div>\n'
-    sections = [
-        _header(runs),
-        _metrics(runs),
-        section("Signals", zooms + "\n".join(map(figure, pictures))),
-        interactive(pictures),
+    names, pictures = labels(runs), _pictures(runs)
+    rows = [
+        (row.metric, *(quantity(value, row.unit) for value in (*row.values, *row.differences)), row.unit)
+        for row in metric_rows(runs)
     ]
-    try:
-        path.write_text(page("Comparison of runs", sections), encoding="utf-8")
-    except OSError as error:
-        raise UnusableInputError(path, f"cannot be written ({error.strerror}), expected a writable folder") from error
-    return path
-
-
-def _header(runs: Sequence[ComparedRun]) -> str:
-    names = "".join(
-        f"<li>{'✓' if run.passed else '✗'} {escape(label)}: {escape(run.name)}</li>"
-        for label, run in zip(labels(runs), runs, strict=True)
-    )
-    return f'<header>\n<h1>Comparison of runs</h1>\n<ul class="facts">{names}</ul>\n</header>'
+    columns = ("Metric", *(f">{name}" for name in names), *(f">{name} − A" for name in names[1:]), "Unit")
+    labelled = list(zip(names, runs, strict=True))
+    return write_page(path, "compare", pictures, runs=labelled, columns=columns, rows=rows, pictures=pictures)
 
 
 def labels(runs: Sequence[ComparedRun]) -> list[str]:
     """Short names for pictures and columns: A, B, …"""
     return [chr(ord("A") + at) for at in range(len(runs))]
-
-
-def _metrics(runs: Sequence[ComparedRun]) -> str:
-    names = labels(runs)
-    rows = []
-    for row in metric_rows(runs):
-        cells = [number(value, digits(row.unit)) for value in (*row.values, *row.differences)]
-        numbers = "".join(f'<td class="number">{cell}</td>' for cell in cells)
-        rows.append(f"<tr><td><code>{escape(row.metric)}</code></td>{numbers}<td>{escape(row.unit)}</td></tr>")
-    columns = ("Metric", *(f">{name}" for name in names), *(f">{name} − A" for name in names[1:]), "Unit")
-    return section("Metrics", table(columns, rows))
 
 
 def _pictures(runs: Sequence[ComparedRun]) -> list[Picture]:

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from html import escape
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from hilbench.diagnosis.diagnosis import Diagnosis
+from hilbench.diagnosis.diagnosis import Diagnosis, NamedEffect, Unobservable
 from hilbench.diagnosis.live import LiveGap
-from hilbench.errors import UnusableInputError
 from hilbench.report.chart import BLUE, VERMILLION, Chart, Curve, Mark
-from hilbench.report.html import figure, number, page, section, table
-from hilbench.report.live import interactive
+from hilbench.report.page import number, write_page
 from hilbench.report.plots import Panel, Picture, drawn, render_picture
 from hilbench.report.reduce import moving_average
 
@@ -42,95 +39,47 @@ def write_diagnosis_page(
     the extended model in it, where there is one.
     """
     residuals = _residuals(found)
-    body = [
-        f"<header>\n<h1>{escape(title)}</h1>\n"
-        f'<p class="facts">{found.verdict}: {_SENTENCES[found.verdict]}</p>\n{_made_by(found)}</header>',
-        section("Effects", _effects(found)) if found.effects else "",
-        section("Gap", _gaps(found)),
-        section("Residuals", '<div class="zooms" hidden></div>\n' + figure(residuals)),
-        section("Against what it depends on", _profiles(found)) if found.profiles else "",
-        section("The twin on the bench", _live(live, not_compared)) if live else "",
-        section("Where the model disagreed", _where(found)) if found.where else "",
-        section("Not explained", _unexplained(found)) if found.unexplained else "",
-        section("What these data could not show", _unobservable(found)) if found.unobservable else "",
-        section("The extended model in use", _use(config)) if found.effects else "",
-        interactive([residuals], _held_out(found)),
-    ]
-    try:
-        path.write_text(page(title, body), encoding="utf-8")
-    except OSError as error:
-        raise UnusableInputError(path, f"cannot be written ({error.strerror}), expected a writable folder") from error
-    return path
+    return write_page(
+        path,
+        "diagnosis",
+        [residuals],
+        _held_out(found),
+        title=title,
+        found=found,
+        sentence=_SENTENCES[found.verdict],
+        effects=_effects(found),
+        tied=[(_place(effect), effect) for effect in found.effects if effect.tied_with],
+        gaps=[
+            (g.signal, *map(number, (g.before, g.after, g.noise_floor)), number(g.after / g.noise_floor, 3))
+            for g in found.gaps
+        ],
+        residuals=residuals,
+        profiles=_profiles(found) if found.profiles else "",
+        live=[(text, *(number(getattr(gap, name)) for gap in live)) for text, name in LIVE_ROWS] if live else [],
+        not_compared=not_compared,
+        where=[(w.signal, w.condition, w.when, f"{100.0 * w.share_of_gap:.0f} %") for w in found.where],
+        left=[(m.signal, m.condition, m.detail, number(m.excess, 3)) for m in found.unexplained],
+        blind=[(_place(b), b.experiment, _visible(b)) for b in found.unobservable],
+        config=config,
+    )
 
 
-def _made_by(found: Diagnosis) -> str:
-    if found.imitation is None:
-        return ""
-    cycle_ms = 1e3 * found.imitation.cycle_s
-    return f'<p class="facts">A bench’s recording: the web was imitated by a load motor, every {cycle_ms:g} ms.</p>\n'
+def _place(effect: NamedEffect | Unobservable) -> str:
+    return effect.effect + (f" of axis {effect.axis}" if effect.axis else "")
 
 
-def _row(*cells: str, numbers: int = 0) -> str:
-    """A table row whose last `numbers` cells are numbers."""
-    split = len(cells) - numbers
-    text = "".join(f"<td>{escape(cell)}</td>" for cell in cells[:split])
-    figures = "".join(f'<td class="number">{escape(cell)}</td>' for cell in cells[split:])
-    return f"<tr>{text}{figures}</tr>"
+def _visible(effect: Unobservable) -> str:
+    return "never" if effect.smallest_visible is None else f"{number(effect.smallest_visible, 3)} {effect.unit}"
 
 
-def _effects(found: Diagnosis) -> str:
-    lines, notes = [], []
+
+def _effects(found: Diagnosis) -> list[tuple[str, ...]]:
+    rows: list[tuple[str, ...]] = []
     for effect in found.effects:
-        place = f" of axis {effect.axis}" if effect.axis else ""
         for name, value in effect.parameters.items():
-            said, low, high = (number(each, value.digits) for each in (value.value, *value.ci95))
-            unit = "" if value.unit == "1" else value.unit
-            cells = (said, f"{low} to {high}")
-            lines.append(_row(effect.effect + place, name, unit, *cells, numbers=2))
-        if effect.tied_with:
-            text = (
-                f"{effect.effect}{place} can’t be told from {', '.join(effect.tied_with)} by these data; "
-                f"the experiment that would: {effect.told_apart_by}."
-            )
-            notes.append(f'<p class="note">{escape(text)}</p>')
-    return table(("Effect", "Parameter", "Unit", ">Value", ">95 %"), lines) + "".join(notes)
-
-
-def _gaps(found: Diagnosis) -> str:
-    lines = [
-        _row(
-            g.signal,
-            number(g.before),
-            number(g.after),
-            number(g.noise_floor),
-            number(g.after / g.noise_floor, 3),
-            numbers=4,
-        )
-        for g in found.gaps
-    ]
-    note = '<p class="note">Rms in N·m on stretches that no fit has seen.</p>'
-    return table(("Signal", ">Before", ">After", ">Noise floor", ">After / floor"), lines) + note
-
-
-def _live(live: list[LiveGap], not_compared: str) -> str:
-    lines = [_row(title, *(number(getattr(g, name)) for g in live), numbers=len(live)) for title, name in LIVE_ROWS]
-    shown = table(("While the line worked", ">Original model", ">Extended model")[: 1 + len(live)], lines)
-    return shown + (f'<p class="note">Not compared: {escape(not_compared)}.</p>' if not_compared else "")
-
-
-def _use(config: Path | None) -> str:
-    """How a bench gets the extended model; the files are in the page's folder."""
-    lines = [
-        "<p><code>model_extended.yaml</code> is the model with the effects above. A bench whose twin has it is made by"
-        " including it after the bench’s own config, because the later file counts:</p>",
-        "<pre>include: [my_bench.yaml, model_extended.yaml]\nname: my_bench_extended</pre>",
-    ]
-    if config is not None:
-        lines.append(
-            f"<p>For the bench of this diagnosis that is <code>{escape(config.name)}</code>:</p>"
-            f"<pre>hilbench run {escape(str(config))}</pre>"
-        )
-    return "\n".join(lines)
+            best, low, high = (number(each, value.digits) for each in (value.value, *value.ci95))
+            rows.append((_place(effect), name, "" if value.unit == "1" else value.unit, best, f"{low} to {high}"))
+    return rows
 
 
 def _residuals(found: Diagnosis) -> Picture:
@@ -167,38 +116,9 @@ def _profiles(found: Diagnosis) -> str:
         grid[0].set_ylabel(f"{found.profiles[0].signal.removesuffix('_Nm')}, N·m")
         return []
 
-    svg = render_picture(draw, 2.3 * rows, "profiles", "Mean torque residual over states")
-    note = (
-        '<p class="note">Mean of measured less simulated torque over the states on which it depended most: '
-        "blue with the original model, orange with the effects that were found.</p>"
-    )
-    return svg + note
+    return render_picture(draw, 2.3 * rows, "profiles", "Mean torque residual over states")
 
 
 def _stretches(held_out: Any) -> list[tuple[int, int]]:
     edges = np.flatnonzero(np.diff(np.concatenate([[0], held_out.astype(int), [0]])))
     return [(int(a), int(b) - 1) for a, b in zip(edges[::2], edges[1::2], strict=True)]
-
-
-def _where(found: Diagnosis) -> str:
-    lines = [_row(w.signal, w.condition, w.when, f"{100.0 * w.share_of_gap:.0f} %", numbers=1) for w in found.where]
-    return table(("Signal", "Condition", "When", ">Share of gap"), lines)
-
-
-def _unexplained(found: Diagnosis) -> str:
-    lines = [_row(m.signal, m.condition, m.detail, number(m.excess, 3), numbers=1) for m in found.unexplained]
-    note = '<p class="note">Excess of the statistic over its expectation under noise alone.</p>'
-    return table(("Signal", "Depends on", "Detail", ">Excess"), lines) + note
-
-
-def _unobservable(found: Diagnosis) -> str:
-    lines = [
-        _row(
-            b.effect + (f" of axis {b.axis}" if b.axis else ""),
-            b.experiment,
-            "never" if b.smallest_visible is None else f"{number(b.smallest_visible, 3)} {b.unit}",
-            numbers=1,
-        )
-        for b in found.unobservable
-    ]
-    return table(("Effect", "Next experiment", ">Smallest visible"), lines)

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from html import escape
 from pathlib import Path
 
 import numpy as np
 
 from hilbench.diagnosis.synchronization import Comparison
-from hilbench.errors import UnusableInputError
 from hilbench.report.chart import (
     BLUE,
     BROWN,
@@ -23,8 +21,7 @@ from hilbench.report.chart import (
     Curve,
     Mark,
 )
-from hilbench.report.html import figure, number, page, section, table
-from hilbench.report.live import interactive
+from hilbench.report.page import DASH, number, write_page
 from hilbench.report.plots import Picture, drawn
 from hilbench.runs.metrics import E_BAND
 
@@ -63,39 +60,25 @@ def rows(comparison: Comparison) -> list[list[str]]:
         found.append([result.method, *(number(value, 3) for value in (*values, *final))])
     sd = comparison.bound_sd_Pa[-1]
     true = comparison.results[0].final_E_Pa if comparison.E_true_Pa is None else comparison.E_true_Pa[-1]
-    bound = [number(comparison.bound_time_to_1pct_s, 3), *["–"] * 5, number(float(100.0 * sd / true), 2), "–"]
+    bound = [number(comparison.bound_time_to_1pct_s, 3), *[DASH] * 5, number(float(100.0 * sd / true), 2), DASH]
     return [*found, ["Cramér–Rao bound", *bound]]
 
 
 def write_sync_page(comparison: Comparison, title: str, path: Path) -> Path:
     """Write the page. Raises UnusableInputError if it cannot be written."""
     shown = pictures(comparison)
-    body = [
-        f"<header>\n<h1>{escape(title)}</h1>\n"
-        f'<p class="facts">torque noise {number(comparison.noise_Nm)} N·m per sample of '
-        f"{number(1e3 * float(np.median(np.diff(comparison.t_s))))} ms</p>\n</header>",
-        section("Methods", _table(comparison)),
-        section("Estimates", '<div class="zooms" hidden></div>\n' + "\n".join(map(figure, shown))),
-        interactive(shown[:1], _marks(comparison)),
-    ]
-    try:
-        path.write_text(page(title, body), encoding="utf-8")
-    except OSError as error:
-        raise UnusableInputError(path, f"cannot be written ({error.strerror}), expected a writable folder") from error
-    return path
-
-
-def _table(comparison: Comparison) -> str:
-    lines = []
-    for first, *others in rows(comparison):
-        cells = "".join(f'<td class="number">{escape(text)}</td>' for text in others)
-        lines.append(f"<tr><td>{escape(first)}</td>{cells}</tr>")
-    note = (
-        '<p class="note">Overshoot as a share of the step; noise about the trend, bias and interval from 1 s after the '
-        "last step of E on; how often ±1.96 deviations as stated by the method hold the true E; E at the end and its "
-        "deviation; CPU time per cycle. The bound: two of its deviations within 1 %, and its deviation at the end.</p>"
+    return write_page(
+        path,
+        "sync",
+        shown[:1],
+        _marks(comparison),
+        title=title,
+        noise_Nm=comparison.noise_Nm,
+        sample_ms=1e3 * float(np.median(np.diff(comparison.t_s))),
+        columns=COLUMNS,
+        rows=rows(comparison),
+        pictures=shown,
     )
-    return table(COLUMNS, lines) + note
 
 
 def pictures(comparison: Comparison) -> list[Picture]:

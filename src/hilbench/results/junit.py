@@ -6,7 +6,7 @@ from datetime import datetime
 from pathlib import Path
 from xml.etree import ElementTree
 
-from hilbench.errors import UnusableInputError
+from hilbench.files import writing
 from hilbench.results.result import Result
 from hilbench.runs.criteria import CriterionResult
 
@@ -23,12 +23,8 @@ def write_junit(result: Result, name: str, started: datetime, path: Path) -> Non
     for kind in ("failure", "error"):
         suite.set(kind + "s", str(len(suite.findall(f"testcase/{kind}"))))
     ElementTree.indent(suite)
-    try:
+    with writing(path):
         path.write_bytes(ElementTree.tostring(suite, encoding="utf-8", xml_declaration=True) + b"\n")
-    except OSError as error:
-        raise UnusableInputError(
-            path, f"cannot be written ({error.strerror}), expected a file in a writable folder"
-        ) from error
 
 
 def _add_criterion(suite: ElementTree.Element, name: str, criterion: CriterionResult) -> None:

@@ -27,6 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.errors import UnusableInputError
+from hilbench.files import written_whole
 from hilbench.suggest import did_you_mean
 from hilbench.topology.signals import TIME, find_signal, unit_of
 
@@ -175,17 +176,8 @@ def write_recording(recording: Recording, path: Path) -> None:
     """
     path = Path(path)
     kind = _kind(path)
-    partial = path.with_name(f".{os.getpid()}.{path.name}")
-    try:
-        try:
-            _WRITERS[kind](recording, partial)
-            partial.replace(path)
-        finally:
-            partial.unlink(missing_ok=True)
-    except OSError as error:
-        raise UnusableInputError(
-            path, f"cannot be written ({error.strerror}), expected a file in a writable folder"
-        ) from error
+    with written_whole(path) as partial:
+        _WRITERS[kind](recording, partial)
 
 
 def _write_mdf(recording: Recording, path: Path) -> None:

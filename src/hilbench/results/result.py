@@ -22,6 +22,7 @@ from pydantic import (
 )
 
 from hilbench.errors import UnusableInputError
+from hilbench.files import written_whole
 from hilbench.results.provenance import Provenance
 from hilbench.runs.criteria import CriterionResult
 from hilbench.runs.events import Event
@@ -326,14 +327,8 @@ class Result(_PartWithOptions):
 
     def write(self, path: Path) -> None:
         """Write as JSON; the file appears complete or not at all. Raises UnusableInputError if it cannot be."""
-        partial = path.with_name(f".{path.name}.partial")
-        try:
+        with written_whole(path) as partial:
             partial.write_text(self.model_dump_json(indent=2) + "\n", encoding="utf-8")
-            partial.replace(path)
-        except OSError as error:
-            raise UnusableInputError(
-                path, f"cannot be written ({error.strerror}), expected a file in a writable folder"
-            ) from error
 
     @classmethod
     def read(cls, path: Path) -> Self:

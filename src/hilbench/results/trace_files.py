@@ -9,6 +9,7 @@ from hilbench.can.frame import Frame
 from hilbench.can.messages import to_frame, to_message
 from hilbench.can.python_can import can
 from hilbench.errors import UnusableInputError
+from hilbench.files import writing
 from hilbench.results.trace import TraceReader
 
 #: Suffixes that python-can reads and writes; ``.log`` is read by `TraceReader`, which says what is wrong in which line.
@@ -53,11 +54,8 @@ def write_trace(frames: Iterable[Frame], path: Path, channel: str) -> int:
     """Write frames in the format of the file name; returns how many. Raises UnusableInputError."""
     trace_format(path)
     count = 0
-    try:
-        with can.Logger(path) as writer:
-            for frame in frames:
-                writer.on_message_received(to_message(frame, channel, is_rx=True))
-                count += 1
-    except OSError as error:
-        raise UnusableInputError(path, f"cannot be written ({error.strerror}), expected a writable folder") from error
+    with writing(path), can.Logger(path) as writer:
+        for frame in frames:
+            writer.on_message_received(to_message(frame, channel, is_rx=True))
+            count += 1
     return count

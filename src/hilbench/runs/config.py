@@ -15,6 +15,7 @@ from pydantic import Field
 from hilbench import strict_yaml
 from hilbench.can.open import BusAddress
 from hilbench.errors import UnusableInputError
+from hilbench.files import writing
 from hilbench.runs.criteria import Criterion
 from hilbench.runs.steps import ExperimentStep
 from hilbench.topology.config import BenchConfig
@@ -127,7 +128,7 @@ def dump(config: BenchConfig, path: Path) -> None:
     UnusableInputError when it cannot be written.
     """
     data: dict[str, Any] = config.model_dump(mode="json", exclude_none=True)
-    try:
+    with writing(path):
         for number, step in enumerate(data.get("steps", []), 1):
             for action in step.values():
                 if "file" in action:
@@ -135,10 +136,6 @@ def dump(config: BenchConfig, path: Path) -> None:
                     shutil.copyfile(source, path.parent / name)
                     action["file"] = name
         path.write_text(yaml.safe_dump(data, sort_keys=False, allow_unicode=True), encoding="utf-8")
-    except OSError as error:
-        raise UnusableInputError(
-            error.filename or path, f"cannot be written ({error.strerror}), expected a writable folder"
-        ) from error
 
 
 def write_config_over(path: Path, files: Sequence[Path]) -> None:
@@ -150,10 +147,8 @@ def write_config_over(path: Path, files: Sequence[Path]) -> None:
     names = [Path(os.path.relpath(file.resolve(), folder)).as_posix() for file in files]
     name = read_document(files[0]).data.get("name", files[0].stem)
     text = yaml.safe_dump({"include": names, "name": f"{name}_extended"}, sort_keys=False, allow_unicode=True)
-    try:
+    with writing(path):
         path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise UnusableInputError(path, f"cannot be written ({error.strerror}), expected a writable folder") from error
 
 
 @dataclass(frozen=True)

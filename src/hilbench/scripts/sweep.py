@@ -28,6 +28,7 @@ from hilbench.errors import (
     EXIT_PASSED,
     UnusableInputError,
 )
+from hilbench.files import make_folder, writing
 from hilbench.runs.config import load_with_overrides, parse_change
 
 _DEFINITION, _LOG, _TABLE, _PARQUET = "sweep.json", "results.jsonl", "results.csv", "results.parquet"
@@ -188,11 +189,9 @@ class Sweep:
             if json.loads(path.read_text(encoding="utf-8")) != definition:
                 raise UnusableInputError(self.out, "holds another sweep, expected this one or an empty folder")
         else:
-            try:
-                self.out.mkdir(parents=True, exist_ok=True)
+            make_folder(self.out)
+            with writing(path):
                 path.write_text(json.dumps(definition, indent=2), encoding="utf-8")
-            except OSError as error:
-                raise UnusableInputError(self.out, f"cannot be made ({error.strerror}), expected a folder") from error
         log = self.out / _LOG
         lines = log.read_text(encoding="utf-8").splitlines() if log.exists() else []
         rows = [Row(**json.loads(line)) for line in lines if line.endswith("}")]  # a torn line: that run is done again

@@ -16,6 +16,7 @@ from pydantic import BaseModel, Field, FiniteFloat, ValidationInfo, field_valida
 from hilbench import strict_yaml
 from hilbench.block import Block
 from hilbench.errors import UnusableInputError
+from hilbench.files import writing
 from hilbench.plant.effects import find_effect
 from hilbench.plant.parameters import DriveParameters, EffectEntry, GearRatio, NotNegative, per_item
 
@@ -240,7 +241,5 @@ def write_model(path: str | Path, parameters: ModelParameters) -> None:
     data: dict[str, Any] = parameters.model_dump(mode="json", exclude_none=True, exclude_unset=True)
     data["effects"] = [entry.model_dump(mode="json", exclude_none=True) for entry in parameters.effects]
     text = yaml.safe_dump(data, sort_keys=False, allow_unicode=True)
-    try:
+    with writing(path):
         Path(path).write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise UnusableInputError(path, f"cannot be written ({error.strerror})") from error

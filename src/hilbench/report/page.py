@@ -1,0 +1,69 @@
+"""Pages from the templates in `templates/`: one file each, and nothing in it is loaded from elsewhere.
+
+Whatever comes from a file is escaped by the templates; only pictures and scripts of our own are markup. The page's
+policy lets no other script run than those that make its pictures interactive.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cache
+from importlib import resources
+from pathlib import Path
+from typing import Any, Final
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
+from hilbench.files import written_whole
+from hilbench.report.chart import Mark
+from hilbench.report.live import interactive, policy, style
+from hilbench.report.plots import Picture
+
+#: What stands where there is no number.
+DASH: Final = "–"
+_SUPERSCRIPT: Final = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+def write_page(path: Path, template: str, zoomable: Sequence[Picture], marks: Sequence[Mark] = (), **data: Any) -> Path:
+    """Fill a template with `data`; the pictures `zoomable`, with their marks, become interactive.
+
+    Returns `path`, where the page appears complete or not at all. Raises UnusableInputError if it cannot be written.
+    """
+    text = _templates().get_template(f"{template}.html.j2").render(scripts=interactive(zoomable, marks), **data)
+    with written_whole(path) as partial:
+        partial.write_text(text, encoding="utf-8")
+    return path
+
+
+@cache
+def _templates() -> Environment:
+    environment = Environment(
+        loader=PackageLoader("hilbench.report"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    own = resources.files("hilbench.report").joinpath("page.css").read_text(encoding="utf-8")
+    environment.globals.update(policy=policy(), style=f"{style()}\n{own}", zip=zip)
+    environment.filters.update(number=number, quantity=quantity)
+    return environment
+
+
+def quantity(value: float | None, unit: str) -> str:
+    """A number with the digits that matter in its unit: what matters of a web's velocity begins at the fifth."""
+    return number(value, 7 if unit == "m/s" else 4)
+
+
+def number(value: float | None, significant: int = 4) -> str:
+    """A number for the eye: `significant` digits, but never fewer than stand before the decimal point."""
+    if value is None:
+        return DASH
+    if value == 0:
+        return "0"
+    whole = len(str(int(abs(value))))
+    text = f"{value:.{max(significant, whole)}g}"
+    if "e" in text:
+        mantissa, exponent = text.split("e")
+        text = f"{mantissa}·10{str(int(exponent)).translate(_SUPERSCRIPT)}"
+    return text.replace("-", "−")
