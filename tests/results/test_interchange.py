@@ -120,6 +120,20 @@ def test_names_of_any_language_come_into_a_dbc_file() -> None:
     assert (signal.unit, signal.comment) == ("um/s^2", "6064h:0 Lage-Istwert der Forderachse ?")
 
 
+def test_names_that_begin_alike_stay_apart_in_a_dbc_file() -> None:
+    od = load_eds(CONFIG.parents[1] / "eds" / "hilbench_servo.eds", 1)
+    begins = "Temperature of the winding of phase"
+    for index, letter in ((0x6040, "U"), (0x6041, "V")):
+        od[index].name = f"{begins} {letter}"
+    message = DbcMessage("axis", "axis", PdoMap(0x181, 1, (od[0x6040], od[0x6041])), (None, None))
+    found = cantools.database.load_string(dbc_text([message], ""), "dbc").messages[0]
+    assert len(begins) > 32
+    assert found.decode(bytes([1, 0, 2, 0])) == {
+        "Temperature_of_the_winding_of_phase_U": 1,
+        "Temperature_of_the_winding_of_phase_V": 2,
+    }
+
+
 @pytest.mark.parametrize("how", ["same name", "another path", "symbolic link", "hard link"])
 @pytest.mark.parametrize("suffix", [".csv", ".log"])
 def test_convert_never_writes_over_what_it_reads(tmp_path: Path, how: str, suffix: str) -> None:

@@ -11,11 +11,12 @@ import unicodedata
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
-from hilbench.canopen.data_types import REAL32, REAL64, DataType, data_type
+from cantools.database.can import Bus, Database, Message, Node, Signal
+from cantools.database.conversion import BaseConversion
+
+from hilbench.canopen.data_types import data_type
 from hilbench.canopen.pdo import PdoMap, bit_length
 
-_FLOAT_TYPES = {REAL32: 1, REAL64: 2}  # SIG_VALTYPE_ of IEEE floats of 32 and 64 bits
-_LONGEST_NAME = 32  # of a symbol in most tools
 _UNIT_SIGNS = str.maketrans({"·": "", "²": "^2", "³": "^3", "°": "deg", "µ": "u", "Ω": "Ohm"})
 
 
@@ -30,24 +31,33 @@ class DbcMessage:
 
 
 def dbc_text(messages: Iterable[DbcMessage], comment: str) -> str:
-    """The file. Objects without a unit keep their raw values; raises ValueError for a COB-ID that is there twice."""
-    known: dict[int, DbcMessage] = {}
-    for message in messages:
-        if known.setdefault(message.pdo.cob_id, message) is not message:
-            raise ValueError(f"COB-ID {message.pdo.cob_id:X}h of {message.name} and {known[message.pdo.cob_id].name}")
-    senders = list(dict.fromkeys(symbol(message.sender) for message in known.values()))
-    lines = ['VERSION ""', "", "NS_ :", "", "BS_:", "", f"BU_: {' '.join(senders)}", ""]
-    for message in known.values():
-        lines += [*_message(message), ""]
-    lines.append(f'CM_ "{_quoted(comment)}";')
-    lines += [line for message in known.values() for line in _remarks(message)]
-    return "\n".join(lines) + "\n"
+    """The file; objects without a unit keep their raw values. Names of more than 32 letters stand there in full beside
+    the short ones (attribute ``SystemSignalLongSymbol``)."""
+    known = list(messages)
+    senders = dict.fromkeys(symbol(message.sender) for message in known)
+    database = Database(
+        [
+            Message(
+                message.pdo.cob_id,
+                symbol(message.name),
+                message.pdo.size,
+                list(_signals(message)),
+                senders=[symbol(message.sender)],
+                sort_signals=None,
+            )
+            for message in known
+        ],
+        [Node(sender) for sender in senders],
+        [Bus("", comment=_ascii(comment))],
+        version="",
+    )
+    return database.as_dbc_string(sort_signals=None).replace("\r\n", "\n")
 
 
 def symbol(text: str) -> str:
     """A name as DBC allows it."""
     name = re.sub(r"\W+", "_", text, flags=re.ASCII).strip("_") or "_"
-    return (name if not name[0].isdigit() else f"_{name}")[:_LONGEST_NAME]
+    return name if not name[0].isdigit() else f"_{name}"
 
 
 def ascii_unit(unit: str) -> str:
@@ -57,42 +67,30 @@ def ascii_unit(unit: str) -> str:
 
 def _ascii(text: str) -> str:
     """Letters without their marks; a question mark for what is none."""
-    marked = unicodedata.normalize("NFKD", text)
+    marked = unicodedata.normalize("NFKD", text.replace('"', "'"))
     plain = "".join(sign for sign in marked if not unicodedata.combining(sign))
-    return plain.encode("ascii", "replace").decode()
+    return " ".join(plain.encode("ascii", "replace").decode().split())
 
 
-def _message(message: DbcMessage) -> Iterator[str]:
-    yield f"BO_ {message.pdo.cob_id} {symbol(message.name)}: {message.pdo.size} {symbol(message.sender)}"
+def _signals(message: DbcMessage) -> Iterator[Signal]:
     start = 0
     for variable, unit in zip(message.pdo.variables, message.units, strict=True):
         bits, kind = bit_length(variable), data_type(variable.data_type or 0)
-        factor, name = unit or (1.0, "")
-        name = ascii_unit(name)
-        sign = "-" if kind.is_signed or kind.is_float else "+"
-        low, high = _range(kind, bits, factor)
-        yield (
-            f' SG_ {symbol(variable.name)} : {start}|{bits}@1{sign} ({factor:.17g},0) [{low:.9g}|{high:.9g}] "{name}" '
-            "Vector__XXX"
+        factor, name = unit or (1, "")
+        lowest, highest = (-(1 << (bits - 1)), (1 << (bits - 1)) - 1) if kind.is_signed else (0, (1 << bits) - 1)
+        yield Signal(
+            symbol(variable.name),
+            start,
+            bits,
+            is_signed=kind.is_signed or kind.is_float,
+            conversion=BaseConversion.factory(factor, is_float=kind.is_float),
+            minimum=None if kind.is_float else _rounded(lowest * factor),
+            maximum=None if kind.is_float else _rounded(highest * factor),
+            unit=ascii_unit(name) or None,
+            comment=_ascii(f"{variable.index:04X}h:{variable.subindex} {variable.name}"),
         )
         start += bits
 
 
-def _range(kind: DataType, bits: int, factor: float) -> tuple[float, float]:
-    if kind.is_float:
-        return 0.0, 0.0  # no range
-    if kind.is_signed:
-        return -(1 << (bits - 1)) * factor, ((1 << (bits - 1)) - 1) * factor
-    return 0.0, ((1 << bits) - 1) * factor
-
-
-def _remarks(message: DbcMessage) -> Iterator[str]:
-    for variable in message.pdo.variables:
-        place = f"{message.pdo.cob_id} {symbol(variable.name)}"
-        yield f'CM_ SG_ {place} "{variable.index:04X}h:{variable.subindex} {_quoted(variable.name)}";'
-        if variable.data_type in _FLOAT_TYPES:
-            yield f"SIG_VALTYPE_ {place} : {_FLOAT_TYPES[variable.data_type]};"
-
-
-def _quoted(text: str) -> str:
-    return " ".join(_ascii(text.replace('"', "'")).split())
+def _rounded(value: float) -> float:
+    return value if isinstance(value, int) else float(f"{value:.9g}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from hilbench.canopen.dbc import DbcMessage, dbc_text
+from hilbench.canopen.identifiers import FUNCTION_CODE, RPDOS, TPDOS
 from hilbench.canopen.pdo import PdoMap
 from hilbench.cia402.object_units import si_unit
 from hilbench.cia402.units import DriveUnits
@@ -10,9 +11,7 @@ from hilbench.exchange.nodes import Nodes, declared_units
 from hilbench.topology.config import BenchConfig, Role
 
 _MASTER = "bench"
-#: Function codes of the predefined connection set that name a PDO.
-_TPDO = {0x180: "TPDO1", 0x280: "TPDO2", 0x380: "TPDO3", 0x480: "TPDO4"}
-_RPDO = {0x200: "RPDO1", 0x300: "RPDO2", 0x400: "RPDO3", 0x500: "RPDO4"}
+_NAMES = {code: f"{kind}{k}" for kind, codes in (("TPDO", TPDOS), ("RPDO", RPDOS)) for k, code in enumerate(codes, 1)}
 
 
 def pdo_set_dbc(config: BenchConfig) -> str:
@@ -30,7 +29,7 @@ def pdo_set_dbc(config: BenchConfig) -> str:
 
 
 def _message(part: str, pdo: PdoMap, units: DriveUnits | None) -> DbcMessage:
-    function = pdo.cob_id & 0x780
-    number = _TPDO.get(function) or _RPDO.get(function) or f"PDO_{pdo.cob_id:X}"
-    sender = _MASTER if function in _RPDO else part
+    function = pdo.cob_id & FUNCTION_CODE
+    number = _NAMES.get(function, f"PDO_{pdo.cob_id:X}")
+    sender = _MASTER if function in RPDOS else part
     return DbcMessage(f"{part}_{number}", sender, pdo, tuple(si_unit(v.index, units) for v in pdo.variables))
