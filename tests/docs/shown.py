@@ -16,7 +16,7 @@ from pathlib import Path
 from tools.reference import commands_page
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 
 #: Words with which a shown line begins that is a command.
 _PROGRAMS = {
