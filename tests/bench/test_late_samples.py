@@ -89,7 +89,7 @@ def swinging(cycles: int) -> tuple[np.ndarray, np.ndarray]:
 def torques(ages: list[int], *, told: bool = True) -> np.ndarray:
     """The load motor's torque when the positions of a cycle are so many cycles old."""
     bench = load(SHIPPED)[0]
-    model = LoadModel(bench.model, bench.load, CYCLE_S)
+    model = LoadModel(bench.machine, bench.load, CYCLE_S)
     x1_m, x2_m = swinging(len(ages))
     found = []
     for k, age in enumerate(ages):

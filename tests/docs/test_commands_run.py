@@ -105,7 +105,7 @@ def stand(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stand]:
         shorter = {"include": str(ROOT / "bench_configs" / f"{name}.yaml"), "bus": {"address": at}}
         path = folder / "bench_configs" / f"{name}.yaml"
         path.write_text(yaml.safe_dump({**shorter, "steps": steps, "criteria": []}))
-    model = load(folder / "bench_configs" / "web_section_step.yaml")[0].model
+    model = load(folder / "bench_configs" / "web_section_step.yaml")[0].machine
     write_model(folder / "model.yaml", model)
     friction = EffectEntry(effect="coulomb_friction", axis=2, parameters={"force_N": 4.2})
     write_recording(hidden_recording(model, [friction], duration_s=12.0), folder / "blind.mf4")

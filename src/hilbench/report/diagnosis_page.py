@@ -72,7 +72,6 @@ def _visible(effect: Unobservable) -> str:
     return "never" if effect.smallest_visible is None else f"{number(effect.smallest_visible, 3)} {effect.unit}"
 
 
-
 def _effects(found: Diagnosis) -> list[tuple[str, ...]]:
     rows: list[tuple[str, ...]] = []
     for effect in found.effects:

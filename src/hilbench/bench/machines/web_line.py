@@ -23,7 +23,6 @@ from hilbench.topology.quantities import LINE_SPEED, is_of_load
 from hilbench.topology.sample import CycleSample
 
 
-
 def tasks(config: BenchConfig, state: BenchState) -> MachineTasks:
     """The tasks of the config's web line, which has one span."""
     upstream, downstream = config.drives
