@@ -54,6 +54,7 @@ def test_nothing_is_named_where_nothing_is_missing(seed: int) -> None:
         effect("elasticity_step", time_s=11.3, relative_change=0.08),
         effect("torque_ripple", 2, amplitude_Nm=0.1, order=2.0, phase_rad=-1.0),
         effect("backlash", 1, gap_rad=0.01),
+        effect("unbalance", 2, amplitude_Nm=0.5, phase_rad=-1.0),
     ],
     ids=lambda item: f"{item['effect']}-{item['axis']}",
 )

@@ -120,10 +120,10 @@ def _motor_force_N(p: Vector, w: Vector, n: int, m: int, k: int, j: int, x_m: fl
 
 
 @inlined
-def _own_force_N(p: Vector, w: Vector, n: int, m: int, k: int, i: int, y: int) -> float:
+def _own_force_N(p: Vector, w: Vector, n: int, m: int, k: int, i: int, y: int, slides: bool) -> float:
     """Force on the roller's side of gear i without web and dry friction: load motors, resistance, unbalance."""
     force = -laws.smooth_resistance_N(p, _axis(i), w[y + n + i])
-    if laws.has_unbalance(p, _axis(i)):
+    if not slides and laws.has_unbalance(p, _axis(i)):
         force += laws.unbalance_N(p, _axis(i), w[y + i])
     for j in range(n, m):  # load motors; of a line without any, the loop is not compiled
         if p[_motor(n, j) + lay.M_AXIS] == i:
@@ -174,7 +174,7 @@ def _go_axis(
     size, y = _block(n, k, 1), _block(n, k, lay.STAGE)
     v, per_mass = w[y + n + i], w[_part(n, m, k, lay.PER_MASS) + i]
     drive = _motor_force_N(p, w, n, m, k, i, w[y + 2 * n + i])
-    own, web = _own_force_N(p, w, n, m, k, i, y), _web_force_N(p, u, w, n, m, k, i, strain_prev)
+    own, web = _own_force_N(p, w, n, m, k, i, y, slides), _web_force_N(p, u, w, n, m, k, i, strain_prev)
     apart = not slides and _is_apart(p, s, n, k, i)
     if apart:
         per_mass = w[_part(n, m, k, lay.PER_ROLLER_MASS) + i]
@@ -290,10 +290,13 @@ def _accept(s: Vector, w: Vector, n: int, m: int, k: int) -> None:
 
 @inlined
 def _slides(p: Vector, s: Vector, n: int, k: int) -> bool:
-    """Whether no gear has play and no roller sticks: then an event shows in the speeds at a step's end."""
+    """Whether no gear has play and no roller sticks: then an event shows in the speeds at a step's end.
+
+    A roller out of balance does not count as one that slides either: what is rare costs the usual step nothing.
+    """
     slides = True
     for i in range(n):
-        slides &= not (laws.has_gap(p, _axis(i)) or _sticks(p, s, n, k, i))
+        slides &= not (laws.has_gap(p, _axis(i)) or laws.has_unbalance(p, _axis(i)) or _sticks(p, s, n, k, i))
     return slides
 
 
@@ -326,7 +329,7 @@ def _violations(p: Vector, s: Vector, u: Vector, w: Vector, t: float, i: int, y:
     drive = _motor_force_N(p, w, n, m, k, i, w[y + 2 * n + i])
     web = _web_force_N(p, u, w, n, m, k, i, laws.upstream_strain(p, u[lay.U_STRAIN_PREV], t))
     apart, sticks = _is_apart(p, s, n, k, i), _sticks(p, s, n, k, i)
-    own = _own_force_N(p, w, n, m, k, i, y) + (0.0 if apart else drive)
+    own = _own_force_N(p, w, n, m, k, i, y, False) + (0.0 if apart else drive)
     if apart:
         # Positions grow: flanks that part must not count as passed because of the rounding of their distance.
         rounding_m = _POSITION_ROUNDING * abs(w[y + i])
