@@ -40,9 +40,9 @@ class TrackingFilter:
         self.motion: Vector = np.zeros(ORDER)
         self._filter_s = filter_s
 
-    def reset(self, position_rad: float) -> None:
-        """At rest at this position."""
-        self.motion = np.array([position_rad, 0.0, 0.0, 0.0])
+    def reset(self, position_rad: float, speed_rad_s: float = 0.0) -> None:
+        """At this position, with this even speed."""
+        self.motion = np.array([position_rad, speed_rad_s, 0.0, 0.0])
 
     def update(self, position_rad: float, duration_s: float) -> None:
         """The shaft is at `position_rad`, `duration_s` after the last."""

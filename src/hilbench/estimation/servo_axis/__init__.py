@@ -1,0 +1,1 @@
+"""Inertia and friction of a servo axis from its measured motion and torque."""

@@ -1,0 +1,168 @@
+"""What each cycle says of the shaft: the inputs of the filters, from measured position and torque."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from math import exp
+
+import numpy as np
+from scipy.linalg import solve_discrete_lyapunov
+
+from hilbench.compiled import entry_point
+from hilbench.estimation.servo_axis import kalman
+from hilbench.estimation.servo_axis.config import InertiaConfig
+from hilbench.estimation.synchronizers.kalman import Array
+from hilbench.estimation.synchronizers.noise_level import NoiseLevel
+from hilbench.plant.servo_axis import kernel, laws
+from hilbench.plant.servo_axis import layout as lay
+from hilbench.plant.servo_axis.parameters import ServoAxisParameters
+from hilbench.plant.servo_axis.tracking_filter import TrackingFilter, gains, transition
+
+#: Encoder noise believed before it is measured, and the least that is believed; least noise of the torque.
+_POSITION_NOISE_RAD, _POSITION_FLOOR_RAD = 3e-6, 1e-7
+_TORQUE_FLOOR_NM = 1e-4
+#: Time constant of the filter that says how fast the shaft turns and accelerates, in cycles.
+_FILTER_CYCLES = 5.0
+#: Cycles until it has forgotten that it was started at a guess of the speed.
+_SETTLED_CYCLES = 75
+#: Deviations of its noise beyond which an acceleration is one.
+_SIGNIFICANT = 4.0
+#: Below this speed the shaft may stick, and dry friction is anything up to its greatest.
+_STANDSTILL_RAD_S = 0.2
+#: How fast that is over when it turns again: a load motor that imitates friction turns it late, and the jump of the
+#: acceleration then goes through the filter of the inertia that it imitates.
+_AFTER_STANDSTILL_S = 0.02
+#: Share of the accelerating torque that counts as noise: what is imitated follows it only so well.
+_SHAKING = 0.01
+#: Place in the motion of the filter.
+_ACCELERATION = 2
+
+
+@dataclass(frozen=True, slots=True)
+class ShaftSample:
+    """What is known at one SYNC."""
+
+    cycle_s: float  #: time since the sample before
+    position_rad: float
+    torque_Nm: float  #: of the motor, as the drive reports it
+    #: What its mean over the cycle is more than the mean of both its ends, as the simulated drive has it: set points
+    #: come with SYNC, and the torque ripples with them.
+    ripple_Nm: float = 0.0
+
+
+Known = Callable[[Array, float, float, float], float]
+
+
+def _compiled_known(sources: int) -> Known:
+    """The function that is called from Python; `sources` as in the kernel."""
+
+    @entry_point
+    def known_torque(p: Array, measured_Nm: float, x: float, v: float) -> float:
+        """Torque on the shaft by the model: from the reported one, without offset, friction and unbalance."""
+        torque = laws.scaled_torque_Nm(p, measured_Nm - laws.reported_offset_Nm(p)) if sources >= 0 else 0.0
+        torque += laws.ripple_Nm(p, x) + laws.unbalance_Nm(p, x) - laws.smooth_friction_Nm(p, v)
+        direction = min(max(v / _STANDSTILL_RAD_S, -1.0), 1.0)
+        return float(torque - direction * laws.dry_friction_Nm(p, v))
+
+    return known_torque
+
+
+_known_torque = _compiled_known(kernel.source_number(__file__))
+
+
+class FilterInputs:
+    """Turns samples into the inputs of `kalman.step`: means over the cycle, and how noisy they are."""
+
+    def __init__(self, model: ServoAxisParameters, config: InertiaConfig) -> None:
+        also = config.also
+        self._p = lay.pack(model)
+        self._breakaway_Nm = float(laws.breakaway_Nm(self._p)) + also.coulomb_friction_Nm
+        self._gear_ratio = model.shaft.gear_ratio
+        self.inertia_kg_m2 = float(laws.inertia_kg_m2(self._p))  #: J0
+        self.priors = np.array(
+            [
+                also.torque_offset_Nm,
+                also.viscous_friction_Nm_s_per_rad,
+                also.coulomb_friction_Nm,
+                also.unbalance_Nm,
+                also.unbalance_Nm,
+            ]
+        )
+        self.u = np.zeros(kalman.INPUTS)
+        self.u[kalman.INERTIA_KG_M2] = self.inertia_kg_m2
+        self.u[kalman.BETA_VARIANCE_PER_S] = (0.01 * config.wander_pct_per_sqrt_s) ** 2
+        self.u[kalman.MEMORY_S] = config.friction_memory_s
+        self.u[kalman.PRIORS :] = self.priors
+        self._torque = NoiseLevel(config.torque_noise_Nm, _TORQUE_FLOOR_NM)
+        self._position = NoiseLevel(_POSITION_NOISE_RAD, _POSITION_FLOOR_RAD)
+        self._motion: TrackingFilter | None = None
+        self._cycles = 0  # that the motion has been followed
+        self._noise_gain = 0.0
+        self._sticking = 0.0  # 1: what dry friction is may be anything
+        self._before_Nm: float | None = None
+
+    @property
+    def speed_rad_s(self) -> float:
+        """Of the last cycle."""
+        return self.u.item(kalman.REGRESSORS + 1)
+
+    def interrupt(self) -> None:
+        """A cycle is missing: no mean is formed across it, and the motion is found anew."""
+        self._before_Nm = None
+        self._motion = None
+
+    def update(self, sample: ShaftSample) -> bool:
+        """Fill `u`; False for the first samples of a row, of whose motion too little is known."""
+        self._torque.update(sample.torque_Nm)
+        before, self._before_Nm = self._before_Nm, sample.torque_Nm
+        self._follow(sample)
+        if before is None or self._motion is None or self._cycles < _SETTLED_CYCLES:
+            return False
+        x, v, a, _ = self._motion.predicted(-0.5 * sample.cycle_s).tolist()
+        if abs(v) > _STANDSTILL_RAD_S:  # an encoder at rest shows no noise, whatever it counts by
+            self._position.update(sample.position_rad)
+        u, variance = self.u, self._position.variance
+        significant = abs(a) > _SIGNIFICANT * self._noise_gain * variance**0.5
+        direction = min(max(v / _STANDSTILL_RAD_S, -1.0), 1.0)
+        self._sticking *= exp(-sample.cycle_s / _AFTER_STANDSTILL_S)
+        self._sticking = max(self._sticking, 1.0 - direction * direction)
+        phi = x / self._gear_ratio
+        torque = 0.5 * (before + sample.torque_Nm) + sample.ripple_Nm
+        u[kalman.DURATION_S] = sample.cycle_s
+        u[kalman.TORQUE_NM] = _known_torque(self._p, torque, x, v)
+        u[kalman.ACCELERATION_RAD_S2] = a if significant else 0.0
+        u[kalman.TORQUE_VARIANCE] = (
+            self._torque.variance + (_SHAKING * self.inertia_kg_m2 * a) ** 2 + self._breakaway_Nm**2 * self._sticking
+        )
+        u[kalman.POSITION_RAD] = sample.position_rad
+        u[kalman.POSITION_VARIANCE] = variance
+        u[kalman.REGRESSORS : kalman.PRIORS] = 1.0, v, direction, -np.sin(phi), -np.cos(phi)
+        return True
+
+    def _follow(self, sample: ShaftSample) -> None:
+        """Position, speed and acceleration with this sample."""
+        if self._motion is None:
+            self._motion = TrackingFilter(_FILTER_CYCLES * sample.cycle_s)
+            self._motion.reset(sample.position_rad)
+            self._noise_gain = _acceleration_gain(sample.cycle_s, _FILTER_CYCLES * sample.cycle_s)
+            self._cycles = 0
+            return
+        self._cycles += 1
+        if self._cycles == 1:  # two positions are a speed
+            speed = (sample.position_rad - self._motion.motion.item(0)) / sample.cycle_s
+            self._motion.reset(sample.position_rad, speed)
+        else:
+            self._motion.update(sample.position_rad, sample.cycle_s)
+
+
+def _acceleration_gain(cycle_s: float, filter_s: float) -> float:
+    """Deviation of the filter's acceleration per deviation of white noise of the position, 1/s²."""
+    gain, forward = gains(cycle_s, filter_s), transition(cycle_s)
+    memory = forward - np.outer(gain, forward[0])
+    # In units in which all four are of one size, for the solver.
+    unit = cycle_s ** -np.arange(4.0)
+    scaled = memory * unit[None, :] / unit[:, None]
+    noise = gain / unit
+    covariance = solve_discrete_lyapunov(scaled, np.outer(noise, noise))
+    return float(np.sqrt(covariance[_ACCELERATION, _ACCELERATION]) * unit[_ACCELERATION])

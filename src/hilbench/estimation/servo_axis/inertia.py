@@ -1,0 +1,124 @@
+"""Inertia by a bank of Kalman filters (`kalman`), one for each hypothesis of when it last changed (`bank`)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from math import hypot, sqrt
+
+import numpy as np
+
+from hilbench.compiled import entry_point, number_of_sources
+from hilbench.estimation.servo_axis import kalman
+from hilbench.estimation.servo_axis.balance import FilterInputs, ShaftSample
+from hilbench.estimation.servo_axis.config import InertiaConfig
+from hilbench.estimation.synchronizers import bank
+from hilbench.estimation.synchronizers.base import Nuisance
+from hilbench.estimation.synchronizers.kalman import Array
+from hilbench.plant.servo_axis import laws
+from hilbench.plant.servo_axis import layout as lay
+from hilbench.plant.servo_axis.parameters import ServoAxisParameters
+
+#: What is estimated beside the inertia, in the order of the filter's state.
+_NAMES = (
+    "torque_offset_Nm",
+    "viscous_friction_Nm_s_per_rad",
+    "coulomb_friction_Nm",
+    "unbalance_sine_Nm",
+    "unbalance_cosine_Nm",
+)
+#: A parameter counts as found when the data have shrunk its prior deviation to this share.
+_FOUND = 0.7
+
+BankStep = Callable[[Array, Array, Array, Array, Array, Array, Array], None]
+
+
+def _compiled_step(sources: int) -> BankStep:
+    """The function that is called from Python; `sources` as in `number_of_sources`."""
+
+    @entry_point
+    def bank_step(z: Array, p: Array, records: Array, settings: Array, u: Array, scratch: Array, out: Array) -> None:
+        """One cycle of all hypotheses. scratch, out (2, SIZE): means and standard deviations of the mixture."""
+        for i in range(records.shape[0] if sources >= 0 else 0):
+            if records[i, bank.ALIVE] != 0.0:
+                records[i, bank.WEIGHT] += kalman.step(z, p, i, u, scratch[0], scratch[1])
+        total = bank.compare(records)
+        bank.mix(z, p, records, total, out)
+        bank.births(z, p, records, settings, kalman.BETA, kalman.RATE)
+
+    return bank_step
+
+
+_bank_step = _compiled_step(number_of_sources(kalman.__file__, bank.__file__, __file__))
+
+
+@dataclass(frozen=True, slots=True)
+class ShaftEstimate:
+    """Inertia and friction, and how sure the method is of them."""
+
+    inertia_kg_m2: float
+    deviation_kg_m2: float  #: standard deviation
+    separable: bool  #: False: the motion has said (next to) nothing of the inertia yet
+    #: Friction and offset as the shaft has them, the model's included; an unbalance is what is beyond the model's.
+    also: tuple[Nuisance, ...] = ()
+
+
+class InertiaEstimator:
+    """Finds inertia and friction of an axis, one sample a cycle; `model` is where it starts."""
+
+    def __init__(self, config: InertiaConfig, model: ServoAxisParameters) -> None:
+        self._config = config
+        self._inputs = FilterInputs(model, config)
+        p = lay.pack(model)
+        self._of_model = np.zeros(kalman.TERMS)
+        self._of_model[1] = model.shaft.viscous_friction_Nm_s_per_rad
+        self._of_model[2] = model.shaft.coulomb_friction_Nm
+        self._of_model[0] = laws.reported_offset_Nm(p)
+        self._z = np.zeros((bank.CAPACITY, kalman.SIZE))
+        self._p = np.zeros((bank.CAPACITY, kalman.SIZE, kalman.SIZE))
+        self._records = np.zeros((bank.CAPACITY, bank.RECORD))
+        self._settings = np.zeros(bank.SETTINGS)
+        self._settings[bank.JUMP_VARIANCE] = (0.01 * config.jump_pct) ** 2
+        self._settings[bank.DRIFT_VARIANCE] = (0.01 * config.drift_pct_per_s) ** 2
+        self._scratch = np.zeros((2, kalman.SIZE))
+        self._out = np.zeros((2, kalman.SIZE))
+        deviation = 0.01 * config.initial_deviation_pct
+        kalman.new_filter(self._z, self._p, 0, deviation, self._inputs.priors)
+        self._records[0, bank.ALIVE] = 1.0
+        self._out[0] = self._z[0]
+        self._out[1] = np.sqrt(np.diag(self._p[0]))
+        self._lost = True  # the motion, not what is known of the shaft
+
+    def update(self, sample: ShaftSample) -> ShaftEstimate:
+        """One cycle of every hypothesis, and the births of the next."""
+        if self._inputs.update(sample):
+            if self._lost:
+                speed = self._inputs.speed_rad_s
+                kalman.place_motion(self._z, self._p, sample.position_rad - sample.cycle_s * speed, speed)
+                self._lost = False
+            c, settings = self._config, self._settings
+            settings[bank.CYCLE] += 1.0
+            bank.set_priors(settings, c.jumps_per_s, c.drift_onsets_per_s, sample.cycle_s)
+            _bank_step(self._z, self._p, self._records, settings, self._inputs.u, self._scratch, self._out)
+        return self._estimate()
+
+    def hold(self, duration_s: float) -> ShaftEstimate:
+        """A time without a usable sample: what is known stays, less and less sure; the motion is found anew."""
+        self._inputs.interrupt()
+        walk = 0.01 * self._config.hold_growth_pct_per_s
+        self._p[:, kalman.BETA, kalman.BETA] += walk**2 * duration_s
+        self._lost = True
+        self._out[1, kalman.BETA] = sqrt(self._out[1, kalman.BETA] ** 2 + walk**2 * duration_s)
+        return self._estimate()
+
+    def _estimate(self) -> ShaftEstimate:
+        mean, deviation = self._out
+        inertia = self._inputs.inertia_kg_m2 / mean.item(kalman.BETA)
+        share = deviation.item(kalman.BETA) / mean.item(kalman.BETA)
+        rows = zip(_NAMES, mean[kalman.Q :] + self._of_model, deviation[kalman.Q :], self._inputs.priors, strict=True)
+        return ShaftEstimate(
+            inertia,
+            inertia * hypot(share, 0.01 * self._config.unmodelled_pct),
+            share < _FOUND * 0.01 * self._config.initial_deviation_pct,
+            tuple(Nuisance(n, float(v), float(d), bool(d < _FOUND * prior)) for n, v, d, prior in rows if prior > 0.0),
+        )

@@ -1,0 +1,150 @@
+"""One Kalman filter on the momentum balance of a shaft, compiled; `inertia` runs a bank of them.
+
+    v' = β·(τ − Σ q_k·r_k)/J0,   β = J0/J
+
+State of a filter: position (rad) and speed (rad/s); β and its rate; q (K,), what the torque is off by beyond the model:
+offset (N·m), viscous (N·m·s/rad) and dry friction (N·m), unbalance (N·m, sine and cosine), each with its regressor r_k.
+The measured torque is the input, its noise the process noise; the encoder is the measurement.
+
+How much a wrong β shows is the acceleration. That of the measured torque is noise while the shaft turns evenly, and
+the square of noise would count as knowledge of the inertia. So the one that the encoder shows stands there, which
+knows nothing of the torque's noise, and zero where it is not beyond its own.
+
+Likewise the likelihood: the noise of the torque is of its measurement, and a heavy shaft would explain best, whatever
+moves it, that the encoder does not follow it. So the variance of the innovation is compared with the one that a filter
+of the same β has that knows everything else, and what happens while the shaft turns evenly is no evidence of β at all.
+"""
+
+from __future__ import annotations
+
+from math import log, sqrt
+from typing import Final
+
+import numpy as np
+
+from hilbench.compiled import compiled, inlined
+from hilbench.estimation.synchronizers.kalman import Array
+
+X, V, BETA, RATE, Q = range(5)
+#: Torque offset, viscous and dry friction, sine and cosine of an unbalance.
+TERMS: Final = 5
+SIZE: Final = Q + TERMS
+#: Inputs of a step, in this order.
+(
+    DURATION_S,
+    INERTIA_KG_M2,  # J0
+    TORQUE_NM,  # mean over the cycle, without what the model says of friction
+    ACCELERATION_RAD_S2,  # of the encoder; 0 within its noise
+    TORQUE_VARIANCE,
+    BETA_VARIANCE_PER_S,
+    POSITION_RAD,
+    POSITION_VARIANCE,
+    MEMORY_S,
+    REGRESSORS,
+) = range(10)
+PRIORS: Final = REGRESSORS + TERMS
+INPUTS: Final = PRIORS + TERMS
+#: No shaft is so much heavier than the model's.
+_LEAST_BETA = 0.02
+
+
+@inlined
+def _known_variance(acceleration_rad_s2: float, dt_s: float, position_variance: float) -> float:
+    """Variance of the innovations of a steady filter of position and speed, acceleration and position noisy.
+
+    The closed form of Kalata (1984) by the tracking index.
+    """
+    index = acceleration_rad_s2 * dt_s * dt_s / sqrt(position_variance)
+    # (4 + Λ − √(Λ² + 8Λ))/4, without the cancellation at large Λ.
+    root = 4.0 / (4.0 + index + sqrt(index * index + 8.0 * index))
+    return position_variance / (root * root)
+
+
+@compiled
+def step(z: Array, p: Array, i: int, u: Array, g: Array, row: Array) -> float:
+    """Predict filter `i` over one cycle and take in the position; returns its log likelihood, 0 without acceleration.
+
+    z (H, SIZE), p (H, SIZE, SIZE); g and row (SIZE,) are scratch: how the acceleration depends on the state, a product.
+    """
+    dt = u[DURATION_S]
+    beta = max(z[i, BETA], _LEAST_BETA)
+    per_torque = beta / u[INERTIA_KG_M2]
+    # What is not linear in β, as noise: a filter that is 20 % off must not call its first correction exact.
+    curved = u[ACCELERATION_RAD_S2] * p[i, BETA, BETA] / (beta * beta)
+    net = u[TORQUE_NM]
+    for k in range(TERMS):
+        net -= u[REGRESSORS + k] * z[i, Q + k]
+        g[Q + k] = -per_torque * u[REGRESSORS + k]
+    g[BETA] = u[ACCELERATION_RAD_S2] / beta
+    rate = per_torque * net
+    half = 0.5 * dt * dt
+    z[i, X] += dt * z[i, V] + half * rate
+    z[i, V] += dt * rate
+    z[i, BETA] += dt * z[i, RATE]
+    for j in range(SIZE):
+        row[j] = g[BETA] * p[i, BETA, j]
+        for k in range(Q, SIZE):
+            row[j] += g[k] * p[i, k, j]
+    for j in range(SIZE):
+        p[i, X, j] += dt * p[i, V, j] + half * row[j]
+        p[i, V, j] += dt * row[j]
+        p[i, BETA, j] += dt * p[i, RATE, j]
+    for j in range(SIZE):
+        row[j] = g[BETA] * p[i, j, BETA]
+        for k in range(Q, SIZE):
+            row[j] += g[k] * p[i, j, k]
+    for j in range(SIZE):
+        p[i, j, X] += dt * p[i, j, V] + half * row[j]
+        p[i, j, V] += dt * row[j]
+        p[i, j, BETA] += dt * p[i, j, RATE]
+    variance = per_torque * per_torque * u[TORQUE_VARIANCE] + 2.0 * curved * curved
+    p[i, X, X] += half * half * variance
+    p[i, X, V] += half * dt * variance
+    p[i, V, X] += half * dt * variance
+    p[i, V, V] += dt * dt * variance
+    p[i, BETA, BETA] += dt * u[BETA_VARIANCE_PER_S]
+    # Weak evidence is forgotten again: what the data can't tell goes back to what is believed of it.
+    left = 1.0 - dt / u[MEMORY_S]
+    for j in range(Q, SIZE):
+        prior = u[PRIORS + j - Q]
+        if prior > 0.0:
+            z[i, j] *= left
+            for k in range(SIZE):
+                p[i, j, k] *= left
+                p[i, k, j] *= left
+            p[i, j, j] += 2.0 * dt / u[MEMORY_S] * prior * prior
+    innovation = u[POSITION_RAD] - z[i, X]
+    variance = p[i, X, X] + u[POSITION_VARIANCE]
+    for j in range(SIZE):
+        row[j] = p[i, j, X]
+    for j in range(SIZE):
+        gain = row[j] / variance
+        z[i, j] += gain * innovation
+        for k in range(SIZE):
+            p[i, j, k] -= gain * row[k]
+    for j in range(SIZE):  # rounding must not make it unsymmetric
+        for k in range(j):
+            mean = 0.5 * (p[i, j, k] + p[i, k, j])
+            p[i, j, k] = mean
+            p[i, k, j] = mean
+    if u[ACCELERATION_RAD_S2] == 0.0:
+        return 0.0
+    known = _known_variance(per_torque * sqrt(u[TORQUE_VARIANCE]), dt, u[POSITION_VARIANCE])
+    likelihood: float = -0.5 * (innovation * innovation / variance + log(variance / known))
+    return likelihood
+
+
+def new_filter(z: Array, p: Array, i: int, deviation: float, priors: Array) -> None:
+    """Start filter `i` at the model's inertia; `deviation` of β, `priors` (TERMS,) of what is estimated beside it."""
+    z[i] = 0.0
+    z[i, BETA] = 1.0
+    p[i] = np.diag([0.0, 0.0, deviation**2, 0.0, *priors**2])
+
+
+def place_motion(z: Array, p: Array, position_rad: float, speed_rad_s: float) -> None:
+    """Every filter begins here, whatever it has known of the motion; the next step brings the position after this."""
+    z[:, X], z[:, V] = position_rad, speed_rad_s
+    for place, variance in ((X, 1e-8), (V, 1.0)):
+        p[:, place, :] = 0.0
+        p[:, :, place] = 0.0
+        p[:, place, place] = variance
