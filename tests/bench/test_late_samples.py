@@ -11,7 +11,7 @@ from tests.bench.late_senders import late
 from tests.bench.whole_runs import config
 
 from hilbench.bench.lifecycle.participants import Participants
-from hilbench.bench.tasks.load_model import LoadModel
+from hilbench.bench.tasks.load_model import web_load_model
 from hilbench.report.html import write_report
 from hilbench.results.recording import read_recording
 from hilbench.results.run import RunOutcome, run_experiment
@@ -89,12 +89,13 @@ def swinging(cycles: int) -> tuple[np.ndarray, np.ndarray]:
 def torques(ages: list[int], *, told: bool = True) -> np.ndarray:
     """The load motor's torque when the positions of a cycle are so many cycles old."""
     bench = load(SHIPPED)[0]
-    model = LoadModel(bench.machine, bench.load, CYCLE_S)
+    model = web_load_model(bench)
     x1_m, x2_m = swinging(len(ages))
     found = []
     for k, age in enumerate(ages):
         late_now = told and k > 0 and age > ages[k - 1]
-        found.append(model.update(float(x1_m[k - age]), float(x2_m[k - age]), 2.0, late=late_now))
+        positions = float(x1_m[k - age]), float(x2_m[k - age])
+        found += model.update(positions, (2.0, 2.0), late=late_now)
     return np.array(found)
 
 

@@ -57,7 +57,8 @@ class Stands:
     @property
     def fastest_rad_s(self) -> float:
         assert self.application is not None
-        return float(abs(self.application._stand.velocity_rad_s).max())
+        outputs = self.application._stand.outputs()
+        return max(abs(outputs["v1_rad_s"]), abs(outputs["v2_rad_s"]))
 
 
 def breaks(patch: pytest.MonkeyPatch, owner: type, name: str, error: Exception, *, after: int, for_good: bool) -> None:

@@ -38,7 +38,7 @@ class Twin:
         )
         for axis, port in enumerate(self.ports):
             port.setpoint = data.v_cmd_m_s[row, axis] * self.plant.motor_rad_per_m(axis + 1)
-        self.line.advance(CYCLE_S)
+        self.line.step(CYCLE_S)
 
 
 def twin(plant: ModelParameters | None = None, **options: object) -> Twin:

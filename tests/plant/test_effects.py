@@ -170,10 +170,10 @@ def test_backlash_under_velocity_control_stays_bounded_at_the_sample_time() -> N
 def test_the_modulus_that_acts_is_told_with_what_effects_make_of_it() -> None:
     drift = effect("elasticity_drift", rate_per_s=0.5), effect("elasticity_shift", relative_change=-0.2)
     line = Line(model(*drift))
-    line.advance(0.4)
+    line.step(0.4)
     assert line.elasticity_factor == pytest.approx(0.8 * 1.2)
     plain = Line(model())
-    plain.advance(0.4)
+    plain.step(0.4)
     assert plain.elasticity_factor == 1.0
 
 
@@ -198,14 +198,14 @@ def test_offset_shifts_only_the_measurement() -> None:
 
 def test_scale_lowers_the_measured_torque_at_equal_load() -> None:
     scaled = standing(model(effect("torque_scale", 2, relative_change=0.25)))
-    assert scaled.tau_Nm[1] * 1.25 == pytest.approx((scaled.tension_N[0] - 70.0) / 25.0, abs=1e-9)
+    assert scaled.outputs()["tau2_Nm"] * 1.25 == pytest.approx((scaled.tension_N[0] - 70.0) / 25.0, abs=1e-9)
 
 
 def standing(parameters: ModelParameters) -> Line:
     ports = [MotorPort(mode=MotorMode.VELOCITY) for _ in range(parameters.axis_count)]
     line = Line(parameters, ports)
     for _ in range(2000):
-        line.advance(0.002)
+        line.step(0.002)
     return line
 
 

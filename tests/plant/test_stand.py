@@ -12,7 +12,7 @@ from hilbench.plant.motor_port import MotorMode, MotorPort
 from hilbench.plant.parameters import EffectEntry, LoadMotorParameters
 from hilbench.plant.sampled_shaft import SampledShaft, imitation_delay_s
 from hilbench.plant.sensors import Gaussian, SensorParameters
-from hilbench.plant.web_line.rig import RigParameters, TestRig
+from hilbench.plant.web_line.rig import CoupledMotor, RigParameters, TestRig
 from hilbench.plant.web_line.span import SpanFollower
 from hilbench.plant.web_line.stability import (
     largest_inertia_ratio,
@@ -33,14 +33,16 @@ NOISY = SensorParameters(torque_noise_Nm=0.05, velocity_noise_rad_s=0.0025, enco
 def stand(**given: Any) -> tuple[TestRig, list[MotorPort]]:
     ports = [MotorPort() for _ in range(3)]
     seed = given.pop("seed", 0)
-    return TestRig(RigParameters.matching(model(), **given), ports, seed), ports
+    motor = given.pop("load_motor", LoadMotorParameters())
+    load_motors = [CoupledMotor(axis=2, motor=motor)]
+    return TestRig(RigParameters.matching(model(), load_motors, **given), ports, seed), ports
 
 
 def test_torques_of_axis_and_load_motor_add_on_the_second_shaft() -> None:
     bench, ports = stand(load_motor=LoadMotorParameters(inertia_kg_m2=0.01))
     for port, torque in zip(ports, (0.5, 1.0, -0.4), strict=True):
         port.mode, port.setpoint = MotorMode.TORQUE, torque
-    bench.advance(1.0)
+    bench.step(1.0)
     # The current loops' 1 ms delays each torque by as much.
     assert ports[0].velocity_rad_s == pytest.approx(0.5 / INERTIA * 0.999, rel=1e-4)
     assert ports[1].velocity_rad_s == pytest.approx(0.6 / INERTIA * 0.999, rel=1e-4)
@@ -56,7 +58,7 @@ def test_effect_of_an_axis_is_hidden_in_the_stand_at_start_and_at_run_time() -> 
     later.set_effect("coulomb_friction", 2, force_N=5.0)
     for bench, three in ((at_start, ports), (later, other)):
         three[1].mode, three[1].setpoint = MotorMode.VELOCITY, 10.0
-        bench.advance(3.0)
+        bench.step(3.0)
         assert three[1].torque_Nm == pytest.approx(5.0 / RAD_PER_M, abs=1e-4)
     assert ports[1] == other[1]
 
@@ -76,7 +78,7 @@ def readings(seed: int) -> list[tuple[float, ...]]:
     ports[1].mode, ports[1].setpoint = MotorMode.VELOCITY, 20.0
     result = []
     for _ in range(300):
-        bench.advance(CYCLE_S)
+        bench.step(CYCLE_S)
         result.append(tuple(v for port in ports for v in (port.position_rad, port.velocity_rad_s, port.torque_Nm)))
     return result
 
@@ -107,7 +109,7 @@ def imitate_inertia(ratio: float) -> np.ndarray:
     before, speeds = 0.0, []
     for _ in range(3000):
         v = ports[1].velocity_rad_s
-        bench.advance(CYCLE_S)
+        bench.step(CYCLE_S)
         ports[2].setpoint = -ratio * INERTIA * (v - before) / CYCLE_S
         before = v
         speeds.append(v)
@@ -131,13 +133,13 @@ def imitate_web(lead_s: float) -> np.ndarray:
     """Tension while the load motor imitates the web at standstill and then at 1 m/s."""
     parameters = model(web_load=[False, True])
     ports = [MotorPort(mode=MotorMode.VELOCITY), MotorPort(mode=MotorMode.VELOCITY), MotorPort(mode=MotorMode.TORQUE)]
-    bench, web, tensions = TestRig(RigParameters.matching(parameters), ports), SpanFollower(parameters), []
+    bench = TestRig(RigParameters.matching(parameters, [CoupledMotor(axis=2)]), ports)
+    web, tensions = SpanFollower(parameters), []
     for k in range(1500):
         if k:
-            web.advance([port.position_rad / RAD_PER_M for port in ports[:2]], CYCLE_S)
-        tension = web.predicted_tension_N(lead_s)
-        torque = web.web_torque_Nm(2, ports[1].velocity_rad_s / RAD_PER_M, tension_N=tension)
-        bench.advance(CYCLE_S)
+            web.follow([port.position_rad / RAD_PER_M for port in ports[:2]], CYCLE_S)
+        (torque,) = web.load_torques_Nm([2], [port.velocity_rad_s / RAD_PER_M for port in ports[:2]], lead_s)
+        bench.step(CYCLE_S)
         ports[2].setpoint = torque
         ports[0].setpoint = ports[1].setpoint = min(1.0, max(0.0, k * CYCLE_S - 1.0)) * RAD_PER_M
         tensions.append(web.tension_N[0])

@@ -88,8 +88,8 @@ class MeasuredBalance:
 
     def use_modulus(self, youngs_modulus_Pa: float) -> None:
         """E that the web's creep and damping go by."""
-        if abs(youngs_modulus_Pa / self.web.youngs_modulus_Pa - 1.0) > _WORTH_TELLING:
-            self.web.youngs_modulus_Pa = youngs_modulus_Pa
+        if abs(youngs_modulus_Pa / self.web.parameter("youngs_modulus_Pa") - 1.0) > _WORTH_TELLING:
+            self.web.set_parameter("youngs_modulus_Pa", youngs_modulus_Pa)
 
     def update(
         self, x1_m: float, x2_m: float, torque_Nm: float, strain_prev: float, F_next_N: float, duration_s: float
@@ -97,13 +97,13 @@ class MeasuredBalance:
         """The balance at this SYNC, `duration_s` after the last; positions at the web, torque at the motor."""
         web = self.web
         if self._before is None:
-            web.set_boundary(strain_prev, F_next_N)
             web.reset((x1_m, x2_m), strain=[strain_prev])
             velocity_m_s = 0.0
         else:
-            web.advance((x1_m, x2_m), duration_s)
-            web.set_boundary(strain_prev, F_next_N)
+            web.follow((x1_m, x2_m), duration_s)
             velocity_m_s = (x2_m - self._before[1]) / duration_s
+        web.set_input("strain_prev", strain_prev)
+        web.set_input("F_next_N", F_next_N)
         self._before = (x1_m, x2_m)
         force_N = float(_force(self._p, torque_Nm, x2_m, velocity_m_s, F_next_N))
-        return BalanceSample(x2_m, force_N, float(web.tension_N[0]) / web.youngs_modulus_Pa, velocity_m_s)
+        return BalanceSample(x2_m, force_N, float(web.tension_N[0]) / web.parameter("youngs_modulus_Pa"), velocity_m_s)

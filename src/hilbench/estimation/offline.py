@@ -77,6 +77,7 @@ def run_offline(model: ModelParameters, config: EstimationConfig, data: Measurem
             values[0][row], values[1][row] = nuisance.value, nuisance.deviation
         for port, ratio, speed in zip(ports, rad_per_m, data.v_cmd_m_s[row], strict=True):
             port.setpoint = speed * ratio
-        line.set_boundary(tracking.upstream_strain(data.strain_prev[row]), data.F_next_N[row])
-        line.advance(cycle_s)
+        line.set_input("strain_prev", tracking.upstream_strain(data.strain_prev[row]))
+        line.set_input("F_next_N", data.F_next_N[row])
+        line.step(cycle_s)
     return Track(modulus, deviation, tension, residual, others, spent_ns / 1000.0 / n)

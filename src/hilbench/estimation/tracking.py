@@ -62,7 +62,7 @@ class Tracking:
 
     def reset(self) -> None:
         """Start anew, with E as assumed at the start."""
-        self._line.youngs_modulus_Pa = self._initial_Pa
+        self._line.set_parameter("youngs_modulus_Pa", self._initial_Pa)
         self._begin(self.config.synchronizer, self._initial_Pa)
         self._web_per_Pa = self._balance.section_m2 * self._strain_prev
         self._plausibility = Plausibility(
@@ -99,7 +99,8 @@ class Tracking:
             config = config.model_copy(update={"initial_deviation_pct": known_pct})
         # A black box goes on as the model that it is.
         black_box = isinstance(config, InputConfig)
-        self._begin(config, self._line.youngs_modulus_Pa if black_box else known.youngs_modulus_Pa)
+        model_Pa = self._line.parameter("youngs_modulus_Pa")
+        self._begin(config, model_Pa if black_box else known.youngs_modulus_Pa)
 
     def _begin(self, config: SynchronizerConfig, youngs_modulus_Pa: float) -> None:
         self._method = config
@@ -177,7 +178,7 @@ class Tracking:
         self._look_for_shift(now)
         black_box = self.estimate.upstream_strain is not None
         if not black_box:
-            line.youngs_modulus_Pa = self.estimate.youngs_modulus_Pa
+            line.set_parameter("youngs_modulus_Pa", self.estimate.youngs_modulus_Pa)
         if self._running:
             transfer = self.config.transfer
             self._transfer(x1_m, x2_m, strain=transfer.strain and not black_box, axes=transfer.axes or black_box)
@@ -229,13 +230,13 @@ class Tracking:
         """Put measured states in the place of simulated ones, unless they are too far off to be believed."""
         transfer, line, web = self.config.transfer, self._line, self._balance.web
         self.refused = False
-        new_strain = x_m = v_m_s = None
+        states: dict[str, float] = {}
         if strain:
             measured = float(web.strain[0])
             # Beyond any web: speeds that are no line's bring encoders there, and -1 would be a web of no length.
             believable = abs(measured) <= _LARGEST_STRAIN
             if believable and abs(measured - float(line.strain[0])) <= transfer.strain_limit:
-                new_strain = [measured]
+                states["strain1"] = measured
             else:
                 self.refused = True
         if axes:
@@ -244,8 +245,8 @@ class Tracking:
             near = max(abs(x1_m - x1_sim), abs(x2_m - x2_sim)) <= transfer.position_limit_m
             slow = max(abs(v1 - v1_sim), abs(v2 - v2_sim)) <= transfer.velocity_limit_m_s
             if near and slow:
-                x_m, v_m_s = [x1_m, x2_m], [v1, v2]
+                states |= {"x1_m": x1_m, "x2_m": x2_m, "v1_m_s": v1, "v2_m_s": v2}
             else:
                 self.refused = True
-        if new_strain is not None or x_m is not None:
-            line.set_state(strain=new_strain, x_m=x_m, v_m_s=v_m_s)
+        if states:
+            line.set_state(states)

@@ -17,6 +17,7 @@ from hilbench.exchange.device_clock import device_clock
 from hilbench.exchange.effect_objects import bind_effect_objects
 from hilbench.exchange.nodes import declared_units
 from hilbench.hardware.plant_time import ByClock, BySync, PlantTime
+from hilbench.plant.interface import Plant
 from hilbench.plant.motor_port import MotorMode, MotorPort
 from hilbench.plant.web_line.rig import TestRig
 from hilbench.processes import say, started_by_bench, stop_request
@@ -40,7 +41,7 @@ class RigApplication:
         self,
         drives: list[SimulatedDrive],
         ports: Sequence[MotorPort],
-        stand: TestRig,
+        stand: Plant,
         time: PlantTime,
         cycle_s: float,
         sample_s: float,
@@ -85,7 +86,7 @@ class RigApplication:
         # At rest with all power stages off nothing moves; the noise must not depend on how long that lasted.
         if samples and (self._in_use or any(port.mode is not MotorMode.OFF for port in self._ports)):
             self._in_use = True
-            self._stand.advance(duration_s)
+            self._stand.step(duration_s)
         for drive in self._drives:
             drive.publish()
 
@@ -115,7 +116,7 @@ def hardware(config: BenchConfig) -> HostedDevices:
     ports = tuple(MotorPort() for _ in parts)
     rig_parameters = config.rig_parameters()
     # A scratch stand runs first, so that compiling is over before the devices boot.
-    TestRig(rig_parameters, tuple(MotorPort() for _ in ports)).advance(config.cycle_time_s)
+    TestRig(rig_parameters, tuple(MotorPort() for _ in ports)).step(config.cycle_time_s)
     stand = TestRig(rig_parameters, ports, config.seed)
     devices, drives = [], []
     for part, port in zip(parts, ports, strict=True):
@@ -140,7 +141,7 @@ def _time_base(config: BenchConfig) -> tuple[Clock, PlantTime]:
     return clock, ByClock(config.cycle_time_s, sample_s, clock.now_ns, say)
 
 
-def _effect_setter(stand: TestRig, axis: int) -> Callable[[str, dict[str, float]], None]:
+def _effect_setter(stand: Plant, axis: int) -> Callable[[str, dict[str, float]], None]:
     def apply(effect: str, parameters: dict[str, float]) -> None:
         try:
             stand.set_effect(effect, axis, slot=0, **parameters)

@@ -53,6 +53,7 @@ class LoadMotorParameters(Block):
     velocity_ki_Nm_per_rad: float = Field(
         default=30.0, ge=0.0, description="integral gain of its velocity loop, used to stop"
     )
+    position_kp_per_s: float = Field(default=10.0, ge=0.0, description="gain of its position loop, used by hand")
 
 
 class EffectEntry(Block):

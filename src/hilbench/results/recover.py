@@ -18,7 +18,7 @@ from pathlib import Path
 
 from hilbench.bench.operator.change import Change
 from hilbench.bench.operator.operator_objects import answer_id
-from hilbench.bench.tasks.load_model import LoadModel
+from hilbench.bench.tasks.load_model import web_load_model
 from hilbench.bench.tasks.twin_trust import TwinTrust
 from hilbench.can.frame import Frame
 from hilbench.can.wire import frame_bits
@@ -222,7 +222,7 @@ class _Decoder:
             strain_prev=config.machine.upstream_strain, F_next_N=config.machine.boundary.downstream_tension_N
         )
         self._set_point_N = config.tension_control.set_point_N
-        self._load = LoadModel(config.machine, config.load, config.cycle_time_s)
+        self._load = web_load_model(config)
         self._load.warm_up()
         self._trust = TwinTrust(config.tension_control, config.safety.limits.tension_N.trip or float("inf"))
         self._twin_away = False
@@ -289,9 +289,11 @@ class _Decoder:
                 setattr(self._sample, name, target * axis.units.velocity_rad_s * metres_per_rad)
 
     def _follow_web(self) -> None:
-        sample, web = self._sample, self._load.web
-        sample.tau_load_cmd_Nm = self._load.update(sample.x1_m, sample.x2_m, sample.v2_m_s, late=self._nodes.axes_late)
-        sample.F_true_N, sample.strain_true = self._load.tension_N, self._load.strain
-        sample.E_true_Pa = web.effective_modulus_Pa
+        sample = self._sample
+        (sample.tau_load_cmd_Nm,) = self._load.update(
+            (sample.x1_m, sample.x2_m), (sample.v1_m_s, sample.v2_m_s), late=self._nodes.axes_late
+        )
+        true = self._load.machine.outputs()
+        sample.F_true_N, sample.strain_true, sample.E_true_Pa = true["F1_N"], true["strain1"], true["E_Pa"]
         if self._changes is None:  # nobody knows what the experiment has changed
             sample.F_ref_N = sample.E_true_Pa = sample.F_true_N = sample.strain_true = sample.tau_load_cmd_Nm = nan

@@ -22,7 +22,7 @@ from hilbench.plant.parameters import EffectEntry, LoadMotorParameters
 from hilbench.plant.sampling import samples_per
 from hilbench.plant.sensors import SensorParameters
 from hilbench.plant.web_line.parameters import Length, ModelParameters, Modulus
-from hilbench.plant.web_line.rig import RigParameters
+from hilbench.plant.web_line.rig import CoupledMotor, RigParameters
 from hilbench.real_time import ProcessSettings
 from hilbench.topology.quantities import AXES, LOADED_AXES
 from hilbench.topology.signals import Signal, signals_of
@@ -381,8 +381,9 @@ class BenchConfig(Block):
     def rig_parameters(self) -> RigParameters:
         """The simulated hardware: the machine's axes without its effects, with those hidden in the hardware."""
         hardware = self.hardware
-        (motor,) = (motor.motor for motor in self.load_motors.values())
-        return RigParameters.matching(self.machine, motor, hardware.sensors, hardware.effects)
+        axes = {name: axis for axis, name in enumerate(self.drives, 1)}
+        load_motors = [CoupledMotor(axis=axes[motor.shaft], motor=motor.motor) for motor in self.load_motors.values()]
+        return RigParameters.matching(self.machine, load_motors, hardware.sensors, hardware.effects)
 
     @property
     def parts(self) -> tuple[Part, ...]:

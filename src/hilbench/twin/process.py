@@ -128,7 +128,7 @@ class TwinApplication:
     def reset(self) -> None:
         """Start anew with what is assumed at the start (reset of the virtual I/O node)."""
         self._tracking.reset()
-        self._line.set_state(strain=[self._io.strain_prev], x_m=[0.0, 0.0], v_m_s=[0.0, 0.0], tau_Nm=[0.0, 0.0])
+        self._line.set_state(_states(self._io.strain_prev, [0.0, 0.0], [0.0, 0.0], [0.0, 0.0]))
         self._measured = [None, None]
         self._owed = [0, 0]
         self._positions_before = None
@@ -165,7 +165,7 @@ class TwinApplication:
         if not self._released or not 0 < skipped <= _MOST_SKIPPED:
             return
         for _ in range(skipped):
-            self._line.advance(self._cycle_s)
+            self._line.step(self._cycle_s)
             self._time_s += self._cycle_s
         for drive in self._drives:
             drive.publish()
@@ -207,10 +207,10 @@ class TwinApplication:
         elif all(port.mode is not MotorMode.OFF for port in self._ports):
             if self._released or self._release_web():
                 self._compare()
-                strain_prev = self._tracking.upstream_strain(self._io.strain_prev)
-                self._line.set_boundary(strain_prev, self._io.tension_next_N)
+                self._line.set_input("strain_prev", self._tracking.upstream_strain(self._io.strain_prev))
+                self._line.set_input("F_next_N", self._io.tension_next_N)
                 if not self._ahead:
-                    self._line.advance(self._cycle_s)
+                    self._line.step(self._cycle_s)
                     self._time_s += self._cycle_s
         else:
             self._released = False
@@ -235,11 +235,10 @@ class TwinApplication:
             return False
         speeds = [(now - then) / self._cycle_s for now, then in zip(positions, before, strict=True)]
         moves = max(map(abs, speeds)) > _MOVES_M_S
+        at_rest = [0.0, 0.0]
+        torques = [first[1], second[1]]
         self._line.set_state(
-            strain=[self._io.strain_prev],
-            x_m=positions,
-            v_m_s=speeds if moves else [0.0, 0.0],
-            tau_Nm=[first[1], second[1]] if moves else [0.0, 0.0],
+            _states(self._io.strain_prev, positions, speeds if moves else at_rest, torques if moves else at_rest)
         )
         self._tracking.release(_UNKNOWN_STRAIN if moves else 0.0)
         self._pairing.reset()
@@ -329,6 +328,14 @@ class TwinApplication:
         )
 
 
+def _states(strain: float, x_m: Sequence[float], v_m_s: Sequence[float], tau_Nm: Sequence[float]) -> dict[str, float]:
+    """States of the line by name: one strain for every span; position, speed and torque of each axis (N,)."""
+    states = {f"strain{span}": strain for span in range(1, len(x_m))}
+    for k, (x, v, tau) in enumerate(zip(x_m, v_m_s, tau_Nm, strict=True), 1):
+        states |= {f"x{k}_m": x, f"v{k}_m_s": v, f"tau{k}_Nm": tau}
+    return states
+
+
 def run_twin(setup: TwinSetup, stop: Callable[[], bool], say: Callable[[str], None]) -> int | None:
     """Run the twin on its bus until `stop` says so. Raises BusError when the bus is lost.
 
@@ -376,4 +383,4 @@ def warm_up(model: ModelParameters, config: EstimationConfig, cycle_s: float) ->
     tracking = Tracking(model, config, line, ports[1], cycle_s)
     for k in range(_WARM_UP_CYCLES):
         tracking.compare(k * cycle_s, 0.0, 0.0, 0.1 + 0.01 * (k % 7), model.upstream_strain, 0.0)
-        line.advance(cycle_s)
+        line.step(cycle_s)

@@ -7,7 +7,7 @@ from math import inf
 from hilbench.bench.machines.machine import MachineTasks
 from hilbench.bench.state import BenchState, TwinState
 from hilbench.bench.tasks.limits import LimitWatch
-from hilbench.bench.tasks.load_model import LoadModel
+from hilbench.bench.tasks.load_model import LoadModel, web_load_model
 from hilbench.bench.tasks.reference import Reference
 from hilbench.bench.tasks.saturation import SaturationWatch
 from hilbench.bench.tasks.swing_damping import SwingDamping, SwingPlant
@@ -30,7 +30,7 @@ def tasks(config: BenchConfig, state: BenchState) -> MachineTasks:
     model, control, cycle_s = config.machine, config.tension_control, config.cycle_time_s
     modulus_Pa, limits, reports = model.required_web.youngs_modulus_Pa, config.safety.limits, state.reports
     line_speed = Reference(LINE_SPEED, config.safety.quick_stop_m_s2 * cycle_s)
-    load = LoadTask(motor, LoadModel(model, config.load, cycle_s))
+    load = LoadTask(motor, web_load_model(config))
     trust = TwinTrust(control, limits.tension_N.trip or inf)
     swing = SwingPlant.of_model(model, cycle_s)
     tension = TensionTask(
@@ -114,9 +114,11 @@ class LoadTask(CyclicTask):
     def after(self, sample: CycleSample, inputs: Inputs) -> None:
         """Let the web follow the measured motion; the truth of the run is recorded."""
         model = self.model
-        sample.tau_load_cmd_Nm = model.update(sample.x1_m, sample.x2_m, sample.v2_m_s, late=inputs.axes_late)
-        sample.F_true_N, sample.strain_true = model.tension_N, model.strain
-        sample.E_true_Pa = model.web.effective_modulus_Pa
+        (sample.tau_load_cmd_Nm,) = model.update(
+            (sample.x1_m, sample.x2_m), (sample.v1_m_s, sample.v2_m_s), late=inputs.axes_late
+        )
+        true = model.machine.outputs()
+        sample.F_true_N, sample.strain_true, sample.E_true_Pa = true["F1_N"], true["strain1"], true["E_Pa"]
 
     def rest(self, sample: CycleSample, outputs: Outputs) -> None:
         """No pull."""

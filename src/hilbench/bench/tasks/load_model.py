@@ -1,24 +1,28 @@
-"""The load-model task: the web that the load motor imitates, from the measured motion of the axes.
+"""The load-model task: the machine that the load motors imitate, from the measured motion of the axes.
 
-Torque emulation: the load motor applies the pull of the web; the inertia of the roller is real (the rig's
-flywheel), because imitating an inertia by torque over a sampled bus is stable only below the real one
-(`hilbench.plant.web_line.stability`).
+Torque emulation: a load motor applies what the machine does to the shaft; inertia that is there stays real (the
+stand's flywheel), because imitating an inertia by torque over a sampled bus is stable only below the real one
+(`hilbench.plant.sampled_shaft`).
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
+
 from hilbench.plant.effects import find_effect
+from hilbench.plant.interface import Follower
+from hilbench.plant.parameters import EffectEntry
 from hilbench.plant.web_line.imitation import lead_s
 from hilbench.plant.web_line.pairing import Pairing
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.span import SpanFollower
-from hilbench.topology.config import LoadConfig
-from hilbench.topology.quantities import WEB_BROKEN, YOUNGS_MODULUS, EffectPath, parse_effect_path
+from hilbench.topology.config import BenchConfig, LoadConfig
+from hilbench.topology.quantities import PLAIN_PATHS, EffectPath, parse_effect_path
 
 #: So many cycles that a sample is late by are made good by prediction; an older one has too little in it.
 _MOST_PREDICTED_CYCLES = 3
-#: Ways of a cycle that are longer than this are measured well enough to count cycles by them.
-_LEAST_WAY_M = 1e-4
+#: Ways of a cycle that are longer than this, m or rad, are measured well enough to count cycles by them.
+_LEAST_WAY = 1e-4
 
 
 def imitated_web(model: ModelParameters, load: LoadConfig) -> ModelParameters:
@@ -34,97 +38,101 @@ def imitated_web(model: ModelParameters, load: LoadConfig) -> ModelParameters:
     return ModelParameters.model_validate(data)
 
 
-class LoadModel:
-    """Web on measured motion → torque set point of the load motor (N·m at its shaft).
+def web_load_model(config: BenchConfig) -> LoadModel:
+    """The load model of a config's web line and load motors."""
+    model, cycle_s = config.machine, config.cycle_time_s
+    load_axes = [coupled.axis for coupled in config.rig_parameters().load_motors]
+    machine = SpanFollower(imitated_web(model, config.load))
+    return LoadModel(machine, load_axes, cycle_s, lead_s(model, cycle_s), config.load.effects)
 
-    The torque acts later than the motion was measured, so the tension is predicted over that delay: without it the
-    loop of web and sampled shaft is unstable on the demonstrator (`hilbench.plant.web_line.stability`). While samples
-    are late, or their positions not of one instant, the torque stays; the web then follows over the time that has
-    really gone by, and what the new sample is still late by is predicted as well. (To predict over a sample that is not
-    there, from the noise of the last one, does more harm than to hold.)
+
+class LoadModel:
+    """Imitated machine on measured motion → torque set points of the load motors (N·m at their shafts).
+
+    The torque acts later than the motion was measured (by `lead_s`), so the machine is predicted over that delay:
+    without it the loop of web and sampled shaft is unstable on the demonstrator (`hilbench.plant.web_line.stability`).
+    While samples are late, or their positions not of one instant, the torques stay; the machine then follows over the
+    time that has really gone by, and what the new sample is still late by is predicted as well. (To predict over a
+    sample that is not there, from the noise of the last one, does more harm than to hold.)
+
+    `load_axes`: on which axis' shaft each load motor is, counted from 1; `effects`: those the machine has at the start.
     """
 
-    def __init__(self, model: ModelParameters, load: LoadConfig, cycle_s: float) -> None:
-        self.web = SpanFollower(imitated_web(model, load))
+    def __init__(
+        self,
+        machine: Follower,
+        load_axes: Sequence[int],
+        cycle_s: float,
+        lead_s: float,
+        effects: Iterable[EffectEntry] = (),
+    ) -> None:
+        self.machine = machine
+        self._load_axes = tuple(load_axes)
         self._cycle_s = cycle_s
-        self._lead_s = lead_s(model, cycle_s)
+        self._lead_s = lead_s
         self._running = False
-        self._broken = False
         self._pairing = Pairing()
-        self._torque_Nm = 0.0
-        self._behind_cycles = 0  # since the instant of the positions that the web is at
-        self._x2_m = 0.0
-        self._effects = {(entry.effect, entry.axis): dict(entry.parameters) for entry in load.effects}
+        self._torques_Nm = [0.0] * len(self._load_axes)
+        self._behind_cycles = 0  # since the instant of the positions that the machine is at
+        self._counted = self._load_axes[0] - 1 if self._load_axes else 0  # the axis whose way counts cycles
+        self._position = 0.0
+        self._effects = {(entry.effect, entry.axis): dict(entry.parameters) for entry in effects}
 
     def warm_up(self) -> None:
         """Compile (or load from the cache) what each cycle runs, before one has to wait for it."""
-        self.update(0.0, 0.0, 0.0)
-        self.update(0.0, 0.0, 0.0)
-        _ = self.web.effective_modulus_Pa
+        at_rest = [0.0] * self.machine.describe().axes
+        self.update(at_rest, at_rest)
+        self.update(at_rest, at_rest)
+        self.machine.outputs()
         self.stop()
 
     def stop(self) -> None:
-        """Drives are off: no pull; the web is as at the start when it runs again."""
+        """Drives are off: no torque; the machine is as at the start when it runs again."""
         self._running = False
 
-    def update(self, x1_m: float, x2_m: float, v2_m_s: float, *, late: bool = False) -> float:
-        """Follow the motion since the last cycle; returns the load motor's torque in N·m.
+    def update(self, positions: Sequence[float], speeds: Sequence[float], *, late: bool = False) -> list[float]:
+        """Follow the motion since the last cycle; returns the torque of each load motor in N·m.
 
-        `x1_m`, `x2_m` are encoder positions at the web, `v2_m_s` is the measured speed of roller 2; `late`: one of
+        `positions` (N,) and `speeds` (N,) are measured ones of the driven axes, in the machine's unit; `late`: one of
         them is of an earlier cycle.
         """
         if not self._running:
-            self.web.reset((x1_m, x2_m))
+            self.machine.reset(positions)
             self._pairing.reset()
-            self._pairing.update(x1_m, x2_m)
+            self._pairing.update(*positions)
             self._running = True
-            self._behind_cycles, self._x2_m = 0, x2_m
+            self._behind_cycles, self._position = 0, positions[self._counted]
         else:
             self._behind_cycles += 1
             if late:
                 self._pairing.miss()
-            if late or not self._pairing.update(x1_m, x2_m):
-                return self._torque_Nm
-            self._follow(x1_m, x2_m, v2_m_s)
+            if late or not self._pairing.update(*positions):
+                return self._torques_Nm
+            self._follow(positions, speeds[self._counted])
         lead_s = self._lead_s + min(self._behind_cycles, _MOST_PREDICTED_CYCLES) * self._cycle_s
-        predicted_N = [0.0] if self._broken else self.web.predicted_tension_N(lead_s)
-        self._torque_Nm = self.web.web_torque_Nm(2, v2_m_s, tension_N=predicted_N)
-        return self._torque_Nm
+        self._torques_Nm = self.machine.load_torques_Nm(self._load_axes, speeds, lead_s)
+        return self._torques_Nm
 
-    def _follow(self, x1_m: float, x2_m: float, v2_m_s: float) -> None:
+    def _follow(self, positions: Sequence[float], speed: float) -> None:
         """After a gap the positions may still be those of an earlier cycle: the way says how many cycles it took."""
-        cycles = self._behind_cycles
-        way_m, way_of_a_cycle_m = abs(x2_m - self._x2_m), abs(v2_m_s) * self._cycle_s
-        if cycles > 1 and way_of_a_cycle_m > _LEAST_WAY_M:
-            cycles = min(max(round(way_m / way_of_a_cycle_m), 1), cycles)
-        self.web.advance((x1_m, x2_m), cycles * self._cycle_s)
+        cycles, position = self._behind_cycles, positions[self._counted]
+        way, way_of_a_cycle = abs(position - self._position), abs(speed) * self._cycle_s
+        if cycles > 1 and way_of_a_cycle > _LEAST_WAY:
+            cycles = min(max(round(way / way_of_a_cycle), 1), cycles)
+        self.machine.follow(positions, cycles * self._cycle_s)
         self._behind_cycles -= cycles
-        self._x2_m = x2_m
-
-    @property
-    def tension_N(self) -> float:
-        """Tension of the imitated web in the span."""
-        return 0.0 if self._broken else float(self.web.tension_N[0])
-
-    @property
-    def strain(self) -> float:
-        """Strain of the imitated web in the span; of one that has torn none."""
-        return 0.0 if self._broken else float(self.web.strain[0])
+        self._position = position
 
     def value(self, path: str) -> float:
         """Present value of a quantity of the imitated mechanics. Raises ValueError for an unknown path."""
-        if path == YOUNGS_MODULUS:
-            return self.web.youngs_modulus_Pa
-        if path == WEB_BROKEN:
-            return float(self._broken)
+        if path in PLAIN_PATHS:
+            return self.machine.parameter(_parameter(path))
         return self._effect_value(parse_effect_path(path))
 
     def set(self, path: str, value: float) -> None:
         """Give a quantity a value from now on. Raises ValueError for an unknown path or an impossible value."""
-        if path == YOUNGS_MODULUS:
-            self.web.youngs_modulus_Pa = value
-        elif path == WEB_BROKEN:
-            self._broken = value != 0.0
+        if path in PLAIN_PATHS:
+            self.machine.set_parameter(_parameter(path), value)
         else:
             self._set_effect_value(parse_effect_path(path), value)
 
@@ -135,5 +143,10 @@ class LoadModel:
     def _set_effect_value(self, path: EffectPath, value: float) -> None:
         parameters = find_effect(path.effect).filled(self._effects.get((path.effect, path.axis), {}))
         parameters[path.parameter] = value
-        self.web.set_effect(path.effect, path.axis, slot=0, **parameters)
+        self.machine.set_effect(path.effect, path.axis, slot=0, **parameters)
         self._effects[path.effect, path.axis] = parameters
+
+
+def _parameter(path: str) -> str:
+    """The machine's parameter that a path such as ``load.web.youngs_modulus_Pa`` names."""
+    return path.rpartition(".")[2]

@@ -158,7 +158,7 @@ def _write_drive(row: Vector, drives: DriveParameters | None) -> None:
 def _write_load_motor(row: Vector, load: LoadMotorParameters) -> None:
     row[loops.KP] = load.velocity_kp_Nm_s_per_rad
     row[loops.KI] = load.velocity_ki_Nm_per_rad
-    row[loops.POSITION_KP] = 10.0
+    row[loops.POSITION_KP] = load.position_kp_per_s
     row[loops.LIMIT_NM] = load.torque_limit_Nm
     row[loops.CURRENT_S] = load.current_loop_time_constant_s
 

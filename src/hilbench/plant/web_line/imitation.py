@@ -24,7 +24,7 @@ from hilbench.plant.web_line import span as spans
 from hilbench.plant.web_line.layout import Layout, Vector
 from hilbench.plant.web_line.offline import Simulation
 from hilbench.plant.web_line.parameters import ModelParameters
-from hilbench.plant.web_line.rig import RigParameters, pack_rig
+from hilbench.plant.web_line.rig import CoupledMotor, RigParameters, pack_rig
 from hilbench.plant.web_line.stability import sampled_shaft
 
 _AXES, _MOTORS = 2, 3
@@ -199,7 +199,7 @@ def _stands(imitation: Imitation, model: ModelParameters, many: Vector) -> Vecto
     plain = model.model_copy(update={"effects": ()})
     # Its rotor is part of the inertia that the model gives the roller.
     load_motor = imitation.load_motor.model_copy(update={"inertia_kg_m2": 0.0})
-    template = pack_rig(RigParameters.matching(plain, load_motor))
+    template = pack_rig(RigParameters.matching(plain, [CoupledMotor(axis=_AXES, motor=load_motor)]))
     stands = np.tile(template, (len(many), 1))
     layout, of_model = Layout.of(template), Layout.of(many[0])
     for stand, parameters in zip(stands, many, strict=True):

@@ -1,10 +1,12 @@
-"""Whether the measured positions of two rollers are of one instant, and those of one roller a cycle apart.
+"""Whether the measured positions of all rollers are of one instant, and those of one roller a cycle apart.
 
 On a bus that is late, or loses frames, one axis' position may be of an earlier SYNC than the other's. It is then off by
 the way of a cycle, which is many times what the web is strained by: 6 mm against 0.3 mm at 3 m/s.
 """
 
 from __future__ import annotations
+
+from math import isfinite
 
 #: Ways of the rollers that differ by more than this share of a cycle's way, or this length, are not of one instant.
 _ALIKE = 0.3
@@ -14,32 +16,32 @@ _FASTEST_M_S2 = 100.0
 
 
 class Pairing:
-    """Compares the ways of both rollers since the last pair that was one."""
+    """Compares the ways of all rollers since their positions were last of one instant."""
 
     def __init__(self) -> None:
         self.unpaired = 0  #: cycles whose positions were not of one instant
         self.reset()
 
     def reset(self) -> None:
-        """The next pair is taken as it is."""
-        self._last: tuple[float, float] | None = None
+        """The next positions are taken as they are."""
+        self._last: tuple[float, ...] | None = None
         self._cycles = 0
 
     def miss(self) -> None:
         """A cycle without positions of its own."""
         self._cycles += 1
 
-    def update(self, x1_m: float, x2_m: float) -> bool:
-        """Whether this cycle's positions, in m at the web, are of one instant."""
+    def update(self, *positions_m: float) -> bool:
+        """Whether this cycle's positions of all rollers, in m at the web, are of one instant."""
         self._cycles += 1
         last = self._last
         if last is not None:
-            ways = abs(x1_m - last[0]), abs(x2_m - last[1])
-            # A NaN is no pair either.
-            if not abs(ways[0] - ways[1]) <= max(_LEAST_WAY_M, _ALIKE * max(ways) / self._cycles):
+            ways = [abs(now_m - last_m) for now_m, last_m in zip(positions_m, last, strict=True)]
+            longest, finite = max(ways), isfinite(sum(ways))
+            if not finite or longest - min(ways) > max(_LEAST_WAY_M, _ALIKE * longest / self._cycles):
                 self.unpaired += 1
                 return False
-        self._last, self._cycles = (x1_m, x2_m), 0
+        self._last, self._cycles = positions_m, 0
         return True
 
 

@@ -2,22 +2,37 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hilbench.compiled import compiled, entry_point
+from hilbench.plant.effects import EffectPlace, effects_of
+from hilbench.plant.interface import PlantDescription, PlantState, Quantity, checked_name
 from hilbench.plant.web_line import laws
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.kernel import source_number
 from hilbench.plant.web_line.layout import Layout, Vector
-from hilbench.plant.web_line.line import set_effect
+from hilbench.plant.web_line.line import YOUNGS_MODULUS
 from hilbench.plant.web_line.offline import start_state
 from hilbench.plant.web_line.parameters import ModelParameters
+from hilbench.plant.web_line.simulated import (
+    KIND,
+    axis_names,
+    boundary_names,
+    checked_positive,
+    known_effect,
+    set_effect,
+    span_names,
+)
 
 #: Longest integration step; the error of a step is of order (v·h/L)^5/120, below rounding on the demonstrator.
 _LONGEST_STEP_S = 0.001
+_LENGTH_ERROR = lay.place("span_length_error", "relative_change")
+
+BROKEN = Quantity("broken", "1", "1: the web has torn and pulls no more; 0: it is whole")
 
 
 @compiled
@@ -139,11 +154,24 @@ def new_follower_work(layout: Layout) -> Vector:
     return np.zeros(3 * layout.axes + 14 * layout.spans)
 
 
+#: So many states in front of the lengths: time, then the positions.
+_TIME = 1
+
+
+@dataclass(frozen=True, slots=True)
+class _Memory:
+    """What a follower's state holds beside its names: its state vector and the rollers' speeds over the last cycle."""
+
+    state: bytes
+    speeds: bytes
+
+
 class SpanFollower:
     """The web of a model on measured roller positions; the rollers turn at constant speed within a cycle.
 
-    Positions at the web (motor angle × nominal radius / gear ratio), (N,). Starts at `x_m` with the spans strained
-    by `strain` (default: as the web that enters). Raises ValueError for a model without a web.
+    N rollers with N-1 spans; positions at the web (motor angle × nominal radius / gear ratio). Starts at `x_m` (N,)
+    with the spans strained by `strain` (K,) (default: as the web that enters). See `hilbench.plant.interface.Follower`.
+    Raises ValueError for a model without a web.
     """
 
     def __init__(self, parameters: ModelParameters, x_m: ArrayLike = 0.0, strain: ArrayLike | None = None):
@@ -152,38 +180,46 @@ class SpanFollower:
         self._layout = Layout.of(self._p)
         n, k = self._layout.axes, self._layout.spans
         self._work = new_follower_work(self._layout)
-        self._state = np.zeros(1 + n + 2 * k)
+        self._state = np.zeros(_TIME + n + 2 * k)
         self._v = np.zeros(n)
         self._boundary = (parameters.upstream_strain, parameters.boundary.downstream_tension_N)
         self._tension = np.zeros(k)
+        self._stale = False  # tensions are not those of state, boundary and parameters
+        self._broken = False
         self._rad_per_m = [parameters.motor_rad_per_m(axis) for axis in range(1, n + 1)]
+        self._description = _description(parameters)
         self.reset(x_m, strain)
 
-    def reset(self, x_m: ArrayLike, strain: ArrayLike | None = None) -> None:
-        """Start again at these positions and strains, at rest; time goes on."""
+    def describe(self) -> PlantDescription:
+        """What it is; see `hilbench.plant.interface.Machine`."""
+        return self._description
+
+    def reset(self, positions: ArrayLike, strain: ArrayLike | None = None) -> None:
+        """Start again at these positions (N,) and strains (K,), at rest; time goes on."""
         n = self._layout.axes
         start = start_state(self._p, self.parameters, strain)
-        self._state[1 : 1 + n] = x_m
-        self._state[1 + n :] = self._layout.y(start)[4 * n :]
+        self._state[_TIME : _TIME + n] = positions
+        self._state[_TIME + n :] = self._layout.y(start)[4 * n :]
         self._v[:] = 0.0
         self._evaluate()
 
     def _evaluate(self) -> None:
         _follow_cycle(self._p, self._state, self._work, self._v, *self._boundary, 0.0, self._tension)
+        self._stale = False
 
-    def advance(self, x_m: Sequence[float] | Vector, duration_s: float) -> Vector:
-        """The rollers are now at `x_m`, `duration_s` after the last call; the tensions (K,) there, in N.
+    def follow(self, positions: Sequence[float] | Vector, duration_s: float) -> None:
+        """The rollers are now at `positions` (N,), `duration_s` after the last call.
 
         Raises ValueError for a duration that is not positive.
         """
         if not duration_s > 0.0:
             raise ValueError(f"duration {duration_s!r} s, expected more than 0")
         n = self._layout.axes
-        x = np.asarray(x_m, dtype=np.float64)
-        self._v = (x - self._state[1 : 1 + n]) / duration_s
+        x = np.asarray(positions, dtype=np.float64)
+        self._v = (x - self._state[_TIME : _TIME + n]) / duration_s
         _follow_cycle(self._p, self._state, self._work, self._v, *self._boundary, duration_s, self._tension)
-        self._state[1 : 1 + n] = x  # exactly: no drift from adding up
-        return self._tension.copy()
+        self._state[_TIME : _TIME + n] = x  # exactly: no drift from adding up
+        self._stale = False
 
     def predicted_tension_N(self, lead_s: float) -> Vector:
         """The tensions (K,) `lead_s` later if the rollers go on as in the last cycle; changes nothing.
@@ -191,64 +227,19 @@ class SpanFollower:
         Makes good the delay between measuring the motion and the load motor's torque.
         """
         state, tension = self._state.copy(), np.empty_like(self._tension)
-        _follow_cycle(self._p, state, self._work, self._v, *self._boundary, lead_s, tension)
+        if not self._broken:
+            _follow_cycle(self._p, state, self._work, self._v, *self._boundary, lead_s, tension)
+        else:
+            tension[:] = 0.0
         return tension
 
-    def set_boundary(self, strain_prev: float, F_next_N: float) -> None:
-        """Upstream strain and downstream tension from now on."""
-        boundary = (float(strain_prev), float(F_next_N))
-        if boundary != self._boundary:
-            self._boundary = boundary
-            self._evaluate()
+    def load_torques_Nm(self, axes: Sequence[int], speeds: Sequence[float], lead_s: float) -> list[float]:
+        """Torques at the shafts of load motors on `axes`, of the web `lead_s` ahead; `speeds` (N,) of all rollers, m/s.
 
-    @property
-    def time_s(self) -> float:
-        """Time since the start; the time of the effects' laws."""
-        return float(self._state[0])
-
-    @property
-    def tension_N(self) -> Vector:
-        """Tension of each span (K,)."""
-        return self._tension.copy()
-
-    @property
-    def speeds_m_s(self) -> Vector:
-        """Speeds of the rollers over the last cycle (N,)."""
-        return self._v.copy()
-
-    @property
-    def strain(self) -> Vector:
-        """Strain of each span (K,)."""
-        n, k = self._layout.axes, self._layout.spans
-        lengths = self._state[1 + n :].tolist()  # in plain Python: of one span, every cycle, a third of numpy's time
-        factor = 1.0 + self._p.item(lay.place("span_length_error", "relative_change"))
-        return np.array([lengths[k + j] * factor / lengths[j] - 1.0 for j in range(k)])
-
-    @property
-    def youngs_modulus_Pa(self) -> float:
-        """E, without the effects on it. Setting it leaves the strain: the tension jumps."""
-        return float(self._p[lay.W_MODULUS_PA])
-
-    @youngs_modulus_Pa.setter
-    def youngs_modulus_Pa(self, value: float) -> None:
-        if not 0.0 < value < np.inf:
-            raise ValueError(f"Young's modulus {value!r} Pa, expected a positive number")
-        self._p[lay.W_MODULUS_PA] = value
-        self._evaluate()
-
-    @property
-    def effective_modulus_Pa(self) -> float:
-        """E as it acts now, with the effects on it."""
-        return float(_modulus(self._p, self._state[0]))
-
-    def set_effect(self, effect_id: str, axis: int | None = None, *, slot: int = 0, **parameters: float) -> None:
-        """Give an effect these parameters from now on; the strain stays. Raises as `Line.set_effect`."""
-        strain = self.strain
-        set_effect(self._p, effect_id, axis, slot, parameters)
-        n, k = self._layout.axes, self._layout.spans
-        factor = 1.0 + self._p[lay.place("span_length_error", "relative_change")]
-        self._state[1 + n : 1 + n + k] = self._state[1 + n + k :] * factor / (1.0 + strain)
-        self._evaluate()
+        A load motor turns as fast as the axis' motor.
+        """
+        tension = self.predicted_tension_N(lead_s)
+        return [self.web_torque_Nm(axis, speeds[axis - 1], tension_N=tension) for axis in axes]
 
     def web_torque_Nm(
         self,
@@ -260,23 +251,167 @@ class SpanFollower:
     ) -> float:
         """Torque at the motor of `axis` that imitates the web and the roller's resistance: (r/i)·(F_next - F - R(v)).
 
-        For axis 1 F_next is the span's tension and F the upstream one. `tension_N` (K,): tensions to use, default the
-        present ones. Dry friction turns over linearly within ±`friction_width_m_s`: imitated by a torque it must not
-        flip with the noise of v. Inertia and gear effects can't be imitated by it.
+        F is the tension of the span before roller `axis` (of the first: the upstream one), F_next that of the span
+        behind it (of the last: the downstream one). `tension_N` (K,): tensions to use, default the present ones;
+        `v_m_s`: speed of the roller. Dry friction turns over linearly within ±`friction_width_m_s`: imitated by a
+        torque it must not flip with the noise of v. Inertia and gear effects can't be imitated by it.
         """
-        tensions = self._tension if tension_N is None else np.asarray(tension_N, dtype=float)
+        tensions = self.tension_N if tension_N is None else np.asarray(tension_N, dtype=float)
         force = 0.0
         if self.parameters.carries_web_load(axis):
             before = tensions[axis - 2] if axis > 1 else self._upstream_tension_N()
             behind = tensions[axis - 1] if axis <= len(tensions) else self._boundary[1]
             force = float(behind - before)
-        position_m = self._state.item(axis)
-        force -= _resistance(self._p, axis - 1, position_m, float(v_m_s), friction_width_m_s)
+        force -= _resistance(self._p, axis - 1, self._state.item(axis), float(v_m_s), friction_width_m_s)
         return float(force / self._rad_per_m[axis - 1])
 
     def _upstream_tension_N(self) -> float:
         strain = float(laws.upstream_strain(self._p, self._boundary[0], self._state[0]))
         return strain * float(self._p[lay.W_UPSTREAM_STIFFNESS_N])
+
+    @property
+    def time_s(self) -> float:
+        """Time since the start; the time of the effects' laws."""
+        return float(self._state[0])
+
+    @property
+    def tension_N(self) -> Vector:
+        """Tension of each span (K,); of a web that has torn none."""
+        if self._stale:
+            self._evaluate()
+        return np.zeros_like(self._tension) if self._broken else self._tension.copy()
+
+    @property
+    def speeds_m_s(self) -> Vector:
+        """Speeds of the rollers over the last cycle (N,)."""
+        return self._v.copy()
+
+    @property
+    def strain(self) -> Vector:
+        """Strain of each span (K,); of a web that has torn none."""
+        n, k = self._layout.axes, self._layout.spans
+        if self._broken:
+            return np.zeros(k)
+        lengths = self._state[
+            _TIME + n :
+        ].tolist()  # in plain Python: of one span, every cycle, a third of numpy's time
+        factor = 1.0 + self._p.item(_LENGTH_ERROR)
+        return np.array([lengths[k + j] * factor / lengths[j] - 1.0 for j in range(k)])
+
+    @property
+    def effective_modulus_Pa(self) -> float:
+        """E as it acts now, with the effects on it."""
+        return float(_modulus(self._p, self._state[0]))
+
+    def outputs(self) -> dict[str, float]:
+        """Motion of the rollers, tension and strain of the spans, and E as it acts."""
+        n = self._layout.axes
+        values = [
+            *self._state[_TIME : _TIME + n].tolist(),
+            *self._v.tolist(),
+            *self.tension_N.tolist(),
+            *self.strain.tolist(),
+            self.effective_modulus_Pa,
+        ]
+        return {quantity.name: value for quantity, value in zip(self._description.outputs, values, strict=True)}
+
+    def get_state(self) -> PlantState:
+        """The state now; an equal follower goes on from it bit for bit."""
+        outputs = self.outputs()
+        return PlantState(
+            values={quantity.name: outputs[quantity.name] for quantity in self._description.states},
+            memory=_Memory(self._state.tobytes(), self._v.tobytes()),
+        )
+
+    def set_state(self, state: PlantState | Mapping[str, float]) -> None:
+        """Go on from a state of an equal follower; or transfer states by name, the others stay.
+
+        Raises ValueError for an unknown name, or a state of another machine.
+        """
+        if isinstance(state, PlantState):
+            memory = state.memory
+            if not isinstance(memory, _Memory) or len(memory.state) != self._state.nbytes:
+                raise ValueError(f"a state of another machine, expected one of a web on {self._layout.axes} rollers")
+            self._state[:] = np.frombuffer(memory.state)
+            self._v = np.frombuffer(memory.speeds).copy()
+        else:
+            self._transfer(state)
+        self._evaluate()
+
+    def _transfer(self, values: Mapping[str, float]) -> None:
+        n, k = self._layout.axes, self._layout.spans
+        names = [quantity.name for quantity in self._description.states]
+        places = [names.index(checked_name("state", name, self._description.states)) for name in values]
+        for place, value in zip(places, values.values(), strict=True):
+            if place < n:
+                self._state[_TIME + place] = value
+            elif place < 2 * n:
+                self._v[place - n] = value
+            else:
+                self._set_strain(place - 2 * n, value, k)
+
+    def _set_strain(self, span: int, strain: float, spans: int) -> None:
+        material = _TIME + self._layout.axes + span
+        self._state[material] = self._state[material + spans] * (1.0 + self._p[_LENGTH_ERROR]) / (1.0 + strain)
+
+    def parameter(self, name: str) -> float:
+        """Present value of a parameter. Raises ValueError for an unknown name."""
+        checked_name("parameter", name, self._description.parameters)
+        return float(self._broken) if name == BROKEN.name else float(self._p[lay.W_MODULUS_PA])
+
+    def set_parameter(self, name: str, value: float) -> None:
+        """Give a parameter a value from now on; strains stay, so a new E makes the tensions jump.
+
+        Raises ValueError for an unknown name or an impossible value.
+        """
+        checked_name("parameter", name, self._description.parameters)
+        if name == BROKEN.name:
+            if value not in (0.0, 1.0):
+                raise ValueError(f"{name} = {value!r}, expected 0 or 1")
+            self._broken = value != 0.0
+        else:
+            self._p[lay.W_MODULUS_PA] = checked_positive(name, value, "Pa")
+            self._stale = True
+
+    def set_input(self, name: str, value: float) -> None:
+        """What the neighbouring sections do from now on. Raises ValueError for an unknown name."""
+        checked_name("input", name, self._description.inputs)
+        strain_prev, f_next_N = self._boundary
+        boundary = (float(value), f_next_N) if name == "strain_prev" else (strain_prev, float(value))
+        if boundary != self._boundary:  # every cycle, and mostly what it was
+            self._boundary, self._stale = boundary, True
+
+    def set_effect(self, effect_id: str, axis: int | None = None, *, slot: int = 0, **parameters: float) -> None:
+        """Give an effect these parameters from now on; the strain stays.
+
+        Raises ValueError for an effect that is unknown or cannot be imitated, or a wrong axis, slot or parameter.
+        """
+        n, k = self._layout.axes, self._layout.spans
+        lengths = self._state[_TIME + n :]
+        before = 1.0 + self._p[_LENGTH_ERROR]
+        set_effect(self._p, effect_id, axis, slot, parameters, self._description.effects)
+        strain = lengths[k:] * before / lengths[:k] - 1.0
+        lengths[:k] = lengths[k:] * (1.0 + self._p[_LENGTH_ERROR]) / (1.0 + strain)
+        self._stale = True
+
+    def clear_effect(self, effect_id: str, axis: int | None = None, *, slot: int = 0) -> None:
+        """Make an effect neutral from now on. Raises as `set_effect`."""
+        self.set_effect(effect_id, axis, slot=slot, **known_effect(effect_id).filled({}))
+
+
+def _description(parameters: ModelParameters) -> PlantDescription:
+    axes, spans = axis_names(parameters.axis_count, "m"), span_names(parameters.span_count)
+    return PlantDescription(
+        kind=KIND,
+        position_unit="m",
+        axes=parameters.axis_count,
+        motors=(),
+        states=(*axes, *spans[parameters.span_count :]),
+        inputs=boundary_names(),
+        outputs=(*axes, *spans, Quantity("E_Pa", "Pa", "Young's modulus as it acts, with the effects on it")),
+        parameters=(YOUNGS_MODULUS, BROKEN),
+        effects=tuple(effect.id for effect in effects_of(KIND) if effect.enters(EffectPlace.LOAD)),
+    )
 
 
 def follow(parameters: ModelParameters, x_m: NDArray[np.float64], boundary: NDArray[np.float64], dt_s: float) -> Vector:

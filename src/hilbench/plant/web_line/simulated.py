@@ -1,0 +1,295 @@
+"""What the closed line and its test rig have in common: the kernel's vectors, motor ports, states and effects by name.
+
+Both are driven axes that the kernel moves; a line has web between them and says so in metres, a rig has load motors on
+its shafts and says so in radians.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from copy import deepcopy
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from hilbench.plant.effects import Effect, MachineKind, find_effect
+from hilbench.plant.interface import Motor, PlantDescription, PlantState, Quantity, checked_name
+from hilbench.plant.motor_port import MotorPort
+from hilbench.plant.sampling import samples_per
+from hilbench.plant.sensors import Sensors
+from hilbench.plant.web_line import kernel
+from hilbench.plant.web_line import layout as lay
+from hilbench.plant.web_line.layout import Layout, Vector
+from hilbench.plant.web_line.ports import read_ports, write_ports
+
+KIND = MachineKind.WEB_LINE
+_LENGTH_ERROR = lay.place("span_length_error", "relative_change")
+
+
+@dataclass(frozen=True, slots=True)
+class _Memory:
+    """What a state holds beside its names: the kernel's whole state vector, what ports show, and what sensors hold."""
+
+    state: bytes
+    feedback: tuple[tuple[float, float, float, float, bool], ...]
+    sensors: list[Sensors]
+
+
+def axis_names(axes: int, unit: Literal["m", "rad"]) -> tuple[Quantity, ...]:
+    """Position and speed of each driven axis, as states and outputs have them."""
+    place = "at the web: angle × nominal radius / gear ratio" if unit == "m" else "of the motor's shaft"
+    return (
+        *(Quantity(f"x{k}_{unit}", unit, f"position of axis {k} {place}") for k in range(1, axes + 1)),
+        *(Quantity(f"v{k}_{unit}_s", f"{unit}/s", f"speed of axis {k} {place}") for k in range(1, axes + 1)),
+    )
+
+
+def torque_names(axes: int, motors: int, of: str) -> tuple[Quantity, ...]:
+    """Torque of each motor: `tau1_Nm` … of the axes, then `tau_load1_Nm` … of the load motors."""
+    own = (Quantity(f"tau{k}_Nm", "N·m", f"torque of motor {k}, {of}") for k in range(1, axes + 1))
+    load = (Quantity(f"tau_load{k}_Nm", "N·m", f"torque of load motor {k}, {of}") for k in range(1, motors - axes + 1))
+    return (*own, *load)
+
+
+def boundary_names() -> tuple[Quantity, ...]:
+    """What the neighbouring sections do to a line."""
+    return (
+        Quantity("strain_prev", "1", "strain of the web that enters; the tension before the line follows it"),
+        Quantity("F_next_N", "N", "tension behind the last roller"),
+    )
+
+
+def span_names(spans: int) -> tuple[Quantity, ...]:
+    """Tensions, then strains, of the spans."""
+    return (
+        *(Quantity(f"F{k}_N", "N", f"tension of the web in span {k}") for k in range(1, spans + 1)),
+        *(Quantity(f"strain{k}", "1", f"strain of the web in span {k}") for k in range(1, spans + 1)),
+    )
+
+
+def known_effect(effect_id: str) -> Effect:
+    """The effect with this id. Raises ValueError that lists the known ones."""
+    try:
+        return find_effect(effect_id)
+    except KeyError as error:
+        raise ValueError(error.args[0]) from None
+
+
+def set_effect(
+    p: Vector, effect_id: str, axis: int | None, slot: int, parameters: Mapping[str, float], able: Iterable[str]
+) -> None:
+    """Check and write one effect into a parameter vector (P,), or leave it as it was and raise ValueError.
+
+    `able`: ids of the effects that this machine can have.
+    """
+    effect = known_effect(effect_id)
+    axes = Layout.of(p).axes if effect.per_axis else None
+    problem = effect.axis_problem(axis, axes) or effect.problem(parameters)
+    if problem is None and not 0 <= slot < effect.slots:
+        problem = f"effect '{effect_id}' with slot {slot}, expected 0 to {effect.slots - 1}"
+    if problem is None and effect_id not in able:
+        problem = f"effect '{effect_id}' here, expected one of {', '.join(able)}"
+    if problem:
+        raise ValueError(problem)
+    changed = p.copy()
+    lay.write_effect(changed, effect_id, axis, slot, effect.filled(parameters))
+    lay.check_effects(changed)
+    p[:] = changed
+
+
+def checked_positive(name: str, value: float, unit: str) -> float:
+    """The value of a parameter that is above 0 and finite. Raises ValueError."""
+    if not 0.0 < value < np.inf:
+        raise ValueError(f"{name} = {value!r} {unit}, expected a positive number")
+    return float(value)
+
+
+class SimulatedLine:
+    """Driven axes that the kernel moves, a motor port for each motor; see `hilbench.plant.interface.Plant`.
+
+    `p` (P,): parameter vector, which the machine makes its own; `state` (S,): where it starts; `unit`: of positions.
+    `effects`: ids of those that it can be given. Without ports every motor is off.
+    """
+
+    def __init__(
+        self,
+        p: Vector,
+        state: Vector,
+        ports: Sequence[MotorPort],
+        unit: Literal["m", "rad"],
+        effects: Iterable[str],
+        parameters: Mapping[Quantity, float],
+    ) -> None:
+        self._p, self._state = p, state
+        self._layout = layout = Layout.of(p)
+        self._ports = tuple(ports)
+        self._sensors: list[Sensors] = []
+        self._inputs, self._work = layout.new_inputs(), layout.new_work()
+        self._out = np.zeros(layout.output_size)
+        self._parameters = {quantity.name: value for quantity, value in parameters.items()}
+        n, m, k = layout.axes, layout.motors, layout.spans
+        rows = layout.motor_rows(p)
+        self._per_m = [1.0 if unit == "m" else float(rows[axis, lay.M_RAD_PER_M]) for axis in range(n)]
+        axes, spans = axis_names(n, unit), span_names(k)
+        self._description = PlantDescription(
+            kind=KIND,
+            position_unit=unit,
+            axes=n,
+            motors=tuple(
+                Motor(int(row[lay.M_AXIS]) + 1, float(row[lay.M_RAD_PER_M]) if unit == "m" else 1.0) for row in rows
+            ),
+            states=(*axes, *torque_names(n, m, "as it acts"), *spans[k:]),
+            inputs=_inputs(k),
+            outputs=(*axes, *torque_names(n, m, "as its drive reports it"), *spans),
+            parameters=tuple(parameters),
+            effects=tuple(effects),
+        )
+        self._places = {quantity.name: i for i, quantity in enumerate(self._description.states)}
+
+    def describe(self) -> PlantDescription:
+        """What it is; see `hilbench.plant.interface.Machine`."""
+        return self._description
+
+    @property
+    def ports(self) -> tuple[MotorPort, ...]:
+        """Those of the axes' motors, then those of load motors."""
+        return self._ports
+
+    @property
+    def time_s(self) -> float:
+        """Time since the start; the time of the effects' laws."""
+        return float(self._state[lay.S_COUNT] * self._p[lay.W_SAMPLE_TIME_S])
+
+    def step(self, duration_s: float) -> None:
+        """Go on by a multiple of the drives' sample time with the ports' set points; write the feedback to them.
+
+        Raises ValueError for another duration.
+        """
+        samples = samples_per(duration_s, self._p.item(lay.W_SAMPLE_TIME_S))
+        read_ports(self._layout, self._ports, self._state, self._inputs)
+        kernel.advance(self._p, self._state, self._inputs, self._work, samples)
+        self._observe()
+
+    def _observe(self) -> None:
+        """Bring `_out` up to the state, and the feedback to the ports."""
+        self._refresh()
+        write_ports(self._layout, self._p, self._ports, self._state, self._out)
+
+    def _refresh(self) -> None:
+        kernel.observe(self._p, self._state, self._inputs, self._work, self._out)
+
+    def outputs(self) -> dict[str, float]:
+        """The outputs as they are now, with the present parameters."""
+        self._refresh()
+        values, motors, per_m = self._out.tolist(), self._layout.motors, self._per_m
+        speeds = values[motors:]
+        result = [x * scale for x, scale in zip(values, per_m, strict=False)]
+        result += [v * scale for v, scale in zip(speeds, per_m, strict=False)]
+        result += values[2 * motors :]
+        return dict(zip((quantity.name for quantity in self._description.outputs), result, strict=True))
+
+    def get_state(self) -> PlantState:
+        """The state now; an equal machine goes on from it bit for bit."""
+        self._refresh()
+        columns, n = self._layout.columns, self._layout.axes
+        y = self._layout.y(self._state)
+        torques = self._layout.motor_states(self._state)[:, lay.SM_TORQUE_NM]
+        values = [*(y[:n] * self._per_m), *(y[n : 2 * n] * self._per_m), *torques, *self._out[columns["strain"]]]
+        feedback = tuple(
+            (port.position_rad, port.velocity_rad_s, port.torque_Nm, port.reference, port.torque_limited)
+            for port in self._ports
+        )
+        return PlantState(
+            values=dict(zip(self._places, map(float, values), strict=True)),
+            memory=_Memory(self._state.tobytes(), feedback, deepcopy(self._sensors)),
+        )
+
+    def set_state(self, state: PlantState | Mapping[str, float]) -> None:
+        """Go on from a state of an equal machine; or transfer states by name, the others stay.
+
+        A position or speed is that of an axis with its motor; a control loop that is entered next goes on from the
+        torque. Raises ValueError for an unknown name, or a state of another machine.
+        """
+        if not isinstance(state, PlantState):
+            self._transfer(state)
+            return
+        memory = state.memory
+        if not isinstance(memory, _Memory) or len(memory.state) != self._state.nbytes:
+            raise ValueError(f"a state of another machine, expected one of a {KIND} of {self._layout.axes} axes")
+        self._state[:] = np.frombuffer(memory.state)
+        self._refresh()
+        for port, shown in zip(self._ports, memory.feedback, strict=True):
+            port.position_rad, port.velocity_rad_s, port.torque_Nm, port.reference, port.torque_limited = shown
+        self._sensors = deepcopy(memory.sensors)
+
+    def _transfer(self, values: Mapping[str, float]) -> None:
+        n, m, k, state = self._layout.axes, self._layout.motors, self._layout.spans, self._state
+        first_torque = lay.S_Y + self._layout.y_size + n * lay.SA_SIZE + lay.SM_TORQUE_NM
+        for name in values:
+            if name not in self._places:
+                checked_name("state", name, self._description.states)
+        for name, value in values.items():
+            place = self._places[name]
+            if place < 2 * n:
+                state[lay.S_Y + place] = state[lay.S_Y + 2 * n + place] = value / self._per_m[place % n]
+            elif place < 2 * n + m:
+                state[first_torque + (place - 2 * n) * lay.SM_SIZE] = value
+            else:
+                span = place - 2 * n - m
+                material = lay.S_Y + 4 * n + span
+                length = state.item(material + k) * (1.0 + self._p.item(_LENGTH_ERROR))
+                state[material] = length / (1.0 + value)
+        lay.refresh_modes(self._p, state)
+        self._observe()
+
+    def parameter(self, name: str) -> float:
+        """Present value of a parameter. Raises ValueError for an unknown name."""
+        return self._parameters[checked_name("parameter", name, self._description.parameters)]
+
+    def set_input(self, name: str, value: float) -> None:
+        """What the neighbourhood does from now on. Raises ValueError for an unknown name."""
+        checked_name("input", name, self._description.inputs)
+        if name == "strain_prev":
+            self._inputs[lay.U_STRAIN_PREV] = value
+        elif name == "F_next_N":
+            self._inputs[lay.U_F_NEXT_N] = value
+        else:
+            span = [quantity.name for quantity in self._description.inputs].index(name) - 2
+            self._layout.length_rates(self._inputs)[span] = value
+
+    def set_effect(self, effect_id: str, axis: int | None = None, *, slot: int = 0, **parameters: float) -> None:
+        """Give an effect these parameters from now on; strain and motion stay.
+
+        Raises ValueError for an unknown effect, one that this machine cannot have, or a wrong axis, slot or parameter.
+        """
+        strain = self._out[self._layout.columns["strain"]].copy()
+        set_effect(self._p, effect_id, axis, slot, parameters, self._description.effects)
+        lay.set_strain(self._p, self._state, strain)
+        lay.refresh_modes(self._p, self._state)
+
+    def clear_effect(self, effect_id: str, axis: int | None = None, *, slot: int = 0) -> None:
+        """Make an effect neutral from now on. Raises as `set_effect`."""
+        self.set_effect(effect_id, axis, slot=slot, **known_effect(effect_id).filled({}))
+
+    def _set_inertia(self, name: str, value: float, axis: int, roller_mass_kg: float) -> None:
+        """Give axis (counted from 1) another mass on the roller's side of the gear. Raises ValueError."""
+        row = self._layout.axis_rows(self._p)[axis - 1]
+        if not 0.0 <= value < np.inf or row[lay.A_MOTOR_MASS_KG] + roller_mass_kg <= 0.0:
+            raise ValueError(f"{name} = {value!r} kg·m², expected 0 or more, and inertia of roller or motor above 0")
+        before = row[lay.A_ROLLER_MASS_KG]
+        row[lay.A_ROLLER_MASS_KG] = roller_mass_kg
+        try:
+            lay.check_effects(self._p)
+        except ValueError:
+            row[lay.A_ROLLER_MASS_KG] = before
+            raise
+        self._parameters[name] = float(value)
+
+
+def _inputs(spans: int) -> tuple[Quantity, ...]:
+    """The boundary of a line of so many spans, and how their lengths grow; none without a web."""
+    if not spans:
+        return ()
+    rates = (Quantity(f"length_rate{k}_m_s", "m/s", f"growth of the length of span {k}") for k in range(1, spans + 1))
+    return (*boundary_names(), *rates)
