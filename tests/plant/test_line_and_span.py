@@ -215,3 +215,45 @@ def test_web_torque_holds_tension_difference_and_imitated_friction() -> None:
     assert follower.web_torque_Nm(2, 0.0) == pytest.approx((70.0 - 80.0) / RAD_PER_M)
     both = SpanFollower(model())
     assert both.web_torque_Nm(1, 3.0) == pytest.approx(0.0, abs=1e-12)
+
+
+@pytest.mark.parametrize("axis", [1, 2, 3, 4])
+def test_any_roller_feels_the_difference_of_the_spans_around_it_and_its_own_friction(axis: int) -> None:
+    follower = SpanFollower(line_of(4))
+    follower.set_effect("viscous_friction", axis, coefficient_N_s_per_m=2.0)
+    follower.set_input("F_next_N", 64.0)
+    for k in range(1, 200):  # the rollers run apart by more and more: every span has a tension of its own
+        follower.follow([0.004 * k * (1.0 + 2e-6 * i * i) for i in range(4)], 0.002)
+    around = [STRAIN_PREV * STIFFNESS_N, *follower.tension_N, 64.0]
+    assert np.abs(np.diff(around)).min() > 0.1
+    rad_per_m = 5.0 / (0.2 - 0.01 * (axis - 1))
+    expected = (around[axis] - around[axis - 1] - 2.0 * 1.5) / rad_per_m
+    assert follower.web_torque_Nm(axis, 1.5) == pytest.approx(expected, rel=1e-9)
+
+
+def test_load_motors_of_several_rollers_get_the_tensions_of_one_later_instant() -> None:
+    follower, later = SpanFollower(line_of(4)), SpanFollower(line_of(4))
+    way = 0.004 * (1.0 + 2e-6 * np.arange(4) ** 2)
+    for each in (follower, later):
+        each.follow(way, 0.002)
+    later.follow(3.0 * way, 0.004)
+    speeds = [1.0, 2.0, 3.0, 4.0]
+    torques = follower.load_torques_Nm([2, 4], speeds, 0.004)
+    assert torques == pytest.approx([later.web_torque_Nm(2, 2.0), later.web_torque_Nm(4, 4.0)], abs=1e-9)
+    assert torques != pytest.approx([follower.web_torque_Nm(2, 2.0), follower.web_torque_Nm(4, 4.0)], abs=1e-6)
+
+
+def test_web_that_has_torn_pulls_no_more_until_it_is_whole_again() -> None:
+    follower = SpanFollower(model(web_load=[False, True]))
+    whole = follower.outputs()
+    follower.set_parameter("broken", 1.0)
+    assert follower.outputs() == {**whole, "F1_N": 0.0, "strain1": 0.0}
+    assert follower.load_torques_Nm([2], [0.0, 3.0], 0.004) == [70.0 / RAD_PER_M]
+    follower.set_parameter("broken", 0.0)
+    assert follower.outputs() == whole
+
+
+def test_effect_that_no_torque_can_imitate_is_refused() -> None:
+    follower = SpanFollower(model())
+    with pytest.raises(ValueError, match="effect 'backlash' here, expected one of coulomb_friction"):
+        follower.set_effect("backlash", 2, gap_rad=0.01)
