@@ -23,6 +23,7 @@ from hilbench.plant.effects import find_effect
 from hilbench.plant.parameters import EffectEntry
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.imitation import Imitation
+from hilbench.plant.web_line.rig import CoupledMotor
 from hilbench.results.recording import Recording, write_recording
 from hilbench.results.run import Recorder
 from hilbench.runs import config as config_files
@@ -130,7 +131,7 @@ def test_a_web_that_is_there_is_not_predicted_as_an_imitated_one() -> None:
     item = EffectEntry.model_validate(effect("elasticity_step", time_s=6.1, relative_change=0.1))
     recording = hidden_recording(model(), [item], duration_s=12.0, seed=3)
     plain = diagnose(recording, model(), "a machine")
-    with_bench = diagnose(recording, model(), "a machine", imitation=Imitation(0.002))
+    with_bench = diagnose(recording, model(), "a machine", imitation=Imitation(0.002, (CoupledMotor(axis=2),)))
     assert plain.effects == with_bench.effects
     assert [e.effect for e in plain.effects] == ["elasticity_step"]
 
@@ -143,7 +144,7 @@ def test_the_run_folder_says_how_the_web_was_imitated(tmp_path: Path) -> None:
     found = imitation_beside(tmp_path / "recording.mf4")
     assert found is not None
     assert found.cycle_s == 0.002
-    assert found.load_motor.current_loop_time_constant_s == 0.002
+    assert found.load_motors[0].motor.current_loop_time_constant_s == 0.002
     assert found.resolution_m_s == pytest.approx((4.19e-7, 4.19e-7), rel=1e-2)
 
 

@@ -16,10 +16,10 @@ from hilbench.topology.config import BenchConfig, Role
 
 def imitation_of(config: BenchConfig) -> Imitation:
     """How the bench of this config imitates the web. Without its EDS files it is not known what its drives round to."""
-    resolution, motor = None, next(iter(config.load_motors.values()))
+    resolution = None
     with suppress(UnusableInputError):  # a run folder that was brought here from another machine
-        resolution = _resolution_m_s(config, 1), _resolution_m_s(config, 2)
-    return Imitation(config.cycle_time_s, motor.motor, resolution)
+        resolution = tuple(_resolution_m_s(config, axis) for axis in range(1, len(config.drives) + 1))
+    return Imitation(config.cycle_time_s, config.rig_parameters().load_motors, resolution)
 
 
 def _resolution_m_s(config: BenchConfig, axis: int) -> float:

@@ -23,6 +23,7 @@ from hilbench.plant.web_line.inverse import required_torque_Nm
 from hilbench.plant.web_line.laws import FRICTION_WIDTH_M_S
 from hilbench.plant.web_line.offline import Simulation, simulate, start_state
 from hilbench.plant.web_line.parameters import ModelParameters
+from hilbench.plant.web_line.rig import CoupledMotor
 from hilbench.plant.web_line.sizes import machine_sizes
 
 Array = NDArray[np.float64]
@@ -345,12 +346,12 @@ def between(rows: Array, whole: int) -> Array:
 def predictor_for(model: ModelParameters, data: Measured, imitation: Imitation | None = None) -> Predictor:
     """A free run where there are commands and control loops; else on the measured motion.
 
-    Where the recording has a load motor the web was imitated: as `imitation` says, or as benches do it by default. What
-    happened in its cycles can't be told from rows between them.
+    Where the recording has a load motor the web was imitated: as `imitation` says, or as benches do it by default, by
+    one load motor at the last roller. What happened in its cycles can't be told from rows between them.
     """
     if model.web is None:
         return OnMeasuredMotion(model, data)
-    imitation = imitation or Imitation(data.period_s)
+    imitation = imitation or Imitation(data.period_s, (CoupledMotor(axis=model.axis_count),))
     cycles = data.period_s / imitation.cycle_s
     if not data.imitated or cycles < 0.5 or abs(cycles - round(cycles)) > _UNEVEN_CYCLES:
         return FreeRun(model, data)

@@ -8,14 +8,13 @@ Between them the axes turn under their drives and the load motor, without a web.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.compiled import compiled, entry_point
+from hilbench.compiled import compiled, entry_point, inlined
 from hilbench.plant.motor_port import MotorMode
-from hilbench.plant.parameters import LoadMotorParameters
 from hilbench.plant.sampled_shaft import imitation_delay_s
 from hilbench.plant.sampling import on_all_cores, samples_per
 from hilbench.plant.web_line import kernel, laws
@@ -27,25 +26,18 @@ from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.rig import CoupledMotor, RigParameters, pack_rig
 from hilbench.plant.web_line.stability import sampled_shaft
 
-_AXES, _MOTORS = 2, 3
-#: Columns of a row: motion and torque of the stand's three motors, then tension and strain of the imitated web.
-_STAND_COLUMNS = 3 * _MOTORS
-_COLUMNS = _STAND_COLUMNS + 2
-#: What follows the web (`span.roll_on`): time, positions, unstretched length, length.
-_MATERIAL, _LENGTH, _FOLLOWER_SIZE = 1 + _AXES, 2 + _AXES, 3 + _AXES
-
 
 @dataclass(frozen=True)
 class Imitation:
-    """How a bench imitates the web: its cycle, the load motor on the shaft of axis 2, and whole units of set points."""
+    """How a bench imitates the web: its cycle, the load motors on shafts of axes, and whole units of set points."""
 
     cycle_s: float
-    load_motor: LoadMotorParameters = field(default_factory=LoadMotorParameters)
-    #: What the drives of both axes round a velocity command to, m/s at the web; None if that is not known.
-    resolution_m_s: tuple[float, float] | None = None
+    load_motors: tuple[CoupledMotor, ...]
+    #: What the drive of each axis rounds a velocity command to, m/s at the web; None if that is not known.
+    resolution_m_s: tuple[float, ...] | None = None
 
     def as_taken(self, commands_m_s: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Velocity commands (n, 2), m/s, in the drives' whole units."""
+        """Velocity commands (n, N), m/s, in the drives' whole units."""
         if self.resolution_m_s is None:
             return commands_m_s
         units = np.array(self.resolution_m_s)
@@ -60,6 +52,12 @@ def lead_s(model: ModelParameters, cycle_s: float) -> float:
     return imitation_delay_s(sampled_shaft(model, cycle_s=cycle_s))
 
 
+@inlined
+def _motor(n: int, j: int) -> int:
+    """Where motor row j begins in the parameters of a machine of n axes."""
+    return lay.W_SIZE + n * lay.A_SIZE + j * lay.M_SIZE
+
+
 @compiled
 def _rows(
     p: Vector,
@@ -71,6 +69,7 @@ def _rows(
     guess: Vector,
     v: Vector,
     tension: Vector,
+    torques: Vector,
     scratch: Vector,
     commands: Vector,
     boundary: Vector,
@@ -80,31 +79,46 @@ def _rows(
     out: Vector,
     at: int,
 ) -> None:
-    """Row by row observe the stand (p, s, u, w), follow the web on it (`web`, `follower`), and advance."""
-    load = lay.U_MOTORS + _AXES * lay.UM_SIZE + lay.UM_SETPOINT
-    second = lay.W_SIZE + _AXES * lay.A_SIZE + lay.M_SIZE
-    pull_Nm_per_N = web[lay.W_SIZE + lay.A_SIZE + lay.A_WEB_LOAD] / web[second + lay.M_RAD_PER_M]
-    torque = u[load]
+    """Row by row observe the rig, follow the web on it, and advance.
+
+    The rig of N axes and M motors: parameters `p` (P,), state `s` (S,), inputs `u`, scratch space `w`. The web of K
+    spans on it: parameters `web` of the whole line, `follower` (1 + N + 2·K,) as `span.roll_on` has it, its `scratch`
+    space; room for `guess` (as `follower`), speeds `v` (N,), `tension` (K,) and the load motors' `torques` (M - N,),
+    which come in as those that act in the first row. `commands` (n, N) rad/s at the motors, `boundary` (n, 2) upstream
+    strain and downstream tension (N), a row of `samples` drive samples each. Rows of 3·M + 2·K columns go into `out`
+    from place `at` on.
+    """
+    n, m, k = int(p[lay.W_AXES]), int(p[lay.W_MOTORS]), int(web[lay.W_SPANS])
+    columns, load = 3 * m + 2 * k, lay.U_MOTORS + n * lay.UM_SIZE + lay.UM_SETPOINT
     kernel.enter(p, s, u, w)
     for row in range(commands.shape[0]):
-        place = at + row * _COLUMNS
+        place = at + row * columns
         kernel.report(p, s, u, w, out, place)
         before, duration = max(row - 1, 0), cycle_s if row > 0 else 0.0
         if row > 0:
-            for i in range(_AXES):
+            for i in range(n):
                 v[i] = (out[place + i] - follower[1 + i]) / cycle_s
         spans.roll_on(web, follower, scratch, v, boundary[before, 0], boundary[before, 1], duration, cycle_s, tension)
-        out[place + _STAND_COLUMNS] = tension[0]
-        out[place + _STAND_COLUMNS + 1] = follower[_LENGTH] * laws.length_factor(web) / follower[_MATERIAL] - 1.0
-        for j in range(_FOLLOWER_SIZE):
+        for j in range(k):
+            material = follower[1 + n + j]
+            out[place + 3 * m + j] = tension[j]
+            out[place + 3 * m + k + j] = follower[1 + n + k + j] * laws.length_factor(web) / material - 1.0
+        for j in range(1 + n + 2 * k):
             guess[j] = follower[j]
         guess[0] -= lead_s  # only the motion is predicted: the tension has the E of now
         spans.roll_on(web, guess, scratch, v, boundary[row, 0], boundary[row, 1], lead_s, cycle_s, tension)
-        for j in range(_AXES):
+        for j in range(n):
             u[lay.U_MOTORS + j * lay.UM_SIZE + lay.UM_SETPOINT] = commands[row, j]
-        u[load] = torque
+        for j in range(m - n):
+            u[load + j * lay.UM_SIZE] = torques[j]
         kernel.go_on(p, s, u, w, samples)
-        torque = (boundary[row, 1] - tension[0]) * pull_Nm_per_N
+        # The torque of what was measured at this SYNC goes out with the next.
+        upstream_N = laws.upstream_strain(web, boundary[row, 0], follower[0]) * web[lay.W_UPSTREAM_STIFFNESS_N]
+        for j in range(m - n):
+            i = int(p[_motor(n, n + j) + lay.M_AXIS])
+            pull_Nm_per_N = web[lay.W_SIZE + i * lay.A_SIZE + lay.A_WEB_LOAD] / web[_motor(n, i) + lay.M_RAD_PER_M]
+            behind_N = tension[i] if i < k else boundary[row, 1]
+            torques[j] = (behind_N - (tension[i - 1] if i > 0 else upstream_N)) * pull_Nm_per_N
 
 
 SimulateImitated = Callable[..., None]
@@ -130,13 +144,17 @@ def _entry_point(sources: int) -> SimulateImitated:
         out: Vector,
     ) -> None:
         flat, size = out.reshape(-1), out.shape[1] * out.shape[2]
-        guess, v, tension = np.zeros(_FOLLOWER_SIZE), np.zeros(_AXES), np.zeros(1)
+        n, m, k = int(p[0, lay.W_AXES]), int(p[0, lay.W_MOTORS]), int(web[0, lay.W_SPANS])
+        guess, v, tension, torques = np.zeros(1 + n + 2 * k), np.zeros(n), np.zeros(k), np.zeros(m - n)
         first = u.copy()
         for b in range(p.shape[0] if sources >= 0 else 0):
             u[:] = first
-            v[:] = commands[0, :] / p[b, lay.W_SIZE + _AXES * lay.A_SIZE + lay.M_RAD_PER_M]
+            for i in range(n):
+                v[i] = commands[0, i] / p[b, lay.W_SIZE + n * lay.A_SIZE + i * lay.M_SIZE + lay.M_RAD_PER_M]
+            for j in range(m - n):
+                torques[j] = u[lay.U_MOTORS + (n + j) * lay.UM_SIZE + lay.UM_SETPOINT]
             _rows(
-                p[b], s[b], u, w, web[b], follower[b], guess, v, tension, scratch, commands, boundary, samples,
+                p[b], s[b], u, w, web[b], follower[b], guess, v, tension, torques, scratch, commands, boundary, samples,
                 cycle_s, lead_s, flat, b * size,
             )  # fmt: skip
 
@@ -154,29 +172,32 @@ def simulate_imitated(
     commands: NDArray[np.float64],
     boundary: NDArray[np.float64],
 ) -> Simulation:
-    """Simulate recorded velocity commands on the stand of a model, the web imitated at axis 2.
+    """Simulate recorded velocity commands on the rig of a model of N axes and K spans, the web imitated by load motors.
 
     parameters: (P,) or (B, P) of the model from `layout.pack`, with effects: those of the axes are in the mechanics,
-    those of the web in what is imitated. state: (S,) or (B, S) of the model, not changed; its strain is the imitated
-    web's. commands (n, 2) m/s at the web, boundary (n, 2) upstream strain and downstream tension (N), a row each cycle.
-    Torques and motion of the result are those of the two axes; its `state` is the given one.
+    those of the web in what is imitated. state: (S,) or (B, S) of the model, not changed; its strains are the imitated
+    web's. commands (n, N) m/s at the web, boundary (n, 2) upstream strain and downstream tension (N), a row each cycle.
+    Torques and motion of the result are those of the axes; its `state` is the given one.
     Raises ValueError for a cycle that is no multiple of the drives' sample time, or shapes that do not fit.
     """
     many = np.atleast_2d(np.ascontiguousarray(parameters))
     states = np.broadcast_to(np.atleast_2d(state), (len(many), np.shape(state)[-1]))
-    if commands.ndim != 2 or commands.shape[1] != _AXES or np.shape(boundary) != (len(commands), 2):
-        raise ValueError(f"commands {commands.shape}, boundary {np.shape(boundary)}, expected (n, 2) and (n, 2)")
+    n = model.axis_count
+    if commands.ndim != 2 or commands.shape[1] != n or np.shape(boundary) != (len(commands), 2):
+        raise ValueError(f"commands {commands.shape}, boundary {np.shape(boundary)}, expected (n, {n}) and (n, 2)")
     stands = _stands(imitation, model, many)
     layout = Layout.of(stands[0])
     starts, followers = _start(layout, stands, many, states, boundary[0])
     inputs = layout.new_inputs()
     motors = layout.motor_inputs(inputs)
-    motors[:, lay.UM_MODE] = (MotorMode.VELOCITY, MotorMode.VELOCITY, MotorMode.TORQUE)
-    motors[-1, lay.UM_SETPOINT] = layout.motor_states(starts[0])[-1, lay.SM_TORQUE_NM]
-    rows = np.ascontiguousarray(commands * layout.motor_rows(stands[0])[:_AXES, lay.M_RAD_PER_M])
+    motors[:n, lay.UM_MODE] = MotorMode.VELOCITY
+    motors[n:, lay.UM_MODE] = MotorMode.TORQUE
+    motors[n:, lay.UM_SETPOINT] = layout.motor_states(starts[0])[n:, lay.SM_TORQUE_NM]
+    rows = np.ascontiguousarray(commands * layout.motor_rows(stands[0])[:n, lay.M_RAD_PER_M])
     limits = np.ascontiguousarray(boundary, dtype=np.float64)
     samples = samples_per(imitation.cycle_s, many[0, lay.W_SAMPLE_TIME_S])
-    out = np.empty((len(many), len(rows), _COLUMNS))
+    of_rig, k = layout.output_size, Layout.of(many[0]).spans
+    out = np.empty((len(many), len(rows), of_rig + 2 * k))
     lead = lead_s(model, imitation.cycle_s)
 
     def run(share: slice) -> None:
@@ -189,40 +210,50 @@ def simulate_imitated(
     if np.ndim(parameters) == 1:
         out = out[0]
     columns = layout.columns
-    x, v, tau = (out[..., columns[name]][..., :_AXES] for name in ("x_m", "v_m_s", "tau_Nm"))
-    tension, strain = out[..., _STAND_COLUMNS : _STAND_COLUMNS + 1], out[..., _STAND_COLUMNS + 1 :]
+    x, v, tau = (out[..., columns[name]][..., :n] for name in ("x_m", "v_m_s", "tau_Nm"))
+    tension, strain = out[..., of_rig : of_rig + k], out[..., of_rig + k :]
     return Simulation(x_m=x, v_m_s=v, tau_Nm=tau, F_N=tension, strain=strain, state=np.asarray(state))
 
 
 def _stands(imitation: Imitation, model: ModelParameters, many: Vector) -> Vector:
     """(B, P): the stands of models (B, P), with what the models' effects make of axes and drives."""
     plain = model.model_copy(update={"effects": ()})
-    # Its rotor is part of the inertia that the model gives the roller.
-    load_motor = imitation.load_motor.model_copy(update={"inertia_kg_m2": 0.0})
-    template = pack_rig(RigParameters.matching(plain, [CoupledMotor(axis=_AXES, motor=load_motor)]))
+    # Their rotors are part of the inertia that the model gives the rollers.
+    load_motors = [
+        coupled.model_copy(update={"motor": coupled.motor.model_copy(update={"inertia_kg_m2": 0.0})})
+        for coupled in imitation.load_motors
+    ]
+    template = pack_rig(RigParameters.matching(plain, load_motors))
     stands = np.tile(template, (len(many), 1))
     layout, of_model = Layout.of(template), Layout.of(many[0])
     for stand, parameters in zip(stands, many, strict=True):
         effects = of_model.axis_rows(parameters)[:, lay.A_WEB_LOAD + 1 :]
         layout.axis_rows(stand)[:, lay.A_WEB_LOAD + 1 :] = effects
-        layout.motor_rows(stand)[:_AXES] = of_model.motor_rows(parameters)
+        layout.motor_rows(stand)[: layout.axes] = of_model.motor_rows(parameters)
     return stands
 
 
 def _start(layout: Layout, stands: Vector, many: Vector, states: Vector, boundary: Vector) -> tuple[Vector, Vector]:
-    """States (B, S) of the stands and (B, 1 + N + 2·K) of the webs, for states (B, S) of the models."""
+    """States (B, S) of the rigs and (B, 1 + N + 2·K) of the webs, for states of the models.
+
+    `boundary` (2,): upstream strain and downstream tension (N) at the start.
+    """
     of_model = Layout.of(many[0])
-    starts, followers = np.zeros((len(many), layout.state_size)), np.zeros((len(many), _FOLLOWER_SIZE))
+    n, k = of_model.axes, of_model.spans
+    starts, followers = np.zeros((len(many), layout.state_size)), np.zeros((len(many), 1 + n + 2 * k))
     for stand, start, follower, parameters, state in zip(stands, starts, followers, many, states, strict=True):
         y = of_model.y(state)
-        layout.y(start)[:] = y[: 4 * _AXES]
-        follower[1 : 1 + _AXES], follower[1 + _AXES :] = y[:_AXES], y[4 * _AXES :]
+        layout.y(start)[:] = y[: 4 * n]
+        follower[1 : 1 + n], follower[1 + n :] = y[:n], y[4 * n :]
         motors = layout.motor_states(start)
-        motors[:_AXES] = of_model.motor_states(state)
-        if np.any(y[_AXES : 2 * _AXES]):  # under way: the load motor has been pulling
-            strain = y[4 * _AXES + 1] / y[4 * _AXES] - 1.0
+        motors[:n] = of_model.motor_states(state)
+        if np.any(y[n : 2 * n]):  # under way: the load motors have been pulling
+            strain = y[4 * n + k :] / y[4 * n : 4 * n + k] - 1.0
             tension = strain * parameters[lay.W_MODULUS_PA] * parameters[lay.W_SECTION_M2]
-            pull = (boundary[1] - tension) / layout.motor_rows(stand)[-1, lay.M_RAD_PER_M]
-            motors[-1, [lay.SM_TORQUE_NM, lay.SM_COMMAND_NM, lay.SM_INTEGRAL_NM]] = pull
+            around = np.array([boundary[0] * parameters[lay.W_UPSTREAM_STIFFNESS_N], *tension, boundary[1]])
+            rows = layout.motor_rows(stand)[n:]
+            axes = rows[:, lay.M_AXIS].astype(int)
+            pull = (around[axes + 1] - around[axes]) / rows[:, lay.M_RAD_PER_M]
+            motors[n:, [lay.SM_TORQUE_NM, lay.SM_COMMAND_NM, lay.SM_INTEGRAL_NM]] = pull[:, np.newaxis]
         lay.refresh_modes(stand, start)
     return starts, followers
