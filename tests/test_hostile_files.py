@@ -13,7 +13,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from hilbench.bench.operator.change import Change
+from hilbench.bench.reports.change import Change
 from hilbench.canopen.eds import load_eds
 from hilbench.errors import UnusableInputError
 from hilbench.results.journal import JournalWriter, read_journal

@@ -10,7 +10,7 @@ from tests.bench.strangers import STEPS, from_sync, on_the_bus
 from tests.bench.whole_runs import config
 
 from hilbench.bench.lifecycle.participants import Participants
-from hilbench.bench.operator.notice import MOST_KINDS, Notices
+from hilbench.bench.reports.notice import MOST_KINDS, Notices
 from hilbench.can.frame import Frame
 from hilbench.exchange.emergencies import MOST_IN_A_CYCLE
 from hilbench.report.html import write_report

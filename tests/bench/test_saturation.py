@@ -9,7 +9,7 @@ from tests.bench.samples import sample_of_two_axes
 
 from hilbench.bench.bench import Bench
 from hilbench.bench.lifecycle.participants import Participants
-from hilbench.bench.operator.notice import Notice
+from hilbench.bench.reports.notice import Notice
 from hilbench.bench.tasks.saturation import SaturationWatch
 from hilbench.errors import BenchFaultError
 from hilbench.runs.config import load_with_overrides

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from hilbench.bench.operator.change import Change
+from hilbench.bench.reports.change import Change
 from hilbench.runs.criteria import Criterion, evaluate
 from hilbench.runs.events import Event, find_events, journal_events
 from hilbench.runs.metrics import Judgement, judge

@@ -15,9 +15,9 @@ from hilbench.bench.lifecycle.drives import Drives
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.bench.lifecycle.startup import TWIN, StartedBench, bring_up, held_bus
 from hilbench.bench.machines.kinds import machine_tasks
-from hilbench.bench.operator.change import Change
-from hilbench.bench.operator.notice import Notices
 from hilbench.bench.operator.operator import Operator, StepEvent
+from hilbench.bench.reports.change import Change
+from hilbench.bench.reports.notice import Notices
 from hilbench.bench.state import BenchState
 from hilbench.bench.tasks.hardware_effects import HardwareEffects
 from hilbench.bench.tasks.twin_connection import TwinConnection

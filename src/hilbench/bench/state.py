@@ -6,9 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Literal
 
-from hilbench.bench.operator.causes import Causes
-from hilbench.bench.operator.change import Change
-from hilbench.bench.operator.notice import Notices
+from hilbench.bench.reports.causes import Causes
+from hilbench.bench.reports.change import Change
+from hilbench.bench.reports.notice import Notices
 from hilbench.errors import BenchFaultError, BenchNotRunningError, EmergencyStopError
 from hilbench.exchange.cycle import CyclicExchange
 from hilbench.topology.sample import CycleSample

@@ -11,7 +11,7 @@ from typing import Self
 
 from pydantic import TypeAdapter, ValidationError
 
-from hilbench.bench.operator.change import Change
+from hilbench.bench.reports.change import Change
 from hilbench.errors import BenchFaultError, UnusableInputError
 
 _CHANGE = TypeAdapter(Change)

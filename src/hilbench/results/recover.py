@@ -16,8 +16,8 @@ from math import nan
 from operator import attrgetter
 from pathlib import Path
 
-from hilbench.bench.operator.change import Change
 from hilbench.bench.operator.operator_objects import answer_id
+from hilbench.bench.reports.change import Change
 from hilbench.bench.tasks.load_model import web_load_model
 from hilbench.bench.tasks.twin_trust import TwinTrust
 from hilbench.can.frame import Frame

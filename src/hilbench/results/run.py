@@ -20,8 +20,8 @@ from hilbench.bench.bench import Bench, CycleObserver, InterruptedByOperatorErro
 from hilbench.bench.lifecycle.in_process import check_in_process
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.bench.lifecycle.startup import held_bus
-from hilbench.bench.operator.change import Change
-from hilbench.bench.operator.notice import Notice
+from hilbench.bench.reports.change import Change
+from hilbench.bench.reports.notice import Notice
 from hilbench.errors import (
     EXIT_BENCH_FAULT,
     EXIT_CRITERION_FAILED,

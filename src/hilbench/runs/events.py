@@ -15,7 +15,7 @@ from typing import Any, Final, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hilbench.bench.operator.change import Change
+from hilbench.bench.reports.change import Change
 from hilbench.topology.quantities import LINE_SPEED, TENSION_SET_POINT, YOUNGS_MODULUS
 
 Array = NDArray[np.float64]

@@ -18,7 +18,7 @@ from hilbench.bench.check import check_bench
 from hilbench.bench.lifecycle.in_process import check_in_process
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.bench.lifecycle.startup import held_bus
-from hilbench.bench.operator.change import Change
+from hilbench.bench.reports.change import Change
 from hilbench.results.recording import Recording
 from hilbench.results.run import Recorder, RunRecord
 from hilbench.results.run_folder import RunFolder

@@ -8,8 +8,8 @@ from dataclasses import replace
 
 from hilbench.bench.cycle import BenchCycle
 from hilbench.bench.lifecycle.safety import confirm_stopped, quick_stop
-from hilbench.bench.operator.change import Change
 from hilbench.bench.operator.operator import Operator
+from hilbench.bench.reports.change import Change
 from hilbench.bench.state import BenchState
 from hilbench.cia402.drive import Drive, DriveGoal
 from hilbench.errors import BenchFaultError, EmergencyStopError, HilbenchError

@@ -1,1 +1,1 @@
-"""What an operator asks for, and what is reported: objects, notices, changes, causes."""
+"""What an operator may ask of a running bench, and an experiment too: quantities by path."""
