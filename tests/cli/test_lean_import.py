@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from pathlib import Path
 
 _PROGRAM = """if True:
     import sys
@@ -16,4 +17,21 @@ _PROGRAM = """if True:
 
 def test_a_bench_starts_without_the_libraries_of_recordings() -> None:
     ended = subprocess.run([sys.executable, "-c", _PROGRAM], capture_output=True, text=True, timeout=60, check=False)
+    assert ended.returncode == 0, ended.stderr
+
+
+def test_a_python_can_that_cannot_be_imported_leaves_the_libraries_of_recordings_alone(tmp_path: Path) -> None:
+    (tmp_path / "can.py").write_text("raise ImportError('broken')\n")
+    program = f"""if True:
+        import sys
+        sys.path.insert(0, {str(tmp_path)!r})
+        finders = list(sys.meta_path)
+        try:
+            import hilbench.can.python_can
+        except ImportError as error:
+            assert str(error) == "broken"
+        assert sys.meta_path == finders
+        import asammdf
+    """
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False)
     assert ended.returncode == 0, ended.stderr

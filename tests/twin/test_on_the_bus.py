@@ -12,6 +12,7 @@ from tests.bench.whole_runs import config, run, run_folders
 
 from hilbench.bench.bench import Bench
 from hilbench.bench.lifecycle.participants import Participants
+from hilbench.estimation.synchronizers.create import METHODS
 from hilbench.results.recording import Recording, read_recording
 from hilbench.runs.config import load_with_overrides
 from hilbench.twin.axis_listener import AxisListener
@@ -58,7 +59,9 @@ def test_a_twin_joins_a_running_plant_and_only_then_the_loop_closes(tmp_path: Pa
 
 def test_methods_change_places_under_way(tmp_path: Path) -> None:
     steps: list[dict[str, object]] = [{"ramp": {"path": "line_speed_m_s", "to": 1.0, "duration_s": 0.5}}]
-    for method in ("ekf", "lm", "global", "rls", "pid", "changepoint"):
+    methods = ("ekf", "lm", "global", "rls", "pid", "input", "changepoint")
+    assert set(methods) == set(METHODS)
+    for method in methods:
         steps += [{"synchronizer": {"method": method}}, {"hold": {"duration_s": 0.4}}]
     steps += [{"ramp": {"path": "line_speed_m_s", "to": 0.0, "duration_s": 0.5}}]
     found = recorded(config(tmp_path, steps=steps))

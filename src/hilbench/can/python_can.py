@@ -1,19 +1,45 @@
 """python-can, imported without asammdf: get it from here.
 
 python-can imports asammdf, and with it pandas, for a log format that nobody here writes by it. That takes ten times as
-long as python-can itself, in each process of a bench.
+long as python-can itself, in each process of a bench. A program that wants python-can's own MF4 logger imports `can`
+before hilbench.
 """
 
 from __future__ import annotations
 
 import sys
-from typing import Any
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from importlib.abc import MetaPathFinder
+from importlib.machinery import ModuleSpec
+from types import ModuleType
 
-_LOADED: dict[str, Any] = sys.modules
-if "can" not in _LOADED and "asammdf" not in _LOADED:
-    _LOADED["asammdf"] = None  # to `import`: there is no such module
-    import can as can
 
-    del _LOADED["asammdf"]
-else:
+class _Hidden(MetaPathFinder):
+    """Finds no module of this name for the thread that hides it; others' imports go on as ever."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+        self._thread = threading.get_ident()
+
+    def find_spec(
+        self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
+    ) -> ModuleSpec | None:
+        if fullname == self._name and threading.get_ident() == self._thread:
+            raise ModuleNotFoundError(f"{fullname} is not wanted here", name=fullname)
+        return None
+
+
+@contextmanager
+def _hidden(name: str) -> Iterator[None]:
+    finder = _Hidden(name)
+    sys.meta_path.insert(0, finder)
+    try:
+        yield
+    finally:
+        sys.meta_path.remove(finder)
+
+
+with _hidden("asammdf"):
     import can as can

@@ -1,7 +1,8 @@
 """The CiA-402 power state machine (IEC 61800-7-201, "PDS FSA") as tables and pure functions, for both sides.
 
 A drive asks `commanded` which transition a controlword asks of it; a master asks `decode_statusword` where a
-drive is and `next_controlword` what to send so that it comes nearer to where it is wanted.
+drive is, and `controlword_towards_enabled` or `controlword_towards_disabled` what to send so that it comes nearer to
+where it is wanted.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """The sampled control loops of a drive, compiled: reference ramp, position P, velocity PI, current loop.
 
-One call of `drive_sample` is what a drive's firmware does once per sample time; between samples the torque
-follows its command through a first-order current loop (`torque_after`). SI, motor side.
-Used by the kernels of the machines, which hold parameters, state and inputs of their drives in flat arrays.
+`velocity_reference` and `velocity_loop` are what a drive's firmware does once per sample time; between samples the
+torque follows its command through a first-order current loop (`torque_after`). SI, motor side.
+Used by `hilbench.plant.web_line.kernel`, which holds the state in flat arrays.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@ from __future__ import annotations
 import operator
 import re
 from collections.abc import Callable
-from typing import Annotated, Literal
+from typing import Annotated
 
 from pydantic import (
     AfterValidator,
@@ -14,12 +14,14 @@ from pydantic import (
     FilePath,
     PositiveFloat,
     ValidationInfo,
+    WithJsonSchema,
     model_validator,
 )
 
 from hilbench.bench.bench import Bench
 from hilbench.block import Block
 from hilbench.errors import BenchFaultError
+from hilbench.estimation.synchronizers.create import METHODS
 from hilbench.runs.criteria import CriterionResult
 from hilbench.runs.python_file import load_experiment, run_experiment_function
 from hilbench.runs.scenario import read_scenario
@@ -65,6 +67,15 @@ def parse_condition(text: str) -> tuple[str, str, float]:
 def _condition(text: str) -> str:
     parse_condition(text)
     return text
+
+
+def _method(name: str) -> str:
+    if name not in METHODS:
+        raise ValueError(f"one of {', '.join(METHODS)}{did_you_mean(name, METHODS)}")
+    return name
+
+
+Method = Annotated[str, AfterValidator(_method), WithJsonSchema({"type": "string", "enum": list(METHODS)})]
 
 
 class Ramp(Block):
@@ -161,9 +172,7 @@ class RestartTwin(Block):
 class UseSynchronizer(Block):
     """Let the twin go on with another method from its present E, with that method's defaults."""
 
-    method: Literal["pid", "lm", "global", "rls", "ekf", "changepoint"] = Field(
-        description="as in twin: synchronizer: method"
-    )
+    method: Method = Field(description="as in twin: synchronizer: method")
 
     def run(self, bench: Bench) -> None:
         """Switch; takes no time."""
