@@ -35,7 +35,7 @@ _TORQUE = Quantity("external_torque_Nm", "N·m", "torque on the shaft from outsi
 def checked_parameter(name: str, value: float) -> float:
     """A value that a parameter may have. Raises ValueError."""
     quantity = PARAMETERS[checked_name("parameter", name, (q for q, _ in PARAMETERS.values()))][0]
-    positive, any_sign = name == "inertia_kg_m2", name.endswith("_rad")
+    positive, any_sign = name == "inertia_kg_m2", quantity.unit == "rad"
     if not np.isfinite(value) or (value <= 0.0 if positive else value < 0.0 and not any_sign):
         expected = "more than 0" if positive else "a finite number" if any_sign else "0 or more"
         raise ValueError(f"{name} = {value!r} {quantity.unit}, expected {expected}")
