@@ -11,6 +11,9 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from canopen.objectdictionary import ODRecord, ODVariable
+
+from hilbench.bench.operator import operator_objects
 from hilbench.plant.effects import Effect, EffectPlace, MachineKind, effects_of
 
 EDS_FOLDER = Path(__file__).resolve().parent.parent / "eds"
@@ -358,6 +361,34 @@ def virtual_io() -> DeviceDescription:
     )
 
 
+def bench() -> DeviceDescription:
+    """The bench's own node, as it serves it."""
+    return DeviceDescription(
+        "hilbench_bench.eds",
+        "The bench: what an operator may change while it runs",
+        "hilbench bench",
+        operator_objects.PRODUCT_CODE,
+        0,
+        0,
+        0,
+        tuple(map(_described, operator_objects.dictionary().values())),
+    )
+
+
+def _described(item: ODVariable | ODRecord) -> Object:
+    names = {code: name for name, code in TYPES.items()}
+    entries = {0: item} if isinstance(item, ODVariable) else item.subindices
+    return Object(
+        item.index,
+        item.name,
+        VAR if isinstance(item, ODVariable) else RECORD,
+        {
+            sub: Entry(each.name, names[each.data_type or 0], each.access_type, each.default)
+            for sub, each in entries.items()
+        },
+    )
+
+
 # --- rendering -------------------------------------------------------------------------------------------------------
 
 
@@ -470,7 +501,7 @@ def _default_text(entry: Entry) -> str:
 
 def eds_files() -> dict[str, str]:
     """Text of every EDS file by its name."""
-    return {device.file_name: render(device) for device in (servo(), virtual_io())}
+    return {device.file_name: render(device) for device in (servo(), virtual_io(), bench())}
 
 
 def main() -> None:

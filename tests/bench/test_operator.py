@@ -2,28 +2,33 @@
 
 from __future__ import annotations
 
+import json
 import time
 from pathlib import Path
 
 import numpy as np
+import pytest
 from tests.bench.whole_runs import SHORT, config, recover, start, wait_for_frames
+from tests.cli.in_process import hilbench
 
 from hilbench.bench.operator.operator_objects import OperatorObjects
 from hilbench.can.frame import Frame
-from hilbench.can.link import Link
-from hilbench.can.open import open_link
+from hilbench.can.open import open_python_can
+from hilbench.canopen.sdo_client import SdoClient
 from hilbench.monitor.changes import CHANGEABLE, ChangeRequests
 from hilbench.results.recording import read_recording
 from hilbench.runs.config import load
 
-SHIPPED = Path(__file__).resolve().parents[2] / "bench_configs" / "web_section_step.yaml"
+ROOT = Path(__file__).resolve().parents[2]
+SHIPPED = ROOT / "bench_configs" / "web_section_step.yaml"
 
 
-def answered(requests: ChangeRequests, link: Link, count: int) -> list[str]:
+def answered(requests: ChangeRequests, count: int) -> list[str]:
     said: list[str] = []
     deadline_s = time.monotonic() + 60.0
     while len(said) < count:
-        said += requests.take(link.receive(0.05), time.monotonic())
+        time.sleep(0.05)
+        said += requests.ended()
         assert time.monotonic() < deadline_s
     return said
 
@@ -33,13 +38,14 @@ def test_changes_of_a_running_bench_are_recovered_with_the_run(tmp_path: Path) -
     bench = load(path)[0]
     process = start(path)
     folder = wait_for_frames(path, 600)
-    link = open_link(bench.bus_address.as_it_runs())
-    requests = ChangeRequests(bench, link.send)
+    address = bench.bus_address.as_it_runs()
+    requests = ChangeRequests(bench, lambda: SdoClient(open_python_can(address), 30.0))
     written = (folder / "journal.log").read_bytes().count(b"line_speed_m_s")
     for key, value in (("t", 95.0), ("m", 9000.0), ("v", 0.6), ("v", 50.0)):
         requests.ask(CHANGEABLE[key], value)
-    said = answered(requests, link, 4)
-    link.close()
+    said = answered(requests, 4)
+    requests.close()
+    read = hilbench("sdo", "read", "127", "operator.line_speed_m_s", "--bus", address, "--eds", ROOT / "eds", "--json")
     deadline_s = time.monotonic() + 60.0
     while (folder / "journal.log").read_bytes().count(b"line_speed_m_s") < written + 50:
         assert time.monotonic() < deadline_s
@@ -51,6 +57,7 @@ def test_changes_of_a_running_bench_are_recovered_with_the_run(tmp_path: Path) -
         "E of the imitated web 9000 N/mm²: set",
         "line speed 0.6 m/s: set",
     ]
+    assert json.loads(read.stdout)["value"] == pytest.approx(0.6)
     assert said[3] == "line speed 50 m/s: refused, expected -8 to 8 m/s (abort 06090031h)"
     assert recover(folder).returncode == 0
     found = read_recording(folder / "recording.mf4")

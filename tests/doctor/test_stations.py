@@ -18,7 +18,7 @@ from hilbench.canopen.eds import load_eds
 from hilbench.canopen.emergency_stop import EMERGENCY_STOP
 from hilbench.canopen.host import DeviceHost
 from hilbench.canopen.listening import present, sort_by_node
-from hilbench.canopen.sdo_reader import Refusal, SdoReader
+from hilbench.canopen.sdo_client import Refusal, SdoClient
 from hilbench.doctor.bench_subject import expected_nodes
 from hilbench.doctor.check_stations import check_heard, check_node
 from hilbench.doctor.findings import Check, Finding, Level
@@ -118,7 +118,7 @@ def bus() -> Iterator[MemoryBus]:
 
 
 def examine(bus: MemoryBus, node: ExpectedNode) -> list[Finding]:
-    with SdoReader(bus.open_python_can(), timeout_s=0.3) as reader:
+    with SdoClient(bus.open_python_can(), timeout_s=0.3) as reader:
         return check_node(node, ask(reader, node))
 
 
@@ -183,7 +183,7 @@ def test_a_silent_node(bus: MemoryBus, nodes: list[ExpectedNode]) -> None:
 
 def test_a_bus_that_is_lost_is_no_silent_node() -> None:
     can_bus = MemoryBus().open_python_can()
-    reader = SdoReader(can_bus, timeout_s=0.1)
+    reader = SdoClient(can_bus, timeout_s=0.1)
     try:
         can_bus.send = lost  # type: ignore[method-assign]
         with pytest.raises(BusError, match="node 5 could not be sent: Network is down"):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import time
 from pathlib import Path
 
 import pytest
@@ -12,8 +13,10 @@ from textual.widgets._footer import FooterKey
 
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.can.frame import Frame
-from hilbench.can.memory import MemoryBus
+from hilbench.can.memory import MemoryBus, MemoryLink
 from hilbench.canopen.emergency_stop import EMERGENCY_STOP
+from hilbench.canopen.sdo_client import SdoClient
+from hilbench.errors import BusError
 from hilbench.exchange.nodes import Nodes
 from hilbench.monitor import condition
 from hilbench.monitor import picture as picture_of
@@ -84,10 +87,15 @@ def patient(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(module, "SILENCE_S", 1e9)
 
 
+def dashboard_of(bench: BenchConfig, bus: MemoryBus, link: MemoryLink | None = None) -> Dashboard:
+    changes = ChangeRequests(bench, lambda: SdoClient(bus.open_python_can(), 30.0))
+    return Dashboard(BusPicture(bench), link or bus.open_link(), changes)
+
+
 def test_the_dashboard_shows_it_and_sends_nothing(bench: BenchConfig, patient: None) -> None:
     bus = MemoryBus()
     ours, theirs = bus.open_link(), bus.open_link()
-    dashboard = Dashboard(BusPicture(bench), ours)
+    dashboard = dashboard_of(bench, bus, ours)
 
     async def watch() -> tuple[str, str, int]:
         async with dashboard.run_test(size=(110, 36)) as pilot:
@@ -131,7 +139,7 @@ PRESSED = [
 def test_only_a_confirmed_key_sends(bench: BenchConfig) -> None:
     bus = MemoryBus()
     ours, theirs = bus.open_link(), bus.open_link()
-    dashboard = Dashboard(BusPicture(bench), ours)
+    dashboard = dashboard_of(bench, bus, ours)
 
     async def press() -> None:
         async with dashboard.run_test(size=(110, 36)) as pilot:
@@ -163,7 +171,7 @@ def test_only_a_confirmed_key_sends(bench: BenchConfig) -> None:
 def test_the_emergency_stop_works_in_every_dialogue(bench: BenchConfig, opened: list[str], confirmed: str) -> None:
     bus = MemoryBus()
     ours, theirs = bus.open_link(), bus.open_link()
-    dashboard = Dashboard(BusPicture(bench), ours)
+    dashboard = dashboard_of(bench, bus, ours)
 
     async def press() -> list[Frame]:
         async with dashboard.run_test(size=(40, 20)) as pilot:
@@ -185,7 +193,7 @@ def test_the_emergency_stop_works_in_every_dialogue(bench: BenchConfig, opened: 
 
 @pytest.mark.parametrize("columns", [40, 60, 200])
 def test_the_emergency_stop_is_first_in_the_footer_and_whole(bench: BenchConfig, columns: int) -> None:
-    dashboard = Dashboard(BusPicture(bench), MemoryBus().open_link())
+    dashboard = dashboard_of(bench, MemoryBus())
 
     async def look() -> tuple[str, str, int, int]:
         async with dashboard.run_test(size=(columns, 20)) as pilot:
@@ -200,11 +208,29 @@ def test_the_emergency_stop_is_first_in_the_footer_and_whole(bench: BenchConfig,
     assert right - left >= len("e EMERGENCY STOP")
 
 
+def ended(requests: ChangeRequests) -> list[str]:
+    said: list[str] = []
+    deadline_s = time.monotonic() + 30.0
+    while not said and time.monotonic() < deadline_s:
+        time.sleep(0.01)
+        said = requests.ended()
+    requests.close()
+    return said
+
+
 def test_a_bench_that_does_not_answer_is_said(bench: BenchConfig) -> None:
-    requests = ChangeRequests(bench, lambda frames: None)
+    requests = ChangeRequests(bench, lambda: SdoClient(MemoryBus().open_python_can(), 0.1))
     requests.ask(CHANGEABLE["v"], 2.0)
-    assert requests.take([], 0.0) == []
-    assert requests.take([], 5.0) == ["line speed 2 m/s: no answer from the bench (node 127)"]
+    assert ended(requests) == ["line speed 2 m/s: no answer from the bench (node 127)"]
+
+
+def test_a_bus_that_cannot_be_joined_is_said(bench: BenchConfig) -> None:
+    def refuse() -> SdoClient:
+        raise BusError("vcan9: no such interface")
+
+    requests = ChangeRequests(bench, refuse)
+    requests.ask(CHANGEABLE["v"], 2.0)
+    assert ended(requests) == ["line speed 2 m/s: NOT SENT: vcan9: no such interface"]
 
 
 #: What ends a cycle of frames that are heard every 0.1 s, what the monitor calls the bench 3 s later, and why.
@@ -293,7 +319,7 @@ def test_the_frames_of_a_whole_run_are_waited_for_run_and_ended(tmp_path: Path) 
 def test_the_dashboard_says_it_instead_of_old_values(bench: BenchConfig, patient: None) -> None:
     bus = MemoryBus()
     ours, theirs = bus.open_link(), bus.open_link()
-    dashboard = Dashboard(BusPicture(bench), ours)
+    dashboard = dashboard_of(bench, bus, ours)
 
     async def watch() -> list[tuple[str, ...]]:
         seen = []

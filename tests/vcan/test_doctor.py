@@ -20,7 +20,7 @@ from hilbench.canopen.clock import MonotonicClock
 from hilbench.canopen.device import Device
 from hilbench.canopen.eds import load_eds
 from hilbench.canopen.host import DeviceHost
-from hilbench.canopen.sdo_reader import Refusal, SdoReader
+from hilbench.canopen.sdo_client import Refusal, SdoClient
 
 pytestmark = pytest.mark.vcan
 
@@ -53,7 +53,7 @@ def test_interface_and_stranger_are_seen_and_read() -> None:
     try:
         command = [sys.executable, "-m", "hilbench.cli", "doctor", "--bus", str(bus), "--json"]
         done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
-        with SdoReader(open_python_can(bus), timeout_s=5.0) as reader:
+        with SdoClient(open_python_can(bus), timeout_s=5.0) as reader:
             assert reader.read(NODE, 0x1018, 2) == (0x402).to_bytes(4, "little")
             assert reader.read(NODE, 0x5FFF) == Refusal(0x06020000)
     finally:

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,22 +16,15 @@ from hilbench.canopen import eds
 from hilbench.canopen.data_types import data_type
 from hilbench.canopen.identifiers import (
     COB_ID,
-    FUNCTION_CODE,
     HEARTBEAT,
     INVALID,
     NMT,
     NO_REMOTE_REQUEST,
-    SDO_ANSWER,
     NmtCommand,
 )
 from hilbench.canopen.pdo import PdoMap
+from hilbench.canopen.sdo_client import Refusal, SdoClient
 from hilbench.errors import BenchFaultError, BusError
-
-#: How long canopen's thread may go on after `close`.
-_NOTIFIER_CYCLE_S = 0.1
-
-#: Of so many contents what was sent and not heard yet is kept, and for so long: a bus in lockstep may stand still.
-_SENT_KEPT, _SENT_KNOWN_S = 256, 60.0
 
 
 @dataclass(frozen=True)
@@ -45,69 +37,7 @@ class Identity:
     serial_number: int
 
 
-@contextmanager
-def _bus_errors() -> Iterator[None]:
-    try:
-        yield
-    except can.CanError as error:
-        raise BusError(" ".join(str(error).split())) from error
-
-
-class _LossIsKnown(can.Listener):
-    """Ends canopen's thread without words when the bus is lost; `Network.check` says so where the bus is used next."""
-
-    def on_message_received(self, msg: can.Message) -> None:
-        """Others listen."""
-
-    def on_error(self, exc: Exception) -> None:
-        """python-can would print what nobody takes, and receive again at once, for ever, what somebody does."""
-        raise SystemExit
-
-    def stop(self) -> None:
-        """Nothing is held."""
-
-
-class SentFrames:
-    """What was sent lately, so that it is known again when it is heard on another connection to the bus."""
-
-    def __init__(self) -> None:
-        self._times_s: dict[tuple[int, bytes], list[float]] = {}
-        self._lock = threading.Lock()
-
-    def add(self, can_id: int, data: bytes) -> None:
-        """It is about to be sent."""
-        with self._lock:
-            times_s = self._times_s
-            key = can_id, data
-            times_s[key] = [*times_s.get(key, ()), time.monotonic()][-_SENT_KEPT:]
-            if len(times_s) > _SENT_KEPT:  # those were lost, or nobody listened
-                del times_s[next(iter(times_s))]
-
-    def take(self, can_id: int, data: bytes) -> bool:
-        """Whether a frame that was heard was sent here not long ago; each is known again once."""
-        key = can_id, data
-        if key not in self._times_s:
-            return False
-        with self._lock:
-            young = [at_s for at_s in self._times_s.pop(key, ()) if time.monotonic() - at_s < _SENT_KNOWN_S]
-            if len(young) > 1:
-                self._times_s[key] = young[1:]
-            return bool(young)
-
-
-class _Network(canopen.Network):
-    """canopen's network that keeps what it sends."""
-
-    def __init__(self, bus: can.BusABC, sent: SentFrames) -> None:
-        super().__init__(bus)
-        self._sent = sent
-
-    def send_message(self, can_id: int, data: bytes, remote: bool = False) -> None:
-        self._sent.add(can_id, bytes(data))
-        super().send_message(can_id, data, remote)
-
-
-class Master:
+class Master(SdoClient):
     """canopen's network on a python-can bus; one SDO transfer with a node at a time.
 
     Raises BenchFaultError, one line with node, object and reason, when a node does not answer or refuses. `sent` is
@@ -115,43 +45,25 @@ class Master:
     """
 
     def __init__(self, bus: can.BusABC, sdo_timeout_s: float = 1.0) -> None:
-        self.sent = SentFrames()
-        self._network = _Network(bus, self.sent)
-        self._network.NOTIFIER_CYCLE = _NOTIFIER_CYCLE_S
-        self._network.listeners.append(_LossIsKnown())  # type: ignore[arg-type] # any listener will do
-        self._network.connect()
-        self._timeout_s = sdo_timeout_s
-        self._locks: dict[int, threading.Lock] = {}  # a node that does not answer holds up no other
+        super().__init__(bus, sdo_timeout_s)
         self._booted: set[int] = set()
         self._boot_seen = threading.Condition()
         self._names: dict[int, str] = {}
 
     def add(self, node_id: int, od: canopen.ObjectDictionary, name: str) -> None:
         """Make a node known by its object dictionary; `name` is used in messages."""
-        node = self._network.add_node(node_id, od)
-        node.sdo.RESPONSE_TIMEOUT = self._timeout_s
-        node.sdo.MAX_RETRIES = 1  # one try: canopen counts down to zero before it gives up
+        self._add(node_id, od)
         self._names[node_id] = name
-        self._locks[node_id] = threading.Lock()
         self._network.subscribe(HEARTBEAT + node_id, self._heartbeat)
-
-    def receive_only_answers(self) -> None:
-        """From now on only SDO answers are received: the cyclic traffic is somebody else's to read."""
-        bus = self._network.bus
-        assert bus is not None, "connected since it was made"
-        bus.set_filters([{"can_id": SDO_ANSWER, "can_mask": FUNCTION_CODE, "extended": False}])
-
-    def close(self) -> None:
-        """Leave the bus. One that is lost was reported by whoever used it."""
-        with suppress(can.CanError):
-            self._network.disconnect()
 
     # -- NMT ---------------------------------------------------------------------------------------------
 
     def nmt(self, command: NmtCommand, node_id: int = 0) -> None:
         """Send an NMT command to one node, or to all (0). Raises BusError when the bus is lost."""
-        with _bus_errors():
+        try:
             self._network.send_message(NMT, command.to(node_id))
+        except can.CanError as error:
+            raise BusError(" ".join(str(error).split())) from error
 
     def _heartbeat(self, can_id: int, data: bytearray, timestamp: float) -> None:
         if len(data) == 1:
@@ -214,12 +126,7 @@ class Master:
                 wake()
 
     def _answers(self, node_id: int) -> bool:
-        try:
-            with self._locks[node_id], _bus_errors():
-                self._network[node_id].sdo.upload(0x1000, 0)
-        except (canopen.SdoCommunicationError, canopen.SdoAbortedError):
-            return False
-        return True
+        return isinstance(self.read(node_id, 0x1000), bytes)
 
     # -- SDO ---------------------------------------------------------------------------------------------
 
@@ -228,22 +135,13 @@ class Master:
         variable = self._variable(node_id, index, sub)
         kind = data_type(variable.data_type or 0)
         try:
-            with self._locks[node_id], _bus_errors():
-                data = self._upload(node_id, index, sub, kind.width)
+            data = self.upload(node_id, index, sub, kind.width)
         except (canopen.SdoCommunicationError, canopen.SdoAbortedError) as error:
             raise self._fault(node_id, variable, "reading", error) from error
         try:
             return kind.decode(data)
         except ValueError as error:
             raise BenchFaultError(f"{self._place(node_id, variable)}: reading it: {error}") from error
-
-    def _upload(self, node_id: int, index: int, sub: int, width: int | None) -> bytes:
-        """All bytes of the answer: canopen's own `upload` cuts what is longer than the EDS says."""
-        client: Any = self._network[node_id].sdo
-        with client.open(index, sub, buffering=0) as answer:
-            data = bytes(answer.read())
-        # Expedited without a size (CiA 301, 7.2.4.3.6, s = 0): four bytes, of which the type's are meant.
-        return data[:width] if answer.exp_data is not None and answer.size is None else data
 
     def sdo_write(self, node_id: int, index: int, value: Any, sub: int = 0) -> None:
         """Write an object, encoded by its EDS type."""
@@ -253,8 +151,7 @@ class Master:
         except ValueError as error:
             raise BenchFaultError(f"{self._place(node_id, variable)}: writing {value!r} to it: {error}") from error
         try:
-            with self._locks[node_id], _bus_errors():
-                self._network[node_id].sdo.download(index, sub, data)
+            self.download(node_id, index, sub, data)
         except (canopen.SdoCommunicationError, canopen.SdoAbortedError) as error:
             raise self._fault(node_id, variable, f"writing {value!r} to", error) from error
 
@@ -344,7 +241,7 @@ class Master:
 
     def _fault(self, node_id: int, variable: ODVariable, doing: str, error: Exception) -> BenchFaultError:
         if isinstance(error, canopen.SdoAbortedError):
-            reason = f"abort {error.code:08X}h ({canopen.SdoAbortedError.CODES.get(error.code, 'unknown code')})"
+            reason = str(Refusal(error.code))
         else:
             reason = f"no answer within {self._timeout_s:g} s"
         return BenchFaultError(f"{self._place(node_id, variable)}: {doing} it: {reason}")

@@ -11,7 +11,7 @@ from hilbench.can.open import BusAddress, open_python_can
 from hilbench.canopen.eds import load_eds
 from hilbench.canopen.master import Master
 from hilbench.canopen.mastery import mastery
-from hilbench.canopen.sdo_reader import SdoReader
+from hilbench.canopen.sdo_client import SdoClient
 from hilbench.doctor.eds_match import find_eds
 from hilbench.errors import BenchFaultError, UnusableInputError
 
@@ -71,14 +71,14 @@ def node_and_eds(
     if config is not None and is_the_bench(node, config):
         from hilbench.bench.operator.operator_objects import dictionary
 
-        return config.master.node_id, "bench", dictionary(config)
+        return config.master.node_id, "bench", dictionary()
     if not node.isdecimal() or not 1 <= int(node) <= 127:
         names = "" if config is None else f", or one of {', '.join(part.name for part in parts)}, bench"
         raise UnusableInputError("NODE", f"'{node}', expected a node id from 1 to 127{names}")
     node_id = int(node)
     if eds.is_file():
         return node_id, "node", load_eds(eds, node_id)
-    with SdoReader(open_python_can(bus), _TIMEOUT_S) as reader:
+    with SdoClient(open_python_can(bus), _TIMEOUT_S) as reader:
         if reader.read(node_id, 0x1000) is None:
             raise BenchFaultError(f"no answer from node {node_id} on {bus} to an SDO read of 1000h")
         found = find_eds(reader, node_id, eds)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from contextlib import ExitStack
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -33,7 +34,7 @@ def monitor(
 
     Example: hilbench monitor bench_configs/web_section_step.yaml --bus socketcan:can0
     """
-    from hilbench.can.open import open_link
+    from hilbench.can.open import open_link, open_python_can
     from hilbench.errors import UnusableInputError
     from hilbench.monitor.picture import BusPicture
     from hilbench.runs.config import load_with_overrides
@@ -41,17 +42,20 @@ def monitor(
     if not json and not sys.stdout.isatty():
         raise UnusableInputError("standard output", "no terminal, expected one for the dashboard, or --json")
     loaded = load_with_overrides(config, bus=bus, pace=pace).config
-    picture = BusPicture(loaded)
-    link = open_link(loaded.bus_address.as_it_runs())
-    try:
+    picture, address = BusPicture(loaded), loaded.bus_address.as_it_runs()
+    with ExitStack() as resources:
+        link = open_link(address)
+        resources.callback(link.close)
         if json:
             _print(picture, link, duration)
-        else:
-            from hilbench.monitor.dashboard import Dashboard
+            return
+        from hilbench.canopen.sdo_client import SDO_ANSWERS, SdoClient
+        from hilbench.monitor.changes import PATIENCE_S, ChangeRequests
+        from hilbench.monitor.dashboard import Dashboard
 
-            Dashboard(picture, link).run()
-    finally:
-        link.close()
+        changes = ChangeRequests(loaded, lambda: SdoClient(open_python_can(address, SDO_ANSWERS), PATIENCE_S))
+        resources.callback(changes.close)
+        Dashboard(picture, link, changes).run()
 
 
 def _print(picture: BusPicture, link: Link, duration_s: float) -> None:

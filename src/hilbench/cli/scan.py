@@ -41,7 +41,7 @@ def scan(
     from hilbench.can.open import open_link, open_python_can
     from hilbench.canopen.eds import load_eds
     from hilbench.canopen.mastery import master_of
-    from hilbench.canopen.sdo_reader import SdoReader
+    from hilbench.canopen.sdo_client import SdoClient
     from hilbench.cli.attach import MASTER_ID, config_and_bus
     from hilbench.doctor.eds_match import EdsFile, eds_files, identity
     from hilbench.doctor.scan import scan as scan_bus
@@ -53,7 +53,7 @@ def scan(
         files = [EdsFile(path, identity(load_eds(path, node_id))) for path, node_id in named.items()] + files
     link = open_link(address)
     try:
-        with SdoReader(open_python_can(address), _SDO_TIMEOUT_S) as reader:
+        with SdoClient(open_python_can(address), _SDO_TIMEOUT_S) as reader:
             master_id, claimed_by = bench.master.node_id if bench else MASTER_ID, master_of(address)
             known = None if claimed_by is None else str(claimed_by)
             found = scan_bus(link, reader, files, listen, master_id, claimed_by=known, ask=ask)

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from canopen.objectdictionary import ODVariable
 
     from hilbench.canopen.master import Master
-    from hilbench.canopen.sdo_reader import SdoReader
+    from hilbench.canopen.sdo_client import SdoClient
 
 ObjectArgument = Annotated[
     str, typer.Argument(metavar="OBJECT", help="6041, 6041h, 0x1018sub1, 1018:1, or a name: target_velocity")
@@ -138,7 +138,7 @@ class _Object:
 class _UnknownObject:
     """An object of which no EDS file tells."""
 
-    reader: SdoReader
+    reader: SdoClient
     node_id: int
     index: int
     sub: int
@@ -169,7 +169,7 @@ def _object(
     may_be_unknown: bool = False,
 ) -> Iterator[_Object | _UnknownObject]:
     from hilbench.can.open import open_python_can
-    from hilbench.canopen.sdo_reader import SdoReader
+    from hilbench.canopen.sdo_client import SdoClient
     from hilbench.cia402.configuration import read_units
     from hilbench.cia402.object_units import has_drive_unit, si_unit
     from hilbench.cli.attach import (
@@ -190,7 +190,7 @@ def _object(
             node_id, node_name, known = node_and_eds(node, bench, address, eds)
             why = "no EDS file" if known is None else "not in its EDS"
             if known is None or not _has(known, *index):
-                reader = resources.enter_context(SdoReader(open_python_can(address), _TIMEOUT_S))
+                reader = resources.enter_context(SdoClient(open_python_can(address), _TIMEOUT_S))
                 yield _UnknownObject(reader, node_id, *index, why)
                 return
             od = known

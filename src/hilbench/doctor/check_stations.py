@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from hilbench.canopen.listening import Heard, master_at_work
-from hilbench.canopen.sdo_reader import Answer, Refusal
+from hilbench.canopen.sdo_client import Answer, Refusal
 from hilbench.doctor.findings import Check, Finding, error, ok, warning
 from hilbench.doctor.stations import ExpectedNode, MappedObject, NodeAnswers
 

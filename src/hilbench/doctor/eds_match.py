@@ -7,7 +7,7 @@ from pathlib import Path
 
 import canopen
 from hilbench.canopen import eds
-from hilbench.canopen.sdo_reader import SdoReader
+from hilbench.canopen.sdo_client import SdoClient
 from hilbench.errors import UnusableInputError
 
 _SUFFIXES = (".eds", ".dcf")
@@ -61,7 +61,7 @@ def eds_files(folder: Path) -> list[EdsFile]:
     return found
 
 
-def find_eds(reader: SdoReader, node_id: int, folder: Path) -> Path | None:
+def find_eds(reader: SdoClient, node_id: int, folder: Path) -> Path | None:
     """The file that fits a device which answers: that of its revision before any other."""
     found = read_identity(reader, node_id)
     fitting = [file for file in eds_files(folder) if file.fits(found)]
@@ -69,7 +69,7 @@ def find_eds(reader: SdoReader, node_id: int, folder: Path) -> Path | None:
     return fitting[0].path if fitting else None
 
 
-def read_identity(reader: SdoReader, node_id: int) -> tuple[int | None, ...]:
+def read_identity(reader: SdoClient, node_id: int) -> tuple[int | None, ...]:
     """Vendor-ID, product code, revision and serial number (1018h:1 to 4); None for what it does not tell."""
     answers = (reader.read(node_id, 0x1018, sub) for sub in (1, 2, 3, 4))
     return tuple(int.from_bytes(answer, "little") if isinstance(answer, bytes) else None for answer in answers)

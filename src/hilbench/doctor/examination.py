@@ -13,14 +13,11 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from can.typechecking import CanFilters
-
 from hilbench.can.link import Link
 from hilbench.can.open import BusAddress, open_link, open_python_can
-from hilbench.canopen.identifiers import FUNCTION_CODE, SDO_ANSWER
 from hilbench.canopen.listening import listen, present
 from hilbench.canopen.mastery import master_of
-from hilbench.canopen.sdo_reader import SdoReader
+from hilbench.canopen.sdo_client import SDO_ANSWERS, SdoClient
 from hilbench.doctor.check_interface import InterfaceNeeds, check_interface
 from hilbench.doctor.check_machine import MachineNeeds, check_machine
 from hilbench.doctor.check_stations import check_heard, check_node
@@ -35,7 +32,6 @@ _LISTEN_S = 1.0
 _MEASURE_S = 0.5
 #: For nodes of simulated hardware and twin that run already to answer.
 _PRESENT_S = 0.5
-_SDO_ANSWERS: CanFilters = [{"can_id": SDO_ANSWER, "can_mask": FUNCTION_CODE, "extended": False}]
 
 
 @dataclass(frozen=True)
@@ -151,7 +147,7 @@ def _on_bus(
             resources.callback(child.end)
         _wait_for(link, ours, children, subject.boot_timeout_s)
     announce("ask the nodes")
-    with SdoReader(open_python_can(bus, _SDO_ANSWERS), subject.sdo_timeout_s) as reader:
+    with SdoClient(open_python_can(bus, SDO_ANSWERS), subject.sdo_timeout_s) as reader:
         for node in subject.nodes:
             findings += check_node(node, ask(reader, node))
     return findings

@@ -10,7 +10,7 @@ from hilbench.can.frame import Frame
 from hilbench.can.link import Link
 from hilbench.canopen.identifiers import HEARTBEAT, LAST_NODE, NmtState, node_of
 from hilbench.canopen.listening import hear, master_at_work, present, sort_by_node
-from hilbench.canopen.sdo_reader import SdoReader
+from hilbench.canopen.sdo_client import SdoClient
 from hilbench.cia402 import objects
 from hilbench.cia402.state_machine import decode_statusword
 from hilbench.doctor.eds_match import EdsFile, read_identity
@@ -53,7 +53,7 @@ class Scan:
 
 def scan(
     link: Link,
-    reader: SdoReader,
+    reader: SdoClient,
     files: Sequence[EdsFile],
     listen_s: float,
     master_id: int,
@@ -91,7 +91,7 @@ def nmt_states(frames: Iterable[Frame]) -> dict[int, str]:
     }
 
 
-def _ask(reader: SdoReader, node_id: int, nmt_state: str | None, files: Sequence[EdsFile]) -> Station:
+def _ask(reader: SdoClient, node_id: int, nmt_state: str | None, files: Sequence[EdsFile]) -> Station:
     device_type = reader.read(node_id, 0x1000)
     if not isinstance(device_type, bytes):
         return Station(node_id, nmt_state)
@@ -113,12 +113,12 @@ def _ask(reader: SdoReader, node_id: int, nmt_state: str | None, files: Sequence
     )
 
 
-def _text(reader: SdoReader, node_id: int, index: int) -> str | None:
+def _text(reader: SdoClient, node_id: int, index: int) -> str | None:
     answer = reader.read(node_id, index)
     return answer.decode("latin-1").rstrip("\0 ") if isinstance(answer, bytes) else None
 
 
-def _drive_state(reader: SdoReader, node_id: int) -> str | None:
+def _drive_state(reader: SdoClient, node_id: int) -> str | None:
     answer = reader.read(node_id, objects.STATUSWORD)
     if not isinstance(answer, bytes):
         return None

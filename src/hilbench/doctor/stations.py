@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from hilbench.canopen.sdo_reader import Answer, SdoReader
+from hilbench.canopen.sdo_client import Answer, SdoClient
 
 _IDENTITY_ENTRIES = 3  # vendor id, product code, revision number
 
@@ -49,7 +49,7 @@ class NodeAnswers:
     mapped: Mapping[tuple[int, int], Answer] = field(default_factory=dict)
 
 
-def ask(reader: SdoReader, node: ExpectedNode) -> NodeAnswers:
+def ask(reader: SdoClient, node: ExpectedNode) -> NodeAnswers:
     """Read device type, identity and the mapped objects of one node."""
     device_type = reader.read(node.node_id, 0x1000)
     if device_type is None:

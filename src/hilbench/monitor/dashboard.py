@@ -5,7 +5,6 @@ It sends nothing but what a key asks for and a second key confirms: an emergency
 
 from __future__ import annotations
 
-import time
 from contextlib import suppress
 from functools import partial
 from typing import ClassVar
@@ -108,11 +107,11 @@ class Dashboard(App[None]):
         ("q", "quit", "quit"),
     ]
 
-    def __init__(self, picture: BusPicture, link: Link) -> None:
+    def __init__(self, picture: BusPicture, link: Link, changes: ChangeRequests) -> None:
         super().__init__()
         self._picture = picture
         self._link = link
-        self._changes = ChangeRequests(picture.config, link.send)
+        self._changes = changes
         self._noted = 0
 
     def compose(self) -> ComposeResult:
@@ -177,9 +176,8 @@ class Dashboard(App[None]):
     # -- what is heard -------------------------------------------------------------------------------------
 
     def _read(self) -> None:
-        frames = self._link.receive(0.0)
-        self._picture.take(frames)
-        for text in self._changes.take(frames, time.monotonic()):
+        self._picture.take(self._link.receive(0.0))
+        for text in self._changes.ended():
             self._say(text)
 
     def _draw(self) -> None:

@@ -17,8 +17,9 @@ from hilbench.can.link import Link
 from hilbench.can.open import open_link, open_python_can
 from hilbench.canopen.emergency_stop import EMERGENCY_STOP_COB_ID
 from hilbench.canopen.identifiers import NmtCommand
-from hilbench.canopen.master import Master, SentFrames
+from hilbench.canopen.master import Master
 from hilbench.canopen.mastery import mastery
+from hilbench.canopen.sdo_client import SentFrames
 from hilbench.errors import BusError, EmergencyStopError, UnusableInputError
 from hilbench.exchange.cycle import CyclicExchange, FrameTap
 from hilbench.exchange.nodes import Nodes

@@ -3,16 +3,24 @@
 from __future__ import annotations
 
 from math import inf
+from typing import Final
 
 from hilbench.topology.config import BenchConfig, Limit
 from hilbench.topology.quantities import LINE_SPEED, TENSION_SET_POINT, YOUNGS_MODULUS, permitted
+
+#: Sub-index of 2200h, given once and for all, and name in the EDS file of each quantity, by path.
+OPERATOR_OBJECTS: Final = {
+    LINE_SPEED: (1, "Line speed [m/s]"),
+    TENSION_SET_POINT: (2, "Tension set-point [N]"),
+    YOUNGS_MODULUS: (3, "Modulus of the imitated web [Pa]"),
+}
 
 #: What E may be off the model's by where the config sets no limit.
 _LARGEST_RATIO = 1e3
 
 
 def operator_ranges(config: BenchConfig) -> dict[str, tuple[float, float]]:
-    """Least and largest value by path, SI, in the order of the sub-indices: to where the config's limits warn, or trip
+    """Least and largest value by path, SI: to where the config's limits warn, or trip
     where none warns; never beyond what the quantity may have at all (`hilbench.topology.quantities`)."""
     return {
         path: (max(low, permitted(path).lower), min(high, permitted(path).upper))

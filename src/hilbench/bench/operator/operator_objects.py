@@ -1,9 +1,10 @@
 """What an operator may change while the bench runs: objects of the bench's own node, written by SDO.
 
-2200h of node `master: node_id` holds the present values as REAL32, SI, a sub-index for each quantity in the order of
-`hilbench.bench.machines.ranges`: of a web line sub 1 the line speed (m/s), sub 2 the tension set-point (N), sub 3
-Young's modulus of the imitated web (Pa). A write is a request: what is in range is applied between two cycles and
-answered with the next one, so that it is in the trace, in lockstep too. A refusal is an abort code of CiA 301.
+2200h of node `master: node_id` holds the present values as REAL32, SI, each quantity at the sub-index that
+`hilbench.bench.machines.ranges` gives it: of a web line sub 1 the line speed (m/s), sub 2 the tension set-point (N),
+sub 3 Young's modulus of the imitated web (Pa); by 1018h the node is known as a bench. A write is a request: what is in
+range is applied between two cycles and answered with the next one, so that it is in the trace, in lockstep too. A
+refusal is an abort code of CiA 301.
 """
 
 from __future__ import annotations
@@ -14,9 +15,9 @@ from typing import Final
 from canopen.objectdictionary import ODRecord, ODVariable
 
 import canopen
-from hilbench.bench.machines.ranges import operator_ranges
+from hilbench.bench.machines.ranges import OPERATOR_OBJECTS, operator_ranges
 from hilbench.can.frame import Frame
-from hilbench.canopen.data_types import REAL32
+from hilbench.canopen.data_types import REAL32, UNSIGNED8, UNSIGNED32
 from hilbench.canopen.identifiers import SDO_ANSWER, SDO_REQUEST
 from hilbench.canopen.object_store import INVALID_VALUE, PRESENT_STATE, Cell, ObjectStore, SdoAbort
 from hilbench.canopen.sdo_server import DeviceSdoServer
@@ -24,6 +25,14 @@ from hilbench.topology.config import BenchConfig
 from hilbench.topology.quantities import permitted
 
 INDEX: Final = 0x2200
+PRODUCT_CODE: Final = 0x0302
+_IDENTITY: Final = (
+    ("Highest sub-index supported", 4),
+    ("Vendor-ID", 0),
+    ("Product code", PRODUCT_CODE),
+    ("Revision number", 0x0001_0000),
+    ("Serial number", 0),
+)
 
 
 class OperatorObjects:
@@ -34,9 +43,12 @@ class OperatorObjects:
         self.asked: list[tuple[str, float]] = []  #: accepted and not applied yet, in their order
         self._request_id = request_id(config)
         self._answers: list[Frame] = []
-        store = ObjectStore(dictionary(config))
-        for sub, path in enumerate(operator_ranges(config), 1):
-            self._serve(store.cell(INDEX, sub), path, get, may_change)
+        ranges = operator_ranges(config)
+        store = ObjectStore(dictionary(ranges))
+        for path, (least, largest) in ranges.items():
+            cell = store.cell(INDEX, OPERATOR_OBJECTS[path][0])
+            cell.variable.min, cell.variable.max = least, largest  # type: ignore[assignment]
+            self._serve(cell, path, get, may_change)
         self._server = DeviceSdoServer(
             node_id, store, lambda can_id, data: self._answers.append(Frame(can_id, bytes(data)))
         )
@@ -79,14 +91,27 @@ def answer_id(config: BenchConfig) -> int:
     return SDO_ANSWER + config.master.node_id
 
 
-def dictionary(config: BenchConfig) -> canopen.ObjectDictionary:
-    """What the bench's own node has, as an EDS file would describe it."""
+def dictionary(paths: Iterable[str] = OPERATOR_OBJECTS) -> canopen.ObjectDictionary:
+    """What the bench's own node has, as its EDS file says it (``eds/hilbench_bench.eds``); `paths`: of what machine."""
     od = canopen.ObjectDictionary()
-    record = ODRecord("Quantities that an operator may change", INDEX)
-    for sub, (path, (least, largest)) in enumerate(operator_ranges(config).items(), 1):
-        variable = ODVariable(path, INDEX, sub)
-        variable.data_type, variable.access_type = REAL32, "rw"
-        variable.min, variable.max = least, largest  # type: ignore[assignment]
-        record.add_member(variable)
+    od.add_object(_variable("Device type", 0x1000, 0, UNSIGNED32, "const", 0))
+    od.add_object(_variable("Error register", 0x1001, 0, UNSIGNED8, "ro", 0))
+    identity = ODRecord("Identity object", 0x1018)
+    for sub, (name, value) in enumerate(_IDENTITY):
+        identity.add_member(_variable(name, 0x1018, sub, UNSIGNED32 if sub else UNSIGNED8, "const", value))
+    od.add_object(identity)
+    entries = [OPERATOR_OBJECTS[path] for path in paths]
+    record = ODRecord("Operator", INDEX)
+    record.add_member(_variable("Highest sub-index supported", INDEX, 0, UNSIGNED8, "const", max(entries)[0]))
+    for sub, name in entries:
+        record.add_member(_variable(name, INDEX, sub, REAL32, "rw"))
     od.add_object(record)
     return od
+
+
+def _variable(
+    name: str, index: int, sub: int, data_type: int, access_type: str, default: int | None = None
+) -> ODVariable:
+    variable = ODVariable(name, index, sub)
+    variable.data_type, variable.access_type, variable.default = data_type, access_type, default
+    return variable

@@ -1,0 +1,171 @@
+"""The SDO client: canopen's, in bytes and without object dictionaries, for any node of a bus."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Any, Final, Self
+
+import canopen
+from hilbench.can.python_can import can
+from hilbench.canopen.identifiers import FUNCTION_CODE, SDO_ANSWER
+from hilbench.errors import BusError
+
+#: For a bus on which nothing is wanted but answers.
+SDO_ANSWERS: Final[can.typechecking.CanFilters] = [{"can_id": SDO_ANSWER, "can_mask": FUNCTION_CODE, "extended": False}]
+
+#: How long canopen's thread may go on after `close`.
+_NOTIFIER_CYCLE_S = 0.1
+#: Of so many contents what was sent and not heard yet is kept, and for so long: a bus in lockstep may stand still.
+_SENT_KEPT, _SENT_KNOWN_S = 256, 60.0
+
+
+@dataclass(frozen=True)
+class Refusal:
+    """The device's abort code (CiA 301, table 22)."""
+
+    code: int
+
+    def __str__(self) -> str:
+        return f"abort {self.code:08X}h ({canopen.SdoAbortedError.CODES.get(self.code, 'unknown code')})"
+
+
+#: None: no answer.
+Answer = bytes | Refusal | None
+
+
+class SentFrames:
+    """What was sent lately, so that it is known again when it is heard on another connection to the bus."""
+
+    def __init__(self) -> None:
+        self._times_s: dict[tuple[int, bytes], list[float]] = {}
+        self._lock = threading.Lock()
+
+    def add(self, can_id: int, data: bytes) -> None:
+        """It is about to be sent."""
+        with self._lock:
+            times_s = self._times_s
+            key = can_id, data
+            times_s[key] = [*times_s.get(key, ()), time.monotonic()][-_SENT_KEPT:]
+            if len(times_s) > _SENT_KEPT:  # those were lost, or nobody listened
+                del times_s[next(iter(times_s))]
+
+    def take(self, can_id: int, data: bytes) -> bool:
+        """Whether a frame that was heard was sent here not long ago; each is known again once."""
+        key = can_id, data
+        if key not in self._times_s:
+            return False
+        with self._lock:
+            young = [at_s for at_s in self._times_s.pop(key, ()) if time.monotonic() - at_s < _SENT_KNOWN_S]
+            if len(young) > 1:
+                self._times_s[key] = young[1:]
+            return bool(young)
+
+
+class _Network(canopen.Network):
+    """canopen's network that keeps what it sends."""
+
+    def __init__(self, bus: can.BusABC, sent: SentFrames) -> None:
+        super().__init__(bus)
+        self._sent = sent
+
+    def send_message(self, can_id: int, data: bytes, remote: bool = False) -> None:
+        self._sent.add(can_id, bytes(data))
+        super().send_message(can_id, data, remote)
+
+
+class _LossIsKnown(can.Listener):
+    """Ends canopen's thread without words when the bus is lost; `Network.check` says so where the bus is used next."""
+
+    def on_message_received(self, msg: can.Message) -> None:
+        """Others listen."""
+
+    def on_error(self, exc: Exception) -> None:
+        """python-can would print what nobody takes, and receive again at once, for ever, what somebody does."""
+        raise SystemExit
+
+    def stop(self) -> None:
+        """Nothing is held."""
+
+
+class SdoClient:
+    """Transfers with any node, one at a time with each; `sent` is what it has put on the bus.
+
+    Takes the bus over, and closes it.
+    """
+
+    def __init__(self, bus: can.BusABC, timeout_s: float) -> None:
+        self.sent = SentFrames()
+        self._network = _Network(bus, self.sent)
+        self._network.NOTIFIER_CYCLE = _NOTIFIER_CYCLE_S
+        self._network.listeners.append(_LossIsKnown())  # type: ignore[arg-type] # any listener will do
+        self._network.connect()
+        self._timeout_s = timeout_s
+        self._locks: dict[int, threading.Lock] = {}  # a node that does not answer holds up no other
+
+    def read(self, node_id: int, index: int, sub: int = 0) -> Answer:
+        """The content of an object, the device's refusal, or None when it does not answer in time.
+
+        Raises BusError when the request cannot be sent.
+        """
+        try:
+            return self.upload(node_id, index, sub)
+        except canopen.SdoAbortedError as error:
+            return Refusal(error.code)
+        except canopen.SdoCommunicationError:
+            return None
+
+    def upload(self, node_id: int, index: int, sub: int, width: int | None = None) -> bytes:
+        """All bytes of the answer; of one that does not tell its size, the first `width`.
+
+        Raises canopen's SdoAbortedError and SdoCommunicationError (no answer), and BusError when the bus is lost.
+        """
+        with self._transfer(node_id) as client, client.open(index, sub, buffering=0) as answer:
+            data = bytes(answer.read())  # canopen's own `upload` cuts what is longer than the EDS says
+        # Expedited without a size (CiA 301, 7.2.4.3.6, s = 0): four bytes, of which the type's are meant.
+        return data[:width] if answer.exp_data is not None and answer.size is None else data
+
+    def download(self, node_id: int, index: int, sub: int, data: bytes) -> None:
+        """Write an object. Raises as `upload`."""
+        with self._transfer(node_id) as client:
+            client.download(index, sub, data)
+
+    def receive_only_answers(self) -> None:
+        """From now on only SDO answers are received: the cyclic traffic is somebody else's to read."""
+        bus = self._network.bus
+        assert bus is not None, "connected since it was made"
+        bus.set_filters(SDO_ANSWERS)
+
+    def close(self) -> None:
+        """Leave the bus. One that is lost was reported by whoever used it."""
+        with suppress(can.CanError):
+            self._network.disconnect()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _add(self, node_id: int, od: canopen.ObjectDictionary) -> None:
+        node = self._network.add_node(node_id, od)
+        node.sdo.RESPONSE_TIMEOUT = self._timeout_s
+        node.sdo.MAX_RETRIES = 1  # one try: canopen counts down to zero before it gives up
+        self._locks[node_id] = threading.Lock()
+
+    @contextmanager
+    def _transfer(self, node_id: int) -> Iterator[Any]:
+        if node_id not in self._locks:
+            self._add(node_id, canopen.ObjectDictionary())
+        try:
+            with self._locks[node_id]:
+                yield self._network[node_id].sdo
+        except (can.CanError, OSError) as error:
+            reason = " ".join(str(error).split())
+            raise BusError(f"SDO request to node {node_id} could not be sent: {reason}") from error
