@@ -1,12 +1,10 @@
-"""EDS and DCF files (CiA 306) as an object dictionary.
+"""EDS and DCF files (CiA 306) as canopen's object dictionary, read with their line numbers.
 
-The file is read twice: once here, with its line numbers, to check what matters and to drop what other makers
-leave empty; then by `canopen.import_od`, on the cleaned text.
+canopen's own reader skips what it can't convert; here that is refused, and what other makers leave empty is tolerated.
 """
 
 from __future__ import annotations
 
-import io
 import re
 from copy import deepcopy
 from dataclasses import dataclass, field
@@ -22,7 +20,8 @@ from hilbench.errors import UnusableInputError
 #: Below it stand data types; 0001h to 0007h may be mapped as placeholders.
 _FIRST_OBJECT = 0x1000
 _VAR = 0x7
-_ARRAY_TYPES = (0x8, 0x9)  # ObjectType ARRAY, RECORD
+_ARRAY = 0x8
+_ARRAY_TYPES = (_ARRAY, 0x9)  # ObjectType ARRAY, RECORD
 _DOMAIN = 0x2
 _NO_VALUE = (0x0, 0x5, 0x6)  # ObjectType NULL, DEFTYPE, DEFSTRUCT: nothing to read or write
 _ACCESS_TYPES = {"ro", "wo", "rw", "rwr", "rww", "const"}
@@ -32,8 +31,7 @@ _KEYS = {
     name.lower(): name
     for name in (
         "ParameterName", "ObjectType", "DataType", "AccessType", "DefaultValue", "ParameterValue", "LowLimit",
-        "HighLimit", "PDOMapping", "SubNumber", "CompactSubObj", "StorageLocation", "NrOfEntries",
-        "VendorName", "VendorNumber", "ProductName", "ProductNumber", "RevisionNumber", "OrderCode",
+        "HighLimit", "PDOMapping", "CompactSubObj", "VendorNumber", "ProductNumber", "RevisionNumber",
     )
 }  # fmt: skip
 
@@ -65,14 +63,19 @@ def _load(path: Path, node_id: int, _as_of: tuple[int, int]) -> canopen.ObjectDi
     sections = _read_sections(path)
     objects = _object_sections(path, sections)
     _check_hierarchy(path, objects)
-    written = [_write(section, _name(*key)) for key, section in objects.items()]
-    text = io.StringIO(_device_info(path, sections) + "".join(written))
-    text.name = f"{path.stem}.eds"
-    od = canopen.import_od(text, node_id)
+    od = canopen.ObjectDictionary()
     od.node_id = node_id
+    _fill_device_information(path, sections, od)
     for (index, sub), section in objects.items():
-        if sub is not None or _integer(path, section, "ObjectType", _VAR) not in _ARRAY_TYPES:
-            _take_values(path, section, variable(od, index, sub or 0), node_id)
+        kind = _integer(path, section, "ObjectType", _VAR)
+        if sub is None and kind in _ARRAY_TYPES:
+            od.add_object((ODArray if kind == _ARRAY else ODRecord)(section.options["ParameterName"], index))
+        elif sub is None:
+            od.add_object(_variable_of(path, section, index, 0, node_id))
+        else:
+            parent = od[index]
+            assert not isinstance(parent, ODVariable), "its hierarchy has been checked"
+            parent.add_member(_variable_of(path, section, index, sub, node_id))
     return od
 
 
@@ -274,25 +277,29 @@ def _integer(path: Path, section: _Section, key: str, default: int) -> int:
         raise UnusableInputError(place, f"{key} of [{section.name}] is '{text}', expected an integer") from None
 
 
-def _device_info(path: Path, sections: dict[str, _Section]) -> str:
+def _fill_device_information(path: Path, sections: dict[str, _Section], od: canopen.ObjectDictionary) -> None:
     section = sections.get("deviceinfo", _Section("DeviceInfo", 1))
-    for key in ("VendorNumber", "ProductNumber", "RevisionNumber"):
-        _integer(path, section, key, 0)
-    return _write(section, section.name)
+    for key, attribute in _DEVICE_NUMBERS.items():
+        if key in section.options:
+            setattr(od.device_information, attribute, _integer(path, section, key, 0))
 
 
-def _name(index: int, sub: int | None) -> str:
-    """As canopen reads it: it minds the case of a section's name."""
-    return f"{index:04X}" if sub is None else f"{index:04X}sub{sub:X}"
+def _variable_of(path: Path, section: _Section, index: int, sub: int, node_id: int) -> ODVariable:
+    """The variable of a section that `_check_hierarchy` has found in order; unknown data types are plain bytes."""
+    found = ODVariable(section.options["ParameterName"], index, sub)
+    found.data_type = data_type(_integer(path, section, "DataType", 0)).code
+    found.access_type = section.options["AccessType"].lower()
+    found.pdo_mappable = bool(_integer(path, section, "PDOMapping", 0))
+    _take_values(path, section, found, node_id)
+    return found
 
 
-def _write(section: _Section, name: str) -> str:
-    """The section for canopen, without the values that are taken from our own reading."""
-    kept = {key: text for key, text in section.options.items() if key in _KEYS.values() and key not in _VALUES}
-    return f"[{name}]\n" + "".join(f"{key}={text}\n" for key, text in kept.items()) + "\n"
-
-
-#: EDS key → attribute of canopen's variable. canopen skips values it cannot convert; here they are refused.
+#: EDS key → attribute of canopen's device information, and of its variable.
+_DEVICE_NUMBERS = {
+    "VendorNumber": "vendor_number",
+    "ProductNumber": "product_number",
+    "RevisionNumber": "revision_number",
+}
 _VALUES = {"DefaultValue": "default", "ParameterValue": "value", "LowLimit": "min", "HighLimit": "max"}
 
 
