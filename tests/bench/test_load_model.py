@@ -1,0 +1,143 @@
+"""The load motor's torque from measured motion: the pull of a web that is not there, predicted to when it acts."""
+
+from __future__ import annotations
+
+import pytest
+from tests.plant.models import model
+
+from hilbench.bench.tasks.load_model import LoadModel
+from hilbench.topology.config import LoadConfig
+from hilbench.topology.quantities import WEB_BROKEN, YOUNGS_MODULUS
+
+CYCLE_S = 0.002
+SPEED_M_S = 1.0
+RATIO = 5.0 / 0.2  #: motor shaft in rad per metre of the web
+UPSTREAM_N, DOWNSTREAM_N = 80.0, 70.0
+FORCE = "load.effects.coulomb_friction.axis2.force_N"
+
+
+class Line:
+    """The two rollers, as the encoders have them; `draw`: how much faster roller 2 is."""
+
+    def __init__(self, load: LoadConfig | None = None) -> None:
+        self.model = LoadModel(model(), load or LoadConfig(), CYCLE_S)
+        self.x1_m = self.x2_m = 0.0
+
+    def move(self, *, draw: float = 0.0, late: bool = False, told: bool = True, speed_m_s: float = SPEED_M_S) -> float:
+        """One cycle further; the torque of the load motor in N·m. `told`: whether the samples are of this cycle."""
+        v2_m_s = speed_m_s * (1.0 + draw)
+        self.x1_m += speed_m_s * CYCLE_S
+        self.x2_m += v2_m_s * CYCLE_S
+        return self.model.update(self.x1_m, self.x2_m, v2_m_s, late=late) if told else 0.0
+
+    def settle(self, **how: float) -> float:
+        for _ in range(2000):
+            torque_Nm = self.move(**how)  # type: ignore[arg-type]
+        return torque_Nm
+
+
+def test_the_web_pulls_with_the_difference_of_the_tensions_before_and_behind_roller_2() -> None:
+    line = Line()
+    torque_Nm = line.settle()
+    assert line.model.tension_N == pytest.approx(UPSTREAM_N, rel=1e-6)
+    assert torque_Nm == pytest.approx((DOWNSTREAM_N - UPSTREAM_N) / RATIO, rel=1e-6)
+
+
+def test_a_faster_roller_2_strains_the_web_by_mass_conservation() -> None:
+    line = Line()
+    for _ in range(4):
+        line.settle(draw=1e-4)
+    strain_prev = UPSTREAM_N / (8.7e9 * 0.5 * 65e-6)
+    assert line.model.strain == pytest.approx((1.0 + strain_prev) * (1.0 + 1e-4) - 1.0, rel=1e-3)
+    assert line.model.tension_N == pytest.approx(8.7e9 * 0.5 * 65e-6 * line.model.strain)
+
+
+def test_the_torque_is_that_of_the_tension_when_it_acts() -> None:
+    """While the web is drawn, the tension grows by ES·Δv/L per second; the torque acts 4 ms after its sample."""
+    line = Line()
+    line.settle()
+    rate_N_s = 8.7e9 * 0.5 * 65e-6 * 1e-4 * SPEED_M_S
+    torques_Nm = [line.move(draw=1e-4) for _ in range(2)]
+    ahead_N = DOWNSTREAM_N - torques_Nm[-1] * RATIO - line.model.tension_N
+    assert ahead_N == pytest.approx(rate_N_s * 0.004, rel=0.02)
+
+
+def test_a_step_of_E_changes_the_pull_at_once_and_leaves_the_strain_upstream() -> None:
+    line = Line()
+    before_Nm = line.settle()
+    line.model.set(YOUNGS_MODULUS, 10.5e9)
+    assert line.model.value(YOUNGS_MODULUS) == 10.5e9
+    after_Nm = line.move()
+    assert (before_Nm - after_Nm) * RATIO == pytest.approx(UPSTREAM_N * (10.5 / 8.7 - 1.0), rel=0.01)
+    line.settle()
+    assert line.model.tension_N == pytest.approx(UPSTREAM_N * 10.5 / 8.7, rel=1e-6)
+
+
+def test_a_web_that_has_torn_pulls_no_more_and_has_no_strain() -> None:
+    line = Line()
+    line.settle()
+    line.model.set(WEB_BROKEN, 1.0)
+    torque_Nm = line.move()
+    assert (line.model.tension_N, line.model.strain, line.model.value(WEB_BROKEN)) == (0.0, 0.0, 1.0)
+    assert torque_Nm == pytest.approx(DOWNSTREAM_N / RATIO)
+
+
+def test_while_samples_are_late_the_torque_stays_and_then_no_way_is_lost() -> None:
+    held, seen = Line(), Line()
+    for line in (held, seen):
+        line.settle()
+    last_Nm = held.move(draw=1e-4)
+    seen.move(draw=1e-4)
+    for _ in range(5):
+        assert held.move(draw=1e-4, late=True) == last_Nm
+        seen.move(draw=1e-4)
+    assert held.move(draw=1e-4) == pytest.approx(seen.move(draw=1e-4), rel=1e-3)
+    assert held.model.tension_N == pytest.approx(seen.model.tension_N, rel=1e-5)
+
+
+def test_a_sample_of_an_earlier_cycle_is_predicted_over_what_it_is_late_by() -> None:
+    """Behind a gap of three cycles comes a sample that is one cycle old: its way says that it took two."""
+    line = Line()
+    line.settle()
+    for _ in range(2):
+        line.move(draw=1e-4, told=False)
+    x1_m, x2_m = line.x1_m, line.x2_m
+    for _ in range(2):
+        line.model.update(x1_m, x2_m, SPEED_M_S, late=True)
+    torque_Nm = line.model.update(x1_m, x2_m, SPEED_M_S)
+    ahead_N = DOWNSTREAM_N - torque_Nm * RATIO - line.model.tension_N
+    rate_N_s = 8.7e9 * 0.5 * 65e-6 * 1e-4 * SPEED_M_S
+    assert ahead_N == pytest.approx(rate_N_s * (0.004 + CYCLE_S), rel=0.02)
+
+
+def test_drives_that_were_off_start_with_the_web_as_it_was_at_first() -> None:
+    line = Line()
+    line.settle(draw=2e-4)
+    assert line.model.tension_N > 1.2 * UPSTREAM_N
+    line.model.stop()
+    line.move()
+    assert line.model.tension_N == pytest.approx(UPSTREAM_N, rel=1e-6)
+
+
+def test_an_effect_of_the_imitated_machine_is_set_and_read_by_its_path() -> None:
+    line = Line()
+    without_Nm = line.settle()
+    assert line.model.value(FORCE) == 0.0
+    line.model.set(FORCE, 5.0)
+    assert line.model.value(FORCE) == 5.0
+    assert (without_Nm - line.move()) * RATIO == pytest.approx(5.0, rel=0.01)
+
+
+def test_an_unknown_path_is_refused() -> None:
+    line = Line()
+    with pytest.raises(ValueError, match="gremlins"):
+        line.model.set("load.effects.gremlins.axis2.force_N", 1.0)
+
+
+def test_what_the_load_hides_is_no_part_of_what_the_twin_believes() -> None:
+    hidden = LoadConfig.model_validate({"web": {"youngs_modulus_Pa": 9.5e9}})
+    line = Line(hidden)
+    line.settle()
+    assert line.model.value(YOUNGS_MODULUS) == 9.5e9
+    assert line.model.tension_N == pytest.approx(UPSTREAM_N * 9.5 / 8.7, rel=1e-6)
+    assert model().web.youngs_modulus_Pa == 8.7e9  # type: ignore[union-attr]

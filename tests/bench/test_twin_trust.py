@@ -1,0 +1,92 @@
+"""May the tension loop close on the twin? By what it says of itself, its age, and its numbers."""
+
+from __future__ import annotations
+
+from math import inf, nan
+from typing import Any
+
+import pytest
+from tests.bench.samples import sample_of_two_axes
+
+from hilbench.bench.tasks.twin_trust import TwinTrust
+from hilbench.topology.config import TensionControlConfig
+from hilbench.topology.sample import CycleSample
+from hilbench.twin.virtual_io import TwinStatus
+
+SYNCHRONIZED = int(TwinStatus.RUNNING | TwinStatus.SYNCHRONIZED)
+HIGHEST_N = 300.0
+CONFIG = TensionControlConfig(twin_age_limit_cycles=10, twin_deviation_limit_pct=30.0)
+
+
+def sample(**changes: Any) -> CycleSample:
+    good = {"F_sim_N": 80.0, "E_sim_Pa": 8.7e9, "E_sd_Pa": 1e8, "twin_status": SYNCHRONIZED}
+    return sample_of_two_axes(**(good | changes))
+
+
+def trusting() -> TwinTrust:
+    trust = TwinTrust(CONFIG, HIGHEST_N)
+    assert trust.update(sample())
+    return trust
+
+
+def test_the_loop_stays_open_until_the_twin_calls_itself_synchronized() -> None:
+    trust = TwinTrust(CONFIG, HIGHEST_N)
+    assert not trust.update(sample(twin_status=int(TwinStatus.RUNNING)))
+    assert trust.doubt == "not synchronized yet"
+    assert trust.update(sample())
+    assert trust.doubt == ""
+
+
+def test_a_closed_loop_stays_closed_while_the_twin_is_not_sure_of_itself() -> None:
+    trust = trusting()
+    assert trust.update(sample(twin_status=int(TwinStatus.RUNNING | TwinStatus.HOLDING)))
+    assert trust.doubt == ""
+
+
+DOUBTS = [
+    ({"twin_age_cycles": 11}, "more than 10 cycles old"),
+    ({"F_sim_N": nan}, "no web's: tension nan N"),
+    ({"F_sim_N": inf}, "no web's: tension inf N"),
+    ({"E_sim_Pa": nan}, "E nan Pa"),
+    ({"E_sim_Pa": 0.0}, "E 0 Pa"),
+    ({"E_sim_Pa": 1e30}, "E 1e+30 Pa"),
+    ({"F_sim_N": -1.1}, "-1.1 N is outside 0 to 300 N"),
+    ({"F_sim_N": 300.1}, "300.1 N is outside 0 to 300 N"),
+    ({"E_sd_Pa": 0.31 * 8.7e9}, "deviation of E is above 30 %"),
+]
+
+
+@pytest.mark.parametrize(("changes", "why"), DOUBTS)
+def test_a_doubt_opens_the_loop_and_is_named(changes: dict[str, float], why: str) -> None:
+    trust = trusting()
+    assert not trust.update(sample(**changes))
+    assert why in trust.doubt
+
+
+def test_after_a_doubt_the_loop_closes_only_on_a_twin_that_is_synchronized_again() -> None:
+    trust = trusting()
+    trust.update(sample(twin_age_cycles=11))
+    assert not trust.update(sample(twin_status=int(TwinStatus.RUNNING)))
+    assert "cycles old" in trust.doubt
+    assert trust.update(sample())
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"twin_age_cycles": 10},
+        {"F_sim_N": -0.9},
+        {"F_sim_N": HIGHEST_N},
+        {"E_sd_Pa": 0.29 * 8.7e9},
+        {"E_sd_Pa": inf},  # of a method which has none
+    ],
+)
+def test_what_is_at_its_limit_is_no_doubt(changes: dict[str, float]) -> None:
+    assert trusting().update(sample(**changes))
+
+
+def test_a_twin_that_was_lost_is_not_trusted_until_it_is_synchronized_again() -> None:
+    trust = trusting()
+    trust.forget("the twin is reset")
+    assert not trust.update(sample(twin_status=int(TwinStatus.RUNNING)))
+    assert trust.doubt == "the twin is reset"
