@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 from tests.bench.samples import sample_of_two_axes
 
-from hilbench.bench.operator.change import Change
+from hilbench.bench.reports.change import Change
 from hilbench.bench.state import BenchState
 from hilbench.bench.tasks import twin_connection
 from hilbench.bench.tasks.twin_connection import TwinConnection
