@@ -191,7 +191,8 @@ def _type(field: Schema) -> str:
     if field.get("type") == "array":
         return f"list of {_type(field.get('items', {}))}"
     if field.get("type") == "object":
-        return f"mapping to {_type(field['additionalProperties'])}"
+        (values,) = field.get("patternProperties", {"": field.get("additionalProperties")}).values()
+        return f"mapping of names to {_type(values)}" if "patternProperties" in field else f"mapping to {_type(values)}"
     if field.get("type") == "string":
         return "path" if field.get("format") in ("path", "file-path") else "text"
     names = {"number": "number", "integer": "whole number", "boolean": "true or false"}
