@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hilbench.plant.effects import find_effect
+from hilbench.plant.effects import MachineKind, find_effect
 from hilbench.plant.interface import Follower, Machine, Plant, Quantity, checked_name
 from hilbench.plant.motor_port import MotorMode, MotorPort
 from hilbench.plant.sensors import SensorParameters
@@ -201,7 +201,7 @@ def test_input_that_is_set_acts(made: Callable[[], Machine]) -> None:
 def test_every_effect_of_the_description_can_be_given_and_taken_back(made: Callable[[], Machine]) -> None:
     for effect_id in made().describe().effects:
         machine, plain = made(), made()
-        item = find_effect(effect_id)
+        item = find_effect(effect_id, MachineKind(machine.describe().kind))
         values = {q.name: min(max(2.0 * q.neutral + 0.01, q.lower), q.upper) for q in item.parameters}
         axis = machine.describe().axes if item.per_axis else None
         machine.set_effect(effect_id, axis, **values)

@@ -560,6 +560,10 @@ def find_effect(effect_id: str, kind: MachineKind = MachineKind.WEB_LINE) -> Eff
         raise KeyError(f"unknown effect '{effect_id}', expected one of {', '.join(known)}") from None
 
 
+#: What a load motor imitates there, for a message.
+_IMITATED_OF_A_LINE = "an effect of the web or a roller's resistance"
+
+
 def effect_problem(
     effect_id: str,
     axis: int | None,
@@ -581,7 +585,8 @@ def effect_problem(
         if place is EffectPlace.HARDWARE:
             expected = "expected one of the axes; the web is the load model's"
             return f"effect '{effect_id}' in the simulated hardware, {expected}"
-        return f"an effect of the web or a roller's resistance; {effect_id} belongs in 'hardware:'"
+        imitated = "a resistance of the shaft" if kind is MachineKind.SERVO_AXIS else _IMITATED_OF_A_LINE
+        return f"{imitated}; {effect_id} belongs in 'hardware:'"
     if place is EffectPlace.LOAD and effect.domain in _AT_A_ROLLER and axis not in loaded:
         where = " or ".join(str(known) for known in loaded)
         return f"{effect_id} of axis {where}, where the load motor is; other axes' in 'hardware:'"

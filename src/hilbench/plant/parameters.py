@@ -5,12 +5,12 @@ A value that may differ from axis to axis is one number for all of them or a lis
 
 from __future__ import annotations
 
-from typing import Annotated, Self, TypeVar
+from typing import Annotated, ClassVar, Self, TypeVar
 
 from pydantic import Field, FiniteFloat, model_validator
 
 from hilbench.block import Block
-from hilbench.plant.effects import find_effect
+from hilbench.plant.effects import MachineKind, find_effect
 
 Positive = Annotated[FiniteFloat, Field(gt=0.0)]
 NotNegative = Annotated[FiniteFloat, Field(ge=0.0)]
@@ -59,6 +59,9 @@ class LoadMotorParameters(Block):
 class EffectEntry(Block):
     """One effect with its parameter values, checked against `hilbench.plant.effects`."""
 
+    #: The kind of machine by whose rows it is checked.
+    machine_kind: ClassVar[MachineKind] = MachineKind.WEB_LINE
+
     effect: str = Field(description="its id in the vocabulary of effects")
     axis: int | None = Field(default=None, description="1 is the first roller's; for effects that belong to an axis")
     parameters: dict[str, FiniteFloat] = Field(default_factory=dict, description="its values, by name")
@@ -66,7 +69,7 @@ class EffectEntry(Block):
     @model_validator(mode="after")
     def _known(self) -> Self:
         try:
-            effect = find_effect(self.effect)
+            effect = find_effect(self.effect, self.machine_kind)
         except KeyError as error:
             raise ValueError(error.args[0]) from None
         problem = effect.axis_problem(self.axis) or effect.problem(self.parameters)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from hilbench.plant.servo_axis.effects import find
 from hilbench.plant.servo_axis.parameters import ServoAxisParameters
 
 DRIVES: dict[str, Any] = {
@@ -22,8 +23,6 @@ SHAFT: dict[str, Any] = {
 
 def effect(effect_id: str, *values: float) -> dict[str, Any]:
     """An entry of `effects`, its parameters in the order of the row."""
-    from hilbench.plant.servo_axis.effects import find
-
     names = (parameter.name for parameter in find(effect_id).parameters)
     return {"effect": effect_id, "axis": 1, "parameters": dict(zip(names, values, strict=False))}
 

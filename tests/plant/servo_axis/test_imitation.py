@@ -148,7 +148,7 @@ def test_inertia_steps_while_the_shaft_turns() -> None:
 
 def test_effects_of_the_drive_cannot_be_imitated_those_of_the_shaft_can() -> None:
     imitated = ImitatedShaft(axis(effect("torque_offset", 0.5)), stand(axis()), CYCLE_S)
-    with pytest.raises(ValueError, match="belongs to drive and motor"):
+    with pytest.raises(ValueError, match="torque_scale belongs in 'hardware:'"):
         imitated.set_effect("torque_scale", 1, relative_change=0.1)
     with pytest.raises(ValueError, match="expected axis 1"):
         imitated.load_torques_Nm([2], [0.0], 0.004)

@@ -32,6 +32,7 @@ def test_kernel_solves_the_equations_as_written() -> None:
         effect("torque_scale", 0.06),
         effect("inertia_mismatch", 0.1),
         effect("torque_offset", 0.02),
+        effect("unbalance", 0.1, -0.4),
     ]
     parameters = lay.pack(axis(*entries, unbalance_Nm=0.3, unbalance_phase_rad=0.7, gear_ratio=2.0), substeps=4)
     commands = 2.0 * np.sin(9.0 * np.arange(300) * ROW_S)
@@ -40,7 +41,7 @@ def test_kernel_solves_the_equations_as_written() -> None:
     def derivative(_: float, y: np.ndarray, command: float, direction: float) -> list[float]:
         x, v, tau = y
         torque = 1.06 * tau + 0.05 * np.sin(3.0 * x + 0.4) + 0.03 * np.sin(7.0 * x)
-        torque += 0.3 * np.sin(x / 2.0 + 0.7) + outside
+        torque += 0.3 * np.sin(x / 2.0 + 0.7) + 0.1 * np.sin(x / 2.0 - 0.4) + outside
         friction = (B + 0.003) * v + 0.001 * abs(v) + (TC + 0.1 + 0.15 * np.exp(-((v / 4.0) ** 2))) * direction
         return [v, (torque - friction) / (J * 1.1), (command - tau) / 0.001]
 

@@ -24,6 +24,7 @@ from hilbench.plant.servo_axis.shaft import Shaft
 from .models import axis, effect
 
 CYCLE_S = 0.002
+SIZES = {"torque_delay": (0.003,)}
 NOISY = SensorParameters(torque_noise_Nm=0.05, velocity_noise_rad_s=0.0025, encoder_rad_per_count=2 * np.pi / 2**20)
 
 
@@ -95,6 +96,7 @@ def test_measured_motion_is_transferred_by_name() -> None:
         (lambda m: m.set_effect("web_slip", creep_per_N=1e-5), "web_slip"),
         (lambda m: m.set_effect("torque_offset", 2, offset_Nm=0.1), "axis 2, expected 1 to 1"),
         (lambda m: m.set_effect("torque_ripple", 1, slot=9, amplitude_Nm=0.1, order=1.0), "slot 9, expected 0 to"),
+        (lambda m: m.set_effect("coulomb_friction", 1, force_N=1.0), "no parameter 'force_N', expected torque_Nm"),
         (lambda m: m.clear_effect("roller_eccentricity", 1), "roller_eccentricity"),
         (lambda m: m.step(0.0015), "expected a multiple of the drives' sample time"),
     ],
@@ -106,9 +108,21 @@ def test_what_a_servo_axis_does_not_have_is_refused_in_one_line(call: Any, said:
     assert "\n" not in str(refused.value)
 
 
+def test_delayed_torque_is_the_torque_of_before() -> None:
+    plain, late = (np.array(swing(*closed_with(*given), 200))[:, 2] for given in ((), (effect("torque_delay", 0.004),)))
+    np.testing.assert_array_equal(late[2:], plain[:-2])
+    with pytest.raises(ValueError, match=r"torque_delay' of 0.05 s, expected at most 0.0126 s"):
+        ServoAxis(axis(effect("torque_delay", 0.05), drives={"sample_time_s": 1e-4}))
+
+
+def closed_with(*effects: dict[str, Any]) -> tuple[ServoAxis, list[MotorPort]]:
+    ports = [MotorPort(mode=MotorMode.VELOCITY)]
+    return ServoAxis(axis(*effects), ports), ports
+
+
 @pytest.mark.parametrize("effect_id", IDS)
 def test_each_effect_changes_what_is_measured_and_is_gone_when_cleared(effect_id: str) -> None:
-    parameters = effect(effect_id, *(0.1, 2.0))["parameters"]
+    parameters = effect(effect_id, *SIZES.get(effect_id, (0.1, 2.0)))["parameters"]
     machine, ports = closed()
     start = machine.get_state()
     plain = swing(machine, ports, 200)
@@ -118,7 +132,7 @@ def test_each_effect_changes_what_is_measured_and_is_gone_when_cleared(effect_id
     machine.set_state(start)
     machine.clear_effect(effect_id, 1)
     assert swing(machine, ports, 200) == plain
-    with_model = ServoAxis(axis(effect(effect_id, *(0.1, 2.0))), ports)
+    with_model = ServoAxis(axis(effect(effect_id, *SIZES.get(effect_id, (0.1, 2.0)))), ports)
     machine.set_state(start)
     machine.set_effect(effect_id, 1, **parameters)
     assert swing(with_model, ports, 200) == swing(machine, ports, 200)
@@ -174,6 +188,8 @@ def test_model_file_says_by_its_kind_which_machine_it_is(tmp_path: Path) -> None
     assert machine.inertia_kg_m2 == 0.05
     file.write_text("rollers: {radius_m: 0.2, inertia_kg_m2: 1.0}\n")
     assert load_machine(file).axis_count == 1
+    file.write_text("kind: web_line\nrollers: {radius_m: 0.2, inertia_kg_m2: 1.0}\n")
+    assert load_machine(file).axis_count == 1
     file.write_text("kind: servo_axes\nshaft: {inertia_kg_m2: 0.05}\n")
     with pytest.raises(UnusableInputError, match=r"axis\.yaml:1.*'servo_axes', expected web_line or servo_axis"):
         load_machine(file)
@@ -187,7 +203,7 @@ def test_impossible_shafts_are_refused() -> None:
         ServoAxisParameters.model_validate({"shaft": {"inertia_kg_m2": 0.0}})
     with pytest.raises(ValidationError, match="one drive"):
         axis(drives={"torque_limit_Nm": [9.0, 8.0]})
-    with pytest.raises(ValidationError, match=r"entry 1: .*web_slip"):
+    with pytest.raises(ValidationError, match="unknown effect 'web_slip', expected one of coulomb_friction"):
         axis({"effect": "web_slip", "parameters": {"creep_per_N": 1e-6}})
     with pytest.raises(ValidationError, match="given more than 1 times"):
         axis(effect("torque_offset", 0.1), effect("torque_offset", 0.2))

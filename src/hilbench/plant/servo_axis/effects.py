@@ -3,52 +3,39 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import ClassVar
 
-from hilbench.plant.effects import Domain, Effect, find_effect
+from hilbench.plant import effects as vocabulary
+from hilbench.plant.effects import Effect, EffectPlace, MachineKind, effects_of, find_effect
+from hilbench.plant.parameters import EffectEntry
 
-#: Effects with a law in `hilbench.plant.servo_axis.laws`. Of those whose row speaks of newtons and metres the numbers
-#: are those at a lever of 1 m: force_N is N·m, speed_m_s is rad/s, at the motor shaft.
-IDS = (
-    "coulomb_friction",
-    "viscous_friction",
-    "stribeck_friction",
-    "friction_asymmetry",
-    "torque_ripple",
-    "torque_offset",
-    "torque_scale",
-    "inertia_mismatch",
-)
-#: What a load motor can imitate: resistance of the shaft. The rest belongs to the drive and its motor.
-_IMITATED = frozenset({Domain.ROLLER_RESISTANCE, Domain.INERTIA})
+KIND = MachineKind.SERVO_AXIS
+#: All of them; each has its law in `hilbench.plant.servo_axis.laws`. Torques are those at the motor shaft.
+IDS = tuple(effect.id for effect in effects_of(KIND))
+
+
+class ShaftEffect(EffectEntry):
+    """One effect with its parameter values, as a servo axis has it."""
+
+    machine_kind: ClassVar[MachineKind] = KIND
 
 
 def find(effect_id: str) -> Effect:
     """The row of an effect of a servo axis. Raises KeyError."""
-    return find_effect(effect_id)
-
-
-def effects() -> tuple[Effect, ...]:
-    """Their rows."""
-    return tuple(find(effect_id) for effect_id in IDS)
+    return find_effect(effect_id, KIND)
 
 
 def effect_problem(effect_id: str, axis: int | None) -> str | None:
     """Why a servo axis cannot have an effect, in one line, or None."""
     try:
-        effect = find(effect_id)
+        return find(effect_id).axis_problem(axis, 1)
     except KeyError as error:
         return str(error.args[0])
-    if effect_id not in IDS:
-        return f"effect '{effect_id}' of a servo axis, expected one of {', '.join(IDS)}"
-    return effect.axis_problem(axis, 1)
 
 
 def imitated_effect_problem(effect_id: str, axis: int | None) -> str | None:
     """Why a load motor cannot imitate an effect on the shaft, in one line, or None."""
-    problem = effect_problem(effect_id, axis)
-    if problem is None and find(effect_id).domain not in _IMITATED:
-        return f"effect '{effect_id}' belongs to drive and motor, expected one of the shaft; it goes in 'hardware:'"
-    return problem
+    return vocabulary.effect_problem(effect_id, axis, EffectPlace.LOAD, 1, (1,), KIND)
 
 
 def effects_problem(entries: Sequence[tuple[str, int | None]]) -> str | None:

@@ -174,6 +174,7 @@ def _advance(p: Vector, s: Vector, u: Vector, samples: int) -> None:
         for _ in range(substeps):
             _step(p, s, u, period / substeps)
         s[lay.S_COUNT] += 1.0
+        s[lay.S_PAST + int(s[lay.S_COUNT]) % lay.RING] = s[lay.S_MOTORS + loops.TORQUE_NM]
     s[lay.S_MEAN] /= samples * period
 
 
@@ -184,7 +185,7 @@ def _observe(p: Vector, s: Vector, out: Vector, at: int) -> None:
     out[at + lay.O_MEAN] = s[lay.S_MEAN] + laws.reported_offset_Nm(p)
     for j in range(int(p[lay.P_MOTORS])):
         torque = s[lay.S_MOTORS + j * loops.STATE_SIZE + loops.TORQUE_NM]
-        out[at + lay.O_TORQUE + j] = torque + laws.reported_offset_Nm(p) if j == 0 else torque
+        out[at + lay.O_TORQUE + j] = laws.reported_torque_Nm(p, torque, s) if j == 0 else torque
 
 
 Advance = Callable[[Vector, Vector, Vector, int], None]

@@ -23,6 +23,9 @@ _RIPPLES = find("torque_ripple").slots
 _OFFSET = place("torque_offset")
 _SCALE = place("torque_scale")
 _INERTIA = place("inertia_mismatch")
+_DELAY = place("torque_delay")
+_UNBALANCE = place("unbalance", 0)
+_UNBALANCE_PHASE = place("unbalance", 1)
 
 
 @inlined
@@ -58,6 +61,8 @@ def unbalance_Nm(p: Vector, x_rad: float) -> float:
     torque = 0.0
     if p[lay.P_UNBALANCE] != 0.0:
         torque += p[lay.P_UNBALANCE] * sin(x_rad / p[lay.P_GEAR_RATIO] + p[lay.P_UNBALANCE_PHASE])
+    if p[_UNBALANCE] != 0.0:
+        torque += p[_UNBALANCE] * sin(x_rad / p[lay.P_GEAR_RATIO] + p[_UNBALANCE_PHASE])
     return torque
 
 
@@ -91,3 +96,15 @@ def scaled_torque_Nm(p: Vector, torque_Nm: float) -> float:
 def reported_offset_Nm(p: Vector) -> float:
     """What the reported torque of the drive is off by."""
     return p[_OFFSET]
+
+
+@inlined
+def reported_torque_Nm(p: Vector, torque_Nm: float, s: Vector) -> float:
+    """Torque as the drive reports it: that of delay_s ago, linear between samples, and the offset."""
+    delay = p[_DELAY] / p[lay.P_SAMPLE_TIME_S]
+    if delay > 0.0:
+        count, whole = int(s[lay.S_COUNT]), int(delay)
+        newer = s[lay.S_PAST + max(count - whole, 0) % lay.RING]
+        older = s[lay.S_PAST + max(count - whole - 1, 0) % lay.RING]
+        torque_Nm = newer + (older - newer) * (delay - whole)
+    return torque_Nm + p[_OFFSET]

@@ -3,7 +3,8 @@
 Three vectors of float64 describe a shaft with M motors (the drive's, and a load motor where there is one), SI:
 
 - parameters: counts and the shaft, effects, M rows of drive loops (`drive_loops`);
-- state: sample counter, position, speed, direction of the dry friction, M rows of drive states;
+- state: sample counter, position, speed, direction of the dry friction, mean and past torques of the drive, M rows of
+  drive states;
 - inputs: torque from outside, M rows of drive inputs.
 """
 
@@ -18,9 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.plant import drive_loops as loops
+from hilbench.plant.effects import effects_of
 from hilbench.plant.motor_port import MotorMode
-from hilbench.plant.parameters import DriveParameters, EffectEntry, LoadMotorParameters, per_item
-from hilbench.plant.servo_axis.effects import effect_problem, effects, find
+from hilbench.plant.parameters import DriveParameters, LoadMotorParameters, per_item
+from hilbench.plant.servo_axis.effects import KIND, ShaftEffect, effect_problem, find
 from hilbench.plant.servo_axis.parameters import ServoAxisParameters
 
 Vector = NDArray[np.float64]
@@ -43,7 +45,9 @@ S_X: Final = 1
 S_V: Final = 2
 S_DIRECTION: Final = 3  #: of the dry friction: -1, 1, or 0 (sticks)
 S_MEAN: Final = 4  #: N·m, mean torque of the drive in the last step
-S_MOTORS: Final = 5
+S_PAST: Final = 5
+RING: Final = 128  #: past torques of the drive, one per sample time
+S_MOTORS: Final = S_PAST + RING
 
 # Inputs.
 U_TORQUE_NM: Final = 0  #: from outside, forward
@@ -58,7 +62,7 @@ O_TORQUE: Final = 3
 
 def _allocate() -> tuple[dict[str, int], int]:
     first, size = {}, _FIXED
-    for effect in effects():
+    for effect in effects_of(KIND):
         first[effect.id] = size
         size += effect.slots * len(effect.parameters)
     return first, size
@@ -127,9 +131,9 @@ def check_effect(effect_id: str, axis: int | None, slot: int, values: dict[str, 
         raise ValueError(problem)
 
 
-def write_entries(parameters: Vector, entries: Iterable[EffectEntry]) -> None:
+def write_entries(parameters: Vector, entries: Iterable[ShaftEffect]) -> None:
     """Set every effect neutral, then those of a config; what can be given several times fills its slots in order."""
-    for effect in effects():
+    for effect in effects_of(KIND):
         for slot in range(effect.slots):
             write_effect(parameters, effect.id, slot, effect.filled({}).values())
     used: dict[str, int] = {}
@@ -138,6 +142,16 @@ def write_entries(parameters: Vector, entries: Iterable[EffectEntry]) -> None:
         used[entry.effect] = slot + 1
         check_effect(entry.effect, entry.axis, slot, entry.parameters)
         write_effect(parameters, entry.effect, slot, find(entry.effect).filled(entry.parameters).values())
+    check_delay(parameters)
+
+
+def check_delay(parameters: Vector) -> None:
+    """Raises ValueError for a torque delay longer than torques are kept."""
+    longest = (RING - 2) * parameters.item(P_SAMPLE_TIME_S)
+    if parameters[place("torque_delay")] > longest:
+        raise ValueError(
+            f"effect 'torque_delay' of {parameters[place('torque_delay')]:g} s, expected at most {longest:g} s"
+        )
 
 
 def _new(motors: int, sample_time_s: float, substeps: int) -> Vector:

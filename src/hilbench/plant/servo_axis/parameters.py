@@ -12,8 +12,8 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, FiniteFloat, field_validator, model_validator
 
 from hilbench.block import Block
-from hilbench.plant.parameters import DriveParameters, EffectEntry, GearRatio, NotNegative
-from hilbench.plant.servo_axis.effects import effects_problem
+from hilbench.plant.parameters import DriveParameters, GearRatio, NotNegative
+from hilbench.plant.servo_axis.effects import ShaftEffect, effects_problem
 
 Phase = Annotated[FiniteFloat, Field(ge=-7.0, le=7.0)]
 
@@ -44,7 +44,7 @@ class ServoAxisParameters(Block):
     shaft: ShaftParameters
     motor: MotorParameters = MotorParameters()
     drives: DriveParameters | None = None
-    effects: tuple[EffectEntry, ...] = Field(
+    effects: tuple[ShaftEffect, ...] = Field(
         default=(), description="what else the model has, of the vocabulary of effects"
     )
 
@@ -64,7 +64,7 @@ class ServoAxisParameters(Block):
 
     @field_validator("effects")
     @classmethod
-    def _effects_fit(cls, entries: tuple[EffectEntry, ...]) -> tuple[EffectEntry, ...]:
+    def _effects_fit(cls, entries: tuple[ShaftEffect, ...]) -> tuple[ShaftEffect, ...]:
         problem = effects_problem([(entry.effect, entry.axis) for entry in entries])
         if problem:
             raise ValueError(problem)

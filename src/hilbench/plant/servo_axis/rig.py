@@ -12,8 +12,9 @@ import numpy as np
 
 from hilbench.block import Block
 from hilbench.plant.motor_port import MotorPort
-from hilbench.plant.parameters import EffectEntry, LoadMotorParameters
+from hilbench.plant.parameters import LoadMotorParameters
 from hilbench.plant.sensors import SensorParameters, Sensors
+from hilbench.plant.servo_axis.effects import ShaftEffect
 from hilbench.plant.servo_axis.parameters import ServoAxisParameters, ShaftParameters
 from hilbench.plant.servo_axis.shaft import Shaft
 
@@ -38,7 +39,7 @@ class ServoRigParameters(Block):
         shaft: ShaftParameters | None = None,
         load_motor: LoadMotorParameters | None = None,
         sensors: SensorParameters | None = None,
-        effects: Sequence[EffectEntry] = (),
+        effects: Sequence[ShaftEffect] = (),
     ) -> ServoRigParameters:
         """The stand on which a model's drive turns `shaft`; without one, the model's, so that nothing is imitated.
 

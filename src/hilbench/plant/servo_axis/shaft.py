@@ -14,7 +14,7 @@ from hilbench.plant.parameters import LoadMotorParameters
 from hilbench.plant.sampling import samples_per
 from hilbench.plant.servo_axis import kernel
 from hilbench.plant.servo_axis import layout as lay
-from hilbench.plant.servo_axis.effects import IDS, find
+from hilbench.plant.servo_axis.effects import IDS, KIND, find
 from hilbench.plant.servo_axis.layout import Vector
 from hilbench.plant.servo_axis.parameters import ServoAxisParameters
 
@@ -72,7 +72,7 @@ class Shaft:
         mean = Quantity("tau1_mean_Nm", "N·m", "mean torque of motor 1 in the last step")
         torques = tuple(Quantity(f"tau{k}_Nm", "N·m", f"torque of motor {k}") for k in range(1, motors + 1))
         return PlantDescription(
-            kind="servo_axis",
+            kind=KIND,
             position_unit="rad",
             axes=1,
             motors=(Motor(axis=1, rad_per_unit=1.0),) * motors,
@@ -192,7 +192,10 @@ class Shaft:
     def set_effect(self, effect_id: str, axis: int | None = None, *, slot: int = 0, **parameters: float) -> None:
         """Give the axis an effect from now on. Raises ValueError for what it cannot have."""
         lay.check_effect(effect_id, axis, slot, parameters)
-        lay.write_effect(self._p, effect_id, slot, find(effect_id).filled(parameters).values())
+        changed = self._p.copy()
+        lay.write_effect(changed, effect_id, slot, find(effect_id).filled(parameters).values())
+        lay.check_delay(changed)
+        self._p[:] = changed
         self._refresh_direction()
 
     def clear_effect(self, effect_id: str, axis: int | None = None, *, slot: int = 0) -> None:

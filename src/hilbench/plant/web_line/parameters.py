@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, Literal, Self
 
 import yaml
 from pydantic import BaseModel, Field, FiniteFloat, ValidationInfo, field_validator, model_validator
@@ -87,6 +87,7 @@ class ModelParameters(Block):
     Immutable; `model_copy(update=…)` varies it.
     """
 
+    kind: Literal["web_line"] = Field(default="web_line", description="what machine this is")
     web: WebParameters | None = None
     rollers: RollerParameters
     motors: MotorParameters = MotorParameters()
