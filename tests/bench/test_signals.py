@@ -48,7 +48,17 @@ def test_every_part_has_its_own_signals_in_recording_order() -> None:
     assert len(set(names)) == len(names)
 
 
-@pytest.mark.parametrize("signal", signals_of("web_line", 3, ["first", "second"], 2), ids=lambda signal: signal.name)
+def test_a_servo_axis_has_the_signals_of_a_shaft_and_none_of_a_web() -> None:
+    signals = {signal.name: signal for signal in signals_of("servo_axis", 1, ["load"], 0)}
+    assert {"x1_rad", "v1_cmd_rad_s", "tau_load_Nm", "x_load_rad", "J_sim_kg_m2", "tau1_residual_Nm"} <= {*signals}
+    assert {signals[name].unit for name in ("J_sim_kg_m2", "J_sd_kg_m2", "J_true_kg_m2")} == {"kg·m²"}
+    assert all("web" not in signal.description and "roller" not in signal.description for signal in signals.values())
+
+
+EVERY_PART = (*signals_of("web_line", 3, ["first", "second"], 2), *signals_of("servo_axis", 1, ["load"], 0))
+
+
+@pytest.mark.parametrize("signal", dict.fromkeys(EVERY_PART), ids=lambda signal: signal.name)
 def test_a_signal_is_found_by_its_name_whatever_the_bench(signal) -> None:
     assert find_signal(signal.name) == signal
 

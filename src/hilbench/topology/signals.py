@@ -139,8 +139,31 @@ _WEB_LINE: Final = (
     *_BUS,
 )
 
+_SERVO_AXIS: Final = (
+    *_TIME,
+    *_axes("rad", ", at the motor shaft", "the motor shaft of axis {axis}"),
+    *_load_motors("rad", "its shaft"),
+    SignalKind("J_sim_kg_m2", "kg·m²", "inertia of the shaft estimated by the twin", "twin"),
+    SignalKind("J_sd_kg_m2", "kg·m²", "standard deviation of the inertia, as the twin states it", "twin"),
+    SignalKind("coulomb_sim_Nm", "N·m", "dry friction of the shaft estimated by the twin", "twin"),
+    SignalKind("tau{axis}_sim_Nm", "N·m", "torque of axis {axis} simulated by the twin, motor side", "twin", Per.AXIS),
+    SignalKind(
+        "tau{axis}_residual_Nm",
+        "N·m",
+        "torque of axis {axis}, measured minus simulated, as the twin reports it",
+        "twin",
+        Per.AXIS,
+    ),
+    *_TWIN,
+    SignalKind("J_true_kg_m2", "kg·m²", "inertia of the imitated shaft", "truth"),
+    SignalKind("coulomb_true_Nm", "N·m", "dry friction of the imitated shaft", "truth"),
+    *_BUS,
+)
+
 #: What each kind of machine declares, in recording order.
-DECLARATIONS: Final[dict[str, tuple[SignalKind, ...]]] = {"web_line": _WEB_LINE}
+DECLARATIONS: Final[dict[str, tuple[SignalKind, ...]]] = {"web_line": _WEB_LINE, "servo_axis": _SERVO_AXIS}
+#: Axes and spans of the smallest machine of each kind.
+_SMALLEST: Final = {"web_line": (2, 1), "servo_axis": (1, 0)}
 
 
 def signals_of(kind: str, axes: int, load_motors: Sequence[str], spans: int) -> tuple[Signal, ...]:
@@ -187,7 +210,7 @@ def _named(kind: SignalKind, name: str) -> Signal:
 
 def example_names() -> list[str]:
     """The names that the smallest bench of each kind of machine has: what a misspelt name is compared with."""
-    smallest = (signals_of(kind, 2, ["load"], 1) for kind in DECLARATIONS)
+    smallest = (signals_of(kind, axes, ["load"], spans) for kind, (axes, spans) in _SMALLEST.items())
     return list(dict.fromkeys(signal.name for signals in smallest for signal in signals))
 
 
