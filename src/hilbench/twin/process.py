@@ -26,6 +26,7 @@ from hilbench.plant.motor_port import MotorMode, MotorPort
 from hilbench.plant.web_line.line import Line
 from hilbench.plant.web_line.pairing import Pairing, SteadyWay
 from hilbench.plant.web_line.parameters import ModelParameters
+from hilbench.plant.web_line.sizes import least_way_m
 from hilbench.real_time import ProcessSettings, kept_ready
 from hilbench.twin.alarms import Alarms
 from hilbench.twin.axis_listener import AxisListener, RealAxis, TwinNode
@@ -108,7 +109,7 @@ class TwinApplication:
         self.listens_to = frozenset(listener.cob_id for listener in self._listeners)
         self._metres_per_rad = [1.0 / setup.model.motor_rad_per_m(axis) for axis in (1, 2)]
         self._tracking = Tracking(setup.model, setup.twin, line, ports[1], setup.cycle_s)
-        self._pairing = Pairing()
+        self._pairing = Pairing(least_way_m(setup.model))
         self._steady = SteadyWay(setup.cycle_s)  # of axis 2
         self._measured: list[tuple[float, float] | None] = [None, None]  # position in rad, torque in N·m
         self._owed = [0, 0]  # SYNCs that the axis has not answered

@@ -15,14 +15,13 @@ from hilbench.plant.parameters import EffectEntry
 from hilbench.plant.web_line.imitation import lead_s
 from hilbench.plant.web_line.pairing import Pairing
 from hilbench.plant.web_line.parameters import ModelParameters
+from hilbench.plant.web_line.sizes import least_way_m
 from hilbench.plant.web_line.span import SpanFollower
 from hilbench.topology.config import BenchConfig, LoadConfig
 from hilbench.topology.quantities import PLAIN_PATHS, EffectPath, parse_effect_path
 
 #: So many cycles that a sample is late by are made good by prediction; an older one has too little in it.
 _MOST_PREDICTED_CYCLES = 3
-#: Ways of a cycle that are longer than this, m or rad, are measured well enough to count cycles by them.
-_LEAST_WAY = 1e-4
 
 
 def imitated_web(model: ModelParameters, load: LoadConfig) -> ModelParameters:
@@ -43,7 +42,7 @@ def web_load_model(config: BenchConfig) -> LoadModel:
     model, cycle_s = config.machine, config.cycle_time_s
     load_axes = [coupled.axis for coupled in config.rig_parameters().load_motors]
     machine = SpanFollower(imitated_web(model, config.load))
-    return LoadModel(machine, load_axes, cycle_s, lead_s(model, cycle_s), config.load.effects)
+    return LoadModel(machine, load_axes, cycle_s, lead_s(model, cycle_s), least_way_m(model), config.load.effects)
 
 
 class LoadModel:
@@ -55,7 +54,8 @@ class LoadModel:
     time that has really gone by, and what the new sample is still late by is predicted as well. (To predict over a
     sample that is not there, from the noise of the last one, does more harm than to hold.)
 
-    `load_axes`: on which axis' shaft each load motor is, counted from 1; `effects`: those the machine has at the start.
+    `load_axes`: on which axis' shaft each load motor is, counted from 1; `least_way`, in the machine's unit of
+    position: what is measured well enough to count cycles by it; `effects`: those the machine has at the start.
     """
 
     def __init__(
@@ -64,6 +64,7 @@ class LoadModel:
         load_axes: Sequence[int],
         cycle_s: float,
         lead_s: float,
+        least_way: float,
         effects: Iterable[EffectEntry] = (),
     ) -> None:
         self.machine = machine
@@ -71,7 +72,8 @@ class LoadModel:
         self._cycle_s = cycle_s
         self._lead_s = lead_s
         self._running = False
-        self._pairing = Pairing()
+        self._least_way = least_way
+        self._pairing = Pairing(least_way)
         self._torques_Nm = [0.0] * len(self._load_axes)
         self._behind_cycles = 0  # since the instant of the positions that the machine is at
         self._counted = self._load_axes[0] - 1 if self._load_axes else 0  # the axis whose way counts cycles
@@ -117,7 +119,7 @@ class LoadModel:
         """After a gap the positions may still be those of an earlier cycle: the way says how many cycles it took."""
         cycles, position = self._behind_cycles, positions[self._counted]
         way, way_of_a_cycle = abs(position - self._position), abs(speed) * self._cycle_s
-        if cycles > 1 and way_of_a_cycle > _LEAST_WAY:
+        if cycles > 1 and way_of_a_cycle > self._least_way:
             cycles = min(max(round(way / way_of_a_cycle), 1), cycles)
         self.machine.follow(positions, cycles * self._cycle_s)
         self._behind_cycles -= cycles

@@ -26,6 +26,7 @@ from math import cos, exp, inf, sin, sqrt
 from hilbench.plant.parameters import per_item
 from hilbench.plant.web_line.pairing import Pairing
 from hilbench.plant.web_line.parameters import ModelParameters
+from hilbench.plant.web_line.sizes import least_way_m
 
 #: Cycles from measuring to the start of a command's hold.
 _DELAY_CYCLES = 1
@@ -52,6 +53,7 @@ class SwingPlant:
     sample_time_s: float  #: of the drives
     torque_limit_N: float  #: of axis 1
     cycle_s: float
+    least_way_m: float  #: by which positions of one instant may differ
 
     @classmethod
     def of_model(cls, model: ModelParameters, cycle_s: float) -> SwingPlant:
@@ -73,6 +75,7 @@ class SwingPlant:
             sample_time_s=drives.sample_time_s,
             torque_limit_N=per_item(drives.torque_limit_Nm, 1) * ratios[0],
             cycle_s=cycle_s,
+            least_way_m=least_way_m(model),
         )
 
     @property
@@ -135,7 +138,7 @@ class SwingDamping:
         )
         self._modulus_Pa = modulus_Pa
         self._gains = damping_gains(plant, damping_ratio, modulus_Pa)
-        self._pairing = Pairing()
+        self._pairing = Pairing(plant.least_way_m)
         self._commands: deque[float] = deque(maxlen=len(_under_way(plant)))
         self.reset()
 

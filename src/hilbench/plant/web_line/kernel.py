@@ -10,6 +10,11 @@ once for the one-span line, with the counts of axes, motors and spans as constan
 stay in registers. Events, and laws with a wave or an iteration in them, stay calls. A step without events costs four
 evaluations of the rates; whether there was one shows in the speeds at its end, unless a roller sticks or a gear has
 play.
+
+Arguments that mean the same everywhere, float64 and SI: `p` (P,) parameters, `s` (S,) state, `u` (U,) inputs, `w` (W,)
+scratch space, all of one line of `n` axes, `m` motors and `k` spans; `i` an axis and `j` a motor, from 0; `y` the place
+in `w` of a block of integrated quantities (now, stage, …); `t` the time since the start and `h` the length of a step,
+both s. Positions, speeds, masses and forces are those at the web. What goes on changes `s` and `w` in place.
 """
 
 from __future__ import annotations
@@ -89,7 +94,10 @@ def _is_one_span(p: Vector) -> bool:
 
 @inlined
 def _web(p: Vector, u: Vector, w: Vector, n: int, m: int, k: int, t: float, strain_prev: float, y: int) -> None:
-    """Tensions, and rates of the unstretched lengths, for the quantities at place `y` of the scratch space."""
+    """Tensions (N), and rates of the unstretched lengths (m/s), for the quantities at `y`, into their parts of `w`.
+
+    `strain_prev`: strain of the web that enters, with the disturbance.
+    """
     speed, tension, rate = _part(n, m, k, lay.SPEED), _part(n, m, k, lay.TENSION), _part(n, m, k, lay.RATE)
     if k > 0:
         for i in range(n):
@@ -103,7 +111,7 @@ def _web(p: Vector, u: Vector, w: Vector, n: int, m: int, k: int, t: float, stra
 
 @inlined
 def _web_force_N(p: Vector, u: Vector, w: Vector, n: int, m: int, k: int, i: int, strain_prev: float) -> float:
-    """Pull of the web on roller i, forward."""
+    """Pull of the web on roller i, N forward: the tension behind it less the one before it, as last put into `w`."""
     if p[_axis(i) + lay.A_WEB_LOAD] == 0.0:
         return 0.0
     tension = _part(n, m, k, lay.TENSION)
@@ -113,7 +121,7 @@ def _web_force_N(p: Vector, u: Vector, w: Vector, n: int, m: int, k: int, i: int
 
 @inlined
 def _motor_force_N(p: Vector, w: Vector, n: int, m: int, k: int, j: int, x_m: float) -> float:
-    """Force of motor j at the web; `x_m` is where its shaft is."""
+    """Force of motor j at the web, N, from the torque in `w`; `x_m` is where its shaft is."""
     motor = _motor(n, j)
     ratio = p[motor + lay.M_RAD_PER_M]
     return ratio * laws.shaft_torque_Nm(p, motor, w[_part(n, m, k, lay.TORQUE) + j], x_m * ratio)
@@ -141,7 +149,11 @@ def _is_apart(p: Vector, s: Vector, n: int, k: int, i: int) -> bool:
 def _acceleration(
     p: Vector, s: Vector, n: int, k: int, i: int, v: float, per_mass: float, force_N: float, web_N: float
 ) -> float:
-    """Of a roller that does not stick, under the forces on all that turns with it."""
+    """m/s² of a roller that does not stick, at speed `v` (m/s).
+
+    `per_mass`: 1/kg of all that turns with it; `force_N`: motors and smooth resistance on that, `web_N`: pull of the
+    web.
+    """
     axis = _axis(i)
     if laws.breakaway_N(p, axis) != 0.0:
         force_N -= s[_axis_state(n, k, i) + lay.SA_DIRECTION] * laws.dry_friction_N(p, axis, v)
@@ -150,7 +162,7 @@ def _acceleration(
 
 @inlined
 def _go(w: Vector, size: int, j: int, rate: float, weight: float, ahead: float) -> None:
-    """Quantity j: its rate into the sum, and on to the next stage."""
+    """Quantity j of `size`: its rate into the weighted sum of the step, and on to the next stage, `ahead` s of now."""
     w[lay.SUM * size + j] += weight * rate
     w[lay.STAGE * size + j] = w[lay.NOW * size + j] + ahead * rate
 
@@ -170,7 +182,11 @@ def _go_axis(
     ahead: float,
     slides: bool,
 ) -> None:
-    """Rates of axis i in the stage block: roller and motor as one, or apart within the gear play; it may stick."""
+    """Rates of axis i in the stage block: roller and motor as one, or apart within the gear play; it may stick.
+
+    `weight`, `ahead` (s): of this stage of the Runge-Kutta step. `slides`: known beforehand that no gear has play and
+    no roller sticks, a constant where it is compiled for, so that neither is asked for.
+    """
     size, y = _block(n, k, 1), _block(n, k, lay.STAGE)
     v, per_mass = w[y + n + i], w[_part(n, m, k, lay.PER_MASS) + i]
     drive = _motor_force_N(p, w, n, m, k, i, w[y + 2 * n + i])
@@ -209,7 +225,10 @@ def _stage(
     ahead: float,
     slides: bool,
 ) -> None:
-    """Rates at time t of what is in the stage block and the torques there, and the next stage `ahead` of now."""
+    """Rates at time t of what is in the stage block and the torques there, and the next stage `ahead` (s) of now.
+
+    `weight` of these rates in the step's sum; `slides` as in `_go_axis`.
+    """
     size, y = _block(n, k, 1), _block(n, k, lay.STAGE)
     strain_prev = laws.upstream_strain(p, u[lay.U_STRAIN_PREV], t)
     _web(p, u, w, n, m, k, t, strain_prev, y)
@@ -252,7 +271,11 @@ def _set_decays(p: Vector, w: Vector, h: float) -> None:
 def _integrate(
     p: Vector, s: Vector, u: Vector, w: Vector, n: int, m: int, k: int, t: float, h: float, slides: bool
 ) -> None:
-    """One classical Runge-Kutta step: quantities at its end in the stage block, torques there; none taken over yet."""
+    """One classical Runge-Kutta step: quantities at its end in the stage block, torques there; none taken over yet.
+
+    That they are not taken over is what lets a step with an event in it be tried again, shorter. `slides` as in
+    `_go_axis`.
+    """
     size = _block(n, k, 1)
     if w[_part(n, m, k, lay.DECAY_STEP_S)] != h:
         _set_decays(p, w, h)
@@ -320,8 +343,8 @@ def _reversal(v: float, direction: float) -> float:
 def _violations(p: Vector, s: Vector, u: Vector, w: Vector, t: float, i: int, y: int) -> tuple[float, float, float]:
     """How far axis i has left its mode at place `y`, tensions and torques there: gear, friction; the force on it.
 
-    Gear: a flank passed, or a flank that would have to pull. Friction: a speed against its direction, or a force too
-    great for it to stick.
+    Gear: a flank passed (µm), or a flank that would have to pull (N). Friction: a speed against its direction (mm/s),
+    or a force too great for it to stick (N). In these units one tolerance does for all, as the search needs one number.
     """
     n, m, k = _counts(p)
     axis, mode = _axis(i), _axis_state(n, k, i)
@@ -407,7 +430,10 @@ def _touch(p: Vector, s: Vector, w: Vector, n: int, k: int, i: int, half_m: floa
 
 @compiled
 def _settle(p: Vector, s: Vector, u: Vector, w: Vector, t: float) -> None:
-    """Change modes until every axis fits its own (a roller that stops may stick at once, or slide back)."""
+    """Change modes until every axis fits its own (a roller that stops may stick at once, or slide back).
+
+    One at a time: a change of one axis' mode may move the forces that another's was judged by.
+    """
     n, m, k = _counts(p)
     for i in range(n):
         direction = _axis_state(n, k, i) + lay.SA_DIRECTION
@@ -435,11 +461,13 @@ def _try(p: Vector, s: Vector, u: Vector, w: Vector, t: float, h: float) -> floa
 
 @compiled
 def _until_event(p: Vector, s: Vector, u: Vector, w: Vector, t: float, h: float, search: bool) -> float:
-    """A step of length h or, if there is an event in it and `search`, up to it; how long it was.
+    """A step of length h or, if there is an event in it and `search`, up to it; how long it was, s.
 
-    The event's time is found by the Illinois form of regula falsi.
+    The event's time is found by the Illinois form of regula falsi: the violation is nearly linear in the time within a
+    step, and halving the value at the end that stays keeps the bracket from shrinking from one side only. Each trial
+    starts from the same quantities, so that the step that is taken is a whole Runge-Kutta step.
     """
-    low, high, within, beyond, last = 0.0, h, -_EVENT_TOLERANCE, 0.0, 0
+    low, high, within, beyond, last = 0.0, h, -_EVENT_TOLERANCE, 0.0, 0  # at the start of the step all is well
     cut, found = h, not search
     for iteration in range(_EVENT_ITERATIONS):
         violation = _try(p, s, u, w, t, cut)
@@ -453,13 +481,14 @@ def _until_event(p: Vector, s: Vector, u: Vector, w: Vector, t: float, h: float,
             low, within, last = cut, min(violation, -_EVENT_TOLERANCE), -1
         found = high - low <= 1e-9 * h or iteration == _EVENT_ITERATIONS - 2
         share = within / (within - beyond)
+        # The end beyond the event: from there the new mode begins, and does not find itself in the old one again.
         cut = high if found else low + (high - low) * min(max(share, 1e-3), 0.999)
     return cut
 
 
 @compiled
 def _step_with_events(p: Vector, s: Vector, u: Vector, w: Vector, t: float, h: float) -> None:
-    """One step, cut at every event."""
+    """One step, cut at every event; after too many of them the rest is taken as it comes, so that time goes on."""
     noinline()
     n, m, k = _counts(p)
     left = h
@@ -499,7 +528,10 @@ def _sample_drives(p: Vector, s: Vector, u: Vector, w: Vector, n: int, m: int, k
 def _simple_step(
     p: Vector, s: Vector, u: Vector, w: Vector, n: int, m: int, k: int, t: float, h: float, one_span: bool
 ) -> bool:
-    """One step, taken only if there is no event in it; whether it was."""
+    """One step, taken only if there is no event in it; whether it was.
+
+    `one_span`: the counts are those of one span, as constants, and so is this; the rates are then compiled with them.
+    """
     if not _slides(p, s, n, k):
         return False
     if one_span:
@@ -556,7 +588,10 @@ def go_on(p: Vector, s: Vector, u: Vector, w: Vector, samples: int) -> None:
 
 @compiled
 def enter(p: Vector, s: Vector, u: Vector, w: Vector) -> None:
-    """Bring into the scratch space what is integrated, and what stays the same during a call."""
+    """Bring into the scratch space what is integrated, and what stays the same during a call.
+
+    Masses and effects may have changed between two calls, and the scratch space may have served another line.
+    """
     n, m, k = _counts(p)
     for j in range(_block(n, k, 1)):
         w[j] = s[lay.S_Y + j]
@@ -623,7 +658,11 @@ def report(p: Vector, s: Vector, u: Vector, w: Vector, out: Vector, at: int) -> 
 def _rows(
     p: Vector, s: Vector, u: Vector, w: Vector, commands: Vector, boundary: Vector, samples: int, out: Vector, at: int
 ) -> None:
-    """Observe and advance, row by row, from place `at` of `out` on; between `enter` and `leave`."""
+    """Observe and advance, row by row, from place `at` of `out` on; between `enter` and `leave`.
+
+    `commands` (n, M) set points, motor side, and `boundary` (n, 2), upstream strain and downstream tension (N), each
+    held for `samples` drive samples.
+    """
     _, m, k = _counts(p)
     for row in range(commands.shape[0]):
         u[lay.U_STRAIN_PREV] = boundary[row, 0]

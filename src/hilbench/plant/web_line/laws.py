@@ -268,8 +268,12 @@ def span_rates(
 
     The exact mass conservation of the design, written for the unstretched length m = L/(1 + strain) that lies in
     a span: m' = v1/(1 + strain_prev) - v2/(1 + strain). It holds for any L(t), and a Runge-Kutta step conserves
-    the web to rounding. Read: K + 1 speeds of the web at the rollers without creep (`speed`), unstretched and then
-    nominal lengths (`material`), rates of the nominal length. Written: `tension`, `rate`.
+    the web to rounding.
+
+    p (P,): parameters; spans: K; stiffness: E·S, N; strain_prev: of the web that enters; f_next_N: tension behind the
+    line. Read from `w`: speeds (K + 1,) of the web at the rollers without creep, m/s (`speed`), unstretched (K,) and
+    then nominal lengths (K,), m (`material`), rates (K,) of the nominal lengths, m/s (`length_rate`). Written: tensions
+    (K,), N (`tension`), and rates (K,) of the unstretched lengths, m/s (`rate`).
     """
     scale, offset = length_factor(p), p[_STRAIN_OFFSET]
     for k in range(spans):
@@ -292,7 +296,10 @@ def _flows(
     tension: int,
     rate: int,
 ) -> None:
-    """Rates of the unstretched web in the spans at these tensions: what comes in less what goes out."""
+    """Rates of the unstretched web in the spans at these tensions: what comes in less what goes out, m/s.
+
+    Places in `w` and units as in `span_rates`; read: `speed`, `material`, `tension`, written: `rate`.
+    """
     scale, creep = length_factor(p), p[_CREEP]
     inflow = w[speed] / (1.0 + strain_prev)
     for k in range(spans):
@@ -318,7 +325,10 @@ def _damped(
     tension: int,
     rate: int,
 ) -> None:
-    """Add the damping to the tensions. It needs the rates, and with creep the rates need the tensions: iterated."""
+    """Add the damping to the tensions. It needs the rates, and with creep the rates need the tensions: iterated.
+
+    Arguments, places in `w` and units as in `span_rates`; read: all of them, written: `tension` and `rate`.
+    """
     noinline()
     scale, offset = length_factor(p), p[_STRAIN_OFFSET]
     damping, creep = p[_DAMPING_S], p[_CREEP]

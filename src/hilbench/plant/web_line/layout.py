@@ -227,7 +227,10 @@ def _columns(motors: int, spans: int) -> Mapping[str, slice]:
 
 
 def write_effect(parameters: Vector, effect_id: str, axis: int | None, slot: int, values: dict[str, float]) -> None:
-    """Write an effect's (checked, complete) parameters into a parameter vector."""
+    """Write an effect's (checked, complete) parameters, by name and in their units, into a parameter vector (P,).
+
+    axis: from 1, None for an effect of the web; slot: from 0, for effects that can be given several times.
+    """
     layout, effect = Layout.of(parameters), find_effect(effect_id)
     row = parameters
     if effect.per_axis and axis is not None:

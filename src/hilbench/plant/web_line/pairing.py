@@ -8,17 +8,20 @@ from __future__ import annotations
 
 from math import isfinite
 
-#: Ways of the rollers that differ by more than this share of a cycle's way, or this length, are not of one instant.
+#: Ways of the rollers that differ by more than this share of a cycle's way are not of one instant.
 _ALIKE = 0.3
-_LEAST_WAY_M = 1e-4
 #: Beyond any acceleration of a line.
 _FASTEST_M_S2 = 100.0
 
 
 class Pairing:
-    """Compares the ways of all rollers since their positions were last of one instant."""
+    """Compares the ways of all axes since their positions were last of one instant.
 
-    def __init__(self) -> None:
+    Ways that differ by no more than `least_way` (m, or rad of a rotary machine) are alike.
+    """
+
+    def __init__(self, least_way: float) -> None:
+        self._least_way = least_way
         self.unpaired = 0  #: cycles whose positions were not of one instant
         self.reset()
 
@@ -38,7 +41,7 @@ class Pairing:
         if last is not None:
             ways = [abs(now_m - last_m) for now_m, last_m in zip(positions_m, last, strict=True)]
             longest, finite = max(ways), isfinite(sum(ways))
-            if not finite or longest - min(ways) > max(_LEAST_WAY_M, _ALIKE * longest / self._cycles):
+            if not finite or longest - min(ways) > max(self._least_way, _ALIKE * longest / self._cycles):
                 self.unpaired += 1
                 return False
         self._last, self._cycles = positions_m, 0

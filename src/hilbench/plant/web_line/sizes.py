@@ -2,9 +2,19 @@
 
 from __future__ import annotations
 
+from typing import Final
+
 from hilbench.plant.effects import MachineSizes
 from hilbench.plant.parameters import per_item
 from hilbench.plant.web_line.parameters import ModelParameters
+
+#: Share of a roller's radius by which positions may differ that are of one instant: encoders, and what slips.
+_ALIKE_SHARE: Final = 5e-4
+
+
+def least_way_m(model: ModelParameters) -> float:
+    """Way at the web that is measured well enough to tell cycles by it: a share of the smallest roller."""
+    return _ALIKE_SHARE * min(model.radius_m(axis) for axis in range(1, model.axis_count + 1))
 
 
 def machine_sizes(

@@ -39,7 +39,12 @@ BROKEN = Quantity("broken", "1", "1: the web has torn and pulls no more; 0: it i
 def _span_rates(
     p: Vector, w: Vector, n: int, k: int, at: int, rate: int, t: float, steps: float, strain_prev: float, f_next: float
 ) -> None:
-    """Rates at `rate` of unstretched and nominal lengths at `at`; w[0:n] positions, w[n:2n] speeds, then K + N more."""
+    """Rates (2·K,), m/s, to place `rate` of `w`, of the unstretched and then the nominal lengths (2·K,), m, at `at`.
+
+    p (P,): parameters of the line. w: positions (n,), m, and speeds (n,), m/s, at its start; behind them room for the
+    web's speeds (n,), then rates of the nominal lengths (k,), and the tensions (k,), N, that come with it. t: s since
+    the start. steps: factor of the steps of E. strain_prev: of the web that enters; f_next: tension behind the line, N.
+    """
     speed, length_rate, tension = 2 * n, 3 * n, 3 * n + k
     for i in range(n):
         axis = lay.W_SIZE + i * lay.A_SIZE
@@ -63,9 +68,11 @@ def roll_on(
     spread_s: float,
     out: Vector,
 ) -> None:
-    """Advance s = [t, positions, unstretched lengths, lengths] with the rollers at constant speeds v.
+    """Advance s = [t, positions (N,), unstretched lengths (K,), lengths (K,)], s and m, at constant speeds.
 
-    Tensions into `out`, with steps of E spread over the next `spread_s` (`laws.step_factor`).
+    p (P,): parameters of the line; w: scratch space of `new_follower_work`; v (N,): speeds, m/s; strain_prev: of the
+    web that enters; f_next: tension behind the line, N; duration: s, 0 for the tensions alone. Tensions into `out`
+    (K,), N, with steps of E spread over the next `spread_s` (`laws.step_factor`).
     """
     n, k = int(p[lay.W_AXES]), int(p[lay.W_SPANS])
     count = max(int(np.ceil(duration / _LONGEST_STEP_S - 1e-9)), 1)

@@ -1,0 +1,39 @@
+"""Positions of several axes that are of one instant, and those that are not."""
+
+from __future__ import annotations
+
+from math import nan
+
+import pytest
+
+from hilbench.plant.web_line.pairing import Pairing
+
+WAY_M = 0.006  #: of a cycle, 2 ms at 3 m/s
+
+
+@pytest.mark.parametrize("late", [0, 1, 2])
+def test_positions_of_which_one_is_a_cycle_old_are_of_no_instant(late: int) -> None:
+    pairing = Pairing(1e-4)
+    assert pairing.update(0.0, 0.0, 0.0)
+    assert pairing.update(WAY_M, 1.0001 * WAY_M, 0.9999 * WAY_M)
+    now = [2.0 * WAY_M] * 3
+    now[late] = WAY_M
+    assert not pairing.update(*now)
+    assert pairing.unpaired == 1
+    assert pairing.update(3.0 * WAY_M, 3.0 * WAY_M, 3.0 * WAY_M)
+
+
+@pytest.mark.parametrize("place", [0, 1, 2])
+def test_position_that_is_no_number_is_of_no_instant(place: int) -> None:
+    pairing = Pairing(1e-4)
+    pairing.update(0.0, 0.0, 0.0)
+    now = [WAY_M] * 3
+    now[place] = nan
+    assert not pairing.update(*now)
+
+
+def test_axes_that_stand_may_differ_by_the_least_way() -> None:
+    for least_way_m, alike in ((1e-4, True), (1e-5, False)):
+        pairing = Pairing(least_way_m)
+        pairing.update(0.0, 0.0)
+        assert pairing.update(0.0, 5e-5) is alike
