@@ -1,4 +1,4 @@
-"""A block of a config or model file: its keys are known, and its numbers are numbers."""
+"""What files of ours are made of: their keys are known; in a config or model file, numbers are numbers, too."""
 
 from __future__ import annotations
 
@@ -15,11 +15,15 @@ LARGEST: Final = 1e13
 LEAST: Final = 1e-15
 
 
-class Block(BaseModel):
-    """Base of all of them: unknown keys are refused, and so are texts and truth values where a number stands, numbers
-    that are not finite, and those beyond `LARGEST` or, but for zero, below `LEAST` in size."""
+class Strict(BaseModel):
+    """Base of everything that is read from a file: unknown keys and numbers that are not finite are refused."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class Block(Strict):
+    """Base of what a person writes: texts and truth values where a number stands are refused as well, and numbers
+    beyond `LARGEST` or, but for zero, below `LEAST` in size."""
 
     @model_validator(mode="wrap")
     @classmethod

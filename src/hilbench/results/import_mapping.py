@@ -18,9 +18,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, field_validator
+from pydantic import Field, field_validator
 
 from hilbench import strict_yaml
+from hilbench.block import Block
 from hilbench.errors import UnusableInputError
 from hilbench.results.recording import Recording, check_recording, read_recording
 from hilbench.suggest import did_you_mean
@@ -29,11 +30,7 @@ from hilbench.topology.signals import TIME, example_names, find_signal, unit_of
 _CSV = (".csv", ".txt", ".tsv", ".gz")
 
 
-class _Part(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class TextFile(_Part):
+class TextFile(Block):
     """How the text file is written."""
 
     delimiter: str = ","
@@ -42,15 +39,15 @@ class TextFile(_Part):
     encoding: str = "utf-8-sig"
 
 
-class Column(_Part):
+class Column(Block):
     """Where a channel comes from: value = factor · column + offset, in the channel's SI unit."""
 
     column: str
-    factor: FiniteFloat = 1.0
-    offset: FiniteFloat = 0.0
+    factor: float = 1.0
+    offset: float = 0.0
 
 
-class ColumnMapping(_Part):
+class ColumnMapping(Block):
     """The mapping file."""
 
     file: TextFile = TextFile()

@@ -10,21 +10,16 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, Self
 
-from pydantic import BaseModel, ConfigDict
-
 from hilbench import strict_yaml
 from hilbench.bench.lifecycle.participants import Participants
+from hilbench.block import Strict
 from hilbench.errors import UnusableInputError
 from hilbench.topology.config import BenchConfig
 
 _GIT_TIMEOUT_S = 5.0
 
 
-class _Part(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class Override(_Part):
+class Override(Strict):
     """A value of the config that an option gave: ``pace`` is ``realtime`` by ``--pace``."""
 
     key: str
@@ -32,7 +27,7 @@ class Override(_Part):
     option: str
 
 
-class Commit(_Part):
+class Commit(Strict):
     """The git commit that is checked out where the config lies; `changed`: files of it differ from the commit, or the
     config itself is not part of it."""
 
@@ -40,7 +35,7 @@ class Commit(_Part):
     changed: bool
 
 
-class EdsFile(_Part):
+class EdsFile(Strict):
     """An EDS or DCF file as it was when the run began, and the nodes it was used for."""
 
     file: str
@@ -48,7 +43,7 @@ class EdsFile(_Part):
     nodes: list[str]
 
 
-class Provenance(_Part):
+class Provenance(Strict):
     """Where a run comes from. `participants`: who brought the simulated hardware and the twin; `git` is None where the
     config is in no checkout."""
 

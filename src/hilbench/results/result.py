@@ -12,8 +12,6 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import (
-    BaseModel,
-    ConfigDict,
     Field,
     SerializerFunctionWrapHandler,
     ValidationError,
@@ -21,6 +19,7 @@ from pydantic import (
     model_validator,
 )
 
+from hilbench.block import Strict
 from hilbench.errors import UnusableInputError
 from hilbench.files import written_whole
 from hilbench.results.provenance import Provenance
@@ -37,12 +36,8 @@ _HISTOGRAM_BINS = 60
 MOST_EVENTS = 500
 
 
-class _Part(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-
-class _PartWithOptions(_Part):
-    """A part whose optional members are left out, rather than null, where there is nothing to say."""
+class _WithOptions(Strict):
+    """A block whose optional members are left out, rather than null, where there is nothing to say."""
 
     @model_serializer(mode="wrap")
     def _without_absent_options(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:
@@ -54,7 +49,7 @@ class _PartWithOptions(_Part):
         return cls.model_fields[name].is_required()
 
 
-class Jitter(_Part):
+class Jitter(Strict):
     """Lateness of SYNC against its absolute time, in µs: median, 99 %, 99.9 %, largest."""
 
     p50: float
@@ -63,7 +58,7 @@ class Jitter(_Part):
     max: float
 
 
-class Histogram(_Part):
+class Histogram(Strict):
     """How many cycles were how late: `counts[i]` between `edges_us[i]` and `edges_us[i + 1]`."""
 
     edges_us: list[float]
@@ -76,7 +71,7 @@ class Histogram(_Part):
         return self
 
 
-class Late(_Part):
+class Late(Strict):
     """How often a participant's answer to SYNC came late since the drives were enabled: its last one was used again
     (a drive), or one of an earlier SYNC (the twin), `oldest_cycles` old at most."""
 
@@ -89,7 +84,7 @@ class Late(_Part):
 _LATE_WARNING_PCT = 1.0
 
 
-class Timing(_PartWithOptions):
+class Timing(_WithOptions):
     """How the cycles went. `cycle_us` is the nominal cycle; `jitter_us` is None where nobody measured it.
 
     `realtime_factor` is bus time over wall time; `bus_load_pct` the mean share of the bus' capacity in use.
@@ -157,7 +152,7 @@ def jitter(lateness_us: ArrayLike) -> tuple[Jitter, Histogram] | tuple[None, Non
     )
 
 
-class Fault(_Part):
+class Fault(Strict):
     """Something that went wrong in a run: when (s of bus time, None before the first cycle), where, what."""
 
     time_s: float | None
@@ -165,7 +160,7 @@ class Fault(_Part):
     text: str
 
 
-class Warned(_PartWithOptions):
+class Warned(_WithOptions):
     """What did not stop the run, counted by source and kind: the first time (s of bus time) and its text, the number
     of times, and, where there were several, the last time and its text."""
 
@@ -197,7 +192,7 @@ def _version(package: str) -> str:
         return "not installed"
 
 
-class Environment(_Part):
+class Environment(Strict):
     """What a run ran on, so that its result can be judged later and elsewhere."""
 
     hilbench: str
@@ -218,7 +213,7 @@ class Environment(_Part):
         )
 
 
-class ChangeRecord(_Part):
+class ChangeRecord(Strict):
     """A quantity that an event changed, SI; None where nobody knows the value."""
 
     path: str
@@ -226,7 +221,7 @@ class ChangeRecord(_Part):
     after: float | None
 
 
-class EventRecord(_Part):
+class EventRecord(Strict):
     """A step, a ramp, or a mark (the twin was lost), from when to when (s of experiment time)."""
 
     kind: Literal["step", "ramp", "mark"]
@@ -245,7 +240,7 @@ class EventRecord(_Part):
         return cls(kind=event.kind, text=str(event), start_s=event.start_s, end_s=event.end_s, changes=changes)
 
 
-class StepRecord(_Part):
+class StepRecord(Strict):
     """One step with its figures by metric, from when it acts to the next event; `reasons`: why one has no value."""
 
     number: int
@@ -272,7 +267,7 @@ def _known(value: float | None) -> float | None:
     return value if value is not None and isfinite(value) else None
 
 
-class Result(_PartWithOptions):
+class Result(_WithOptions):
     """The verdict of one run. `passed` holds exactly when every criterion does and no fault stopped the run.
 
     `not_judged`: why a metric has no value; `steps`: every step of the run with its figures; `events`: these and all

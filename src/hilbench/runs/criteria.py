@@ -6,9 +6,9 @@ from collections.abc import Mapping, Sequence
 from math import inf, isfinite
 from typing import Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, SerializerFunctionWrapHandler, model_serializer, model_validator
+from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
-from hilbench.block import Block
+from hilbench.block import Block, Strict
 from hilbench.runs.metrics import LEAST_SETTLED_S, METRICS, Figure, Judgement, reasons
 from hilbench.suggest import did_you_mean
 
@@ -75,15 +75,13 @@ def _text(bound: float | None) -> str:
 Verdict = Literal["passed", "marginal", "failed", "error"]
 
 
-class CriterionResult(BaseModel):
+class CriterionResult(Strict):
     """The verdict on one criterion.
 
     `value` is None where the run has no such value, and `reason` says why: an *error*, which, other than a failure,
     says nothing about what was tested; with `never`, what was waited for did not come: a failure. Beside a value
     `reason` says what was not judged. `step`: which step of the run the value is of.
     """
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     name: str
     value: float | None
