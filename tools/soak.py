@@ -35,6 +35,7 @@ from hilbench.can.frame import Frame
 from hilbench.can.hub_client import inject_errors
 from hilbench.can.open import open_link
 from hilbench.canopen.emergency_stop import EMERGENCY_STOP
+from hilbench.canopen.identifiers import FUNCTION_CODE, SDO_REQUEST
 from hilbench.errors import BenchFaultError
 from hilbench.results.trace import TraceWriter
 from hilbench.runs.config import load_with_overrides
@@ -181,7 +182,7 @@ class Soak:
         for _ in range(64):
             data = self.random.randbytes(self.random.randrange(9))
             can_id = self.random.choice(HOSTILE)
-            if can_id & 0x780 == 0x600:  # reads only: a random write might, rightly, stop the drive
+            if can_id & FUNCTION_CODE == SDO_REQUEST:  # reads only: a random write might, rightly, stop the drive
                 data = bytes((0x40,)) + self.random.randbytes(3) + bytes(4)
             link.send([Frame(can_id, data)])
         link.receive(0.01)

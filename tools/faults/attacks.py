@@ -11,6 +11,7 @@ from faults.acts import bus_of
 from faults.run import Fault, Run
 from hilbench.can.frame import Frame
 from hilbench.can.open import open_link
+from hilbench.canopen.identifiers import SDO_REQUEST
 from hilbench.errors import BusError
 
 #: What a stranger sends, in how many batches, and how long it waits after each.
@@ -46,7 +47,7 @@ def send_again_and_again(*frames: Frame, times: int = _TIMES, pause_s: float = _
 def download(node_id: int, index: int, value: int, size: int, sub: int = 0) -> Frame:
     """An SDO write, as another master would send it."""
     head = bytes((0x23 | (4 - size) << 2,)) + index.to_bytes(2, "little") + bytes((sub,))
-    return Frame(0x600 + node_id, head + value.to_bytes(4, "little"))
+    return Frame(SDO_REQUEST + node_id, head + value.to_bytes(4, "little"))
 
 
 def attacks(long: list[dict[str, Any]], loop_back: list[dict[str, Any]]) -> Iterator[Fault]:

@@ -6,6 +6,7 @@ import subprocess
 from dataclasses import dataclass
 
 from faults.run import CLI, Fault, Run, started
+from hilbench.canopen.identifiers import SDO_ANSWER
 from hilbench.cia402.state_machine import POWERED, STATUS_TARGET_REACHED, State, decode_statusword
 from hilbench.errors import HilbenchError
 from hilbench.results.recording import read_recording
@@ -47,8 +48,8 @@ def stopped_after(run: Run) -> int | None:
             since = sync
         elif can_id - 0x180 in states and len(data) == 8:
             states[can_id - 0x180] = _stands(int.from_bytes(data[:2], "little"))
-        elif can_id - 0x580 in states and data[1:3] == b"\x41\x60":
-            states[can_id - 0x580] = _stands(int.from_bytes(data[4:6], "little"))
+        elif can_id - SDO_ANSWER in states and data[1:3] == b"\x41\x60":
+            states[can_id - SDO_ANSWER] = _stands(int.from_bytes(data[4:6], "little"))
         if since is not None and sync > since and all(states.values()):
             return sync - since
     return None

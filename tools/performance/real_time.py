@@ -21,7 +21,7 @@ from hilbench.bench.lifecycle.startup import start_children
 from hilbench.can.frame import Frame
 from hilbench.can.load import cycle_load
 from hilbench.can.open import open_link
-from hilbench.canopen.identifiers import NMT, NmtCommand
+from hilbench.canopen.identifiers import HEARTBEAT, NMT, NmtCommand
 from hilbench.errors import BenchFaultError
 from hilbench.exchange.cycle import CyclicExchange
 from hilbench.exchange.nodes import Nodes
@@ -125,7 +125,7 @@ def _three_drives(config: BenchConfig, seconds: float) -> Section:
 
 def _wait_for_boot(receive: Callable[[float], Sequence[Frame]], node_ids: Sequence[int]) -> None:
     """Raises TimeoutError when a node does not say boot-up."""
-    missing = {0x700 + node_id for node_id in node_ids}
+    missing = {HEARTBEAT + node_id for node_id in node_ids}
     deadline_s = time.monotonic() + _BOOT_S
     while missing:
         if time.monotonic() > deadline_s:
