@@ -86,7 +86,9 @@ def test_a_diagnosis_says_what_was_found_and_how_to_use_it(tmp_path: Path) -> No
 
 
 def test_a_diagnosis_without_a_finding_leaves_its_sections_out(tmp_path: Path) -> None:
-    nothing = replace(diagnosis(), verdict="complete", effects=[], where=[], profiles=[], left=[], blind_to=[])
+    nothing = replace(
+        diagnosis(), verdict="complete", effects=[], where=[], profiles=[], unexplained=[], unobservable=[]
+    )
     text = parsed(write_diagnosis_page(nothing, [], "", "title", tmp_path / "page.html", None)).text
     assert "Nothing is missing that these data can show." in text
     for absent in ("Effects", "Where the model disagreed", "Not explained", "The twin on the bench", "in use"):
