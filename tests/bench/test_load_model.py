@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import pytest
-from tests.plant.models import model
+from tests.bench.bench_nodes import shipped
 
-from hilbench.bench.tasks.load_model import LoadModel
+from hilbench.bench.tasks.load_model import web_load_model
 from hilbench.topology.config import LoadConfig
 from hilbench.topology.quantities import WEB_BROKEN, YOUNGS_MODULUS
 
@@ -17,29 +17,47 @@ FORCE = "load.effects.coulomb_friction.axis2.force_N"
 
 
 class Line:
-    """The two rollers, as the encoders have them; `draw`: how much faster roller 2 is."""
+    """The two rollers of the shipped bench, as the encoders have them."""
 
     def __init__(self, load: LoadConfig | None = None) -> None:
-        self.model = LoadModel(model(), load or LoadConfig(), CYCLE_S)
+        self.config = shipped().model_copy(update={"load": load or LoadConfig()})
+        self.model = web_load_model(self.config)
         self.x1_m = self.x2_m = 0.0
 
-    def move(self, *, draw: float = 0.0, late: bool = False, told: bool = True, speed_m_s: float = SPEED_M_S) -> float:
-        """One cycle further; the torque of the load motor in N·m. `told`: whether the samples are of this cycle."""
-        v2_m_s = speed_m_s * (1.0 + draw)
-        self.x1_m += speed_m_s * CYCLE_S
-        self.x2_m += v2_m_s * CYCLE_S
-        return self.model.update(self.x1_m, self.x2_m, v2_m_s, late=late) if told else 0.0
+    @property
+    def tension_N(self) -> float:
+        return self.model.machine.outputs()["F1_N"]
 
-    def settle(self, **how: float) -> float:
+    @property
+    def strain(self) -> float:
+        return self.model.machine.outputs()["strain1"]
+
+    def update(self, v2_m_s: float, *, late: bool = False) -> float:
+        """The torque of the load motor in N·m, of the positions as they are."""
+        (torque_Nm,) = self.model.update((self.x1_m, self.x2_m), (SPEED_M_S, v2_m_s), late=late)
+        return torque_Nm
+
+    def advance(self, draw: float) -> float:
+        """The rollers turn for a cycle, roller 2 faster by `draw`; its speed in m/s."""
+        v2_m_s = SPEED_M_S * (1.0 + draw)
+        self.x1_m += SPEED_M_S * CYCLE_S
+        self.x2_m += v2_m_s * CYCLE_S
+        return v2_m_s
+
+    def move(self, *, draw: float = 0.0, late: bool = False) -> float:
+        """One cycle further; the torque of the load motor in N·m."""
+        return self.update(self.advance(draw), late=late)
+
+    def settle(self, draw: float = 0.0) -> float:
         for _ in range(2000):
-            torque_Nm = self.move(**how)  # type: ignore[arg-type]
+            torque_Nm = self.move(draw=draw)
         return torque_Nm
 
 
 def test_the_web_pulls_with_the_difference_of_the_tensions_before_and_behind_roller_2() -> None:
     line = Line()
     torque_Nm = line.settle()
-    assert line.model.tension_N == pytest.approx(UPSTREAM_N, rel=1e-6)
+    assert line.tension_N == pytest.approx(UPSTREAM_N, rel=1e-6)
     assert torque_Nm == pytest.approx((DOWNSTREAM_N - UPSTREAM_N) / RATIO, rel=1e-6)
 
 
@@ -48,8 +66,8 @@ def test_a_faster_roller_2_strains_the_web_by_mass_conservation() -> None:
     for _ in range(4):
         line.settle(draw=1e-4)
     strain_prev = UPSTREAM_N / (8.7e9 * 0.5 * 65e-6)
-    assert line.model.strain == pytest.approx((1.0 + strain_prev) * (1.0 + 1e-4) - 1.0, rel=1e-3)
-    assert line.model.tension_N == pytest.approx(8.7e9 * 0.5 * 65e-6 * line.model.strain)
+    assert line.strain == pytest.approx((1.0 + strain_prev) * (1.0 + 1e-4) - 1.0, rel=1e-3)
+    assert line.tension_N == pytest.approx(8.7e9 * 0.5 * 65e-6 * line.strain)
 
 
 def test_the_torque_is_that_of_the_tension_when_it_acts() -> None:
@@ -58,7 +76,7 @@ def test_the_torque_is_that_of_the_tension_when_it_acts() -> None:
     line.settle()
     rate_N_s = 8.7e9 * 0.5 * 65e-6 * 1e-4 * SPEED_M_S
     torques_Nm = [line.move(draw=1e-4) for _ in range(2)]
-    ahead_N = DOWNSTREAM_N - torques_Nm[-1] * RATIO - line.model.tension_N
+    ahead_N = DOWNSTREAM_N - torques_Nm[-1] * RATIO - line.tension_N
     assert ahead_N == pytest.approx(rate_N_s * 0.004, rel=0.02)
 
 
@@ -70,7 +88,7 @@ def test_a_step_of_E_changes_the_pull_at_once_and_leaves_the_strain_upstream() -
     after_Nm = line.move()
     assert (before_Nm - after_Nm) * RATIO == pytest.approx(UPSTREAM_N * (10.5 / 8.7 - 1.0), rel=0.01)
     line.settle()
-    assert line.model.tension_N == pytest.approx(UPSTREAM_N * 10.5 / 8.7, rel=1e-6)
+    assert line.tension_N == pytest.approx(UPSTREAM_N * 10.5 / 8.7, rel=1e-6)
 
 
 def test_a_web_that_has_torn_pulls_no_more_and_has_no_strain() -> None:
@@ -78,7 +96,7 @@ def test_a_web_that_has_torn_pulls_no_more_and_has_no_strain() -> None:
     line.settle()
     line.model.set(WEB_BROKEN, 1.0)
     torque_Nm = line.move()
-    assert (line.model.tension_N, line.model.strain, line.model.value(WEB_BROKEN)) == (0.0, 0.0, 1.0)
+    assert (line.tension_N, line.strain, line.model.value(WEB_BROKEN)) == (0.0, 0.0, 1.0)
     assert torque_Nm == pytest.approx(DOWNSTREAM_N / RATIO)
 
 
@@ -92,7 +110,7 @@ def test_while_samples_are_late_the_torque_stays_and_then_no_way_is_lost() -> No
         assert held.move(draw=1e-4, late=True) == last_Nm
         seen.move(draw=1e-4)
     assert held.move(draw=1e-4) == pytest.approx(seen.move(draw=1e-4), rel=1e-3)
-    assert held.model.tension_N == pytest.approx(seen.model.tension_N, rel=1e-5)
+    assert held.tension_N == pytest.approx(seen.tension_N, rel=1e-5)
 
 
 def test_a_sample_of_an_earlier_cycle_is_predicted_over_what_it_is_late_by() -> None:
@@ -100,12 +118,11 @@ def test_a_sample_of_an_earlier_cycle_is_predicted_over_what_it_is_late_by() -> 
     line = Line()
     line.settle()
     for _ in range(2):
-        line.move(draw=1e-4, told=False)
-    x1_m, x2_m = line.x1_m, line.x2_m
+        line.advance(draw=1e-4)
     for _ in range(2):
-        line.model.update(x1_m, x2_m, SPEED_M_S, late=True)
-    torque_Nm = line.model.update(x1_m, x2_m, SPEED_M_S)
-    ahead_N = DOWNSTREAM_N - torque_Nm * RATIO - line.model.tension_N
+        line.update(SPEED_M_S, late=True)
+    torque_Nm = line.update(SPEED_M_S)
+    ahead_N = DOWNSTREAM_N - torque_Nm * RATIO - line.tension_N
     rate_N_s = 8.7e9 * 0.5 * 65e-6 * 1e-4 * SPEED_M_S
     assert ahead_N == pytest.approx(rate_N_s * (0.004 + CYCLE_S), rel=0.02)
 
@@ -113,10 +130,10 @@ def test_a_sample_of_an_earlier_cycle_is_predicted_over_what_it_is_late_by() -> 
 def test_drives_that_were_off_start_with_the_web_as_it_was_at_first() -> None:
     line = Line()
     line.settle(draw=2e-4)
-    assert line.model.tension_N > 1.2 * UPSTREAM_N
+    assert line.tension_N > 1.2 * UPSTREAM_N
     line.model.stop()
     line.move()
-    assert line.model.tension_N == pytest.approx(UPSTREAM_N, rel=1e-6)
+    assert line.tension_N == pytest.approx(UPSTREAM_N, rel=1e-6)
 
 
 def test_an_effect_of_the_imitated_machine_is_set_and_read_by_its_path() -> None:
@@ -139,5 +156,5 @@ def test_what_the_load_hides_is_no_part_of_what_the_twin_believes() -> None:
     line = Line(hidden)
     line.settle()
     assert line.model.value(YOUNGS_MODULUS) == 9.5e9
-    assert line.model.tension_N == pytest.approx(UPSTREAM_N * 9.5 / 8.7, rel=1e-6)
-    assert model().web.youngs_modulus_Pa == 8.7e9  # type: ignore[union-attr]
+    assert line.tension_N == pytest.approx(UPSTREAM_N * 9.5 / 8.7, rel=1e-6)
+    assert line.config.machine.required_web.youngs_modulus_Pa == 8.7e9
