@@ -19,9 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.diagnosis.synchronization import MethodResult, compare_methods
-from hilbench.estimation.config import AlsoEstimated, ChangepointConfig, SynchronizerConfig
-from hilbench.estimation.synchronizers.create import METHODS
-from hilbench.estimation.synthetic import simulated_measurements
+from hilbench.estimation.web_line.config import AlsoEstimated, ChangepointConfig, SynchronizerConfig
+from hilbench.estimation.web_line.synchronizers.create import METHODS
+from hilbench.estimation.web_line.synthetic import simulated_measurements
 from hilbench.runs.config import load_with_overrides
 
 CONFIG = Path(__file__).parents[1] / "bench_configs" / "web_section_step.yaml"

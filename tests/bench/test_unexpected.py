@@ -18,7 +18,7 @@ from hilbench.bench.tasks.load_model import LoadModel
 from hilbench.bench.tasks.tension_control import TensionController
 from hilbench.bench.tasks.twin_connection import TwinConnection
 from hilbench.cia402.state_machine import State
-from hilbench.estimation.tracking import Tracking
+from hilbench.estimation.web_line.tracking import Tracking
 from hilbench.exchange.cycle import CyclicExchange
 from hilbench.exchange.nodes import Nodes
 from hilbench.hardware.simulation import RigApplication

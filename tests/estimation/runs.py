@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from tests.plant.models import model
 
-from hilbench.estimation.config import EstimationConfig, SynchronizerConfig
-from hilbench.estimation.offline import Measurements, Track, run_offline
-from hilbench.estimation.synthetic import simulated_measurements
+from hilbench.estimation.web_line.config import EstimationConfig, SynchronizerConfig
+from hilbench.estimation.web_line.offline import Measurements, Track, run_offline
+from hilbench.estimation.web_line.synthetic import simulated_measurements
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.runs.metrics import E_BAND, time_to_stay
 

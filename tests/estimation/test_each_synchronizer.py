@@ -7,10 +7,10 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from hilbench.estimation.balance import BalanceSample
-from hilbench.estimation.synchronizers.base import Estimate, Synchronizer, SyncSample
-from hilbench.estimation.synchronizers.create import METHODS, new_synchronizer
-from hilbench.estimation.synchronizers.plant import Plant
+from hilbench.estimation.web_line.balance import BalanceSample
+from hilbench.estimation.web_line.synchronizers.base import Estimate, Synchronizer, SyncSample
+from hilbench.estimation.web_line.synchronizers.create import METHODS, new_synchronizer
+from hilbench.estimation.web_line.synchronizers.plant import Plant
 
 CYCLE_S, SPEED_M_S = 0.002, 3.0
 SECTION_M2, LENGTH_M, PER_M, MASS_KG, NEXT_N = 0.5 * 65e-6, 1.0, 25.0, 30.0, 70.0

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hilbench.estimation.config import AlsoEstimated, EkfConfig
-from hilbench.estimation.synchronizers import kalman
-from hilbench.estimation.synchronizers.ekf import _step
+from hilbench.estimation.web_line.config import AlsoEstimated, EkfConfig
+from hilbench.estimation.web_line.synchronizers import kalman
+from hilbench.estimation.web_line.synchronizers.ekf import _step
 
 DT_S, MASS_KG, RATIO, FORCE_SD_N, POSITION_SD_M = 0.002, 30.0, 25.0, 1.25, 7e-8
 

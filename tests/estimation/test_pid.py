@@ -6,10 +6,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hilbench.estimation.balance import BalanceSample
-from hilbench.estimation.config import PidConfig
-from hilbench.estimation.synchronizers.base import SyncSample
-from hilbench.estimation.synchronizers.pid import PidSynchronizer
+from hilbench.estimation.web_line.balance import BalanceSample
+from hilbench.estimation.web_line.config import PidConfig
+from hilbench.estimation.web_line.synchronizers.base import SyncSample
+from hilbench.estimation.web_line.synchronizers.pid import PidSynchronizer
 
 CYCLE_S = 0.002
 SECTION_M2, STRAIN, METRES_PER_RAD, NEXT_N = 0.5 * 65e-6, 2.8e-4, 0.04, 70.0

@@ -18,8 +18,8 @@ from tests.estimation.runs import (
 )
 from tests.plant.models import effect, model
 
-from hilbench.estimation.bound import least_deviation_Pa
-from hilbench.estimation.config import (
+from hilbench.estimation.web_line.bound import least_deviation_Pa
+from hilbench.estimation.web_line.config import (
     AlsoEstimated,
     ChangepointConfig,
     EkfConfig,
@@ -29,10 +29,10 @@ from hilbench.estimation.config import (
     RlsConfig,
     SynchronizerConfig,
 )
-from hilbench.estimation.offline import Track, run_offline
-from hilbench.estimation.synchronizers.create import METHODS
-from hilbench.estimation.synthetic import simulated_measurements
-from hilbench.estimation.tracking import Tracking
+from hilbench.estimation.web_line.offline import Track, run_offline
+from hilbench.estimation.web_line.synchronizers.create import METHODS
+from hilbench.estimation.web_line.synthetic import simulated_measurements
+from hilbench.estimation.web_line.tracking import Tracking
 from hilbench.plant.motor_port import MotorPort
 from hilbench.plant.web_line.line import Line
 from hilbench.runs.metrics import noise_pct, overshoot_pct

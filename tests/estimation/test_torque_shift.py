@@ -10,8 +10,8 @@ import pytest
 
 from hilbench.bench.bench import Bench
 from hilbench.bench.lifecycle.participants import Participants
-from hilbench.estimation.balance import BalanceSample
-from hilbench.estimation.torque_shift import TorqueShift, TorqueShiftFinder
+from hilbench.estimation.web_line.balance import BalanceSample
+from hilbench.estimation.web_line.torque_shift import TorqueShift, TorqueShiftFinder
 from hilbench.runs.config import load_with_overrides
 from hilbench.topology.sample import CycleSample
 

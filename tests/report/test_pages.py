@@ -14,7 +14,7 @@ from hilbench.diagnosis.live import LiveGap
 from hilbench.diagnosis.misfit import Misfit
 from hilbench.diagnosis.synchronization import Comparison, MethodResult
 from hilbench.errors import UnusableInputError
-from hilbench.estimation.offline import Track
+from hilbench.estimation.web_line.offline import Track
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.report import live
 from hilbench.report.compare_page import ComparedRun, write_compare_page

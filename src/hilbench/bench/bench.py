@@ -23,7 +23,7 @@ from hilbench.bench.tasks.hardware_effects import HardwareEffects
 from hilbench.bench.tasks.twin_connection import TwinConnection
 from hilbench.bench.tasks.watches import ControllerWatch, EmergencyWatch, LatenessWatch, SupervisorWatch
 from hilbench.errors import UnusableValueError
-from hilbench.estimation.synchronizers.create import METHODS
+from hilbench.estimation.web_line.synchronizers.create import METHODS
 from hilbench.exchange.cycle import CyclicExchange, FrameTap
 from hilbench.exchange.nodes import Nodes
 from hilbench.exchange.timeliness import Timeliness

@@ -71,7 +71,7 @@ def _twin(run: Path, method: str | None, out: Path | None) -> dict[str, Any]:
     import numpy as np
 
     from hilbench.diagnosis.synchronization import measurements_of, methods_of
-    from hilbench.estimation.offline import run_offline
+    from hilbench.estimation.web_line.offline import run_offline
     from hilbench.results.journal import read_journal
     from hilbench.results.recording import Recording, read_recording, write_recording
     from hilbench.results.run_folder import RunFolder

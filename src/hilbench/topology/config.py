@@ -16,7 +16,7 @@ from pydantic import Field, PositiveFloat, field_validator, model_validator
 from hilbench.block import Block
 from hilbench.can.open import BusAddress
 from hilbench.errors import UnusableInputError
-from hilbench.estimation.config import EstimationConfig
+from hilbench.estimation.web_line.config import EstimationConfig
 from hilbench.plant.effects import EffectPlace, effect_problem
 from hilbench.plant.parameters import EffectEntry, LoadMotorParameters
 from hilbench.plant.sampling import samples_per

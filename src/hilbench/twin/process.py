@@ -18,10 +18,10 @@ from hilbench.canopen.host import DeviceHost, HostedDevices
 from hilbench.canopen.identifiers import NmtState
 from hilbench.canopen.sync_time import SyncTime
 from hilbench.cia402.simulated import SimulatedDrive
-from hilbench.estimation.config import EstimationConfig
-from hilbench.estimation.synchronizers.create import METHODS
-from hilbench.estimation.torque_shift import TORQUE_SHIFT, UNDECIDED
-from hilbench.estimation.tracking import Tracking
+from hilbench.estimation.web_line.config import EstimationConfig
+from hilbench.estimation.web_line.synchronizers.create import METHODS
+from hilbench.estimation.web_line.torque_shift import TORQUE_SHIFT, UNDECIDED
+from hilbench.estimation.web_line.tracking import Tracking
 from hilbench.plant.motor_port import MotorMode, MotorPort
 from hilbench.plant.web_line.line import Line
 from hilbench.plant.web_line.pairing import Pairing, SteadyWay

@@ -17,7 +17,7 @@ from hilbench.bench.tasks.tension_task import TensionTask
 from hilbench.bench.tasks.twin_trust import TwinTrust
 from hilbench.bench.tasks.watches import Watch
 from hilbench.errors import BenchFaultError
-from hilbench.estimation.plausibility import Problem
+from hilbench.estimation.web_line.plausibility import Problem
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.quantities import LINE_SPEED, is_of_load
 from hilbench.topology.sample import CycleSample

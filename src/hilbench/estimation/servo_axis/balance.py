@@ -10,10 +10,10 @@ import numpy as np
 from scipy.linalg import solve_discrete_lyapunov
 
 from hilbench.compiled import entry_point
+from hilbench.estimation.bank import Array
+from hilbench.estimation.noise_level import NoiseLevel
 from hilbench.estimation.servo_axis import kalman
 from hilbench.estimation.servo_axis.config import InertiaConfig
-from hilbench.estimation.synchronizers.kalman import Array
-from hilbench.estimation.synchronizers.noise_level import NoiseLevel
 from hilbench.plant.servo_axis import kernel, laws
 from hilbench.plant.servo_axis import layout as lay
 from hilbench.plant.servo_axis.parameters import ServoAxisParameters

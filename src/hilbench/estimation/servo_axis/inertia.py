@@ -9,12 +9,12 @@ from math import hypot, sqrt
 import numpy as np
 
 from hilbench.compiled import entry_point, number_of_sources
+from hilbench.estimation import bank
+from hilbench.estimation.bank import Array
+from hilbench.estimation.nuisance import Nuisance
 from hilbench.estimation.servo_axis import kalman
 from hilbench.estimation.servo_axis.balance import FilterInputs, ShaftSample
 from hilbench.estimation.servo_axis.config import InertiaConfig
-from hilbench.estimation.synchronizers import bank
-from hilbench.estimation.synchronizers.base import Nuisance
-from hilbench.estimation.synchronizers.kalman import Array
 from hilbench.plant.servo_axis import laws
 from hilbench.plant.servo_axis import layout as lay
 from hilbench.plant.servo_axis.parameters import ServoAxisParameters

@@ -23,7 +23,7 @@ from typing import Final
 import numpy as np
 
 from hilbench.compiled import compiled, inlined
-from hilbench.estimation.synchronizers.kalman import Array
+from hilbench.estimation.bank import Array
 
 X, V, BETA, RATE, Q = range(5)
 #: Torque offset, viscous and dry friction, sine and cosine of an unbalance.

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hilbench.estimation.bank import Array
 from hilbench.estimation.servo_axis.balance import ShaftSample
 from hilbench.estimation.servo_axis.config import InertiaConfig
 from hilbench.estimation.servo_axis.inertia import InertiaEstimator
-from hilbench.estimation.synchronizers.kalman import Array
 from hilbench.plant.motor_port import MotorMode
 from hilbench.plant.servo_axis import layout as lay
 from hilbench.plant.servo_axis.offline import simulate

@@ -16,11 +16,12 @@ from __future__ import annotations
 
 from math import exp, sqrt
 
-from hilbench.estimation.config import InputConfig
-from hilbench.estimation.synchronizers.base import Estimate, Nuisance, SyncSample
-from hilbench.estimation.synchronizers.noise_level import NoiseLevel
-from hilbench.estimation.synchronizers.plant import Plant, held
-from hilbench.estimation.synchronizers.regression import FILTER_S, RegressionRows
+from hilbench.estimation.noise_level import NoiseLevel
+from hilbench.estimation.nuisance import Nuisance
+from hilbench.estimation.web_line.config import InputConfig
+from hilbench.estimation.web_line.synchronizers.base import Estimate, SyncSample
+from hilbench.estimation.web_line.synchronizers.plant import Plant, held
+from hilbench.estimation.web_line.synchronizers.regression import FILTER_S, RegressionRows
 
 _TORQUE_FLOOR_NM = 1e-4
 #: Most that the missing strain is amplified: at low speed the model can't follow faster, only the noise would.

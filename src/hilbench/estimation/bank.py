@@ -19,8 +19,12 @@ from __future__ import annotations
 
 from math import exp, log, sqrt
 
+import numpy as np
+from numpy.typing import NDArray
+
 from hilbench.compiled import compiled
-from hilbench.estimation.synchronizers.kalman import Array
+
+Array = NDArray[np.float64]
 
 _JUMP, _DRIFT, _END = 0, 1, 2
 #: Cycles between two births of a kind, and how long a newborn is kept whatever its weight.

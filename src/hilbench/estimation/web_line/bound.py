@@ -10,10 +10,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.estimation.balance import MeasuredBalance
-from hilbench.estimation.config import AlsoEstimated
-from hilbench.estimation.offline import Measurements
-from hilbench.estimation.synchronizers.noise_level import NoiseLevel
+from hilbench.estimation.noise_level import NoiseLevel
+from hilbench.estimation.web_line.balance import MeasuredBalance
+from hilbench.estimation.web_line.config import AlsoEstimated
+from hilbench.estimation.web_line.offline import Measurements
 from hilbench.plant.web_line.parameters import ModelParameters
 
 Array = NDArray[np.float64]

@@ -17,7 +17,7 @@ from __future__ import annotations
 from collections import deque
 from math import isfinite
 
-from hilbench.estimation.balance import BalanceSample
+from hilbench.estimation.web_line.balance import BalanceSample
 
 #: Window of the mean tension.
 _WINDOW_S = 0.04

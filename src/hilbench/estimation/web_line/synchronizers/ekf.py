@@ -14,11 +14,11 @@ from math import sqrt
 import numpy as np
 
 from hilbench.compiled import entry_point, number_of_sources
-from hilbench.estimation.config import EkfConfig
-from hilbench.estimation.synchronizers import kalman
-from hilbench.estimation.synchronizers.base import Estimate, SyncSample
-from hilbench.estimation.synchronizers.kalman import Array
-from hilbench.estimation.synchronizers.plant import FilterInputs, Plant, nuisances
+from hilbench.estimation.web_line.config import EkfConfig
+from hilbench.estimation.web_line.synchronizers import kalman
+from hilbench.estimation.web_line.synchronizers.base import Estimate, SyncSample
+from hilbench.estimation.web_line.synchronizers.kalman import Array
+from hilbench.estimation.web_line.synchronizers.plant import FilterInputs, Plant, nuisances
 
 #: Samples that the short mean of the innovations reaches back; its variance for white ones is 1/(2·8).
 _MEMORY = 8.0

@@ -8,11 +8,12 @@ from math import exp, hypot, sqrt
 import numpy as np
 
 from hilbench.compiled import entry_point, number_of_sources
-from hilbench.estimation.config import ChangepointConfig
-from hilbench.estimation.synchronizers import bank, kalman
-from hilbench.estimation.synchronizers.base import Estimate, SyncSample
-from hilbench.estimation.synchronizers.kalman import Array
-from hilbench.estimation.synchronizers.plant import FilterInputs, Plant, nuisances
+from hilbench.estimation import bank
+from hilbench.estimation.web_line.config import ChangepointConfig
+from hilbench.estimation.web_line.synchronizers import kalman
+from hilbench.estimation.web_line.synchronizers.base import Estimate, SyncSample
+from hilbench.estimation.web_line.synchronizers.kalman import Array
+from hilbench.estimation.web_line.synchronizers.plant import FilterInputs, Plant, nuisances
 
 BankStep = Callable[[Array, Array, Array, Array, Array, Array, Array], None]
 

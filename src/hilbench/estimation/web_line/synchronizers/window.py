@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from hilbench.estimation.synchronizers.base import SyncSample
-from hilbench.estimation.synchronizers.plant import Plant
-from hilbench.estimation.synchronizers.regression import PARAMETERS, Array, RegressionRows, noise_gain
+from hilbench.estimation.web_line.synchronizers.base import SyncSample
+from hilbench.estimation.web_line.synchronizers.plant import Plant
+from hilbench.estimation.web_line.synchronizers.regression import PARAMETERS, Array, RegressionRows, noise_gain
 
 
 class RowWindow:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from hilbench.estimation.config import LmConfig
-from hilbench.estimation.synchronizers.base import Estimate, SyncSample
-from hilbench.estimation.synchronizers.plant import Plant, held, nuisances, prior_deviations
-from hilbench.estimation.synchronizers.regression import PARAMETERS, Array
-from hilbench.estimation.synchronizers.window import RowWindow
+from hilbench.estimation.web_line.config import LmConfig
+from hilbench.estimation.web_line.synchronizers.base import Estimate, SyncSample
+from hilbench.estimation.web_line.synchronizers.plant import Plant, held, nuisances, prior_deviations
+from hilbench.estimation.web_line.synchronizers.regression import PARAMETERS, Array
+from hilbench.estimation.web_line.synchronizers.window import RowWindow
 
 
 class LmSynchronizer:

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.compiled import entry_point
-from hilbench.estimation.synchronizers.base import SyncSample
-from hilbench.estimation.synchronizers.plant import Plant
+from hilbench.estimation.web_line.synchronizers.base import SyncSample
+from hilbench.estimation.web_line.synchronizers.plant import Plant
 
 Array = NDArray[np.float64]
 

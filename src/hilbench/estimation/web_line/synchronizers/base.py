@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Protocol
 
-from hilbench.estimation.balance import BalanceSample
+from hilbench.estimation.nuisance import Nuisance
+from hilbench.estimation.web_line.balance import BalanceSample
 
 
 @dataclass(slots=True)
@@ -19,16 +20,6 @@ class SyncSample:
     torque_sim_sensitivity_Nm_per_Pa: float  #: ∂τ2/∂E of the simulated motor torque at constant strain
     upstream_strain: float  #: of the web that enters the span, as the twin is told it
     balance: BalanceSample  #: of roller 2, from the measured motion
-
-
-@dataclass(frozen=True, slots=True)
-class Nuisance:
-    """A parameter estimated beside E. Not `separable`: the data don't tell it from E, its prior value is held."""
-
-    name: str  #: as in `hilbench.estimation.config.AlsoEstimated`, with its unit
-    value: float
-    deviation: float
-    separable: bool
 
 
 @dataclass(frozen=True, slots=True)

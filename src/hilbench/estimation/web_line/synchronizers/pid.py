@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import math
 
-from hilbench.estimation.config import PidConfig
-from hilbench.estimation.synchronizers.base import Estimate, SyncSample
+from hilbench.estimation.web_line.config import PidConfig
+from hilbench.estimation.web_line.synchronizers.base import Estimate, SyncSample
 
 
 class PidSynchronizer:

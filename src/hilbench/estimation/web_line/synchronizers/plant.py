@@ -7,11 +7,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hilbench.estimation.balance import MeasuredBalance
-from hilbench.estimation.config import AlsoEstimated, ChangepointConfig, EkfConfig
-from hilbench.estimation.synchronizers import kalman
-from hilbench.estimation.synchronizers.base import Estimate, Nuisance, SyncSample
-from hilbench.estimation.synchronizers.noise_level import NoiseLevel
+from hilbench.estimation.noise_level import NoiseLevel
+from hilbench.estimation.nuisance import Nuisance
+from hilbench.estimation.web_line.balance import MeasuredBalance
+from hilbench.estimation.web_line.config import AlsoEstimated, ChangepointConfig, EkfConfig
+from hilbench.estimation.web_line.synchronizers import kalman
+from hilbench.estimation.web_line.synchronizers.base import Estimate, SyncSample
 
 #: Encoder noise believed before it is measured, and the least that is believed, m at the web.
 _POSITION_NOISE_M = 2e-7

@@ -10,10 +10,10 @@ from math import exp
 
 import numpy as np
 
-from hilbench.estimation.config import RlsConfig
-from hilbench.estimation.synchronizers.base import Estimate, SyncSample
-from hilbench.estimation.synchronizers.plant import Plant, held, nuisances, prior_deviations
-from hilbench.estimation.synchronizers.regression import PARAMETERS, RegressionRows, noise_gain
+from hilbench.estimation.web_line.config import RlsConfig
+from hilbench.estimation.web_line.synchronizers.base import Estimate, SyncSample
+from hilbench.estimation.web_line.synchronizers.plant import Plant, held, nuisances, prior_deviations
+from hilbench.estimation.web_line.synchronizers.regression import PARAMETERS, RegressionRows, noise_gain
 
 
 class RlsSynchronizer:

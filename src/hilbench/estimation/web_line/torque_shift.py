@@ -16,7 +16,7 @@ from collections import deque
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from hilbench.estimation.balance import BalanceSample
+from hilbench.estimation.web_line.balance import BalanceSample
 
 #: EMCY error codes (CiA 301: FFxxh, device specific): a shift, its N·m as REAL32 in the manufacturer's field; a change
 #: that is one or the other.

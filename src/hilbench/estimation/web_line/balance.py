@@ -61,8 +61,8 @@ _force = _measured_force(kernel.source_number(__file__))
 class MeasuredBalance:
     """The balance of axis 2 of a two-roller model, cycle by cycle; also the strain that the encoders show.
 
-    The model's `torque_delay` of axis 2 is not taken out here: `hilbench.estimation.delay` does, with what it finds.
-    Gear play is passed over. Raises ValueError for a model without a web or with other than two rollers.
+    The model's `torque_delay` of axis 2 is not taken out here: `hilbench.estimation.web_line.delay` does, with what it
+    finds. Gear play is passed over. Raises ValueError for a model without a web or with other than two rollers.
     """
 
     def __init__(self, model: ModelParameters) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hilbench.estimation.config import (
+from hilbench.estimation.web_line.config import (
     ChangepointConfig,
     EkfConfig,
     GlobalConfig,
@@ -12,15 +12,15 @@ from hilbench.estimation.config import (
     RlsConfig,
     SynchronizerConfig,
 )
-from hilbench.estimation.synchronizers.base import Synchronizer
-from hilbench.estimation.synchronizers.changepoint import ChangepointSynchronizer
-from hilbench.estimation.synchronizers.ekf import EkfSynchronizer
-from hilbench.estimation.synchronizers.global_search import GlobalSynchronizer
-from hilbench.estimation.synchronizers.input_observer import InputSynchronizer
-from hilbench.estimation.synchronizers.lm import LmSynchronizer
-from hilbench.estimation.synchronizers.pid import PidSynchronizer
-from hilbench.estimation.synchronizers.plant import Plant
-from hilbench.estimation.synchronizers.rls import RlsSynchronizer
+from hilbench.estimation.web_line.synchronizers.base import Synchronizer
+from hilbench.estimation.web_line.synchronizers.changepoint import ChangepointSynchronizer
+from hilbench.estimation.web_line.synchronizers.ekf import EkfSynchronizer
+from hilbench.estimation.web_line.synchronizers.global_search import GlobalSynchronizer
+from hilbench.estimation.web_line.synchronizers.input_observer import InputSynchronizer
+from hilbench.estimation.web_line.synchronizers.lm import LmSynchronizer
+from hilbench.estimation.web_line.synchronizers.pid import PidSynchronizer
+from hilbench.estimation.web_line.synchronizers.plant import Plant
+from hilbench.estimation.web_line.synchronizers.rls import RlsSynchronizer
 
 #: Methods by their names in configs and on the command line.
 METHODS: dict[str, type[SynchronizerConfig]] = {

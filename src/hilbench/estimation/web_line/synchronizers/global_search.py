@@ -11,11 +11,11 @@ from concurrent.futures import Future, ThreadPoolExecutor
 
 import numpy as np
 
-from hilbench.estimation.config import GlobalConfig
-from hilbench.estimation.synchronizers.base import Estimate, SyncSample
-from hilbench.estimation.synchronizers.plant import Plant, held, nuisances, prior_deviations
-from hilbench.estimation.synchronizers.regression import PARAMETERS, Array
-from hilbench.estimation.synchronizers.window import RowWindow
+from hilbench.estimation.web_line.config import GlobalConfig
+from hilbench.estimation.web_line.synchronizers.base import Estimate, SyncSample
+from hilbench.estimation.web_line.synchronizers.plant import Plant, held, nuisances, prior_deviations
+from hilbench.estimation.web_line.synchronizers.regression import PARAMETERS, Array
+from hilbench.estimation.web_line.synchronizers.window import RowWindow
 
 #: Bounds of a nuisance, in prior deviations.
 _NUISANCE_RANGE = 4.0

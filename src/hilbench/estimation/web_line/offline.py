@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.estimation.config import EstimationConfig
-from hilbench.estimation.tracking import Tracking
+from hilbench.estimation.web_line.config import EstimationConfig
+from hilbench.estimation.web_line.tracking import Tracking
 from hilbench.plant.motor_port import MotorMode, MotorPort
 from hilbench.plant.web_line.line import Line
 from hilbench.plant.web_line.parameters import ModelParameters

@@ -7,7 +7,7 @@ from math import exp, floor
 
 import numpy as np
 
-from hilbench.estimation.balance import BalanceSample
+from hilbench.estimation.web_line.balance import BalanceSample
 
 #: Longest delay that is looked for.
 LONGEST_S = 0.05
