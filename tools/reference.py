@@ -22,7 +22,8 @@ from hilbench.cli.main import app
 from hilbench.plant.effects import EFFECTS, Effect, EffectPlace, MachineKind, Parameter
 from hilbench.runs.config import ExperimentConfig
 from hilbench.runs.config_text import json_schema
-from hilbench.runs.metrics import METRICS
+from hilbench.runs.metrics import OF_RUNS, OF_STEPS
+from hilbench.runs.stretch import Metric
 from hilbench.topology.quantities import PLAIN_PATHS, permitted
 from hilbench.topology.signals import signals_of
 
@@ -343,16 +344,16 @@ def metrics_page() -> str:
         "What a run is judged by: `criteria:` of a config bound them, `result.json` has them all. Those *of steps* "
         "each step of the run has for itself, from when it acts to the next event; of the run they are the worst of "
         "all its steps. What a step, the *settled part* and noise are: [Results and report](../results.md).",
-        "",
-        *_table(
-            ("metric", "unit", "what", "of steps", "a run does not have it when"),
-            (
-                (f"`{name}`", metric.unit, metric.description, "yes" if metric.of_steps else "", metric.absent)
-                for name, metric in METRICS.items()
-            ),
-        ),
     ]
+    for kind, machine in OF_STEPS.items():
+        lines += ["", f"## Of steps, `kind: {kind}`", "", *_metrics_table(machine.metrics)]
+    lines += ["", "## Of the whole run, any machine", "", *_metrics_table(OF_RUNS)]
     return "\n".join(lines)
+
+
+def _metrics_table(metrics: Mapping[str, Metric]) -> Iterator[str]:
+    rows = ((f"`{name}`", metric.unit, metric.description, metric.absent) for name, metric in metrics.items())
+    return _table(("metric", "unit", "what", "a run does not have it when"), rows)
 
 
 def signals_page() -> str:

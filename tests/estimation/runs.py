@@ -12,7 +12,7 @@ from hilbench.estimation.web_line.config import EstimationConfig, SynchronizerCo
 from hilbench.estimation.web_line.offline import Measurements, Track, run_offline
 from hilbench.estimation.web_line.synthetic import simulated_measurements
 from hilbench.plant.web_line.parameters import ModelParameters
-from hilbench.runs.metrics import E_BAND, time_to_stay
+from hilbench.runs.figures import ESTIMATE_BAND, time_to_stay
 
 Array = NDArray[np.float64]
 
@@ -44,4 +44,4 @@ def tracked(data: Measurements, method: SynchronizerConfig, **twin: Any) -> Trac
 
 def time_to_1pct_s(data: Measurements, track: Track, modulus_Pa: Array) -> float | None:
     step = int(np.flatnonzero(np.diff(modulus_Pa))[-1]) + 1
-    return time_to_stay(data.t_s, track.E_Pa / modulus_Pa - 1.0, E_BAND, step)
+    return time_to_stay(data.t_s, track.E_Pa / modulus_Pa - 1.0, ESTIMATE_BAND, step)

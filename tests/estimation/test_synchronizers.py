@@ -35,7 +35,7 @@ from hilbench.estimation.web_line.synthetic import simulated_measurements
 from hilbench.estimation.web_line.tracking import Tracking
 from hilbench.plant.motor_port import MotorPort
 from hilbench.plant.web_line.line import Line
-from hilbench.runs.metrics import noise_pct, overshoot_pct
+from hilbench.runs.figures import noise_pct, overshoot_pct
 
 ON_BALANCE = [name for name in METHODS if name != "pid"]
 #: Time to 1 % over the time in which the Cramér–Rao bound's two deviations are 1 %. Largest of 12 seeds: rls 22, lm 13,

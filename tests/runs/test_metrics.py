@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from hilbench.runs import metrics
+from hilbench.runs import figures
 from hilbench.runs.metrics import METRICS, evaluate_metrics
 
 E0, E1 = 8.7e9, 10.5e9
@@ -84,7 +84,7 @@ def test_without_a_step_nothing_is_invented() -> None:
 
 def test_slow_drift_is_no_step() -> None:
     t = np.arange(0, 40, 0.01)
-    assert metrics.last_step(E0 * (1 + 0.005 * t)) is None
+    assert figures.last_step(E0 * (1 + 0.005 * t)) is None
 
 
 def test_a_short_ramp_is_one_step_for_the_overshoot() -> None:
@@ -92,42 +92,42 @@ def test_a_short_ramp_is_one_step_for_the_overshoot() -> None:
     true = np.full_like(t, E0)
     true[20:] *= 1.05
     true[60], true[61], true[62:] = E0 * 1.10, E0 * 1.15, E0 * 1.20
-    assert metrics.last_step(true) == 62
+    assert figures.last_step(true) == 62
     estimate = true.copy()
     estimate[80] += 0.1 * 0.15 * E0  # 10 % of the second step, which is 0.15·E0 high
-    assert metrics.overshoot_pct(estimate, true, 62) == pytest.approx(10)
+    assert figures.overshoot_pct(estimate, true, 62) == pytest.approx(10)
 
 
 def test_staying_means_staying() -> None:
     t = np.arange(0, 20, 0.01)
     error = np.where(t < 5, 2.0, 0.5)
-    assert metrics.time_to_stay(t, error, 1.0, 200) == pytest.approx(3.0)
+    assert figures.time_to_stay(t, error, 1.0, 200) == pytest.approx(3.0)
     error[1500] = -1.2
-    assert metrics.time_to_stay(t, error, 1.0, 200) == pytest.approx(13.01)
+    assert figures.time_to_stay(t, error, 1.0, 200) == pytest.approx(13.01)
     error[1500] = np.nan
-    assert metrics.time_to_stay(t, error, 1.0, 200) == pytest.approx(13.01)
+    assert figures.time_to_stay(t, error, 1.0, 200) == pytest.approx(13.01)
     error[-1] = 1.2
-    assert metrics.time_to_stay(t, error, 1.0, 200) is None
+    assert figures.time_to_stay(t, error, 1.0, 200) is None
     error[-1], error[-60] = 0, 1.2
-    assert metrics.time_to_stay(t, error, 1.0, 200) is None  # 0.6 s in the band show nothing
-    assert metrics.time_to_stay(t, np.zeros_like(t), 1.0, 200) == 0.0
+    assert figures.time_to_stay(t, error, 1.0, 200) is None  # 0.6 s in the band show nothing
+    assert figures.time_to_stay(t, np.zeros_like(t), 1.0, 200) == 0.0
 
 
 def test_noise_is_about_the_trend() -> None:
     t = np.arange(0, 5, 0.01)
     noise = 0.003 * E1 * np.where(np.arange(len(t)) % 2, 1.0, -1.0)
-    assert metrics.noise_pct(t, E1 + noise, np.full_like(t, E1)) == pytest.approx(0.3, rel=1e-3)
-    assert metrics.noise_pct(t, E1 * (1 + 0.01 * t) + noise, np.full_like(t, E1)) == pytest.approx(0.3, rel=1e-3)
+    assert figures.noise_pct(t, E1 + noise, np.full_like(t, E1)) == pytest.approx(0.3, rel=1e-3)
+    assert figures.noise_pct(t, E1 * (1 + 0.01 * t) + noise, np.full_like(t, E1)) == pytest.approx(0.3, rel=1e-3)
 
 
 def test_window_is_the_longest_stretch_at_working_speed() -> None:
     t = np.arange(0.0, 12.0)
     v = np.array([0, 1, 3, 3, 2, 3, 3, 3, 3.0001, 1, 3, 0])
-    assert metrics.working_window(t, v) == slice(5, 9)
-    assert metrics.working_window(t, -v) == slice(5, 9)
-    assert metrics.working_window(t, 0 * v) is None
+    assert figures.working_window(t, v) == slice(5, 9)
+    assert figures.working_window(t, -v) == slice(5, 9)
+    assert figures.working_window(t, 0 * v) is None
     v[6] = np.nan
-    assert metrics.working_window(t, v) == slice(7, 9) or metrics.working_window(t, v) == slice(2, 4)
+    assert figures.working_window(t, v) == slice(7, 9) or figures.working_window(t, v) == slice(2, 4)
 
 
 def test_a_run_in_which_nothing_moved_and_nothing_stepped_has_no_metrics() -> None:
@@ -169,18 +169,14 @@ def test_a_number_that_is_none_makes_no_metric() -> None:
 def test_the_settled_part_is_the_last_seconds_without_the_transient() -> None:
     t = np.arange(0, 40, 0.01)
     slow = np.exp(-t / 4)
-    assert t[metrics.settled_part(t, slow)][0] == pytest.approx(35, abs=0.02)
+    assert t[figures.settled_part(t, slow)][0] == pytest.approx(35, abs=0.02)
     short = t[:300]
     quick = 20 * np.exp(-short / 0.05) + 0.01 * np.sin(60 * short)
-    assert 0.2 < short[metrics.settled_part(short, quick)][0] < 1.0
-    assert short[metrics.settled_part(short, np.exp(-short / 4))][0] == pytest.approx(1.5)  # half of it, no more
-
-
-def test_tension_band_is_the_callers() -> None:
-    assert evaluate_metrics(run(), tension_band_N=4.0)["tension_recovery_s"] == pytest.approx(4 * np.log(4), abs=0.011)
+    assert 0.2 < short[figures.settled_part(short, quick)][0] < 1.0
+    assert short[figures.settled_part(short, np.exp(-short / 4))][0] == pytest.approx(1.5)  # half of it, no more
 
 
 def test_velocity_from_position_resolves_a_micrometre_a_second() -> None:
     t = np.arange(0, 5, 0.002)
     x = np.round((3.000145 * t) / 1.2e-6) * 1.2e-6  # 20-bit encoder
-    assert metrics.mean_velocity_m_s(t, x) == pytest.approx(3.000145, abs=1e-7)
+    assert figures.mean_velocity(t, x) == pytest.approx(3.000145, abs=1e-7)

@@ -12,11 +12,15 @@ from rich.table import Table
 
 from hilbench.bench.bench import Bench
 from hilbench.bench.lifecycle.participants import Participants
+from hilbench.cli.shown import servo_axis, web_line
 from hilbench.report.html import write_report
 from hilbench.results.result import Result, StepRecord, Timing
 from hilbench.results.run import RunOutcome, run_experiment
 from hilbench.runs.config import LoadedConfig
+from hilbench.runs.metrics import kind_of_figures
+from hilbench.topology.config import BenchConfig
 from hilbench.topology.sample import CycleSample
+from hilbench.topology.signals import kind_of
 
 _REFRESH_S = 0.2
 _PLAIN_LINE_EVERY_S = 5.0
@@ -41,7 +45,7 @@ def run_command(
         return outcome.exit_code
     console = Console(highlight=False)
     console.print(f"[bold]{loaded.config.name}[/bold]  {loaded.config.bus.address}, {loaded.config.pace}")
-    with Progress(console, cycle_s=loaded.config.cycle_time_s, bitrate=loaded.config.bus.bitrate) as progress:
+    with Progress(console, loaded.config) as progress:
         outcome = run_experiment(
             loaded, out, observers=[progress], participants=participants, announce=progress.announce, force=force
         )
@@ -55,7 +59,9 @@ def run_command(
 class Progress:
     """Observer that shows the state of the run: a live table on a terminal, a line now and then elsewhere."""
 
-    def __init__(self, console: Console, *, cycle_s: float, bitrate: int) -> None:
+    def __init__(self, console: Console, config: BenchConfig) -> None:
+        cycle_s, bitrate = config.cycle_time_s, config.bus.bitrate
+        self._shown = _SHOWN[kind_of(signal.name for signal in config.signals)]
         self._console = console
         self._cycle_s = cycle_s
         self._bits_per_cycle = bitrate * cycle_s
@@ -101,12 +107,7 @@ class Progress:
         return [
             ("t", f"{sample.t_s:6.2f} s ({factor:.1f} x real time)"),
             ("cycle", f"{sample.cycle:.0f}"),
-            ("line speed", f"{sample.v2_m_s:.3f} m/s"),
-            (
-                "tension true / simulated / set-point",
-                f"{sample.F_true_N:.1f} / {sample.F_sim_N:.1f} / {sample.F_ref_N:.1f} N",
-            ),
-            ("E true / estimated", f"{sample.E_true_Pa / 1e6:.0f} / {sample.E_sim_Pa / 1e6:.0f} N/mm²"),
+            *((row.title, row.text(sample)) for row in self._shown.live),
             ("bus load", f"{100 * sample.bus_bits / self._bits_per_cycle:.0f} %"),
         ]
 
@@ -144,27 +145,23 @@ def show_outcome(console: Console, outcome: RunOutcome) -> None:
     console.print(f"{verdict}   {left}", soft_wrap=True)
 
 
-#: Figures of each step that the terminal has room for: heading, metric.
-_OF_STEPS = (
-    ("E in 1 %, s", "E_time_to_1pct_s"),
-    ("noise, %", "E_noise_pct"),
-    ("F in 1 N, s", "tension_recovery_s"),
-    ("peak, N", "tension_peak_error_N"),
-)
+#: What is shown of each kind of machine.
+_SHOWN = {"web_line": web_line.SHOWN, "servo_axis": servo_axis.SHOWN}
 _MOST_STEPS = 20
 
 
 def _steps_table(steps: list[StepRecord]) -> Table:
+    of_steps = _SHOWN[kind_of_figures(steps[0].figures | steps[0].reasons)].of_steps
     shown = steps[:_MOST_STEPS]
     left_out = f", the first {_MOST_STEPS} of {len(steps)}" if len(steps) > _MOST_STEPS else ""
-    unknown = any(metric in step.reasons for step in shown for _, metric in _OF_STEPS)
+    unknown = any(metric in step.reasons for step in shown for _, metric in of_steps)
     table = Table(title=f"Steps{left_out}", title_justify="left", box=None, padding=(0, 2, 0, 0))
     if unknown:
         table.caption, table.caption_justify = "?: never, or not judged; result.json and the report say why", "left"
-    for heading in ("", "at, s", "step", *(heading for heading, _ in _OF_STEPS)):
+    for heading in ("", "at, s", "step", *(heading for heading, _ in of_steps)):
         table.add_column(heading, justify="left" if heading == "step" else "right", no_wrap=heading != "step")
     for step in shown:
-        figures = (_figure(step, metric) for _, metric in _OF_STEPS)
+        figures = (_figure(step, metric) for _, metric in of_steps)
         table.add_row(str(step.number), f"{step.time_s:.3f}", escape(step.text), *figures)
     return table
 

@@ -16,7 +16,7 @@ from hilbench.estimation.web_line.offline import Measurements, Track, run_offlin
 from hilbench.estimation.web_line.synchronizers.create import METHODS
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.results.recording import Recording
-from hilbench.runs import metrics
+from hilbench.runs import figures
 from hilbench.topology.config import BenchConfig
 
 Array = NDArray[np.float64]
@@ -158,7 +158,7 @@ def _comparison(
     model: ModelParameters, data: Measurements, E_true_Pa: Array | None, tracks: Mapping[str, Track]
 ) -> Comparison:
     """Scores of what each method did, beside the bound of these samples."""
-    step = metrics.last_step(E_true_Pa) if E_true_Pa is not None else None
+    step = figures.last_step(E_true_Pa) if E_true_Pa is not None else None
     noise_Nm = torque_noise_Nm(data)
     bound = np.full(len(data.t_s), np.inf)
     bound[step or 0 :] = least_deviation_Pa(model, data, step or 0, noise_Nm)
@@ -176,7 +176,7 @@ def _comparison(
 def _bound_time_s(t_s: Array, bound_Pa: Array, E_true_Pa: Array | None, step: int | None) -> float | None:
     if E_true_Pa is None or step is None:
         return None
-    within = 2.0 * bound_Pa[step:] <= metrics.E_BAND * E_true_Pa[step:]
+    within = 2.0 * bound_Pa[step:] <= figures.ESTIMATE_BAND * E_true_Pa[step:]
     return float(t_s[step + int(np.argmax(within))] - t_s[step]) if within.any() else None
 
 
@@ -191,9 +191,9 @@ def _score(method: str, track: Track, t_s: Array, true: Array | None, step: int 
     return MethodResult(
         method=method,
         track=track,
-        time_to_1pct_s=metrics.time_to_stay(t_s, error, metrics.E_BAND, step) if step is not None else None,
-        overshoot_pct=metrics.overshoot_pct(track.E_Pa, true, step) if step is not None else None,
-        noise_pct=metrics.noise_pct(t_s[settled], track.E_Pa[settled], true[settled]) if shown else None,
+        time_to_1pct_s=figures.time_to_stay(t_s, error, figures.ESTIMATE_BAND, step) if step is not None else None,
+        overshoot_pct=figures.overshoot_pct(track.E_Pa, true, step) if step is not None else None,
+        noise_pct=figures.noise_pct(t_s[settled], track.E_Pa[settled], true[settled]) if shown else None,
         bias_pct=100.0 * float(np.mean(error[settled])) if shown else None,
         largest_error_pct=100.0 * float(np.max(np.abs(error[settled]))) if shown else None,
         covered=float(np.mean(inside[settled])) if shown else None,

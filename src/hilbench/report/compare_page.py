@@ -19,7 +19,8 @@ from hilbench.results.recording import Recording, read_recording
 from hilbench.results.result import Result
 from hilbench.results.run_folder import RunFolder
 from hilbench.runs.events import find_events
-from hilbench.runs.metrics import METRICS, working_window
+from hilbench.runs.figures import working_window
+from hilbench.runs.metrics import METRICS
 
 Array = NDArray[np.float64]
 

@@ -34,7 +34,8 @@ from hilbench.report.chart import (
 from hilbench.report.reduce import envelope, mean_velocity, moving_average, thinned
 from hilbench.results.recording import Recording
 from hilbench.results.result import Histogram
-from hilbench.runs.metrics import E_BAND, expected_v1_m_s
+from hilbench.runs.figures import ESTIMATE_BAND
+from hilbench.runs.machines.web_line import expected_v1_m_s
 
 Array = NDArray[np.float64]
 
@@ -273,8 +274,8 @@ def _torques(recording: Recording, breaks: Sequence[int]) -> Picture:
 def _elasticity(recording: Recording, reference_Pa: Array | None) -> Picture:
     """Young's modulus: true, estimated, and by the published method."""
     caption = (
-        f"Young’s modulus of the imitated web with a band of ±{100 * E_BAND:g} % (grey), and the twin’s estimate with"
-        " a band of ±2 standard deviations where the twin states one."
+        f"Young’s modulus of the imitated web with a band of ±{100 * ESTIMATE_BAND:g} % (grey), and the twin’s "
+        "estimate with a band of ±2 standard deviations where the twin states one."
     )
     if reference_Pa is not None:
         caption += " PID: what the published tracking simulation makes of the same measurements."
@@ -285,7 +286,7 @@ def _elasticity(recording: Recording, reference_Pa: Array | None) -> Picture:
     curves, bands = [], []
     if "E_true_Pa" in recording:
         true = _get(recording, "E_true_Pa") / 1e6
-        bands.append(Band(t_s, true * (1 - E_BAND), true * (1 + E_BAND), INK, 0.16))
+        bands.append(Band(t_s, true * (1 - ESTIMATE_BAND), true * (1 + ESTIMATE_BAND), INK, 0.16))
         curves.append(Curve("true", t_s, true, INK, 1.1))
     if "E_sd_Pa" in recording:
         deviation = _get(recording, "E_sd_Pa") / 1e6

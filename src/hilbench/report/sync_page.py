@@ -23,7 +23,7 @@ from hilbench.report.chart import (
 )
 from hilbench.report.page import DASH, number, write_page
 from hilbench.report.plots import Picture, drawn
-from hilbench.runs.metrics import E_BAND
+from hilbench.runs.figures import ESTIMATE_BAND
 
 COLOURS = {
     "pid": INK,
@@ -100,7 +100,7 @@ def _chart(comparison: Comparison) -> Chart:
     t_s, bands, curves = comparison.t_s, [], []
     if comparison.E_true_Pa is not None:
         true = comparison.E_true_Pa / 1e6
-        bands.append(Band(t_s, true * (1 - E_BAND), true * (1 + E_BAND), INK, 0.16))
+        bands.append(Band(t_s, true * (1 - ESTIMATE_BAND), true * (1 + ESTIMATE_BAND), INK, 0.16))
         curves.append(Curve("true", t_s, true, PURPLE, 1.0))
     for result in comparison.results:
         curves.append(Curve(result.method, t_s, result.track.E_Pa / 1e6, COLOURS[result.method], 1.1))

@@ -9,7 +9,9 @@ from typing import Any, Literal, Self
 from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
 from hilbench.block import Block, Strict
-from hilbench.runs.metrics import LEAST_SETTLED_S, METRICS, Figure, Judgement, reasons
+from hilbench.runs.figures import LEAST_SETTLED_S
+from hilbench.runs.metrics import METRICS, Judgement, reasons
+from hilbench.runs.stretch import Figure
 from hilbench.suggest import did_you_mean
 
 
@@ -157,7 +159,7 @@ def _never(criterion: Criterion, figure: Figure) -> bool:
 def _why_none(criterion: Criterion, judged: Judgement) -> str:
     absent = f"the run has no {criterion.metric}"
     if criterion.step is None:
-        return f"{absent}: {METRICS[criterion.metric].absent}"
+        return f"{absent}: {judged.absent(criterion.metric)}"
     step = next((step for step in judged.steps if step.number == criterion.step), None)
     if step is not None:
         return f"{step} has no {criterion.metric}"

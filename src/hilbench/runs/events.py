@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hilbench.bench.reports.change import Change
-from hilbench.topology.quantities import LINE_SPEED, TENSION_SET_POINT, YOUNGS_MODULUS
+from hilbench.topology.main_quantities.of_kind import find_quantity, recorded_quantities
 
 Array = NDArray[np.float64]
 Channels = Mapping[str, NDArray[Any]]
@@ -31,8 +31,6 @@ _STEP_S: Final = 0.02
 #: A change within a ramp that is so many times the ramp's own is a step within it.
 _STANDS_OUT: Final = 5.0
 
-#: Signals that show what was set, and the path of it.
-_SHOWN_BY: Final = {"E_true_Pa": YOUNGS_MODULUS, "F_ref_N": TENSION_SET_POINT, "v2_cmd_m_s": LINE_SPEED}
 _MARKS: Final = {"twin_lost": "twin lost", "twin_back": "twin is back"}
 
 
@@ -46,18 +44,12 @@ class Changed:
 
     def __str__(self) -> str:
         """For a table or the edge of a picture: ``E +20.7 %``, ``set-point 80 → 95 N``."""
-        if self.path == YOUNGS_MODULUS and self.before and self.after is not None:
-            return f"E {100 * (self.after / self.before - 1):+.3g} %".replace("-", "−")
-        name, unit = _SHORT.get(self.path) or (self.path.split("effects.", 1)[-1], "")
+        known = find_quantity(self.path)
+        if known is not None and known.imitated and self.before and self.after is not None:
+            return f"{known.short} {100 * (self.after / self.before - 1):+.3g} %".replace("-", "−")
+        name, unit = (self.path.split("effects.", 1)[-1], "") if known is None else (known.short, known.unit)
         after = f"{_text(self.after)} {unit}".strip()
         return f"{name} {_text(self.before)} → {after}" if self.before is not None else f"{name} → {after}"
-
-
-_SHORT: Final = {
-    YOUNGS_MODULUS: ("E", "Pa"),
-    TENSION_SET_POINT: ("set-point", "N"),
-    LINE_SPEED: ("line speed", "m/s"),
-}
 
 
 def _text(value: float | None) -> str:
@@ -89,9 +81,8 @@ def find_events(channels: Channels, journal: Sequence[Event] = ()) -> list[Event
         return []
     shown = [
         event
-        for name, path in _SHOWN_BY.items()
-        if name in channels
-        for event in signal_events(time_s, channels[name], path)
+        for quantity in recorded_quantities(channels)
+        for event in signal_events(time_s, channels[quantity.signal], quantity.path)
     ]
     sample_s = float(np.median(np.diff(time_s)))
     within = [
@@ -173,12 +164,14 @@ def journal_events(changes: Iterable[Change], cycle_time_s: float) -> list[Event
 
 
 def signal_events(t_s: ArrayLike, values: ArrayLike, path: str) -> list[Event]:
-    """Steps and ramps of a recorded quantity. Of Young's modulus steps only, as it may drift by itself."""
+    """Steps and ramps of a recorded quantity. Of one that is imitated steps only, as it may drift by itself."""
+    quantity = find_quantity(path)
     time_s, data = np.asarray(t_s, np.float64), np.asarray(values, np.float64)
     largest = float(np.max(np.abs(data), initial=0.0, where=np.isfinite(data)))
     with np.errstate(divide="ignore", invalid="ignore"):
         changes = np.diff(data)
-        least = STEP_SHARE * np.abs(data[:-1]) if path == YOUNGS_MODULUS else np.full(len(changes), 1e-9 * largest)
+        drifts = quantity is not None and quantity.imitated
+        least = STEP_SHARE * np.abs(data[:-1]) if drifts else np.full(len(changes), 1e-9 * largest)
         moved = np.flatnonzero(np.abs(changes) > least) + 1
     events = []
     for group in _groups(moved.tolist()):

@@ -9,7 +9,7 @@ a span is left out where there is only one.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import cache
@@ -212,6 +212,17 @@ def example_names() -> list[str]:
     """The names that the smallest bench of each kind of machine has: what a misspelt name is compared with."""
     smallest = (signals_of(kind, axes, ["load"], spans) for kind, (axes, spans) in _SMALLEST.items())
     return list(dict.fromkeys(signal.name for signals in smallest for signal in signals))
+
+
+def kind_of(names: Iterable[str]) -> str:
+    """Which kind of machine has most of the signals with these names, the first of them where several have."""
+    given = list(names)
+    return max(DECLARATIONS, key=lambda kind: sum(_has(kind, name) for name in given))
+
+
+@cache
+def _has(kind: str, name: str) -> bool:
+    return any(_pattern(each).fullmatch(name) for each in DECLARATIONS[kind])
 
 
 _UNIT_SUFFIXES: Final = (

@@ -1,0 +1,127 @@
+"""What judges the runs of a kind of machine, and the metrics that follow from the signals that every kind has."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from hilbench.runs.figures import ESTIMATE_BAND, noise_pct, still_settling
+from hilbench.runs.stretch import (
+    NOISE_PEAK,
+    Array,
+    Figure,
+    Metric,
+    Stretch,
+    UnknownFigureError,
+    after_a_step,
+    after_a_step_of,
+)
+from hilbench.topology.main_quantities.quantity import MainQuantity
+
+NO_STEP = "nothing stepped, or signals that it needs are not recorded"
+
+#: Half width of the band that a speed has to enter, as a share of its step.
+_SPEED_BAND = 0.02
+
+
+@dataclass(frozen=True)
+class MachineMetrics:
+    """The metrics of a kind of machine.
+
+    The command of `speed` says when the machine works; where its ramps are the work itself (`moves_always`), they end
+    no stretch. `together`: figures of one step, that whose last one is the largest.
+    """
+
+    speed: MainQuantity
+    metrics: Mapping[str, Metric]
+    together: tuple[str, ...] = ()
+    moves_always: bool = False
+
+
+def nothing_to_judge(machine: str) -> str:
+    """Why a run may not have what every step has; `machine` is what has to run."""
+    return f"nothing stepped and the {machine} never ran, or signals that it needs are not recorded"
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A property of the imitated machine and the signal with the twin's estimate of it."""
+
+    quantity: MainQuantity
+    signal: str
+    machine: str  #: what has to run
+
+    def metrics(self) -> dict[str, Metric]:
+        """Time to 1 %, final error, noise and overshoot, by names that begin with the symbol of the signals."""
+        name, symbol = self.quantity.short, self.signal.split("_sim_", 1)[0]
+        nothing = nothing_to_judge(self.machine)
+        return {
+            f"{symbol}_time_to_1pct_s": Metric(
+                "s",
+                f"time from a step until the estimate stays within 1 % of the true {name}",
+                NO_STEP,
+                lambda s: s.time_in_band(self._error(s), ESTIMATE_BAND, f"{100 * ESTIMATE_BAND:g} %"),
+                after_a_step,
+            ),
+            f"{symbol}_final_error_pct": Metric(
+                "%", f"size of the mean relative error of the estimate of {name}, settled part", nothing, self._final
+            ),
+            f"{symbol}_noise_pct": Metric(
+                "%", f"rms of the estimate of {name} about its straight-line trend, settled part", nothing, self._noise
+            ),
+            f"{symbol}_overshoot_pct": Metric(
+                "%",
+                f"largest excess of the estimate over the new {name} beyond noise, of the step",
+                f"{name} did not step, or {self.signal} is not recorded",
+                lambda s: s.overshoot(self.signal, self.quantity.signal, s.height_of(self.quantity)),
+                after_a_step_of(self.quantity),
+            ),
+        }
+
+    def _error(self, stretch: Stretch) -> Array:
+        """Relative."""
+        estimate, true = stretch.get(self.signal), stretch.get(self.quantity.signal)
+        if not true.all():
+            raise UnknownFigureError(f"the true {self.quantity.short} is 0")
+        return np.asarray(estimate / true - 1, np.float64)
+
+    def _final(self, stretch: Stretch) -> Figure:
+        error = self._error(stretch)
+        return Figure(abs(100 * float(np.mean(error[stretch.settled(error)]))))
+
+    def _noise(self, stretch: Stretch) -> Figure:
+        error = self._error(stretch)
+        part = stretch.settled(error)
+        if still_settling(stretch.t_s, error):
+            raise UnknownFigureError(f"the estimate still settles at the end of the hold of {stretch.hold_s:.3g} s")
+        signals = stretch.get(self.signal)[part], stretch.get(self.quantity.signal)[part]
+        return Figure(noise_pct(stretch.t_s[part], *signals))
+
+
+def speed_metrics(speed: MainQuantity, follower: str, measured: str) -> dict[str, Metric]:
+    """How a velocity follows a step of the speed: `measured` is its signal, `follower` its name."""
+    absent = f"the {speed.title} did not step, or {measured} is not recorded"
+
+    def settling(stretch: Stretch) -> Figure:
+        error = stretch.error(measured, speed.signal)
+        band = max(_SPEED_BAND * abs(stretch.height_of(speed)), NOISE_PEAK * stretch.noise(error))
+        return stretch.time_in_band(error, band, f"{band:.3g} {speed.unit}")
+
+    return {
+        "speed_settling_s": Metric(
+            "s",
+            f"time from a step of the {speed.title} until {follower} stays within 2 % of the step",
+            absent,
+            settling,
+            after_a_step_of(speed),
+        ),
+        "speed_overshoot_pct": Metric(
+            "%",
+            f"largest excess of {follower} over the new {speed.title} beyond noise, of the step",
+            absent,
+            lambda s: s.overshoot(measured, speed.signal, s.height_of(speed)),
+            after_a_step_of(speed),
+        ),
+    }

@@ -1,0 +1,45 @@
+"""A servo axis: the estimates of inertia and friction, how the shaft follows its speed, what the twin leaves over."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from hilbench.runs.machines.machine import Estimate, MachineMetrics, nothing_to_judge, speed_metrics
+from hilbench.runs.stretch import Array, Metric, Stretch
+from hilbench.topology.main_quantities.servo_axis import FRICTION, INERTIA, SPEED
+
+_NOTHING: Final = nothing_to_judge("shaft")
+
+
+def _speed_error(stretch: Stretch) -> Array:
+    return stretch.error("v1_rad_s", SPEED.signal)
+
+
+_FOLLOWING: Final = {
+    "speed_rms_error_rad_s": Metric(
+        "rad/s",
+        "rms of the shaft's velocity minus its command since the step",
+        _NOTHING,
+        lambda s: s.rms(_speed_error(s)),
+    ),
+    "speed_peak_error_rad_s": Metric(
+        "rad/s", "largest velocity error of the shaft since the step", _NOTHING, lambda s: s.peak(_speed_error(s))
+    ),
+    "torque_residual_rms_Nm": Metric(
+        "N·m",
+        "rms of measured minus simulated torque since the step",
+        _NOTHING,
+        lambda s: s.rms(s.get("tau1_residual_Nm")),
+    ),
+}
+
+METRICS: Final = MachineMetrics(
+    SPEED,
+    {
+        **Estimate(INERTIA, "J_sim_kg_m2", "shaft").metrics(),
+        **Estimate(FRICTION, "coulomb_sim_Nm", "shaft").metrics(),
+        **speed_metrics(SPEED, "the shaft", "v1_rad_s"),
+        **_FOLLOWING,
+    },
+    moves_always=True,
+)

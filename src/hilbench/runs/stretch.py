@@ -1,0 +1,171 @@
+"""A stretch of a run that is judged on its own, the figures that any signal of it can have, and what a metric is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilbench.runs.events import STEP_SHARE, Event
+from hilbench.runs.figures import (
+    LEAST_SETTLED_S,
+    least_stay_s,
+    settled_part,
+    stays_from,
+    still_settling,
+    trend_rms,
+)
+from hilbench.topology.main_quantities.quantity import MainQuantity
+
+Array = NDArray[np.float64]
+Channels = Mapping[str, NDArray[Any]]
+
+#: An excess of at most so many times the rms of the noise is noise, no overshoot.
+NOISE_PEAK: Final = 5.0
+
+
+@dataclass(frozen=True)
+class Figure:
+    """One metric of one step: its value, or why there is none.
+
+    `longer_than_s`: what was waited for did not come within that time, so that the value is larger.
+    """
+
+    value: float | None
+    reason: str = ""
+    longer_than_s: float | None = None
+
+
+class UnknownFigureError(Exception):
+    """A figure that cannot be had; its text says why."""
+
+
+class Stretch:
+    """The signals from one step to the next event, and the figures they show; UnknownFigureError says why there is
+    none.
+
+    `part`: its samples within `channels` (by signal, of equal length); `event`: the step, None for a working window.
+    """
+
+    def __init__(self, channels: Channels, part: slice, event: Event | None) -> None:
+        self._all, self._part = channels, part
+        self._channels = {name: np.asarray(values[part], np.float64) for name, values in channels.items()}
+        self.event = event
+        self.t_s = self._channels["t_s"]
+        self.hold_s = float(self.t_s[-1] - self.t_s[0])
+        self.sample_s = float(np.median(np.diff(self.t_s))) if len(self.t_s) > 1 else 0.0
+
+    def get(self, name: str) -> Array:
+        """A signal, all of it numbers."""
+        if name not in self._channels:
+            raise UnknownFigureError(f"{name} is not recorded")
+        values = self._channels[name]
+        bad = np.flatnonzero(~np.isfinite(values))
+        if len(bad):
+            raise UnknownFigureError(f"{name} is no number at t = {self.t_s[bad[0]]:g} s")
+        return values
+
+    def error(self, name: str, goal: str) -> Array:
+        """A signal less another."""
+        return self.get(name) - self.get(goal)
+
+    def settled(self, error: Array) -> slice:
+        """The end of the stretch without the transient of `error`."""
+        if self.hold_s < LEAST_SETTLED_S - self.sample_s:
+            raise UnknownFigureError(
+                f"the hold of {self.hold_s:.3g} s is too short, at least {LEAST_SETTLED_S:g} s are needed"
+            )
+        return settled_part(self.t_s, error)
+
+    def final(self, error: Array) -> Figure:
+        """Size of the mean of the settled part."""
+        return Figure(abs(float(np.mean(error[self.settled(error)]))))
+
+    def rms(self, error: Array) -> Figure:
+        """Root of the mean square."""
+        return Figure(float(np.sqrt(np.mean(error**2))))
+
+    def peak(self, error: Array) -> Figure:
+        """Largest size."""
+        return Figure(float(np.max(np.abs(error))))
+
+    def noise(self, error: Array) -> float:
+        """Rms about the trend of the settled part."""
+        part = self.settled(error)
+        if still_settling(self.t_s, error):
+            raise UnknownFigureError(
+                f"noise cannot be told from what still settles after the hold of {self.hold_s:.3g} s"
+            )
+        return trend_rms(self.t_s[part], error[part])
+
+    def overshoot(self, name: str, goal: str, height: float) -> Figure:
+        """Largest excess of a signal over its goal in the direction of a step of `height`, in % of it."""
+        error = self.error(name, goal)
+        excess = float(np.max(error * np.sign(height)))
+        return Figure(100 * excess / abs(height) if excess > 0 and excess > NOISE_PEAK * self.noise(error) else 0.0)
+
+    def time_in_band(self, error: Array, band: float, text: str) -> Figure:
+        """Time until the error stays within the band; `text` is the band for a reader."""
+        first = stays_from(error, band)
+        if first == len(error):
+            return Figure(None, f"not within {text} for good in the hold of {self.hold_s:.3g} s", self.hold_s)
+        time_s = float(self.t_s[first] - self.t_s[0])
+        needed_s = least_stay_s(self.hold_s)
+        if self.hold_s - time_s < needed_s:
+            stayed = f"within {text} for the last {self.hold_s - time_s:.2g} s of the hold only"
+            raise UnknownFigureError(f"{stayed}, at least {needed_s:.2g} s are needed")
+        return Figure(time_s)
+
+    def height_of(self, quantity: MainQuantity) -> float:
+        """By how much the step changed a quantity: what the recording shows, where it does."""
+        assert self.event is not None, "only a step has a height"
+        values = self._all.get(quantity.signal)
+        if values is None:
+            changed = self.event.of(quantity.path)
+            return 0.0 if changed is None or changed.before is None else (changed.after or 0.0) - changed.before
+        time_s = np.asarray(self._all["t_s"], np.float64)
+        before = int(np.searchsorted(time_s, self.event.start_s - 0.5 * self.sample_s)) - 1
+        return float(values[self._part.start]) - float(values[max(before, 0)])
+
+    def is_step_of(self, quantity: MainQuantity) -> bool:
+        """Whether its step is one of this quantity. Who imitates the machine may change it unheard: what is recorded
+        shows that, beyond the drift that such a quantity may have."""
+        if self.event is None:
+            return False
+        height = self.height_of(quantity)
+        if not quantity.imitated:
+            return self.event.of(quantity.path) is not None and bool(height)
+        values = self._all.get(quantity.signal)
+        return values is not None and abs(height) > STEP_SHARE * abs(float(values[self._part.start]))
+
+
+@dataclass(frozen=True)
+class Metric:
+    """What a metric's number means: its unit, why a run may not have it, and how a stretch of it shows the number.
+
+    `figure` is None for what is counted of the whole run; `judged` says of which stretches there is a figure.
+    """
+
+    unit: str
+    description: str
+    absent: str
+    figure: Callable[[Stretch], Figure] | None = None
+    judged: Callable[[Stretch], bool] = lambda stretch: True
+
+    @property
+    def of_steps(self) -> bool:
+        """Whether each step has a figure of its own."""
+        return self.figure is not None
+
+
+def after_a_step(stretch: Stretch) -> bool:
+    """For `Metric.judged`: not of a working window."""
+    return stretch.event is not None
+
+
+def after_a_step_of(quantity: MainQuantity) -> Callable[[Stretch], bool]:
+    """For `Metric.judged`: only where this quantity stepped."""
+    return lambda stretch: stretch.is_step_of(quantity)

@@ -1,0 +1,26 @@
+"""What there is to know of a quantity that a person changes under way."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class MainQuantity:
+    """One quantity by its path (`hilbench.topology.quantities`), and how it is spoken of."""
+
+    path: str
+    title: str  #: for one who is asked for a value
+    short: str  #: beside a number, in a table or at the edge of a picture
+    unit: str  #: SI
+    signal: str  #: the signal of a recording that shows what was set
+    key: str  #: what asks for it in the monitor
+    shown_unit: str = ""  #: in which a person gives it; the SI unit if not given
+    si_per_shown: float = 1.0
+    #: A property of the imitated machine: it may drift by itself, and a step of it is a share of its value.
+    imitated: bool = False
+
+    @property
+    def in_unit(self) -> str:
+        """The unit in which a person gives it."""
+        return self.shown_unit or self.unit

@@ -1,0 +1,22 @@
+"""A servo axis: the speed of its shaft, and the imitated inertia and dry friction."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from hilbench.topology.main_quantities.quantity import MainQuantity
+
+SPEED: Final = MainQuantity("speed_rad_s", "speed of the shaft", "speed", "rad/s", "v1_cmd_rad_s", "v")
+INERTIA: Final = MainQuantity(
+    "load.shaft.inertia_kg_m2", "inertia of the imitated shaft", "J", "kg·m²", "J_true_kg_m2", "m", imitated=True
+)
+FRICTION: Final = MainQuantity(
+    "load.shaft.coulomb_friction_Nm",
+    "dry friction of the imitated shaft",
+    "friction",
+    "N·m",
+    "coulomb_true_Nm",
+    "f",
+    imitated=True,
+)
+QUANTITIES: Final = (INERTIA, FRICTION, SPEED)
