@@ -29,12 +29,12 @@ def parts(config_path: Path, seconds: float) -> dict[str, Callable[[], list[Sect
     """What can be measured, by name."""
     config = load_with_overrides(config_path).config
     return {
-        "kernel": lambda: model_kernel.measure(config.machine),
+        "kernel": lambda: model_kernel.measure(config.web_line),
         "pdo": lambda: [cyclic_path.measure(config)],
         "lockstep": lambda: [running.lockstep(config_path, seconds)],
         "jitter": lambda: real_time.measure(config_path, seconds),
-        "sync": lambda: [recordings.synchronizers(config.machine, LENGTHS_S)],
-        "diagnose": lambda: [recordings.diagnosis(config.machine, LENGTHS_S)],
+        "sync": lambda: [recordings.synchronizers(config.web_line, LENGTHS_S)],
+        "diagnose": lambda: [recordings.diagnosis(config.web_line, LENGTHS_S)],
         "start": lambda: [running.start_up(config_path)],
     }
 

@@ -119,14 +119,14 @@ def recorded(config: ExperimentConfig) -> Recording:
 def run(case: Case) -> Case:
     """Make the recording, diagnose, compare."""
     plain = load(CONFIG)[0]
-    E_Pa = plain.machine.required_web.youngs_modulus_Pa
+    E_Pa = plain.web_line.required_web.youngs_modulus_Pa
     changes = {"seed": case.seed, "steps": experiment(case, E_Pa), "criteria": []}
     config = ExperimentConfig.model_validate({**plain.model_dump(), **changes})
     try:
         recording = recorded(config)
         case.time_s = float(recording.time_s[int(np.argmax(np.diff(recording["E_true_Pa"]) != 0.0)) + 1])
         began = time.perf_counter()
-        found = diagnose(recording, config.machine, "the bench", imitation=imitation_of(config))
+        found = diagnose(recording, config.web_line, "the bench", imitation=imitation_of(config))
         case.seconds = round(time.perf_counter() - began, 1)
     except Exception as error:  # a case that fails is a row of the table, not the end of the run
         case.problem = f"{type(error).__name__}: {error}"

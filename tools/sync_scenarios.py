@@ -88,7 +88,7 @@ def run(task: tuple[int, int]) -> tuple[int, list[tuple[str, MethodResult]], flo
     """One scenario with one seed: results by method, the bound's time to 1 %, its deviation at the end in %."""
     number, seed = task
     scenario = SCENARIOS[number]
-    model = load_with_overrides(CONFIG).config.machine
+    model = load_with_overrides(CONFIG).config.web_line
     t = np.asarray(np.arange(round(scenario.duration_s / CYCLE_S)) * CYCLE_S, np.float64)
     true, speed = scenario.modulus(t), scenario.speed(t)
     v1 = speed.copy()
@@ -164,7 +164,7 @@ HONEST_METHODS = ("rls", "lm", "ekf", "changepoint")
 def coverage(task: tuple[int, int]) -> tuple[int, list[float], list[float]]:
     """One seed of a row of HONESTY: by method, the share of cycles covered before the step and after it settled."""
     number, seed = task
-    row, model = HONESTY[number], load_with_overrides(CONFIG).config.machine
+    row, model = HONESTY[number], load_with_overrides(CONFIG).config.web_line
     t = np.asarray(np.arange(round(8.0 / CYCLE_S)) * CYCLE_S, np.float64)
     true = np.where(t >= 5.0, E_PA * (1.0 + STEP), E_PA)
     speed = 3.0 * np.minimum(t, 1.0)

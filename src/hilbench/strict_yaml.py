@@ -237,14 +237,26 @@ def _problems(
     """One for each value that is wrong; the kinds of value that a key may have (a union) are one expectation."""
     by_value: dict[Location, list[ErrorDetails]] = {}
     for details in error.errors():
-        given = document.given((*location, *details["loc"]))
+        where = (*location, *_without_alternatives(model, details["loc"]))
         missing = details["type"] in ("missing", "extra_forbidden")
-        by_value.setdefault((*location, *details["loc"]) if missing else given, []).append(details)
+        by_value.setdefault(where if missing else document.given(where), []).append(details)
     problems = [
         UnusableInputError(document.place(where), _text(where[len(location) :], model, found))
         for where, found in by_value.items()
     ]
     return sorted(problems, key=_line)
+
+
+def _without_alternatives(model: type[BaseModel], loc: Location) -> Location:
+    """A location without the steps that name an alternative of a union of blocks: those stand in no file."""
+    found: list[str | int] = []
+    for at, step in enumerate(loc):
+        blocks = _blocks(model, found)
+        is_key = any(step in block.model_fields for block in blocks)
+        if len(blocks) > 1 and not is_key and at + 1 < len(loc):
+            continue
+        found.append(step)
+    return tuple(found)
 
 
 def _line(problem: UnusableInputError) -> tuple[str, int]:
@@ -271,12 +283,12 @@ def _instead(loc: Location, model: type[BaseModel]) -> str:
     beside = {known for known_block in _blocks(model, loc[:-1]) for known in known_block.model_fields}
     if found := did_you_mean(name, beside):
         return found.replace("'", "'" + "".join(f"{key}." for key in block), 1)
-    elsewhere = [path for path in _paths(model) if path.rpartition(".")[2].lower() == name.lower()]
+    elsewhere = [path for path in dict.fromkeys(_paths(model)) if path.rpartition(".")[2].lower() == name.lower()]
     paths = " or ".join(f"'{path}'" for path in elsewhere)
     return f", did you mean {paths}?" if 0 < len(elsewhere) <= _MOST_ELSEWHERE else ""
 
 
-def _blocks(model: type[BaseModel], location: Location) -> list[type[BaseModel]]:
+def _blocks(model: type[BaseModel], location: Sequence[str | int]) -> list[type[BaseModel]]:
     """The models that the value at a location may be."""
     kinds: list[Any] = [model]
     for step in location:

@@ -64,7 +64,7 @@ def bench(steps: Steps, seed: int = 1, **changes: Any) -> tuple[ExperimentConfig
 
 
 def diagnosed(config: ExperimentConfig, recording: Recording) -> Diagnosis:
-    return diagnose(recording, config.machine, "the bench", imitation=imitation_of(config))
+    return diagnose(recording, config.web_line, "the bench", imitation=imitation_of(config))
 
 
 def acted_s(recording: Recording) -> float:
@@ -119,7 +119,7 @@ def test_a_bench_without_noise_is_predicted_to_the_resolution_of_its_drives() ->
     steps = [hold(0.3), speed(3.0), hold(1.5), elasticity(15.0), hold(2.0), speed(2.0)]
     config, recording = bench(steps, hardware={**demo().hardware.model_dump(), **quiet})
     hidden = effect("elasticity_step", time_s=acted_s(recording), relative_change=0.15)
-    plant = config.machine.with_effects(EffectEntry.model_validate(hidden))
+    plant = config.web_line.with_effects(EffectEntry.model_validate(hidden))
     predictor = predictor_for(plant, measured_from(recording, plant, "the bench"), imitation_of(config))
     left = predictor.measured - predictor.predict(lay.pack(plant)[None])[0]
     for name, residual in zip(predictor.names, left[:, predictor.rows], strict=True):

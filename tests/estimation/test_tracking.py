@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from tests.estimation.runs import CYCLE_S, NEW_PA, OLD_PA, Array, measured, stepped, tracked
 from tests.plant.models import effect, model
 
+from hilbench.estimation.plausibility import Plausibility, Problem
 from hilbench.estimation.web_line.config import (
     ChangepointConfig,
     EkfConfig,
@@ -22,7 +23,6 @@ from hilbench.estimation.web_line.config import (
 )
 from hilbench.estimation.web_line.delay import DelayFinder
 from hilbench.estimation.web_line.offline import Measurements
-from hilbench.estimation.web_line.plausibility import Plausibility, Problem
 from hilbench.estimation.web_line.tracking import Tracking
 from hilbench.plant.motor_port import MotorMode, MotorPort
 from hilbench.plant.web_line.line import Line

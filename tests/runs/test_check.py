@@ -162,7 +162,7 @@ def test_a_bus_that_is_not_there_is_refused_in_one_line() -> None:
 )
 def test_what_check_calls_usable_runs_through_a_step_of_e(changes: list[str]) -> None:
     config = load_with_overrides(CONFIG, changes=changes).config
-    before_Pa = config.machine.required_web.youngs_modulus_Pa
+    before_Pa = config.web_line.required_web.youngs_modulus_Pa
     changes = [*changes, f"steps.2.step.to={1.207 * before_Pa}"]
     check(CONFIG, *changes)
     with Bench(config, participants=Participants.IN_PROCESS) as bench:

@@ -16,8 +16,8 @@ def test_a_config_stands_on_what_it_includes(tmp_path: Path) -> None:
     path = tmp_path / "mine.yaml"
     path.write_text(f"include: {SHIPPED}\nname: mine\nmachine:\n  web:\n    width_m: 0.6\nsteps: []\n")
     config = load_with_overrides(path).config
-    assert (config.name, config.machine.required_web.width_m, config.steps) == ("mine", 0.6, [])
-    assert config.machine.required_web.thickness_m == 65e-6
+    assert (config.name, config.web_line.required_web.width_m, config.steps) == ("mine", 0.6, [])
+    assert config.web_line.required_web.thickness_m == 65e-6
     assert config.drives["axis1"].eds == SHIPPED.parents[1] / "eds" / "hilbench_servo.eds"
 
 

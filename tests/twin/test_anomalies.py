@@ -12,8 +12,8 @@ from tests.plant.models import model
 
 from hilbench.bench.bench import Bench
 from hilbench.bench.lifecycle.participants import Participants
+from hilbench.estimation.plausibility import Problem
 from hilbench.estimation.web_line.config import EstimationConfig
-from hilbench.estimation.web_line.plausibility import Problem
 from hilbench.estimation.web_line.tracking import Tracking
 from hilbench.plant.motor_port import MotorMode, MotorPort
 from hilbench.plant.web_line.line import Line

@@ -105,11 +105,11 @@ def _check_set_point(config: BenchConfig, document: Document) -> None:
 
 def _coarse_units(config: BenchConfig, nodes: Nodes) -> list[str]:
     """What one unit of an axis' position or velocity is in web tension, where that is more than 1 N."""
-    web, notes = config.machine.required_web, []
+    web, notes = config.web_line.required_web, []
     for part in config.parts_of(Role.AXIS):
         axis = part.axis or 1
         units = declared_units(part, nodes.dictionary(part.name))
-        rad_per_m, span_m = config.machine.motor_rad_per_m(axis), config.machine.span_length_m(1)
+        rad_per_m, span_m = config.web_line.motor_rad_per_m(axis), config.web_line.span_length_m(1)
         position_N = web.stiffness_N * units.position_rad / rad_per_m / span_m
         if position_N > _COARSE_N:
             notes.append(f"{part.name}: one unit of position (6064h) stands for {position_N:.3g} N of web tension")
@@ -124,9 +124,9 @@ def _coarse_units(config: BenchConfig, nodes: Nodes) -> list[str]:
 
 def start_point(config: BenchConfig) -> OperatingPoint:
     """The tension loop when the drives are enabled, with the E that the twin begins with."""
-    web = imitated_web(config.machine, config.load)
+    web = imitated_web(config.web_line, config.load)
     modulus_Pa, length_m = web.required_web.youngs_modulus_Pa, web.span_length_m(1)
-    return OperatingPoint(modulus_Pa, 0.0, length_m, config.machine.required_web.youngs_modulus_Pa)
+    return OperatingPoint(modulus_Pa, 0.0, length_m, config.web_line.required_web.youngs_modulus_Pa)
 
 
 def check_stability(config: BenchConfig, document: Document, point: OperatingPoint, where: Location) -> None:
@@ -159,6 +159,6 @@ def operating_point_text(point: OperatingPoint) -> str:
 
 def stiffness_reserve(config: BenchConfig, modulus_Pa_per_m: float) -> float:
     """Largest stiffness of a web that the load motor imitates stably by itself, over that of one with this E/L."""
-    shaft = sampled_shaft(config.machine, cycle_s=config.cycle_time_s)
-    asked_Nm_per_rad = web_stiffness_Nm_per_rad(config.machine, modulus_Pa_per_m=modulus_Pa_per_m)
+    shaft = sampled_shaft(config.web_line, cycle_s=config.cycle_time_s)
+    asked_Nm_per_rad = web_stiffness_Nm_per_rad(config.web_line, modulus_Pa_per_m=modulus_Pa_per_m)
     return largest_stiffness_Nm_per_rad(shaft, imitation_delay_s(shaft)) / asked_Nm_per_rad

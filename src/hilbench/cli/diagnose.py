@@ -92,7 +92,7 @@ def _on_the_bench(config: Path, model_path: Path | None, out: Path | None, progr
     """Run, diagnose, and run again with what was found."""
     runs = (out or Path()) / "runs"
     loaded = load_with_overrides(config)
-    model = loaded.config.machine if model_path is None else model_from(model_path)
+    model = loaded.config.web_line if model_path is None else model_from(model_path)
     observer, announce = progress.of_run("run the bench", 0.0)
     first = run_bench(loaded, model, runs, observers=[observer], announce=announce)
     before = live_gap(first)

@@ -13,7 +13,7 @@ from hilbench.runs.config import ExperimentConfig, is_model, load
 def model_from(path: Path) -> ModelParameters:
     """Read it. Raises UnusableInputError (file, line, key, found, expected)."""
     config = config_from(path)
-    return load_model(path) if config is None else config.machine
+    return load_model(path) if config is None else config.web_line
 
 
 def config_from(path: Path) -> ExperimentConfig | None:

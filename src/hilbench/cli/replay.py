@@ -88,7 +88,7 @@ def _twin(run: Path, method: str | None, out: Path | None) -> dict[str, Any]:
         if len(chosen) != 1:
             raise UnusableInputError("--method", f"'{method}', expected one method")
         twin = twin.model_copy(update={"synchronizer": next(iter(chosen.values()))})
-    track = run_offline(config.machine, twin, measurements_of(recording, folder.recording))
+    track = run_offline(config.web_line, twin, measurements_of(recording, folder.recording))
     signals = {
         "F_sim_N": track.F_sim_N,
         "E_sim_Pa": track.E_Pa,

@@ -25,7 +25,7 @@ def imitation_of(config: BenchConfig) -> Imitation:
 def _resolution_m_s(config: BenchConfig, axis: int) -> float:
     part = config.parts_of(Role.AXIS)[axis - 1]
     units = declared_units(part, load_eds(part.node.eds, part.node.node_id))
-    return units.velocity_rad_s / config.machine.motor_rad_per_m(axis)
+    return units.velocity_rad_s / config.web_line.motor_rad_per_m(axis)
 
 
 def imitation_beside(recording: Path) -> Imitation | None:

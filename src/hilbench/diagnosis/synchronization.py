@@ -209,4 +209,4 @@ def reference_estimate(config: BenchConfig, recording: Recording) -> Array | Non
     if isinstance(config.twin.synchronizer, PidConfig) or any(name not in recording for name in NEEDED):
         return None
     data = measurements_of(recording, "recording")
-    return run_offline(config.machine, twin_config(PidConfig()), data).E_Pa
+    return run_offline(config.web_line, twin_config(PidConfig()), data).E_Pa

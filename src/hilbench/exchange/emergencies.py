@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from struct import unpack_from
 
-from hilbench.estimation.web_line.plausibility import Problem
+from hilbench.estimation.plausibility import Problem
 from hilbench.estimation.web_line.torque_shift import TORQUE_SHIFT, UNDECIDED
 
 #: Error codes and their classes (CiA 301, table 26), by the first digits that decide.

@@ -29,6 +29,7 @@ from hilbench.exchange.unexpected_senders import Foreign, ForeignFrames, Owned
 from hilbench.topology.config import BenchConfig, NodeConfig, Part, Role
 from hilbench.topology.quantities import EffectPath
 from hilbench.topology.sample import CycleSample
+from hilbench.topology.virtual_io import PROCESS_DATA, IoPdo, ProcessData
 
 #: Heartbeats that may stay away before a node counts as lost (lost frames are no lost node).
 _HEARTBEATS_MISSED = 4
@@ -42,32 +43,39 @@ _DEVIATION_EVERY = 10  # SYNCs between two TPDO2 of the virtual I/O
 
 @dataclass(frozen=True)
 class IoMaps:
-    """PDOs of the virtual I/O, node 32."""
+    """PDOs of the virtual I/O; which signals are in them says `hilbench.topology.virtual_io`."""
 
-    state: PdoMap  #: TPDO1: simulated tension, E
-    quality: PdoMap  #: TPDO2: deviation of E, torque residual
+    state: PdoMap  #: TPDO1: what is simulated and estimated
+    quality: PdoMap  #: TPDO2: how sure the estimate is, torque residual
     status: PdoMap  #: TPDO3: SYNC that the data are of, age, status bits
-    boundary: PdoMap  #: RPDO1: upstream strain, downstream tension
+    boundary: PdoMap | None  #: RPDO1: what the twin is told; None for a machine with nothing around it
 
     @classmethod
-    def of(cls, node: NodeConfig, od: canopen.ObjectDictionary) -> IoMaps:
+    def of(cls, node: NodeConfig, od: canopen.ObjectDictionary, data: ProcessData) -> IoMaps:
         """The maps by the EDS of the virtual I/O. Raises KeyError or ValueError for what it lacks."""
-        inputs, outputs = "0x6403sub", "0x6413sub"
-        return cls(
-            PdoMap.from_names(od, TPDOS[0] + node.node_id, 1, [inputs + "1", inputs + "2"]),
-            PdoMap.from_names(od, TPDOS[1] + node.node_id, _DEVIATION_EVERY, [inputs + "3", inputs + "5"]),
-            PdoMap.from_names(od, TPDOS[2] + node.node_id, 1, [f"0x2100sub{n}" for n in (1, 2, 3)]),
-            PdoMap.from_names(od, RPDOS[0] + node.node_id, 1, [outputs + "1", outputs + "2"]),
+        state, quality, boundary = (
+            [f"0x{signal.index:04X}sub{signal.sub}" for signal in data.carried_by(pdo)] for pdo in IoPdo
         )
+        return cls(
+            PdoMap.from_names(od, TPDOS[0] + node.node_id, 1, state),
+            PdoMap.from_names(od, TPDOS[1] + node.node_id, _DEVIATION_EVERY, quality),
+            PdoMap.from_names(od, TPDOS[2] + node.node_id, 1, [f"0x2100sub{n}" for n in (1, 2, 3)]),
+            PdoMap.from_names(od, RPDOS[0] + node.node_id, 1, boundary) if boundary else None,
+        )
+
+    @property
+    def all(self) -> list[PdoMap]:
+        """Every one that there is."""
+        return [pdo for pdo in (self.state, self.quality, self.status, self.boundary) if pdo is not None]
 
 
 def drive_settings(config: BenchConfig, part: Part, od: canopen.ObjectDictionary) -> DriveSettings:
     """How a drive, real or virtual, of a bench is configured."""
     assert part.axis is not None, "the virtual I/O is no drive"
     node, virtual, load = part.node, part.role is Role.VIRTUAL_AXIS, part.role is Role.LOAD_MOTOR
-    rad_per_m = config.machine.motor_rad_per_m(part.axis)
+    rad_per_unit = config.machine.motor_rad_per_unit(part.axis)
     units = declared_units(part, od)
-    deceleration = round(config.safety.quick_stop_m_s2 * rad_per_m / units.acceleration_rad_s2)
+    deceleration = round(config.quick_stop_per_s2 * rad_per_unit / units.acceleration_rad_s2)
     parameters = {
         (objects.QUICK_STOP_DECELERATION, 0): deceleration,
         (objects.QUICK_STOP_OPTION_CODE, 0): _QUICK_STOP_RAMP,
@@ -121,17 +129,22 @@ class Nodes:
             tuple(Drive(drive_settings(config, part, self._ods[part.name]), self._ods[part.name]) for part in group)
             for group in map(config.parts_of, (Role.AXIS, Role.LOAD_MOTOR, Role.VIRTUAL_AXIS))
         )
-        self.io = IoMaps.of(config.twin.node, self._ods["virtual_io"])
-        self._rad_per_m = [config.machine.motor_rad_per_m(axis) for axis in range(1, len(self.axes) + 1)]
+        data = PROCESS_DATA[config.machine_kind]
+        self.io = IoMaps.of(config.twin.node, self._ods["virtual_io"], data)
+        self._state_names, self._quality_names, self._boundary_names = (
+            tuple(signal.name for signal in data.carried_by(pdo)) for pdo in IoPdo
+        )
+        self._simulated_torque, self._residual_at = data.simulated_torque, self._quality_names.index(data.residual)
+        self._rad_per_unit = [config.machine.motor_rad_per_unit(axis) for axis in range(1, len(self.axes) + 1)]
         self._set_points = [
-            *zip(self.axes, (part.name for part in config.parts_of(Role.AXIS)), self._rad_per_m, strict=True),
+            *zip(self.axes, (part.name for part in config.parts_of(Role.AXIS)), self._rad_per_unit, strict=True),
             *((drive, name, 1.0) for drive, name in zip(self.load_motors, config.load_motors, strict=True)),
         ]
         self._fills = self._filled_signals()
         self._known = {part.node.node_id: part.label for part in parts}
         self._master: Master | None = None
-        self._tension_N, self._modulus_Pa = 0.0, 0.0
-        self._deviation_Pa, self._residual_Nm = 0.0, 0.0
+        self._state: Sequence[float] = [0.0] * len(self._state_names)
+        self._quality: Sequence[float] = [0.0] * len(self._quality_names)
         self._torque_before_Nm, self._torque_sim_Nm = 0.0, 0.0
         self._twin_sync, self.twin_status = 0, 0  #: status: bits of `TwinStatus`
         self.twin_told_cycle = 0  #: cycle, counted by `decode`, in which the twin last told its status
@@ -160,12 +173,20 @@ class Nodes:
 
     def _filled_signals(self) -> list[tuple[Drive, float, str, str, str, str]]:
         """Each drive with what turns rad at its shaft into the machine's unit, and the signals that it fills."""
+        unit = self.config.machine.position_unit
         axes = [
-            (drive, ratio, f"x{k}_m", f"v{k}_m_s", f"tau{k}_Nm", f"statusword{k}")
-            for k, (drive, ratio) in enumerate(zip(self.axes, self._rad_per_m, strict=True), 1)
+            (drive, ratio, f"x{k}_{unit}", f"v{k}_{unit}_s", f"tau{k}_Nm", f"statusword{k}")
+            for k, (drive, ratio) in enumerate(zip(self.axes, self._rad_per_unit, strict=True), 1)
         ]
         loads = [
-            (drive, self._rad_per_m[(part.axis or 1) - 1], f"x_{name}_m", "", f"tau_{name}_Nm", f"statusword_{name}")
+            (
+                drive,
+                self._rad_per_unit[(part.axis or 1) - 1],
+                f"x_{name}_{unit}",
+                "",
+                f"tau_{name}_Nm",
+                f"statusword_{name}",
+            )
             for drive, part in zip(self.load_motors, self.config.parts_of(Role.LOAD_MOTOR), strict=True)
             for name in (part.name,)
         ]
@@ -193,7 +214,7 @@ class Nodes:
     def pdo_maps(self, part: str) -> list[PdoMap]:
         """The PDOs of a part that the bench maps, by its name."""
         if part == "virtual_io":
-            return [self.io.state, self.io.quality, self.io.status, self.io.boundary]
+            return self.io.all
         node_id = self.config.part(part).node.node_id
         drive = next(drive for drive in (*self.drives, *self.virtual_axes) if drive.settings.node_id == node_id)
         return [drive.pdos.rpdo, *(pdo for _, pdo, _ in drive.pdos.tpdos)]
@@ -210,7 +231,8 @@ class Nodes:
     def _owned(self) -> Owned:
         """Whose frames belong on the bus."""
         rpdos = {cob_id: self.sender(drive) for drive in self.drives for cob_id in drive.rpdo_cob_ids}
-        rpdos |= {self.io.boundary.cob_id: self.twin_name}
+        if self.io.boundary is not None:
+            rpdos[self.io.boundary.cob_id] = self.twin_name
         dictionaries = {part.node.node_id: self._ods[part.name] for part in self.config.parts}
         return Owned(self.config.master.node_id, self._known, dictionaries, rpdos)
 
@@ -235,7 +257,8 @@ class Nodes:
 
     def _configure_io(self, master: Master) -> None:
         node_id = self.config.twin.node.node_id
-        master.write_rpdo(node_id, 1, self.io.boundary)
+        if self.io.boundary is not None:
+            master.write_rpdo(node_id, 1, self.io.boundary)
         for number, pdo in enumerate((self.io.state, self.io.quality, self.io.status), 1):
             master.write_tpdo(node_id, number, pdo)
         master.configure(node_id, {(0x1017, 0): self.config.master.node_heartbeat_ms})
@@ -332,8 +355,9 @@ class Nodes:
                 frames += [CyclicFrame(f"{name} RPDO", cob_id, pdos.rpdo.size) for cob_id in drive.rpdo_cob_ids]
             frames += [CyclicFrame(f"{name} TPDO", pdo.cob_id, pdo.size, 1 / pdo.period) for _, pdo, _ in pdos.tpdos]
         for name in ("state", "quality", "status", "boundary"):
-            pdo: PdoMap = getattr(self.io, name)
-            frames.append(CyclicFrame(f"virtual io {name}", pdo.cob_id, pdo.size, 1 / pdo.period))
+            io_pdo: PdoMap | None = getattr(self.io, name)
+            if io_pdo is not None:
+                frames.append(CyclicFrame(f"virtual io {name}", io_pdo.cob_id, io_pdo.size, 1 / io_pdo.period))
         periods_ms = [self.config.master.heartbeat_ms, *[self.config.master.node_heartbeat_ms] * len(self._known)]
         per_cycle = sum(1000.0 * self.config.cycle_time_s / period for period in periods_ms if period)
         return [*frames, CyclicFrame("heartbeats", HEARTBEAT + 1, 1, per_cycle)]
@@ -343,15 +367,16 @@ class Nodes:
     def encode(self, outputs: Mapping[str, float]) -> list[Frame]:
         """RPDOs of this cycle, the twin's among them.
 
-        `outputs`: by drive the velocity at the web (m/s) or the torque at the load motor's shaft (N·m), zero where
-        there is none; by signal what the twin is told of the boundary.
+        `outputs`: by drive the velocity of the axis (the machine's unit per s) or the torque at the load motor's shaft
+        (N·m), zero where there is none; by signal what the twin is told of the machine's boundary.
         """
         frames: list[Frame] = []
         for drive, name, per_unit in self._set_points:
             drive.setpoint = outputs.get(name, 0.0) * per_unit
             frames += drive.encode()
-        boundary = outputs["strain_prev"], outputs["F_next_N"]
-        frames.append(Frame(self.io.boundary.cob_id, self.io.boundary.pack(boundary)))
+        pdo = self.io.boundary
+        if pdo is not None:
+            frames.append(Frame(pdo.cob_id, pdo.pack([outputs[name] for name in self._boundary_names])))
         return frames
 
     def decode(self, frames: Sequence[Frame], before_sync: int = 0) -> None:
@@ -378,11 +403,11 @@ class Nodes:
             self._twin_sync, _, self.twin_status = self.io.status.unpack(status)
             self.twin_told_cycle = self._cycle
         if state is not None:
-            self._tension_N, self._modulus_Pa = self.io.state.unpack(state)
+            self._state = self.io.state.unpack(state)
         if quality is not None:
-            self._deviation_Pa, self._residual_Nm = self.io.quality.unpack(quality)
+            self._quality = self.io.quality.unpack(quality)
             # The residual is that of the cycle before: the twin compared after this cycle's TPDO was due.
-            self._torque_sim_Nm = self._torque_before_Nm - self._residual_Nm
+            self._torque_sim_Nm = self._torque_before_Nm - self._quality[self._residual_at]
         self._torque_before_Nm = self.axes[-1].feedback.torque_Nm
 
     def _answers(self, frames: Sequence[Frame], before_sync: int) -> dict[int, bytes]:
@@ -456,17 +481,20 @@ class Nodes:
             self.malformed += 1
 
     def fill(self, sample: CycleSample) -> None:
-        """Put the measurements of this cycle into a sample; SI, positions and velocities at the web."""
-        for drive, rad_per_m, position, velocity, torque, statusword in self._fills:
+        """Put the measurements of this cycle into a sample; SI, positions and velocities in the machine's unit."""
+        for drive, rad_per_unit, position, velocity, torque, statusword in self._fills:
             feedback = drive.feedback
-            setattr(sample, position, feedback.position_rad / rad_per_m)
+            setattr(sample, position, feedback.position_rad / rad_per_unit)
             if velocity:
-                setattr(sample, velocity, feedback.velocity_rad_s / rad_per_m)
+                setattr(sample, velocity, feedback.velocity_rad_s / rad_per_unit)
             setattr(sample, torque, feedback.torque_Nm)
             setattr(sample, statusword, feedback.statusword)
-        sample.F_sim_N, sample.E_sim_Pa, sample.E_sd_Pa = self._tension_N, self._modulus_Pa, self._deviation_Pa
+        for name, value in zip(self._state_names, self._state, strict=True):
+            setattr(sample, name, value)
+        for name, value in zip(self._quality_names, self._quality, strict=True):
+            setattr(sample, name, value)
+        setattr(sample, self._simulated_torque, self._torque_sim_Nm)
         sample.twin_status = self.twin_status
-        sample.tau2_residual_Nm, sample.tau2_sim_Nm = self._residual_Nm, self._torque_sim_Nm
 
     # -- effects in the simulated hardware ---------------------------------------------------------------
 

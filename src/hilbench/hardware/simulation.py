@@ -17,9 +17,9 @@ from hilbench.exchange.device_clock import device_clock
 from hilbench.exchange.effect_objects import bind_effect_objects
 from hilbench.exchange.nodes import declared_units
 from hilbench.hardware.plant_time import ByClock, BySync, PlantTime
+from hilbench.hardware.rigs import new_rig
 from hilbench.plant.interface import Plant
 from hilbench.plant.motor_port import MotorMode, MotorPort
-from hilbench.plant.web_line.rig import TestRig
 from hilbench.processes import say, started_by_bench, stop_request
 from hilbench.real_time import kept_ready
 from hilbench.topology.config import BenchConfig, Role
@@ -114,10 +114,9 @@ def hardware(config: BenchConfig) -> HostedDevices:
     clock, time = _time_base(config)
     parts = (*config.parts_of(Role.AXIS), *config.parts_of(Role.LOAD_MOTOR))
     ports = tuple(MotorPort() for _ in parts)
-    rig_parameters = config.rig_parameters()
     # A scratch stand runs first, so that compiling is over before the devices boot.
-    TestRig(rig_parameters, tuple(MotorPort() for _ in ports)).step(config.cycle_time_s)
-    stand = TestRig(rig_parameters, ports, config.seed)
+    new_rig(config, [MotorPort() for _ in ports]).step(config.cycle_time_s)
+    stand = new_rig(config, ports, config.seed)
     devices, drives = [], []
     for part, port in zip(parts, ports, strict=True):
         if not part.is_simulated:
@@ -127,14 +126,14 @@ def hardware(config: BenchConfig) -> HostedDevices:
         drives.append(SimulatedDrive(device, port, declared_units(part, od)))
         devices.append(device)
         if part.role is Role.AXIS and part.axis is not None:
-            bind_effect_objects(device, _effect_setter(stand, part.axis))
-    sample_s = rig_parameters.drives.sample_time_s
+            bind_effect_objects(device, _effect_setter(stand, part.axis), config.machine_kind)
+    sample_s = config.drive_parameters.sample_time_s
     return HostedDevices(devices, clock, RigApplication(drives, ports, stand, time, config.cycle_time_s, sample_s))
 
 
 def _time_base(config: BenchConfig) -> tuple[Clock, PlantTime]:
     """Of devices and stand: SYNC where the bench waits for everybody (lockstep), else the clock."""
-    sample_s = config.rig_parameters().drives.sample_time_s
+    sample_s = config.drive_parameters.sample_time_s
     if config.pace == "lockstep":
         return device_clock(config), BySync(config.cycle_time_s, sample_s)
     clock = MonotonicClock(stall_s=_OVERDUE * config.cycle_time_s)

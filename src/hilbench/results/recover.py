@@ -184,7 +184,8 @@ def _complete(cycles: Iterator[_Cycle], nodes: Nodes) -> Iterator[_Cycle]:
 def _own_frames(nodes: Nodes) -> Iterator[tuple[int, str]]:
     for drive in nodes.drives:
         yield from ((cob_id, drive.settings.name) for cob_id in drive.rpdo_cob_ids)
-    yield nodes.io.boundary.cob_id, nodes.twin_name
+    if nodes.io.boundary is not None:
+        yield nodes.io.boundary.cob_id, nodes.twin_name
 
 
 def _take_units(nodes: Nodes, frames: Iterable[Frame]) -> None:
@@ -217,9 +218,9 @@ class _Decoder:
         self._nodes = nodes
         self._changes = changes
         self._next_change = 0
-        self._metres_per_rad = [1.0 / config.machine.motor_rad_per_m(axis) for axis in (1, 2)]
+        self._metres_per_rad = [1.0 / config.web_line.motor_rad_per_m(axis) for axis in (1, 2)]
         self._sample = sample_type(config.signals)(
-            strain_prev=config.machine.upstream_strain, F_next_N=config.machine.boundary.downstream_tension_N
+            strain_prev=config.web_line.upstream_strain, F_next_N=config.web_line.boundary.downstream_tension_N
         )
         self._set_point_N = config.tension_control.set_point_N
         self._load = web_load_model(config)

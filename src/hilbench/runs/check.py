@@ -96,13 +96,13 @@ def check_experiment(loaded: LoadedConfig, *, with_margins: bool = False) -> Che
 def _operating_points(config: ExperimentConfig, asked: list[Move]) -> dict[OperatingPoint, Location]:
     """Where the loop will be, each with the step that brings it there; behind a step of E with the old one believed."""
     start = start_of(config)
-    model_Pa = config.machine.required_web.youngs_modulus_Pa
+    model_Pa = config.web_line.required_web.youngs_modulus_Pa
     points: dict[OperatingPoint, Location] = {}
 
     def add(state: State, believed_Pa: float) -> None:
         if state.youngs_modulus_Pa <= 0.0 or believed_Pa <= 0.0:
             return  # values are checked where they enter
-        length_m = (config.load.web.span_length_m or config.machine.span_length_m(1)) * state.length_factor
+        length_m = (config.load.web.span_length_m or config.web_line.span_length_m(1)) * state.length_factor
         point = OperatingPoint(state.youngs_modulus_Pa, abs(state.line_speed_m_s), length_m, believed_Pa)
         if not any(_alike(point, known) for known in points):
             points[point] = state.place
@@ -153,7 +153,7 @@ def _worst(config: ExperimentConfig, points: list[OperatingPoint]) -> Worst:
 def _warnings(loaded: LoadedConfig, asked: list[Move]) -> Iterator[str]:
     """What the steps will run into."""
     limits = loaded.config.safety.limits
-    model_Pa = loaded.config.machine.required_web.youngs_modulus_Pa
+    model_Pa = loaded.config.web_line.required_web.youngs_modulus_Pa
     for move in asked:
         before, after = move.before, move.after
         at = loaded.document.place(after.place)
@@ -179,7 +179,7 @@ def _beyond(at: str, what: str, value: float, limit: Limit, unit: str) -> Iterat
 
 def _too_fast(config: ExperimentConfig, at: str, move: Move) -> Iterator[str]:
     """An acceleration, or a jump, that takes more torque than a drive has."""
-    drives, model = config.machine.drives, config.machine
+    drives, model = config.web_line.drives, config.web_line
     assert drives is not None, "a bench's model has drives"
     way_m_s = abs(move.after.line_speed_m_s - move.before.line_speed_m_s)
     longest_s, named, needed_Nm, limit_Nm = 0.0, 0, 0.0, inf

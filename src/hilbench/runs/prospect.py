@@ -88,7 +88,7 @@ class Move:
 
 def start_of(config: ExperimentConfig) -> State:
     """The state in which the drives are enabled."""
-    modulus_Pa = config.load.web.youngs_modulus_Pa or config.machine.required_web.youngs_modulus_Pa
+    modulus_Pa = config.load.web.youngs_modulus_Pa or config.web_line.required_web.youngs_modulus_Pa
     values = {
         quantities.LINE_SPEED: 0.0,
         quantities.TENSION_SET_POINT: config.tension_control.set_point_N,

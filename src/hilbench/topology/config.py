@@ -6,21 +6,26 @@ The experiment and its criteria stand in the same file; `hilbench.runs.config` a
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import Field, PositiveFloat, field_validator, model_validator
+from pydantic import Discriminator, Field, PositiveFloat, Tag, ValidationInfo, field_validator, model_validator
 
 from hilbench.block import Block
 from hilbench.can.open import BusAddress
 from hilbench.errors import UnusableInputError
+from hilbench.estimation.servo_axis.config import InertiaConfig
 from hilbench.estimation.web_line.config import EstimationConfig
-from hilbench.plant.effects import EffectPlace, effect_problem
-from hilbench.plant.parameters import EffectEntry, LoadMotorParameters
+from hilbench.plant.effects import EffectPlace, MachineKind, effect_problem
+from hilbench.plant.parameters import DriveParameters, EffectEntry, LoadMotorParameters, NotNegative, Positive
 from hilbench.plant.sampling import samples_per
 from hilbench.plant.sensors import SensorParameters
+from hilbench.plant.servo_axis.effects import ShaftEffect
+from hilbench.plant.servo_axis.parameters import ServoAxisParameters, ShaftParameters
+from hilbench.plant.servo_axis.rig import ServoRigParameters
 from hilbench.plant.web_line.parameters import Length, ModelParameters, Modulus
 from hilbench.plant.web_line.rig import CoupledMotor, RigParameters
 from hilbench.real_time import ProcessSettings
@@ -30,6 +35,17 @@ from hilbench.topology.signals import Signal, signals_of
 Pace = Literal["lockstep", "realtime"]
 Mirroring = Literal["listen", "copy"]
 PartName = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$", max_length=32)]
+#: The machine, by its `kind`; without one it is a web line.
+MachineParameters = Annotated[
+    Annotated[ModelParameters, Tag("web_line")] | Annotated[ServoAxisParameters, Tag("servo_axis")],
+    Discriminator(
+        lambda value: (
+            value.get("kind", "web_line") if isinstance(value, Mapping) else getattr(value, "kind", "web_line")
+        ),
+        custom_error_type="kind",
+        custom_error_message="kind: web_line or servo_axis",
+    ),
+]
 TimeOut = Annotated[float, Field(gt=0.0, le=3600.0)]
 
 
@@ -165,20 +181,39 @@ class MasterConfig(Block):
     sdo_timeout_s: TimeOut = Field(default=1.0, description="how long a node may take to answer an SDO request")
 
 
+#: Axes of a machine of each kind, and those on whose shaft a load motor is.
+_AXES = {MachineKind.WEB_LINE: (AXES, LOADED_AXES), MachineKind.SERVO_AXIS: (1, (1,))}
+
+
+def _effect_problem(entry: EffectEntry, place: EffectPlace, kind: MachineKind) -> str | None:
+    axes, loaded = _AXES[kind]
+    return effect_problem(entry.effect, entry.axis, place, axes, loaded, kind)
+
+
+def _possible_effects(entries: list[EffectEntry], place: EffectPlace) -> list[EffectEntry]:
+    """The entries, if there is a kind of machine that can have each of them: which it is the whole config says."""
+    for entry in entries:
+        problems = [_effect_problem(entry, place, kind) for kind in MachineKind]
+        if all(problems):
+            raise ValueError(problems[0])
+    return entries
+
+
 class HardwareConfig(Block):
     """The simulated hardware: the machine's axes as motors with flywheels, and the load motors on their shafts."""
 
+    shaft: ShaftParameters | None = Field(
+        default=None,
+        description="of a servo axis: the shaft that is really there, with its motor and the load motor beside it; "
+        "the machine's unless given",
+    )
     sensors: SensorParameters = SensorParameters(torque_noise_Nm=0.05, velocity_noise_rad_s=0.002)
     effects: list[EffectEntry] = Field(default=[], description="hidden in the simulated axes")
 
     @field_validator("effects")
     @classmethod
     def _of_axes(cls, entries: list[EffectEntry]) -> list[EffectEntry]:
-        for entry in entries:
-            problem = effect_problem(entry.effect, entry.axis, EffectPlace.HARDWARE, AXES)
-            if problem:
-                raise ValueError(problem)
-        return entries
+        return _possible_effects(entries, EffectPlace.HARDWARE)
 
 
 class LoadWebConfig(Block):
@@ -188,20 +223,28 @@ class LoadWebConfig(Block):
     span_length_m: Length | None = Field(default=None, description="free web between the two rollers")
 
 
+class LoadShaftConfig(Block):
+    """Where the imitated shaft differs from the model; what is not given is as in `machine:`."""
+
+    inertia_kg_m2: Positive | None = Field(default=None, description="of all that turns, the motor's rotor included")
+    coulomb_friction_Nm: NotNegative | None = Field(default=None, description="dry friction")
+    viscous_friction_Nm_s_per_rad: NotNegative | None = Field(
+        default=None, description="friction in proportion to the speed"
+    )
+    unbalance_Nm: NotNegative | None = Field(default=None, description="amplitude of the torque of what is unbalanced")
+
+
 class LoadConfig(Block):
-    """The load-model task: the web that the load motor imitates."""
+    """The load-model task: the machine that the load motor imitates."""
 
     web: LoadWebConfig = LoadWebConfig()
+    shaft: LoadShaftConfig = LoadShaftConfig()
     effects: list[EffectEntry] = Field(default=[], description="hidden in the imitated mechanics")
 
     @field_validator("effects")
     @classmethod
     def _imitable(cls, entries: list[EffectEntry]) -> list[EffectEntry]:
-        for entry in entries:
-            problem = effect_problem(entry.effect, entry.axis, EffectPlace.LOAD, AXES, LOADED_AXES)
-            if problem:
-                raise ValueError(problem)
-        return entries
+        return _possible_effects(entries, EffectPlace.LOAD)
 
 
 class TensionControlConfig(Block):
@@ -249,13 +292,14 @@ class LimitsConfig(Block):
     tension_N: Limit = Field(default=Limit(warning=300.0, trip=400.0), description="of the imitated web")
     torque_Nm: Limit = Field(default=Limit(warning=10.0, trip=15.0), description="of any drive, motor side")
     speed_m_s: Limit = Field(default=Limit(warning=8.0, trip=10.0), description="of either axis, at the web")
+    speed_rad_s: Limit = Field(default=Limit(warning=80.0, trip=100.0), description="of a servo axis, motor side")
     position_difference_m: Limit = Field(
         default=Limit(warning=0.05, trip=0.2),
         description="of axis 1 from axis 2, beyond what their set points add up to since the drives were enabled",
     )
     estimate_ratio: Limit = Field(
         default=Limit(warning=3.0, trip=10.0),
-        description="of the twin's E, while it is synchronized, to the model's E, or its inverse",
+        description="of the twin's E or inertia, while it is synchronized, to the model's, or its inverse",
     )
 
 
@@ -269,6 +313,9 @@ class SafetyConfig(Block):
     drive_timeout_s: TimeOut = Field(default=2.0, description="for a drive to reach a requested state")
     quick_stop_m_s2: float = Field(
         default=3.0, ge=0.01, le=1000.0, description="deceleration of a quick stop, at the web"
+    )
+    quick_stop_rad_s2: float = Field(
+        default=50.0, ge=0.01, le=1e5, description="deceleration of a quick stop of a servo axis, motor side"
     )
     limits: LimitsConfig = LimitsConfig()
     on_web_break: Literal["stop", "warn"] = Field(default="stop", description="when the twin reports a web break")
@@ -307,6 +354,26 @@ class TwinConfig(EstimationConfig):
     """The twin: its virtual I/O, what it assumes and how it keeps in step with the bench."""
 
     node: NodeConfig = Field(description="the virtual I/O: what the twin is told and what it tells")
+    inertia: InertiaConfig = InertiaConfig()
+
+
+def _misfits(key: str, value: Any, kind: MachineKind) -> Iterator[str]:
+    """Why the value of a key can't be that of a bench with this kind of machine."""
+    of_servo = kind is MachineKind.SERVO_AXIS
+    if key == "load_motors" and of_servo and len(value) != 1:
+        yield "one load motor: a servo axis has one shaft"
+    if key == "controllers" and bool(value) is of_servo:
+        yield "none: a servo axis follows its reference" if of_servo else "at least one: that of the web's tension"
+    if key == "load" and value.web != LoadWebConfig() and of_servo:
+        yield "'shaft:' for a servo axis; 'web:' is of a web line"
+    if not of_servo and ((key == "load" and value.shaft != LoadShaftConfig()) or (key == "hardware" and value.shaft)):
+        yield "no 'shaft:', which is of a servo axis (machine: {kind: servo_axis})"
+    if key in ("hardware", "load"):
+        yield from filter(None, (_effect_problem(entry, EffectPlace(key), kind) for entry in value.effects))
+
+
+def _default_controllers(machine: Any) -> dict[str, TensionControlConfig]:
+    return {"tension_control": TensionControlConfig()} if isinstance(machine, ModelParameters) else {}
 
 
 class BenchConfig(Block):
@@ -326,7 +393,7 @@ class BenchConfig(Block):
     )
     bus: BusConfig = BusConfig()
     master: MasterConfig = MasterConfig()
-    machine: ModelParameters = Field(description="what the twin believes of the machine")
+    machine: MachineParameters = Field(description="what the twin believes of the machine")
     drives: dict[PartName, DriveConfig] = Field(
         min_length=1, description="of the machine's driven axes, in the order of the machine, by the names they get"
     )
@@ -337,12 +404,22 @@ class BenchConfig(Block):
     load: LoadConfig = LoadConfig()
     twin: TwinConfig
     controllers: dict[PartName, TensionControlConfig] = Field(
-        default={"tension_control": TensionControlConfig()},
-        min_length=1,
-        description="what keeps a quantity of the machine at its set-point, by the names they get",
+        default_factory=lambda given: _default_controllers(given.get("machine")),
+        description="what keeps a quantity of the machine at its set-point, by the names they get; of a web line one, "
+        "of a servo axis none",
     )
     safety: SafetyConfig = SafetyConfig()
     realtime: RealtimeConfig = RealtimeConfig()
+
+    @field_validator("load_motors", "hardware", "load", "controllers")
+    @classmethod
+    def _of_this_machine(cls, value: Any, info: ValidationInfo) -> Any:
+        machine = info.data.get("machine")
+        if machine is not None:  # else the machine's own error is the one to report
+            problem = next(_misfits(str(info.field_name), value, MachineKind(machine.kind)), None)
+            if problem:
+                raise ValueError(problem)
+        return value
 
     @model_validator(mode="after")
     def _parts_differ(self) -> BenchConfig:
@@ -362,28 +439,94 @@ class BenchConfig(Block):
     @model_validator(mode="after")
     def _fits_the_machine(self) -> BenchConfig:
         machine = self.machine
-        if machine.web is None or machine.drives is None:
-            raise ValueError("a machine with 'web:' and 'drives:'")
+        if machine.drives is None or (isinstance(machine, ModelParameters) and machine.web is None):
+            needs = "'web:' and 'drives:'" if isinstance(machine, ModelParameters) else "'drives:'"
+            raise ValueError(f"a machine with {needs}")
         if machine.axis_count != len(self.drives):
+            axes = "driven rollers" if machine.position_unit == "m" else "axes"
             raise ValueError(
-                f"as many drives as the machine has driven rollers: {len(self.drives)} under 'drives:', "
-                f"{machine.axis_count} rollers"
+                f"as many drives as the machine has {axes}: {len(self.drives)} under 'drives:', "
+                f"{machine.axis_count} {axes.rpartition(' ')[2]}"
             )
         for name, motor in self.load_motors.items():
             if motor.shaft not in self.drives:
                 raise ValueError(
                     f"the drive on whose shaft '{name}' sits: {', '.join(self.drives)}; '{motor.shaft}' is none"
                 )
-        self.rig_parameters()  # raises ValueError for a load motor that is too heavy
+        if isinstance(machine, ModelParameters):
+            self.rig_parameters()  # raises ValueError for a load motor that is too heavy
+        else:
+            self.servo_rig_parameters(), self.imitated_shaft()  # raise ValueError for what can't be built
         samples_per(self.cycle_time_s, machine.drives.sample_time_s)  # raises ValueError for what is no multiple
         return self
 
+    # -- the machine -------------------------------------------------------------------------------------
+
+    @property
+    def machine_kind(self) -> MachineKind:
+        """What kind of machine it is."""
+        return MachineKind(self.machine.kind)
+
+    @property
+    def web_line(self) -> ModelParameters:
+        """The machine, which is a web line. Raises UnusableInputError for one of another kind."""
+        if isinstance(self.machine, ModelParameters):
+            return self.machine
+        raise UnusableInputError("machine", f"a {self.machine.kind}, expected one of kind: web_line")
+
+    @property
+    def servo_axis(self) -> ServoAxisParameters:
+        """The machine, which is a servo axis. Raises UnusableInputError for one of another kind."""
+        if isinstance(self.machine, ServoAxisParameters):
+            return self.machine
+        raise UnusableInputError("machine", f"a {self.machine.kind}, expected one of kind: servo_axis")
+
+    @property
+    def drive_parameters(self) -> DriveParameters:
+        """The control loops of the machine's drives."""
+        assert self.machine.drives is not None, "a bench's machine has drives"
+        return self.machine.drives
+
+    @property
+    def quick_stop_per_s2(self) -> float:
+        """Deceleration of a quick stop, in the machine's unit of position per s²."""
+        return self.safety.quick_stop_m_s2 if self.machine.position_unit == "m" else self.safety.quick_stop_rad_s2
+
     def rig_parameters(self) -> RigParameters:
-        """The simulated hardware: the machine's axes without its effects, with those hidden in the hardware."""
+        """The simulated hardware of a web line: its axes without their effects, with those hidden in the hardware.
+
+        Raises UnusableInputError for a machine of another kind.
+        """
         hardware = self.hardware
         axes = {name: axis for axis, name in enumerate(self.drives, 1)}
         load_motors = [CoupledMotor(axis=axes[motor.shaft], motor=motor.motor) for motor in self.load_motors.values()]
-        return RigParameters.matching(self.machine, load_motors, hardware.sensors, hardware.effects)
+        return RigParameters.matching(self.web_line, load_motors, hardware.sensors, hardware.effects)
+
+    def servo_rig_parameters(self, effects: Sequence[EffectEntry] | None = None) -> ServoRigParameters:
+        """The simulated hardware of a servo axis, with the effects hidden in it unless others are given.
+
+        Raises UnusableInputError for a machine of another kind.
+        """
+        hardware = self.hardware
+        (load_motor,) = self.load_motors.values()
+        given = hardware.effects if effects is None else effects
+        hidden = [ShaftEffect.model_validate(entry.model_dump()) for entry in given]
+        return ServoRigParameters.matching(self.servo_axis, hardware.shaft, load_motor.motor, hardware.sensors, hidden)
+
+    def imitated_shaft(self) -> ServoAxisParameters:
+        """The truth of a run: the servo axis without the model's effects, with what `load:` changes and hides.
+
+        Raises ValueError for less inertia than the motor's rotor has.
+        """
+        model, changes = self.servo_axis, self.load.shaft.model_dump(exclude_none=True)
+        if "inertia_kg_m2" in changes:
+            changes["inertia_kg_m2"] -= model.motor.inertia_kg_m2
+            if changes["inertia_kg_m2"] < 0.0:
+                raise ValueError(
+                    f"'load.shaft.inertia_kg_m2' of all that turns, at least the rotor's {model.motor.inertia_kg_m2:g}"
+                )
+        shaft = model.shaft.model_copy(update=changes)
+        return model.model_copy(update={"shaft": shaft, "effects": tuple(self.load.effects)})
 
     @property
     def parts(self) -> tuple[Part, ...]:
@@ -424,11 +567,11 @@ class BenchConfig(Block):
     def signals(self) -> tuple[Signal, ...]:
         """What a sample of this bench has, in recording order."""
         machine = self.machine
-        return signals_of("web_line", machine.axis_count, list(self.load_motors), machine.axis_count - 1)
+        return signals_of(machine.kind, machine.axis_count, list(self.load_motors), machine.span_count)
 
     @property
     def tension_control(self) -> TensionControlConfig:
-        """The first controller."""
+        """The first controller of a web line."""
         return next(iter(self.controllers.values()))
 
     @field_validator("cycle_time_s")

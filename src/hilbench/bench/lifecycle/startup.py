@@ -23,11 +23,11 @@ from hilbench.canopen.sdo_client import SentFrames
 from hilbench.errors import BusError, EmergencyStopError, UnusableInputError
 from hilbench.exchange.cycle import CyclicExchange, FrameTap
 from hilbench.exchange.nodes import Nodes
-from hilbench.plant.web_line.line import Line
 from hilbench.processes import ChildProcess
 from hilbench.real_time import kept_ready
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.resolved import write_resolved
+from hilbench.twin.machines.kinds import new_plant
 
 #: After the start command the nodes' clocks stand still until SYNC; what they sent just before it must not arrive as
 #: part of the first cycle.
@@ -179,7 +179,7 @@ def _release_nodes(master: Master, exchange: CyclicExchange) -> None:
 def start_children(config: BenchConfig, folder: Path) -> list[ChildProcess]:
     """Start the simulated hardware, where a node is simulated, and the twin; their logs go to `folder`."""
     # Once, into the cache on disk: compiling takes longer than a process has to show itself on the bus.
-    Line(config.machine).step(config.cycle_time_s)
+    new_plant(config.machine).step(config.cycle_time_s)
     path = folder / "config.yaml"
     write_resolved(config, path)
     arguments = [str(path), "--pace", config.pace]

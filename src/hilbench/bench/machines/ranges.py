@@ -36,7 +36,7 @@ def _of_web_line(config: BenchConfig) -> dict[str, tuple[float, float]]:
         return limit.warning or limit.trip or inf
 
     speed_m_s, ratio = highest(limits.speed_m_s), min(highest(limits.estimate_ratio), _LARGEST_RATIO)
-    modulus_Pa = config.machine.required_web.youngs_modulus_Pa
+    modulus_Pa = config.web_line.required_web.youngs_modulus_Pa
     return {
         LINE_SPEED: (-speed_m_s, speed_m_s),
         TENSION_SET_POINT: (0.0, highest(limits.tension_N)),

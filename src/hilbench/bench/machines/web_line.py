@@ -17,7 +17,7 @@ from hilbench.bench.tasks.tension_task import TensionTask
 from hilbench.bench.tasks.twin_trust import TwinTrust
 from hilbench.bench.tasks.watches import Watch
 from hilbench.errors import BenchFaultError
-from hilbench.estimation.web_line.plausibility import Problem
+from hilbench.estimation.plausibility import Problem
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.quantities import LINE_SPEED, is_of_load
 from hilbench.topology.sample import CycleSample
@@ -27,7 +27,7 @@ def tasks(config: BenchConfig, state: BenchState) -> MachineTasks:
     """The tasks of the config's web line, which has one span."""
     upstream, downstream = config.drives
     (motor,) = config.load_motors
-    model, control, cycle_s = config.machine, config.tension_control, config.cycle_time_s
+    model, control, cycle_s = config.web_line, config.tension_control, config.cycle_time_s
     modulus_Pa, limits, reports = model.required_web.youngs_modulus_Pa, config.safety.limits, state.reports
     line_speed = Reference(LINE_SPEED, config.safety.quick_stop_m_s2 * cycle_s)
     load = LoadTask(motor, web_load_model(config))

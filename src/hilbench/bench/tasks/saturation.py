@@ -31,8 +31,7 @@ class SaturationWatch:
     """Watches the samples of one run."""
 
     def __init__(self, config: BenchConfig) -> None:
-        drives = config.machine.drives
-        assert drives is not None, "a bench's machine has drives"
+        drives = config.drive_parameters
         self._cycle_s = config.cycle_time_s
         axes, motors = config.parts_of(Role.AXIS), config.load_motors
         self._limits_Nm = {f"axis {part.axis}": per_item(drives.torque_limit_Nm, part.axis or 1) for part in axes}

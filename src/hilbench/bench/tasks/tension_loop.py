@@ -136,11 +136,11 @@ class TensionLoop:
     @property
     def _stiffness_N_per_m(self) -> float:
         point = self.point
-        return point.youngs_modulus_Pa * self.config.machine.required_web.section_m2 / point.span_length_m
+        return point.youngs_modulus_Pa * self.config.web_line.required_web.section_m2 / point.span_length_m
 
     @cached_property
     def _damping(self) -> DampingGains:
-        plant = SwingPlant.of_model(self.config.machine, self.config.cycle_time_s)
+        plant = SwingPlant.of_model(self.config.web_line, self.config.cycle_time_s)
         return damping_gains(plant, self.config.tension_control.swing_damping_ratio, self.point.estimate_Pa)
 
     def _unit(self, name: str) -> Matrix:
@@ -151,14 +151,14 @@ class TensionLoop:
     @cached_property
     def _cycle(self) -> Matrix:
         """From just after a SYNC to just before the next one."""
-        drives = self.config.machine.drives
+        drives = self.config.web_line.drives
         assert drives is not None, "a bench's model has drives"
         samples = max(1, round(self.config.cycle_time_s / drives.sample_time_s))
         return np.asarray(np.linalg.matrix_power(self._drive_sample(drives.sample_time_s), samples))
 
     def _drive_sample(self, sample_s: float) -> Matrix:
         """Velocity loops at their sample, then motion and current loops for its time."""
-        model, size = self.config.machine, len(self._places)
+        model, size = self.config.web_line, len(self._places)
         at, axes = self._places, [_Axis.of(model, axis) for axis in (1, 2)]
         load_motor = next(iter(self.config.load_motors.values()))
         loops, rates = np.eye(size), np.zeros((size + 4, size + 4))
@@ -189,9 +189,9 @@ class TensionLoop:
         """At SYNC: new commands take effect, what was measured becomes the next ones."""
         tick, at = np.eye(len(self._places)), self._places
         tick[at["u1"]], tick[at["load_set"]] = self._unit("u1_next"), self._unit("load_next")
-        shaft = sampled_shaft(self.config.machine, cycle_s=self.config.cycle_time_s)
+        shaft = sampled_shaft(self.config.web_line, cycle_s=self.config.cycle_time_s)
         web, ahead = self._web_now(self.config.cycle_time_s), imitation_delay_s(shaft)
-        loaded = self.config.machine.carries_web_load(2)
+        loaded = self.config.web_line.carries_web_load(2)
         tick[at["web"]] = web
         tick[at["load_next"]] = -self._web_later(web, ahead) if loaded else 0.0
         tick[at["way1"]] = tick[at["way2"]] = 0.0
@@ -236,7 +236,7 @@ class TensionLoop:
             rows[f"sent{n}"] = self._unit(f"sent{n - 1}") if n else damping
         rows["u1_next"] = damping
         if self.closed:
-            kp, ki = TensionController.of_model(config.tension_control, config.machine).gains(
+            kp, ki = TensionController.of_model(config.tension_control, config.web_line).gains(
                 self.point.line_speed_m_s, self.point.estimate_Pa
             )
             error = -self._unit("web_sim")

@@ -8,11 +8,11 @@ from __future__ import annotations
 from dataclasses import replace
 from math import exp, hypot, inf, isfinite
 
+from hilbench.estimation.plausibility import Plausibility, Problem
 from hilbench.estimation.web_line.anomalies import Anomalies
 from hilbench.estimation.web_line.balance import BalanceSample, MeasuredBalance
 from hilbench.estimation.web_line.config import EstimationConfig, InputConfig, PidConfig, SynchronizerConfig
 from hilbench.estimation.web_line.delay import DelayFinder, DelayLine
-from hilbench.estimation.web_line.plausibility import Plausibility, Problem
 from hilbench.estimation.web_line.synchronizers.base import Estimate, Synchronizer, SyncSample
 from hilbench.estimation.web_line.synchronizers.create import new_synchronizer
 from hilbench.estimation.web_line.synchronizers.plant import Plant

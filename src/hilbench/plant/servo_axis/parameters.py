@@ -7,7 +7,7 @@ the motor turns per turn of what is unbalanced.
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Self
+from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import Field, FiniteFloat, field_validator, model_validator
 
@@ -39,6 +39,9 @@ class MotorParameters(Block):
 
 class ServoAxisParameters(Block):
     """One servo axis. Immutable; `model_copy(update=…)` varies it."""
+
+    #: Of its axis' position; speeds are per second.
+    position_unit: ClassVar[Literal["m", "rad"]] = "rad"
 
     kind: Literal["servo_axis"] = Field(default="servo_axis", description="what machine this is")
     shaft: ShaftParameters
@@ -74,6 +77,15 @@ class ServoAxisParameters(Block):
     def axis_count(self) -> int:
         """Driven axes: one."""
         return 1
+
+    @property
+    def span_count(self) -> int:
+        """Free spans of a web: none."""
+        return 0
+
+    def motor_rad_per_unit(self, axis: int) -> float:
+        """Motor angle per unit of the axis' position, which is the motor's."""
+        return 1.0
 
     @property
     def inertia_kg_m2(self) -> float:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 import yaml
 from pydantic import BaseModel, Field, FiniteFloat, ValidationInfo, field_validator, model_validator
@@ -86,6 +86,9 @@ class ModelParameters(Block):
 
     Immutable; `model_copy(update=…)` varies it.
     """
+
+    #: Of its axes' positions; speeds are per second.
+    position_unit: ClassVar[Literal["m", "rad"]] = "m"
 
     kind: Literal["web_line"] = Field(default="web_line", description="what machine this is")
     web: WebParameters | None = None
@@ -167,6 +170,10 @@ class ModelParameters(Block):
     def motor_rad_per_m(self, axis: int) -> float:
         """i/r: motor angle per metre of web; also web force per motor torque."""
         return self.gear_ratio(axis) / self.radius_m(axis)
+
+    def motor_rad_per_unit(self, axis: int) -> float:
+        """Motor angle per unit of the axis' position: `motor_rad_per_m`."""
+        return self.motor_rad_per_m(axis)
 
     def roller_mass_kg(self, axis: int) -> float:
         """J_roller/r²: the roller alone, at the web."""

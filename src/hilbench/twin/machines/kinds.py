@@ -1,0 +1,44 @@
+"""Which kind of machine the twin is of."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from hilbench.plant.interface import Plant
+from hilbench.plant.servo_axis.axis import ServoAxis
+from hilbench.plant.servo_axis.parameters import ServoAxisParameters
+from hilbench.plant.web_line.line import Line
+from hilbench.topology.config import MachineParameters, TwinConfig
+from hilbench.twin.machines import web_line
+from hilbench.twin.machines.machine import Told, TwinMachine
+from hilbench.twin.machines.servo_axis import ServoAxisTwin
+
+_WARM_UP_CYCLES = 100
+
+
+def new_machine(model: MachineParameters, config: TwinConfig, cycle_s: float, told: Told) -> TwinMachine:
+    """The machine of a model; `told`: what the bench last said of its boundary."""
+    if isinstance(model, ServoAxisParameters):
+        return ServoAxisTwin(model, config, cycle_s, told)
+    return web_line.WebLineTwin(model, config, cycle_s, told)
+
+
+def new_plant(model: MachineParameters) -> Plant:
+    """The closed model alone, its motors off for good."""
+    return ServoAxis(model) if isinstance(model, ServoAxisParameters) else Line(model)
+
+
+def boundary(model: MachineParameters) -> Mapping[str, float]:
+    """What 6413h holds before the bench writes it, by signal."""
+    return {} if isinstance(model, ServoAxisParameters) else web_line.boundary(model)
+
+
+def warm_up(model: MachineParameters, config: TwinConfig, cycle_s: float) -> None:
+    """Compile (or load) what a cycle runs on scratch objects, so that it is over before the devices boot."""
+    machine = new_machine(model, config, cycle_s, boundary(model).__getitem__)
+    axes = range(model.axis_count)
+    for k in range(_WARM_UP_CYCLES):
+        machine.compare(k * cycle_s, [(0.0, 0.1 + 0.01 * (k % 7)) for _ in axes])
+        machine.listen()
+        machine.plant.step(cycle_s)
+        machine.published()

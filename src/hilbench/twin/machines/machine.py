@@ -1,0 +1,78 @@
+"""What a machine is to the twin's process; listening, time, alarms and status are the same for all."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Protocol
+
+from hilbench.estimation.plausibility import Problem
+from hilbench.plant.interface import Plant
+from hilbench.plant.motor_port import MotorPort
+
+#: Position in rad and torque in N·m of one axis, at the motor.
+Measured = tuple[float, float]
+#: What the bench last said of the machine's boundary, by the name of the signal (6413h).
+Told = Callable[[str], float]
+
+
+class TwinMachine(Protocol):
+    """The closed model of a machine with its estimator."""
+
+    @property
+    def ports(self) -> Sequence[MotorPort]:
+        """Of the model's motors, one for each virtual axis."""
+
+    @property
+    def plant(self) -> Plant:
+        """The model."""
+
+    @property
+    def problem(self) -> Problem | None:
+        """Why the last measurement could not be used."""
+
+    @property
+    def refused(self) -> bool:
+        """Whether a measured state was not plausible and was not taken over in the last cycle."""
+
+    @property
+    def synchronized(self) -> bool:
+        """Whether what is estimated is known as well as the config asks for."""
+
+    @property
+    def separable(self) -> bool:
+        """Whether the data tell everything that is estimated apart."""
+
+    @property
+    def torque_shift_Nm(self) -> float:
+        """What the measured torque has shifted by, and is corrected for; 0 where nothing looks for it."""
+
+    @property
+    def torque_undecided(self) -> bool:
+        """Whether the torque has changed, and nothing tells yet why."""
+
+    def reset(self) -> None:
+        """Start anew with what is assumed at the start, at rest."""
+
+    def release(self, before: Sequence[Measured], now: Sequence[Measured]) -> None:
+        """The drives have been enabled: take motion and torque of the axes (N,) over, from two cycles in a row."""
+
+    def compare(self, time_s: float, measured: Sequence[Measured]) -> bool:
+        """Take what the axes (N,) measured at the instant that the model has been simulated to.
+
+        False where the measurements are not of one instant: a `miss`.
+        """
+
+    def miss(self) -> None:
+        """A cycle without measurement: the estimate is held."""
+
+    def listen(self) -> None:
+        """Take over what the bench says of the machine's boundary: it acts in the next step of the plant."""
+
+    def use_method(self, number: int) -> None:
+        """Go on with another method from the present estimate (2101h); 0: the configured one.
+
+        Raises ValueError for a number that there is not.
+        """
+
+    def published(self) -> Sequence[float]:
+        """What the virtual I/O shows now: one value for each sub-index of 6403h."""

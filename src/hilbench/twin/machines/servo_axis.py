@@ -1,0 +1,130 @@
+"""The twin of a servo axis: the simulated shaft, and the estimator that finds its inertia and friction."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import inf
+
+from hilbench.estimation.plausibility import Plausibility, Problem
+from hilbench.estimation.servo_axis.balance import ShaftSample
+from hilbench.estimation.servo_axis.inertia import InertiaEstimator, ShaftEstimate
+from hilbench.plant.motor_port import MotorPort
+from hilbench.plant.parameters import per_item
+from hilbench.plant.servo_axis.axis import ServoAxis
+from hilbench.plant.servo_axis.parameters import ServoAxisParameters
+from hilbench.topology.config import TwinConfig
+from hilbench.twin.machines.machine import Measured, Told
+
+#: Above this speed the plant runs already when the twin joins.
+_MOVES_RAD_S = 0.02
+_COULOMB, _VISCOUS = "coulomb_friction_Nm", "viscous_friction_Nm_s_per_rad"
+
+
+class ServoAxisTwin:
+    """A `TwinMachine` with one axis. The model gets the inertia and friction that are found, in every cycle."""
+
+    refused = False
+    torque_shift_Nm = 0.0
+    torque_undecided = False
+
+    def __init__(self, model: ServoAxisParameters, config: TwinConfig, cycle_s: float, told: Told) -> None:
+        self.ports = (MotorPort(),)
+        self.plant = ServoAxis(model, self.ports)
+        self._model = model
+        self._config = config
+        self._cycle_s = cycle_s
+        self._limit_Nm = per_item(model.drives.torque_limit_Nm, 1) if model.drives else inf
+        self.reset()
+
+    @property
+    def synchronized(self) -> bool:
+        """Whether the inertia is known as well as the config asks for."""
+        found = self._estimate
+        return (
+            self.problem is None and found.deviation_kg_m2 <= 0.01 * self._config.synchronized_pct * found.inertia_kg_m2
+        )
+
+    @property
+    def separable(self) -> bool:
+        """Whether the motion has said enough of the inertia."""
+        return self._estimate.separable
+
+    def reset(self) -> None:
+        """Start anew with the inertia and friction of the model, at rest."""
+        shaft = self._model.shaft
+        self._found = {_COULOMB: shaft.coulomb_friction_Nm, _VISCOUS: shaft.viscous_friction_Nm_s_per_rad}
+        self._begin()
+        self._simulate(self._model.inertia_kg_m2)
+        self.plant.set_state({"x1_rad": 0.0, "v1_rad_s": 0.0, "tau1_Nm": 0.0})
+
+    def _begin(self) -> None:
+        self._estimator = InertiaEstimator(self._config.inertia, self._model)
+        self._plausibility = Plausibility(self._limit_Nm, 0.0, 0.0, self._cycle_s)
+        initial = self._model.inertia_kg_m2
+        self._estimate = ShaftEstimate(initial, 0.01 * self._config.inertia.initial_deviation_pct * initial, False)
+        self.problem: Problem | None = None
+        self._residual_Nm = 0.0
+        self._torque_before_Nm: float | None = None  # simulated
+
+    def release(self, before: Sequence[Measured], now: Sequence[Measured]) -> None:
+        """Let the shaft go where the real one is."""
+        ((then_rad, _),), ((position_rad, torque_Nm),) = before, now
+        speed_rad_s = (position_rad - then_rad) / self._cycle_s
+        moves = abs(speed_rad_s) > _MOVES_RAD_S
+        self.plant.set_state(
+            {
+                "x1_rad": position_rad,
+                "v1_rad_s": speed_rad_s if moves else 0.0,
+                "tau1_Nm": torque_Nm if moves else 0.0,
+            }
+        )
+        self._torque_before_Nm = None
+
+    def compare(self, time_s: float, measured: Sequence[Measured]) -> bool:
+        """Let the estimator compare; the model has its inertia and friction from now on."""
+        ((position_rad, torque_Nm),) = measured
+        simulated_Nm = self.ports[0].torque_Nm
+        self._residual_Nm = torque_Nm - simulated_Nm
+        self.problem = self._plausibility.problem(torque_Nm, 1.0, position_rad)
+        if self.problem is not None:
+            self.miss()
+            return True
+        ripple_Nm = 0.0
+        if self._torque_before_Nm is not None:
+            ripple_Nm = self.plant.outputs()["tau1_mean_Nm"] - 0.5 * (self._torque_before_Nm + simulated_Nm)
+        self._torque_before_Nm = simulated_Nm
+        self._estimate = self._estimator.update(ShaftSample(self._cycle_s, position_rad, torque_Nm, ripple_Nm))
+        self._found |= {found.name: found.value for found in self._estimate.also if found.name in self._found}
+        self._simulate(self._estimate.inertia_kg_m2)
+        # Where an unbalance stands is the encoder's to say: the simulated drive follows its speed, and drifts.
+        self.plant.set_state({"x1_rad": position_rad})
+        return True
+
+    def _simulate(self, inertia_kg_m2: float) -> None:
+        self.plant.set_parameter("inertia_kg_m2", inertia_kg_m2)
+        for name, value in self._found.items():
+            self.plant.set_parameter(name, max(value, 0.0))
+
+    def miss(self) -> None:
+        """A cycle without measurement."""
+        self._torque_before_Nm = None
+        self._estimate = self._estimator.hold(self._cycle_s)
+
+    def listen(self) -> None:
+        """There is nothing around the shaft."""
+
+    def use_method(self, number: int) -> None:
+        """There is one method."""
+        if number:
+            raise ValueError(f"method {number}, expected 0: a servo axis has the configured one")
+
+    def published(self) -> tuple[float, ...]:
+        """Inertia, dry friction, deviation of the inertia, simulated torque, its residual."""
+        found = self._estimate
+        return (
+            found.inertia_kg_m2,
+            self._found[_COULOMB],
+            found.deviation_kg_m2,
+            self.ports[0].torque_Nm,
+            self._residual_Nm,
+        )
