@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 from tests.report.parsed import EVIL, ParsedPage, parsed
+from tests.runs.shafts import recorded_shaft
 
 from hilbench.errors import UnusableInputError
 from hilbench.report import live
@@ -299,3 +300,14 @@ def test_a_file_that_is_missing_is_named(tmp_path: Path, missing: str) -> None:
     with pytest.raises(UnusableInputError, match=re.escape(str(path))):
         write_report(folder)
     assert not folder.report.exists()
+
+
+def test_the_report_of_a_servo_axis_speaks_of_a_shaft_and_of_no_web(tmp_path: Path) -> None:
+    path = write_report(run_folder(tmp_path, recorded_shaft()))
+    text = html.unescape(re.sub(r"<script.*?</script>", "", path.read_text(encoding="utf-8"), flags=re.DOTALL))
+    pictures = re.findall(r"<svg .*?</svg>", text, flags=re.DOTALL)
+    assert len(pictures) == 7  # five of the experiment, one around the step, one of the timing
+    assert all(picture.count("J +25 %") == 1 for picture in pictures[:6])
+    for words in ("Inertia of the shaft", "Dry friction", "J in kg·cm²", "rad/s", "torque in N·m", "J_time_to_1pct_s"):
+        assert words in text
+    assert not re.search(r"\b(web|tension|line speed|Young|roller|N/mm²|m/s)\b", text)

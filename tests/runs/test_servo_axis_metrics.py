@@ -13,6 +13,7 @@ from hilbench.runs.metrics import OF_STEPS, evaluate_metrics, judge
 def test_a_step_of_the_inertia_is_judged_as_one_of_e_is_while_the_shaft_never_stops_swinging() -> None:
     judged = judge(recorded_shaft().channels)
     (step,) = judged.steps
+    assert [event.kind for event in judged.events] == ["step"]  # that it swings is nothing that happened
     assert str(step.event) == "J +25 %"
     assert step.start_s == pytest.approx(8.0)
     assert step.until_s == pytest.approx(20.0)

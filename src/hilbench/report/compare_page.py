@@ -8,32 +8,21 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hilbench.errors import UnusableInputError
 from hilbench.report.chart import BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILLION, Chart, Curve
+from hilbench.report.machines.kinds import pictures_of
+from hilbench.report.machines.picture import ShownRun
 from hilbench.report.page import quantity, write_page
-from hilbench.report.plots import SMOOTHING_S, Picture, drawn
-from hilbench.report.reduce import mean_velocity, moving_average
+from hilbench.report.plots import Picture, drawn
 from hilbench.results.recording import Recording, read_recording
 from hilbench.results.result import Result
 from hilbench.results.run_folder import RunFolder
 from hilbench.runs.events import find_events
-from hilbench.runs.figures import working_window
 from hilbench.runs.metrics import METRICS
-
-Array = NDArray[np.float64]
 
 _COLOURS: Final = (BLUE, VERMILLION, GREEN, ORANGE, PURPLE, SKY)
 MOST_RUNS: Final = len(_COLOURS)
-
-#: Name, title, signal (the first that a run has), axis label, factor.
-_PICTURES: Final = (
-    ("elasticity", "Young’s modulus, estimated", ("E_sim_Pa",), "E in N/mm²", 1e-6),
-    ("tension", "Web tension", ("F_true_N", "F_sim_N"), "tension in N", 1.0),
-    ("torque", "Torque of axis 2, averaged", ("tau2_Nm",), "torque in N·m", 1.0),
-    ("velocity", "Velocity of axis 1 minus line speed", ("x1_m",), "v1 − line in mm/s", 1e3),
-)
 
 
 @dataclass(frozen=True)
@@ -99,35 +88,21 @@ def labels(runs: Sequence[ComparedRun]) -> list[str]:
 
 
 def _pictures(runs: Sequence[ComparedRun]) -> list[Picture]:
+    """What the first run's machine is compared by."""
     pictures = []
-    for name, title, signals, label, factor in _PICTURES:
+    for compared in pictures_of(runs[0].recording).compared:
         found = [
-            Curve(letter, run.recording.time_s, factor * values, colour, 1.2)
+            Curve(letter, run.recording.time_s, values, colour, 1.2)
             for letter, run, colour in zip(labels(runs), runs, _COLOURS, strict=False)
-            if (values := _values(run.recording, signals)) is not None
+            if (values := compared.of(_shown(run.recording))) is not None
         ]
         if found:
-            pictures.append(drawn(Picture(f"compare-{name}", title, "", [Chart(label, found)])))
+            chart = Chart(compared.label, found)
+            pictures.append(drawn(Picture(f"compare-{compared.name}", compared.title, "", [chart])))
     return pictures
 
 
-def _values(recording: Recording, signals: tuple[str, ...]) -> Array | None:
-    found = next((name for name in signals if name in recording), None)
-    if found is None:
-        return None
-    values = np.asarray(recording[found], np.float64)
-    if found not in ("tau2_Nm", "x1_m"):
-        return values
+def _shown(recording: Recording) -> ShownRun:
     events = find_events(recording.channels)
     breaks = [int(at) for each in events for at in np.searchsorted(recording.time_s, (each.start_s, each.end_s))]
-    width = max(round(SMOOTHING_S / float(np.median(np.diff(recording.time_s)))), 1)
-    if found == "tau2_Nm":
-        return moving_average(values, width, breaks)
-    if "x2_m" not in recording:
-        return None
-    line = mean_velocity(recording.time_s, recording["x2_m"], width, breaks)
-    difference = np.full(len(recording), np.nan)
-    part = working_window(recording.time_s, recording["v2_cmd_m_s"]) if "v2_cmd_m_s" in recording else None
-    part = part or slice(None)
-    difference[part] = (mean_velocity(recording.time_s, values, width, breaks) - line)[part]
-    return difference
+    return ShownRun(recording, breaks)

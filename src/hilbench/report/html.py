@@ -5,22 +5,18 @@ from __future__ import annotations
 import itertools
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
-from hilbench.diagnosis.synchronization import reference_estimate
 from hilbench.errors import UnusableInputError
 from hilbench.report.chart import Mark
+from hilbench.report.machines.kinds import pictures_of
 from hilbench.report.page import number, quantity, write_page
 from hilbench.report.plots import draw_histogram, run_pictures, zooms
 from hilbench.results.provenance import Provenance
 from hilbench.results.recording import Recording, read_recording
 from hilbench.results.result import Environment, EventRecord, Result, StepRecord, Timing
 from hilbench.results.run_folder import RunFolder
-from hilbench.runs.config import load_with_overrides
 from hilbench.runs.criteria import CriterionResult
 from hilbench.runs.events import find_events
-from hilbench.runs.metrics import METRICS
+from hilbench.runs.metrics import METRICS, OF_RUNS, OF_STEPS, kind_of_figures
 
 #: Steps that stand side by side in a table, and those in the list of them.
 _MOST_COLUMNS = 8
@@ -36,7 +32,7 @@ def write_report(run_folder: RunFolder) -> Path:
     recording, result = read_recording(run_folder.recording), Result.read(run_folder.result)
     config = _read_text(run_folder.config)
     marks = marks_of(result, recording)
-    pictures = run_pictures(recording, marks, _reference(run_folder.config, recording))
+    pictures = run_pictures(recording, marks, pictures_of(recording).reference(run_folder.config, recording))
     steps, timing = result.steps or [], result.timing
     return write_page(
         run_folder.report,
@@ -63,14 +59,6 @@ def write_report(run_folder: RunFolder) -> Path:
         versions=_versions(result.environment),
         config=config,
     )
-
-
-def _reference(config: Path, recording: Recording) -> NDArray[np.float64] | None:
-    """E by the published method; None also for the config of a run that is too old to be understood now."""
-    try:
-        return reference_estimate(load_with_overrides(config).config, recording)
-    except UnusableInputError:
-        return None
 
 
 def _read_text(path: Path) -> str:
@@ -149,8 +137,9 @@ def _reasons(step: StepRecord) -> list[tuple[str, list[str]]]:
 def _metrics(result: Result) -> list[tuple[str, ...]]:
     """Name, value, unit, and what it means or why it has no value."""
     rows: list[tuple[str, ...]] = []
+    metrics = {**OF_STEPS[kind_of_figures(result.metrics)].metrics, **OF_RUNS}
     for name, value in result.metrics.items():
-        known = METRICS.get(name)
+        known = metrics.get(name)
         unit = known.unit if known else ""
         why = (result.not_judged or {}).get(name) if value is None else None
         meaning = [text for text in (known.description if known else None, why) if text]

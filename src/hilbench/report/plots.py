@@ -31,16 +31,14 @@ from hilbench.report.chart import (
     Curve,
     Mark,
 )
-from hilbench.report.reduce import envelope, mean_velocity, moving_average, thinned
+from hilbench.report.machines.kinds import ZOOMED, pictures_of
+from hilbench.report.machines.picture import ShownRun
+from hilbench.report.reduce import envelope, thinned
 from hilbench.results.recording import Recording
 from hilbench.results.result import Histogram
-from hilbench.runs.figures import ESTIMATE_BAND
-from hilbench.runs.machines.web_line import expected_v1_m_s
 
 Array = NDArray[np.float64]
 
-#: Time over which velocities and torques are averaged for the eye, s (the publication: 20 values, 20 ms apart).
-SMOOTHING_S: Final = 0.4
 _COLUMNS: Final = 700
 #: Axes whose extremes reach beyond so many times what the signals do for 99.8 % of the time are cut, and say so.
 _CUT_BEYOND: Final = 4.0
@@ -189,27 +187,25 @@ def _apart(places: Sequence[float], gap: float) -> list[float]:
     return moved
 
 
-# -- what the pictures of a run show ---------------------------------------------------------------------------------
+# -- the pictures of a run --------------------------------------------------------------------------------------------
 
 
-def run_pictures(recording: Recording, marks: Sequence[Mark] = (), reference_Pa: Array | None = None) -> list[Picture]:
-    """The pictures of the experiment, each of the signals the recording has.
+def run_pictures(recording: Recording, marks: Sequence[Mark] = (), reference: Array | None = None) -> list[Picture]:
+    """The pictures of the experiment, those of its kind of machine, each of the signals the recording has.
 
-    `reference_Pa`: what the published synchronizer would have made of the run.
+    `reference`: what the published synchronizer would have made of the run.
     """
     breaks = sorted({int(at) for mark in marks for at in np.searchsorted(recording.time_s, (mark.start_s, mark.end_s))})
-    plain = [
-        _velocities(recording, breaks),
-        _torques(recording, breaks),
-        _elasticity(recording, reference_Pa),
-        _tension(recording),
+    run = ShownRun(recording, breaks, reference)
+    return [
+        drawn(Picture(each.name, each.title, each.words(run), each.charts(run)), marks)
+        for each in pictures_of(recording).pictures
     ]
-    return [drawn(picture, marks) for picture in plain]
 
 
 def zooms(pictures: Sequence[Picture], marks: Sequence[Mark]) -> list[Picture]:
-    """Young's modulus and tension around each step, for paper; the first steps of a run with many."""
-    wanted = [picture for picture in pictures if picture.name in ("elasticity", "tension") and picture.charts]
+    """What matters most around each step, for paper; the first steps of a run with many."""
+    wanted = [picture for picture in pictures if picture.name in ZOOMED and picture.charts]
     found: list[Picture] = []
     steps = [mark for mark in marks if mark.number]
     for step, following in zip(steps, [*steps[1:], None], strict=False):
@@ -225,97 +221,6 @@ def zooms(pictures: Sequence[Picture], marks: Sequence[Mark]) -> list[Picture]:
             picture = Picture(f"zoom{step.number}", title, "", charts)
             found.append(drawn(picture, [step], side_by_side=True))
     return found
-
-
-def _velocities(recording: Recording, breaks: Sequence[int]) -> Picture:
-    """Velocities with their commands, and, a thousand times finer, what axis 1 runs faster than the line."""
-    caption = (
-        f"Velocities at the web, averaged over {SMOOTHING_S:g} s, but not over a step or the ends of a ramp. Below: "
-        "velocity of axis 1 minus line speed (axis 2), and what mass conservation asks for at the strain of the "
-        "imitated web once it is steady."
-    )
-    empty = Picture("velocities", "Velocities", caption)
-    if not {"x1_m", "x2_m"} <= recording.channels.keys():
-        return empty
-    t_s, width = recording.time_s, _samples(recording)
-    v1, v2 = (mean_velocity(t_s, _get(recording, name), width, breaks) for name in ("x1_m", "x2_m"))
-    whole = [Curve("axis 2", t_s, v2, VERMILLION, 2.6, alpha=0.8), Curve("axis 1", t_s, v1, BLUE, 1.3)]
-    if "v2_cmd_m_s" in recording:
-        whole.append(Curve("commands", t_s, _get(recording, "v2_cmd_m_s"), INK, 0.8, (4, 4)))
-    if "v1_cmd_m_s" in recording:
-        whole.append(Curve("", t_s, _get(recording, "v1_cmd_m_s"), INK, 0.8, (4, 4)))
-    steady = _steady(recording)
-    fine = [Curve("axis 1 − line", t_s, np.where(steady, 1e3 * (v1 - v2), np.nan), BLUE)]
-    if {"strain_prev", "strain_true"} <= recording.channels.keys():
-        strains = _get(recording, "strain_prev"), moving_average(_get(recording, "strain_true"), width, breaks)
-        asked = 1e3 * (expected_v1_m_s(v2, *strains) - v2)
-        fine.append(Curve("mass balance", t_s, np.where(steady, asked, np.nan), INK, 0.9, (4, 2)))
-    charts = [Chart("velocity in m/s", whole), Chart("v1 − line in mm/s", fine, least=0.05)]
-    return Picture(empty.name, empty.title, caption, charts)
-
-
-def _torques(recording: Recording, breaks: Sequence[int]) -> Picture:
-    """Torque of axis 2: measured, smoothed, simulated."""
-    caption = (
-        f"Motor torque of axis 2: measured, averaged over {SMOOTHING_S:g} s, and simulated by the twin. Their "
-        "difference is what the twin learns E from."
-    )
-    empty = Picture("torques", "Torque of axis 2", caption)
-    if "tau2_Nm" not in recording:
-        return empty
-    t_s, measured = recording.time_s, _get(recording, "tau2_Nm")
-    averaged = moving_average(measured, _samples(recording), breaks)
-    curves = [Curve("measured", t_s, measured, SKY, 0.7, spread=True), Curve("averaged", t_s, averaged, BLUE)]
-    if "tau2_sim_Nm" in recording:
-        curves.append(Curve("simulated", t_s, _get(recording, "tau2_sim_Nm"), VERMILLION, 1.2))
-    return Picture(empty.name, empty.title, caption, [Chart("torque in N·m", curves)])
-
-
-def _elasticity(recording: Recording, reference_Pa: Array | None) -> Picture:
-    """Young's modulus: true, estimated, and by the published method."""
-    caption = (
-        f"Young’s modulus of the imitated web with a band of ±{100 * ESTIMATE_BAND:g} % (grey), and the twin’s "
-        "estimate with a band of ±2 standard deviations where the twin states one."
-    )
-    if reference_Pa is not None:
-        caption += " PID: what the published tracking simulation makes of the same measurements."
-    empty = Picture("elasticity", "Young’s modulus", caption)
-    if "E_sim_Pa" not in recording:
-        return empty
-    t_s, estimate = recording.time_s, _get(recording, "E_sim_Pa") / 1e6
-    curves, bands = [], []
-    if "E_true_Pa" in recording:
-        true = _get(recording, "E_true_Pa") / 1e6
-        bands.append(Band(t_s, true * (1 - ESTIMATE_BAND), true * (1 + ESTIMATE_BAND), INK, 0.16))
-        curves.append(Curve("true", t_s, true, INK, 1.1))
-    if "E_sd_Pa" in recording:
-        deviation = _get(recording, "E_sd_Pa") / 1e6
-        bands.append(Band(t_s, estimate - 2 * deviation, estimate + 2 * deviation, VERMILLION, 0.25))
-    if reference_Pa is not None:
-        curves.append(Curve("PID", t_s, reference_Pa / 1e6, SKY))
-    curves.append(Curve("estimated", t_s, estimate, VERMILLION))
-    return Picture(empty.name, empty.title, caption, [Chart("E in N/mm²", curves, bands)])
-
-
-def _tension(recording: Recording) -> Picture:
-    """Web tension: true, simulated, set-point."""
-    caption = (
-        "Tension of the imitated web, tension simulated by the twin (the virtual sensor that the controller sees),"
-        " and set-point."
-    )
-    t_s = recording.time_s
-    known = {
-        "F_true_N": ("true", BLUE, 1.4, ()),
-        "F_sim_N": ("simulated", VERMILLION, 1.2, ()),
-        "F_ref_N": ("set-point", INK, 0.9, (4.0, 2.0)),
-    }
-    curves = [
-        Curve(name, t_s, _get(recording, signal), colour, width, dash)
-        for signal, (name, colour, width, dash) in known.items()
-        if signal in recording
-    ]
-    charts = [Chart("tension in N", curves, least=4.0)] if curves else []
-    return Picture("tension", "Web tension", caption, charts)
 
 
 def draw_histogram(histogram: Histogram) -> Picture:
@@ -334,26 +239,6 @@ def draw_histogram(histogram: Histogram) -> Picture:
     title = "Lateness of SYNC"
     caption = "Every cycle; logarithmic, so that the rare late one shows."
     return Picture("jitter", title, caption, svg=render_picture(draw, 2.2, "jitter", title))
-
-
-def _get(recording: Recording, name: str) -> Array:
-    return np.asarray(recording[name], np.float64)
-
-
-def _samples(recording: Recording) -> int:
-    return max(round(SMOOTHING_S / float(np.median(np.diff(recording.time_s)))), 1)
-
-
-def _steady(recording: Recording) -> NDArray[np.bool_]:
-    """Where the line-speed command has not changed for twice the time of the averages."""
-    if "v2_cmd_m_s" not in recording:
-        return np.ones(len(recording), bool)
-    command = _get(recording, "v2_cmd_m_s")
-    top = float(np.max(np.abs(command), initial=0.0, where=np.isfinite(command)))
-    moved = np.concatenate(([False], ~(np.abs(np.diff(command)) <= 1e-6 * top)))
-    count = np.cumsum(moved)
-    before = np.clip(np.arange(len(command)) - 2 * _samples(recording), 0, None)
-    return np.asarray(count == count[before])
 
 
 # -- drawing ---------------------------------------------------------------------------------------------------------

@@ -152,6 +152,7 @@ def judge(channels: Channels, *, journal: Sequence[Event] = ()) -> Judgement:
     events = find_events(channels, journal)
     time_s = np.asarray(channels["t_s"], np.float64)
     ending = [event for event in events if not _is_its_work(event, machine)]
+    events = [event for event in events if event in ending or event in journal]
     steps = [event for event in events if event.kind == "step"]
     if steps:
         judged = []

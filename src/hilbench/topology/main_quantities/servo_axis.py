@@ -8,7 +8,15 @@ from hilbench.topology.main_quantities.quantity import MainQuantity
 
 SPEED: Final = MainQuantity("speed_rad_s", "speed of the shaft", "speed", "rad/s", "v1_cmd_rad_s", "v")
 INERTIA: Final = MainQuantity(
-    "load.shaft.inertia_kg_m2", "inertia of the imitated shaft", "J", "kg·m²", "J_true_kg_m2", "m", imitated=True
+    "load.shaft.inertia_kg_m2",
+    "inertia of the imitated shaft",
+    "J",
+    "kg·m²",
+    "J_true_kg_m2",
+    "m",
+    "kg·cm²",
+    1e-4,
+    imitated=True,
 )
 FRICTION: Final = MainQuantity(
     "load.shaft.coulomb_friction_Nm",

@@ -1,0 +1,1 @@
+"""The pictures of each kind of machine: a table each."""
