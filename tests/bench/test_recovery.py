@@ -6,7 +6,7 @@ import random
 from pathlib import Path
 
 import numpy as np
-from tests.bench.whole_runs import SHORT, config, gone, recover, run, run_folders, start, wait_for_frames
+from tests.bench.whole_runs import SHORT, config, gone, recover, run_folders, run_here, start, wait_for_frames
 
 from hilbench.results.recording import read_recording
 from hilbench.results.result import Result
@@ -18,7 +18,7 @@ RESOLUTION_M_S = 0.0001 / 60.0 * 2.0 * np.pi * 0.2 / 5.0
 
 def test_a_killed_run_is_recovered_as_it_would_have_been_recorded(tmp_path: Path) -> None:
     path = config(tmp_path, steps=[*SHORT[:3], {"hold": {"duration_s": 1.0}}])
-    assert run(path)[0] == 0
+    assert run_here(path, "--no-report")[0] == 0
     whole = read_recording(run_folders(path)[0] / "recording.mf4")
     (tmp_path / "killed").mkdir()
     path = config(tmp_path / "killed", steps=[*SHORT[:3], {"hold": {"duration_s": 1000.0}}])

@@ -20,6 +20,7 @@ from tests.bench.whole_runs import (
     processes_of,
     run,
     run_folders,
+    run_here,
     start,
     wait_for_frames,
 )
@@ -33,7 +34,7 @@ from hilbench.runs.config import load_with_overrides
 
 def test_one_seed_gives_one_recording_and_the_same_frames_in_every_cycle(tmp_path):
     path = config(tmp_path)
-    assert [run(path)[0], run(path)[0], run(path, "--in-process", "--no-report")[0]] == [0, 0, 0]
+    assert [run(path)[0], run(path, "--no-report")[0], run_here(path, "--no-report")[0]] == [0, 0, 0]
     first, second, in_process = run_folders(path)
     one = read_recording(first / "recording.mf4")
     for folder in (second, in_process):
@@ -70,7 +71,7 @@ def test_listening_and_copying_give_the_same_estimate_and_another_seed_another(t
         folder = tmp_path / str(number)
         folder.mkdir()
         path = config(folder, **changes)
-        assert run(path, "--in-process", "--no-report")[0] == 0
+        assert run_here(path, "--no-report")[0] == 0
         curves.append(np.asarray(read_recording(run_folders(path)[0] / "recording.mf4")["E_sim_Pa"]))
     assert np.array_equal(curves[0], curves[1])
     assert not np.array_equal(curves[0], curves[2])
@@ -78,7 +79,7 @@ def test_listening_and_copying_give_the_same_estimate_and_another_seed_another(t
 
 def test_a_failed_criterion_is_exit_1_and_json_is_one_object(tmp_path):
     criterion = {"name": "impossible", "metric": "E_final_error_pct", "max": 0.0}
-    code, out, _ = run(config(tmp_path, criteria=[criterion]), "--json")
+    code, out, _ = run_here(config(tmp_path, criteria=[criterion]), "--json")
     result = json.loads(out)
     assert code == 1
     assert result["passed"] is False
@@ -94,7 +95,7 @@ def test_an_effect_hidden_by_a_step_in_the_hardware_shows_in_the_torque(tmp_path
         {"hold": {"duration_s": 2.0}},
     ]
     path = config(tmp_path, steps=steps)
-    assert run(path)[0] == 0
+    assert run_here(path, "--no-report")[0] == 0
     recording = read_recording(run_folders(path)[0] / "recording.mf4")
     t_s, torque = recording.time_s, np.asarray(recording["tau1_Nm"])
     before, after = torque[(t_s > 1.5) & (t_s < 2.0)].mean(), torque[t_s > 3.5].mean()
@@ -114,7 +115,7 @@ def test_an_effect_hidden_by_a_step_in_the_hardware_shows_in_the_torque(tmp_path
 )
 def test_a_wrong_config_is_exit_2_and_one_line(tmp_path, change, message):
     path = config(tmp_path, **change)
-    code, _, err = run(path)
+    code, _, err = run_here(path)
     assert code == 2
     assert len(err.strip().splitlines()) == 1
     assert re.search(message, err), err
@@ -127,7 +128,7 @@ def test_two_nodes_with_one_id_are_named(tmp_path):
     data = yaml.safe_load(path.read_text())
     data["load_motors"]["load"]["node_id"] = 2
     path.write_text(yaml.safe_dump(data, sort_keys=False))
-    code, _, err = run(path)
+    code, _, err = run_here(path)
     assert code == 2
     assert "axis2 and load both have 2" in err
 
@@ -140,7 +141,7 @@ def test_an_eds_without_a_mapped_object_is_named_with_its_line(tmp_path):
     eds.write_text(text)
     data["drives"]["axis1"]["eds"] = str(eds)
     path.write_text(yaml.safe_dump(data, sort_keys=False))
-    code, _, err = run(path)
+    code, _, err = run_here(path)
     assert code == 2
     assert "60FFh" in err
     assert "bench.yaml:" in err

@@ -10,7 +10,17 @@ import time
 from pathlib import Path
 
 import numpy as np
-from tests.bench.whole_runs import ENDLESS, config, gone, pid_of, result_of, run, run_folders, start, wait_for_frames
+from tests.bench.whole_runs import (
+    ENDLESS,
+    config,
+    gone,
+    pid_of,
+    result_of,
+    run_folders,
+    run_here,
+    start,
+    wait_for_frames,
+)
 
 from hilbench.results.recording import Recording, read_recording
 from hilbench.results.trace import TraceReader
@@ -60,7 +70,7 @@ def test_emergency_stop_from_another_terminal(tmp_path: Path) -> None:
 def test_a_trip_stops_with_bounded_deceleration_and_says_why(tmp_path: Path) -> None:
     limits = {"speed_m_s": {"warning": 0.6, "trip": 0.8}}
     path = config(tmp_path, safety={"limits": limits, "quick_stop_m_s2": QUICK_STOP_M_S2})
-    code, out, _ = run(path)
+    code, out, _ = run_here(path)
     folder = run_folders(path)[0]
     assert code == 3
     result = result_of(folder)

@@ -56,6 +56,12 @@ def run(path: Path, *options: str) -> tuple[int, str, str]:
     return process.returncode, out, err
 
 
+def run_here(path: Path, *options: str) -> tuple[int, str, str]:
+    """The same without processes: for tests of what a run does, which is the same bits in a third of the time."""
+    done = hilbench("run", path, "--in-process", "--out", path.parent / "runs", *options)
+    return done.returncode, done.stdout, done.stderr
+
+
 def run_folders(path: Path) -> list[Path]:
     folders = path.parent / "runs"
     return sorted(folders.iterdir()) if folders.exists() else []

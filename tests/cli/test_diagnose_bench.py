@@ -95,17 +95,16 @@ def test_ctrl_c_before_or_after_the_run_ends_it_as_well(tmp_path, phase):
     assert gone(path)
 
 
-def test_a_run_that_faults_is_exit_3_with_the_reason_and_no_verdict(tmp_path):
+def test_a_run_that_faults_is_exit_3_with_the_reason_and_no_verdict(tmp_path, in_one_process):
     limits = {"limits": {"speed_m_s": {"warning": 0.5, "trip": 1.5}}}
-    path = config(tmp_path, steps=[*STEPS, *STEPS], safety=limits)
-    process = start(path)
-    out, err = process.communicate(timeout=120)
-    assert process.returncode == 3
-    assert out == ""
-    assert err.splitlines()[-1].startswith("hilbench: runs/")
-    assert "1.5 m/s" in err.splitlines()[-1]
-    assert not (path.parent / "diagnosis.html").exists()
-    assert gone(path)
+    path = config(tmp_path, steps=STEPS, safety=limits)
+    done = hilbench("diagnose", path, "--out", tmp_path)
+    assert done.returncode == 3
+    assert done.stdout == ""
+    last = done.stderr.splitlines()[-1]
+    assert last.startswith(f"hilbench: {tmp_path / 'runs'}/")
+    assert "1.5 m/s" in last
+    assert not (tmp_path / "diagnosis.html").exists()
 
 
 def test_the_extended_bench_that_faults_is_shown_as_not_compared_and_is_exit_3(tmp_path, in_one_process):

@@ -45,9 +45,11 @@ def same(one: Recording, other: Recording) -> bool:
     return list(one.channels) == list(other.channels) and all(np.array_equal(one[n], other[n]) for n in one.channels)
 
 
-def experiment(bench: Bench, pause: Callable[[], None] = lambda: None) -> Recording:
+def ramp(bench: Bench) -> None:
     bench.ramp("line_speed_m_s", 1.0, duration_s=0.3)
-    pause()
+
+
+def step(bench: Bench) -> Recording:
     bench.step("load.web.youngs_modulus_Pa", 10e9)
     bench.run(0.3)
     return bench.recording
@@ -56,15 +58,20 @@ def experiment(bench: Bench, pause: Callable[[], None] = lambda: None) -> Record
 # -- pauses ----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("participants", [Participants.STARTED, Participants.IN_PROCESS])
-def test_a_pause_between_two_cells_of_a_notebook_changes_nothing(participants: Participants) -> None:
+def test_a_pause_between_two_cells_of_a_notebook_changes_nothing() -> None:
     with here() as bench:
-        without = experiment(bench)
-    with Bench(CONFIG, bus=bus(), participants=participants) as bench:
+        ramp(bench)
+        without = step(bench)
+    with Bench(CONFIG, bus=bus(), participants=Participants.STARTED) as started, here() as inside:
+        benches = (started, inside)
         time.sleep(PAUSE_S)  # a plot, before anything has moved
-        paused = experiment(bench, lambda: time.sleep(PAUSE_S))
-    assert same(paused, without)
-    assert (list(bench.notices), bench.safe_state_problems) == ([], [])
+        for bench in benches:
+            ramp(bench)
+        time.sleep(PAUSE_S)
+        for bench in benches:
+            assert same(step(bench), without)
+    for bench in benches:
+        assert (list(bench.notices), bench.safe_state_problems) == ([], [])
 
 
 PAUSED_SCRIPT = """
@@ -174,7 +181,8 @@ def test_a_cycle_that_hangs_says_nothing_and_a_pause_does(tmp_path: Path) -> Non
 
 def test_two_benches_at_a_time_in_one_process_don_t_meet() -> None:
     with here() as bench:
-        alone = experiment(bench)
+        ramp(bench)
+        alone = step(bench)
     with here() as one, Bench(CONFIG, bus=bus(), changes=["controllers.tension_control.set_point_N=95"]) as other:
         for k in range(150):
             for bench in (one, other):
@@ -248,8 +256,7 @@ if len(sys.argv) > 4:
 """
 
 
-@pytest.mark.parametrize("participants", ["STARTED", "IN_PROCESS"])
-@pytest.mark.parametrize("words", [[], ["fails"]], ids=["ends", "fails"])
+@pytest.mark.parametrize(("participants", "words"), [("STARTED", ["fails"]), ("IN_PROCESS", [])], ids=["fails", "ends"])
 def test_a_bench_that_is_never_left_is_stopped_and_said_in_a_line(participants: str, words: list[str]) -> None:
     name = bus()
     command = [sys.executable, "-c", FORGETFUL_SCRIPT, str(CONFIG), name, participants, *words]

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.bench.whole_runs import config, result_of, run, run_folders
+from tests.bench.whole_runs import config, result_of, run_folders, run_here
 from tests.estimation.runs import CYCLE_S, OLD_PA, STEP_S, Array, measured, stepped, times
 from tests.plant.models import model
 
@@ -38,7 +38,7 @@ def emergencies(folder: Path) -> list[int]:
 def test_a_web_break_is_told_within_200_ms_and_stops_the_line(tmp_path: Path) -> None:
     steps = [*AT_SPEED, {"step": {"path": "load.web.broken", "to": 1}}, {"hold": {"duration_s": 2.0}}]
     path = config(tmp_path, steps=steps)
-    code, out, _ = run(path)
+    code, out, _ = run_here(path)
     folder = run_folders(path)[0]
     assert code == 3
     assert "web break" in out

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from tests.bench.whole_runs import config, run, run_folders
+from tests.bench.whole_runs import config, run_folders, run_here
 
 from hilbench.bench.bench import Bench
 from hilbench.bench.lifecycle.participants import Participants
@@ -23,7 +23,7 @@ EMCY = " 0A0#"
 
 
 def recorded(path: Path) -> Recording:
-    code, _, said = run(path)
+    code, _, said = run_here(path, "--no-report")
     assert code == 0, said
     return read_recording(run_folders(path)[0] / "recording.mf4")
 
