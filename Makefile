@@ -42,7 +42,7 @@ demo: setup
 
 # Without Node.js the tests that need it are skipped.
 test: setup $(SUITE)/.extracted $(if $(shell command -v npm),$(STATION)/.installed)
-	$(BIN)/python -m pytest -q -n 2
+	$(BIN)/python -m pytest -q -n 2 --dist worksteal
 
 # On a vcan of this machine, or in a guest whose kernel has CAN (made on first use, kept in .cache/vcan-guest).
 test-vcan: setup $(if $(shell command -v npm),$(STATION)/.installed)
@@ -51,7 +51,7 @@ test-vcan: setup $(if $(shell command -v npm),$(STATION)/.installed)
 # The docs as a site in build/site (a warning is an error), and every command that they show, run.
 docs: setup
 	$(BIN)/mkdocs build --quiet
-	$(BIN)/python -m pytest -q -n 2 -m docs tests/docs
+	$(BIN)/python -m pytest -q -n 2 --dist worksteal -m docs tests/docs
 
 # Beside scipy, plain Python, canopen and a bare timer loop; rewrites the tables of docs/performance.md.
 SECONDS ?= 60

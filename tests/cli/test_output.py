@@ -75,7 +75,6 @@ def readers(folder: Path) -> list[list[object]]:
         ["sync", folder / "recording.mf4", "--model", model, "--method", "rls"],
         ["sync", folder / "recording.mf4", "--model", model, "--method", "rls", "--json"],
         ["sync", folder / "recording.mf4", "--model", model, "--method", "résumé"],
-        ["doctor", "--bus", "embedded:nobody-on-it", "--json"],
         ["doctor", "--bus", "embedded:nobody-on-it"],
     ]
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import subprocess
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,11 +15,14 @@ from tests import independent
 from tests.cli.in_process import hilbench
 from tests.plant.models import DEMONSTRATOR, effect, model
 
+from hilbench.bench.lifecycle.participants import Participants
+from hilbench.diagnosis import live
 from hilbench.diagnosis.diagnosis import Diagnosis, diagnose
 from hilbench.diagnosis.synthetic import UNKNOWNS, hidden_recording
 from hilbench.plant.parameters import EffectEntry
 from hilbench.plant.web_line.parameters import load_model
 from hilbench.results.recording import read_recording, write_recording
+from hilbench.results.run import run_experiment
 
 ROOT = Path(__file__).resolve().parents[2]
 DURATION_S = 24.0
@@ -173,7 +177,10 @@ def test_unusable_input_is_one_line_and_exit_2(arguments: tuple[str, ...], said:
     assert len(done.stderr.splitlines()) == 1
 
 
-def test_a_bench_is_run_diagnosed_and_run_again_with_what_was_found(tmp_path: Path) -> None:
+def test_a_bench_is_run_diagnosed_and_run_again_with_what_was_found(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(live, "run_experiment", partial(run_experiment, participants=Participants.IN_PROCESS))
     config = tmp_path / "offset.yaml"
     steps: list[dict[str, Any]] = [{"ramp": {"path": "line_speed_m_s", "to": 3.0, "duration_s": 1.5}}]
     for set_point_N in (80.0, 95.0, 70.0, 80.0):
