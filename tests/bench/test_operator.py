@@ -14,7 +14,7 @@ from hilbench.bench.operator.operator_objects import OperatorObjects
 from hilbench.can.frame import Frame
 from hilbench.can.open import open_python_can
 from hilbench.canopen.sdo_client import SdoClient
-from hilbench.monitor.changes import CHANGEABLE, ChangeRequests
+from hilbench.monitor.changes import ChangeRequests
 from hilbench.results.recording import read_recording
 from hilbench.runs.config import load
 
@@ -41,7 +41,7 @@ def test_changes_of_a_running_bench_are_recovered_with_the_run(tmp_path: Path) -
     requests = ChangeRequests(bench, lambda: SdoClient(open_python_can(address), 30.0))
     written = (folder / "journal.log").read_bytes().count(b"line_speed_m_s")
     for key, value in (("t", 95.0), ("m", 9000.0), ("v", 0.6), ("v", 50.0)):
-        requests.ask(CHANGEABLE[key], value)
+        requests.ask(requests.changeable[key], value)
     said = answered(requests, 4)
     requests.close()
     read = hilbench(

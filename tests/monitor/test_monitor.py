@@ -20,9 +20,11 @@ from hilbench.errors import BusError
 from hilbench.exchange.nodes import Nodes
 from hilbench.monitor import condition
 from hilbench.monitor import picture as picture_of
-from hilbench.monitor.changes import CHANGEABLE, ChangeRequests
+from hilbench.monitor.changes import ChangeRequests
 from hilbench.monitor.dashboard import Dashboard
 from hilbench.monitor.picture import BusPicture
+from hilbench.monitor.trends import trends_of
+from hilbench.plant.effects import MachineKind
 from hilbench.results.run import run_experiment
 from hilbench.results.trace import TraceReader
 from hilbench.runs.config import load, load_with_overrides
@@ -61,7 +63,7 @@ def test_what_is_heard_is_decoded(bench: BenchConfig) -> None:
     gone = data["nodes"][0]
     assert (gone["drive_state"], gone["torque_Nm"], gone["nmt_state"]) == (None, None, "PRE-OPERATIONAL")
     assert data["F_sim_N"] == pytest.approx(278.0)  # of the cycle before the last point of the trend
-    assert len(picture.tension_N) == 200 // picture.every
+    assert len(picture.trends[0].values) == 200 // picture.every
     assert data["jitter_max_us"] == pytest.approx(50.0)
     assert data["bus_load_pct"] == pytest.approx(100 * (47 + 2 * 118) / 2000, rel=0.1)
     assert [(note["part"], note["text"]) for note in data["faults"]] == [
@@ -105,7 +107,7 @@ def test_the_dashboard_shows_it_and_sends_nothing(bench: BenchConfig, patient: N
                 await pilot.pause(0.05)
             await pilot.pause(0.3)
             figures = str(dashboard.query_one("#figures", Static).render())
-            tension = str(dashboard.query_one("#tension-value", Static).render())
+            tension = str(dashboard.query_one("#F_sim_N-value", Static).render())
             return figures, tension, dashboard.query_one("#faults", Log).line_count
 
     figures, tension, faults = asyncio.run(asyncio.wait_for(watch(), 30.0))
@@ -220,7 +222,7 @@ def ended(requests: ChangeRequests) -> list[str]:
 
 def test_a_bench_that_does_not_answer_is_said(bench: BenchConfig) -> None:
     requests = ChangeRequests(bench, lambda: SdoClient(MemoryBus().open_python_can(), 0.1))
-    requests.ask(CHANGEABLE["v"], 2.0)
+    requests.ask(requests.changeable["v"], 2.0)
     assert ended(requests) == ["line speed 2 m/s: no answer from the bench (node 127)"]
 
 
@@ -229,7 +231,7 @@ def test_a_bus_that_cannot_be_joined_is_said(bench: BenchConfig) -> None:
         raise BusError("vcan9: no such interface")
 
     requests = ChangeRequests(bench, refuse)
-    requests.ask(CHANGEABLE["v"], 2.0)
+    requests.ask(requests.changeable["v"], 2.0)
     assert ended(requests) == ["line speed 2 m/s: NOT SENT: vcan9: no such interface"]
 
 
@@ -330,7 +332,7 @@ def test_the_dashboard_says_it_instead_of_old_values(bench: BenchConfig, patient
                 while not str(dashboard.query_one("#condition", Static).render()).startswith(said):
                     await pilot.pause(0.05)
                 await pilot.pause(0.3)
-                tension = str(dashboard.query_one("#tension-value", Static).render())
+                tension = str(dashboard.query_one("#F_sim_N-value", Static).render())
                 row = dashboard.query_one("#nodes", DataTable).get_row_at(0)
                 seen.append((tension, row[3], row[6]))
         return seen
@@ -340,3 +342,11 @@ def test_the_dashboard_says_it_instead_of_old_values(bench: BenchConfig, patient
     assert runs[0].startswith("tension: 178.0 N")
     assert runs[1:] == ("OPERATION ENABLED", "1.000")
     assert stopped == ("tension: E-STOP", "E-STOP", "-")
+
+
+def test_of_a_servo_axis_the_trends_are_its_inertia_and_friction() -> None:
+    inertia, friction = trends_of(MachineKind.SERVO_AXIS)
+    assert (inertia.signal, inertia.title, inertia.unit) == ("J_sim_kg_m2", "J", "kg·cm²")
+    assert (friction.signal, friction.title, friction.unit) == ("coulomb_sim_Nm", "friction", "N·m")
+    inertia.values.append(2.5e-3)
+    assert inertia.shown == [pytest.approx(25.0)]

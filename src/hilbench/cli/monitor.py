@@ -25,12 +25,13 @@ def monitor(
     duration: Annotated[float, typer.Option("--for", metavar="S", min=0.1, help="--json: how long to listen")] = 1.0,
     json: JsonOption = False,
 ) -> None:
-    """Watch a running bench as a listener on its bus: trends of tension and E, drive states, bus load, jitter, faults.
+    """Watch a running bench as a listener on its bus: the twin's values, drive states, bus load, jitter, faults.
 
     It may be started before the bench and stay when it has ended; while no bench runs it says STALE, ENDED or E-STOP
-    instead of values. It sends nothing but what a key asks for and a second
-    one confirms: v line speed, t tension set-point, m E of the imitated web, e emergency stop. With --json it listens
-    for a while and prints what it heard as one object.
+    instead of values. It sends nothing but what a key asks for and a second one confirms: e emergency stop, and a key
+    for each quantity of the machine that can be changed (of a web line v line speed, t tension set-point, m E of the
+    imitated web; of a servo axis v speed, m inertia, f friction). With --json it listens for a while and prints what
+    it heard as one object.
 
     Example: hilbench monitor bench_configs/web_section_step.yaml --bus socketcan:can0
     """

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
 from typing import Final
 
 from canopen import SdoAbortedError, SdoCommunicationError
@@ -16,28 +15,11 @@ from hilbench.canopen.object_store import PRESENT_STATE, VALUE_TOO_HIGH, VALUE_T
 from hilbench.canopen.sdo_client import SdoClient
 from hilbench.errors import BusError
 from hilbench.topology.config import BenchConfig
-from hilbench.topology.quantities import LINE_SPEED, TENSION_SET_POINT, YOUNGS_MODULUS
+from hilbench.topology.main_quantities.of_kind import find_quantity
+from hilbench.topology.main_quantities.quantity import MainQuantity
 
 #: How long the bench may take, s; in lockstep it answers with its next cycle.
 PATIENCE_S: Final = 3.0
-
-
-@dataclass(frozen=True)
-class Quantity:
-    """One that can be changed, as a person is asked for it."""
-
-    path: str
-    title: str
-    unit: str
-    si_per_unit: float
-
-
-#: By the key that asks for it.
-CHANGEABLE: Final = {
-    "v": Quantity(LINE_SPEED, "line speed", "m/s", 1.0),
-    "t": Quantity(TENSION_SET_POINT, "tension set-point", "N", 1.0),
-    "m": Quantity(YOUNGS_MODULUS, "E of the imitated web", "N/mm²", 1e6),
-}
 
 
 class ChangeRequests:
@@ -52,8 +34,11 @@ class ChangeRequests:
         self._client: SdoClient | None = None
         self._thread = ThreadPoolExecutor(1, "changes")
         self._requests: deque[Future[str]] = deque()
+        self._ranges = operator_ranges(config)
+        known = map(find_quantity, self._ranges)
+        self.changeable = {quantity.key: quantity for quantity in known if quantity is not None}  #: by key
 
-    def ask(self, quantity: Quantity, value: float) -> None:
+    def ask(self, quantity: MainQuantity, value: float) -> None:
         """Ask for a value, in the quantity's unit, as soon as those before it have been answered."""
         self._requests.append(self._thread.submit(self._change, quantity, value))
 
@@ -64,10 +49,10 @@ class ChangeRequests:
             lines.append(self._requests.popleft().result())
         return lines
 
-    def range_of(self, quantity: Quantity) -> tuple[float, float]:
+    def range_of(self, quantity: MainQuantity) -> tuple[float, float]:
         """What the bench accepts by its config, in the quantity's unit."""
-        low, high = operator_ranges(self._config)[quantity.path]
-        return low / quantity.si_per_unit, high / quantity.si_per_unit
+        low, high = self._ranges[quantity.path]
+        return low / quantity.si_per_shown, high / quantity.si_per_shown
 
     def close(self) -> None:
         """Leave the bus; what was not asked yet is not asked any more."""
@@ -75,9 +60,9 @@ class ChangeRequests:
         if self._client is not None:
             self._client.close()
 
-    def _change(self, quantity: Quantity, value: float) -> str:
-        asked = f"{quantity.title} {value:g} {quantity.unit}"
-        node_id, data = self._config.master.node_id, data_type(REAL32).encode(value * quantity.si_per_unit)
+    def _change(self, quantity: MainQuantity, value: float) -> str:
+        asked = f"{quantity.title} {value:g} {quantity.in_unit}"
+        node_id, data = self._config.master.node_id, data_type(REAL32).encode(value * quantity.si_per_shown)
         try:
             if self._client is None:
                 self._client = self._open_client()
@@ -90,10 +75,10 @@ class ChangeRequests:
             return f"{asked}: NOT SENT: {error}"
         return f"{asked}: set"
 
-    def _reason(self, quantity: Quantity, code: int) -> str:
+    def _reason(self, quantity: MainQuantity, code: int) -> str:
         if code in (VALUE_TOO_HIGH, VALUE_TOO_LOW):
             low, high = self.range_of(quantity)
-            return f"expected {low:g} to {high:g} {quantity.unit}"
+            return f"expected {low:g} to {high:g} {quantity.in_unit}"
         if code == PRESENT_STATE:
             return "the experiment moves it just now, or does not run"
         return str(SdoAbortedError.CODES.get(code, "unknown code"))

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from contextlib import suppress
 from functools import partial
+from math import floor, log10
 from typing import ClassVar
 
 from textual.app import App, ComposeResult
@@ -19,14 +20,19 @@ from textual.widgets import DataTable, Footer, Input, Log, Sparkline, Static
 from hilbench.can.link import Link
 from hilbench.canopen.emergency_stop import send_emergency_stop
 from hilbench.errors import BusError
-from hilbench.monitor.changes import CHANGEABLE, ChangeRequests, Quantity
+from hilbench.monitor.changes import ChangeRequests
 from hilbench.monitor.condition import Condition
 from hilbench.monitor.picture import BusPicture, NodePicture
+from hilbench.monitor.trends import Trend
+from hilbench.topology.main_quantities.quantity import MainQuantity
 
 _READ_S = 0.05
 _DRAW_S = 0.25
 _COLUMNS = ("node", "part", "NMT", "drive", "statusword", "velocity rad/s", "torque N·m")
 
+
+#: A trend that is never larger is written with more decimals.
+_SMALL = 10.0
 
 _STOP_KEY = "e"
 _STOP_HINT = f"{_STOP_KEY}: EMERGENCY STOP"
@@ -84,7 +90,7 @@ class _NewValue(ModalScreen[float | None]):
 
 
 class Dashboard(App[None]):
-    """Trends of tension and E, the nodes with their decoded states, bus load, jitter and faults."""
+    """Trends of what the twin says, the nodes with their decoded states, bus load, jitter and faults."""
 
     CSS = """
     #condition { height: 1; padding: 0 1; background: $error; text-style: bold; }
@@ -103,7 +109,6 @@ class Dashboard(App[None]):
     #: The first is what a narrow footer still shows; with priority it comes before every dialogue and field.
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding(_STOP_KEY, "emergency_stop", "EMERGENCY STOP", priority=True),
-        *((key, f"change('{key}')", quantity.title) for key, quantity in CHANGEABLE.items()),
         ("q", "quit", "quit"),
     ]
 
@@ -112,6 +117,8 @@ class Dashboard(App[None]):
         self._picture = picture
         self._link = link
         self._changes = changes
+        for key, quantity in changes.changeable.items():
+            self.bind(key, f"change('{key}')", description=quantity.title)
         self._noted = 0
 
     def compose(self) -> ComposeResult:
@@ -119,10 +126,10 @@ class Dashboard(App[None]):
         yield Static(id="condition")
         yield Static(id="figures")
         with Horizontal(id="trends"):
-            for name in ("tension", "modulus"):
+            for trend in self._picture.trends:
                 with Vertical():
-                    yield Static(id=f"{name}-value")
-                    yield Sparkline([], id=name)
+                    yield Static(id=f"{trend.signal}-value")
+                    yield Sparkline([], id=trend.signal)
         yield DataTable(id="nodes", show_cursor=False)
         yield Log(id="faults")
         yield Footer()
@@ -147,12 +154,12 @@ class Dashboard(App[None]):
 
     def action_change(self, key: str) -> None:
         """Ask for a new value, and whether it is meant."""
-        quantity = CHANGEABLE[key]
+        quantity = self._changes.changeable[key]
         low, high = self._changes.range_of(quantity)
-        text = f"{quantity.title} in {quantity.unit} ({low:g} to {high:g}); Esc leaves it"
+        text = f"{quantity.title} in {quantity.in_unit} ({low:g} to {high:g}); Esc leaves it"
         self.push_screen(_NewValue(text), partial(self._confirm, quantity))
 
-    def _confirm(self, quantity: Quantity, value: float | None) -> None:
+    def _confirm(self, quantity: MainQuantity, value: float | None) -> None:
         if value is None:
             return
 
@@ -160,7 +167,7 @@ class Dashboard(App[None]):
             if yes:
                 self._changes.ask(quantity, value)
 
-        self.push_screen(_Question(f"Set {quantity.title} to {value:g} {quantity.unit}?"), ask)
+        self.push_screen(_Question(f"Set {quantity.title} to {value:g} {quantity.in_unit}?"), ask)
 
     def _stop(self, yes: bool | None) -> None:
         if yes:
@@ -190,8 +197,8 @@ class Dashboard(App[None]):
         condition.set_class(picture.condition is Condition.RUNNING, "running")
         condition.update(picture.condition_text)
         self.query_one("#figures", Static).update(_figures(picture, self._link.dropped))
-        self._trend("tension", list(picture.tension_N), "tension", "N")
-        self._trend("modulus", [value / 1e6 for value in picture.modulus_Pa], "E", "N/mm²")
+        for trend in picture.trends:
+            self._draw_trend(trend)
         nodes = self.query_one("#nodes", DataTable)
         nodes.clear()
         for node in picture.nodes.values():
@@ -201,18 +208,29 @@ class Dashboard(App[None]):
         new = list(picture.faults)[len(picture.faults) - unseen :]
         self.query_one("#faults", Log).write_lines([f"cycle {note.cycle}  {note.part}: {note.text}" for note in new])
 
-    def _trend(self, name: str, values: list[float], title: str, unit: str) -> None:
+    def _draw_trend(self, trend: Trend) -> None:
         # A sparkline stands on 0: what matters is how the signal moves above its least value.
+        values = trend.shown
         least = min(values, default=0.0)
-        self.query_one(f"#{name}", Sparkline).data = [value - least for value in values]
+        self.query_one(f"#{trend.signal}", Sparkline).data = [value - least for value in values]
         picture = self._picture
         if not values:
             now = Condition.NOT_HEARD.value
         elif picture.twin_is_heard:
-            now = f"{values[-1]:.1f} {unit}  ({least:.1f} to {max(values):.1f})"
+            number = partial(_number, digits=_digits(max(map(abs, values))))
+            now = f"{number(values[-1])} {trend.unit}  ({number(least)} to {number(max(values))})"
         else:
             now = (Condition.STALE if picture.condition is Condition.RUNNING else picture.condition).value
-        self.query_one(f"#{name}-value", Static).update(f"{title}: {now}")
+        self.query_one(f"#{trend.signal}-value", Static).update(f"{trend.title}: {now}")
+
+
+def _digits(largest: float) -> int:
+    """Decimals of a trend: one, and more of what is small."""
+    return 1 if largest >= _SMALL or largest == 0.0 else 2 - floor(log10(largest))
+
+
+def _number(value: float, digits: int) -> str:
+    return f"{value:.{digits}f}"
 
 
 def _figures(picture: BusPicture, dropped: int | None) -> str:

@@ -25,11 +25,11 @@ from hilbench.doctor.scan import nmt_states
 from hilbench.exchange.nodes import Nodes, declared_units
 from hilbench.exchange.timeliness import Timeliness
 from hilbench.monitor.condition import SILENCE_S, BenchWatch, Condition
+from hilbench.monitor.trends import trends_of
 from hilbench.topology.config import BenchConfig, Role
 
 #: Cycles over which bus load and jitter are counted.
 _WINDOW = 500
-_TREND_POINTS = 240
 #: Cycles without an answer after which a node is not late, but silent.
 _SILENT_CYCLES = 50
 _FAULTS_KEPT = 100
@@ -84,14 +84,13 @@ class BusPicture:
 
     config: BenchConfig
     cycles: int = 0  #: SYNCs heard
-    tension_N: deque[float] = field(default_factory=lambda: deque(maxlen=_TREND_POINTS))
-    modulus_Pa: deque[float] = field(default_factory=lambda: deque(maxlen=_TREND_POINTS))
     faults: deque[FaultNote] = field(default_factory=lambda: deque(maxlen=_FAULTS_KEPT))
     fault_count: int = 0  #: of all faults so far, also of those no longer kept
     every: int = 25  #: cycles between two points of a trend
 
     def __post_init__(self) -> None:
         nodes = Nodes(self.config)
+        self.trends = trends_of(self.config.machine_kind)  #: what the twin says
         self._state = nodes.io.state
         self._state_data = b""  #: its last frame; a batch of frames may end between it and the SYNC after it
         self._tpdos: dict[int, tuple[NodePicture, Any, tuple[int, ...], DriveUnits]] = {}
@@ -184,7 +183,7 @@ class BusPicture:
 
     @property
     def twin_is_heard(self) -> bool:
-        """Whether tension and E are those of now."""
+        """Whether what the twin says is so now."""
         heard = self._heard.get((self.config.twin.node.node_id, "PDO"))
         running = self.condition is Condition.RUNNING
         return running and heard is not None and not self._is_silent(heard, running=running)
@@ -196,9 +195,8 @@ class BusPicture:
         self._bits.append(0)
         self._sync_ns.append(frame.time_ns)
         if self.cycles % self.every == 0 and len(self._state_data) == self._state.size:
-            tension_N, modulus_Pa = self._state.unpack(self._state_data)
-            self.tension_N.append(float(tension_N))
-            self.modulus_Pa.append(float(modulus_Pa))
+            for trend, value in zip(self.trends, self._state.unpack(self._state_data), strict=True):
+                trend.values.append(float(value))
 
     def _look_at_answers(self) -> None:
         """Who has answered the last SYNC before this one; a node that sends nothing at all is not late."""
@@ -284,8 +282,9 @@ class BusPicture:
             "jitter_p99_us": jitter and jitter[0],
             "jitter_max_us": jitter and jitter[1],
             "late_samples_pct": self.late_pct(),
-            "F_sim_N": self.tension_N[-1] if self.tension_N and self.twin_is_heard else None,
-            "E_sim_Pa": self.modulus_Pa[-1] if self.modulus_Pa and self.twin_is_heard else None,
+            **{
+                trend.signal: trend.values[-1] if trend.values and self.twin_is_heard else None for trend in self.trends
+            },
             "nodes": [vars(node) for node in self.nodes.values()],
             "faults": [vars(note) for note in self.faults],
         }

@@ -109,10 +109,10 @@ def lines(label: str, *shown: Line, si_per_unit: float = 1.0, least: float = 0.0
     return make
 
 
-def estimate(quantity: MainQuantity, signal: str, deviation: str = "") -> MakeChart:
+def estimate(quantity: MainQuantity, deviation: str = "") -> MakeChart:
     """Axes with what the twin estimates of a quantity of the imitated machine, its truth with the band that a criterion
     goes by, and two standard deviations where the twin states one."""
-    scale = quantity.si_per_shown
+    scale, signal = quantity.si_per_shown, quantity.twin_signal
 
     def make(run: ShownRun) -> Chart | None:
         if signal not in run:

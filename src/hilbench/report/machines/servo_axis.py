@@ -64,14 +64,14 @@ _PICTURES: Final = (
         "Inertia of the shaft",
         f"Inertia of the imitated shaft {_BAND}, and the twin’s estimate with a band of ±2 standard deviations where "
         "the twin states one.",
-        (estimate(INERTIA, "J_sim_kg_m2", "J_sd_kg_m2"),),
+        (estimate(INERTIA, "J_sd_kg_m2"),),
         zoomed=True,
     ),
     RunPicture(
         "friction",
         "Dry friction of the shaft",
         f"Dry friction of the imitated shaft {_BAND}, and the twin’s estimate.",
-        (estimate(FRICTION, "coulomb_sim_Nm"),),
+        (estimate(FRICTION),),
         zoomed=True,
     ),
     RunPicture(

@@ -111,7 +111,7 @@ _PICTURES: Final = (
         "Young’s modulus",
         f"Young’s modulus of the imitated web with a band of ±{100 * ESTIMATE_BAND:g} % (grey), and the twin’s "
         "estimate with a band of ±2 standard deviations where the twin states one.",
-        (estimate(MODULUS, "E_sim_Pa", "E_sd_Pa"),),
+        (estimate(MODULUS, "E_sd_Pa"),),
         with_reference="PID: what the published tracking simulation makes of the same measurements.",
         zoomed=True,
     ),

@@ -47,11 +47,15 @@ def nothing_to_judge(machine: str) -> str:
 
 @dataclass(frozen=True)
 class Estimate:
-    """A property of the imitated machine and the signal with the twin's estimate of it."""
+    """A property of the imitated machine that the twin estimates."""
 
     quantity: MainQuantity
-    signal: str
     machine: str  #: what has to run
+
+    @property
+    def signal(self) -> str:
+        """What the twin says."""
+        return self.quantity.twin_signal
 
     def metrics(self) -> dict[str, Metric]:
         """Time to 1 %, final error, noise and overshoot, by names that begin with the symbol of the signals."""

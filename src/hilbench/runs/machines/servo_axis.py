@@ -36,8 +36,8 @@ _FOLLOWING: Final = {
 METRICS: Final = MachineMetrics(
     SPEED,
     {
-        **Estimate(INERTIA, "J_sim_kg_m2", "shaft").metrics(),
-        **Estimate(FRICTION, "coulomb_sim_Nm", "shaft").metrics(),
+        **Estimate(INERTIA, "shaft").metrics(),
+        **Estimate(FRICTION, "shaft").metrics(),
         **speed_metrics(SPEED, "the shaft", "v1_rad_s"),
         **_FOLLOWING,
     },

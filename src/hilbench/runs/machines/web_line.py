@@ -98,6 +98,6 @@ _MASS: Final = {
 
 METRICS: Final = MachineMetrics(
     SPEED,
-    {**Estimate(MODULUS, "E_sim_Pa", "line").metrics(), **_TENSION, **_MASS, **speed_metrics(SPEED, "v2", "v2_m_s")},
+    {**Estimate(MODULUS, "line").metrics(), **_TENSION, **_MASS, **speed_metrics(SPEED, "v2", "v2_m_s")},
     together=tuple(_MASS),
 )

@@ -15,6 +15,8 @@ class MainQuantity:
     unit: str  #: SI
     signal: str  #: the signal of a recording that shows what was set
     key: str  #: what asks for it in the monitor
+    twin_signal: str = ""  #: the same as the twin simulates or estimates it
+    of: str = ""  #: what it is a set-point of; "" for what is meant itself
     shown_unit: str = ""  #: in which a person gives it; the SI unit if not given
     si_per_shown: float = 1.0
     #: A property of the imitated machine: it may drift by itself, and a step of it is a share of its value.

@@ -14,8 +14,9 @@ INERTIA: Final = MainQuantity(
     "kg·m²",
     "J_true_kg_m2",
     "m",
-    "kg·cm²",
-    1e-4,
+    "J_sim_kg_m2",
+    shown_unit="kg·cm²",
+    si_per_shown=1e-4,
     imitated=True,
 )
 FRICTION: Final = MainQuantity(
@@ -25,6 +26,7 @@ FRICTION: Final = MainQuantity(
     "N·m",
     "coulomb_true_Nm",
     "f",
+    "coulomb_sim_Nm",
     imitated=True,
 )
 QUANTITIES: Final = (INERTIA, FRICTION, SPEED)

@@ -1,0 +1,42 @@
+"""What the twin says with every SYNC, as the monitor shows it over time."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field
+
+from hilbench.plant.effects import MachineKind
+from hilbench.topology.main_quantities.of_kind import MAIN_QUANTITIES
+from hilbench.topology.signals import unit_of
+from hilbench.topology.virtual_io import PROCESS_DATA, IoPdo
+
+_POINTS = 240
+
+
+@dataclass
+class Trend:
+    """One signal of the twin: its name in a recording, and how a person is told of it."""
+
+    signal: str
+    title: str
+    unit: str
+    si_per_unit: float = 1.0
+    values: deque[float] = field(default_factory=lambda: deque(maxlen=_POINTS))  #: SI
+
+    @property
+    def shown(self) -> list[float]:
+        """The values in the unit."""
+        return [value / self.si_per_unit for value in self.values]
+
+
+def trends_of(kind: MachineKind) -> list[Trend]:
+    """The process data of a kind of machine, in the order of the PDO."""
+    known = {each.twin_signal: each for each in MAIN_QUANTITIES[kind] if each.twin_signal}
+    trends = []
+    for carried in PROCESS_DATA[kind].carried_by(IoPdo.STATE):
+        name, quantity = carried.name, known.get(carried.name)
+        if quantity is None:
+            trends.append(Trend(name, name, unit_of(name)))
+        else:
+            trends.append(Trend(name, quantity.of or quantity.short, quantity.in_unit, quantity.si_per_shown))
+    return trends
