@@ -46,7 +46,7 @@ def test_any_frames(cycles: list[list[Frame]]) -> None:
     for frames in cycles:
         assert told(bench, frames) in ("", *NAMES), frames
         bench.fill(sample)
-        bench.encode(0.0, 0.0)
+        bench.encode({"strain_prev": 0.0, "F_next_N": 0.0})
 
 
 def test_a_pdo_of_another_length_is_counted_and_not_taken() -> None:
