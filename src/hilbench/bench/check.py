@@ -11,7 +11,10 @@ from hilbench.can.load import BusLoad, cycle_load
 from hilbench.cia402.configuration import lacking
 from hilbench.errors import UnusableInputError
 from hilbench.exchange.nodes import Nodes, declared_units, drive_settings
+from hilbench.plant.effects import MachineKind
 from hilbench.plant.sampled_shaft import imitation_delay_s
+from hilbench.plant.servo_axis.stability import imitable_inertia_kg_m2
+from hilbench.plant.servo_axis.stability import sampled_shaft as shaft_on_bus
 from hilbench.plant.web_line.stability import (
     largest_stiffness_Nm_per_rad,
     sampled_shaft,
@@ -40,7 +43,7 @@ def check_bench(config: BenchConfig, document: Document) -> CheckedBench:
 
     Raises UnusableInputError with the place in the config when an EDS can't be used or lacks an object that is
     mapped, when the PDO set does not fit on the bus at worst, when the set-point is beyond its trip level, or when the
-    loop through web, drives, bus and twin is unstable from the start.
+    loop through machine, drives, bus and twin is unstable from the start.
     """
     without_file = [
         UnusableInputError(document.place((*part.location, "eds")), f"no file {part.node.eds}, expected an EDS file")
@@ -68,9 +71,34 @@ def check_bench(config: BenchConfig, document: Document) -> CheckedBench:
             f"{config.cycle_time_s * 1e3:g} ms at {config.bus.bitrate} bit/s ({100 * load.fraction:.0f} %), "
             f"expected at most 100 %: a longer cycle, a higher bit rate or fewer PDOs",
         )
-    _check_set_point(config, document)
-    check_stability(config, document, start_point(config), ("machine", "web"))
-    return CheckedBench(load, sum(frame.per_cycle for frame in frames), _coarse_units(config, nodes))
+    notes: list[str] = []
+    if config.machine_kind is MachineKind.SERVO_AXIS:
+        place: Location = (
+            ("load", "shaft", "inertia_kg_m2") if config.load.shaft.inertia_kg_m2 else ("machine", "shaft")
+        )
+        check_imitated_inertia(config, document, config.imitated_shaft().inertia_kg_m2, place)
+    else:
+        _check_set_point(config, document)
+        check_stability(config, document, start_point(config), ("machine", "web"))
+        notes = _coarse_units(config, nodes)
+    return CheckedBench(load, sum(frame.per_cycle for frame in frames), notes)
+
+
+def imitable_inertias_kg_m2(config: BenchConfig) -> tuple[float, float]:
+    """The least and the largest inertia that the load motor of a servo axis imitates stably."""
+    return imitable_inertia_kg_m2(shaft_on_bus(config.servo_rig_parameters(), config.cycle_time_s))
+
+
+def check_imitated_inertia(config: BenchConfig, document: Document, inertia_kg_m2: float, where: Location) -> None:
+    """Raise UnusableInputError at `where` when the loop of imitated inertia, shaft and bus is unstable with it."""
+    least, largest = imitable_inertias_kg_m2(config)
+    if not least < inertia_kg_m2 < largest:
+        raise UnusableInputError(
+            document.place(where),
+            f"the load motor can't imitate an inertia of {inertia_kg_m2:.4g} kg·m² over a cycle of "
+            f"{config.cycle_time_s * 1e3:g} ms: the loop of shaft and bus is stable from {least:.4g} to "
+            f"{largest:.4g} kg·m², expected a shorter cycle or a heavier shaft on the stand",
+        )
 
 
 def _check_drives(config: BenchConfig, document: Document, nodes: Nodes) -> None:

@@ -27,10 +27,13 @@ def check_command(loaded: LoadedConfig, *, as_json: bool) -> None:
         f"{bench.frames_per_cycle:.1f} frames a cycle, at worst {load.bits:.0f} of {load.capacity_bits:.0f} "
         f"bit times ({100 * load.fraction:.0f} %)"
     )
-    print(
-        f"load motor: by itself stable up to {checked.stiffness_reserve:.1f} times the stiffness of the stiffest web "
-        f"that is asked for"
-    )
+    if checked.stiffness_reserve is not None:
+        print(
+            f"load motor: by itself stable up to {checked.stiffness_reserve:.1f} times the stiffness of the stiffest "
+            f"web that is asked for"
+        )
+    if checked.inertia_reserve is not None:
+        print(f"load motor: stable up to {checked.inertia_reserve:.1f} times the largest inertia that is asked for")
     if checked.worst is not None:
         print(f"tension loop: {checked.worst}")
     for warning in checked.warnings:
@@ -64,6 +67,7 @@ def _summary(config: ExperimentConfig, checked: CheckedExperiment) -> dict[str, 
         "frames_per_cycle": checked.bench.frames_per_cycle,
         "bus_load_pct": 100 * load.fraction,
         "stiffness_reserve": checked.stiffness_reserve,
+        "inertia_reserve": checked.inertia_reserve,
         "gain_margin": margins.gain if margins and isfinite(margins.gain) else None,
         "phase_margin_deg": None if margins is None else margins.phase_deg,
         "warnings": checked.warnings,

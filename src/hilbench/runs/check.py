@@ -10,16 +10,21 @@ from hilbench.bench.check import (
     SAME_MODULUS,
     CheckedBench,
     check_bench,
+    check_imitated_inertia,
     check_stability,
+    imitable_inertias_kg_m2,
     operating_point_text,
     stiffness_reserve,
 )
 from hilbench.bench.tasks.tension_loop import Margins, OperatingPoint, TensionLoop
+from hilbench.errors import UnusableInputError
+from hilbench.plant.effects import MachineKind
 from hilbench.plant.parameters import per_item
 from hilbench.runs.config import ExperimentConfig, LoadedConfig
 from hilbench.runs.prospect import Move, State, moves, start_of
 from hilbench.strict_yaml import Location
 from hilbench.topology.config import Limit
+from hilbench.topology.quantities import SHAFT_COULOMB_FRICTION, SHAFT_INERTIA, SPEED, of_another_machine
 
 #: Margins below which a loop is noted.
 _LEAST_GAIN, _LEAST_PHASE_DEG = 2.0, 30.0
@@ -47,10 +52,12 @@ class CheckedExperiment:
     """What the check found."""
 
     bench: CheckedBench
-    stiffness_reserve: float  #: stiffest web that the load motor could imitate by itself, over the stiffest asked for
+    #: Stiffest web that the load motor could imitate by itself, over the stiffest asked for; None: there is no web.
+    stiffness_reserve: float | None
     worst: Worst | None  #: None where margins were not asked for
     warnings: list[str]  #: what will happen that hardly anybody means to happen
     notes: list[str]  #: what can be run, and will not be good; what can't be known
+    inertia_reserve: float | None = None  #: largest inertia that can be imitated, over the largest asked for
 
 
 def check_experiment(loaded: LoadedConfig, *, with_margins: bool = False) -> CheckedExperiment:
@@ -64,6 +71,60 @@ def check_experiment(loaded: LoadedConfig, *, with_margins: bool = False) -> Che
     for step in config.steps:
         step.prepare()
     asked = list(moves(config))
+    _check_paths(loaded, asked)
+    if config.machine_kind is MachineKind.SERVO_AXIS:
+        found = _check_shaft(loaded, bench, asked)
+    else:
+        found = _check_web(loaded, bench, asked, with_margins=with_margins)
+    for number, step in enumerate(config.steps):
+        if step.python is not None:
+            found.notes.append(
+                f"{document.place(('steps', number))}: what '{step.python.function}' of {step.python.file.name} asks "
+                f"for can't be known before it runs: neither stability nor limits are checked for it"
+            )
+    return found
+
+
+def _check_paths(loaded: LoadedConfig, asked: list[Move]) -> None:
+    """Every quantity that a step changes is one of this machine."""
+    for move in asked:
+        for path in move.after.values.keys() - move.before.values.keys():
+            problem = of_another_machine(path, loaded.config.machine_kind)
+            if problem:
+                raise UnusableInputError(loaded.document.place(move.after.place), f"expected {problem}")
+
+
+def _check_shaft(loaded: LoadedConfig, bench: CheckedBench, asked: list[Move]) -> CheckedExperiment:
+    """The load motor can imitate every inertia that is asked for; speeds and torques are within limits."""
+    config, document = loaded.config, loaded.document
+    limits, inertias = config.safety.limits, [start_of(config).values[SHAFT_INERTIA]]
+    warnings: list[str] = []
+    most_Nm = per_item(config.drive_parameters.torque_limit_Nm, 1)
+    for move in asked:
+        before, after, at = move.before.values, move.after.values, document.place(move.after.place)
+        inertia = after[SHAFT_INERTIA]
+        if inertia != before[SHAFT_INERTIA]:
+            check_imitated_inertia(config, document, inertia, move.after.place)
+            inertias.append(inertia)
+        way_rad_s = abs(after[SPEED] - before[SPEED])
+        if way_rad_s:
+            warnings += _beyond(at, "speed", abs(after[SPEED]), limits.speed_rad_s, "rad/s")
+        if move.duration_s > 0.0:
+            needed_Nm = inertia * way_rad_s / move.duration_s + after[SHAFT_COULOMB_FRICTION]
+            if way_rad_s and needed_Nm > most_Nm:
+                warnings.append(
+                    f"{at}: {way_rad_s:g} rad/s within {move.duration_s:g} s ask for {needed_Nm:.3g} N·m of axis 1, "
+                    f"which has {most_Nm:g} N·m, expected a longer ramp"
+                )
+    reserve = imitable_inertias_kg_m2(config)[1] / max(inertias)
+    return CheckedExperiment(bench, None, None, warnings, list(bench.notes), inertia_reserve=reserve)
+
+
+def _check_web(
+    loaded: LoadedConfig, bench: CheckedBench, asked: list[Move], *, with_margins: bool
+) -> CheckedExperiment:
+    """Web, drives, bus and twin are stable wherever the steps bring them."""
+    config, document = loaded.config, loaded.document
     places = _operating_points(config, asked)
     for point, place in places.items():
         check_stability(config, document, point, place if len(place) > 1 else ("machine", "web"))
@@ -81,12 +142,6 @@ def check_experiment(loaded: LoadedConfig, *, with_margins: bool = False) -> Che
         notes.append(
             "the load motor imitates so stiff a web only with the active damping of axis 1 (swing_damping_ratio)"
         )
-    for number, step in enumerate(config.steps):
-        if step.python is not None:
-            notes.append(
-                f"{document.place(('steps', number))}: what '{step.python.function}' of {step.python.file.name} asks "
-                f"for can't be known before it runs: neither stability nor limits are checked for it"
-            )
     return CheckedExperiment(bench, reserve, worst, warnings, notes)
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 from math import prod
 
-from hilbench.plant.effects import find_effect
+from hilbench.plant.effects import MachineKind, find_effect
 from hilbench.plant.parameters import EffectEntry
 from hilbench.runs.config import ExperimentConfig
 from hilbench.runs.scenario import read_scenario
@@ -86,14 +86,25 @@ class Move:
     duration_s: float
 
 
-def start_of(config: ExperimentConfig) -> State:
-    """The state in which the drives are enabled."""
+def _start_values(config: ExperimentConfig) -> dict[str, float]:
+    if config.machine_kind is MachineKind.SERVO_AXIS:
+        shaft = config.imitated_shaft()
+        return {
+            quantities.SPEED: 0.0,
+            quantities.SHAFT_INERTIA: shaft.inertia_kg_m2,
+            quantities.SHAFT_COULOMB_FRICTION: shaft.shaft.coulomb_friction_Nm,
+        }
     modulus_Pa = config.load.web.youngs_modulus_Pa or config.web_line.required_web.youngs_modulus_Pa
-    values = {
+    return {
         quantities.LINE_SPEED: 0.0,
         quantities.TENSION_SET_POINT: config.tension_control.set_point_N,
         quantities.YOUNGS_MODULUS: modulus_Pa,
     }
+
+
+def start_of(config: ExperimentConfig) -> State:
+    """The state in which the drives are enabled."""
+    values = _start_values(config)
     others: list[EffectEntry] = []
     for number, entry in enumerate(config.load.effects):
         if any(later.effect == entry.effect for later in config.load.effects[number + 1 :]):

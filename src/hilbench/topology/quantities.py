@@ -3,7 +3,8 @@
 `line_speed_m_s`, `tension_control.set_point_N`, `load.web.youngs_modulus_Pa`, `load.web.broken` (1: the web of the span
 has torn and pulls no more; 0: it is whole), and any parameter of any effect, hidden
 in the imitated mechanics or in the simulated hardware: `load.effects.elasticity_drift.rate_per_s`,
-`hardware.effects.coulomb_friction.axis1.force_N`.
+`hardware.effects.coulomb_friction.axis1.force_N`. Of a servo axis: `speed_rad_s`, `load.shaft.inertia_kg_m2`,
+`load.shaft.coulomb_friction_Nm`, `load.shaft.viscous_friction_Nm_s_per_rad`.
 
 The ranges here are those of values with a meaning, whatever the config. What an operator may ask for of a running
 bench is less (`hilbench.bench.operator.operator_objects`), and `safety: limits` end a run before that.
@@ -27,6 +28,10 @@ LINE_SPEED = "line_speed_m_s"
 TENSION_SET_POINT = "tension_control.set_point_N"
 YOUNGS_MODULUS = "load.web.youngs_modulus_Pa"
 WEB_BROKEN = "load.web.broken"
+SPEED = "speed_rad_s"
+SHAFT_INERTIA = "load.shaft.inertia_kg_m2"
+SHAFT_COULOMB_FRICTION = "load.shaft.coulomb_friction_Nm"
+SHAFT_VISCOUS_FRICTION = "load.shaft.viscous_friction_Nm_s_per_rad"
 
 #: Longest time that a step of an experiment may take, s: twelve days. More is a wrong unit, and fits no memory.
 LONGEST_S = 1e6
@@ -68,12 +73,21 @@ def _number(value: object, *, truth: bool) -> float | None:
     return number if isfinite(number) else None
 
 
-_PLAIN = {
-    LINE_SPEED: Permitted(-100.0, 100.0, "m/s"),
-    TENSION_SET_POINT: Permitted(0.0, 1e5, "N"),
-    YOUNGS_MODULUS: Permitted(LEAST_MODULUS_Pa, LARGEST_MODULUS_Pa, "Pa"),
-    WEB_BROKEN: Permitted(0.0, 1.0, "1", only_ends=True),
+_PLAIN_OF = {
+    MachineKind.WEB_LINE: {
+        LINE_SPEED: Permitted(-100.0, 100.0, "m/s"),
+        TENSION_SET_POINT: Permitted(0.0, 1e5, "N"),
+        YOUNGS_MODULUS: Permitted(LEAST_MODULUS_Pa, LARGEST_MODULUS_Pa, "Pa"),
+        WEB_BROKEN: Permitted(0.0, 1.0, "1", only_ends=True),
+    },
+    MachineKind.SERVO_AXIS: {
+        SPEED: Permitted(-1e4, 1e4, "rad/s"),
+        SHAFT_INERTIA: Permitted(1e-9, 1e6, "kg·m²"),
+        SHAFT_COULOMB_FRICTION: Permitted(0.0, 1e5, "N·m"),
+        SHAFT_VISCOUS_FRICTION: Permitted(0.0, 1e5, "N·m·s/rad"),
+    },
 }
+_PLAIN = {path: values for of_kind in _PLAIN_OF.values() for path, values in of_kind.items()}
 PLAIN_PATHS = tuple(_PLAIN)
 
 
@@ -119,6 +133,13 @@ def parse_effect_path(text: str) -> EffectPath:
     if problem:
         raise ValueError(problem)
     return EffectPath(place, name, axis, parameter)
+
+
+def of_another_machine(path: str, kind: MachineKind) -> str | None:
+    """Why a machine of this kind has no such quantity, in one line, or None; effects are not looked at."""
+    if path in _PLAIN and path not in _PLAIN_OF[kind]:
+        return f"a quantity of a {kind} ({', '.join(_PLAIN_OF[kind])}), '{path}' is of another kind of machine"
+    return None
 
 
 def all_paths() -> Iterator[str]:

@@ -5,8 +5,17 @@ from __future__ import annotations
 from math import inf
 from typing import Final
 
+from hilbench.plant.effects import MachineKind
 from hilbench.topology.config import BenchConfig, Limit
-from hilbench.topology.quantities import LINE_SPEED, TENSION_SET_POINT, YOUNGS_MODULUS, permitted
+from hilbench.topology.quantities import (
+    LINE_SPEED,
+    SHAFT_COULOMB_FRICTION,
+    SHAFT_INERTIA,
+    SPEED,
+    TENSION_SET_POINT,
+    YOUNGS_MODULUS,
+    permitted,
+)
 
 #: Sub-index of 2200h, given once and for all, and name in the EDS file of each quantity, by path.
 OPERATOR_OBJECTS: Final = {
@@ -22,23 +31,35 @@ _LARGEST_RATIO = 1e3
 def operator_ranges(config: BenchConfig) -> dict[str, tuple[float, float]]:
     """Least and largest value by path, SI: to where the config's limits warn, or trip
     where none warns; never beyond what the quantity may have at all (`hilbench.topology.quantities`)."""
+    ranges = _of_servo_axis(config) if config.machine_kind is MachineKind.SERVO_AXIS else _of_web_line(config)
     return {
         path: (max(low, permitted(path).lower), min(high, permitted(path).upper))
-        for path, (low, high) in _of_web_line(config).items()
+        for path, (low, high) in ranges.items()
     }
+
+
+def _highest(limit: Limit) -> float:
+    return limit.warning or limit.trip or inf
 
 
 def _of_web_line(config: BenchConfig) -> dict[str, tuple[float, float]]:
     """Line speed (m/s), tension set-point (N), Young's modulus of the imitated web (Pa)."""
     limits = config.safety.limits
-
-    def highest(limit: Limit) -> float:
-        return limit.warning or limit.trip or inf
-
-    speed_m_s, ratio = highest(limits.speed_m_s), min(highest(limits.estimate_ratio), _LARGEST_RATIO)
+    speed_m_s, ratio = _highest(limits.speed_m_s), min(_highest(limits.estimate_ratio), _LARGEST_RATIO)
     modulus_Pa = config.web_line.required_web.youngs_modulus_Pa
     return {
         LINE_SPEED: (-speed_m_s, speed_m_s),
-        TENSION_SET_POINT: (0.0, highest(limits.tension_N)),
+        TENSION_SET_POINT: (0.0, _highest(limits.tension_N)),
         YOUNGS_MODULUS: (modulus_Pa / ratio, modulus_Pa * ratio),
+    }
+
+
+def _of_servo_axis(config: BenchConfig) -> dict[str, tuple[float, float]]:
+    """Speed (rad/s), inertia (kg·m²) and dry friction (N·m) of the imitated shaft."""
+    limits, model = config.safety.limits, config.servo_axis
+    speed_rad_s, ratio = _highest(limits.speed_rad_s), min(_highest(limits.estimate_ratio), _LARGEST_RATIO)
+    return {
+        SPEED: (-speed_rad_s, speed_rad_s),
+        SHAFT_INERTIA: (model.inertia_kg_m2 / ratio, model.inertia_kg_m2 * ratio),
+        SHAFT_COULOMB_FRICTION: (0.0, _highest(limits.torque_Nm)),
     }

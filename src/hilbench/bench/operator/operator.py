@@ -10,6 +10,7 @@ from hilbench.bench.reports.change import Change
 from hilbench.bench.state import BenchState
 from hilbench.bench.tasks.reference import Reference
 from hilbench.bench.tasks.task import CyclicTask, Outputs, SettableQuantity
+from hilbench.errors import UnusableValueError
 from hilbench.topology import quantities
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.sample import CycleSample
@@ -38,6 +39,7 @@ class Operator(CyclicTask):
     ) -> None:
         self.events: list[StepEvent] = []
         self.objects = OperatorObjects(config, self.get, self._may_change)
+        self._kind = config.machine_kind
         self._state = state
         self._reference = reference
         self._owners = owners
@@ -46,6 +48,9 @@ class Operator(CyclicTask):
     def get(self, path: str) -> float:
         """Present value. Raises UnusableValueError for an unknown path."""
         path = quantities.checked_path(path)
+        other = quantities.of_another_machine(path, self._kind)
+        if other:
+            raise UnusableValueError(f"path {path!r}, expected {other}")
         self._state.running()
         return self._owner(path).value(path)
 

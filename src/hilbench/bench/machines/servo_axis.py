@@ -1,0 +1,121 @@
+"""A servo axis: its drive follows a speed, the load motor imitates the inertia and friction that are not there."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from hilbench.bench.machines.machine import MachineTasks
+from hilbench.bench.state import BenchState
+from hilbench.bench.tasks.limits import Levels, Watched, apart, is_synchronized
+from hilbench.bench.tasks.load_model import LoadModel
+from hilbench.bench.tasks.reference import Reference
+from hilbench.bench.tasks.saturation import SaturationWatch
+from hilbench.bench.tasks.task import CyclicTask, Inputs, Outputs
+from hilbench.bench.tasks.watches import Watch
+from hilbench.plant.sampled_shaft import imitation_delay_s
+from hilbench.plant.servo_axis.imitation import ImitatedShaft
+from hilbench.plant.servo_axis.stability import sampled_shaft
+from hilbench.topology.config import BenchConfig
+from hilbench.topology.quantities import SPEED, is_of_load
+from hilbench.topology.sample import CycleSample
+
+#: No controller rides on the twin's data: how old they may be before it counts as lost.
+_TWIN_AGE_LIMIT_CYCLES = 10
+
+
+def shaft_load_model(config: BenchConfig) -> LoadModel:
+    """The load model of a config's servo axis; what is hidden in the stand is not known to it."""
+    real, cycle_s = config.servo_rig_parameters(effects=()), config.cycle_time_s
+    machine = ImitatedShaft(config.imitated_shaft(), real, cycle_s)
+    return LoadModel(machine, [1], cycle_s, imitation_delay_s(sampled_shaft(real, cycle_s)), config.load.effects)
+
+
+def tasks(config: BenchConfig, state: BenchState) -> MachineTasks:
+    """The tasks of the config's servo axis."""
+    (drive,) = config.drives
+    (motor,) = config.load_motors
+    speed = Reference(SPEED, config.quick_stop_per_s2 * config.cycle_time_s)
+    load = ShaftLoadTask(motor, shaft_load_model(config))
+    return MachineTasks(
+        reference=speed,
+        quantities=(speed, load),
+        control=(SpeedTask(drive, speed), load),
+        watches=(
+            Watch("limits", ShaftLimitWatch(config, motor).update, state.reports),
+            Watch("saturation", SaturationWatch(config).update, state.reports),
+        ),
+        twin_age_limit_cycles=_TWIN_AGE_LIMIT_CYCLES,
+        warm_up=load.model.warm_up,
+    )
+
+
+class SpeedTask(CyclicTask):
+    """The axis follows its reference."""
+
+    def __init__(self, drive: str, speed: Reference) -> None:
+        self._drive = drive
+        self._speed = speed
+
+    def before(self, sample: CycleSample, outputs: Outputs) -> None:
+        """Velocity of the axis, rad/s at the motor."""
+        sample.v1_cmd_rad_s = outputs[self._drive] = self._speed.present
+
+
+class ShaftLoadTask(CyclicTask):
+    """The load motor acts on the shaft as what is not there would."""
+
+    def __init__(self, motor: str, model: LoadModel) -> None:
+        self.model = model
+        self._motor = motor
+        self._command = f"tau_{motor}_cmd_Nm"
+
+    def owns(self, path: str) -> bool:
+        """Whether a quantity is one of the imitated shaft."""
+        return is_of_load(path)
+
+    def value(self, path: str) -> float:
+        """Its present value."""
+        return self.model.value(path)
+
+    def set(self, path: str, value: float) -> None:
+        """Another value from now on."""
+        self.model.set(path, value)
+
+    def before(self, sample: CycleSample, outputs: Outputs) -> None:
+        """The torque that follows from the last sample, N·m at the shaft."""
+        outputs[self._motor] = getattr(sample, self._command)
+
+    def after(self, sample: CycleSample, inputs: Inputs) -> None:
+        """Let the imitated shaft follow the measured motion; the truth of the run is recorded."""
+        model = self.model
+        (torque_Nm,) = model.update((sample.x1_rad,), (sample.v1_rad_s,), late=inputs.axes_late)
+        setattr(sample, self._command, torque_Nm)
+        sample.J_true_kg_m2 = model.machine.parameter("inertia_kg_m2")
+        sample.coulomb_true_Nm = model.machine.parameter("coulomb_friction_Nm")
+
+    def rest(self, sample: CycleSample, outputs: Outputs) -> None:
+        """No torque."""
+        self.model.stop()
+
+
+class ShaftLimitWatch:
+    """Watches the samples of one run."""
+
+    def __init__(self, config: BenchConfig, motor: str) -> None:
+        self._limits = config.safety.limits
+        self._inertia_kg_m2 = config.servo_axis.inertia_kg_m2
+        self._load_torque = f"tau_{motor}_Nm"
+        self._levels = Levels()
+
+    def update(self, sample: CycleSample) -> list[tuple[str, str]]:
+        """The warnings that begin in this cycle, each after its quantity. Raises LimitTripError."""
+        return self._levels.check(sample.t_s, self._quantities(sample))
+
+    def _quantities(self, sample: CycleSample) -> Iterator[Watched]:
+        limits = self._limits
+        yield "torque of axis 1", abs(sample.tau1_Nm), " N·m", limits.torque_Nm
+        yield "torque of the load motor", abs(getattr(sample, self._load_torque)), " N·m", limits.torque_Nm
+        yield "speed of axis 1", abs(sample.v1_rad_s), " rad/s", limits.speed_rad_s
+        if is_synchronized(sample):
+            ratio = apart(sample.J_sim_kg_m2, self._inertia_kg_m2)
+            yield "estimate of the inertia over the model's", ratio, "", limits.estimate_ratio

@@ -1,0 +1,135 @@
+"""A second kind of machine on the same bench: one shaft, whose inertia and friction a load motor imitates."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import cos, pi
+from pathlib import Path
+
+import pytest
+from tests.cli.in_process import hilbench
+
+from hilbench.bench.bench import Bench
+from hilbench.bench.lifecycle.participants import Participants
+from hilbench.bench.machines.ranges import operator_ranges
+from hilbench.bench.tasks.limits import LimitTripError
+from hilbench.errors import UnusableInputError, UnusableValueError
+from hilbench.exchange.nodes import Nodes
+from hilbench.runs.check import check_experiment
+from hilbench.runs.config import load_with_overrides
+
+CONFIG = Path(__file__).resolve().parents[2] / "bench_configs" / "servo_axis.yaml"
+WEB = CONFIG.with_name("web_section_step.yaml")
+
+
+def bench(*changes: str) -> Bench:
+    return Bench(load_with_overrides(CONFIG, changes=changes).config, participants=Participants.IN_PROCESS)
+
+
+def swing(running: Bench, duration_s: float) -> None:
+    """The speed goes to and fro between 5 and 35 rad/s, twice in 2 s."""
+    cycle_s = running.config.cycle_time_s
+    for k in range(round(duration_s / cycle_s)):
+        running.set("speed_rad_s", 20.0 - 15.0 * cos(pi * k * cycle_s))
+        running.cycle()
+
+
+def refused(changes: Sequence[str], match: str, config: Path = CONFIG) -> None:
+    with pytest.raises(UnusableInputError, match=match):
+        check_experiment(load_with_overrides(config, changes=changes))
+
+
+def test_the_twin_finds_the_imitated_inertia_and_friction_and_a_step_of_it() -> None:
+    with bench() as running:
+        running.ramp("speed_rad_s", 5.0, duration_s=0.5)
+        swing(running, 4.0)
+        before = running.last
+        assert before.J_true_kg_m2 == pytest.approx(0.048)
+        assert before.J_sim_kg_m2 == pytest.approx(0.048, rel=0.01)
+        assert before.coulomb_sim_Nm == pytest.approx(before.coulomb_true_Nm, abs=0.05)
+        assert 0.0 < before.J_sd_kg_m2 < 0.01 * before.J_sim_kg_m2
+        running.step("load.shaft.inertia_kg_m2", 0.06)
+        swing(running, 2.0)
+        assert running.get("load.shaft.inertia_kg_m2") == running.last.J_true_kg_m2 == 0.06
+        assert running.last.J_sim_kg_m2 == pytest.approx(0.06, rel=0.015)
+        assert running.last.twin_status & 2  # synchronized
+
+
+def test_the_drive_feels_the_flywheel_and_the_friction_that_are_not_there() -> None:
+    torques = {}
+    for coulomb_Nm in (0.2, 0.8):
+        with bench(f"load.shaft.coulomb_friction_Nm={coulomb_Nm}") as running:
+            running.ramp("speed_rad_s", 20.0, duration_s=0.5)
+            running.run(0.5)
+            seen = [running.cycle().tau1_Nm for _ in range(200)]
+            torques[coulomb_Nm] = sum(seen) / len(seen)
+            assert running.last.v1_rad_s == pytest.approx(20.0, abs=0.05)
+    assert torques[0.2] == pytest.approx(0.2 + 0.004 * 20.0, abs=0.02)
+    assert torques[0.8] - torques[0.2] == pytest.approx(0.6, abs=0.03)
+
+
+def test_an_effect_hidden_in_the_stand_changes_what_the_drive_reports_and_not_what_is_imitated() -> None:
+    with bench() as running:
+        running.run(0.2)
+        running.set("hardware.effects.torque_offset.axis1.offset_Nm", 0.5)
+        running.ramp("speed_rad_s", 20.0, duration_s=0.5)
+        running.run(0.5)
+        seen = [running.cycle().tau1_Nm for _ in range(200)]
+        assert sum(seen) / len(seen) == pytest.approx(0.28 + 0.5, abs=0.05)
+
+
+def test_a_speed_beyond_its_limit_ends_the_run() -> None:
+    with pytest.raises(LimitTripError, match=r"speed of axis 1 is .* rad/s"), bench() as running:
+        running.ramp("speed_rad_s", 150.0, duration_s=3.0)
+
+
+def test_the_twin_can_be_restarted_under_way() -> None:
+    with bench() as running:
+        running.ramp("speed_rad_s", 5.0, duration_s=0.5)
+        swing(running, 1.0)
+        running.restart_twin()
+        swing(running, 3.0)
+        assert running.last.J_sim_kg_m2 == pytest.approx(0.048, rel=0.015)
+
+
+@pytest.mark.parametrize("path", ["line_speed_m_s", "load.web.youngs_modulus_Pa"])
+def test_what_only_a_web_has_can_not_be_set_on_a_shaft(path: str) -> None:
+    with bench() as running, pytest.raises(UnusableValueError, match="of another kind of machine"):
+        running.set(path, 2000.0 if "Pa" in path else 1.0)
+
+
+def test_an_operator_may_change_speed_inertia_and_friction_up_to_the_warnings() -> None:
+    ranges = operator_ranges(load_with_overrides(CONFIG).config)
+    assert list(ranges) == ["speed_rad_s", "load.shaft.inertia_kg_m2", "load.shaft.coulomb_friction_Nm"]
+    assert ranges["speed_rad_s"] == (-80.0, 80.0)
+    assert ranges["load.shaft.inertia_kg_m2"] == pytest.approx((0.016, 0.144))
+
+
+def test_process_data_of_the_shaft_are_its_own_signals_and_nothing_is_sent_of_a_boundary() -> None:
+    nodes = Nodes(load_with_overrides(CONFIG).config)
+    assert [variable.subindex for variable in nodes.io.state.variables] == [1, 2]
+    assert nodes.io.boundary is None
+    assert len(nodes.pdo_maps("virtual_io")) == 3
+    assert Nodes(load_with_overrides(WEB).config).io.boundary is not None
+
+
+def test_check_refuses_an_inertia_that_the_load_motor_can_not_imitate_at_the_step_that_asks_for_it() -> None:
+    refused(["load.shaft.inertia_kg_m2=0.2"], r"load.shaft.inertia_kg_m2=0.2: .*can't imitate an inertia of 0.2 kg·m²")
+    refused(["steps.2.step.to=0.2"], r"can't imitate an inertia of 0.2 kg·m² over a cycle of 2 ms")
+
+
+def test_check_refuses_what_belongs_to_another_kind_of_machine() -> None:
+    refused(["machine.kind=lathe"], "kind: web_line or servo_axis")
+    refused(["machine.shaft.radius_m=1"], "unknown key 'machine.shaft.radius_m'")
+    refused(["load.web.youngs_modulus_Pa=1e9"], "'shaft:' for a servo axis")
+    refused(["controllers.tension_control.set_point_N=80"], "none: a servo axis follows its reference")
+    refused(["steps.2.step.path=load.web.youngs_modulus_Pa", "steps.2.step.to=1e9"], "a quantity of a servo_axis")
+    refused(["hardware.shaft.inertia_kg_m2=0.1"], "no 'shaft:', which is of a servo axis", WEB)
+    refused(["steps.0.ramp.path=speed_rad_s"], "a quantity of a web_line", WEB)
+
+
+def test_check_says_how_much_inertia_is_left_and_which_ramp_is_too_steep() -> None:
+    done = hilbench("check", CONFIG, "--set", "steps.0.ramp.duration_s=0.01")
+    assert done.returncode == 0
+    assert "times the largest inertia that is asked for" in done.stdout
+    assert "expected a longer ramp" in done.stdout
