@@ -11,7 +11,7 @@ from tests.bench.late_senders import late
 from tests.bench.whole_runs import config
 
 from hilbench.bench.lifecycle.participants import Participants
-from hilbench.bench.tasks.load_model import web_load_model
+from hilbench.bench.tasks.imitated_web import web_load_model
 from hilbench.report.html import write_report
 from hilbench.results.recording import read_recording
 from hilbench.results.run import RunOutcome, run_experiment

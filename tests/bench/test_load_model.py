@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from tests.bench.bench_nodes import shipped
 
-from hilbench.bench.tasks.load_model import web_load_model
+from hilbench.bench.tasks.imitated_web import web_load_model
 from hilbench.topology.config import LoadConfig
 from hilbench.topology.quantities import WEB_BROKEN, YOUNGS_MODULUS
 

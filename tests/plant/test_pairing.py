@@ -6,7 +6,7 @@ from math import nan
 
 import pytest
 
-from hilbench.plant.web_line.pairing import Pairing
+from hilbench.plant.pairing import Pairing
 
 WAY_M = 0.006  #: of a cycle, 2 ms at 3 m/s
 

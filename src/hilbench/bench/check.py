@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import isclose
 
-from hilbench.bench.tasks.load_model import imitated_web
+from hilbench.bench.tasks.imitated_web import imitated_web
 from hilbench.bench.tasks.tension_loop import OperatingPoint, TensionLoop
 from hilbench.can.load import BusLoad, cycle_load
 from hilbench.cia402.configuration import lacking

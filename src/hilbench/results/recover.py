@@ -18,7 +18,7 @@ from pathlib import Path
 
 from hilbench.bench.operator.operator_objects import answer_id
 from hilbench.bench.reports.change import Change
-from hilbench.bench.tasks.load_model import web_load_model
+from hilbench.bench.tasks.imitated_web import web_load_model
 from hilbench.bench.tasks.twin_trust import TwinTrust
 from hilbench.can.frame import Frame
 from hilbench.can.wire import frame_bits

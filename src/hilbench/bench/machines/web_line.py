@@ -6,8 +6,9 @@ from math import inf
 
 from hilbench.bench.machines.machine import MachineTasks
 from hilbench.bench.state import BenchState, TwinState
+from hilbench.bench.tasks.imitated_web import web_load_model
 from hilbench.bench.tasks.limits import LimitWatch
-from hilbench.bench.tasks.load_model import LoadModel, web_load_model
+from hilbench.bench.tasks.load_model import LoadModel
 from hilbench.bench.tasks.reference import Reference
 from hilbench.bench.tasks.saturation import SaturationWatch
 from hilbench.bench.tasks.swing_damping import SwingDamping, SwingPlant

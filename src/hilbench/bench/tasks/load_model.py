@@ -9,40 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from hilbench.plant.effects import find_effect
+from hilbench.plant.effects import MachineKind, find_effect
 from hilbench.plant.interface import Follower
+from hilbench.plant.pairing import Pairing
 from hilbench.plant.parameters import EffectEntry
-from hilbench.plant.web_line.imitation import lead_s
-from hilbench.plant.web_line.pairing import Pairing
-from hilbench.plant.web_line.parameters import ModelParameters
-from hilbench.plant.web_line.sizes import least_way_m
-from hilbench.plant.web_line.span import SpanFollower
-from hilbench.topology.config import BenchConfig, LoadConfig
 from hilbench.topology.quantities import PLAIN_PATHS, EffectPath, parse_effect_path
 
 #: So many cycles that a sample is late by are made good by prediction; an older one has too little in it.
 _MOST_PREDICTED_CYCLES = 3
-
-
-def imitated_web(model: ModelParameters, load: LoadConfig) -> ModelParameters:
-    """The truth of the run: the model's machine without the model's effects, with what `load:` changes and hides.
-
-    The upstream strain stays the model's: it does not follow a change of E in the span.
-    """
-    changes = load.web.model_dump(exclude_none=True)
-    data = model.model_dump()
-    data["web"] |= changes
-    data["boundary"]["upstream_strain"] = model.upstream_strain
-    data["effects"] = [entry.model_dump() for entry in load.effects]
-    return ModelParameters.model_validate(data)
-
-
-def web_load_model(config: BenchConfig) -> LoadModel:
-    """The load model of a config's web line and load motors."""
-    model, cycle_s = config.web_line, config.cycle_time_s
-    load_axes = [coupled.axis for coupled in config.rig_parameters().load_motors]
-    machine = SpanFollower(imitated_web(model, config.load))
-    return LoadModel(machine, load_axes, cycle_s, lead_s(model, cycle_s), least_way_m(model), config.load.effects)
 
 
 class LoadModel:
@@ -68,6 +42,7 @@ class LoadModel:
         effects: Iterable[EffectEntry] = (),
     ) -> None:
         self.machine = machine
+        self._kind = MachineKind(machine.describe().kind)
         self._load_axes = tuple(load_axes)
         self._cycle_s = cycle_s
         self._lead_s = lead_s
@@ -140,10 +115,10 @@ class LoadModel:
 
     def _effect_value(self, path: EffectPath) -> float:
         given = self._effects.get((path.effect, path.axis), {})
-        return find_effect(path.effect).filled(given)[path.parameter]
+        return find_effect(path.effect, self._kind).filled(given)[path.parameter]
 
     def _set_effect_value(self, path: EffectPath, value: float) -> None:
-        parameters = find_effect(path.effect).filled(self._effects.get((path.effect, path.axis), {}))
+        parameters = find_effect(path.effect, self._kind).filled(self._effects.get((path.effect, path.axis), {}))
         parameters[path.parameter] = value
         self.machine.set_effect(path.effect, path.axis, slot=0, **parameters)
         self._effects[path.effect, path.axis] = parameters

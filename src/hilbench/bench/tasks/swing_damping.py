@@ -23,8 +23,8 @@ from collections import deque
 from dataclasses import dataclass
 from math import cos, exp, inf, sin, sqrt
 
+from hilbench.plant.pairing import Pairing
 from hilbench.plant.parameters import per_item
-from hilbench.plant.web_line.pairing import Pairing
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.sizes import least_way_m
 

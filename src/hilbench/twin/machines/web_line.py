@@ -9,8 +9,8 @@ from hilbench.estimation.web_line.config import EstimationConfig
 from hilbench.estimation.web_line.synchronizers.create import METHODS
 from hilbench.estimation.web_line.tracking import Tracking
 from hilbench.plant.motor_port import MotorPort
+from hilbench.plant.pairing import Pairing, SteadyWay
 from hilbench.plant.web_line.line import Line
-from hilbench.plant.web_line.pairing import Pairing, SteadyWay
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.sizes import least_way_m
 from hilbench.twin.machines.machine import Measured, Told

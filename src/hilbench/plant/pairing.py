@@ -1,4 +1,4 @@
-"""Whether the measured positions of all rollers are of one instant, and those of one roller a cycle apart.
+"""Whether the measured positions of all axes are of one instant, and those of one axis a cycle apart.
 
 On a bus that is late, or loses frames, one axis' position may be of an earlier SYNC than the other's. It is then off by
 the way of a cycle, which is many times what the web is strained by: 6 mm against 0.3 mm at 3 m/s.
