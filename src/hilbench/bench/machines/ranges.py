@@ -22,6 +22,9 @@ OPERATOR_OBJECTS: Final = {
     LINE_SPEED: (1, "Line speed [m/s]"),
     TENSION_SET_POINT: (2, "Tension set-point [N]"),
     YOUNGS_MODULUS: (3, "Modulus of the imitated web [Pa]"),
+    SPEED: (4, "Speed of the shaft [rad/s]"),
+    SHAFT_INERTIA: (5, "Inertia of the imitated shaft [kg.m2]"),
+    SHAFT_COULOMB_FRICTION: (6, "Dry friction of the imitated shaft [N.m]"),
 }
 
 #: What E may be off the model's by where the config sets no limit.

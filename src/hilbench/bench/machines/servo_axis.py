@@ -21,13 +21,17 @@ from hilbench.topology.sample import CycleSample
 
 #: No controller rides on the twin's data: how old they may be before it counts as lost.
 _TWIN_AGE_LIMIT_CYCLES = 10
+#: Ways of a cycle that are longer are measured well enough to count cycles by them: some counts of a 16-bit encoder.
+_LEAST_WAY_RAD = 1e-4
 
 
 def shaft_load_model(config: BenchConfig) -> LoadModel:
     """The load model of a config's servo axis; what is hidden in the stand is not known to it."""
     real, cycle_s = config.servo_rig_parameters(effects=()), config.cycle_time_s
     machine = ImitatedShaft(config.imitated_shaft(), real, cycle_s)
-    return LoadModel(machine, [1], cycle_s, imitation_delay_s(sampled_shaft(real, cycle_s)), config.load.effects)
+    return LoadModel(
+        machine, [1], cycle_s, imitation_delay_s(sampled_shaft(real, cycle_s)), _LEAST_WAY_RAD, config.load.effects
+    )
 
 
 def tasks(config: BenchConfig, state: BenchState) -> MachineTasks:
