@@ -193,6 +193,11 @@ class Nodes:
         return axes + loads
 
     @property
+    def filled(self) -> frozenset[str]:
+        """The signals of the drives that `fill` puts into a sample."""
+        return frozenset(name for fill in self._fills for name in fill[2:] if name)
+
+    @property
     def twin_name(self) -> str:
         """Who the virtual I/O is, in messages and in `expected_pdos`."""
         return f"virtual io (node {self.config.twin.node.node_id})"

@@ -1,8 +1,9 @@
 """What a run that was cut off (``kill -9``, power, a full disk) could not write, rebuilt from what it left.
 
 The trace has every frame up to the last cycle or two, so what was measured and commanded is decoded from it as the
-bench did; the web that the load motor imitated is computed anew from the measured motion. What no frame says (when
-the experiment began, set-points, changes of the imitated web) is in the journal. Commands come back as the drives
+bench did, by the same nodes, and the tasks of the machine run on it again: what the load motor imitated is computed
+anew from the measured motion. What no frame says (when the experiment began, set-points, changes of the imitated
+machine) is in the journal. Commands come back as the drives
 were told them, in their units' resolution; all else is exactly what the run had.
 """
 
@@ -16,10 +17,11 @@ from math import nan
 from operator import attrgetter
 from pathlib import Path
 
+from hilbench.bench.machines.kinds import machine_tasks
 from hilbench.bench.operator.operator_objects import answer_id
 from hilbench.bench.reports.change import Change
-from hilbench.bench.tasks.imitated_web import web_load_model
-from hilbench.bench.tasks.twin_trust import TwinTrust
+from hilbench.bench.state import BenchState
+from hilbench.bench.tasks.task import Outputs
 from hilbench.can.frame import Frame
 from hilbench.can.wire import frame_bits
 from hilbench.canopen.identifiers import HEARTBEAT, SDO_ANSWER, SYNC, node_of
@@ -38,7 +40,6 @@ from hilbench.runs.config import ExperimentConfig, load
 from hilbench.runs.criteria import evaluate
 from hilbench.runs.events import journal_events
 from hilbench.runs.metrics import judge
-from hilbench.topology import quantities
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.sample import sample_type
 
@@ -140,6 +141,7 @@ def replay(config: BenchConfig, folder: RunFolder) -> Recovery:
         except BenchFaultError as error:
             fault = str(error)
             break
+    fault = fault or decoder.fault
     if len(decoder.rows) < LEAST_SAMPLES:
         found = f"{len(decoder.rows)} cycle(s) with enabled drives"
         raise UnusableInputError(folder.trace, f"{found}, expected at least {LEAST_SAMPLES}")
@@ -208,53 +210,70 @@ def _take_units(nodes: Nodes, frames: Iterable[Frame]) -> None:
 
 
 class _Decoder:
-    """Takes cycle after cycle; `rows` are the samples of the enabled bench."""
+    """Takes cycle after cycle; `rows` are the samples of the enabled bench.
+
+    Frames are read by the bench's own nodes, and the tasks of the machine run on them as they did on the bench: what
+    they make of the same samples and the same changes is the same again.
+    """
 
     def __init__(self, config: BenchConfig, nodes: Nodes, changes: list[Change] | None) -> None:
         names = [signal.name for signal in config.signals]
         self.rows = RecordingBuilder(names)
+        self.fault = ""  #: what a watch of the machine found
         self._row = attrgetter(*names)
         self._cycle_s = config.cycle_time_s
         self._nodes = nodes
         self._changes = changes
         self._next_change = 0
-        self._metres_per_rad = [1.0 / config.web_line.motor_rad_per_m(axis) for axis in (1, 2)]
-        self._sample = sample_type(config.signals)(
-            strain_prev=config.web_line.upstream_strain, F_next_N=config.web_line.boundary.downstream_tension_N
-        )
-        self._set_point_N = config.tension_control.set_point_N
-        self._load = web_load_model(config)
-        self._load.warm_up()
-        self._trust = TwinTrust(config.tension_control, config.safety.limits.tension_N.trip or float("inf"))
-        self._twin_away = False
-        self._twin_started = 0
+        self._state = BenchState(config.cycle_time_s, sample_type(config.signals)(), _nobody, _nobody)
+        self._machine = machine_tasks(config, self._state)
+        self._machine.warm_up()
+        self._watches = list(self._machine.watches)
+        unit = config.machine.position_unit
+        self._commands = [
+            (axis, f"v{number}_cmd_{unit}_s", 1.0 / config.machine.motor_rad_per_unit(number))
+            for number, axis in enumerate(nodes.axes, 1)
+        ]
+        shown = {*nodes.filled, *(name for _, name, _ in self._commands)}
+        #: What nobody knows without the journal: it follows from what the experiment has changed.
+        self._unknown = [
+            signal.name
+            for signal in config.signals
+            if signal.group == "truth"
+            or (signal.group in ("command", "load") and not signal.integer and signal.name not in shown)
+        ]
         self._first: int | None = None
-        self._ended = False
 
     def take(self, cycle: _Cycle) -> int:
         """Decode one cycle; returns the bits on the bus. Raises BenchFaultError as the bench did."""
-        sample, nodes = self._sample, self._nodes
+        state, nodes = self._state, self._nodes
+        sample = state.sample
         self._apply_changes(sample.cycle)
-        sample.cycle += 1
+        outputs = Outputs()
+        for task in self._machine.control:
+            (task.before if state.enabled else task.rest)(sample, outputs)
         if self._first is not None:
-            sample.loop_closed = int(not self._twin_away and self._trust.update(sample))
             self._take_commands(cycle.sent)
+        sample.cycle += 1
         nodes.decode([*cycle.late, *cycle.received], len(cycle.late))
         nodes.fill(sample)
-        sample.twin_age_cycles = nodes.twin_age(sample.cycle - self._twin_started)
-        sample.F_ref_N = self._set_point_N
+        sample.twin_age_cycles = nodes.twin_age(sample.cycle - state.twin.started_cycle)
         sync = cycle.sync
         sample.bus_bits = sum(map(frame_bits, [*cycle.sent, *cycle.late, *cycle.received, *([sync] if sync else [])]))
-        if self._first is not None and not self._ended:
-            sample.t_s = (sample.cycle - self._first) * self._cycle_s
-            self._follow_web()
-            self.rows.append(self._row(sample))
+        if state.enabled:
+            sample.t_s = state.experiment_time_s(sample.cycle)
+            self._follow()
         elif self._changes is None and self._first is None and self._all_enabled():
-            self._first = sample.cycle + 1
+            self._enable(sample.cycle)
         return sample.bus_bits
 
     def _all_enabled(self) -> bool:
         return all(drive.feedback.state is State.OPERATION_ENABLED for drive in self._nodes.drives)
+
+    def _enable(self, cycle: int) -> None:
+        """The experiment begins with the cycle after this one."""
+        self._first = self._state.first_cycle = cycle + 1
+        self._state.enabled = True
 
     def _apply_changes(self, cycle: int) -> None:
         """What the bench did before the cycle after `cycle`."""
@@ -264,37 +283,47 @@ class _Decoder:
             self._next_change += 1
 
     def _apply(self, change: Change) -> None:
+        twin = self._state.twin
         if change.what == "enabled":
-            self._first = change.cycle + 1
+            self._enable(change.cycle)
         elif change.what == "stopping":
-            self._ended = True
+            self._state.enabled = False
         elif change.what == "twin_lost":
-            self._twin_away = True
-            self._trust.forget("")
+            twin.away = True
             self._nodes.twin_is_away()
         elif change.what == "twin_back":
-            self._twin_away, self._twin_started = False, round(change.value) or change.cycle
+            twin.away, twin.back_cycle = False, change.cycle
+            twin.started_cycle = round(change.value) or change.cycle
             self._nodes.twin_is_back()
-        elif change.path == quantities.TENSION_SET_POINT:
-            self._set_point_N = change.value
-        elif quantities.is_of_load(change.path):
-            self._load.set(change.path, change.value)
+        elif change.what == "set":
+            owner = next((each for each in self._machine.quantities if each.owns(change.path)), None)
+            if owner is not None:  # an effect of the simulated hardware shows in its frames
+                owner.set(change.path, change.value)
 
     def _take_commands(self, sent: Iterable[Frame]) -> None:
+        """What the drives were told, which is what a command is in the end."""
         data = {frame.can_id: frame.data for frame in sent}
-        axes = zip(self._nodes.axes, self._metres_per_rad, strict=True)
-        for (axis, metres_per_rad), name in zip(axes, ("v1_cmd_m_s", "v2_cmd_m_s"), strict=True):
+        for axis, name, units_per_rad in self._commands:
             content = data.get(axis.pdos.rpdo.cob_id)
             if content is not None and len(content) == axis.pdos.rpdo.size:
                 _, target = axis.pdos.rpdo.unpack(content)
-                setattr(self._sample, name, target * axis.units.velocity_rad_s * metres_per_rad)
+                setattr(self._state.sample, name, target * axis.units.velocity_rad_s * units_per_rad)
 
-    def _follow_web(self) -> None:
-        sample = self._sample
-        (sample.tau_load_cmd_Nm,) = self._load.update(
-            (sample.x1_m, sample.x2_m), (sample.v1_m_s, sample.v2_m_s), late=self._nodes.axes_late
-        )
-        true = self._load.machine.outputs()
-        sample.F_true_N, sample.strain_true, sample.E_true_Pa = true["F1_N"], true["strain1"], true["E_Pa"]
-        if self._changes is None:  # nobody knows what the experiment has changed
-            sample.F_ref_N = sample.E_true_Pa = sample.F_true_N = sample.strain_true = sample.tau_load_cmd_Nm = nan
+    def _follow(self) -> None:
+        """The tasks on a sample of the experiment, and its row."""
+        sample = self._state.sample
+        for task in self._machine.control:
+            task.after(sample, self._nodes)
+        try:
+            for watch in self._watches:
+                watch.after(sample, self._nodes)
+        except BenchFaultError as error:  # the bench stopped the drives; the journal says from which cycle on
+            self.fault, self._watches = str(error), []
+        if self._changes is None:
+            for name in self._unknown:
+                setattr(sample, name, nan)
+        self.rows.append(self._row(sample))
+
+
+def _nobody(_: object) -> None:
+    """Nobody listens: what a bench announces and notes was said when it ran."""
