@@ -8,8 +8,12 @@ from pathlib import Path
 import numpy as np
 from tests.bench.whole_runs import SHORT, config, gone, recover, run_folders, run_here, start, wait_for_frames
 
+from hilbench.bench.lifecycle.participants import Participants
 from hilbench.results.recording import read_recording
+from hilbench.results.recover import recover_run
 from hilbench.results.result import Result
+from hilbench.results.run import run_experiment
+from hilbench.runs.config import load_with_overrides
 
 #: Told to the drives in whole device units: 0.0001 rpm at the motor, at the web.
 COMMANDED = ("v1_cmd_m_s", "v2_cmd_m_s")
@@ -52,3 +56,35 @@ def test_a_killed_run_is_recovered_as_it_would_have_been_recorded(tmp_path: Path
     again = recover(folder)
     assert again.returncode == 2
     assert "there already" in again.stderr
+
+
+def test_a_run_whose_twin_was_away_is_recovered_with_the_loop_open_and_closed_as_it_was(tmp_path: Path) -> None:
+    steps = [*SHORT[:2], {"hold": {"duration_s": 1.5}}, {"restart_twin": {}}, {"hold": {"duration_s": 1.5}}]
+    loaded = load_with_overrides(config(tmp_path, steps=steps))
+    folder = run_experiment(loaded, tmp_path / "runs", participants=Participants.IN_PROCESS).folder
+    whole = read_recording(folder.recording)
+    closed = np.asarray(whole["loop_closed"], np.int64)
+    assert np.count_nonzero(np.diff(closed) < 0) >= 1  # it opened under way
+    folder.recording.unlink()
+    folder.result.unlink()
+    recover_run(folder)
+    found = read_recording(folder.recording)
+    for name in whole.channels.keys() - {*COMMANDED, "bus_bits"}:
+        assert np.array_equal(np.asarray(whole[name]), np.asarray(found[name])), name
+    # The frames of the restart itself, between two cycles, are in the trace, but are no cycle's to the bench.
+    assert np.count_nonzero(np.asarray(whole["bus_bits"]) != np.asarray(found["bus_bits"])) == 1
+
+
+def test_without_its_journal_a_run_has_what_the_frames_say_and_nothing_is_invented(tmp_path: Path) -> None:
+    loaded = load_with_overrides(config(tmp_path))
+    folder = run_experiment(loaded, tmp_path / "runs", participants=Participants.IN_PROCESS).folder
+    whole = read_recording(folder.recording)
+    for path in (folder.recording, folder.result, folder.journal):
+        path.unlink()
+    recover_run(folder)
+    found = read_recording(folder.recording)
+    rows = len(whole)
+    for name in ("x1_m", "tau2_Nm", "tau_load_Nm", "F_sim_N", "E_sim_Pa", "bus_bits"):
+        assert np.array_equal(np.asarray(whole[name]), np.asarray(found[name])[:rows]), name
+    for name in ("E_true_Pa", "F_true_N", "strain_true", "F_ref_N", "tau_load_cmd_Nm"):
+        assert np.isnan(np.asarray(found[name])).all(), name
