@@ -113,6 +113,12 @@ def test_process_data_of_the_shaft_are_its_own_signals_and_nothing_is_sent_of_a_
     assert Nodes(load_with_overrides(WEB).config).io.boundary is not None
 
 
+def test_the_shipped_experiment_passes_with_processes_of_its_own(tmp_path: Path) -> None:
+    done = hilbench("run", CONFIG, "--bus", "embedded:test-servo-axis", "--no-report", "--out", tmp_path)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "inertia true / estimated" in done.stdout
+
+
 def test_check_refuses_an_inertia_that_the_load_motor_can_not_imitate_at_the_step_that_asks_for_it() -> None:
     refused(["load.shaft.inertia_kg_m2=0.2"], r"load.shaft.inertia_kg_m2=0.2: .*can't imitate an inertia of 0.2 kg·m²")
     refused(["steps.2.step.to=0.2"], r"can't imitate an inertia of 0.2 kg·m² over a cycle of 2 ms")

@@ -19,7 +19,14 @@ from hilbench.plant.effects import MachineKind, effects_of
 from hilbench.runs.config import load
 from hilbench.runs.scenario import read_scenario
 from hilbench.scripts.bench import Bench
-from hilbench.topology.quantities import LONGEST_S, PLAIN_PATHS, all_paths, checked_value, permitted, settable_path
+from hilbench.topology.quantities import (
+    LONGEST_S,
+    all_paths,
+    checked_value,
+    permitted,
+    plain_paths,
+    settable_path,
+)
 
 PATHS = list(all_paths())
 HUGE = 10**400
@@ -84,7 +91,7 @@ def bench(folder: Path) -> Bench:
 def test_a_script_that_sets_what_is_no_value_is_told_and_its_bench_goes_on_and_stops_in_order(tmp_path: Path) -> None:
     with bench(tmp_path) as running:
         running.ramp("line_speed_m_s", 0.5, 0.2)
-        for path in PLAIN_PATHS:
+        for path in plain_paths(running.config.machine_kind):
             before = running.get(path)
             for value in [*NO_NUMBERS, -1e9, 1e300]:
                 for way in (running.set, running.step, lambda path, value: running.ramp(path, value, 0.1)):
@@ -200,7 +207,7 @@ def test_the_shipped_configs_ask_for_nothing_that_can_not_be() -> None:
 @pytest.mark.parametrize(
     "path",
     [
-        *PLAIN_PATHS,
+        *plain_paths(MachineKind.WEB_LINE),
         "hardware.effects.friction_asymmetry.axis2.viscous_difference_N_s_per_m",  # drives itself on, beyond all bounds
         "hardware.effects.torque_scale.axis1.relative_change",
         "load.effects.span_length_error.relative_change",

@@ -505,12 +505,12 @@ class Nodes:
 
     def hardware_effect(self, path: EffectPath) -> float:
         """A parameter of an effect in the simulated hardware, read by SDO."""
-        index, sub = effect_object(path.effect, path.parameter)
+        index, sub = effect_object(path.effect, path.parameter, self.config.machine_kind)
         return float(self._sdo().sdo_read(self._effect_node(path), index, sub))
 
     def set_hardware_effect(self, path: EffectPath, value: float) -> None:
         """Change a parameter of an effect in the simulated hardware, by SDO."""
-        index, sub = effect_object(path.effect, path.parameter)
+        index, sub = effect_object(path.effect, path.parameter, self.config.machine_kind)
         self._sdo().sdo_write(self._effect_node(path), index, value, sub)
 
     def _effect_node(self, path: EffectPath) -> int:

@@ -126,7 +126,7 @@ def hardware(config: BenchConfig) -> HostedDevices:
         drives.append(SimulatedDrive(device, port, declared_units(part, od)))
         devices.append(device)
         if part.role is Role.AXIS and part.axis is not None:
-            bind_effect_objects(device, _effect_setter(stand, part.axis))
+            bind_effect_objects(device, _effect_setter(stand, part.axis), config.machine_kind)
     sample_s = config.drive_parameters.sample_time_s
     return HostedDevices(devices, clock, RigApplication(drives, ports, stand, time, config.cycle_time_s, sample_s))
 

@@ -19,7 +19,7 @@ from hilbench.can.open import BusAddress
 from hilbench.errors import UnusableInputError
 from hilbench.estimation.servo_axis.config import InertiaConfig
 from hilbench.estimation.web_line.config import EstimationConfig
-from hilbench.plant.effects import EffectPlace, MachineKind, effect_problem
+from hilbench.plant.effects import EffectPlace, MachineKind, effect_problem, find_effect
 from hilbench.plant.parameters import DriveParameters, EffectEntry, LoadMotorParameters, NotNegative, Positive
 from hilbench.plant.sampling import samples_per
 from hilbench.plant.sensors import SensorParameters
@@ -29,7 +29,7 @@ from hilbench.plant.servo_axis.rig import ServoRigParameters
 from hilbench.plant.web_line.parameters import Length, ModelParameters, Modulus
 from hilbench.plant.web_line.rig import CoupledMotor, RigParameters
 from hilbench.real_time import ProcessSettings
-from hilbench.topology.quantities import AXES, LOADED_AXES
+from hilbench.topology.quantities import AXES
 from hilbench.topology.signals import Signal, signals_of
 
 Pace = Literal["lockstep", "realtime"]
@@ -181,19 +181,34 @@ class MasterConfig(Block):
     sdo_timeout_s: TimeOut = Field(default=1.0, description="how long a node may take to answer an SDO request")
 
 
-#: Axes of a machine of each kind, and those on whose shaft a load motor is.
-_AXES = {MachineKind.WEB_LINE: (AXES, LOADED_AXES), MachineKind.SERVO_AXIS: (1, (1,))}
+class HiddenEffect(EffectEntry):
+    """An effect as any kind of machine has it: which one's it has to be says the whole config."""
+
+    @model_validator(mode="after")
+    def _known(self) -> HiddenEffect:
+        problems = [_effect_problem(self, kind) for kind in MachineKind]
+        if all(problems):
+            raise ValueError(problems[0])
+        return self
 
 
-def _effect_problem(entry: EffectEntry, place: EffectPlace, kind: MachineKind) -> str | None:
-    axes, loaded = _AXES[kind]
+def _effect_problem(entry: EffectEntry, kind: MachineKind) -> str | None:
+    try:
+        effect = find_effect(entry.effect, kind)
+    except KeyError as error:
+        return str(error.args[0])
+    return effect.axis_problem(entry.axis) or effect.problem(entry.parameters)
+
+
+def _place_problem(entry: EffectEntry, place: EffectPlace, kind: MachineKind) -> str | None:
+    axes, loaded = AXES[kind]
     return effect_problem(entry.effect, entry.axis, place, axes, loaded, kind)
 
 
-def _possible_effects(entries: list[EffectEntry], place: EffectPlace) -> list[EffectEntry]:
+def _possible_effects(entries: list[HiddenEffect], place: EffectPlace) -> list[HiddenEffect]:
     """The entries, if there is a kind of machine that can have each of them: which it is the whole config says."""
     for entry in entries:
-        problems = [_effect_problem(entry, place, kind) for kind in MachineKind]
+        problems = [_place_problem(entry, place, kind) for kind in MachineKind]
         if all(problems):
             raise ValueError(problems[0])
     return entries
@@ -208,11 +223,11 @@ class HardwareConfig(Block):
         "the machine's unless given",
     )
     sensors: SensorParameters = SensorParameters(torque_noise_Nm=0.05, velocity_noise_rad_s=0.002)
-    effects: list[EffectEntry] = Field(default=[], description="hidden in the simulated axes")
+    effects: list[HiddenEffect] = Field(default=[], description="hidden in the simulated axes")
 
     @field_validator("effects")
     @classmethod
-    def _of_axes(cls, entries: list[EffectEntry]) -> list[EffectEntry]:
+    def _of_axes(cls, entries: list[HiddenEffect]) -> list[HiddenEffect]:
         return _possible_effects(entries, EffectPlace.HARDWARE)
 
 
@@ -239,11 +254,11 @@ class LoadConfig(Block):
 
     web: LoadWebConfig = LoadWebConfig()
     shaft: LoadShaftConfig = LoadShaftConfig()
-    effects: list[EffectEntry] = Field(default=[], description="hidden in the imitated mechanics")
+    effects: list[HiddenEffect] = Field(default=[], description="hidden in the imitated mechanics")
 
     @field_validator("effects")
     @classmethod
-    def _imitable(cls, entries: list[EffectEntry]) -> list[EffectEntry]:
+    def _imitable(cls, entries: list[HiddenEffect]) -> list[HiddenEffect]:
         return _possible_effects(entries, EffectPlace.LOAD)
 
 
@@ -363,13 +378,18 @@ def _misfits(key: str, value: Any, kind: MachineKind) -> Iterator[str]:
     if key == "load_motors" and of_servo and len(value) != 1:
         yield "one load motor: a servo axis has one shaft"
     if key == "controllers" and bool(value) is of_servo:
-        yield "none: a servo axis follows its reference" if of_servo else "at least one: that of the web's tension"
+        yield "none: a servo axis follows its reference" if of_servo else "at least one"
     if key == "load" and value.web != LoadWebConfig() and of_servo:
-        yield "'shaft:' for a servo axis; 'web:' is of a web line"
+        yield "'shaft:' for a servo axis"
     if not of_servo and ((key == "load" and value.shaft != LoadShaftConfig()) or (key == "hardware" and value.shaft)):
         yield "no 'shaft:', which is of a servo axis (machine: {kind: servo_axis})"
     if key in ("hardware", "load"):
-        yield from filter(None, (_effect_problem(entry, EffectPlace(key), kind) for entry in value.effects))
+        for entry in value.effects:
+            yield from filter(None, [_effect_problem(entry, kind), _place_problem(entry, EffectPlace(key), kind)])
+
+
+def _of_shaft(entries: Sequence[EffectEntry]) -> list[ShaftEffect]:
+    return [ShaftEffect.model_validate(entry.model_dump()) for entry in entries]
 
 
 def _default_controllers(machine: Any) -> dict[str, TensionControlConfig]:
@@ -502,7 +522,7 @@ class BenchConfig(Block):
         load_motors = [CoupledMotor(axis=axes[motor.shaft], motor=motor.motor) for motor in self.load_motors.values()]
         return RigParameters.matching(self.web_line, load_motors, hardware.sensors, hardware.effects)
 
-    def servo_rig_parameters(self, effects: Sequence[EffectEntry] | None = None) -> ServoRigParameters:
+    def servo_rig_parameters(self, effects: Sequence[ShaftEffect] | None = None) -> ServoRigParameters:
         """The simulated hardware of a servo axis, with the effects hidden in it unless others are given.
 
         Raises UnusableInputError for a machine of another kind.
@@ -526,7 +546,7 @@ class BenchConfig(Block):
                     f"'load.shaft.inertia_kg_m2' of all that turns, at least the rotor's {model.motor.inertia_kg_m2:g}"
                 )
         shaft = model.shaft.model_copy(update=changes)
-        return model.model_copy(update={"shaft": shaft, "effects": tuple(self.load.effects)})
+        return model.model_copy(update={"shaft": shaft, "effects": tuple(_of_shaft(self.load.effects))})
 
     @property
     def parts(self) -> tuple[Part, ...]:

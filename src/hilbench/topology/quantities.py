@@ -91,8 +91,8 @@ _PLAIN = {path: values for of_kind in _PLAIN_OF.values() for path, values in of_
 PLAIN_PATHS = tuple(_PLAIN)
 
 
-#: Axes of the machine, and those on whose shaft a load motor is.
-AXES, LOADED_AXES = 2, (2,)
+#: Axes of a machine of each kind, and those on whose shaft a load motor is.
+AXES = {MachineKind.WEB_LINE: (2, (2,)), MachineKind.SERVO_AXIS: (1, (1,))}
 
 
 @dataclass(frozen=True)
@@ -103,11 +103,28 @@ class EffectPath:
     effect: str
     axis: int | None
     parameter: str
+    kind: MachineKind = MachineKind.WEB_LINE  #: by whose rows the parameter is named
 
 
 @cache
-def parse_effect_path(text: str) -> EffectPath:
-    """Take ``load|hardware.effects.ID[.axis1|.axis2].PARAMETER`` apart. Raises ValueError that says what is wrong."""
+def parse_effect_path(text: str, kind: MachineKind | None = None) -> EffectPath:
+    """Take ``load|hardware.effects.ID[.axis1|.axis2].PARAMETER`` apart, as a kind of machine has it (None: as any has).
+
+    Raises ValueError that says what is wrong.
+    """
+    if kind is not None:
+        return _parsed(text, kind)
+    try:
+        return _parsed(text, MachineKind.WEB_LINE)
+    except ValueError:
+        try:
+            return _parsed(text, MachineKind.SERVO_AXIS)
+        except ValueError:
+            pass  # the first kind's words say more
+        raise
+
+
+def _parsed(text: str, kind: MachineKind) -> EffectPath:
     parts = text.split(".")
     if len(parts) not in (4, 5) or parts[0] not in list(EffectPlace) or parts[1] != "effects":
         known = ", ".join(PLAIN_PATHS)
@@ -116,9 +133,9 @@ def parse_effect_path(text: str) -> EffectPath:
         )
     place, _, name, *axis_part, parameter = parts
     try:
-        effect = find_effect(name)
+        effect = find_effect(name, kind)
     except KeyError:
-        meant = did_you_mean(name, (effect.id for effect in effects_of(MachineKind.WEB_LINE)))
+        meant = did_you_mean(name, (effect.id for effect in effects_of(kind)))
         raise ValueError(f"an effect of the vocabulary, '{name}' is none{meant}") from None
     axis = {"axis1": 1, "axis2": 2}.get(axis_part[0]) if axis_part else None
     if effect.per_axis and axis is None:
@@ -129,25 +146,38 @@ def parse_effect_path(text: str) -> EffectPath:
     if parameter not in names:
         meant = did_you_mean(parameter, names)
         raise ValueError(f"a parameter of '{name}' ({', '.join(names)}), '{parameter}' is none{meant}")
-    problem = effect_problem(name, axis, EffectPlace(place), AXES, LOADED_AXES)
+    axes, loaded = AXES[kind]
+    problem = effect_problem(name, axis, EffectPlace(place), axes, loaded, kind)
     if problem:
         raise ValueError(problem)
-    return EffectPath(place, name, axis, parameter)
+    return EffectPath(place, name, axis, parameter, kind)
+
+
+def plain_paths(kind: MachineKind) -> tuple[str, ...]:
+    """The quantities of a kind of machine, without those of its effects."""
+    return tuple(_PLAIN_OF[kind])
 
 
 def of_another_machine(path: str, kind: MachineKind) -> str | None:
-    """Why a machine of this kind has no such quantity, in one line, or None; effects are not looked at."""
-    if path in _PLAIN and path not in _PLAIN_OF[kind]:
-        return f"a quantity of a {kind} ({', '.join(_PLAIN_OF[kind])}), '{path}' is of another kind of machine"
-    return None
+    """Why a machine of this kind has no such quantity, in one line, or None."""
+    if path in _PLAIN_OF[kind]:
+        return None
+    try:
+        if path not in _PLAIN:
+            parse_effect_path(path, kind)
+            return None
+    except ValueError as error:
+        return str(error)
+    return f"a quantity of a {kind} ({', '.join(_PLAIN_OF[kind])}), '{path}' is of another kind of machine"
 
 
 def all_paths() -> Iterator[str]:
     """Every path that can be set."""
     yield from PLAIN_PATHS
-    for effect in effects_of(MachineKind.WEB_LINE):
-        for place, axis in product(EffectPlace, range(1, AXES + 1) if effect.per_axis else (None,)):
-            if not effect_problem(effect.id, axis, place, AXES, LOADED_AXES):
+    for kind, effect in ((each, effect) for each in MachineKind for effect in effects_of(each)):
+        axes, loaded = AXES[kind]
+        for place, axis in product(EffectPlace, range(1, axes + 1) if effect.per_axis else (None,)):
+            if not effect_problem(effect.id, axis, place, axes, loaded, kind):
                 at = f"{place}.effects.{effect.id}." + ("" if axis is None else f"axis{axis}.")
                 yield from (at + parameter.name for parameter in effect.parameters)
 
@@ -177,7 +207,7 @@ def permitted(path: str) -> Permitted:
     if path in _PLAIN:
         return _PLAIN[path]
     of = parse_effect_path(path)
-    parameter = find_effect(of.effect).parameter(of.parameter)
+    parameter = find_effect(of.effect, of.kind).parameter(of.parameter)
     return Permitted(parameter.lower, parameter.upper, parameter.unit)
 
 

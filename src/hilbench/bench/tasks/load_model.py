@@ -104,14 +104,14 @@ class LoadModel:
         """Present value of a quantity of the imitated mechanics. Raises ValueError for an unknown path."""
         if path in PLAIN_PATHS:
             return self.machine.parameter(_parameter(path))
-        return self._effect_value(parse_effect_path(path))
+        return self._effect_value(parse_effect_path(path, self._kind))
 
     def set(self, path: str, value: float) -> None:
         """Give a quantity a value from now on. Raises ValueError for an unknown path or an impossible value."""
         if path in PLAIN_PATHS:
             self.machine.set_parameter(_parameter(path), value)
         else:
-            self._set_effect_value(parse_effect_path(path), value)
+            self._set_effect_value(parse_effect_path(path, self._kind), value)
 
     def _effect_value(self, path: EffectPath) -> float:
         given = self._effects.get((path.effect, path.axis), {})
