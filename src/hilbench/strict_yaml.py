@@ -24,7 +24,7 @@ Location = tuple[str | int, ...]
 Model = TypeVar("Model", bound=BaseModel)
 
 #: Characters beyond which an error does not repeat the value that was found.
-_LONGEST_TEXT = 300
+_LONGEST_TEXT = 400
 #: So many keys of one name elsewhere in a config are worth a question.
 _MOST_ELSEWHERE = 3
 
