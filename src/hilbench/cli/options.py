@@ -29,7 +29,7 @@ PacedByOption = Annotated[
 SetOption = Annotated[
     list[str] | None,
     typer.Option(
-        "--set", metavar="KEY=VALUE", help="another value in the config, e.g. model.web.width_m=0.6; repeatable"
+        "--set", metavar="KEY=VALUE", help="another value in the config, e.g. machine.web.width_m=0.6; repeatable"
     ),
 ]
 JsonOption = Annotated[bool, typer.Option("--json", help="print JSON on standard output, nothing else")]

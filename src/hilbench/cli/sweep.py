@@ -44,9 +44,9 @@ def sweep(
 
     Exit code: 0 all passed, 1 some did not.
 
-    Example: hilbench sweep bench_configs/web_section_step.yaml --vary tension_control.bandwidth_rad_per_s=2..10:5
+    Example: hilbench sweep bench_configs/web_section_step.yaml --vary controllers.tension_control.bandwidth_rad_per_s=2..10:5
 
-    Example: hilbench sweep bench_configs/web_section_step.yaml --vary model.web.youngs_modulus_Pa=8e9..9e9
+    Example: hilbench sweep bench_configs/web_section_step.yaml --vary machine.web.youngs_modulus_Pa=8e9..9e9
     --vary seed=1,2,3 --samples 20
 
     Example: hilbench sweep bench_configs/web_section_step.yaml --vary seed=1..200:200 --cluster tcp://10.0.0.5:8786
