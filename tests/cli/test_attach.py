@@ -50,7 +50,7 @@ def attached(bench: Path) -> list[str]:
 def test_scan_tells_who_is_there_and_who_is_missing(bench: Path) -> None:
     done = hilbench("scan", "--config", bench, "--listen", "0.1", "--json")
     data = json.loads(done.stdout)
-    assert [station["part"] for station in data["stations"]] == ["axis1", "axis2", "load"]
+    assert [station["part"] for station in data["stations"]] == ["axis1", "axis2", "load"], data
     first = data["stations"][0]
     assert first["identity"]["product_code"] == 0x402
     assert first["eds"].endswith("hilbench_servo.eds")

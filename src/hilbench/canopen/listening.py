@@ -100,13 +100,17 @@ def present(link: Link, node_ids: Iterable[int], wait_s: float) -> set[int]:
 
 
 def hear(link: Link, duration_s: float, enough: Callable[[list[Frame]], bool] = lambda new: False) -> list[Frame]:
-    """All frames of a time, or until `enough` says so of new ones. Raises BusError when the bus is lost."""
+    """All frames of a time, or until `enough` says so of new ones. Raises BusError when the bus is lost.
+
+    What has come by the end of that time is among them, however late this process gets to look.
+    """
     frames: list[Frame] = []
     deadline_s = time.monotonic() + duration_s
-    while (remaining_s := deadline_s - time.monotonic()) > 0:
+    while True:
+        remaining_s = max(0.0, deadline_s - time.monotonic())
         new = link.receive(remaining_s)
         frames += new
-        if enough(new):
+        if enough(new) or remaining_s == 0.0:
             break
     return frames
 
