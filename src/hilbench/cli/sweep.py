@@ -50,7 +50,7 @@ def sweep(
     --vary seed=1,2,3 --samples 20
 
     Example: hilbench sweep bench_configs/web_section_step.yaml --vary seed=1..200:200 --cluster tcp://10.0.0.5:8786
-    """
+    """  # noqa: E501
     from json import dumps
 
     from hilbench.scripts.sweep import Sweep, parse_axis, points
