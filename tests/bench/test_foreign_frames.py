@@ -175,8 +175,10 @@ def test_a_stranger_beside_a_run_of_real_processes_is_in_its_result(tmp_path: Pa
     process = start(path)
     folder = wait_for_frames(path, 500)
     link = open_link(load_with_overrides(path).config.bus_address.as_it_runs())
-    for _ in range(50):
-        link.send([VELOCITY_0, WRITES["1016h sub 1"], HARMLESS["read by SDO"]])
+    for k in range(50):
+        # Each another one: the same again could be a frame that CAN itself repeats, which is none of a stranger.
+        velocity = Frame(VELOCITY_0.can_id, k.to_bytes(4, "little"))
+        link.send([velocity, WRITES["1016h sub 1"], HARMLESS["read by SDO"]])
         link.receive(0.01)
     link.close()
     # A bench that is held up has not seen the last of them yet.
@@ -189,5 +191,4 @@ def test_a_stranger_beside_a_run_of_real_processes_is_in_its_result(tmp_path: Pa
     assert written == 50
     ((text, count),) = found.items()
     assert "TPDO (COB-ID 282h) more often than SYNC asks for it" in text
-    # How many fall where they can pass for the drive's own depends on how the machine shares its time out.
-    assert 25 <= count <= 50
+    assert 45 <= count <= 50
