@@ -8,6 +8,7 @@ from hilbench.bench.machines.machine import MachineTasks
 from hilbench.bench.state import BenchState
 from hilbench.bench.tasks.limits import Levels, Watched, apart, is_synchronized
 from hilbench.bench.tasks.load_model import LoadModel
+from hilbench.bench.tasks.load_task import LoadTask
 from hilbench.bench.tasks.reference import Reference
 from hilbench.bench.tasks.saturation import SaturationWatch
 from hilbench.bench.tasks.task import CyclicTask, Inputs, Outputs
@@ -16,7 +17,7 @@ from hilbench.plant.sampled_shaft import imitation_delay_s
 from hilbench.plant.servo_axis.imitation import ImitatedShaft
 from hilbench.plant.servo_axis.stability import sampled_shaft
 from hilbench.topology.config import BenchConfig
-from hilbench.topology.quantities import SPEED, is_of_load
+from hilbench.topology.quantities import SPEED
 from hilbench.topology.sample import CycleSample
 
 #: No controller rides on the twin's data: how old they may be before it counts as lost.
@@ -65,41 +66,15 @@ class SpeedTask(CyclicTask):
         sample.v1_cmd_rad_s = outputs[self._drive] = self._speed.present
 
 
-class ShaftLoadTask(CyclicTask):
+class ShaftLoadTask(LoadTask):
     """The load motor acts on the shaft as what is not there would."""
-
-    def __init__(self, motor: str, model: LoadModel) -> None:
-        self.model = model
-        self._motor = motor
-        self._command = f"tau_{motor}_cmd_Nm"
-
-    def owns(self, path: str) -> bool:
-        """Whether a quantity is one of the imitated shaft."""
-        return is_of_load(path)
-
-    def value(self, path: str) -> float:
-        """Its present value."""
-        return self.model.value(path)
-
-    def set(self, path: str, value: float) -> None:
-        """Another value from now on."""
-        self.model.set(path, value)
-
-    def before(self, sample: CycleSample, outputs: Outputs) -> None:
-        """The torque that follows from the last sample, N·m at the shaft."""
-        outputs[self._motor] = getattr(sample, self._command)
 
     def after(self, sample: CycleSample, inputs: Inputs) -> None:
         """Let the imitated shaft follow the measured motion; the truth of the run is recorded."""
-        model = self.model
-        (torque_Nm,) = model.update((sample.x1_rad,), (sample.v1_rad_s,), late=inputs.axes_late)
-        setattr(sample, self._command, torque_Nm)
-        sample.J_true_kg_m2 = model.machine.parameter("inertia_kg_m2")
-        sample.coulomb_true_Nm = model.machine.parameter("coulomb_friction_Nm")
-
-    def rest(self, sample: CycleSample, outputs: Outputs) -> None:
-        """No torque."""
-        self.model.stop()
+        self.follow(sample, (sample.x1_rad,), (sample.v1_rad_s,), late=inputs.axes_late)
+        machine = self.model.machine
+        sample.J_true_kg_m2 = machine.parameter("inertia_kg_m2")
+        sample.coulomb_true_Nm = machine.parameter("coulomb_friction_Nm")
 
 
 class ShaftLimitWatch:

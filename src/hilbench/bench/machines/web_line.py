@@ -8,7 +8,7 @@ from hilbench.bench.machines.machine import MachineTasks
 from hilbench.bench.state import BenchState, TwinState
 from hilbench.bench.tasks.imitated_web import web_load_model
 from hilbench.bench.tasks.limits import LimitWatch
-from hilbench.bench.tasks.load_model import LoadModel
+from hilbench.bench.tasks.load_task import LoadTask
 from hilbench.bench.tasks.reference import Reference
 from hilbench.bench.tasks.saturation import SaturationWatch
 from hilbench.bench.tasks.swing_damping import SwingDamping, SwingPlant
@@ -20,7 +20,7 @@ from hilbench.bench.tasks.watches import Watch
 from hilbench.errors import BenchFaultError
 from hilbench.estimation.plausibility import Problem
 from hilbench.topology.config import BenchConfig
-from hilbench.topology.quantities import LINE_SPEED, is_of_load
+from hilbench.topology.quantities import LINE_SPEED
 from hilbench.topology.sample import CycleSample
 
 
@@ -31,7 +31,7 @@ def tasks(config: BenchConfig, state: BenchState) -> MachineTasks:
     model, control, cycle_s = config.web_line, config.tension_control, config.cycle_time_s
     modulus_Pa, limits, reports = model.required_web.youngs_modulus_Pa, config.safety.limits, state.reports
     line_speed = Reference(LINE_SPEED, config.safety.quick_stop_m_s2 * cycle_s)
-    load = LoadTask(motor, web_load_model(config))
+    load = WebLoadTask(motor, web_load_model(config))
     trust = TwinTrust(control, limits.tension_N.trip or inf)
     swing = SwingPlant.of_model(model, cycle_s)
     tension = TensionTask(
@@ -89,41 +89,14 @@ class LineSpeedTask(CyclicTask):
         sample.v2_cmd_m_s = outputs[self._drive] = self._line_speed.present
 
 
-class LoadTask(CyclicTask):
+class WebLoadTask(LoadTask):
     """The load motor pulls at the shaft of axis 2 as the imitated web would."""
-
-    def __init__(self, drive: str, model: LoadModel) -> None:
-        self.model = model
-        self._drive = drive
-
-    def owns(self, path: str) -> bool:
-        """Whether a quantity is one of the imitated mechanics."""
-        return is_of_load(path)
-
-    def value(self, path: str) -> float:
-        """Its present value."""
-        return self.model.value(path)
-
-    def set(self, path: str, value: float) -> None:
-        """Another value from now on."""
-        self.model.set(path, value)
-
-    def before(self, sample: CycleSample, outputs: Outputs) -> None:
-        """The torque that follows from the last sample, N·m at the load motor's shaft."""
-        outputs[self._drive] = sample.tau_load_cmd_Nm
 
     def after(self, sample: CycleSample, inputs: Inputs) -> None:
         """Let the web follow the measured motion; the truth of the run is recorded."""
-        model = self.model
-        (sample.tau_load_cmd_Nm,) = model.update(
-            (sample.x1_m, sample.x2_m), (sample.v1_m_s, sample.v2_m_s), late=inputs.axes_late
-        )
-        true = model.machine.outputs()
+        self.follow(sample, (sample.x1_m, sample.x2_m), (sample.v1_m_s, sample.v2_m_s), late=inputs.axes_late)
+        true = self.model.machine.outputs()
         sample.F_true_N, sample.strain_true, sample.E_true_Pa = true["F1_N"], true["strain1"], true["E_Pa"]
-
-    def rest(self, sample: CycleSample, outputs: Outputs) -> None:
-        """No pull."""
-        self.model.stop()
 
 
 class WebAlarms(CyclicTask):
