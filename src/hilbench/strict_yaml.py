@@ -237,6 +237,8 @@ def _problems(
     """One for each value that is wrong; the kinds of value that a key may have (a union) are one expectation."""
     by_value: dict[Location, list[ErrorDetails]] = {}
     for details in error.errors():
+        if details["type"] == "default_factory_not_called":
+            continue  # follows from what is wrong with the keys that the default is made of
         where = (*location, *_without_alternatives(model, details["loc"]))
         missing = details["type"] in ("missing", "extra_forbidden")
         by_value.setdefault(where if missing else document.given(where), []).append(details)

@@ -119,6 +119,13 @@ def test_the_shipped_experiment_passes_with_processes_of_its_own(tmp_path: Path)
     assert "inertia true / estimated" in done.stdout
 
 
+def test_a_value_of_the_machine_that_is_wrong_is_the_one_thing_that_is_said() -> None:
+    done = hilbench("check", CONFIG, "--set", "machine.drives.torque_limit_Nm=-3")
+    assert done.returncode == 2
+    (line,) = done.stderr.splitlines()
+    assert "'machine.drives.torque_limit_Nm' is -3, expected: " in line
+
+
 def test_check_refuses_an_inertia_that_the_load_motor_can_not_imitate_at_the_step_that_asks_for_it() -> None:
     refused(["load.shaft.inertia_kg_m2=0.2"], r"load.shaft.inertia_kg_m2=0.2: .*can't imitate an inertia of 0.2 kg·m²")
     refused(["steps.2.step.to=0.2"], r"can't imitate an inertia of 0.2 kg·m² over a cycle of 2 ms")
