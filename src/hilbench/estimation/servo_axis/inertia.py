@@ -9,7 +9,7 @@ from math import hypot, sqrt
 import numpy as np
 
 from hilbench.compiled import entry_point, number_of_sources
-from hilbench.estimation import bank
+from hilbench.estimation import bank, correction
 from hilbench.estimation.bank import Array
 from hilbench.estimation.nuisance import Nuisance
 from hilbench.estimation.servo_axis import kalman
@@ -49,7 +49,7 @@ def _compiled_step(sources: int) -> BankStep:
     return bank_step
 
 
-_bank_step = _compiled_step(number_of_sources(kalman.__file__, bank.__file__, __file__))
+_bank_step = _compiled_step(number_of_sources(kalman.__file__, correction.__file__, bank.__file__, __file__))
 
 
 @dataclass(frozen=True, slots=True)

@@ -24,6 +24,7 @@ import numpy as np
 
 from hilbench.compiled import compiled, inlined
 from hilbench.estimation.bank import Array
+from hilbench.estimation.correction import correct
 
 X, V, BETA, RATE, Q = range(5)
 #: Torque offset, viscous and dry friction, sine and cosine of an unbalance.
@@ -115,18 +116,7 @@ def step(z: Array, p: Array, i: int, u: Array, g: Array, row: Array) -> float:
             p[i, j, j] += 2.0 * dt / u[MEMORY_S] * prior * prior
     innovation = u[POSITION_RAD] - z[i, X]
     variance = p[i, X, X] + u[POSITION_VARIANCE]
-    for j in range(SIZE):
-        row[j] = p[i, j, X]
-    for j in range(SIZE):
-        gain = row[j] / variance
-        z[i, j] += gain * innovation
-        for k in range(SIZE):
-            p[i, j, k] -= gain * row[k]
-    for j in range(SIZE):  # rounding must not make it unsymmetric
-        for k in range(j):
-            mean = 0.5 * (p[i, j, k] + p[i, k, j])
-            p[i, j, k] = mean
-            p[i, k, j] = mean
+    correct(z, p, row, i, SIZE, X, innovation, variance)
     if u[ACCELERATION_RAD_S2] == 0.0:
         return 0.0
     known = _known_variance(per_torque * sqrt(u[TORQUE_VARIANCE]), dt, u[POSITION_VARIANCE])

@@ -8,11 +8,11 @@ from math import exp, hypot, sqrt
 import numpy as np
 
 from hilbench.compiled import entry_point, number_of_sources
-from hilbench.estimation import bank
+from hilbench.estimation import bank, correction
+from hilbench.estimation.bank import Array
 from hilbench.estimation.web_line.config import ChangepointConfig
 from hilbench.estimation.web_line.synchronizers import kalman
 from hilbench.estimation.web_line.synchronizers.base import Estimate, SyncSample
-from hilbench.estimation.web_line.synchronizers.kalman import Array
 from hilbench.estimation.web_line.synchronizers.plant import FilterInputs, Plant, nuisances
 
 BankStep = Callable[[Array, Array, Array, Array, Array, Array, Array], None]
@@ -42,7 +42,7 @@ def _compiled_step(sources: int) -> BankStep:
     return bank_step
 
 
-_bank_step = _compiled_step(number_of_sources(kalman.__file__, bank.__file__, __file__))
+_bank_step = _compiled_step(number_of_sources(kalman.__file__, correction.__file__, bank.__file__, __file__))
 
 
 class ChangepointSynchronizer:

@@ -14,10 +14,11 @@ from math import sqrt
 import numpy as np
 
 from hilbench.compiled import entry_point, number_of_sources
+from hilbench.estimation import correction
+from hilbench.estimation.bank import Array
 from hilbench.estimation.web_line.config import EkfConfig
 from hilbench.estimation.web_line.synchronizers import kalman
 from hilbench.estimation.web_line.synchronizers.base import Estimate, SyncSample
-from hilbench.estimation.web_line.synchronizers.kalman import Array
 from hilbench.estimation.web_line.synchronizers.plant import FilterInputs, Plant, nuisances
 
 #: Samples that the short mean of the innovations reaches back; its variance for white ones is 1/(2·8).
@@ -39,7 +40,7 @@ def _compiled_step(sources: int) -> Step:
     return single_step
 
 
-_step = _compiled_step(number_of_sources(kalman.__file__, __file__))
+_step = _compiled_step(number_of_sources(kalman.__file__, correction.__file__, __file__))
 
 
 class EkfSynchronizer:

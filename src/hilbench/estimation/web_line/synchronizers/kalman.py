@@ -13,12 +13,9 @@ from __future__ import annotations
 
 from math import log, pi
 
-import numpy as np
-from numpy.typing import NDArray
-
 from hilbench.compiled import compiled
-
-Array = NDArray[np.float64]
+from hilbench.estimation.bank import Array
+from hilbench.estimation.correction import correct
 
 X, V, E, RATE, OFFSET, VISCOUS, DRY, MASS = range(8)
 SIZE = 8
@@ -90,18 +87,7 @@ def step(z: Array, p: Array, i: int, u: Array, row: Array) -> float:
             p[i, j, j] += 2.0 * dt / _WANDER_S * prior * prior
     innovation = u[POSITION_M] - z[i, X]
     variance = p[i, X, X] + u[POSITION_VARIANCE]
-    for j in range(SIZE):
-        row[j] = p[i, j, X]
-    for j in range(SIZE):
-        gain = row[j] / variance
-        z[i, j] += gain * innovation
-        for k in range(SIZE):
-            p[i, j, k] -= gain * row[k]
-    for j in range(SIZE):  # rounding must not make it unsymmetric
-        for k in range(j):
-            mean = 0.5 * (p[i, j, k] + p[i, k, j])
-            p[i, j, k] = mean
-            p[i, k, j] = mean
+    correct(z, p, row, i, SIZE, X, innovation, variance)
     row[0], row[1] = innovation, variance
     likelihood: float = -0.5 * (innovation * innovation / variance + log(2.0 * pi * variance))
     return likelihood
