@@ -8,7 +8,7 @@ import pytest
 from tests.bench.samples import sample_of_two_axes
 
 from hilbench.bench.tasks.limits import LimitTripError, LimitWatch
-from hilbench.topology.config import Limit, LimitsConfig
+from hilbench.topology.safety import Limit, LimitsConfig
 from hilbench.twin.virtual_io import TwinStatus
 
 CYCLE_S = 0.002

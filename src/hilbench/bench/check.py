@@ -21,7 +21,8 @@ from hilbench.plant.web_line.stability import (
     web_stiffness_Nm_per_rad,
 )
 from hilbench.strict_yaml import Document, Location
-from hilbench.topology.config import BenchConfig, Role
+from hilbench.topology.config import BenchConfig
+from hilbench.topology.parts import Role
 
 #: Web tension that one unit of a drive may stand for without a note, N.
 _COARSE_N = 1.0

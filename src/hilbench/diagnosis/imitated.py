@@ -11,7 +11,8 @@ from hilbench.exchange.nodes import declared_units
 from hilbench.plant.web_line.imitation import Imitation
 from hilbench.results.run_folder import RunFolder
 from hilbench.runs.config import load
-from hilbench.topology.config import BenchConfig, Role
+from hilbench.topology.config import BenchConfig
+from hilbench.topology.parts import Role
 
 
 def imitation_of(config: BenchConfig) -> Imitation:

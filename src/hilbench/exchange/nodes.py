@@ -26,7 +26,8 @@ from hilbench.exchange.cycle import ExpectedPdo
 from hilbench.exchange.effect_objects import effect_object
 from hilbench.exchange.emergencies import Emergency, EmergencyInbox
 from hilbench.exchange.unexpected_senders import Foreign, ForeignFrames, Owned
-from hilbench.topology.config import BenchConfig, NodeConfig, Part, Role
+from hilbench.topology.config import BenchConfig
+from hilbench.topology.parts import NodeConfig, Part, Role
 from hilbench.topology.quantities import EffectPath
 from hilbench.topology.sample import CycleSample
 from hilbench.topology.virtual_io import PROCESS_DATA, IoPdo, ProcessData

@@ -8,7 +8,8 @@ from hilbench.canopen.pdo import PdoMap
 from hilbench.cia402.object_units import si_unit
 from hilbench.cia402.units import DriveUnits
 from hilbench.exchange.nodes import Nodes, declared_units
-from hilbench.topology.config import BenchConfig, Role
+from hilbench.topology.config import BenchConfig
+from hilbench.topology.parts import Role
 
 _MASTER = "bench"
 _NAMES = {code: f"{kind}{k}" for kind, codes in (("TPDO", TPDOS), ("RPDO", RPDOS)) for k, code in enumerate(codes, 1)}

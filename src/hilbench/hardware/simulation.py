@@ -22,7 +22,8 @@ from hilbench.plant.interface import Plant
 from hilbench.plant.motor_port import MotorMode, MotorPort
 from hilbench.processes import say, started_by_bench, stop_request
 from hilbench.real_time import kept_ready
-from hilbench.topology.config import BenchConfig, Role
+from hilbench.topology.config import BenchConfig
+from hilbench.topology.parts import Role
 
 #: In real time the stand goes on without a SYNC that is late by so many cycles after the last one.
 _OVERDUE = 1.5

@@ -26,7 +26,8 @@ from hilbench.exchange.nodes import Nodes, declared_units
 from hilbench.exchange.timeliness import Timeliness
 from hilbench.monitor.condition import SILENCE_S, BenchWatch, Condition
 from hilbench.monitor.trends import trends_of
-from hilbench.topology.config import BenchConfig, Role
+from hilbench.topology.config import BenchConfig
+from hilbench.topology.parts import Role
 
 #: Cycles over which bus load and jitter are counted.
 _WINDOW = 500

@@ -23,8 +23,8 @@ from hilbench.plant.parameters import per_item
 from hilbench.runs.config import ExperimentConfig, LoadedConfig
 from hilbench.runs.prospect import Move, State, moves, start_of
 from hilbench.strict_yaml import Location
-from hilbench.topology.config import Limit
 from hilbench.topology.quantities import SHAFT_COULOMB_FRICTION, SHAFT_INERTIA, SPEED, of_another_machine
+from hilbench.topology.safety import Limit
 
 #: Margins below which a loop is noted.
 _LEAST_GAIN, _LEAST_PHASE_DEG = 2.0, 30.0

@@ -5,11 +5,7 @@ The experiment and its criteria stand in the same file; `hilbench.runs.config` a
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from enum import Enum
-from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import Discriminator, Field, PositiveFloat, Tag, ValidationInfo, field_validator, model_validator
@@ -20,7 +16,7 @@ from hilbench.errors import UnusableInputError
 from hilbench.estimation.servo_axis.config import InertiaConfig
 from hilbench.estimation.web_line.config import EstimationConfig
 from hilbench.plant.effects import EffectPlace, MachineKind, effect_problem, find_effect
-from hilbench.plant.parameters import DriveParameters, EffectEntry, LoadMotorParameters, NotNegative, Positive
+from hilbench.plant.parameters import DriveParameters, EffectEntry, NotNegative, Positive
 from hilbench.plant.sampling import samples_per
 from hilbench.plant.sensors import SensorParameters
 from hilbench.plant.servo_axis.effects import ShaftEffect
@@ -29,12 +25,13 @@ from hilbench.plant.servo_axis.rig import ServoRigParameters
 from hilbench.plant.web_line.parameters import Length, ModelParameters, Modulus
 from hilbench.plant.web_line.rig import CoupledMotor, RigParameters
 from hilbench.real_time import ProcessSettings
+from hilbench.topology.parts import DriveConfig, LoadMotorConfig, NodeConfig, Part, PartName, Role
 from hilbench.topology.quantities import AXES
+from hilbench.topology.safety import SafetyConfig, TimeOut
 from hilbench.topology.signals import Signal, signals_of
 
 Pace = Literal["lockstep", "realtime"]
 Mirroring = Literal["listen", "copy"]
-PartName = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$", max_length=32)]
 #: The machine, by its `kind`; without one it is a web line.
 MachineParameters = Annotated[
     Annotated[ModelParameters, Tag("web_line")] | Annotated[ServoAxisParameters, Tag("servo_axis")],
@@ -46,7 +43,6 @@ MachineParameters = Annotated[
         custom_error_message="kind: web_line or servo_axis",
     ),
 ]
-TimeOut = Annotated[float, Field(gt=0.0, le=3600.0)]
 
 
 class BusConfig(Block):
@@ -67,108 +63,6 @@ class BusConfig(Block):
         except UnusableInputError as error:  # the place is this key's, which pydantic tells
             raise ValueError(error.problem.partition("expected ")[2] or error.problem) from error
         return value
-
-
-class UnitsConfig(Block):
-    """What a drive's own objects do not tell of its units (608Fh, 60A9h, 6076h); motor side."""
-
-    position_rad: PositiveFloat | None = Field(default=None, description="rad per unit of 6064h")
-    velocity_rad_s: PositiveFloat | None = Field(default=None, description="rad/s per unit of 60FFh and 606Ch")
-    rated_torque_Nm: PositiveFloat | None = Field(default=None, description="N·m that 1000 units of 6077h are")
-
-
-def parse_object(key: str) -> tuple[int, int]:
-    """Index and sub-index of ``60A9h`` or ``60C2h:1``. Raises ValueError."""
-    match = re.fullmatch(r"([0-9A-Fa-f]{4})h(?::([0-9]{1,3}))?", key)
-    if match is None:
-        raise ValueError(f"an object such as 60A9h or 60C2h:1, '{key}' is none")
-    return int(match[1], 16), int(match[2] or 0)
-
-
-class NodeConfig(Block):
-    """One CANopen node of the bench."""
-
-    node_id: int = Field(ge=1, le=127, description="CANopen node id; every node has one of its own")
-    eds: Path = Field(description="EDS or DCF file; a relative path is taken from the config file's folder")
-    units: UnitsConfig = Field(default=UnitsConfig(), description="a drive's units where its objects do not tell them")
-    parameters: dict[str, int | float] = Field(
-        default={}, description="objects written to a drive at configuration, device units: {60A9h: 0xFAB44700}"
-    )
-
-    @field_validator("parameters")
-    @classmethod
-    def _name_objects(cls, value: dict[str, int | float]) -> dict[str, int | float]:
-        for key in value:
-            parse_object(key)
-        return value
-
-    @property
-    def writes(self) -> dict[tuple[int, int], int | float]:
-        """`parameters` by index and sub-index."""
-        return {parse_object(key): value for key, value in self.parameters.items()}
-
-    @property
-    def unit_overrides(self) -> dict[str, float]:
-        """The units that the config gives, as `DriveUnits.from_objects` takes them."""
-        return self.units.model_dump(exclude_none=True)
-
-
-class DeviceConfig(NodeConfig):
-    """A node that is a real device, or one of the simulated hardware."""
-
-    simulated: bool = Field(default=True, description="part of the simulated hardware; false: a real device")
-
-
-class DriveConfig(DeviceConfig):
-    """The drive of one driven axis of the machine, and its virtual axis in the twin."""
-
-    virtual: NodeConfig = Field(description="the virtual axis: what the twin plays beside this drive")
-
-
-class LoadMotorConfig(DeviceConfig):
-    """A load motor: it imitates the machine's pull on the shaft of an axis."""
-
-    shaft: str = Field(description="the drive, by its name under `drives:`, on whose shaft the motor sits")
-    motor: LoadMotorParameters = LoadMotorParameters(inertia_kg_m2=0.0005)
-
-
-class Role(Enum):
-    """What a node is for."""
-
-    AXIS = "axis"
-    LOAD_MOTOR = "load motor"
-    VIRTUAL_AXIS = "virtual axis"
-    VIRTUAL_IO = "virtual io"
-
-
-@dataclass(frozen=True)
-class Part:
-    """A node of the bench with its place in the topology.
-
-    `name` is how messages and commands call it; `axis` the number of the driven axis it turns, simulates, or (a load
-    motor) sits on, None for the virtual I/O; `location` where it stands in the config.
-    """
-
-    name: str
-    role: Role
-    node: NodeConfig
-    axis: int | None
-    location: tuple[str, ...]
-
-    @property
-    def label(self) -> str:
-        """The name as it is written in messages."""
-        return self.name.replace("_", " ")
-
-    @property
-    def is_simulated(self) -> bool:
-        """Whether the simulated hardware plays it."""
-        return isinstance(self.node, DeviceConfig) and self.node.simulated
-
-    @property
-    def is_virtual(self) -> bool:
-        """Whether the twin plays it."""
-        return self.role in (Role.VIRTUAL_AXIS, Role.VIRTUAL_IO)
 
 
 class MasterConfig(Block):
@@ -283,65 +177,6 @@ class TensionControlConfig(Block):
         ge=0.0,
         le=2.0,
         description="damping ratio that axis 1 gives the swing of roller 2 against the web; 0: none",
-    )
-
-
-class Limit(Block):
-    """Two levels of one quantity's magnitude; a level that is not given (null) does not exist."""
-
-    warning: PositiveFloat | None = Field(
-        default=None, description="noted once until the quantity has fallen below 95 % of it"
-    )
-    trip: PositiveFloat | None = Field(default=None, description="the bench goes to the safe state")
-
-    @model_validator(mode="after")
-    def _warning_comes_first(self) -> Limit:
-        if self.warning is not None and self.trip is not None and self.warning > self.trip:
-            raise ValueError(f"a warning level that is not above the trip level {self.trip:g}")
-        return self
-
-
-class LimitsConfig(Block):
-    """Levels of warning (noted in the result) and trip (the bench goes to the safe state)."""
-
-    tension_N: Limit = Field(default=Limit(warning=300.0, trip=400.0), description="of the imitated web")
-    torque_Nm: Limit = Field(default=Limit(warning=10.0, trip=15.0), description="of any drive, motor side")
-    speed_m_s: Limit = Field(default=Limit(warning=8.0, trip=10.0), description="of either axis, at the web")
-    speed_rad_s: Limit = Field(default=Limit(warning=80.0, trip=100.0), description="of a servo axis, motor side")
-    position_difference_m: Limit = Field(
-        default=Limit(warning=0.05, trip=0.2),
-        description="of axis 1 from axis 2, beyond what their set points add up to since the drives were enabled",
-    )
-    estimate_ratio: Limit = Field(
-        default=Limit(warning=3.0, trip=10.0),
-        description="of the twin's E or inertia, while it is synchronized, to the model's, or its inverse",
-    )
-
-
-class SafetyConfig(Block):
-    """Limits of a run and how the safe state is reached: all drives at rest by quick stop, then without power."""
-
-    cycle_timeout_s: TimeOut = Field(
-        default=5.0, description="lockstep: wall time to wait for a drive; for the twin 2 s at most"
-    )
-    missing_cycles: int = Field(default=25, ge=1, description="realtime: cycles in a row a PDO may be missing")
-    drive_timeout_s: TimeOut = Field(default=2.0, description="for a drive to reach a requested state")
-    quick_stop_m_s2: float = Field(
-        default=3.0, ge=0.01, le=1000.0, description="deceleration of a quick stop, at the web"
-    )
-    quick_stop_rad_s2: float = Field(
-        default=50.0, ge=0.01, le=1e5, description="deceleration of a quick stop of a servo axis, motor side"
-    )
-    limits: LimitsConfig = LimitsConfig()
-    on_web_break: Literal["stop", "warn"] = Field(default="stop", description="when the twin reports a web break")
-    on_foreign_frames: Literal["stop", "warn"] = Field(
-        default="warn",
-        description="when somebody else sends what only the bench or its nodes send, or writes to the nodes by SDO",
-    )
-    supervisor_timeout_s: TimeOut = Field(
-        default=0.5,
-        description="realtime: silence of the bench's heartbeat after which the supervisor stops the drives; "
-        "lockstep: so much longer than cycle_timeout_s",
     )
 
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 from hilbench.canopen.eds import load_eds
 from hilbench.exchange.device_clock import device_clock
 from hilbench.exchange.nodes import declared_units
-from hilbench.topology.config import BenchConfig, Part, Role
+from hilbench.topology.config import BenchConfig
+from hilbench.topology.parts import Part, Role
 from hilbench.twin.axis_listener import RealAxis, TwinNode
 from hilbench.twin.process import TwinSetup
 

@@ -6,7 +6,7 @@ from math import inf
 from typing import Final
 
 from hilbench.plant.effects import MachineKind
-from hilbench.topology.config import BenchConfig, Limit
+from hilbench.topology.config import BenchConfig
 from hilbench.topology.quantities import (
     LINE_SPEED,
     SHAFT_COULOMB_FRICTION,
@@ -16,6 +16,7 @@ from hilbench.topology.quantities import (
     YOUNGS_MODULUS,
     permitted,
 )
+from hilbench.topology.safety import Limit
 
 #: Sub-index of 2200h, given once and for all, and name in the EDS file of each quantity, by path.
 OPERATOR_OBJECTS: Final = {

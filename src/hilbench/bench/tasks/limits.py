@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator
 from math import inf
 
 from hilbench.errors import BenchFaultError
-from hilbench.topology.config import Limit, LimitsConfig
+from hilbench.topology.safety import Limit, LimitsConfig
 from hilbench.topology.sample import CycleSample
 from hilbench.twin.virtual_io import TwinStatus
 

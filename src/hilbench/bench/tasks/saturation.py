@@ -9,7 +9,8 @@ from dataclasses import dataclass
 
 from hilbench.cia402.state_machine import STATUS_INTERNAL_LIMIT
 from hilbench.plant.parameters import per_item
-from hilbench.topology.config import BenchConfig, Role
+from hilbench.topology.config import BenchConfig
+from hilbench.topology.parts import Role
 from hilbench.topology.sample import CycleSample
 
 #: Share of the limit from which a measured torque is at it.
