@@ -10,10 +10,10 @@ from scipy.signal import lfilter
 from tests.plant.models import DEMONSTRATOR, effect, lone_axis, model
 
 from hilbench.diagnosis.diagnosis import Value
+from hilbench.diagnosis.free_run import FreeRun, between
 from hilbench.diagnosis.measured import measured_from
 from hilbench.diagnosis.misfit import Condition, located, misfits
 from hilbench.diagnosis.noise import floor, repeats, whitening
-from hilbench.diagnosis.predictor import FreeRun, between
 from hilbench.diagnosis.proposals import Proposer, peaks
 from hilbench.diagnosis.space import Linear, Split
 from hilbench.diagnosis.synthetic import hidden_recording

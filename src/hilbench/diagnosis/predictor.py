@@ -1,56 +1,24 @@
-"""Predictions of what a recording measured, from a parameter vector: by a free run, or on the measured motion.
-
-A predictor has `names` of its signals, what was `measured` (signals, n), the `rows` that count (n,), and
-`predict(parameters (B, P)) -> (B, signals, n)`.
-"""
+"""What a diagnosis needs to know of a way to predict what a recording measured from a parameter vector."""
 
 from __future__ import annotations
 
-from copy import copy
 from typing import Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import uniform_filter1d
-from scipy.signal import butter, sosfiltfilt
 
+from hilbench.diagnosis.free_run import FreeRun
 from hilbench.diagnosis.measured import Measured
+from hilbench.diagnosis.measured_motion import OnMeasuredMotion
 from hilbench.diagnosis.misfit import Condition
-from hilbench.diagnosis.noise import floor
-from hilbench.plant.web_line import layout as lay
-from hilbench.plant.web_line.imitation import Imitation, simulate_imitated
-from hilbench.plant.web_line.inverse import required_torque_Nm
-from hilbench.plant.web_line.laws import FRICTION_WIDTH_M_S
-from hilbench.plant.web_line.offline import Simulation, simulate, start_state
+from hilbench.plant.web_line.imitation import Imitation
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.rig import CoupledMotor
-from hilbench.plant.web_line.sizes import machine_sizes
 
 Array = NDArray[np.float64]
 
-#: Speed from which a recording counts as begun under way.
-_MOVES_M_S: Final = 10.0 * FRICTION_WIDTH_M_S
-#: Speed below which an axis stands, how long that acts on what comes after it, s, and the share of a recording that may
-#: be left out.
-_STANDSTILL_M_S: Final = 5.0 * FRICTION_WIDTH_M_S
-_MOVING_S: Final = 0.25
-_MOSTLY: Final = 0.6
-#: Positions are compared without what is slower than this, s, and believed to this share of what the web in the span is
-#: stretched by: in a closed loop they tell so much that the rounding of a command would be found as an effect.
-_WINDOW_S: Final = 2.0
-_TOLERANCE: Final = 0.007
-#: The same on a bench of which it is not known what its drives make of a command.
-_UNROUNDED_TOLERANCE: Final = 0.035
-#: Web transports (L/v) until the guess of a strain under way is forgotten.
-_TRANSPORTS: Final = 6.0
 #: Share of a cycle by which a row of a bench's recording may be off the cycles.
 _UNEVEN_CYCLES: Final = 1e-6
-#: Cycle in which commands of a coarser recording may have changed in truth.
-_FINE_S: Final = 0.002
-#: Share of a corner's bend by which the slopes of one side of it may differ.
-_STRAIGHT: Final = 0.25
-#: Corner of the filter that differentiates measured motion, Hz, and the slowest speed at which friction has a sign.
-_CORNER_HZ: Final = 60.0
 
 
 class Predictor(Protocol):
@@ -92,255 +60,6 @@ class Predictor(Protocol):
 
     def predict(self, parameters: Array) -> Array:
         """(B, P) to (B, signals, n)."""
-
-
-class FreeRun:
-    """The closed model run on the recorded commands; positions as mean and difference, whose noise is independent.
-
-    Both encoders share the clock: their common error is not the one of their difference. With an `imitation` the web is
-    the one that a load motor imitates: late, and without the noise of its sensors.
-    """
-
-    def __init__(self, model: ModelParameters, data: Measured, imitation: Imitation | None = None) -> None:
-        self._model = model
-        self.imitation = imitation
-        self._cycle_s = _FINE_S if imitation is None else imitation.cycle_s
-        self._boundary = data.boundary
-        self._period_s = data.period_s
-        self._commands = [data.commands_m_s if imitation is None else imitation.as_taken(data.commands_m_s)]
-        rows: list[Array] = []
-        names: list[str] = []
-        for axis in sorted(data.tau_Nm):
-            names.append(f"tau{axis}_Nm")
-            rows.append(data.tau_Nm[axis])
-        self._both = {1, 2} <= set(data.x_m)
-        self._positions = sorted(data.x_m)
-        if self._both:
-            names += ["x1_m - x2_m", "(x1_m + x2_m)/2"]
-        else:
-            names += [f"x{axis}_m" for axis in self._positions]
-        self.rows = self._usable(data)
-        self._window = max(3, round(_WINDOW_S / data.period_s))
-        self._weight = self.rows.astype(np.float64)
-        self._mean_weight = np.maximum(self._mean(self._weight), 1.0 / self._window)
-        rows += self._position_rows(data.x_m)
-        speeds = [axis for axis in data.v_m_s if axis not in data.x_m]
-        self._speeds = speeds
-        names += [f"v{axis}_m_s" for axis in speeds]
-        rows += [data.v_m_s[axis] for axis in speeds]
-        self._torques = sorted(data.tau_Nm)
-        self.names, self.measured = tuple(names), np.array(rows)
-        unrounded = imitation is not None and imitation.resolution_m_s is None
-        tolerance_m = (_UNROUNDED_TOLERANCE if unrounded else _TOLERANCE) * _stretch_m(model)
-        self.tolerances = np.array([tolerance_m if "x" in name else 0.0 for name in names])
-        self.every = 1
-        self.exact = True
-        self._start = self._start_state(data)
-        if data.period_s > 1.5 * self._cycle_s:
-            self._choose_hold(data)
-
-        self._data = data
-
-    def with_force(self, force_N: float, time_s: float) -> FreeRun:
-        """The same with a force against the motion of roller 2 from a time on."""
-        other = copy(self)
-        share = np.clip((self._data.t_s + self._period_s - time_s) / self._period_s, 0.0, 1.0)
-        against = force_N * share * np.sign(self._data.commands_m_s[:, 1])
-        other._boundary = self._boundary - np.outer(against, [0.0, 1.0])
-        return other
-
-    def floor(self, signal: int) -> float:
-        """From fourth differences of what was measured."""
-        return floor(self.measured[signal])
-
-    def conditions(self, parameters: Array) -> list[Condition]:
-        """Time, motion of axis 2, tension and strain rate as simulated, angles."""
-        data, model = self._data, self._model
-        run = self._run(parameters)
-        speed = data.commands_m_s[:, 1]
-        found = [
-            Condition("time", "s", data.t_s, spectral=True),
-            Condition("speed of axis 2", "m/s", speed),
-            Condition("acceleration of axis 2", "m/s²", np.gradient(speed, data.period_s)),
-            Condition("tension", "N", run.F_N[:, 0]),
-            Condition("strain rate", "1/s", np.gradient(run.strain[:, 0], data.period_s)),
-        ]
-        for axis, x in sorted(data.x_m.items()):
-            for what, rad_per_m in (("roller", 1.0 / model.radius_m(axis)), ("motor", model.motor_rad_per_m(axis))):
-                name = f"angle of {what} {axis}"
-                found.append(Condition(name, "rad", x * rad_per_m, period=2.0 * np.pi, spectral=True))
-        return found
-
-    def _usable(self, data: Measured) -> NDArray[np.bool_]:
-        """Not the transients of a start under way; not standstill, where dry friction is not one law but many.
-
-        What happens there is forgotten `_MOVING_S` after the axes move again.
-        """
-        speed = abs(float(data.commands_m_s[0].mean()))
-        slow = np.min(np.abs(data.commands_m_s), axis=1) < _STANDSTILL_M_S
-        near = np.convolve(slow, np.ones(round(_MOVING_S / data.period_s) + 1), "full")[: len(slow)] > 0.0
-        usable = ~near if np.mean(near) < _MOSTLY else np.ones(len(slow), bool)
-        if speed > _MOVES_M_S:
-            settle_s = _TRANSPORTS * self._model.span_length_m(1) / speed + 1.0
-            usable[: int(settle_s / data.period_s)] = False
-        return usable
-
-    def _start_state(self, data: Measured) -> Array:
-        parameters = lay.pack(self._model)
-        state = start_state(parameters, self._model)
-        layout = lay.Layout.of(parameters)
-        y, n = layout.y(state), layout.axes
-        moving = abs(float(data.commands_m_s[0].mean())) > _MOVES_M_S
-        for axis in range(1, 3):
-            x = data.x_m.get(axis)
-            if x is not None and (moving or abs(x[0]) > 1e-3):
-                y[axis - 1] = y[2 * n + axis - 1] = x[0]
-            if moving:
-                speed = float(data.commands_m_s[0, axis - 1])
-                y[n + axis - 1] = y[3 * n + axis - 1] = speed
-                torque = float(np.mean(data.tau_Nm[axis][:25])) if axis in data.tau_Nm else 0.0
-                motor = layout.motor_states(state)[axis - 1]
-                motor[[lay.SM_TORQUE_NM, lay.SM_COMMAND_NM, lay.SM_INTEGRAL_NM]] = torque
-                motor[lay.SM_REFERENCE] = speed * self._model.motor_rad_per_m(axis)
-        return state
-
-    def _choose_hold(self, data: Measured) -> None:
-        """A recording coarser than the cycle: were commands held, or did they go on between its rows?"""
-        whole = round(data.period_s / self._cycle_s)
-        if abs(whole * self._cycle_s - data.period_s) > 1e-9 or whole < 2:
-            return
-        fine = between(self._commands[0], whole)
-        held = self._commands if self.imitation is None else self._commands * whole
-        options = [held, [np.ascontiguousarray(fine[:, k, :]) for k in range(whole)]]
-        errors = []
-        for option in options:
-            self._commands = option
-            residual = self.measured - self.predict(lay.pack(self._model)[None, :])[0]
-            errors.append(float(np.sum(np.var(np.diff(residual, axis=-1), axis=-1) / np.var(self.measured, axis=-1))))
-        self._commands = options[int(np.argmin(errors))]
-
-    def predict(self, parameters: Array) -> Array:
-        """(B, P) to (B, signals, n), on all cores."""
-        run = self._run(np.atleast_2d(parameters))
-        tau, x, v = run.tau_Nm, run.x_m, run.v_m_s
-        rows = [tau[..., axis - 1] for axis in self._torques]
-        rows += self._position_rows({axis: x[..., axis - 1] for axis in self._positions})
-        rows += [v[..., axis - 1] for axis in self._speeds]
-        return np.stack(rows, axis=1)
-
-    def _position_rows(self, x_m: dict[int, Array]) -> list[Array]:
-        """Without what is slow in them: an encoder's zero, a quantized speed, add up without end."""
-        rows = [x_m[axis] for axis in self._positions]
-        if self._both:
-            rows = [x_m[1] - x_m[2], 0.5 * (x_m[1] + x_m[2])]
-        return [row - self._mean(row * self._weight) / self._mean_weight for row in rows]
-
-    def _mean(self, row: Array) -> Array:
-        return np.asarray(uniform_filter1d(row, self._window, mode="constant"))
-
-    def _run(self, parameters: Array) -> Simulation:
-        """Of one parameter vector, or of (B, P)."""
-        state = np.broadcast_to(self._start, (*parameters.shape[:-1], len(self._start))).copy()
-        for one, start in zip(np.atleast_2d(parameters), np.atleast_2d(state), strict=True):
-            lay.set_strain(one, start, self._model.upstream_strain)
-            lay.refresh_modes(one, start)
-        whole = len(self._commands)
-        commands, boundary = self._commands[0], self._boundary
-        if whole > 1:
-            commands = np.stack(self._commands, axis=1).reshape(-1, commands.shape[1])
-            boundary = np.repeat(boundary, whole, axis=0)
-        if self.imitation is None:
-            run = simulate(parameters, state, commands, boundary, self._period_s / whole)
-        else:
-            run = simulate_imitated(self.imitation, self._model, parameters, state, commands, boundary)
-        if whole == 1:
-            return run
-        rows = {name: getattr(run, name)[..., ::whole, :] for name in ("x_m", "v_m_s", "tau_Nm", "F_N", "strain")}
-        return Simulation(**rows, state=run.state)
-
-
-def _stretch_m(model: ModelParameters) -> float:
-    """What the web in the first span is usually longer by than it would be at rest."""
-    return machine_sizes(model, 1).strain * model.span_length_m(1)
-
-
-class OnMeasuredMotion:
-    """The torque that the measured motion of a lone axis needs; no control loop has to be known.
-
-    Motion and torque pass the same zero-phase filter, as in identification of robots by inverse dynamics (Gautier,
-    Janot): differentiation does not drown in noise, and nothing is shifted in time.
-    """
-
-    def __init__(self, model: ModelParameters, data: Measured) -> None:
-        self.names = ("tau1_Nm",)
-        self.imitation = None
-        self._period_s = data.period_s
-        nyquist = 0.5 / data.period_s
-        self._filter = butter(4, min(_CORNER_HZ, 0.8 * nyquist) / nyquist, output="sos")
-        smooth = self._smooth(data.x_m[1])
-        self._x = smooth
-        self._v = np.gradient(smooth, data.period_s)
-        self._a = np.gradient(self._v, data.period_s)
-        self.exact = False
-        self.tolerances = np.zeros(1)
-        self.every = max(1, round(1.0 / (4.0 * _CORNER_HZ) / data.period_s))
-        smooth_torque = self._smooth(data.tau_Nm[1])
-        self.measured = smooth_torque[None, :: self.every]
-        self._noise_Nm = floor(data.tau_Nm[1]) * float(np.sqrt(2.0 * _CORNER_HZ * data.period_s))
-        self.rows = np.abs(self._v[:: self.every]) >= _STANDSTILL_M_S
-        edge = round(0.1 / data.period_s / self.every)
-        self.rows[:edge] = self.rows[-edge:] = False
-        self._layout = lay.Layout.of(lay.pack(model))
-
-        self._t_s = data.t_s
-
-    def floor(self, signal: int) -> float:
-        """What of the measured torque is above the band in which motion is known, carried into the band as white."""
-        return self._noise_Nm
-
-    def conditions(self, parameters: Array) -> list[Condition]:
-        """Time and motion."""
-        step = slice(None, None, self.every)
-        return [
-            Condition("time", "s", self._t_s[step], spectral=True),
-            Condition("speed of axis 1", "m/s", self._v[step]),
-            Condition("acceleration of axis 1", "m/s²", self._a[step]),
-            Condition("position of axis 1", "m", self._x[step], spectral=True),
-        ]
-
-    def _smooth(self, values: Array) -> Array:
-        return np.asarray(sosfiltfilt(self._filter, values))
-
-    def predict(self, parameters: Array) -> Array:
-        """(B, P) to (B, 1, n): torque by the laws, filtered as the measurement is."""
-        many = np.atleast_2d(parameters)
-        out = np.empty((len(many), 1, self.measured.shape[1]))
-        for k, vector in enumerate(many):
-            torque = np.empty(len(self._x))
-            required_torque_Nm(vector, self._x, self._v, self._a, self._period_s, torque)
-            out[k, 0] = self._smooth(torque)[:: self.every]
-        return out
-
-
-def between(rows: Array, whole: int) -> Array:
-    """What a piecewise linear signal (n, m), known at every `whole`-th time, was in between: (n, whole, m).
-
-    A corner between two rows lies where the lines through the rows before and behind meet; it matters because a drive's
-    position is the integral of its command. Without two straight pieces that meet in between, the rows are joined.
-    """
-    share = (np.arange(whole) / whole)[None, :, None]
-    slopes = np.diff(rows, axis=0, prepend=rows[:1], append=rows[-1:])  # row k: from k - 1 to k
-    further = np.concatenate([slopes, np.zeros((2, rows.shape[1]))])
-    before, step, after = slopes[:-1], further[1:-2], further[2:-1]
-    bend = after - before
-    before_that = np.concatenate([before[:1], before[:-1]])
-    straight = np.maximum(np.abs(before - before_that), np.abs(further[3:] - after)) < _STRAIGHT * np.abs(bend)
-    corner = np.divide(after - step, bend, out=np.zeros_like(bend), where=straight)
-    meet = (corner > 0.0) & (corner < 1.0)
-    here, ahead = rows[:, None, :], (rows + step)[:, None, :]
-    first, second = here + share * before[:, None, :], ahead - (1.0 - share) * after[:, None, :]
-    broken = np.where(share < corner[:, None, :], first, second)
-    return np.where(meet[:, None, :], broken, here + share * step[:, None, :])
 
 
 def predictor_for(model: ModelParameters, data: Measured, imitation: Imitation | None = None) -> Predictor:

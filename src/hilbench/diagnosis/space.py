@@ -11,8 +11,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from hilbench.diagnosis.free_run import FreeRun
 from hilbench.diagnosis.noise import ORDER, Whitening, scaling, whitening
-from hilbench.diagnosis.predictor import FreeRun, Predictor
+from hilbench.diagnosis.predictor import Predictor
 from hilbench.diagnosis.terms import Term, pack_with
 from hilbench.plant.web_line.parameters import ModelParameters
 
