@@ -10,8 +10,8 @@ balance of its reel, seen through the web and the tension meter, both first-orde
 with lags tau_s of span and tension meter, tau_c of the current loop, tau_r of the reels, and speeds that are recorded
 late. The rewinder's speed is not an input of T2: where a drive gives torque, speed is what comes of it. All are
 deviations from the operating point in whatever units the recording has (a standardized column is as good as one in N).
-Structure after Bastogne, Thomassin, Masse, Control Engineering Practice 15 (2007), with the parameters that data of such
-a line can tell, and no more.
+Structure after Bastogne, Thomassin, Masse, Control Engineering Practice 15 (2007), with the parameters that data of
+such a line can tell, and no more.
 """
 
 from __future__ import annotations
