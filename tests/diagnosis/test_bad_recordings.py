@@ -30,14 +30,20 @@ def scaled(name: str, factor: float) -> Callable[[Channels], Channels]:
     return lambda c: {**c, name: c[name] * factor}
 
 
-def gap(c: Channels) -> Channels:
-    return {name: np.delete(values, slice(1000, 1010)) for name, values in c.items()}
+def both(one: Callable[[Channels], Channels], other: Callable[[Channels], Channels]) -> Callable[[Channels], Channels]:
+    return lambda c: other(one(c))
 
 
-def not_a_number(c: Channels) -> Channels:
+def mostly_no_number(c: Channels) -> Channels:
     torque = c["tau2_Nm"].copy()
-    torque[500] = np.nan
+    torque[::2] = np.nan
     return {**c, "tau2_Nm": torque}
+
+
+def twice(c: Channels) -> Channels:
+    """Two recordings in one file: the clock starts anew."""
+    shifted = {**c, "t_s": c["t_s"] + 0.001, "tau2_Nm": c["tau2_Nm"] + 0.5}
+    return {name: np.concatenate([values, shifted[name]]) for name, values in c.items()}
 
 
 def short(c: Channels) -> Channels:
@@ -56,12 +62,17 @@ def quiet(c: Channels) -> Channels:
     [
         (without("v1_cmd_m_s"), "channel v1_cmd_m_s missing"),
         (without("strain_prev"), "channel strain_prev missing"),
-        (gap, "0.022 s after t = 1.998 s where the others are 0.002 s apart (1 such places)"),
-        (not_a_number, "channel tau2_Nm has 1 value(s) that are no finite number"),
+        (mostly_no_number, "channel tau2_Nm has 3000 value(s) that are no finite number"),
+        (twice, "t_s starts over in sample 6001 (from 11.998 to 0.001 s)"),
+        (scaled("v2_m_s", 60.0 / (2.0 * np.pi)), "v2_m_s is 9.549 times the rate of x2_m, as if v2_m_s were in rpm"),
+        (scaled("v1_m_s", 1000.0), "as if v1_m_s were in mm/s, expected SI units: say so with 'hilbench convert"),
+        (scaled("x1_m", 1.0 / (2.0 * np.pi)), "x1_m: {column: x1_m, factor: 6.28319}"),
+        (scaled("v1_m_s", 3.1), "expected both in the same unit, of the same axis"),
         (short, "expected at least 5 s"),
         (quiet, "nothing moves"),
         (scaled("t_s", 1000.0), "channel t_s: samples 2 s apart"),
-        (scaled("x2_m", 1000.0), "channel x2_m moves"),
+        (scaled("x2_m", 1000.0), "as if x2_m were in mm, expected SI units"),
+        (both(scaled("x2_m", 1000.0), without("v2_m_s")), "channel x2_m moves"),
         (scaled("v2_cmd_m_s", 60.0), "reaches"),
         (scaled("tau1_Nm", 1000.0), "expected N·m within the drive's limit of 9"),
         (scaled("strain_prev", 1e6), "channel strain_prev reaches"),

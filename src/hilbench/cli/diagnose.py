@@ -21,7 +21,7 @@ from hilbench.files import make_folder
 from hilbench.plant.web_line.imitation import Imitation
 from hilbench.plant.web_line.parameters import write_model
 from hilbench.report.diagnosis_page import LIVE_ROWS, write_diagnosis_page
-from hilbench.results.recording import read_recording
+from hilbench.results.recording import read_recording, read_rows
 from hilbench.runs.config import load_with_overrides, write_config_over
 from hilbench.topology.config import BenchConfig
 
@@ -69,7 +69,7 @@ def diagnose_command(source: Path, model_path: Path | None, out: Path | None, *,
                 )
             config, model = config_from(model_path), model_from(model_path)
             progress.announce("read the recording", 0.0)
-            recording = read_recording(source)
+            recording = read_rows(source)
             report_unknown(recording, source)
             imitation = _imitation(source, config)
             diagnosis = diagnose(recording, model, source, progress.announce, imitation)
@@ -175,6 +175,7 @@ def as_data(found: Diagnosis, live: list[LiveGap], not_compared: str, files: _Fi
             }
             for b in found.unobservable
         ],
+        "repairs": [asdict(repair) for repair in found.repairs],
         "missing_channels": found.missing_channels,
         "imitation_cycle_s": None if found.imitation is None else found.imitation.cycle_s,
         "live": [{**asdict(gap), "run": str(gap.run)} for gap in live],
@@ -223,6 +224,8 @@ def _show(console: Console, found: Diagnosis) -> None:
     for blind in found.unobservable:
         place = f" of axis {blind.axis}" if blind.axis else ""
         console.print(f"these data could hardly show {blind.effect}{place}; next experiment: {blind.experiment}")
+    for repair in found.repairs:
+        console.print(f"mended: {repair.text}", soft_wrap=True)
     if found.missing_channels:
         console.print(f"channels not recorded: {', '.join(found.missing_channels)}")
 

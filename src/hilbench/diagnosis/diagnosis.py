@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from math import ceil, log10
 from pathlib import Path
 from typing import Final
@@ -17,6 +17,7 @@ from hilbench.diagnosis.misfit import LARGEST_RATIO, Misfit, located, misfits, r
 from hilbench.diagnosis.noise import Whitening, floor, repeats, scaling
 from hilbench.diagnosis.predictor import Predictor, predictor_for
 from hilbench.diagnosis.proposals import Proposer
+from hilbench.diagnosis.repairs import Repair
 from hilbench.diagnosis.select import Search, Selection
 from hilbench.diagnosis.space import Space
 from hilbench.diagnosis.terms import Term, extended, pack_with
@@ -135,6 +136,7 @@ class Diagnosis:
     held_out: NDArray[np.bool_]
     simulations: int
     imitation: Imitation | None = None  #: how the web was imitated, of a bench's recording
+    repairs: list[Repair] = field(default_factory=list)  #: what was wrong with the recording's rows
 
     @property
     def gap(self) -> Gap:
@@ -221,6 +223,7 @@ def _conclude(
         held_out=test,
         simulations=space.simulations,
         imitation=predictor.imitation,
+        repairs=data.repairs,
     )
 
 

@@ -128,6 +128,7 @@ class FreeRun:
         slow = np.min(np.abs(data.commands_m_s), axis=1) < _STANDSTILL_M_S
         near = np.convolve(slow, np.ones(round(_MOVING_S / data.period_s) + 1), "full")[: len(slow)] > 0.0
         usable = ~near if np.mean(near) < _MOSTLY else np.ones(len(slow), bool)
+        usable &= data.usable(_MOVING_S)
         if speed > _MOVES_M_S:
             settle_s = _TRANSPORTS * self._model.span_length_m(1) / speed + 1.0
             usable[: int(settle_s / data.period_s)] = False

@@ -9,6 +9,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from hilbench.diagnosis.repairs import Repair, mended
 from hilbench.errors import UnusableInputError
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.results.recording import Recording
@@ -26,6 +27,26 @@ _UNEVEN: Final = 0.01
 _FASTEST_M_S, _LARGEST_STRAIN = 100.0, 0.1
 #: Speed below which nothing moves.
 _STANDSTILL_M_S = 1e-3
+#: Time without commands after which a free run has forgotten nothing it should and knows nothing it must, s.
+_LONGEST_GAP_S: Final = 0.5
+#: Share by which two channels of one motion may differ.
+_SAME_MOTION: Final = 0.5
+#: Least share of a motion's variance that two channels of it have in common.
+_ALIKE: Final = 0.9
+#: How many times as fast as its position a speed moves where one of the two is in another unit, and which.
+_UNITS: Final = (
+    (60.0 / (2.0 * np.pi), "v", "rpm", 2.0 * np.pi / 60.0),
+    (180.0 / np.pi, "v", "degrees/s", np.pi / 180.0),
+    (60.0, "v", "m/min (or rad/min)", 1.0 / 60.0),
+    (1000.0, "v", "mm/s", 1e-3),
+    (1.0 / (2.0 * np.pi), "v", "turns/s", 2.0 * np.pi),
+    (2.0 * np.pi, "x", "turns", 2.0 * np.pi),
+    (np.pi / 180.0, "x", "degrees", np.pi / 180.0),
+    (1e-3, "x", "mm", 1e-3),
+    (1e-6, "x", "µm", 1e-6),
+)
+#: Share by which such a ratio may be missed.
+_RATIO: Final = 0.03
 _COMMANDS = ("v1_cmd_m_s", "v2_cmd_m_s")
 _BOUNDARY = ("strain_prev", "F_next_N")
 #: Only a bench has it: who records a web that is there has no load motor.
@@ -45,17 +66,33 @@ class Measured:
     v_m_s: dict[int, Array]
     missing: list[str] = field(default_factory=list)
     imitated: bool = False  #: a load motor stood for the web
+    left_out: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, bool))  #: (n,), or none: see `usable`
+    repairs: list[Repair] = field(default_factory=list)  #: what was wrong with the rows, and is mended
 
     @property
     def duration_s(self) -> float:
         """Length of the recording."""
         return float(self.t_s[-1])
 
+    def usable(self, around_s: float = 0.0) -> NDArray[np.bool_]:
+        """(n,): the rows that are as they were measured, and not within a time of one that is not."""
+        if not np.any(self.left_out):
+            return np.ones(len(self.t_s), bool)
+        width = round(around_s / self.period_s)
+        return np.asarray(np.convolve(self.left_out, np.ones(2 * width + 1), "same") < 0.5)
+
 
 def measured_from(recording: Recording, model: ModelParameters, place: str | Path) -> Measured:
     """Check and take what is needed. Raises UnusableInputError, one line, for what can't be diagnosed."""
-    period_s = _period_s(recording.time_s, place)
     web = model.web is not None
+    found = mended(
+        recording,
+        place,
+        longest_gap_s=_LONGEST_GAP_S if web else float("inf"),
+        limits_Nm=_limits_Nm(model) if web else None,
+    )
+    recording = found.recording
+    period_s = _period_s(recording.time_s, place)
     if web and model.axis_count != 2:
         raise UnusableInputError(place, f"a model of {model.axis_count} rollers, expected two, or a lone axis")
     if web and model.drives is None:
@@ -86,6 +123,8 @@ def measured_from(recording: Recording, model: ModelParameters, place: str | Pat
         v_m_s=channels("v", "_m_s"),
         missing=[name for name in wanted if name not in there],
         imitated=web and _LOAD_MOTOR in recording and bool(np.any(recording[_LOAD_MOTOR])),
+        left_out=found.left_out,
+        repairs=found.repairs,
     )
     _check_plausible(measured, model, place)
     return measured
@@ -114,6 +153,7 @@ def _period_s(t_s: Array, place: str | Path) -> float:
 
 
 def _check_plausible(measured: Measured, model: ModelParameters, place: str | Path) -> None:
+    _check_units(measured, place)
     speeds = {f"v{axis}_m_s": values for axis, values in measured.v_m_s.items()}
     speeds |= {name: measured.commands_m_s[:, k] for k, name in enumerate(_COMMANDS) if measured.commands_m_s.size}
     for name, values in speeds.items():
@@ -129,6 +169,38 @@ def _check_plausible(measured: Measured, model: ModelParameters, place: str | Pa
     moves += [float(np.max(np.abs(v))) * measured.duration_s for v in speeds.values()]
     if max(moves, default=0.0) < _STANDSTILL_M_S * measured.duration_s:
         raise UnusableInputError(place, "nothing moves, expected an experiment with changes of speed and tension")
+
+
+def _limits_Nm(model: ModelParameters) -> dict[str, float]:
+    """Of the torque channels, the limits of the drives."""
+    if model.drives is None:
+        return {}
+    limits = model.drives.torque_limit_Nm
+    each = limits if isinstance(limits, list) else [limits] * model.axis_count
+    return {f"tau{axis}_Nm": float(limit) for axis, limit in enumerate(each, start=1)}
+
+
+def _check_units(measured: Measured, place: str | Path) -> None:
+    """A speed must be the rate of its position: where it is that in other units, they are to be said."""
+    width = max(1, round(0.05 / measured.period_s))
+    for axis in sorted(set(measured.x_m) & set(measured.v_m_s)):
+        whole = len(measured.t_s) // width * width
+        rate = np.diff(measured.x_m[axis][:whole:width]) / (width * measured.period_s)
+        speed = measured.v_m_s[axis][:whole].reshape(-1, width).mean(axis=1)[: len(rate)]
+        both = float(rate @ speed) / max(float(np.linalg.norm(rate) * np.linalg.norm(speed)), 1e-300)
+        ratio = float(rate @ speed) / max(float(rate @ rate), 1e-300)
+        if both < _ALIKE or abs(np.log(max(ratio, 1e-300))) < np.log(1.0 + _SAME_MOTION):
+            continue
+        said = f"channel v{axis}_m_s is {ratio:.4g} times the rate of x{axis}_m"
+        for known, letter, unit, factor in _UNITS:
+            if abs(ratio / known - 1.0) < _RATIO:
+                name = f"v{axis}_m_s" if letter == "v" else f"x{axis}_m"
+                raise UnusableInputError(
+                    place,
+                    f"{said}, as if {name} were in {unit}, expected SI units: say so with 'hilbench convert --columns'"
+                    f" and {name}: {{column: {name}, factor: {factor:.6g}}}",
+                )
+        raise UnusableInputError(place, f"{said}, expected both in the same unit, of the same axis")
 
 
 def _check_positions(measured: Measured, place: str | Path) -> None:

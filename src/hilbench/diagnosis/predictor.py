@@ -19,6 +19,8 @@ Array = NDArray[np.float64]
 
 #: Share of a cycle by which a row of a bench's recording may be off the cycles.
 _UNEVEN_CYCLES: Final = 1e-6
+#: How far a row that is not as it was measured reaches through the filter of the motion, s.
+_FILTERED_S: Final = 0.1
 
 
 class Predictor(Protocol):
@@ -69,7 +71,9 @@ def predictor_for(model: ModelParameters, data: Measured, imitation: Imitation |
     one load motor at the last roller. What happened in its cycles can't be told from rows between them.
     """
     if model.web is None:
-        return OnMeasuredMotion(model, data)
+        on_motion = OnMeasuredMotion(model, data)
+        on_motion.rows &= data.usable(_FILTERED_S)[:: on_motion.every]
+        return on_motion
     imitation = imitation or Imitation(data.period_s, (CoupledMotor(axis=model.axis_count),))
     cycles = data.period_s / imitation.cycle_s
     if not data.imitated or cycles < 0.5 or abs(cycles - round(cycles)) > _UNEVEN_CYCLES:

@@ -263,6 +263,16 @@ _WRITERS = {".mf4": _write_mdf, ".csv": _write_csv, ".csv.gz": _write_csv, ".par
 # -- reading ---------------------------------------------------------------------------------------------------------
 
 
+def read_rows(path: Path) -> Recording:
+    """Read a recording as it is: its time may be missing, out of order, repeated or no number.
+
+    For who mends rows before using them (`hilbench.diagnosis.repairs`). Raises UnusableInputError, one line, for what
+    is no table of numbers.
+    """
+    path = Path(path)
+    return _READERS[_kind(path)](path)
+
+
 def read_recording(path: Path, required: Sequence[str] = ()) -> Recording:
     """Read a recording and check it.
 
@@ -270,8 +280,7 @@ def read_recording(path: Path, required: Sequence[str] = ()) -> Recording:
     channels may hold NaN (a value not known yet). Channels come as one-dimensional arrays, ``t_s`` first.
     Raises UnusableInputError, one line: file, line or sample, what was found and expected.
     """
-    path = Path(path)
-    recording = _READERS[_kind(path)](path)
+    recording = read_rows(path)
     check_recording(recording, path)
     recording.require(required, path)
     return recording
