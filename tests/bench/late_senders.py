@@ -10,7 +10,7 @@ import pytest
 
 from hilbench.bench.lifecycle.in_process import InProcess, ServingLink
 from hilbench.can.frame import Frame
-from hilbench.exchange.cycle import CyclicExchange, ExpectedPdo
+from hilbench.exchange.sync_cycle import ExpectedPdo, SyncCycle
 
 
 class LateLink(ServingLink):
@@ -36,19 +36,19 @@ def late(share: float, cob_ids: set[int], from_cycle: int, seed: int = 5) -> Ite
     """In this share of the cycles the PDOs of these COB-IDs come after the bench has gone on."""
     draw = random.Random(seed)
     links: list[LateLink] = []
-    due_of = CyclicExchange._due
+    due_of = SyncCycle._due
 
     def open_link(self: InProcess) -> LateLink:
         links.append(LateLink(self))
         links[-1].late_ids = frozenset(cob_ids)
         return links[-1]
 
-    def due(self: CyclicExchange) -> dict[int, ExpectedPdo]:
+    def due(self: SyncCycle) -> dict[int, ExpectedPdo]:
         found = due_of(self)
         links[-1].held_now = self.timing.cycles >= from_cycle and draw.random() < share
         return {key: pdo for key, pdo in found.items() if not (links[-1].held_now and key in cob_ids)}
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(InProcess, "open_link", open_link)
-        patch.setattr(CyclicExchange, "_due", due)
+        patch.setattr(SyncCycle, "_due", due)
         yield

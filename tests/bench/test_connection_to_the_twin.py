@@ -17,7 +17,6 @@ from hilbench.bench.state import BenchState
 from hilbench.bench.tasks import twin_connection
 from hilbench.bench.tasks.twin_connection import TwinConnection
 from hilbench.errors import BenchFaultError
-from hilbench.exchange.cycle import ExpectedPdo
 
 TWIN = "virtual io (node 32)"
 
@@ -73,12 +72,6 @@ class Nodes:
     def twin_started(self, syncs: int) -> int:
         return syncs - self.counted
 
-    def expected_pdos(self, twin_since: int = 0) -> list[ExpectedPdo]:
-        return [
-            ExpectedPdo(0x181, 1, "axis1 (node 1)", 8),
-            ExpectedPdo(0x1A0, 1, TWIN, 8, twin_since, vital=False),
-        ]
-
 
 @dataclass
 class Exchange:
@@ -86,11 +79,15 @@ class Exchange:
 
     timing: Any = field(default_factory=lambda: SimpleNamespace(cycles=1))
     silent: set[str] = field(default_factory=set)
-    expected: list[ExpectedPdo] = field(default_factory=list)
+    twin_expected_since: int | None = 0  # None: it is not waited for
     stood_still: int = 0
 
-    def expect(self, pdos: list[ExpectedPdo]) -> None:
-        self.expected = pdos
+    def expect_all(self, twin_since: int) -> None:
+        self.silent.discard(TWIN)
+        self.twin_expected_since = twin_since
+
+    def expect_drives(self) -> None:
+        self.twin_expected_since = None
 
     def stand_still(self, until: Future[None], most_s: float) -> None:
         self.stood_still += 1
@@ -172,7 +169,7 @@ def test_a_lost_twin_is_waited_for_no_longer(bench: Bench, happens: Callable[[Be
     bench.cycles()
     assert bench.away
     assert why in bench.state.twin.why
-    assert [pdo.sender for pdo in bench.exchange.expected] == ["axis1 (node 1)"]
+    assert bench.exchange.twin_expected_since is None
     assert [(change.cycle, change.what) for change in bench.changes] == [(10, "twin_lost")]
 
 
@@ -183,8 +180,7 @@ def test_in_lockstep_a_twin_that_is_heard_again_is_back_in_the_same_cycle(bench:
     bench.cycles()
     assert not bench.away
     assert bench.exchange.stood_still == 1
-    assert TWIN not in bench.exchange.silent
-    assert [pdo.since for pdo in bench.exchange.expected if pdo.sender == TWIN] == [2]
+    assert bench.exchange.twin_expected_since == 2
     assert not bench.state.twin.fresh(sample_of_two_axes(cycle=2))  # a sample from before it was taken back
     assert bench.state.twin.fresh(sample_of_two_axes(cycle=3))
     assert [change.what for change in bench.changes] == ["twin_lost", "twin_back"]

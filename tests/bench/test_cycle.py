@@ -10,7 +10,7 @@ import pytest
 from hilbench.can.confinement import ControllerState
 from hilbench.can.frame import Frame
 from hilbench.errors import BenchFaultError
-from hilbench.exchange.cycle import CyclicExchange, ExpectedPdo
+from hilbench.exchange.sync_cycle import ExpectedPdo, SyncCycle
 
 STATE, SLOW, EVERY = 0x181, 0x281, 10
 
@@ -54,7 +54,7 @@ class NodeLink:
 def test_a_sync_that_is_there_twice_does_not_shift_the_answers() -> None:
     """The second answers are none to the next SYNC, and what comes every tenth SYNC is expected when it comes."""
     link = NodeLink(twice={13, 27, 28})
-    exchange = CyclicExchange(
+    exchange = SyncCycle(
         link,
         cycle_ns=2_000_000,
         bitrate=1_000_000,
@@ -90,8 +90,8 @@ class Tap:
             raise BenchFaultError("trace.log: the trace cannot be written (No space left on device)")
 
 
-def exchange_into(tap: Tap) -> CyclicExchange:
-    return CyclicExchange(
+def exchange_into(tap: Tap) -> SyncCycle:
+    return SyncCycle(
         NodeLink(twice=set()),
         cycle_ns=2_000_000,
         bitrate=1_000_000,
@@ -146,7 +146,7 @@ class SlowLink(NodeLink):
 def test_slow_cycles_do_not_silence_the_heartbeat(delay_s: float, timeout_s: float, heartbeats: set[int]) -> None:
     """Every 500th cycle has one; where that takes long they are 0.6 time-outs and a cycle apart at most."""
     link = SlowLink(delay_s)
-    exchange = CyclicExchange(
+    exchange = SyncCycle(
         link,
         cycle_ns=2_000_000,
         bitrate=1_000_000,

@@ -17,7 +17,7 @@ from hilbench.can.link import Link
 from hilbench.can.open import open_link
 from hilbench.cli.run import show_outcome
 from hilbench.errors import NoAnswerError
-from hilbench.exchange.cycle import CyclicExchange, ExpectedPdo
+from hilbench.exchange.sync_cycle import ExpectedPdo, SyncCycle
 from hilbench.report.html import write_report
 from hilbench.results.result import Timing
 from hilbench.results.run import run_experiment
@@ -91,7 +91,7 @@ class SilentLink:
 
 
 def test_a_missing_answer_that_may_be_our_own_loss_is_told_as_such() -> None:
-    exchange = CyclicExchange(
+    exchange = SyncCycle(
         SilentLink(),
         cycle_ns=2_000_000,
         bitrate=1_000_000,

@@ -16,9 +16,10 @@ from hilbench.bench.machines.machine import MachineTasks
 from hilbench.bench.machines.web_line import BoundaryTask
 from hilbench.bench.state import BenchState
 from hilbench.bench.tasks.reference import Reference
-from hilbench.bench.tasks.task import CyclicTask, Inputs, Outputs
+from hilbench.bench.tasks.task import CyclicTask, Outputs
 from hilbench.bench.tasks.watches import Watch
 from hilbench.errors import BenchFaultError
+from hilbench.exchange.exchange import Inputs
 from hilbench.runs.config import load_with_overrides
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.sample import CycleSample

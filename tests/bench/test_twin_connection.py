@@ -17,7 +17,7 @@ from hilbench.can.frame import Frame
 from hilbench.can.memory import MemoryBus
 from hilbench.canopen.eds import load_eds
 from hilbench.canopen.master import Master
-from hilbench.exchange.cycle import CyclicExchange
+from hilbench.exchange.sync_cycle import SyncCycle
 from hilbench.results.recording import Recording, read_recording
 from hilbench.results.result import Result
 from hilbench.results.run import run_experiment
@@ -63,16 +63,16 @@ def test_a_twin_whose_nodes_somebody_commands_is_taken_back(tmp_path: Path, numb
 def test_a_twin_that_never_comes_back_holds_up_no_cycle(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     stops: list[float] = []
     before = [time.monotonic()]
-    cycle = CyclicExchange.exchange
+    cycle = SyncCycle.exchange
 
-    def watched(self: CyclicExchange, outgoing: Sequence[Frame]) -> list[Frame]:
+    def watched(self: SyncCycle, outgoing: Sequence[Frame]) -> list[Frame]:
         began = time.monotonic()
         stops.append(began - before[0])
         frames = cycle(self, outgoing)
         before[0] = time.monotonic()
         return frames
 
-    monkeypatch.setattr(CyclicExchange, "exchange", watched)
+    monkeypatch.setattr(SyncCycle, "exchange", watched)
     steps = [
         {"ramp": {"path": "line_speed_m_s", "to": SPEED_M_S, "duration_s": 0.4}},
         {"hold": {"duration_s": 6.0}},

@@ -19,8 +19,10 @@ from hilbench.bench.tasks.tension_control import TensionController
 from hilbench.bench.tasks.twin_connection import TwinConnection
 from hilbench.cia402.state_machine import State
 from hilbench.estimation.web_line.tracking import Tracking
-from hilbench.exchange.cycle import CyclicExchange
+from hilbench.exchange.exchange import Exchange
 from hilbench.exchange.nodes import Nodes
+from hilbench.exchange.own_node import OwnNode
+from hilbench.exchange.sync_cycle import SyncCycle
 from hilbench.hardware.simulation import RigApplication
 from hilbench.results import run as runs
 from hilbench.results.journal import JournalWriter
@@ -94,10 +96,11 @@ def ended(path: Path, folder: Path) -> tuple[Result, str, str]:
         (Nodes, "encode"),
         (Nodes, "fill"),
         (TwinConnection, "before"),
-        (OperatorObjects, "handle"),
+        (OwnNode, "handle"),
         (OperatorObjects, "changes"),
         (TraceWriter, "write"),
-        (CyclicExchange, "exchange"),
+        (Exchange, "cycle"),
+        (SyncCycle, "exchange"),
         (Tracking, "compare"),
         (Operator, "set"),
         (runs.Recorder, "sample"),

@@ -23,9 +23,9 @@ from hilbench.can.load import cycle_load
 from hilbench.can.open import open_link
 from hilbench.canopen.identifiers import HEARTBEAT, NMT, NmtCommand
 from hilbench.errors import BenchFaultError
-from hilbench.exchange.cycle import CyclicExchange
 from hilbench.exchange.nodes import Nodes
 from hilbench.exchange.pacing import Pacing
+from hilbench.exchange.sync_cycle import SyncCycle
 from hilbench.runs.config import load_with_overrides
 from hilbench.topology.config import BenchConfig
 from performance.table import Section
@@ -99,7 +99,7 @@ def _three_drives(config: BenchConfig, seconds: float) -> Section:
         ids = [drive.settings.node_id for drive in nodes.drives]
         _wait_for_boot(link.receive, ids)
         link.send([Frame(NMT, NmtCommand.START.to(node_id)) for node_id in ids])
-        exchange = CyclicExchange(
+        exchange = SyncCycle(
             link,
             cycle_ns=config.cycle_ns,
             bitrate=config.bus.bitrate,

@@ -24,7 +24,8 @@ from hilbench.bench.tasks.twin_connection import TwinConnection
 from hilbench.bench.tasks.watches import ControllerWatch, EmergencyWatch, LatenessWatch, SupervisorWatch
 from hilbench.errors import UnusableValueError
 from hilbench.estimation.web_line.synchronizers.create import METHODS
-from hilbench.exchange.cycle import CyclicExchange, FrameTap
+from hilbench.exchange.exchange import Exchange
+from hilbench.exchange.frame_tap import FrameTap
 from hilbench.exchange.nodes import Nodes
 from hilbench.exchange.timeliness import Timeliness
 from hilbench.processes import ChildProcess
@@ -112,6 +113,7 @@ class Bench:
             started = self._resources.enter_context(
                 bring_up(
                     self.config,
+                    objects=self._operator.objects.store,
                     tap=self._tap,
                     work_folder=self._work_folder,
                     participants=self._participants,
@@ -161,9 +163,7 @@ class Bench:
         ]
         self._cycle = BenchCycle(
             state,
-            nodes,
             exchange,
-            self._operator.objects,
             machine=self._machine.control,
             watches=watches,
             observers=self._observers,
@@ -224,7 +224,7 @@ class Bench:
         return self._state.reports.notices
 
     @property
-    def exchange(self) -> CyclicExchange | None:
+    def exchange(self) -> Exchange | None:
         """The cyclic path, once the nodes are operational."""
         return self._state.exchange
 

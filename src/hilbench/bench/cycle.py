@@ -8,12 +8,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Protocol
 
-from hilbench.bench.operator.operator_objects import OperatorObjects
 from hilbench.bench.state import BenchState
 from hilbench.bench.tasks.task import CyclicTask, Outputs, overrides
 from hilbench.errors import EXIT_INTERRUPTED, BenchFaultError, HilbenchError
-from hilbench.exchange.cycle import CyclicExchange
-from hilbench.exchange.nodes import Nodes
+from hilbench.exchange.exchange import Exchange, Inputs
+from hilbench.exchange.unexpected_senders import Unexpected
 from hilbench.topology.sample import CycleSample
 
 
@@ -40,9 +39,7 @@ class BenchCycle:
     def __init__(
         self,
         state: BenchState,
-        nodes: Nodes,
-        exchange: CyclicExchange,
-        objects: OperatorObjects,
+        exchange: Exchange,
         *,
         machine: Sequence[CyclicTask],
         watches: Sequence[CyclicTask],
@@ -50,9 +47,7 @@ class BenchCycle:
         stop_on_unexpected_frames: bool,
     ) -> None:
         self._state = state
-        self._nodes = nodes
         self._exchange = exchange
-        self._objects = objects
         self._command = [task.before for task in machine if overrides(task, "before")]
         self._rest = [task.rest for task in machine if overrides(task, "rest")]
         self._follow = [task.after for task in machine if overrides(task, "after")]
@@ -81,48 +76,49 @@ class BenchCycle:
             raise InterruptedByOperatorError("interrupted, drives were stopped")
         for before in self._watch_before:
             before(sample, outputs)
-        self.exchange()
+        inputs = self.exchange()
         for after in self._watch_after:
-            after(sample, self._nodes)
+            after(sample, inputs)
         for observer in self._observers:
             observer.sample(sample)
         return sample
 
-    def exchange(self) -> None:
+    def exchange(self) -> Inputs:
         """Set points and SYNC out, measurements in; the machine's tasks rest while the drives are not enabled."""
-        state, nodes, exchange = self._state, self._nodes, self._exchange
+        state, exchange = self._state, self._exchange
         sample, outputs = state.sample, Outputs()
         for command in self._command if state.enabled else self._rest:
             command(sample, outputs)
-        received = exchange.exchange([*nodes.encode(outputs), *self._objects.answers()])
-        self._objects.handle(received)
         try:
-            nodes.decode(received, exchange.before_sync)
+            inputs = exchange.cycle(outputs)
         finally:
-            self._report_unexpected_frames()
-        self._check_unexpected_frames()
-        nodes.fill(sample)
+            if exchange.unexpected:
+                self._report(exchange.unexpected)
+        if exchange.unexpected:
+            self._check(exchange.unexpected)
+        inputs.fill(sample)
         sample.cycle = exchange.timing.cycles
-        sample.twin_age_cycles = nodes.twin_age(sample.cycle - state.twin.started_cycle)
+        sample.twin_age_cycles = inputs.twin_age(sample.cycle - state.twin.started_cycle)
         sample.t_s = state.experiment_time_s(sample.cycle)
         sample.bus_bits = exchange.last_bits
         if state.enabled:
             for follow in self._follow:
-                follow(sample, nodes)
+                follow(sample, inputs)
+        return inputs
 
-    def _report_unexpected_frames(self) -> None:
+    def _report(self, unexpected: Sequence[Unexpected]) -> None:
         """Somebody else who sends as the bench or its nodes do, or changes them."""
         reports = self._state.reports
-        for found in self._nodes.foreign:
+        for found in unexpected:
             source = f"foreign frames, {found.about}"
             reports.note(source, found.text, count=found.count)
             if found.certain:
                 reports.condition("foreign frames", f"{source}: {found.text}")
 
-    def _check_unexpected_frames(self) -> None:
+    def _check(self, unexpected: Sequence[Unexpected]) -> None:
         if not self._stop_on_unexpected_frames or self._state.stopping:
             return
-        for found in self._nodes.foreign:
+        for found in unexpected:
             if found.certain:
                 time_s = self._state.sample.t_s
                 raise BenchFaultError(f"t = {time_s:.3f} s: foreign frames, {found.about}: {found.text}")

@@ -10,7 +10,7 @@ from hilbench.bench.reports.causes import Causes
 from hilbench.bench.reports.change import Change
 from hilbench.bench.reports.notice import Notices
 from hilbench.errors import BenchFaultError, BenchNotRunningError, EmergencyStopError
-from hilbench.exchange.cycle import CyclicExchange
+from hilbench.exchange.exchange import Exchange
 from hilbench.topology.sample import CycleSample
 
 #: What a message calls a bench that is not running (any more).
@@ -67,7 +67,7 @@ class BenchState:
     fault_time_s: float | None = None  #: when what led to the safe state was seen
     safe_state_problems: list[str] = field(default_factory=list)
     twin: TwinState = field(default_factory=TwinState)
-    exchange: CyclicExchange | None = None
+    exchange: Exchange | None = None
 
     def __post_init__(self) -> None:
         self.reports = Reports(self.sample, self.announce)
@@ -77,7 +77,7 @@ class BenchState:
         if self.phase != "made":
             raise BenchNotRunningError(f"the bench {_WHERE[self.phase]}, expected a new Bench for each 'with'")
 
-    def running(self) -> CyclicExchange:
+    def running(self) -> Exchange:
         """The exchange with the nodes. Raises BenchNotRunningError before a bench was entered and once it was left."""
         if self.phase != "running" or self.exchange is None:
             where = _WHERE[self.phase]

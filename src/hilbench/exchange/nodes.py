@@ -22,10 +22,10 @@ from hilbench.cia402.state_machine import State, decode_statusword
 from hilbench.cia402.units import DriveUnits
 from hilbench.errors import BenchFaultError
 from hilbench.exchange.answers import Tpdo
-from hilbench.exchange.cycle import ExpectedPdo
 from hilbench.exchange.effect_objects import effect_object
 from hilbench.exchange.emergencies import Emergency, EmergencyInbox
-from hilbench.exchange.unexpected_senders import Foreign, ForeignFrames, Owned
+from hilbench.exchange.sync_cycle import ExpectedPdo
+from hilbench.exchange.unexpected_senders import Owned, Unexpected, UnexpectedSenders
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.parts import NodeConfig, Part, Role
 from hilbench.topology.quantities import EffectPath
@@ -165,8 +165,8 @@ class Nodes:
             for pdo in (self.io.state, self.io.quality, self.io.status)
         ]
         self._tpdos |= {pdo.cob_id: pdo for pdo in self._twin_tpdos}
-        self._watch: ForeignFrames | None = None  # from when the master is known
-        self.foreign: list[Foreign] = []  #: what came in this cycle and is not of the bench or its nodes
+        self._watch: UnexpectedSenders | None = None  # from when the master is known
+        self.unexpected: list[Unexpected] = []  #: what came in this cycle and is not of the bench or its nodes
         self._cycle = 0
         self._heard_cycle: dict[int, int] = {}
         self._silence_cycles = round(_HEARTBEATS_MISSED * config.master.node_heartbeat_ms * 1e-3 / config.cycle_time_s)
@@ -230,7 +230,7 @@ class Nodes:
     def introduce(self, master: Master) -> None:
         """Make all nodes known to the master."""
         self._master = master
-        self._watch = ForeignFrames(self._owned(), master.sent.take)
+        self._watch = UnexpectedSenders(self._owned(), master.sent.take)
         for part in self.config.parts:
             master.add(part.node.node_id, self._ods[part.name], part.label)
 
@@ -417,7 +417,7 @@ class Nodes:
         self._torque_before_Nm = self.axes[-1].feedback.torque_Nm
 
     def _answers(self, frames: Sequence[Frame], before_sync: int) -> dict[int, bytes]:
-        """The answers to this SYNC by COB-ID; what is beside them is counted, and in `foreign`."""
+        """The answers to this SYNC by COB-ID; what is beside them is counted, and in `unexpected`."""
         tpdos = self._tpdos
         for tpdo in tpdos.values():
             tpdo.begin()
@@ -433,7 +433,7 @@ class Nodes:
             self.malformed += tpdo.wrong_size
             if tpdo.data is not None:
                 data[cob_id] = tpdo.data
-        self.foreign = self._watch.look(frames, tpdos.values()) if self._watch else []
+        self.unexpected = self._watch.look(frames, tpdos.values()) if self._watch else []
         return data
 
     def ages_cycles(self) -> tuple[int, ...]:

@@ -36,7 +36,7 @@ _BY_CHANCE, _CHANCE_CYCLES = 2, 500
 
 
 @dataclass(frozen=True)
-class Foreign:
+class Unexpected:
     """Frames of one kind in one cycle. `certain`: it can't be a whim of the wire."""
 
     about: str  #: the node that they are of, or to
@@ -55,7 +55,7 @@ class Owned:
     rpdos: Mapping[int, str]  #: COB-IDs of the set points, and whom they are to
 
 
-class ForeignFrames:
+class UnexpectedSenders:
     """Looks at what came in each cycle. `sent`: whether the bench's own configuration has sent such a frame, once."""
 
     def __init__(self, owned: Owned, sent: Callable[[int, bytes], bool]) -> None:
@@ -79,14 +79,14 @@ class ForeignFrames:
         self._cycle = 0
         self._surplus: dict[int, list[int]] = {}  # by COB-ID: the cycles of the last ones
 
-    def look(self, frames: Iterable[Frame], tpdos: Iterable[Tpdo]) -> list[Foreign]:
+    def look(self, frames: Iterable[Frame], tpdos: Iterable[Tpdo]) -> list[Unexpected]:
         """What was foreign among the frames of a cycle; `tpdos` have told their answers apart."""
         self._cycle += 1
         read = self._read
         for can_id, data, _ in frames:
             if can_id in read and not self._sent(can_id, data):
                 self._look_at(can_id, data)
-        found = [Foreign(about, text, count, certain=True) for (about, text), count in self._found.items()]
+        found = [Unexpected(about, text, count, certain=True) for (about, text), count in self._found.items()]
         if self._seen:
             self._seen, self._kinds, self._last, self._found = {}, {}, {}, {}
         for tpdo in tpdos:
@@ -109,14 +109,14 @@ class ForeignFrames:
         if told is not None:
             self._found[told] = self._found.get(told, 0) + 1
 
-    def _beside(self, tpdo: Tpdo) -> Iterable[Foreign]:
+    def _beside(self, tpdo: Tpdo) -> Iterable[Unexpected]:
         where = f"TPDO (COB-ID {tpdo.cob_id:03X}h)"
         if tpdo.wrong_size:
             text = f"{where} of a length other than {tpdo.size} bytes: not used"
-            yield Foreign(tpdo.sender, text, tpdo.wrong_size, certain=self._is_no_chance(tpdo))
+            yield Unexpected(tpdo.sender, text, tpdo.wrong_size, certain=self._is_no_chance(tpdo))
         if tpdo.surplus:
             text = f"{where} more often than SYNC asks for it: of two senders the first behind SYNC is used"
-            yield Foreign(tpdo.sender, text, tpdo.surplus, certain=self._is_no_chance(tpdo))
+            yield Unexpected(tpdo.sender, text, tpdo.surplus, certain=self._is_no_chance(tpdo))
 
     def _is_no_chance(self, tpdo: Tpdo) -> bool:
         cycles = self._surplus.setdefault(tpdo.cob_id, [])

@@ -18,7 +18,6 @@ from operator import attrgetter
 from pathlib import Path
 
 from hilbench.bench.machines.kinds import machine_tasks
-from hilbench.bench.operator.operator_objects import answer_id
 from hilbench.bench.reports.change import Change
 from hilbench.bench.state import BenchState
 from hilbench.bench.tasks.task import Outputs
@@ -30,6 +29,7 @@ from hilbench.cia402.state_machine import State
 from hilbench.cia402.units import DriveUnits
 from hilbench.errors import BenchFaultError, UnusableInputError
 from hilbench.exchange.nodes import Nodes
+from hilbench.exchange.own_node import answer_id
 from hilbench.results.journal import read_journal
 from hilbench.results.junit import write_junit
 from hilbench.results.recording import LEAST_SAMPLES, Recording, RecordingBuilder, write_recording
@@ -121,7 +121,8 @@ def replay(config: BenchConfig, folder: RunFolder) -> Recovery:
     """Decode the frames of a run as its bench did. Raises UnusableInputError for a trace that shows no two cycles."""
     nodes = Nodes(config)
     reader = TraceReader(folder.trace)
-    own = {cob_id for cob_id, _ in _own_frames(nodes)} | {HEARTBEAT + config.master.node_id, answer_id(config)}
+    master_id = config.master.node_id
+    own = {cob_id for cob_id, _ in _own_frames(nodes)} | {HEARTBEAT + master_id, answer_id(master_id)}
     cycles = _cycles(reader, own, nodes.axes[0].pdos.rpdo.cob_id)
     configuration = next(cycles, _Cycle())
     _take_units(nodes, configuration.received)

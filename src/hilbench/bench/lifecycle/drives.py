@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
 
 from hilbench.bench.cycle import BenchCycle
 from hilbench.bench.lifecycle.safety import confirm_stopped, quick_stop
@@ -13,7 +12,7 @@ from hilbench.bench.reports.change import Change
 from hilbench.bench.state import BenchState
 from hilbench.cia402.drive import Drive, DriveGoal
 from hilbench.errors import BenchFaultError, EmergencyStopError, HilbenchError
-from hilbench.exchange.cycle import CyclicExchange
+from hilbench.exchange.exchange import Exchange
 from hilbench.exchange.nodes import Nodes
 
 #: Time for the axes to stand still again after the load motor has let go.
@@ -30,7 +29,7 @@ class Drives:
         self,
         state: BenchState,
         nodes: Nodes,
-        exchange: CyclicExchange,
+        exchange: Exchange,
         cycle: BenchCycle,
         *,
         lockstep: bool,
@@ -109,7 +108,7 @@ class Drives:
     def _quick_stop(self) -> None:
         """No drive is vital any more: who does not answer must not keep the others from being stopped."""
         nodes, exchange = self._nodes, self._exchange
-        exchange.expect([replace(pdo, vital=False) for pdo in nodes.expected_pdos() if pdo.vital])
+        exchange.expect_drives(vital=False)
         nodes.twin_is_not_waited_for()
 
         def silent(drive: Drive) -> bool:
@@ -139,11 +138,5 @@ class Drives:
 
     def _confirm_stopped(self, drives: Sequence[Drive]) -> None:
         """Ask drives that send no PDOs any more; SYNC goes on, because simulated time does with it."""
-        exchange = self._exchange
-        exchange.expect([])
-
-        def cycle() -> None:
-            exchange.exchange([])
-            exchange.discard_waiting()
-
-        confirm_stopped(drives, self._nodes.read_statusword, cycle, self._state.cycle_s)
+        self._exchange.expect_nobody()
+        confirm_stopped(drives, self._nodes.read_statusword, self._exchange.sync_only, self._state.cycle_s)

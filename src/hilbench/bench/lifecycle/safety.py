@@ -16,7 +16,7 @@ _ASK_EVERY = 25
 
 
 def quick_stop(
-    drives: Sequence[Drive], silent: Callable[[Drive], bool], exchange: Callable[[], None], cycle_s: float
+    drives: Sequence[Drive], silent: Callable[[Drive], bool], exchange: Callable[[], object], cycle_s: float
 ) -> None:
     """Quick stop every drive and run cycles until all that answer (not `silent`) stand still.
 
@@ -42,7 +42,7 @@ def quick_stop(
 
 
 def confirm_stopped(
-    drives: Sequence[Drive], statusword: Callable[[Drive], int], exchange: Callable[[], None], cycle_s: float
+    drives: Sequence[Drive], statusword: Callable[[Drive], int], exchange: Callable[[], object], cycle_s: float
 ) -> None:
     """Run cycles until drives that send no PDOs (after an emergency stop) report by SDO that they have stopped.
 

@@ -19,9 +19,11 @@ from hilbench.canopen.emergency_stop import EMERGENCY_STOP_COB_ID
 from hilbench.canopen.identifiers import NmtCommand
 from hilbench.canopen.master import Master
 from hilbench.canopen.mastery import mastery
+from hilbench.canopen.object_store import ObjectStore
 from hilbench.canopen.sdo_client import SentFrames
 from hilbench.errors import BusError, EmergencyStopError, UnusableInputError
-from hilbench.exchange.cycle import CyclicExchange, FrameTap
+from hilbench.exchange.exchange import Exchange
+from hilbench.exchange.frame_tap import FrameTap
 from hilbench.exchange.nodes import Nodes
 from hilbench.processes import ChildProcess
 from hilbench.real_time import kept_ready
@@ -46,7 +48,7 @@ class StartedBench:
     """What runs once the nodes are operational."""
 
     nodes: Nodes
-    exchange: CyclicExchange
+    exchange: Exchange
     children: list[ChildProcess]
     supervisor: ChildProcess | None  #: None when there is no heartbeat to watch
     warnings: list[str]  #: what the config asks of the operating system and is not permitted
@@ -71,6 +73,7 @@ def held_bus(config: BenchConfig, participants: Participants, *, force: bool = F
 def bring_up(
     config: BenchConfig,
     *,
+    objects: ObjectStore,
     tap: FrameTap | None,
     work_folder: Path | None,
     participants: Participants,
@@ -78,8 +81,8 @@ def bring_up(
 ) -> Iterator[StartedBench]:
     """Start the simulated hardware and the twin (unless they run already), configure the nodes, start them (NMT).
 
-    Everything is ended again on leaving. Raises BenchFaultError when a process ends, a node does not answer, or
-    refuses what it is sent.
+    `objects`: those of the bench's own node. Everything is ended again on leaving. Raises BenchFaultError when a
+    process ends, a node does not answer, or refuses what it is sent.
     """
     with ExitStack() as resources:
         folder = work_folder or Path(resources.enter_context(tempfile.TemporaryDirectory(prefix="hilbench-")))
@@ -120,17 +123,7 @@ def bring_up(
             master.receive_only_answers()
         warnings: list[str] = []
         resources.enter_context(kept_ready(config.process_settings("bench"), warnings.append))
-        exchange = CyclicExchange(
-            link,
-            cycle_ns=config.cycle_ns,
-            bitrate=config.bus.bitrate,
-            lockstep=config.pace == "lockstep",
-            expected=nodes.expected_pdos(),
-            timeout_s=config.safety.cycle_timeout_s,
-            missing_limit=config.safety.missing_cycles,
-            heartbeat=(config.master.node_id, config.master.heartbeat_ms),
-            tap=tap,
-        )
+        exchange = Exchange(nodes, link, objects, tap=tap)
         resources.callback(_release_nodes, master, exchange)
         yield StartedBench(nodes, exchange, children, supervisor, warnings)
 
@@ -168,7 +161,7 @@ def check_that_they_wait(config: BenchConfig, master: Master) -> None:
         )
 
 
-def _release_nodes(master: Master, exchange: CyclicExchange) -> None:
+def _release_nodes(master: Master, exchange: Exchange) -> None:
     """Leave the nodes in PRE-OPERATIONAL; on a bus that was lost they are on their own."""
     with suppress(BusError):
         exchange.discard_waiting()

@@ -11,8 +11,9 @@ from hilbench.bench.tasks.load_model import LoadModel
 from hilbench.bench.tasks.load_task import LoadTask
 from hilbench.bench.tasks.reference import Reference
 from hilbench.bench.tasks.saturation import SaturationWatch
-from hilbench.bench.tasks.task import CyclicTask, Inputs, Outputs
+from hilbench.bench.tasks.task import CyclicTask, Outputs
 from hilbench.bench.tasks.watches import Watch
+from hilbench.exchange.exchange import Inputs
 from hilbench.plant.sampled_shaft import imitation_delay_s
 from hilbench.plant.servo_axis.imitation import ImitatedShaft
 from hilbench.plant.servo_axis.stability import sampled_shaft

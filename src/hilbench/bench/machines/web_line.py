@@ -12,13 +12,14 @@ from hilbench.bench.tasks.load_task import LoadTask
 from hilbench.bench.tasks.reference import Reference
 from hilbench.bench.tasks.saturation import SaturationWatch
 from hilbench.bench.tasks.swing_damping import SwingDamping, SwingPlant
-from hilbench.bench.tasks.task import CyclicTask, Inputs, Outputs
+from hilbench.bench.tasks.task import CyclicTask, Outputs
 from hilbench.bench.tasks.tension_control import TensionController
 from hilbench.bench.tasks.tension_task import TensionTask
 from hilbench.bench.tasks.twin_trust import TwinTrust
 from hilbench.bench.tasks.watches import Watch
 from hilbench.errors import BenchFaultError
 from hilbench.estimation.plausibility import Problem
+from hilbench.exchange.exchange import Inputs
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.quantities import LINE_SPEED
 from hilbench.topology.sample import CycleSample

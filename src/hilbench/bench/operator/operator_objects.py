@@ -16,11 +16,8 @@ from canopen.objectdictionary import ODRecord, ODVariable
 
 import canopen
 from hilbench.bench.machines.ranges import OPERATOR_OBJECTS, operator_ranges
-from hilbench.can.frame import Frame
 from hilbench.canopen.data_types import REAL32, UNSIGNED8, UNSIGNED32
-from hilbench.canopen.identifiers import SDO_ANSWER, SDO_REQUEST
 from hilbench.canopen.object_store import INVALID_VALUE, PRESENT_STATE, Cell, ObjectStore, SdoAbort
-from hilbench.canopen.sdo_server import DeviceSdoServer
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.quantities import permitted
 
@@ -36,33 +33,16 @@ _IDENTITY: Final = (
 
 
 class OperatorObjects:
-    """The SDO server of the bench's node. `get`: present value of a path; `may_change`: whether it may be now."""
+    """The objects of the bench's node. `get`: present value of a path; `may_change`: whether it may be changed now."""
 
     def __init__(self, config: BenchConfig, get: Callable[[str], float], may_change: Callable[[str], bool]) -> None:
-        node_id = config.master.node_id
         self.asked: list[tuple[str, float]] = []  #: accepted and not applied yet, in their order
-        self._request_id = request_id(config)
-        self._answers: list[Frame] = []
         ranges = operator_ranges(config)
-        store = ObjectStore(dictionary(ranges))
+        self.store = ObjectStore(dictionary(ranges))
         for path, (least, largest) in ranges.items():
-            cell = store.cell(INDEX, OPERATOR_OBJECTS[path][0])
+            cell = self.store.cell(INDEX, OPERATOR_OBJECTS[path][0])
             cell.variable.min, cell.variable.max = least, largest  # type: ignore[assignment]
             self._serve(cell, path, get, may_change)
-        self._server = DeviceSdoServer(
-            node_id, store, lambda can_id, data: self._answers.append(Frame(can_id, bytes(data)))
-        )
-
-    def handle(self, frames: Iterable[Frame]) -> None:
-        """Look for requests in what came in a cycle."""
-        for can_id, data, _ in frames:
-            if can_id == self._request_id:
-                self._server.handle(data)
-
-    def answers(self) -> list[Frame]:
-        """What is to be sent with the next cycle."""
-        answers, self._answers = self._answers, []
-        return answers
 
     def changes(self) -> list[tuple[str, float]]:
         """What was asked for since the last call."""
@@ -79,16 +59,6 @@ class OperatorObjects:
 
         cell.on_write = write
         cell.on_read = lambda: get(path)
-
-
-def request_id(config: BenchConfig) -> int:
-    """COB-ID of the requests, which the bench receives."""
-    return SDO_REQUEST + config.master.node_id
-
-
-def answer_id(config: BenchConfig) -> int:
-    """COB-ID of the answers, which the bench sends."""
-    return SDO_ANSWER + config.master.node_id
 
 
 def dictionary(paths: Iterable[str] = OPERATOR_OBJECTS) -> canopen.ObjectDictionary:

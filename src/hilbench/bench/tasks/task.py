@@ -2,30 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Literal, Protocol
 
-from hilbench.exchange.emergencies import Emergency
+from hilbench.exchange.exchange import Inputs
 from hilbench.topology.sample import CycleSample
 
 #: What goes to the nodes with the next SYNC, SI: set points by the names of the drives (velocity on the side of the
 #: machine, or torque at the shaft), and what the twin gets to know, by the names of the signals.
 Outputs = dict[str, float]
-
-
-class Inputs(Protocol):
-    """What the exchange knows of a cycle beside the sample."""
-
-    @property
-    def emergencies(self) -> Mapping[Emergency, int]:
-        """EMCY messages of this cycle in their order, and how many of each came."""
-
-    @property
-    def axes_late(self) -> bool:
-        """Whether the positions of the axes are not those of this SYNC."""
-
-    def ages_cycles(self) -> tuple[int, ...]:
-        """How many cycles old the samples in use are, of each drive."""
 
 
 class CyclicTask:

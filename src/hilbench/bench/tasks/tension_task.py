@@ -5,9 +5,10 @@ from __future__ import annotations
 from hilbench.bench.state import Reports, TwinState
 from hilbench.bench.tasks.reference import Reference
 from hilbench.bench.tasks.swing_damping import SwingDamping
-from hilbench.bench.tasks.task import CyclicTask, Inputs, Outputs
+from hilbench.bench.tasks.task import CyclicTask, Outputs
 from hilbench.bench.tasks.tension_control import TensionController
 from hilbench.bench.tasks.twin_trust import TwinTrust
+from hilbench.exchange.exchange import Inputs
 from hilbench.topology.quantities import TENSION_SET_POINT
 from hilbench.topology.sample import CycleSample
 

@@ -16,7 +16,7 @@ from hilbench.bench.reports.change import Change
 from hilbench.bench.state import BenchState
 from hilbench.bench.tasks.task import CyclicTask, Outputs
 from hilbench.errors import BenchFaultError
-from hilbench.exchange.cycle import CyclicExchange
+from hilbench.exchange.exchange import Exchange
 from hilbench.exchange.nodes import Nodes
 from hilbench.processes import ChildProcess
 from hilbench.topology.sample import CycleSample
@@ -45,7 +45,7 @@ class TwinConnection(CyclicTask):
         self,
         state: BenchState,
         nodes: Nodes,
-        exchange: CyclicExchange,
+        exchange: Exchange,
         process: ChildProcess | None,
         *,
         lockstep: bool,
@@ -137,7 +137,7 @@ class TwinConnection(CyclicTask):
         self._twin.why = reason
         self._nodes.twin_is_away()
         self._journal(Change(self._exchange.timing.cycles, "twin_lost"))
-        self._exchange.expect([pdo for pdo in self._nodes.expected_pdos() if pdo.vital])
+        self._exchange.expect_drives()
 
     def _begin_return(self) -> None:
         answers = self._planned or self._nodes.twin_heard
@@ -185,7 +185,6 @@ class TwinConnection(CyclicTask):
         self._returned_cycle, self._planned = None, False
         self._twin.away = False
         self._twin.started_cycle, self._twin.back_cycle = started_cycle, exchange.timing.cycles
-        exchange.silent.discard(self._nodes.twin_name)
-        exchange.expect(self._nodes.expected_pdos(started_cycle))
+        exchange.expect_all(started_cycle)
         self._nodes.twin_is_back()
         self._journal(Change(self._twin.back_cycle, "twin_back", value=float(started_cycle)))

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 
 from hilbench.bench.state import Reports, TwinState
-from hilbench.bench.tasks.task import CyclicTask, Inputs, Outputs
+from hilbench.bench.tasks.task import CyclicTask, Outputs
 from hilbench.can.confinement import ControllerState
-from hilbench.exchange.cycle import CyclicExchange
+from hilbench.exchange.exchange import Exchange, Inputs
 from hilbench.exchange.timeliness import Timeliness
 from hilbench.processes import ChildProcess
 from hilbench.topology.sample import CycleSample
@@ -33,7 +33,7 @@ class Watch(CyclicTask):
 class SupervisorWatch(CyclicTask):
     """Whether the supervisor's process lives, now and then. Raises BenchFaultError when it does not."""
 
-    def __init__(self, supervisor: ChildProcess, exchange: CyclicExchange) -> None:
+    def __init__(self, supervisor: ChildProcess, exchange: Exchange) -> None:
         self._supervisor = supervisor
         self._exchange = exchange
 
@@ -63,7 +63,7 @@ class LatenessWatch(CyclicTask):
 class ControllerWatch(CyclicTask):
     """The bench's own CAN controller. Many broken-off frames: still a bus, but not for long."""
 
-    def __init__(self, exchange: CyclicExchange, reports: Reports) -> None:
+    def __init__(self, exchange: Exchange, reports: Reports) -> None:
         self._exchange = exchange
         self._reports = reports
         self._state = ControllerState.ERROR_ACTIVE

@@ -1,4 +1,7 @@
-"""The cyclic path: set points and SYNC out, the answers of this SYNC in."""
+"""The cyclic path in frames: what is to be sent and SYNC out, the answers of this SYNC in.
+
+What the frames mean is known above (`hilbench.exchange.nodes`); the two together are `hilbench.exchange.exchange`.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +11,6 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future
 from concurrent.futures import wait as wait_for
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 from hilbench.can.confinement import ControllerState
 from hilbench.can.frame import Frame
@@ -18,6 +20,7 @@ from hilbench.canopen.emergency_stop import EMERGENCY_STOP_COB_ID, send_emergenc
 from hilbench.canopen.identifiers import HEARTBEAT, SYNC, NmtState
 from hilbench.errors import BenchFaultError, EmergencyStopError, NoAnswerError
 from hilbench.exchange import pacing
+from hilbench.exchange.frame_tap import FrameTap
 
 #: Part of the cycle, at its end, that is kept for computing and sending the next set points (realtime pace):
 #: answers that are not there by then count as missing.
@@ -35,16 +38,6 @@ _NOT_VITAL_S = 2.0
 
 #: NMT state in the bench's own heartbeat: OPERATIONAL, and PRE-OPERATIONAL after an emergency stop.
 _OPERATIONAL, _PRE_OPERATIONAL = NmtState.OPERATIONAL.heartbeat, NmtState.PRE_OPERATIONAL.heartbeat
-
-
-class FrameTap(Protocol):
-    """Sees every frame of the bus in the order of the wire; each has its time (ns since the epoch)."""
-
-    def write(self, frames: Sequence[Frame]) -> None:
-        """Frames that went over the bus."""
-
-    def end_cycle(self) -> None:
-        """The frames of a cycle are complete."""
 
 
 @dataclass(frozen=True)
@@ -72,10 +65,10 @@ class CycleTiming:
     ended_ns: int = 0
 
 
-class CyclicExchange:
+class SyncCycle:
     """One SYNC after the other, paced in lockstep or by the wall clock.
 
-    `exchange` sends set points and SYNC and returns the frames that answered. In lockstep it waits until every
+    `exchange` sends frames and SYNC and returns the frames that answered. In lockstep it waits until every
     expected TPDO is there and raises NoAnswerError, naming who is missing, after `timeout_s` of wall time (2 s at most
     where nobody vital is missing). In real time it waits for them until shortly before the next deadline, and raises
     when one sender's PDO was missing `missing_limit` cycles in a row; not for a sender that is not vital. Who does not

@@ -1,0 +1,120 @@
+"""Process data with the nodes of a bench, cycle by cycle: outputs by name go out, inputs come in.
+
+What is above knows set points and measurements; frames, COB-IDs and the objects that they carry stay here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Protocol
+
+from hilbench.can.confinement import ControllerState
+from hilbench.can.link import Link
+from hilbench.canopen.object_store import ObjectStore
+from hilbench.exchange.emergencies import Emergency
+from hilbench.exchange.frame_tap import FrameTap
+from hilbench.exchange.nodes import Nodes
+from hilbench.exchange.own_node import OwnNode
+from hilbench.exchange.sync_cycle import SyncCycle
+from hilbench.exchange.unexpected_senders import Unexpected
+from hilbench.topology.sample import CycleSample
+
+
+class Inputs(Protocol):
+    """What the nodes have answered to one SYNC; good until the next cycle."""
+
+    @property
+    def emergencies(self) -> Mapping[Emergency, int]:
+        """EMCY messages of this cycle in their order, and how many of each came."""
+
+    @property
+    def axes_late(self) -> bool:
+        """Whether the positions of the axes are not those of this SYNC."""
+
+    def ages_cycles(self) -> tuple[int, ...]:
+        """How many cycles old the measurements in use are, of each drive; 0 where it has answered this SYNC in time."""
+
+    def twin_age(self, syncs: int) -> int:
+        """How many cycles old the twin's last answer is, `syncs` after the twin was started."""
+
+    def fill(self, sample: CycleSample) -> None:
+        """Put the measurements into a sample; SI, positions and velocities in the machine's unit."""
+
+
+class Exchange:
+    """The cyclic exchange of one bench whose nodes are operational.
+
+    `objects`: what others may read and write of the bench's own node; `tap` sees every frame. What a cycle raises,
+    and when: `SyncCycle`, `Nodes.decode`.
+    """
+
+    def __init__(self, nodes: Nodes, link: Link, objects: ObjectStore, *, tap: FrameTap | None = None) -> None:
+        config = nodes.config
+        self._nodes = nodes
+        self._own = OwnNode(config.master.node_id, objects)
+        self._sync = sync = SyncCycle(
+            link,
+            cycle_ns=config.cycle_ns,
+            bitrate=config.bus.bitrate,
+            lockstep=config.pace == "lockstep",
+            expected=nodes.expected_pdos(),
+            timeout_s=config.safety.cycle_timeout_s,
+            missing_limit=config.safety.missing_cycles,
+            heartbeat=(config.master.node_id, config.master.heartbeat_ms),
+            tap=tap,
+        )
+        self.unexpected: Sequence[Unexpected] = ()  #: what came in the last cycle, and is not of the bench or its nodes
+        self.timing = sync.timing
+        self.pacing = sync.pacing
+        self.silent = sync.silent  #: who does not answer, and is not waited for any longer
+        self.stay_alive = sync.stay_alive
+        self.stand_still = sync.stand_still
+        self.discard_waiting = sync.discard_waiting
+        self.emergency_stop = sync.emergency_stop
+
+    def cycle(self, outputs: Mapping[str, float]) -> Inputs:
+        """Outputs and SYNC onto the bus, then what the nodes answer. `outputs` as in `Nodes.encode`."""
+        nodes, sync, own = self._nodes, self._sync, self._own
+        self.unexpected = ()
+        received = sync.exchange([*nodes.encode(outputs), *own.answers()])
+        own.handle(received)
+        try:
+            nodes.decode(received, sync.before_sync)
+        finally:  # a fault of a drive, too, may be a stranger's doing
+            self.unexpected = nodes.unexpected
+        return nodes
+
+    def sync_only(self) -> None:
+        """A SYNC that tells nobody anything: simulated time goes on. What comes is in the trace, and nowhere else."""
+        self._sync.exchange([])
+        self._sync.discard_waiting()
+
+    def expect_all(self, twin_since: int = 0) -> None:
+        """From the next cycle on drives and twin must answer; `twin_since`: the SYNC before the twin was started."""
+        self.silent.discard(self._nodes.twin_name)
+        self._sync.expect(self._nodes.expected_pdos(twin_since))
+
+    def expect_drives(self, *, vital: bool = True) -> None:
+        """From the next cycle on only the drives must answer, those that are not `vital` as long as they do."""
+        drives = [pdo for pdo in self._nodes.expected_pdos() if pdo.vital]
+        self._sync.expect([replace(pdo, vital=vital) for pdo in drives])
+
+    def expect_nobody(self) -> None:
+        """From the next cycle on nobody is waited for."""
+        self._sync.expect([])
+
+    @property
+    def last_bits(self) -> int:
+        """Bits on the bus in the last cycle."""
+        return self._sync.last_bits
+
+    @property
+    def lost_frames(self) -> int | None:
+        """Frames the bench's own connection has lost because it was not read in time; None: not known there."""
+        return self._sync.lost_frames
+
+    @property
+    def controller(self) -> ControllerState:
+        """State of the bench's own CAN controller."""
+        return self._sync.controller

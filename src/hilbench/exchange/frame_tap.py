@@ -1,0 +1,18 @@
+"""Who sees every frame of a bench's bus."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Protocol
+
+from hilbench.can.frame import Frame
+
+
+class FrameTap(Protocol):
+    """Sees every frame of the bus in the order of the wire; each has its time (ns since the epoch)."""
+
+    def write(self, frames: Sequence[Frame]) -> None:
+        """Frames that went over the bus."""
+
+    def end_cycle(self) -> None:
+        """The frames of a cycle are complete."""

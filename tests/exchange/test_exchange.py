@@ -1,0 +1,156 @@
+"""Outputs in, inputs out: a cycle of process data with nodes that answer from a list, without a bus."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import pytest
+from tests.bench.bench_nodes import nodes
+from tests.bench.samples import sample_of_two_axes
+
+from hilbench.bench.operator.operator_objects import OperatorObjects
+from hilbench.can.confinement import ControllerState
+from hilbench.can.frame import Frame
+from hilbench.can.memory import MemoryBus, MemoryCanBus
+from hilbench.canopen.identifiers import SYNC
+from hilbench.canopen.master import Master
+from hilbench.cia402.drive import DriveGoal
+from hilbench.errors import BenchFaultError, NoAnswerError
+from hilbench.exchange.exchange import Exchange
+from hilbench.exchange.nodes import Nodes
+
+ENABLED, FAULT = 0x27, 0x08  #: statuswords
+OUTPUTS = {"axis1": 1.0, "axis2": 1.25, "load": 0.5, "strain_prev": 2.8e-4, "F_next_N": 70.0}
+TWIN = "virtual io (node 32)"
+
+
+class Answering:
+    """A link on which all TPDOs come after each SYNC but those `missing`; `further` come once, beside them."""
+
+    channel, dropped, controller = "fake0", 0, ControllerState.ERROR_ACTIVE
+
+    def __init__(self, found: Nodes) -> None:
+        self._nodes = found
+        self._waiting: list[Frame] = []
+        self.statusword = ENABLED
+        self.missing: set[int] = set()
+        self.further: list[Frame] = []
+        self.sent: list[Frame] = []
+
+    def send(self, frames: Sequence[Frame]) -> None:
+        self.sent += frames
+        if any(frame.can_id == SYNC for frame in frames):
+            self._waiting += [frame for frame in [*self.further, *self._answers()] if frame.can_id not in self.missing]
+            self.further = []
+
+    def _answers(self) -> list[Frame]:
+        answers = []
+        for drive in self._nodes.drives:
+            for _, pdo, indices in drive.pdos.tpdos:
+                answers.append(Frame(pdo.cob_id, pdo.pack([self.statusword if i == 0x6041 else 7 for i in indices])))
+        io = self._nodes.io
+        return [*answers, *(Frame(pdo.cob_id, bytes(pdo.size)) for pdo in (io.state, io.quality, io.status))]
+
+    def receive(self, timeout_s: float) -> list[Frame]:
+        taken, self._waiting = self._waiting, []
+        return taken
+
+    def set_filters(self, identifiers: Sequence[tuple[int, int]] | None) -> None: ...
+
+    def fileno(self) -> int:
+        return -1
+
+    def close(self) -> None: ...
+
+
+class Bench:
+    """An exchange with its nodes and link; 20 ms of patience."""
+
+    def __init__(self) -> None:
+        self.nodes = nodes()
+        self.master = Master(MemoryCanBus(MemoryBus("memory0", 1_000_000)))
+        self.nodes.introduce(self.master)
+        for drive in self.nodes.drives:
+            drive.request(DriveGoal.ENABLED)
+        config = self.nodes.config
+        safety = config.safety.model_copy(update={"cycle_timeout_s": 0.02})
+        self.nodes.config = config.model_copy(update={"safety": safety})
+        self.link = Answering(self.nodes)
+        self.objects = OperatorObjects(config, lambda path: 3.0, lambda path: True)
+        self.exchange = Exchange(self.nodes, self.link, self.objects.store)
+
+    def silence(self, *parts: str) -> None:
+        self.link.missing |= {pdo.cob_id for part in parts for pdo in self.nodes.pdo_maps(part)}
+
+
+@pytest.fixture
+def bench() -> Iterator[Bench]:
+    bench = Bench()
+    yield bench
+    bench.master.close()
+
+
+def test_outputs_go_out_by_name_before_sync_and_inputs_are_the_answers_to_it(bench: Bench) -> None:
+    for _ in range(2):
+        inputs = bench.exchange.cycle(OUTPUTS)
+    sample = sample_of_two_axes()
+    inputs.fill(sample)
+    sent = [frame.can_id for frame in bench.link.sent]
+    rpdos = [bench.nodes.pdo_maps(part)[0] for part in ("axis1", "axis2", "load")]
+    assert all(sent.index(pdo.cob_id) < sent.index(SYNC) for pdo in rpdos)
+    velocity = next(frame.data for frame in reversed(bench.link.sent) if frame.can_id == rpdos[0].cob_id)
+    assert rpdos[0].unpack(velocity)[-1] != 0
+    axis = bench.nodes.axes[0]
+    assert sample.x1_m == pytest.approx(7 * axis.units.position_rad / 25.0)
+    assert inputs.ages_cycles() == (0, 0, 0)
+    assert not inputs.axes_late
+
+
+def test_a_request_to_the_bench_is_answered_with_the_next_cycle(bench: Bench) -> None:
+    bench.link.further = [Frame(0x67F, bytes.fromhex("4000220100000000"))]
+    bench.exchange.cycle(OUTPUTS)
+    assert 0x5FF not in [frame.can_id for frame in bench.link.sent]
+    bench.exchange.cycle(OUTPUTS)
+    sent = [frame.can_id for frame in bench.link.sent]
+    assert sent.count(0x5FF) == 1
+    assert sent.index(0x5FF) < len(sent) - 1 - sent[::-1].index(SYNC)
+
+
+def test_a_drive_that_is_silent_is_a_fault_and_a_twin_that_is_none_is_not_waited_for_again(bench: Bench) -> None:
+    bench.silence("virtual_io")
+    bench.exchange.cycle(OUTPUTS)
+    assert bench.exchange.silent == {TWIN}
+    bench.exchange.expect_all(twin_since=1)
+    assert bench.exchange.silent == set()
+    bench.exchange.expect_drives()
+    bench.exchange.cycle(OUTPUTS)
+    assert bench.exchange.silent == set()
+    bench.silence("axis2")
+    with pytest.raises(NoAnswerError, match="axis2"):
+        bench.exchange.cycle(OUTPUTS)
+
+
+def test_while_drives_are_stopped_one_that_is_silent_keeps_none_of_the_others(bench: Bench) -> None:
+    bench.exchange.expect_drives(vital=False)
+    bench.silence("axis2", "virtual_io")
+    bench.exchange.cycle(OUTPUTS)
+    assert bench.exchange.silent == {bench.nodes.sender(bench.nodes.axes[1])}
+    bench.exchange.expect_nobody()
+    bench.silence("axis1", "load")
+    bench.exchange.sync_only()
+
+
+def test_what_a_stranger_has_sent_is_known_with_the_fault_of_a_drive_and_forgotten_in_the_next_cycle(
+    bench: Bench,
+) -> None:
+    bench.exchange.cycle(OUTPUTS)
+    pdo = bench.nodes.pdo_maps("axis1")[1]
+    bench.link.further = [Frame(pdo.cob_id, pdo.pack([ENABLED, 1, 1]))]
+    bench.link.statusword = FAULT
+    with pytest.raises(BenchFaultError):
+        bench.exchange.cycle(OUTPUTS)
+    assert [found.about for found in bench.exchange.unexpected] == [bench.nodes.sender(bench.nodes.axes[0])]
+    bench.silence("axis1")
+    with pytest.raises(NoAnswerError):
+        bench.exchange.cycle(OUTPUTS)
+    assert not bench.exchange.unexpected
