@@ -39,7 +39,7 @@ def measured(
 
 
 def tracked(data: Measurements, method: SynchronizerConfig, **twin: Any) -> Track:
-    return run_offline(model(), EstimationConfig(synchronizer=method, **twin), data)
+    return run_offline(model(), EstimationConfig(estimate=[method], **twin), data)
 
 
 def time_to_1pct_s(data: Measurements, track: Track, modulus_Pa: Array) -> float | None:

@@ -150,7 +150,7 @@ def test_an_offset_is_found_beside_e_where_the_tension_changes() -> None:
 def test_an_offset_at_constant_tension_is_held_and_said_not_to_be_separable() -> None:
     ports = (MotorPort(), MotorPort())
     plant = model()
-    twin = EstimationConfig(synchronizer=ChangepointConfig(also=AlsoEstimated(torque_offset_Nm=0.05)))
+    twin = EstimationConfig(estimate=[ChangepointConfig(also=AlsoEstimated(torque_offset_Nm=0.05))])
     tracking = Tracking(plant, twin, Line(plant, ports), ports[1], CYCLE_S)
     data = measured(np.full(2000, OLD_PA), torque_offset_Nm=0.05, speed_m_s=0.0)
     for row, t in enumerate(data.t_s):
@@ -183,7 +183,7 @@ def test_friction_of_the_model_is_no_bias_and_missing_friction_is() -> None:
     true = stepped()
     plant = model(effect("coulomb_friction", 2, force_N=4.2))
     data = measured(true, plant=plant)
-    twin = EstimationConfig(synchronizer=ChangepointConfig())
+    twin = EstimationConfig(estimate=[ChangepointConfig()])
     known, missing = (run_offline(used, twin, data) for used in (plant, model()))
     after = settled(known)
     assert np.mean(known.E_Pa[after]) == pytest.approx(NEW_PA, rel=1e-3)

@@ -52,7 +52,7 @@ def twin(plant: ModelParameters | None = None, **options: object) -> Twin:
     plant = plant or model()
     ports = (MotorPort(mode=MotorMode.VELOCITY), MotorPort(mode=MotorMode.VELOCITY))
     line = Line(plant, ports)
-    config = EstimationConfig.model_validate({"synchronizer": ChangepointConfig(), **options})
+    config = EstimationConfig.model_validate({"estimate": [ChangepointConfig()], **options})
     return Twin(Tracking(plant, config, line, ports[1], CYCLE_S), line, ports, plant)
 
 
@@ -82,7 +82,7 @@ def test_bad_torque_holds_the_estimate_and_it_recovers_by_itself(
 ) -> None:
     data = measured(GOOD)
     damage(data.tau2_Nm)
-    bench = twin(synchronizer=method)
+    bench = twin(estimate=[method])
     moduli, deviations, problems = [], [], []
     for row in rows(data):
         bench.take(data, row)
@@ -158,7 +158,7 @@ def test_no_torque_makes_the_estimate_no_number(torques: list[float], transfer: 
 def test_a_torque_that_belongs_to_no_web_makes_no_modulus_that_no_material_has(method: object) -> None:
     data = measured(GOOD)
     data.tau2_Nm[FROM:TO] -= 3.0
-    bench = twin(synchronizer=method)
+    bench = twin(estimate=[method])
     for row in rows(data):
         bench.take(data, row)
         assert 0.0 < bench.tracking.estimate.youngs_modulus_Pa < np.inf

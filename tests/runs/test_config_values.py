@@ -42,7 +42,7 @@ def shipped() -> tuple[strict_yaml.Document, list[tuple[str | int, ...]]]:
     keys = list(leaves(config.model_dump(mode="json")))
     for method, kind in METHODS.items():
         if method != config.twin.synchronizer.method:
-            keys += [("twin", "synchronizer", method, name) for name in kind.model_fields if name != "method"]
+            keys += [("twin", "estimate", method, name) for name in kind.model_fields if name != "method"]
     return document, keys
 
 
@@ -50,8 +50,8 @@ def changed(location: tuple[str | int, ...], value: object) -> tuple[ExperimentC
     """The shipped config with another value, or what is said against it."""
     document = shipped()[0]
     option = f"--set {'.'.join(map(str, location))}"
-    if location[:2] == ("twin", "synchronizer") and location[2] in METHODS:
-        document = document.with_value(location[:2], {"method": location[2], location[3]: value}, option)
+    if location[:2] == ("twin", "estimate") and location[2] in METHODS:
+        document = document.with_value(location[:2], [{"method": location[2], location[3]: value}], option)
     else:
         document = document.with_value(location, value, option)
     try:
@@ -110,7 +110,7 @@ def test_a_number_that_is_none_or_beyond_everything_is_refused_by_its_key(key: s
         ("machine.web.youngs_modulus_Pa=1e3", "strains the web that enters by"),
         ("load.web.youngs_modulus_Pa=-9e9", "greater than or equal to 1000"),
         ("load.web.span_length_m=.inf", "load.web.span_length_m"),
-        ("twin.synchronizer={method: rls, memory_s: yes}", "memory_s"),
+        ("twin.estimate=[{method: rls, memory_s: yes}]", "memory_s"),
         ("controllers.tension_control.bandwidth_rad_per_s=1e6", "the tension loop is unstable"),
     ],
 )

@@ -70,7 +70,7 @@ def _trace(run: Path, bus: str | None, speed: float, *, commands: bool, force: b
 def _twin(run: Path, method: str | None, out: Path | None) -> dict[str, Any]:
     import numpy as np
 
-    from hilbench.diagnosis.synchronization import measurements_of, methods_of
+    from hilbench.diagnosis.synchronization import measurements_of, methods_of, require_one_span
     from hilbench.estimation.web_line.offline import run_offline
     from hilbench.results.journal import read_journal
     from hilbench.results.recording import Recording, read_recording, write_recording
@@ -81,13 +81,14 @@ def _twin(run: Path, method: str | None, out: Path | None) -> dict[str, Any]:
 
     folder: RunFolder = RunFolder.open(run)
     config, _ = load(folder.config)
+    require_one_span(config.web_line, folder.config)
     recording = read_recording(folder.recording)
     twin = config.twin
     if method is not None:
         chosen = methods_of(method)
         if len(chosen) != 1:
             raise UnusableInputError("--method", f"'{method}', expected one method")
-        twin = twin.model_copy(update={"synchronizer": next(iter(chosen.values()))})
+        twin = twin.model_copy(update={"estimate": list(chosen.values())})
     track = run_offline(config.web_line, twin, measurements_of(recording, folder.recording))
     signals = {
         "F_sim_N": track.F_sim_N,

@@ -21,16 +21,18 @@ from hilbench.diagnosis.synchronization import (
     compare_runs,
     measurements_of,
     methods_of,
+    require_one_span,
 )
 from hilbench.errors import EXIT_CRITERION_FAILED, EXIT_PASSED, BenchFaultError, UnusableInputError
 from hilbench.files import make_folder
 from hilbench.report.sync_page import COLUMNS, rows, write_sync_page
 from hilbench.results.recording import read_recording
 from hilbench.results.run_folder import RunFolder
+from hilbench.runs.config import load
 from hilbench.scripts.sweep import Row, Sweep
 
 #: The published method transfers no state; a quicker tension loop would only follow its errors.
-_AS_PUBLISHED = {"pid": {"twin.transfer.strain": "false", "tension_control.bandwidth_rad_per_s": "3.0"}}
+_PUBLISHED, _PUBLISHED_BANDWIDTH = "pid", "3.0"
 
 
 def sync_runs_command(config_path: Path, methods: str, out: Path | None, jobs: int, *, as_json: bool) -> None:
@@ -41,12 +43,18 @@ def sync_runs_command(config_path: Path, methods: str, out: Path | None, jobs: i
     """
     chosen = list(methods_of(methods))
     folder = out or Path("sync")
-    runs = [{"twin.synchronizer.method": name} | _AS_PUBLISHED.get(name, {}) for name in chosen]
+    config, _ = load(config_path)
+    require_one_span(config.web_line, config_path)
+    runs = [{"twin.estimate": f"[{{method: {name}}}]"} for name in chosen]
+    for name, changes in zip(chosen, runs, strict=True):
+        if name == _PUBLISHED:
+            changes["twin.transfer.strain"] = "false"
+            changes |= {f"controllers.{each}.bandwidth_rad_per_s": _PUBLISHED_BANDWIDTH for each in config.controllers}
     sweep = Sweep(config_path, (), runs, folder)
 
     def done(row: Row) -> None:
         if not as_json:
-            print(f"{row.changes['twin.synchronizer.method']}: {row.run or row.said}", file=sys.stderr, flush=True)
+            print(f"{chosen[row.number]}: {row.run or row.said}", file=sys.stderr, flush=True)
 
     sweep.run(jobs, done)
     recordings = {}
@@ -74,6 +82,7 @@ def sync_command(
     chosen = methods_of(methods)
     model, recording = model_from(model_path), read_recording(recording_path)
     report_unknown(recording, recording_path)
+    require_one_span(model, model_path)
     data = measurements_of(recording, recording_path)
     length_s = float(data.t_s[-1] - data.t_s[0])
     if length_s <= SETTLED_AFTER_S:

@@ -83,6 +83,12 @@ def methods_of(text: str) -> dict[str, SynchronizerConfig]:
     return {name: METHODS[name]() for name in names}
 
 
+def require_one_span(model: ModelParameters, place: str | Path) -> None:
+    """Raise UnusableInputError for a line of other than two rollers: what is compared here is of one span."""
+    if model.axis_count != 2:
+        raise UnusableInputError(place, f"a line of {model.axis_count} rollers, expected one of two, with one span")
+
+
 def measurements_of(recording: Recording, place: str | Path) -> Measurements:
     """What a twin would have heard. Raises UnusableInputError when a channel is missing."""
     recording.require(NEEDED, place)
@@ -104,8 +110,8 @@ def twin_config(method: SynchronizerConfig, unmodelled_torque_Nm: float | None =
     """A twin with this method; the published one transfers no state, as it was published. None: the default."""
     transfer = TransferConfig(strain=not isinstance(method, PidConfig))
     if unmodelled_torque_Nm is None:
-        return EstimationConfig(synchronizer=method, transfer=transfer)
-    return EstimationConfig(synchronizer=method, transfer=transfer, unmodelled_torque_Nm=unmodelled_torque_Nm)
+        return EstimationConfig(estimate=[method], transfer=transfer)
+    return EstimationConfig(estimate=[method], transfer=transfer, unmodelled_torque_Nm=unmodelled_torque_Nm)
 
 
 def compare_methods(

@@ -172,7 +172,7 @@ class RestartTwin(Block):
 class UseSynchronizer(Block):
     """Let the twin go on with another method from its present E, with that method's defaults."""
 
-    method: Method = Field(description="as in twin: synchronizer: method")
+    method: Method = Field(description="as in twin: estimate: method")
 
     def run(self, bench: Bench) -> None:
         """Switch; takes no time."""

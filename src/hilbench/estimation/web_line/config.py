@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal
 
-from pydantic import Field, PositiveFloat
+from pydantic import Field, PositiveFloat, model_validator
 
 from hilbench.block import Block
 from hilbench.plant.web_line.parameters import Modulus
@@ -23,7 +24,16 @@ class AlsoEstimated(Block):
     )
 
 
-class PidConfig(Block):
+class EstimateConfig(Block):
+    """What is estimated, and where the measurement that shows it is taken."""
+
+    quantity: Literal["youngs_modulus_Pa"] = Field(default="youngs_modulus_Pa", description="what is estimated: E")
+    span: int = Field(
+        default=1, ge=1, description="number of the span whose tension shows E, in the torques of what is behind it"
+    )
+
+
+class PidConfig(EstimateConfig):
     """Gains of the tracking simulation: dE/dt = Kp·e + Ki·∫e dt + Kd·de/dt, e in N·m of motor torque.
 
     The defaults reproduce the published behaviour on the demonstrator (about 20 s to 1 %): the velocity loop of
@@ -40,7 +50,7 @@ class PidConfig(Block):
     upper_limit_Pa: Modulus = Field(default=1.0e11, description="largest E it gives")
 
 
-class _OnBalance(Block):
+class _OnBalance(EstimateConfig):
     """What the methods on the measured momentum balance of axis 2 have in common."""
 
     torque_noise_Nm: PositiveFloat = Field(default=0.05, description="believed until it is measured (0.1 s)")
@@ -99,7 +109,7 @@ class ChangepointConfig(_OnBalance):
     wander_pct_per_sqrt_s: float = Field(default=0.02, ge=0, description="random walk of E at all times")
 
 
-class InputConfig(Block):
+class InputConfig(EstimateConfig):
     """For a black-box model: the strain of the web that enters it is corrected; its parameters stay.
 
     Measured states are not transferred into it either.
@@ -139,8 +149,11 @@ class TransferConfig(Block):
 class EstimationConfig(Block):
     """The twin: what it assumes and how it keeps in step with the bench."""
 
-    synchronizer: SynchronizerConfig = Field(
-        default=ChangepointConfig(), description="how E is found from the torque of axis 2"
+    estimate: list[SynchronizerConfig] = Field(
+        default=[ChangepointConfig()],
+        min_length=1,
+        max_length=1,
+        description="what is found from the torques, and how: one entry, as the model has one E for the whole web",
     )
     transfer: TransferConfig = TransferConfig()
     youngs_modulus_Pa: Modulus | None = Field(
@@ -171,3 +184,15 @@ class EstimationConfig(Block):
     virtual_tpdo_every: int = Field(
         default=0, ge=0, le=240, description="the virtual axes send their TPDOs every n-th SYNC; 0: never"
     )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _estimate_is_a_list(cls, data: Any) -> Any:
+        if isinstance(data, Mapping) and "synchronizer" in data:
+            raise ValueError("'estimate: [{method: …}]' in place of 'synchronizer:'")
+        return data
+
+    @property
+    def synchronizer(self) -> SynchronizerConfig:
+        """How E is found."""
+        return self.estimate[0]
