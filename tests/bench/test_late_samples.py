@@ -11,6 +11,7 @@ from tests.bench.late_senders import late
 from tests.bench.whole_runs import config
 
 from hilbench.bench.lifecycle.participants import Participants
+from hilbench.bench.machines.servo_axis import shaft_load_model
 from hilbench.bench.tasks.imitated_web import web_load_model
 from hilbench.report.html import write_report
 from hilbench.results.recording import read_recording
@@ -18,6 +19,7 @@ from hilbench.results.run import RunOutcome, run_experiment
 from hilbench.runs.config import load, load_with_overrides
 
 SHIPPED = Path(__file__).resolve().parents[2] / "bench_configs" / "web_section_step.yaml"
+SERVO = SHIPPED.with_name("servo_axis.yaml")
 STEPS = [
     {"ramp": {"path": "line_speed_m_s", "to": 2.0, "duration_s": 0.8}},
     {"hold": {"duration_s": 1.2}},
@@ -115,6 +117,75 @@ def test_samples_that_stay_a_cycle_old_are_predicted_over_that_cycle_too() -> No
     ages = [0] * 100 + [1] * 400
     in_time = torques([0] * len(ages))[110:]
     swing = np.ptp(in_time)
-    # As if they were of now they lag behind by 2π·10 Hz·2 ms of the amplitude.
-    assert np.max(np.abs(torques(ages, told=False)[110:] - in_time)) > 0.05 * swing
-    assert np.max(np.abs(torques(ages)[110:] - in_time)) < 0.025 * swing
+    # As if they were of now they would lag behind by 2π·10 Hz·2 ms of the amplitude.
+    assert np.max(np.abs(np.diff(in_time))) > 0.05 * swing
+    # A sample that says the same again is known by the way, too.
+    for told in (True, False):
+        assert np.max(np.abs(torques(ages, told=told)[110:] - in_time)) < 0.025 * swing
+
+
+def shaft_torques(gone_s: list[float], late: set[int]) -> tuple[np.ndarray, np.ndarray]:
+    """Torques of the load motor of a shaft that swings between 5 and 35 rad/s, and those that they should be.
+
+    `gone_s`: time of the shaft between two samples; `late`: samples that are known to be of an earlier cycle.
+    """
+    model = shaft_load_model(load(SERVO)[0])
+    told, times_s = [], np.concatenate([[0.0], np.cumsum(gone_s)])
+    for k, t in enumerate(times_s):
+        position = 20.0 * t - 15.0 / np.pi * np.sin(np.pi * t)
+        told += model.update((position,), (20.0 - 15.0 * np.cos(np.pi * t),), late=k in late)
+    lead_s, imitated_less_real = 0.004, 0.048 - 0.0395
+    acceleration = 15.0 * np.pi * np.sin(np.pi * (times_s + lead_s))
+    speed = 20.0 - 15.0 * np.cos(np.pi * (times_s + lead_s))
+    return np.array(told), -imitated_less_real * acceleration - 0.15 - 0.004 * speed
+
+
+def odd_samples(kind: str, cycles: int) -> tuple[list[float], set[int]]:
+    """Time of the shaft between samples, in s, and which of these are known to be late."""
+    draw = random.Random(4)
+    gone: list[float] = []
+    late_at: set[int] = set()
+    while len(gone) < cycles:
+        if len(gone) < 200 or draw.random() > 0.2:
+            gone.append(1.0)
+        elif kind == "late, and said so":
+            late_at.add(len(gone) + 1)
+            gone += [0.0, 2.0]
+        elif kind == "cycles that the bench has missed":
+            gone.append(float(draw.randint(2, 4)))
+        elif kind == "SYNC sent late, and the next in time":
+            gone += [float(draw.randint(2, 4)), 0.0]
+        elif kind == "one is lost, then two at once":
+            gone += [0.0, 2.0]
+        else:
+            jitter = draw.uniform(-0.4, 0.4)
+            gone += [1.0 + jitter, 1.0 - jitter]
+    return [CYCLE_S * part for part in gone], late_at
+
+
+@pytest.mark.parametrize(
+    "kind",
+    [
+        "late, and said so",
+        "cycles that the bench has missed",
+        "SYNC sent late, and the next in time",
+        "one is lost, then two at once",
+        "SYNC jitters",
+    ],
+)
+def test_a_shaft_is_imitated_over_the_time_that_has_gone_by_between_its_samples(kind: str) -> None:
+    torque, expected = shaft_torques(*odd_samples(kind, 2000))
+    assert np.ptp(expected) > 0.5
+    # What is held for a cycle, or predicted over a gap, is off by what the torque changes meanwhile.
+    assert np.max(np.abs(torque - expected)[200:]) < 0.05
+
+
+def test_a_shaft_that_is_stopped_by_force_is_followed_and_not_taken_for_late() -> None:
+    model = shaft_load_model(load(SERVO)[0])
+    position = 0.0
+    for cycle in range(400):
+        speed = 20.0 if cycle < 200 else 0.0
+        position += speed * CYCLE_S
+        (torque,) = model.update((position,), (speed,))
+    assert model.machine.outputs()["v1_rad_s"] == pytest.approx(0.0, abs=1e-3)
+    assert abs(torque) < 0.2

@@ -209,3 +209,53 @@ def test_step_of_the_inertia_that_a_load_motor_imitates_is_found() -> None:
     late = found.inertia_kg_m2[step + round(0.3 / CYCLE_S) :]
     assert np.abs(late / 0.06 - 1.0).max() < 0.01
     assert found.also["coulomb_friction_Nm"][0][-1] == pytest.approx(0.2, abs=0.03)
+
+
+def gaps(kind: str, rows: int) -> list[tuple[int, bool]]:
+    """Rows of a recording as a bench in real time has them: the row, and whether its sample has come in time.
+
+    A row that is there twice was measured twice at one instant.
+    """
+    draw = np.random.default_rng(7)
+    row, taken = 0, []
+    while row < rows - 5:
+        if row < 300 or draw.random() > 0.15:
+            taken.append((row, True))
+            row += 1
+        elif kind == "not there":
+            taken.append((row, False))
+            row += 1
+        elif kind == "cycles that the bench has missed":
+            row += int(draw.integers(1, 4))
+        else:
+            row += int(draw.integers(1, 4))
+            taken += [(row, True), (row, True)]
+            row += 1
+    return taken
+
+
+@pytest.mark.parametrize("kind", ["not there", "cycles that the bench has missed", "SYNC sent late, the next in time"])
+def test_samples_that_are_missing_or_not_a_cycle_apart_do_not_disturb_the_inertia(kind: str) -> None:
+    data = record(axis(), trapezoids(6.0), 3)
+    estimator = InertiaEstimator(InertiaConfig(), axis(inertia=0.052))
+    found = []
+    for row, in_time in gaps(kind, len(data.x_rad)):
+        if in_time:
+            estimate = estimator.update(ShaftSample(CYCLE_S, data.x_rad[row], data.tau_Nm[row]))
+        else:
+            estimate = estimator.miss(CYCLE_S)
+        found.append((estimate.inertia_kg_m2, estimate.deviation_kg_m2))
+    inertia, deviation = np.array(found[1500:]).T
+    assert np.all(np.abs(inertia - 0.048) < 3.0 * deviation)
+    assert np.max(np.abs(inertia / 0.048 - 1.0)) < 0.03
+    assert deviation[-1] < 0.01 * 0.048
+
+
+def test_a_coarse_encoder_is_not_taken_for_samples_of_another_time() -> None:
+    data = record(axis(), trapezoids(6.0), 3)
+    estimator = InertiaEstimator(InertiaConfig(), axis(inertia=0.052))
+    count_rad = 2.0 * np.pi / 4096
+    for position, torque in zip(data.x_rad, data.tau_Nm, strict=True):
+        estimate = estimator.update(ShaftSample(CYCLE_S, round(position / count_rad) * count_rad, torque))
+    assert estimate.separable
+    assert estimate.inertia_kg_m2 == pytest.approx(0.048, rel=0.1)

@@ -11,6 +11,7 @@ from hilbench.compiled import entry_point
 
 #: Sum of the squares of the binomials 1 4 6 4 1: variance of a fourth difference of white noise.
 _GAIN = 70.0
+_DIFFERENCES = 4
 #: Squares beyond so many times the present variance count only so much, so that a step is no noise.
 _LIMIT = 9.0
 #: Samples that are all believed before steps are told from noise.
@@ -47,10 +48,21 @@ class NoiseLevel:
         self._floor = floor
         self._share = 1.0 / memory
         self._count = 0
+        self._apart = 0  # samples whose differences reach over a gap
+
+    def interrupt(self) -> None:
+        """The next sample is not one cycle after the last: no difference is formed across the gap."""
+        self._apart = _DIFFERENCES
 
     def update(self, value: float) -> None:
         """Take one sample; what is not finite is passed over."""
-        if isfinite(value):
+        if not isfinite(value):
+            return
+        if self._apart:
+            self._apart -= 1
+            self._state[1:4] = self._state[:3]
+            self._state[0] = value
+        else:
             _update(self._state, value, self._count, self._share, self._floor)
             self._count += 1
 

@@ -8,6 +8,7 @@ stand's flywheel), because imitating an inertia by torque over a sampled bus is 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from math import isfinite
 
 from hilbench.plant.effects import MachineKind, find_effect
 from hilbench.plant.interface import Follower
@@ -17,6 +18,8 @@ from hilbench.topology.quantities import PLAIN_PATHS, EffectPath, parse_effect_p
 
 #: So many cycles that a sample is late by are made good by prediction; an older one has too little in it.
 _MOST_PREDICTED_CYCLES = 3
+#: A sample that is not whole cycles after the last one is so many parts of a cycle after it.
+_PARTS = 1000
 
 
 class LoadModel:
@@ -26,7 +29,9 @@ class LoadModel:
     without it the loop of web and sampled shaft is unstable on the demonstrator (`hilbench.plant.web_line.stability`).
     While samples are late, or their positions not of one instant, the torques stay; the machine then follows over the
     time that has really gone by, and what the new sample is still late by is predicted as well. (To predict over a
-    sample that is not there, from the noise of the last one, does more harm than to hold.)
+    sample that is not there, from the noise of the last one, does more harm than to hold.) How much time has gone by
+    is told by way and speed, where the axes turn: of a drive that has missed a SYNC, or of a SYNC that the bench has
+    sent late, no frame says so.
 
     `load_axes`: on which axis' shaft each load motor is, counted from 1; `least_way`, in the machine's unit of
     position: what is measured well enough to count cycles by it; `effects`: those the machine has at the start.
@@ -52,7 +57,7 @@ class LoadModel:
         self._torques_Nm = [0.0] * len(self._load_axes)
         self._behind_cycles = 0  # since the instant of the positions that the machine is at
         self._counted = self._load_axes[0] - 1 if self._load_axes else 0  # the axis whose way counts cycles
-        self._position = 0.0
+        self._position, self._speed = 0.0, 0.0
         self._effects = {(entry.effect, entry.axis): dict(entry.parameters) for entry in effects}
 
     def warm_up(self) -> None:
@@ -78,27 +83,44 @@ class LoadModel:
             self._pairing.reset()
             self._pairing.update(*positions)
             self._running = True
-            self._behind_cycles, self._position = 0, positions[self._counted]
+            self._behind_cycles = 0
+            self._position, self._speed = positions[self._counted], speeds[self._counted]
         else:
             self._behind_cycles += 1
             if late:
                 self._pairing.miss()
             if late or not self._pairing.update(*positions):
                 return self._torques_Nm
-            self._follow(positions, speeds[self._counted])
-        lead_s = self._lead_s + min(self._behind_cycles, _MOST_PREDICTED_CYCLES) * self._cycle_s
+            if not self._follow(positions, speeds[self._counted]):
+                return self._torques_Nm
+        lead_s = self._lead_s + min(max(self._behind_cycles, 0), _MOST_PREDICTED_CYCLES) * self._cycle_s
         self._torques_Nm = self.machine.load_torques_Nm(self._load_axes, speeds, lead_s)
         return self._torques_Nm
 
-    def _follow(self, positions: Sequence[float], speed: float) -> None:
-        """After a gap the positions may still be those of an earlier cycle: the way says how many cycles it took."""
-        cycles, position = self._behind_cycles, positions[self._counted]
-        way, way_of_a_cycle = abs(position - self._position), abs(speed) * self._cycle_s
-        if cycles > 1 and way_of_a_cycle > self._least_way:
-            cycles = min(max(round(way / way_of_a_cycle), 1), cycles)
-        self.machine.follow(positions, cycles * self._cycle_s)
-        self._behind_cycles -= cycles
-        self._position = position
+    def _follow(self, positions: Sequence[float], speed: float) -> bool:
+        """Let the machine follow; False for a sample of the instant at which it is already."""
+        cycles, duration_s = self._gone(positions[self._counted], speed)
+        if cycles:
+            self.machine.follow(positions, duration_s)
+            self._position = positions[self._counted]
+        self._speed = speed
+        # One cycle ahead of the bench's count there may be: a SYNC that was sent late, and the next one on time.
+        ahead = -1 if cycles != 1 else 0
+        self._behind_cycles = max(self._behind_cycles - cycles, ahead)
+        return cycles > 0
+
+    def _gone(self, position: float, speed: float) -> tuple[int, float]:
+        """Cycles, and time in s, since the sample that the machine is at: by way and mean speed of the counted axis."""
+        way, way_of_a_cycle = position - self._position, 0.5 * (speed + self._speed) * self._cycle_s
+        if abs(way_of_a_cycle) <= self._least_way:
+            cycles = max(self._behind_cycles, 1)
+            return cycles, cycles * self._cycle_s
+        parts = max(round(_PARTS * way / way_of_a_cycle), 0) if isfinite(way / way_of_a_cycle) else _PARTS
+        cycles = round(parts / _PARTS)
+        if not cycles and self._behind_cycles > _MOST_PREDICTED_CYCLES:  # it stands, whatever is said of its speed
+            return self._behind_cycles, self._behind_cycles * self._cycle_s
+        whole = not cycles or abs(way - cycles * way_of_a_cycle) <= self._least_way
+        return cycles, (cycles if whole else parts / _PARTS) * self._cycle_s
 
     def value(self, path: str) -> float:
         """Present value of a quantity of the imitated mechanics. Raises ValueError for an unknown path."""

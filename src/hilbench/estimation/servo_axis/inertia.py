@@ -90,24 +90,34 @@ class InertiaEstimator:
         self._lost = True  # the motion, not what is known of the shaft
 
     def update(self, sample: ShaftSample) -> ShaftEstimate:
-        """One cycle of every hypothesis, and the births of the next."""
-        if self._inputs.update(sample):
-            if self._lost:
+        """One step of every hypothesis, and the births of the next."""
+        usable = self._inputs.update(sample)
+        self._lost = self._lost or self._inputs.lost
+        if usable:
+            if self._lost or self._inputs.in_doubt:
                 speed = self._inputs.speed_rad_s
-                kalman.place_motion(self._z, self._p, sample.position_rad - sample.cycle_s * speed, speed)
+                kalman.place_motion(self._z, self._p, sample.position_rad - self._inputs.duration_s * speed, speed)
                 self._lost = False
             c, settings = self._config, self._settings
             settings[bank.CYCLE] += 1.0
-            bank.set_priors(settings, c.jumps_per_s, c.drift_onsets_per_s, sample.cycle_s)
+            bank.set_priors(settings, c.jumps_per_s, c.drift_onsets_per_s, self._inputs.duration_s)
             _bank_step(self._z, self._p, self._records, settings, self._inputs.u, self._scratch, self._out)
         return self._estimate()
+
+    def miss(self, duration_s: float) -> ShaftEstimate:
+        """A cycle whose sample has not come: the next one is compared over all the time since the last."""
+        self._inputs.miss()
+        return self._less_sure(duration_s)
 
     def hold(self, duration_s: float) -> ShaftEstimate:
         """A time without a usable sample: what is known stays, less and less sure; the motion is found anew."""
         self._inputs.interrupt()
+        return self._less_sure(duration_s)
+
+    def _less_sure(self, duration_s: float) -> ShaftEstimate:
+        self._lost = self._lost or self._inputs.lost
         walk = 0.01 * self._config.hold_growth_pct_per_s
         self._p[:, kalman.BETA, kalman.BETA] += walk**2 * duration_s
-        self._lost = True
         self._out[1, kalman.BETA] = sqrt(self._out[1, kalman.BETA] ** 2 + walk**2 * duration_s)
         return self._estimate()
 

@@ -24,13 +24,22 @@ def transition(duration_s: float) -> Vector:
     return np.array([[duration_s ** (j - i) / factorial(j - i) if j >= i else 0.0 for j in rows] for i in rows])
 
 
-@lru_cache(64)
 def gains(duration_s: float, filter_s: float) -> Vector:
-    """(4,): how much of the deviation of a position goes into the motion (Ackermann's formula)."""
-    forward = transition(duration_s)
-    observed = np.array([forward[0] @ np.linalg.matrix_power(forward, k) for k in range(ORDER)])
-    wanted = np.linalg.matrix_power(forward - exp(-duration_s / filter_s) * np.eye(ORDER), ORDER)
-    return np.asarray(wanted @ np.linalg.solve(observed, np.eye(ORDER)[:, -1]))
+    """(4,): how much of the deviation of a position goes into the motion.
+
+    The fading-memory filter of third degree (N. Morrison, Introduction to Sequential Smoothing and Prediction, 1969),
+    whose four poles are all where they are wanted.
+    """
+    pole = exp(-duration_s / filter_s)
+    left = 1.0 - pole
+    return np.array(
+        [
+            1.0 - pole**4,
+            left**2 * (11.0 + 14.0 * pole + 11.0 * pole**2) / (6.0 * duration_s),
+            2.0 * left**3 * (1.0 + pole) / duration_s**2,
+            left**4 / duration_s**3,
+        ]
+    )
 
 
 class TrackingFilter:

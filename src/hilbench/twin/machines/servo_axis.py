@@ -87,7 +87,8 @@ class ServoAxisTwin:
         self._residual_Nm = torque_Nm - simulated_Nm
         self.problem = self._plausibility.problem(torque_Nm, 1.0, position_rad)
         if self.problem is not None:
-            self.miss()
+            self._torque_before_Nm = None
+            self._estimate = self._estimator.hold(self._cycle_s)
             return True
         ripple_Nm = 0.0
         if self._torque_before_Nm is not None:
@@ -108,7 +109,7 @@ class ServoAxisTwin:
     def miss(self) -> None:
         """A cycle without measurement."""
         self._torque_before_Nm = None
-        self._estimate = self._estimator.hold(self._cycle_s)
+        self._estimate = self._estimator.miss(self._cycle_s)
 
     def listen(self) -> None:
         """There is nothing around the shaft."""
