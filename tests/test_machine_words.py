@@ -8,7 +8,7 @@ import pytest
 from tests.machine_words import elsewhere, found_in, is_its_own
 
 #: As many as there are. It is lowered with what goes, and never raised: a new machine is no reason to name an old one.
-CEILING = 411
+CEILING = 395
 
 
 def test_no_more_words_of_the_web_line_stand_where_they_do_not_belong() -> None:

@@ -106,6 +106,18 @@ def test_new_asks_and_writes_a_bench_that_can_be_run(tmp_path):
     assert "is there already" in again.stderr
 
 
+def test_new_asks_its_way_to_a_machine_of_another_kind(tmp_path):
+    path = tmp_path / "shaft.yaml"
+    typed = "mine\nembedded:mine\n" + "\n" * 3 + "0.06\n" + "\n" * 20
+    done = hilbench("config", "new", path, "--kind", "servo_axis", "--eds", ROOT / "eds", typed=typed)
+    assert done.returncode == 0, done.stderr
+    config, _ = load(path)
+    assert (config.machine.kind, config.machine.shaft.inertia_kg_m2) == ("servo_axis", 0.06)
+    checked = hilbench("check", path)
+    assert checked.returncode == 0, checked.stderr
+    assert "line_speed" not in path.read_text()
+
+
 def test_new_asks_again_for_an_answer_that_cannot_be_used(tmp_path):
     path = tmp_path / "mine.yaml"
     # An empty line takes what is suggested: here the answers that went before the refused ones.

@@ -2,61 +2,32 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from hilbench.cli.new_bench import servo_axis, web_line
+from hilbench.cli.new_bench.machine import NewBench, Place
 from hilbench.errors import UnusableInputError
 from hilbench.files import writing
+from hilbench.plant.effects import MachineKind
 
 if TYPE_CHECKING:
     from hilbench.strict_yaml import Document
 
 app = typer.Typer(help="Help with config files: JSON Schema for editors, a new config.", no_args_is_help=True)
 
-#: What is asked: question, place in the config, value of the demonstrator.
-_QUESTIONS: tuple[tuple[str, tuple[str, ...], Any], ...] = (
+#: What is asked of every bench: question, place in the config, what is suggested.
+_QUESTIONS: tuple[tuple[str, Place, Any], ...] = (
     ("name of the bench", ("name",), "my_bench"),
     ("bus (embedded: of the folder; embedded:NAME, socketcan:can0, …)", ("bus", "address"), "embedded"),
     ("bit rate in bit/s", ("bus", "bitrate"), 1_000_000),
     ("pace (lockstep: reproducible; realtime: by the wall clock)", ("pace",), "lockstep"),
     ("cycle time in s", ("cycle_time_s",), 0.002),
-    ("Young's modulus of the web in Pa", ("machine", "web", "youngs_modulus_Pa"), 8.7e9),
-    ("width of the web in m", ("machine", "web", "width_m"), 0.5),
-    ("thickness of the web in m", ("machine", "web", "thickness_m"), 65e-6),
-    ("length of the span in m", ("machine", "web", "span_length_m"), 1.0),
-    ("radius of the rollers in m", ("machine", "rollers", "radius_m"), 0.2),
-    ("inertia of a roller in kg·m²", ("machine", "rollers", "inertia_kg_m2"), 1.167),
-    ("gear ratio, motor to roller", ("machine", "rollers", "gear_ratio"), 5.0),
-    ("inertia of a motor in kg·m²", ("machine", "motors", "inertia_kg_m2"), 0.001),
-    ("torque limit of a motor in N·m", ("machine", "drives", "torque_limit_Nm"), 9.0),
-    ("web tension upstream in N", ("machine", "boundary", "upstream_tension_N"), 80.0),
-    ("web tension downstream in N", ("machine", "boundary", "downstream_tension_N"), 70.0),
-    ("set-point of the web tension in N", ("controllers", "tension_control", "set_point_N"), 80.0),
 )
-#: What the demonstrator has and nobody is asked for.
-_GIVEN: dict[tuple[str, ...], Any] = {
-    ("load_motors", "load", "shaft"): "axis2",
-    ("machine", "web_load"): [False, True],
-    ("machine", "drives", "velocity_kp_Nm_s_per_rad"): 1.5,
-    ("machine", "drives", "velocity_ki_Nm_per_rad"): 30.0,
-    ("machine", "drives", "current_loop_time_constant_s"): 0.001,
-    ("steps",): [
-        {"ramp": {"path": "line_speed_m_s", "to": 3.0, "duration_s": 4.0}},
-        {"hold": {"duration_s": 6.0}},
-        {"ramp": {"path": "line_speed_m_s", "to": 0.0, "duration_s": 4.0}},
-    ],
-}
-#: Where each node stands, and its id.
-_NODES: dict[tuple[str, ...], int] = {
-    ("drives", "axis1"): 1,
-    ("drives", "axis2"): 2,
-    ("load_motors", "load"): 3,
-    ("drives", "axis1", "virtual"): 17,
-    ("drives", "axis2", "virtual"): 18,
-    ("twin", "node"): 32,
-}
+_OF_KIND: Mapping[MachineKind, NewBench] = {MachineKind.WEB_LINE: web_line.NEW, MachineKind.SERVO_AXIS: servo_axis.NEW}
 
 
 @app.command()
@@ -87,7 +58,8 @@ def new(
     eds: Annotated[Path, typer.Option("--eds", help="folder with the EDS files of the simulated devices")] = Path(
         "eds"
     ),
-    defaults: Annotated[bool, typer.Option("--defaults", help="ask nothing: the demonstrator's values")] = False,
+    kind: Annotated[MachineKind, typer.Option("--kind", help="of the machine")] = MachineKind.WEB_LINE,
+    defaults: Annotated[bool, typer.Option("--defaults", help="ask nothing: what would be suggested")] = False,
 ) -> None:
     """Ask its way to a bench of simulated drives, check it, and write it with a comment at every key that needs one.
 
@@ -104,20 +76,21 @@ def new(
         raise UnusableInputError(path, "is there already, expected a new file")
     if not path.absolute().parent.is_dir():
         raise UnusableInputError(path, f"no folder {path.parent}, expected one to write into")
-    document = strict_yaml.Document(path, {}, {})
-    for place, node_id in _NODES.items():
+    document, new_bench = strict_yaml.Document(path, {}, {}), _OF_KIND[kind]
+    questions = (*_QUESTIONS, *new_bench.questions)
+    for place, node_id in new_bench.nodes.items():
         file = eds / ("hilbench_virtual_io.eds" if place[0] == "twin" else "hilbench_servo.eds")
         if not file.is_file():
             raise UnusableInputError("--eds", f"no file {file}, expected the folder with the devices' EDS files")
         for key, value in (("node_id", node_id), ("eds", str(file.resolve()))):
             document = document.with_value((*place, key), value, "--eds")
-    for location, value in _GIVEN.items():
+    for location, value in new_bench.given.items():
         document = document.with_value(location, value, str(path))
-    for question, location, suggested in _QUESTIONS:
+    for question, location, suggested in questions:
         document = document.with_value(location, suggested, question)
     while True:
         if not defaults:
-            document = _asked(document)
+            document = _asked(document, questions)
         config = strict_yaml.validate(document, ExperimentConfig)
         try:
             check_bench(config, document)
@@ -131,12 +104,12 @@ def new(
     print(f"{path}: usable; run it with: hilbench run {path}")
 
 
-def _asked(document: Document) -> Document:
+def _asked(document: Document, questions: Sequence[tuple[str, Place, Any]]) -> Document:
     """The document with an answer to every question; what it has already is suggested."""
     from hilbench import strict_yaml
     from hilbench.runs.config import ExperimentConfig
 
-    for question, location, suggested in _QUESTIONS:
+    for question, location, suggested in questions:
         while True:
             value = _answer(question, document.value(location), type(suggested))
             answered = document.with_value(location, value, question)

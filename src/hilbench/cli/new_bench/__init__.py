@@ -1,0 +1,1 @@
+"""What `hilbench config new` asks for, and gives, by kind of machine."""
