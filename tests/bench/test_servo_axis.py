@@ -141,6 +141,27 @@ def test_check_refuses_what_belongs_to_another_kind_of_machine() -> None:
     refused(["steps.0.ramp.path=speed_rad_s"], "a quantity of a web_line", WEB)
 
 
+def test_check_refuses_the_estimation_of_another_kind_of_machine() -> None:
+    refused(
+        ["twin.synchronizer.method=pid"], r"servo_axis.yaml:\d+.*no 'synchronizer:', which is of a twin of a web_line"
+    )
+    refused(["twin.torque_delay=estimate"], "no 'torque_delay:', which is of a twin of a web_line")
+    refused(["twin.inertia.jump_pct=10"], "no 'inertia:', which is of a twin of a servo_axis", WEB)
+
+
+def test_the_method_of_its_twin_can_not_be_chosen(tmp_path: Path) -> None:
+    experiment = tmp_path / "chosen.yaml"
+    experiment.write_text(
+        f"include: {CONFIG}\nname: chosen\nsteps:\n  - hold: {{duration_s: 0.1}}\n  - synchronizer: {{method: rls}}\n"
+        "criteria: []\n"
+    )
+    refused(
+        [], r"chosen.yaml:5: a change of the twin's method, expected none: the twin of a servo_axis has one", experiment
+    )
+    with bench() as running, pytest.raises(UnusableValueError, match="the twin of a servo_axis has one method"):
+        running.use_synchronizer("rls")
+
+
 def test_check_says_how_much_inertia_is_left_and_which_ramp_is_too_steep() -> None:
     done = hilbench("check", CONFIG, "--set", "steps.0.ramp.duration_s=0.01")
     assert done.returncode == 0

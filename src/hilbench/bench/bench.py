@@ -28,6 +28,7 @@ from hilbench.exchange.exchange import Exchange
 from hilbench.exchange.frame_tap import FrameTap
 from hilbench.exchange.nodes import Nodes
 from hilbench.exchange.timeliness import Timeliness
+from hilbench.plant.effects import MachineKind
 from hilbench.processes import ChildProcess
 from hilbench.suggest import did_you_mean
 from hilbench.topology import quantities
@@ -359,7 +360,13 @@ class Bench:
             self.cycle()
 
     def use_synchronizer(self, method: str) -> None:
-        """Let the twin go on with another method from its present E. Raises UnusableValueError for an unknown one."""
+        """Let the twin go on with another method from its present E.
+
+        Raises UnusableValueError for an unknown one, and for a machine whose twin has one method.
+        """
+        kind = self.config.machine_kind
+        if kind is not MachineKind.WEB_LINE:
+            raise UnusableValueError(f"method {method!r}, expected none: the twin of a {kind} has one method")
         if method not in METHODS:
             raise UnusableValueError(
                 f"method {method!r}, expected one of {', '.join(METHODS)}{did_you_mean(str(method), METHODS)}"

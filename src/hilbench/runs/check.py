@@ -72,6 +72,7 @@ def check_experiment(loaded: LoadedConfig, *, with_margins: bool = False) -> Che
         step.prepare()
     asked = list(moves(config))
     _check_paths(loaded, asked)
+    _check_methods(loaded)
     if config.machine_kind is MachineKind.SERVO_AXIS:
         found = _check_shaft(loaded, bench, asked)
     else:
@@ -92,6 +93,17 @@ def _check_paths(loaded: LoadedConfig, asked: list[Move]) -> None:
             problem = of_another_machine(path, loaded.config.machine_kind)
             if problem:
                 raise UnusableInputError(loaded.document.place(move.after.place), f"expected {problem}")
+
+
+def _check_methods(loaded: LoadedConfig) -> None:
+    """Only the twin of a web line has methods to choose from."""
+    kind = loaded.config.machine_kind
+    for number, step in enumerate(loaded.config.steps):
+        if step.synchronizer is not None and kind is not MachineKind.WEB_LINE:
+            place = loaded.document.place(("steps", number, "synchronizer"))
+            raise UnusableInputError(
+                place, f"a change of the twin's method, expected none: the twin of a {kind} has one method"
+            )
 
 
 def _check_shaft(loaded: LoadedConfig, bench: CheckedBench, asked: list[Move]) -> CheckedExperiment:

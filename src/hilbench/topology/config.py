@@ -207,6 +207,15 @@ class TwinConfig(EstimationConfig):
     inertia: InertiaConfig = InertiaConfig()
 
 
+#: Keys of `twin:` that say how a twin of one kind of machine finds what it estimates.
+_ESTIMATION = {
+    MachineKind.WEB_LINE: (
+        "synchronizer", "transfer", "youngs_modulus_Pa", "torque_delay", "unmodelled_torque_Nm", "torque_shift",
+    ),
+    MachineKind.SERVO_AXIS: ("inertia",),
+}  # fmt: skip
+
+
 def _misfits(key: str, value: Any, kind: MachineKind) -> Iterator[str]:
     """Why the value of a key can't be that of a bench with this kind of machine."""
     of_servo = kind is MachineKind.SERVO_AXIS
@@ -218,6 +227,11 @@ def _misfits(key: str, value: Any, kind: MachineKind) -> Iterator[str]:
         yield "'shaft:' for a servo axis"
     if not of_servo and ((key == "load" and value.shaft != LoadShaftConfig()) or (key == "hardware" and value.shaft)):
         yield "no 'shaft:', which is of a servo axis (machine: {kind: servo_axis})"
+    if key == "twin":
+        default = TwinConfig(node=value.node)
+        for owner, name in ((owner, name) for owner, names in _ESTIMATION.items() for name in names):
+            if owner is not kind and getattr(value, name) != getattr(default, name):
+                yield f"no '{name}:', which is of a twin of a {owner} (this machine is a {kind})"
     if key in ("hardware", "load"):
         for entry in value.effects:
             yield from filter(None, [_effect_problem(entry, kind), _place_problem(entry, EffectPlace(key), kind)])
@@ -266,7 +280,7 @@ class BenchConfig(Block):
     safety: SafetyConfig = SafetyConfig()
     realtime: RealtimeConfig = RealtimeConfig()
 
-    @field_validator("load_motors", "hardware", "load", "controllers")
+    @field_validator("load_motors", "hardware", "load", "twin", "controllers")
     @classmethod
     def _of_this_machine(cls, value: Any, info: ValidationInfo) -> Any:
         machine = info.data.get("machine")
