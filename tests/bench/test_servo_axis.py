@@ -15,6 +15,7 @@ from hilbench.bench.machines.ranges import operator_ranges
 from hilbench.bench.tasks.limits import LimitTripError
 from hilbench.errors import UnusableInputError, UnusableValueError
 from hilbench.exchange.nodes import Nodes
+from hilbench.results.recording import read_recording
 from hilbench.runs.check import check_experiment
 from hilbench.runs.config import load_with_overrides
 
@@ -119,6 +120,37 @@ def test_the_shipped_experiment_passes_with_processes_of_its_own(tmp_path: Path)
     assert "inertia true / estimated" in done.stdout
 
 
+def test_in_real_time_the_run_comes_to_its_end_whatever_the_machine_does_beside_it(tmp_path: Path) -> None:
+    """How late samples are is up to the computer; that the imitation bears it is up to the bench."""
+    experiment = tmp_path / "realtime.yaml"
+    experiment.write_text(
+        f"include: {CONFIG}\nname: realtime\npace: realtime\n"
+        "steps:\n"
+        "  - ramp: {path: speed_rad_s, to: 20.0, duration_s: 0.5}\n"
+        "  - step: {path: load.shaft.inertia_kg_m2, to: 0.06}\n"
+        "  - ramp: {path: speed_rad_s, to: 35.0, duration_s: 0.5}\n"
+        "  - ramp: {path: speed_rad_s, to: 5.0, duration_s: 1.0}\n"
+        "  - ramp: {path: speed_rad_s, to: 0.0, duration_s: 0.5}\n"
+        "criteria:\n  - {name: nothing is lost, metric: lost_frames, max: 0}\n"
+    )
+    done = hilbench("run", experiment, "--bus", "embedded:test-servo-realtime", "--no-report", "--out", tmp_path)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "of 2 ms, realtime" in done.stdout
+    (run,) = tmp_path.glob("realtime-*")
+    recording = read_recording(run / "recording.mf4")
+    assert recording["t_s"][-1] == pytest.approx(2.5, abs=0.01)
+    assert float(max(abs(recording["tau_load_Nm"]))) < 10.0
+
+
+@pytest.mark.parametrize("command", ["diagnose", "sync"])
+def test_a_command_that_knows_web_lines_only_says_so_before_it_runs_anything(command: str) -> None:
+    done = hilbench(command, CONFIG)
+    assert done.returncode == 2
+    assert done.stderr.splitlines() == [
+        f"hilbench: {CONFIG}: the machine is a servo_axis, expected a web_line: this command knows no other"
+    ]
+
+
 def test_a_value_of_the_machine_that_is_wrong_is_the_one_thing_that_is_said() -> None:
     done = hilbench("check", CONFIG, "--set", "machine.drives.torque_limit_Nm=-3")
     assert done.returncode == 2
@@ -142,9 +174,7 @@ def test_check_refuses_what_belongs_to_another_kind_of_machine() -> None:
 
 
 def test_check_refuses_the_estimation_of_another_kind_of_machine() -> None:
-    refused(
-        ["twin.synchronizer.method=pid"], r"servo_axis.yaml:\d+.*no 'synchronizer:', which is of a twin of a web_line"
-    )
+    refused(["twin.estimate=[{method: pid}]"], r"servo_axis.yaml:\d+.*no 'estimate:', which is of a twin of a web_line")
     refused(["twin.torque_delay=estimate"], "no 'torque_delay:', which is of a twin of a web_line")
     refused(["twin.inertia.jump_pct=10"], "no 'inertia:', which is of a twin of a servo_axis", WEB)
 

@@ -70,9 +70,17 @@ def test_a_dbc_reader_decodes_the_pdos_of_a_bench_in_si_units() -> None:
     assert tpdo1.get_signal_by_name("Position_actual_value").unit == "rad"
     twin = database.get_message_by_name("virtual_io_TPDO1")
     values = twin.decode(nodes.io.state.pack((80.5, 8.7e9)))
-    assert list(values.values()) == pytest.approx([80.5, 8.7e9])
+    assert values == {"F_sim_N": 80.5, "E_sim_Pa": pytest.approx(8.7e9)}
     shared = [message.name for message in database.messages if message.frame_id == 0x201]
     assert shared == ["axis1_RPDO1"]
+
+
+def test_a_dbc_file_of_a_servo_axis_names_what_its_twin_finds_in_its_units() -> None:
+    config, _ = load(CONFIG.with_name("servo_axis.yaml"))
+    database = cantools.database.load_string(pdo_set_dbc(config), "dbc")
+    twin = [database.get_message_by_name(f"virtual_io_TPDO{number}") for number in (1, 2)]
+    units = {signal.name: signal.unit for message in twin for signal in message.signals}
+    assert units == {"J_sim_kg_m2": "kgm^2", "coulomb_sim_Nm": "Nm", "J_sd_kg_m2": "kgm^2", "tau1_residual_Nm": "Nm"}
 
 
 MAPPING = """
@@ -105,7 +113,8 @@ def test_units_and_comments_of_a_dbc_file_are_the_same_in_any_encoding(tmp_path:
     done = hilbench("dbc", CONFIG, "--out", tmp_path / "bench.dbc")
     assert done.returncode == 0, done.stderr
     database = cantools.database.load_file(tmp_path / "bench.dbc", **({"encoding": encoding} if encoding else {}))
-    assert {signal.unit for message in database.messages for signal in message.signals} == {None, "rad", "rad/s", "Nm"}
+    units = {signal.unit for message in database.messages for signal in message.signals}
+    assert units == {None, "rad", "rad/s", "Nm", "N", "Pa"}
     assert (tmp_path / "bench.dbc").read_bytes().isascii()
 
 

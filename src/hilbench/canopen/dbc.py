@@ -28,6 +28,7 @@ class DbcMessage:
     sender: str
     pdo: PdoMap
     units: tuple[tuple[float, str] | None, ...]
+    names: tuple[str, ...] = ()  #: of the mapped objects, where they have others than in the EDS file
 
 
 def dbc_text(messages: Iterable[DbcMessage], comment: str) -> str:
@@ -74,12 +75,13 @@ def _ascii(text: str) -> str:
 
 def _signals(message: DbcMessage) -> Iterator[Signal]:
     start = 0
-    for variable, unit in zip(message.pdo.variables, message.units, strict=True):
+    names = message.names or [variable.name for variable in message.pdo.variables]
+    for variable, unit, called in zip(message.pdo.variables, message.units, names, strict=True):
         bits, kind = bit_length(variable), data_type(variable.data_type or 0)
         factor, name = unit or (1, "")
         lowest, highest = (-(1 << (bits - 1)), (1 << (bits - 1)) - 1) if kind.is_signed else (0, (1 << bits) - 1)
         yield Signal(
-            symbol(variable.name),
+            symbol(called),
             start,
             bits,
             is_signed=kind.is_signed or kind.is_float,
@@ -87,7 +89,7 @@ def _signals(message: DbcMessage) -> Iterator[Signal]:
             minimum=None if kind.is_float else _rounded(lowest * factor),
             maximum=None if kind.is_float else _rounded(highest * factor),
             unit=ascii_unit(name) or None,
-            comment=_ascii(f"{variable.index:04X}h:{variable.subindex} {variable.name}"),
+            comment=_ascii(f"{variable.index:04X}h:{variable.subindex} {called}"),
         )
         start += bits
 

@@ -37,7 +37,7 @@ def hilbench(
         bool, typer.Option("--version", callback=_say_version, is_eager=True, help="say the version and exit")
     ] = False,
 ) -> None:
-    """Hardware-in-the-loop test bench over CAN/CANopen with a synchronized twin of a web-transport section."""
+    """Hardware-in-the-loop test bench over CAN/CANopen with a synchronized twin of the machine."""
 
 
 def _load(config: Path, **overrides: Any) -> Any:
@@ -150,7 +150,7 @@ def doctor(
 def simulate_hardware(
     config: ConfigArgument, bus: BusOption = None, pace: PacedByOption = "realtime", changes: SetOption = None
 ) -> None:
-    """Simulate the drives of a bench (axis 1, axis 2, load motor) until interrupted, for any CANopen master.
+    """Simulate the drives of a bench (of its axes, and the load motors) until interrupted, for any CANopen master.
 
     Time is the clock's, whatever the SYNC period; the pace of the config is that of the bench, and does not count here.
 

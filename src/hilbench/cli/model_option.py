@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from hilbench import strict_yaml
+from hilbench.errors import UnusableInputError
 from hilbench.plant.web_line.parameters import ModelParameters, load_model
 from hilbench.runs.config import ExperimentConfig, is_model, load
 
@@ -13,7 +14,16 @@ from hilbench.runs.config import ExperimentConfig, is_model, load
 def model_from(path: Path) -> ModelParameters:
     """Read it. Raises UnusableInputError (file, line, key, found, expected)."""
     config = config_from(path)
-    return load_model(path) if config is None else config.web_line
+    return load_model(path) if config is None else web_line_of(config, path)
+
+
+def web_line_of(config: ExperimentConfig, path: Path) -> ModelParameters:
+    """The machine of the config in this file, for what knows web lines only. Raises UnusableInputError."""
+    if isinstance(config.machine, ModelParameters):
+        return config.machine
+    raise UnusableInputError(
+        path, f"the machine is a {config.machine_kind}, expected a web_line: this command knows no other"
+    )
 
 
 def config_from(path: Path) -> ExperimentConfig | None:

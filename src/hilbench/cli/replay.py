@@ -70,6 +70,7 @@ def _trace(run: Path, bus: str | None, speed: float, *, commands: bool, force: b
 def _twin(run: Path, method: str | None, out: Path | None) -> dict[str, Any]:
     import numpy as np
 
+    from hilbench.cli.model_option import web_line_of
     from hilbench.diagnosis.synchronization import measurements_of, methods_of, require_one_span
     from hilbench.estimation.web_line.offline import run_offline
     from hilbench.results.journal import read_journal
@@ -81,7 +82,8 @@ def _twin(run: Path, method: str | None, out: Path | None) -> dict[str, Any]:
 
     folder: RunFolder = RunFolder.open(run)
     config, _ = load(folder.config)
-    require_one_span(config.web_line, folder.config)
+    model = web_line_of(config, folder.config)
+    require_one_span(model, folder.config)
     recording = read_recording(folder.recording)
     twin = config.twin
     if method is not None:
@@ -89,7 +91,7 @@ def _twin(run: Path, method: str | None, out: Path | None) -> dict[str, Any]:
         if len(chosen) != 1:
             raise UnusableInputError("--method", f"'{method}', expected one method")
         twin = twin.model_copy(update={"estimate": list(chosen.values())})
-    track = run_offline(config.web_line, twin, measurements_of(recording, folder.recording))
+    track = run_offline(model, twin, measurements_of(recording, folder.recording))
     signals = {
         "F_sim_N": track.F_sim_N,
         "E_sim_Pa": track.E_Pa,

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from hilbench.canopen.dbc import DbcMessage, dbc_text
 from hilbench.canopen.identifiers import FUNCTION_CODE, RPDOS, TPDOS
 from hilbench.canopen.pdo import PdoMap
@@ -10,6 +12,8 @@ from hilbench.cia402.units import DriveUnits
 from hilbench.exchange.nodes import Nodes, declared_units
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.parts import Role
+from hilbench.topology.signals import Signal
+from hilbench.topology.virtual_io import PROCESS_DATA
 
 _MASTER = "bench"
 _NAMES = {code: f"{kind}{k}" for kind, codes in (("TPDO", TPDOS), ("RPDO", RPDOS)) for k, code in enumerate(codes, 1)}
@@ -20,17 +24,31 @@ def pdo_set_dbc(config: BenchConfig) -> str:
     nodes = Nodes(config)
     messages: dict[int, DbcMessage] = {}
     for part in config.parts:
-        units = None
-        if part.role is not Role.VIRTUAL_IO:
+        units, signals = None, {}
+        if part.role is Role.VIRTUAL_IO:
+            signals = _process_data(config)
+        else:
             units = declared_units(part, nodes.dictionary(part.name))
         for pdo in nodes.pdo_maps(part.name):
             # A virtual axis listens to the RPDO of its real axis: one frame, two receivers.
-            messages.setdefault(pdo.cob_id, _message(part.name, pdo, units))
+            messages.setdefault(pdo.cob_id, _message(part.name, pdo, units, signals))
     return dbc_text(messages.values(), f"PDO set of the bench {config.name}; SI units, drives at the motor shaft")
 
 
-def _message(part: str, pdo: PdoMap, units: DriveUnits | None) -> DbcMessage:
+def _process_data(config: BenchConfig) -> dict[tuple[int, int], Signal]:
+    """What the objects of the virtual I/O are on a machine of this kind, by index and sub-index."""
+    known = {signal.name: signal for signal in config.signals}
+    data = PROCESS_DATA[config.machine_kind].signals
+    return {(each.index, each.sub): known[each.name] for each in data if each.name in known}
+
+
+def _message(part: str, pdo: PdoMap, units: DriveUnits | None, signals: Mapping[tuple[int, int], Signal]) -> DbcMessage:
     function = pdo.cob_id & FUNCTION_CODE
     number = _NAMES.get(function, f"PDO_{pdo.cob_id:X}")
     sender = _MASTER if function in RPDOS else part
-    return DbcMessage(f"{part}_{number}", sender, pdo, tuple(si_unit(v.index, units) for v in pdo.variables))
+    names, in_units = [], []
+    for variable in pdo.variables:
+        signal = signals.get((variable.index, variable.subindex))
+        names.append(variable.name if signal is None else signal.name)
+        in_units.append(si_unit(variable.index, units) if signal is None else (1.0, signal.unit))
+    return DbcMessage(f"{part}_{number}", sender, pdo, tuple(in_units), tuple(names))

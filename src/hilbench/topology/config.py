@@ -210,7 +210,7 @@ class TwinConfig(EstimationConfig):
 #: Keys of `twin:` that say how a twin of one kind of machine finds what it estimates.
 _ESTIMATION = {
     MachineKind.WEB_LINE: (
-        "synchronizer", "transfer", "youngs_modulus_Pa", "torque_delay", "unmodelled_torque_Nm", "torque_shift",
+        "estimate", "transfer", "youngs_modulus_Pa", "torque_delay", "unmodelled_torque_Nm", "torque_shift",
     ),
     MachineKind.SERVO_AXIS: ("inertia",),
 }  # fmt: skip
