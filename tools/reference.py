@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final
 
@@ -25,7 +25,7 @@ from hilbench.runs.config_text import json_schema
 from hilbench.runs.metrics import OF_RUNS, OF_STEPS
 from hilbench.runs.stretch import Metric
 from hilbench.topology.quantities import PLAIN_PATHS, permitted
-from hilbench.topology.signals import signals_of
+from hilbench.topology.signals import Signal, signals_of
 
 ROOT: Final = Path(__file__).resolve().parent.parent
 
@@ -367,12 +367,16 @@ def signals_page() -> str:
         + ", ".join(f"`{path}` ({permitted(path)})" for path in PLAIN_PATHS)
         + ", and every parameter of every [effect](effects.md) within its bounds.",
         "",
-        *_table(
-            ("signal", "unit", "group", "what"),
-            ((f"`{s.name}`", s.unit, s.group, s.description) for s in signals_of("web_line", 2, ["load"], 1)),
-        ),
+        *_signals_table("A web line of two axes and one span", signals_of(MachineKind.WEB_LINE, 2, ["load"], 1)),
+        "",
+        *_signals_table("A servo axis", signals_of(MachineKind.SERVO_AXIS, 1, ["load"], 0)),
     ]
     return "\n".join(lines)
+
+
+def _signals_table(title: str, signals: Iterable[Signal]) -> list[str]:
+    rows = ((f"`{s.name}`", s.unit, s.group, s.description) for s in signals)
+    return [f"## {title}", "", *_table(("signal", "unit", "group", "what"), rows)]
 
 
 # -- commands --------------------------------------------------------------------------------------------------

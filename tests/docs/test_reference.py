@@ -67,9 +67,10 @@ def test_effects_metrics_signals_and_objects_are_all_there(made: dict[str, str])
         assert {parameter.name for parameter in effect.parameters} <= rows(effects).keys()
     assert rows(effects)["relative_change"][2:5] == ["0", "-0.95", "10"]
     assert set(METRICS) <= rows(made["reference/metrics.md"]).keys()
-    assert {signal.name for signal in signals_of("web_line", 2, ["load"], 1)} <= rows(
-        made["reference/signals.md"]
-    ).keys()
+    for kind, axes, spans in (("web_line", 2, 1), ("servo_axis", 1, 0)):
+        assert {signal.name for signal in signals_of(kind, axes, ["load"], spans)} <= rows(
+            made["reference/signals.md"]
+        ).keys()
     objects = rows(made["reference/objects.md"])
     assert objects["6041h"][1:5] == ["Statusword", "UNSIGNED16", "ro", "yes"]
     assert objects["1014h"][5] == "`$NODEID + 80h`"
