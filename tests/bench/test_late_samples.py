@@ -157,6 +157,8 @@ def odd_samples(kind: str, cycles: int) -> tuple[list[float], set[int]]:
             gone += [float(draw.randint(2, 4)), 0.0]
         elif kind == "one is lost, then two at once":
             gone += [0.0, 2.0]
+        elif kind == "none for a while":
+            gone += [0.0] * 6 + [7.0]
         else:
             jitter = draw.uniform(-0.4, 0.4)
             gone += [1.0 + jitter, 1.0 - jitter]
@@ -170,13 +172,14 @@ def odd_samples(kind: str, cycles: int) -> tuple[list[float], set[int]]:
         "cycles that the bench has missed",
         "SYNC sent late, and the next in time",
         "one is lost, then two at once",
+        "none for a while",
         "SYNC jitters",
     ],
 )
 def test_a_shaft_is_imitated_over_the_time_that_has_gone_by_between_its_samples(kind: str) -> None:
     torque, expected = shaft_torques(*odd_samples(kind, 2000))
     assert np.ptp(expected) > 0.5
-    # What is held for a cycle, or predicted over a gap, is off by what the torque changes meanwhile.
+    # What is held for a while, or predicted over a gap, is off by what the torque changes meanwhile.
     assert np.max(np.abs(torque - expected)[200:]) < 0.05
 
 

@@ -67,9 +67,14 @@ class NoiseLevel:
             self._count += 1
 
     @property
+    def known(self) -> bool:
+        """Whether it is measured, and not only believed."""
+        return self._count > _SETTLE
+
+    @property
     def variance(self) -> float:
         """Variance of the noise, unit of the signal squared."""
-        return float(self._state[4]) if self._count > _SETTLE else self._expected
+        return float(self._state[4]) if self.known else self._expected
 
     @property
     def deviation(self) -> float:

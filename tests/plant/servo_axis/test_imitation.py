@@ -160,6 +160,18 @@ def test_effects_of_the_drive_cannot_be_imitated_those_of_the_shaft_can() -> Non
     assert imitated.load_torques_Nm([1], [5.0], 0.004)[0] == plain
 
 
+def test_a_position_that_no_motor_can_have_brought_about_does_not_throw_the_shaft() -> None:
+    model, real = axis(inertia_kg_m2=0.059), stand(axis())
+    imitated = ImitatedShaft(model, real, CYCLE_S)
+    imitated.reset([0.0])
+    torques = []
+    for k in range(1, 200):
+        imitated.follow([20.0 * k * CYCLE_S + (0.1 if k == 150 else 0.0)], CYCLE_S)
+        torques += imitated.load_torques_Nm([1], [20.0], 0.004)
+    most_rad_s2 = (9.0 + 20.0) / 0.04
+    assert max(map(abs, torques)) <= (0.06 - 0.04) * most_rad_s2 + 1.0
+
+
 def test_filter_follows_constant_jerk_without_lag() -> None:
     motion = TrackingFilter(0.005)
     for k in range(300):

@@ -117,8 +117,6 @@ class LoadModel:
             return cycles, cycles * self._cycle_s
         parts = max(round(_PARTS * way / way_of_a_cycle), 0) if isfinite(way / way_of_a_cycle) else _PARTS
         cycles = round(parts / _PARTS)
-        if not cycles and self._behind_cycles > _MOST_PREDICTED_CYCLES:  # it stands, whatever is said of its speed
-            return self._behind_cycles, self._behind_cycles * self._cycle_s
         whole = not cycles or abs(way - cycles * way_of_a_cycle) <= self._least_way
         return cycles, (cycles if whole else parts / _PARTS) * self._cycle_s
 

@@ -39,9 +39,9 @@ _SHAKING = 0.01
 #: Of the motor's torque limit: by how much more or less torque than before, load motor included, the shaft may be
 #: turned. A position that is further off than this accelerates it is not one cycle after the last.
 _TORQUE_CHANGE = 2.0
-#: By how much the motion changes its course in a cycle without anything being wrong, and the encoder's noise in
-#: deviations.
-_POSITION_SLACK_RAD, _NOISE_SLACK = 1e-4, 6.0
+#: By how much the motion changes its course in a cycle without anything being wrong, the encoder's noise in
+#: deviations, and the most that is believed of an encoder (12 bits).
+_POSITION_SLACK_RAD, _NOISE_SLACK, _COARSEST_RAD = 1e-4, 6.0, 3e-3
 #: More cycles than this without a usable sample are not bridged: the motion is found anew.
 _LONGEST_GAP_CYCLES = 20
 #: Beyond those that are known to be missing so many cycles may have passed, so many times in a row.
@@ -139,6 +139,7 @@ class FilterInputs:
         self._before_Nm = None
         self._motion = None
         self._missing = self._odd = 0
+        self._position.interrupt()
 
     def miss(self) -> None:
         """A cycle is missing; so many of them that nothing can be said of the time between are an interruption."""
@@ -199,7 +200,9 @@ class FilterInputs:
         A shaft that hardly turns does not tell a position of another time from one after a jolt: that is in doubt.
         """
         expected, self.in_doubt = 1 + self._missing, False
-        if self._motion is None or self._cycles < 1 or self._off_rad(sample, expected) <= self._slack_rad(expected):
+        if self._motion is None or self._cycles < 1 or not self._position.known:
+            return expected
+        if self._off_rad(sample, expected) <= self._slack_rad(expected):
             self._odd = 0
             return expected
         found = expected
@@ -221,7 +224,7 @@ class FilterInputs:
 
     def _slack_rad(self, cycles: int) -> float:
         """What a position is off by without anything being wrong: as the motion changes, and by the encoder's noise."""
-        return _POSITION_SLACK_RAD * cycles**2 + _NOISE_SLACK * self._position.deviation
+        return _POSITION_SLACK_RAD * cycles**2 + min(_NOISE_SLACK * self._position.deviation, _COARSEST_RAD)
 
     def _off_rad(self, sample: ShaftSample, cycles: int) -> float:
         assert self._motion is not None, "compared with a motion that is known"

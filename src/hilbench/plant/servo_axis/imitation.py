@@ -10,11 +10,13 @@ imitated is a question of stability: `hilbench.plant.servo_axis.stability`.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from math import inf
 
 import numpy as np
 
 from hilbench.compiled import entry_point
 from hilbench.plant.interface import PlantDescription, PlantState, Quantity, checked_name
+from hilbench.plant.parameters import per_item
 from hilbench.plant.servo_axis import kernel, laws
 from hilbench.plant.servo_axis import layout as lay
 from hilbench.plant.servo_axis.effects import IDS, imitated_effect_problem
@@ -73,6 +75,10 @@ class ImitatedShaft:
         self._machine = Shaft(imitated.model_copy(update={"effects": of_shaft}), None, (), 1)
         self._real = lay.pack(known, real.load_motor)
         self._filter = TrackingFilter(filter_cycles * cycle_s)
+        # No motor turns the shaft faster: more is a sample of another instant than it was taken for.
+        drives = real.axis.drives
+        torque_Nm = real.load_motor.torque_limit_Nm + (per_item(drives.torque_limit_Nm, 1) if drives else inf)
+        self._most_rad_s2 = torque_Nm / real.inertia_kg_m2
         self._time_s = 0.0
 
     def describe(self) -> PlantDescription:
@@ -118,6 +124,7 @@ class ImitatedShaft:
         if any(axis != 1 for axis in axes):
             raise ValueError(f"load motors on axes {list(axes)}, expected axis 1: a servo axis has one shaft")
         position, _, acceleration, jerk = self._filter.predicted(lead_s).tolist()
+        acceleration = min(max(acceleration, -self._most_rad_s2), self._most_rad_s2)
         speed = speeds[0] + lead_s * (acceleration - 0.5 * lead_s * jerk)
         steepest = _SLOPE_SHARE * self._real.item(lay.P_INERTIA) / max(lead_s, _LEAST_LEAD_S)
         torque = _torque_Nm(self._machine.packed, self._real, position, speed, acceleration, steepest)
