@@ -131,6 +131,13 @@ ADDRESSES = {
     "inertia_mismatch": 0x2209,
     "backlash": 0x220A,
     "unbalance": 0x2214,
+    "load_dependent_friction": 0x2215,
+    "quadratic_drag": 0x2216,
+    "torque_ripple_load": 0x2217,
+    "feed_forward": 0x2218,
+    "encoder_error": 0x2219,
+    "drive_gain": 0x221A,
+    "drive_lag": 0x221B,
 }
 
 

@@ -51,6 +51,21 @@ def test_the_gradient_is_that_of_the_named_parameters(amplitude: float, phase: f
         assert gradient[:, k] == pytest.approx(expected, rel=1e-4, abs=1e-6)
 
 
+def test_parts_of_an_effect_are_terms_of_their_own_and_one_effect_of_the_model() -> None:
+    fed = find_effect("feed_forward")
+    terms = [
+        Term(fed, 1, 0, {**fed.filled({}), name: 0.5}, fed.filled({}), {}, 0.1, part=name) for name in fed.strength
+    ]
+    assert [t.free() for t in terms] == [[name] for name in fed.strength]
+    assert len({t.key for t in terms}) == 3
+    plain = model(effect("feed_forward", 1, inertia_share=0.2))
+    found = extended(plain, terms[:2])
+    assert [(e.effect, e.parameters) for e in found.effects] == [
+        ("feed_forward", {"inertia_share": 0.5, "viscous_share": 0.5})
+    ]
+    assert np.array_equal(lay.pack(found), pack_with(plain, terms[:2]))
+
+
 def test_a_strength_is_kept_within_its_bounds() -> None:
     made = term("coulomb_friction", 1, force_N=1.0)
     assert made.at(np.array([-2.0])).values["force_N"] == 0.0
@@ -175,7 +190,7 @@ def test_proposals_cover_the_vocabulary() -> None:
     noise = {name: np.random.default_rng(0).standard_normal(5000) for name in ("tau1_Nm", "tau2_Nm")}
     ids |= {t.effect.id for t in made.searched(noise, [], 1)}
     ids |= {t.effect.id for t in made.gradual(find_effect("elasticity_step"), 3.0, 2.0, [])}
-    assert ids == {e.id for e in effects_of(MachineKind.WEB_LINE)}
+    assert ids == {e.id for e in effects_of(MachineKind.WEB_LINE) if not e.nuisance}
 
 
 def test_a_lone_axis_has_no_effects_of_a_web() -> None:

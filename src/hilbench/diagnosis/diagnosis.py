@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import ceil, log10
 from pathlib import Path
 from typing import Final
@@ -291,7 +291,7 @@ def _named(
         at += size
         errors = dict(zip(term.free(), np.sqrt(np.maximum(np.diag(part), 0.0)) * inflation, strict=True))
         values = {}
-        for parameter in term.effect.parameters:
+        for parameter in (term.effect.parameter(name) for name in term.own):
             value, half = term.values[parameter.name], _NORMAL_95 * float(errors[parameter.name])
             low, high = known.get((place, parameter.name), (value - half, value + half))
             values[parameter.name] = Value(_rounded(value), (_rounded(low), _rounded(high)), parameter.unit)
@@ -303,7 +303,26 @@ def _named(
         result.append(
             NamedEffect(term.effect.id, term.axis, values, selection.evidence.get(term.key, {}), names, advice)
         )
-    return result
+    return _joined(terms, result)
+
+
+def _joined(terms: list[Term], named: list[NamedEffect]) -> list[NamedEffect]:
+    """The parts of one effect, each found as a term of its own, as one, with the evidence of the one found first."""
+    joined: dict[tuple[str, int | None, int], NamedEffect] = {}
+    for term, effect in zip(terms, named, strict=True):
+        place = (term.effect.id, term.axis, term.slot)
+        first = joined.get(place)
+        if first is None:
+            joined[place] = effect
+        else:
+            tied = list(dict.fromkeys([*first.tied_with, *effect.tied_with]))
+            joined[place] = replace(
+                first,
+                parameters=first.parameters | effect.parameters,
+                tied_with=tied,
+                told_apart_by=first.told_apart_by or effect.told_apart_by,
+            )
+    return list(joined.values())
 
 
 def _experiment(effect: Effect, other: str) -> str:

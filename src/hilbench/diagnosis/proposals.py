@@ -48,7 +48,9 @@ class Proposer:
     ) -> None:
         self._model = model
         self._data = data
-        self._vocabulary = [effect for effect in vocabulary if effect.per_axis or model.web is not None]
+        # What a drive's loops are is found from its commands, motion and torque, not by what it does to a machine.
+        possible = [effect for effect in vocabulary if effect.per_axis or model.web is not None]
+        self._vocabulary = [effect for effect in possible if not effect.nuisance]
         self._axes = range(1, model.axis_count + 1)
         speeds = [np.abs(v) for v in data.v_m_s.values()] + [np.abs(data.commands_m_s).ravel()]
         if data.commands_m_s.size == 0 and not data.v_m_s:
@@ -67,13 +69,19 @@ class Proposer:
         )
 
     def _term(
-        self, effect: Effect, axis: int | None, values: Mapping[str, float], slot: int = 0, multiplicity: float = 1.0
+        self,
+        effect: Effect,
+        axis: int | None,
+        values: Mapping[str, float],
+        slot: int = 0,
+        multiplicity: float = 1.0,
+        part: str | None = None,
     ) -> Term:
         base, entries = effect.filled({}), self._entries(effect, axis)
         if slot < len(entries):
             base = effect.filled(entries[slot].parameters)
         filled = {**base, **values}
-        size = effect.parameter(effect.strength[0]).size.on(self.sizes(axis))
+        size = effect.parameter(part or effect.strength[0]).size.on(self.sizes(axis))
         steps = {name: _SHAPE_STEP * value for name, value in filled.items()}
         least: dict[str, float] = {}
         if effect.probe is not None:
@@ -87,7 +95,7 @@ class Proposer:
                 case ProbeOver.MOTOR_ANGLE:
                     steps[searched] = 0.1 / max(self._turns(axis) * _TURN, 1.0)
                     least[searched] = self._least_order(axis)
-        return Term(effect, axis, slot, filled, base, steps, size, multiplicity, least=least)
+        return Term(effect, axis, slot, filled, base, steps, size, multiplicity, least=least, part=part)
 
     def _least_order(self, axis: int | None) -> float:
         """Of a torque ripple: some of its periods are in the recording, and on a machine it comes from what turns."""
@@ -118,15 +126,16 @@ class Proposer:
         """The terms with which an effect is looked at at one place; none of one that is searched for."""
         probe = effect.probe
         if probe is None:
-            return [self._term(effect, axis, {})]
+            parts: list[str | None] = list(effect.strength) if len(effect.strength) > 1 else [None]
+            return [self._term(effect, axis, {}, part=part) for part in parts]
         if probe.over in _SEARCHED:
             return []
         count = len(probe.tried)
         if probe.over is ProbeOver.SHARES_OF_TOP_SPEED:
             speeds = [share * self._top_m_s for share in probe.tried]
             return [self._term(effect, axis, {probe.parameter: v}, multiplicity=count) for v in speeds]
-        plain, unit = self._term(effect, axis, {}), self.sizes(axis).sample_time_s
-        return [replace(plain, probe=times * unit, multiplicity=count) for times in probe.tried]
+        plain = self._term(effect, axis, {})
+        return [replace(plain, probe=times * plain.size, multiplicity=count) for times in probe.tried]
 
     def _possible(self, effect: Effect, axis: int | None) -> bool:
         if not effect.needs_gear or axis is None:
@@ -146,10 +155,18 @@ class Proposer:
         for effect in self._over(ProbeOver.MOTOR_ANGLE):
             for axis in self._axes:
                 if axis in self._data.x_m and axis in self._data.tau_Nm:
-                    terms += self._orders(effect, axis, whitened, present, every)
+                    residuals = self._by_torque(effect, axis, whitened, every)
+                    terms += self._orders(effect, axis, residuals, present, every)
         for effect in self._over(ProbeOver.TIME):
             terms += self._frequencies(effect, whitened, present)
         return terms
+
+    def _by_torque(self, effect: Effect, axis: int, whitened: dict[str, Array], every: int) -> dict[str, Array]:
+        """The residuals as they count for an effect: of one that grows with the torque, times that torque."""
+        if effect.probe is None or not effect.probe.by_torque:
+            return whitened
+        torque = self._data.tau_Nm[axis][::every] / max(self._torque_Nm, 1e-300)
+        return {name: values * torque for name, values in whitened.items()}
 
     def tuned(self, term: Term, residual: Array, response: Array, every: int) -> Term:
         """The term with the order or frequency near its own at which its response fits best.

@@ -29,8 +29,8 @@ from hilbench.plant.effects import EFFECTS, Effect
 
 Array = NDArray[np.float64]
 Announce = Callable[[str, float], None]
-#: Effect, axis and slot of a term; effect and axis of what is named.
-Key = tuple[str, int | None, int]
+#: Effect, axis, slot and part of a term; effect and axis of what is named.
+Key = tuple[str, int | None, int, str | None]
 Place = tuple[str, int | None]
 
 #: Most effects that are named: where a right model leaves noise alone, three that leave more are none of them right,

@@ -42,11 +42,12 @@ class Term:
     probe: float | None = None  #: strength at which its response is looked at; default: a fifth of its size
     aimed: bool = False  #: its time has been searched for
     least: Mapping[str, float] = field(default_factory=dict)  #: below which a shape can't be known from a recording
+    part: str | None = None  #: of an effect with several strengths the one that this term is; the others are not its
 
     @property
-    def key(self) -> tuple[str, int | None, int]:
+    def key(self) -> tuple[str, int | None, int, str | None]:
         """Where it is in the model."""
-        return self.effect.id, self.axis, self.slot
+        return self.effect.id, self.axis, self.slot, self.part
 
     @property
     def place(self) -> tuple[str, int | None]:
@@ -97,10 +98,16 @@ class Term:
 
     @property
     def _strength(self) -> str:
-        return self.effect.strength[0]
+        return self.part or self.effect.strength[0]
 
     def _shapes(self) -> list[str]:
-        return [p.name for p in self.effect.parameters if p.name not in (self._strength, _PHASE)]
+        return [p.name for p in self.effect.parameters if p.name not in (*self.effect.strength, _PHASE)]
+
+    @property
+    def own(self) -> dict[str, float]:
+        """Its values, without those of other parts of the same effect."""
+        others = [name for name in self.effect.strength if name != self._strength]
+        return {name: value for name, value in self.values.items() if name not in others}
 
     @property
     def linear(self) -> int:
@@ -157,7 +164,7 @@ class Term:
 
     def write(self, parameters: Array) -> None:
         """Into a parameter vector of the kernel."""
-        lay.write_effect(parameters, self.effect.id, self.axis, self.slot, dict(self.values))
+        lay.write_effect(parameters, self.effect.id, self.axis, self.slot, self.own)
 
     def gradient(self) -> Array:
         """(parameters, coordinates): derivatives of the named parameters `free()` by the coordinates."""
@@ -171,7 +178,7 @@ class Term:
 
     def entry(self) -> EffectEntry:
         """As it stands in a model file."""
-        return EffectEntry(effect=self.effect.id, axis=self.axis, parameters=dict(self.values))
+        return EffectEntry(effect=self.effect.id, axis=self.axis, parameters=self.own)
 
 
 def pack_with(model: ModelParameters, terms: list[Term]) -> Array:
@@ -183,12 +190,13 @@ def pack_with(model: ModelParameters, terms: list[Term]) -> Array:
 
 
 def extended(model: ModelParameters, terms: list[Term]) -> ModelParameters:
-    """The model with the terms in its effects; a term at a place where the model has the effect replaces it."""
+    """The model with the terms in its effects; a term at a place where the model has the effect replaces its values."""
     entries = list(model.effects)
     for term in terms:
         positions = [k for k, e in enumerate(entries) if (e.effect, e.axis) == term.place]
         if term.slot < len(positions):
-            entries[positions[term.slot]] = term.entry()
+            before = entries[positions[term.slot]]
+            entries[positions[term.slot]] = before.model_copy(update={"parameters": before.parameters | term.own})
         else:
             entries.append(term.entry())
     data = model.model_dump()

@@ -120,10 +120,14 @@ def drive_sample(
     period_s: float,
     position_rad: float,
     velocity_rad_s: float,
+    kp: float,
+    ki: float,
+    current_s: float,
 ) -> None:
-    """What a drive does at a sample instant: new torque command from set point and motion.
+    """What a drive does at a sample instant: new torque command from set point and motion, as it measures it.
 
-    `gains`, `state`, `inputs`: where its loops' parameters begin in `p`, its state in `s`, its inputs in `u`.
+    `gains`, `state`, `inputs`: where its loops' parameters begin in `p`, its state in `s`, its inputs in `u`. `kp`
+    (N·m·s/rad), `ki` (N·m/rad) and `current_s` (s): of its velocity and current loop, with what effects make of them.
     """
     mode, slope = u[inputs + IN_MODE], u[inputs + IN_SLOPE]
     limit = min(u[inputs + IN_LIMIT_NM], p[gains + LIMIT_NM])
@@ -148,10 +152,10 @@ def drive_sample(
         kp_position = p[gains + POSITION_KP]
         wanted = velocity_reference(mode, before, reference, position_rad, kp_position, slope, period_s)
         command, s[state + INTEGRAL_NM], limited = velocity_loop(
-            wanted - velocity_rad_s, s[state + INTEGRAL_NM], p[gains + KP], p[gains + KI], limit, period_s
+            wanted - velocity_rad_s, s[state + INTEGRAL_NM], kp, ki, limit, period_s
         )
     s[state + COMMAND_NM] = command
-    if p[gains + CURRENT_S] == 0.0:
+    if current_s == 0.0:
         s[state + TORQUE_NM] = command
     if limited:
         s[state + LIMITED] = 1.0

@@ -27,6 +27,8 @@ class Domain(StrEnum):
     ROLLER_TORQUE = "roller_torque"  #: torque that acts on the roller, by its angle
     MOTOR_TORQUE = "motor_torque"  #: torque that acts on the shaft
     TORQUE_MEASUREMENT = "torque_measurement"  #: torque as the drive reports it
+    POSITION_MEASUREMENT = "position_measurement"  #: motion as the encoder reports it, to the drive's loops as well
+    DRIVE = "drive"  #: control loops of the drive
     WEB_KINEMATICS = "web_kinematics"  #: speed of the web at a roller
     ELASTICITY = "elasticity"  #: tension from strain
     BOUNDARY = "boundary"  #: what comes from the neighbouring sections
@@ -45,7 +47,15 @@ class EffectPlace(StrEnum):
 #: What acts on a roller: the simulated hardware can have it, and a load motor on the roller's shaft can imitate it.
 _AT_A_ROLLER = frozenset({Domain.ROLLER_RESISTANCE, Domain.ROLLER_TORQUE})
 _DOMAINS: Mapping[EffectPlace, frozenset[Domain]] = {
-    EffectPlace.HARDWARE: _AT_A_ROLLER | {Domain.MOTOR_TORQUE, Domain.TORQUE_MEASUREMENT, Domain.INERTIA, Domain.GEAR},
+    EffectPlace.HARDWARE: _AT_A_ROLLER
+    | {
+        Domain.MOTOR_TORQUE,
+        Domain.TORQUE_MEASUREMENT,
+        Domain.POSITION_MEASUREMENT,
+        Domain.DRIVE,
+        Domain.INERTIA,
+        Domain.GEAR,
+    },
     EffectPlace.LOAD: _AT_A_ROLLER | {Domain.WEB_KINEMATICS, Domain.ELASTICITY, Domain.BOUNDARY, Domain.GEOMETRY},
 }
 
@@ -124,7 +134,8 @@ class Probe:
     over: ProbeOver
     parameter: str  #: what is searched for
     duration: str = ""  #: ONSET_AND_DURATION: the parameter that is the duration
-    tried: tuple[float, ...] = ()  #: SHARES_OF_TOP_SPEED: the shares; STRENGTHS: in sample times of the drives
+    tried: tuple[float, ...] = ()  #: SHARES_OF_TOP_SPEED: the shares; STRENGTHS: in sizes of the parameter
+    by_torque: bool = False  #: MOTOR_ANGLE: the residual counts by the torque that it grows with
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,7 +172,8 @@ class Effect:
     law: str
     domain: Domain
     parameters: tuple[Parameter, ...]
-    #: Parameters that make the effect vanish when all are neutral; the others only shape it.
+    #: Parameters that make the effect vanish when all are neutral; the others only shape it. Several are looked for one
+    #: by one, each a term of its own: a part of the effect that nothing speaks for is not named with the others.
     strength: tuple[str, ...]
     #: CANopen object of it; its parameters are the sub-indices in order, from 1. Never given again to another effect.
     object_index: int
@@ -184,6 +196,12 @@ class Effect:
     #: The effect that it is when it takes no time.
     at_once: str | None = None
     lookalike: Lookalike | None = None
+    #: Whether it is no missing mechanics but what a stand does beside them: found, corrected for, and told apart from
+    #: what is named (the drives' loops).
+    nuisance: bool = False
+    #: Effects that some recordings can't tell it from (ids), and the experiment that does, where it is another than
+    #: those that show the two best.
+    alike: tuple[tuple[str, str], ...] = ()
 
     def parameter(self, name: str) -> Parameter:
         """The parameter `name`. Raises KeyError."""
@@ -227,6 +245,10 @@ class Effect:
 
     def told_apart_from(self, other: Effect) -> str:
         """The experiment that separates it from another effect that a recording can't tell it from."""
+        for one, two in ((self, other), (other, self)):
+            for effect_id, experiment in one.alike:
+                if effect_id == two.id:
+                    return experiment
         return self.shown_by if self.shown_by == other.shown_by else f"{self.shown_by}; {other.shown_by}"
 
     def in_kind(self, kind: MachineKind) -> Effect:
@@ -245,8 +267,12 @@ def _phase() -> Parameter:
     return Parameter("phase_rad", "rad", 0.0, -2.0 * pi, 2.0 * pi, Size(1.0), required=False)
 
 
-def _relative(size: float = 0.1) -> Parameter:
-    return Parameter("relative_change", "1", 0.0, -0.95, 10.0, Size(size))
+def _relative(size: float = 0.1, name: str = "relative_change", *, required: bool = True) -> Parameter:
+    return Parameter(name, "1", 0.0, -0.95, 10.0, Size(size), required)
+
+
+def _fed_forward(name: str) -> Parameter:
+    return Parameter(name, "1", 0.0, 0.0, 2.0, Size(0.1), required=False)
 
 
 def _onset() -> Parameter:
@@ -257,6 +283,7 @@ def _onset() -> Parameter:
 # a third of that where it is compared with the torque of the motor directly.
 _FORCE, _TORQUE = Size(0.05, force=1), Size(0.05, force=1, radius=1)
 _PER_SPEED, _PER_ANGULAR_SPEED = Size(0.1, force=1, speed=-1), Size(0.1, force=1, radius=2, speed=-1)
+_PER_SQUARE, _PER_ANGULAR_SQUARE = Size(0.2, force=1, speed=-2), Size(0.2, force=1, radius=3, speed=-2)
 _MOTOR_TORQUE = Size(1.0 / 64.0, force=1, radius=1, gear=-1)
 
 #: Among explanations that a recording can't tell apart the one that stands first here is named.
@@ -398,7 +425,7 @@ EFFECTS: tuple[Effect, ...] = (
         object_index=0x2208,
         shown_by="ramp the speed steeply",
         kinds=_EVERY_KIND,
-        probe=Probe(ProbeOver.STRENGTHS, "delay_s", tried=(1.0, 3.0, 10.0, 30.0)),
+        probe=Probe(ProbeOver.STRENGTHS, "delay_s", tried=(0.25, 0.75, 2.5, 7.5)),
     ),
     Effect(
         id="inertia_mismatch",
@@ -538,6 +565,119 @@ EFFECTS: tuple[Effect, ...] = (
         object_index=0x2214,
         shown_by="turn slowly for many turns of the roller, then at another speed",
         kinds=_EVERY_KIND,
+    ),
+    # Of the force that goes through the gear, which is the motor's: a gear of efficiency η passes 1 - k = η of it when
+    # it drives and takes 1/η = 1 + k when it is driven, to first order. Hamon, Gautier, Garrec, *Dynamic identification
+    # of robots with a dry friction model depending on load and velocity* (IROS 2010), have it beside Coulomb's.
+    Effect(
+        id="load_dependent_friction",
+        per_axis=True,
+        law="R += k·|load|·sign(v), load what the motor pushes with; sticks at v = 0",
+        domain=Domain.GEAR,
+        parameters=(Parameter("share", "1", 0.0, 0.0, 0.9, Size(0.05)),),
+        strength=("share",),
+        object_index=0x2215,
+        shown_by="run the same speeds in both directions under two loads that are well apart",
+        kinds=_EVERY_KIND,
+        alike=(("coulomb_friction", "turn both ways under two loads that are well apart"),),
+    ),
+    # Air that is moved along, c = ½·ρ·c_w·A at the web: windage of rollers and fans, of a web at high speed.
+    Effect(
+        id="quadratic_drag",
+        per_axis=True,
+        law="R += c·v·|v|",
+        domain=Domain.ROLLER_RESISTANCE,
+        parameters=(Parameter("coefficient_N_s2_per_m2", "N·s²/m²", 0.0, 0.0, 1e5, _PER_SQUARE),),
+        strength=("coefficient_N_s2_per_m2",),
+        object_index=0x2216,
+        shown_by="hold several speeds up to the highest",
+        kinds=_EVERY_KIND,
+        rotary=Rotary(
+            "friction torque += c·ω·|ω|",
+            (Parameter("coefficient_Nm_s2_per_rad2", "N·m·s²/rad²", 0.0, 0.0, 1e5, _PER_ANGULAR_SQUARE),),
+            ("coefficient_Nm_s2_per_rad2",),
+            0x2296,
+        ),
+    ),
+    # Ripple that comes from the current (errors of its scale in the phases, harmonics of the back-EMF) grows with it;
+    # cogging, which does not, is torque_ripple: Holtz, Springob, *Identification and compensation of torque ripple in
+    # high-precision permanent magnet motor drives* (IEEE Trans. IE 1996).
+    Effect(
+        id="torque_ripple_load",
+        per_axis=True,
+        law="shaft torque = motor torque·(1 + A·sin(n·phi_motor + phi0))",
+        domain=Domain.MOTOR_TORQUE,
+        parameters=(
+            Parameter("relative_amplitude", "1", 0.0, 0.0, 0.5, Size(0.05)),
+            Parameter("order", "1/turn", 1.0, 1e-3, 1e4, Size(1.0)),
+            _phase(),
+        ),
+        strength=("relative_amplitude",),
+        object_index=0x2217,
+        shown_by="ramp the speed slowly through many motor turns under two loads that are well apart",
+        slots=4,
+        kinds=_EVERY_KIND,
+        probe=Probe(ProbeOver.MOTOR_ANGLE, "order", by_torque=True),
+        alike=(("torque_ripple", "turn slowly under two loads that are well apart"),),
+    ),
+    # By the motion that was made, not the one that was asked for: a loop whose feed-forward fits makes the one of the
+    # other, and what is recorded then lacks exactly this. How the loop follows better by it is no part of the law.
+    Effect(
+        id="feed_forward",
+        per_axis=True,
+        law="measured torque leaves out s_J·m·a + s_b·b·v + s_C·Fc·sign(v), what a feed-forward adds behind the loop",
+        domain=Domain.TORQUE_MEASUREMENT,
+        parameters=(_fed_forward("inertia_share"), _fed_forward("viscous_share"), _fed_forward("coulomb_share")),
+        strength=("inertia_share", "viscous_share", "coulomb_share"),
+        object_index=0x2218,
+        shown_by="run the same motion with the feed-forward off, or with the load motor's torque recorded",
+        kinds=_EVERY_KIND,
+        alike=(
+            ("inertia_mismatch", "run the same motion with the feed-forward off"),
+            ("viscous_friction", "run the same motion with the feed-forward off"),
+            ("coulomb_friction", "run the same motion with the feed-forward off"),
+        ),
+    ),
+    # An eccentric disc (Ernst, *Digital length and angle measurement technology*), or a resolver's unequal amplitudes.
+    Effect(
+        id="encoder_error",
+        per_axis=True,
+        law="measured motor angle = phi + A·sin(phi + phi0), phi the motor's angle; the drive's loops believe it",
+        domain=Domain.POSITION_MEASUREMENT,
+        parameters=(Parameter("amplitude_rad", "rad", 0.0, 0.0, 0.5, Size(1e-3)), _phase()),
+        strength=("amplitude_rad",),
+        object_index=0x2219,
+        shown_by="hold a low and a high speed for many turns of the motor",
+        kinds=_EVERY_KIND,
+        alike=(("torque_ripple", "hold a low and a high speed: the error of an encoder grows with its square"),),
+    ),
+    Effect(
+        id="drive_gain",
+        per_axis=True,
+        law="gains of the velocity loop kp·(1 + p) and ki·(1 + q)",
+        domain=Domain.DRIVE,
+        parameters=(
+            _relative(0.2, "kp_relative_change", required=False),
+            _relative(0.2, "ki_relative_change", required=False),
+        ),
+        strength=("kp_relative_change", "ki_relative_change"),
+        object_index=0x221A,
+        shown_by="step the speed",
+        kinds=_EVERY_KIND,
+        nuisance=True,
+    ),
+    Effect(
+        id="drive_lag",
+        per_axis=True,
+        law="time constant of the current loop T + lag_s, 0 at least",
+        domain=Domain.DRIVE,
+        parameters=(Parameter("lag_s", "s", 0.0, -0.1, 0.1, Size(2.0, sample_time=1)),),
+        strength=("lag_s",),
+        object_index=0x221B,
+        shown_by="step the speed",
+        kinds=_EVERY_KIND,
+        nuisance=True,
+        alike=(("torque_delay", "step the speed: a torque that is reported late moves nothing"),),
     ),
 )
 

@@ -71,10 +71,10 @@ def _compiled_known(sources: int) -> Known:
     @entry_point
     def known_torque(p: Array, measured_Nm: float, x: float, v: float) -> float:
         """Torque on the shaft by the model: from the reported one, without offset, friction and unbalance."""
-        torque = laws.scaled_torque_Nm(p, measured_Nm - laws.reported_offset_Nm(p)) if sources >= 0 else 0.0
-        torque += laws.ripple_Nm(p, x) + laws.unbalance_Nm(p, x) - laws.smooth_friction_Nm(p, v)
+        motor = laws.shaft_torque_Nm(p, measured_Nm - laws.reported_offset_Nm(p), x) if sources >= 0 else 0.0
+        torque = motor + laws.unbalance_Nm(p, x) - laws.smooth_friction_Nm(p, v)
         direction = min(max(v / _STANDSTILL_RAD_S, -1.0), 1.0)
-        return float(torque - direction * laws.dry_friction_Nm(p, v))
+        return float(torque - direction * (laws.dry_friction_Nm(p, v) + laws.load_friction_Nm(p, motor)))
 
     return known_torque
 

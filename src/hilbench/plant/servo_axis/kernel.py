@@ -4,7 +4,8 @@ Per drive sample time: the drives' loops once, then Runge-Kutta steps of fourth 
 loops known in closed form. Standstill under dry friction is an event: it is located in time, then the shaft sticks or
 turns back; nothing is smoothed, nothing chatters.
 
-    J·v' = τ + Σ A·sin(n·x + φ) + τ_load + τ_outside + A_u·sin(x/i + φ_u) − b·v − d·|v| − (Tc + Ts·e^{−(v/vs)²})·sign(v)
+    J·v' = τ_m + τ_load + τ_outside + A_u·sin(x/i + φ_u) − b·v − d·|v| − c·v·|v|
+           − (Tc + Ts·e^{−(v/vs)²} + k·|τ_m|)·sign(v),   τ_m = (1 + s)·τ·(1 + Σ B·sin(n·x + φ)) + Σ A·sin(n·x + φ)
 
 Vectors as in `hilbench.plant.servo_axis.layout`.
 """
@@ -15,7 +16,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from hilbench import compiled as decorators
-from hilbench.compiled import compiled, entry_point, inlined, number_of_sources
+from hilbench.compiled import compiled, entry_point, inlined, noinline, number_of_sources
 from hilbench.plant import drive_loops as loops
 from hilbench.plant.servo_axis import laws
 from hilbench.plant.servo_axis import layout as lay
@@ -29,30 +30,41 @@ _EVENT_TOLERANCE = 1e-10
 
 
 @inlined
-def _torque_Nm(p: Vector, s: Vector, u: Vector, ahead_s: float) -> float:
-    """What the motors and the outside do to the shaft `ahead_s` from now, while the commands are held; no ripple."""
-    torque = u[lay.U_TORQUE_NM]
+def _torques_Nm(p: Vector, s: Vector, u: Vector, ahead_s: float) -> tuple[float, float]:
+    """Torques `ahead_s` from now, while the commands are held: as the drive knows its own; of all others."""
+    own, others = 0.0, u[lay.U_TORQUE_NM]
     for j in range(int(p[lay.P_MOTORS])):
         at = lay.S_MOTORS + j * loops.STATE_SIZE
-        decay = loops.current_decay(ahead_s, p[lay.P_LOOPS + j * loops.LOOPS_SIZE + loops.CURRENT_S])
+        decay = loops.current_decay(ahead_s, laws.current_loop_s(p, j))
         of_motor = loops.torque_after(s[at + loops.TORQUE_NM], s[at + loops.COMMAND_NM], decay)
-        torque += laws.scaled_torque_Nm(p, of_motor) if j == 0 else of_motor
-    return torque
+        if j == 0:
+            own = of_motor
+        else:
+            others += of_motor
+    return own, others
 
 
 @inlined
-def _net_Nm(p: Vector, torque_Nm: float, x: float, v: float) -> float:
-    """All torques on the shaft but dry friction."""
-    return torque_Nm + laws.ripple_Nm(p, x) + laws.unbalance_Nm(p, x) - laws.smooth_friction_Nm(p, v)
+def _net_Nm(p: Vector, motor_Nm: float, others_Nm: float, x: float, v: float) -> float:
+    """All torques on the shaft but dry friction; `motor_Nm` is what the motor turns with."""
+    return motor_Nm + others_Nm + laws.unbalance_Nm(p, x) - laws.smooth_friction_Nm(p, v)
 
 
 @inlined
-def _acceleration(p: Vector, torque_Nm: float, x: float, v: float, direction: float) -> float:
-    """Of a shaft that turns in `direction`, rad/s²."""
-    net = _net_Nm(p, torque_Nm, x, v)
-    if laws.breakaway_Nm(p) != 0.0:
-        net -= direction * laws.dry_friction_Nm(p, v)
+def _acceleration(p: Vector, torques_Nm: tuple[float, float], x: float, v: float, direction: float) -> float:
+    """Of a shaft that turns in `direction`, rad/s²; torques as `_torques_Nm` has them."""
+    motor = laws.shaft_torque_Nm(p, torques_Nm[0], x)
+    net = _net_Nm(p, motor, torques_Nm[1], x, v)
+    if laws.is_dry(p):
+        net -= direction * (laws.dry_friction_Nm(p, v) + laws.load_friction_Nm(p, motor))
     return net / laws.inertia_kg_m2(p)
+
+
+@inlined
+def _held_Nm(p: Vector, torques_Nm: tuple[float, float], x: float) -> tuple[float, float]:
+    """Of a shaft that stands: all torques on it but dry friction, and the torque from which it turns."""
+    motor = laws.shaft_torque_Nm(p, torques_Nm[0], x)
+    return _net_Nm(p, motor, torques_Nm[1], x, 0.0), laws.breakaway_Nm(p) + laws.load_friction_Nm(p, motor)
 
 
 @compiled
@@ -62,11 +74,12 @@ def _attempt(p: Vector, s: Vector, u: Vector, h: float) -> tuple[float, float, f
     A shaft that turns leaves its mode by a speed against its direction, one that sticks by a torque beyond breakaway.
     """
     x, v, direction = s[lay.S_X], s[lay.S_V], s[lay.S_DIRECTION]
-    last, breakaway = _torque_Nm(p, s, u, h), laws.breakaway_Nm(p)
-    if direction == 0.0 and breakaway != 0.0:
-        return x, 0.0, abs(_net_Nm(p, last, x, 0.0)) - breakaway
-    middle = _torque_Nm(p, s, u, 0.5 * h)
-    a1 = _acceleration(p, _torque_Nm(p, s, u, 0.0), x, v, direction)
+    last, dry = _torques_Nm(p, s, u, h), laws.is_dry(p)
+    if direction == 0.0 and dry:
+        net, breakaway = _held_Nm(p, last, x)
+        return x, 0.0, abs(net) - breakaway
+    middle = _torques_Nm(p, s, u, 0.5 * h)
+    a1 = _acceleration(p, _torques_Nm(p, s, u, 0.0), x, v, direction)
     v2 = v + 0.5 * h * a1
     a2 = _acceleration(p, middle, x + 0.5 * h * v, v2, direction)
     v3 = v + 0.5 * h * a2
@@ -75,7 +88,7 @@ def _attempt(p: Vector, s: Vector, u: Vector, h: float) -> tuple[float, float, f
     a4 = _acceleration(p, last, x + h * v3, v4, direction)
     x += h / 6.0 * (v + 2.0 * v2 + 2.0 * v3 + v4)
     v += h / 6.0 * (a1 + 2.0 * a2 + 2.0 * a3 + a4)
-    return x, v, -v * direction if breakaway != 0.0 else 0.0
+    return x, v, -v * direction if dry else 0.0
 
 
 @compiled
@@ -84,15 +97,14 @@ def _settle(p: Vector, s: Vector, u: Vector) -> None:
     v = s[lay.S_V]
     if s[lay.S_DIRECTION] == 0.0 and v != 0.0:
         s[lay.S_DIRECTION] = 1.0 if v > 0.0 else -1.0
-    breakaway = laws.breakaway_Nm(p)
-    if breakaway == 0.0:  # kept fit, for friction that begins under way
+    if not laws.is_dry(p):  # kept fit, for friction that begins under way
         s[lay.S_DIRECTION] = 1.0 if v > 0.0 else -1.0 if v < 0.0 else 0.0
         return
     if -v * s[lay.S_DIRECTION] > _EVENT_TOLERANCE:
         s[lay.S_DIRECTION] = 0.0
         s[lay.S_V] = 0.0
     if s[lay.S_DIRECTION] == 0.0:
-        net = _net_Nm(p, _torque_Nm(p, s, u, 0.0), s[lay.S_X], 0.0)
+        net, breakaway = _held_Nm(p, _torques_Nm(p, s, u, 0.0), s[lay.S_X])
         if abs(net) > breakaway + _EVENT_TOLERANCE:
             s[lay.S_DIRECTION] = 1.0 if net > 0.0 else -1.0
 
@@ -129,7 +141,7 @@ def _accept(p: Vector, s: Vector, x: float, v: float, h: float) -> None:
     s[lay.S_V] = v
     for j in range(int(p[lay.P_MOTORS])):
         at = lay.S_MOTORS + j * loops.STATE_SIZE
-        time_constant = p[lay.P_LOOPS + j * loops.LOOPS_SIZE + loops.CURRENT_S]
+        time_constant = laws.current_loop_s(p, j)
         decay = loops.current_decay(h, time_constant)
         if j == 0:
             command = s[at + loops.COMMAND_NM]
@@ -155,11 +167,25 @@ def _step(p: Vector, s: Vector, u: Vector, h: float) -> None:
 
 
 @compiled
+def _fed_forward_Nm(p: Vector, s: Vector, u: Vector) -> float:
+    """Torque of the drive now that its record leaves out."""
+    noinline()
+    direction, acceleration = s[lay.S_DIRECTION], 0.0
+    if direction != 0.0 or not laws.is_dry(p):
+        acceleration = _acceleration(p, _torques_Nm(p, s, u, 0.0), s[lay.S_X], s[lay.S_V], direction)
+    return laws.fed_forward_Nm(p, s[lay.S_V], acceleration, direction)
+
+
+@compiled
 def _advance(p: Vector, s: Vector, u: Vector, samples: int) -> None:
     period, substeps = p[lay.P_SAMPLE_TIME_S], int(p[lay.P_SUBSTEPS])
+    fed, first_x, first_v = laws.has_feed_forward(p), s[lay.S_X], s[lay.S_V]
     s[lay.S_MEAN] = 0.0
     for _ in range(samples):
         for j in range(int(p[lay.P_MOTORS])):
+            x, v = s[lay.S_X], s[lay.S_V]
+            if j == 0 and laws.has_encoder_error(p):
+                x, v = laws.measured_motion(p, x, v)
             loops.drive_sample(
                 p,
                 s,
@@ -168,20 +194,29 @@ def _advance(p: Vector, s: Vector, u: Vector, samples: int) -> None:
                 lay.S_MOTORS + j * loops.STATE_SIZE,
                 lay.U_MOTORS + j * loops.IN_SIZE,
                 period,
-                s[lay.S_X],
-                s[lay.S_V],
+                x,
+                v,
+                laws.velocity_kp(p, j),
+                laws.velocity_ki(p, j),
+                laws.current_loop_s(p, j),
             )
         for _ in range(substeps):
             _step(p, s, u, period / substeps)
         s[lay.S_COUNT] += 1.0
-        s[lay.S_PAST + int(s[lay.S_COUNT]) % lay.RING] = s[lay.S_MOTORS + loops.TORQUE_NM]
+        torque = s[lay.S_MOTORS + loops.TORQUE_NM]
+        s[lay.S_PAST + int(s[lay.S_COUNT]) % lay.RING] = torque - _fed_forward_Nm(p, s, u) if fed else torque
     s[lay.S_MEAN] /= samples * period
+    if fed:
+        v, a = (s[lay.S_X] - first_x) / (samples * period), (s[lay.S_V] - first_v) / (samples * period)
+        s[lay.S_MEAN] -= laws.fed_forward_Nm(p, v, a, s[lay.S_DIRECTION])
 
 
 @compiled
 def _observe(p: Vector, s: Vector, out: Vector, at: int) -> None:
     out[at + lay.O_X] = s[lay.S_X]
     out[at + lay.O_V] = s[lay.S_V]
+    if laws.has_encoder_error(p):
+        out[at + lay.O_X], out[at + lay.O_V] = laws.measured_motion(p, s[lay.S_X], s[lay.S_V])
     out[at + lay.O_MEAN] = s[lay.S_MEAN] + laws.reported_offset_Nm(p)
     for j in range(int(p[lay.P_MOTORS])):
         torque = s[lay.S_MOTORS + j * loops.STATE_SIZE + loops.TORQUE_NM]

@@ -6,9 +6,10 @@ Every effect is skipped, or multiplies by exactly 1, while its parameters are ne
 
 from __future__ import annotations
 
-from math import exp, sin
+from math import cos, exp, sin
 
 from hilbench.compiled import compiled, inlined, noinline
+from hilbench.plant import drive_loops as loops
 from hilbench.plant.servo_axis import layout as lay
 from hilbench.plant.servo_axis.effects import find
 from hilbench.plant.servo_axis.layout import Vector, place
@@ -26,6 +27,18 @@ _INERTIA = place("inertia_mismatch")
 _DELAY = place("torque_delay")
 _UNBALANCE = place("unbalance", 0)
 _UNBALANCE_PHASE = place("unbalance", 1)
+_LOAD_SHARE = place("load_dependent_friction")
+_DRAG = place("quadratic_drag")
+_LOAD_RIPPLE = place("torque_ripple_load")
+_LOAD_RIPPLES = find("torque_ripple_load").slots
+_FED_INERTIA = place("feed_forward", 0)
+_FED_VISCOUS = place("feed_forward", 1)
+_FED_COULOMB = place("feed_forward", 2)
+_ENCODER = place("encoder_error", 0)
+_ENCODER_PHASE = place("encoder_error", 1)
+_KP = place("drive_gain", 0)
+_KI = place("drive_gain", 1)
+_LAG = place("drive_lag")
 
 
 @inlined
@@ -36,14 +49,29 @@ def inertia_kg_m2(p: Vector) -> float:
 
 @inlined
 def smooth_friction_Nm(p: Vector, v_rad_s: float) -> float:
-    """Friction that is continuous in the speed: b·v + d·|v|."""
-    return (p[lay.P_VISCOUS] + p[_VISCOUS]) * v_rad_s + p[_ASYMMETRY] * abs(v_rad_s)
+    """Friction that is continuous in the speed: b·v + d·|v| + c·v·|v|."""
+    torque = (p[lay.P_VISCOUS] + p[_VISCOUS]) * v_rad_s + p[_ASYMMETRY] * abs(v_rad_s)
+    if p[_DRAG] != 0.0:
+        torque += p[_DRAG] * v_rad_s * abs(v_rad_s)
+    return torque
 
 
 @inlined
 def breakaway_Nm(p: Vector) -> float:
-    """Dry friction at standstill: Tc + Ts."""
+    """Dry friction at standstill without a load: Tc + Ts."""
     return p[lay.P_COULOMB] + p[_COULOMB] + p[_STRIBECK]
+
+
+@inlined
+def is_dry(p: Vector) -> bool:
+    """Whether there is dry friction of any kind: the shaft may stick."""
+    return breakaway_Nm(p) + p[_LOAD_SHARE] != 0.0
+
+
+@inlined
+def load_friction_Nm(p: Vector, load_Nm: float) -> float:
+    """Size of the dry friction that a load brings with it: k·|load|, load the torque that the motor turns with."""
+    return p[_LOAD_SHARE] * abs(load_Nm) if p[_LOAD_SHARE] != 0.0 else 0.0
 
 
 @inlined
@@ -87,9 +115,77 @@ def _ripple_Nm(p: Vector, x_rad: float) -> float:
 
 
 @inlined
-def scaled_torque_Nm(p: Vector, torque_Nm: float) -> float:
-    """What of the torque that the drive knows acts on the shaft."""
-    return (1.0 + p[_SCALE]) * torque_Nm
+def shaft_torque_Nm(p: Vector, torque_Nm: float, x_rad: float) -> float:
+    """What the motor turns with when its drive knows of a torque: ripple in proportion to it, scale, ripple of its
+    own."""
+    found = False
+    for slot in range(_LOAD_RIPPLES):
+        found |= p[_LOAD_RIPPLE + 3 * slot] != 0.0
+    if found:
+        torque_Nm *= _load_ripple_factor(p, x_rad)
+    return (1.0 + p[_SCALE]) * torque_Nm + ripple_Nm(p, x_rad)
+
+
+@compiled
+def _load_ripple_factor(p: Vector, x_rad: float) -> float:
+    noinline()
+    factor = 1.0
+    for slot in range(_LOAD_RIPPLES):
+        at = _LOAD_RIPPLE + 3 * slot
+        if p[at] != 0.0:
+            factor += p[at] * sin(p[at + 1] * x_rad + p[at + 2])
+    return factor
+
+
+@inlined
+def has_feed_forward(p: Vector) -> bool:
+    """Whether the record of the torque leaves out what is fed forward."""
+    return p[_FED_INERTIA] != 0.0 or p[_FED_VISCOUS] != 0.0 or p[_FED_COULOMB] != 0.0
+
+
+@inlined
+def fed_forward_Nm(p: Vector, v_rad_s: float, a_rad_s2: float, direction: float) -> float:
+    """Torque that is fed forward for a motion: s_J·J·a + s_b·b·v + s_C·Tc·direction (-1 to 1)."""
+    return (
+        p[_FED_INERTIA] * inertia_kg_m2(p) * a_rad_s2
+        + p[_FED_VISCOUS] * (p[lay.P_VISCOUS] + p[_VISCOUS]) * v_rad_s
+        + p[_FED_COULOMB] * (p[lay.P_COULOMB] + p[_COULOMB]) * direction
+    )
+
+
+@inlined
+def has_encoder_error(p: Vector) -> bool:
+    """Whether the encoder errs once a turn."""
+    return p[_ENCODER] != 0.0
+
+
+@compiled
+def measured_motion(p: Vector, x_rad: float, v_rad_s: float) -> tuple[float, float]:
+    """Angle and speed as the drive's encoder has them: x + A·sin(x + phi0)."""
+    noinline()
+    at = x_rad + p[_ENCODER_PHASE]
+    return x_rad + p[_ENCODER] * sin(at), v_rad_s * (1.0 + p[_ENCODER] * cos(at))
+
+
+@inlined
+def velocity_kp(p: Vector, motor: int) -> float:
+    """Proportional gain of the velocity loop of motor 0, the drive's, or 1, the load motor's; N·m·s/rad."""
+    kp = p[lay.P_LOOPS + motor * loops.LOOPS_SIZE + loops.KP]
+    return kp * (1.0 + p[_KP]) if motor == 0 else kp
+
+
+@inlined
+def velocity_ki(p: Vector, motor: int) -> float:
+    """Integral gain, N·m/rad."""
+    ki = p[lay.P_LOOPS + motor * loops.LOOPS_SIZE + loops.KI]
+    return ki * (1.0 + p[_KI]) if motor == 0 else ki
+
+
+@inlined
+def current_loop_s(p: Vector, motor: int) -> float:
+    """Time constant of the current loop."""
+    time_constant = p[lay.P_LOOPS + motor * loops.LOOPS_SIZE + loops.CURRENT_S]
+    return max(time_constant + p[_LAG], 0.0) if motor == 0 else time_constant
 
 
 @inlined
@@ -100,9 +196,12 @@ def reported_offset_Nm(p: Vector) -> float:
 
 @inlined
 def reported_torque_Nm(p: Vector, torque_Nm: float, s: Vector) -> float:
-    """Torque as the drive reports it: that of delay_s ago, linear between samples, and the offset."""
+    """Torque as the drive reports it: that of delay_s ago, linear between samples, and the offset.
+
+    What is kept of the past already lacks what is fed forward.
+    """
     delay = p[_DELAY] / p[lay.P_SAMPLE_TIME_S]
-    if delay > 0.0:
+    if delay > 0.0 or has_feed_forward(p):
         count, whole = int(s[lay.S_COUNT]), int(delay)
         newer = s[lay.S_PAST + max(count - whole, 0) % lay.RING]
         older = s[lay.S_PAST + max(count - whole - 1, 0) % lay.RING]

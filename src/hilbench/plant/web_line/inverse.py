@@ -29,8 +29,15 @@ def _required_torque(sources: int) -> RequiredTorque:
             x = x_m[first] + share * (x_m[first + 1] - x_m[first])
             v = v_m_s[first] + share * (v_m_s[first + 1] - v_m_s[first])
             a = a_m_s2[first] + share * (a_m_s2[first + 1] - a_m_s2[first])
-            force = mass * a + laws.measured_resistance_N(p, axis, x, v, laws.FRICTION_WIDTH_M_S)
-            out_Nm[k] = laws.motor_torque_Nm(p, motor, force / ratio, x * ratio) + laws.reported_offset_Nm(p, motor)
+            if laws.has_encoder_error(p, motor):
+                x, v, a = laws.true_motion(p, motor, x * ratio, v * ratio, a * ratio)
+                x, v, a = x / ratio, v / ratio, a / ratio
+            direction = laws.measured_direction(v, laws.FRICTION_WIDTH_M_S)
+            passed = mass * a + laws.measured_resistance_N(p, axis, x, v, laws.FRICTION_WIDTH_M_S)
+            force = laws.pushed_with_N(p, axis, passed, direction)
+            torque = laws.motor_torque_Nm(p, motor, force / ratio, x * ratio)
+            torque -= laws.fed_forward_N(p, axis, motor, mass, v, a, direction) / ratio
+            out_Nm[k] = torque + laws.reported_offset_Nm(p, motor)
 
     return required
 

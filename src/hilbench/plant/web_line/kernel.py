@@ -120,22 +120,26 @@ def _web_force_N(p: Vector, u: Vector, w: Vector, n: int, m: int, k: int, i: int
 
 
 @inlined
-def _motor_force_N(p: Vector, w: Vector, n: int, m: int, k: int, j: int, x_m: float) -> float:
-    """Force of motor j at the web, N, from the torque in `w`; `x_m` is where its shaft is."""
+def _motor_force_N(p: Vector, w: Vector, n: int, m: int, k: int, j: int, x_m: float, slides: bool) -> float:
+    """Force of motor j at the web, N, from the torque in `w`; its shaft is at `x_m`. `slides` as in `_go_axis`."""
     motor = _motor(n, j)
-    ratio = p[motor + lay.M_RAD_PER_M]
-    return ratio * laws.shaft_torque_Nm(p, motor, w[_part(n, m, k, lay.TORQUE) + j], x_m * ratio)
+    ratio, torque = p[motor + lay.M_RAD_PER_M], w[_part(n, m, k, lay.TORQUE) + j]
+    if slides:
+        return ratio * laws.usual_shaft_torque_Nm(p, motor, torque, x_m * ratio)
+    return ratio * laws.shaft_torque_Nm(p, motor, torque, x_m * ratio)
 
 
 @inlined
 def _own_force_N(p: Vector, w: Vector, n: int, m: int, k: int, i: int, y: int, slides: bool) -> float:
     """Force on the roller's side of gear i without web and dry friction: load motors, resistance, unbalance."""
     force = -laws.smooth_resistance_N(p, _axis(i), w[y + n + i])
-    if not slides and laws.has_unbalance(p, _axis(i)):
-        force += laws.unbalance_N(p, _axis(i), w[y + i])
+    if not slides:
+        force -= laws.drag_N(p, _axis(i), w[y + n + i])
+        if laws.has_unbalance(p, _axis(i)):
+            force += laws.unbalance_N(p, _axis(i), w[y + i])
     for j in range(n, m):  # load motors; of a line without any, the loop is not compiled
         if p[_motor(n, j) + lay.M_AXIS] == i:
-            force += _motor_force_N(p, w, n, m, k, j, w[y + i])
+            force += _motor_force_N(p, w, n, m, k, j, w[y + i], slides)
     return force
 
 
@@ -147,16 +151,30 @@ def _is_apart(p: Vector, s: Vector, n: int, k: int, i: int) -> bool:
 
 @inlined
 def _acceleration(
-    p: Vector, s: Vector, n: int, k: int, i: int, v: float, per_mass: float, force_N: float, web_N: float
+    p: Vector,
+    s: Vector,
+    n: int,
+    k: int,
+    i: int,
+    v: float,
+    per_mass: float,
+    force_N: float,
+    web_N: float,
+    load_N: float,
+    slides: bool,
 ) -> float:
     """m/s² of a roller that does not stick, at speed `v` (m/s).
 
     `per_mass`: 1/kg of all that turns with it; `force_N`: motors and smooth resistance on that, `web_N`: pull of the
-    web.
+    web, `load_N`: what its own motor pushes with through the gear. `slides` as in `_go_axis`.
     """
     axis = _axis(i)
-    if laws.breakaway_N(p, axis) != 0.0:
-        force_N -= s[_axis_state(n, k, i) + lay.SA_DIRECTION] * laws.dry_friction_N(p, axis, v)
+    if slides:
+        if laws.breakaway_N(p, axis) != 0.0:
+            force_N -= s[_axis_state(n, k, i) + lay.SA_DIRECTION] * laws.dry_friction_N(p, axis, v)
+    elif laws.is_dry(p, axis):
+        friction = laws.dry_friction_N(p, axis, v) + laws.load_friction_N(p, axis, load_N)
+        force_N -= s[_axis_state(n, k, i) + lay.SA_DIRECTION] * friction
     return (force_N + web_N) * per_mass
 
 
@@ -184,12 +202,12 @@ def _go_axis(
 ) -> None:
     """Rates of axis i in the stage block: roller and motor as one, or apart within the gear play; it may stick.
 
-    `weight`, `ahead` (s): of this stage of the Runge-Kutta step. `slides`: known beforehand that no gear has play and
-    no roller sticks, a constant where it is compiled for, so that neither is asked for.
+    `weight`, `ahead` (s): of this stage of the Runge-Kutta step. `slides`: known beforehand that no gear has play, no
+    roller sticks and no rare force acts, a constant where it is compiled for, so that none is asked for.
     """
     size, y = _block(n, k, 1), _block(n, k, lay.STAGE)
     v, per_mass = w[y + n + i], w[_part(n, m, k, lay.PER_MASS) + i]
-    drive = _motor_force_N(p, w, n, m, k, i, w[y + 2 * n + i])
+    drive = _motor_force_N(p, w, n, m, k, i, w[y + 2 * n + i], slides)
     own, web = _own_force_N(p, w, n, m, k, i, y, slides), _web_force_N(p, u, w, n, m, k, i, strain_prev)
     apart = not slides and _is_apart(p, s, n, k, i)
     if apart:
@@ -197,7 +215,8 @@ def _go_axis(
     if not slides and _sticks(p, s, n, k, i):
         acceleration = 0.0
     else:
-        acceleration = _acceleration(p, s, n, k, i, v, per_mass, own if apart else own + drive, web)
+        force, load = own if apart else own + drive, 0.0 if apart else drive
+        acceleration = _acceleration(p, s, n, k, i, v, per_mass, force, web, load, slides)
     motor_acceleration = drive * w[_part(n, m, k, lay.PER_MOTOR_MASS) + i] if apart else acceleration
     _go(w, size, i, v, weight, ahead)
     _go(w, size, n + i, acceleration, weight, ahead)
@@ -208,7 +227,7 @@ def _go_axis(
 @inlined
 def _sticks(p: Vector, s: Vector, n: int, k: int, i: int) -> bool:
     """Whether dry friction holds roller i."""
-    return s[_axis_state(n, k, i) + lay.SA_DIRECTION] == 0.0 and laws.breakaway_N(p, _axis(i)) != 0.0
+    return s[_axis_state(n, k, i) + lay.SA_DIRECTION] == 0.0 and laws.is_dry(p, _axis(i))
 
 
 @merged
@@ -261,7 +280,7 @@ def _set_decays(p: Vector, w: Vector, h: float) -> None:
     n, m, k = _counts(p)
     half, full = _part(n, m, k, lay.DECAY_HALF), _part(n, m, k, lay.DECAY_FULL)
     for j in range(m):
-        time_constant = p[_motor(n, j) + lay.M_CURRENT_S]
+        time_constant = w[_part(n, m, k, lay.LOOP_CURRENT_S) + j]
         w[half + j] = loops.current_decay(0.5 * h, time_constant)
         w[full + j] = loops.current_decay(h, time_constant)
     w[_part(n, m, k, lay.DECAY_STEP_S)] = h
@@ -312,15 +331,12 @@ def _accept(s: Vector, w: Vector, n: int, m: int, k: int) -> None:
 
 
 @inlined
-def _slides(p: Vector, s: Vector, n: int, k: int) -> bool:
-    """Whether no gear has play and no roller sticks: then an event shows in the speeds at a step's end.
-
-    A roller out of balance does not count as one that slides either: what is rare costs the usual step nothing.
-    """
-    slides = True
+def _any_sticks(p: Vector, s: Vector, n: int, k: int) -> bool:
+    """Whether dry friction holds a roller."""
+    sticks = False
     for i in range(n):
-        slides &= not (laws.has_gap(p, _axis(i)) or laws.has_unbalance(p, _axis(i)) or _sticks(p, s, n, k, i))
-    return slides
+        sticks |= _sticks(p, s, n, k, i)
+    return sticks
 
 
 @inlined
@@ -328,7 +344,7 @@ def _still_slides(p: Vector, s: Vector, w: Vector, n: int, k: int) -> bool:
     """Whether at the end of the step every roller with dry friction still turns as it did."""
     for i in range(n):
         v, direction = w[_block(n, k, lay.STAGE) + n + i], s[_axis_state(n, k, i) + lay.SA_DIRECTION]
-        if _reversal(v, direction) > _EVENT_TOLERANCE and laws.breakaway_N(p, _axis(i)) != 0.0:
+        if _reversal(v, direction) > _EVENT_TOLERANCE and laws.is_dry(p, _axis(i)):
             return False
     return True
 
@@ -349,7 +365,7 @@ def _violations(p: Vector, s: Vector, u: Vector, w: Vector, t: float, i: int, y:
     n, m, k = _counts(p)
     axis, mode = _axis(i), _axis_state(n, k, i)
     v, gear, friction = w[y + n + i], -1.0, -1.0
-    drive = _motor_force_N(p, w, n, m, k, i, w[y + 2 * n + i])
+    drive = _motor_force_N(p, w, n, m, k, i, w[y + 2 * n + i], False)
     web = _web_force_N(p, u, w, n, m, k, i, laws.upstream_strain(p, u[lay.U_STRAIN_PREV], t))
     apart, sticks = _is_apart(p, s, n, k, i), _sticks(p, s, n, k, i)
     own = _own_force_N(p, w, n, m, k, i, y, False) + (0.0 if apart else drive)
@@ -359,11 +375,12 @@ def _violations(p: Vector, s: Vector, u: Vector, w: Vector, t: float, i: int, y:
         gear = (abs(w[y + 2 * n + i] - w[y + i]) - _half_gap_m(p, n, i) - rounding_m) * 1e6
     elif laws.has_gap(p, axis):
         per_mass = w[_part(n, m, k, lay.PER_MASS) + i]
-        acceleration = 0.0 if sticks else _acceleration(p, s, n, k, i, v, per_mass, own, web)
+        acceleration = 0.0 if sticks else _acceleration(p, s, n, k, i, v, per_mass, own, web, drive, False)
         motor_mass = p[axis + lay.A_MOTOR_MASS_KG] * laws.inertia_factor(p, axis)
         gear = (motor_mass * acceleration - drive) * s[mode + lay.SA_CONTACT]
-    net, breakaway = own + web, laws.breakaway_N(p, axis)
-    if breakaway != 0.0:
+    net = own + web
+    if laws.is_dry(p, axis):
+        breakaway = laws.breakaway_N(p, axis) + laws.load_friction_N(p, axis, 0.0 if apart else drive)
         friction = abs(net) - breakaway if sticks else _reversal(v, s[mode + lay.SA_DIRECTION])
     return gear, friction, net
 
@@ -514,27 +531,57 @@ def _motor_motion(p: Vector, n: int, j: int) -> int:
 
 
 @inlined
+def _sample_drive(
+    p: Vector, s: Vector, u: Vector, w: Vector, n: int, m: int, k: int, j: int, position: float, velocity: float
+) -> None:
+    """The loops of motor j once, on a motion of its shaft as it is measured, rad and rad/s."""
+    gains, state, inputs = _motor(n, j) + lay.M_LOOPS, _motor_state(n, k, j), lay.U_MOTORS + j * lay.UM_SIZE
+    kp, ki = w[_part(n, m, k, lay.LOOP_KP) + j], w[_part(n, m, k, lay.LOOP_KI) + j]
+    current_s = w[_part(n, m, k, lay.LOOP_CURRENT_S) + j]
+    loops.drive_sample(p, s, u, gains, state, inputs, p[lay.W_SAMPLE_TIME_S], position, velocity, kp, ki, current_s)
+
+
+@inlined
 def _sample_drives(p: Vector, s: Vector, u: Vector, w: Vector, n: int, m: int, k: int) -> None:
     for j in range(m):
-        at = _motor_motion(p, n, j)
-        motor, inputs = _motor(n, j), lay.U_MOTORS + j * lay.UM_SIZE
-        position, velocity = w[at] * p[motor + lay.M_RAD_PER_M], w[at + n] * p[motor + lay.M_RAD_PER_M]
-        loops.drive_sample(
-            p, s, u, motor + lay.M_LOOPS, _motor_state(n, k, j), inputs, p[lay.W_SAMPLE_TIME_S], position, velocity
-        )
+        at, ratio = _motor_motion(p, n, j), p[_motor(n, j) + lay.M_RAD_PER_M]
+        _sample_drive(p, s, u, w, n, m, k, j, w[at] * ratio, w[at + n] * ratio)
+
+
+@compiled
+def _sample_erring_drives(p: Vector, s: Vector, u: Vector, w: Vector) -> None:
+    """The same where encoders may err."""
+    noinline()
+    n, m, k = _counts(p)
+    for j in range(m):
+        at, motor = _motor_motion(p, n, j), _motor(n, j)
+        ratio = p[motor + lay.M_RAD_PER_M]
+        position, velocity = laws.measured_motion(p, motor, w[at] * ratio, w[at + n] * ratio)
+        _sample_drive(p, s, u, w, n, m, k, j, position, velocity)
 
 
 @merged
 def _simple_step(
-    p: Vector, s: Vector, u: Vector, w: Vector, n: int, m: int, k: int, t: float, h: float, one_span: bool
+    p: Vector,
+    s: Vector,
+    u: Vector,
+    w: Vector,
+    n: int,
+    m: int,
+    k: int,
+    t: float,
+    h: float,
+    pace: float,
+    one_span: bool,
 ) -> bool:
     """One step, taken only if there is no event in it; whether it was.
 
+    `pace`: of the line; without gear play and a roller that sticks an event shows in the speeds at the step's end.
     `one_span`: the counts are those of one span, as constants, and so is this; the rates are then compiled with them.
     """
-    if not _slides(p, s, n, k):
+    if pace == lay.PLAY or _any_sticks(p, s, n, k):
         return False
-    if one_span:
+    if one_span and pace == lay.PLAIN:
         _integrate(p, s, u, w, 2, 2, 1, t, h, True)
     else:
         _integrate_any(p, s, u, w, t, h)
@@ -551,17 +598,56 @@ def _advance_line(
     substeps = int(p[lay.W_SUBSTEPS])
     period = p[lay.W_SAMPLE_TIME_S]
     h = period / substeps
+    pace, reports = w[_part(n, m, k, lay.PACE)], w[_part(n, m, k, lay.REPORTS)] != 0.0
     for _ in range(samples):
-        _sample_drives(p, s, u, w, n, m, k)
+        if reports:
+            _sample_erring_drives(p, s, u, w)
+        else:
+            _sample_drives(p, s, u, w, n, m, k)
         for substep in range(substeps):
             t = s[lay.S_COUNT] * period + substep * h
             w[_part(n, m, k, lay.STEPS)] = laws.step_factor(p, t, h)
-            if not _simple_step(p, s, u, w, n, m, k, t, h, one_span):
+            if not _simple_step(p, s, u, w, n, m, k, t, h, pace, one_span):
                 _step_with_events(p, s, u, w, t, h)
         s[lay.S_COUNT] += 1.0
         for j in range(m):
             place = _past(n, m, k, j) + int(s[lay.S_COUNT]) % lay.RING
             s[place] = s[_motor_state(n, k, j) + lay.SM_TORQUE_NM]
+        if reports:
+            _leave_out(p, s, u, w)
+
+
+@compiled
+def _fed_forward_Nm(p: Vector, s: Vector, u: Vector, w: Vector, t: float, j: int) -> float:
+    """Torque of motor j now that its record leaves out."""
+    noinline()
+    n, m, k = _counts(p)
+    axis, motor = _axis(j), _motor(n, j)
+    _torques_now(s, w, n, m, k)
+    _web_at(p, u, w, t, 0)
+    drive = _motor_force_N(p, w, n, m, k, j, w[2 * n + j], False)
+    acceleration, direction = 0.0, s[_axis_state(n, k, j) + lay.SA_DIRECTION]
+    if _is_apart(p, s, n, k, j):
+        acceleration = drive * w[_part(n, m, k, lay.PER_MOTOR_MASS) + j]
+    elif not _sticks(p, s, n, k, j):
+        web = _web_force_N(p, u, w, n, m, k, j, laws.upstream_strain(p, u[lay.U_STRAIN_PREV], t))
+        force = _own_force_N(p, w, n, m, k, j, 0, False) + drive
+        per_mass = w[_part(n, m, k, lay.PER_MASS) + j]
+        acceleration = _acceleration(p, s, n, k, j, w[n + j], per_mass, force, web, drive, False)
+    mass = (p[axis + lay.A_MOTOR_MASS_KG] + p[axis + lay.A_ROLLER_MASS_KG]) * laws.inertia_factor(p, axis)
+    fed = laws.fed_forward_N(p, axis, motor, mass, w[3 * n + j], acceleration, direction)
+    return fed / p[motor + lay.M_RAD_PER_M]
+
+
+@compiled
+def _leave_out(p: Vector, s: Vector, u: Vector, w: Vector) -> None:
+    """Take off the torques just kept what their records leave out."""
+    noinline()
+    n, m, k = _counts(p)
+    for j in range(m):
+        if laws.has_feed_forward(p, _motor(n, j)):
+            fed = _fed_forward_Nm(p, s, u, w, s[lay.S_COUNT] * p[lay.W_SAMPLE_TIME_S], j)
+            s[_past(n, m, k, j) + int(s[lay.S_COUNT]) % lay.RING] -= fed
 
 
 @compiled
@@ -597,6 +683,7 @@ def enter(p: Vector, s: Vector, u: Vector, w: Vector) -> None:
         w[j] = s[lay.S_Y + j]
     for j in range(k):
         w[_part(n, m, k, lay.LENGTH_RATE) + j] = u[lay.U_MOTORS + m * lay.UM_SIZE + j]
+    pace = lay.PLAIN
     for i in range(n):
         axis = _axis(i)
         factor = laws.inertia_factor(p, axis)
@@ -604,6 +691,19 @@ def enter(p: Vector, s: Vector, u: Vector, w: Vector) -> None:
         w[_part(n, m, k, lay.PER_MASS) + i] = 1.0 / (motor_mass + roller_mass)
         w[_part(n, m, k, lay.PER_ROLLER_MASS) + i] = 1.0 / roller_mass
         w[_part(n, m, k, lay.PER_MOTOR_MASS) + i] = 1.0 / motor_mass
+        if laws.has_gap(p, axis):
+            pace = lay.PLAY
+        elif laws.has_rare_force(p, axis, _motor(n, i)):
+            pace = max(pace, lay.RARE)
+    w[_part(n, m, k, lay.PACE)] = pace
+    reports = False
+    for j in range(m):
+        motor = _motor(n, j)
+        reports |= laws.has_feed_forward(p, motor) or laws.has_encoder_error(p, motor)
+        w[_part(n, m, k, lay.LOOP_KP) + j] = laws.velocity_kp(p, motor)
+        w[_part(n, m, k, lay.LOOP_KI) + j] = laws.velocity_ki(p, motor)
+        w[_part(n, m, k, lay.LOOP_CURRENT_S) + j] = laws.current_loop_s(p, motor)
+    w[_part(n, m, k, lay.REPORTS)] = 1.0 if reports else 0.0
     _set_decays(p, w, p[lay.W_SAMPLE_TIME_S] / p[lay.W_SUBSTEPS])
 
 
@@ -620,14 +720,20 @@ def _report_line(p: Vector, s: Vector, u: Vector, w: Vector, n: int, m: int, k: 
     t = s[lay.S_COUNT] * period
     w[_part(n, m, k, lay.STEPS)] = laws.step_factor(p, t, period / p[lay.W_SUBSTEPS])
     _web(p, u, w, n, m, k, t, laws.upstream_strain(p, u[lay.U_STRAIN_PREV], t), 0)
+    reports = w[_part(n, m, k, lay.REPORTS)] != 0.0
     for j in range(m):
         motion = _motor_motion(p, n, j)
-        torque = s[_motor_state(n, k, j) + lay.SM_TORQUE_NM]
+        motor, torque = _motor(n, j), s[_motor_state(n, k, j) + lay.SM_TORQUE_NM]
         out[at + j] = w[motion]
         out[at + m + j] = w[motion + n]
-        out[at + 2 * m + j] = laws.measured_torque_Nm(
-            p, _motor(n, j), torque, s, _past(n, m, k, j), int(s[lay.S_COUNT])
-        )
+        if reports and laws.has_encoder_error(p, motor):
+            ratio = p[motor + lay.M_RAD_PER_M]
+            position, velocity = laws.measured_motion(p, motor, w[motion] * ratio, w[motion + n] * ratio)
+            out[at + j] = position / ratio
+            out[at + m + j] = velocity / ratio
+        if reports and laws.has_feed_forward(p, motor):
+            torque -= _fed_forward_Nm(p, s, u, w, t, j)
+        out[at + 2 * m + j] = laws.measured_torque_Nm(p, motor, torque, s, _past(n, m, k, j), int(s[lay.S_COUNT]))
     for j in range(k):
         out[at + 3 * m + j] = w[_part(n, m, k, lay.TENSION) + j]
         out[at + 3 * m + k + j] = w[4 * n + k + j] * laws.length_factor(p) / w[4 * n + j] - 1.0

@@ -24,6 +24,18 @@ _INERTIA = place("inertia_mismatch", "relative_change")
 _UNBALANCE_NM = place("unbalance", "amplitude_Nm")
 _UNBALANCE_PHASE = place("unbalance", "phase_rad")
 _GAP_RAD = place("backlash", "gap_rad")
+_LOAD_SHARE = place("load_dependent_friction", "share")
+_DRAG = place("quadratic_drag", "coefficient_N_s2_per_m2")
+_LOAD_RIPPLE = place("torque_ripple_load", "relative_amplitude")
+_LOAD_RIPPLES = find_effect("torque_ripple_load").slots
+_FED_INERTIA = place("feed_forward", "inertia_share")
+_FED_VISCOUS = place("feed_forward", "viscous_share")
+_FED_COULOMB = place("feed_forward", "coulomb_share")
+_ENCODER_RAD = place("encoder_error", "amplitude_rad")
+_ENCODER_PHASE = place("encoder_error", "phase_rad")
+_KP = place("drive_gain", "kp_relative_change")
+_KI = place("drive_gain", "ki_relative_change")
+_LAG_S = place("drive_lag", "lag_s")
 _RIPPLE = place("torque_ripple", "amplitude_Nm")
 _RIPPLES = find_effect("torque_ripple").slots
 _OFFSET_NM = place("torque_offset", "offset_Nm")
@@ -48,18 +60,38 @@ FRICTION_WIDTH_M_S = 1e-3
 #: Tension change (N) at which the iteration for damping with creep stops.
 _TENSION_TOLERANCE_N = 1e-10
 _MOST_PASSES = 100
+#: Steps of Newton's method from a measured angle to the true one; an error of 0.5 rad needs five.
+_ANGLE_PASSES = 6
 
 
 @inlined
 def smooth_resistance_N(p: Vector, axis: int, v_m_s: float) -> float:
-    """Resistance that is continuous in v: b·v + d·|v|."""
+    """Resistance that is continuous in v: b·v + d·|v|; without drag."""
     return p[axis + _VISCOUS] * v_m_s + p[axis + _ASYMMETRY] * abs(v_m_s)
 
 
 @inlined
+def drag_N(p: Vector, axis: int, v_m_s: float) -> float:
+    """Drag of what is moved along: c·v·|v|."""
+    return p[axis + _DRAG] * v_m_s * abs(v_m_s) if p[axis + _DRAG] != 0.0 else 0.0
+
+
+@inlined
 def breakaway_N(p: Vector, axis: int) -> float:
-    """Dry friction at standstill: Fc + Fs."""
+    """Dry friction at standstill without a load: Fc + Fs."""
     return p[axis + _COULOMB_N] + p[axis + _STRIBECK_N]
+
+
+@inlined
+def is_dry(p: Vector, axis: int) -> bool:
+    """Whether a roller has dry friction of any kind: it may stick."""
+    return breakaway_N(p, axis) + p[axis + _LOAD_SHARE] != 0.0
+
+
+@inlined
+def load_friction_N(p: Vector, axis: int, load_N: float) -> float:
+    """Size of the dry friction that a load brings with it: k·|load|."""
+    return p[axis + _LOAD_SHARE] * abs(load_N) if p[axis + _LOAD_SHARE] != 0.0 else 0.0
 
 
 @inlined
@@ -86,14 +118,46 @@ def unbalance_N(p: Vector, axis: int, x_m: float) -> float:
 
 
 @inlined
+def has_rare_force(p: Vector, axis: int, motor: int) -> bool:
+    """Whether a force acts on axis or motor that is left out where every step would pay for it."""
+    return (
+        has_unbalance(p, axis)
+        or p[axis + _DRAG] != 0.0
+        or p[axis + _LOAD_SHARE] != 0.0
+        or _is_any(p, motor + _LOAD_RIPPLE, 3, _LOAD_RIPPLES)
+    )
+
+
+@inlined
+def measured_direction(v_m_s: float, width_m_s: float) -> float:
+    """Sign of a measured speed, which turns over linearly within ±`width_m_s`: -1 to 1."""
+    return min(max(v_m_s / width_m_s, -1.0), 1.0)
+
+
+@inlined
 def measured_resistance_N(p: Vector, axis: int, x_m: float, v_m_s: float, width_m_s: float) -> float:
     """Force against a roller of which motion is measured: position x, speed v; dry friction, that a simulation takes as
-    an event at standstill, turns over linearly within ±`width_m_s`, and unbalance is a resistance by the angle."""
-    direction = min(max(v_m_s / width_m_s, -1.0), 1.0)
+    an event at standstill, turns over linearly within ±`width_m_s`, and unbalance is a resistance by the angle. That
+    of a load is the gear's: see `passed_on_N`."""
+    direction = measured_direction(v_m_s, width_m_s)
     resistance = smooth_resistance_N(p, axis, v_m_s) + direction * dry_friction_N(p, axis, v_m_s)
+    resistance += drag_N(p, axis, v_m_s)
     if has_unbalance(p, axis):
         resistance -= unbalance_N(p, axis, x_m)
     return resistance
+
+
+@inlined
+def passed_on_N(p: Vector, axis: int, force_N: float, direction: float) -> float:
+    """What of the motor's force friction in proportion to it leaves, when the roller turns in `direction` (-1 to 1)."""
+    return force_N - direction * load_friction_N(p, axis, force_N)
+
+
+@inlined
+def pushed_with_N(p: Vector, axis: int, passed_N: float, direction: float) -> float:
+    """The motor's force of which so much is passed on: the inverse of `passed_on_N`."""
+    sign = 1.0 if passed_N > 0.0 else -1.0
+    return passed_N / (1.0 - sign * direction * p[axis + _LOAD_SHARE])
 
 
 @inlined
@@ -125,7 +189,13 @@ def has_gap(p: Vector, axis: int) -> bool:
 
 @inlined
 def shaft_torque_Nm(p: Vector, motor: int, torque_Nm: float, angle_rad: float) -> float:
-    """Torque on the shaft from the torque the drive knows: scale, then ripple over the motor's angle."""
+    """Torque on the shaft from the torque the drive knows: ripple in proportion to it, scale, ripple by the angle."""
+    return usual_shaft_torque_Nm(p, motor, torque_Nm * load_ripple_factor(p, motor, angle_rad), angle_rad)
+
+
+@inlined
+def usual_shaft_torque_Nm(p: Vector, motor: int, torque_Nm: float, angle_rad: float) -> float:
+    """The same of a motor without ripple in proportion to its torque."""
     torque = (1.0 + p[motor + _SCALE]) * torque_Nm
     if _is_any(p, motor + _RIPPLE, 3, _RIPPLES):
         torque += _ripple_Nm(p, motor, angle_rad)
@@ -144,6 +214,23 @@ def _ripple_Nm(p: Vector, motor: int, angle_rad: float) -> float:
 
 
 @inlined
+def load_ripple_factor(p: Vector, motor: int, angle_rad: float) -> float:
+    """Factor on a torque of ripple in proportion to it: 1 + sum of A·sin(n·phi_motor + phi0)."""
+    return _load_ripple_factor(p, motor, angle_rad) if _is_any(p, motor + _LOAD_RIPPLE, 3, _LOAD_RIPPLES) else 1.0
+
+
+@compiled
+def _load_ripple_factor(p: Vector, motor: int, angle_rad: float) -> float:
+    noinline()
+    factor = 1.0
+    for slot in range(_LOAD_RIPPLES):
+        at = motor + _LOAD_RIPPLE + 3 * slot
+        if p[at] != 0.0:
+            factor += p[at] * sin(p[at + 1] * angle_rad + p[at + 2])
+    return factor
+
+
+@inlined
 def _is_any(p: Vector, first: int, size: int, slots: int) -> bool:
     """Whether any slot of an effect is taken: the strength of the first stands at `first`."""
     found = False
@@ -155,7 +242,74 @@ def _is_any(p: Vector, first: int, size: int, slots: int) -> bool:
 @inlined
 def motor_torque_Nm(p: Vector, motor: int, shaft_Nm: float, angle_rad: float) -> float:
     """The torque the drive must know of for this one on the shaft: the inverse of `shaft_torque_Nm`."""
-    return (shaft_Nm - _ripple_Nm(p, motor, angle_rad)) / (1.0 + p[motor + _SCALE])
+    torque = (shaft_Nm - _ripple_Nm(p, motor, angle_rad)) / (1.0 + p[motor + _SCALE])
+    return torque / load_ripple_factor(p, motor, angle_rad)
+
+
+@inlined
+def has_feed_forward(p: Vector, motor: int) -> bool:
+    """Whether the record of a motor's torque leaves out what is fed forward."""
+    return p[motor + _FED_INERTIA] != 0.0 or p[motor + _FED_VISCOUS] != 0.0 or p[motor + _FED_COULOMB] != 0.0
+
+
+@inlined
+def fed_forward_N(
+    p: Vector, axis: int, motor: int, mass_kg: float, v_m_s: float, a_m_s2: float, direction: float
+) -> float:
+    """Force, at the web, that is fed forward for a motion: s_J·m·a + s_b·b·v + s_C·Fc·direction (-1 to 1)."""
+    return (
+        p[motor + _FED_INERTIA] * mass_kg * a_m_s2
+        + p[motor + _FED_VISCOUS] * p[axis + _VISCOUS] * v_m_s
+        + p[motor + _FED_COULOMB] * p[axis + _COULOMB_N] * direction
+    )
+
+
+@inlined
+def has_encoder_error(p: Vector, motor: int) -> bool:
+    """Whether the encoder errs once a turn."""
+    return p[motor + _ENCODER_RAD] != 0.0
+
+
+@compiled
+def measured_motion(p: Vector, motor: int, angle_rad: float, speed_rad_s: float) -> tuple[float, float]:
+    """Angle and speed of a motor as its encoder has them: phi + A·sin(phi + phi0)."""
+    noinline()
+    amplitude, at = p[motor + _ENCODER_RAD], angle_rad + p[motor + _ENCODER_PHASE]
+    return angle_rad + amplitude * sin(at), speed_rad_s * (1.0 + amplitude * cos(at))
+
+
+@compiled
+def true_motion(
+    p: Vector, motor: int, angle_rad: float, speed_rad_s: float, acceleration_rad_s2: float
+) -> tuple[float, float, float]:
+    """Angle, speed and acceleration of a motor that were measured so: the inverse of `measured_motion`."""
+    noinline()
+    amplitude, phase = p[motor + _ENCODER_RAD], p[motor + _ENCODER_PHASE]
+    angle = angle_rad
+    for _ in range(_ANGLE_PASSES):
+        error = angle + amplitude * sin(angle + phase) - angle_rad
+        angle -= error / (1.0 + amplitude * cos(angle + phase))
+    slope = 1.0 + amplitude * cos(angle + phase)
+    speed = speed_rad_s / slope
+    return angle, speed, (acceleration_rad_s2 + amplitude * sin(angle + phase) * speed**2) / slope
+
+
+@inlined
+def velocity_kp(p: Vector, motor: int) -> float:
+    """Proportional gain of the velocity loop, N·m·s/rad."""
+    return p[motor + lay.M_KP] * (1.0 + p[motor + _KP])
+
+
+@inlined
+def velocity_ki(p: Vector, motor: int) -> float:
+    """Integral gain of the velocity loop, N·m/rad."""
+    return p[motor + lay.M_KI] * (1.0 + p[motor + _KI])
+
+
+@inlined
+def current_loop_s(p: Vector, motor: int) -> float:
+    """Time constant of the current loop."""
+    return max(p[motor + lay.M_CURRENT_S] + p[motor + _LAG_S], 0.0)
 
 
 @inlined

@@ -100,14 +100,33 @@ PER_ROLLER_MASS: Final = 8
 PER_MOTOR_MASS: Final = 9
 STEPS: Final = 10  #: factor of the steps of E in this step
 DECAY_STEP_S: Final = 11  #: length of step that the decays are for
-PARTS: Final = 12
+PACE: Final = 12  #: one number: which of the ways to step the line its effects allow
+REPORTS: Final = 13  #: one number: whether any drive measures or records something else than what is
+LOOP_KP: Final = 14  #: gains and current loop of a motor's drive, with what effects make of them
+LOOP_KI: Final = 15
+LOOP_CURRENT_S: Final = 16
+PARTS: Final = 17
+#: Paces: the step that is made for what is usual; the general one, that knows every force; gear play, whose contact is
+#: an event.
+PLAIN: Final = 0.0
+RARE: Final = 1.0
+PLAY: Final = 2.0
+
+
+#: Effects that enter there belong to a motor; others of an axis to its roller.
+_OF_A_MOTOR: Final = (
+    Domain.MOTOR_TORQUE,
+    Domain.TORQUE_MEASUREMENT,
+    Domain.POSITION_MEASUREMENT,
+    Domain.DRIVE,
+)
 
 
 def row_of(effect: Effect) -> str:
     """Which row holds an effect's parameters: "web", "axis" or "motor"."""
     if not effect.per_axis:
         return "web"
-    return "motor" if effect.domain in (Domain.MOTOR_TORQUE, Domain.TORQUE_MEASUREMENT) else "axis"
+    return "motor" if effect.domain in _OF_A_MOTOR else "axis"
 
 
 def _allocate() -> tuple[dict[str, int], dict[str, int]]:
