@@ -60,7 +60,7 @@ def quiet(c: Channels) -> Channels:
 @pytest.mark.parametrize(
     ("damage", "said"),
     [
-        (without("v1_cmd_m_s"), "channel v1_cmd_m_s missing"),
+        (both(without("v1_cmd_m_s"), without("x2_m")), "channels v1_cmd_m_s, x2_m missing"),
         (without("strain_prev"), "channel strain_prev missing"),
         (mostly_no_number, "channel tau2_Nm has 3000 value(s) that are no finite number"),
         (twice, "t_s starts over in sample 6001 (from 11.998 to 0.001 s)"),

@@ -148,6 +148,7 @@ def as_data(found: Diagnosis, live: list[LiveGap], not_compared: str, files: _Fi
     return {
         "verdict": found.verdict,
         "effects": [_effect(effect) for effect in found.effects],
+        "nuisance": [_effect(effect) for effect in found.nuisance],
         "gap": {
             "signal": gap.signal,
             "metric": "rms",
@@ -177,6 +178,7 @@ def as_data(found: Diagnosis, live: list[LiveGap], not_compared: str, files: _Fi
         ],
         "repairs": [asdict(repair) for repair in found.repairs],
         "missing_channels": found.missing_channels,
+        "predicted_on": found.predicted_on,
         "imitation_cycle_s": None if found.imitation is None else found.imitation.cycle_s,
         "live": [{**asdict(gap), "run": str(gap.run)} for gap in live],
         "not_compared": not_compared or None,
@@ -206,6 +208,11 @@ def _show(console: Console, found: Diagnosis) -> None:
         "unknown": f"unknown: {_UNKNOWN}",
     }
     console.print(sentence[found.verdict])
+    console.print(f"predicted on {found.predicted_on}", soft_wrap=True)
+    for effect in found.nuisance:
+        sizes = [f"{k} {v.value:.3g} ({v.ci95[0]:.3g} to {v.ci95[1]:.3g})" for k, v in effect.parameters.items()]
+        what = f"{effect.effect} of axis {effect.axis}: {', '.join(sizes)}"
+        console.print(f"not the model's, and corrected for: {what}", soft_wrap=True)
     if found.imitation is not None:
         console.print(f"a bench's recording: web imitated by a load motor, every {1e3 * found.imitation.cycle_s:g} ms")
     if found.effects:

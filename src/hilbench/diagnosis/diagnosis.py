@@ -12,10 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.diagnosis.fit import around, fit, sums, time_profile
+from hilbench.diagnosis.loop_check import nuisance_of
 from hilbench.diagnosis.measured import Measured, measured_from
 from hilbench.diagnosis.misfit import LARGEST_RATIO, Misfit, located, misfits, ratios
 from hilbench.diagnosis.noise import Whitening, floor, repeats, scaling
-from hilbench.diagnosis.predictor import Predictor, predictor_for
+from hilbench.diagnosis.predictor import Choice, choice
 from hilbench.diagnosis.proposals import Proposer
 from hilbench.diagnosis.repairs import Repair
 from hilbench.diagnosis.select import Search, Selection
@@ -136,6 +137,8 @@ class Diagnosis:
     held_out: NDArray[np.bool_]
     simulations: int
     imitation: Imitation | None = None  #: how the web was imitated, of a bench's recording
+    predicted_on: str = ""  #: what the prediction is driven by, and why, for a person
+    nuisance: list[NamedEffect] = field(default_factory=list)  #: found beside the effects and corrected for
     repairs: list[Repair] = field(default_factory=list)  #: what was wrong with the recording's rows
 
     @property
@@ -161,16 +164,16 @@ def diagnose(
     """
     announce("simulate the model", 0.02)
     data = measured_from(recording, model, place)
-    predictor = predictor_for(model, data, imitation)
+    chosen = choice(model, data, imitation)
+    predictor = chosen.predictor
     space = Space(model, predictor, data.period_s)
     selection = Search(space, Proposer(model, data), announce, predictor.every).run()
-    return _conclude(space, predictor, data, selection, announce)
+    return _conclude(space, chosen, data, selection, announce)
 
 
-def _conclude(
-    space: Space, predictor: Predictor, data: Measured, selection: Selection, announce: Announce
-) -> Diagnosis:
+def _conclude(space: Space, chosen: Choice, data: Measured, selection: Selection, announce: Announce) -> Diagnosis:
     announce("judge the residual", 0.95)
+    predictor = chosen.predictor
     trained = selection.fit
     before = space.residual([])
     rows = space.counted
@@ -223,8 +226,23 @@ def _conclude(
         held_out=test,
         simulations=space.simulations,
         imitation=predictor.imitation,
+        predicted_on=chosen.basis,
+        nuisance=_nuisance(space.model, chosen),
         repairs=data.repairs,
     )
+
+
+def _nuisance(model: ModelParameters, chosen: Choice) -> list[NamedEffect]:
+    """How the drives' loops differ from the model's, where that is certain."""
+    result = []
+    for loop in chosen.loops:
+        for effect, parameters in nuisance_of(loop, model).items():
+            values = {
+                name: Value(_rounded(value), (_rounded(low), _rounded(high)), unit)
+                for name, (value, (low, high), unit) in parameters.items()
+            }
+            result.append(NamedEffect(effect, loop.axis, values, {"likelihood_ratio": loop.gain}, [], None))
+    return result
 
 
 def _rms(residual: Array, rows: NDArray[np.bool_]) -> float:

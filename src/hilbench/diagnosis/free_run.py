@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from copy import copy
 from typing import Final
 
@@ -9,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
+from hilbench.diagnosis.loop_check import Loop
 from hilbench.diagnosis.measured import Measured
 from hilbench.diagnosis.misfit import Condition
 from hilbench.diagnosis.noise import floor
@@ -46,11 +48,19 @@ class FreeRun:
     """The closed model run on the recorded commands; positions as mean and difference, whose noise is independent.
 
     Both encoders share the clock: their common error is not the one of their difference. With an `imitation` the web is
-    the one that a load motor imitates: late, and without the noise of its sensors.
+    the one that a load motor imitates: late, and without the noise of its sensors. With `loops` drives have those
+    instead of the model's.
     """
 
-    def __init__(self, model: ModelParameters, data: Measured, imitation: Imitation | None = None) -> None:
+    def __init__(
+        self,
+        model: ModelParameters,
+        data: Measured,
+        imitation: Imitation | None = None,
+        loops: Sequence[Loop] = (),
+    ) -> None:
         self._model = model
+        self._loops = loops
         self.imitation = imitation
         self._cycle_s = _FINE_S if imitation is None else imitation.cycle_s
         self._boundary = data.boundary
@@ -76,6 +86,9 @@ class FreeRun:
         self._speeds = speeds
         names += [f"v{axis}_m_s" for axis in speeds]
         rows += [data.v_m_s[axis] for axis in speeds]
+        self._tensions = sorted(data.F_N)
+        names += data.tension_names()
+        rows += [data.F_N[span] for span in self._tensions]
         self._torques = sorted(data.tau_Nm)
         self.names, self.measured = tuple(names), np.array(rows)
         unrounded = imitation is not None and imitation.resolution_m_s is None
@@ -175,6 +188,7 @@ class FreeRun:
         rows = [tau[..., axis - 1] for axis in self._torques]
         rows += self._position_rows({axis: x[..., axis - 1] for axis in self._positions})
         rows += [v[..., axis - 1] for axis in self._speeds]
+        rows += [run.F_N[..., span - 1] for span in self._tensions]
         return np.stack(rows, axis=1)
 
     def _position_rows(self, x_m: dict[int, Array]) -> list[Array]:
@@ -187,8 +201,20 @@ class FreeRun:
     def _mean(self, row: Array) -> Array:
         return np.asarray(uniform_filter1d(row, self._window, mode="constant"))
 
+    def _with_loops(self, parameters: Array) -> Array:
+        if not self._loops:
+            return parameters
+        changed = np.array(parameters)
+        for one in np.atleast_2d(changed):
+            rows = lay.Layout.of(one).motor_rows(one)
+            for loop in self._loops:
+                row = rows[loop.axis - 1]
+                row[[lay.M_KP, lay.M_KI, lay.M_CURRENT_S]] = loop.kp_Nm_s_per_rad, loop.ki_Nm_per_rad, loop.lag_s
+        return changed
+
     def _run(self, parameters: Array) -> Simulation:
         """Of one parameter vector, or of (B, P)."""
+        parameters = self._with_loops(parameters)
         state = np.broadcast_to(self._start, (*parameters.shape[:-1], len(self._start))).copy()
         for one, start in zip(np.atleast_2d(parameters), np.atleast_2d(state), strict=True):
             lay.set_strain(one, start, self._model.upstream_strain)

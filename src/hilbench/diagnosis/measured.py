@@ -51,6 +51,7 @@ _COMMANDS = ("v1_cmd_m_s", "v2_cmd_m_s")
 _BOUNDARY = ("strain_prev", "F_next_N")
 #: Only a bench has it: who records a web that is there has no load motor.
 _LOAD_MOTOR = "tau_load_cmd_Nm"
+_TENSION = "F_meas_N"
 
 
 @dataclass(frozen=True)
@@ -68,6 +69,7 @@ class Measured:
     imitated: bool = False  #: a load motor stood for the web
     left_out: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, bool))  #: (n,), or none: see `usable`
     repairs: list[Repair] = field(default_factory=list)  #: what was wrong with the rows, and is mended
+    F_N: dict[int, Array] = field(default_factory=dict)  #: measured tensions, by span
 
     @property
     def duration_s(self) -> float:
@@ -80,6 +82,10 @@ class Measured:
             return np.ones(len(self.t_s), bool)
         width = round(around_s / self.period_s)
         return np.asarray(np.convolve(self.left_out, np.ones(2 * width + 1), "same") < 0.5)
+
+    def tension_names(self) -> list[str]:
+        """Channels of the measured tensions, in the order of the spans."""
+        return [_TENSION if span == 1 else f"F{span}_meas_N" for span in sorted(self.F_N)]
 
 
 def measured_from(recording: Recording, model: ModelParameters, place: str | Path) -> Measured:
@@ -98,26 +104,32 @@ def measured_from(recording: Recording, model: ModelParameters, place: str | Pat
     if web and model.drives is None:
         raise UnusableInputError(place, "a model with a web and no 'drives', expected the drives' control loops")
     axes = range(1, model.axis_count + 1)
-    needed = [*_COMMANDS, *_BOUNDARY] if web else ["x1_m", "tau1_Nm"]
-    recording.require(needed, place)
     wanted = [f"{name}{axis}{unit}" for axis in axes for name, unit in (("tau", "_Nm"), ("x", "_m"), ("v", "_m_s"))]
-    there = [name for name in wanted if name in recording]
+    if web:
+        wanted += _COMMANDS
+        recording.require(_BOUNDARY, place)
+        _check_enough(recording, place)
+    else:
+        recording.require(["x1_m", "tau1_Nm"], place)
+    tensions = [name for name in (_TENSION, "F1_meas_N") if web and name in recording][:1]
+    there = [name for name in wanted if name in recording] + tensions
     recording.require(there, place)
-    if not any(name.startswith("tau") for name in there):
-        raise UnusableInputError(place, "channels tau1_Nm, tau2_Nm missing, expected at least one torque")
 
     def channels(name: str, unit: str) -> dict[int, Array]:
         found = {axis: f"{name}{axis}{unit}" for axis in axes}
         return {axis: np.asarray(recording[key], np.float64) for axis, key in found.items() if key in recording}
 
     n = len(recording)
-    commands = [np.asarray(recording[name], np.float64) for name in _COMMANDS] if web else []
-    boundary = [np.asarray(recording[name], np.float64) for name in _BOUNDARY] if web else []
+    told = web and all(name in recording for name in _COMMANDS)
+    commands = [np.asarray(recording[name], np.float64) for name in _COMMANDS] if told else []
+    boundary = np.zeros((n, 2))
+    if web:
+        boundary = np.column_stack([np.asarray(recording[name], np.float64) for name in _BOUNDARY])
     measured = Measured(
         t_s=recording.time_s - recording.time_s[0],
         period_s=period_s,
         commands_m_s=np.column_stack(commands) if commands else np.empty((n, 0)),
-        boundary=np.column_stack(boundary) if boundary else np.zeros((n, 2)),
+        boundary=boundary,
         tau_Nm=channels("tau", "_Nm"),
         x_m=channels("x", "_m"),
         v_m_s=channels("v", "_m_s"),
@@ -125,9 +137,26 @@ def measured_from(recording: Recording, model: ModelParameters, place: str | Pat
         imitated=web and _LOAD_MOTOR in recording and bool(np.any(recording[_LOAD_MOTOR])),
         left_out=found.left_out,
         repairs=found.repairs,
+        F_N=dict.fromkeys((1,), np.asarray(recording[tensions[0]], np.float64)) if tensions else {},
     )
     _check_plausible(measured, model, place)
     return measured
+
+
+def _check_enough(recording: Recording, place: str | Path) -> None:
+    """A web line needs a torque, and either the commands of both axes or how both moved."""
+    if not any(f"tau{axis}_Nm" in recording for axis in (1, 2)):
+        raise UnusableInputError(place, "channels tau1_Nm, tau2_Nm missing, expected at least one torque")
+    if all(name in recording for name in _COMMANDS):
+        return
+    missing = [name for name in _COMMANDS if name not in recording]
+    still = [f"x{axis}_m" for axis in (1, 2) if f"x{axis}_m" not in recording]
+    if still:
+        raise UnusableInputError(
+            place,
+            f"channels {', '.join([*missing, *still])} missing, expected the commands of both axes or the positions of"
+            " both: the strain is in what the web travelled at one roller more than at the other",
+        )
 
 
 def _period_s(t_s: Array, place: str | Path) -> float:

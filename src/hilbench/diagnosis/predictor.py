@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from typing import Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.diagnosis.free_run import FreeRun
+from hilbench.diagnosis.line_on_measured_motion import LineOnMeasuredMotion
+from hilbench.diagnosis.loop_check import Loop
 from hilbench.diagnosis.measured import Measured
 from hilbench.diagnosis.measured_motion import OnMeasuredMotion
 from hilbench.diagnosis.misfit import Condition
@@ -64,18 +67,46 @@ class Predictor(Protocol):
         """(B, P) to (B, signals, n)."""
 
 
-def predictor_for(model: ModelParameters, data: Measured, imitation: Imitation | None = None) -> Predictor:
-    """A free run where there are commands and control loops; else on the measured motion.
+@dataclass(frozen=True)
+class Choice:
+    """A way to predict, why it was chosen, and the drives' loops as the recording shows them."""
 
-    Where the recording has a load motor the web was imitated: as `imitation` says, or as benches do it by default, by
-    one load motor at the last roller. What happened in its cycles can't be told from rows between them.
+    predictor: Predictor
+    basis: str  #: for a person
+    loops: list[Loop] = field(default_factory=list)  #: of the axes on which they could be looked at
+
+
+def choice(model: ModelParameters, data: Measured, imitation: Imitation | None = None) -> Choice:
+    """A free run where the drives' loops are those of the model; else on measured motion, which needs none.
+
+    A recording without both positions is run freely, with the loops that it shows. Where it has a load motor the web
+    was imitated: as `imitation` says, or as benches do it by default, by one load motor at the last roller. What
+    happened in its cycles can't be told from rows between them.
     """
     if model.web is None:
-        on_motion = OnMeasuredMotion(model, data)
-        on_motion.rows &= data.usable(_FILTERED_S)[:: on_motion.every]
-        return on_motion
-    imitation = imitation or Imitation(data.period_s, (CoupledMotor(axis=model.axis_count),))
-    cycles = data.period_s / imitation.cycle_s
-    if not data.imitated or cycles < 0.5 or abs(cycles - round(cycles)) > _UNEVEN_CYCLES:
-        return FreeRun(model, data)
-    return FreeRun(model, data, imitation)
+        return Choice(OnMeasuredMotion(model, data), "measured motion of a lone axis")
+    commands = "the recorded commands"
+    if data.imitated:
+        imitation = imitation or Imitation(data.period_s, (CoupledMotor(axis=model.axis_count),))
+        cycles = data.period_s / imitation.cycle_s
+        if cycles < 0.5 or abs(cycles - round(cycles)) > _UNEVEN_CYCLES:
+            return Choice(FreeRun(model, data), commands)
+        return Choice(FreeRun(model, data, imitation), commands)
+    if not set(data.x_m) | set(data.v_m_s) >= {1, 2}:
+        return Choice(FreeRun(model, data), commands)
+    motion = LineOnMeasuredMotion(model, data)
+    loops = motion.loops()
+    if not data.commands_m_s.size:
+        return Choice(motion, "measured motion: there are no commands")
+    if loops and all(loop.is_known for loop in loops):
+        return Choice(FreeRun(model, data), commands, loops)
+    if set(data.x_m) >= {1, 2}:
+        why = "the drives' loops are not those of the model" if loops else "nothing tells the drives' loops"
+        return Choice(motion, f"measured motion: {why}", loops)
+    others = [loop for loop in loops if loop.is_understood and not loop.is_known]
+    return Choice(FreeRun(model, data, loops=others), f"{commands}, with the loops that the drives show", loops)
+
+
+def predictor_for(model: ModelParameters, data: Measured, imitation: Imitation | None = None) -> Predictor:
+    """The way to predict that `choice` chooses."""
+    return choice(model, data, imitation).predictor

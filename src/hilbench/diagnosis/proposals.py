@@ -158,7 +158,7 @@ class Proposer:
                     residuals = self._by_torque(effect, axis, whitened, every)
                     terms += self._orders(effect, axis, residuals, present, every)
         for effect in self._over(ProbeOver.TIME):
-            terms += self._frequencies(effect, whitened, present)
+            terms += self._frequencies(effect, whitened, present, every)
         return terms
 
     def _by_torque(self, effect: Effect, axis: int, whitened: dict[str, Array], every: int) -> dict[str, Array]:
@@ -265,14 +265,14 @@ class Proposer:
         orders, count = self._peaks(angle, whitened, [f"tau{axis}_Nm"], self._least_order(axis), top)
         return [self._term(effect, axis, {effect.probe.parameter: order}, slot, count) for order in orders]
 
-    def _frequencies(self, effect: Effect, whitened: dict[str, Array], present: list[Term]) -> list[Term]:
+    def _frequencies(self, effect: Effect, whitened: dict[str, Array], present: list[Term], every: int) -> list[Term]:
         slot = self._slot(effect, None, present)
         if slot is None or effect.probe is None:
             return []
-        highest = min(0.4 / self._data.period_s, 100.0)
+        highest = min(0.4 / (self._data.period_s * every), 100.0)
         torques = [name for name in whitened if name.startswith("tau")]
         lowest = _LEAST_CYCLES / self._data.duration_s
-        frequencies, count = self._peaks(self._data.t_s, whitened, torques, lowest, highest)
+        frequencies, count = self._peaks(self._data.t_s[::every], whitened, torques, lowest, highest)
         return [self._term(effect, None, {effect.probe.parameter: f}, slot, count) for f in frequencies]
 
 

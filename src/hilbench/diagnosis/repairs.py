@@ -45,7 +45,7 @@ _FLAT, _PILED, _NEXT = 5, 3.0, 0.002
 #: Share of a limit within which a torque is at it.
 _AT_LIMIT: Final = 0.01
 #: What a diagnosis reads; other channels may hold what they like.
-_READ: Final = re.compile(r"(x|v|tau)\d+(_cmd)?_(m|m_s|rad|rad_s|Nm)|strain_prev|F_next_N|F\d+_meas_N")
+_READ: Final = re.compile(r"(x|v|tau)\d+(_cmd)?_(m|m_s|rad|rad_s|Nm)|strain_prev|F_next_N|F\d*_meas_N")
 _MEASURED: Final = re.compile(r"(x|v|tau)\d+_(m|m_s|rad|rad_s|Nm)")
 _POSITION: Final = re.compile(r"x\d+_(m|rad)")
 _TORQUE: Final = re.compile(r"tau\d+_Nm")

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.diagnosis.free_run import FreeRun
+from hilbench.diagnosis.line_on_measured_motion import LineOnMeasuredMotion
 from hilbench.diagnosis.noise import ORDER, Whitening, scaling, whitening
 from hilbench.diagnosis.predictor import Predictor
 from hilbench.diagnosis.terms import Term, pack_with
@@ -112,8 +113,8 @@ class Space:
 
     def residual_with_force(self, terms: list[Term], force_N: float, time_s: float) -> Array:
         """The residual with a force against the motion of roller 2 from a time on. Raises TypeError on a lone axis."""
-        if not isinstance(self.predictor, FreeRun):
-            raise TypeError("a prediction on measured motion, expected a free run")
+        if not isinstance(self.predictor, FreeRun | LineOnMeasuredMotion):
+            raise TypeError("the prediction of a lone axis, expected a web")
         self.simulations += 1
         predicted = self.predictor.with_force(force_N, time_s).predict(pack_with(self.model, terms)[None])
         return np.asarray(self.predictor.measured - predicted[0], np.float64)

@@ -170,6 +170,15 @@ def web_speed_m_s(p: Vector, axis: int, x_m: float, v_m_s: float) -> float:
 
 
 @inlined
+def eccentric_way_m(p: Vector, axis: int, x_m: float, end_m: float) -> float:
+    """What the web goes beyond what a roller turns from x to the end: `web_speed_m_s` integrated."""
+    if p[axis + _ECCENTRICITY_M] == 0.0:
+        return 0.0
+    radius, phase = p[axis + lay.A_RADIUS_M], p[axis + _ECCENTRICITY_PHASE]
+    return p[axis + _ECCENTRICITY_M] * (sin(end_m / radius + phase) - sin(x_m / radius + phase))
+
+
+@inlined
 def inertia_factor(p: Vector, axis: int) -> float:
     """Factor on the moving mass."""
     return 1.0 + p[axis + _INERTIA]

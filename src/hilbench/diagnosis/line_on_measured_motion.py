@@ -1,0 +1,282 @@
+"""Prediction of a web line on the measured motion of its rollers: what their torques must be, whatever made them move.
+
+Neither commands nor control loops are needed. The strain of the span follows from what the web travelled at both
+rollers, each torque from the balance of its roller: `hilbench.plant.web_line.line_inverse`. Both measured and predicted
+torque pass the same filter, of a band in which the noise of the acceleration is small beside that of the torque.
+"""
+
+from __future__ import annotations
+
+from copy import copy
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilbench.diagnosis.loop_check import Loop, Told, loop_of
+from hilbench.diagnosis.measured import Measured
+from hilbench.diagnosis.misfit import Condition
+from hilbench.diagnosis.noise import floor
+from hilbench.diagnosis.smooth_motion import Thinning, integrated, smoothed
+from hilbench.plant.parameters import per_item
+from hilbench.plant.web_line.laws import FRICTION_WIDTH_M_S
+from hilbench.plant.web_line.line_inverse import RequiredTorques, required_torques
+from hilbench.plant.web_line.parameters import ModelParameters
+
+Array = NDArray[np.float64]
+
+#: Speed below which an axis stands, and how long before and after it is left out, s.
+_STANDSTILL_M_S: Final = 5.0 * FRICTION_WIDTH_M_S
+_NEAR_S: Final = 0.05
+#: Band of the motion that residuals are looked at against, Hz.
+_CALM_HZ: Final = 6.0
+#: Longest period of the grid on which torques are worked out, s: ripple that is faster than the band must not fold
+#: back into it.
+_FINE_S: Final = 0.001
+#: Noise of the acceleration's torque at the end of the band, as a share of the torque's own (densities of power).
+_NOISE_SHARE: Final = 0.15
+#: Lowest and highest end of the band, Hz.
+_LOWEST_HZ: Final = 5.0
+_HIGHEST_HZ: Final = 60.0
+#: How far beyond the band motion is taken, and up to which share of half the sampling rate.
+_WIDER: Final = 1.3
+_OF_NYQUIST: Final = 0.95
+#: Web transports (lengths of the span) after which the strain at the start is forgotten.
+_TRANSPORTS: Final = 4.0
+#: Cycle in which commands change at most, s, and the share of the inertia that torques read in step with it can't tell.
+_COMMANDS_S: Final = 0.002
+_IN_STEP: Final = 0.007
+
+
+class LineOnMeasuredMotion:
+    """Two driven rollers and the span between them, on measured motion.
+
+    Rows are read at one instant for all channels, but not always when they say: what both axes have in common then has
+    the noise of that time, what they differ by has not. So mean motion and difference are smoothed each for itself, the
+    acceleration of the mean from positions or speeds, whichever tell it better.
+    """
+
+    def __init__(self, model: ModelParameters, data: Measured) -> None:
+        self._model, self._data = model, data
+        self.imitation = None
+        self.exact = True
+        self._torques = sorted(data.tau_Nm)
+        self._tensions = sorted(data.F_N)
+        self.names = tuple(f"tau{axis}_Nm" for axis in self._torques) + tuple(data.tension_names())
+        noise = _Noise(model, data)
+        thinning = noise.thinning
+        self._thinning, self.every = thinning, thinning.every
+        self._whole = max(1, round(data.period_s / _FINE_S))
+        self._fine_s = data.period_s / self._whole
+        nyquist = 0.5 / data.period_s
+        band = (min(thinning.highest_Hz, 0.85 * nyquist), min(_WIDER * thinning.highest_Hz, _OF_NYQUIST * nyquist))
+        self._x, self._v, self._a = _motion(data, self._whole, band, noise.mean_by_speed)
+        self._boundary = np.repeat(data.boundary, self._whole, axis=0)[: len(self._x)]
+        rows = [data.tau_Nm[axis] for axis in self._torques] + [data.F_N[span] for span in self._tensions]
+        self._floors = noise.floors()
+        self.tolerances = np.zeros(len(self.names))
+        self.rows = self._usable()
+        self._sampling = self._in_step()
+        measured = thinning.apply(np.array(rows))
+        for k, axis in enumerate(self._torques):
+            measured[k] -= sampling_bias_Nm(model, axis, self._cycle_s) * self._at_rows(self._a[:, axis - 1])
+        self.measured = self._discounted(measured)
+
+    def _usable(self) -> NDArray[np.bool_]:
+        """Not standstill, where dry friction is not one law; not while the first strain is remembered; not the ends."""
+        data, every = self._data, self.every
+        reach_s = self._thinning.reach_s + _NEAR_S
+        reach = round(reach_s / self._fine_s)
+        slow = np.min(np.abs(self._v), axis=1) < _STANDSTILL_M_S
+        near = np.convolve(slow, np.ones(2 * reach + 1), "same") > 0.5
+        way = np.abs(integrated(np.abs(self._v[:, -1]), self._fine_s))
+        forgotten = _TRANSPORTS * self._model.span_length_m(1)
+        if way[-1] > 5.0 * forgotten:
+            near |= way < forgotten
+        near[:reach] = near[-reach:] = True
+        rows = ~near[:: self._whole] & data.usable(reach_s)
+        return np.asarray(rows[::every])
+
+    @property
+    def _cycle_s(self) -> float:
+        return min(self._data.period_s, _COMMANDS_S)
+
+    def _at_rows(self, fine: Array) -> Array:
+        return self._thinning.apply(fine, self._whole)
+
+    def _in_step(self) -> list[Array]:
+        """Of each torque the shape, in noise floors, of which only a share is known: that of the acceleration."""
+        found = []
+        for k, axis in enumerate(self._torques):
+            shape = _IN_STEP * inertia(self._model, axis) * self._at_rows(self._a[:, axis - 1]) / self._floors[k]
+            found.append(np.where(self.rows, shape, 0.0))
+        return found
+
+    def _discounted(self, signals: Array) -> Array:
+        """(…, signals, n) with each shape that is known only to a share made as loud as the noise, (1 + uuᵀ)^-½.
+
+        The noise of a torque that is read in step with the drive's cycle has that shape beside the white one.
+        """
+        for k, shape in enumerate(self._sampling):
+            square = float(shape @ shape)
+            if square > 0.0:
+                along = signals[..., k, :] @ shape / square
+                signals[..., k, :] -= (1.0 - 1.0 / np.sqrt(1.0 + square)) * along[..., None] * shape
+        return signals
+
+    def loops(self) -> list[Loop]:
+        """The drives' loops as commands, motion and torques show them; none without commands."""
+        data, found = self._data, []
+        for k, axis in enumerate(self._torques):
+            if not data.commands_m_s.size:
+                break
+            command, torque = data.commands_m_s[:, axis - 1], data.tau_Nm[axis]
+            told = Told(axis, command, self._x[:, axis - 1], self._v[:, axis - 1], torque, self._floors[k])
+            row_s = self.every * data.period_s
+            loop = loop_of(told, self._model, data.period_s, self._thinning.apply, self.rows, row_s)
+            found += [] if loop is None else [loop]
+        return found
+
+    def with_force(self, force_N: float, time_s: float) -> LineOnMeasuredMotion:
+        """The same with a force against the motion of roller 2 from a time on."""
+        other = copy(self)
+        t = np.arange(len(self._x)) * self._fine_s
+        against = force_N * np.clip((t + self._fine_s - time_s) / self._fine_s, 0.0, 1.0) * np.sign(self._v[:, 1])
+        other._boundary = self._boundary - np.outer(against, [0.0, 1.0])
+        return other
+
+    def floor(self, signal: int) -> float:
+        """Of the measured torque in the band, with what the noise of the motion adds."""
+        return float(self._floors[signal])
+
+    def conditions(self, parameters: Array) -> list[Condition]:
+        """Time, motion of axis 2, tension and strain rate as the motion makes them, angles."""
+        run = self._run(parameters[None])
+        rows = slice(None, None, self._whole * self.every)
+        strain = run.strain[0, :, 0]
+        # What they are looked at against must not have the noise that the residual has.
+        band = (_CALM_HZ, 1.5 * _CALM_HZ)
+        _, speed, acceleration = smoothed(self._x[rows, 1], self._fine_s * self._whole * self.every, 1, band, 2)
+        strain, strain_rate = smoothed(strain[rows], self._fine_s * self._whole * self.every, 1, band, 1)
+        found = [
+            Condition("time", "s", self._data.t_s[:: self.every], spectral=True),
+            Condition("speed of axis 2", "m/s", speed),
+            Condition("acceleration of axis 2", "m/s²", acceleration),
+            Condition("tension", "N", run.F_N[0, rows, 0]),
+            Condition("strain rate", "1/s", strain_rate),
+        ]
+        for k, axis in enumerate(range(1, self._model.axis_count + 1)):
+            per_m = ("roller", 1.0 / self._model.radius_m(axis)), ("motor", self._model.motor_rad_per_m(axis))
+            for what, rad_per_m in per_m:
+                angle = self._x[rows, k] * rad_per_m
+                found.append(Condition(f"angle of {what} {axis}", "rad", angle, period=2.0 * np.pi, spectral=True))
+        return found
+
+    def predict(self, parameters: Array) -> Array:
+        """(B, P) to (B, signals, n), on all cores."""
+        run = self._run(np.atleast_2d(parameters))
+        rows = [run.tau_Nm[..., axis - 1] for axis in self._torques] + [run.F_N[..., k - 1] for k in self._tensions]
+        return self._discounted(self._thinning.apply(np.stack(rows, axis=1), self._whole))
+
+    def _run(self, parameters: Array) -> RequiredTorques:
+        return required_torques(parameters, self._model, self._x, self._v, self._a, self._boundary, self._fine_s)
+
+
+class _Noise:
+    """How well motion and torques are known, and the band that follows from it."""
+
+    def __init__(self, model: ModelParameters, data: Measured) -> None:
+        self._model, self._data = model, data
+        self._torque_Nm = {axis: floor(tau) for axis, tau in data.tau_Nm.items()}
+        self._per_acceleration = max(inertia(model, axis) for axis in (1, 2))
+        options: dict[bool, float] = {}
+        if set(data.x_m) >= {1, 2}:
+            options[False] = floor(0.5 * (data.x_m[1] + data.x_m[2]))
+        if set(data.v_m_s) >= {1, 2}:
+            options[True] = floor(0.5 * (data.v_m_s[1] + data.v_m_s[2]))
+        if not options:  # one of each
+            options[False] = max(floor(values) for values in data.x_m.values())
+        ends = {by_speed: self._band_Hz(by_speed, noise) for by_speed, noise in options.items()}
+        self.mean_by_speed = max(ends, key=lambda by_speed: ends[by_speed])
+        self._mean_noise = options[self.mean_by_speed]
+        self._difference_noise = self._difference()
+        self.thinning = self._thinning(float(np.clip(ends[self.mean_by_speed], _LOWEST_HZ, _HIGHEST_HZ)))
+
+    def _difference(self) -> float:
+        """Of half the difference of the positions, m; from speeds it is that of a way that adds up, which is small."""
+        data = self._data
+        return 0.5 * floor(data.x_m[1] - data.x_m[2]) if set(data.x_m) >= {1, 2} else 0.0
+
+    def _band_Hz(self, by_speed: bool, noise: float) -> float:
+        """Where the noise of the acceleration's torque has a given share of that of the torque."""
+        power = 1.0 if by_speed else 2.0
+        torque = max(self._torque_Nm.values())
+        ratio = np.sqrt(_NOISE_SHARE) * torque / max(noise * self._per_acceleration, 1e-300)
+        mean = ratio ** (1.0 / power) / (2.0 * np.pi)
+        ratio = np.sqrt(_NOISE_SHARE) * torque / max(self._difference() * self._per_acceleration, 1e-300)
+        return float((mean**-4.0 + (np.sqrt(ratio) / (2.0 * np.pi)) ** -4.0) ** -0.25)
+
+    def _thinning(self, end_Hz: float) -> Thinning:
+        thinning = Thinning(max(1, round(0.5 / (end_Hz * self._data.period_s))), self._data.period_s)
+        if thinning.highest_Hz > 0.9 * 0.5 / self._data.period_s:
+            return Thinning(1, self._data.period_s)
+        return thinning
+
+    def floors(self) -> list[float]:
+        """Of the thinned torques, then tensions."""
+        data, model, share = self._data, self._model, self.thinning.noise_share
+        power = 2 if self.mean_by_speed else 4
+        end = 2.0 * np.pi * self.thinning.corner_Hz
+        # The mean of (2πf)^power up to the end of the band.
+        mean = self._mean_noise * np.sqrt(end**power / (power + 1.0))
+        acceleration = np.hypot(mean, self._difference_noise * np.sqrt(end**4 / 5.0))
+        tension_N = 0.0
+        if set(data.x_m) >= {1, 2} and model.web is not None:
+            tension_N = 2.0 * self._difference_noise * model.web.stiffness_N / model.span_length_m(1)
+        found = []
+        for axis, torque in sorted(self._torque_Nm.items()):
+            web = tension_N / model.motor_rad_per_m(axis)
+            found.append(share * float(np.sqrt(torque**2 + web**2 + (inertia(model, axis) * acceleration) ** 2)))
+        found += [share * float(np.hypot(floor(data.F_N[span]), tension_N)) for span in sorted(data.F_N)]
+        return found
+
+
+def inertia(model: ModelParameters, axis: int) -> float:
+    """N·m at the motor per m/s² at the web."""
+    return (model.motor_mass_kg(axis) + model.roller_mass_kg(axis)) / model.motor_rad_per_m(axis)
+
+
+def sampling_bias_Nm(model: ModelParameters, axis: int, cycle_s: float) -> float:
+    """By how much a torque that is read at the end of each cycle is off its mean, N·m per m/s² of the axis.
+
+    In a ramp the command steps once a cycle while the speed grows steadily: the torque jumps and falls within it, and
+    one that is read always at its end, just before the next command, is the least of it.
+    """
+    drives = model.drives
+    if drives is None:
+        return 0.0
+    sample_s, lag_s = drives.sample_time_s, per_item(drives.current_loop_time_constant_s, axis)
+    steps = max(1, round(cycle_s / sample_s))
+    decay = float(np.exp(-sample_s / lag_s)) if lag_s > 0.0 else 0.0
+    level = -np.arange(steps)[::-1] * sample_s  # of the speed error, latest first
+    weight = (1.0 - decay) * decay ** np.arange(steps) / (1.0 - decay**steps)
+    kp = per_item(drives.velocity_kp_Nm_s_per_rad, axis)
+    return kp * model.motor_rad_per_m(axis) * float(weight @ level - np.mean(level))
+
+
+def _motion(
+    data: Measured, whole: int, band_Hz: tuple[float, float], mean_by_speed: bool
+) -> tuple[Array, Array, Array]:
+    """Position, speed and acceleration (n, 2) on the fine grid."""
+    way = {axis: data.x_m[axis] if axis in data.x_m else integrated(data.v_m_s[axis], data.period_s) for axis in (1, 2)}
+    by_position = smoothed(0.5 * (way[1] + way[2]), data.period_s, whole, band_Hz, 2)
+    x, v, a = by_position
+    if mean_by_speed:
+        v, a = smoothed(0.5 * (data.v_m_s[1] + data.v_m_s[2]), data.period_s, whole, band_Hz, 1)
+    dx, dv, da = smoothed(way[1] - way[2], data.period_s, whole, band_Hz, 2)
+    half = np.array([0.5, -0.5])
+
+    def both(mean: Array, difference: Array) -> Array:
+        return mean[:, None] + np.outer(difference, half)
+
+    return both(x, dx), both(v, dv), both(a, da)

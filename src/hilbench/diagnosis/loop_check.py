@@ -1,0 +1,186 @@
+"""Are the drives' loops those of the model? From what each drive was told, how it moved and what torque it made.
+
+A velocity loop is known from these three alone, whatever hangs on its shaft: torque = lag(kp·e + ki·∫e), e the speed
+that was asked for less the one that was measured. Gains by linear least squares, the lag of the current loop, in which
+the torque is not linear, by search.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
+from scipy.signal import lfilter
+
+from hilbench.plant.parameters import per_item
+from hilbench.plant.web_line.parameters import ModelParameters
+
+Array = NDArray[np.float64]
+
+#: What is slower than this, s, is not looked at: an offset of the torque is no gain.
+_WINDOW_S: Final = 2.0
+#: Lags that are tried, s, and how much closer around the best.
+_LAGS_S: Final = np.arange(0.0, 0.0101, 0.0005)
+_CLOSER_S: Final = np.linspace(-0.0005, 0.0005, 11)
+#: Fall of the sum of squares, in noise floors, from which loops are others: three parameters bring some 16 by chance in
+#: one recording of a thousand.
+_DIFFERENT: Final = 25.0
+#: Ratio of what the fitted loops leave to the noise from which they are not understood.
+_UNDERSTOOD: Final = 1.1
+#: Share of the drive's limit from which a torque counts as limited.
+_LIMITED: Final = 0.95
+_NORMAL_95: Final = 1.96
+#: Deviations by which a gain or lag must be off the model's: several are looked at on every axis.
+_CERTAIN: Final = 4.0
+
+
+@dataclass(frozen=True)
+class Loop:
+    """The loops of one drive as they were found; deviations are standard errors."""
+
+    axis: int
+    kp_Nm_s_per_rad: float
+    ki_Nm_per_rad: float
+    lag_s: float
+    kp_deviation: float
+    ki_deviation: float
+    lag_deviation_s: float
+    gain: float  #: fall of the sum of squares against the model's loops, in noise floors
+    ratio: float  #: rms of what is left over the noise floor
+
+    @property
+    def is_known(self) -> bool:
+        """Whether the model's loops explain the torque as well as any."""
+        return self.gain < _DIFFERENT and self.is_understood
+
+    @property
+    def is_understood(self) -> bool:
+        """Whether any loops of this kind explain the torque."""
+        return self.ratio < _UNDERSTOOD
+
+
+@dataclass(frozen=True)
+class Told:
+    """One axis: what it was told, how it moved and what its torque was."""
+
+    axis: int
+    command_m_s: Array  #: (n,), each held for a row
+    way_m: Array  #: (fine,) on a grid `whole` times that of the rows
+    speed_m_s: Array  #: (fine,)
+    torque_Nm: Array  #: (n,)
+    floor_Nm: float  #: of the torque in the band
+
+
+def loop_of(
+    told: Told,
+    model: ModelParameters,
+    period_s: float,
+    thin: Callable[[Array], Array],
+    rows: NDArray[np.bool_],
+    row_s: float,
+) -> Loop | None:
+    """The loops of one drive; None without drives in the model, or where there are no rows to see them on.
+
+    thin: from rows of the recording to those in the band, `row_s` apart; rows: of these the ones that count.
+    """
+    drives = model.drives
+    if drives is None or np.count_nonzero(rows) < 100:
+        return None
+    axis = told.axis
+    kp, ki = per_item(drives.velocity_kp_Nm_s_per_rad, axis), per_item(drives.velocity_ki_Nm_per_rad, axis)
+    lag_s = per_item(drives.current_loop_time_constant_s, axis)
+    limit = _LIMITED * per_item(drives.torque_limit_Nm, axis)
+    limited = uniform_filter1d((np.abs(told.torque_Nm) > limit).astype(np.float64), round(0.5 / period_s) | 1)
+    rows = rows & (np.abs(thin(limited)) < 1e-6)
+    window = max(3, round(_WINDOW_S / row_s))
+
+    def seen(values: Array) -> Array:
+        thinned = thin(values)
+        weight = rows.astype(np.float64)
+        mean = uniform_filter1d(thinned * weight, window, mode="constant")
+        share = np.maximum(uniform_filter1d(weight, window, mode="constant"), 1.0 / window)
+        return np.asarray((thinned - mean / share)[rows] / told.floor_Nm)
+
+    torque = seen(told.torque_Nm)
+    terms = _loop_terms(told, model.motor_rad_per_m(axis), period_s, drives.sample_time_s)
+
+    def columns(lag: float) -> Array:
+        return np.array([seen(each) for each in terms(lag)])
+
+    def fitted(lag: float) -> tuple[float, Array, Array]:
+        at = columns(lag)
+        theta, *_ = np.linalg.lstsq(at.T, torque, rcond=None)
+        return float(np.sum((torque - theta @ at) ** 2)), np.asarray(theta, np.float64), at
+
+    best_s = min(_LAGS_S, key=lambda lag: fitted(float(lag))[0])
+    near = np.maximum(best_s + _CLOSER_S, 0.0)
+    best_s = float(min(near, key=lambda lag: fitted(float(lag))[0]))
+    square, theta, at = fitted(best_s)
+    if not np.all(np.isfinite(theta)):
+        return None
+    mine = float(np.sum((torque - np.array([kp, ki]) @ columns(lag_s)) ** 2))
+    slope = (theta @ columns(best_s + 2e-4) - theta @ at) / 2e-4
+    jacobian = np.vstack([at, slope])
+    ratio = float(np.sqrt(square / len(torque)))
+    deviations = np.sqrt(np.maximum(np.diag(np.linalg.pinv(jacobian @ jacobian.T)), 0.0)) * max(ratio, 1.0)
+    of_kp, of_ki, of_lag = map(float, deviations)
+    found_kp, found_ki = map(float, theta)
+    return Loop(axis, found_kp, found_ki, best_s, of_kp, of_ki, of_lag, mine - square, ratio)
+
+
+def _loop_terms(
+    told: Told, rad_per_m: float, period_s: float, sample_s: float
+) -> Callable[[float], tuple[Array, Array]]:
+    """What kp and ki multiply, at the rows (n,), for a lag of the current loop."""
+    n = len(told.command_m_s)
+    per_row = max(1, round(period_s / sample_s))
+    at = np.arange(n * per_row) * (period_s / per_row)
+    fine = np.linspace(0.0, (n - 1) * period_s, len(told.speed_m_s))
+    command = np.repeat(told.command_m_s, per_row)
+    error = rad_per_m * (command - np.interp(at, fine, told.speed_m_s))
+    asked = np.concatenate([[0.0], np.cumsum(command)]) * (period_s / per_row)
+    # A sample's integral holds its own error already: the sum of the speeds reaches half a sample ahead.
+    integral = rad_per_m * (asked[1:] - np.interp(at + 0.5 * period_s / per_row, fine, told.way_m))
+    integral -= np.mean(integral)
+
+    def lagging(lag_s: float) -> tuple[Array, Array]:
+        decay = float(np.exp(-period_s / per_row / lag_s)) if lag_s > 0.0 else 0.0
+        found = []
+        for values in (error, integral):
+            late = lfilter([0.0, 1.0 - decay], [1.0, -decay], values)
+            found.append(np.asarray(late[::per_row], np.float64))
+        return found[0], found[1]
+
+    return lagging
+
+
+def nuisance_of(loop: Loop, model: ModelParameters) -> dict[str, dict[str, tuple[float, tuple[float, float], str]]]:
+    """How a drive's loops certainly differ from the model's: by effect and parameter the value, interval and unit."""
+    drives = model.drives
+    if drives is None or loop.gain < _DIFFERENT or not loop.is_understood:
+        return {}
+    kp, ki = per_item(drives.velocity_kp_Nm_s_per_rad, loop.axis), per_item(drives.velocity_ki_Nm_per_rad, loop.axis)
+    lag_s = per_item(drives.current_loop_time_constant_s, loop.axis)
+
+    def value(estimate: float, deviation: float, of: float) -> tuple[float, tuple[float, float], str]:
+        middle, half = estimate / of - 1.0, _NORMAL_95 * deviation / of
+        return middle, (middle - half, middle + half), "1"
+
+    found: dict[str, dict[str, tuple[float, tuple[float, float], str]]] = {}
+    gains = {
+        "kp_relative_change": value(loop.kp_Nm_s_per_rad, loop.kp_deviation, kp),
+        "ki_relative_change": value(loop.ki_Nm_per_rad, loop.ki_deviation, ki),
+    }
+    if abs(loop.kp_Nm_s_per_rad - kp) > _CERTAIN * loop.kp_deviation or (
+        abs(loop.ki_Nm_per_rad - ki) > _CERTAIN * loop.ki_deviation
+    ):
+        found["drive_gain"] = gains
+    half_s = _NORMAL_95 * loop.lag_deviation_s
+    if abs(loop.lag_s - lag_s) > _CERTAIN * loop.lag_deviation_s:
+        more_s = loop.lag_s - lag_s
+        found["drive_lag"] = {"lag_s": (more_s, (more_s - half_s, more_s + half_s), "s")}
+    return found

@@ -1,0 +1,122 @@
+"""Motion from sampled, noisy measurements: position, speed and acceleration without what is above a band.
+
+Everything is done to the spectrum, where differentiation is exact up to the end of the band, whatever the sampling
+period, and a finer grid costs nothing.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+#: Length of a root-raised-cosine filter to either side, in rows that it leaves, and its roll-off.
+_HALF_LENGTH = 10
+ROLL_OFF = 0.2
+
+
+def smoothed(values: Array, period_s: float, whole: int, band_Hz: tuple[float, float], order: int) -> list[Array]:
+    """A measurement and its first `order` derivatives, on a grid `whole` times finer: ((n - 1)·whole + 1,) each.
+
+    values (n,), a row every `period_s`. Up to the first of `band_Hz` nothing is lost, beyond the second nothing is
+    left. Beyond its ends the measurement goes on point-symmetrically: value and slope are continuous there, the second
+    derivative is not, and within some periods of the band's end near them it is not to be trusted.
+    """
+    n = len(values)
+    duration = (n - 1) * period_s
+    slope = (values[-1] - values[0]) / duration
+    rest = values - values[0] - slope * period_s * np.arange(n)
+    spectrum = np.fft.rfft(np.concatenate([rest, -rest[-2:0:-1]]))
+    frequency = np.arange(len(spectrum)) / (2.0 * duration)
+    low, high = band_Hz
+    share = np.clip((frequency - low) / max(high - low, 1e-9), 0.0, 1.0)
+    spectrum = spectrum * np.cos(0.5 * np.pi * share) ** 2
+    fine = (n - 1) * whole + 1
+    found = []
+    for k in range(order + 1):
+        of = spectrum * (2j * np.pi * frequency) ** k
+        found.append(whole * np.fft.irfft(of, 2 * (fine - 1))[:fine])
+    at = duration * np.linspace(0.0, 1.0, fine)
+    found[0] += values[0] + slope * at
+    if order > 0:
+        found[1] += slope
+    return found
+
+
+def integrated(values: Array, period_s: float) -> Array:
+    """(n,) from 0, by the trapezoidal rule."""
+    steps = 0.5 * period_s * (values[1:] + values[:-1])
+    return np.concatenate([[0.0], np.cumsum(steps)])
+
+
+@dataclass(frozen=True)
+class Thinning:
+    """Low-pass and every so many rows of a signal, so that white noise stays white and of known size.
+
+    A root-raised-cosine filter of half the rate of what is left: its squared magnitude folds to a constant.
+    """
+
+    every: int  #: rows of the recording per row that is left; with 1 nothing is done
+    period_s: float  #: of the recording
+
+    @property
+    def corner_Hz(self) -> float:
+        """Half the rate of the rows that are left."""
+        return 0.5 / (self.every * self.period_s)
+
+    @property
+    def highest_Hz(self) -> float:
+        """Above it nothing passes."""
+        return self.corner_Hz * ((1.0 + ROLL_OFF) if self.every > 1 else 1.0)
+
+    @property
+    def reach_s(self) -> float:
+        """How far before and behind a row what it holds lies."""
+        return _HALF_LENGTH * self.every * self.period_s if self.every > 1 else 0.0
+
+    @property
+    def noise_share(self) -> float:
+        """Standard deviation of what white noise leaves, per that of the noise."""
+        return float(np.sqrt(1.0 / self.every))
+
+    def _taps(self, down: int) -> Array:
+        t = np.arange(-_HALF_LENGTH * down, _HALF_LENGTH * down + 1) / down  # in rows that are left
+        b = ROLL_OFF
+        with np.errstate(divide="ignore", invalid="ignore"):
+            taps = (np.sin(np.pi * t * (1.0 - b)) + 4.0 * b * t * np.cos(np.pi * t * (1.0 + b))) / (
+                np.pi * t * (1.0 - (4.0 * b * t) ** 2)
+            )
+        taps[t == 0.0] = 1.0 - b + 4.0 * b / np.pi
+        edge = np.abs(np.abs(t) - 0.25 / b) < 1e-9
+        taps[edge] = (b / np.sqrt(2.0)) * (
+            (1.0 + 2.0 / np.pi) * np.sin(0.25 * np.pi / b) + (1.0 - 2.0 / np.pi) * np.cos(0.25 * np.pi / b)
+        )
+        taps *= np.kaiser(len(taps), 3.0)
+        return np.asarray(taps / np.sum(taps), np.float64)
+
+    @cached_property
+    def _kept(self) -> dict[int, Array]:
+        return {}
+
+    def apply(self, values: Array, whole: int = 1) -> Array:
+        """(…, (n - 1)·whole + 1) to (…, rows that are left): a signal on a grid `whole` times that of the recording."""
+        down = self.every * whole
+        if self.every == 1:
+            return np.asarray(values[..., ::down])
+        taps = self._kept.setdefault(whole, self._taps(down))
+        half = len(taps) // 2
+        n = values.shape[-1]
+        ends = [(0, 0)] * (values.ndim - 1) + [(half, half + down)]
+        padded = np.pad(values, ends, mode="edge")
+        count = -(-n // down)
+        # As many blocks of `down` samples as the filter is long; the sum over blocks is a product of matrices.
+        blocks = padded[..., : (count + 2 * _HALF_LENGTH) * down].reshape(*values.shape[:-1], -1, down)
+        out = np.zeros((*values.shape[:-1], count))
+        for k in range(2 * _HALF_LENGTH):
+            out += blocks[..., k : k + count, :] @ taps[k * down : (k + 1) * down]
+        out += taps[-1] * padded[..., 2 * half :: down][..., :count]
+        return out

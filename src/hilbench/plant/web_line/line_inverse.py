@@ -1,0 +1,153 @@
+"""Inverse dynamics of a line: the torques its drives report, and the tensions, for a measured motion of its axes.
+
+No control loop is in it. The strain of a span follows from the conservation of mass in what the web travelled at both
+of its rollers, which encoders tell far better than speeds do; each torque from the balance of its roller.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilbench.compiled import entry_point, inlined
+from hilbench.plant.sampling import on_all_cores
+from hilbench.plant.web_line import kernel, laws
+from hilbench.plant.web_line import layout as lay
+from hilbench.plant.web_line.layout import Layout, Vector
+from hilbench.plant.web_line.parameters import ModelParameters
+
+Array = NDArray[np.float64]
+
+
+@inlined
+def _pull_N(p: Vector, w: Vector, tension: int, i: int, n: int, upstream_N: float, downstream_N: float) -> float:
+    """Pull of the web on roller i, N forward."""
+    if p[lay.W_SIZE + i * lay.A_SIZE + lay.A_WEB_LOAD] == 0.0:
+        return 0.0
+    before = w[tension + i - 1] if i > 0 else upstream_N
+    return (w[tension + i] if i < n - 1 else downstream_N) - before
+
+
+Required = Callable[[Vector, Vector, Vector, Vector, Vector, Vector, float, Vector, Vector, Vector], None]
+
+
+def _required(sources: int) -> Required:
+    """The function that is called from Python; `sources` as in `number_of_sources`."""
+
+    @entry_point
+    def required(
+        p: Vector,
+        lengths: Vector,
+        x_m: Vector,
+        v_m_s: Vector,
+        a_m_s2: Vector,
+        boundary: Vector,
+        period_s: float,
+        tau_Nm: Vector,
+        F_N: Vector,
+        strain: Vector,
+    ) -> None:
+        n = x_m.shape[1] if sources >= 0 else 0
+        k = n - 1
+        speed, tension, rate, length_rate, material = 0, n, n + k, n + 2 * k, n + 3 * k
+        w = np.zeros(n + 5 * k)
+        begin, first = np.zeros(k), np.zeros(k)
+        for j in range(k):
+            w[material + k + j] = lengths[j]
+            w[material + j] = lengths[j] * laws.length_factor(p) / (1.0 + boundary[0, 0])
+        for row in range(x_m.shape[0]):
+            t = row * period_s
+            factor = laws.step_factor(p, t, period_s)
+            stiffness = laws.stiffness_N(p, t, factor)
+            strain_prev = laws.upstream_strain(p, boundary[row, 0], t)
+            downstream = boundary[row, 1]
+            for i in range(n):
+                w[speed + i] = laws.web_speed_m_s(p, lay.W_SIZE + i * lay.A_SIZE, x_m[row, i], v_m_s[row, i])
+            laws.span_rates(p, k, stiffness, strain_prev, downstream, w, speed, material, length_rate, tension, rate)
+            for j in range(k):
+                F_N[row, j] = w[tension + j]
+                strain[row, j] = w[material + k + j] * laws.length_factor(p) / w[material + j] - 1.0
+            upstream = strain_prev * p[lay.W_UPSTREAM_STIFFNESS_N]
+            for i in range(n):
+                axis, motor = lay.W_SIZE + i * lay.A_SIZE, lay.W_SIZE + n * lay.A_SIZE + i * lay.M_SIZE
+                ratio = p[motor + lay.M_RAD_PER_M]
+                mass = (p[axis + lay.A_MOTOR_MASS_KG] + p[axis + lay.A_ROLLER_MASS_KG]) * laws.inertia_factor(p, axis)
+                x, v = x_m[row, i], v_m_s[row, i]
+                resistance = laws.measured_resistance_N(p, axis, x, v, laws.FRICTION_WIDTH_M_S)
+                pull = _pull_N(p, w, tension, i, n, upstream, downstream)
+                force = mass * a_m_s2[row, i] + resistance - pull
+                tau_Nm[row, i] = laws.motor_torque_Nm(p, motor, force / ratio, x * ratio)
+            if row + 1 == x_m.shape[0]:
+                break
+            # To the next row by Heun's rule, with the way that the web went and not with speeds: what was travelled is
+            # exact, whatever the period.
+            for i in range(n):
+                axis = lay.W_SIZE + i * lay.A_SIZE
+                gone = x_m[row + 1, i] - x_m[row, i] + laws.eccentric_way_m(p, axis, x_m[row, i], x_m[row + 1, i])
+                w[speed + i] = gone / period_s
+            for j in range(k):
+                begin[j] = w[material + j]
+            laws.span_rates(p, k, stiffness, strain_prev, downstream, w, speed, material, length_rate, tension, rate)
+            for j in range(k):
+                first[j] = w[rate + j]
+                w[material + j] = begin[j] + period_s * first[j]
+            laws.span_rates(p, k, stiffness, strain_prev, downstream, w, speed, material, length_rate, tension, rate)
+            for j in range(k):
+                w[material + j] = begin[j] + 0.5 * period_s * (first[j] + w[rate + j])
+        rows = x_m.shape[0]
+        for i in range(n):
+            motor = lay.W_SIZE + n * lay.A_SIZE + i * lay.M_SIZE
+            late = laws.reporting_delay_s(p, motor) / period_s
+            whole = int(late)
+            share = late - whole
+            for row in range(rows - 1, -1, -1):
+                newer, older = max(row - whole, 0), max(row - whole - 1, 0)
+                torque = tau_Nm[newer, i] + share * (tau_Nm[older, i] - tau_Nm[newer, i])
+                tau_Nm[row, i] = torque + laws.reported_offset_Nm(p, motor)
+
+    return required
+
+
+_required_torques = _required(kernel.source_number(__file__))
+
+
+@dataclass(frozen=True, slots=True)
+class RequiredTorques:
+    """What the measured motion needs; (B, n, axes or spans)."""
+
+    tau_Nm: Array  #: as the drives report it, motor side
+    F_N: Array
+    strain: Array
+
+
+def required_torques(
+    parameters: Vector,
+    model: ModelParameters,
+    x_m: Array,
+    v_m_s: Array,
+    a_m_s2: Array,
+    boundary: Array,
+    period_s: float,
+) -> RequiredTorques:
+    """Torques that the motion of a line's driven axes needs.
+
+    parameters: (B, P) from `layout.pack`, shared out among all cores; model: for the lengths of the spans. x_m, v_m_s,
+    a_m_s2: (n, axes) motion at the web, a row every `period_s`; boundary: (n, 2) upstream strain and downstream
+    tension (N). The first row's strain is that of the web that enters.
+    """
+    many = np.ascontiguousarray(np.atleast_2d(parameters))
+    layout = Layout.of(many[0])
+    lengths = np.array([model.span_length_m(k + 1) for k in range(layout.spans)])
+    x, v, a, around = (np.ascontiguousarray(values, dtype=np.float64) for values in (x_m, v_m_s, a_m_s2, boundary))
+    tau = np.empty((len(many), len(x_m), layout.axes))
+    force, strain = np.empty((2, len(many), len(x_m), layout.spans))
+
+    def run(share: slice) -> None:
+        for b in range(*share.indices(len(many))):
+            _required_torques(many[b], lengths, x, v, a, around, period_s, tau[b], force[b], strain[b])
+
+    on_all_cores(run, len(many))
+    return RequiredTorques(tau, force, strain)

@@ -1,0 +1,97 @@
+"""Recordings as stands make them: loops that are not the model's, no commands, coarse rows, missing channels.
+
+The machine is the independent line, which shares no equation with the model.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import pytest
+from tests.independent_line import Line, Loops, effect
+
+from hilbench.diagnosis.diagnosis import Diagnosis, diagnose
+from hilbench.plant.web_line.parameters import ModelParameters
+from hilbench.results.recording import Recording
+
+COMMANDS = ("v1_cmd_m_s", "v2_cmd_m_s")
+OTHER_GAINS = Loops(kp=(1.2, 1.2), ki=(0.85, 0.85))
+
+
+def examined(profile: str = "identification", duration_s: float = 30.0, **line: Any) -> Diagnosis:
+    machine = Line(**line)
+    recording = Recording(machine.record(profile, seed=5, duration_s=duration_s).channels)
+    return diagnose(recording, ModelParameters.model_validate(machine.model), "stand")
+
+
+def named(found: Diagnosis) -> list[set[tuple[str, int | None]]]:
+    """Of each effect what it is, or is said to be tied with."""
+    result = []
+    for e in found.effects:
+        options: set[tuple[str, int | None]] = {(e.effect, e.axis)}
+        for text in e.tied_with:
+            name, _, axis = text.partition(" (axis ")
+            options |= {(name, int(axis.rstrip(")")))} if axis else {(name, e.axis), (name, None)}
+        result.append(options)
+    return result
+
+
+def assert_only(found: Diagnosis, item: Mapping[str, Any]) -> None:
+    """One effect, the right one, with its values."""
+    assert found.verdict == "named"
+    (options,) = named(found)
+    assert (item["effect"], item["axis"]) in options
+    if (found.effects[0].effect, found.effects[0].axis) == (item["effect"], item["axis"]):
+        for name, value in item["parameters"].items():
+            low, high = found.effects[0].parameters[name].ci95
+            assert low - 0.5 * (high - low) < value < high + 0.5 * (high - low)  # four standard errors
+
+
+@pytest.mark.parametrize(
+    ("condition", "item"),
+    [
+        ({"loops": OTHER_GAINS}, effect("coulomb_friction", 2, force_N=4.2)),
+        ({"loops": Loops(lag_s=(0.003, 0.003))}, effect("roller_eccentricity", 2, amplitude_m=2.5e-5, phase_rad=0.3)),
+        ({"without": COMMANDS}, effect("elasticity_shift", relative_change=0.15)),
+        ({"row_s": 0.01}, effect("viscous_friction", 1, coefficient_N_s_per_m=2.0)),
+        ({"row_s": 0.02}, effect("inertia_mismatch", 2, relative_change=0.15)),
+        ({"without": ("x1_m", "x2_m")}, effect("web_slip", creep_per_N=2.2e-6)),
+        ({"without": ("tau1_Nm",)}, effect("torque_offset", 2, offset_Nm=0.04)),
+        ({"profile": "production"}, effect("coulomb_friction", 2, force_N=4.2)),
+    ],
+    ids=["gains", "lag", "no commands", "10 ms", "20 ms", "speeds", "a torque", "production"],
+)
+def test_what_is_hidden_is_named_and_nothing_else(condition: dict[str, Any], item: Mapping[str, Any]) -> None:
+    assert_only(examined(hidden=[item], **condition), item)
+
+
+@pytest.mark.parametrize("condition", [{"loops": OTHER_GAINS}, {"without": COMMANDS}], ids=["gains", "no commands"])
+def test_nothing_is_named_where_nothing_is_missing_but_the_loops(condition: dict[str, Any]) -> None:
+    found = examined(**condition)
+    assert (found.verdict, found.effects) == ("complete", [])
+
+
+def test_what_the_drives_differ_by_is_said_beside_the_effects() -> None:
+    found = examined(loops=Loops(kp=(1.2, 1.0), ki=(0.85, 1.0), lag_s=(0.001, 0.003)))
+    of = {(e.effect, e.axis): e.parameters for e in found.nuisance}
+    assert set(of) == {("drive_gain", 1), ("drive_lag", 2)}
+    assert of["drive_gain", 1]["kp_relative_change"].value == pytest.approx(0.2, abs=0.03)
+    assert of["drive_gain", 1]["ki_relative_change"].value == pytest.approx(-0.15, abs=0.03)
+    assert of["drive_lag", 2]["lag_s"].value == pytest.approx(0.002, abs=4e-4)
+    assert found.effects == []
+    assert examined().nuisance == []
+
+
+def test_two_effects_are_told_apart_without_commands_on_a_machine_with_other_loops() -> None:
+    pair = [effect("coulomb_friction", 2, force_N=4.0), effect("elasticity_shift", relative_change=-0.1)]
+    found = examined(hidden=pair, without=COMMANDS, loops=OTHER_GAINS, row_s=0.004)
+    assert sorted(e.effect for e in found.effects) == ["coulomb_friction", "elasticity_shift"]
+
+
+def test_a_measured_tension_is_used() -> None:
+    """With torques as noisy as these, a change of E is known from the tension alone."""
+    item = effect("elasticity_shift", relative_change=0.1)
+    hidden = {"hidden": [item], "without": (*COMMANDS, "tau1_Nm"), "torque_noise_Nm": 2.0}
+    assert "elasticity_shift" not in [e.effect for e in examined(**hidden).effects]
+    assert_only(examined(**hidden, measured_tension_N=0.5), item)
