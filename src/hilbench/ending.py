@@ -21,22 +21,22 @@ def ended(command: Callable[[], object]) -> int:
         hold_standard_descriptors()
     except OSError:
         return EXIT_BENCH_FAULT  # nothing can be opened, and there is nowhere to say it
-    with honest_output() as problems, _threads_told():
+    with honest_output() as problems, _threads_reported():
         code = _code(command)
     for problem in problems:
-        _say(str(problem))
+        _report(str(problem))
     return code or (EXIT_BENCH_FAULT if problems else 0)
 
 
 @contextmanager
-def _threads_told() -> Iterator[None]:
-    """What ends a thread that nobody waits for is told as well, in one line."""
+def _threads_reported() -> Iterator[None]:
+    """What ends a thread that nobody waits for is reported as well, in one line."""
 
-    def tell(ended: threading.ExceptHookArgs) -> None:
+    def report(ended: threading.ExceptHookArgs) -> None:
         if isinstance(ended.exc_value, Exception):
-            _say(unexpected(ended.exc_value))
+            _report(unexpected(ended.exc_value))
 
-    before, threading.excepthook = threading.excepthook, tell
+    before, threading.excepthook = threading.excepthook, report
     try:
         yield
     finally:
@@ -48,19 +48,19 @@ def _code(command: Callable[[], object]) -> int:
         command()
     except SystemExit as end:
         return end.code if isinstance(end.code, int) else 0
-    except OutputError as error:  # told at the end, once, however it ended the command
+    except OutputError as error:  # reported at the end, once, however it ended the command
         return error.exit_code
     except HilbenchError as error:
-        _say(str(error), *getattr(error, "__notes__", ()))
+        _report(str(error), *getattr(error, "__notes__", ()))
         return error.exit_code
     except KeyboardInterrupt:
         return EXIT_INTERRUPTED
     except Exception as error:  # nobody foresaw it
-        _say(unexpected(error))
+        _report(unexpected(error))
         return EXIT_BENCH_FAULT
     return 0
 
 
-def _say(*lines: str) -> None:
+def _report(*lines: str) -> None:
     for line in lines:
         print(f"hilbench: {line}", file=sys.stderr, flush=True)

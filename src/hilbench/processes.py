@@ -102,7 +102,7 @@ def report_lost_frames(lost: int | None) -> None:
     print(_LOST_FRAMES, "not known" if lost is None else lost, flush=True)
 
 
-def say(text: str) -> None:
+def log(text: str) -> None:
     """Into the log of a child."""
     print(text, flush=True)
 

@@ -24,10 +24,10 @@ class ProcessSettings:
 
 
 @contextmanager
-def kept_ready(settings: ProcessSettings | None, tell: Callable[[str], None]) -> Iterator[None]:
+def kept_ready(settings: ProcessSettings | None, report: Callable[[str], None]) -> Iterator[None]:
     """Run what is inside, in the calling thread, as the settings ask; everything is as before afterwards.
 
-    What is not permitted is told, in one line each, and left out. `settings` None (lockstep: nobody waits for a
+    What is not permitted is reported, in one line each, and left out. `settings` None (lockstep: nobody waits for a
     clock): the garbage collector alone, which is out of the loop in any case. What is allocated in a cycle goes by
     reference counts; a collection would only look through what was there before.
     """
@@ -38,7 +38,7 @@ def kept_ready(settings: ProcessSettings | None, tell: Callable[[str], None]) ->
         if settings is None:
             yield
             return
-        with _pinned(settings.core, tell), _first(settings.priority, tell), _locked(settings.lock_memory, tell):
+        with _pinned(settings.core, report), _first(settings.priority, report), _locked(settings.lock_memory, report):
             yield
     finally:
         if collects:
@@ -46,7 +46,7 @@ def kept_ready(settings: ProcessSettings | None, tell: Callable[[str], None]) ->
 
 
 @contextmanager
-def _pinned(core: int | None, tell: Callable[[str], None]) -> Iterator[None]:
+def _pinned(core: int | None, report: Callable[[str], None]) -> Iterator[None]:
     if core is None:
         yield
         return
@@ -54,7 +54,7 @@ def _pinned(core: int | None, tell: Callable[[str], None]) -> Iterator[None]:
     try:
         os.sched_setaffinity(0, {core})
     except OSError:
-        tell(f"core {core}: cannot be had, expected one of {', '.join(map(str, sorted(before)))}")
+        report(f"core {core}: cannot be had, expected one of {', '.join(map(str, sorted(before)))}")
     try:
         yield
     finally:
@@ -62,7 +62,7 @@ def _pinned(core: int | None, tell: Callable[[str], None]) -> Iterator[None]:
 
 
 @contextmanager
-def _first(priority: int | None, tell: Callable[[str], None]) -> Iterator[None]:
+def _first(priority: int | None, report: Callable[[str], None]) -> Iterator[None]:
     if priority is None:
         yield
         return
@@ -71,7 +71,7 @@ def _first(priority: int | None, tell: Callable[[str], None]) -> Iterator[None]:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
     except PermissionError:
         limit = resource.getrlimit(resource.RLIMIT_RTPRIO)[0]
-        tell(f"priority {priority}: SCHED_FIFO is not permitted, rtprio is {limit}; hilbench doctor says what to do")
+        report(f"priority {priority}: SCHED_FIFO is not permitted, rtprio is {limit}; hilbench doctor says what to do")
     try:
         yield
     finally:
@@ -79,7 +79,7 @@ def _first(priority: int | None, tell: Callable[[str], None]) -> Iterator[None]:
 
 
 @contextmanager
-def _locked(wanted: bool | None, tell: Callable[[str], None]) -> Iterator[None]:
+def _locked(wanted: bool | None, report: Callable[[str], None]) -> Iterator[None]:
     """A page that has to come back from disk costs more than a cycle (mlockall(2)).
 
     What is allocated later is not locked, so that nothing fails for lack of lockable memory in the middle of a run.
@@ -91,7 +91,7 @@ def _locked(wanted: bool | None, tell: Callable[[str], None]) -> Iterator[None]:
     locked = libc.mlockall(_MCL_CURRENT | _MCL_ONFAULT) == 0
     if wanted and not locked:
         limit_KiB = resource.getrlimit(resource.RLIMIT_MEMLOCK)[0] >> 10
-        tell(f"lock_memory: not permitted, memlock is {limit_KiB} KiB; hilbench doctor says what to do")
+        report(f"lock_memory: not permitted, memlock is {limit_KiB} KiB; hilbench doctor says what to do")
     try:
         yield
     finally:

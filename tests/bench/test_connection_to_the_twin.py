@@ -50,7 +50,7 @@ class Nodes:
     twin_name: str = TWIN
     twin_problem: str = ""
     twin_heard: bool = False
-    twin_told_cycle: int = 0
+    twin_reported_cycle: int = 0
     counted: int = 0
     held_up_cycles: int = 0
     asked: list[int] = field(default_factory=list)
@@ -194,10 +194,10 @@ def test_by_the_clock_it_is_back_once_it_has_told_which_syncs_it_counts() -> Non
     bench.cycles(20)
     assert bench.away
     assert bench.exchange.stood_still == 0
-    bench.nodes.twin_told_cycle, bench.nodes.counted = bench.exchange.timing.cycles, 4
+    bench.nodes.twin_reported_cycle, bench.nodes.counted = bench.exchange.timing.cycles, 4
     bench.cycles()
     assert not bench.away
-    assert bench.state.twin.started_cycle == bench.nodes.twin_told_cycle - 4
+    assert bench.state.twin.started_cycle == bench.nodes.twin_reported_cycle - 4
 
 
 def test_one_that_was_started_and_tells_nothing_is_asked_again() -> None:
@@ -241,7 +241,7 @@ def test_a_reset_on_purpose_is_under_way_until_it_is_back() -> None:
     bench.connection.reset()
     assert bench.connection.returning
     bench.cycles(5)
-    bench.nodes.twin_told_cycle = bench.exchange.timing.cycles
+    bench.nodes.twin_reported_cycle = bench.exchange.timing.cycles
     bench.cycles()
     assert not bench.connection.returning
     assert not bench.away

@@ -59,7 +59,7 @@ class Stands:
     @property
     def fastest_rad_s(self) -> float:
         assert self.application is not None
-        outputs = self.application._stand.outputs()
+        outputs = self.application._rig.outputs()
         return max(abs(outputs["v1_rad_s"]), abs(outputs["v2_rad_s"]))
 
 

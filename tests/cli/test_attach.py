@@ -22,7 +22,7 @@ from tests.cli.in_process import hilbench
 from hilbench.can.frame import Frame
 from hilbench.can.link import Link
 from hilbench.can.open import BusAddress, open_link
-from hilbench.canopen.listening import hear, present
+from hilbench.canopen.listening import present, receive_for
 from hilbench.runs.config import load
 
 EDS = Path(__file__).resolve().parents[2] / "eds" / "hilbench_servo.eds"
@@ -215,6 +215,6 @@ class Targets:
         link.receive(0.0)
 
     def listen(self, duration_s: float) -> None:
-        for frame in hear(self._link, duration_s):
+        for frame in receive_for(self._link, duration_s):
             if frame.can_id == 0x601 and frame.data[:4] == bytes.fromhex("23FF6000"):
                 self.seen.append(int.from_bytes(frame.data[4:], "little", signed=True) * self.unit_rad_s)

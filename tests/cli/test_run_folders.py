@@ -15,7 +15,7 @@ from tests.bench.whole_runs import run_folders, start, wait_for_frames
 from tests.cli.in_process import hilbench
 
 from hilbench.can.open import open_link
-from hilbench.canopen.listening import hear
+from hilbench.canopen.listening import receive_for
 from hilbench.monitor.picture import BusPicture
 from hilbench.results.recording import read_recording
 from hilbench.runs.config import load
@@ -59,7 +59,7 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> Done:
     running = start(path)
     wait_for_frames(path, 100)
     link = open_link(picture.config.bus_address.as_it_runs())
-    picture.take(hear(link, 0.3))
+    picture.take(receive_for(link, 0.3))
     link.close()
     _, err = running.communicate(timeout=90)
     assert running.returncode == 1, err

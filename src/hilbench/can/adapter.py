@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from hilbench.can.arbitration import accepts
-from hilbench.can.confinement import ControllerState, bus_off, state_told
+from hilbench.can.confinement import ControllerState, bus_off, state_in_message
 from hilbench.can.frame import ERROR_FLAG, Frame
 from hilbench.can.messages import to_frame, to_message
 from hilbench.can.python_can import can
@@ -45,7 +45,7 @@ class PythonCanLink:
         return frames
 
     def _take_state(self, frame: Frame) -> None:
-        before, self.controller = self.controller, state_told(frame.can_id, frame.data) or self.controller
+        before, self.controller = self.controller, state_in_message(frame.can_id, frame.data) or self.controller
         if self.controller is ControllerState.BUS_OFF and before is not ControllerState.BUS_OFF:
             raise bus_off(self.channel)
 

@@ -68,8 +68,8 @@ class ErrorCounters:
         """Another's frame was over."""
         self.receive = max(0, min(self.receive, PASSIVE_FROM) - 1)
 
-    def told(self) -> tuple[int, bytes]:
-        """Identifier and data of the error message frame that tells this state."""
+    def message(self) -> tuple[int, bytes]:
+        """Identifier and data of the error message frame that carries this state."""
         state = self.state
         if state is ControllerState.BUS_OFF:
             return ERROR_FLAG | _BUS_OFF | _COUNTERS, bytes(6) + bytes((255, min(self.receive, 255)))
@@ -83,8 +83,8 @@ class ErrorCounters:
         return ERROR_FLAG | _CONTROLLER | _COUNTERS, data
 
 
-def state_told(can_id: int, data: bytes) -> ControllerState | None:
-    """The controller's state that an error message frame tells; None for one of something else."""
+def state_in_message(can_id: int, data: bytes) -> ControllerState | None:
+    """The controller's state that an error message frame carries; None for one of something else."""
     if can_id & _BUS_OFF:
         return ControllerState.BUS_OFF
     if can_id & _RESTARTED:

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from math import ceil
 
 from hilbench.can import hub_client, protocol
-from hilbench.can.confinement import ControllerState, bus_off, state_told
+from hilbench.can.confinement import ControllerState, bus_off, state_in_message
 from hilbench.can.frame import ERROR_FLAG, EXTENDED_FLAG, Frame
 from hilbench.can.requests import Wanted
 from hilbench.can.waiting import wait_readable, wait_writable
@@ -97,7 +97,7 @@ class EmbeddedLink:
             body = memoryview(packet)[protocol.HEADER.size :]
             for can_id, length, _, data, time_ns in protocol.STAMPED_CAN_RECORD.iter_unpack(body):
                 if can_id & ERROR_FLAG:
-                    self.controller = state_told(can_id, data) or self.controller
+                    self.controller = state_in_message(can_id, data) or self.controller
                 else:
                     frames.append(Frame(can_id, data[:length], time_ns))
             _, self.dropped = protocol.HEADER.unpack_from(packet)

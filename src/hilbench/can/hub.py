@@ -265,7 +265,7 @@ class Hub:
         changed, self._medium.changed = self._medium.changed, []
         for client in self._clients.values():
             if client in changed:
-                can_id, data = client.errors.told()
+                can_id, data = client.errors.message()
                 record = protocol.CAN_RECORD.pack(can_id, len(data), 0, data)
                 self._deliver(client, [record + protocol.STAMP.pack(self._medium.free_ns)])
 
@@ -320,7 +320,7 @@ class Hub:
 
     def _answer(self, client: Client, packet: bytes) -> None:
         try:
-            reply = self._carry_out(client, requests.parse(packet))
+            reply = self._execute(client, requests.parse(packet))
         except requests.RefusedError as error:
             reply = {"error": str(error)}
         try:
@@ -328,7 +328,7 @@ class Hub:
         except OSError:  # it did not wait for the answer
             return
 
-    def _carry_out(self, client: Client, request: requests.Request) -> dict[str, Any]:
+    def _execute(self, client: Client, request: requests.Request) -> dict[str, Any]:
         if isinstance(request, requests.Join):
             return self._join(client, request)
         if isinstance(request, requests.SetFilters):

@@ -32,7 +32,7 @@ class QueuedFrame(NamedTuple):
     bits: int
     duration_ns: int
     ready_ns: int
-    fate: FrameOutcome | None
+    outcome: FrameOutcome | None
 
 
 class Delivery(NamedTuple):
@@ -103,11 +103,11 @@ class Medium:
         if station.state is ControllerState.BUS_OFF:
             self.counters.lost += 1
             return
-        fate = self.disturber.draw(can_id, bits) if self.disturber is not None else None
-        if fate is not None:
-            arrival_ns += fate.delay_ns
+        outcome = self.disturber.draw(can_id, bits) if self.disturber is not None else None
+        if outcome is not None:
+            arrival_ns += outcome.delay_ns
         duration_ns = bits * 1_000_000_000 // self.bitrate
-        station.queue.append(_queued_frame((priority(can_id), can_id, payload, bits, duration_ns, arrival_ns, fate)))
+        station.queue.append(_queued_frame((priority(can_id), can_id, payload, bits, duration_ns, arrival_ns, outcome)))
 
     def run(self, until_ns: int) -> list[Delivery]:
         """Let time pass until `until_ns`; the frames that were over by then, in order."""
@@ -126,8 +126,8 @@ class Medium:
         station, queue, free_ns = busy[0], busy[0].queue, self.free_ns
         all_bits = 0
         while queue:
-            _, can_id, payload, bits, duration_ns, ready_ns, fate = frame = queue.popleft()
-            if fate is not None:
+            _, can_id, payload, bits, duration_ns, ready_ns, outcome = frame = queue.popleft()
+            if outcome is not None:
                 queue.appendleft(frame)
                 break
             free_ns = (free_ns if free_ns > ready_ns else ready_ns) + duration_ns
@@ -161,8 +161,8 @@ class Medium:
             frame = winner.queue[0]
         if start > until_ns:
             return False
-        if frame.fate is not None and frame.fate.broken_off_after:
-            bits = frame.fate.broken_off_after[0] + ERROR_FRAME_BITS
+        if frame.outcome is not None and frame.outcome.broken_off_after:
+            bits = frame.outcome.broken_off_after[0] + ERROR_FRAME_BITS
             self._end_ns = start + bits * 1_000_000_000 // self.bitrate
         else:
             self._end_ns = start + frame.duration_ns
@@ -176,7 +176,7 @@ class Medium:
         self._sender = None
         self.free_ns = self._end_ns
         frame = sender.queue.popleft()
-        if frame.fate is not None and not self._survives(sender, frame, frame.fate):
+        if frame.outcome is not None and not self._survives(sender, frame, frame.outcome):
             return
         self.counters.frames += 1
         self.counters.bits += frame.bits
@@ -184,22 +184,24 @@ class Medium:
             self._count_success(sender)
         delivered.append(_delivery((sender, frame.can_id, frame.payload, self.free_ns)))
 
-    def _survives(self, sender: Station, frame: QueuedFrame, fate: FrameOutcome) -> bool:
+    def _survives(self, sender: Station, frame: QueuedFrame, outcome: FrameOutcome) -> bool:
         """Apply a disturbance; whether the frame that was on the wire reaches the others."""
         counters = self.counters
-        if fate.broken_off_after:
+        if outcome.broken_off_after:
             counters.error_frames += 1
-            counters.bits += fate.broken_off_after[0] + ERROR_FRAME_BITS
-            sender.queue.appendleft(frame._replace(fate=fate._replace(broken_off_after=fate.broken_off_after[1:])))
+            counters.bits += outcome.broken_off_after[0] + ERROR_FRAME_BITS
+            sender.queue.appendleft(
+                frame._replace(outcome=outcome._replace(broken_off_after=outcome.broken_off_after[1:]))
+            )
             self._count_failure(sender)
             return False
-        if fate.lost:
+        if outcome.lost:
             counters.lost += 1
             counters.frames += 1
             counters.bits += frame.bits
             return False
-        if fate.duplicated:
-            sender.queue.appendleft(frame._replace(fate=None))
+        if outcome.duplicated:
+            sender.queue.appendleft(frame._replace(outcome=None))
         return True
 
     def _count_failure(self, sender: Station) -> None:

@@ -13,7 +13,7 @@ import struct
 import time
 from collections.abc import Sequence
 
-from hilbench.can.confinement import STATE_CLASSES, ControllerState, bus_off, state_told
+from hilbench.can.confinement import STATE_CLASSES, ControllerState, bus_off, state_in_message
 from hilbench.can.embedded import can_record
 from hilbench.can.frame import ERROR_FLAG, Frame
 from hilbench.can.interface_losses import InterfaceLosses
@@ -106,7 +106,7 @@ class SocketCanLink:
 
     def _take_state(self, can_id: int, data: bytes) -> None:
         """Raises BusError when the controller has just gone bus off; with restart-ms it comes back by itself."""
-        before, self.controller = self.controller, state_told(can_id, data) or self.controller
+        before, self.controller = self.controller, state_in_message(can_id, data) or self.controller
         if self.controller is ControllerState.BUS_OFF and before is not ControllerState.BUS_OFF:
             raise bus_off(self.channel)
 

@@ -20,7 +20,7 @@ _LOOK_ROUND_S: Final = 0.1
 
 
 @dataclass(frozen=True)
-class Heard:
+class Received:
     """What others sent while nobody was asked anything."""
 
     nodes: Mapping[int, frozenset[int]] = field(default_factory=dict)  #: node id → COB-IDs it used
@@ -42,7 +42,7 @@ class Heard:
         return signs
 
 
-def master_at_work(heard: Heard, claimed_by: str | None, master_id: int) -> str | None:
+def master_at_work(heard: Received, claimed_by: str | None, master_id: int) -> str | None:
     """What tells of another master: the program that has claimed the bus, or else what was heard. None: nothing."""
     signs = ", ".join(heard.signs_of_master(master_id))
     if claimed_by is not None:
@@ -50,7 +50,7 @@ def master_at_work(heard: Heard, claimed_by: str | None, master_id: int) -> str 
     return f"heard {signs}; no program of this machine has claimed the bus" if signs else None
 
 
-def sort_by_node(frames: Iterable[Frame]) -> Heard:
+def sort_by_node(frames: Iterable[Frame]) -> Received:
     """Whom the identifiers belong to."""
     nodes: dict[int, set[int]] = {}
     set_points: set[int] = set()
@@ -69,19 +69,19 @@ def sort_by_node(frames: Iterable[Frame]) -> Heard:
             set_points.add(can_id)
     nmt = [data for data in commands if not (stopped and data == EMERGENCY_STOP[1].data)]
     by_node = {node_id: frozenset(nodes[node_id]) for node_id in sorted(nodes)}
-    return Heard(by_node, sync, len(nmt), frozenset(set_points))
+    return Received(by_node, sync, len(nmt), frozenset(set_points))
 
 
-def listen(link: Link, duration_s: float) -> Heard:
+def listen(link: Link, duration_s: float) -> Received:
     """Hear what others send. Raises BusError when the bus is lost."""
-    return sort_by_node(hear(link, duration_s))
+    return sort_by_node(receive_for(link, duration_s))
 
 
 def listen_for_master(link: Link, duration_s: float, master_id: int) -> list[str]:
     """The signs of another master; for as long as said where there is none. Raises BusError when the bus is lost."""
-    frames = hear(link, duration_s, lambda new: bool(sort_by_node(new).signs_of_master(master_id)))
+    frames = receive_for(link, duration_s, lambda new: bool(sort_by_node(new).signs_of_master(master_id)))
     if sort_by_node(frames).signs_of_master(master_id):
-        frames += hear(link, _LOOK_ROUND_S)
+        frames += receive_for(link, _LOOK_ROUND_S)
     return sort_by_node(frames).signs_of_master(master_id)
 
 
@@ -95,11 +95,13 @@ def present(link: Link, node_ids: Iterable[int], wait_s: float) -> set[int]:
         answers.update(frame.can_id - SDO_ANSWER for frame in frames)
         return answers >= asked
 
-    hear(link, wait_s, everybody)
+    receive_for(link, wait_s, everybody)
     return answers & asked
 
 
-def hear(link: Link, duration_s: float, enough: Callable[[list[Frame]], bool] = lambda new: False) -> list[Frame]:
+def receive_for(
+    link: Link, duration_s: float, enough: Callable[[list[Frame]], bool] = lambda new: False
+) -> list[Frame]:
     """All frames of a time, or until `enough` says so of new ones. Raises BusError when the bus is lost.
 
     What has come by the end of that time is among them, however late this process gets to look.

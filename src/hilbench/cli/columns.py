@@ -10,7 +10,7 @@ from hilbench.results.columns import unknown_columns
 from hilbench.results.recording import Recording
 
 
-def tell(path: Path, text: str) -> None:
+def report(path: Path, text: str) -> None:
     """A note on a file that is used all the same."""
     typer.echo(f"hilbench: {path}: {text}", err=True)
 
@@ -19,4 +19,4 @@ def report_unknown(recording: Recording, path: Path) -> None:
     """Say which columns are no channel, and what may have been meant."""
     unknown = unknown_columns(list(recording.channels))
     if unknown:
-        tell(path, f"columns that are no channel: {', '.join(unknown)}")
+        report(path, f"columns that are no channel: {', '.join(unknown)}")

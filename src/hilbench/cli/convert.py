@@ -30,7 +30,7 @@ def convert(
 
     Example: hilbench convert machine.csv recording.mf4 --columns columns.yaml
     """
-    from hilbench.cli.columns import report_unknown, tell
+    from hilbench.cli.columns import report, report_unknown
     from hilbench.results.import_mapping import read_foreign
     from hilbench.results.recording import read_recording, write_recording
     from hilbench.results.trace_files import FORMATS, read_trace, write_trace
@@ -45,7 +45,7 @@ def convert(
         recording = read_recording(source)
         report_unknown(recording, source)
     else:
-        recording = read_foreign(source, columns, lambda text: tell(source, text))
+        recording = read_foreign(source, columns, lambda text: report(source, text))
     write_recording(recording, target)
     print(f"{target}: {len(recording)} samples of {len(recording.channels)} channels")
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from hilbench.canopen.listening import Heard, master_at_work
+from hilbench.canopen.listening import Received, master_at_work
 from hilbench.canopen.sdo_client import Answer, Refusal
 from hilbench.doctor.findings import Check, Finding, error, ok, warning
 from hilbench.doctor.stations import ExpectedNode, MappedObject, NodeAnswers
@@ -14,7 +14,7 @@ _WRITE_ONLY = 0x06010001
 
 
 def check_heard(
-    heard: Heard, expected: Sequence[ExpectedNode], master_id: int, bus: str, claimed_by: str | None = None
+    heard: Received, expected: Sequence[ExpectedNode], master_id: int, bus: str, claimed_by: str | None = None
 ) -> list[Finding]:
     """Findings on who talks without having been asked; `claimed_by`: who has said that it is the master."""
     findings = []

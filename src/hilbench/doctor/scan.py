@@ -9,7 +9,7 @@ from pathlib import Path
 from hilbench.can.frame import Frame
 from hilbench.can.link import Link
 from hilbench.canopen.identifiers import HEARTBEAT, LAST_NODE, NmtState, node_of
-from hilbench.canopen.listening import hear, master_at_work, present, sort_by_node
+from hilbench.canopen.listening import master_at_work, present, receive_for, sort_by_node
 from hilbench.canopen.sdo_client import SdoClient
 from hilbench.cia402 import objects
 from hilbench.cia402.state_machine import decode_statusword
@@ -65,7 +65,7 @@ def scan(
 
     `claimed_by`: the program that has said it is the master. Raises BusError when the bus is lost.
     """
-    frames = hear(link, listen_s)
+    frames = receive_for(link, listen_s)
     heard = sort_by_node(frames)
     master = master_at_work(heard, claimed_by, master_id)
     states = nmt_states(frames)

@@ -18,14 +18,16 @@ _MOST_OWED = 100
 
 @dataclass(slots=True, eq=False)
 class Tpdo:
-    """A TPDO that the bench reads, and what has come of it. `every`: SYNCs between two of them; `judged`: false while
-    its sender works off what it has missed."""
+    """A TPDO that the bench reads, and what has come of it.
+
+    `every`: SYNCs between two of them; `supervised`: false while its sender works off what it has missed.
+    """
 
     cob_id: int
     size: int
     every: int
     sender: str
-    judged: bool = True
+    supervised: bool = True
     data: bytes | None = None  #: what is used in this cycle
     age_cycles: int = 0  #: of the data last used: 0 where this SYNC was answered in time
     surplus: int = 0  #: frames of this cycle that nobody was owed, but for one that says what is used again
@@ -44,7 +46,7 @@ class Tpdo:
         self._before.clear()
         self._behind.clear()
 
-    def take(self, data: bytes, *, before_sync: bool) -> None:
+    def add(self, data: bytes, *, before_sync: bool) -> None:
         """A frame with its COB-ID."""
         if len(data) != self.size:
             self.wrong_size += 1
@@ -53,15 +55,15 @@ class Tpdo:
         else:
             self._behind.append(data)
 
-    def judge(self, judged: bool) -> None:
+    def supervise(self, supervised: bool) -> None:
         """Its sender goes away, or is back: nothing is owed from before."""
-        self.judged = judged
+        self.supervised = supervised
         self._owed = self._steady = 0
 
     def end(self, foreign_syncs: int) -> None:
         """All frames of the cycle are in; `foreign_syncs` others than the bench's SYNC were on the bus."""
         self._since += 1
-        if not self.judged:
+        if not self.supervised:
             taken = self._before + self._behind
             self._use(taken[-1] if taken else None, in_time=bool(self._behind))
         elif self.every == 1:

@@ -84,8 +84,8 @@ class EmergencyInbox:
         if self.messages:
             self.messages, self._seen, self._last = {}, {}, {}
 
-    def take(self, node_id: int, node: str, data: bytes) -> bool:
-        """Take a frame's data; False for what is no EMCY message."""
+    def add(self, node_id: int, node: str, data: bytes) -> bool:
+        """Add a frame's data; False for what is no EMCY message."""
         emergency = self._seen.get((node_id, data))
         if emergency is None and len(data) == _LENGTH and len(self._seen) >= MOST_IN_A_CYCLE:
             known = self._last.get(node_id)

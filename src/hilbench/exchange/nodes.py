@@ -148,7 +148,7 @@ class Nodes:
         self._quality: Sequence[float] = [0.0] * len(self._quality_names)
         self._torque_before_Nm, self._torque_sim_Nm = 0.0, 0.0
         self._twin_sync, self.twin_status = 0, 0  #: status: bits of `TwinStatus`
-        self.twin_told_cycle = 0  #: cycle, counted by `decode`, in which the twin last told its status
+        self.twin_reported_cycle = 0  #: cycle, counted by `decode`, in which the twin last reported its status
         self._twin_ids = dict.fromkeys(config.virtual_nodes)  # in the order of the config
         self.twin_problem = ""  #: why the twin's nodes can't be counted on; "" while they can
         self.twin_heard = False  #: a heartbeat or boot-up of the virtual I/O has come since this was last reset
@@ -168,7 +168,7 @@ class Nodes:
         self._watch: UnexpectedSenders | None = None  # from when the master is known
         self.unexpected: list[Unexpected] = []  #: what came in this cycle and is not of the bench or its nodes
         self._cycle = 0
-        self._heard_cycle: dict[int, int] = {}
+        self._heartbeat_cycle: dict[int, int] = {}
         self._silence_cycles = round(_HEARTBEATS_MISSED * config.master.node_heartbeat_ms * 1e-3 / config.cycle_time_s)
         self._expected_boots: set[int] = set()
 
@@ -300,22 +300,22 @@ class Nodes:
         """The twin is not counted on until `twin_is_back`: what it last said is not its state any more."""
         self.twin_status = 0
         for tpdo in self._twin_tpdos:
-            tpdo.judge(False)
+            tpdo.supervise(False)
         self._expected_boots = set(self._twin_ids)
         self.twin_problem, self.twin_heard = "", False
 
     def twin_is_not_waited_for(self) -> None:
         """While the drives are stopped nobody waits for the twin: it may answer several SYNCs at once."""
         for tpdo in self._twin_tpdos:
-            tpdo.judge(False)
+            tpdo.supervise(False)
 
     def twin_is_back(self) -> None:
         """The twin's nodes were started: they are watched again from their first heartbeat as such."""
         self.twin_problem = ""
         for tpdo in self._twin_tpdos:
-            tpdo.judge(True)
+            tpdo.supervise(True)
         for node_id in self._twin_ids:
-            self._heard_cycle.pop(node_id, None)
+            self._heartbeat_cycle.pop(node_id, None)
 
     def read_statusword(self, drive: Drive) -> int:
         """The statusword of a drive by SDO. Raises BenchFaultError when it does not answer."""
@@ -407,7 +407,7 @@ class Nodes:
         status = data.get(self.io.status.cob_id)
         if status is not None:
             self._twin_sync, _, self.twin_status = self.io.status.unpack(status)
-            self.twin_told_cycle = self._cycle
+            self.twin_reported_cycle = self._cycle
         if state is not None:
             self._state = self.io.state.unpack(state)
         if quality is not None:
@@ -424,7 +424,7 @@ class Nodes:
         foreign_syncs = 0
         for at, (can_id, content, _) in enumerate(frames):
             if can_id in tpdos:
-                tpdos[can_id].take(content, before_sync=at < before_sync)
+                tpdos[can_id].add(content, before_sync=at < before_sync)
             elif can_id == SYNC:
                 foreign_syncs += 1
         data = {}
@@ -462,7 +462,7 @@ class Nodes:
         if node_id == self.config.twin.node.node_id:
             self.twin_heard = True
         if state == NmtState.OPERATIONAL:
-            self._heard_cycle[node_id] = self._cycle
+            self._heartbeat_cycle[node_id] = self._cycle
             self._expected_boots.discard(node_id)
         elif node_id not in self._expected_boots:
             booted = state == NmtState.INITIALISING
@@ -470,7 +470,7 @@ class Nodes:
             self._lost(node_id, f"{what} during the run")
 
     def _look_for_silent_nodes(self) -> None:
-        for node_id, heard in self._heard_cycle.items():
+        for node_id, heard in self._heartbeat_cycle.items():
             if 0 < self._silence_cycles < self._cycle - heard and node_id not in self._expected_boots:
                 silent_s = (self._cycle - heard) * self.config.cycle_time_s
                 self._lost(node_id, f"has sent no heartbeat for {silent_s:.2f} s")
@@ -483,7 +483,7 @@ class Nodes:
 
     def _emergency(self, node_id: int, content: bytes) -> None:
         name = self._known.get(node_id)
-        if name is not None and not self._inbox.take(node_id, name, content):
+        if name is not None and not self._inbox.add(node_id, name, content):
             self.malformed += 1
 
     def fill(self, sample: CycleSample) -> None:

@@ -1,10 +1,11 @@
 """Frames on the bench's bus that are not of the bench or its nodes: a second sender, a second master, a stranger's SDO.
 
-The bench does not hear what it sends itself on the cyclic path, and knows what it has sent for configuration. So RPDOs,
-SYNC, its own heartbeat, NMT commands to its nodes, and SDO writes to them that it hears otherwise are not its own. What
-comes beside the nodes' own answers to SYNC is told apart in `hilbench.exchange.answers`.
+The bench does not receive what it sends itself on the cyclic path, and knows what it has sent for configuration. So
+RPDOs, SYNC, its own heartbeat, NMT commands to its nodes, and SDO writes to them that it receives otherwise are not its
+own. What comes beside the nodes' own answers to SYNC is distinguished in `hilbench.exchange.answers`.
 
-Reading by SDO does no harm, and writing to the bench's own node is how an operator asks for changes: neither is told.
+Reading by SDO does no harm, and writing to the bench's own node is how an operator asks for changes: neither is
+reported.
 """
 
 from __future__ import annotations
@@ -28,8 +29,8 @@ _COMMANDS: Mapping[int, str] = {
     NmtCommand.RESET_COMMUNICATION: "reset communication",
 }
 #: What was foreign: the node that it is of, or to, and the text.
-_Told = tuple[str, str]
-#: Kinds of frames that are told apart in a cycle on one identifier; what comes beyond is counted as the last.
+_Finding = tuple[str, str]
+#: Kinds of frames that are distinguished in a cycle on one identifier; what comes beyond is counted as the last.
 _MOST_KINDS = 16
 #: So many TPDOs too many, of one sender, within so many cycles may be a SYNC that was on the wire twice.
 _BY_CHANCE, _CHANCE_CYCLES = 2, 500
@@ -66,21 +67,21 @@ class UnexpectedSenders:
             HEARTBEAT + owned.master_id: "heartbeat",
             SDO_ANSWER + owned.master_id: "SDO answer",
         }
-        self._read: dict[int, Callable[[int, bytes], _Told | None]] = {
+        self._read: dict[int, Callable[[int, bytes], _Finding | None]] = {
             NMT: self._nmt,
             **{can_id: self._only_ours("the bench", what) for can_id, what in ours.items()},
             **{can_id: self._only_ours(whom, "RPDO") for can_id, whom in owned.rpdos.items()},
             **{SDO_REQUEST + node_id: self._sdo for node_id in owned.nodes},
         }
-        self._seen: dict[tuple[int, bytes], _Told | None] = {}  # of this cycle: alike frames are looked at once
+        self._seen: dict[tuple[int, bytes], _Finding | None] = {}  # of this cycle: alike frames are looked at once
         self._kinds: dict[int, int] = {}
-        self._last: dict[int, _Told] = {}
-        self._found: dict[_Told, int] = {}
+        self._last: dict[int, _Finding] = {}
+        self._found: dict[_Finding, int] = {}
         self._cycle = 0
         self._surplus: dict[int, list[int]] = {}  # by COB-ID: the cycles of the last ones
 
     def look(self, frames: Iterable[Frame], tpdos: Iterable[Tpdo]) -> list[Unexpected]:
-        """What was foreign among the frames of a cycle; `tpdos` have told their answers apart."""
+        """What was foreign among the frames of a cycle; `tpdos` have sorted their answers out."""
         self._cycle += 1
         read = self._read
         for can_id, data, _ in frames:
@@ -95,19 +96,19 @@ class UnexpectedSenders:
         return found
 
     def _look_at(self, can_id: int, data: bytes) -> None:
-        """Count it; a flood of ever other content on one identifier is counted as the last that was told apart."""
+        """Count it; a flood of ever other content on one identifier is counted as the last that was distinguished."""
         key = can_id, data
         if key in self._seen:
-            told = self._seen[key]
+            finding = self._seen[key]
         elif self._kinds.get(can_id, 0) < _MOST_KINDS:
-            self._seen[key] = told = self._read[can_id](can_id, data)
-            if told is not None:
+            self._seen[key] = finding = self._read[can_id](can_id, data)
+            if finding is not None:
                 self._kinds[can_id] = self._kinds.get(can_id, 0) + 1
-                self._last[can_id] = told
+                self._last[can_id] = finding
         else:
-            told = self._last[can_id]
-        if told is not None:
-            self._found[told] = self._found.get(told, 0) + 1
+            finding = self._last[can_id]
+        if finding is not None:
+            self._found[finding] = self._found.get(finding, 0) + 1
 
     def _beside(self, tpdo: Tpdo) -> Iterable[Unexpected]:
         where = f"TPDO (COB-ID {tpdo.cob_id:03X}h)"
@@ -127,10 +128,10 @@ class UnexpectedSenders:
     # -- by identifier ---------------------------------------------------------------------------------------
 
     @staticmethod
-    def _only_ours(about: str, what: str) -> Callable[[int, bytes], _Told | None]:
+    def _only_ours(about: str, what: str) -> Callable[[int, bytes], _Finding | None]:
         return lambda can_id, data: (about, f"{what} (COB-ID {can_id:03X}h) that the bench has not sent")
 
-    def _nmt(self, can_id: int, data: bytes) -> _Told | None:
+    def _nmt(self, can_id: int, data: bytes) -> _Finding | None:
         if len(data) != 2:
             return None
         command, node_id = data
@@ -139,7 +140,7 @@ class UnexpectedSenders:
         name = _COMMANDS.get(command, f"command {command}")
         return "all nodes" if node_id == 0 else self._name(node_id), f"NMT '{name}' that the bench has not sent"
 
-    def _sdo(self, can_id: int, data: bytes) -> _Told | None:
+    def _sdo(self, can_id: int, data: bytes) -> _Finding | None:
         if len(data) != 8:
             return None
         specifier, node_id = data[0] >> 5, can_id - SDO_REQUEST

@@ -66,11 +66,13 @@ class ByClock:
     by no more than the config's cycle, so that set points that come without SYNC act soon.
     """
 
-    def __init__(self, cycle_s: float, sample_s: float, now_ns: Callable[[], int], say: Callable[[str], None]) -> None:
+    def __init__(
+        self, cycle_s: float, sample_s: float, now_ns: Callable[[], int], report: Callable[[str], None]
+    ) -> None:
         self._cycle_ns = round(cycle_s * 1e9)
         self._sample_ns = round(sample_s * 1e9)
         self._now_ns = now_ns
-        self._say = say
+        self._report = report
         self._sync = SyncTime(self._cycle_ns)
         self._told = False
         self._gone = 0  #: sample times that the plant has gone
@@ -163,7 +165,7 @@ class ByClock:
         """Sample times to a time: the nearest to it, or the last before it."""
         gap_ns = self._due(time_ns) - self._gone * self._sample_ns
         if gap_ns > _LONGEST_GAP_NS:
-            self._say(f"held up for {gap_ns * 1e-9:.1f} s: the simulated hardware stood still meanwhile")
+            self._report(f"held up for {gap_ns * 1e-9:.1f} s: the simulated hardware stood still meanwhile")
             self._anchor_ns, self._anchor, self._shift_ns = time_ns, self._gone, 0
             return 0
         samples = max(0, (gap_ns + (self._sample_ns // 2 if nearest else 0)) // self._sample_ns)
@@ -174,7 +176,7 @@ class ByClock:
         period_ns, cycle_ns = self._sync.period_ns, self._cycle_ns
         if abs(period_ns - cycle_ns) > _ANOTHER * cycle_ns:
             self._told = True
-            self._say(
+            self._report(
                 f"SYNC comes every {period_ns * 1e-6:.3g} ms, cycle_time_s is {cycle_ns * 1e-6:.3g} ms: "
                 "the simulated hardware goes by time"
             )

@@ -1,4 +1,4 @@
-"""The stand of each kind of machine: what the simulated drives turn."""
+"""The rig of each kind of machine: what the simulated drives turn."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from hilbench.topology.config import BenchConfig
 
 
 def new_rig(config: BenchConfig, ports: Sequence[MotorPort], seed: int = 0) -> Plant:
-    """The stand of a config's machine; ports in the order axes, load motors."""
+    """The rig of a config's machine; ports in the order axes, load motors."""
     if config.machine_kind is MachineKind.SERVO_AXIS:
         return ServoRig(config.servo_rig_parameters(), ports, seed)
     return TestRig(config.rig_parameters(), tuple(ports), seed)

@@ -1,4 +1,4 @@
-"""The simulated hardware: the drives of the bench on their test stand, a process of its own."""
+"""The simulated hardware: the drives of the bench on their rig, a process of its own."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ from hilbench.hardware.plant_time import ByClock, BySync, PlantTime
 from hilbench.hardware.rigs import new_rig
 from hilbench.plant.interface import Plant
 from hilbench.plant.motor_port import MotorMode, MotorPort
-from hilbench.processes import say, started_by_bench, stop_request
+from hilbench.processes import log, started_by_bench, stop_request
 from hilbench.real_time import kept_ready
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.parts import Role
 
-#: In real time the stand goes on without a SYNC that is late by so many cycles after the last one.
+#: In real time the rig goes on without a SYNC that is late by so many cycles after the last one.
 _OVERDUE = 1.5
 
 
 class RigApplication:
-    """What the hardware does at a SYNC: the drives take their set points, then the stand moves on.
+    """What the hardware does at a SYNC: the drives take their set points, then the rig moves on.
 
     `time` says how far, in sample times of the drives' loops; the drives look at their set points at least once in
     every cycle of the config.
@@ -42,7 +42,7 @@ class RigApplication:
         self,
         drives: list[SimulatedDrive],
         ports: Sequence[MotorPort],
-        stand: Plant,
+        rig: Plant,
         time: PlantTime,
         cycle_s: float,
         sample_s: float,
@@ -50,7 +50,7 @@ class RigApplication:
         self._drives = drives
         self._ports = ports
         self._in_use = False
-        self._stand = stand
+        self._rig = rig
         self._time = time
         self._sample_s = sample_s
         self._longest_step = round(cycle_s / sample_s)
@@ -87,7 +87,7 @@ class RigApplication:
         # At rest with all power stages off nothing moves; the noise must not depend on how long that lasted.
         if samples and (self._in_use or any(port.mode is not MotorMode.OFF for port in self._ports)):
             self._in_use = True
-            self._stand.step(duration_s)
+            self._rig.step(duration_s)
         for drive in self._drives:
             drive.publish()
 
@@ -103,7 +103,7 @@ def simulate(config: BenchConfig) -> int | None:
         hosted = hardware(config)
         link = open_link(bus)
         try:
-            with kept_ready(config.process_settings("hardware"), say):
+            with kept_ready(config.process_settings("hardware"), log):
                 DeviceHost(link, *hosted).run(stop)
         finally:
             link.close()
@@ -111,13 +111,13 @@ def simulate(config: BenchConfig) -> int | None:
 
 
 def hardware(config: BenchConfig) -> HostedDevices:
-    """The nodes of the bench that are marked `simulated`, on their stand."""
+    """The nodes of the bench that are marked `simulated`, on their rig."""
     clock, time = _time_base(config)
     parts = (*config.parts_of(Role.AXIS), *config.parts_of(Role.LOAD_MOTOR))
     ports = tuple(MotorPort() for _ in parts)
-    # A scratch stand runs first, so that compiling is over before the devices boot.
+    # A scratch rig runs first, so that compiling is over before the devices boot.
     new_rig(config, [MotorPort() for _ in ports]).step(config.cycle_time_s)
-    stand = new_rig(config, ports, config.seed)
+    rig = new_rig(config, ports, config.seed)
     devices, drives = [], []
     for part, port in zip(parts, ports, strict=True):
         if not part.is_simulated:
@@ -127,24 +127,24 @@ def hardware(config: BenchConfig) -> HostedDevices:
         drives.append(SimulatedDrive(device, port, declared_units(part, od)))
         devices.append(device)
         if part.role is Role.AXIS and part.axis is not None:
-            bind_effect_objects(device, _effect_setter(stand, part.axis), config.machine_kind)
+            bind_effect_objects(device, _effect_setter(rig, part.axis), config.machine_kind)
     sample_s = config.drive_parameters.sample_time_s
-    return HostedDevices(devices, clock, RigApplication(drives, ports, stand, time, config.cycle_time_s, sample_s))
+    return HostedDevices(devices, clock, RigApplication(drives, ports, rig, time, config.cycle_time_s, sample_s))
 
 
 def _time_base(config: BenchConfig) -> tuple[Clock, PlantTime]:
-    """Of devices and stand: SYNC where the bench waits for everybody (lockstep), else the clock."""
+    """Of devices and rig: SYNC where the bench waits for everybody (lockstep), else the clock."""
     sample_s = config.drive_parameters.sample_time_s
     if config.pace == "lockstep":
         return device_clock(config), BySync(config.cycle_time_s, sample_s)
     clock = MonotonicClock(stall_s=_OVERDUE * config.cycle_time_s)
-    return clock, ByClock(config.cycle_time_s, sample_s, clock.now_ns, say)
+    return clock, ByClock(config.cycle_time_s, sample_s, clock.now_ns, log)
 
 
-def _effect_setter(stand: Plant, axis: int) -> Callable[[str, dict[str, float]], None]:
+def _effect_setter(rig: Plant, axis: int) -> Callable[[str, dict[str, float]], None]:
     def apply(effect: str, parameters: dict[str, float]) -> None:
         try:
-            stand.set_effect(effect, axis, slot=0, **parameters)
+            rig.set_effect(effect, axis, slot=0, **parameters)
         except ValueError:
             raise SdoAbort(INVALID_VALUE) from None
 

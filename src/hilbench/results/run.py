@@ -143,8 +143,8 @@ def run_experiment(
             journal=record.note,
             bus_is_held=True,
         )
-        told = record.ending.told("bench", lambda: bench.fault_time_s)
-        with record.journal, told, record.trace, stop_on_signals(bench), bench:
+        kept = record.ending.kept("bench", lambda: bench.fault_time_s)
+        with record.journal, kept, record.trace, stop_on_signals(bench), bench:
             announce("run the experiment")
             for step in config.steps:
                 step.run(bench, record.verdicts)
@@ -192,16 +192,16 @@ class RunRecord:
         """Write recording and result of a bench that has been left. Raises BenchFaultError when it can't be done."""
         config, folder, ending = self.config, self.folder, self.ending
         ending.faults += [Fault(time_s=None, source="safe state", text=text) for text in bench.safe_state_problems]
-        with ending.told("record"):
+        with ending.kept("record"):
             self._announce("write recording and result")
         ending.look_after_folder()
         recording = self.recorder.recording(self._started, config.description)
         if len(recording) >= LEAST_SAMPLES:
-            with ending.told("record"):
+            with ending.kept("record"):
                 write_recording(recording, folder.recording)
         timing = measure_timing(bench)
         judged = Judgement(())
-        with ending.told("metrics"):
+        with ending.kept("metrics"):
             judged = judge(recording.channels, journal=self._happened.events())
         metrics = judged.metrics() | timing.metrics()
         verdicts = self.verdicts + evaluate(criteria, metrics, judged)
@@ -228,14 +228,14 @@ class Ending:
         self._folder = folder
 
     @contextmanager
-    def told(self, source: str, time_s: Callable[[], float | None] = lambda: None) -> Iterator[None]:
+    def kept(self, source: str, time_s: Callable[[], float | None] = lambda: None) -> Iterator[None]:
         """What goes wrong in here ends no more than this block, and is a fault of `source`."""
         try:
             yield
         except (Exception, KeyboardInterrupt) as error:
-            self.tell(error, source, time_s())
+            self.add(error, source, time_s())
 
-    def tell(self, error: Exception | KeyboardInterrupt, source: str, time_s: float | None) -> None:
+    def add(self, error: Exception | KeyboardInterrupt, source: str, time_s: float | None) -> None:
         """What went wrong, and when."""
         if isinstance(error, InterruptedByOperatorError | KeyboardInterrupt):
             when = "during start" if source == "bench" else "while the run was written"

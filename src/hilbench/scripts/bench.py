@@ -165,12 +165,12 @@ class Bench(bench.Bench):
             return
         self._recorded = True
         for file in (record.trace, record.journal):
-            with record.ending.told("record"):
+            with record.ending.kept("record"):
                 file.close()
         if isinstance(error, AssertionError):
             self.verdicts.append(failed_or_passed("script", str(error) or "an assertion failed"))
         elif isinstance(error, Exception | KeyboardInterrupt):
-            record.ending.tell(error, "bench", self.fault_time_s)
+            record.ending.add(error, "bench", self.fault_time_s)
         record.verdicts += self.verdicts
         record.finish(self, ())
 

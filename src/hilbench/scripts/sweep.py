@@ -212,19 +212,19 @@ class Sweep:
         if cluster is not None and self.alone:
             raise UnusableInputError("--cluster", "runs on a real bus, or in real time, go one after the other here")
         with _on_cluster(cluster) if cluster else ThreadPoolExecutor(1 if self.alone else jobs) as pool:
-            act = execute if cluster else self._carry_out
+            act = execute if cluster else self._execute
             waiting = {pool.submit(act, job): job for job in left}
             try:
                 while waiting:
                     for future in wait(waiting, return_when=FIRST_COMPLETED).done:
-                        self._take(_row(waiting.pop(future), future), done)
+                        self._keep(_row(waiting.pop(future), future), done)
             except BaseException:
                 self._stopped.set()
                 for future in waiting:
                     future.cancel()
                 raise
 
-    def _take(self, row: Row | None, done: Callable[[Row], None]) -> None:
+    def _keep(self, row: Row | None, done: Callable[[Row], None]) -> None:
         if row is None:
             return
         self.rows[row.number] = row
@@ -244,7 +244,7 @@ class Sweep:
             arguments += ["--bus", f"embedded:sweep{os.getpid()}n{number}"]
         return Job(number, changes, tuple(arguments), str(folder))
 
-    def _carry_out(self, job: Job) -> Row | None:
+    def _execute(self, job: Job) -> Row | None:
         row = None if self._stopped.is_set() else execute(job)
         return None if self._stopped.is_set() else row
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from hilbench.canopen.mastery import nodes_of_ours
-from hilbench.processes import say, started_by_bench, stop_request
+from hilbench.processes import log, started_by_bench, stop_request
 from hilbench.topology.config import BenchConfig
 from hilbench.twin.process import run_twin
 from hilbench.twin.setup import twin_setup
@@ -17,4 +17,4 @@ def run(config: BenchConfig) -> int | None:
     """
     stop = stop_request()
     with nodes_of_ours(config.bus_address, config.virtual_nodes, "twin", by_bench=started_by_bench()):
-        return run_twin(twin_setup(config), stop, say)
+        return run_twin(twin_setup(config), stop, log)

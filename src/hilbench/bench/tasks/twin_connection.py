@@ -174,8 +174,8 @@ class TwinConnection(CyclicTask):
     def _look_for_count(self, returned_cycle: int) -> None:
         """What it reported before the bench knew that it was started may be from before its reset."""
         cycle, nodes = self._exchange.timing.cycles, self._nodes
-        if nodes.twin_told_cycle > returned_cycle:
-            self._take_back(nodes.twin_started(nodes.twin_told_cycle))
+        if nodes.twin_reported_cycle > returned_cycle:
+            self._take_back(nodes.twin_started(nodes.twin_reported_cycle))
         elif cycle - returned_cycle > _REPORT_CYCLES:
             self._fail(BenchFaultError(f"it was started, and reports nothing within {_REPORT_CYCLES} cycles"))
 
