@@ -259,3 +259,31 @@ def test_a_coarse_encoder_is_not_taken_for_samples_of_another_time() -> None:
         estimate = estimator.update(ShaftSample(CYCLE_S, round(position / count_rad) * count_rad, torque))
     assert estimate.separable
     assert estimate.inertia_kg_m2 == pytest.approx(0.048, rel=0.1)
+
+
+@pytest.mark.parametrize("share", [0.2, 0.4, 0.6])
+def test_on_a_computer_that_is_always_late_the_inertia_is_known_less_well_and_never_wrongly(share: float) -> None:
+    t = np.arange(8000) * CYCLE_S
+    swinging = np.minimum(10.0 * t, 5.0) + np.where(t > 0.5, 15.0 * (1.0 - np.cos(np.pi * (t - 0.5))), 0.0)
+    data, draw = record(axis(), swinging, 3), np.random.default_rng(1)
+    estimator, row, off = InertiaEstimator(InertiaConfig(), axis(0.055)), 0, []
+
+    def take(row: int, *, in_time: bool = True) -> None:
+        sample = ShaftSample(CYCLE_S, data.x_rad[row], data.tau_Nm[row])
+        found = estimator.update(sample) if in_time else estimator.miss(CYCLE_S)
+        off.append((found.inertia_kg_m2 - 0.048) / found.deviation_kg_m2)
+
+    while row < len(t) - 8:
+        how_often, kind = (
+            int(draw.integers(1, 4)),
+            "in time" if draw.random() > share else draw.choice(["late", "twice"]),
+        )
+        if kind == "in time":
+            take(row)
+            row += 1 if draw.random() > 0.3 * share else how_often  # cycles that the bench has missed
+        else:
+            for number in range(how_often):
+                take(row if kind == "twice" else row + number, in_time=kind == "twice")
+            row += how_often
+    assert np.sqrt(np.mean(np.square(off))) < 2.0
+    assert np.max(np.abs(off)) < 4.0

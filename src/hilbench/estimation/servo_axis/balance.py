@@ -44,6 +44,8 @@ _TORQUE_CHANGE = 2.0
 _POSITION_SLACK_RAD, _NOISE_SLACK, _COARSEST_RAD = 1e-4, 6.0, 3e-3
 #: More cycles than this without a usable sample are not bridged: the motion is found anew.
 _LONGEST_GAP_CYCLES = 20
+#: Part of a cycle by which a sample is between two of them, and neither.
+_BETWEEN = 0.25
 #: Beyond those that are known to be missing so many cycles may have passed, so many times in a row.
 _MORE_CYCLES, _MOST_ODD = 5, 3
 #: Place in the motion of the filter.
@@ -200,18 +202,19 @@ class FilterInputs:
         A shaft that hardly turns does not tell a position of another time from one after a jolt: that is in doubt.
         """
         expected, self.in_doubt = 1 + self._missing, False
-        if self._motion is None or self._cycles < 1 or not self._position.known:
+        if self._motion is None or self._cycles < 1:
             return expected
         if self._off_rad(sample, expected) <= self._slack_rad(expected):
             self._odd = 0
             return expected
-        found = expected
-        tells = abs(self._motion.motion.item(1)) * sample.cycle_s > 2.0 * self._accelerated_rad(sample, 1)
+        found, way_of_a_cycle = expected, abs(self._motion.motion.item(1)) * sample.cycle_s
+        tells = way_of_a_cycle > 2.0 * self._accelerated_rad(sample, 1)
         if tells:
             found = min(range(expected + _MORE_CYCLES + 1), key=lambda n: self._off_rad(sample, n))
         off_rad = self._off_rad(sample, found)
         self._odd = self._odd + 1 if found != expected else 0
-        if off_rad > self._accelerated_rad(sample, found) or self._odd > _MOST_ODD:
+        between = tells and off_rad > _BETWEEN * way_of_a_cycle
+        if between or off_rad > self._accelerated_rad(sample, found) or self._odd > _MOST_ODD:
             self.interrupt()
             return 1
         self.in_doubt = not tells
@@ -224,7 +227,8 @@ class FilterInputs:
 
     def _slack_rad(self, cycles: int) -> float:
         """What a position is off by without anything being wrong: as the motion changes, and by the encoder's noise."""
-        return _POSITION_SLACK_RAD * cycles**2 + min(_NOISE_SLACK * self._position.deviation, _COARSEST_RAD)
+        noise_rad = _NOISE_SLACK * self._position.deviation if self._position.known else _COARSEST_RAD
+        return _POSITION_SLACK_RAD * cycles**2 + min(noise_rad, _COARSEST_RAD)
 
     def _off_rad(self, sample: ShaftSample, cycles: int) -> float:
         assert self._motion is not None, "compared with a motion that is known"
