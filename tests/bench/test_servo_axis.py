@@ -174,9 +174,12 @@ def test_check_refuses_what_belongs_to_another_kind_of_machine() -> None:
 
 
 def test_check_refuses_the_estimation_of_another_kind_of_machine() -> None:
-    refused(["twin.estimate=[{method: pid}]"], r"servo_axis.yaml:\d+.*no 'estimate:', which is of a twin of a web_line")
-    refused(["twin.torque_delay=estimate"], "no 'torque_delay:', which is of a twin of a web_line")
-    refused(["twin.inertia.jump_pct=10"], "no 'inertia:', which is of a twin of a servo_axis", WEB)
+    refused(
+        ["twin.estimate=[{method: pid}]"],
+        r"servo_axis.yaml:\d+.*no 'estimate:', which is of a twin of another kind of machine",
+    )
+    refused(["twin.torque_delay=estimate"], "no 'torque_delay:', which is of a twin of another kind of machine")
+    refused(["twin.inertia.jump_pct=10"], "no 'inertia:', which is of a twin of another kind of machine", WEB)
 
 
 def test_the_method_of_its_twin_can_not_be_chosen(tmp_path: Path) -> None:

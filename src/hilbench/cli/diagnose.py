@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from hilbench.cli.columns import report_unknown
-from hilbench.cli.model_option import config_from, model_from, web_line_of
+from hilbench.cli.model_option import config_from, machine_of, model_from
 from hilbench.cli.progress import ProgressDisplay
 from hilbench.diagnosis.diagnosis import Diagnosis, NamedEffect, diagnose
 from hilbench.diagnosis.imitated import imitation_beside, imitation_of
@@ -92,7 +92,7 @@ def _on_the_bench(config: Path, model_path: Path | None, out: Path | None, progr
     """Run, diagnose, and run again with what was found."""
     runs = (out or Path()) / "runs"
     loaded = load_with_overrides(config)
-    model = web_line_of(loaded.config, config) if model_path is None else model_from(model_path)
+    model = machine_of(loaded.config, config) if model_path is None else model_from(model_path)
     observer, announce = progress.of_run("run the bench", 0.0)
     first = run_bench(loaded, model, runs, observers=[observer], announce=announce)
     before = live_gap(first)

@@ -14,10 +14,10 @@ from hilbench.runs.config import ExperimentConfig, is_model, load
 def model_from(path: Path) -> ModelParameters:
     """Read it. Raises UnusableInputError (file, line, key, found, expected)."""
     config = config_from(path)
-    return load_model(path) if config is None else web_line_of(config, path)
+    return load_model(path) if config is None else machine_of(config, path)
 
 
-def web_line_of(config: ExperimentConfig, path: Path) -> ModelParameters:
+def machine_of(config: ExperimentConfig, path: Path) -> ModelParameters:
     """The machine of the config in this file, for what knows web lines only. Raises UnusableInputError."""
     if isinstance(config.machine, ModelParameters):
         return config.machine

@@ -70,7 +70,7 @@ def _trace(run: Path, bus: str | None, speed: float, *, commands: bool, force: b
 def _twin(run: Path, method: str | None, out: Path | None) -> dict[str, Any]:
     import numpy as np
 
-    from hilbench.cli.model_option import web_line_of
+    from hilbench.cli.model_option import machine_of
     from hilbench.diagnosis.synchronization import measurements_of, methods_of, require_one_span
     from hilbench.estimation.web_line.offline import run_offline
     from hilbench.results.journal import read_journal
@@ -82,7 +82,7 @@ def _twin(run: Path, method: str | None, out: Path | None) -> dict[str, Any]:
 
     folder: RunFolder = RunFolder.open(run)
     config, _ = load(folder.config)
-    model = web_line_of(config, folder.config)
+    model = machine_of(config, folder.config)
     require_one_span(model, folder.config)
     recording = read_recording(folder.recording)
     twin = config.twin

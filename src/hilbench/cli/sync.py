@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.table import Table
 
 from hilbench.cli.columns import report_unknown
-from hilbench.cli.model_option import model_from, web_line_of
+from hilbench.cli.model_option import machine_of, model_from
 from hilbench.diagnosis.synchronization import (
     SETTLED_AFTER_S,
     Comparison,
@@ -44,7 +44,7 @@ def sync_runs_command(config_path: Path, methods: str, out: Path | None, jobs: i
     chosen = list(methods_of(methods))
     folder = out or Path("sync")
     config, _ = load(config_path)
-    require_one_span(web_line_of(config, config_path), config_path)
+    require_one_span(machine_of(config, config_path), config_path)
     runs = [{"twin.estimate": f"[{{method: {name}}}]"} for name in chosen]
     for name, changes in zip(chosen, runs, strict=True):
         if name == _PUBLISHED:

@@ -96,10 +96,10 @@ def _check_paths(loaded: LoadedConfig, asked: list[Move]) -> None:
 
 
 def _check_methods(loaded: LoadedConfig) -> None:
-    """Only the twin of a web line has methods to choose from."""
+    """The twin of a shaft has one method."""
     kind = loaded.config.machine_kind
     for number, step in enumerate(loaded.config.steps):
-        if step.synchronizer is not None and kind is not MachineKind.WEB_LINE:
+        if step.synchronizer is not None and kind is MachineKind.SERVO_AXIS:
             place = loaded.document.place(("steps", number, "synchronizer"))
             raise UnusableInputError(
                 place, f"a change of the twin's method, expected none: the twin of a {kind} has one method"

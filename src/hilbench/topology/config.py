@@ -207,13 +207,9 @@ class TwinConfig(EstimationConfig):
     inertia: InertiaConfig = InertiaConfig()
 
 
-#: Keys of `twin:` that say how a twin of one kind of machine finds what it estimates.
-_ESTIMATION = {
-    MachineKind.WEB_LINE: (
-        "estimate", "transfer", "youngs_modulus_Pa", "torque_delay", "unmodelled_torque_Nm", "torque_shift",
-    ),
-    MachineKind.SERVO_AXIS: ("inertia",),
-}  # fmt: skip
+#: Keys of `twin:` that every kind of machine has; the others say how one kind finds what it estimates.
+_OF_EVERY_TWIN = {"node", "synchronized_pct", "behind", "virtual_tpdo_every"}
+_OF_THE_SHAFT = {"inertia"}
 
 
 def _misfits(key: str, value: Any, kind: MachineKind) -> Iterator[str]:
@@ -228,10 +224,10 @@ def _misfits(key: str, value: Any, kind: MachineKind) -> Iterator[str]:
     if not of_servo and ((key == "load" and value.shaft != LoadShaftConfig()) or (key == "hardware" and value.shaft)):
         yield "no 'shaft:', which is of a servo axis (machine: {kind: servo_axis})"
     if key == "twin":
-        default = TwinConfig(node=value.node)
-        for owner, name in ((owner, name) for owner, names in _ESTIMATION.items() for name in names):
-            if owner is not kind and getattr(value, name) != getattr(default, name):
-                yield f"no '{name}:', which is of a twin of a {owner} (this machine is a {kind})"
+        default, names = TwinConfig(node=value.node), set(TwinConfig.model_fields) - _OF_EVERY_TWIN
+        for name in sorted(names - _OF_THE_SHAFT if of_servo else _OF_THE_SHAFT):
+            if getattr(value, name) != getattr(default, name):
+                yield f"no '{name}:', which is of a twin of another kind of machine (this one is a {kind})"
     if key in ("hardware", "load"):
         for entry in value.effects:
             yield from filter(None, [_effect_problem(entry, kind), _place_problem(entry, EffectPlace(key), kind)])
