@@ -15,6 +15,9 @@ from canopen.objectdictionary import ODRecord, ODVariable
 
 from hilbench.bench.operator import operator_objects
 from hilbench.plant.effects import Effect, EffectPlace, MachineKind, effects_of
+from hilbench.topology.process_data.of_kind import process_data
+from hilbench.topology.process_data.table import STATUS_TPDO
+from hilbench.topology.signals import SMALLEST, Shape
 
 EDS_FOLDER = Path(__file__).resolve().parent.parent / "eds"
 
@@ -102,11 +105,12 @@ INVALID = 0x8000_0000
 
 
 def pdo_objects(number: int, pdo: Pdo, transmit: bool) -> list[Object]:
-    """Communication and mapping parameter of PDO `number` (1 to 4) with its COB-ID of the predefined connection set."""
-    cob_id = (0x180 if transmit else 0x200) + 0x100 * (number - 1)
+    """Communication and mapping parameter of PDO `number`, the first four with their COB-IDs of the predefined
+    connection set, further ones with none."""
+    cob_id = (0x180 if transmit else 0x200) + 0x100 * (number - 1) if number <= 4 else 0
     cob_id |= (0 if pdo.valid else INVALID) | (NO_REMOTE_REQUEST if transmit else 0)
     communication = {
-        1: Entry("COB-ID", "U32", "rw", f"$NODEID+0x{cob_id:X}"),
+        1: Entry("COB-ID", "U32", "rw", f"$NODEID+0x{cob_id:X}" if number <= 4 else cob_id),
         2: Entry("Transmission type", "U8", "rw", pdo.transmission_type),
         3: Entry("Inhibit time", "U16", "rw", 0),
         5: Entry("Event timer", "U16", "rw", 0),
@@ -289,14 +293,8 @@ DRIVE_OBJECTS = (
     var(0x67FF, "Single device type", "U32", "const", 0x0002_0192),
 )
 
-VIRTUAL_IO_INPUTS = (
-    "Simulated tension [N]",
-    "Estimated Young's modulus [Pa]",
-    "Standard deviation of the estimated Young's modulus [Pa]",
-    "Simulated torque of axis 2 [N m]",
-    "Torque residual of axis 2 [N m]",
-)
-VIRTUAL_IO_OUTPUTS = ("Upstream strain [1]", "Downstream tension [N]")
+#: Spans of the longest line whose twin the virtual I/O has objects for.
+MOST_SPANS = 16
 
 
 def servo() -> DeviceDescription:
@@ -325,40 +323,65 @@ def servo() -> DeviceDescription:
     )
 
 
-def virtual_io() -> DeviceDescription:
-    """The CiA-401-like device with the twin's answers as analogue inputs and the web's boundary as outputs."""
+def virtual_io(kind: MachineKind) -> DeviceDescription:
+    """The CiA-401-like device with the twin's answers as analogue inputs and the machine's boundary as outputs; its
+    PDOs are at first those of the smallest machine of its kind."""
     name, product, device_type = "hilbench virtual I/O", 0x0401, 0x000C_0191
-    rpdos = [Pdo(True, 1, ((0x6413, 1, 32), (0x6413, 2, 32))), Pdo(), Pdo(), Pdo()]
-    tpdos = [
-        Pdo(True, 1, ((0x6403, 1, 32), (0x6403, 2, 32))),
-        Pdo(True, 10, ((0x6403, 3, 32), (0x6403, 5, 32))),
-        Pdo(True, 1, ((0x2100, 1, 16), (0x2100, 2, 8), (0x2100, 3, 8))),
-        Pdo(),
-    ]
-    inputs = {sub: Entry(text, "REAL32", "ro", 0.0, True) for sub, text in enumerate(VIRTUAL_IO_INPUTS, 1)}
+    smallest = process_data(kind, SMALLEST[kind])
+    signals = {signal.sub: signal for signal in smallest.published}
+    tpdos = {number: Pdo() for number in range(1, 5)}
+    if kind is MachineKind.WEB_LINE:
+        spans = tuple(range(1, MOST_SPANS + 1))
+        for signal in process_data(kind, Shape(MOST_SPANS + 1, (), MOST_SPANS, spans, spans)).published:
+            signals.setdefault(signal.sub, signal)
+        longest = process_data(kind, Shape(MOST_SPANS + 1, (), MOST_SPANS, (1,), spans))
+        tpdos |= {pdo.number: Pdo() for pdo in longest.sent}
+    tpdos |= {
+        pdo.number: Pdo(True, pdo.every, tuple((signal.index, signal.sub, 32) for signal in pdo.signals))
+        for pdo in smallest.sent
+    }
+    tpdos[STATUS_TPDO] = Pdo(True, 1, ((0x2100, 1, 16), (0x2100, 2, 8), (0x2100, 3, 8)))
+    boundary = tuple((signal.index, signal.sub, 32) for signal in smallest.told)
+    rpdos = [Pdo(True, 1, boundary) if boundary else Pdo(), Pdo(), Pdo(), Pdo()]
+    inputs = {sub: Entry(signal.text, "REAL32", "ro", 0.0, True) for sub, signal in sorted(signals.items())}
     status = {
         1: Entry("SYNC simulated for, counted from NMT start", "U16", "ro", 0, True),
         2: Entry("Age in cycles", "U8", "ro", 0, True),
         3: Entry("Status bits", "U8", "ro", 0, True),
     }
     synchronizer = {1: Entry("Method, 0 as configured", "U8", "rw", 0, False)}
-    outputs = {sub: Entry(text, "REAL32", "rww", 0.0, True) for sub, text in enumerate(VIRTUAL_IO_OUTPUTS, 1)}
+    outputs = {signal.sub: Entry(signal.text, "REAL32", "rww", 0.0, True) for signal in smallest.told}
+    file_name, description = VIRTUAL_IO_FILES[kind]
     return DeviceDescription(
-        "hilbench_virtual_io.eds",
-        "Virtual I/O of the twin: simulated tension, estimated modulus, boundary of the web",
+        file_name,
+        description,
         name,
         product,
         device_type,
         len(rpdos),
         len(tpdos),
         (
-            *communication_objects(device_type, product, name, rpdos, tpdos),
+            *communication_objects(
+                device_type, product, name, rpdos, [tpdos[number] for number in range(1, len(tpdos) + 1)]
+            ),
             compound(0x2100, "Twin status", RECORD, status),
             compound(0x2101, "Synchronizer", RECORD, synchronizer),
             compound(0x6403, "Read analogue input floating point", ARRAY, inputs),
-            compound(0x6413, "Write analogue output floating point", ARRAY, outputs),
+            *([compound(0x6413, "Write analogue output floating point", ARRAY, outputs)] if outputs else []),
         ),
     )
+
+
+VIRTUAL_IO_FILES = {
+    MachineKind.WEB_LINE: (
+        "hilbench_virtual_io.eds",
+        "Virtual I/O of the twin: simulated tension, estimated modulus, boundary of the web",
+    ),
+    MachineKind.SERVO_AXIS: (
+        "hilbench_virtual_io_servo_axis.eds",
+        "Virtual I/O of the twin of a servo axis: estimated inertia and friction",
+    ),
+}
 
 
 def bench() -> DeviceDescription:
@@ -501,7 +524,7 @@ def _default_text(entry: Entry) -> str:
 
 def eds_files() -> dict[str, str]:
     """Text of every EDS file by its name."""
-    return {device.file_name: render(device) for device in (servo(), virtual_io(), bench())}
+    return {device.file_name: render(device) for device in (servo(), *map(virtual_io, MachineKind), bench())}
 
 
 def main() -> None:

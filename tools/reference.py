@@ -25,7 +25,8 @@ from hilbench.runs.config_text import json_schema
 from hilbench.runs.metrics import OF_RUNS, OF_STEPS
 from hilbench.runs.stretch import Metric
 from hilbench.topology.quantities import PLAIN_PATHS, permitted
-from hilbench.topology.signals import Signal, signals_of
+from hilbench.topology.signal_kinds import Signal
+from hilbench.topology.signals import SMALLEST, signals_of
 
 ROOT: Final = Path(__file__).resolve().parent.parent
 
@@ -367,9 +368,11 @@ def signals_page() -> str:
         + ", ".join(f"`{path}` ({permitted(path)})" for path in PLAIN_PATHS)
         + ", and every parameter of every [effect](effects.md) within its bounds.",
         "",
-        *_signals_table("A web line of two axes and one span", signals_of(MachineKind.WEB_LINE, 2, ["load"], 1)),
+        *_signals_table(
+            "A web line of two axes and one span", signals_of(MachineKind.WEB_LINE, SMALLEST[MachineKind.WEB_LINE])
+        ),
         "",
-        *_signals_table("A servo axis", signals_of(MachineKind.SERVO_AXIS, 1, ["load"], 0)),
+        *_signals_table("A servo axis", signals_of(MachineKind.SERVO_AXIS, SMALLEST[MachineKind.SERVO_AXIS])),
     ]
     return "\n".join(lines)
 

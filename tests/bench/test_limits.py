@@ -7,8 +7,10 @@ import math
 import pytest
 from tests.bench.samples import sample_of_two_axes
 
-from hilbench.bench.tasks.limits import LimitTripError, LimitWatch
+from hilbench.bench.tasks.limits import LimitTripError
+from hilbench.bench.tasks.web_limits import LimitWatch
 from hilbench.topology.safety import Limit, LimitsConfig
+from hilbench.topology.signals import SMALLEST
 from hilbench.twin.virtual_io import TwinStatus
 
 CYCLE_S = 0.002
@@ -18,7 +20,7 @@ LEVELS = Limit(warning=2.0, trip=4.0)
 
 def watch(**limits: Limit) -> LimitWatch:
     none = {name: Limit() for name in LimitsConfig.model_fields}
-    return LimitWatch(LimitsConfig(**(none | limits)), MODULUS_PA, CYCLE_S)
+    return LimitWatch(LimitsConfig(**(none | limits)), MODULUS_PA, CYCLE_S, SMALLEST["web_line"])
 
 
 @pytest.mark.parametrize(

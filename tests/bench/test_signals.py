@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from tests.bench.samples import SIGNALS
 
-from hilbench.topology.signals import find_signal, signals_of, unit_of
+from hilbench.topology.signals import SMALLEST, Shape, find_signal, signals_of, unit_of
 
 DESIGN = [
     "t_s",
@@ -41,7 +41,7 @@ def test_unit_of_any_channel(name: str, unit: str) -> None:
 
 
 def test_every_part_has_its_own_signals_in_recording_order() -> None:
-    names = [signal.name for signal in signals_of("web_line", 3, ["first", "second"], 2)]
+    names = [signal.name for signal in signals_of("web_line", Shape(3, ("first", "second"), 2, (1, 2), (1, 2)))]
     assert names[1:4] == ["v1_cmd_m_s", "v2_cmd_m_s", "v3_cmd_m_s"]
     assert {"tau_first_Nm", "x_second_m", "statusword_second", "E2_sim_Pa", "F1_true_N", "tau3_residual_Nm"} <= {*names}
     assert "F_sim_N" not in names
@@ -49,13 +49,16 @@ def test_every_part_has_its_own_signals_in_recording_order() -> None:
 
 
 def test_a_servo_axis_has_the_signals_of_a_shaft_and_none_of_a_web() -> None:
-    signals = {signal.name: signal for signal in signals_of("servo_axis", 1, ["load"], 0)}
+    signals = {signal.name: signal for signal in signals_of("servo_axis", SMALLEST["servo_axis"])}
     assert {"x1_rad", "v1_cmd_rad_s", "tau_load_Nm", "x_load_rad", "J_sim_kg_m2", "tau1_residual_Nm"} <= {*signals}
     assert {signals[name].unit for name in ("J_sim_kg_m2", "J_sd_kg_m2", "J_true_kg_m2")} == {"kg·m²"}
     assert all("web" not in signal.description and "roller" not in signal.description for signal in signals.values())
 
 
-EVERY_PART = (*signals_of("web_line", 3, ["first", "second"], 2), *signals_of("servo_axis", 1, ["load"], 0))
+EVERY_PART = (
+    *signals_of("web_line", Shape(3, ("first", "second"), 2, (1, 2), (1, 2))),
+    *signals_of("servo_axis", SMALLEST["servo_axis"]),
+)
 
 
 @pytest.mark.parametrize("signal", dict.fromkeys(EVERY_PART), ids=lambda signal: signal.name)

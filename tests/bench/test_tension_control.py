@@ -5,7 +5,7 @@ import math
 import pytest
 
 from hilbench.bench.tasks.tension_control import TensionController
-from hilbench.topology.config import TensionControlConfig
+from hilbench.topology.web_line_config import TensionControlConfig
 
 STIFFNESS_N = 8.7e9 * 0.5 * 65e-6
 LENGTH_M = 1.0

@@ -9,8 +9,8 @@ import pytest
 from tests.bench.samples import sample_of_two_axes
 
 from hilbench.bench.tasks.twin_trust import TwinTrust
-from hilbench.topology.config import TensionControlConfig
 from hilbench.topology.sample import CycleSample
+from hilbench.topology.web_line_config import TensionControlConfig
 from hilbench.twin.virtual_io import TwinStatus
 
 SYNCHRONIZED = int(TwinStatus.RUNNING | TwinStatus.SYNCHRONIZED)

@@ -21,7 +21,7 @@ from hilbench.exchange.effect_objects import bind_effect_objects, effect_object
 from hilbench.plant.effects import EffectPlace, MachineKind, effects_of
 
 ROOT = Path(__file__).parents[2]
-FILES = ("hilbench_servo.eds", "hilbench_virtual_io.eds", "hilbench_bench.eds")
+FILES = ("hilbench_servo.eds", "hilbench_virtual_io.eds", "hilbench_virtual_io_servo_axis.eds", "hilbench_bench.eds")
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,7 @@ from tools.reference import pages, unit_of_key
 from hilbench.plant.effects import EFFECTS
 from hilbench.runs.config import ExperimentConfig
 from hilbench.runs.metrics import METRICS
-from hilbench.topology.signals import signals_of
+from hilbench.topology.signals import SMALLEST, signals_of
 
 
 @pytest.fixture(scope="module")
@@ -67,10 +67,8 @@ def test_effects_metrics_signals_and_objects_are_all_there(made: dict[str, str])
         assert {parameter.name for parameter in effect.parameters} <= rows(effects).keys()
     assert rows(effects)["relative_change"][2:5] == ["0", "-0.95", "10"]
     assert set(METRICS) <= rows(made["reference/metrics.md"]).keys()
-    for kind, axes, spans in (("web_line", 2, 1), ("servo_axis", 1, 0)):
-        assert {signal.name for signal in signals_of(kind, axes, ["load"], spans)} <= rows(
-            made["reference/signals.md"]
-        ).keys()
+    for kind, shape in SMALLEST.items():
+        assert {signal.name for signal in signals_of(kind, shape)} <= rows(made["reference/signals.md"]).keys()
     objects = rows(made["reference/objects.md"])
     assert objects["6041h"][1:5] == ["Statusword", "UNSIGNED16", "ro", "yes"]
     assert objects["1014h"][5] == "`$NODEID + 80h`"

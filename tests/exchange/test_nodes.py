@@ -38,8 +38,7 @@ def enabled() -> Nodes:
 def twin(found: Nodes, *, state: tuple[float, float], quality: tuple[float, float], sync: int) -> list[Frame]:
     io = found.io
     return [
-        Frame(io.state.cob_id, io.state.pack(state)),
-        Frame(io.quality.cob_id, io.quality.pack(quality)),
+        *(Frame(pdo.cob_id, pdo.pack(values)) for pdo, values in zip(io.sent, (state, quality), strict=True)),
         Frame(io.status.cob_id, io.status.pack((sync, 0, 3))),
     ]
 

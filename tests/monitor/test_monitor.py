@@ -29,6 +29,7 @@ from hilbench.results.run import run_experiment
 from hilbench.results.trace import TraceReader
 from hilbench.runs.config import load, load_with_overrides
 from hilbench.topology.config import BenchConfig
+from hilbench.topology.signals import SMALLEST
 
 SHIPPED = Path(__file__).resolve().parents[2] / "bench_configs" / "web_section_step.yaml"
 
@@ -41,7 +42,7 @@ def cycles(bench: BenchConfig, count: int, tension_N: float) -> list[Frame]:
         # The last SYNC of a hundred comes 50 µs late.
         frames.append(Frame(0x80, b"", k * 2_000_000 + (50_000 if k % 100 == 99 else 0) + 1))
         frames.append(Frame(tpdo1.cob_id, tpdo1.pack((0x1637, 200, 1_048_576))))
-        frames.append(Frame(nodes.io.state.cob_id, nodes.io.state.pack((tension_N + k, 8.7e9))))
+        frames.append(Frame(nodes.io.sent[0].cob_id, nodes.io.sent[0].pack((tension_N + k, 8.7e9))))
     return [*frames, Frame(0x701, b"\5"), Frame(0x82, bytes.fromhex("1186210000000000"))]
 
 
@@ -345,7 +346,7 @@ def test_the_dashboard_says_it_instead_of_old_values(bench: BenchConfig, patient
 
 
 def test_of_a_servo_axis_the_trends_are_its_inertia_and_friction() -> None:
-    inertia, friction = trends_of(MachineKind.SERVO_AXIS)
+    inertia, friction = trends_of(MachineKind.SERVO_AXIS, SMALLEST["servo_axis"])
     assert (inertia.signal, inertia.title, inertia.unit) == ("J_sim_kg_m2", "J", "kg·cm²")
     assert (friction.signal, friction.title, friction.unit) == ("coulomb_sim_Nm", "friction", "N·m")
     inertia.values.append(2.5e-3)

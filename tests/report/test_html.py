@@ -30,7 +30,7 @@ from hilbench.results.run_folder import RunFolder
 from hilbench.runs.criteria import CriterionResult
 from hilbench.runs.events import Changed, Event
 from hilbench.runs.metrics import evaluate_metrics, judge
-from hilbench.topology.signals import signals_of
+from hilbench.topology.signals import SMALLEST, signals_of
 
 E0, E1 = 8.7e9, 10.5e9
 
@@ -62,7 +62,8 @@ def recording(samples: int = 8000) -> Recording:
         "F_ref_N": np.full(samples, 80.0),
     }
     channels = {
-        signal.name: known.get(signal.name, np.zeros(samples)) for signal in signals_of("web_line", 2, ["load"], 1)
+        signal.name: known.get(signal.name, np.zeros(samples))
+        for signal in signals_of("web_line", SMALLEST["web_line"])
     }
     return Recording(channels, datetime(2026, 3, 4, 5, 6, 7, tzinfo=UTC))
 

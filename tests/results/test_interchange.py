@@ -69,7 +69,7 @@ def test_a_dbc_reader_decodes_the_pdos_of_a_bench_in_si_units() -> None:
     assert told["Position_actual_value"] == pytest.approx(2 * np.pi)
     assert tpdo1.get_signal_by_name("Position_actual_value").unit == "rad"
     twin = database.get_message_by_name("virtual_io_TPDO1")
-    values = twin.decode(nodes.io.state.pack((80.5, 8.7e9)))
+    values = twin.decode(nodes.io.sent[0].pack((80.5, 8.7e9)))
     assert values == {"F_sim_N": 80.5, "E_sim_Pa": pytest.approx(8.7e9)}
     shared = [message.name for message in database.messages if message.frame_id == 0x201]
     assert shared == ["axis1_RPDO1"]

@@ -5,29 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import isclose
 
-from hilbench.bench.tasks.imitated_web import imitated_web
-from hilbench.bench.tasks.tension_loop import OperatingPoint, TensionLoop
+from hilbench.bench.web_line_check import check_web_line
 from hilbench.can.load import BusLoad, cycle_load
 from hilbench.cia402.configuration import lacking
 from hilbench.errors import UnusableInputError
 from hilbench.exchange.nodes import Nodes, declared_units, drive_settings
 from hilbench.plant.effects import MachineKind
-from hilbench.plant.sampled_shaft import imitation_delay_s
 from hilbench.plant.servo_axis.stability import imitable_inertia_kg_m2
 from hilbench.plant.servo_axis.stability import sampled_shaft as shaft_on_bus
-from hilbench.plant.web_line.stability import (
-    largest_stiffness_Nm_per_rad,
-    sampled_shaft,
-    web_stiffness_Nm_per_rad,
-)
 from hilbench.strict_yaml import Document, Location
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.parts import Role
-
-#: Web tension that one unit of a drive may stand for without a note, N.
-_COARSE_N = 1.0
-#: Relative difference of E that is none.
-SAME_MODULUS = 0.01
 
 
 @dataclass(frozen=True)
@@ -79,9 +67,7 @@ def check_bench(config: BenchConfig, document: Document) -> CheckedBench:
         )
         check_imitated_inertia(config, document, config.imitated_shaft().inertia_kg_m2, place)
     else:
-        _check_set_point(config, document)
-        check_stability(config, document, start_point(config), ("machine", "web"))
-        notes = _coarse_units(config, nodes)
+        notes = check_web_line(config, document, nodes)
     return CheckedBench(load, sum(frame.per_cycle for frame in frames), notes)
 
 
@@ -120,74 +106,3 @@ def _check_drives(config: BenchConfig, document: Document, nodes: Nodes) -> None
                 f"its velocity unit is {ours:.6g} rad/s and that of {virtual.name}, which listens to its RPDO, "
                 f"{theirs:.6g} rad/s, expected one unit and one PDO layout, or mirroring: copy",
             )
-
-
-def _check_set_point(config: BenchConfig, document: Document) -> None:
-    """A set-point that no run can reach."""
-    trip_N, set_point_N = config.safety.limits.tension_N.trip, config.tension_control.set_point_N
-    if trip_N is not None and set_point_N > trip_N:
-        raise UnusableInputError(
-            document.place(("controllers", next(iter(config.controllers)), "set_point_N")),
-            f"set_point_N is {set_point_N:g}, expected less than the trip level of the tension, {trip_N:g} N",
-        )
-
-
-def _coarse_units(config: BenchConfig, nodes: Nodes) -> list[str]:
-    """What one unit of an axis' position or velocity is in web tension, where that is more than 1 N."""
-    web, notes = config.web_line.required_web, []
-    for part in config.parts_of(Role.AXIS):
-        axis = part.axis or 1
-        units = declared_units(part, nodes.dictionary(part.name))
-        rad_per_m, span_m = config.web_line.motor_rad_per_m(axis), config.web_line.span_length_m(1)
-        position_N = web.stiffness_N * units.position_rad / rad_per_m / span_m
-        if position_N > _COARSE_N:
-            notes.append(f"{part.name}: one unit of position (6064h) stands for {position_N:.3g} N of web tension")
-        # Steady tension changes by E·S·Δv/v; the slowest that the line is meant to run at would be worse than 1 m/s.
-        velocity_N = web.stiffness_N * units.velocity_rad_s / rad_per_m
-        if velocity_N > _COARSE_N:
-            notes.append(
-                f"{part.name}: one unit of velocity (60FFh) moves the web tension by {velocity_N:.3g} N at 1 m/s"
-            )
-    return notes
-
-
-def start_point(config: BenchConfig) -> OperatingPoint:
-    """The tension loop when the drives are enabled, with the E that the twin begins with."""
-    web = imitated_web(config.web_line, config.load)
-    modulus_Pa, length_m = web.required_web.youngs_modulus_Pa, web.span_length_m(1)
-    return OperatingPoint(modulus_Pa, 0.0, length_m, config.web_line.required_web.youngs_modulus_Pa)
-
-
-def check_stability(config: BenchConfig, document: Document, point: OperatingPoint, where: Location) -> None:
-    """Raise UnusableInputError at `where` in the config when web, drives, bus and twin are unstable at this point."""
-    cycle = f"a cycle of {config.cycle_time_s * 1e3:g} ms"
-    if not TensionLoop(config, point, closed=False).stable:
-        share = stiffness_reserve(config, point.youngs_modulus_Pa / point.span_length_m)
-        raise UnusableInputError(
-            document.place(where),
-            f"the load motor can't imitate so stiff a web over {cycle} ({operating_point_text(point)}): the loop of "
-            f"web and sampled shaft is by itself stable up to {100 * share:.0f} % of it, expected a shorter cycle, a "
-            f"heavier axis 2, or a softer or longer web",
-        )
-    if not TensionLoop(config, point).stable:
-        raise UnusableInputError(
-            document.place(("controllers", next(iter(config.controllers)), "bandwidth_rad_per_s")),
-            f"the tension loop is unstable with {config.tension_control.bandwidth_rad_per_s:g} rad/s over {cycle} at "
-            f"{operating_point_text(point)}, expected a smaller bandwidth_rad_per_s, more swing_damping_ratio or a "
-            f"shorter cycle",
-        )
-
-
-def operating_point_text(point: OperatingPoint) -> str:
-    """An operating point as a message names it."""
-    text = f"E {point.youngs_modulus_Pa * 1e-6:.4g} N/mm²"
-    if not abs(point.estimate_Pa / point.youngs_modulus_Pa - 1.0) <= SAME_MODULUS:
-        text += f" (believed: {point.estimate_Pa * 1e-6:.4g})"
-    return f"{text}, {point.line_speed_m_s:g} m/s"
-
-
-def stiffness_reserve(config: BenchConfig, modulus_Pa_per_m: float) -> float:
-    """Largest stiffness of a web that the load motor imitates stably by itself, over that of one with this E/L."""
-    shaft = sampled_shaft(config.web_line, cycle_s=config.cycle_time_s)
-    asked_Nm_per_rad = web_stiffness_Nm_per_rad(config.web_line, modulus_Pa_per_m=modulus_Pa_per_m)
-    return largest_stiffness_Nm_per_rad(shaft, imitation_delay_s(shaft)) / asked_Nm_per_rad

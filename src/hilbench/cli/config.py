@@ -79,7 +79,7 @@ def new(
     document, new_bench = strict_yaml.Document(path, {}, {}), _OF_KIND[kind]
     questions = (*_QUESTIONS, *new_bench.questions)
     for place, node_id in new_bench.nodes.items():
-        file = eds / ("hilbench_virtual_io.eds" if place[0] == "twin" else "hilbench_servo.eds")
+        file = eds / (new_bench.virtual_io if place[0] == "twin" else "hilbench_servo.eds")
         if not file.is_file():
             raise UnusableInputError("--eds", f"no file {file}, expected the folder with the devices' EDS files")
         for key, value in (("node_id", node_id), ("eds", str(file.resolve()))):

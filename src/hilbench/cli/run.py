@@ -13,14 +13,16 @@ from rich.table import Table
 from hilbench.bench.bench import Bench
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.cli.shown import servo_axis, web_line
+from hilbench.cli.shown.machine import Shown
 from hilbench.report.html import write_report
 from hilbench.results.result import Result, StepRecord, Timing
 from hilbench.results.run import RunOutcome, run_experiment
 from hilbench.runs.config import LoadedConfig
+from hilbench.runs.machines.web_line import shape_of_figures
 from hilbench.runs.metrics import kind_of_figures
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.sample import CycleSample
-from hilbench.topology.signals import kind_of
+from hilbench.topology.signals import Shape
 
 _REFRESH_S = 0.2
 _PLAIN_LINE_EVERY_S = 5.0
@@ -61,7 +63,7 @@ class Progress:
 
     def __init__(self, console: Console, config: BenchConfig) -> None:
         cycle_s, bitrate = config.cycle_time_s, config.bus.bitrate
-        self._shown = _SHOWN[kind_of(signal.name for signal in config.signals)]
+        self._shown = _shown(config.machine.kind, config.shape)
         self._console = console
         self._cycle_s = cycle_s
         self._bits_per_cycle = bitrate * cycle_s
@@ -145,13 +147,17 @@ def show_outcome(console: Console, outcome: RunOutcome) -> None:
     console.print(f"{verdict}   {left}", soft_wrap=True)
 
 
-#: What is shown of each kind of machine.
-_SHOWN = {"web_line": web_line.SHOWN, "servo_axis": servo_axis.SHOWN}
 _MOST_STEPS = 20
 
 
+def _shown(kind: str, shape: Shape) -> Shown:
+    """What is shown of a machine."""
+    return servo_axis.SHOWN if kind == "servo_axis" else web_line.shown(shape)
+
+
 def _steps_table(steps: list[StepRecord]) -> Table:
-    of_steps = _SHOWN[kind_of_figures(steps[0].figures | steps[0].reasons)].of_steps
+    judged = steps[0].figures | steps[0].reasons
+    of_steps = _shown(kind_of_figures(judged), shape_of_figures(judged)).of_steps
     shown = steps[:_MOST_STEPS]
     left_out = f", the first {_MOST_STEPS} of {len(steps)}" if len(steps) > _MOST_STEPS else ""
     unknown = any(metric in step.reasons for step in shown for _, metric in of_steps)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from hilbench.errors import UnusableInputError
 from hilbench.results.recording import LEAST_SAMPLES, Recording
-from hilbench.topology.signals import TIME
+from hilbench.topology.signal_kinds import TIME
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.bool_]

@@ -27,10 +27,11 @@ from hilbench.exchange.emergencies import Emergency, EmergencyInbox
 from hilbench.exchange.sync_cycle import ExpectedPdo
 from hilbench.exchange.unexpected_senders import Owned, Unexpected, UnexpectedSenders
 from hilbench.topology.config import BenchConfig
-from hilbench.topology.parts import NodeConfig, Part, Role
+from hilbench.topology.parts import Part, Role
+from hilbench.topology.process_data.of_kind import process_data
+from hilbench.topology.process_data.table import STATUS_TPDO, IoPdo, ProcessData
 from hilbench.topology.quantities import EffectPath
 from hilbench.topology.sample import CycleSample
-from hilbench.topology.virtual_io import PROCESS_DATA, IoPdo, ProcessData
 
 #: Heartbeats that may stay away before a node counts as lost (lost frames are no lost node).
 _HEARTBEATS_MISSED = 4
@@ -39,35 +40,61 @@ _ABORT_BY_QUICK_STOP = 3
 _QUICK_STOP_RAMP = 2
 #: Controlwords that lead from SWITCH ON DISABLED to OPERATION ENABLED: shutdown, switch on, enable operation.
 _ENABLE = (0x06, 0x07, 0x0F)
-_DEVIATION_EVERY = 10  # SYNCs between two TPDO2 of the virtual I/O
 
 
 @dataclass(frozen=True)
 class IoMaps:
-    """PDOs of the virtual I/O; which signals are in them says `hilbench.topology.virtual_io`."""
+    """PDOs of the virtual I/O; which signals are in them says `hilbench.topology.process_data`."""
 
-    state: PdoMap  #: TPDO1: what is simulated and estimated
-    quality: PdoMap  #: TPDO2: how sure the estimate is, torque residual
+    data: ProcessData
+    sent: tuple[PdoMap, ...]  #: what is simulated and estimated, and how sure that is, in the order of `data.sent`
     status: PdoMap  #: TPDO3: SYNC that the data are of, age, status bits
     boundary: PdoMap | None  #: RPDO1: what the twin is told; None for a machine with nothing around it
 
     @classmethod
-    def of(cls, node: NodeConfig, od: canopen.ObjectDictionary, data: ProcessData) -> IoMaps:
+    def of(cls, config: BenchConfig, od: canopen.ObjectDictionary) -> IoMaps:
         """The maps by the EDS of the virtual I/O. Raises KeyError or ValueError for what it lacks."""
-        state, quality, boundary = (
-            [f"0x{signal.index:04X}sub{signal.sub}" for signal in data.carried_by(pdo)] for pdo in IoPdo
-        )
+        data = process_data(config.machine_kind, config.shape)
+
+        def pdo_map(cob_id: int, pdo: IoPdo) -> PdoMap:
+            names = [f"0x{signal.index:04X}sub{signal.sub}" for signal in pdo.signals]
+            return PdoMap.from_names(od, cob_id, pdo.every, names)
+
+        boundary, node_id = data.boundary, config.twin.node.node_id
+        for pdo in data.sent:
+            if 0x1800 + pdo.number - 1 not in od:
+                raise KeyError(f"the virtual I/O has no TPDO{pdo.number} (object {0x1800 + pdo.number - 1:04X}h)")
         return cls(
-            PdoMap.from_names(od, TPDOS[0] + node.node_id, 1, state),
-            PdoMap.from_names(od, TPDOS[1] + node.node_id, _DEVIATION_EVERY, quality),
-            PdoMap.from_names(od, TPDOS[2] + node.node_id, 1, [f"0x2100sub{n}" for n in (1, 2, 3)]),
-            PdoMap.from_names(od, RPDOS[0] + node.node_id, 1, boundary) if boundary else None,
+            data,
+            tuple(pdo_map(_tpdo_id(config, pdo.number), pdo) for pdo in data.sent),
+            PdoMap.from_names(od, _tpdo_id(config, STATUS_TPDO), 1, [f"0x2100sub{n}" for n in (1, 2, 3)]),
+            pdo_map(RPDOS[0] + node_id, boundary) if boundary is not None else None,
         )
+
+    @property
+    def tpdos(self) -> list[tuple[int, PdoMap]]:
+        """Every TPDO with its number."""
+        sent = [(pdo.number, found) for pdo, found in zip(self.data.sent, self.sent, strict=True)]
+        return sorted([*sent, (STATUS_TPDO, self.status)], key=lambda entry: entry[0])
 
     @property
     def all(self) -> list[PdoMap]:
         """Every one that there is."""
-        return [pdo for pdo in (self.state, self.quality, self.status, self.boundary) if pdo is not None]
+        tpdos = [pdo for _, pdo in self.tpdos]
+        return tpdos if self.boundary is None else [*tpdos, self.boundary]
+
+
+def _tpdo_id(config: BenchConfig, number: int) -> int:
+    """COB-ID of a TPDO of the virtual I/O.
+
+    The predefined connection set gives a node four (CiA 301, 7.3.5). Further ones have the identifiers of the fourth
+    TPDOs of the virtual axes, then of their third: the same process plays these, and sends nothing under them.
+    """
+    if number <= len(TPDOS):
+        return TPDOS[number - 1] + config.twin.node.node_id
+    axes = config.parts_of(Role.VIRTUAL_AXIS)
+    function, axis = divmod(number - len(TPDOS) - 1, len(axes))
+    return TPDOS[3 - function] + axes[axis].node.node_id
 
 
 def drive_settings(config: BenchConfig, part: Part, od: canopen.ObjectDictionary) -> DriveSettings:
@@ -130,12 +157,12 @@ class Nodes:
             tuple(Drive(drive_settings(config, part, self._ods[part.name]), self._ods[part.name]) for part in group)
             for group in map(config.parts_of, (Role.AXIS, Role.LOAD_MOTOR, Role.VIRTUAL_AXIS))
         )
-        data = PROCESS_DATA[config.machine_kind]
-        self.io = IoMaps.of(config.twin.node, self._ods["virtual_io"], data)
-        self._state_names, self._quality_names, self._boundary_names = (
-            tuple(signal.name for signal in data.carried_by(pdo)) for pdo in IoPdo
-        )
-        self._simulated_torque, self._residual_at = data.simulated_torque, self._quality_names.index(data.residual)
+        self.io = IoMaps.of(config, self._ods["virtual_io"])
+        self._boundary_names = tuple(signal.name for signal in self.io.data.told)
+        self._said = [
+            (pdo, tuple(signal.name for signal in content.signals))
+            for pdo, content in zip(self.io.sent, self.io.data.sent, strict=True)
+        ]
         self._rad_per_unit = [config.machine.motor_rad_per_unit(axis) for axis in range(1, len(self.axes) + 1)]
         self._set_points = [
             *zip(self.axes, (part.name for part in config.parts_of(Role.AXIS)), self._rad_per_unit, strict=True),
@@ -144,9 +171,10 @@ class Nodes:
         self._fills = self._filled_signals()
         self._known = {part.node.node_id: part.label for part in parts}
         self._master: Master | None = None
-        self._state: Sequence[float] = [0.0] * len(self._state_names)
-        self._quality: Sequence[float] = [0.0] * len(self._quality_names)
-        self._torque_before_Nm, self._torque_sim_Nm = 0.0, 0.0
+        self._twin_values = {name: 0.0 for _, names in self._said for name in names}
+        self._torques = [(self.axes[torque.axis - 1], torque.name, torque.residual) for torque in self.io.data.torques]
+        self._torques_before_Nm = [0.0] * len(self._torques)
+        self._twin_values |= {name: 0.0 for _, name, _ in self._torques}
         self._twin_sync, self.twin_status = 0, 0  #: status: bits of `TwinStatus`
         self.twin_reported_cycle = 0  #: cycle, counted by `decode`, in which the twin last reported its status
         self._twin_ids = dict.fromkeys(config.virtual_nodes)  # in the order of the config
@@ -160,10 +188,7 @@ class Nodes:
             for _, pdo, _ in drive.pdos.tpdos
         }
         self._tpdos_of = [[self._tpdos[pdo.cob_id] for _, pdo, _ in drive.pdos.tpdos] for drive in self.drives]
-        self._twin_tpdos = [
-            Tpdo(pdo.cob_id, pdo.size, pdo.period, self.twin_name)
-            for pdo in (self.io.state, self.io.quality, self.io.status)
-        ]
+        self._twin_tpdos = [Tpdo(pdo.cob_id, pdo.size, pdo.period, self.twin_name) for _, pdo in self.io.tpdos]
         self._tpdos |= {pdo.cob_id: pdo for pdo in self._twin_tpdos}
         self._watch: UnexpectedSenders | None = None  # from when the master is known
         self.unexpected: list[Unexpected] = []  #: what came in this cycle and is not of the bench or its nodes
@@ -265,7 +290,7 @@ class Nodes:
         node_id = self.config.twin.node.node_id
         if self.io.boundary is not None:
             master.write_rpdo(node_id, 1, self.io.boundary)
-        for number, pdo in enumerate((self.io.state, self.io.quality, self.io.status), 1):
+        for number, pdo in self.io.tpdos:
             master.write_tpdo(node_id, number, pdo)
         master.configure(node_id, {(0x1017, 0): self.config.master.node_heartbeat_ms})
 
@@ -348,7 +373,7 @@ class Nodes:
         for drive in self.drives:
             sender = self.sender(drive)
             expected += [ExpectedPdo(pdo.cob_id, pdo.period, sender, pdo.size) for _, pdo, _ in drive.pdos.tpdos]
-        for pdo in (self.io.state, self.io.quality, self.io.status):
+        for _, pdo in self.io.tpdos:
             expected.append(ExpectedPdo(pdo.cob_id, pdo.period, self.twin_name, pdo.size, twin_since, vital=False))
         return expected
 
@@ -360,10 +385,10 @@ class Nodes:
             if drive not in self.virtual_axes:
                 frames += [CyclicFrame(f"{name} RPDO", cob_id, pdos.rpdo.size) for cob_id in drive.rpdo_cob_ids]
             frames += [CyclicFrame(f"{name} TPDO", pdo.cob_id, pdo.size, 1 / pdo.period) for _, pdo, _ in pdos.tpdos]
-        for name in ("state", "quality", "status", "boundary"):
-            io_pdo: PdoMap | None = getattr(self.io, name)
-            if io_pdo is not None:
-                frames.append(CyclicFrame(f"virtual io {name}", io_pdo.cob_id, io_pdo.size, 1 / io_pdo.period))
+        named = [(f"TPDO{number}", pdo) for number, pdo in self.io.tpdos]
+        for name, pdo in [*named, ("boundary", self.io.boundary)]:
+            if pdo is not None:
+                frames.append(CyclicFrame(f"virtual io {name}", pdo.cob_id, pdo.size, 1 / pdo.period))
         periods_ms = [self.config.master.heartbeat_ms, *[self.config.master.node_heartbeat_ms] * len(self._known)]
         per_cycle = sum(1000.0 * self.config.cycle_time_s / period for period in periods_ms if period)
         return [*frames, CyclicFrame("heartbeats", HEARTBEAT + 1, 1, per_cycle)]
@@ -403,18 +428,25 @@ class Nodes:
             self._look_for_silent_nodes()
         for drive in self.drives:
             drive.decode(data)
-        state, quality = data.get(self.io.state.cob_id), data.get(self.io.quality.cob_id)
         status = data.get(self.io.status.cob_id)
         if status is not None:
             self._twin_sync, _, self.twin_status = self.io.status.unpack(status)
             self.twin_reported_cycle = self._cycle
-        if state is not None:
-            self._state = self.io.state.unpack(state)
-        if quality is not None:
-            self._quality = self.io.quality.unpack(quality)
-            # The residual is that of the cycle before: the twin compared after this cycle's TPDO was due.
-            self._torque_sim_Nm = self._torque_before_Nm - self._quality[self._residual_at]
-        self._torque_before_Nm = self.axes[-1].feedback.torque_Nm
+        self._take_twin_values(data)
+
+    def _take_twin_values(self, data: Mapping[int, bytes]) -> None:
+        """What the twin simulates and estimates, by the answers to this SYNC."""
+        values, fresh = self._twin_values, set[str]()
+        for pdo, names in self._said:
+            content = data.get(pdo.cob_id)
+            if content is not None:
+                values.update(zip(names, pdo.unpack(content), strict=True))
+                fresh.update(names)
+        for at, (axis, torque, residual) in enumerate(self._torques):
+            if residual in fresh:
+                # The residual is that of the cycle before: the twin compared after this cycle's TPDO was due.
+                values[torque] = self._torques_before_Nm[at] - values[residual]
+            self._torques_before_Nm[at] = axis.feedback.torque_Nm
 
     def _answers(self, frames: Sequence[Frame], before_sync: int) -> dict[int, bytes]:
         """The answers to this SYNC by COB-ID; what is beside them is counted, and in `unexpected`."""
@@ -495,11 +527,8 @@ class Nodes:
                 setattr(sample, velocity, feedback.velocity_rad_s / rad_per_unit)
             setattr(sample, torque, feedback.torque_Nm)
             setattr(sample, statusword, feedback.statusword)
-        for name, value in zip(self._state_names, self._state, strict=True):
+        for name, value in self._twin_values.items():
             setattr(sample, name, value)
-        for name, value in zip(self._quality_names, self._quality, strict=True):
-            setattr(sample, name, value)
-        setattr(sample, self._simulated_torque, self._torque_sim_Nm)
         sample.twin_status = self.twin_status
 
     # -- effects in the simulated hardware ---------------------------------------------------------------

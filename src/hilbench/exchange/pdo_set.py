@@ -12,8 +12,8 @@ from hilbench.cia402.units import DriveUnits
 from hilbench.exchange.nodes import Nodes, declared_units
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.parts import Role
-from hilbench.topology.signals import Signal
-from hilbench.topology.virtual_io import PROCESS_DATA
+from hilbench.topology.process_data.of_kind import process_data
+from hilbench.topology.signal_kinds import Signal
 
 _MASTER = "bench"
 _NAMES = {code: f"{kind}{k}" for kind, codes in (("TPDO", TPDOS), ("RPDO", RPDOS)) for k, code in enumerate(codes, 1)}
@@ -38,8 +38,8 @@ def pdo_set_dbc(config: BenchConfig) -> str:
 def _process_data(config: BenchConfig) -> dict[tuple[int, int], Signal]:
     """What the objects of the virtual I/O are on a machine of this kind, by index and sub-index."""
     known = {signal.name: signal for signal in config.signals}
-    data = PROCESS_DATA[config.machine_kind].signals
-    return {(each.index, each.sub): known[each.name] for each in data if each.name in known}
+    data = process_data(config.machine_kind, config.shape)
+    return {(each.index, each.sub): known[each.name] for each in (*data.published, *data.told) if each.name in known}
 
 
 def _message(part: str, pdo: PdoMap, units: DriveUnits | None, signals: Mapping[tuple[int, int], Signal]) -> DbcMessage:

@@ -91,9 +91,10 @@ class BusPicture:
 
     def __post_init__(self) -> None:
         nodes = Nodes(self.config)
-        self.trends = trends_of(self.config.machine_kind)  #: what the twin says
-        self._state = nodes.io.state
-        self._state_data = b""  #: its last frame; a batch of frames may end between it and the SYNC after it
+        self.trends = trends_of(self.config.machine_kind, self.config.shape)  #: what the twin says
+        self._states = {pdo.cob_id: pdo for pdo in nodes.io.sent if pdo.period == 1}
+        #: Their last frames; a batch of frames may end between them and the SYNC after them.
+        self._state_data = dict.fromkeys(self._states, b"")
         self._tpdos: dict[int, tuple[NodePicture, Any, tuple[int, ...], DriveUnits]] = {}
         parts = self.config.parts
         self.nodes = {part.node.node_id: NodePicture(part.name, part.node.node_id) for part in parts}
@@ -141,11 +142,11 @@ class BusPicture:
             else:
                 self._answered.add(frame.can_id)
                 last[frame.can_id] = frame.data
-                if frame.can_id == self._state.cob_id:
-                    self._state_data = frame.data
+                if frame.can_id in self._state_data:
+                    self._state_data[frame.can_id] = frame.data
         self._decode(last)
-        if len(last.get(self._state.cob_id, b"")) == self._state.size:
-            self._hear(self.config.twin.node.node_id, "PDO", _MISSED * self._state.period)
+        if any(len(last.get(cob_id, b"")) == pdo.size for cob_id, pdo in self._states.items()):
+            self._hear(self.config.twin.node.node_id, "PDO", _MISSED)
         for node_id, state in nmt_states(heartbeats).items():
             self._hear(node_id, "heartbeat", _HEARTBEATS_MISSED * self._heartbeat_cycles)
             self._nmt(node_id, state)
@@ -195,8 +196,10 @@ class BusPicture:
         self.cycles += 1
         self._bits.append(0)
         self._sync_ns.append(frame.time_ns)
-        if self.cycles % self.every == 0 and len(self._state_data) == self._state.size:
-            for trend, value in zip(self.trends, self._state.unpack(self._state_data), strict=True):
+        whole = all(len(self._state_data[cob_id]) == pdo.size for cob_id, pdo in self._states.items())
+        if self.cycles % self.every == 0 and whole:
+            values = [value for cob_id, pdo in self._states.items() for value in pdo.unpack(self._state_data[cob_id])]
+            for trend, value in zip(self.trends, values, strict=True):
                 trend.values.append(float(value))
 
     def _look_at_answers(self) -> None:

@@ -6,9 +6,9 @@ from collections import deque
 from dataclasses import dataclass, field
 
 from hilbench.plant.effects import MachineKind
-from hilbench.topology.main_quantities.of_kind import MAIN_QUANTITIES
-from hilbench.topology.signals import unit_of
-from hilbench.topology.virtual_io import PROCESS_DATA, IoPdo
+from hilbench.topology.main_quantities.of_kind import main_quantities
+from hilbench.topology.process_data.of_kind import process_data
+from hilbench.topology.signals import Shape, unit_of
 
 _POINTS = 240
 
@@ -29,11 +29,11 @@ class Trend:
         return [value / self.si_per_unit for value in self.values]
 
 
-def trends_of(kind: MachineKind) -> list[Trend]:
-    """The process data of a kind of machine, in the order of the PDO."""
-    known = {each.twin_signal: each for each in MAIN_QUANTITIES[kind] if each.twin_signal}
+def trends_of(kind: MachineKind, shape: Shape) -> list[Trend]:
+    """What the twin of a machine sends with every SYNC, in the order of its PDOs."""
+    known = {each.twin_signal: each for each in main_quantities(kind, shape) if each.twin_signal}
     trends = []
-    for carried in PROCESS_DATA[kind].carried_by(IoPdo.STATE):
+    for carried in process_data(kind, shape).state:
         name, quantity = carried.name, known.get(carried.name)
         if quantity is None:
             trends.append(Trend(name, name, unit_of(name)))

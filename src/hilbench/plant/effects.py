@@ -708,14 +708,14 @@ def effect_problem(
     effect_id: str,
     axis: int | None,
     place: EffectPlace,
-    axes: int,
-    loaded: Collection[int] = (),
+    axes: int | None,
+    loaded: Collection[int] | None = (),
     kind: MachineKind = MachineKind.WEB_LINE,
 ) -> str | None:
     """Why an effect can't be hidden at a place, in one line, or None.
 
     axis: the one given for it, from 1 (None: none). axes: how many the machine has. loaded: those on whose shaft a load
-    motor is.
+    motor is. Either is None where that is not known yet.
     """
     try:
         effect = find_effect(effect_id, kind)
@@ -727,7 +727,7 @@ def effect_problem(
             return f"effect '{effect_id}' in the simulated hardware, {expected}"
         imitated = "a resistance of the shaft" if kind is MachineKind.SERVO_AXIS else _IMITATED_OF_A_LINE
         return f"{imitated}; {effect_id} belongs in 'hardware:'"
-    if place is EffectPlace.LOAD and effect.domain in _AT_A_ROLLER and axis not in loaded:
-        where = " or ".join(str(known) for known in loaded)
-        return f"{effect_id} of axis {where}, where the load motor is; other axes' in 'hardware:'"
+    if place is EffectPlace.LOAD and effect.domain in _AT_A_ROLLER and loaded is not None and axis not in loaded:
+        where, motor = " or ".join(map(str, loaded)) or "none", "a load motor" if len(loaded) > 1 else "the load motor"
+        return f"{effect_id} of axis {where}, where {motor} is; other axes' in 'hardware:'"
     return effect.axis_problem(axis, axes)

@@ -19,7 +19,7 @@ from hilbench.results.recording import Recording, read_recording
 from hilbench.results.result import Result
 from hilbench.results.run_folder import RunFolder
 from hilbench.runs.events import find_events
-from hilbench.runs.metrics import METRICS
+from hilbench.runs.metrics import find_metric
 
 _COLOURS: Final = (BLUE, VERMILLION, GREEN, ORANGE, PURPLE, SKY)
 MOST_RUNS: Final = len(_COLOURS)
@@ -66,7 +66,7 @@ def metric_rows(runs: Sequence[ComparedRun]) -> list[MetricRow]:
         if any(value is not None for value in values):
             first = values[0]
             differences = [None if value is None or first is None else value - first for value in values[1:]]
-            rows.append(MetricRow(name, METRICS[name].unit if name in METRICS else "", values, differences))
+            rows.append(MetricRow(name, known.unit if (known := find_metric(name)) else "", values, differences))
     return rows
 
 

@@ -16,7 +16,7 @@ from hilbench.results.result import Environment, EventRecord, Result, StepRecord
 from hilbench.results.run_folder import RunFolder
 from hilbench.runs.criteria import CriterionResult
 from hilbench.runs.events import find_events
-from hilbench.runs.metrics import METRICS, OF_RUNS, OF_STEPS, kind_of_figures
+from hilbench.runs.metrics import METRICS, OF_RUNS, OF_STEPS, find_metric, kind_of_figures
 
 #: Steps that stand side by side in a table, and those in the list of them.
 _MOST_COLUMNS = 8
@@ -49,7 +49,11 @@ def write_report(run_folder: RunFolder) -> Path:
         warnings=_warnings(result),
         reasons_of=_reasons,
         step_columns=("Metric", *(f">{_step_name(step)}" for step in steps[:_MOST_COLUMNS]), "Unit"),
-        step_metrics=[(name, known.unit) for name, known in METRICS.items() if any(name in s.figures for s in steps)],
+        step_metrics=[
+            (name, known.unit)
+            for name in {**METRICS, **result.metrics}
+            if any(name in step.figures for step in steps) and (known := find_metric(name))
+        ],
         most_columns=_MOST_COLUMNS,
         most_rows=_MOST_ROWS,
         metrics=_metrics(result),
@@ -139,7 +143,7 @@ def _metrics(result: Result) -> list[tuple[str, ...]]:
     rows: list[tuple[str, ...]] = []
     metrics = {**OF_STEPS[kind_of_figures(result.metrics)].metrics, **OF_RUNS}
     for name, value in result.metrics.items():
-        known = metrics.get(name)
+        known = metrics.get(name) or find_metric(name)
         unit = known.unit if known else ""
         why = (result.not_judged or {}).get(name) if value is None else None
         meaning = [text for text in (known.description if known else None, why) if text]

@@ -9,7 +9,7 @@ from __future__ import annotations
 import io
 import re
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from html import escape
 from itertools import pairwise
 from typing import Any, Final
@@ -31,7 +31,7 @@ from hilbench.report.chart import (
     Curve,
     Mark,
 )
-from hilbench.report.machines.kinds import ZOOMED, pictures_of
+from hilbench.report.machines.kinds import pictures_of
 from hilbench.report.machines.picture import ShownRun
 from hilbench.report.reduce import envelope, thinned
 from hilbench.results.recording import Recording
@@ -101,6 +101,7 @@ class Picture:
     caption: str
     charts: Sequence[Chart] = field(default=())
     svg: str = ""
+    zoomed: bool = False  #: shown around each step, too
 
 
 @dataclass
@@ -198,14 +199,14 @@ def run_pictures(recording: Recording, marks: Sequence[Mark] = (), reference: Ar
     breaks = sorted({int(at) for mark in marks for at in np.searchsorted(recording.time_s, (mark.start_s, mark.end_s))})
     run = ShownRun(recording, breaks, reference)
     return [
-        drawn(Picture(each.name, each.title, each.words(run), each.charts(run)), marks)
+        drawn(Picture(each.name, each.title, each.words(run), each.charts(run), zoomed=each.zoomed), marks)
         for each in pictures_of(recording).pictures
     ]
 
 
 def zooms(pictures: Sequence[Picture], marks: Sequence[Mark]) -> list[Picture]:
     """What matters most around each step, for paper; the first steps of a run with many."""
-    wanted = [picture for picture in pictures if picture.name in ZOOMED and picture.charts]
+    wanted = [picture for picture in pictures if picture.zoomed and picture.charts]
     found: list[Picture] = []
     steps = [mark for mark in marks if mark.number]
     for step, following in zip(steps, [*steps[1:], None], strict=False):
@@ -265,7 +266,7 @@ def drawn(picture: Picture, marks: Sequence[Mark] = (), *, side_by_side: bool = 
 
     height_in = 2.5 if side_by_side else 0.9 + 2.0 * count
     svg = render_picture(draw, height_in, picture.name, picture.title)
-    return Picture(picture.name, picture.title, picture.caption, picture.charts, svg)
+    return replace(picture, svg=svg)
 
 
 def _draw_chart(axes: Any, chart: Chart, columns: int) -> Panel:

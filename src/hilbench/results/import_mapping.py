@@ -25,7 +25,8 @@ from hilbench.block import Block
 from hilbench.errors import UnusableInputError
 from hilbench.results.recording import Recording, check_recording, read_recording
 from hilbench.suggest import did_you_mean
-from hilbench.topology.signals import TIME, example_names, find_signal, unit_of
+from hilbench.topology.signal_kinds import TIME
+from hilbench.topology.signals import example_names, find_signal, unit_of
 
 _CSV = (".csv", ".txt", ".tsv", ".gz")
 

@@ -29,7 +29,8 @@ from numpy.typing import NDArray
 from hilbench.errors import UnusableInputError
 from hilbench.files import written_whole
 from hilbench.suggest import did_you_mean
-from hilbench.topology.signals import TIME, find_signal, unit_of
+from hilbench.topology.signal_kinds import TIME
+from hilbench.topology.signals import find_signal, unit_of
 
 #: Start time written into an MDF4 file when none is given, so that equal samples make equal files.
 NO_START_TIME = datetime(2000, 1, 1, tzinfo=UTC)

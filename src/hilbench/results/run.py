@@ -48,7 +48,7 @@ from hilbench.runs.criteria import Criterion, CriterionResult, evaluate
 from hilbench.runs.events import EventLog
 from hilbench.runs.metrics import Judgement, judge
 from hilbench.topology.sample import CycleSample
-from hilbench.topology.signals import Signal
+from hilbench.topology.signal_kinds import Signal
 from hilbench.unexpected import unexpected
 
 

@@ -6,24 +6,16 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from math import inf, isfinite
 
-from hilbench.bench.check import (
-    SAME_MODULUS,
-    CheckedBench,
-    check_bench,
-    check_imitated_inertia,
-    check_stability,
-    imitable_inertias_kg_m2,
-    operating_point_text,
-    stiffness_reserve,
-)
+from hilbench.bench.check import CheckedBench, check_bench, check_imitated_inertia, imitable_inertias_kg_m2
 from hilbench.bench.tasks.tension_loop import Margins, OperatingPoint, TensionLoop
+from hilbench.bench.web_line_check import SAME_MODULUS, check_stability, operating_point_text, stiffness_reserve
 from hilbench.errors import UnusableInputError
 from hilbench.plant.effects import MachineKind
 from hilbench.plant.parameters import per_item
 from hilbench.runs.config import ExperimentConfig, LoadedConfig
 from hilbench.runs.prospect import Move, State, moves, start_of
 from hilbench.strict_yaml import Location
-from hilbench.topology.quantities import SHAFT_COULOMB_FRICTION, SHAFT_INERTIA, SPEED, of_another_machine
+from hilbench.topology.quantities import SHAFT_COULOMB_FRICTION, SHAFT_INERTIA, SPEED
 from hilbench.topology.safety import Limit
 
 #: Margins below which a loop is noted.
@@ -90,7 +82,7 @@ def _check_paths(loaded: LoadedConfig, asked: list[Move]) -> None:
     """Every quantity that a step changes is one of this machine."""
     for move in asked:
         for path in move.after.values.keys() - move.before.values.keys():
-            problem = of_another_machine(path, loaded.config.machine_kind)
+            problem = loaded.config.path_problem(path)
             if problem:
                 raise UnusableInputError(loaded.document.place(move.after.place), f"expected {problem}")
 
@@ -140,15 +132,14 @@ def _check_web(
     places = _operating_points(config, asked)
     for point, place in places.items():
         check_stability(config, document, point, place if len(place) > 1 else ("machine", "web"))
-    stiffest_Pa_per_m = max(point.youngs_modulus_Pa / point.span_length_m for point in places)
-    reserve = stiffness_reserve(config, stiffest_Pa_per_m)
+    reserve = stiffness_reserve(config, max(places, key=_stiffness))
     worst = _worst(config, list(places)) if with_margins else None
     warnings = list(_warnings(loaded, asked))
     notes = list(bench.notes)
     if worst is not None and (worst.margins.gain < _LEAST_GAIN or worst.margins.phase_deg < _LEAST_PHASE_DEG):
         warnings.append(
             f"the tension loop rings: {worst}, expected at least {_LEAST_GAIN:g} and {_LEAST_PHASE_DEG:g}°, by a "
-            f"smaller tension_control: bandwidth_rad_per_s, more swing_damping_ratio or a shorter cycle"
+            f"smaller bandwidth_rad_per_s of the controllers, more swing_damping_ratio or a shorter cycle"
         )
     if reserve < 1.0:
         notes.append(
@@ -169,8 +160,8 @@ def _operating_points(config: ExperimentConfig, asked: list[Move]) -> dict[Opera
     def add(state: State, believed_Pa: float) -> None:
         if state.youngs_modulus_Pa <= 0.0 or believed_Pa <= 0.0:
             return  # values are checked where they enter
-        length_m = (config.load.web.span_length_m or config.web_line.span_length_m(1)) * state.length_factor
-        point = OperatingPoint(state.youngs_modulus_Pa, abs(state.line_speed_m_s), length_m, believed_Pa)
+        factor = state.length_factor
+        point = OperatingPoint(state.youngs_modulus_Pa, abs(state.line_speed_m_s), factor, believed_Pa)
         if not any(_alike(point, known) for known in points):
             points[point] = state.place
 
@@ -183,10 +174,15 @@ def _operating_points(config: ExperimentConfig, asked: list[Move]) -> dict[Opera
     return points if len(points) <= _MOST_POINTS else _extremes(points)
 
 
+def _stiffness(point: OperatingPoint) -> float:
+    """Of the web, to compare points by."""
+    return point.youngs_modulus_Pa / point.length_factor
+
+
 def _alike(one: OperatingPoint, other: OperatingPoint) -> bool:
     return (
         abs(one.line_speed_m_s - other.line_speed_m_s) <= _SAME_SPEED_M_S
-        and one.span_length_m == other.span_length_m
+        and one.length_factor == other.length_factor
         and abs(one.youngs_modulus_Pa / other.youngs_modulus_Pa - 1.0) <= SAME_MODULUS
         and abs(one.estimate_Pa / other.estimate_Pa - 1.0) <= SAME_MODULUS
     )
@@ -200,7 +196,7 @@ def _extremes(points: dict[OperatingPoint, Location]) -> dict[OperatingPoint, Lo
 
     kept: dict[OperatingPoint, Location] = {}
     for order in (
-        lambda point: point.youngs_modulus_Pa / point.span_length_m,
+        _stiffness,
         lambda point: point.line_speed_m_s,
         mistake,
     ):
@@ -225,8 +221,9 @@ def _warnings(loaded: LoadedConfig, asked: list[Move]) -> Iterator[str]:
         before, after = move.before, move.after
         at = loaded.document.place(after.place)
         modulus_Pa = after.youngs_modulus_Pa
-        if after.set_point_N != before.set_point_N:
-            yield from _beyond(at, "set-point of the tension", after.set_point_N, limits.tension_N, "N")
+        for path, set_point_N in after.set_points_N.items():
+            if set_point_N != before.set_points_N.get(path):
+                yield from _beyond(at, "set-point of the tension", set_point_N, limits.tension_N, "N")
         if after.line_speed_m_s != before.line_speed_m_s:
             yield from _beyond(at, "line speed", abs(after.line_speed_m_s), limits.speed_m_s, "m/s")
             yield from _too_fast(loaded.config, at, move)
@@ -234,7 +231,7 @@ def _warnings(loaded: LoadedConfig, asked: list[Move]) -> Iterator[str]:
             ratio = max(modulus_Pa / model_Pa, model_Pa / modulus_Pa)
             yield from _beyond(at, "E over the model's (or its inverse)", ratio, limits.estimate_ratio, "")
             if move.duration_s == 0.0:
-                tension_N = after.set_point_N * modulus_Pa / before.youngs_modulus_Pa
+                tension_N = max(after.set_points_N.values()) * modulus_Pa / before.youngs_modulus_Pa
                 yield from _beyond(at, "tension right behind this step of E", tension_N, limits.tension_N, "N")
 
 
@@ -250,7 +247,7 @@ def _too_fast(config: ExperimentConfig, at: str, move: Move) -> Iterator[str]:
     assert drives is not None, "a bench's model has drives"
     way_m_s = abs(move.after.line_speed_m_s - move.before.line_speed_m_s)
     longest_s, named, needed_Nm, limit_Nm = 0.0, 0, 0.0, inf
-    for axis in (1, 2):
+    for axis in range(1, model.axis_count + 1):
         rad_per_m, most_Nm = model.motor_rad_per_m(axis), per_item(drives.torque_limit_Nm, axis)
         if move.duration_s > 0.0:
             asks_Nm = model.mass_kg(axis) * way_m_s / move.duration_s / rad_per_m

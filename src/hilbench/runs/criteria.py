@@ -10,8 +10,8 @@ from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, mod
 
 from hilbench.block import Block, Strict
 from hilbench.runs.figures import LEAST_SETTLED_S
-from hilbench.runs.metrics import METRICS, Judgement, reasons
-from hilbench.runs.stretch import Figure
+from hilbench.runs.metrics import METRICS, Judgement, find_metric, reasons
+from hilbench.runs.stretch import Figure, Metric
 from hilbench.suggest import did_you_mean
 
 
@@ -37,12 +37,13 @@ class Criterion(Block):
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
-        if self.metric not in METRICS:
+        metric = find_metric(self.metric)
+        if metric is None:
             meant = did_you_mean(self.metric, METRICS)
             raise ValueError(f"metric '{self.metric}' is not known, one of {', '.join(METRICS)}{meant}")
-        if self.unit is not None and self.unit != METRICS[self.metric].unit:
-            raise ValueError(f"unit '{self.unit}' of metric {self.metric}, which is in '{METRICS[self.metric].unit}'")
-        if self.step is not None and not METRICS[self.metric].of_steps:
+        if self.unit is not None and self.unit != metric.unit:
+            raise ValueError(f"unit '{self.unit}' of metric {self.metric}, which is in '{metric.unit}'")
+        if self.step is not None and not metric.of_steps:
             raise ValueError(f"no step with metric {self.metric}, which is of the whole run")
         if (self.target is None) != (self.tolerance is None):
             raise ValueError("target and tolerance together")
@@ -52,6 +53,13 @@ class Criterion(Block):
         if self.min is not None and self.max is not None and self.min > self.max:
             raise ValueError(f"min {self.min:g} at most max {self.max:g}")
         return self
+
+    @property
+    def meaning(self) -> Metric:
+        """What the metric is."""
+        metric = find_metric(self.metric)
+        assert metric is not None, "as it was checked"
+        return metric
 
     @property
     def limit(self) -> str:
@@ -116,7 +124,7 @@ def evaluate(
     number, fails."""
     return [
         _judge_steps(criterion, judged)
-        if judged is not None and METRICS[criterion.metric].of_steps
+        if judged is not None and criterion.meaning.of_steps
         else _judge_run(criterion, metrics)
         for criterion in criteria
     ]
@@ -127,7 +135,7 @@ def _judge_run(criterion: Criterion, metrics: Mapping[str, float | None]) -> Cri
     if criterion.metric not in metrics:
         return _result(criterion, reason=f"metric {criterion.metric} was not evaluated in this run")
     if value is None:
-        return _result(criterion, reason=f"the run has no {criterion.metric}: {METRICS[criterion.metric].absent}")
+        return _result(criterion, reason=f"the run has no {criterion.metric}: {criterion.meaning.absent}")
     if not isfinite(value):
         return _result(criterion, reason=f"{criterion.metric} is {value}, expected a finite number")
     return _result(criterion, value)
@@ -179,7 +187,7 @@ def _result(
         name=criterion.name,
         value=value,
         limit=criterion.limit,
-        unit=METRICS[criterion.metric].unit,
+        unit=criterion.meaning.unit,
         passed=inside is not None and inside >= 0,
         marginal=inside is not None and 0 <= inside < (criterion.margin or 0.0),
         never=never,

@@ -9,8 +9,10 @@ A figure that a step cannot have is None and says why; nothing is put in its pla
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cache
 from typing import Final
 
 import numpy as np
@@ -20,12 +22,17 @@ from hilbench.runs.figures import finite_or_none, working_window
 from hilbench.runs.machines import servo_axis, web_line
 from hilbench.runs.machines.machine import MachineMetrics
 from hilbench.runs.stretch import Array, Channels, Figure, Metric, Stretch, UnknownFigureError
-from hilbench.topology.signals import kind_of
+from hilbench.topology.signals import SMALLEST, Shape, kind_of, shape_of
 
-#: What each kind of machine has of its steps.
-OF_STEPS: Final[Mapping[str, MachineMetrics]] = {"web_line": web_line.METRICS, "servo_axis": servo_axis.METRICS}
+#: What the smallest machine of each kind has of its steps.
+OF_STEPS: Final[Mapping[str, MachineMetrics]] = {
+    "web_line": web_line.metrics_of(SMALLEST["web_line"]),
+    "servo_axis": servo_axis.METRICS,
+}
 FIRST_KIND: Final = next(iter(OF_STEPS))
+_NUMBERED: Final = re.compile(r"[A-Za-z]+([1-9]\d{0,2})_\w+")
 
+_NO_SUCH_METRIC = "there is no such metric"
 _NO_TIMING = "the timing was not measured"
 _NOT_COUNTED = "this bus interface does not count them, or no cycle ran"
 
@@ -44,7 +51,7 @@ OF_RUNS: Final = {
     "bus_load_pct": Metric("%", "bits on the bus over its capacity", _NO_TIMING),
 }
 
-#: Every metric that a criterion can bound, whatever the machine: of several kinds with one the first's.
+#: Every metric of the smallest machines: of several kinds with one the first's.
 METRICS: Final[Mapping[str, Metric]] = {
     **OF_STEPS[FIRST_KIND].metrics,
     **{
@@ -58,6 +65,23 @@ METRICS: Final[Mapping[str, Metric]] = {
 
 #: Steps whose reasons are told in one line.
 _MOST_REASONS: Final = 3
+
+
+def metrics_of(kind: str, shape: Shape) -> MachineMetrics:
+    """What a machine has of its steps."""
+    return web_line.metrics_of(shape) if kind == "web_line" else OF_STEPS[kind]
+
+
+@cache
+def find_metric(name: str) -> Metric | None:
+    """What is meant by a name, whatever the machine; None for a name that is no metric."""
+    if name in METRICS:
+        return METRICS[name]
+    numbered = _NUMBERED.fullmatch(name)
+    if numbered is None:
+        return None
+    spans = tuple(range(1, max(int(numbered[1]), 2) + 1))  # of the shortest line with so many
+    return web_line.metrics_of(Shape(len(spans) + 1, (), len(spans), spans, spans)).metrics.get(name)
 
 
 def kind_of_figures(names: Iterable[str]) -> str:
@@ -90,7 +114,7 @@ class Judgement:
 
     steps: Sequence[StepFigures]
     events: Sequence[Event] = field(default=())
-    kind: str = FIRST_KIND  #: of machine
+    machine: MachineMetrics = OF_STEPS[FIRST_KIND]
 
     def figures(self, metric: str) -> list[tuple[StepFigures, Figure]]:
         """The figures of one metric, of the steps that have it."""
@@ -99,15 +123,16 @@ class Judgement:
     def metrics(self) -> dict[str, float | None]:
         """One number a metric: the worst (largest in size) of all steps; None where no step has one, or where what was
         waited for never came."""
-        return {name: self._worst(name) for name in OF_STEPS[self.kind].metrics}
+        return {name: self._worst(name) for name in self.machine.metrics}
 
     def absent(self, metric: str) -> str:
         """Why a run of this machine may not have a metric."""
-        return OF_STEPS[self.kind].metrics.get(metric, METRICS[metric]).absent
+        known = self.machine.metrics.get(metric) or find_metric(metric)
+        return known.absent if known is not None else _NO_SUCH_METRIC
 
     def not_judged(self) -> dict[str, str]:
         """Why a metric is None."""
-        return {name: self.reason(name) for name in OF_STEPS[self.kind].metrics if self._worst(name) is None}
+        return {name: self.reason(name) for name in self.machine.metrics if self._worst(name) is None}
 
     def reason(self, metric: str) -> str:
         """Why not every step has a value of a metric; "" where all have."""
@@ -121,8 +146,7 @@ class Judgement:
         found = self.figures(metric)
         if any(figure.longer_than_s is not None for _, figure in found):
             return None
-        together = OF_STEPS[self.kind].together
-        by = together[-1] if metric in together else metric
+        by = next((group[-1] for group in self.machine.together if metric in group), metric)
         known = [step for step, figure in found if finite_or_none(figure.value) is not None]
         if not known:
             return None
@@ -147,8 +171,7 @@ def judge(channels: Channels, *, journal: Sequence[Event] = ()) -> Judgement:
     `channels` are named as in `hilbench.topology.signals`, of equal length; `journal`: what the bench noted of its
     steps (`hilbench.runs.events.journal_events`), for those that no signal shows.
     """
-    kind = kind_of(channels)
-    machine = OF_STEPS[kind]
+    machine = metrics_of(kind_of(channels), shape_of(channels))
     events = find_events(channels, journal)
     time_s = np.asarray(channels["t_s"], np.float64)
     ending = [event for event in events if not _is_its_work(event, machine)]
@@ -159,14 +182,14 @@ def judge(channels: Channels, *, journal: Sequence[Event] = ()) -> Judgement:
         for number, step in enumerate(steps, 1):
             part = _stretch(time_s, step.end_s, _next(ending, step.end_s))
             judged.append(_judge(machine, channels, part, number, step))
-        return Judgement(judged, events, kind)
+        return Judgement(judged, events, machine)
     window = _window(machine, channels, time_s)
     if window is None:
-        return Judgement((), events, kind)
+        return Judgement((), events, machine)
     inside = [event.end_s for event in ending if time_s[window][0] < event.end_s < time_s[window][-1]]
     if inside:
         window = slice(int(np.searchsorted(time_s, max(inside))), window.stop)
-    return Judgement([_judge(machine, channels, window, 0, None)], events, kind)
+    return Judgement([_judge(machine, channels, window, 0, None)], events, machine)
 
 
 def _is_its_work(event: Event, machine: MachineMetrics) -> bool:

@@ -30,13 +30,13 @@ class State:
 
     @property
     def line_speed_m_s(self) -> float:
-        """Set-point of axis 2."""
+        """Set-point of the last axis."""
         return self.values[quantities.LINE_SPEED]
 
     @property
-    def set_point_N(self) -> float:
-        """Of the tension."""
-        return self.values[quantities.TENSION_SET_POINT]
+    def set_points_N(self) -> dict[str, float]:
+        """Of the tensions, by path."""
+        return {path: value for path, value in self.values.items() if quantities.span_of_set_point(path) is not None}
 
     @property
     def youngs_modulus_Pa(self) -> float:
@@ -95,11 +95,11 @@ def _start_values(config: ExperimentConfig) -> dict[str, float]:
             quantities.SHAFT_COULOMB_FRICTION: shaft.shaft.coulomb_friction_Nm,
         }
     modulus_Pa = config.load.web.youngs_modulus_Pa or config.web_line.required_web.youngs_modulus_Pa
-    return {
-        quantities.LINE_SPEED: 0.0,
-        quantities.TENSION_SET_POINT: config.tension_control.set_point_N,
-        quantities.YOUNGS_MODULUS: modulus_Pa,
+    set_points = {
+        quantities.tension_set_point(config.shape.numbered(span)): control.set_point_N
+        for span, control in config.tension_controls.items()
     }
+    return {quantities.LINE_SPEED: 0.0, **set_points, quantities.YOUNGS_MODULUS: modulus_Pa}
 
 
 def start_of(config: ExperimentConfig) -> State:

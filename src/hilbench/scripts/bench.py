@@ -5,7 +5,7 @@ from __future__ import annotations
 import atexit
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from os import PathLike
 from pathlib import Path
@@ -217,5 +217,5 @@ class Bench(bench.Bench):
         step_time_s = self.events[-1].time_s
         self.run(hold_s)
         judged = self.judge()
-        last = Judgement(judged.steps[-1:], judged.events)
+        last = replace(judged, steps=judged.steps[-1:])
         return StepResponse(self.recording, step_time_s, last.metrics(), last.not_judged())

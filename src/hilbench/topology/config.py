@@ -5,10 +5,10 @@ The experiment and its criteria stand in the same file; `hilbench.runs.config` a
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Annotated, Any, Literal
 
-from pydantic import Discriminator, Field, PositiveFloat, Tag, ValidationInfo, field_validator, model_validator
+from pydantic import Discriminator, Field, Tag, ValidationInfo, field_validator, model_validator
 
 from hilbench.block import Block
 from hilbench.can.open import BusAddress
@@ -22,13 +22,20 @@ from hilbench.plant.sensors import SensorParameters
 from hilbench.plant.servo_axis.effects import ShaftEffect
 from hilbench.plant.servo_axis.parameters import ServoAxisParameters, ShaftParameters
 from hilbench.plant.servo_axis.rig import ServoRigParameters
-from hilbench.plant.web_line.parameters import Length, ModelParameters, Modulus
+from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.rig import CoupledMotor, RigParameters
 from hilbench.real_time import ProcessSettings
 from hilbench.topology.parts import DriveConfig, LoadMotorConfig, NodeConfig, Part, PartName, Role
-from hilbench.topology.quantities import AXES
+from hilbench.topology.quantities import path_problem
 from hilbench.topology.safety import SafetyConfig, TimeOut
-from hilbench.topology.signals import Signal, signals_of
+from hilbench.topology.signal_kinds import Signal
+from hilbench.topology.signals import Shape, signals_of
+from hilbench.topology.web_line_config import (
+    LoadWebConfig,
+    TensionControlConfig,
+    estimate_misfits,
+    span_misfits,
+)
 
 Pace = Literal["lockstep", "realtime"]
 Mirroring = Literal["listen", "copy"]
@@ -95,8 +102,7 @@ def _effect_problem(entry: EffectEntry, kind: MachineKind) -> str | None:
 
 
 def _place_problem(entry: EffectEntry, place: EffectPlace, kind: MachineKind) -> str | None:
-    axes, loaded = AXES[kind]
-    return effect_problem(entry.effect, entry.axis, place, axes, loaded, kind)
+    return effect_problem(entry.effect, entry.axis, place, None, None, kind)
 
 
 def _possible_effects(entries: list[HiddenEffect], place: EffectPlace) -> list[HiddenEffect]:
@@ -125,13 +131,6 @@ class HardwareConfig(Block):
         return _possible_effects(entries, EffectPlace.HARDWARE)
 
 
-class LoadWebConfig(Block):
-    """Where the imitated web differs from the model; what is not given is as in `machine:`."""
-
-    youngs_modulus_Pa: Modulus | None = Field(default=None, description="Young's modulus E of the imitated web")
-    span_length_m: Length | None = Field(default=None, description="free web between the two rollers")
-
-
 class LoadShaftConfig(Block):
     """Where the imitated shaft differs from the model; what is not given is as in `machine:`."""
 
@@ -154,30 +153,6 @@ class LoadConfig(Block):
     @classmethod
     def _imitable(cls, entries: list[HiddenEffect]) -> list[HiddenEffect]:
         return _possible_effects(entries, EffectPlace.LOAD)
-
-
-class TensionControlConfig(Block):
-    """The tension loop: how the velocity of the axis before a span keeps its simulated tension at the set-point."""
-
-    kind: Literal["tension"] = "tension"
-    span: int = Field(default=1, ge=1, description="number of the span whose tension is kept")
-    set_point_N: PositiveFloat = Field(default=80.0, description="of the simulated tension, the sensor of the loop")
-    bandwidth_rad_per_s: PositiveFloat = Field(default=6.0, description="of the closed tension loop")
-    twin_age_limit_cycles: int = Field(
-        default=10, ge=0, description="age of the twin's data up to which the loop stays closed on them"
-    )
-    twin_deviation_limit_pct: PositiveFloat = Field(
-        default=30.0, description="stated deviation of E up to which the loop stays closed on the twin"
-    )
-    correction_limit_m_s: PositiveFloat = Field(
-        default=0.02, description="largest |v1 - v2| the controller asks for, without the damping"
-    )
-    swing_damping_ratio: float = Field(
-        default=1.3,
-        ge=0.0,
-        le=2.0,
-        description="damping ratio that axis 1 gives the swing of roller 2 against the web; 0: none",
-    )
 
 
 class CoresConfig(Block):
@@ -212,13 +187,22 @@ _OF_EVERY_TWIN = {"node", "synchronized_pct", "behind", "virtual_tpdo_every"}
 _OF_THE_SHAFT = {"inertia"}
 
 
-def _misfits(key: str, value: Any, kind: MachineKind) -> Iterator[str]:
-    """Why the value of a key can't be that of a bench with this kind of machine."""
+def _misfits(key: str, value: Any, machine: Any, loaded: Collection[int] | None) -> Iterator[str]:
+    """Why the value of a key can't be that of a bench with this machine, and load motors on the shafts of the axes
+    `loaded` (None: that is not known)."""
+    kind = MachineKind(machine.kind)
     of_servo = kind is MachineKind.SERVO_AXIS
     if key == "load_motors" and of_servo and len(value) != 1:
         yield "one load motor: a servo axis has one shaft"
     if key == "controllers" and bool(value) is of_servo:
         yield "none: a servo axis follows its reference" if of_servo else "at least one"
+    if key == "controllers" and not of_servo:
+        yield from span_misfits([control.span for control in value.values()], machine.span_count)
+    if key == "twin" and not of_servo:
+        yield from estimate_misfits(value, machine)
+    lengths = value.web.span_length_m if key == "load" and not of_servo else None
+    if isinstance(lengths, list) and len(lengths) != machine.span_count:
+        yield f"'web.span_length_m' as one number or {machine.span_count}"
     if key == "load" and value.web != LoadWebConfig() and of_servo:
         yield "'shaft:' for a servo axis"
     if not of_servo and ((key == "load" and value.shaft != LoadShaftConfig()) or (key == "hardware" and value.shaft)):
@@ -230,7 +214,14 @@ def _misfits(key: str, value: Any, kind: MachineKind) -> Iterator[str]:
                 yield f"no '{name}:', which is of a twin of another kind of machine (this one is a {kind})"
     if key in ("hardware", "load"):
         for entry in value.effects:
-            yield from filter(None, [_effect_problem(entry, kind), _place_problem(entry, EffectPlace(key), kind)])
+            place = effect_problem(entry.effect, entry.axis, EffectPlace(key), machine.axis_count, loaded, kind)
+            yield from filter(None, [_effect_problem(entry, kind), place])
+
+
+def _loaded(drives: Mapping[str, DriveConfig], motors: Mapping[str, LoadMotorConfig]) -> tuple[int, ...]:
+    """The axes on whose shaft a load motor is, from 1, in the order of the motors."""
+    axes = {name: axis for axis, name in enumerate(drives, 1)}
+    return tuple(axes[motor.shaft] for motor in motors.values() if motor.shaft in axes)
 
 
 def _of_shaft(entries: Sequence[EffectEntry]) -> list[ShaftEffect]:
@@ -279,9 +270,10 @@ class BenchConfig(Block):
     @field_validator("load_motors", "hardware", "load", "twin", "controllers")
     @classmethod
     def _of_this_machine(cls, value: Any, info: ValidationInfo) -> Any:
-        machine = info.data.get("machine")
+        machine, drives, motors = (info.data.get(key) for key in ("machine", "drives", "load_motors"))
         if machine is not None:  # else the machine's own error is the one to report
-            problem = next(_misfits(str(info.field_name), value, MachineKind(machine.kind)), None)
+            loaded = None if drives is None or motors is None else _loaded(drives, motors)
+            problem = next(_misfits(str(info.field_name), value, machine, loaded), None)
             if problem:
                 raise ValueError(problem)
         return value
@@ -318,6 +310,9 @@ class BenchConfig(Block):
                 raise ValueError(
                     f"the drive on whose shaft '{name}' sits: {', '.join(self.drives)}; '{motor.shaft}' is none"
                 )
+        shafts = [motor.shaft for motor in self.load_motors.values()]
+        if len(set(shafts)) < len(shafts):
+            raise ValueError(f"one load motor on a shaft: {', '.join(self.load_motors)} are on {', '.join(shafts)}")
         if isinstance(machine, ModelParameters):
             self.rig_parameters()  # raises ValueError for a load motor that is too heavy
         else:
@@ -429,15 +424,39 @@ class BenchConfig(Block):
         raise KeyError(name)
 
     @property
-    def signals(self) -> tuple[Signal, ...]:
-        """What a sample of this bench has, in recording order."""
+    def shape(self) -> Shape:
+        """What there are several of."""
         machine = self.machine
-        return signals_of(machine.kind, machine.axis_count, list(self.load_motors), machine.span_count)
+        return Shape(
+            machine.axis_count,
+            tuple(self.load_motors),
+            machine.span_count,
+            tuple(sorted(each.span for each in self.twin.estimate)) if machine.span_count else (),
+            tuple(sorted(control.span for control in self.controllers.values())),
+        )
 
     @property
-    def tension_control(self) -> TensionControlConfig:
-        """The first controller of a web line."""
-        return next(iter(self.controllers.values()))
+    def signals(self) -> tuple[Signal, ...]:
+        """What a sample of this bench has, in recording order."""
+        return signals_of(self.machine.kind, self.shape)
+
+    @property
+    def loaded_axes(self) -> tuple[int, ...]:
+        """The axis, from 1, on whose shaft each load motor is."""
+        return _loaded(self.drives, self.load_motors)
+
+    @property
+    def tension_controls(self) -> dict[int, TensionControlConfig]:
+        """The controllers of a web line by the span whose tension they keep, in the order of the spans."""
+        return {control.span: control for control in sorted(self.controllers.values(), key=lambda each: each.span)}
+
+    def path_problem(self, path: str) -> str | None:
+        """Why this bench has no such quantity that can be set, in one line, or None."""
+        return path_problem(path, self.machine_kind, self.shape, self.loaded_axes)
+
+    def controller_of(self, span: int) -> str:
+        """The name of the controller that keeps the tension of a span. Raises KeyError for none."""
+        return {control.span: name for name, control in self.controllers.items()}[span]
 
     @field_validator("cycle_time_s")
     @classmethod

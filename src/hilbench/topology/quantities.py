@@ -1,9 +1,10 @@
 """The quantities of a running bench that an experiment may change, by path, and what values each of them may have.
 
-`line_speed_m_s`, `tension_control.set_point_N`, `load.web.youngs_modulus_Pa`, `load.web.broken` (1: the web of the span
+`line_speed_m_s`, `tension_control.set_point_N`, `load.web.youngs_modulus_Pa`, `load.web.broken` (1: the web
 has torn and pulls no more; 0: it is whole), and any parameter of any effect, hidden
 in the imitated mechanics or in the simulated hardware: `load.effects.elasticity_drift.rate_per_s`,
-`hardware.effects.coulomb_friction.axis1.force_N`. Of a servo axis: `speed_rad_s`, `load.shaft.inertia_kg_m2`,
+`hardware.effects.coulomb_friction.axis1.force_N`. On a line of several spans a set-point has the number of its span:
+`tension_control.span2.set_point_N`. Of a servo axis: `speed_rad_s`, `load.shaft.inertia_kg_m2`,
 `load.shaft.coulomb_friction_Nm`, `load.shaft.viscous_friction_Nm_s_per_rad`.
 
 The ranges here are those of values with a meaning, whatever the config. What an operator may ask for of a running
@@ -12,7 +13,8 @@ bench is less (`hilbench.bench.operator.operator_objects`), and `safety: limits`
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+import re
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 from functools import cache
 from itertools import product
@@ -23,6 +25,7 @@ from hilbench.errors import UnusableValueError
 from hilbench.plant.effects import EffectPlace, MachineKind, effect_problem, effects_of, find_effect
 from hilbench.plant.web_line.parameters import LARGEST_MODULUS_Pa, LEAST_MODULUS_Pa
 from hilbench.suggest import did_you_mean
+from hilbench.topology.signals import Shape
 
 LINE_SPEED = "line_speed_m_s"
 TENSION_SET_POINT = "tension_control.set_point_N"
@@ -89,10 +92,26 @@ _PLAIN_OF = {
 }
 _PLAIN = {path: values for of_kind in _PLAIN_OF.values() for path, values in of_kind.items()}
 PLAIN_PATHS = tuple(_PLAIN)
+_NUMBERED_SET_POINT = re.compile(r"tension_control\.span([1-9]\d{0,3})\.set_point_N")
+_AXIS = re.compile(r"axis([1-9]\d{0,3})")
+
+#: Axes of the smallest machine of each kind, and those on whose shaft a load motor is.
+_SMALLEST = {MachineKind.WEB_LINE: (2, (2,)), MachineKind.SERVO_AXIS: (1, (1,))}
 
 
-#: Axes of a machine of each kind, and those on whose shaft a load motor is.
-AXES = {MachineKind.WEB_LINE: (2, (2,)), MachineKind.SERVO_AXIS: (1, (1,))}
+def tension_set_point(number: str) -> str:
+    """The path of the set-point of a span's tension; `number`: that of the span as names have it (`Shape.numbered`)."""
+    return f"tension_control.span{number}.set_point_N" if number else TENSION_SET_POINT
+
+
+def span_of_set_point(path: str) -> str | None:
+    """The number of the span in the path of a set-point of a tension, "" where it has none; None for another path."""
+    found = _NUMBERED_SET_POINT.fullmatch(path)
+    return found[1] if found else "" if path == TENSION_SET_POINT else None
+
+
+def _is_plain(path: str) -> bool:
+    return path in _PLAIN or _NUMBERED_SET_POINT.fullmatch(path) is not None
 
 
 @dataclass(frozen=True)
@@ -108,9 +127,9 @@ class EffectPath:
 
 @cache
 def parse_effect_path(text: str, kind: MachineKind | None = None) -> EffectPath:
-    """Take ``load|hardware.effects.ID[.axis1|.axis2].PARAMETER`` apart, as a kind of machine has it (None: as any has).
+    """Take ``load|hardware.effects.ID[.axisN].PARAMETER`` apart, as a kind of machine has it (None: as any has).
 
-    Raises ValueError that says what is wrong.
+    Which axes there are the bench says (`path_problem`). Raises ValueError that says what is wrong.
     """
     if kind is not None:
         return _parsed(text, kind)
@@ -137,45 +156,47 @@ def _parsed(text: str, kind: MachineKind) -> EffectPath:
     except KeyError:
         meant = did_you_mean(name, (effect.id for effect in effects_of(kind)))
         raise ValueError(f"an effect of the vocabulary, '{name}' is none{meant}") from None
-    axis = {"axis1": 1, "axis2": 2}.get(axis_part[0]) if axis_part else None
+    numbered = _AXIS.fullmatch(axis_part[0]) if axis_part else None
+    axis = int(numbered[1]) if numbered else None
     if effect.per_axis and axis is None:
-        raise ValueError(f"'{name}' with its axis: {place}.effects.{name}.axis1|axis2.{parameter}")
+        raise ValueError(f"'{name}' with its axis: {place}.effects.{name}.axisN.{parameter}")
     if not effect.per_axis and axis_part:
         raise ValueError(f"'{name}' without an axis: {place}.effects.{name}.{parameter}")
     names = [known.name for known in effect.parameters]
     if parameter not in names:
         meant = did_you_mean(parameter, names)
         raise ValueError(f"a parameter of '{name}' ({', '.join(names)}), '{parameter}' is none{meant}")
-    axes, loaded = AXES[kind]
-    problem = effect_problem(name, axis, EffectPlace(place), axes, loaded, kind)
+    problem = effect_problem(name, axis, EffectPlace(place), None, None, kind)
     if problem:
         raise ValueError(problem)
     return EffectPath(place, name, axis, parameter, kind)
 
 
-def plain_paths(kind: MachineKind) -> tuple[str, ...]:
-    """The quantities of a kind of machine, without those of its effects."""
-    return tuple(_PLAIN_OF[kind])
+def plain_paths(kind: MachineKind, shape: Shape) -> tuple[str, ...]:
+    """The quantities of a machine, without those of its effects."""
+    set_points = [tension_set_point(shape.numbered(span)) for span in shape.controlled]
+    return tuple(path for known in _PLAIN_OF[kind] for path in (set_points if known == TENSION_SET_POINT else [known]))
 
 
-def of_another_machine(path: str, kind: MachineKind) -> str | None:
-    """Why a machine of this kind has no such quantity, in one line, or None."""
-    if path in _PLAIN_OF[kind]:
+def path_problem(path: str, kind: MachineKind, shape: Shape, loaded: Collection[int]) -> str | None:
+    """Why a machine has no such quantity, in one line, or None; `loaded`: axes on whose shaft a load motor is."""
+    known = plain_paths(kind, shape)
+    if path in known:
         return None
+    if _is_plain(path):
+        return f"a quantity of this {kind}: {', '.join(known)}; '{path}' is none of it"
     try:
-        if path not in _PLAIN:
-            parse_effect_path(path, kind)
-            return None
+        of = parse_effect_path(path, kind)
     except ValueError as error:
         return str(error)
-    return f"a quantity of a {kind} ({', '.join(_PLAIN_OF[kind])}), '{path}' is of another kind of machine"
+    return effect_problem(of.effect, of.axis, EffectPlace(of.place), shape.axes, loaded, kind)
 
 
 def all_paths() -> Iterator[str]:
-    """Every path that can be set."""
+    """Every path that can be set on the smallest machine of each kind."""
     yield from PLAIN_PATHS
     for kind, effect in ((each, effect) for each in MachineKind for effect in effects_of(each)):
-        axes, loaded = AXES[kind]
+        axes, loaded = _SMALLEST[kind]
         for place, axis in product(EffectPlace, range(1, axes + 1) if effect.per_axis else (None,)):
             if not effect_problem(effect.id, axis, place, axes, loaded, kind):
                 at = f"{place}.effects.{effect.id}." + ("" if axis is None else f"axis{axis}.")
@@ -189,7 +210,7 @@ def is_of_load(path: str) -> bool:
 
 def settable_path(text: str) -> str:
     """The path itself when it names a quantity that can be set; ValueError otherwise."""
-    if text not in PLAIN_PATHS:
+    if not _is_plain(text):
         parse_effect_path(text)
     return text
 
@@ -204,8 +225,8 @@ def rampable_path(text: str) -> str:
 @cache
 def permitted(path: str) -> Permitted:
     """What values a quantity may have. Raises ValueError for an unknown path."""
-    if path in _PLAIN:
-        return _PLAIN[path]
+    if _is_plain(path):
+        return _PLAIN.get(path, _PLAIN[TENSION_SET_POINT])
     of = parse_effect_path(path)
     parameter = find_effect(of.effect, of.kind).parameter(of.parameter)
     return Permitted(parameter.lower, parameter.upper, parameter.unit)

@@ -7,7 +7,7 @@ from dataclasses import field, make_dataclass
 from functools import cache
 from typing import TYPE_CHECKING, cast
 
-from hilbench.topology.signals import Signal
+from hilbench.topology.signal_kinds import Signal
 
 
 class CycleSample:

@@ -9,140 +9,27 @@ a span is left out where there is only one.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from enum import StrEnum
 from functools import cache
 from typing import Final
 
-
-class Per(StrEnum):
-    """What has a signal of its own."""
-
-    BENCH = "bench"
-    AXIS = "axis"  #: a driven axis of the machine
-    LOAD_MOTOR = "load_motor"
-    SPAN = "span"
-
-
-@dataclass(frozen=True, slots=True)
-class Signal:
-    """One channel of a recording.
-
-    `unit` is the SI unit as MDF4 shows it ("" for a pure number); `group` says who knows the value:
-    ``time``, ``command`` (the bench), ``measured`` (the drives), ``boundary`` (given to the process),
-    ``load`` (load motors and load model), ``twin``, ``truth`` (only a simulated bench has it; diagnosis never
-    reads it) or ``bus``. `integer` marks counts and bit fields.
-    """
-
-    name: str
-    unit: str
-    description: str
-    group: str
-    integer: bool = False
-
-
-@dataclass(frozen=True, slots=True)
-class SignalKind:
-    """The declaration of a signal, as in `Signal`; `per` says which parts have one, by whose number or name the
-    placeholders of `name` and `description` are filled. ``{next}`` is the number of the axis behind a span."""
-
-    name: str
-    unit: str
-    description: str
-    group: str
-    per: Per = Per.BENCH
-    integer: bool = False
-
-    def of(self, part: str, *, number: str | None = None) -> Signal:
-        """The signal of one part; `number`: how the part is counted in a name, if not as in the description."""
-        following = str(int(part) + 1) if part.isdecimal() else ""
-        in_name = part if number is None else number
-        return Signal(
-            self.name.format_map({self.per: in_name, "next": following}),
-            self.unit,
-            self.description.format_map({self.per: part, "next": following}),
-            self.group,
-            self.integer,
-        )
-
-
-#: Name of the time channel, the common time base of all others.
-TIME: Final = "t_s"
-
-_TIME: Final = (SignalKind(TIME, "s", "bus time: number of the SYNC times the cycle", "time"),)
-
-
-def _axes(unit: str, where: str, what: str) -> tuple[SignalKind, ...]:
-    """What every driven axis has, in the machine's unit of position; `where` and `what` say of what."""
-    speed, per = f"{unit}/s", Per.AXIS
-    suffix = f"{unit}_s"
-    return (
-        SignalKind(f"v{{axis}}_cmd_{suffix}", speed, f"velocity command of axis {{axis}}{where}", "command", per),
-        SignalKind(f"x{{axis}}_{unit}", unit, f"position of {what}", "measured", per),
-        SignalKind(f"v{{axis}}_{suffix}", speed, f"velocity of {what}", "measured", per),
-        SignalKind("tau{axis}_Nm", "N·m", "actual torque of axis {axis}, motor side", "measured", per),
-    )
-
-
-def _load_motors(unit: str, what: str) -> tuple[SignalKind, ...]:
-    per = Per.LOAD_MOTOR
-    return (
-        SignalKind("tau_{load_motor}_Nm", "N·m", "actual torque of the load motor, motor side", "load", per),
-        SignalKind("tau_{load_motor}_cmd_Nm", "N·m", "torque command of the load motor, motor side", "load", per),
-        SignalKind(f"x_{{load_motor}}_{unit}", unit, f"position of the load motor: {what}", "load", per),
-    )
-
-
-_TWIN: Final = (
-    SignalKind("twin_age_cycles", "", "cycles since the SYNC that the twin's data are of", "twin", integer=True),
-    SignalKind("twin_status", "", "status bits 2100h:3 of the twin", "twin", integer=True),
+from hilbench.topology.signal_kinds import (
+    BUS_SIGNALS,
+    TIME_SIGNALS,
+    TWIN_SIGNALS,
+    Per,
+    Signal,
+    SignalKind,
+    axes_signals,
+    load_motor_signals,
 )
-_BUS: Final = (
-    SignalKind("bus_bits", "bit", "bits on the bus in the cycle, stuff bits included", "bus", integer=True),
-    SignalKind("statusword{axis}", "", "statusword 6041h of axis {axis}", "bus", Per.AXIS, integer=True),
-    SignalKind(
-        "statusword_{load_motor}", "", "statusword 6041h of the load motor", "bus", Per.LOAD_MOTOR, integer=True
-    ),
-)
-
-_WEB_LINE: Final = (
-    *_TIME,
-    *_axes("m", ", at the web", "roller {axis}: encoder times nominal radius"),
-    SignalKind("strain_prev", "", "strain of the web upstream of roller 1", "boundary"),
-    SignalKind("F_next_N", "N", "web tension downstream of the last roller", "boundary"),
-    SignalKind("F{span}_ref_N", "N", "tension set-point", "command", Per.SPAN),
-    *_load_motors("m", "encoder times nominal radius"),
-    SignalKind("F{span}_sim_N", "N", "web tension simulated by the twin (virtual sensor)", "twin", Per.SPAN),
-    SignalKind("E{span}_sim_Pa", "Pa", "Young's modulus estimated by the twin", "twin", Per.SPAN),
-    SignalKind("E{span}_sd_Pa", "Pa", "standard deviation of the estimate, as the twin states it", "twin", Per.SPAN),
-    SignalKind("tau{next}_sim_Nm", "N·m", "torque of axis {next} simulated by the twin, motor side", "twin", Per.SPAN),
-    SignalKind(
-        "tau{next}_residual_Nm",
-        "N·m",
-        "torque of axis {next}, measured minus simulated, as the twin reports it",
-        "twin",
-        Per.SPAN,
-    ),
-    *_TWIN,
-    SignalKind(
-        "loop{span}_closed",
-        "",
-        "1 while the tension loop is closed on the simulated tension",
-        "command",
-        Per.SPAN,
-        integer=True,
-    ),
-    SignalKind("E{span}_true_Pa", "Pa", "Young's modulus of the imitated web", "truth", Per.SPAN),
-    SignalKind("F{span}_true_N", "N", "tension of the imitated web", "truth", Per.SPAN),
-    SignalKind("strain{span}_true", "", "strain of the imitated web", "truth", Per.SPAN),
-    *_BUS,
-)
+from hilbench.topology.web_line_signals import WEB_LINE
 
 _SERVO_AXIS: Final = (
-    *_TIME,
-    *_axes("rad", ", at the motor shaft", "the motor shaft of axis {axis}"),
-    *_load_motors("rad", "its shaft"),
+    *TIME_SIGNALS,
+    *axes_signals("rad", ", at the motor shaft", "the motor shaft of axis {axis}"),
+    *load_motor_signals("rad", "its shaft"),
     SignalKind("J_sim_kg_m2", "kg·m²", "inertia of the shaft estimated by the twin", "twin"),
     SignalKind("J_sd_kg_m2", "kg·m²", "standard deviation of the inertia, as the twin states it", "twin"),
     SignalKind("coulomb_sim_Nm", "N·m", "dry friction of the shaft estimated by the twin", "twin"),
@@ -154,34 +41,54 @@ _SERVO_AXIS: Final = (
         "twin",
         Per.AXIS,
     ),
-    *_TWIN,
+    *TWIN_SIGNALS,
     SignalKind("J_true_kg_m2", "kg·m²", "inertia of the imitated shaft", "truth"),
     SignalKind("coulomb_true_Nm", "N·m", "dry friction of the imitated shaft", "truth"),
-    *_BUS,
+    *BUS_SIGNALS,
 )
 
 #: What each kind of machine declares, in recording order.
-DECLARATIONS: Final[dict[str, tuple[SignalKind, ...]]] = {"web_line": _WEB_LINE, "servo_axis": _SERVO_AXIS}
-#: Axes and spans of the smallest machine of each kind.
-_SMALLEST: Final = {"web_line": (2, 1), "servo_axis": (1, 0)}
+DECLARATIONS: Final[dict[str, tuple[SignalKind, ...]]] = {"web_line": WEB_LINE, "servo_axis": _SERVO_AXIS}
 
 
-def signals_of(kind: str, axes: int, load_motors: Sequence[str], spans: int) -> tuple[Signal, ...]:
-    """The signals of a bench in recording order: of the machine's `axes` and `spans`, and of its load motors by name.
+@dataclass(frozen=True, slots=True)
+class Shape:
+    """What a bench has several of: driven axes, spans, load motors by name, and which spans are estimated and
+    controlled, by their numbers from 1."""
 
-    Raises KeyError for an unknown kind of machine.
-    """
-    return tuple(signal for each in DECLARATIONS[kind] for signal in _instances(each, axes, load_motors, spans))
+    axes: int
+    load_motors: tuple[str, ...] = ()
+    spans: int = 0
+    estimated: tuple[int, ...] = ()
+    controlled: tuple[int, ...] = ()
+
+    def numbered(self, span: int) -> str:
+        """The number of a span as it stands in names: none where there is only one."""
+        return str(span) if self.spans > 1 else ""
+
+    def _parts(self, per: Per) -> Iterable[str]:
+        if per is Per.LOAD_MOTOR:
+            return self.load_motors
+        numbers: Mapping[Per, Iterable[int]] = {
+            Per.AXIS: range(1, self.axes + 1),
+            Per.SPAN: range(1, self.spans + 1),
+            Per.ESTIMATED_SPAN: self.estimated,
+            Per.CONTROLLED_SPAN: self.controlled,
+        }
+        return map(str, numbers[per])
+
+    def instances(self, kind: SignalKind) -> Iterator[Signal]:
+        """The signals of a declaration, one for each part that has it."""
+        if kind.per is Per.BENCH:
+            yield kind.of("")
+            return
+        for part in self._parts(kind.per):
+            yield kind.of(part, number=self.numbered(int(part)) if kind.per.is_of_span else None)
 
 
-def _instances(kind: SignalKind, axes: int, load_motors: Sequence[str], spans: int) -> Iterator[Signal]:
-    if kind.per is Per.BENCH:
-        yield kind.of("")
-    elif kind.per is Per.LOAD_MOTOR:
-        yield from map(kind.of, load_motors)
-    else:
-        for number in range(1, (axes if kind.per is Per.AXIS else spans) + 1):
-            yield kind.of(str(number), number="" if kind.per is Per.SPAN and spans == 1 else str(number))
+def signals_of(kind: str, shape: Shape) -> tuple[Signal, ...]:
+    """The signals of a bench in recording order. Raises KeyError for an unknown kind of machine."""
+    return tuple(signal for each in DECLARATIONS[kind] for signal in shape.instances(each))
 
 
 @cache
@@ -203,15 +110,47 @@ def _pattern(kind: SignalKind) -> re.Pattern[str]:
 
 def _named(kind: SignalKind, name: str) -> Signal:
     found = _pattern(kind).fullmatch(name)
-    parts = {} if found is None else found.groupdict()
-    part = parts.get(str(kind.per)) or (str(int(parts["next"]) - 1) if parts.get("next") else "1")
+    part = "1" if found is None else _part(kind, found)
     return Signal(name, kind.unit, kind.of(part).description, kind.group, kind.integer)
+
+
+def _part(kind: SignalKind, found: re.Match[str]) -> str:
+    """The number or name of the part whose signal a name is."""
+    parts = found.groupdict()
+    return parts.get(kind.per.placeholder) or (str(int(parts["next"]) - 1) if parts.get("next") else "1")
+
+
+#: The smallest bench of each kind of machine.
+SMALLEST: Final = {
+    "web_line": Shape(2, ("load",), 1, (1,), (1,)),
+    "servo_axis": Shape(1, ("load",)),
+}
 
 
 def example_names() -> list[str]:
     """The names that the smallest bench of each kind of machine has: what a misspelt name is compared with."""
-    smallest = (signals_of(kind, axes, ["load"], spans) for kind, (axes, spans) in _SMALLEST.items())
+    smallest = (signals_of(kind, shape) for kind, shape in SMALLEST.items())
     return list(dict.fromkeys(signal.name for signals in smallest for signal in signals))
+
+
+def shape_of(names: Iterable[str]) -> Shape:
+    """The bench whose recording has signals with these names, without its load motors.
+
+    A name without the number of a span is that of the only one.
+    """
+    given = list(names)
+    found: dict[Per, set[int]] = {per: set() for per in Per}
+    for kind in DECLARATIONS[kind_of(given)]:
+        if kind.per not in (Per.BENCH, Per.LOAD_MOTOR):
+            matches = (_pattern(kind).fullmatch(name) for name in given)
+            found[kind.per] |= {int(_part(kind, match)) for match in matches if match is not None}
+    of_spans = [number for per in Per if per.is_of_span for number in found[per]]
+    return Shape(
+        axes=max(found[Per.AXIS], default=0),
+        spans=max(of_spans, default=0),
+        estimated=tuple(sorted(found[Per.ESTIMATED_SPAN])),
+        controlled=tuple(sorted(found[Per.CONTROLLED_SPAN])),
+    )
 
 
 def kind_of(names: Iterable[str]) -> str:

@@ -23,7 +23,8 @@ from hilbench.plant.effects import MachineKind
 from hilbench.plant.motor_port import MotorMode
 from hilbench.real_time import ProcessSettings, kept_ready
 from hilbench.topology.config import MachineParameters, TwinConfig
-from hilbench.topology.virtual_io import PROCESS_DATA
+from hilbench.topology.process_data.of_kind import process_data
+from hilbench.topology.signals import Shape
 from hilbench.twin.alarms import Alarms
 from hilbench.twin.axis_listener import AxisListener, RealAxis, TwinNode
 from hilbench.twin.machines.kinds import boundary, new_machine, warm_up
@@ -59,6 +60,7 @@ class TwinSetup:
     clock: Clock
     cycle_s: float
     model: MachineParameters
+    shape: Shape
     twin: TwinConfig
     real_axes: tuple[RealAxis, ...]
     virtual_axes: tuple[TwinNode, ...]
@@ -308,7 +310,7 @@ def twin(setup: TwinSetup) -> HostedDevices:
     devices = [Device(load_eds(node.eds, node.node_id), node.node_id, setup.clock) for node in setup.virtual_axes]
     io_node = setup.virtual_io
     io_device = Device(load_eds(io_node.eds, io_node.node_id), io_node.node_id, setup.clock)
-    virtual_io = VirtualIo(io_device, PROCESS_DATA[MachineKind(model.kind)], boundary(model))
+    virtual_io = VirtualIo(io_device, process_data(MachineKind(model.kind), setup.shape), boundary(model))
     machine = new_machine(model, setup.twin, setup.cycle_s, virtual_io.told)
     drives = [SimulatedDrive(device, port) for device, port in zip(devices, machine.ports, strict=True)]
     application = TwinApplication(setup, machine, drives, io_device, virtual_io)

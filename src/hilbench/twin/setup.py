@@ -26,6 +26,7 @@ def twin_setup(config: BenchConfig) -> TwinSetup:
         clock=device_clock(config),
         cycle_s=config.cycle_time_s,
         model=config.machine,
+        shape=config.shape,
         twin=config.twin,
         real_axes=tuple(map(axis, config.parts_of(Role.AXIS))),
         virtual_axes=tuple(map(node, config.parts_of(Role.VIRTUAL_AXIS))),

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from enum import IntFlag
 
 from hilbench.canopen.device import Device
-from hilbench.topology.virtual_io import INPUTS, OUTPUTS, ProcessData
+from hilbench.topology.process_data.table import ProcessData
 
 _STATUS = 0x2100  #: manufacturer specific: of which SYNC the process data are, and whether they can be trusted
 _SYNCHRONIZER = 0x2101
@@ -30,8 +30,8 @@ class VirtualIo:
     """
 
     def __init__(self, device: Device, data: ProcessData, boundary: Mapping[str, float]) -> None:
-        self._published = [device.cell(signal.index, signal.sub) for signal in data.of(INPUTS)]
-        self._told = {signal.name: device.cell(signal.index, signal.sub) for signal in data.of(OUTPUTS)}
+        self._published = [device.cell(signal.index, signal.sub) for signal in data.published]
+        self._told = {signal.name: device.cell(signal.index, signal.sub) for signal in data.told}
         self._sync_number = device.cell(_STATUS, 1)
         self._age = device.cell(_STATUS, 2)
         self._status = device.cell(_STATUS, 3)
@@ -40,7 +40,7 @@ class VirtualIo:
             self._told[name].value = value
 
     def publish(self, values: Sequence[float]) -> None:
-        """Set what the next TPDOs carry: a value for each sub-index of 6403h."""
+        """Set what the next TPDOs carry: a value for each signal of 6403h, in the order of `ProcessData.published`."""
         for cell, value in zip(self._published, values, strict=True):
             cell.value = value
 

@@ -15,9 +15,12 @@ from hilbench.topology.quantities import (
     TENSION_SET_POINT,
     YOUNGS_MODULUS,
     permitted,
+    tension_set_point,
 )
 from hilbench.topology.safety import Limit
 
+_FIRST_SET_POINT: Final = 15  #: sub-index before that of span 1 on a line of several spans
+MOST_SET_POINTS: Final = 16  #: of how many spans there is one
 #: Sub-index of 2200h, given once and for all, and name in the EDS file of each quantity, by path.
 OPERATOR_OBJECTS: Final = {
     LINE_SPEED: (1, "Line speed [m/s]"),
@@ -26,6 +29,10 @@ OPERATOR_OBJECTS: Final = {
     SPEED: (4, "Speed of the shaft [rad/s]"),
     SHAFT_INERTIA: (5, "Inertia of the imitated shaft [kg.m2]"),
     SHAFT_COULOMB_FRICTION: (6, "Dry friction of the imitated shaft [N.m]"),
+    **{
+        tension_set_point(str(span)): (_FIRST_SET_POINT + span, f"Tension set-point of span {span} [N]")
+        for span in range(1, MOST_SET_POINTS + 1)
+    },
 }
 
 #: What E may be off the model's by where the config sets no limit.
@@ -51,9 +58,10 @@ def _of_web_line(config: BenchConfig) -> dict[str, tuple[float, float]]:
     limits = config.safety.limits
     speed_m_s, ratio = _highest(limits.speed_m_s), min(_highest(limits.estimate_ratio), _LARGEST_RATIO)
     modulus_Pa = config.web_line.required_web.youngs_modulus_Pa
+    set_points = [tension_set_point(config.shape.numbered(span)) for span in config.tension_controls]
     return {
         LINE_SPEED: (-speed_m_s, speed_m_s),
-        TENSION_SET_POINT: (0.0, _highest(limits.tension_N)),
+        **{path: (0.0, _highest(limits.tension_N)) for path in set_points if path in OPERATOR_OBJECTS},
         YOUNGS_MODULUS: (modulus_Pa / ratio, modulus_Pa * ratio),
     }
 

@@ -41,7 +41,7 @@ def tasks(config: BenchConfig, state: BenchState) -> MachineTasks:
     (drive,) = config.drives
     (motor,) = config.load_motors
     speed = Reference(SPEED, config.quick_stop_per_s2 * config.cycle_time_s)
-    load = ShaftLoadTask(motor, shaft_load_model(config))
+    load = ShaftLoadTask([motor], shaft_load_model(config))
     return MachineTasks(
         reference=speed,
         quantities=(speed, load),

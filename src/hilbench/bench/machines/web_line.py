@@ -1,63 +1,91 @@
-"""A section of a web line: axis 2 leads at line speed, axis 1 holds the tension, the load motor imitates the web."""
+"""A web line of N driven rollers: the last axis leads at line speed, the others follow the one behind them, with the
+tension of the span between kept where there is a controller; load motors imitate the web."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import inf
+from operator import attrgetter
 
 from hilbench.bench.machines.machine import MachineTasks
 from hilbench.bench.state import BenchState, TwinState
 from hilbench.bench.tasks.imitated_web import web_load_model
-from hilbench.bench.tasks.limits import LimitWatch
 from hilbench.bench.tasks.load_task import LoadTask
 from hilbench.bench.tasks.reference import Reference
 from hilbench.bench.tasks.saturation import SaturationWatch
 from hilbench.bench.tasks.swing_damping import SwingDamping, SwingPlant
 from hilbench.bench.tasks.task import CyclicTask, Outputs
-from hilbench.bench.tasks.tension_control import TensionController
-from hilbench.bench.tasks.tension_task import TensionTask
+from hilbench.bench.tasks.tension_control import TensionController, strain_before
+from hilbench.bench.tasks.tension_task import Leader, LoopNames, TensionTask
 from hilbench.bench.tasks.twin_trust import TwinTrust
 from hilbench.bench.tasks.watches import Watch
+from hilbench.bench.tasks.web_limits import LimitWatch
 from hilbench.errors import BenchFaultError
 from hilbench.estimation.plausibility import Problem
 from hilbench.exchange.exchange import Inputs
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.quantities import LINE_SPEED
 from hilbench.topology.sample import CycleSample
+from hilbench.topology.web_line_config import TensionControlConfig
 
 
 def tasks(config: BenchConfig, state: BenchState) -> MachineTasks:
-    """The tasks of the config's web line, which has one span."""
-    upstream, downstream = config.drives
-    (motor,) = config.load_motors
-    model, control, cycle_s = config.web_line, config.tension_control, config.cycle_time_s
-    modulus_Pa, limits, reports = model.required_web.youngs_modulus_Pa, config.safety.limits, state.reports
+    """The tasks of the config's web line."""
+    model, cycle_s, limits, reports = config.web_line, config.cycle_time_s, config.safety.limits, state.reports
+    controls = config.tension_controls
     line_speed = Reference(LINE_SPEED, config.safety.quick_stop_m_s2 * cycle_s)
-    load = WebLoadTask(motor, web_load_model(config))
-    trust = TwinTrust(control, limits.tension_N.trip or inf)
-    swing = SwingPlant.of_model(model, cycle_s)
-    tension = TensionTask(
-        upstream,
-        line_speed,
-        control.set_point_N,
-        TensionController.of_model(control, model),
-        SwingDamping(swing, control.swing_damping_ratio, modulus_Pa),
-        trust,
-        state.twin,
-        reports,
-        cycle_s,
-    )
+    drives = list(config.drives)
+    leading = LeadingAxis(drives[-1], len(drives), line_speed)
+    axes: list[LeadingAxis | FollowingAxis | TensionTask] = [leading]
+    loops: list[TensionTask] = []
+    trusts: list[TwinTrust] = []
+    for span in range(model.span_count, 0, -1):
+        control = controls.get(span)
+        if control is None:
+            axes.append(FollowingAxis(drives[span - 1], span, axes[-1]))
+            continue
+        names = LoopNames.of(drives[span - 1], span, config.shape)
+        trusts.append(TwinTrust(control, limits.tension_N.trip or inf, names.twin))
+        loops.append(_tension_task(config, state, control, names, axes[-1], trusts[-1]))
+        axes.append(loops[-1])
     boundary = BoundaryTask(model.upstream_strain, model.boundary.downstream_tension_N)
+    load = WebLoadTask(config)
+    limit_watch = LimitWatch(limits, model.required_web.youngs_modulus_Pa, cycle_s, config.shape)
     return MachineTasks(
         reference=line_speed,
-        quantities=(line_speed, tension, load),
-        control=(boundary, tension, LineSpeedTask(downstream, line_speed), load),
+        quantities=(line_speed, *loops, load),
+        control=(boundary, *axes, load),
         watches=(
-            WebAlarms(trust, state.twin, stop_on_break=config.safety.on_web_break == "stop"),
-            Watch("limits", LimitWatch(limits, modulus_Pa, cycle_s).update, reports),
+            WebAlarms(trusts, state.twin, stop_on_break=config.safety.on_web_break == "stop"),
+            Watch("limits", limit_watch.update, reports),
             Watch("saturation", SaturationWatch(config).update, reports),
         ),
-        twin_age_limit_cycles=control.twin_age_limit_cycles,
+        twin_age_limit_cycles=max(control.twin_age_limit_cycles for control in controls.values()),
         warm_up=load.model.warm_up,
+    )
+
+
+def _tension_task(
+    config: BenchConfig,
+    state: BenchState,
+    control: TensionControlConfig,
+    names: LoopNames,
+    leader: Leader,
+    trust: TwinTrust,
+) -> TensionTask:
+    model, cycle_s = config.web_line, config.cycle_time_s
+    strain = strain_before(config, control.span)
+    swing = SwingPlant.of_model(model, cycle_s, control.span, strain)
+    return TensionTask(
+        names,
+        leader,
+        control.set_point_N,
+        TensionController.of_model(control, model, strain),
+        SwingDamping(swing, control.swing_damping_ratio, model.required_web.youngs_modulus_Pa),
+        trust,
+        state.twin,
+        state.reports,
+        cycle_s,
     )
 
 
@@ -78,33 +106,77 @@ class BoundaryTask(CyclicTask):
         self.before(sample, outputs)
 
 
-class LineSpeedTask(CyclicTask):
-    """The axis downstream follows the line speed."""
+class LeadingAxis(CyclicTask):
+    """The last axis follows the line speed."""
 
-    def __init__(self, drive: str, line_speed: Reference) -> None:
+    def __init__(self, drive: str, axis: int, line_speed: Reference) -> None:
         self._drive = drive
+        self._command = f"v{axis}_cmd_m_s"
         self._line_speed = line_speed
+
+    @property
+    def speed_m_s(self) -> float:
+        """What it is to turn at, at the web."""
+        return self._line_speed.present
 
     def before(self, sample: CycleSample, outputs: Outputs) -> None:
         """Velocity of the axis, m/s at the web."""
-        sample.v2_cmd_m_s = outputs[self._drive] = self._line_speed.present
+        outputs[self._drive] = self.speed_m_s
+        setattr(sample, self._command, self.speed_m_s)
+
+
+class FollowingAxis(CyclicTask):
+    """An axis before a span without a controller turns as fast as the one behind it: the strain that enters the span is
+    then the strain in it."""
+
+    def __init__(self, drive: str, axis: int, leader: Leader) -> None:
+        self._drive = drive
+        self._command = f"v{axis}_cmd_m_s"
+        self._leader = leader
+
+    @property
+    def speed_m_s(self) -> float:
+        """What it is to turn at, at the web."""
+        return self._leader.speed_m_s
+
+    def before(self, sample: CycleSample, outputs: Outputs) -> None:
+        """Velocity of the axis, m/s at the web."""
+        outputs[self._drive] = self.speed_m_s
+        setattr(sample, self._command, self.speed_m_s)
 
 
 class WebLoadTask(LoadTask):
-    """The load motor pulls at the shaft of axis 2 as the imitated web would."""
+    """The load motors pull at the shafts of their axes as the imitated web would."""
+
+    def __init__(self, config: BenchConfig) -> None:
+        super().__init__(list(config.load_motors), web_load_model(config))
+        shape = config.shape
+        axes = range(1, shape.axes + 1)
+        self._positions = attrgetter(*(f"x{k}_m" for k in axes))
+        self._speeds = attrgetter(*(f"v{k}_m_s" for k in axes))
+        self._truth = [
+            (f"{signal}{shape.numbered(span)}_true{unit}", output)
+            for span in range(1, shape.spans + 1)
+            for signal, unit, output in (
+                ("F", "_N", f"F{span}_N"),
+                ("strain", "", f"strain{span}"),
+                ("E", "_Pa", "E_Pa"),
+            )
+        ]
 
     def after(self, sample: CycleSample, inputs: Inputs) -> None:
         """Let the web follow the measured motion; the truth of the run is recorded."""
-        self.follow(sample, (sample.x1_m, sample.x2_m), (sample.v1_m_s, sample.v2_m_s), late=inputs.axes_late)
+        self.follow(sample, self._positions(sample), self._speeds(sample), late=inputs.axes_late)
         true = self.model.machine.outputs()
-        sample.F_true_N, sample.strain_true, sample.E_true_Pa = true["F1_N"], true["strain1"], true["E_Pa"]
+        for signal, output in self._truth:
+            setattr(sample, signal, true[output])
 
 
 class WebAlarms(CyclicTask):
-    """The twin's alarms of the web: slip and a break open the tension loop, a break is a fault where that is wanted."""
+    """The twin's alarms of the web: slip and a break open the tension loops, a break is a fault where wanted."""
 
-    def __init__(self, trust: TwinTrust, twin: TwinState, *, stop_on_break: bool) -> None:
-        self._trust = trust
+    def __init__(self, trusts: Sequence[TwinTrust], twin: TwinState, *, stop_on_break: bool) -> None:
+        self._trusts = tuple(trusts)
         self._twin = twin
         self._stop_on_break = stop_on_break
 
@@ -114,6 +186,7 @@ class WebAlarms(CyclicTask):
             return
         for emergency in inputs.emergencies:
             if emergency.code in (Problem.WEB_BREAK, Problem.SLIP):
-                self._trust.forget(str(emergency))
+                for trust in self._trusts:
+                    trust.forget(str(emergency))
             if emergency.code == Problem.WEB_BREAK and self._stop_on_break:
                 raise BenchFaultError(f"t = {sample.t_s:.3f} s: {emergency.node} reports a web break")

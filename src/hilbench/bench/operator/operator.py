@@ -39,7 +39,8 @@ class Operator(CyclicTask):
     ) -> None:
         self.events: list[StepEvent] = []
         self.objects = OperatorObjects(config, self.get, self._may_change)
-        self._kind = config.machine_kind
+        self._config = config
+        self._known: set[str] = set()  # paths that were looked at, and are quantities of this bench
         self._state = state
         self._reference = reference
         self._owners = owners
@@ -48,9 +49,11 @@ class Operator(CyclicTask):
     def get(self, path: str) -> float:
         """Present value. Raises UnusableValueError for an unknown path."""
         path = quantities.checked_path(path)
-        other = quantities.of_another_machine(path, self._kind)
-        if other:
-            raise UnusableValueError(f"path {path!r}, expected {other}")
+        if path not in self._known:
+            problem = self._config.path_problem(path)
+            if problem:
+                raise UnusableValueError(f"path {path!r}, expected {problem}")
+            self._known.add(path)
         self._state.running()
         return self._owner(path).value(path)
 

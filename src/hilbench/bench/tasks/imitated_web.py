@@ -26,6 +26,6 @@ def imitated_web(model: ModelParameters, load: LoadConfig) -> ModelParameters:
 def web_load_model(config: BenchConfig) -> LoadModel:
     """The load model of a config's web line and load motors."""
     model, cycle_s = config.web_line, config.cycle_time_s
-    load_axes = [coupled.axis for coupled in config.rig_parameters().load_motors]
     machine = SpanFollower(imitated_web(model, config.load))
+    load_axes = config.loaded_axes
     return LoadModel(machine, load_axes, cycle_s, lead_s(model, cycle_s), least_way_m(model), config.load.effects)

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Sequence
 from math import inf
 
 from hilbench.errors import BenchFaultError
-from hilbench.topology.safety import Limit, LimitsConfig
+from hilbench.topology.safety import Limit
 from hilbench.topology.sample import CycleSample
 from hilbench.twin.virtual_io import TwinStatus
 
@@ -60,36 +60,6 @@ def is_synchronized(sample: CycleSample) -> bool:
     return bool(sample.twin_status & _SYNCHRONIZED)
 
 
-class LimitWatch:
-    """Watches the samples of one run of a web line. `model_modulus_Pa`: what the estimate is compared with."""
-
-    def __init__(self, limits: LimitsConfig, model_modulus_Pa: float, cycle_s: float) -> None:
-        self._limits = limits
-        self._modulus_Pa = model_modulus_Pa
-        self._cycle_s = cycle_s
-        self._difference_at_start_m: float | None = None
-        self._commanded_difference_m = 0.0
-        self._levels = Levels()
-
-    def update(self, sample: CycleSample) -> list[tuple[str, str]]:
-        """The warnings that begin in this cycle, each after its quantity. Raises LimitTripError."""
-        return self._levels.check(sample.t_s, self._quantities(sample))
-
-    def _quantities(self, sample: CycleSample) -> Iterator[Watched]:
-        limits = self._limits
-        yield "tension of the web", sample.F_true_N, " N", limits.tension_N
-        yield "torque of axis 1", abs(sample.tau1_Nm), " N·m", limits.torque_Nm
-        yield "torque of axis 2", abs(sample.tau2_Nm), " N·m", limits.torque_Nm
-        yield "torque of the load motor", abs(sample.tau_load_Nm), " N·m", limits.torque_Nm
-        yield "speed of axis 1", abs(sample.v1_m_s), " m/s", limits.speed_m_s
-        yield "speed of axis 2", abs(sample.v2_m_s), " m/s", limits.speed_m_s
-        yield "position difference of the axes", self._position_difference_m(sample), " m", limits.position_difference_m
-        if is_synchronized(sample):
-            yield "estimate of E over the model's", apart(sample.E_sim_Pa, self._modulus_Pa), "", limits.estimate_ratio
-
-    def _position_difference_m(self, sample: CycleSample) -> float:
-        difference_m = sample.x1_m - sample.x2_m
-        if self._difference_at_start_m is None:
-            self._difference_at_start_m = difference_m
-        self._commanded_difference_m += (sample.v1_cmd_m_s - sample.v2_cmd_m_s) * self._cycle_s
-        return abs(difference_m - self._difference_at_start_m - self._commanded_difference_m)
+def load_motor_labels(motors: Sequence[str]) -> dict[str, str]:
+    """What messages call each load motor, by its name."""
+    return {name: "the load motor" if len(motors) == 1 else f"load motor {name}" for name in motors}

@@ -1,4 +1,4 @@
-"""A load motor acts on its shaft as the machine that is not there would."""
+"""Load motors act on their shafts as the machine that is not there would."""
 
 from __future__ import annotations
 
@@ -11,12 +11,11 @@ from hilbench.topology.sample import CycleSample
 
 
 class LoadTask(CyclicTask):
-    """The task of one load motor, by its name; a kind of machine says in `after` what motion its model follows."""
+    """The task of load motors, by their names; a kind of machine says in `after` what motion its model follows."""
 
-    def __init__(self, motor: str, model: LoadModel) -> None:
+    def __init__(self, motors: Sequence[str], model: LoadModel) -> None:
         self.model = model
-        self._motor = motor
-        self._command = f"tau_{motor}_cmd_Nm"
+        self._commands = [(motor, f"tau_{motor}_cmd_Nm") for motor in motors]
 
     def owns(self, path: str) -> bool:
         """Whether a quantity is one of the imitated mechanics."""
@@ -31,13 +30,15 @@ class LoadTask(CyclicTask):
         self.model.set(path, value)
 
     def before(self, sample: CycleSample, outputs: Outputs) -> None:
-        """The torque that follows from the last sample, N·m at the load motor's shaft."""
-        outputs[self._motor] = getattr(sample, self._command)
+        """The torques that follow from the last sample, N·m at the load motors' shafts."""
+        for motor, command in self._commands:
+            outputs[motor] = getattr(sample, command)
 
     def follow(self, sample: CycleSample, positions: Sequence[float], speeds: Sequence[float], *, late: bool) -> None:
-        """Let the model follow the measured motion (N,) of the axes, in the machine's unit; the torque is recorded."""
-        (torque_Nm,) = self.model.update(positions, speeds, late=late)
-        setattr(sample, self._command, torque_Nm)
+        """Let the model follow the measured motion (N,) of the axes, in the machine's unit; torques are recorded."""
+        torques_Nm = self.model.update(positions, speeds, late=late)
+        for (_, command), torque_Nm in zip(self._commands, torques_Nm, strict=True):
+            setattr(sample, command, torque_Nm)
 
     def rest(self, sample: CycleSample, outputs: Outputs) -> None:
         """No torque."""

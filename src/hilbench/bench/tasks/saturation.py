@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from hilbench.bench.tasks.limits import load_motor_labels
 from hilbench.cia402.state_machine import STATUS_INTERNAL_LIMIT
 from hilbench.plant.parameters import per_item
 from hilbench.topology.config import BenchConfig
@@ -36,7 +37,7 @@ class SaturationWatch:
         self._cycle_s = config.cycle_time_s
         axes, motors = config.parts_of(Role.AXIS), config.load_motors
         self._limits_Nm = {f"axis {part.axis}": per_item(drives.torque_limit_Nm, part.axis or 1) for part in axes}
-        labels = {name: "the load motor" if len(motors) == 1 else f"load motor {name}" for name in motors}
+        labels = load_motor_labels(list(motors))
         self._limits_Nm |= {labels[name]: motor.motor.torque_limit_Nm for name, motor in motors.items()}
         self._signals = [(f"axis {k}", f"tau{k}_Nm", f"statusword{k}") for k in range(1, len(axes) + 1)]
         self._signals += [(label, f"tau_{name}_Nm", f"statusword_{name}") for name, label in labels.items()]

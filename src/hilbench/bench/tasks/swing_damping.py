@@ -1,4 +1,5 @@
-"""Active damping: axis 1 takes the swing of roller 2 against the web out, from the measured strain rate.
+"""Active damping: the axis before a span takes the swing of the roller behind it against the web out, from the
+measured strain rate. Here the span is the first, between axes 1 and 2.
 
 Roller 2 and the span are a mass m on a spring k = E·S/L. The drive of axis 2 damps them by its proportional gain kp
 only, and the tension loop, whose proportional part acts through the lag of axis 1, takes most of that away again. A
@@ -40,7 +41,7 @@ _WORTH_CHANGING = 1e-3
 
 @dataclass(frozen=True, slots=True)
 class SwingPlant:
-    """What swings and what damps it; masses and gains at the web, SI."""
+    """What swings and what damps it; masses and gains at the web, SI. 1 is the axis before the span, 2 that behind."""
 
     span_length_m: float
     section_m2: float
@@ -56,24 +57,31 @@ class SwingPlant:
     least_way_m: float  #: by which positions of one instant may differ
 
     @classmethod
-    def of_model(cls, model: ModelParameters, cycle_s: float) -> SwingPlant:
-        """The first span of a model with its drives. Raises ValueError for a model without drives or web."""
+    def of_model(cls, model: ModelParameters, cycle_s: float, span: int, upstream_strain: float) -> SwingPlant:
+        """A span of a model with its drives, and the strain of the web that enters it.
+
+        Raises ValueError for a model without drives or web.
+        """
         drives = model.drives
         if drives is None:
             raise ValueError("the model has no drives, expected 'drives'")
-        ratios = [model.motor_rad_per_m(axis) for axis in (1, 2)]
-        kp1, kp2 = (per_item(drives.velocity_kp_Nm_s_per_rad, axis) * ratios[axis - 1] ** 2 for axis in (1, 2))
+        around = (span, span + 1)
+        ratios = [model.motor_rad_per_m(axis) for axis in around]
+        kp1, kp2 = (
+            per_item(drives.velocity_kp_Nm_s_per_rad, axis) * ratio**2
+            for axis, ratio in zip(around, ratios, strict=True)
+        )
         return cls(
-            span_length_m=model.span_length_m(1),
+            span_length_m=model.span_length_m(span),
             section_m2=model.required_web.section_m2,
-            upstream_strain=model.upstream_strain,
-            mass1_kg=model.mass_kg(1),
-            mass2_kg=model.mass_kg(2),
+            upstream_strain=upstream_strain,
+            mass1_kg=model.mass_kg(span),
+            mass2_kg=model.mass_kg(span + 1),
             velocity_kp1_N_s_per_m=kp1,
             velocity_kp2_N_s_per_m=kp2,
-            current_loop_time_constant_s=per_item(drives.current_loop_time_constant_s, 1),
+            current_loop_time_constant_s=per_item(drives.current_loop_time_constant_s, span),
             sample_time_s=drives.sample_time_s,
-            torque_limit_N=per_item(drives.torque_limit_Nm, 1) * ratios[0],
+            torque_limit_N=per_item(drives.torque_limit_Nm, span) * ratios[0],
             cycle_s=cycle_s,
             least_way_m=least_way_m(model),
         )

@@ -1,4 +1,5 @@
-"""Upstream tension control: the velocity of axis 1 is set from the simulated tension; axis 2 holds the line speed.
+"""Upstream tension control: the velocity of the axis before a span is set from its simulated tension; the axis behind
+it leads. Here the span is the first, between axes 1 and 2.
 
 The loop is closed once the twin reports that it is synchronized, and open while the twin can't be trusted. An open loop
 goes from the last ratio of speeds to the one that gives the set-point by mass conservation, with E as it was known:
@@ -16,7 +17,8 @@ a slower pole would be cancelled for the set point only, and a disturbance would
 from __future__ import annotations
 
 from hilbench.plant.web_line.parameters import ModelParameters
-from hilbench.topology.config import TensionControlConfig
+from hilbench.topology.config import BenchConfig
+from hilbench.topology.web_line_config import TensionControlConfig
 
 #: Longest integral time, times the bandwidth.
 _LONGEST_INTEGRAL = 4.0
@@ -25,10 +27,19 @@ _HOLD_S = 0.5
 _KNOWN_S = 0.5
 
 
+def strain_before(config: BenchConfig, span: int) -> float:
+    """Strain of the web that enters a span, by the model: that of the set-point of the nearest span before it with a
+    controller, as an axis without one hands the strain on; that of the web upstream for none."""
+    model = config.web_line
+    before = [control for number, control in config.tension_controls.items() if number < span]
+    return before[-1].set_point_N / model.required_web.stiffness_N if before else model.upstream_strain
+
+
 class TensionController:
     """PI controller with its gains scheduled on line speed and stiffness; velocities at the web, m/s.
 
-    `roller_stiffness_N_per_m`: what holds roller 2 against the web at low frequency; inf for one that does not yield.
+    `roller_stiffness_N_per_m`: what holds the roller behind the span against the web at low frequency; inf for one that
+    does not yield.
     `upstream_strain`: of the web that enters the span.
     """
 
@@ -48,11 +59,12 @@ class TensionController:
         self.reset()
 
     @classmethod
-    def of_model(cls, config: TensionControlConfig, model: ModelParameters) -> TensionController:
-        """For the first span of a model with a web. Raises ValueError without one."""
-        web = model.required_web
-        stiffness_N_per_m = model.drive_stiffness_N_per_m(2)
-        return cls(config, model.span_length_m(1), web.section_m2, stiffness_N_per_m, model.upstream_strain)
+    def of_model(
+        cls, config: TensionControlConfig, model: ModelParameters, upstream_strain: float
+    ) -> TensionController:
+        """For its span of a model, and the strain of the web that enters that. Raises ValueError without a web."""
+        section_m2, stiffness_N_per_m = model.required_web.section_m2, model.drive_stiffness_N_per_m(config.span + 1)
+        return cls(config, model.span_length_m(config.span), section_m2, stiffness_N_per_m, upstream_strain)
 
     def gains(self, line_speed_m_s: float, modulus_Pa: float) -> tuple[float, float]:
         """Kp in m/s per N and Ki in m/s per N·s at this speed and E."""
@@ -70,7 +82,8 @@ class TensionController:
         self._closed = True
 
     def hold(self, line_speed_m_s: float, set_point_N: float, cycle_s: float) -> float:
-        """Velocity set point of axis 1 while the loop is open, without a jump from what it was."""
+        """Velocity set point of the axis before the span while the loop is open, without a jump from what it was;
+        `line_speed_m_s`: that of the axis behind it."""
         self._closed = False
         if self._modulus_Pa is not None:
             strain = set_point_N / (self._modulus_Pa * self._area_m2)
@@ -81,7 +94,8 @@ class TensionController:
     def velocity(
         self, line_speed_m_s: float, set_point_N: float, tension_N: float, modulus_Pa: float, cycle_s: float
     ) -> float:
-        """Velocity set point of axis 1 in m/s from the (simulated) tension and Young's modulus.
+        """Velocity set point of the axis before the span in m/s from the (simulated) tension and Young's modulus;
+        `line_speed_m_s`: that of the axis behind it.
 
         After `hold` it goes on from the held ratio, without a jump.
         """

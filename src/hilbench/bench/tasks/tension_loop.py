@@ -1,14 +1,15 @@
-"""The tension loop as one linear sampled system: how stable it is, and with what margins.
+"""The tension loops as one linear sampled system: how stable it is, and with what margins.
 
-Deviations from the steady state, at the web: both axes with their velocity PI (sampled) and current loop, the load
-motor that imitates the web with its delay and prediction, the twin's simulation of both axes and of the web, and the
-bench's tension controller with its active damping, each at the instants at which it acts. One bus cycle is one matrix,
-built exactly (matrix exponentials between the drives' samples). Not in it: limits, friction, what the synchronizer
-does to E meanwhile (the estimate is a given number), noise.
+Deviations from the steady state, at the web: all axes with their velocity PI (sampled) and current loop, the load
+motors that imitate the web with their delay and prediction, the twin's simulation of the axes and of the web, and the
+bench's tension controllers with their active damping, each at the instants at which it acts. One bus cycle is one
+matrix, built exactly (matrix exponentials between the drives' samples). Not in it: limits, friction, what the
+synchronizer does to E meanwhile (the estimate is a given number), noise.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from math import exp, inf, log, pi
@@ -17,12 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
+from hilbench.bench.tasks.imitated_web import imitated_web
 from hilbench.bench.tasks.swing_damping import DampingGains, SwingPlant, damping_gains
-from hilbench.bench.tasks.tension_control import TensionController
+from hilbench.bench.tasks.tension_control import TensionController, strain_before
 from hilbench.plant.parameters import per_item
-from hilbench.plant.sampled_shaft import imitation_delay_s
+from hilbench.plant.web_line.imitation import lead_s
 from hilbench.plant.web_line.parameters import ModelParameters
-from hilbench.plant.web_line.stability import sampled_shaft
 from hilbench.topology.config import BenchConfig
 
 Matrix = NDArray[np.float64]
@@ -33,16 +34,6 @@ _FASTEST_S = 1e-6
 _STAYS_PER_S = 0.05
 _LOWEST_RAD_S, _POINTS = 0.5, 600
 
-_STATES = (
-    *("v1", "f1", "i1", "v2", "f2", "i2", "load"),  # speeds, forces of the drives and of the load motor, integrals
-    *("way1", "way2", "web"),  # ways since the last SYNC, tension of the imitated web at it
-    *("v1_sim", "f1_sim", "i1_sim", "v2_sim", "f2_sim", "i2_sim", "web_sim"),  # the same in the twin
-    *("u1", "u1_next", "load_set", "load_next"),  # commands that act, and those on their way
-    *("integral", "elongation"),  # of the controller and of the damping
-)
-_AXES = (("v1", "f1", "i1", "u1"), ("v2", "f2", "i2", ""))
-_SIMULATED = (("v1_sim", "f1_sim", "i1_sim", "u1"), ("v2_sim", "f2_sim", "i2_sim", ""))
-
 
 @dataclass(frozen=True, slots=True)
 class OperatingPoint:
@@ -50,7 +41,7 @@ class OperatingPoint:
 
     youngs_modulus_Pa: float
     line_speed_m_s: float
-    span_length_m: float
+    length_factor: float  #: of the imitated spans, by what the load model's are
     estimate_Pa: float
 
 
@@ -84,9 +75,26 @@ class _Axis:
         )
 
 
+def state_names(config: BenchConfig, under_way: Mapping[int, int]) -> list[str]:
+    """What is in the system: axes and spans by their numbers, load motors by that of their axis.
+
+    `under_way`: by controlled span, commands of the damping that are kept. Speeds, forces and integrals of the drives,
+    forces of load motors, ways since the last SYNC, tensions of the imitated web at it; the same in the twin; commands
+    that act, and those on their way; what controllers and damping keep.
+    """
+    axes, spans = range(1, config.shape.axes + 1), range(1, config.shape.spans + 1)
+    names = [f"{quantity}{k}{of}" for of in ("", "_sim") for k in axes for quantity in "vfi"]
+    names += [f"way{k}" for k in axes]
+    names += [f"web{j}{of}" for of in ("", "_sim") for j in spans]
+    names += [f"u{k}{when}" for k in axes[:-1] for when in ("", "_next")]
+    names += [f"load{k}{what}" for k in config.loaded_axes for what in ("", "_set", "_next")]
+    names += [f"{quantity}{j}" for j in config.tension_controls for quantity in ("integral", "elongation")]
+    return names + [f"sent{j}_{n}" for j, count in under_way.items() for n in range(count)]
+
+
 @dataclass(frozen=True)
 class TensionLoop:
-    """The loop of one bench at one operating point. `closed`: on the twin; else axis 1 holds its speed, damped."""
+    """The loops of one bench at one operating point. `closed`: on the twin; else the axes hold their speeds, damped."""
 
     config: BenchConfig
     point: OperatingPoint
@@ -94,15 +102,22 @@ class TensionLoop:
     _places: dict[str, int] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        sent = tuple(f"sent{n}" for n in range(len(self._damping.pending)))
-        object.__setattr__(self, "_places", {name: n for n, name in enumerate((*_STATES, *sent))})
+        names = state_names(self.config, {span: len(gains.pending) for span, gains in self._damping.items()})
+        object.__setattr__(self, "_places", {name: n for n, name in enumerate(names)})
 
     @cached_property
     def margins(self) -> Margins:
-        """Margins at the velocity command of axis 1, where the loop has one signal only."""
+        """The least margins of the controlled spans, each at the velocity command of the axis before it, where its loop
+        has one signal only, with the others closed."""
+        found = [self._margins_of(span) for span in self.config.tension_controls]
+        return Margins(
+            min(margins.gain for margins in found), min(margins.phase_deg for margins in found), self.growth_per_s
+        )
+
+    def _margins_of(self, span: int) -> Margins:
         cycle_s = self.config.cycle_time_s
         omega = np.geomspace(_LOWEST_RAD_S, pi / cycle_s, _POINTS)
-        response = self._return_ratio(omega)
+        response = self._return_ratio(f"u{span}_next", omega)
         size, angle = np.abs(response), np.angle(-response)  # 0 where 1 + L could vanish
         crossing = (np.sign(response.imag[1:]) != np.sign(response.imag[:-1])) & (response.real[1:] < 0.0)
         gains = np.maximum(size[1:][crossing], 1.0 / size[1:][crossing])
@@ -113,7 +128,7 @@ class TensionLoop:
     @cached_property
     def growth_per_s(self) -> float:
         """Of the slowest mode; below zero where all decay."""
-        sizes = np.abs(np.linalg.eigvals(self._cycle @ self._sync(feedback=True)))
+        sizes = np.abs(np.linalg.eigvals(self._cycle @ self._sync()))
         return log(max(float(np.max(sizes)), 1e-12)) / self.config.cycle_time_s
 
     @property
@@ -121,27 +136,37 @@ class TensionLoop:
         """Whether nothing grows."""
         return self.growth_per_s < _STAYS_PER_S
 
-    def course(self, tension_N: float, duration_s: float) -> NDArray[np.float64]:
-        """Tension of the web each cycle, beyond the steady one, after it was off by `tension_N` (n,)."""
+    def course(self, tension_N: float, duration_s: float, span: int = 1) -> NDArray[np.float64]:
+        """Tension of a span of the web each cycle, beyond the steady one, after it was off by `tension_N` (n,)."""
         state = np.zeros(len(self._places))
-        state[self._places["web"]] = tension_N
-        turn, course = self._cycle @ self._sync(feedback=True), []
+        state[self._places[f"web{span}"]] = tension_N
+        turn, course = self._cycle @ self._sync(), []
         for _ in range(round(duration_s / self.config.cycle_time_s)):
-            course.append(state[self._places["web"]])
+            course.append(state[self._places[f"web{span}"]])
             state = turn @ state
         return np.array(course)
 
     # -- what is in it -----------------------------------------------------------------------------------
 
-    @property
-    def _stiffness_N_per_m(self) -> float:
-        point = self.point
-        return point.youngs_modulus_Pa * self.config.web_line.required_web.section_m2 / point.span_length_m
+    @cached_property
+    def _lengths_m(self) -> dict[int, float]:
+        """Of the imitated spans."""
+        web = imitated_web(self.config.web_line, self.config.load)
+        return {j: web.span_length_m(j) * self.point.length_factor for j in range(1, web.span_count + 1)}
+
+    def _stiffness_N_per_m(self, span: int) -> float:
+        section_m2 = self.config.web_line.required_web.section_m2
+        return self.point.youngs_modulus_Pa * section_m2 / self._lengths_m[span]
 
     @cached_property
-    def _damping(self) -> DampingGains:
-        plant = SwingPlant.of_model(self.config.web_line, self.config.cycle_time_s)
-        return damping_gains(plant, self.config.tension_control.swing_damping_ratio, self.point.estimate_Pa)
+    def _damping(self) -> dict[int, DampingGains]:
+        """By controlled span."""
+        config, found = self.config, {}
+        for span, control in config.tension_controls.items():
+            strain = strain_before(config, span)
+            plant = SwingPlant.of_model(config.web_line, config.cycle_time_s, span, strain)
+            found[span] = damping_gains(plant, control.swing_damping_ratio, self.point.estimate_Pa)
+        return found
 
     def _unit(self, name: str) -> Matrix:
         row = np.zeros(len(self._places))
@@ -158,97 +183,113 @@ class TensionLoop:
 
     def _drive_sample(self, sample_s: float) -> Matrix:
         """Velocity loops at their sample, then motion and current loops for its time."""
-        model, size = self.config.web_line, len(self._places)
-        at, axes = self._places, [_Axis.of(model, axis) for axis in (1, 2)]
-        load_motor = next(iter(self.config.load_motors.values()))
-        loops, rates = np.eye(size), np.zeros((size + 4, size + 4))
-        held = np.zeros((size + 4, size))
-        for number, (v, f, i, u) in enumerate((*_AXES, *_SIMULATED)):
-            axis = axes[number % 2]
-            error = -self._unit(v) + (self._unit(u) if u else 0.0)
+        at, size, count = self._places, len(self._places), self.config.shape.axes
+        axes = {k: _Axis.of(self.config.web_line, k) for k in range(1, count + 1)}
+        loops, rates = np.eye(size), np.zeros((size + 2 * count, size + 2 * count))
+        held = np.zeros((size + 2 * count, size))
+        for number, (k, of) in enumerate((k, of) for of in ("", "_sim") for k in axes):
+            axis, v, f, i = axes[k], f"v{k}{of}", f"f{k}{of}", f"i{k}{of}"
+            error = -self._unit(v) + (self._unit(f"u{k}") if k < count else 0.0)
             loops[at[i]] = self._unit(i) + axis.ki_N_per_m * sample_s * error
             held[size + number] = loops[at[i]] + axis.kp_N_s_per_m * error
             rates[at[f], [at[f], size + number]] = -1.0 / axis.current_loop_s, 1.0 / axis.current_loop_s
             rates[at[v], at[f]] = 1.0 / axis.mass_kg
-        load_s = max(load_motor.motor.current_loop_time_constant_s, _FASTEST_S)
-        rates[at["load"], [at["load"], at["load_set"]]] = -1.0 / load_s, 1.0 / load_s
-        rates[at["v2"], at["load"]] = 1.0 / axes[1].mass_kg
-        rates[at["way1"], at["v1"]] = rates[at["way2"], at["v2"]] = 1.0
-        if model.carries_web_load(1):
-            rates[at["v1_sim"], at["web_sim"]] = 1.0 / axes[0].mass_kg
-        if model.carries_web_load(2):
-            rates[at["v2_sim"], at["web_sim"]] = -1.0 / axes[1].mass_kg
-        span_m = model.span_length_m(1)
-        believed = self.point.estimate_Pa * model.required_web.section_m2 / span_m
-        rates[at["web_sim"], at["web_sim"]] = -self.point.line_speed_m_s / span_m
-        rates[at["web_sim"], [at["v2_sim"], at["v1_sim"]]] = believed, -believed
+        for motor, k in zip(self.config.load_motors.values(), self.config.loaded_axes, strict=True):
+            load_s = max(motor.motor.current_loop_time_constant_s, _FASTEST_S)
+            rates[at[f"load{k}"], [at[f"load{k}"], at[f"load{k}_set"]]] = -1.0 / load_s, 1.0 / load_s
+            rates[at[f"v{k}"], at[f"load{k}"]] = 1.0 / axes[k].mass_kg
+        for k in axes:
+            rates[at[f"way{k}"], at[f"v{k}"]] = 1.0
+        self._add_simulated_web(rates, axes)
         held[:size] = loops
         return np.asarray((expm(rates * sample_s) @ held)[:size])
 
-    def _sync(self, *, feedback: bool) -> Matrix:
-        """At SYNC: new commands take effect, what was measured becomes the next ones."""
-        tick, at = np.eye(len(self._places)), self._places
-        tick[at["u1"]], tick[at["load_set"]] = self._unit("u1_next"), self._unit("load_next")
-        shaft = sampled_shaft(self.config.web_line, cycle_s=self.config.cycle_time_s)
-        web, ahead = self._web_now(self.config.cycle_time_s), imitation_delay_s(shaft)
-        loaded = self.config.web_line.carries_web_load(2)
-        tick[at["web"]] = web
-        tick[at["load_next"]] = -self._web_later(web, ahead) if loaded else 0.0
-        tick[at["way1"]] = tick[at["way2"]] = 0.0
-        transfer = self.config.twin.transfer
-        if transfer.strain:
-            tick[at["web_sim"]] = self.point.estimate_Pa / self.point.youngs_modulus_Pa * web
-        if transfer.axes:
-            for v, way in (("v1_sim", "way1"), ("v2_sim", "way2")):
-                tick[at[v]] = self._unit(way) / self.config.cycle_time_s
-        for name, row in self._controller(web).items():
-            tick[at[name]] = row
-        if not feedback:
-            tick[at["u1_next"]] = 0.0
+    def _add_simulated_web(self, rates: Matrix, axes: Mapping[int, _Axis]) -> None:
+        """The twin's spans: what they pull by, and what stretches them; strain comes with the web."""
+        at, model = self._places, self.config.web_line
+        for j in range(1, model.span_count + 1):
+            web, length_m = f"web{j}_sim", model.span_length_m(j)
+            for k, sign in ((j, 1.0), (j + 1, -1.0)):
+                if model.carries_web_load(k):
+                    rates[at[f"v{k}_sim"], at[web]] = sign / axes[k].mass_kg
+            believed = self.point.estimate_Pa * model.required_web.section_m2 / length_m
+            rates[at[web], at[web]] = -self.point.line_speed_m_s / length_m
+            rates[at[web], [at[f"v{j + 1}_sim"], at[f"v{j}_sim"]]] = believed, -believed
+            if j > 1:
+                rates[at[web], at[f"web{j - 1}_sim"]] = self.point.line_speed_m_s / length_m
+
+    def _sync(self, *, opened: str = "") -> Matrix:
+        """At SYNC: new commands take effect, what was measured becomes the next ones; but for the command `opened`."""
+        config, cycle_s = self.config, self.config.cycle_time_s
+        model, tick, at = config.web_line, np.eye(len(self._places)), self._places
+        count = model.axis_count
+        for k in range(1, count):
+            tick[at[f"u{k}"]] = self._unit(f"u{k}_next")
+        webs = self._webs(cycle_s, {j: self._unit(f"web{j}") for j in range(1, count)})
+        if config.loaded_axes:
+            ahead = self._webs(lead_s(model, cycle_s), webs)
+            for k in config.loaded_axes:
+                tick[at[f"load{k}_set"]] = self._unit(f"load{k}_next")
+                pull = ahead.get(k, 0.0) - ahead.get(k - 1, 0.0) if model.carries_web_load(k) else 0.0
+                tick[at[f"load{k}_next"]] = pull
+        transfer = config.twin.transfer
+        for j, web in webs.items():
+            tick[at[f"web{j}"]] = web
+            if transfer.strain:
+                tick[at[f"web{j}_sim"]] = self.point.estimate_Pa / self.point.youngs_modulus_Pa * web
+        for k in range(1, count + 1):
+            tick[at[f"way{k}"]] = 0.0
+            if transfer.axes:
+                tick[at[f"v{k}_sim"]] = self._unit(f"way{k}") / cycle_s
+        for name, row in self._commands(webs).items():
+            tick[at[name]] = row if name != opened else 0.0
         return tick
 
-    def _web_now(self, cycle_s: float) -> Matrix:
-        """Tension of the imitated web at this SYNC, by the ways since the last one."""
-        left = exp(-self.point.line_speed_m_s * cycle_s / self.point.span_length_m)
-        return np.asarray(left * self._unit("web") + self._pull(cycle_s) * (self._unit("way2") - self._unit("way1")))
+    def _webs(self, duration_s: float, before: Mapping[int, Matrix]) -> dict[int, Matrix]:
+        """Tensions of the imitated web `duration_s` after those `before`, by the ways since the last SYNC: rollers go
+        on as in that cycle."""
+        share, found = duration_s / self.config.cycle_time_s, {}
+        for j, web in before.items():
+            moved = self.point.line_speed_m_s * duration_s / self._lengths_m[j]
+            left = exp(-moved)
+            # Tension per length that is drawn evenly while the web moves on.
+            pull = self._stiffness_N_per_m(j) * ((1.0 - left) / moved if abs(moved) > 1e-9 else 1.0)
+            entering = (1.0 - left) * before[j - 1] if j > 1 else 0.0
+            ways = (self._unit(f"way{j + 1}") - self._unit(f"way{j}")) * share
+            found[j] = left * web + entering + pull * ways
+        return found
 
-    def _web_later(self, web: Matrix, ahead_s: float) -> Matrix:
-        """The same `ahead_s` later, when the rollers go on as in the last cycle."""
-        left = exp(-self.point.line_speed_m_s * ahead_s / self.point.span_length_m)
-        ways = (self._unit("way2") - self._unit("way1")) * (ahead_s / self.config.cycle_time_s)
-        return np.asarray(left * web + self._pull(ahead_s) * ways)
-
-    def _pull(self, duration_s: float) -> float:
-        """Tension per length that is drawn evenly within `duration_s` while the web moves on."""
-        moved = self.point.line_speed_m_s * duration_s / self.point.span_length_m
-        return self._stiffness_N_per_m * ((1.0 - exp(-moved)) / moved if abs(moved) > 1e-9 else 1.0)
-
-    def _controller(self, web: Matrix) -> dict[str, Matrix]:
-        """What the bench computes from the answers to this SYNC."""
-        config, cycle_s, gains = self.config, self.config.cycle_time_s, self._damping
-        rate = (web - self._unit("web")) / (cycle_s * self._stiffness_N_per_m)
-        elongation = exp(-gains.washout_per_s * cycle_s) * self._unit("elongation") + rate * cycle_s
-        damping = gains.rate * rate + gains.elongation_per_s * elongation
-        for n, gain in enumerate(gains.pending):
-            damping = damping + gain * self._unit(f"sent{n}")
-        rows = {"elongation": elongation}
-        for n in range(len(gains.pending)):
-            rows[f"sent{n}"] = self._unit(f"sent{n - 1}") if n else damping
-        rows["u1_next"] = damping
-        if self.closed:
-            kp, ki = TensionController.of_model(config.tension_control, config.web_line).gains(
-                self.point.line_speed_m_s, self.point.estimate_Pa
-            )
-            error = -self._unit("web_sim")
-            rows["integral"] = self._unit("integral") + ki * cycle_s * error
-            rows["u1_next"] = damping - kp * error - rows["integral"]
+    def _commands(self, webs: Mapping[int, Matrix]) -> dict[str, Matrix]:
+        """What the bench computes from the answers to this SYNC, from the leading axis on."""
+        config, cycle_s = self.config, self.config.cycle_time_s
+        controls, rows = config.tension_controls, {}
+        speed = np.zeros(len(self._places))  # of the axis behind the span, without its damping
+        for j in range(config.shape.spans, 0, -1):
+            damping = np.zeros(len(self._places))
+            if j in controls:
+                gains = self._damping[j]
+                rate = (webs[j] - self._unit(f"web{j}")) / (cycle_s * self._stiffness_N_per_m(j))
+                elongation = exp(-gains.washout_per_s * cycle_s) * self._unit(f"elongation{j}") + rate * cycle_s
+                damping = gains.rate * rate + gains.elongation_per_s * elongation
+                for n, gain in enumerate(gains.pending):
+                    damping = damping + gain * self._unit(f"sent{j}_{n}")
+                rows[f"elongation{j}"] = elongation
+                for n in range(len(gains.pending)):
+                    rows[f"sent{j}_{n}"] = self._unit(f"sent{j}_{n - 1}") if n else damping
+            if j in controls and self.closed:
+                controller = TensionController.of_model(controls[j], config.web_line, strain_before(config, j))
+                kp, ki = controller.gains(self.point.line_speed_m_s, self.point.estimate_Pa)
+                error = -self._unit(f"web{j}_sim")
+                rows[f"integral{j}"] = self._unit(f"integral{j}") + ki * cycle_s * error
+                speed = speed - kp * error - rows[f"integral{j}"]
+            rows[f"u{j}_next"] = speed + damping
         return rows
 
-    def _return_ratio(self, omega: NDArray[np.float64]) -> NDArray[np.complex128]:
-        """L(jω) of the loop opened at axis 1's command; 1 + L = 0 is the border of stability."""
-        opened, command = self._cycle @ self._sync(feedback=False), self._sync(feedback=True)[self._places["u1_next"]]
-        entry = self._cycle @ self._unit("u1_next")
+    def _return_ratio(self, command: str, omega: NDArray[np.float64]) -> NDArray[np.complex128]:
+        """L(jω) of the loop opened at a command; 1 + L = 0 is the border of stability."""
+        opened, row = self._cycle @ self._sync(opened=command), self._sync()[self._places[command]]
+        entry = self._cycle @ self._unit(command)
         z = np.exp(1j * omega * self.config.cycle_time_s)
         matrices = z[:, None, None] * np.eye(len(entry)) - opened
         states = np.linalg.solve(matrices, np.broadcast_to(entry[:, None], (len(z), len(entry), 1)))[..., 0]
-        return np.asarray(-states @ command)
+        return np.asarray(-states @ row)

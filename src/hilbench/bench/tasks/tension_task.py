@@ -1,31 +1,76 @@
-"""The tension loop as a task: axis 1 by the controller while the twin can be trusted, by the ratio of speeds else."""
+"""The tension loop as a task: the axis before a span by the controller while the twin can be trusted, by the ratio of
+speeds else."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import Protocol
+
 from hilbench.bench.state import Reports, TwinState
-from hilbench.bench.tasks.reference import Reference
 from hilbench.bench.tasks.swing_damping import SwingDamping
 from hilbench.bench.tasks.task import CyclicTask, Outputs
 from hilbench.bench.tasks.tension_control import TensionController
-from hilbench.bench.tasks.twin_trust import TwinTrust
+from hilbench.bench.tasks.twin_trust import TwinSignals, TwinTrust
 from hilbench.exchange.exchange import Inputs
-from hilbench.topology.quantities import TENSION_SET_POINT
+from hilbench.topology.quantities import tension_set_point
 from hilbench.topology.sample import CycleSample
+from hilbench.topology.signals import Shape
 
 #: Cycles of late data of the twin that the tension controller makes up for in one step.
 _MOST_CYCLES_AT_ONCE = 10
 
 
-class TensionTask(CyclicTask):
-    """Velocity of `drive` from the simulated tension, with the damping of the swing added.
+class Leader(Protocol):
+    """An axis whose speed the axis before it follows."""
 
-    `set_point_N` is settable under way; `line_speed`: the reference that the axis downstream follows.
+    @property
+    def speed_m_s(self) -> float:
+        """What it is to turn at, at the web, without what damps its own span."""
+
+
+@dataclass(frozen=True, slots=True)
+class LoopNames:
+    """What is called what in a tension loop: the drive, the axis that it is, the set-point's path, signals."""
+
+    drive: str
+    axis: int
+    path: str
+    twin: TwinSignals
+    set_point: str
+    closed: str
+    command: str
+    before: str  #: position of the axis before the span
+    behind: str
+    of_loop: str  #: for messages
+
+    @classmethod
+    def of(cls, drive: str, span: int, shape: Shape) -> LoopNames:
+        """Those of a span's loop; E is that of the span at which it is estimated."""
+        k, known = shape.numbered(span), shape.numbered(shape.estimated[0])
+        return cls(
+            drive=drive,
+            axis=span,
+            path=tension_set_point(k),
+            twin=TwinSignals(f"F{k}_sim_N", f"E{known}_sim_Pa", f"E{known}_sd_Pa"),
+            set_point=f"F{k}_ref_N",
+            closed=f"loop{k}_closed",
+            command=f"v{span}_cmd_m_s",
+            before=f"x{span}_m",
+            behind=f"x{span + 1}_m",
+            of_loop=f"tension loop of span {k}" if k else "tension loop",
+        )
+
+
+class TensionTask(CyclicTask):
+    """Velocity of the axis before a span from the simulated tension, with the damping of the swing added.
+
+    `set_point_N` is settable under way; `leader`: the axis behind the span.
     """
 
     def __init__(
         self,
-        drive: str,
-        line_speed: Reference,
+        names: LoopNames,
+        leader: Leader,
         set_point_N: float,
         controller: TensionController,
         damping: SwingDamping,
@@ -34,8 +79,8 @@ class TensionTask(CyclicTask):
         reports: Reports,
         cycle_s: float,
     ) -> None:
-        self._drive = drive
-        self._line_speed = line_speed
+        self._names = names
+        self._leader = leader
         self._set_point_N = set_point_N
         self._controller = controller
         self._damping = damping
@@ -45,10 +90,16 @@ class TensionTask(CyclicTask):
         self._cycle_s = cycle_s
         self._controlled_cycle: int | None = None  # whose twin data the controller has had
         self._was_closed: bool | None = None  # None before it was closed for the first time
+        self._speed_m_s = 0.0
+
+    @property
+    def speed_m_s(self) -> float:
+        """What the axis is to turn at, without the damping."""
+        return self._speed_m_s
 
     def owns(self, path: str) -> bool:
         """Whether it is the set-point."""
-        return path == TENSION_SET_POINT
+        return path == self._names.path
 
     def value(self, path: str) -> float:
         """The set-point, N."""
@@ -60,27 +111,29 @@ class TensionTask(CyclicTask):
 
     def before(self, sample: CycleSample, outputs: Outputs) -> None:
         """Velocity of the axis from the last sample."""
+        names = self._names
         closed = self._is_closed(sample)
-        sample.loop_closed = int(closed)
-        speed_m_s, since_s = self._line_speed.present, self._since_controlled_s(sample)
+        setattr(sample, names.closed, int(closed))
+        speed_m_s, since_s = self._leader.speed_m_s, self._since_controlled_s(sample)
         if closed:
-            velocity_m_s = self._controller.velocity(
-                speed_m_s, self._set_point_N, sample.F_sim_N, sample.E_sim_Pa, since_s
-            )
-            self._damping.use_modulus(sample.E_sim_Pa)
+            tension_N, modulus_Pa = getattr(sample, names.twin.tension), getattr(sample, names.twin.modulus)
+            velocity_m_s = self._controller.velocity(speed_m_s, self._set_point_N, tension_N, modulus_Pa, since_s)
+            self._damping.use_modulus(modulus_Pa)
         else:
             velocity_m_s = self._controller.hold(speed_m_s, self._set_point_N, self._cycle_s)
-        velocity_m_s += self._damping.velocity(sample.x1_m, sample.x2_m)
-        sample.v1_cmd_m_s = outputs[self._drive] = velocity_m_s
+        self._speed_m_s = velocity_m_s
+        velocity_m_s += self._damping.velocity(getattr(sample, names.before), getattr(sample, names.behind))
+        outputs[names.drive] = velocity_m_s
+        setattr(sample, names.command, velocity_m_s)
 
     def after(self, sample: CycleSample, inputs: Inputs) -> None:
         """Record the set-point."""
-        sample.F_ref_N = self._set_point_N
+        setattr(sample, self._names.set_point, self._set_point_N)
 
     def rest(self, sample: CycleSample, outputs: Outputs) -> None:
         """The web is at rest, strained as upstream."""
         self._damping.reset()
-        sample.F_ref_N = self._set_point_N
+        setattr(sample, self._names.set_point, self._set_point_N)
 
     def _is_closed(self, sample: CycleSample) -> bool:
         """Whether the loop is closed on the twin's data in `sample`; that it opens or closes again is reported."""
@@ -89,10 +142,11 @@ class TensionTask(CyclicTask):
         else:
             closed = False
             self._trust.forget(self._twin.why)
+        loop, axis = self._names.of_loop, self._names.axis
         if self._was_closed and not closed:
-            self._reports.note("twin", f"tension loop open, axis 1 follows the ratio of speeds: {self._trust.doubt}")
+            self._reports.note("twin", f"{loop} open, axis {axis} follows the ratio of speeds: {self._trust.doubt}")
         elif closed and self._was_closed is False:
-            self._reports.note("twin", "tension loop closed again: the twin is synchronized")
+            self._reports.note("twin", f"{loop} closed again: the twin is synchronized")
         if closed or self._was_closed is not None:
             self._was_closed = closed
         return closed

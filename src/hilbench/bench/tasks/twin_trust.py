@@ -6,11 +6,13 @@ all. Once in doubt, the loop stays open until the twin calls itself synchronized
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from math import inf, isfinite
+from operator import attrgetter
 
 from hilbench.plant.web_line.parameters import LARGEST_MODULUS_Pa, LEAST_MODULUS_Pa
-from hilbench.topology.config import TensionControlConfig
 from hilbench.topology.sample import CycleSample
+from hilbench.topology.web_line_config import TensionControlConfig
 from hilbench.twin.virtual_io import TwinStatus
 
 _SYNCHRONIZED = int(TwinStatus.SYNCHRONIZED)
@@ -18,11 +20,23 @@ _SYNCHRONIZED = int(TwinStatus.SYNCHRONIZED)
 _BELOW_ZERO_N = 1.0
 
 
+@dataclass(frozen=True, slots=True)
+class TwinSignals:
+    """What of the twin a tension loop closes on, by the names of the signals; as they are where there is one span."""
+
+    tension: str = "F_sim_N"
+    modulus: str = "E_sim_Pa"
+    deviation: str = "E_sd_Pa"
+
+
 class TwinTrust:
     """Checks the twin cycle by cycle. `highest_tension_N`: what a simulated tension may reach and be believed."""
 
-    def __init__(self, config: TensionControlConfig, highest_tension_N: float) -> None:
+    def __init__(
+        self, config: TensionControlConfig, highest_tension_N: float, signals: TwinSignals = TwinSignals()
+    ) -> None:
         self._config = config
+        self._values = attrgetter(signals.tension, signals.modulus, signals.deviation)
         self._highest_tension_N = highest_tension_N
         self._synchronized = False
         self.doubt = "not synchronized yet"  #: why the loop is open; "" while it may be closed
@@ -46,11 +60,12 @@ class TwinTrust:
         config = self._config
         if sample.twin_age_cycles > config.twin_age_limit_cycles:
             return f"the twin's data are more than {config.twin_age_limit_cycles} cycles old"
-        if not (isfinite(sample.F_sim_N) and LEAST_MODULUS_Pa <= sample.E_sim_Pa <= LARGEST_MODULUS_Pa):
-            return f"the twin's data are no web's: tension {sample.F_sim_N:g} N, E {sample.E_sim_Pa:g} Pa"
-        if not -_BELOW_ZERO_N <= sample.F_sim_N <= self._highest_tension_N:
-            return f"simulated tension {sample.F_sim_N:.1f} N is outside 0 to {self._highest_tension_N:g} N"
+        tension_N, modulus_Pa, deviation_Pa = self._values(sample)
+        if not (isfinite(tension_N) and LEAST_MODULUS_Pa <= modulus_Pa <= LARGEST_MODULUS_Pa):
+            return f"the twin's data are no web's: tension {tension_N:g} N, E {modulus_Pa:g} Pa"
+        if not -_BELOW_ZERO_N <= tension_N <= self._highest_tension_N:
+            return f"simulated tension {tension_N:.1f} N is outside 0 to {self._highest_tension_N:g} N"
         # An infinite deviation is that of a method which has none.
-        if self._synchronized and 0.01 * config.twin_deviation_limit_pct * sample.E_sim_Pa < sample.E_sd_Pa < inf:
+        if self._synchronized and 0.01 * config.twin_deviation_limit_pct * modulus_Pa < deviation_Pa < inf:
             return f"the deviation of E is above {config.twin_deviation_limit_pct:g} %"
         return ""

@@ -17,3 +17,4 @@ class NewBench:
     questions: tuple[tuple[str, Place, Any], ...]  #: question, place of the answer, what is suggested
     given: Mapping[Place, Any]  #: what nobody is asked for
     nodes: Mapping[Place, int]  #: where each node stands, and its id
+    virtual_io: str = "hilbench_virtual_io.eds"  #: EDS file of the twin's virtual I/O

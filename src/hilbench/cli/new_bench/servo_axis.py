@@ -34,4 +34,5 @@ NEW: Final = NewBench(
         ("drives", "shaft", "virtual"): 17,
         ("twin", "node"): 32,
     },
+    virtual_io="hilbench_virtual_io_servo_axis.eds",
 )

@@ -2,20 +2,33 @@
 
 from __future__ import annotations
 
-from typing import Final
-
 from hilbench.cli.shown.machine import LiveRow, Shown
+from hilbench.topology.signals import Shape
 
-SHOWN: Final = Shown(
-    live=(
-        LiveRow("line speed", ("v2_m_s",), "m/s", ".3f"),
-        LiveRow("tension true / simulated / set-point", ("F_true_N", "F_sim_N", "F_ref_N"), "N", ".1f"),
-        LiveRow("E true / estimated", ("E_true_Pa", "E_sim_Pa"), "N/mm²", ".0f", 1e6),
-    ),
-    of_steps=(
-        ("E in 1 %, s", "E_time_to_1pct_s"),
-        ("noise, %", "E_noise_pct"),
-        ("F in 1 N, s", "tension_recovery_s"),
-        ("peak, N", "tension_peak_error_N"),
-    ),
-)
+
+def shown(shape: Shape) -> Shown:
+    """Of a line with so many spans; a row a span where there are several."""
+    live = [LiveRow("line speed", (f"v{shape.axes}_m_s",), "m/s", ".3f")]
+    for span in range(1, shape.spans + 1):
+        k = shape.numbered(span)
+        controlled = span in shape.controlled
+        title = f"tension {k}".strip() + " true / simulated" + (" / set-point" if controlled else "")
+        signals = (f"F{k}_true_N", f"F{k}_sim_N", *((f"F{k}_ref_N",) if controlled else ()))
+        live.append(LiveRow(title, signals, "N", ".1f"))
+    for span in shape.estimated:
+        k = shape.numbered(span)
+        live.append(LiveRow("E true / estimated", (f"E{k}_true_Pa", f"E{k}_sim_Pa"), "N/mm²", ".0f", 1e6))
+    of_steps = []
+    for span in shape.estimated:
+        k = shape.numbered(span)
+        of_steps += [
+            (f"E{k} in 1 %, s", f"E{k}_time_to_1pct_s"),
+            (f"noise {k}, %".replace(" ,", ","), f"E{k}_noise_pct"),
+        ]
+    for span in shape.controlled:
+        k = shape.numbered(span)
+        of_steps += [
+            (f"F{k} in 1 N, s", f"tension{k}_recovery_s"),
+            (f"peak {k}, N".replace(" ,", ","), f"tension{k}_peak_error_N"),
+        ]
+    return Shown(tuple(live), tuple(of_steps))

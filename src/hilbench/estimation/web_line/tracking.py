@@ -5,8 +5,10 @@ The same for the twin on the bus and for a recording.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from math import exp, hypot, inf, isfinite
+from typing import Protocol
 
 from hilbench.estimation.plausibility import Plausibility, Problem
 from hilbench.estimation.web_line.anomalies import Anomalies
@@ -17,9 +19,8 @@ from hilbench.estimation.web_line.synchronizers.base import Estimate, Synchroniz
 from hilbench.estimation.web_line.synchronizers.create import new_synchronizer
 from hilbench.estimation.web_line.synchronizers.plant import Plant
 from hilbench.estimation.web_line.torque_shift import TorqueShiftFinder
-from hilbench.plant.motor_port import MotorPort
 from hilbench.plant.parameters import per_item
-from hilbench.plant.web_line.line import Line
+from hilbench.plant.web_line.layout import Vector
 from hilbench.plant.web_line.parameters import ModelParameters
 
 #: Relative uncertainty of the strain below which the web in the span counts as known.
@@ -32,6 +33,39 @@ _GONE = 0.1
 _LARGEST_STRAIN = 0.5
 
 
+class TrackedLine(Protocol):
+    """The simulation of two rollers with a span between them: a `Line`, or two rollers of one that has more."""
+
+    def parameter(self, name: str) -> float:
+        """Present value of a parameter."""
+
+    def set_parameter(self, name: str, value: float) -> None:
+        """Give a parameter a value from now on."""
+
+    def set_state(self, state: Mapping[str, float]) -> None:
+        """Transfer states by name: strain1, x1_m, x2_m, v1_m_s, v2_m_s; the others stay."""
+
+    @property
+    def strain(self) -> Vector:
+        """Strain of the span (1,)."""
+
+    @property
+    def x_m(self) -> Vector:
+        """Positions at the web (2,)."""
+
+    @property
+    def v_m_s(self) -> Vector:
+        """Speeds at the web (2,)."""
+
+
+class SimulatedMotor(Protocol):
+    """What shows a simulated torque: a `MotorPort`, or several motors as one."""
+
+    @property
+    def torque_Nm(self) -> float:
+        """Motor side."""
+
+
 class Tracking:
     """Moves E, and the transferred states, of `line` to where it agrees with what is measured.
 
@@ -39,7 +73,12 @@ class Tracking:
     """
 
     def __init__(
-        self, model: ModelParameters, config: EstimationConfig, line: Line, axis2: MotorPort, cycle_s: float
+        self,
+        model: ModelParameters,
+        config: EstimationConfig,
+        line: TrackedLine,
+        axis2: SimulatedMotor,
+        cycle_s: float,
     ) -> None:
         self.config = config
         self._line = line

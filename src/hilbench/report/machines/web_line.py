@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from functools import cache
+from itertools import cycle
 from pathlib import Path
 from typing import Final
 
@@ -10,7 +13,7 @@ from numpy.typing import NDArray
 
 from hilbench.diagnosis.synchronization import reference_estimate
 from hilbench.errors import UnusableInputError
-from hilbench.report.chart import BLUE, INK, SKY, VERMILLION, Chart, Curve
+from hilbench.report.chart import BLUE, BROWN, GREEN, INK, ORANGE, PURPLE, SKY, VERMILLION, Chart, Curve
 from hilbench.report.machines.picture import (
     AVERAGED,
     SMOOTHING_S,
@@ -28,24 +31,41 @@ from hilbench.results.recording import Recording
 from hilbench.runs.config import load_with_overrides
 from hilbench.runs.figures import ESTIMATE_BAND, working_window
 from hilbench.runs.machines.web_line import expected_v1_m_s
-from hilbench.topology.main_quantities.web_line import MODULUS
+from hilbench.topology.main_quantities.web_line import line_speed, modulus
+from hilbench.topology.signals import Shape, shape_of
+
+
+def _command(run: ShownRun) -> str:
+    return line_speed(shape_of(run.recording.channels).axes).signal
 
 
 def _beyond_the_line(run: ShownRun) -> Chart:
-    """A thousand times finer than the velocities: what axis 1 runs faster than the line."""
-    v1, v2, steady = run.velocity("x1_m"), run.velocity("x2_m"), _steady(run)
-    fine = [Curve("axis 1 − line", run.t_s, np.where(steady, 1e3 * (v1 - v2), np.nan), BLUE)]
-    if {"strain_prev", "strain_true"} <= run.recording.channels.keys():
-        asked = 1e3 * (expected_v1_m_s(v2, run.get("strain_prev"), run.averaged("strain_true")) - v2)
-        fine.append(Curve("mass balance", run.t_s, np.where(steady, asked, np.nan), INK, 0.9, (4, 2)))
-    return Chart("v1 − line in mm/s", fine, least=0.05)
+    """A thousand times finer than the velocities: what each axis runs faster than the one behind it."""
+    shape, steady = shape_of(run.recording.channels), _steady(run)
+    fine = []
+    for span, colour in zip(range(1, shape.axes), cycle(_COLOURS), strict=False):
+        before, behind = f"x{span}_m", f"x{span + 1}_m"
+        if before not in run or behind not in run:
+            continue
+        v_before, v_behind, k = run.velocity(before), run.velocity(behind), shape.numbered(span)
+        name = "axis 1 − line" if shape.axes == 2 else f"axis {span} − axis {span + 1}"
+        fine.append(Curve(name, run.t_s, np.where(steady, 1e3 * (v_before - v_behind), np.nan), colour))
+        entering, strain = "strain_prev" if span == 1 else f"strain{shape.numbered(span - 1)}_true", f"strain{k}_true"
+        if entering in run and strain in run:
+            came = run.get(entering) if span == 1 else run.averaged(entering)
+            asked = 1e3 * (expected_v1_m_s(v_behind, came, run.averaged(strain)) - v_behind)
+            label = "mass balance" if span == shape.axes - 1 else ""
+            fine.append(Curve(label, run.t_s, np.where(steady, asked, np.nan), INK, 0.9, (4, 2)))
+    label = "v1 − line in mm/s" if shape.axes == 2 else "difference in mm/s"
+    return Chart(label, fine, least=0.05)
 
 
 def _steady(run: ShownRun) -> NDArray[np.bool_]:
     """Where the line-speed command has not changed for twice the time of the averages."""
-    if "v2_cmd_m_s" not in run:
+    signal = _command(run)
+    if signal not in run:
         return np.ones(len(run.recording), bool)
-    command = run.get("v2_cmd_m_s")
+    command = run.get(signal)
     top = float(np.max(np.abs(command), initial=0.0, where=np.isfinite(command)))
     moved = np.concatenate(([False], ~(np.abs(np.diff(command)) <= 1e-6 * top)))
     count = np.cumsum(moved)
@@ -54,13 +74,14 @@ def _steady(run: ShownRun) -> NDArray[np.bool_]:
 
 
 def _working_velocity(run: ShownRun, position: str) -> Array | None:
-    """Velocity of axis 1 minus line speed while the line runs at its working speed."""
-    if "x2_m" not in run:
+    """Velocity of an axis minus that of the one behind it while the line runs at its working speed."""
+    behind = f"x{int(position[1:-2]) + 1}_m"
+    if behind not in run:
         return None
     difference = np.full(len(run.recording), np.nan)
-    part = working_window(run.t_s, run.get("v2_cmd_m_s")) if "v2_cmd_m_s" in run else None
+    part = working_window(run.t_s, run.get(_command(run))) if _command(run) in run else None
     part = part or slice(None)
-    difference[part] = (run.velocity(position) - run.velocity("x2_m"))[part]
+    difference[part] = (run.velocity(position) - run.velocity(behind))[part]
     return difference
 
 
@@ -72,81 +93,141 @@ def _published(config: Path, recording: Recording) -> Array | None:
         return None
 
 
-_PICTURES: Final = (
-    RunPicture(
+#: Of axes and spans, in their order; of two axes the leading one is vermillion.
+_COLOURS: Final = (BLUE, GREEN, ORANGE, PURPLE, BROWN, SKY)
+
+
+def _velocities(shape: Shape) -> RunPicture:
+    last = shape.axes
+    behind = [Line(f"x{last}_m", f"axis {last}", VERMILLION, 2.6, alpha=0.8, values=VELOCITY)]
+    others = [
+        Line(f"x{axis}_m", f"axis {axis}", colour, 1.3, values=VELOCITY)
+        for axis, colour in zip(range(1, last), cycle(_COLOURS), strict=False)
+    ]
+    commands = [
+        Line(f"v{axis}_cmd_m_s", "commands" if axis == last else "", INK, 0.8, (4, 4)) for axis in range(last, 0, -1)
+    ]
+    fine = (
+        "velocity of axis 1 minus line speed (axis 2), and what mass conservation asks for at the strain of the "
+        "imitated web once it is steady."
+        if last == 2
+        else "what each axis turns faster than the one behind it, and what mass conservation asks for at the strains "
+        "of the imitated web once they are steady."
+    )
+    return RunPicture(
         "velocities",
         "Velocities",
         f"Velocities at the web, averaged over {SMOOTHING_S:g} s, but not over a step or the ends of a ramp. Below: "
-        "velocity of axis 1 minus line speed (axis 2), and what mass conservation asks for at the strain of the "
-        "imitated web once it is steady.",
-        (
-            lines(
-                "velocity in m/s",
-                Line("x2_m", "axis 2", VERMILLION, 2.6, alpha=0.8, values=VELOCITY),
-                Line("x1_m", "axis 1", BLUE, 1.3, values=VELOCITY),
-                Line("v2_cmd_m_s", "commands", INK, 0.8, (4, 4)),
-                Line("v1_cmd_m_s", "", INK, 0.8, (4, 4)),
-            ),
-            _beyond_the_line,
-        ),
-        needs=("x1_m", "x2_m"),
-    ),
-    RunPicture(
+        + fine,
+        (lines("velocity in m/s", *behind, *others, *commands), _beyond_the_line),
+        needs=("x1_m", f"x{last}_m"),
+    )
+
+
+def _torques(axis: int) -> RunPicture:
+    """Of the axis behind a span at which something is estimated."""
+    return RunPicture(
         "torques",
-        "Torque of axis 2",
-        f"Motor torque of axis 2: measured, averaged over {SMOOTHING_S:g} s, and simulated by the twin. Their "
+        f"Torque of axis {axis}",
+        f"Motor torque of axis {axis}: measured, averaged over {SMOOTHING_S:g} s, and simulated by the twin. Their "
         "difference is what the twin learns E from.",
         (
             lines(
                 "torque in N·m",
-                Line("tau2_Nm", "measured", SKY, 0.7, spread=True),
-                Line("tau2_Nm", "averaged", BLUE, values=AVERAGED),
-                Line("tau2_sim_Nm", "simulated", VERMILLION, 1.2),
+                Line(f"tau{axis}_Nm", "measured", SKY, 0.7, spread=True),
+                Line(f"tau{axis}_Nm", "averaged", BLUE, values=AVERAGED),
+                Line(f"tau{axis}_sim_Nm", "simulated", VERMILLION, 1.2),
             ),
         ),
-        needs=("tau2_Nm",),
-    ),
-    RunPicture(
+        needs=(f"tau{axis}_Nm",),
+    )
+
+
+def _elasticity(number: str) -> RunPicture:
+    """`number`: of the span at which E is estimated, as names have it."""
+    return RunPicture(
         "elasticity",
         "Young’s modulus",
         f"Young’s modulus of the imitated web with a band of ±{100 * ESTIMATE_BAND:g} % (grey), and the twin’s "
         "estimate with a band of ±2 standard deviations where the twin states one.",
-        (estimate(MODULUS, "E_sd_Pa"),),
+        (estimate(modulus(number), f"E{number}_sd_Pa"),),
         with_reference="PID: what the published tracking simulation makes of the same measurements.",
         zoomed=True,
-    ),
-    RunPicture(
-        "tension",
-        "Web tension",
+    )
+
+
+def _tension(number: str) -> RunPicture:
+    """`number`: of the span, as names have it."""
+    return RunPicture(
+        f"tension{number}",
+        f"Web tension in span {number}" if number else "Web tension",
         "Tension of the imitated web, tension simulated by the twin (the virtual sensor that the controller sees),"
         " and set-point.",
         (
             lines(
                 "tension in N",
-                Line("F_true_N", "true", BLUE),
-                Line("F_sim_N", "simulated", VERMILLION, 1.2),
-                Line("F_ref_N", "set-point", INK, 0.9, (4.0, 2.0)),
+                Line(f"F{number}_true_N", "true", BLUE),
+                Line(f"F{number}_sim_N", "simulated", VERMILLION, 1.2),
+                Line(f"F{number}_ref_N", "set-point", INK, 0.9, (4.0, 2.0)),
                 least=4.0,
             ),
         ),
         zoomed=True,
-    ),
-)
+    )
 
-PICTURES: Final = MachinePictures(
-    _PICTURES,
-    compared=(
-        ComparedSignal("elasticity", "Young’s modulus, estimated", "E in N/mm²", ("E_sim_Pa",), 1e6),
-        ComparedSignal("tension", "Web tension", "tension in N", ("F_true_N", "F_sim_N")),
-        ComparedSignal("torque", "Torque of axis 2, averaged", "torque in N·m", ("tau2_Nm",), values=AVERAGED),
-        ComparedSignal(
-            "velocity",
-            "Velocity of axis 1 minus line speed",
-            "v1 − line in mm/s",
-            ("x1_m",),
-            1e-3,
-            values=_working_velocity,
+
+@cache
+def pictures_of(shape: Shape) -> MachinePictures:
+    """The pictures of a line, one of the tension a span. Of a recording in which nothing is estimated, or no span is
+    named, as of the smallest line."""
+    axes = max(shape.axes, 2)
+    estimated = [(span, shape.numbered(span)) for span in shape.estimated or (1,)]
+    numbers = [shape.numbered(span) for span in range(1, max(shape.spans, 1) + 1)]
+    shape = replace(shape, axes=axes)
+    return MachinePictures(
+        (
+            _velocities(shape),
+            *(_torques(span + 1) for span, _ in estimated),
+            *(_elasticity(number) for _, number in estimated),
+            *map(_tension, numbers),
         ),
-    ),
-    reference=_published,
-)
+        compared=(
+            *(
+                ComparedSignal(
+                    f"elasticity{number}", "Young’s modulus, estimated", "E in N/mm²", (f"E{number}_sim_Pa",), 1e6
+                )
+                for _, number in estimated
+            ),
+            *(
+                ComparedSignal(
+                    f"tension{number}",
+                    f"Web tension in span {number}" if number else "Web tension",
+                    "tension in N",
+                    (f"F{number}_true_N", f"F{number}_sim_N"),
+                )
+                for number in numbers
+            ),
+            *(
+                ComparedSignal(
+                    "torque",
+                    f"Torque of axis {span + 1}, averaged",
+                    "torque in N·m",
+                    (f"tau{span + 1}_Nm",),
+                    values=AVERAGED,
+                )
+                for span, _ in estimated
+            ),
+            *(
+                ComparedSignal(
+                    "velocity" if axes == 2 else f"velocity{span}",
+                    "Velocity of axis 1 minus line speed" if axes == 2 else f"Velocity of axis {span} minus the next",
+                    "v1 − line in mm/s" if axes == 2 else f"v{span} − v{span + 1} in mm/s",
+                    (f"x{span}_m",),
+                    1e-3,
+                    values=_working_velocity,
+                )
+                for span in range(1, axes)
+            ),
+        ),
+        reference=_published if shape.spans < 2 else lambda config, recording: None,
+    )

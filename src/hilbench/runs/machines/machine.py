@@ -31,12 +31,12 @@ class MachineMetrics:
     """The metrics of a kind of machine.
 
     The command of `speed` says when the machine works; where its ramps are the work itself (`moves_always`), they end
-    no stretch. `together`: figures of one step, that whose last one is the largest.
+    no stretch. `together`: groups of figures of one step, that whose last one is the largest.
     """
 
     speed: MainQuantity
     metrics: Mapping[str, Metric]
-    together: tuple[str, ...] = ()
+    together: tuple[tuple[str, ...], ...] = ()
     moves_always: bool = False
 
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Iterable
+from functools import cache
 from typing import Final, TypeVar
 
 import numpy as np
@@ -10,94 +13,129 @@ from numpy.typing import NDArray
 from hilbench.runs.figures import SPEED_BAND, mean_velocity
 from hilbench.runs.machines.machine import NO_STEP, Estimate, MachineMetrics, nothing_to_judge, speed_metrics
 from hilbench.runs.stretch import Array, Figure, Metric, Stretch, UnknownFigureError, after_a_step, after_a_step_of
-from hilbench.topology.main_quantities.web_line import MODULUS, SET_POINT, SPEED
+from hilbench.topology.main_quantities.web_line import line_speed, modulus, set_point
+from hilbench.topology.signals import Shape
 
 Number = TypeVar("Number", float, NDArray[np.float64])
 
 #: Half width of the band the tension has to come back to, N.
 TENSION_BAND_N: Final = 1.0
 
+_OF_SPAN: Final = re.compile(r"(E|tension|v)(\d*)_")
 _NOTHING: Final = nothing_to_judge("line")
 
 
 def expected_v1_m_s(v2_m_s: Number, strain_prev: Number, strain: Number) -> Number:
-    """Steady state of mass conservation in the span, v1/(1+ε_prev) = v2/(1+ε) (design 5); numbers or arrays."""
+    """Steady state of mass conservation in a span, v1/(1+ε_prev) = v2/(1+ε) (design 5), v1 that of the roller before
+    it; numbers or arrays."""
     return v2_m_s * (1 + strain_prev) / (1 + strain)
 
 
-def _tension_error(stretch: Stretch) -> Array:
-    return stretch.error("F_true_N", "F_ref_N")
+def _tension(number: str) -> dict[str, Metric]:
+    """Of the span of that number, as names have it (`Shape.numbered`)."""
+    quantity = set_point(number)
+    true, simulated, goal = f"F{number}_true_N", quantity.twin_signal, quantity.signal
+
+    def error(stretch: Stretch) -> Array:
+        return stretch.error(true, goal)
+
+    return {
+        f"tension{number}_recovery_s": Metric(
+            "s",
+            f"time from a step until the true tension stays within {TENSION_BAND_N:g} N of its set-point",
+            NO_STEP,
+            lambda s: s.time_in_band(error(s), TENSION_BAND_N, f"{TENSION_BAND_N:g} N"),
+            after_a_step,
+        ),
+        f"tension{number}_overshoot_pct": Metric(
+            "%",
+            "largest excess of the true tension over a new set-point beyond noise, of the step",
+            f"the tension set-point did not step, or {true} is not recorded",
+            lambda s: s.overshoot(true, goal, s.height_of(quantity)),
+            after_a_step_of(quantity),
+        ),
+        f"tension{number}_rms_error_N": Metric(
+            "N", "rms of true tension minus set-point since the step", _NOTHING, lambda s: s.rms(error(s))
+        ),
+        f"tension{number}_peak_error_N": Metric(
+            "N", "largest true tension error since the step", _NOTHING, lambda s: s.peak(error(s))
+        ),
+        f"tension{number}_final_error_N": Metric(
+            "N", "size of the mean true tension error, settled part", _NOTHING, lambda s: s.final(error(s))
+        ),
+        f"tension{number}_sim_deviation_N": Metric(
+            "N",
+            "largest simulated tension error since the step",
+            _NOTHING,
+            lambda s: s.peak(s.error(simulated, goal)),
+        ),
+    }
 
 
-def _v1_m_s(stretch: Stretch) -> tuple[float, float]:
-    """Mean velocity of roller 1, and what mass conservation asks of it."""
-    command = np.abs(stretch.get("v2_cmd_m_s"))
-    x1_m, x2_m, strain_prev, strain = map(stretch.get, ("x1_m", "x2_m", "strain_prev", "strain_true"))
-    part = stretch.settled(strain)
-    if command[part].max() == 0:
-        raise UnknownFigureError("the line stands still")
-    if np.ptp(command[part]) > SPEED_BAND * command[part].max():
-        raise UnknownFigureError("the line speed changes")
-    t_s = stretch.t_s[part]
-    v2_m_s = mean_velocity(t_s, x2_m[part])
-    asked_m_s = expected_v1_m_s(v2_m_s, float(np.mean(strain_prev[part])), float(np.mean(strain[part])))
-    return mean_velocity(t_s, x1_m[part]), asked_m_s
+def _mass(span: int, shape: Shape) -> dict[str, Metric]:
+    """What mass conservation in a span asks of the roller before it."""
+    command = line_speed(shape.axes).signal
+    entering = "strain_prev" if span == 1 else f"strain{shape.numbered(span - 1)}_true"
+    signals = (f"x{span}_m", f"x{span + 1}_m", entering, f"strain{shape.numbered(span)}_true")
+
+    def velocities_m_s(stretch: Stretch) -> tuple[float, float]:
+        """Mean velocity of the roller before the span, and what mass conservation asks of it."""
+        speed = np.abs(stretch.get(command))
+        before_m, behind_m, strain_prev, strain = map(stretch.get, signals)
+        part = stretch.settled(strain)
+        if speed[part].max() == 0:
+            raise UnknownFigureError("the line stands still")
+        if np.ptp(speed[part]) > SPEED_BAND * speed[part].max():
+            raise UnknownFigureError("the line speed changes")
+        t_s = stretch.t_s[part]
+        behind_m_s = mean_velocity(t_s, behind_m[part])
+        asked_m_s = expected_v1_m_s(behind_m_s, float(np.mean(strain_prev[part])), float(np.mean(strain[part])))
+        return mean_velocity(t_s, before_m[part]), asked_m_s
+
+    def deviation(stretch: Stretch) -> Figure:
+        is_m_s, asked_m_s = velocities_m_s(stretch)
+        return Figure(is_m_s - asked_m_s)
+
+    v, behind = f"v{span}", f"v{span + 1}"
+    return {
+        f"{v}_final_m_s": Metric(
+            "m/s",
+            f"mean velocity of roller {span}, settled part of the strain",
+            _NOTHING,
+            lambda s: Figure(velocities_m_s(s)[0]),
+        ),
+        f"{v}_expected_m_s": Metric(
+            "m/s",
+            f"{behind}·(1+ε_prev)/(1+ε), what mass conservation asks of {v}",
+            _NOTHING,
+            lambda s: Figure(velocities_m_s(s)[1]),
+        ),
+        f"{v}_deviation_m_s": Metric("m/s", f"{v}_final_m_s minus {v}_expected_m_s", _NOTHING, deviation),
+    }
 
 
-def _v1_deviation(stretch: Stretch) -> Figure:
-    v1_m_s, asked_m_s = _v1_m_s(stretch)
-    return Figure(v1_m_s - asked_m_s)
+@cache
+def metrics_of(shape: Shape) -> MachineMetrics:
+    """The metrics of a line, with the number of the span in the names where there are several."""
+    speed, metrics, together = line_speed(shape.axes), dict[str, Metric](), list[tuple[str, ...]]()
+    for span in shape.estimated:
+        metrics |= Estimate(modulus(shape.numbered(span)), "line").metrics()
+    for span in shape.controlled:
+        metrics |= _tension(shape.numbered(span))
+    for span in range(1, shape.spans + 1):
+        of_mass = _mass(span, shape)
+        metrics |= of_mass
+        together.append(tuple(of_mass))
+    metrics |= speed_metrics(speed, f"v{shape.axes}", f"v{shape.axes}_m_s")
+    return MachineMetrics(speed, metrics, tuple(together))
 
 
-_TENSION: Final = {
-    "tension_recovery_s": Metric(
-        "s",
-        f"time from a step until the true tension stays within {TENSION_BAND_N:g} N of its set-point",
-        NO_STEP,
-        lambda s: s.time_in_band(_tension_error(s), TENSION_BAND_N, f"{TENSION_BAND_N:g} N"),
-        after_a_step,
-    ),
-    "tension_overshoot_pct": Metric(
-        "%",
-        "largest excess of the true tension over a new set-point beyond noise, of the step",
-        "the tension set-point did not step, or F_true_N is not recorded",
-        lambda s: s.overshoot("F_true_N", "F_ref_N", s.height_of(SET_POINT)),
-        after_a_step_of(SET_POINT),
-    ),
-    "tension_rms_error_N": Metric(
-        "N", "rms of true tension minus set-point since the step", _NOTHING, lambda s: s.rms(_tension_error(s))
-    ),
-    "tension_peak_error_N": Metric(
-        "N", "largest true tension error since the step", _NOTHING, lambda s: s.peak(_tension_error(s))
-    ),
-    "tension_final_error_N": Metric(
-        "N", "size of the mean true tension error, settled part", _NOTHING, lambda s: s.final(_tension_error(s))
-    ),
-    "tension_sim_deviation_N": Metric(
-        "N",
-        "largest simulated tension error since the step",
-        _NOTHING,
-        lambda s: s.peak(s.error("F_sim_N", "F_ref_N")),
-    ),
-}
-_MASS: Final = {
-    "v1_final_m_s": Metric(
-        "m/s",
-        "mean velocity of roller 1, settled part of the strain",
-        _NOTHING,
-        lambda s: Figure(_v1_m_s(s)[0]),
-    ),
-    "v1_expected_m_s": Metric(
-        "m/s",
-        "v2·(1+ε_prev)/(1+ε), what mass conservation asks of v1",
-        _NOTHING,
-        lambda s: Figure(_v1_m_s(s)[1]),
-    ),
-    "v1_deviation_m_s": Metric("m/s", "v1_final_m_s minus v1_expected_m_s", _NOTHING, _v1_deviation),
-}
-
-METRICS: Final = MachineMetrics(
-    SPEED,
-    {**Estimate(MODULUS, "line").metrics(), **_TENSION, **_MASS, **speed_metrics(SPEED, "v2", "v2_m_s")},
-    together=tuple(_MASS),
-)
+def shape_of_figures(names: Iterable[str]) -> Shape:
+    """The line whose steps have metrics with these names; a span is estimated or controlled that has them for it."""
+    numbers: dict[str, set[int]] = {"E": set(), "tension": set(), "v": set()}
+    for name in names:
+        found = _OF_SPAN.match(name)
+        if found is not None:
+            numbers[found[1]].add(int(found[2] or 1))
+    spans = max(numbers["v"], default=0)
+    return Shape(spans + 1, (), spans, tuple(sorted(numbers["E"])), tuple(sorted(numbers["tension"])))

@@ -1,28 +1,33 @@
-"""The main quantities by kind of machine, by path, and by the signals of a recording."""
+"""The main quantities of a machine, by path, and by the signals of a recording."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from functools import cache
-from typing import Final
 
 from hilbench.topology.main_quantities import servo_axis, web_line
 from hilbench.topology.main_quantities.quantity import MainQuantity
+from hilbench.topology.quantities import span_of_set_point
+from hilbench.topology.signals import SMALLEST, Shape, shape_of
 
-#: By kind of machine, in the order in which they are looked for in a recording.
-MAIN_QUANTITIES: Final[dict[str, tuple[MainQuantity, ...]]] = {
-    "web_line": web_line.QUANTITIES,
-    "servo_axis": servo_axis.QUANTITIES,
-}
+
+def main_quantities(kind: str, shape: Shape) -> tuple[MainQuantity, ...]:
+    """Those of a kind of machine that has so many parts."""
+    return servo_axis.QUANTITIES if kind == "servo_axis" else web_line.quantities(shape)
 
 
 @cache
 def find_quantity(path: str) -> MainQuantity | None:
     """The main quantity with a path; None for one that is none, as a parameter of an effect."""
-    return next((each for of_kind in MAIN_QUANTITIES.values() for each in of_kind if each.path == path), None)
+    span = span_of_set_point(path)
+    if span is not None:
+        return web_line.set_point(span)
+    known = (each for kind, shape in SMALLEST.items() for each in main_quantities(kind, shape))
+    return next((each for each in known if each.path == path), None)
 
 
 def recorded_quantities(signals: Iterable[str]) -> list[MainQuantity]:
     """Those whose signals are among the names."""
     names = set(signals)
-    return [each for of_kind in MAIN_QUANTITIES.values() for each in of_kind if each.signal in names]
+    shape = shape_of(names)
+    return [each for kind in SMALLEST for each in main_quantities(kind, shape) if each.signal in names]

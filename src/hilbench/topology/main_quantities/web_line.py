@@ -5,22 +5,55 @@ from __future__ import annotations
 from typing import Final
 
 from hilbench.topology.main_quantities.quantity import MainQuantity
-from hilbench.topology.quantities import LINE_SPEED, TENSION_SET_POINT, YOUNGS_MODULUS
+from hilbench.topology.quantities import LINE_SPEED, YOUNGS_MODULUS, tension_set_point
+from hilbench.topology.signals import Shape
 
-SPEED: Final = MainQuantity(LINE_SPEED, "line speed", "line speed", "m/s", "v2_cmd_m_s", "v")
-SET_POINT: Final = MainQuantity(
-    TENSION_SET_POINT, "tension set-point", "set-point", "N", "F_ref_N", "t", "F_sim_N", "tension"
-)
-MODULUS: Final = MainQuantity(
-    YOUNGS_MODULUS,
-    "E of the imitated web",
-    "E",
-    "Pa",
-    "E_true_Pa",
-    "m",
-    "E_sim_Pa",
-    shown_unit="N/mm²",
-    si_per_shown=1e6,
-    imitated=True,
-)
-QUANTITIES: Final = (MODULUS, SET_POINT, SPEED)
+
+def line_speed(axes: int) -> MainQuantity:
+    """Of a line of so many axes: the last one leads."""
+    return MainQuantity(LINE_SPEED, "line speed", "line speed", "m/s", f"v{axes}_cmd_m_s", "v")
+
+
+def set_point(number: str = "") -> MainQuantity:
+    """Of the span of that number, as names have it (`Shape.numbered`)."""
+    of = f" of span {number}" if number else ""
+    return MainQuantity(
+        tension_set_point(number),
+        f"tension set-point{of}",
+        f"set-point {number}".strip(),
+        "N",
+        f"F{number}_ref_N",
+        number or "t",
+        f"F{number}_sim_N",
+        f"tension {number}".strip(),
+    )
+
+
+def modulus(number: str = "") -> MainQuantity:
+    """E of the web, as it is estimated at the span of that number, as names have it."""
+    return MainQuantity(
+        YOUNGS_MODULUS,
+        "E of the imitated web",
+        "E",
+        "Pa",
+        f"E{number}_true_Pa",
+        "m",
+        f"E{number}_sim_Pa",
+        shown_unit="N/mm²",
+        si_per_shown=1e6,
+        imitated=True,
+    )
+
+
+def quantities(shape: Shape) -> tuple[MainQuantity, ...]:
+    """Of a line: E as it is estimated (of a recording without estimates: as it was), the set-points, the speed."""
+    return (
+        *(modulus(shape.numbered(span)) for span in shape.estimated or (1,)),
+        *(set_point(shape.numbered(span)) for span in shape.controlled),
+        line_speed(shape.axes),
+    )
+
+
+MODULUS: Final = modulus()
+SET_POINT: Final = set_point()
+SPEED: Final = line_speed(2)

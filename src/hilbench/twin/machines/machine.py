@@ -75,4 +75,4 @@ class TwinMachine(Protocol):
         """
 
     def published(self) -> Sequence[float]:
-        """What the virtual I/O shows now: one value for each sub-index of 6403h."""
+        """What the virtual I/O shows now: one value for each signal of 6403h (`ProcessData.published`)."""

@@ -1,0 +1,70 @@
+"""Limits of a run of a web line: tensions, torques, speeds, how far apart the axes are, how far off E is."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from operator import attrgetter
+
+from hilbench.bench.tasks.limits import Levels, Watched, apart, is_synchronized, load_motor_labels
+from hilbench.topology.safety import LimitsConfig
+from hilbench.topology.sample import CycleSample
+from hilbench.topology.signals import Shape
+
+
+class LimitWatch:
+    """Watches the samples of one run of a web line. `model_modulus_Pa`: what the estimate is compared with."""
+
+    def __init__(self, limits: LimitsConfig, model_modulus_Pa: float, cycle_s: float, shape: Shape) -> None:
+        self._limits = limits
+        self._modulus_Pa = model_modulus_Pa
+        self._levels = Levels()
+        axes, spans = range(1, shape.axes + 1), range(1, shape.spans + 1)
+        labels = load_motor_labels(shape.load_motors)
+        self._tensions = [
+            (f"tension of span {span}" if shape.spans > 1 else "tension of the web", f"F{shape.numbered(span)}_true_N")
+            for span in spans
+        ]
+        self._torques = [(f"torque of axis {k}", f"tau{k}_Nm") for k in axes]
+        self._torques += [(f"torque of {labels[name]}", f"tau_{name}_Nm") for name in shape.load_motors]
+        self._speeds = [(f"speed of axis {k}", f"v{k}_m_s") for k in axes]
+        self._differences = [_PositionDifference(span, shape, cycle_s) for span in spans]
+        self._moduli = [f"E{shape.numbered(span)}_sim_Pa" for span in shape.estimated]
+
+    def update(self, sample: CycleSample) -> list[tuple[str, str]]:
+        """The warnings that begin in this cycle, each after its quantity. Raises LimitTripError."""
+        return self._levels.check(sample.t_s, self._quantities(sample))
+
+    def _quantities(self, sample: CycleSample) -> Iterator[Watched]:
+        limits = self._limits
+        for name, signal in self._tensions:
+            yield name, getattr(sample, signal), " N", limits.tension_N
+        for name, signal in self._torques:
+            yield name, abs(getattr(sample, signal)), " N·m", limits.torque_Nm
+        for name, signal in self._speeds:
+            yield name, abs(getattr(sample, signal)), " m/s", limits.speed_m_s
+        for difference in self._differences:
+            yield difference.name, difference.update(sample), " m", limits.position_difference_m
+        if is_synchronized(sample):
+            for signal in self._moduli:
+                ratio = apart(getattr(sample, signal), self._modulus_Pa)
+                yield "estimate of E over the model's", ratio, "", limits.estimate_ratio
+
+
+class _PositionDifference:
+    """Of the axes around a span, beyond what their set points add up to since the drives were enabled."""
+
+    def __init__(self, span: int, shape: Shape, cycle_s: float) -> None:
+        self.name = f"position difference of {f'axes {span} and {span + 1}' if shape.spans > 1 else 'the axes'}"
+        self._values = attrgetter(f"x{span}_m", f"x{span + 1}_m", f"v{span}_cmd_m_s", f"v{span + 1}_cmd_m_s")
+        self._cycle_s = cycle_s
+        self._at_start_m: float | None = None
+        self._commanded_m = 0.0
+
+    def update(self, sample: CycleSample) -> float:
+        """Its size with this sample, m."""
+        before_m, behind_m, before_cmd_m_s, behind_cmd_m_s = self._values(sample)
+        difference_m = before_m - behind_m
+        if self._at_start_m is None:
+            self._at_start_m = difference_m
+        self._commanded_m += (before_cmd_m_s - behind_cmd_m_s) * self._cycle_s
+        return float(abs(difference_m - self._at_start_m - self._commanded_m))

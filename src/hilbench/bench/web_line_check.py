@@ -1,0 +1,151 @@
+"""What must hold of a web line before anything starts: set-points, stability, what the drives' units are in tension."""
+
+from __future__ import annotations
+
+from math import inf
+
+import numpy as np
+
+from hilbench.bench.tasks.imitated_web import imitated_web
+from hilbench.bench.tasks.tension_loop import OperatingPoint, TensionLoop
+from hilbench.errors import UnusableInputError
+from hilbench.exchange.nodes import Nodes, declared_units
+from hilbench.plant.sampled_shaft import imitation_delay_s
+from hilbench.plant.web_line.stability import largest_stiffness_Nm_per_rad, sampled_shaft
+from hilbench.strict_yaml import Document, Location
+from hilbench.topology.config import BenchConfig
+from hilbench.topology.parts import Role
+
+#: Web tension that one unit of a drive may stand for without a note, N.
+_COARSE_N = 1.0
+#: Relative difference of E that is none.
+SAME_MODULUS = 0.01
+
+
+def check_web_line(config: BenchConfig, document: Document, nodes: Nodes) -> list[str]:
+    """Notes of what can be run, and will not be good.
+
+    Raises UnusableInputError for a set-point beyond its trip level, or a loop that is unstable from the start.
+    """
+    _check_set_point(config, document)
+    check_stability(config, document, start_point(config), ("machine", "web"))
+    return [*_coarse_units(config, nodes), *_unmatched_loads(config)]
+
+
+def _check_set_point(config: BenchConfig, document: Document) -> None:
+    """A set-point that no run can reach."""
+    trip_N = config.safety.limits.tension_N.trip
+    for name, control in config.controllers.items():
+        if trip_N is not None and control.set_point_N > trip_N:
+            raise UnusableInputError(
+                document.place(("controllers", name, "set_point_N")),
+                f"set_point_N is {control.set_point_N:g}, expected less than the trip level of the tension, "
+                f"{trip_N:g} N",
+            )
+
+
+def _unmatched_loads(config: BenchConfig) -> list[str]:
+    """Axes of the simulated hardware at which the twin's machine and the stand differ in whether the web pulls.
+
+    Of two rollers the first alone is what it takes to keep a tension; its load is left out more often than not.
+    """
+    notes, loaded = [], config.loaded_axes
+    for part in config.parts_of(Role.AXIS):
+        axis = part.axis or 1
+        pulled = config.web_line.carries_web_load(axis)
+        if part.is_simulated and pulled and axis not in loaded:
+            notes.append(
+                f"{part.name}: machine: web_load says that the web loads axis {axis}, and no load motor on its shaft "
+                f"imitates that: the twin simulates a load that is not there"
+            )
+        if axis in loaded and not pulled:
+            notes.append(
+                f"{part.name}: the load motor on its shaft has no web to imitate, as machine: web_load says that the "
+                f"web does not load axis {axis}"
+            )
+    return notes
+
+
+def _coarse_units(config: BenchConfig, nodes: Nodes) -> list[str]:
+    """What one unit of an axis' position or velocity is in web tension, where that is more than 1 N."""
+    web, notes = config.web_line.required_web, []
+    for part in config.parts_of(Role.AXIS):
+        axis = part.axis or 1
+        units = declared_units(part, nodes.dictionary(part.name))
+        rad_per_m = config.web_line.motor_rad_per_m(axis)
+        beside = range(max(axis - 1, 1), min(axis, config.web_line.span_count) + 1)
+        span_m = min(map(config.web_line.span_length_m, beside))
+        position_N = web.stiffness_N * units.position_rad / rad_per_m / span_m
+        if position_N > _COARSE_N:
+            notes.append(f"{part.name}: one unit of position (6064h) stands for {position_N:.3g} N of web tension")
+        # Steady tension changes by E·S·Δv/v; the slowest that the line is meant to run at would be worse than 1 m/s.
+        velocity_N = web.stiffness_N * units.velocity_rad_s / rad_per_m
+        if velocity_N > _COARSE_N:
+            notes.append(
+                f"{part.name}: one unit of velocity (60FFh) moves the web tension by {velocity_N:.3g} N at 1 m/s"
+            )
+    return notes
+
+
+def start_point(config: BenchConfig) -> OperatingPoint:
+    """The tension loop when the drives are enabled, with the E that the twin begins with."""
+    web = imitated_web(config.web_line, config.load).required_web
+    return OperatingPoint(web.youngs_modulus_Pa, 0.0, 1.0, config.web_line.required_web.youngs_modulus_Pa)
+
+
+def check_stability(config: BenchConfig, document: Document, point: OperatingPoint, where: Location) -> None:
+    """Raise UnusableInputError at `where` in the config when web, drives, bus and twin are unstable at this point."""
+    cycle = f"a cycle of {config.cycle_time_s * 1e3:g} ms"
+    if not TensionLoop(config, point, closed=False).stable:
+        share = stiffness_reserve(config, point)
+        raise UnusableInputError(
+            document.place(where),
+            f"the load motor can't imitate so stiff a web over {cycle} ({operating_point_text(point)}): the loop of "
+            f"web and sampled shaft is by itself stable up to {100 * share:.0f} % of it, expected a shorter cycle, a "
+            f"heavier axis {' or '.join(map(str, config.loaded_axes))}, or a softer or longer web",
+        )
+    if not TensionLoop(config, point).stable:
+        name, fastest = max(config.controllers.items(), key=lambda entry: entry[1].bandwidth_rad_per_s)
+        raise UnusableInputError(
+            document.place(("controllers", name, "bandwidth_rad_per_s")),
+            f"the tension loop is unstable with {fastest.bandwidth_rad_per_s:g} rad/s over {cycle} at "
+            f"{operating_point_text(point)}, expected a smaller bandwidth_rad_per_s, more swing_damping_ratio or a "
+            f"shorter cycle",
+        )
+
+
+def operating_point_text(point: OperatingPoint) -> str:
+    """An operating point as a message names it."""
+    text = f"E {point.youngs_modulus_Pa * 1e-6:.4g} N/mm²"
+    if not abs(point.estimate_Pa / point.youngs_modulus_Pa - 1.0) <= SAME_MODULUS:
+        text += f" (believed: {point.estimate_Pa * 1e-6:.4g})"
+    return f"{text}, {point.line_speed_m_s:g} m/s"
+
+
+def stiffness_reserve(config: BenchConfig, point: OperatingPoint) -> float:
+    """Largest stiffness of a web that the load motors imitate stably by themselves, over that of the imitated one.
+
+    Several loaded rollers swing against each other: each is held by what the stiffest of their modes has. inf without
+    load motors.
+    """
+    model = config.web_line
+    web = imitated_web(model, config.load)
+    stiffness_N_per_m = [
+        point.youngs_modulus_Pa * web.required_web.section_m2 / (web.span_length_m(span) * point.length_factor)
+        for span in range(1, web.span_count + 1)
+    ]
+    loaded = [axis for axis in config.loaded_axes if model.carries_web_load(axis)]
+    if not loaded:
+        return inf
+    between = np.zeros((model.axis_count, model.axis_count))
+    for span, stiffness in enumerate(stiffness_N_per_m):
+        between[span : span + 2, span : span + 2] += stiffness * np.array([[1.0, -1.0], [-1.0, 1.0]])
+    at = [axis - 1 for axis in loaded]
+    per_root_kg = np.array([model.mass_kg(axis) ** -0.5 for axis in loaded])
+    stiffest_per_s2 = float(np.linalg.eigvalsh(per_root_kg[:, None] * between[np.ix_(at, at)] * per_root_kg)[-1])
+    reserves = []
+    for axis in loaded:
+        shaft = sampled_shaft(model, axis, cycle_s=config.cycle_time_s)
+        asked_Nm_per_rad = stiffest_per_s2 * model.mass_kg(axis) / model.motor_rad_per_m(axis) ** 2
+        reserves.append(largest_stiffness_Nm_per_rad(shaft, imitation_delay_s(shaft)) / asked_Nm_per_rad)
+    return min(reserves)

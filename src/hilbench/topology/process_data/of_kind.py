@@ -1,0 +1,13 @@
+"""The process data of a machine; the bench's maps, the twin's objects and the EDS files go by it."""
+
+from __future__ import annotations
+
+from hilbench.plant.effects import MachineKind
+from hilbench.topology.process_data import servo_axis, web_line
+from hilbench.topology.process_data.table import ProcessData
+from hilbench.topology.signals import Shape
+
+
+def process_data(kind: MachineKind, shape: Shape) -> ProcessData:
+    """What goes between the bench and the twin of a machine."""
+    return servo_axis.process_data() if kind is MachineKind.SERVO_AXIS else web_line.process_data(shape)

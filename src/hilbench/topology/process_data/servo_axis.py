@@ -1,0 +1,35 @@
+"""A servo axis: what the twin estimates of its shaft."""
+
+from __future__ import annotations
+
+from hilbench.topology.process_data.table import (
+    INPUTS,
+    QUALITY_EVERY,
+    IoPdo,
+    IoSignal,
+    ProcessData,
+    SimulatedTorque,
+)
+
+
+def process_data() -> ProcessData:
+    """Of any servo axis."""
+    inertia, friction, deviation, torque, residual = (
+        IoSignal(name, INPUTS, sub, text)
+        for sub, (name, text) in enumerate(
+            (
+                ("J_sim_kg_m2", "Estimated inertia of the shaft [kg m2]"),
+                ("coulomb_sim_Nm", "Estimated dry friction of the shaft [N m]"),
+                ("J_sd_kg_m2", "Standard deviation of the estimated inertia [kg m2]"),
+                ("tau1_sim_Nm", "Simulated torque of axis 1 [N m]"),
+                ("tau1_residual_Nm", "Torque residual of axis 1 [N m]"),
+            ),
+            1,
+        )
+    )
+    return ProcessData(
+        published=(inertia, friction, deviation, torque, residual),
+        told=(),
+        sent=(IoPdo(1, (inertia, friction)), IoPdo(2, (deviation, residual), QUALITY_EVERY)),
+        torques=(SimulatedTorque(1, torque.name, residual.name),),
+    )

@@ -1,0 +1,60 @@
+"""What the parts of a web line have, in recording order."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from hilbench.topology.signal_kinds import (
+    BUS_SIGNALS,
+    TIME_SIGNALS,
+    TWIN_SIGNALS,
+    Per,
+    SignalKind,
+    axes_signals,
+    load_motor_signals,
+)
+
+WEB_LINE: Final = (
+    *TIME_SIGNALS,
+    *axes_signals("m", ", at the web", "roller {axis}: encoder times nominal radius"),
+    SignalKind("strain_prev", "", "strain of the web upstream of roller 1", "boundary"),
+    SignalKind("F_next_N", "N", "web tension downstream of the last roller", "boundary"),
+    SignalKind("F{span}_ref_N", "N", "tension set-point", "command", Per.CONTROLLED_SPAN),
+    *load_motor_signals("m", "encoder times nominal radius"),
+    SignalKind("F{span}_sim_N", "N", "web tension simulated by the twin (virtual sensor)", "twin", Per.SPAN),
+    SignalKind("E{span}_sim_Pa", "Pa", "Young's modulus estimated by the twin", "twin", Per.ESTIMATED_SPAN),
+    SignalKind(
+        "E{span}_sd_Pa",
+        "Pa",
+        "standard deviation of the estimate, as the twin states it",
+        "twin",
+        Per.ESTIMATED_SPAN,
+    ),
+    SignalKind(
+        "tau{next}_sim_Nm",
+        "N·m",
+        "torque of axis {next} simulated by the twin, motor side",
+        "twin",
+        Per.ESTIMATED_SPAN,
+    ),
+    SignalKind(
+        "tau{next}_residual_Nm",
+        "N·m",
+        "torque of axis {next}, measured minus simulated, as the twin reports it",
+        "twin",
+        Per.ESTIMATED_SPAN,
+    ),
+    *TWIN_SIGNALS,
+    SignalKind(
+        "loop{span}_closed",
+        "",
+        "1 while the tension loop is closed on the simulated tension",
+        "command",
+        Per.CONTROLLED_SPAN,
+        integer=True,
+    ),
+    SignalKind("E{span}_true_Pa", "Pa", "Young's modulus of the imitated web", "truth", Per.SPAN),
+    SignalKind("F{span}_true_N", "N", "tension of the imitated web", "truth", Per.SPAN),
+    SignalKind("strain{span}_true", "", "strain of the imitated web", "truth", Per.SPAN),
+    *BUS_SIGNALS,
+)
