@@ -81,11 +81,11 @@ class Case:
 
 
 def entry(effect: Effect, axis: int | None, size: float, rng: np.random.Generator, duration_s: float) -> dict[str, Any]:
-    """An effect of that size; what shapes it at random."""
+    """An effect of that size, or the first part of one that has several; what shapes it at random."""
     values: dict[str, float] = {}
     sizes = machine_sizes(ModelParameters.model_validate(DEMONSTRATOR), axis, top_speed_m_s=TOP_M_S)
     for parameter in effect.parameters:
-        if parameter.name in effect.strength:
+        if parameter.name == effect.strength[0]:
             sign = rng.choice([-1.0, 1.0]) if parameter.lower < 0.0 else 1.0
             values[parameter.name] = float(sign * size * parameter.size.on(sizes))
         elif parameter.name == "phase_rad":
@@ -104,10 +104,11 @@ def entry(effect: Effect, axis: int | None, size: float, rng: np.random.Generato
 
 
 def places() -> list[tuple[Effect, int | None]]:
-    """Every effect at every place."""
+    """Every effect of the mechanics at every place."""
     return [
         (effect, axis)
         for effect in effects_of(MachineKind.WEB_LINE)
+        if not effect.nuisance
         for axis in ((1, 2) if effect.per_axis else (None,))
     ]
 

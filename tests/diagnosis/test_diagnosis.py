@@ -59,6 +59,11 @@ def test_nothing_is_named_where_nothing_is_missing(seed: int) -> None:
         effect("torque_ripple", 2, amplitude_Nm=0.1, order=2.0, phase_rad=-1.0),
         effect("backlash", 1, gap_rad=0.01),
         effect("unbalance", 2, amplitude_Nm=0.5, phase_rad=-1.0),
+        effect("load_dependent_friction", 2, share=0.1),
+        effect("quadratic_drag", 2, coefficient_N_s2_per_m2=0.5),
+        effect("torque_ripple_load", 1, relative_amplitude=0.2, order=2.0, phase_rad=0.8),
+        effect("feed_forward", 2, inertia_share=0.3),
+        effect("encoder_error", 1, amplitude_rad=2e-3, phase_rad=1.0),
     ],
     ids=lambda item: f"{item['effect']}-{item['axis']}",
 )
@@ -131,6 +136,7 @@ def test_a_measured_lone_axis_has_the_published_friction() -> None:
     named = {e.effect: e for e in found.effects}
     assert found.verdict == "named"
     assert {"viscous_friction", "coulomb_friction", "torque_offset"} <= set(named)
+    assert set(named) <= {"viscous_friction", "coulomb_friction", "torque_offset", "friction_asymmetry"}
     # Janot, Gautier, Brunot: 203.5 N·s/m and 20.39 N.
     assert named["viscous_friction"].parameters["coefficient_N_s_per_m"].value == pytest.approx(203.5, rel=0.05)
     assert named["coulomb_friction"].parameters["force_N"].value == pytest.approx(20.39, rel=0.05)

@@ -10,8 +10,9 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import chi2
 
-from hilbench.diagnosis.fit import around, fit, sums, time_profile
+from hilbench.diagnosis.fit import Fit, around, fit, sums, time_profile
 from hilbench.diagnosis.loop_check import nuisance_of
 from hilbench.diagnosis.measured import Measured, measured_from
 from hilbench.diagnosis.misfit import LARGEST_RATIO, Misfit, located, misfits, ratios
@@ -178,7 +179,7 @@ def _conclude(space: Space, chosen: Choice, data: Measured, selection: Selection
     before = space.residual([])
     rows = space.counted
     white, inflation = _weights(space, selection, rows)
-    final = fit(space, white, trained.terms, rows) if trained.terms else trained
+    final = _certain(space, white, trained, rows, inflation) if trained.terms else trained
     torques = [k for k, name in enumerate(predictor.names) if name.startswith("tau")]
     # Fast motion that the model explains is no noise.
     floors = {k: floor(final.residual[k]) for k in torques}
@@ -243,6 +244,30 @@ def _nuisance(model: ModelParameters, chosen: Choice) -> list[NamedEffect]:
             }
             result.append(NamedEffect(effect, loop.axis, values, {"likelihood_ratio": loop.gain}, [], None))
     return result
+
+
+def _certain(space: Space, white: Whitening, trained: Fit, rows: NDArray[np.bool_], inflation: float) -> Fit:
+    """The last fit, on all rows. Where residuals are model error it leaves out the terms of which it leaves nothing:
+    what whitened residuals spoke for, and is not there when all frequencies count the same, is no effect."""
+    found = fit(space, white, trained.terms, rows)
+    while not space.predictor.exact:
+        uncertain = [k for k in range(len(found.terms)) if _significance(found, k, inflation) < 1.0]
+        doubtful = [k for k in uncertain if found.terms[k].effect.removable]
+        if not doubtful:
+            break
+        worst = min(doubtful, key=lambda k: _significance(found, k, inflation))
+        found = fit(space, white, found.terms[:worst] + found.terms[worst + 1 :], rows)
+    return found
+
+
+def _significance(found: Fit, k: int, inflation: float) -> float:
+    """Wald's statistic of the strength of term k over its 95 % bound: below 1 the interval holds the neutral value."""
+    at = sum(len(term.coordinates()) for term in found.terms[:k])
+    term = found.terms[k]
+    part = slice(at, at + term.linear)
+    moved = term.coordinates()[: term.linear] - term.neutral().coordinates()[: term.linear]
+    wald = float(moved @ np.linalg.pinv(found.covariance[part, part]) @ moved) / inflation**2
+    return wald / float(chi2.ppf(0.95, term.linear))
 
 
 def _rms(residual: Array, rows: NDArray[np.bool_]) -> float:
