@@ -106,7 +106,8 @@ class Line:
         axes, ripples = self._axes()
         late = np.stack([np.maximum(read - axes[k, ph.DELAY_S], 0.0) for k in (0, 1)])
         out, modulus = ph.run(self._web(), axes, ripples, v2, f_ref, wander, sensor, read, late)
-        return self._sensed(t, out, modulus, np.interp(t, np.arange(len(f_ref)) * CYCLE_S, f_ref), axes, rng)
+        f_at_rows = np.interp(t, np.arange(len(f_ref)) * CYCLE_S, f_ref)
+        return self._sensed(np.asarray(t, np.float64), out, modulus, f_at_rows, axes, rng)
 
     def _sensed(
         self, t: Array, out: Array, modulus: Array, f_ref: Array, axes: Array, rng: np.random.Generator

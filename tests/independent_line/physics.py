@@ -11,6 +11,9 @@ from __future__ import annotations
 
 import numba
 import numpy as np
+from numpy.typing import NDArray
+
+Vector = NDArray[np.float64]
 
 STEP_S = 5e-5
 #: Unstretched length after which a new piece of web is begun, as a share of the span, and how many pieces there may be.
@@ -33,25 +36,25 @@ RIPPLE = 4
 
 
 @numba.njit(cache=True)
-def _modulus_factor(web, t):
+def _modulus_factor(web: Vector, t: float) -> float:
     factor = (1.0 + web[SHIFT]) * (1.0 + web[DRIFT] * t)
     if t >= web[STEP_TIME]:
         factor *= 1.0 + web[STEP_CHANGE]
     if web[RAMP_CHANGE] != 0.0:
         factor *= 1.0 + web[RAMP_CHANGE] * min(max((t - web[RAMP_TIME]) / web[RAMP_S], 0.0), 1.0)
-    return factor
+    return float(factor)
 
 
 @numba.njit(cache=True)
-def _surface(axis, x, v):
+def _surface(axis: Vector, x: float, v: float) -> float:
     """Speed of the web on a roller whose centre is off its axis."""
     if axis[ECCENTRICITY] == 0.0:
         return v
-    return v * (1.0 + axis[ECCENTRICITY] / axis[RADIUS] * np.cos(x / axis[RADIUS] + axis[ECCENTRICITY_PHASE]))
+    return float(v * (1.0 + axis[ECCENTRICITY] / axis[RADIUS] * np.cos(x / axis[RADIUS] + axis[ECCENTRICITY_PHASE])))
 
 
 @numba.njit(cache=True)
-def _resistance(axis, v, z, h, load):
+def _resistance(axis: Vector, v: float, z: float, h: float, load: float) -> tuple[float, float]:
     """Force against a roller and the bristles' deflection (m) a step later."""
     force = axis[VISCOUS] * v + axis[ASYMMETRY] * abs(v) + axis[QUADRATIC] * v * abs(v)
     dry = axis[COULOMB] + axis[LOAD_SHARE] * abs(load)
@@ -67,17 +70,27 @@ def _resistance(axis, v, z, h, load):
 
 
 @numba.njit(cache=True)
-def _shaft(axis, ripples, torque, angle):
+def _shaft(axis: Vector, ripples: Vector, torque: float, angle: float) -> float:
     """Torque on the motor's shaft of the one that the drive makes."""
     out = (1.0 + axis[SCALE]) * torque
     for k in range(ripples.shape[0]):
         amplitude = ripples[k, 0] * (torque if ripples[k, 3] != 0.0 else 1.0)
         out += amplitude * np.sin(ripples[k, 1] * angle + ripples[k, 2])
-    return out
+    return float(out)
 
 
 @numba.njit(cache=True)
-def run(web, axes, ripples, v2_cmd, f_ref, wander, sensor_noise, times, late):
+def run(
+    web: Vector,
+    axes: Vector,
+    ripples: Vector,
+    v2_cmd: Vector,
+    f_ref: Vector,
+    wander: Vector,
+    sensor_noise: Vector,
+    times: Vector,
+    late: Vector,
+) -> tuple[Vector, Vector]:
     """The line from rest.
 
     v2_cmd (m/s), f_ref (N), wander (of the speed ratio), sensor_noise (N): (n,) one a cycle. times (s): (rows,), when

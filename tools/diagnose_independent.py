@@ -1,0 +1,251 @@
+"""How often the diagnosis is right on recordings that share no equation with it, made as stands make them.
+
+    diagnose_independent.py [--what conditions,drawn] [--seeds N] [--first-seed N] [--jobs N]
+                            [--cases FILE] [--docs FILE]
+
+The machine is the independent line of the tests: web in pieces that move with it, presliding friction, quantized
+encoders. `conditions` hides seven effects, one at a time, under each of some conditions that a model does not know:
+other gains of the drives, a slower current loop, no commands, coarse rows, speeds for positions, a torque that is
+missing, a production run. `drawn` draws loops ±30 %, lags of 0 to 4 ms, rows of 1 to 20 ms, jitter, missing channels
+and profiles, all at once, for single effects, pairs, nothing, and what the vocabulary does not have. Prints shares, the
+coverage of the intervals, and what was wrong. `--cases` keeps each finished case in a line of that file and
+takes those that are there as done; `--docs` writes the tables into the page.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import docs_page
+import finished_cases
+import numpy as np
+from diagnose_scoreboard import Case, right
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT))  # the line lies with the tests
+
+from tests.independent_line import Line, Loops, effect  # noqa: E402
+
+from hilbench.diagnosis.diagnosis import diagnose  # noqa: E402
+from hilbench.errors import UnusableInputError  # noqa: E402
+from hilbench.plant.web_line.parameters import ModelParameters  # noqa: E402
+from hilbench.results.recording import Recording  # noqa: E402
+
+COMMANDS = ["v1_cmd_m_s", "v2_cmd_m_s"]
+#: One of each family.
+SEVEN: tuple[Any, ...] = (
+    effect("torque_offset", 2, offset_Nm=0.04),
+    effect("coulomb_friction", 2, force_N=4.2),
+    effect("viscous_friction", 1, coefficient_N_s_per_m=2.0),
+    effect("roller_eccentricity", 2, amplitude_m=2.5e-5, phase_rad=0.3),
+    effect("inertia_mismatch", 2, relative_change=0.15),
+    effect("elasticity_shift", relative_change=0.15),
+    effect("web_slip", creep_per_N=2.2e-6),
+)
+#: Keyword arguments of the line, and the profile.
+CONDITIONS: dict[str, dict[str, Any]] = {
+    "as the model": {},
+    "gains +20 %, −15 %": {"loops": {"kp": (1.2, 1.2), "ki": (0.85, 0.85)}},
+    "current loop 3 ms": {"loops": {"lag_s": (0.003, 0.003)}},
+    "no commands": {"without": COMMANDS},
+    "rows every 10 ms": {"row_s": 0.01},
+    "rows every 20 ms": {"row_s": 0.02},
+    "speeds, no positions": {"without": ["x1_m", "x2_m"]},
+    "no torque of axis 1": {"without": ["tau1_Nm"]},
+    "production run": {"profile": "production"},
+}
+#: Sizes that are usual on this machine; a draw takes half of it to twice.
+SINGLES: dict[str, dict[str, float]] = {
+    "coulomb_friction": {"force_N": 4.0},
+    "viscous_friction": {"coefficient_N_s_per_m": 2.0},
+    "roller_eccentricity": {"amplitude_m": 2e-5, "phase_rad": 0.0},
+    "torque_ripple": {"amplitude_Nm": 0.06, "order": 2.0, "phase_rad": 0.0},
+    "torque_offset": {"offset_Nm": 0.05},
+    "torque_scale": {"relative_change": 0.1},
+    "inertia_mismatch": {"relative_change": 0.15},
+    "elasticity_shift": {"relative_change": 0.1},
+    "elasticity_step": {"time_s": 0.0, "relative_change": 0.1},
+    "elasticity_drift": {"rate_per_s": 2e-3},
+    "web_slip": {"creep_per_N": 2e-6},
+    "upstream_disturbance": {"amplitude_N": 4.0, "frequency_Hz": 0.8, "phase_rad": 0.0},
+}
+OF_THE_WEB = ("elasticity_shift", "elasticity_step", "elasticity_drift", "web_slip", "upstream_disturbance")
+UNKNOWN: tuple[Any, ...] = (
+    effect("hysteresis", 2, force_N=8.0),
+    effect("passing_splices", every_m=11.0, length_m=0.4, relative_change=0.5),
+)
+DURATION_S = 40.0
+
+
+@dataclass
+class Recorded(Case):
+    """A case with how it was recorded."""
+
+    condition: str = ""
+    line: dict[str, Any] = field(default_factory=dict)
+    predicted_on: str = ""
+
+    @property
+    def name(self) -> str:
+        """What tells it from others."""
+        return json.dumps([self.condition, self.kind, self.seed, self.hidden, self.line])
+
+
+def drawn(seed: int) -> list[Recorded]:
+    """One of each kind under conditions of their own, and four singles."""
+    rng = np.random.default_rng([23, seed])
+
+    def item(names: list[str]) -> dict[str, Any]:
+        name = names.pop(int(rng.integers(len(names))))
+        values = {}
+        for parameter, usual in SINGLES[name].items():
+            value = usual * float(np.exp(rng.uniform(-0.7, 0.7)))
+            if parameter in ("offset_Nm", "relative_change", "rate_per_s") and rng.random() < 0.5:
+                value = -value
+            if parameter == "phase_rad":
+                value = float(rng.uniform(-3.0, 3.0))
+            if parameter == "order":
+                value = float(rng.choice([1.0, 2.0, 6.0]))
+            if parameter == "time_s":
+                value = float(rng.uniform(0.35, 0.8) * DURATION_S)
+            values[parameter] = value
+        return dict(effect(name, None if name in OF_THE_WEB else int(rng.integers(1, 3)), **values))
+
+    def conditions() -> dict[str, Any]:
+        lost: list[list[str]] = [[], [], COMMANDS, ["v1_m_s", "v2_m_s"], ["x1_m", "x2_m"], ["tau1_Nm"]]
+        return {
+            "profile": str(rng.choice(["identification", "identification", "production"])),
+            "loops": {
+                "kp": [float(k) for k in rng.uniform(0.7, 1.3, 2)],
+                "ki": [float(k) for k in rng.uniform(0.7, 1.3, 2)],
+                "lag_s": [float(k) for k in rng.uniform(0.0, 0.004, 2)],
+                "trapezoidal": bool(rng.random() < 0.5),
+            },
+            "row_s": float(rng.choice([0.001, 0.002, 0.002, 0.004, 0.01, 0.02])),
+            "jitter_s": float(rng.choice([0.0, 0.0, 2e-5])),
+            "without": lost[int(rng.integers(len(lost)))],
+            "bristle_N_per_m": float(rng.uniform(5e4, 5e5)),
+        }
+
+    made = [Recorded("single", seed, [item(list(SINGLES))], line=conditions()) for _ in range(4)]
+    both = list(SINGLES)
+    made.append(Recorded("pair", seed, [item(both), item(both)], line=conditions()))
+    made += [Recorded("nothing", 100 * seed + k, [], line=conditions()) for k in range(2)]
+    strange = UNKNOWN[seed % len(UNKNOWN)]
+    made.append(Recorded("unknown", seed, [dict(strange)], line={**conditions(), "profile": "identification"}))
+    for case in made:
+        case.condition = "drawn"
+    return made
+
+
+def under_conditions(seed: int) -> list[Recorded]:
+    """The seven under each condition."""
+    return [
+        Recorded("single", seed, [dict(item)], condition=name, line=line)
+        for name, line in CONDITIONS.items()
+        for item in SEVEN
+    ]
+
+
+def run(case: Recorded) -> Recorded:
+    """Record, diagnose, compare."""
+    line = dict(case.line)
+    profile = line.pop("profile", "identification")
+    if "loops" in line:
+        loops: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in line["loops"].items()}
+        line["loops"] = Loops(**loops)
+    machine = Line(hidden=case.hidden, **line)
+    recording = Recording(machine.record(profile, case.seed, DURATION_S).channels)
+    began = time.process_time()
+    try:
+        found = diagnose(recording, ModelParameters.model_validate(machine.model), "stand")
+    except UnusableInputError as error:
+        case.problem = str(error)
+        return case
+    case.seconds = round(time.process_time() - began, 2)
+    case.verdict, case.predicted_on = found.verdict, found.predicted_on
+    case.found = [[e.effect, e.axis] for e in found.effects]
+    case.tied = [e.tied_with for e in found.effects]
+    case.ratio = max(gap.after / gap.noise_floor for gap in found.gaps)
+    for e in found.effects:
+        match = [item for item in case.hidden if (item["effect"], item["axis"]) == (e.effect, e.axis)]
+        for name, value in e.parameters.items():
+            if match and name in match[0]["parameters"] and value.ci95[0] < value.ci95[1]:
+                case.covered.append(value.ci95[0] <= match[0]["parameters"][name] <= value.ci95[1])
+    return case
+
+
+def false_names(case: Recorded) -> int:
+    """Effects that are named and neither hidden nor tied with what is."""
+    if right(case) or case.kind == "unknown":
+        return len(case.found) if case.kind == "unknown" else 0
+    hidden = {(item["effect"], item["axis"]) for item in case.hidden}
+    wrong = 0
+    for (name, axis), tied in zip(case.found, case.tied, strict=True):
+        options = {(name, axis)} | {(each.partition(" (axis ")[0], axis) for each in tied}
+        wrong += not any(effect == other for effect, _ in hidden for other, _ in options)
+    return wrong
+
+
+def summary(done: list[Recorded]) -> str:
+    """Shares by condition or kind, coverage, and what was wrong."""
+    lines = ["| recorded | cases | right | false names |", "|---|--:|--:|--:|"]
+    for name in CONDITIONS:
+        _row(lines, name, [case for case in done if case.condition == name])
+    for kind in ("single", "pair", "nothing", "unknown"):
+        _row(lines, f"drawn: {kind}", [case for case in done if case.condition == "drawn" and case.kind == kind])
+    covered = [c for case in done if right(case) for c in case.covered]
+    if covered:
+        lines.append(f"\n95 % intervals hold the true value in {100.0 * np.mean(covered):.1f} % of {len(covered)}")
+    lines.append("")
+    for case in done:
+        if not right(case):
+            hidden = [
+                (i["effect"], i["axis"], *(float(f"{v:.3g}") for v in i["parameters"].values())) for i in case.hidden
+            ]
+            without = ", ".join(case.line.get("without", []))
+            how = f"{case.line.get('profile', '')} rows {1e3 * case.line.get('row_s', 0.002):g} ms"
+            how += f" without {without}" if without else ""
+            lines.append(f"{hidden} ({case.condition}; {how}) → {case.verdict} {case.found} {case.problem}\n")
+    return "\n".join(lines).rstrip("\n")
+
+
+def _short(values: Iterable[float]) -> list[float]:
+    return [float(f"{value:.3g}") for value in values]
+
+
+def _row(lines: list[str], name: str, mine: list[Recorded]) -> None:
+    if mine:
+        lines.append(f"| {name} | {len(mine)} | {sum(map(right, mine))} | {sum(map(false_names, mine))} |")
+
+
+def main() -> None:
+    """Run on all cores and print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--what", default="conditions,drawn")
+    parser.add_argument("--seeds", type=int, default=10)
+    parser.add_argument("--first-seed", type=int, default=0)
+    parser.add_argument("--jobs", type=int)
+    parser.add_argument("--cases", type=Path, help="file of finished cases, a line each")
+    parser.add_argument("--docs", type=Path, help="page that gets the tables")
+    options = parser.parse_args()
+    asked = under_conditions(5) if "conditions" in options.what else []
+    if "drawn" in options.what:
+        for seed in range(options.first_seed, options.first_seed + options.seeds):
+            asked += drawn(seed)
+    done = finished_cases.finish(asked, run, options.cases, options.jobs)
+    table = summary(sorted(done, key=lambda case: (case.condition, case.name)))
+    print(table)
+    if options.docs is not None:
+        docs_page.put(options.docs, "independent", table)
+
+
+if __name__ == "__main__":
+    main()
