@@ -228,16 +228,22 @@ def _conclude(space: Space, chosen: Choice, data: Measured, selection: Selection
         simulations=space.simulations,
         imitation=predictor.imitation,
         predicted_on=chosen.basis,
-        nuisance=_nuisance(space.model, chosen),
+        nuisance=_nuisance(space.model, chosen, effects),
         repairs=data.repairs,
     )
 
 
-def _nuisance(model: ModelParameters, chosen: Choice) -> list[NamedEffect]:
-    """How the drives' loops differ from the model's, where that is certain."""
+def _nuisance(model: ModelParameters, chosen: Choice, effects: list[NamedEffect]) -> list[NamedEffect]:
+    """How the drives' loops differ from the model's, where that is certain.
+
+    A torque that is reported late looks like a lag of its loop.
+    """
+    late = {e.axis for e in effects if e.effect == "torque_delay"}
     result = []
     for loop in chosen.loops:
         for effect, parameters in nuisance_of(loop, model).items():
+            if effect == "drive_lag" and loop.axis in late:
+                continue
             values = {
                 name: Value(_rounded(value), (_rounded(low), _rounded(high)), unit)
                 for name, (value, (low, high), unit) in parameters.items()

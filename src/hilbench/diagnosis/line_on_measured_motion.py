@@ -131,7 +131,9 @@ class LineOnMeasuredMotion:
             if not data.commands_m_s.size:
                 break
             command, torque = data.commands_m_s[:, axis - 1], data.tau_Nm[axis]
-            told = Told(axis, command, self._x[:, axis - 1], self._v[:, axis - 1], torque, self._floors[k])
+            x, v, a = (values[:, axis - 1] for values in (self._x, self._v, self._a))
+            moved = np.array([self._at_rows(values) for values in (a, v, np.sign(v))])
+            told = Told(axis, command, x, v, moved, torque, self._floors[k])
             row_s = self.every * data.period_s
             loop = loop_of(told, self._model, data.period_s, self._thinning.apply, self.rows, row_s)
             found += [] if loop is None else [loop]

@@ -24,8 +24,8 @@ Array = NDArray[np.float64]
 #: What is slower than this, s, is not looked at: an offset of the torque is no gain.
 _WINDOW_S: Final = 2.0
 #: Lags that are tried, s, and how much closer around the best.
-_LAGS_S: Final = np.arange(0.0, 0.0101, 0.0005)
-_CLOSER_S: Final = np.linspace(-0.0005, 0.0005, 11)
+_LAGS_S: Final = np.arange(0.0, 0.0101, 0.001)
+_CLOSER_S: Final = np.linspace(-0.0008, 0.0008, 9)
 #: Fall of the sum of squares, in noise floors, from which loops are others: three parameters bring some 16 by chance in
 #: one recording of a thousand.
 _DIFFERENT: Final = 25.0
@@ -51,11 +51,12 @@ class Loop:
     lag_deviation_s: float
     gain: float  #: fall of the sum of squares against the model's loops, in noise floors
     ratio: float  #: rms of what is left over the noise floor
+    is_fed_forward: bool = False  #: the model's loops, and a torque beside them that goes with the motion
 
     @property
     def is_known(self) -> bool:
         """Whether the model's loops explain the torque as well as any."""
-        return self.gain < _DIFFERENT and self.is_understood
+        return self.is_fed_forward or (self.gain < _DIFFERENT and self.is_understood)
 
     @property
     def is_understood(self) -> bool:
@@ -71,6 +72,7 @@ class Told:
     command_m_s: Array  #: (n,), each held for a row
     way_m: Array  #: (fine,) on a grid `whole` times that of the rows
     speed_m_s: Array  #: (fine,)
+    fed_forward: Array  #: (k, rows in the band) what a torque that the drive feeds forward may go with
     torque_Nm: Array  #: (n,)
     floor_Nm: float  #: of the torque in the band
 
@@ -98,12 +100,15 @@ def loop_of(
     rows = rows & (np.abs(thin(limited)) < 1e-6)
     window = max(3, round(_WINDOW_S / row_s))
 
-    def seen(values: Array) -> Array:
-        thinned = thin(values)
-        weight = rows.astype(np.float64)
+    weight = rows.astype(np.float64)
+    share = np.maximum(uniform_filter1d(weight, window, mode="constant"), 1.0 / window)
+
+    def of_rows(thinned: Array) -> Array:
         mean = uniform_filter1d(thinned * weight, window, mode="constant")
-        share = np.maximum(uniform_filter1d(weight, window, mode="constant"), 1.0 / window)
         return np.asarray((thinned - mean / share)[rows] / told.floor_Nm)
+
+    def seen(values: Array) -> Array:
+        return of_rows(thin(values))
 
     torque = seen(told.torque_Nm)
     terms = _loop_terms(told, model.motor_rad_per_m(axis), period_s, drives.sample_time_s)
@@ -111,25 +116,41 @@ def loop_of(
     def columns(lag: float) -> Array:
         return np.array([seen(each) for each in terms(lag)])
 
-    def fitted(lag: float) -> tuple[float, Array, Array]:
-        at = columns(lag)
-        theta, *_ = np.linalg.lstsq(at.T, torque, rcond=None)
-        return float(np.sum((torque - theta @ at) ** 2)), np.asarray(theta, np.float64), at
+    def fitted(at: Array, wanted: Array) -> tuple[float, Array]:
+        theta, *_ = np.linalg.lstsq(at.T, wanted, rcond=None)
+        return float(np.sum((wanted - theta @ at) ** 2)), np.asarray(theta, np.float64)
 
-    best_s = min(_LAGS_S, key=lambda lag: fitted(float(lag))[0])
-    near = np.maximum(best_s + _CLOSER_S, 0.0)
-    best_s = float(min(near, key=lambda lag: fitted(float(lag))[0]))
-    square, theta, at = fitted(best_s)
+    def best(beside: Array) -> tuple[float, float, Array]:
+        """Least square over the lags with these columns beside the loop's, the lag, and what is fitted."""
+
+        def at(lag: float) -> tuple[float, Array]:
+            return fitted(np.vstack([columns(float(lag)), beside]), torque)
+
+        near = min(_LAGS_S, key=lambda lag: at(lag)[0])
+        lag = float(min(np.maximum(near + _CLOSER_S, 0.0), key=lambda lag: at(lag)[0]))
+        return at(lag)[0], lag, at(lag)[1]
+
+    nothing = np.empty((0, len(torque)))
+    square, best_s, theta = best(nothing)
     if not np.all(np.isfinite(theta)):
         return None
-    mine = float(np.sum((torque - np.array([kp, ki]) @ columns(lag_s)) ** 2))
+    at = columns(best_s)
+    rest = torque - np.array([kp, ki]) @ columns(lag_s)
+    mine = float(np.sum(rest**2))
+    is_fed_forward = False
+    if mine - square > _DIFFERENT:
+        beside = np.array([of_rows(each) for each in told.fed_forward])
+        with_mine = fitted(beside, rest)[0]
+        # Other loops may look like it where little happens: what needs less is believed.
+        is_fed_forward = with_mine < square - _DIFFERENT and with_mine - best(beside)[0] < _DIFFERENT
+        is_fed_forward &= with_mine < _UNDERSTOOD**2 * len(torque)
     slope = (theta @ columns(best_s + 2e-4) - theta @ at) / 2e-4
     jacobian = np.vstack([at, slope])
     ratio = float(np.sqrt(square / len(torque)))
     deviations = np.sqrt(np.maximum(np.diag(np.linalg.pinv(jacobian @ jacobian.T)), 0.0)) * max(ratio, 1.0)
     of_kp, of_ki, of_lag = map(float, deviations)
     found_kp, found_ki = map(float, theta)
-    return Loop(axis, found_kp, found_ki, best_s, of_kp, of_ki, of_lag, mine - square, ratio)
+    return Loop(axis, found_kp, found_ki, best_s, of_kp, of_ki, of_lag, mine - square, ratio, is_fed_forward)
 
 
 def _loop_terms(
@@ -161,7 +182,7 @@ def _loop_terms(
 def nuisance_of(loop: Loop, model: ModelParameters) -> dict[str, dict[str, tuple[float, tuple[float, float], str]]]:
     """How a drive's loops certainly differ from the model's: by effect and parameter the value, interval and unit."""
     drives = model.drives
-    if drives is None or loop.gain < _DIFFERENT or not loop.is_understood:
+    if drives is None or loop.is_known or not loop.is_understood:
         return {}
     kp, ki = per_item(drives.velocity_kp_Nm_s_per_rad, loop.axis), per_item(drives.velocity_ki_Nm_per_rad, loop.axis)
     lag_s = per_item(drives.current_loop_time_constant_s, loop.axis)
