@@ -13,6 +13,7 @@ from rich.table import Table
 from hilbench.cli.columns import report_unknown
 from hilbench.cli.model_option import config_from, machine_of, model_from
 from hilbench.cli.progress import ProgressDisplay
+from hilbench.diagnosis.comparison import Run, compared
 from hilbench.diagnosis.diagnosis import Diagnosis, NamedEffect, diagnose
 from hilbench.diagnosis.imitated import imitation_beside, imitation_of
 from hilbench.diagnosis.live import LiveGap, live_gap, run_bench
@@ -27,7 +28,16 @@ from hilbench.topology.config import BenchConfig
 
 #: Columns that the tables need; a narrower terminal wraps whole lines, it loses no figures.
 _WIDTH = 100
-_UNKNOWN = "something is missing that no effect of the vocabulary explains"
+_SENTENCES = {
+    "complete": "nothing is missing that these data can show",
+    "named": "the effects below close the gap on data that no fit has seen",
+    "unknown": "something is missing that no effect of the vocabulary explains",
+}
+_CHANGES = {
+    "complete": "nothing changed that these data can show",
+    "named": "the effects below changed, by the values below",
+    "unknown": "something changed, or is missing, that no effect of the vocabulary explains",
+}
 
 
 @dataclass
@@ -39,6 +49,7 @@ class _Found:
     live: list[LiveGap] = field(default_factory=list)  #: with the original and with the extended model
     not_compared: str = ""  #: why the second run is not among them
     fault: BenchFaultError | None = None  #: of the second run
+    against: Path | None = None  #: the recording before, where changes were looked for
 
 
 @dataclass
@@ -50,17 +61,27 @@ class _Files:
     config: Path | None
 
 
-def diagnose_command(source: Path, model_path: Path | None, out: Path | None, *, as_json: bool) -> None:
+def diagnose_command(
+    source: Path, model_path: Path | None, out: Path | None, *, as_json: bool, against: Path | None = None
+) -> None:
     """Diagnose, print, and write page, extended model and extended config into `out`.
 
-    `source` is a recording, or a bench config: that is run first, and again with the extended model. Raises
+    `source` is a recording, or a bench config: that is run first, and again with the extended model. `against`: a
+    recording of the same machine before, then it is what changed since that is looked for. Raises
     UnusableInputError; for runs that don't come to their end InterruptedByOperatorError and BenchFaultError, the latter
     after everything has been shown when it was the run with the extended model.
     """
     console, errors = Console(highlight=False), Console(stderr=True, highlight=False)
     console.width = max(console.width, _WIDTH)
     with ProgressDisplay(errors, quiet=as_json) as progress:
-        if source.suffix in (".yaml", ".yml"):
+        is_config = source.suffix in (".yaml", ".yml")
+        if against is not None:
+            if is_config:
+                raise UnusableInputError(
+                    source, "a bench config, expected with --against the recording after the change"
+                )
+            found = _against(source, against, model_path, progress)
+        elif is_config:
             found = _on_the_bench(source, model_path, out, progress)
         else:
             if model_path is None:
@@ -76,11 +97,24 @@ def diagnose_command(source: Path, model_path: Path | None, out: Path | None, *,
             found = _Found(diagnosis, None if config is None else model_path)
         files = None if out is None else _write(found, source, out)
     if as_json:
-        print(json.dumps(as_data(found.diagnosis, found.live, found.not_compared, files), indent=2))
+        print(json.dumps(as_data(found, files), indent=2))
     else:
         _show_all(console, found, files)
     if found.fault is not None:
         raise found.fault
+
+
+def _against(source: Path, before: Path, model_path: Path | None, progress: ProgressDisplay) -> _Found:
+    """What changed from one recording to another."""
+    config = None if model_path is None else config_from(model_path)
+    model = None if model_path is None else model_from(model_path)
+    runs = []
+    for path in (source, before):
+        progress.announce(f"read {path}", 0.0)
+        recording = read_rows(path)
+        report_unknown(recording, path)
+        runs.append(Run(recording, path, _imitation(path, config)))
+    return _Found(compared(runs[0], runs[1], model, progress.announce), model_path if config else None, against=before)
 
 
 def _imitation(recording: Path, config: BenchConfig | None) -> Imitation | None:
@@ -124,13 +158,21 @@ def _write(found: _Found, source: Path, out: Path) -> _Files:
     if found.config is not None:
         files.config = out / "config_extended.yaml"
         write_config_over(files.config, [found.config, files.model])
-    title = f"Diagnosis of {source.name}"
-    write_diagnosis_page(found.diagnosis, found.live, found.not_compared, title, files.page, files.config)
+    title = f"Diagnosis of {source.name}" + ("" if found.against is None else f" against {found.against.name}")
+    write_diagnosis_page(
+        found.diagnosis,
+        found.live,
+        found.not_compared,
+        title,
+        files.page,
+        files.config,
+        changes=found.against is not None,
+    )
     return files
 
 
 def _show_all(console: Console, found: _Found, files: _Files | None) -> None:
-    _show(console, found.diagnosis)
+    _show(console, found.diagnosis, found.against)
     if found.live:
         console.print(_live_table(found.live))
     if found.not_compared:
@@ -142,11 +184,13 @@ def _show_all(console: Console, found: _Found, files: _Files | None) -> None:
         console.print(f"bench with the extended model: hilbench run {files.config}", soft_wrap=True)
 
 
-def as_data(found: Diagnosis, live: list[LiveGap], not_compared: str, files: _Files | None) -> dict[str, Any]:
-    """What `--json` prints (design, section 8)."""
+def as_data(shown: _Found, files: _Files | None) -> dict[str, Any]:
+    """What `--json` prints (design, section 6)."""
+    found, live, not_compared = shown.diagnosis, shown.live, shown.not_compared
     gap = found.gap
     return {
         "verdict": found.verdict,
+        "against": None if shown.against is None else str(shown.against),
         "effects": [_effect(effect) for effect in found.effects],
         "nuisance": [_effect(effect) for effect in found.nuisance],
         "gap": {
@@ -193,6 +237,7 @@ def _effect(effect: NamedEffect) -> dict[str, Any]:
         "axis": effect.axis,
         "parameters": {
             name: {"value": value.value, "ci95": list(value.ci95), "unit": value.unit}
+            | ({} if value.before is None else {"before": value.before})
             for name, value in effect.parameters.items()
         },
         "evidence": effect.evidence,
@@ -201,13 +246,9 @@ def _effect(effect: NamedEffect) -> dict[str, Any]:
     }
 
 
-def _show(console: Console, found: Diagnosis) -> None:
-    sentence = {
-        "complete": "complete: nothing is missing that these data can show",
-        "named": "named: the effects below close the gap on data that no fit has seen",
-        "unknown": f"unknown: {_UNKNOWN}",
-    }
-    console.print(sentence[found.verdict])
+def _show(console: Console, found: Diagnosis, against: Path | None) -> None:
+    sentences = _SENTENCES if against is None else _CHANGES
+    console.print(f"{found.verdict}: {sentences[found.verdict]}", soft_wrap=True)
     console.print(f"predicted on {found.predicted_on}", soft_wrap=True)
     for effect in found.nuisance:
         sizes = [f"{k} {v.value:.3g} ({v.ci95[0]:.3g} to {v.ci95[1]:.3g})" for k, v in effect.parameters.items()]
@@ -216,7 +257,7 @@ def _show(console: Console, found: Diagnosis) -> None:
     if found.imitation is not None:
         console.print(f"a bench's recording: web imitated by a load motor, every {1e3 * found.imitation.cycle_s:g} ms")
     if found.effects:
-        console.print(_effects_table(found))
+        console.print(_effects_table(found, changes=against is not None))
         for effect in found.effects:
             if effect.tied_with:
                 others = ", ".join(effect.tied_with)
@@ -230,24 +271,32 @@ def _show(console: Console, found: Diagnosis) -> None:
     _show_where(console, found)
     for blind in found.unobservable:
         place = f" of axis {blind.axis}" if blind.axis else ""
-        console.print(f"these data could hardly show {blind.effect}{place}; next experiment: {blind.experiment}")
+        if against is None:
+            console.print(f"these data could hardly show {blind.effect}{place}; next experiment: {blind.experiment}")
+        elif blind.smallest_visible is not None:
+            least = f"{blind.smallest_visible:.3g} {blind.unit}"
+            console.print(f"a change of {blind.effect}{place} of less than {least} could not be told", soft_wrap=True)
     for repair in found.repairs:
         console.print(f"mended: {repair.text}", soft_wrap=True)
     if found.missing_channels:
         console.print(f"channels not recorded: {', '.join(found.missing_channels)}")
 
 
-def _effects_table(found: Diagnosis) -> Table:
+def _effects_table(found: Diagnosis, *, changes: bool) -> Table:
     shown = Table(title_justify="left")
-    for column in ("effect", "axis", "parameter", "value", "95 %", "unit"):
+    value_of = "change" if changes else "value"
+    for column in ("effect", "axis", "parameter", value_of, "95 %", "unit", *(("before",) if changes else ())):
         shown.add_column(
-            column, justify="right" if column in ("value", "95 %") else "left", no_wrap=column in ("effect", "95 %")
+            column,
+            justify="right" if column in (value_of, "95 %", "before") else "left",
+            no_wrap=column in ("effect", "95 %"),
         )
     for effect in found.effects:
         for k, (name, value) in enumerate(effect.parameters.items()):
             first = (effect.effect, str(effect.axis or "")) if k == 0 else ("", "")
             said, low, high = (f"{each:.{value.digits}g}" for each in (value.value, *value.ci95))
-            shown.add_row(*first, name, said, f"{low} to {high}", value.unit)
+            was = ("" if value.before is None else f"{value.before:.5g}",) if changes else ()
+            shown.add_row(*first, name, said, f"{low} to {high}", value.unit, *was)
     return shown
 
 

@@ -295,6 +295,14 @@ def diagnose(
             help="folder for the page, the extended model (model_extended.yaml) and bench (config_extended.yaml)",
         ),
     ] = None,
+    against: Annotated[
+        Path | None,
+        typer.Option(
+            "--against",
+            metavar="RECORDING",
+            help="recording of the same machine before: name what changed since; a lone axis needs no --model for that",
+        ),
+    ] = None,
     json: Annotated[bool, typer.Option("--json", help="print the diagnosis as JSON, nothing else")] = False,
 ) -> None:
     """Find where simulation and measurement disagree, name the missing effect, and add it to the model.
@@ -304,10 +312,12 @@ def diagnose(
     Example: hilbench diagnose runs/web_section_step-20260101-120000/recording.mf4 --model model.yaml --out diagnosis
 
     Example: hilbench diagnose bench_configs/hidden_friction.yaml --out found
+
+    Example: hilbench diagnose after.csv --against before.csv --out changed
     """
     from hilbench.cli.diagnose import diagnose_command
 
-    diagnose_command(source, model, out, as_json=json)
+    diagnose_command(source, model, out, as_json=json, against=against)
 
 
 app.command()(scan.scan)

@@ -46,11 +46,12 @@ _LEAST_DIGITS: Final = 5
 
 @dataclass(frozen=True)
 class Value:
-    """A parameter's estimate with its 95 % interval."""
+    """A parameter's estimate, or its change, with its 95 % interval."""
 
     value: float
     ci95: tuple[float, float]
     unit: str
+    before: float | None = None  #: of a change, what it was in the recording before
 
     @property
     def digits(self) -> int:
@@ -169,10 +170,11 @@ def diagnose(
     predictor = chosen.predictor
     space = Space(model, predictor, data.period_s)
     selection = Search(space, Proposer(model, data), announce, predictor.every).run()
-    return _conclude(space, chosen, data, selection, announce)
+    return concluded(space, chosen, data, selection, announce)
 
 
-def _conclude(space: Space, chosen: Choice, data: Measured, selection: Selection, announce: Announce) -> Diagnosis:
+def concluded(space: Space, chosen: Choice, data: Measured, selection: Selection, announce: Announce) -> Diagnosis:
+    """The verdict on what a search has found; effects with their intervals, gaps, and where they were."""
     announce("judge the residual", 0.95)
     predictor = chosen.predictor
     trained = selection.fit

@@ -19,6 +19,11 @@ _SENTENCES = {
     "named": "The effects below close the gap on data that no fit has seen.",
     "unknown": "Something is missing that no effect of the vocabulary explains.",
 }
+_CHANGES = {
+    "complete": "Nothing changed that these data can show.",
+    "named": "The effects below changed, by the values below.",
+    "unknown": "Something changed, or is missing, that no effect of the vocabulary explains.",
+}
 #: What is shown of a run, by its name in `LiveGap`.
 LIVE_ROWS = (
     ("torque residual, rms, N·m", "torque_residual_rms_Nm"),
@@ -31,12 +36,19 @@ _SMOOTHING_S = 0.2
 
 
 def write_diagnosis_page(
-    found: Diagnosis, live: list[LiveGap], not_compared: str, title: str, path: Path, config: Path | None
+    found: Diagnosis,
+    live: list[LiveGap],
+    not_compared: str,
+    title: str,
+    path: Path,
+    config: Path | None,
+    *,
+    changes: bool = False,
 ) -> Path:
     """Write the page. Raises UnusableInputError if it cannot be written.
 
     `not_compared`: why there is no second run of the bench to compare; `config`: the bench config that was written with
-    the extended model in it, where there is one.
+    the extended model in it, where there is one; `changes`: the effects are what changed since another recording.
     """
     residuals = _residuals(found)
     return write_page(
@@ -46,8 +58,9 @@ def write_diagnosis_page(
         _held_out(found),
         title=title,
         found=found,
-        sentence=_SENTENCES[found.verdict],
-        effects=_effects(found),
+        sentence=(_CHANGES if changes else _SENTENCES)[found.verdict],
+        changes=changes,
+        effects=_effects(found, changes=changes),
         tied=[(_place(effect), effect) for effect in found.effects if effect.tied_with],
         gaps=[
             (g.signal, *map(number, (g.before, g.after, g.noise_floor)), number(g.after / g.noise_floor, 3))
@@ -72,12 +85,13 @@ def _visible(effect: Unobservable) -> str:
     return "never" if effect.smallest_visible is None else f"{number(effect.smallest_visible, 3)} {effect.unit}"
 
 
-def _effects(found: Diagnosis) -> list[tuple[str, ...]]:
+def _effects(found: Diagnosis, *, changes: bool) -> list[tuple[str, ...]]:
     rows: list[tuple[str, ...]] = []
     for effect in found.effects:
         for name, value in effect.parameters.items():
             best, low, high = (number(each, value.digits) for each in (value.value, *value.ci95))
-            rows.append((_place(effect), name, "" if value.unit == "1" else value.unit, best, f"{low} to {high}"))
+            was = ("" if value.before is None else number(value.before),) if changes else ()
+            rows.append((_place(effect), name, "" if value.unit == "1" else value.unit, best, f"{low} to {high}", *was))
     return rows
 
 

@@ -1,0 +1,110 @@
+"""What changed between two recordings of one machine: both explained together, and what differs in the later one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilbench.diagnosis import axis_comparison, web_comparison
+from hilbench.diagnosis.diagnosis import Diagnosis
+from hilbench.diagnosis.measured import Measured, measured_from
+from hilbench.errors import UnusableInputError
+from hilbench.plant.web_line.imitation import Imitation
+from hilbench.plant.web_line.parameters import ModelParameters
+from hilbench.results.recording import Recording
+
+Array = NDArray[np.float64]
+Announce = Callable[[str, float], None]
+
+#: How many times as large torques, or speeds, of one machine may be in one recording as in the other.
+_ONE_MACHINE: Final = 100.0
+
+
+@dataclass(frozen=True)
+class Run:
+    """A recording, and what is to be said of it."""
+
+    recording: Recording
+    place: str | Path
+    imitation: Imitation | None = None  #: how the web was imitated, if the recording is a bench's
+
+
+def compared(
+    after: Run, before: Run, model: ModelParameters | None, announce: Announce = lambda text, share: None
+) -> Diagnosis:
+    """What changed from `before` to `after`: effects with the size of the change, beside `before` of each value.
+
+    model: of the machine; None for a lone axis of which nothing is known: then its inertia comes from the recordings.
+    Gaps and residuals are those of `after`, with the machine as it was before and as it is found now; so is the model.
+    Raises UnusableInputError, one line, for recordings that can't be used or do not belong together.
+    """
+    announce("read both recordings", 0.02)
+    if model is None:
+        model = _lone_axis(after, before)
+    now, then = (measured_from(run.recording, model, run.place) for run in (after, before))
+    _check_together(now, then, after.place, before.place)
+    if model.web is None:
+        found = axis_comparison.changes(model, now, then, announce)
+    else:
+        found = web_comparison.changes(model, now, then, (after.imitation, before.imitation), announce)
+    repairs = [replace(repair, text=f"{before.place}: {repair.text}") for repair in then.repairs]
+    return replace(found, repairs=[*now.repairs, *repairs])
+
+
+def _check_together(now: Measured, then: Measured, place: str | Path, other: str | Path) -> None:
+    """Whether two recordings can be of one machine. Raises UnusableInputError, one line."""
+    for what, here, there in (("torque", now.tau_Nm, then.tau_Nm), ("position", now.x_m, then.x_m)):
+        if set(here) != set(there):
+            raise UnusableInputError(
+                place, f"{what} of axes {sorted(here)} where {other} has {sorted(there)}, expected the same channels"
+            )
+    if now.imitated != then.imitated:
+        made, other_made = ("with", "without") if now.imitated else ("without", "with")
+        raise UnusableInputError(
+            place, f"{made} a load motor and {other} {other_made} one, expected two recordings of one machine"
+        )
+    for axis in now.tau_Nm:
+        torque = _rms(now.tau_Nm[axis]), _rms(then.tau_Nm[axis])
+        speed = _top_speed(now, axis), _top_speed(then, axis)
+        for what, unit, pair in (("torque", "N·m", torque), ("speed", "m/s or rad/s", speed)):
+            if max(pair) > _ONE_MACHINE * min(pair):
+                raise UnusableInputError(
+                    place,
+                    f"{what} of axis {axis} is {pair[0]:.3g} {unit} where it is {pair[1]:.3g} in {other}, expected two "
+                    "recordings of one machine",
+                )
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def _top_speed(data: Measured, axis: int) -> float:
+    """Between samples a tenth of a second apart; 1 where it is not known."""
+    if axis not in data.x_m:
+        return 1.0
+    apart = max(1, round(0.1 / data.period_s))
+    return float(np.max(np.abs(data.x_m[axis][apart:] - data.x_m[axis][:-apart]))) / (apart * data.period_s)
+
+
+def _lone_axis(after: Run, before: Run) -> ModelParameters:
+    """A model of which only the inertia is known: the larger of what both recordings show (feed-forward hides some)."""
+    inertia = 0.0
+    for run in (after, before):
+        if "x2_m" in run.recording:
+            raise UnusableInputError("--model", "missing, expected the model file of a machine of several axes")
+        data = measured_from(run.recording, _axis_of(1.0), run.place)
+        inertia = max(inertia, axis_comparison.inertia(data))
+    return _axis_of(inertia)
+
+
+def _axis_of(inertia: float) -> ModelParameters:
+    """One shaft, in the units of its recording: torque over acceleration of x1_m."""
+    return ModelParameters.model_validate(
+        {"rollers": {"radius_m": 1.0, "inertia_kg_m2": inertia, "gear_ratio": 1.0}, "motors": {"inertia_kg_m2": 0.0}}
+    )
