@@ -15,7 +15,6 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import expm
 
 Matrix = NDArray[np.float64]
 
@@ -100,6 +99,8 @@ def _continuous(shaft: SampledShaft, size: int) -> Matrix:
     ):
         a[torque, torque] = -1.0 / max(time_constant, _FASTEST_S)
         a[torque, command] = 1.0 / max(time_constant, _FASTEST_S)
+    from scipy.linalg import expm  # not with the module: the processes of a bench start without scipy
+
     return np.asarray(expm(a * shaft.sample_time_s))
 
 

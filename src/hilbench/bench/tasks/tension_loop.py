@@ -16,7 +16,6 @@ from math import exp, inf, log, pi
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import expm
 
 from hilbench.bench.tasks.imitated_web import imitated_web
 from hilbench.bench.tasks.swing_damping import DampingGains, SwingPlant, damping_gains
@@ -202,6 +201,8 @@ class TensionLoop:
             rates[at[f"way{k}"], at[f"v{k}"]] = 1.0
         self._add_simulated_web(rates, axes)
         held[:size] = loops
+        from scipy.linalg import expm  # not with the module: the processes of a bench start without scipy
+
         return np.asarray((expm(rates * sample_s) @ held)[:size])
 
     def _add_simulated_web(self, rates: Matrix, axes: Mapping[int, _Axis]) -> None:

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from math import exp, inf, nan
 
 import numpy as np
-from scipy.linalg import solve_discrete_lyapunov
 
 from hilbench.compiled import entry_point
 from hilbench.estimation.bank import Array
@@ -256,6 +255,10 @@ def _acceleration_gain(cycle_s: float, filter_s: float) -> float:
     memory = forward - np.outer(gain, forward[0])
     # In units in which all four are of one size, for the solver.
     unit = cycle_s ** -np.arange(4.0)
+    from scipy.linalg import (
+        solve_discrete_lyapunov,  # not with the module: the processes of a bench start without scipy
+    )
+
     scaled = memory * unit[None, :] / unit[:, None]
     noise = gain / unit
     covariance = solve_discrete_lyapunov(scaled, np.outer(noise, noise))
