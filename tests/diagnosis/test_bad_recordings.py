@@ -60,7 +60,7 @@ def quiet(c: Channels) -> Channels:
 @pytest.mark.parametrize(
     ("damage", "said"),
     [
-        (both(without("v1_cmd_m_s"), without("x2_m")), "channels v1_cmd_m_s, x2_m missing"),
+        (both(without("v1_cmd_m_s"), both(without("x2_m"), without("v2_m_s"))), "v1_cmd_m_s, v2_m_s missing"),
         (without("strain_prev"), "channel strain_prev missing"),
         (mostly_no_number, "channel tau2_Nm has 3000 value(s) that are no finite number"),
         (twice, "t_s starts over in sample 6001 (from 11.998 to 0.001 s)"),

@@ -54,6 +54,9 @@ class LineOnMeasuredMotion:
     Rows are read at one instant for all channels, but not always when they say: what both axes have in common then has
     the noise of that time, what they differ by has not. So mean motion and difference are smoothed each for itself, the
     acceleration of the mean from positions or speeds, whichever tell it better.
+
+    Without both positions the strain is not known: a way that is added up from speeds drifts by more than the web is
+    stretched. What is left is the sum of both torques, in which the tension between the rollers is not.
     """
 
     def __init__(self, model: ModelParameters, data: Measured) -> None:
@@ -61,8 +64,13 @@ class LineOnMeasuredMotion:
         self.imitation = None
         self.exact = True
         self._torques = sorted(data.tau_Nm)
-        self._tensions = sorted(data.F_N)
-        self.names = tuple(f"tau{axis}_Nm" for axis in self._torques) + tuple(data.tension_names())
+        self.knows_strain = set(data.x_m) >= {1, 2}
+        self._tensions = sorted(data.F_N) if self.knows_strain else []
+        torques = [f"tau{axis}_Nm" for axis in self._torques]
+        self._mixed = np.eye(len(torques)) if self.knows_strain else np.ones((1, len(torques)))
+        if not self.knows_strain:
+            torques = [" + ".join(torques)]
+        self.names = (*torques, *(data.tension_names() if self.knows_strain else ()))
         noise = _Noise(model, data)
         thinning = noise.thinning
         self._thinning, self.every = thinning, thinning.every
@@ -72,15 +80,17 @@ class LineOnMeasuredMotion:
         band = (min(thinning.highest_Hz, 0.85 * nyquist), min(_WIDER * thinning.highest_Hz, _OF_NYQUIST * nyquist))
         self._x, self._v, self._a = _motion(data, self._whole, band, noise.mean_by_speed)
         self._boundary = np.repeat(data.boundary, self._whole, axis=0)[: len(self._x)]
-        rows = [data.tau_Nm[axis] for axis in self._torques] + [data.F_N[span] for span in self._tensions]
-        self._floors = noise.floors()
+        rows = np.array([data.tau_Nm[axis] for axis in self._torques] + [data.F_N[span] for span in self._tensions])
+        self._torque_floors, tension_floors = noise.floors()
+        mixed = np.sqrt(self._mixed**2 @ np.square(self._torque_floors))
+        self._floors = np.concatenate([mixed, tension_floors[: len(self._tensions)]])
         self.tolerances = np.zeros(len(self.names))
         self.rows = self._usable()
         self._sampling = self._in_step()
-        measured = thinning.apply(np.array(rows))
+        measured = thinning.apply(rows)
         for k, axis in enumerate(self._torques):
             measured[k] -= sampling_bias_Nm(model, axis, self._cycle_s) * self._at_rows(self._a[:, axis - 1])
-        self.measured = self._discounted(measured)
+        self.measured = self._discounted(self._mix(measured))
 
     def _usable(self) -> NDArray[np.bool_]:
         """Not standstill, where dry friction is not one law; not while the first strain is remembered; not the ends."""
@@ -106,11 +116,16 @@ class LineOnMeasuredMotion:
 
     def _in_step(self) -> list[Array]:
         """Of each torque the shape, in noise floors, of which only a share is known: that of the acceleration."""
-        found = []
-        for k, axis in enumerate(self._torques):
-            shape = _IN_STEP * inertia(self._model, axis) * self._at_rows(self._a[:, axis - 1]) / self._floors[k]
-            found.append(np.where(self.rows, shape, 0.0))
-        return found
+        shapes = [_IN_STEP * inertia(self._model, axis) * self._at_rows(self._a[:, axis - 1]) for axis in self._torques]
+        mixed = self._mixed @ np.array(shapes)
+        return [np.where(self.rows, shape / self._floors[k], 0.0) for k, shape in enumerate(mixed)]
+
+    def _mix(self, signals: Array) -> Array:
+        """(…, torques then tensions, n): of the torques what can be compared."""
+        k = len(self._torques)
+        if self.knows_strain:
+            return signals
+        return np.asarray(np.einsum("ij,...jn->...in", self._mixed, signals[..., :k, :]))
 
     def _discounted(self, signals: Array) -> Array:
         """(…, signals, n) with each shape that is known only to a share made as loud as the noise, (1 + uuᵀ)^-½.
@@ -133,7 +148,7 @@ class LineOnMeasuredMotion:
             command, torque = data.commands_m_s[:, axis - 1], data.tau_Nm[axis]
             x, v, a = (values[:, axis - 1] for values in (self._x, self._v, self._a))
             moved = np.array([self._at_rows(values) for values in (a, v, np.sign(v))])
-            told = Told(axis, command, x, v, moved, torque, self._floors[k])
+            told = Told(axis, command, x, v, moved, torque, self._torque_floors[k])
             row_s = self.every * data.period_s
             loop = loop_of(told, self._model, data.period_s, self._thinning.apply, self.rows, row_s)
             found += [] if loop is None else [loop]
@@ -178,7 +193,7 @@ class LineOnMeasuredMotion:
         """(B, P) to (B, signals, n), on all cores."""
         run = self._run(np.atleast_2d(parameters))
         rows = [run.tau_Nm[..., axis - 1] for axis in self._torques] + [run.F_N[..., k - 1] for k in self._tensions]
-        return self._discounted(self._thinning.apply(np.stack(rows, axis=1), self._whole))
+        return self._discounted(self._mix(self._thinning.apply(np.stack(rows, axis=1), self._whole)))
 
     def _run(self, parameters: Array) -> RequiredTorques:
         return required_torques(parameters, self._model, self._x, self._v, self._a, self._boundary, self._fine_s)
@@ -198,25 +213,30 @@ class _Noise:
             options[True] = floor(0.5 * (data.v_m_s[1] + data.v_m_s[2]))
         if not options:  # one of each
             options[False] = max(floor(values) for values in data.x_m.values())
+        self._difference_noise, self._difference_by_speed = self._difference()
         ends = {by_speed: self._band_Hz(by_speed, noise) for by_speed, noise in options.items()}
         self.mean_by_speed = max(ends, key=lambda by_speed: ends[by_speed])
         self._mean_noise = options[self.mean_by_speed]
-        self._difference_noise = self._difference()
         self.thinning = self._thinning(float(np.clip(ends[self.mean_by_speed], _LOWEST_HZ, _HIGHEST_HZ)))
 
-    def _difference(self) -> float:
-        """Of half the difference of the positions, m; from speeds it is that of a way that adds up, which is small."""
+    def _difference(self) -> tuple[float, bool]:
+        """Of half the difference of the positions, m, or of the speeds, m/s, and whether it is the speeds'."""
         data = self._data
-        return 0.5 * floor(data.x_m[1] - data.x_m[2]) if set(data.x_m) >= {1, 2} else 0.0
+        if set(data.x_m) >= {1, 2}:
+            return 0.5 * floor(data.x_m[1] - data.x_m[2]), False
+        speeds = [floor(values) for axis, values in data.v_m_s.items() if axis not in data.x_m]
+        return 0.5 * float(np.linalg.norm(speeds)), True
 
     def _band_Hz(self, by_speed: bool, noise: float) -> float:
         """Where the noise of the acceleration's torque has a given share of that of the torque."""
-        power = 1.0 if by_speed else 2.0
-        torque = max(self._torque_Nm.values())
-        ratio = np.sqrt(_NOISE_SHARE) * torque / max(noise * self._per_acceleration, 1e-300)
-        mean = ratio ** (1.0 / power) / (2.0 * np.pi)
-        ratio = np.sqrt(_NOISE_SHARE) * torque / max(self._difference() * self._per_acceleration, 1e-300)
-        return float((mean**-4.0 + (np.sqrt(ratio) / (2.0 * np.pi)) ** -4.0) ** -0.25)
+
+        def end_Hz(noise: float, power: float) -> float:
+            ratio = np.sqrt(_NOISE_SHARE) * max(self._torque_Nm.values()) / max(noise * self._per_acceleration, 1e-300)
+            return float(ratio ** (1.0 / power) / (2.0 * np.pi))
+
+        mean = end_Hz(noise, 1.0 if by_speed else 2.0)
+        difference = end_Hz(self._difference_noise, 1.0 if self._difference_by_speed else 2.0)
+        return float((mean**-4.0 + difference**-4.0) ** -0.25)
 
     def _thinning(self, end_Hz: float) -> Thinning:
         thinning = Thinning(max(1, round(0.5 / (end_Hz * self._data.period_s))), self._data.period_s)
@@ -224,23 +244,24 @@ class _Noise:
             return Thinning(1, self._data.period_s)
         return thinning
 
-    def floors(self) -> list[float]:
-        """Of the thinned torques, then tensions."""
+    def floors(self) -> tuple[Array, Array]:
+        """Of the thinned torques, and of the tensions."""
         data, model, share = self._data, self._model, self.thinning.noise_share
         power = 2 if self.mean_by_speed else 4
         end = 2.0 * np.pi * self.thinning.corner_Hz
         # The mean of (2πf)^power up to the end of the band.
         mean = self._mean_noise * np.sqrt(end**power / (power + 1.0))
-        acceleration = np.hypot(mean, self._difference_noise * np.sqrt(end**4 / 5.0))
+        power = 2 if self._difference_by_speed else 4
+        acceleration = np.hypot(mean, self._difference_noise * np.sqrt(end**power / (power + 1.0)))
         tension_N = 0.0
-        if set(data.x_m) >= {1, 2} and model.web is not None:
+        if not self._difference_by_speed and model.web is not None:
             tension_N = 2.0 * self._difference_noise * model.web.stiffness_N / model.span_length_m(1)
         found = []
         for axis, torque in sorted(self._torque_Nm.items()):
             web = tension_N / model.motor_rad_per_m(axis)
             found.append(share * float(np.sqrt(torque**2 + web**2 + (inertia(model, axis) * acceleration) ** 2)))
-        found += [share * float(np.hypot(floor(data.F_N[span]), tension_N)) for span in sorted(data.F_N)]
-        return found
+        tensions = [share * float(np.hypot(floor(data.F_N[span]), tension_N)) for span in sorted(data.F_N)]
+        return np.array(found), np.array(tensions)
 
 
 def inertia(model: ModelParameters, axis: int) -> float:

@@ -144,18 +144,22 @@ def measured_from(recording: Recording, model: ModelParameters, place: str | Pat
 
 
 def _check_enough(recording: Recording, place: str | Path) -> None:
-    """A web line needs a torque, and either the commands of both axes or how both moved."""
+    """A web line needs a torque, and the commands of both axes or how both moved."""
     if not any(f"tau{axis}_Nm" in recording for axis in (1, 2)):
         raise UnusableInputError(place, "channels tau1_Nm, tau2_Nm missing, expected at least one torque")
     if all(name in recording for name in _COMMANDS):
         return
     missing = [name for name in _COMMANDS if name not in recording]
-    still = [f"x{axis}_m" for axis in (1, 2) if f"x{axis}_m" not in recording]
-    if still:
+    if all(f"x{axis}_m" in recording for axis in (1, 2)):
+        return
+    for name in (f"{letter}{axis}_{unit}" for letter, unit in (("v", "m_s"), ("tau", "Nm")) for axis in (1, 2)):
+        if name not in recording and not (name[0] == "v" and f"x{name[1]}_m" in recording):
+            missing.append(name)
+    if len(missing) > sum(name in _COMMANDS for name in missing):
         raise UnusableInputError(
             place,
-            f"channels {', '.join([*missing, *still])} missing, expected the commands of both axes or the positions of"
-            " both: the strain is in what the web travelled at one roller more than at the other",
+            f"channels {', '.join(missing)} missing, expected the commands of both axes, or the positions of both, or"
+            " the speeds and torques of both",
         )
 
 

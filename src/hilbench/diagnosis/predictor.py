@@ -79,9 +79,9 @@ class Choice:
 def choice(model: ModelParameters, data: Measured, imitation: Imitation | None = None) -> Choice:
     """A free run where the drives' loops are those of the model; else on measured motion, which needs none.
 
-    A recording without both positions is run freely, with the loops that it shows. Where it has a load motor the web
-    was imitated: as `imitation` says, or as benches do it by default, by one load motor at the last roller. What
-    happened in its cycles can't be told from rows between them.
+    A recording with neither both positions nor both torques is run freely, with the loops that it shows. Where it has
+    a load motor the web was imitated: as `imitation` says, or as benches do it by default, by one load motor at the
+    last roller. What happened in its cycles can't be told from rows between them.
     """
     if model.web is None:
         return Choice(OnMeasuredMotion(model, data), "measured motion of a lone axis")
@@ -97,14 +97,20 @@ def choice(model: ModelParameters, data: Measured, imitation: Imitation | None =
     motion = LineOnMeasuredMotion(model, data)
     loops = motion.loops()
     if not data.commands_m_s.size:
-        return Choice(motion, "measured motion: there are no commands")
+        return Choice(motion, f"measured motion: there are no commands{_blind(motion)}")
     if loops and all(loop.is_known for loop in loops):
         return Choice(FreeRun(model, data), commands, loops)
-    if set(data.x_m) >= {1, 2}:
-        why = "the drives' loops are not those of the model" if loops else "nothing tells the drives' loops"
-        return Choice(motion, f"measured motion: {why}", loops)
+    why = "the drives' loops are not those of the model" if loops else "nothing tells the drives' loops"
+    if motion.knows_strain or len(data.tau_Nm) == 2:
+        return Choice(motion, f"measured motion: {why}{_blind(motion)}", loops)
     others = [loop for loop in loops if loop.is_understood and not loop.is_known]
     return Choice(FreeRun(model, data, loops=others), f"{commands}, with the loops that the drives show", loops)
+
+
+def _blind(motion: LineOnMeasuredMotion) -> str:
+    return (
+        "" if motion.knows_strain else "; without positions nothing tells the strain, and what acts on it is not seen"
+    )
 
 
 def predictor_for(model: ModelParameters, data: Measured, imitation: Imitation | None = None) -> Predictor:

@@ -262,7 +262,9 @@ class Proposer:
         top = _HIGHEST_ORDER
         if self._data.commands_m_s.size == 0:  # a lone axis may be a screw: its turn is not the "motor's" of the model
             top = _HIGHEST_ORDER_OF_A_SCREW
-        orders, count = self._peaks(angle, whitened, [f"tau{axis}_Nm"], self._least_order(axis), top)
+        orders, count = self._peaks(
+            angle, whitened, [name for name in whitened if f"tau{axis}_Nm" in name], self._least_order(axis), top
+        )
         return [self._term(effect, axis, {effect.probe.parameter: order}, slot, count) for order in orders]
 
     def _frequencies(self, effect: Effect, whitened: dict[str, Array], present: list[Term], every: int) -> list[Term]:
