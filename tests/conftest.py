@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import pytest
+from tests.bench.whole_runs import STARTED
 from tests.buses import Bus, KernelBus
 
 from hilbench.can.memory import MemoryBus
@@ -12,3 +15,25 @@ from hilbench.can.memory import MemoryBus
 def bus(request: pytest.FixtureRequest) -> Bus:
     """The bus inside the process and, with `-m vcan`, the kernel's."""
     return MemoryBus() if request.param == "memory" else KernelBus()
+
+
+@pytest.fixture(autouse=True)
+def _no_bench_outlives_its_test() -> Iterator[None]:
+    """A test that fails must not leave a bench behind that takes the processors from all others for minutes."""
+    yield from _ended()  # but for the bench of a fixture of the module, which was started before
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _no_bench_outlives_its_module() -> Iterator[None]:
+    """The same where a fixture of the module has failed."""
+    yield from _ended()
+
+
+def _ended() -> Iterator[None]:
+    """Benches that were started meanwhile have ended."""
+    before = len(STARTED)
+    yield
+    for process in STARTED[before:]:
+        if process.poll() is None:
+            process.kill()
+            process.communicate()

@@ -45,9 +45,17 @@ def config(folder: Path, **changes: object) -> Path:
     return path
 
 
+#: What `start` has started in this process of the tests; those that a failed test left are ended (tests/conftest.py).
+STARTED: list[subprocess.Popen[str]] = []
+
+
 def start(path: Path, *options: str) -> subprocess.Popen[str]:
     command = [sys.executable, "-m", "hilbench.cli", "run", str(path), "--out", str(path.parent / "runs"), *options]
-    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True)
+    process = subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
+    )
+    STARTED.append(process)
+    return process
 
 
 def run(path: Path, *options: str) -> tuple[int, str, str]:
