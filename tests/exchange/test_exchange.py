@@ -49,7 +49,7 @@ class Answering:
             for _, pdo, indices in drive.pdos.tpdos:
                 answers.append(Frame(pdo.cob_id, pdo.pack([self.statusword if i == 0x6041 else 7 for i in indices])))
         io = self._nodes.io
-        return [*answers, *(Frame(pdo.cob_id, bytes(pdo.size)) for pdo in (io.state, io.quality, io.status))]
+        return [*answers, *(Frame(pdo.cob_id, bytes(pdo.size)) for pdo in (*io.sent, io.status))]
 
     def receive(self, timeout_s: float) -> list[Frame]:
         taken, self._waiting = self._waiting, []
