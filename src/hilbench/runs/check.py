@@ -13,8 +13,10 @@ from hilbench.errors import UnusableInputError
 from hilbench.plant.effects import MachineKind
 from hilbench.plant.parameters import per_item
 from hilbench.runs.config import ExperimentConfig, LoadedConfig
+from hilbench.runs.metrics import OF_RUNS, metrics_of
 from hilbench.runs.prospect import Move, State, moves, start_of
 from hilbench.strict_yaml import Location
+from hilbench.suggest import did_you_mean
 from hilbench.topology.quantities import SHAFT_COULOMB_FRICTION, SHAFT_INERTIA, SPEED
 from hilbench.topology.safety import Limit
 
@@ -64,6 +66,7 @@ def check_experiment(loaded: LoadedConfig, *, with_margins: bool = False) -> Che
         step.prepare()
     asked = list(moves(config))
     _check_paths(loaded, asked)
+    _check_criteria(loaded)
     _check_methods(loaded)
     if config.machine_kind is MachineKind.SERVO_AXIS:
         found = _check_shaft(loaded, bench, asked)
@@ -95,6 +98,19 @@ def _check_methods(loaded: LoadedConfig) -> None:
             place = loaded.document.place(("steps", number, "synchronizer"))
             raise UnusableInputError(
                 place, f"a change of the twin's method, expected none: the twin of a {kind} has one method"
+            )
+
+
+def _check_criteria(loaded: LoadedConfig) -> None:
+    """Every metric that a criterion bounds is one that a run of this machine may have."""
+    config = loaded.config
+    known = {**metrics_of(config.machine.kind, config.shape).metrics, **OF_RUNS}
+    for number, criterion in enumerate(config.criteria):
+        if criterion.metric not in known:
+            meant = did_you_mean(criterion.metric, known)
+            raise UnusableInputError(
+                loaded.document.place(("criteria", number, "metric")),
+                f"metric '{criterion.metric}' is none of this machine, expected one of {', '.join(known)}{meant}",
             )
 
 

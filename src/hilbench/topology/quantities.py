@@ -184,7 +184,8 @@ def path_problem(path: str, kind: MachineKind, shape: Shape, loaded: Collection[
     if path in known:
         return None
     if _is_plain(path):
-        return f"a quantity of this {kind}: {', '.join(known)}; '{path}' is none of it"
+        other = "another kind of machine" if path in _PLAIN and path not in _PLAIN_OF[kind] else "another machine"
+        return f"a quantity of a {kind} ({', '.join(known)}), '{path}' is of {other}"
     try:
         of = parse_effect_path(path, kind)
     except ValueError as error:

@@ -119,6 +119,11 @@ class LeadingAxis(CyclicTask):
         """What it is to turn at, at the web."""
         return self._line_speed.present
 
+    @property
+    def command_m_s(self) -> float:
+        """The same: nothing is damped by it."""
+        return self._line_speed.present
+
     def before(self, sample: CycleSample, outputs: Outputs) -> None:
         """Velocity of the axis, m/s at the web."""
         outputs[self._drive] = self.speed_m_s
@@ -136,13 +141,18 @@ class FollowingAxis(CyclicTask):
 
     @property
     def speed_m_s(self) -> float:
-        """What it is to turn at, at the web."""
+        """What it is to turn at, at the web, without what is damped further behind."""
         return self._leader.speed_m_s
+
+    @property
+    def command_m_s(self) -> float:
+        """What it is told: what the axis behind it is told, or the span would be stretched by the damping."""
+        return self._leader.command_m_s
 
     def before(self, sample: CycleSample, outputs: Outputs) -> None:
         """Velocity of the axis, m/s at the web."""
-        outputs[self._drive] = self.speed_m_s
-        setattr(sample, self._command, self.speed_m_s)
+        outputs[self._drive] = self.command_m_s
+        setattr(sample, self._command, self.command_m_s)
 
 
 class WebLoadTask(LoadTask):

@@ -264,10 +264,11 @@ class TensionLoop:
         """What the bench computes from the answers to this SYNC, from the leading axis on."""
         config, cycle_s = self.config, self.config.cycle_time_s
         controls, rows = config.tension_controls, {}
-        speed = np.zeros(len(self._places))  # of the axis behind the span, without its damping
+        # Of the axis behind the span: its speed without what it damps, and what it is told.
+        speed = command = np.zeros(len(self._places))
         for j in range(config.shape.spans, 0, -1):
-            damping = np.zeros(len(self._places))
             if j in controls:
+                damping = np.zeros(len(self._places))
                 gains = self._damping[j]
                 rate = (webs[j] - self._unit(f"web{j}")) / (cycle_s * self._stiffness_N_per_m(j))
                 elongation = exp(-gains.washout_per_s * cycle_s) * self._unit(f"elongation{j}") + rate * cycle_s
@@ -283,7 +284,9 @@ class TensionLoop:
                 error = -self._unit(f"web{j}_sim")
                 rows[f"integral{j}"] = self._unit(f"integral{j}") + ki * cycle_s * error
                 speed = speed - kp * error - rows[f"integral{j}"]
-            rows[f"u{j}_next"] = speed + damping
+            if j in controls:
+                command = speed + damping
+            rows[f"u{j}_next"] = command
         return rows
 
     def _return_ratio(self, command: str, omega: NDArray[np.float64]) -> NDArray[np.complex128]:

@@ -25,7 +25,11 @@ class Leader(Protocol):
 
     @property
     def speed_m_s(self) -> float:
-        """What it is to turn at, at the web, without what damps its own span."""
+        """What it is to turn at, at the web, without what damps the span behind it."""
+
+    @property
+    def command_m_s(self) -> float:
+        """What it is told, with that."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,12 +94,17 @@ class TensionTask(CyclicTask):
         self._cycle_s = cycle_s
         self._controlled_cycle: int | None = None  # whose twin data the controller has had
         self._was_closed: bool | None = None  # None before it was closed for the first time
-        self._speed_m_s = 0.0
+        self._speed_m_s = self._command_m_s = 0.0
 
     @property
     def speed_m_s(self) -> float:
         """What the axis is to turn at, without the damping."""
         return self._speed_m_s
+
+    @property
+    def command_m_s(self) -> float:
+        """What the axis is told."""
+        return self._command_m_s
 
     def owns(self, path: str) -> bool:
         """Whether it is the set-point."""
@@ -123,7 +132,7 @@ class TensionTask(CyclicTask):
             velocity_m_s = self._controller.hold(speed_m_s, self._set_point_N, self._cycle_s)
         self._speed_m_s = velocity_m_s
         velocity_m_s += self._damping.velocity(getattr(sample, names.before), getattr(sample, names.behind))
-        outputs[names.drive] = velocity_m_s
+        outputs[names.drive] = self._command_m_s = velocity_m_s
         setattr(sample, names.command, velocity_m_s)
 
     def after(self, sample: CycleSample, inputs: Inputs) -> None:

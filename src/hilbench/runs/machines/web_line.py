@@ -14,7 +14,7 @@ from hilbench.runs.figures import SPEED_BAND, mean_velocity
 from hilbench.runs.machines.machine import NO_STEP, Estimate, MachineMetrics, nothing_to_judge, speed_metrics
 from hilbench.runs.stretch import Array, Figure, Metric, Stretch, UnknownFigureError, after_a_step, after_a_step_of
 from hilbench.topology.main_quantities.web_line import line_speed, modulus, set_point
-from hilbench.topology.signals import Shape
+from hilbench.topology.signals import SMALLEST, Shape
 
 Number = TypeVar("Number", float, NDArray[np.float64])
 
@@ -116,7 +116,12 @@ def _mass(span: int, shape: Shape) -> dict[str, Metric]:
 
 @cache
 def metrics_of(shape: Shape) -> MachineMetrics:
-    """The metrics of a line, with the number of the span in the names where there are several."""
+    """The metrics of a line, with the number of the span in the names where there are several.
+
+    Of one span all are looked for, whatever is recorded: a run then says what it lacks.
+    """
+    if shape.spans < 2:
+        shape = SMALLEST["web_line"]
     speed, metrics, together = line_speed(shape.axes), dict[str, Metric](), list[tuple[str, ...]]()
     for span in shape.estimated:
         metrics |= Estimate(modulus(shape.numbered(span)), "line").metrics()

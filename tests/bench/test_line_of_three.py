@@ -1,0 +1,212 @@
+"""A line that no config ships: three rollers, two spans, a load motor at the middle and at the last, one controller."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+from tempfile import mkdtemp
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from hilbench.bench.lifecycle.participants import Participants
+from hilbench.canopen.identifiers import SYNC
+from hilbench.errors import UnusableInputError
+from hilbench.exchange.nodes import Nodes
+from hilbench.monitor.picture import BusPicture
+from hilbench.report.html import write_report
+from hilbench.results.recording import read_recording
+from hilbench.results.recover import recover_run
+from hilbench.results.run import RunOutcome, run_experiment
+from hilbench.results.trace import TraceReader
+from hilbench.runs.check import check_experiment
+from hilbench.runs.config import LoadedConfig, load_with_overrides
+
+EDS = Path(__file__).resolve().parents[2] / "eds"
+SERVO, VIRTUAL_IO = str(EDS / "hilbench_servo.eds"), str(EDS / "hilbench_virtual_io.eds")
+STEPS = [
+    {"ramp": {"path": "line_speed_m_s", "to": 2.0, "duration_s": 1.0}},
+    {"wait_until": {"condition": "loop2_closed > 0", "timeout_s": 5.0}},
+    {"hold": {"until_s": 3.0}},
+    {"step": {"path": "tension_control.span2.set_point_N", "to": 95.0}},
+    {"wait_until": {"condition": "F2_true_N >= 94", "timeout_s": 5.0}},
+    {"hold": {"until_s": 6.0}},
+    {"step": {"path": "load.web.youngs_modulus_Pa", "to": 9.5e9}},
+    {"hold": {"duration_s": 3.0}},
+    {"set": {"path": "load.effects.coulomb_friction.axis3.force_N", "to": 2.0}},
+    {"set": {"path": "hardware.effects.viscous_friction.axis3.coefficient_N_s_per_m", "to": 0.5}},
+    {"hold": {"duration_s": 0.3}},
+]
+
+
+def config(folder: Path, **changes: Any) -> Path:
+    """Machine, drives and all else in a file of its own."""
+    drives = {
+        name: {"node_id": k, "eds": SERVO, "virtual": {"node_id": 16 + k, "eds": SERVO}}
+        for k, name in enumerate(("unwind", "middle", "rewind"), 1)
+    }
+    data: dict[str, Any] = {
+        "name": "three",
+        "cycle_time_s": 0.003,
+        "bus": {"address": f"embedded:{folder.name}"},
+        "drives": drives,
+        "load_motors": {
+            "pull_b": {"node_id": 6, "eds": SERVO, "shaft": "rewind"},
+            "pull_a": {"node_id": 5, "eds": SERVO, "shaft": "middle"},
+        },
+        "machine": {
+            "web": {"youngs_modulus_Pa": 8.7e9, "width_m": 0.5, "thickness_m": 65e-6, "span_length_m": [3.0, 4.0]},
+            "rollers": {"radius_m": [0.2, 0.18, 0.2], "inertia_kg_m2": 1.167, "gear_ratio": 5.0},
+            "motors": {"inertia_kg_m2": 0.001},
+            "web_load": [False, True, True],
+            "drives": {
+                "velocity_kp_Nm_s_per_rad": 1.5,
+                "velocity_ki_Nm_per_rad": 30.0,
+                "torque_limit_Nm": 9.0,
+                "current_loop_time_constant_s": 0.001,
+                "sample_time_s": 0.001,
+            },
+            "boundary": {"upstream_tension_N": 80.0, "downstream_tension_N": 70.0},
+        },
+        "twin": {"node": {"node_id": 32, "eds": VIRTUAL_IO}, "estimate": [{"span": 2, "method": "changepoint"}]},
+        "controllers": {"rewind_tension": {"span": 2, "set_point_N": 90.0, "bandwidth_rad_per_s": 4.0}},
+        "steps": STEPS,
+        "criteria": [
+            {"name": "E", "metric": "E2_final_error_pct", "max": 1.0, "unit": "%"},
+            {"name": "kept", "metric": "tension2_final_error_N", "max": 1.0, "unit": "N"},
+            {"name": "mass", "metric": "v2_deviation_m_s", "target": 0.0, "tolerance": 5e-6, "unit": "m/s"},
+        ],
+    }
+    path = folder / "three.yaml"
+    path.write_text(yaml.safe_dump(data | changes, sort_keys=False), encoding="utf-8")
+    return path
+
+
+def loaded(folder: Path, *changes: str, **blocks: Any) -> LoadedConfig:
+    return load_with_overrides(config(folder, **blocks), changes=changes)
+
+
+@cache
+def whole() -> tuple[LoadedConfig, RunOutcome]:
+    """One run for all that is asked of it."""
+    given = loaded(Path(mkdtemp()))
+    return given, run_experiment(given, given.document.path.parent / "runs", participants=Participants.IN_PROCESS)
+
+
+def test_it_runs_with_all_its_channels_and_passes_the_criteria_of_its_span() -> None:
+    _, outcome = whole()
+    assert outcome.result.faults == []
+    assert [(row.name, row.verdict) for row in outcome.result.criteria] == [
+        ("E", "passed"),
+        ("kept", "passed"),
+        ("mass", "passed"),
+    ]
+    found = read_recording(outcome.folder.recording)
+    of_spans = {f"{name}_N" for k in (1, 2) for name in (f"F{k}_sim", f"F{k}_true")}
+    of_spans |= {name for k in (1, 2) for name in (f"strain{k}_true", f"E{k}_true_Pa")}
+    of_span_2 = {"F2_ref_N", "loop2_closed", "E2_sim_Pa", "E2_sd_Pa", "tau3_sim_Nm", "tau3_residual_Nm"}
+    of_motors = {f"tau_{name}_{what}" for name in ("pull_a", "pull_b") for what in ("Nm", "cmd_Nm")}
+    of_axes = {f"{name}{k}_{unit}" for k in (1, 2, 3) for name, unit in (("x", "m"), ("v", "m_s"), ("tau", "Nm"))}
+    assert of_spans | of_span_2 | of_motors | of_axes < set(found.channels)
+    assert not {"F1_ref_N", "loop1_closed", "E1_sim_Pa"} & set(found.channels)
+
+
+def test_the_twin_simulates_every_span_and_the_uncontrolled_one_keeps_the_strain_that_enters() -> None:
+    found = {name: np.asarray(values) for name, values in read_recording(whole()[1].folder.recording).channels.items()}
+    steady = (found["t_s"] > 8.0) & (found["t_s"] < 8.9)
+    for k in (1, 2):
+        assert np.mean(np.abs(found[f"F{k}_true_N"] - found[f"F{k}_sim_N"])[steady]) < 0.5
+    assert np.mean(found["F2_true_N"][steady]) == pytest.approx(95.0, abs=1.0)
+    assert np.mean(found["strain1_true"][steady]) == pytest.approx(float(found["strain_prev"][0]), rel=0.03)
+
+
+def test_its_load_motors_pull_by_the_difference_of_the_tensions_around_their_roller() -> None:
+    found = read_recording(whole()[1].folder.recording)
+    steady = (np.asarray(found["t_s"]) > 5.0) & (np.asarray(found["t_s"]) < 5.9)
+    F1_N, F2_N = (float(np.mean(np.asarray(found[f"F{k}_true_N"])[steady])) for k in (1, 2))
+    for name, radius_m, pull_N in (("pull_a", 0.18, F2_N - F1_N), ("pull_b", 0.2, 70.0 - F2_N)):
+        torque_Nm = float(np.mean(np.asarray(found[f"tau_{name}_cmd_Nm"])[steady]))
+        assert torque_Nm == pytest.approx(pull_N * radius_m / 5.0, abs=0.02)
+
+
+def test_its_run_is_recovered_from_the_frames_as_it_was() -> None:
+    folder = whole()[1].folder
+    before = read_recording(folder.recording)
+    kept = folder.recording.rename(folder.recording.with_name("kept.mf4"))
+    try:
+        recover_run(folder)
+        again = read_recording(folder.recording)
+    finally:
+        kept.replace(folder.recording)
+    assert set(again.channels) == set(before.channels)
+    for name in before.channels:
+        if not name.endswith("_cmd_m_s"):  # in whole units of the drives
+            assert np.array_equal(np.asarray(before[name]), np.asarray(again[name])), name
+
+
+def test_report_and_monitor_show_both_spans() -> None:
+    given, outcome = whole()
+    page = write_report(outcome.folder).read_text(encoding="utf-8")
+    assert "Web tension in span 1" in page
+    assert "Web tension in span 2" in page
+    assert "tension2_final_error_N" in page
+    picture = BusPicture(given.config)
+    found, frames = read_recording(outcome.folder.recording), list(TraceReader(outcome.folder.trace))
+    syncs = [at for at, frame in enumerate(frames) if frame.can_id == SYNC]
+    picture.take(frames[: syncs[len(found)]])  # while the bench runs
+    shown = {trend.signal: trend.values[-1] for trend in picture.trends}
+    assert set(shown) == {"F1_sim_N", "F2_sim_N", "E2_sim_Pa"}
+    for name, value in shown.items():
+        assert value == pytest.approx(float(np.asarray(found[name])[-1]), rel=0.1)
+
+
+def test_e_is_found_from_the_torques_behind_the_first_span_as_well(tmp_path: Path) -> None:
+    given = loaded(tmp_path, "twin.estimate.0.span=1", steps=STEPS[:1] + STEPS[6:8], criteria=[])
+    outcome = run_experiment(given, tmp_path / "runs", participants=Participants.IN_PROCESS)
+    found = read_recording(outcome.folder.recording)
+    assert float(np.asarray(found["E1_sim_Pa"])[-100:].mean()) == pytest.approx(9.5e9, rel=0.01)
+
+
+def test_the_pdo_set_follows_from_the_topology_and_must_fit_the_cycle(tmp_path: Path) -> None:
+    given = loaded(tmp_path)
+    checked = check_experiment(given)
+    assert checked.bench.load.fraction < 0.75
+    nodes = Nodes(given.config)
+    names = [tuple(signal.name for signal in pdo.signals) for pdo in nodes.io.data.sent]
+    assert names == [("F2_sim_N", "E2_sim_Pa"), ("E2_sd_Pa", "tau3_residual_Nm"), ("F1_sim_N",)]
+    with pytest.raises(UnusableInputError, match=r"the PDO set takes .* in a cycle of 2 ms .*%\), expected"):
+        check_experiment(loaded(tmp_path, "cycle_time_s=0.002"))
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ("controllers.rewind_tension.span=3", "a span of 1 to 2, '3' is none"),
+        ("twin.estimate.0.span=3", "a span of 1 to 2, '3' is none"),
+        ("twin.estimate.0.method=input", "another method than 'input'"),
+        ("machine.web_load=[false, true, false]", "axis 3 carries none"),
+        ("load_motors.pull_a.shaft=rewind", "one load motor on a shaft"),
+        ("steps.3.step.path=tension_control.set_point_N", "a quantity of a web_line"),
+        ("steps.3.step.path=tension_control.span1.set_point_N", "a quantity of a web_line"),
+        ("steps.8.set.path=load.effects.coulomb_friction.axis1.force_N", "coulomb_friction of axis 3 or 2"),
+        ("steps.8.set.path=load.effects.coulomb_friction.axis4.force_N", "coulomb_friction of axis 3 or 2"),
+        ("criteria.0.metric=E1_final_error_pct", "none of this machine"),
+        ("criteria.0.metric=E_final_error_pct", "none of this machine"),
+    ],
+)
+def test_what_is_not_of_this_line_is_refused_in_one_line(tmp_path: Path, change: str, said: str) -> None:
+    with pytest.raises(UnusableInputError, match=said) as refused:
+        check_experiment(loaded(tmp_path, change))
+    assert "\n" not in str(refused.value)
+
+
+def test_a_load_that_no_motor_imitates_is_noted(tmp_path: Path) -> None:
+    notes = check_experiment(loaded(tmp_path, "machine.web_load=true")).notes
+    assert any("unwind" in note and "no load motor on its shaft" in note for note in notes)
+
+
+def test_the_old_key_of_the_twin_is_answered_with_the_new_one(tmp_path: Path) -> None:
+    with pytest.raises(UnusableInputError, match=r"'estimate: \[\{method: …\}\]' in place of 'synchronizer:'"):
+        loaded(tmp_path, "twin.synchronizer={method: pid}")
