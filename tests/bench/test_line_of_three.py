@@ -15,6 +15,7 @@ from hilbench.bench.lifecycle.participants import Participants
 from hilbench.canopen.identifiers import SYNC
 from hilbench.errors import UnusableInputError
 from hilbench.exchange.nodes import Nodes
+from hilbench.exchange.pdo_set import pdo_set_dbc
 from hilbench.monitor.picture import BusPicture
 from hilbench.report.html import write_report
 from hilbench.results.recording import read_recording
@@ -200,6 +201,33 @@ def test_what_is_not_of_this_line_is_refused_in_one_line(tmp_path: Path, change:
     with pytest.raises(UnusableInputError, match=said) as refused:
         check_experiment(loaded(tmp_path, change))
     assert "\n" not in str(refused.value)
+
+
+def test_five_rollers_have_more_tpdos_than_a_node_has_identifiers_and_each_has_a_name(tmp_path: Path) -> None:
+    names = [f"axis_{k}" for k in range(1, 6)]
+    drives = {
+        name: {"node_id": k, "eds": SERVO, "virtual": {"node_id": 16 + k, "eds": SERVO}}
+        for k, name in enumerate(names, 1)
+    }
+    motors = {f"pull{k}": {"node_id": 5 + k, "eds": SERVO, "shaft": names[k]} for k in range(1, 5)}
+    five = loaded(
+        tmp_path,
+        "cycle_time_s=0.006",
+        "machine.web.span_length_m=[20.0, 20.0, 20.0, 20.0]",
+        "machine.rollers.radius_m=0.2",
+        "machine.web_load=[false, true, true, true, true]",
+        "twin.estimate.0.span=4",
+        drives=drives,
+        load_motors=motors,
+        criteria=[],
+    ).config
+    nodes = Nodes(five)
+    cob_ids = [pdo.cob_id for pdo in nodes.io.all]
+    assert len(set(cob_ids)) == len(cob_ids) == 6
+    assert [number for number, _ in nodes.io.tpdos] == [1, 2, 3, 4, 5]
+    text = pdo_set_dbc(five)
+    assert text.count("BO_ ") == len({line for line in text.splitlines() if line.startswith("BO_ ")})
+    assert "virtual_io_TPDO5" in text
 
 
 def test_a_load_that_no_motor_imitates_is_noted(tmp_path: Path) -> None:

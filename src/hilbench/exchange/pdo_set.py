@@ -24,14 +24,16 @@ def pdo_set_dbc(config: BenchConfig) -> str:
     nodes = Nodes(config)
     messages: dict[int, DbcMessage] = {}
     for part in config.parts:
-        units, signals = None, {}
+        units, signals, names = None, {}, _NAMES
         if part.role is Role.VIRTUAL_IO:
             signals = _process_data(config)
+            # Of a long line, whose virtual I/O has more TPDOs than identifiers of its own.
+            names = _NAMES | {pdo.cob_id: f"TPDO{number}" for number, pdo in nodes.io.tpdos}
         else:
             units = declared_units(part, nodes.dictionary(part.name))
         for pdo in nodes.pdo_maps(part.name):
             # A virtual axis listens to the RPDO of its real axis: one frame, two receivers.
-            messages.setdefault(pdo.cob_id, _message(part.name, pdo, units, signals))
+            messages.setdefault(pdo.cob_id, _message(part.name, pdo, units, signals, names))
     return dbc_text(messages.values(), f"PDO set of the bench {config.name}; SI units, drives at the motor shaft")
 
 
@@ -42,9 +44,16 @@ def _process_data(config: BenchConfig) -> dict[tuple[int, int], Signal]:
     return {(each.index, each.sub): known[each.name] for each in (*data.published, *data.told) if each.name in known}
 
 
-def _message(part: str, pdo: PdoMap, units: DriveUnits | None, signals: Mapping[tuple[int, int], Signal]) -> DbcMessage:
+def _message(
+    part: str,
+    pdo: PdoMap,
+    units: DriveUnits | None,
+    signals: Mapping[tuple[int, int], Signal],
+    names_of_pdos: Mapping[int, str],
+) -> DbcMessage:
+    """`signals`: by index and sub-index; `names_of_pdos`: by COB-ID, else by function code."""
     function = pdo.cob_id & FUNCTION_CODE
-    number = _NAMES.get(function, f"PDO_{pdo.cob_id:X}")
+    number = names_of_pdos.get(pdo.cob_id) or names_of_pdos.get(function, f"PDO_{pdo.cob_id:X}")
     sender = _MASTER if function in RPDOS else part
     names, in_units = [], []
     for variable in pdo.variables:
