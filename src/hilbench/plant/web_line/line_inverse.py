@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 
 from hilbench.compiled import entry_point, inlined
 from hilbench.plant.sampling import on_all_cores
-from hilbench.plant.web_line import kernel, laws
+from hilbench.plant.web_line import inverse, kernel, laws
 from hilbench.plant.web_line import layout as lay
+from hilbench.plant.web_line.inverse import reported_torque_Nm, true_motion
 from hilbench.plant.web_line.layout import Layout, Vector
 from hilbench.plant.web_line.parameters import ModelParameters
 
@@ -52,6 +53,13 @@ def _required(sources: int) -> Required:
     ) -> None:
         n = x_m.shape[1] if sources >= 0 else 0
         k = n - 1
+        xs, vs, accelerations = np.empty_like(x_m), np.empty_like(x_m), np.empty_like(x_m)
+        for i in range(n):
+            motor = lay.W_SIZE + n * lay.A_SIZE + i * lay.M_SIZE
+            for row in range(x_m.shape[0]):
+                xs[row, i], vs[row, i], accelerations[row, i] = true_motion(
+                    p, motor, x_m[row, i], v_m_s[row, i], a_m_s2[row, i]
+                )
         speed, tension, rate, length_rate, material = 0, n, n + k, n + 2 * k, n + 3 * k
         w = np.zeros(n + 5 * k)
         begin, first = np.zeros(k), np.zeros(k)
@@ -65,7 +73,7 @@ def _required(sources: int) -> Required:
             strain_prev = laws.upstream_strain(p, boundary[row, 0], t)
             downstream = boundary[row, 1]
             for i in range(n):
-                w[speed + i] = laws.web_speed_m_s(p, lay.W_SIZE + i * lay.A_SIZE, x_m[row, i], v_m_s[row, i])
+                w[speed + i] = laws.web_speed_m_s(p, lay.W_SIZE + i * lay.A_SIZE, xs[row, i], vs[row, i])
             laws.span_rates(p, k, stiffness, strain_prev, downstream, w, speed, material, length_rate, tension, rate)
             for j in range(k):
                 F_N[row, j] = w[tension + j]
@@ -73,20 +81,16 @@ def _required(sources: int) -> Required:
             upstream = strain_prev * p[lay.W_UPSTREAM_STIFFNESS_N]
             for i in range(n):
                 axis, motor = lay.W_SIZE + i * lay.A_SIZE, lay.W_SIZE + n * lay.A_SIZE + i * lay.M_SIZE
-                ratio = p[motor + lay.M_RAD_PER_M]
-                mass = (p[axis + lay.A_MOTOR_MASS_KG] + p[axis + lay.A_ROLLER_MASS_KG]) * laws.inertia_factor(p, axis)
-                x, v = x_m[row, i], v_m_s[row, i]
-                resistance = laws.measured_resistance_N(p, axis, x, v, laws.FRICTION_WIDTH_M_S)
                 pull = _pull_N(p, w, tension, i, n, upstream, downstream)
-                force = mass * a_m_s2[row, i] + resistance - pull
-                tau_Nm[row, i] = laws.motor_torque_Nm(p, motor, force / ratio, x * ratio)
+                x, v, a = xs[row, i], vs[row, i], accelerations[row, i]
+                tau_Nm[row, i] = reported_torque_Nm(p, axis, motor, x, v, a, pull)
             if row + 1 == x_m.shape[0]:
                 break
             # To the next row by Heun's rule, with the way that the web went and not with speeds: what was travelled is
             # exact, whatever the period.
             for i in range(n):
                 axis = lay.W_SIZE + i * lay.A_SIZE
-                gone = x_m[row + 1, i] - x_m[row, i] + laws.eccentric_way_m(p, axis, x_m[row, i], x_m[row + 1, i])
+                gone = xs[row + 1, i] - xs[row, i] + laws.eccentric_way_m(p, axis, xs[row, i], xs[row + 1, i])
                 w[speed + i] = gone / period_s
             for j in range(k):
                 begin[j] = w[material + j]
@@ -105,13 +109,12 @@ def _required(sources: int) -> Required:
             share = late - whole
             for row in range(rows - 1, -1, -1):
                 newer, older = max(row - whole, 0), max(row - whole - 1, 0)
-                torque = tau_Nm[newer, i] + share * (tau_Nm[older, i] - tau_Nm[newer, i])
-                tau_Nm[row, i] = torque + laws.reported_offset_Nm(p, motor)
+                tau_Nm[row, i] = tau_Nm[newer, i] + share * (tau_Nm[older, i] - tau_Nm[newer, i])
 
     return required
 
 
-_required_torques = _required(kernel.source_number(__file__))
+_required_torques = _required(kernel.source_number(__file__, inverse.__file__))
 
 
 @dataclass(frozen=True, slots=True)
