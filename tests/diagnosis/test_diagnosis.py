@@ -64,6 +64,7 @@ def test_nothing_is_named_where_nothing_is_missing(seed: int) -> None:
         effect("torque_ripple_load", 1, relative_amplitude=0.2, order=2.0, phase_rad=0.8),
         effect("feed_forward", 2, inertia_share=0.3),
         effect("encoder_error", 1, amplitude_rad=2e-3, phase_rad=1.0),
+        effect("splice", time_s=11.3, relative_change=0.5, length_m=0.4),
     ],
     ids=lambda item: f"{item['effect']}-{item['axis']}",
 )

@@ -190,6 +190,7 @@ def test_proposals_cover_the_vocabulary() -> None:
     noise = {name: np.random.default_rng(0).standard_normal(5000) for name in ("tau1_Nm", "tau2_Nm")}
     ids |= {t.effect.id for t in made.searched(noise, [], 1)}
     ids |= {t.effect.id for t in made.gradual(find_effect("elasticity_step"), 3.0, 2.0, [])}
+    ids |= {t.effect.id for effect in made.passing() for t in made.onsets(effect, np.array([3.0]), [])}
     assert ids == {e.id for e in effects_of(MachineKind.WEB_LINE) if not e.nuisance}
 
 
@@ -244,6 +245,19 @@ def test_a_place_of_a_misfit_is_never_an_empty_interval() -> None:
         if "largest at" in m.detail:
             low, high = m.detail.removeprefix("largest at ").split(" ")[0:3:2]
             assert float(low) < float(high)
+
+
+def test_what_passes_is_looked_for_where_a_while_stands_out_and_nowhere_else() -> None:
+    plain = model()
+    data = measured_from(hidden_recording(plain, [], duration_s=12.0), plain, "blind")
+    made, rng = Proposer(plain, data), np.random.default_rng(0)
+    noise = {name: rng.standard_normal(6000) for name in ("tau1_Nm", "tau2_Nm")}
+    rows = np.ones(6000, bool)
+    assert not len(made.passage_times_s(noise, rows)[0])
+    noise["tau2_Nm"][3000:3150] += 3.0
+    times, apart_s = made.passage_times_s(noise, rows)
+    assert np.min(np.abs(times - 6.0)) < apart_s
+    assert np.ptp(times) < 2.0
 
 
 def test_no_ripple_is_proposed_whose_period_the_recording_does_not_hold() -> None:

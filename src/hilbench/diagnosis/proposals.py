@@ -31,7 +31,16 @@ _TIMES: Final = 100.0
 #: A step's time is looked for this far from the ends, as a share of the recording.
 _EDGE: Final = 0.03
 #: Rows of these are not proposed until it is known where to look.
-_SEARCHED: Final = (ProbeOver.MOTOR_ANGLE, ProbeOver.TIME, ProbeOver.ONSET, ProbeOver.ONSET_AND_DURATION)
+_SEARCHED: Final = (
+    ProbeOver.MOTOR_ANGLE,
+    ProbeOver.TIME,
+    ProbeOver.ONSET,
+    ProbeOver.ONSET_AND_DURATION,
+    ProbeOver.PASSAGE,
+)
+#: Deviations by which the mean square of a while must stand out for something to have passed then, and in how many
+#: steps times are looked at around it.
+_OUTSTANDING, _AROUND_A_BURST = 8.0, 4
 #: Finite-difference step of a parameter that shapes a law, as a share of it.
 _SHAPE_STEP: Final = 0.02
 _TURN = 2.0 * np.pi
@@ -87,7 +96,7 @@ class Proposer:
         if effect.probe is not None:
             searched = effect.probe.parameter
             match effect.probe.over:
-                case ProbeOver.ONSET | ProbeOver.ONSET_AND_DURATION:
+                case ProbeOver.ONSET | ProbeOver.ONSET_AND_DURATION | ProbeOver.PASSAGE:
                     steps[searched] = 2.0 * self._data.period_s
                 case ProbeOver.TIME:
                     steps[searched] = 0.02 / self._data.duration_s
@@ -220,6 +229,32 @@ class Proposer:
         """Times at which it is first looked what a sudden effect would explain, and how far they are apart, s."""
         times = (_EDGE + (1.0 - 2.0 * _EDGE) * (np.arange(_COARSE) + 0.5) / _COARSE) * self._data.duration_s
         return times, float(times[1] - times[0])
+
+    def passing(self) -> list[Effect]:
+        """The effects that come at a time that is searched for, and go again."""
+        return self._over(ProbeOver.PASSAGE)
+
+    def passage_times_s(self, whitened: dict[str, Array], rows: NDArray[np.bool_]) -> tuple[Array, float]:
+        """Times at which something may have come, and how far they are apart, s; none where no while stands out.
+
+        whitened: residuals (n,) by signal; rows (n,): those that count. A while is as long as the web needs through a
+        span; what passes in it has come somewhere in the one before.
+        """
+        while_s = self._model.span_length_m(1) / max(float(np.median(np.abs(self._data.commands_m_s))), 1e-3)
+        window = max(8, round(while_s / self._data.period_s))
+        every, usable = np.ones(window), np.asarray(rows, np.float64)
+        power = np.convolve(sum(values**2 for values in whitened.values()) * usable, every, "same")
+        count = np.convolve(usable, every, "same") * len(whitened)
+        mean = np.where(count > 0.5 * window, power / np.maximum(count, 1.0), 0.0)
+        usual = float(np.median(mean[mean > 0.0])) if np.any(mean > 0.0) else 1.0
+        step_s, times = while_s / _AROUND_A_BURST, []
+        for _ in range(_PEAKS):
+            at = int(np.argmax(mean))
+            if mean[at] <= usual * (1.0 + _OUTSTANDING * float(np.sqrt(2.0 / (window * len(whitened))))):
+                break
+            times += [self._data.t_s[at] + k * step_s for k in range(-2 * _AROUND_A_BURST, 2)]
+            mean[max(at - 2 * window, 0) : at + 2 * window] = 0.0
+        return np.unique([time for time in times if time > 0.0]), step_s
 
     def onsets(self, effect: Effect, times_s: Array, present: list[Term]) -> list[Term]:
         """A sudden effect at each of these times (n,), if the model can have another one."""

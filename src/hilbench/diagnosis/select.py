@@ -186,6 +186,7 @@ class Search:
         named = dict(zip(space.predictor.names, whitened, strict=True))
         searched = self._proposer.searched(named, current.terms, self._every)
         searched += self._changes(current, white)
+        searched += self._passages(current, white, named)
         more = space.strengths(current.terms, current.residual, searched)
         responses = responses + self._tune(current, white, searched, more)
         white = noise_model(space, current.residual, np.concatenate([own, *responses]))
@@ -193,15 +194,26 @@ class Search:
 
     def _changes(self, current: Fit, white: Whitening) -> list[Term]:
         """Of each sudden effect the times at which it would explain most, and what grows into it over a while."""
-        return [term for effect in self._proposer.sudden() for term in self._changes_by(effect, current, white)]
+        times, apart_s = self._proposer.onset_times_s()
+        sudden = self._proposer.sudden()
+        return [term for effect in sudden for term in self._changes_by(effect, current, white, times, apart_s)]
 
-    def _changes_by(self, effect: Effect, current: Fit, white: Whitening) -> list[Term]:
+    def _passages(self, current: Fit, white: Whitening, whitened: dict[str, Array]) -> list[Term]:
+        """Of each effect that passes the times at which it would explain most, near where the residual stands out."""
+        effects = self._proposer.passing()
+        if not effects or not self._space.predictor.exact:
+            return []
+        times, apart_s = self._proposer.passage_times_s(whitened, self._space.split.block >= 0)
+        if not len(times):
+            return []
+        return [term for effect in effects for term in self._changes_by(effect, current, white, times, apart_s)]
+
+    def _changes_by(self, effect: Effect, current: Fit, white: Whitening, times: Array, apart_s: float) -> list[Term]:
         """One sudden effect: a coarse grid of times, then ever closer ones around the best.
 
         What it explains has a narrow peak at the right time. A fit started beside it runs into another minimum, and
         simulating every time would cost thousands of runs.
         """
-        times, apart_s = self._proposer.onset_times_s()
         found, gradual = list[Term](), list[Term]()
         for level in range(_TIME_LEVELS):
             terms = self._proposer.onsets(effect, times, current.terms)

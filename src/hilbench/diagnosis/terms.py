@@ -62,13 +62,13 @@ class Term:
     @property
     def is_sudden(self) -> bool:
         """Whether it sets in at once, at a time of its own."""
-        return self.effect.probe is not None and self.effect.probe.over is ProbeOver.ONSET
+        return self.effect.probe is not None and self.effect.probe.over in (ProbeOver.ONSET, ProbeOver.PASSAGE)
 
     @property
     def onset(self) -> str:
         """Name of the parameter that is the time from which it acts, s. Raises ValueError for a term without one."""
         probe = self.effect.probe
-        if probe is None or probe.over not in (ProbeOver.ONSET, ProbeOver.ONSET_AND_DURATION):
+        if probe is None or probe.over not in (ProbeOver.ONSET, ProbeOver.ONSET_AND_DURATION, ProbeOver.PASSAGE):
             raise ValueError(f"effect '{self.effect.id}' sets in at no time of its own")
         return probe.parameter
 

@@ -125,6 +125,7 @@ class ProbeOver(StrEnum):
     TIME = "time"  #: a frequency: peaks of the residual's spectrum over time
     ONSET = "onset"  #: the time from which it acts: looked for ever closer
     ONSET_AND_DURATION = "onset and duration"  #: the time from which it grows, and for how long
+    PASSAGE = "passage"  #: the time at which it comes, and goes again: where the residual is largest for a while
 
 
 @dataclass(frozen=True, slots=True)
@@ -678,6 +679,20 @@ EFFECTS: tuple[Effect, ...] = (
         kinds=_EVERY_KIND,
         nuisance=True,
         alike=(("torque_delay", "step the speed: a torque that is reported late moves nothing"),),
+    ),
+    # Springs in series: one tension in a span, a strain in each piece. It comes in with the strain of the web that
+    # enters, as for the step of E (Brandenburg 1973; its tension upstream is another then). A splice is twice as
+    # thick, or soft with glue.
+    Effect(
+        id="splice",
+        per_axis=False,
+        law="a piece of web with E·(1+s), length_m long, enters at time_s: in a span in series with the rest",
+        domain=Domain.ELASTICITY,
+        parameters=(_onset(), _relative(0.3), Parameter("length_m", "m", 0.3, 1e-3, 1e4, Size(0.3), required=False)),
+        strength=("relative_change",),
+        object_index=0x221C,
+        shown_by="record several passages, and one at another speed",
+        probe=Probe(ProbeOver.PASSAGE, "time_s"),
     ),
 )
 

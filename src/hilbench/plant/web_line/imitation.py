@@ -82,8 +82,8 @@ def _rows(
     """Row by row observe the rig, follow the web on it, and advance.
 
     The rig of N axes and M motors: parameters `p` (P,), state `s` (S,), inputs `u`, scratch space `w`. The web of K
-    spans on it: parameters `web` of the whole line, `follower` (1 + N + 2·K,) as `span.roll_on` has it, its `scratch`
-    space; room for `guess` (as `follower`), speeds `v` (N,), `tension` (K,) and the load motors' `torques` (M - N,),
+    spans on it: parameters `web` of the whole line, `follower` as `span.roll_on` has it, its `scratch` space; room for
+    `guess` (as `follower`), speeds `v` (N,), `tension` (K,) and the load motors' `torques` (M - N,),
     which come in as those that act in the first row. `commands` (n, N) rad/s at the motors, `boundary` (n, 2) upstream
     strain and downstream tension (N), a row of `samples` drive samples each. Rows of 3·M + 2·K columns go into `out`
     from place `at` on.
@@ -103,7 +103,7 @@ def _rows(
             material = follower[1 + n + j]
             out[place + 3 * m + j] = tension[j]
             out[place + 3 * m + k + j] = follower[1 + n + k + j] * laws.length_factor(web) / material - 1.0
-        for j in range(1 + n + 2 * k):
+        for j in range(1 + n + 2 * k + lay.SPLICE_SIZE):
             guess[j] = follower[j]
         guess[0] -= lead_s  # only the motion is predicted: the tension has the E of now
         spans.roll_on(web, guess, scratch, v, boundary[row, 0], boundary[row, 1], lead_s, cycle_s, tension)
@@ -145,7 +145,8 @@ def _entry_point(sources: int) -> SimulateImitated:
     ) -> None:
         flat, size = out.reshape(-1), out.shape[1] * out.shape[2]
         n, m, k = int(p[0, lay.W_AXES]), int(p[0, lay.W_MOTORS]), int(web[0, lay.W_SPANS])
-        guess, v, tension, torques = np.zeros(1 + n + 2 * k), np.zeros(n), np.zeros(k), np.zeros(m - n)
+        guess = np.zeros(1 + n + 2 * k + lay.SPLICE_SIZE)
+        v, tension, torques = np.zeros(n), np.zeros(k), np.zeros(m - n)
         first = u.copy()
         for b in range(p.shape[0] if sources >= 0 else 0):
             u[:] = first
@@ -234,17 +235,17 @@ def _stands(imitation: Imitation, model: ModelParameters, many: Vector) -> Vecto
 
 
 def _start(layout: Layout, stands: Vector, many: Vector, states: Vector, boundary: Vector) -> tuple[Vector, Vector]:
-    """States (B, S) of the rigs and (B, 1 + N + 2·K) of the webs, for states of the models.
+    """States (B, S) of the rigs and (B, 1 + N + 2·K + 2) of the webs, for states of the models.
 
     `boundary` (2,): upstream strain and downstream tension (N) at the start.
     """
     of_model = Layout.of(many[0])
     n, k = of_model.axes, of_model.spans
-    starts, followers = np.zeros((len(many), layout.state_size)), np.zeros((len(many), 1 + n + 2 * k))
+    starts, followers = np.zeros((len(many), layout.state_size)), np.zeros((len(many), 1 + n + 2 * k + lay.SPLICE_SIZE))
     for stand, start, follower, parameters, state in zip(stands, starts, followers, many, states, strict=True):
         y = of_model.y(state)
         layout.y(start)[:] = y[: 4 * n]
-        follower[1 : 1 + n], follower[1 + n :] = y[:n], y[4 * n :]
+        follower[1 : 1 + n], follower[1 + n : 1 + n + 2 * k] = y[:n], y[4 * n :]
         motors = layout.motor_states(start)
         motors[:n] = of_model.motor_states(state)
         if np.any(y[n : 2 * n]):  # under way: the load motors have been pulling

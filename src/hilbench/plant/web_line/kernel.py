@@ -93,10 +93,12 @@ def _is_one_span(p: Vector) -> bool:
 
 
 @inlined
-def _web(p: Vector, u: Vector, w: Vector, n: int, m: int, k: int, t: float, strain_prev: float, y: int) -> None:
+def _web(
+    p: Vector, u: Vector, w: Vector, n: int, m: int, k: int, t: float, strain_prev: float, y: int, slides: bool
+) -> None:
     """Tensions (N), and rates of the unstretched lengths (m/s), for the quantities at `y`, into their parts of `w`.
 
-    `strain_prev`: strain of the web that enters, with the disturbance.
+    `strain_prev`: strain of the web that enters, with the disturbance. `slides` as in `_go_axis`.
     """
     speed, tension, rate = _part(n, m, k, lay.SPEED), _part(n, m, k, lay.TENSION), _part(n, m, k, lay.RATE)
     if k > 0:
@@ -104,9 +106,14 @@ def _web(p: Vector, u: Vector, w: Vector, n: int, m: int, k: int, t: float, stra
             w[speed + i] = laws.web_speed_m_s(p, _axis(i), w[y + i], w[y + n + i])
         stiffness = laws.stiffness_N(p, t, w[_part(n, m, k, lay.STEPS)])
         length_rate = _part(n, m, k, lay.LENGTH_RATE)
-        laws.span_rates(
-            p, k, stiffness, strain_prev, u[lay.U_F_NEXT_N], w, speed, y + 4 * n, length_rate, tension, rate
-        )
+        f_next, material = u[lay.U_F_NEXT_N], y + 4 * n
+        if not slides and laws.has_splice(p):
+            front, blur = w[y] - w[_part(n, m, k, lay.SPLICE_FRONT)], w[_part(n, m, k, lay.SPLICE_BLUR)]
+            laws.spliced_span_rates(
+                p, k, stiffness, strain_prev, f_next, w, speed, material, length_rate, tension, rate, front, blur
+            )
+        else:
+            laws.span_rates(p, k, stiffness, strain_prev, f_next, w, speed, material, length_rate, tension, rate)
 
 
 @inlined
@@ -250,7 +257,7 @@ def _stage(
     """
     size, y = _block(n, k, 1), _block(n, k, lay.STAGE)
     strain_prev = laws.upstream_strain(p, u[lay.U_STRAIN_PREV], t)
-    _web(p, u, w, n, m, k, t, strain_prev, y)
+    _web(p, u, w, n, m, k, t, strain_prev, y, slides)
     for i in range(n):
         _go_axis(p, s, u, w, n, m, k, i, strain_prev, weight, ahead, slides)
     for j in range(k):
@@ -395,7 +402,7 @@ def _half_gap_m(p: Vector, n: int, i: int) -> float:
 def _web_at(p: Vector, u: Vector, w: Vector, t: float, y: int) -> None:
     """Tensions for the quantities at `y`."""
     n, m, k = _counts(p)
-    _web(p, u, w, n, m, k, t, laws.upstream_strain(p, u[lay.U_STRAIN_PREV], t), y)
+    _web(p, u, w, n, m, k, t, laws.upstream_strain(p, u[lay.U_STRAIN_PREV], t), y, False)
 
 
 @compiled
@@ -599,6 +606,7 @@ def _advance_line(
     period = p[lay.W_SAMPLE_TIME_S]
     h = period / substeps
     pace, reports = w[_part(n, m, k, lay.PACE)], w[_part(n, m, k, lay.REPORTS)] != 0.0
+    spliced = k > 0 and laws.has_splice(p)
     for _ in range(samples):
         if reports:
             _sample_erring_drives(p, s, u, w)
@@ -607,6 +615,8 @@ def _advance_line(
         for substep in range(substeps):
             t = s[lay.S_COUNT] * period + substep * h
             w[_part(n, m, k, lay.STEPS)] = laws.step_factor(p, t, h)
+            if spliced:
+                _follow_splice(p, s, w, t, h)
             if not _simple_step(p, s, u, w, n, m, k, t, h, pace, one_span):
                 _step_with_events(p, s, u, w, t, h)
         s[lay.S_COUNT] += 1.0
@@ -637,6 +647,19 @@ def _fed_forward_Nm(p: Vector, s: Vector, u: Vector, w: Vector, t: float, j: int
     mass = (p[axis + lay.A_MOTOR_MASS_KG] + p[axis + lay.A_ROLLER_MASS_KG]) * laws.inertia_factor(p, axis)
     fed = laws.fed_forward_N(p, axis, motor, mass, w[3 * n + j], acceleration, direction)
     return fed / p[motor + lay.M_RAD_PER_M]
+
+
+@compiled
+def _follow_splice(p: Vector, s: Vector, w: Vector, t: float, h: float) -> None:
+    """Where a splice is during a step from t on; one that is yet to come may come in within it."""
+    noinline()
+    n, m, k = _counts(p)
+    state, x, v = _past(n, m, k, m), w[0], w[n]
+    if s[state + lay.SPLICE_IN] == 0.0 and laws.splice_comes_in(p, t, h):
+        s[state + lay.SPLICE_IN] = 1.0
+        s[state + lay.SPLICE_AT] = laws.splice_place_m(p, t, x, v)
+    w[_part(n, m, k, lay.SPLICE_FRONT)] = s[state + lay.SPLICE_AT] if s[state + lay.SPLICE_IN] != 0.0 else lay.NOT_YET
+    w[_part(n, m, k, lay.SPLICE_BLUR)] = max(abs(v) * h, lay.LEAST_BLUR_M)
 
 
 @compiled
@@ -695,6 +718,13 @@ def enter(p: Vector, s: Vector, u: Vector, w: Vector) -> None:
             pace = lay.PLAY
         elif laws.has_rare_force(p, axis, _motor(n, i)):
             pace = max(pace, lay.RARE)
+    if k > 0 and laws.has_splice(p):
+        pace, state = max(pace, lay.RARE), _past(n, m, k, m)
+        come = s[state + lay.SPLICE_IN] != 0.0
+        w[_part(n, m, k, lay.SPLICE_FRONT)] = s[state + lay.SPLICE_AT] if come else lay.NOT_YET
+        w[_part(n, m, k, lay.SPLICE_BLUR)] = max(
+            abs(w[n]) * p[lay.W_SAMPLE_TIME_S] / p[lay.W_SUBSTEPS], lay.LEAST_BLUR_M
+        )
     w[_part(n, m, k, lay.PACE)] = pace
     reports = False
     for j in range(m):
@@ -719,7 +749,7 @@ def _report_line(p: Vector, s: Vector, u: Vector, w: Vector, n: int, m: int, k: 
     period = p[lay.W_SAMPLE_TIME_S]
     t = s[lay.S_COUNT] * period
     w[_part(n, m, k, lay.STEPS)] = laws.step_factor(p, t, period / p[lay.W_SUBSTEPS])
-    _web(p, u, w, n, m, k, t, laws.upstream_strain(p, u[lay.U_STRAIN_PREV], t), 0)
+    _web(p, u, w, n, m, k, t, laws.upstream_strain(p, u[lay.U_STRAIN_PREV], t), 0, False)
     reports = w[_part(n, m, k, lay.REPORTS)] != 0.0
     for j in range(m):
         motion = _motor_motion(p, n, j)

@@ -53,6 +53,9 @@ _STRAIN_OFFSET = place("strain_offset", "strain")
 _DISTURBANCE = place("upstream_disturbance", "amplitude_N")
 _DISTURBANCES = find_effect("upstream_disturbance").slots
 _LENGTH = place("span_length_error", "relative_change")
+_SPLICE_S = place("splice", "time_s")
+_SPLICE = place("splice", "relative_change")
+_SPLICE_M = place("splice", "length_m")
 
 #: Width of the change of dry friction around standstill, m/s, where motion is measured: a force that is worked out of
 #: it must not flip with the noise of v.
@@ -445,6 +448,92 @@ def span_rates(
     _flows(p, spans, strain_prev, f_next_N, w, speed, material, tension, rate)
     if p[_DAMPING_S] > 0.0:
         _damped(p, spans, stiffness, strain_prev, f_next_N, w, speed, material, length_rate, tension, rate)
+
+
+@inlined
+def has_splice(p: Vector) -> bool:
+    """Whether a piece of other web comes in."""
+    return p[_SPLICE] != 0.0
+
+
+@inlined
+def splice_comes_in(p: Vector, t_s: float, duration_s: float) -> bool:
+    """Whether the splice has come in by the end of [t, t + duration]."""
+    return t_s + duration_s > p[_SPLICE_S]
+
+
+@inlined
+def splice_place_m(p: Vector, t_s: float, x_m: float, v_m_s: float) -> float:
+    """Where roller 1, at x and v now, is when the splice comes in; one that should have come in before comes now."""
+    return x_m + v_m_s * max(p[_SPLICE_S] - t_s, 0.0)
+
+
+@inlined
+def _spliced_share(p: Vector, beyond_m: float, blur_m: float) -> float:
+    """How much of the web at a place that its front is `beyond_m` past is the splice: 0 or 1, less sharp than that."""
+    front = min(max(beyond_m / blur_m + 0.5, 0.0), 1.0)
+    return front - min(max((beyond_m - p[_SPLICE_M]) / blur_m + 0.5, 0.0), 1.0)
+
+
+@inlined
+def _series_factor(p: Vector, front_m: float, first_m: float, length_m: float) -> float:
+    """Factor on E of a span that begins at `first_m` and holds `length_m` of web, springs in series with the splice.
+
+    All lengths unstretched, from roller 1; the splice reaches from `front_m` backwards.
+    """
+    inside = min(front_m, first_m + length_m) - max(front_m - p[_SPLICE_M], first_m)
+    share = max(inside, 0.0) / length_m
+    return 1.0 / (1.0 - share + share / (1.0 + p[_SPLICE]))
+
+
+@compiled
+def spliced_span_rates(
+    p: Vector,
+    spans: int,
+    stiffness: float,
+    strain_prev: float,
+    f_next_N: float,
+    w: Vector,
+    speed: int,
+    material: int,
+    length_rate: int,
+    tension: int,
+    rate: int,
+    front_m: float,
+    blur_m: float,
+) -> None:
+    """As `span_rates`, with a piece of other web on its way: its front `front_m` past roller 1.
+
+    In every span one tension, F = (L - m)/(m_a/(E·S) + m_b/(E_b·S)), and at its end the strain of the piece that is
+    there. What comes in has the strain of the web that enters, as when E of the span steps. The way of roller 1 is
+    taken for the web's: they differ by its strain. `blur_m`: way over which the ends of the piece are not sharp where
+    it leaves, so that rates do not jump within a step. Damping beside creep takes the rates at the tension without it.
+    """
+    noinline()
+    scale, offset, creep, damping = length_factor(p), p[_STRAIN_OFFSET], p[_CREEP], p[_DAMPING_S]
+    first = 0.0
+    for k in range(spans):
+        factor = _series_factor(p, front_m, first, w[material + k])
+        strain = w[material + spans + k] * scale / w[material + k] - 1.0
+        w[tension + k] = max(stiffness * factor * (strain - offset), 0.0)
+        first += w[material + k]
+    inflow = w[speed] / (1.0 + strain_prev)
+    first = 0.0
+    for k in range(spans):
+        length = w[material + k]
+        factor = _series_factor(p, front_m, first, length)
+        stretch = w[material + spans + k] * scale / length
+        at_end = 1.0 + p[_SPLICE] * _spliced_share(p, front_m - first - length, blur_m)
+        outflow = w[speed + k + 1] / (1.0 + (stretch - 1.0) * factor / at_end)
+        if creep != 0.0:
+            behind = w[tension + k + 1] if k + 1 < spans else f_next_N
+            outflow *= 1.0 - creep * (w[tension + k] - behind)
+        w[rate + k] = inflow - outflow
+        inflow = outflow
+        first += length
+        if damping > 0.0:
+            growth = (w[length_rate + k] * scale - stretch * w[rate + k]) / length
+            w[tension + k] = max(stiffness * factor * (stretch - 1.0 - offset + damping * growth), 0.0)
 
 
 @inlined

@@ -4,7 +4,7 @@ Three vectors of float64 describe a line of N axes, M motors and K spans:
 
 - parameters: web row, N axis rows, M motor rows (the counts stand in front, so the vector describes itself);
 - state: sample counter, the integrated quantities (x, v, motor x, motor v per axis; material length and length per
-  span), per axis the friction direction and gear contact, M motor rows, M rows of past torques;
+  span), per axis the friction direction and gear contact, M motor rows, M rows of past torques, where a splice is;
 - inputs: boundary, M motor rows (mode, set point, slope, limit), K rates of length.
 
 Motor k drives axis k. Motors beyond the last axis (load motors of a rig) sit on the roller's side of the gear play of
@@ -72,6 +72,9 @@ SM_LIMITED: Final = loops.LIMITED
 SM_MODE: Final = loops.MODE
 SM_SIZE: Final = loops.STATE_SIZE
 RING: Final = 128  #: past torques kept per motor, one per sample time
+SPLICE_IN: Final = 0  #: of a splice, behind the past torques: whether it has come in
+SPLICE_AT: Final = 1  #: and where roller 1 was then, m
+SPLICE_SIZE: Final = 2
 
 # Inputs.
 U_STRAIN_PREV: Final = 0
@@ -105,7 +108,13 @@ REPORTS: Final = 13  #: one number: whether any drive measures or records someth
 LOOP_KP: Final = 14  #: gains and current loop of a motor's drive, with what effects make of them
 LOOP_KI: Final = 15
 LOOP_CURRENT_S: Final = 16
-PARTS: Final = 17
+SPLICE_FRONT: Final = 17  #: one number: where roller 1 was when a splice came in, m; `NOT_YET` before that
+SPLICE_BLUR: Final = 18  #: one number: way of the web in a step, over which its ends are blurred, m
+PARTS: Final = 19
+#: A place of roller 1 that it never reaches: no splice has come in.
+NOT_YET: Final = 1e12
+#: Least way over which a splice's ends are blurred, m.
+LEAST_BLUR_M: Final = 1e-9
 #: Paces: the step that is made for what is usual; the general one, that knows every force; gear play, whose contact is
 #: an event.
 PLAIN: Final = 0.0
@@ -175,7 +184,7 @@ class Layout:
 
     @property
     def state_size(self) -> int:
-        return S_Y + self.y_size + self.axes * SA_SIZE + self.motors * (SM_SIZE + RING)
+        return S_Y + self.y_size + self.axes * SA_SIZE + self.motors * (SM_SIZE + RING) + SPLICE_SIZE
 
     @property
     def input_size(self) -> int:
@@ -364,6 +373,11 @@ def set_strain(parameters: Vector, state: Vector, strain: ArrayLike) -> None:
     strains = np.asarray(strain, dtype=float)
     for span, of_span in enumerate(strains.tolist() if strains.ndim else [float(strains)] * k):
         state[material + span] = state.item(material + k + span) * factor / (1.0 + of_span)
+
+
+def forget_splice(state: Vector) -> None:
+    """A splice is yet to come, whatever came in before."""
+    state[-SPLICE_SIZE:] = 0.0
 
 
 def refresh_modes(parameters: Vector, state: Vector) -> None:

@@ -265,6 +265,8 @@ class SimulatedLine:
         """
         strain = self._out[self._layout.columns["strain"]].copy()
         set_effect(self._p, effect_id, axis, slot, parameters, self._description.effects)
+        if effect_id == "splice":
+            lay.forget_splice(self._state)
         lay.set_strain(self._p, self._state, strain)
         lay.refresh_modes(self._p, self._state)
 

@@ -37,13 +37,25 @@ BROKEN = Quantity("broken", "1", "1: the web has torn and pulls no more; 0: it i
 
 @compiled
 def _span_rates(
-    p: Vector, w: Vector, n: int, k: int, at: int, rate: int, t: float, steps: float, strain_prev: float, f_next: float
+    p: Vector,
+    w: Vector,
+    n: int,
+    k: int,
+    at: int,
+    rate: int,
+    t: float,
+    steps: float,
+    strain_prev: float,
+    f_next: float,
+    splice_m: float,
+    blur_m: float,
 ) -> None:
     """Rates (2·K,), m/s, to place `rate` of `w`, of the unstretched and then the nominal lengths (2·K,), m, at `at`.
 
     p (P,): parameters of the line. w: positions (n,), m, and speeds (n,), m/s, at its start; behind them room for the
     web's speeds (n,), then rates of the nominal lengths (k,), and the tensions (k,), N, that come with it. t: s since
     the start. steps: factor of the steps of E. strain_prev: of the web that enters; f_next: tension behind the line, N.
+    splice_m: where roller 1 was when a splice came in; blur_m: way in a step (`laws.spliced_span_rates`).
     """
     speed, length_rate, tension = 2 * n, 3 * n, 3 * n + k
     for i in range(n):
@@ -51,7 +63,13 @@ def _span_rates(
         w[speed + i] = laws.web_speed_m_s(p, axis, w[i], w[n + i])
     strain = laws.upstream_strain(p, strain_prev, t)
     stiffness = laws.stiffness_N(p, t, steps)
-    laws.span_rates(p, k, stiffness, strain, f_next, w, speed, at, length_rate, tension, rate)
+    if laws.has_splice(p):
+        front = w[0] - splice_m
+        laws.spliced_span_rates(
+            p, k, stiffness, strain, f_next, w, speed, at, length_rate, tension, rate, front, blur_m
+        )
+    else:
+        laws.span_rates(p, k, stiffness, strain, f_next, w, speed, at, length_rate, tension, rate)
     for j in range(k):
         w[rate + k + j] = w[length_rate + j]
 
@@ -68,7 +86,7 @@ def roll_on(
     spread_s: float,
     out: Vector,
 ) -> None:
-    """Advance s = [t, positions (N,), unstretched lengths (K,), lengths (K,)], s and m, at constant speeds.
+    """Advance s = [t, positions (N,), unstretched lengths (K,), lengths (K,), a splice], s and m, at constant speeds.
 
     p (P,): parameters of the line; w: scratch space of `new_follower_work`; v (N,): speeds, m/s; strain_prev: of the
     web that enters; f_next: tension behind the line, N; duration: s, 0 for the tensions alone. Tensions into `out`
@@ -83,7 +101,12 @@ def roll_on(
         w[n + i] = v[i]
     for j in range(size):
         w[now + j] = s[1 + n + j]
-    t0 = s[0]
+    t0, splice = s[0], 1 + n + size
+    blur = max(abs(v[0]) * (h if duration > 0.0 else _LONGEST_STEP_S), lay.LEAST_BLUR_M)
+    if laws.has_splice(p) and s[splice + lay.SPLICE_IN] == 0.0 and laws.splice_comes_in(p, t0, duration):
+        s[splice + lay.SPLICE_IN] = 1.0
+        s[splice + lay.SPLICE_AT] = laws.splice_place_m(p, t0, s[1], v[0])
+    splice_m = s[splice + lay.SPLICE_AT] if s[splice + lay.SPLICE_IN] != 0.0 else lay.NOT_YET
     steps = 1.0
     for step in range(count if duration > 0.0 else 0):
         t = t0 + step * h
@@ -95,7 +118,7 @@ def roll_on(
             for j in range(size):
                 slope = w[slopes + (part - 1) * size + j] if part > 0 else 0.0
                 w[stage + j] = w[now + j] + ahead * slope
-            _span_rates(p, w, n, k, stage, slopes + part * size, t + ahead, steps, strain_prev, f_next)
+            _span_rates(p, w, n, k, stage, slopes + part * size, t + ahead, steps, strain_prev, f_next, splice_m, blur)
         for j in range(size):
             total = w[slopes + j] + 2.0 * (w[slopes + size + j] + w[slopes + 2 * size + j]) + w[slopes + 3 * size + j]
             w[now + j] += h / 6.0 * total
@@ -106,7 +129,7 @@ def roll_on(
     for j in range(size):
         s[1 + n + j] = w[now + j]
     steps = laws.step_factor(p, s[0], spread_s)
-    _span_rates(p, w, n, k, now, slopes, s[0], steps, strain_prev, f_next)
+    _span_rates(p, w, n, k, now, slopes, s[0], steps, strain_prev, f_next, splice_m, blur)
     for j in range(k):
         out[j] = w[3 * n + k + j]
 
@@ -187,7 +210,7 @@ class SpanFollower:
         self._layout = Layout.of(self._p)
         n, k = self._layout.axes, self._layout.spans
         self._work = new_follower_work(self._layout)
-        self._state = np.zeros(_TIME + n + 2 * k)
+        self._state = np.zeros(_TIME + n + 2 * k + lay.SPLICE_SIZE)
         self._v = np.zeros(n)
         self._boundary = (parameters.upstream_strain, parameters.boundary.downstream_tension_N)
         self._tension = np.zeros(k)
@@ -206,7 +229,8 @@ class SpanFollower:
         n = self._layout.axes
         start = start_state(self._p, self.parameters, strain)
         self._state[_TIME : _TIME + n] = positions
-        self._state[_TIME + n :] = self._layout.y(start)[4 * n :]
+        self._state[_TIME + n : _TIME + n + 2 * self._layout.spans] = self._layout.y(start)[4 * n :]
+        lay.forget_splice(self._state)
         self._v[:] = 0.0
         self._evaluate()
 
@@ -394,11 +418,13 @@ class SpanFollower:
         Raises ValueError for an effect that is unknown or cannot be imitated, or a wrong axis, slot or parameter.
         """
         n, k = self._layout.axes, self._layout.spans
-        lengths = self._state[_TIME + n :]
+        lengths = self._state[_TIME + n : _TIME + n + 2 * k]
         before = 1.0 + self._p[_LENGTH_ERROR]
         set_effect(self._p, effect_id, axis, slot, parameters, self._description.effects)
         strain = lengths[k:] * before / lengths[:k] - 1.0
         lengths[:k] = lengths[k:] * (1.0 + self._p[_LENGTH_ERROR]) / (1.0 + strain)
+        if effect_id == "splice":
+            lay.forget_splice(self._state)
         self._stale = True
 
     def clear_effect(self, effect_id: str, axis: int | None = None, *, slot: int = 0) -> None:
