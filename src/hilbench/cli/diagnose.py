@@ -17,17 +17,20 @@ from hilbench.diagnosis.comparison import Run, compared
 from hilbench.diagnosis.diagnosis import Diagnosis, NamedEffect, diagnose
 from hilbench.diagnosis.imitated import imitation_beside, imitation_of
 from hilbench.diagnosis.live import LiveGap, live_gap, run_bench
+from hilbench.diagnosis.next_experiment import NextExperiment, Reach, Step, propose, write_steps
 from hilbench.errors import BenchFaultError, UnusableInputError
 from hilbench.files import make_folder
 from hilbench.plant.web_line.imitation import Imitation
 from hilbench.plant.web_line.parameters import write_model
 from hilbench.report.diagnosis_page import LIVE_ROWS, write_diagnosis_page
-from hilbench.results.recording import read_recording, read_rows
+from hilbench.results.recording import Recording, read_recording, read_rows
 from hilbench.runs.config import load_with_overrides, write_config_over
 from hilbench.topology.config import BenchConfig
 
 #: Columns that the tables need; a narrower terminal wraps whole lines, it loses no figures.
 _WIDTH = 100
+#: Runs of the bench after the first, at most, until nothing is tied.
+_MOST_ROUNDS = 3
 _SENTENCES = {
     "complete": "nothing is missing that these data can show",
     "named": "the effects below close the gap on data that no fit has seen",
@@ -50,6 +53,8 @@ class _Found:
     not_compared: str = ""  #: why the second run is not among them
     fault: BenchFaultError | None = None  #: of the second run
     against: Path | None = None  #: the recording before, where changes were looked for
+    proposed: NextExperiment | None = None  #: what would tell more
+    rounds: list[str] = field(default_factory=list)  #: what was run after the first run, and what it was to tell
 
 
 @dataclass
@@ -62,12 +67,20 @@ class _Files:
 
 
 def diagnose_command(
-    source: Path, model_path: Path | None, out: Path | None, *, as_json: bool, against: Path | None = None
+    source: Path,
+    model_path: Path | None,
+    out: Path | None,
+    *,
+    as_json: bool,
+    against: Path | None = None,
+    next_experiment: Path | None = None,
+    until_clear: bool = False,
 ) -> None:
     """Diagnose, print, and write page, extended model and extended config into `out`.
 
     `source` is a recording, or a bench config: that is run first, and again with the extended model. `against`: a
-    recording of the same machine before, then it is what changed since that is looked for. Raises
+    recording of the same machine before, then it is what changed since that is looked for. `next_experiment`: the file
+    for steps that would tell more. `until_clear`: the bench runs on with such steps until nothing is tied. Raises
     UnusableInputError; for runs that don't come to their end InterruptedByOperatorError and BenchFaultError, the latter
     after everything has been shown when it was the run with the extended model.
     """
@@ -82,7 +95,9 @@ def diagnose_command(
                 )
             found = _against(source, against, model_path, progress)
         elif is_config:
-            found = _on_the_bench(source, model_path, out, progress)
+            found = _on_the_bench(source, model_path, out, progress, until_clear=until_clear)
+        elif until_clear:
+            raise UnusableInputError(source, "a recording, expected with --until-clear a bench config that can be run")
         else:
             if model_path is None:
                 raise UnusableInputError(
@@ -95,13 +110,33 @@ def diagnose_command(
             imitation = _imitation(source, config)
             diagnosis = diagnose(recording, model, source, progress.announce, imitation)
             found = _Found(diagnosis, None if config is None else model_path)
+            found.proposed = _proposed(diagnosis, recording)
         files = None if out is None else _write(found, source, out)
+    if next_experiment is not None and found.proposed is not None:
+        write_steps(next_experiment, found.proposed, found.config)
+    written = next_experiment if found.proposed is not None else None
     if as_json:
-        print(json.dumps(as_data(found, files), indent=2))
+        print(json.dumps(as_data(found, files, written), indent=2))
     else:
         _show_all(console, found, files)
+        if next_experiment is not None:
+            console.print(_next_line(found, written), soft_wrap=True)
     if found.fault is not None:
         raise found.fault
+
+
+def _next_line(found: _Found, written: Path | None) -> str:
+    if found.proposed is None:
+        return "next experiment: none of the library would tell more"
+    said = f"next experiment: {found.proposed.moves}, {found.proposed.duration_s:.1f} s: {written}"
+    return said if found.config is None else f"{said}\nhilbench run {written}"
+
+
+def _proposed(diagnosis: Diagnosis, recording: Recording) -> NextExperiment | None:
+    """What would tell more of a web machine; of what moved by other commands nothing is known to propose."""
+    if diagnosis.model.web is None or "v2_cmd_m_s" not in recording:
+        return None
+    return propose(diagnosis, Reach.of(recording))
 
 
 def _against(source: Path, before: Path, model_path: Path | None, progress: ProgressDisplay) -> _Found:
@@ -122,8 +157,13 @@ def _imitation(recording: Path, config: BenchConfig | None) -> Imitation | None:
     return imitation_beside(recording) or (None if config is None else imitation_of(config))
 
 
-def _on_the_bench(config: Path, model_path: Path | None, out: Path | None, progress: ProgressDisplay) -> _Found:
-    """Run, diagnose, and run again with what was found."""
+def _on_the_bench(
+    config: Path, model_path: Path | None, out: Path | None, progress: ProgressDisplay, *, until_clear: bool
+) -> _Found:
+    """Run, diagnose, and run again with what was found.
+
+    until_clear: first with further steps as well, each time those that would tell most, until nothing is tied.
+    """
     runs = (out or Path()) / "runs"
     loaded = load_with_overrides(config)
     model = machine_of(loaded.config, config) if model_path is None else model_from(model_path)
@@ -133,11 +173,25 @@ def _on_the_bench(config: Path, model_path: Path | None, out: Path | None, progr
     recording, imitation = first.folder.recording, imitation_of(loaded.config)
     diagnosis = diagnose(read_recording(recording), model, recording, progress.announce, imitation)
     found = _Found(diagnosis, config, [before])
+    found.proposed = _proposed(diagnosis, read_recording(recording))
+    steps: list[Step] = []
+    while until_clear and found.proposed is not None and len(found.rounds) < _MOST_ROUNDS and _is_tied(diagnosis):
+        steps += found.proposed.steps
+        found.rounds.append(f"{found.proposed.moves} ({'; '.join(found.proposed.reasons)})")
+        observer, announce = progress.of_run(f"run the bench with {found.proposed.moves}", 0.0)
+        again = run_bench(loaded, model, runs, more_steps=steps, observers=[observer], announce=announce)
+        before, recording = live_gap(again), again.folder.recording
+        diagnosis = diagnose(read_recording(recording), model, recording, progress.announce, imitation)
+        found.diagnosis, found.live = diagnosis, [before]
+        found.proposed = _proposed(diagnosis, read_recording(recording))
     if not diagnosis.effects:
         return found
     observer, announce = progress.of_run("run the bench with the extended model", 0.97)
     try:
-        after = live_gap(run_bench(loaded, diagnosis.model, runs, observers=[observer], announce=announce))
+        extended_run = run_bench(
+            loaded, diagnosis.model, runs, more_steps=steps, observers=[observer], announce=announce
+        )
+        after = live_gap(extended_run)
     except BenchFaultError as fault:
         found.not_compared, found.fault = f"the run with the extended model ended early: {fault}", fault
         return found
@@ -149,6 +203,10 @@ def _on_the_bench(config: Path, model_path: Path | None, out: Path | None, progr
         return found
     found.live.append(after)
     return found
+
+
+def _is_tied(diagnosis: Diagnosis) -> bool:
+    return any(effect.tied_with for effect in diagnosis.effects)
 
 
 def _write(found: _Found, source: Path, out: Path) -> _Files:
@@ -167,12 +225,16 @@ def _write(found: _Found, source: Path, out: Path) -> _Files:
         files.page,
         files.config,
         changes=found.against is not None,
+        proposed=found.proposed,
+        rounds=found.rounds,
     )
     return files
 
 
 def _show_all(console: Console, found: _Found, files: _Files | None) -> None:
     _show(console, found.diagnosis, found.against)
+    for line in found.rounds:
+        console.print(f"ran as well: {line}", soft_wrap=True)
     if found.live:
         console.print(_live_table(found.live))
     if found.not_compared:
@@ -184,7 +246,7 @@ def _show_all(console: Console, found: _Found, files: _Files | None) -> None:
         console.print(f"bench with the extended model: hilbench run {files.config}", soft_wrap=True)
 
 
-def as_data(shown: _Found, files: _Files | None) -> dict[str, Any]:
+def as_data(shown: _Found, files: _Files | None, next_experiment: Path | None = None) -> dict[str, Any]:
     """What `--json` prints (design, section 6)."""
     found, live, not_compared = shown.diagnosis, shown.live, shown.not_compared
     gap = found.gap
@@ -210,6 +272,7 @@ def as_data(shown: _Found, files: _Files | None) -> dict[str, Any]:
             {"signal": m.signal, "when": m.when, "condition": m.condition, "detail": m.detail, "points": m.points}
             for m in found.unexplained
         ],
+        "proposed_laws": [{**asdict(one), "text": one.text} for one in found.laws],
         "blind_to": [
             {
                 "effect": b.effect,
@@ -224,6 +287,8 @@ def as_data(shown: _Found, files: _Files | None) -> dict[str, Any]:
         "missing_channels": found.missing_channels,
         "predicted_on": found.predicted_on,
         "imitation_cycle_s": None if found.imitation is None else found.imitation.cycle_s,
+        "next_experiment": None if next_experiment is None else str(next_experiment),
+        "rounds": shown.rounds,
         "live": [{**asdict(gap), "run": str(gap.run)} for gap in live],
         "not_compared": not_compared or None,
         "model": None if files is None else str(files.model),
@@ -314,6 +379,8 @@ def _show_where(console: Console, found: Diagnosis) -> None:
     if found.verdict == "unknown":
         for misfit in found.unexplained[:5]:
             console.print(f"left in {misfit.signal}: {misfit.condition}, {misfit.detail}")
+        for one in found.laws:
+            console.print(f"a law that explains {100.0 * one.share:.0f} % of it: {one.text}", soft_wrap=True)
     elif found.where:
         shown = Table(title="where the original model disagreed", title_justify="left")
         for column in ("signal", "condition", "share of gap"):

@@ -303,6 +303,18 @@ def diagnose(
             help="recording of the same machine before: name what changed since; a lone axis needs no --model for that",
         ),
     ] = None,
+    next_experiment: Annotated[
+        Path | None,
+        typer.Option(
+            "--next-experiment",
+            metavar="FILE",
+            help="write steps of at most 30 s that would tell effects apart that are tied, or show what was not (YAML)",
+        ),
+    ] = None,
+    until_clear: Annotated[
+        bool,
+        typer.Option("--until-clear", help="of a bench config: run on with such steps until nothing is tied"),
+    ] = False,
     json: Annotated[bool, typer.Option("--json", help="print the diagnosis as JSON, nothing else")] = False,
 ) -> None:
     """Find where simulation and measurement disagree, name the missing effect, and add it to the model.
@@ -313,11 +325,21 @@ def diagnose(
 
     Example: hilbench diagnose bench_configs/hidden_friction.yaml --out found
 
+    Example: hilbench diagnose bench_configs/hidden_friction.yaml --until-clear --out found
+
     Example: hilbench diagnose after.csv --against before.csv --out changed
     """
     from hilbench.cli.diagnose import diagnose_command
 
-    diagnose_command(source, model, out, as_json=json, against=against)
+    diagnose_command(
+        source,
+        model,
+        out,
+        as_json=json,
+        against=against,
+        next_experiment=next_experiment,
+        until_clear=until_clear,
+    )
 
 
 app.command()(scan.scan)

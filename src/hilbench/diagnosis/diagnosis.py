@@ -15,13 +15,14 @@ from scipy.stats import chi2
 from hilbench.diagnosis.fit import Fit, around, fit, sums, time_profile
 from hilbench.diagnosis.loop_check import nuisance_of
 from hilbench.diagnosis.measured import Measured, measured_from
-from hilbench.diagnosis.misfit import LARGEST_RATIO, Misfit, located, misfits, ratios
+from hilbench.diagnosis.misfit import LARGEST_RATIO, Condition, Misfit, located, misfits, ratios
 from hilbench.diagnosis.noise import Whitening, floor, repeats, scaling
 from hilbench.diagnosis.predictor import Choice, choice
 from hilbench.diagnosis.proposals import Proposer
 from hilbench.diagnosis.repairs import Repair
 from hilbench.diagnosis.select import Search, Selection
 from hilbench.diagnosis.space import Space
+from hilbench.diagnosis.sparse_law import SparseLaw, law
 from hilbench.diagnosis.terms import Term, extended, pack_with
 from hilbench.plant.effects import Effect, find_effect
 from hilbench.plant.web_line.imitation import Imitation
@@ -141,6 +142,7 @@ class Diagnosis:
     imitation: Imitation | None = None  #: how the web was imitated, of a bench's recording
     predicted_on: str = ""  #: what the prediction is driven by, and why, for a person
     nuisance: list[NamedEffect] = field(default_factory=list)  #: found beside the effects and corrected for
+    laws: list[SparseLaw] = field(default_factory=list)  #: proposals for what no effect explains, no names
     repairs: list[Repair] = field(default_factory=list)  #: what was wrong with the recording's rows
 
     @property
@@ -231,6 +233,7 @@ def concluded(space: Space, chosen: Choice, data: Measured, selection: Selection
         imitation=predictor.imitation,
         predicted_on=chosen.basis,
         nuisance=_nuisance(space.model, chosen, effects),
+        laws=_laws(space, names, final.residual[torques], conditions) if unexplained else [],
         repairs=data.repairs,
     )
 
@@ -276,6 +279,13 @@ def _significance(found: Fit, k: int, inflation: float) -> float:
     moved = term.coordinates()[: term.linear] - term.neutral().coordinates()[: term.linear]
     wald = float(moved @ np.linalg.pinv(found.covariance[part, part]) @ moved) / inflation**2
     return wald / float(chi2.ppf(0.95, term.linear))
+
+
+def _laws(space: Space, names: tuple[str, ...], residuals: Array, conditions: list[Condition]) -> list[SparseLaw]:
+    """Of each torque (signals, n), where one is found."""
+    train, test = space.split.train, space.split.test
+    found = (law(name, rest, conditions, train, test) for name, rest in zip(names, residuals, strict=True))
+    return [one for one in found if one is not None]
 
 
 def _rms(residual: Array, rows: NDArray[np.bool_]) -> float:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -36,16 +37,20 @@ def run_bench(
     model: ModelParameters,
     out: Path,
     *,
+    more_steps: Sequence[Mapping[str, Any]] = (),
     observers: Sequence[CycleObserver] = (),
     announce: Callable[[str], None] = lambda text: None,
 ) -> RunOutcome:
     """Run a bench config to its end, the twin with `model`; its criteria may fail.
+
+    more_steps: as they stand in YAML, run after those of the config.
 
     Raises InterruptedByOperatorError and BenchFaultError, with the folder of the run, for one that was cut short: what
     such a run shows is no experiment; UnusableInputError as `run_experiment`.
     """
     data = loaded.config.model_dump()
     data["machine"] = model.model_dump()
+    data["steps"] = [*(data["steps"] or ()), *more_steps]
     loaded = LoadedConfig(ExperimentConfig.model_validate(data), loaded.document)
     outcome = run_experiment(loaded, out, observers=observers, announce=announce)
     said = f"{outcome.folder.path}: {'; '.join(fault.text for fault in outcome.result.faults)}"

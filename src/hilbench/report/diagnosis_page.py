@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +10,7 @@ import numpy as np
 
 from hilbench.diagnosis.diagnosis import Diagnosis, NamedEffect, Unobservable
 from hilbench.diagnosis.live import LiveGap
+from hilbench.diagnosis.next_experiment import NextExperiment
 from hilbench.report.chart import BLUE, VERMILLION, Chart, Curve, Mark
 from hilbench.report.page import number, write_page
 from hilbench.report.plots import Panel, Picture, drawn, render_picture
@@ -44,11 +46,14 @@ def write_diagnosis_page(
     config: Path | None,
     *,
     changes: bool = False,
+    proposed: NextExperiment | None = None,
+    rounds: Sequence[str] = (),
 ) -> Path:
     """Write the page. Raises UnusableInputError if it cannot be written.
 
     `not_compared`: why there is no second run of the bench to compare; `config`: the bench config that was written with
     the extended model in it, where there is one; `changes`: the effects are what changed since another recording.
+    `proposed`: what would tell more; `rounds`: what was run because it would.
     """
     residuals = _residuals(found)
     return write_page(
@@ -60,6 +65,8 @@ def write_diagnosis_page(
         found=found,
         sentence=(_CHANGES if changes else _SENTENCES)[found.verdict],
         changes=changes,
+        proposed=proposed,
+        rounds=rounds,
         effects=_effects(found, changes=changes),
         tied=[(_place(effect), effect) for effect in found.effects if effect.tied_with],
         gaps=[

@@ -1,0 +1,128 @@
+"""Steps that would tell what the last recording left open."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from tests.plant.models import effect, lone_axis, model
+
+from hilbench.diagnosis.diagnosis import Diagnosis, Gap, NamedEffect, Unobservable, Value
+from hilbench.diagnosis.imitated import imitation_of
+from hilbench.diagnosis.next_experiment import LONGEST_S, Reach, duration_s, moves, propose, write_steps
+from hilbench.plant.effects import find_effect
+from hilbench.plant.web_line.parameters import ModelParameters
+from hilbench.runs.check import check_experiment
+from hilbench.runs.config import load_with_overrides
+
+REACH = Reach(top_m_s=4.0, steepest_m_s2=3.0, tension_N=80.0)
+
+
+def left_open(
+    found: ModelParameters, *, tied: list[str] | None = None, blind: tuple[tuple[str, int | None], ...] = ()
+) -> Diagnosis:
+    """A diagnosis with one effect of axis 2, tied with others, of the demonstrator or another model."""
+    effects = [
+        NamedEffect(
+            entry.effect,
+            entry.axis,
+            {name: Value(v, (v, v), "1") for name, v in entry.parameters.items()},
+            {},
+            tied or [],
+            None,
+        )
+        for entry in found.effects
+    ]
+    gaps = [Gap(f"tau{axis}_Nm", 0.05, 0.05, 0.05, "N·m") for axis in range(1, found.axis_count + 1)]
+    unseen = [Unobservable(name, axis, None, "1", find_effect(name).shown_by) for name, axis in blind]
+    nothing = np.zeros((0, 0))
+    return Diagnosis(
+        verdict="named",
+        effects=effects,
+        gaps=gaps,
+        where=[],
+        profiles=[],
+        unexplained=[],
+        unobservable=unseen,
+        missing_channels=[],
+        model=found,
+        names=(),
+        t_s=np.zeros(0),
+        before=nothing,
+        after=nothing,
+        held_out=np.zeros(0, bool),
+        simulations=0,
+    )
+
+
+FRICTION = effect("coulomb_friction", 2, force_N=4.2)
+
+
+def test_friction_that_may_be_an_offset_of_strain_is_asked_by_going_back_and_forth() -> None:
+    proposed = propose(left_open(model(FRICTION), tied=["strain_offset"]), REACH)
+    assert proposed is not None
+    assert "forward and back" in proposed.moves
+    assert any("whether it is coulomb_friction or strain_offset" in reason for reason in proposed.reasons)
+    speeds = [step["ramp"]["to"] for step in proposed.steps if "ramp" in step]
+    assert min(speeds) < 0.0 < max(speeds)
+
+
+def test_where_nothing_is_left_open_or_the_machine_is_a_lone_axis_nothing_is_proposed() -> None:
+    assert propose(left_open(model(FRICTION)), REACH) is None
+    assert (
+        propose(left_open(lone_axis(effect("coulomb_friction", 1, force_N=1.0)), tied=["torque_offset"]), REACH) is None
+    )
+
+
+def test_an_effect_that_was_not_shown_is_asked_by_a_move_that_shows_it() -> None:
+    unseen = left_open(model(), blind=(("inertia_mismatch", 2),))
+    proposed = propose(unseen, REACH)
+    assert proposed is not None
+    assert any("inertia_mismatch of axis 2" in reason for reason in proposed.reasons)
+
+
+@pytest.mark.parametrize("top", [0.3, 4.0, 12.0])
+@pytest.mark.parametrize("steepest", [0.2, 3.0])
+@pytest.mark.parametrize("tension", [None, 80.0])
+def test_no_move_asks_more_than_the_machine_has_done_nor_takes_longer_than_may_be(
+    top: float, steepest: float, tension: float | None
+) -> None:
+    reach = Reach(top, steepest, tension)
+    for name, steps in moves(reach).items():
+        speed = 0.0
+        for step in steps:
+            if "ramp" in step:
+                to, within_s = step["ramp"]["to"], step["ramp"]["duration_s"]
+                assert abs(to) <= top * 1.0001, name
+                assert abs(to - speed) / within_s <= steepest * 1.01, name
+                speed = to
+            assert "set" not in step or tension is not None
+        assert speed == 0.0
+        assert duration_s(steps) + 0.5 <= LONGEST_S
+
+
+def test_what_is_written_is_an_experiment_that_the_bench_of_the_config_can_run(tmp_path: Path) -> None:
+    config = Path("bench_configs/hidden_friction.yaml")
+    bench = load_with_overrides(config).config
+    found = replace(left_open(model(FRICTION), tied=["strain_offset"]), imitation=imitation_of(bench))
+    proposed = propose(found, REACH)
+    assert proposed is not None
+    assert proposed.duration_s <= LONGEST_S
+    path = write_steps(tmp_path / "next.yaml", proposed, config)
+    assert path.read_text().startswith(f"# {proposed.moves}, ")
+    assert all(f"# - {reason}" in path.read_text() for reason in proposed.reasons)
+    checked = check_experiment(load_with_overrides(path))
+    assert checked is not None
+    steps = load_with_overrides(path).config.steps
+    assert len(steps) == len(proposed.steps)
+
+
+def test_without_a_config_the_steps_say_how_they_are_run(tmp_path: Path) -> None:
+    proposed = propose(left_open(model(FRICTION), tied=["strain_offset"]), REACH)
+    assert proposed is not None
+    text = write_steps(tmp_path / "next.yaml", proposed, None).read_text()
+    assert "include: [my_bench.yaml, next.yaml]" in text
+    assert yaml.safe_load(text)["steps"] == proposed.steps
