@@ -304,6 +304,10 @@ def effects_page() -> str:
             else ""
         )
         lines += [f"Machines: {kinds}. {bus}Shown best: {effect.shown_by}.", ""]
+        if effect.nuisance:
+            lines += ["No missing mechanics: `hilbench diagnose` lists it under `nuisance`, and corrects for it.", ""]
+        for other, experiment in effect.alike:
+            lines += [f"Told from [`{other}`](#{other}) by: {experiment}.", ""]
         lines += _parameters(effect)
         if effect.rotary is not None:
             turned = effect.in_kind(MachineKind.SERVO_AXIS)
