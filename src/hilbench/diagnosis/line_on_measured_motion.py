@@ -19,6 +19,7 @@ from hilbench.diagnosis.misfit import Condition
 from hilbench.diagnosis.noise import floor
 from hilbench.diagnosis.smooth_motion import Thinning, integrated, smoothed
 from hilbench.plant.parameters import per_item
+from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.laws import FRICTION_WIDTH_M_S
 from hilbench.plant.web_line.line_inverse import RequiredTorques, required_torques
 from hilbench.plant.web_line.parameters import ModelParameters
@@ -142,13 +143,18 @@ class LineOnMeasuredMotion:
     def loops(self) -> list[Loop]:
         """The drives' loops as commands, motion and torques show them; none without commands."""
         data, found = self._data, []
+        if not data.commands_m_s.size:
+            return []
+        needed = self._run(lay.pack(self._model)[None]).tau_Nm[0]
         for k, axis in enumerate(self._torques):
-            if not data.commands_m_s.size:
-                break
             command, torque = data.commands_m_s[:, axis - 1], data.tau_Nm[axis]
             x, v, a = (values[:, axis - 1] for values in (self._x, self._v, self._a))
             moved = np.array([self._at_rows(values) for values in (a, v, np.sign(v))])
-            told = Told(axis, command, x, v, moved, torque, self._torque_floors[k])
+            beyond = self._thinning.apply(torque) - self._at_rows(needed[:, axis - 1])
+            like = np.vstack([moved, np.ones_like(beyond)])[:, self.rows]
+            lacking = float(np.linalg.lstsq(like.T, beyond[self.rows], rcond=None)[0][0])
+            of_motion = moved, lacking, inertia(self._model, axis)
+            told = Told(axis, command, x, v, torque, self._torque_floors[k], *of_motion)
             row_s = self.every * data.period_s
             loop = loop_of(told, self._model, data.period_s, self._thinning.apply, self.rows, row_s)
             found += [] if loop is None else [loop]

@@ -33,6 +33,10 @@ _DIFFERENT: Final = 25.0
 _UNDERSTOOD: Final = 1.1
 #: Share of the drive's limit from which a torque counts as limited.
 _LIMITED: Final = 0.95
+#: Share of the inertia that must be left out of a torque for it to be fed forward, and by how much of itself what loops
+#: and motion say of it may differ.
+_LEAST_SHARE: Final = 0.03
+_SAME: Final = 0.2
 _NORMAL_95: Final = 1.96
 #: Deviations by which a gain or lag must be off the model's: several are looked at on every axis.
 _CERTAIN: Final = 4.0
@@ -72,9 +76,11 @@ class Told:
     command_m_s: Array  #: (n,), each held for a row
     way_m: Array  #: (fine,) on a grid `whole` times that of the rows
     speed_m_s: Array  #: (fine,)
-    fed_forward: Array  #: (k, rows in the band) what a torque that the drive feeds forward may go with
     torque_Nm: Array  #: (n,)
     floor_Nm: float  #: of the torque in the band
+    fed_forward: Array  #: (k, rows in the band) what a torque that is fed forward goes with: acceleration first
+    lacking: float  #: N·m per m/s² by which the torque is more than the motion needs
+    inertia: float  #: N·m per m/s² that it should need
 
 
 def loop_of(
@@ -140,10 +146,14 @@ def loop_of(
     is_fed_forward = False
     if mine - square > _DIFFERENT:
         beside = np.array([of_rows(each) for each in told.fed_forward])
-        with_mine = fitted(beside, rest)[0]
-        # Other loops may look like it where little happens: what needs less is believed.
-        is_fed_forward = with_mine < square - _DIFFERENT and with_mine - best(beside)[0] < _DIFFERENT
-        is_fed_forward &= with_mine < _UNDERSTOOD**2 * len(torque)
+        with_mine, shares = fitted(beside, rest)
+        # What is left out of the torque is missing in both: what the loops made of it, and what the motion needs.
+        left_out = float(shares[0])
+        is_fed_forward = bool(
+            with_mine < _UNDERSTOOD**2 * len(torque)
+            and abs(told.lacking) > _LEAST_SHARE * told.inertia
+            and abs(left_out - told.lacking) < _SAME * abs(told.lacking)
+        )
     slope = (theta @ columns(best_s + 2e-4) - theta @ at) / 2e-4
     jacobian = np.vstack([at, slope])
     ratio = float(np.sqrt(square / len(torque)))
