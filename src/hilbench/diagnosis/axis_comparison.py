@@ -47,6 +47,8 @@ _MOST: Final = 6
 _MORE_REST: Final = 2.0
 #: Ridge of the regression: keeps columns that say the same calm.
 _RIDGE: Final = 1e-9
+#: Share of an effect that may be left where another may have taken it out of the recorded torque.
+_VANISHED: Final = 0.5
 #: How often a strength is put right by what it makes.
 _STRAIGHTENED: Final = 4
 #: Highest order of the motor's turn that may differ.
@@ -179,6 +181,14 @@ class _Problem:
             return 0.0
         found, *_ = np.linalg.lstsq(free.T, without.residual, rcond=1e-8)
         return float(2.0 * found @ (free @ without.residual) - np.sum((found @ free) ** 2))
+
+    def simple(self, count: int) -> Array:
+        """Coordinates of the first so many columns that explain the earlier recording alone: beside all others, which
+        may say the same, they would mean nothing."""
+        columns, values = self._shared[:count, self._n :], self._y[self._n :]
+        scale = np.maximum(np.linalg.norm(columns, axis=1), 1e-300)
+        found, *_ = np.linalg.lstsq((columns / scale[:, None]).T, values, rcond=1e-10)
+        return np.asarray(found / scale)
 
     def colour(self, rest: Array) -> float:
         """Variance of the rest times how many of its samples count as one."""
@@ -375,6 +385,7 @@ class _Found:
     terms: list[Term]
     chosen: list[int]
     solved: _Solved
+    simple: Array  #: what the simple terms have to be moved by to explain the earlier recording alone
     bent: dict[int, float]  #: strength over what its response at a small one would say
 
     def columns(self, one: int) -> slice:
@@ -382,9 +393,10 @@ class _Found:
         return self.problem.part(self.chosen, one)
 
     def before(self, one: int) -> Array:
-        """The coordinates of a term before, in which the model is linear."""
+        """The coordinates of a term before, in which the model is linear; neutral of what is not simple."""
         term = self.terms[one]
-        return term.coordinates()[: term.linear] + self.solved.shared[self.problem.columns_of([one])]
+        here = term.coordinates()[: term.linear]
+        return here + self.simple[one] if one < len(self.simple) else here
 
     def change(self, one: int) -> Array:
         """By how much they differ."""
@@ -404,7 +416,7 @@ def _concluded(
     bent = {}
     for k in (k for k in chosen if k >= len(base) and terms[k].linear == 1):
         bent[k] = _bent(now, base, terms[k], float(solved.change[problem.part(chosen, k)][0]))
-    found = _Found(problem, terms, chosen, solved, bent)
+    found = _Found(problem, terms, chosen, solved, problem.simple(len(base)), bent)
     # What a term is made of: those that are not there yet are looked at from their neutral strength.
     terms = [*base, *(term.neutral() for term in terms[len(base) :])]
     found = replace(found, terms=terms)
@@ -437,6 +449,7 @@ def _concluded(
         after=after[None],
         held_out=test,
         simulations=now.space.simulations + then.space.simulations,
+        predicted_on="the measured motion of both recordings",
     )
 
 
@@ -506,9 +519,26 @@ def _named(found: _Found, one: int, problem: _Problem, chosen: list[int]) -> Nam
             continue
         if gain - problem.gain(without, rest, k) < allowed:
             tied.append(other.effect.id)
+    tied += [other for other in _left_out_of_the_torque(term, then, change) if other not in tied]
     advice = term.effect.told_apart_from(find_effect(tied[0])) if tied else None
     evidence = {"likelihood_ratio": gain / max(problem.colour(found.solved.residual), 1e-300)}
     return NamedEffect(term.effect.id, term.axis, values, evidence, tied, advice)
+
+
+def _left_out_of_the_torque(term: Term, then: Array, change: Array) -> list[str]:
+    """Which effects of the torque's measurement make most of this one vanish by their law: feed-forward.
+
+    Their response is that of the force they leave out, so no regression tells them from it.
+    """
+    whole = float(then[0]) + (1.0 if term.effect.domain is Domain.INERTIA else 0.0)
+    sizes = sorted((abs(whole), abs(whole + float(change[0]))))
+    if term.has_phase or sizes[0] > _VANISHED * sizes[1]:
+        return []
+    return [
+        other.id
+        for other in EFFECTS
+        if other.domain is Domain.TORQUE_MEASUREMENT and term.effect.id in dict(other.alike)
+    ]
 
 
 def _hidden(found: _Found, least_Nm: float) -> list[Unobservable]:
