@@ -168,20 +168,6 @@ def test_off_a_terminal_each_new_thing_is_a_line_on_standard_error(tmp_path, in_
     assert said.index("run the bench: t = 5.0 s") < said.index("simulate the model")
 
 
-def test_until_clear_runs_on_with_steps_that_break_the_tie_and_writes_one_page(tmp_path, in_one_process):
-    """Forward alone dry friction is like an offset of the strain; back and forth it is not."""
-    path = config(tmp_path, steps=STEPS, hardware=FRICTION)
-    done = hilbench("diagnose", path, "--until-clear", "--json", "--out", tmp_path / "found")
-    assert done.returncode == 0, done.stderr
-    said = json.loads(done.stdout)
-    assert [(one["effect"], one["axis"], one["tied_with"]) for one in said["effects"]] == [("coulomb_friction", 2, [])]
-    assert len(said["rounds"]) == 1
-    assert said["rounds"][0].startswith("slowly forward and back")
-    assert said["next_experiment"] is None
-    assert len(said["live"]) == 2
-    assert "Ran as well: slowly forward and back" in (tmp_path / "found" / "diagnosis.html").read_text()
-
-
 def test_until_clear_of_a_recording_is_refused(tmp_path):
     recording = tmp_path / "run.csv"
     recording.write_text("t_s,x1_m\n0,0\n1,1\n")

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -126,3 +128,36 @@ def test_without_a_config_the_steps_say_how_they_are_run(tmp_path: Path) -> None
     text = write_steps(tmp_path / "next.yaml", proposed, None).read_text()
     assert "include: [my_bench.yaml, next.yaml]" in text
     assert yaml.safe_load(text)["steps"] == proposed.steps
+
+
+@pytest.mark.parametrize(("clear_after", "rounds"), [(1, 1), (2, 2), (9, 3)])
+def test_until_clear_the_bench_runs_on_with_more_steps_each_time_and_three_times_at_most(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], clear_after: int, rounds: int
+) -> None:
+    """The bench and the search are stood in for: what is run in which order, and what is said of it."""
+    from hilbench.cli import diagnose as command
+    from hilbench.diagnosis.live import LiveGap
+    from hilbench.results.recording import Recording
+
+    ran: list[list[object]] = []
+    tied = left_open(model(FRICTION), tied=["strain_offset"])
+    clear = left_open(model(FRICTION))
+    folder = SimpleNamespace(recording=Path("recording.mf4"))
+
+    def run_bench(*_: object, more_steps: list[object] = [], **__: object) -> object:  # noqa: B006
+        ran.append(list(more_steps))
+        return SimpleNamespace(folder=folder)
+
+    t = np.arange(0.0, 10.0, 0.002)
+    recording = Recording({"t_s": t, "v2_cmd_m_s": 2.0 * np.sin(t), "F_ref_N": np.full(len(t), 80.0)})
+    monkeypatch.setattr(command, "run_bench", run_bench)
+    monkeypatch.setattr(command, "live_gap", lambda outcome: LiveGap(Path("run"), 1, 0.0, 0.0, 0.0, 0.0))
+    monkeypatch.setattr(command, "read_recording", lambda path: recording)
+    monkeypatch.setattr(command, "diagnose", lambda *_: tied if len(ran) <= clear_after else clear)
+    command.diagnose_command(Path("bench_configs/hidden_friction.yaml"), None, None, as_json=True, until_clear=True)
+    said = json.loads(capsys.readouterr().out)
+    assert len(said["rounds"]) == rounds
+    assert all(line.startswith("slowly forward and back") for line in said["rounds"])
+    asked = [len(steps) for steps in ran[: rounds + 1]]
+    assert asked == sorted(set(asked)), "each run has the steps of the one before, and more"
+    assert ran[-1] == ran[rounds], "the extended model has the same experiment as the last run"
