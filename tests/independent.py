@@ -22,6 +22,13 @@ def recording(name: str) -> Path:
     pytest.skip(f"no recording {name} beside the checkout")
 
 
+def real(name: str) -> Path:
+    """Of a real machine; none of these is kept here. Skips the test where there is none of this name."""
+    if (path := _BESIDE / "real" / f"{name}.csv.gz").exists():
+        return path
+    pytest.skip(f"no recording {name} beside the checkout")
+
+
 def hidden_in(name: str) -> list[EffectEntry]:
     """What that simulator's machine has beside the model."""
     labels = yaml.safe_load((KEPT / "labels.yaml").read_text(encoding="utf-8"))[f"{name}.csv.gz"]

@@ -27,6 +27,7 @@ class Analytic:
 
     imitation = None
     every = 1
+    narrower = None
 
     def __init__(self, formula: Callable[[Array], Array], truth: Array, *, exact: bool = True, seed: int = 0) -> None:
         """formula: (P,) to (n,); truth: the parameter vector (P,) of what is measured."""

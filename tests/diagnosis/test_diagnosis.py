@@ -19,6 +19,7 @@ from hilbench.bench.lifecycle.participants import Participants
 from hilbench.diagnosis import live
 from hilbench.diagnosis.diagnosis import Diagnosis, diagnose
 from hilbench.diagnosis.synthetic import UNKNOWNS, hidden_recording
+from hilbench.plant.effects import find_effect
 from hilbench.plant.parameters import EffectEntry
 from hilbench.plant.web_line.parameters import load_model
 from hilbench.results.recording import read_recording, write_recording
@@ -136,12 +137,16 @@ def test_a_measured_lone_axis_has_the_published_friction() -> None:
     found = diagnose(read_recording(path), load_model(path.with_name("model.yaml")), path)
     named = {e.effect: e for e in found.effects}
     assert found.verdict == "named"
-    assert {"viscous_friction", "coulomb_friction", "torque_offset"} <= set(named)
-    assert set(named) <= {"viscous_friction", "coulomb_friction", "torque_offset", "friction_asymmetry"}
+    # At the same speeds in both directions an offset and a friction that differs by direction are nearly one; the
+    # latter leaves half as much, and beside it the offset's interval would contain zero.
+    assert set(named) == {"viscous_friction", "coulomb_friction", "friction_asymmetry"}
+    for item in found.effects:
+        for value in (item.parameters[name] for name in find_effect(item.effect).strength):
+            assert value.ci95[0] > 0.0 or value.ci95[1] < 0.0
     # Janot, Gautier, Brunot: 203.5 N·s/m and 20.39 N.
     assert named["viscous_friction"].parameters["coefficient_N_s_per_m"].value == pytest.approx(203.5, rel=0.05)
     assert named["coulomb_friction"].parameters["force_N"].value == pytest.approx(20.39, rel=0.05)
-    assert found.gap.after < 0.05 * found.gap.before
+    assert found.gap.after < 0.035 * found.gap.before
 
 
 def command(*arguments: object) -> subprocess.CompletedProcess[str]:

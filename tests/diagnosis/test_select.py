@@ -93,23 +93,6 @@ def test_a_residual_that_nothing_offered_explains_stays_and_is_not_spread_over_w
     assert found.evidence == {}
 
 
-def test_where_residuals_are_never_noise_alone_the_simple_effects_are_kept() -> None:
-    """Friction and offset beside what is not in the vocabulary: they stay, whatever else is offered."""
-    hidden = (
-        effect("coulomb_friction", 1, force_N=2.0),
-        effect("viscous_friction", 1, coefficient_N_s_per_m=3.0),
-        effect("torque_offset", 1, offset_Nm=0.5),
-    )
-    axis = Axis(*hidden, exact=False)
-    slow = 0.3 * np.sin(0.9 * axis.t_s) * np.cos(3.1 * axis.x_m)
-    axis.space.predictor.measured = axis.space.predictor.measured + slow
-    found = searched(axis)
-    assert {"coulomb_friction", "torque_offset", "viscous_friction"} <= set(named(found))
-    values = {t.effect.id: t.values[t.effect.strength[0]] for t in found.fit.terms}
-    assert values["coulomb_friction"] == pytest.approx(2.0, rel=0.1)
-    assert values["viscous_friction"] == pytest.approx(3.0, rel=0.1)
-
-
 def test_every_parameter_and_every_variant_that_was_searched_has_its_price() -> None:
     axis = Axis()
     friction, stribeck = axis.term("coulomb_friction"), axis.proposer("stribeck_friction").plain()

@@ -132,7 +132,7 @@ class TimeProfile:
 
 def time_profile(space: Space, white: Whitening, terms: list[Term], place: int, times_s: Array) -> TimeProfile:
     """The profile of the term at `place` over times_s (T,), the other terms as they are, on all rows that count."""
-    rows, term = space.counted, terms[place]
+    rows, term = space.predictor.rows, terms[place]
     variants = [[*terms[:place], term.neutral(), *terms[place + 1 :]]]
     variants += [[*terms[:place], term.moved_to(float(time)), *terms[place + 1 :]] for time in times_s]
     residuals = white.apply(space.residuals(variants))[:, :, rows].reshape(len(variants), -1)

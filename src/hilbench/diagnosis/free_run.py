@@ -96,6 +96,7 @@ class FreeRun:
         self.tolerances = np.array([tolerance_m if "x" in name else 0.0 for name in names])
         self.every = 1
         self.exact = True
+        self.narrower = None
         self._start = self._start_state(data)
         if data.period_s > 1.5 * self._cycle_s:
             self._choose_hold(data)

@@ -64,6 +64,7 @@ class LineOnMeasuredMotion:
         self._model, self._data = model, data
         self.imitation = None
         self.exact = True
+        self.narrower = None
         self._torques = sorted(data.tau_Nm)
         self.knows_strain = set(data.x_m) >= {1, 2}
         self._tensions = sorted(data.F_N) if self.knows_strain else []

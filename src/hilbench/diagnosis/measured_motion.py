@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import binary_dilation
 from scipy.signal import butter, sosfiltfilt
 
 from hilbench.diagnosis.measured import Measured
@@ -18,41 +21,106 @@ from hilbench.plant.web_line.parameters import ModelParameters
 
 Array = NDArray[np.float64]
 
-#: Speed below which an axis stands.
+#: Speed below which an axis stands, and the same as a share of its usual highest speed.
 _STANDSTILL_M_S: Final = 5.0 * FRICTION_WIDTH_M_S
-#: Corner of the filter that differentiates measured motion, Hz.
-_CORNER_HZ: Final = 60.0
+_STANDSTILL_SHARE: Final = 0.02
+#: Share of the measured acceleration's variance that may be the encoder's noise. By as much an inertia is found too
+#: small: noise in a regressor pulls its coefficient to zero.
+_NOISE_SHARE: Final = 1e-3
+#: Corners of the filter, Hz: highest, lowest, and the ratio of one that is tried to the next.
+_HIGHEST_HZ, _LOWEST_HZ, _FINER = 60.0, 5.0, 0.9
+#: How far the filter smears what happens at standstill, in periods of its corner.
+_REACH: Final = 1.5
+#: Corner as a share of the Nyquist frequency, and rows per period of it.
+_OF_NYQUIST, _ROWS_PER_PERIOD = 0.8, 4.0
+
+
+@dataclass(frozen=True)
+class MotionFilter:
+    """A zero-phase low pass for everything that is compared, so that nothing is shifted in time.
+
+    As in identification of robots by inverse dynamics (Gautier, Janot): position is differentiated after it.
+    """
+
+    corner_hz: float
+    period_s: float
+
+    def smooth(self, values: Array) -> Array:
+        """Values (…, n), filtered forward and backward."""
+        return np.asarray(sosfiltfilt(self._sections, values))
+
+    @cached_property
+    def _sections(self) -> Array:
+        return np.asarray(butter(4, self.corner_hz * 2.0 * self.period_s, output="sos"))
+
+    def acceleration(self, position: Array) -> Array:
+        """Second derivative of a position (n,), per s²."""
+        return np.gradient(np.gradient(self.smooth(position), self.period_s), self.period_s)
+
+    @classmethod
+    def for_position(cls, position: Array, period_s: float) -> MotionFilter:
+        """The widest filter with which the noise of a measured position (n,) hardly shows in the acceleration."""
+        corner = min(_HIGHEST_HZ, _OF_NYQUIST * 0.5 / period_s)
+        noise = position_noise(position)
+        impulse = np.zeros(2 * round(2.0 / _LOWEST_HZ / period_s) + 1)
+        impulse[len(impulse) // 2] = 1.0
+        while True:
+            found = cls(corner, period_s)
+            carried = noise**2 * float(np.sum(found.acceleration(impulse) ** 2))
+            if carried <= _NOISE_SHARE * float(np.var(found.acceleration(position))) or corner <= _LOWEST_HZ:
+                return found
+            corner = max(_FINER * corner, _LOWEST_HZ)
+
+
+def position_noise(position: Array) -> float:
+    """Standard deviation of the noise of a measured position (n,): white, or an encoder's counts, whichever is more."""
+    steps = np.abs(np.diff(position))
+    counts = steps[steps > 1e-9 * max(float(np.ptp(position)), 1e-300)]
+    count = float(np.min(counts)) if len(counts) else 0.0
+    return max(floor(position), count / float(np.sqrt(12.0)))
 
 
 class OnMeasuredMotion:
     """The torque that the measured motion of a lone axis needs; no control loop has to be known.
 
-    Motion and torque pass the same zero-phase filter, as in identification of robots by inverse dynamics (Gautier,
-    Janot): differentiation does not drown in noise, and nothing is shifted in time.
+    Motion and torque pass the same filter, which is as wide as the encoder's noise allows.
     """
 
-    def __init__(self, model: ModelParameters, data: Measured) -> None:
+    def __init__(self, model: ModelParameters, data: Measured, motion: MotionFilter | None = None) -> None:
+        """`motion`: by default as wide as the noise of the position allows."""
+        self._model, self._data = model, data
         self.names = ("tau1_Nm",)
         self.imitation = None
         self._period_s = data.period_s
-        nyquist = 0.5 / data.period_s
-        self._filter = butter(4, min(_CORNER_HZ, 0.8 * nyquist) / nyquist, output="sos")
-        smooth = self._smooth(data.x_m[1])
-        self._x = smooth
-        self._v = np.gradient(smooth, data.period_s)
+        self._filter = motion or MotionFilter.for_position(data.x_m[1], data.period_s)
+        self._x = self._filter.smooth(data.x_m[1])
+        self._v = np.gradient(self._x, data.period_s)
         self._a = np.gradient(self._v, data.period_s)
         self.exact = False
         self.tolerances = np.zeros(1)
-        self.every = max(1, round(1.0 / (4.0 * _CORNER_HZ) / data.period_s))
-        smooth_torque = self._smooth(data.tau_Nm[1])
-        self.measured = smooth_torque[None, :: self.every]
-        self._noise_Nm = floor(data.tau_Nm[1]) * float(np.sqrt(2.0 * _CORNER_HZ * data.period_s))
-        self.rows = np.abs(self._v[:: self.every]) >= _STANDSTILL_M_S
-        edge = round(0.1 / data.period_s / self.every)
-        self.rows[:edge] = self.rows[-edge:] = False
+        self.every = max(1, round(1.0 / (_ROWS_PER_PERIOD * self.corner_hz) / data.period_s))
+        self.measured = self._filter.smooth(data.tau_Nm[1])[None, :: self.every]
+        self._noise_Nm = floor(data.tau_Nm[1]) * float(np.sqrt(2.0 * self.corner_hz * data.period_s))
+        self.rows = self._moving()[:: self.every]
         self._layout = lay.Layout.of(lay.pack(model))
-
         self._t_s = data.t_s
+
+    @property
+    def corner_hz(self) -> float:
+        """Of the filter."""
+        return self._filter.corner_hz
+
+    @property
+    def narrower(self) -> OnMeasuredMotion:
+        """The same with half the corner."""
+        return OnMeasuredMotion(self._model, self._data, MotionFilter(0.5 * self.corner_hz, self._period_s))
+
+    def _moving(self) -> NDArray[np.bool_]:
+        """(n,): where the axis moves, and no standstill or end of the recording is within reach of the filter."""
+        usual = float(np.quantile(np.abs(self._v), 0.99))
+        stands = np.abs(self._v) < max(_STANDSTILL_M_S, _STANDSTILL_SHARE * usual)
+        stands[[0, -1]] = True
+        return ~binary_dilation(stands, iterations=round(_REACH / self.corner_hz / self._period_s))
 
     def floor(self, signal: int) -> float:
         """What of the measured torque is above the band in which motion is known, carried into the band as white."""
@@ -68,15 +136,10 @@ class OnMeasuredMotion:
             Condition("position of axis 1", "m", self._x[step], spectral=True),
         ]
 
-    def _smooth(self, values: Array) -> Array:
-        return np.asarray(sosfiltfilt(self._filter, values))
-
     def predict(self, parameters: Array) -> Array:
         """(B, P) to (B, 1, n): torque by the laws, filtered as the measurement is."""
         many = np.atleast_2d(parameters)
-        out = np.empty((len(many), 1, self.measured.shape[1]))
-        for k, vector in enumerate(many):
-            torque = np.empty(len(self._x))
-            required_torque_Nm(vector, self._x, self._v, self._a, self._period_s, torque)
-            out[k, 0] = self._smooth(torque)[:: self.every]
-        return out
+        torque = np.empty((len(many), len(self._x)))
+        for vector, out in zip(many, torque, strict=True):
+            required_torque_Nm(vector, self._x, self._v, self._a, self._period_s, out)
+        return self._filter.smooth(torque)[:, None, :: self.every]

@@ -57,6 +57,10 @@ class Predictor(Protocol):
     def imitation(self) -> Imitation | None:
         """How the web was imitated; None where a web was there."""
 
+    @property
+    def narrower(self) -> Predictor | None:
+        """The same in half the band of frequencies; None where all are compared."""
+
     def floor(self, signal: int) -> float:
         """Standard deviation of the noise of a signal, from the recording alone."""
 

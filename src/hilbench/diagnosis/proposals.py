@@ -25,6 +25,8 @@ _LEAST_CYCLES: Final = 4.0
 _HIGHEST_ORDER: Final = 64.0
 _LEAST_SHARE_OF_A_TURN: Final = 0.5  #: of the roller's
 _HIGHEST_ORDER_OF_A_SCREW: Final = 1e4
+#: Turns from which whole orders can be told apart.
+_RESOLVED: Final = 4.0
 #: Times of a step that are simulated at first, and among how many that can be told apart it was chosen.
 _COARSE: Final = 24
 _TIMES: Final = 100.0
@@ -184,7 +186,7 @@ class Proposer:
         late a machine answers changes with its speed, which moves a spectrum's peak; the response knows of it, and
         turned along the angle (or time) it stands for the orders nearby.
         """
-        name, angle = self._angle_rad(term, every)
+        name, angle = self.searched_angle_rad(term, every)
         if name is None:
             return term
         sine, cosine = response
@@ -202,7 +204,7 @@ class Proposer:
         best = int(np.argmax(np.where(possible, gain, -np.inf)))
         return replace(term, values={**term.values, name: term.values[name] + float(shifts[best])})
 
-    def _angle_rad(self, term: Term, every: int) -> tuple[str | None, Array]:
+    def searched_angle_rad(self, term: Term, every: int) -> tuple[str | None, Array]:
         """What the searched shape of a term multiplies, for each row; None for a term without one."""
         probe = term.effect.probe
         if probe is not None and probe.over is ProbeOver.MOTOR_ANGLE and term.axis is not None:
@@ -210,6 +212,22 @@ class Proposer:
         if probe is not None and probe.over is ProbeOver.TIME:
             return probe.parameter, _TURN * self._data.t_s[::every]
         return None, np.empty(0)
+
+    def at_whole_orders(self, term: Term) -> list[Term]:
+        """A term with an order at the nearest whole number of times a turn, of the motor and of what it drives, and
+        held there; none where the recording does not tell such orders apart."""
+        probe = term.effect.probe
+        if probe is None or probe.over is not ProbeOver.MOTOR_ANGLE or term.axis is None:
+            return []
+        order, turns = term.values[probe.parameter], self._turns(term.axis)
+        found = []
+        for per_turn in {1.0, 1.0 / self._model.gear_ratio(term.axis)}:
+            whole = round(order / per_turn) * per_turn
+            if whole > 0.0 and per_turn * turns > _RESOLVED:
+                found.append(
+                    replace(term, values={**term.values, probe.parameter: whole}, held=frozenset({probe.parameter}))
+                )
+        return found
 
     @staticmethod
     def _peaks(
@@ -295,7 +313,7 @@ class Proposer:
             return []
         angle = self._data.x_m[axis][::every] * self._model.motor_rad_per_m(axis) / _TURN
         top = _HIGHEST_ORDER
-        if self._data.commands_m_s.size == 0:  # a lone axis may be a screw: its turn is not the "motor's" of the model
+        if self._data.commands_m_s.size == 0 and turns < _RESOLVED:  # a screw's turn is not the "motor's" of the model
             top = _HIGHEST_ORDER_OF_A_SCREW
         orders, count = self._peaks(
             angle, whitened, [name for name in whitened if f"tau{axis}_Nm" in name], self._least_order(axis), top

@@ -1,4 +1,6 @@
-"""Which terms the data ask for: stepwise, earlier choices tested again, judged on stretches that no fit has seen.
+"""Which terms the data ask for where a right model leaves noise alone.
+
+Stepwise, earlier choices tested again, judged on stretches that no fit has seen.
 
 At each step every candidate's response is simulated once; the Gram matrix then says what any one or two of them would
 explain. The best few are fitted in full, jointly with what is there. A term stays when the criterion (sum of squares of
@@ -33,9 +35,9 @@ Announce = Callable[[str, float], None]
 Key = tuple[str, int | None, int, str | None]
 Place = tuple[str, int | None]
 
-#: Most effects that are named: where a right model leaves noise alone, three that leave more are none of them right,
-#: and many small ones together are a series expansion of something else.
-_MOST_TERMS, _MOST_ROUGH_TERMS = 3, 6
+#: Most effects that are named: three that leave more than noise are none of them right, and many small ones together
+#: are a series expansion of something else.
+_MOST_TERMS: Final = 3
 #: Candidates (and pairs of them) that are fitted in full at a step.
 _CONTENDERS, _PAIRS = 4, 2
 #: Singles from which pairs are made.
@@ -50,8 +52,6 @@ _OBSERVABLE: Final = 30.0
 _TRUSTED: Final = 1.8
 #: Standard deviations of its mean square from which a whitened signal is more than noise.
 _CALM: Final = 5.0
-#: Share of the held-out sum of squares by which it must fall where residuals are never noise alone.
-_LEAST_SHARE: Final = 0.01
 #: Difference of the criterion up to which two explanations are tied, as for BIC.
 _TIED: Final = 6.0
 #: The same up to which a step of E is not given up for what the vocabulary does not have.
@@ -130,25 +130,23 @@ class Search:
     def run(self) -> Selection:
         """Add terms while that pays, then test again what is there.
 
-        Where a right model leaves white noise the search may end early: nothing is left that a candidate promises to
-        explain, and nothing that none can. Elsewhere something is always left, and the number of terms ends it.
+        It ends early where nothing is left that a candidate promises to explain, and nothing that none can.
         """
         current = self._fit_of([])
         offered = self._candidates(current)
-        steps = _MOST_TERMS if self._space.predictor.exact else _MOST_ROUGH_TERMS
-        for depth in range(steps):
-            self._announce(f"step {depth + 1}: {len(offered.candidates)} candidates", 0.1 + 0.7 * depth / steps)
+        for depth in range(_MOST_TERMS):
+            self._announce(f"step {depth + 1}: {len(offered.candidates)} candidates", 0.1 + 0.7 * depth / _MOST_TERMS)
             best = self._best_addition(current, offered)
             if best is None:
                 break
             # An early term may have stood for two others that came later: it goes before the next is looked for.
             pruned = self._pruned(best, offered.whitening)
-            if len(pruned.terms) > steps:
+            if len(pruned.terms) > _MOST_TERMS:
                 return Selection(current, offered, self._samples, exhausted=True)
             current = pruned
             # Responses hardly change by a term more. Only where they promise something are they simulated anew.
             offered = self._carried_over(current, offered)
-            if self._space.predictor.exact and not self._promises(offered):
+            if not self._promises(offered):
                 break
             offered = self._candidates(current)
             current = self._again(current, offered.whitening)
@@ -281,10 +279,8 @@ class Search:
         return CandidateSet(offered.whitening, current.residual, own, candidates, responses)
 
     def _is_rough(self, current: Fit) -> bool:
-        """Whether far more than noise is left where a right model would leave noise alone, so that it was not found."""
+        """Whether far more than noise is left, so that the right model was not found."""
         space, rows = self._space, self._space.split.block >= 0
-        if not space.predictor.exact:
-            return False
         torques = [k for k, name in enumerate(space.predictor.names) if name.startswith("tau")]
         rms = np.sqrt(np.mean(current.residual[torques][:, rows] ** 2, axis=1))
         return bool(np.any(rms > LARGEST_RATIO * np.array([space.predictor.floor(k) for k in torques])))
@@ -316,11 +312,6 @@ class Search:
     # -- additions ---------------------------------------------------------------------------------------
 
     def _best_addition(self, current: Fit, offered: CandidateSet) -> Fit | None:
-        if not self._space.predictor.exact:
-            # The simple effects come first: see `Effect.removable`.
-            found = self._best_of(current, offered, self._ranked(offered, offered.residual, offered.own, simple=True))
-            if found is not None:
-                return found
         return self._best_of(current, offered, self._ranked(offered, offered.residual, offered.own))
 
     def _best_of(self, current: Fit, offered: CandidateSet, additions: list[list[Term]]) -> Fit | None:
@@ -365,27 +356,23 @@ class Search:
         return self._held_out_agrees(gain, 0.0)
 
     def _held_out_agrees(self, before: float, after: float) -> bool:
-        """Whether a fall of the sum of squares is beyond chance, and worth a name where there is never noise alone.
+        """Whether a fall of the sum of squares is beyond chance.
 
         The whitened noise has variance 1, so the standard error of a gain is 2·√gain.
         """
         gain = before - after
-        least = 0.0 if self._space.predictor.exact else _LEAST_SHARE * before
-        return gain > least and gain > _HELD_OUT_ERRORS * 2.0 * float(np.sqrt(max(gain, 0.0)))
+        return gain > 0.0 and gain > _HELD_OUT_ERRORS * 2.0 * float(np.sqrt(max(gain, 0.0)))
 
-    def _ranked(self, offered: CandidateSet, residual: Array, own: Array, *, simple: bool = False) -> list[list[Term]]:
+    def _ranked(self, offered: CandidateSet, residual: Array, own: Array) -> list[list[Term]]:
         """Candidates, and pairs, that promise most; with start values.
 
-        residual: raw (signals, n); own: raw columns (J, signals, n) of the terms that are there. simple: only effects
-        that are kept.
+        residual: raw (signals, n); own: raw columns (J, signals, n) of the terms that are there.
         """
         problem, groups = self._linear(offered, residual, own)
         mine = list(range(len(own)))
         base = problem.gain(mine)[0]
         singles = []
         for k in range(len(groups)):
-            if simple and offered.candidates[k].effect.removable:
-                continue
             started = self._started(offered, problem, mine, [k], groups)
             if started is not None:
                 gain, terms = started
@@ -448,7 +435,7 @@ class Search:
             fewer = []
             for k in range(len(current.terms)):
                 rest = current.terms[:k] + current.terms[k + 1 :]
-                if not self._stays(current.terms[k]) and self._removable(current, k):
+                if self._removable(current, k):
                     found = fit(self._space, white, rest, worth=here - price(rest, self._samples))
                     fewer.append((found.train + price(rest, self._samples), found))
             better = min(fewer, key=lambda item: item[0], default=None)
@@ -456,10 +443,6 @@ class Search:
                 break
             current = better[1]
         return current
-
-    def _stays(self, term: Term) -> bool:
-        """Whether a term is kept even where others make it superfluous."""
-        return not self._space.predictor.exact and not term.effect.removable
 
     def _removable(self, current: Fit, k: int) -> bool:
         """Whether term k may be superfluous, by Wald's statistic: only then a fit without it is worth its time.
@@ -499,13 +482,9 @@ class Search:
                 "criterion_gain": without.train + price(rest, self._samples) - here,
                 "held_out_gain": without.test - current.test,
             }
-            superfluous = evidence[term.key]["criterion_gain"] <= 0.0
-            if superfluous and not self._stays(term):
+            if evidence[term.key]["criterion_gain"] <= 0.0:
                 offered = self._candidates(without)
                 return self._alternatives_tested(self._again(without, offered.whitening), offered)
-            if superfluous:  # kept all the same: what makes it superfluous is the term most like it
-                tied[term.key] = [self._closest(current, k)]
-                continue
             others = self._ranked(offered, without.residual, self._own_without(offered, current.terms, k))
             tied[term.key] = []
             # What was proposed beside a gradual change says nothing of a sudden one in its middle.
@@ -518,7 +497,7 @@ class Search:
                 found = fit(self._space, fine, [*rest, *terms], worth=close.train + _MARGIN - cost)
                 difference = found.train + found.test + cost - close.train - close.test
                 simpler = abs(difference) <= _TIED and _RANK[terms[0].effect.id] < _RANK[term.effect.id]
-                if (difference < -_TIED or simpler) and not self._stays(term):
+                if difference < -_TIED or simpler:
                     current = Fit(
                         [*found.terms[:k], found.terms[-1], *found.terms[k:-1]],
                         found.residual,
@@ -570,15 +549,6 @@ class Search:
             best = min(best, (square, float(theta[-1]), float(time_s)))
         close = sum(sums(space, white, current.residual))
         return best[0] - close, best[1], best[2]
-
-    @staticmethod
-    def _closest(current: Fit, k: int) -> Place:
-        """The place of the term whose strength is most correlated with that of term k."""
-        firsts = np.cumsum([0, *(len(term.coordinates()) for term in current.terms[:-1])])
-        deviations = np.sqrt(np.maximum(np.diag(current.covariance), 1e-300))
-        correlation = np.abs(current.covariance / np.outer(deviations, deviations))[firsts[k], firsts]
-        correlation[k] = -1.0
-        return current.terms[int(np.argmax(correlation))].place
 
     @staticmethod
     def _own_without(offered: CandidateSet, terms: list[Term], k: int) -> Array:

@@ -93,11 +93,6 @@ class Space:
         """Length of the recording."""
         return len(self.predictor.rows) * self.period_s * self.predictor.every
 
-    @property
-    def counted(self) -> NDArray[np.bool_]:
-        """Rows of a last fit: where noise is white those beside held-out stretches as well."""
-        return self.predictor.rows if self.predictor.exact else self.split.block >= 0
-
     def residual(self, terms: list[Term]) -> Array:
         """Measured minus predicted, (signals, n)."""
         found: Array = self.residuals([terms])[0]

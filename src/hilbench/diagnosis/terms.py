@@ -43,6 +43,7 @@ class Term:
     aimed: bool = False  #: its time has been searched for
     least: Mapping[str, float] = field(default_factory=dict)  #: below which a shape can't be known from a recording
     part: str | None = None  #: of an effect with several strengths the one that this term is; the others are not its
+    held: frozenset[str] = frozenset()  #: shapes that are known and not fitted
 
     @property
     def key(self) -> tuple[str, int | None, int, str | None]:
@@ -101,7 +102,7 @@ class Term:
         return self.part or self.effect.strength[0]
 
     def _shapes(self) -> list[str]:
-        return [p.name for p in self.effect.parameters if p.name not in (*self.effect.strength, _PHASE)]
+        return [p.name for p in self.effect.parameters if p.name not in (*self.effect.strength, _PHASE, *self.held)]
 
     @property
     def own(self) -> dict[str, float]:

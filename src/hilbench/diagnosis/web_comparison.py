@@ -56,7 +56,7 @@ class _Side:
 
     def linearized(self, terms: list[Term]) -> tuple[Array, Array]:
         """Whitened derivatives (J, rows) by the coordinates of the terms, and the residual, on rows that count."""
-        white, rows, point = self.selection.candidates.whitening, self.space.counted, self.space.point(terms)
+        white, rows, point = self.selection.candidates.whitening, self.space.predictor.rows, self.space.point(terms)
         rest = white.apply(point.residual)[:, rows].ravel()
         return white.apply(point.derivatives)[:, :, rows].reshape(len(point.derivatives), len(rest)), rest
 

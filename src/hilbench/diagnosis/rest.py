@@ -1,0 +1,95 @@
+"""The rest that a fit leaves, as noise: its spectrum, and what that makes of the errors of the fitted coordinates.
+
+On a real axis something is always left, and it is never white: friction that wanders, a drive's ripple, what the model
+lacks. A coordinate is as uncertain as the rest is strong at the frequencies at which its response acts. The spectrum is
+estimated in bands, each corrected for what the fit itself has taken out of it (as in restricted maximum likelihood,
+Patterson and Thompson 1971); its uncertainty gives the degrees of freedom of each error (Satterthwaite 1946).
+
+How often the intervals hold: tests/diagnosis/test_measured_axis.py, docs/diagnosis.md.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import fdtrc, stdtrit
+
+Array = NDArray[np.float64]
+
+#: Ratio of the upper to the lower edge of a band, and degrees of freedom that a fit has to leave in each.
+_WIDTH: Final = 1.5
+_LEAST_FREEDOM: Final = 8.0
+
+
+@dataclass(frozen=True)
+class Uncertainty:
+    """Of fitted coordinates (J,), with the spectrum of the rest as noise."""
+
+    covariance: Array  #: (J, J)
+    freedom: Array  #: (J,) degrees of freedom of each variance
+
+    @property
+    def deviations(self) -> Array:
+        """Standard deviations (J,)."""
+        return np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+
+    def quantiles(self, probability: float) -> Array:
+        """Of each coordinate's error, in its standard deviations (J,), two-sided."""
+        return np.asarray(stdtrit(self.freedom, 0.5 + 0.5 * probability))
+
+    def chance(self, part: slice, moved: Array) -> float:
+        """Probability that coordinates that are neutral are found this far (p,) from there: Wald's statistic."""
+        wald = float(moved @ np.linalg.pinv(self.covariance[part, part]) @ moved) / len(moved)
+        return float(fdtrc(len(moved), float(np.min(self.freedom[part])), wald))
+
+
+def uncertainty(columns: Array, residual: Array) -> Uncertainty:
+    """Of the coordinates that least squares finds with these columns.
+
+    columns: (J, signals, n), derivatives of the prediction by the coordinates; residual: (signals, n), what the fit
+    left; both in the units in which the sum of squares was least. Rows are taken as adjacent in time.
+    """
+    count, signals, n = columns.shape
+    if count == 0:
+        return Uncertainty(np.empty((0, 0)), np.empty(0))
+    flat = columns.reshape(count, -1)
+    size = np.sqrt(np.maximum(np.einsum("ij,ij->i", flat, flat), 1e-300))
+    flat = flat / size[:, None]
+    inverse = np.linalg.pinv(flat @ flat.T, rcond=1e-12, hermitian=True)
+    covariance, squares = np.zeros((count, count)), np.zeros(count)
+    weights = np.full(n // 2 + 1, 2.0 / n)
+    weights[0] = 1.0 / n
+    if n % 2 == 0:
+        weights[-1] = 1.0 / n
+    for signal in range(signals):
+        spectra = np.fft.rfft(flat.reshape(count, signals, n)[:, signal], axis=-1)
+        power = np.abs(np.fft.rfft(residual[signal])) ** 2 * weights
+        taken = np.real(np.einsum("jf,jk,kf->f", spectra.conj(), inverse, spectra)) * weights
+        free = n * weights - taken
+        edges = _edges(free)
+        for low, high in pairwise(edges):
+            left = max(float(np.sum(free[low:high])), 1.0)
+            band = spectra[:, low:high]
+            part = inverse @ np.real((band * weights[low:high]) @ band.conj().T) @ inverse
+            part *= float(np.sum(power[low:high])) / left
+            covariance += part
+            squares += np.diag(part) ** 2 / left
+    freedom = np.diag(covariance) ** 2 / np.maximum(squares, 1e-300)
+    return Uncertainty(covariance / np.outer(size, size), np.maximum(freedom, 1.0))
+
+
+def _edges(free: Array) -> list[int]:
+    """Edges of bands over the bins of a spectrum, from how many degrees of freedom (bins,) the fit has left in each."""
+    edges, total = [0], np.concatenate([[0.0], np.cumsum(free)])
+    while edges[-1] < len(free):
+        first = edges[-1]
+        enough = int(np.searchsorted(total, total[first] + _LEAST_FREEDOM))
+        edges.append(max(enough, int(_WIDTH * first), first + 1))
+    edges[-1] = len(free)
+    if len(edges) > 2 and total[-1] - total[edges[-2]] < _LEAST_FREEDOM:
+        del edges[-2]
+    return edges

@@ -1,0 +1,84 @@
+"""A servo axis on a stand, simulated with other equations than the product's: LuGre friction, loops that nobody has
+told of, an encoder's counts, torque with noise and a friction that wanders. All repeats at once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilbench.plant.web_line.parameters import ModelParameters
+from hilbench.results.recording import Recording
+
+Array = NDArray[np.float64]
+
+_STEP_S, _EVERY = 2e-4, 5
+_TURN = 2.0 * np.pi
+#: Presliding stiffness, N·m/rad: Coulomb friction is built up over some 1e-3 rad.
+_BRISTLE = 40.0
+
+
+@dataclass(frozen=True)
+class Rig:
+    """A rotary axis; radius 1 m and gear 1 in its model make N be N·m."""
+
+    inertia_kg_m2: float = 2e-4
+    viscous_Nm_s: float = 3e-4
+    coulomb_Nm: float = 0.03
+    offset_Nm: float = -4e-3
+    ripple_Nm: float = 1.2e-3  #: 5 per turn
+    spring_Nm: float = 0.0  #: a torque that goes with the fourth power of the angle, at 60 rad
+    counts_per_turn: int = 10_000
+    wander_Nm: float = 2e-4  #: of the friction
+    noise_Nm: float = 1e-3
+    seconds: float = 10.0
+
+    def recordings(self, repeats: int, seed: int = 0) -> list[Recording]:
+        """Triangles of speed in both directions at 1 kHz, as often."""
+        rng = np.random.default_rng(seed)
+        steps = round(self.seconds / _STEP_S)
+        x, v, z, integral, wander = (np.zeros(repeats) for _ in range(5))
+        forget = _STEP_S / 0.5
+        rows = []
+        for k in range(steps):
+            t = k * _STEP_S
+            speed = _triangle(t)
+            error = speed - v
+            integral += 0.4 * error * _STEP_S
+            torque = np.clip(0.02 * error + integral, -0.3, 0.3)
+            z = np.clip(z + v * _STEP_S, -self.coulomb_Nm / _BRISTLE, self.coulomb_Nm / _BRISTLE)
+            wander += -forget * wander + self.wander_Nm * np.sqrt(2.0 * forget) * rng.standard_normal(repeats)
+            friction = _BRISTLE * z + self.viscous_Nm_s * v + wander + self.spring_Nm * (x / 60.0) ** 4
+            v = v + _STEP_S * (torque + self.ripple_Nm * np.sin(5.0 * x + 0.7) - friction) / self.inertia_kg_m2
+            x = x + _STEP_S * v
+            if k % _EVERY == 0:
+                rows.append((x.copy(), torque + self.offset_Nm + self.noise_Nm * rng.standard_normal(repeats)))
+        count = _TURN / self.counts_per_turn
+        t_s = np.arange(len(rows)) * _STEP_S * _EVERY
+        return [
+            Recording(
+                {
+                    "t_s": t_s,
+                    "x1_m": count * np.round(np.array([row[0][k] for row in rows]) / count),
+                    "tau1_Nm": np.array([row[1][k] for row in rows]),
+                },
+            )
+            for k in range(repeats)
+        ]
+
+
+def _triangle(t_s: float) -> float:
+    """Up to 60 rad/s and back in 4 s, then the other way, then standstill."""
+    return 30.0 * (2.0 - abs(t_s % 4.0 - 2.0)) * (1.0 if t_s < 4.0 else -1.0) if t_s < 8.0 else 0.0
+
+
+def axis_model(inertia_kg_m2: float) -> ModelParameters:
+    """What is known of the rig: an inertia, and no friction."""
+    return ModelParameters.model_validate(
+        {
+            "rollers": {"radius_m": 1.0, "inertia_kg_m2": inertia_kg_m2, "gear_ratio": 1.0},
+            "motors": {"inertia_kg_m2": 0.0},
+            "effects": [],
+        }
+    )

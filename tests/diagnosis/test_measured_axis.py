@@ -1,0 +1,154 @@
+"""Diagnosis on measured motion: what is certain of an axis on which something is always left unexplained."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+from tests import independent
+from tests.diagnosis.analytic import Axis
+from tests.diagnosis.axis_rig import Rig, axis_model
+from tests.plant.models import effect
+
+from hilbench.diagnosis.diagnosis import Diagnosis, diagnose
+from hilbench.diagnosis.measured import measured_from
+from hilbench.diagnosis.measured_motion import MotionFilter, OnMeasuredMotion
+from hilbench.diagnosis.rest import uncertainty
+from hilbench.diagnosis.select_measured import MeasuredSearch
+from hilbench.plant.effects import find_effect
+from hilbench.results.recording import Recording, read_recording
+
+SMOOTH = ("coulomb_friction", "viscous_friction", "friction_asymmetry", "torque_offset", "inertia_mismatch")
+#: Of the servo axis beside the checkout: plain, and with inertia, friction and dry friction fed forward as well.
+SERVO = {
+    "Jm": {"coulomb_friction", "viscous_friction", "torque_offset", "inertia_mismatch", "torque_ripple"},
+    "Bm": {"coulomb_friction", "viscous_friction", "torque_offset", "inertia_mismatch", "torque_ripple"},
+    "Fc": {"coulomb_friction", "torque_offset", "inertia_mismatch", "torque_ripple"},
+    "Fs": {"inertia_mismatch"},
+}
+
+
+@cache
+def repeats() -> list[Recording]:
+    return Rig().recordings(4)
+
+
+def names(found: Diagnosis) -> set[str]:
+    return {item.effect for item in found.effects}
+
+
+def value(found: Diagnosis, name: str) -> float:
+    (item,) = (item for item in found.effects if item.effect == name)
+    return item.parameters[find_effect(name).strength[0]].value
+
+
+def neutral_in_an_interval(found: Diagnosis) -> list[str]:
+    """Effects of which the interval of the strength contains what a model without the effect has."""
+    inside = []
+    for item in found.effects:
+        row = find_effect(item.effect)
+        for name in row.strength:
+            low, high = item.parameters[name].ci95
+            if low <= row.parameter(name).neutral <= high:
+                inside.append(item.effect)
+    return inside
+
+
+@pytest.mark.parametrize("known_inertia_kg_m2", [1e-4, 1.66e-4])
+def test_repeats_of_one_motion_of_an_axis_have_the_same_names_and_values(known_inertia_kg_m2: float) -> None:
+    rig = Rig()
+    for recording in repeats():
+        found = diagnose(recording, axis_model(known_inertia_kg_m2), "blind")
+        assert found.verdict == "named"
+        assert names(found) == SERVO["Jm"]
+        assert neutral_in_an_interval(found) == []
+        assert value(found, "coulomb_friction") == pytest.approx(rig.coulomb_Nm, rel=0.05)
+        assert value(found, "viscous_friction") == pytest.approx(rig.viscous_Nm_s, rel=0.08)
+        assert value(found, "torque_offset") == pytest.approx(rig.offset_Nm, rel=0.1)
+        assert value(found, "inertia_mismatch") == pytest.approx(
+            rig.inertia_kg_m2 / known_inertia_kg_m2 - 1.0, abs=0.06
+        )
+        (ripple,) = (item for item in found.effects if item.effect == "torque_ripple")
+        assert ripple.parameters["order"].value == 5.0
+
+
+def test_what_is_certain_is_listed_beside_a_rest_that_no_effect_explains() -> None:
+    (recording,) = Rig(spring_Nm=1e-3).recordings(1)
+    found = diagnose(recording, axis_model(1.66e-4), "blind")
+    assert found.verdict == "unknown"
+    assert "coulomb_friction" in names(found)
+    assert neutral_in_an_interval(found) == []
+    assert {entry.effect for entry in found.model.effects} == names(found)
+    assert found.unexplained
+
+
+def test_the_noise_of_an_encoder_does_not_make_an_inertia_smaller() -> None:
+    """A coarse encoder takes a narrower filter; a fixed one would let its counts into the acceleration."""
+    fine, coarse = (Rig(counts_per_turn=counts).recordings(1, seed=3)[0] for counts in (100_000, 2_000))
+    corners = []
+    for recording in (fine, coarse):
+        found = diagnose(recording, axis_model(1e-4), "blind")
+        assert value(found, "inertia_mismatch") == pytest.approx(1.0, abs=0.06)
+        corners.append(MotionFilter.for_position(np.asarray(recording["x1_m"]), 0.001).corner_hz)
+    assert corners[1] < 0.6 * corners[0]
+
+
+def test_intervals_hold_with_a_rest_of_any_colour() -> None:
+    """Least squares with red, white and narrow-band noise: 95 % intervals hold the truth in about 95 %."""
+    rng = np.random.default_rng(5)
+    n, seeds = 600, 400
+    t = np.arange(n) / n
+    columns = np.array([np.ones(n), 2.0 * t - 1.0, np.sign(np.sin(7.0 * t)), np.sin(40.0 * t)])[:, None, :]
+    inside = 0
+    for _ in range(seeds):
+        white = rng.standard_normal(n + 200)
+        red = np.convolve(white, np.exp(-np.arange(200) / 12.0), "valid")[:n] * 0.3
+        noise = red + 0.5 * rng.standard_normal(n) + np.sin(120.0 * t + rng.uniform(0.0, 6.3))
+        theta, *_ = np.linalg.lstsq(columns[:, 0].T, noise, rcond=None)
+        known = uncertainty(columns, (noise - theta @ columns[:, 0])[None])
+        inside += int(np.count_nonzero(np.abs(theta) <= known.deviations * known.quantiles(0.95)))
+    assert 0.93 <= inside / (4 * seeds) <= 0.975
+
+
+def test_friction_is_found_beside_what_is_not_in_the_vocabulary() -> None:
+    hidden = (
+        effect("coulomb_friction", 1, force_N=2.0),
+        effect("viscous_friction", 1, coefficient_N_s_per_m=3.0),
+        effect("torque_offset", 1, offset_Nm=0.5),
+    )
+    axis = Axis(*hidden, exact=False)
+    slow = 0.3 * np.sin(0.9 * axis.t_s) * np.cos(3.1 * axis.x_m)
+    axis.space.predictor.measured = axis.space.predictor.measured + slow
+    found = MeasuredSearch(axis.space, axis.proposer(*SMOOTH), lambda text, share: None).run()
+    values = {t.effect.id: t.values[t.effect.strength[0]] for t in found.fit.terms}
+    assert {"coulomb_friction", "torque_offset", "viscous_friction"} <= values.keys()
+    assert values["coulomb_friction"] == pytest.approx(2.0, rel=0.1)
+    assert values["viscous_friction"] == pytest.approx(3.0, rel=0.1)
+
+
+def test_where_no_fit_can_tell_two_effects_apart_they_are_tied() -> None:
+    """Forward only, b·v and d·|v| are one, and dry friction is an offset."""
+    axis = Axis(effect("viscous_friction", 1, coefficient_N_s_per_m=0.4), forward=True, exact=False)
+    found = MeasuredSearch(axis.space, axis.proposer(*SMOOTH), lambda text, share: None).run()
+    (term,) = found.fit.terms
+    assert term.effect.id == "viscous_friction"
+    assert ("friction_asymmetry", 1) in found.tied[term.key]
+
+
+def test_a_filter_shifts_nothing_in_time() -> None:
+    recording = repeats()[0]
+    predictor = OnMeasuredMotion(axis_model(2e-4), measured_from(recording, axis_model(2e-4), "blind"))
+    assert predictor.narrower.corner_hz == pytest.approx(0.5 * predictor.corner_hz)
+    pulse = np.zeros(2001)
+    pulse[1000] = 1.0
+    assert int(np.argmax(MotionFilter(20.0, 0.001).smooth(pulse))) == 1000
+
+
+@pytest.mark.parametrize(("kind", "repeat"), [("Jm", 1), ("Jm", 3), ("Bm", 2), ("Fc", 1), ("Fs", 2)])
+def test_a_real_servo_axis_has_its_friction_in_every_repeat(kind: str, repeat: int) -> None:
+    path = independent.real(f"servo/{kind}_{repeat:02d}")
+    found = diagnose(read_recording(path), axis_model(1.6588e-4), path)
+    assert names(found) == SERVO[kind]
+    assert neutral_in_an_interval(found) == []
+    assert found.verdict == ("unknown" if kind == "Fs" else "named")
