@@ -60,6 +60,8 @@ _NEAR: Final = 0.5
 _MOST_SIDE_BANDS: Final = 20.0
 #: Share of what any order explains from which a whole one is named instead.
 _WHOLE: Final = 0.75
+#: Standard deviation of the torque's size over its mean from which it changes by enough to tell what goes with it.
+_CHANGING: Final = 0.5
 #: Standard deviations by which what a narrower band finds may differ.
 _APART: Final = 3.5
 #: Additions that are fitted in full at a step.
@@ -282,10 +284,9 @@ class MeasuredSearch:
         return residual
 
     def _is_near_present(self, term: Term, current: Fit) -> bool:
-        name, _ = self._proposer.searched_angle_rad(term, self._space.predictor.every)
-        return name is not None and any(
-            other.place == term.place and abs(other.values[name] - term.values[name]) < _NEAR for other in current.terms
-        )
+        if not term.has_phase:
+            return False
+        return any(other.has_phase and abs(self._order(other) - self._order(term)) < _NEAR for other in current.terms)
 
     def _masked(self, values: Array) -> Array:
         """Values (…, n) with zeros in the rows that do not count."""
@@ -308,6 +309,11 @@ class MeasuredSearch:
         problem, groups = self._linear(offered.residual, own, offered)
         mine = list(range(len(own)))
         before, before_unseen = problem.left(mine)[0], problem.left_unseen(mine)
+        waves = [
+            (term, self._wave_gain(problem, mine, group))
+            for term, group in zip(offered.candidates, groups, strict=True)
+            if term.has_phase
+        ]
         offers = []
         for term, group in zip(offered.candidates, groups, strict=True):
             started = self._started(problem, mine, term, group)
@@ -320,6 +326,10 @@ class MeasuredSearch:
                 unseen = before_unseen - problem.left_unseen([*mine, *group])
             if unseen < 0.5 * least * before_unseen:
                 continue
+            if term.has_phase:
+                free = self._wave_gain(problem, mine, group)
+                if any(self._is_as_good_a_wave(other, gain, term, free) for other, gain in waves):
+                    continue
             free = problem.gain_by_stretch(mine, group) if term.has_phase else 0.0
             offers.append(_Offer(started[1], started[0], problem.own_share(group[0], mine), free))
         offers = [offer for offer in offers if not _is_beside_a_whole_order(offer, offers)]
@@ -328,6 +338,32 @@ class MeasuredSearch:
             if self._left_beside(found, current) < (1.0 - _least_share(offer.term)) * before:
                 return found
         return None
+
+    def _wave_gain(self, problem: _Linear, mine: list[int], group: list[int]) -> float:
+        """What a wave explains with free phases; where the size of the torque hardly changes with free amplitudes, too.
+
+        There what goes with the torque, and what goes with the direction, are one.
+        """
+        sizes = np.abs(self._counted(self._space.predictor.measured))
+        if np.all(np.std(sizes, axis=-1) < _CHANGING * np.mean(sizes, axis=-1)):
+            return problem.gain_by_stretch(mine, group)
+        return problem.gain_unseen_in_phase(mine, group)
+
+    def _is_as_good_a_wave(self, other: Term, gain: float, wave: Term, its: float) -> bool:
+        """Whether a simpler wave of the same order explains nearly as much when phases are free.
+
+        A loop that answers in another phase in each direction makes a wave look like one that goes with the torque.
+        """
+        if not wave.has_phase or _RANK[other.effect.id] >= _RANK[wave.effect.id]:
+            return False
+        return abs(self._order(other) - self._order(wave)) < _NEAR and gain >= _WHOLE * its
+
+    def _order(self, wave: Term) -> float:
+        """Times a turn of the motor; once a turn of what it drives where the law has no order."""
+        name, _ = self._proposer.searched_angle_rad(wave, self._space.predictor.every)
+        if name is not None:
+            return wave.values[name]
+        return 1.0 if wave.axis is None else 1.0 / self._space.model.gear_ratio(wave.axis)
 
     @staticmethod
     def _started(problem: _Linear, mine: list[int], term: Term, group: list[int]) -> tuple[float, Term] | None:
