@@ -182,6 +182,21 @@ def run(case: Recorded) -> Recorded:
     return case
 
 
+def is_visible(case: Recorded) -> bool:
+    """Whether what is hidden acts on anything that is recorded: not at a roller without torque, nor in a strain that no
+    position tells."""
+    if case.condition != "drawn":
+        return True
+    without = case.line.get("without", [])
+    at_blind_axis = "tau1_Nm" in without and any(
+        item["axis"] == 1 and item["effect"] != "roller_eccentricity" for item in case.hidden
+    )
+    in_strain = "x1_m" in without and any(
+        item["axis"] is None or item["effect"] in ("roller_eccentricity", "torque_scale") for item in case.hidden
+    )
+    return not (at_blind_axis or in_strain)
+
+
 def false_names(case: Recorded) -> int:
     """Effects that are named and neither hidden nor tied with what is."""
     if right(case) or case.kind == "unknown":
@@ -196,17 +211,18 @@ def false_names(case: Recorded) -> int:
 
 def summary(done: list[Recorded]) -> str:
     """Shares by condition or kind, coverage, and what was wrong."""
-    lines = ["| recorded | cases | right | false names |", "|---|--:|--:|--:|"]
+    lines = ["| recorded | cases | visible | right | false names |", "|---|--:|--:|--:|--:|"]
     for name in CONDITIONS:
         _row(lines, name, [case for case in done if case.condition == name])
     for kind in ("single", "pair", "nothing", "unknown"):
         _row(lines, f"drawn: {kind}", [case for case in done if case.condition == "drawn" and case.kind == kind])
-    covered = [c for case in done if right(case) for c in case.covered]
+    # Under the conditions all have the noise of one seed.
+    covered = [c for case in done if case.condition == "drawn" and right(case) for c in case.covered]
     if covered:
         lines.append(f"\n95 % intervals hold the true value in {100.0 * np.mean(covered):.1f} % of {len(covered)}")
     lines.append("")
     for case in done:
-        if not right(case):
+        if not right(case) and (is_visible(case) or false_names(case)):
             hidden = [
                 (i["effect"], i["axis"], *(float(f"{v:.3g}") for v in i["parameters"].values())) for i in case.hidden
             ]
@@ -223,7 +239,9 @@ def _short(values: Iterable[float]) -> list[float]:
 
 def _row(lines: list[str], name: str, mine: list[Recorded]) -> None:
     if mine:
-        lines.append(f"| {name} | {len(mine)} | {sum(map(right, mine))} | {sum(map(false_names, mine))} |")
+        seen = [case for case in mine if is_visible(case)]
+        false = sum(map(false_names, mine))
+        lines.append(f"| {name} | {len(mine)} | {len(seen)} | {sum(map(right, seen))} | {false} |")
 
 
 def main() -> None:

@@ -47,6 +47,8 @@ _TRANSPORTS: Final = 4.0
 #: Cycle in which commands change at most, s, and the share of the inertia that torques read in step with it can't tell.
 _COMMANDS_S: Final = 0.002
 _IN_STEP: Final = 0.007
+#: Time within a sample of a drive at which its torque may have been read, s.
+_READ_S: Final = 0.0005
 
 
 class LineOnMeasuredMotion:
@@ -116,11 +118,18 @@ class LineOnMeasuredMotion:
     def _at_rows(self, fine: Array) -> Array:
         return self._thinning.apply(fine, self._whole)
 
-    def _in_step(self) -> list[Array]:
-        """Of each torque the shape, in noise floors, of which only a share is known: that of the acceleration."""
+    def _in_step(self) -> list[list[Array]]:
+        """Of each torque the shapes, in noise floors, that are known only up to a share: it is read in step with the
+        drive's cycle (the acceleration), and at some time of a drive's sample (its own rate)."""
         shapes = [_IN_STEP * inertia(self._model, axis) * self._at_rows(self._a[:, axis - 1]) for axis in self._torques]
-        mixed = self._mixed @ np.array(shapes)
-        return [np.where(self.rows, shape / self._floors[k], 0.0) for k, shape in enumerate(mixed)]
+        needed = self._run(lay.pack(self._model)[None]).tau_Nm[0]
+        rates = np.gradient(needed, self._fine_s, axis=0)
+        late = [_READ_S * self._at_rows(rates[:, axis - 1]) for axis in self._torques]
+        mixed = [self._mixed @ np.array(rows) for rows in (shapes, late)]
+        found = []
+        for k in range(len(self._mixed)):
+            found.append([np.where(self.rows, rows[k] / self._floors[k], 0.0) for rows in mixed])
+        return found
 
     def _mix(self, signals: Array) -> Array:
         """(…, torques then tensions, n): of the torques what can be compared."""
@@ -134,11 +143,12 @@ class LineOnMeasuredMotion:
 
         The noise of a torque that is read in step with the drive's cycle has that shape beside the white one.
         """
-        for k, shape in enumerate(self._sampling):
-            square = float(shape @ shape)
-            if square > 0.0:
-                along = signals[..., k, :] @ shape / square
-                signals[..., k, :] -= (1.0 - 1.0 / np.sqrt(1.0 + square)) * along[..., None] * shape
+        for k, shapes in enumerate(self._sampling):
+            for shape in shapes:
+                square = float(shape @ shape)
+                if square > 0.0:
+                    along = signals[..., k, :] @ shape / square
+                    signals[..., k, :] -= (1.0 - 1.0 / np.sqrt(1.0 + square)) * along[..., None] * shape
         return signals
 
     def loops(self) -> list[Loop]:

@@ -66,6 +66,7 @@ class Proposer:
         speeds = [np.abs(v) for v in data.v_m_s.values()] + [np.abs(data.commands_m_s).ravel()]
         if data.commands_m_s.size == 0 and not data.v_m_s:
             speeds.append(np.abs(np.diff(data.x_m[1])) / data.period_s)
+        self._usual_m_s = float(np.median(np.concatenate([v for v in speeds[-2:] if v.size] or [np.ones(1)])))
         self._top_m_s = max((float(np.max(v)) for v in speeds if v.size), default=1.0)
         self._torque_Nm = max(float(np.sqrt(np.mean(tau**2))) for tau in data.tau_Nm.values())
 
@@ -252,17 +253,19 @@ class Proposer:
         """The effects that come at a time that is searched for, and go again."""
         return self._over(ProbeOver.PASSAGE)
 
-    def passage_times_s(self, whitened: dict[str, Array], rows: NDArray[np.bool_]) -> tuple[Array, float]:
+    def passage_times_s(
+        self, whitened: dict[str, Array], rows: NDArray[np.bool_], every: int = 1
+    ) -> tuple[Array, float]:
         """Times at which something may have come, and how far they are apart, s; none where no while stands out.
 
-        whitened: residuals (n,) by signal; rows (n,): those that count. A while is as long as the web needs through a
-        span; what passes in it has come somewhere in the one before.
+        whitened: residuals (n,) by signal; rows (n,): those that count; every: rows of the recording per row.
+        A while is as long as the web needs through a span; what passes in it has come somewhere in the one before.
         """
-        while_s = self._model.span_length_m(1) / max(float(np.median(np.abs(self._data.commands_m_s))), 1e-3)
-        window = max(8, round(while_s / self._data.period_s))
-        every, usable = np.ones(window), np.asarray(rows, np.float64)
-        power = np.convolve(sum(values**2 for values in whitened.values()) * usable, every, "same")
-        count = np.convolve(usable, every, "same") * len(whitened)
+        while_s = self._model.span_length_m(1) / max(self._usual_m_s, 1e-3)
+        window = max(8, round(while_s / (self._data.period_s * every)))
+        alike, usable = np.ones(window), np.asarray(rows, np.float64)
+        power = np.convolve(sum(values**2 for values in whitened.values()) * usable, alike, "same")
+        count = np.convolve(usable, alike, "same") * len(whitened)
         mean = np.where(count > 0.5 * window, power / np.maximum(count, 1.0), 0.0)
         usual = float(np.median(mean[mean > 0.0])) if np.any(mean > 0.0) else 1.0
         step_s, times = while_s / _AROUND_A_BURST, []
@@ -270,7 +273,7 @@ class Proposer:
             at = int(np.argmax(mean))
             if mean[at] <= usual * (1.0 + _OUTSTANDING * float(np.sqrt(2.0 / (window * len(whitened))))):
                 break
-            times += [self._data.t_s[at] + k * step_s for k in range(-2 * _AROUND_A_BURST, 2)]
+            times += [self._data.t_s[at * every] + k * step_s for k in range(-2 * _AROUND_A_BURST, 2)]
             mean[max(at - 2 * window, 0) : at + 2 * window] = 0.0
         return np.unique([time for time in times if time > 0.0]), step_s
 
@@ -313,7 +316,7 @@ class Proposer:
             return []
         angle = self._data.x_m[axis][::every] * self._model.motor_rad_per_m(axis) / _TURN
         top = _HIGHEST_ORDER
-        if self._data.commands_m_s.size == 0 and turns < _RESOLVED:  # a screw's turn is not the "motor's" of the model
+        if self._model.web is None and turns < _RESOLVED:  # a screw's turn is not the "motor's" of the model
             top = _HIGHEST_ORDER_OF_A_SCREW
         orders, count = self._peaks(
             angle, whitened, [name for name in whitened if f"tau{axis}_Nm" in name], self._least_order(axis), top

@@ -201,7 +201,7 @@ class Search:
         effects = self._proposer.passing()
         if not effects or not self._space.predictor.exact:
             return []
-        times, apart_s = self._proposer.passage_times_s(whitened, self._space.split.block >= 0)
+        times, apart_s = self._proposer.passage_times_s(whitened, self._space.split.block >= 0, self._every)
         if not len(times):
             return []
         return [term for effect in effects for term in self._changes_by(effect, current, white, times, apart_s)]
