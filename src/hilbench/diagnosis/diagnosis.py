@@ -170,6 +170,14 @@ def diagnose(
     announce("simulate the model", 0.02)
     data = measured_from(recording, model, place)
     chosen = choice(model, data, imitation)
+    if chosen.simpler is not None:
+        found = _predicted_by(chosen.simpler, model, data, announce)
+        if found.verdict != "unknown":
+            return found
+    return _predicted_by(chosen, model, data, announce)
+
+
+def _predicted_by(chosen: Choice, model: ModelParameters, data: Measured, announce: Announce) -> Diagnosis:
     predictor = chosen.predictor
     space = Space(model, predictor, data.period_s)
     proposer = Proposer(model, data)

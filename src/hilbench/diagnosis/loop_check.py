@@ -37,6 +37,8 @@ _LIMITED: Final = 0.95
 #: and motion say of it may differ.
 _LEAST_SHARE: Final = 0.03
 _SAME: Final = 0.2
+#: Share by which gains may be off the model's to count as the same beside a lag.
+_GAINS: Final = 0.03
 _NORMAL_95: Final = 1.96
 #: Deviations by which a gain or lag must be off the model's: several are looked at on every axis.
 _CERTAIN: Final = 4.0
@@ -66,6 +68,20 @@ class Loop:
     def is_understood(self) -> bool:
         """Whether any loops of this kind explain the torque."""
         return self.ratio < _UNDERSTOOD
+
+    def is_only_late(self, model: ModelParameters) -> bool:
+        """Whether its gains are the model's, and nothing but a lag tells it from the model's."""
+        drives = model.drives
+        if drives is None or not self.is_understood:
+            return False
+        kp, ki = (
+            per_item(drives.velocity_kp_Nm_s_per_rad, self.axis),
+            per_item(drives.velocity_ki_Nm_per_rad, self.axis),
+        )
+        off_kp, off_ki = abs(self.kp_Nm_s_per_rad - kp), abs(self.ki_Nm_per_rad - ki)
+        return max(off_kp / kp, off_ki / ki) < _GAINS or (
+            off_kp < _CERTAIN * self.kp_deviation and off_ki < _CERTAIN * self.ki_deviation
+        )
 
 
 @dataclass(frozen=True)

@@ -31,6 +31,8 @@ _NOISE_SHARE: Final = 1e-3
 _HIGHEST_HZ, _LOWEST_HZ, _FINER = 60.0, 5.0, 0.9
 #: How far the filter smears what happens at standstill, in periods of its corner.
 _REACH: Final = 1.5
+#: How much is left out on either side of rows that are missing, s.
+_AROUND_A_GAP_S: Final = 0.08
 #: Corner as a share of the Nyquist frequency, and rows per period of it.
 _OF_NYQUIST, _ROWS_PER_PERIOD = 0.8, 4.0
 
@@ -116,9 +118,10 @@ class OnMeasuredMotion:
         return OnMeasuredMotion(self._model, self._data, MotionFilter(0.5 * self.corner_hz, self._period_s))
 
     def _moving(self) -> NDArray[np.bool_]:
-        """(n,): where the axis moves, and no standstill or end of the recording is within reach of the filter."""
+        """(n,): where the axis moves, and no standstill, gap or end of the recording is within reach of the filter."""
         usual = float(np.quantile(np.abs(self._v), 0.99))
         stands = np.abs(self._v) < max(_STANDSTILL_M_S, _STANDSTILL_SHARE * usual)
+        stands |= ~self._data.usable(_AROUND_A_GAP_S)
         stands[[0, -1]] = True
         return ~binary_dilation(stands, iterations=round(_REACH / self.corner_hz / self._period_s))
 

@@ -78,6 +78,7 @@ class Choice:
     predictor: Predictor
     basis: str  #: for a person
     loops: list[Loop] = field(default_factory=list)  #: of the axes on which they could be looked at
+    simpler: Choice | None = None  #: to be believed instead where it leaves nothing unexplained
 
 
 def choice(model: ModelParameters, data: Measured, imitation: Imitation | None = None) -> Choice:
@@ -106,7 +107,10 @@ def choice(model: ModelParameters, data: Measured, imitation: Imitation | None =
         return Choice(FreeRun(model, data), commands, loops)
     why = "the drives' loops are not those of the model" if loops else "nothing tells the drives' loops"
     if motion.knows_strain or len(data.tau_Nm) == 2:
-        return Choice(motion, f"measured motion: {why}{_blind(motion)}", loops)
+        # A torque that is recorded late looks like a lag of its loop; what moves by the model's loops has them.
+        only_late = bool(loops) and all(loop.is_known or loop.is_only_late(model) for loop in loops)
+        simpler = Choice(FreeRun(model, data), commands) if only_late else None
+        return Choice(motion, f"measured motion: {why}{_blind(motion)}", loops, simpler)
     others = [loop for loop in loops if loop.is_understood and not loop.is_known]
     return Choice(FreeRun(model, data, loops=others), f"{commands}, with the loops that the drives show", loops)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, get_args, get_origin
 
 import yaml
 from pydantic import BaseModel
@@ -73,12 +73,22 @@ def _first_line(block: BaseModel) -> str:
 
 def _plain(value: Any) -> Any:
     if isinstance(value, BaseModel):
-        return value.model_dump(mode="json", exclude_none=True, exclude_defaults=True)
+        return _tag(value) | value.model_dump(mode="json", exclude_none=True, exclude_defaults=True)
     if isinstance(value, Path):
         return value.as_posix()
     if isinstance(value, Mapping):
         return {key: _plain(entry) for key, entry in value.items()}
     return [_plain(entry) for entry in value] if isinstance(value, Sequence) and not isinstance(value, str) else value
+
+
+def _tag(block: BaseModel) -> dict[str, Any]:
+    """What says which kind of block it is: the keys that can have one value only, which is their default."""
+    fields = type(block).model_fields
+    return {
+        name: getattr(block, name)
+        for name, field in fields.items()
+        if get_origin(field.annotation) is Literal and len(get_args(field.annotation)) == 1
+    }
 
 
 def _flow(value: Any) -> str:
