@@ -1,0 +1,162 @@
+"""What the diagnosis finds on recordings of real axes, beside what is known of them.
+
+    diagnose_rigs.py FOLDER [--only NAME] [--docs FILE]
+
+FOLDER holds one folder a rig (`servo`, `emps`, `motor_pair`, `friction_damper`, `double_pendulum`, `robot_joint`), in
+it gzip CSV as their sources have published them; none of it is kept in this repository. Of rotary axes an angle stands
+for the position: with a radius of 1 m and no gear N·m are N. `--docs` writes the table, and what is wrong, into the
+page.
+"""
+
+from __future__ import annotations
+
+import argparse
+import gzip
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import docs_page
+import numpy as np
+
+from hilbench.diagnosis.diagnosis import Diagnosis, diagnose
+from hilbench.plant.effects import find_effect
+from hilbench.plant.web_line.parameters import ModelParameters
+from hilbench.results.recording import Recording
+
+_FRICTION = frozenset({"coulomb_friction", "viscous_friction"})
+_SERVO = _FRICTION | {"torque_offset", "inertia_mismatch"}
+
+
+@dataclass(frozen=True)
+class Rig:
+    """One rig: its files, what of them is time, position and torque, and what is known."""
+
+    name: str
+    files: str
+    columns: tuple[str, str, str]
+    inertia: float  #: kg·m², or kg of a linear axis; what its model says
+    must: frozenset[str]  #: effects that are known to be there
+    may: frozenset[str]  #: effects that are there, and may be too small to be certain
+    known: str
+
+
+RIGS = (
+    Rig(
+        "servo Jm", "servo/Jm*", ("t_s", "x1_m", "tau1_Nm"), 1.6588e-4, _SERVO, frozenset({"torque_ripple"}),
+        "J 1.95e-4, viscous 3.31e-4, Coulomb 0.0304, offset -3.8e-3, orders 5 and 10",
+    ),
+    Rig(
+        "servo Bm", "servo/Bm*", ("t_s", "x1_m", "tau1_Nm"), 1.6588e-4, _SERVO, frozenset({"torque_ripple"}),
+        "inertia fed forward: the recorded torque lacks it",
+    ),
+    Rig(
+        "servo Fc", "servo/Fc*", ("t_s", "x1_m", "tau1_Nm"), 1.6588e-4, _SERVO - {"viscous_friction"},
+        frozenset({"torque_ripple"}), "inertia and viscous friction fed forward",
+    ),
+    Rig(
+        "servo Fs", "servo/Fs*", ("t_s", "x1_m", "tau1_Nm"), 1.6588e-4, frozenset({"inertia_mismatch"}),
+        frozenset({"torque_ripple"}), "inertia, viscous and dry friction fed forward",
+    ),
+    Rig(
+        "EMPS", "emps/*", ("t_s", "x1_m", "tau1_Nm"), 95.1089, _FRICTION,
+        frozenset({"torque_offset", "friction_asymmetry", "stribeck_friction", "torque_ripple"}),
+        "viscous 203.5, Coulomb 20.4, offset -3.2 (Janot, Gautier, Brunot)",
+    ),
+    Rig(
+        "motor pair", "motor_pair/*", ("t_s", "x1_m", "tau1_Nm"), 1.2e-4, _FRICTION, frozenset({"inertia_mismatch"}),
+        "one direction in a file: Coulomb and offset are tied",
+    ),
+    Rig(
+        "friction damper", "friction_damper/*", ("t_s", "x_m", "force_N"), 1e-3,
+        frozenset({"coulomb_friction", "backlash"}), _FRICTION | {"torque_offset"}, "Coulomb and backlash",
+    ),
+    Rig(
+        "pendulum, joint 2", "double_pendulum/*", ("time", "pos_meas2", "tau_meas2"), 1e-2,
+        frozenset({"coulomb_friction", "unbalance"}), _SERVO, "Coulomb 0.11 to 0.12, gravity",
+    ),
+    Rig(
+        "robot joint", "robot_joint/case*", ("time", "q", "tau_J"), 1e-3, _FRICTION,
+        frozenset({"stribeck_friction", "torque_offset", "friction_asymmetry", "inertia_mismatch"}),
+        "presliding friction",
+    ),
+)  # fmt: skip
+
+
+def recording(path: Path, columns: tuple[str, str, str]) -> Recording:
+    """The columns of a file, which begin with these names or hold them; times made even."""
+    with gzip.open(path, "rt", encoding="utf-8") as file:
+        names = file.readline().strip().split(",")
+        table = np.genfromtxt(file, delimiter=",")
+    found = [next(k for k, name in enumerate(names) if name == want or want in name) for want in columns]
+    t, x, torque = table[:, found].T
+    period = float(np.median(np.diff(t)))
+    even = np.arange(t[0], t[-1], period)
+    return Recording({"t_s": even - t[0], "x1_m": np.interp(even, t, x), "tau1_Nm": np.interp(even, t, torque)})
+
+
+def model(inertia: float) -> ModelParameters:
+    """Of a lone axis of which nothing but the inertia is known."""
+    rollers = {"radius_m": 1.0, "inertia_kg_m2": inertia, "gear_ratio": 1.0}
+    return ModelParameters.model_validate({"rollers": rollers, "motors": {"inertia_kg_m2": 0.0}, "effects": []})
+
+
+def problems(rig: Rig, found: Diagnosis) -> Iterator[str]:
+    """What is wrong with a diagnosis, by what is known of the rig."""
+    names = {item.effect for item in found.effects}
+    tied = {name for item in found.effects for name in item.tied_with}
+    if lacking := rig.must - names - tied:
+        yield f"not found: {', '.join(sorted(lacking))}"
+    if false := names - rig.must - rig.may:
+        yield f"not there, or not known: {', '.join(sorted(false))}"
+    for item in found.effects:
+        row = find_effect(item.effect)
+        for name in set(row.strength) & item.parameters.keys():
+            low, high = item.parameters[name].ci95
+            if low <= row.parameter(name).neutral <= high:
+                yield f"{item.effect}: the interval of {name} contains its neutral value"
+
+
+def _said(found: Diagnosis) -> str:
+    words = []
+    for item in found.effects:
+        name = next(iter(item.parameters))
+        value = item.parameters[name]
+        half = 0.5 * (value.ci95[1] - value.ci95[0])
+        order = f" (order {item.parameters['order'].value:.4g})" if "order" in item.parameters else ""
+        tied = f", tied with {', '.join(item.tied_with)}" if item.tied_with else ""
+        words.append(f"{item.effect}{order} {value.value:.3g} ± {half:.1g}{tied}")
+    return "; ".join(words) or "nothing"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--only", default="", help="rigs whose name has this")
+    parser.add_argument("--docs", type=Path)
+    options = parser.parse_args()
+    rows, wrong = [], []
+    for rig in (rig for rig in RIGS if options.only in rig.name):
+        for path in sorted(options.folder.glob(f"{rig.files}.csv.gz")):
+            data, began = recording(path, rig.columns), time.monotonic()
+            found = diagnose(data, model(rig.inertia), path)
+            share = 100.0 * found.gap.after / float(np.std(np.asarray(data["tau1_Nm"])))
+            said = (
+                f"| {rig.name} | {path.name.removesuffix('.csv.gz')} | {found.verdict} | {_said(found)} | {share:.1f} |"
+            )
+            rows.append(f"{said} {rig.known} |")
+            print(rows[-1], f"{time.monotonic() - began:.0f} s", flush=True)
+            wrong += [f"{rig.name}, {path.name}: {problem}" for problem in problems(rig, found)]
+    head = [
+        "| rig | recording | verdict | found (first parameter, 95 %) | left, % | known |",
+        "|---|---|---|---|--:|---|",
+    ]
+    text = "\n".join([*head, *rows, "", *(f"- wrong: {one}" for one in wrong)])
+    print("\n".join(wrong) or "nothing is wrong")
+    if options.docs is not None:
+        docs_page.put(options.docs, "rigs", text)
+
+
+if __name__ == "__main__":
+    main()
