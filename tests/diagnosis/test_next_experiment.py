@@ -14,7 +14,7 @@ from tests.plant.models import effect, lone_axis, model
 
 from hilbench.diagnosis.diagnosis import Diagnosis, Gap, NamedEffect, Unobservable, Value
 from hilbench.diagnosis.imitated import imitation_of
-from hilbench.diagnosis.next_experiment import LONGEST_S, Reach, duration_s, moves, propose, write_steps
+from hilbench.diagnosis.web_next_experiment import LONGEST_S, Reach, duration_s, moves, propose, write_steps
 from hilbench.plant.effects import find_effect
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.runs.check import check_experiment

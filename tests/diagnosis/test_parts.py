@@ -10,7 +10,6 @@ from scipy.signal import lfilter
 from tests.plant.models import DEMONSTRATOR, effect, lone_axis, model
 
 from hilbench.diagnosis.diagnosis import Value
-from hilbench.diagnosis.free_run import FreeRun, between
 from hilbench.diagnosis.measured import measured_from
 from hilbench.diagnosis.misfit import Condition, located, misfits
 from hilbench.diagnosis.noise import floor, repeats, whitening
@@ -18,6 +17,7 @@ from hilbench.diagnosis.proposals import Proposer, peaks
 from hilbench.diagnosis.space import Linear, Split
 from hilbench.diagnosis.synthetic import hidden_recording
 from hilbench.diagnosis.terms import Term, extended, pack_with
+from hilbench.diagnosis.web_line.free_run import FreeRun, between
 from hilbench.plant.effects import MachineKind, effects_of, find_effect
 from hilbench.plant.parameters import EffectEntry
 from hilbench.plant.web_line import layout as lay

@@ -17,7 +17,7 @@ from hilbench.diagnosis.comparison import Run, compared
 from hilbench.diagnosis.diagnosis import Diagnosis, NamedEffect, diagnose
 from hilbench.diagnosis.imitated import imitation_beside, imitation_of
 from hilbench.diagnosis.live import LiveGap, live_gap, run_bench
-from hilbench.diagnosis.next_experiment import NextExperiment, Reach, Step, propose, write_steps
+from hilbench.diagnosis.web_next_experiment import NextExperiment, Reach, Step, propose, write_steps
 from hilbench.errors import BenchFaultError, UnusableInputError
 from hilbench.files import make_folder
 from hilbench.plant.web_line.imitation import Imitation

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.diagnosis.fit import Fit, around, fit, sums, time_profile
-from hilbench.diagnosis.loop_check import nuisance_of
 from hilbench.diagnosis.measured import Measured, measured_from
 from hilbench.diagnosis.misfit import LARGEST_RATIO, Condition, Misfit, located, misfits, ratios
 from hilbench.diagnosis.noise import Whitening, floor
@@ -24,6 +23,7 @@ from hilbench.diagnosis.select_measured import MeasuredSearch, uncertainty_of, w
 from hilbench.diagnosis.space import Space
 from hilbench.diagnosis.sparse_law import SparseLaw, law
 from hilbench.diagnosis.terms import Term, extended, pack_with
+from hilbench.diagnosis.web_line.loop_check import nuisance_of
 from hilbench.plant.effects import Effect, find_effect
 from hilbench.plant.web_line.imitation import Imitation
 from hilbench.plant.web_line.parameters import ModelParameters

@@ -8,12 +8,12 @@ from typing import Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.diagnosis.free_run import FreeRun
-from hilbench.diagnosis.line_on_measured_motion import LineOnMeasuredMotion
-from hilbench.diagnosis.loop_check import Loop
 from hilbench.diagnosis.measured import Measured
 from hilbench.diagnosis.measured_motion import OnMeasuredMotion
 from hilbench.diagnosis.misfit import Condition
+from hilbench.diagnosis.web_line.free_run import FreeRun
+from hilbench.diagnosis.web_line.loop_check import Loop
+from hilbench.diagnosis.web_line.on_measured_motion import LineOnMeasuredMotion
 from hilbench.plant.web_line.imitation import Imitation
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.rig import CoupledMotor

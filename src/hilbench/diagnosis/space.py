@@ -11,11 +11,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.diagnosis.free_run import FreeRun
-from hilbench.diagnosis.line_on_measured_motion import LineOnMeasuredMotion
 from hilbench.diagnosis.noise import ORDER, Whitening, scaling, whitening
 from hilbench.diagnosis.predictor import Predictor
 from hilbench.diagnosis.terms import Term, pack_with
+from hilbench.diagnosis.web_line.free_run import FreeRun
+from hilbench.diagnosis.web_line.on_measured_motion import LineOnMeasuredMotion
 from hilbench.plant.web_line.parameters import ModelParameters
 
 Array = NDArray[np.float64]

@@ -13,11 +13,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.diagnosis.loop_check import Loop, Told, loop_of
 from hilbench.diagnosis.measured import Measured
 from hilbench.diagnosis.misfit import Condition
 from hilbench.diagnosis.noise import floor
 from hilbench.diagnosis.smooth_motion import Thinning, integrated, smoothed
+from hilbench.diagnosis.web_line.loop_check import Loop, Told, loop_of
 from hilbench.plant.parameters import per_item
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.laws import FRICTION_WIDTH_M_S

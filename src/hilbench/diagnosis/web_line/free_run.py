@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
-from hilbench.diagnosis.loop_check import Loop
 from hilbench.diagnosis.measured import Measured
 from hilbench.diagnosis.misfit import Condition
 from hilbench.diagnosis.noise import floor
+from hilbench.diagnosis.web_line.loop_check import Loop
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.imitation import Imitation, simulate_imitated
 from hilbench.plant.web_line.laws import FRICTION_WIDTH_M_S

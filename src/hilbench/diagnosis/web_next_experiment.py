@@ -15,8 +15,8 @@ import yaml
 from numpy.typing import NDArray
 
 from hilbench.diagnosis.diagnosis import Diagnosis, NamedEffect
-from hilbench.diagnosis.free_run import FreeRun
 from hilbench.diagnosis.measured import Measured
+from hilbench.diagnosis.web_line.free_run import FreeRun
 from hilbench.files import writing
 from hilbench.plant.effects import EFFECTS, Effect, find_effect
 from hilbench.plant.parameters import EffectEntry
