@@ -16,7 +16,7 @@ How often that is right: tools/diagnose_rigs.py, docs/diagnosis.md.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Final
@@ -470,7 +470,27 @@ class MeasuredSearch:
                 started = self._started(without, mine, other, group)
                 if started is not None and started[0] < (1.0 + _TIED) * here:
                     tied[term.key].append(other.place)
+            tied[term.key] += self._alike(current, term, here, offered, {*wandering, *tied[term.key]})
         return tied
+
+    def _alike(
+        self, current: Fit, term: Term, left: float, offered: CandidateSet, known: set[Place]
+    ) -> Iterator[Place]:
+        """Effects of which it is known that some recordings can't tell them from the term's, and these can't.
+
+        Beside the term their responses say nothing of it (what is fed forward goes with an inertia that the term has
+        taken away), so each is fitted in its place.
+        """
+        rest = [other for other in current.terms if other is not term]
+        for other in offered.candidates:
+            if other.place in known or other.place == term.place or other.axis != term.axis:
+                continue
+            if other.has_phase or not other.effect.is_alike(term.effect):
+                continue
+            instead = self._counted(self._fitted([*rest, other]).residual)
+            if float(np.sum(instead**2)) < (1.0 + _TIED) * left:
+                known.add(other.place)
+                yield other.place
 
     def _evidence(self, current: Fit) -> dict[Key, dict[str, float]]:
         if not current.terms:

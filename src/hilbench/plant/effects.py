@@ -252,6 +252,10 @@ class Effect:
                     return experiment
         return self.shown_by if self.shown_by == other.shown_by else f"{self.shown_by}; {other.shown_by}"
 
+    def is_alike(self, other: Effect) -> bool:
+        """Whether some recordings can't tell it from another effect."""
+        return other.id in dict(self.alike) or self.id in dict(other.alike)
+
     def in_kind(self, kind: MachineKind) -> Effect:
         """The row as a kind of machine has it. Raises ValueError for a kind that does not have the effect."""
         if kind not in self.kinds:
