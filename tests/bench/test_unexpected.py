@@ -13,10 +13,10 @@ from tests.cli.in_process import hilbench
 from hilbench.bench.lifecycle import in_process
 from hilbench.bench.operator.operator import Operator
 from hilbench.bench.operator.operator_objects import OperatorObjects
-from hilbench.bench.tasks.limits import LimitWatch
 from hilbench.bench.tasks.load_model import LoadModel
 from hilbench.bench.tasks.tension_control import TensionController
 from hilbench.bench.tasks.twin_connection import TwinConnection
+from hilbench.bench.tasks.web_limits import LimitWatch
 from hilbench.cia402.state_machine import State
 from hilbench.estimation.web_line.tracking import Tracking
 from hilbench.exchange.exchange import Exchange
