@@ -17,6 +17,7 @@ from typing import Any
 
 import pytest
 import yaml
+from tests.diagnosis.axis_rig import Rig
 from tests.docs.shown import ROOT, shown
 from typer.testing import CliRunner
 
@@ -109,6 +110,8 @@ def stand(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stand]:
     write_model(folder / "model.yaml", model)
     friction = EffectEntry(effect="coulomb_friction", axis=2, parameters={"force_N": 4.2})
     write_recording(hidden_recording(model, [friction], duration_s=12.0), folder / "blind.mf4")
+    for name, coulomb_Nm in (("before", 0.03), ("after", 0.04)):
+        write_recording(Rig(coulomb_Nm=coulomb_Nm).recordings(1)[0], folder / f"{name}.csv")
     (folder / "machine.csv").write_text("Zeit;M2\n0;1,5\n2;1,6\n4;1,4\n")
     columns = {"file": {"delimiter": ";", "decimal": ","}}
     columns["channels"] = {"t_s": {"column": "Zeit", "factor": "0.001"}, "tau2_Nm": "M2"}
