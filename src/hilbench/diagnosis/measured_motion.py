@@ -31,8 +31,6 @@ _NOISE_SHARE: Final = 1e-3
 _HIGHEST_HZ, _LOWEST_HZ, _FINER = 60.0, 5.0, 0.9
 #: How far the filter smears what happens at standstill, in periods of its corner.
 _REACH: Final = 1.5
-#: How much is left out on either side of rows that are missing, s.
-_AROUND_A_GAP_S: Final = 0.08
 #: Corner as a share of the Nyquist frequency, and rows per period of it.
 _OF_NYQUIST, _ROWS_PER_PERIOD = 0.8, 4.0
 
@@ -121,7 +119,7 @@ class OnMeasuredMotion:
         """(n,): where the axis moves, and no standstill, gap or end of the recording is within reach of the filter."""
         usual = float(np.quantile(np.abs(self._v), 0.99))
         stands = np.abs(self._v) < max(_STANDSTILL_M_S, _STANDSTILL_SHARE * usual)
-        stands |= ~self._data.usable(_AROUND_A_GAP_S)
+        stands |= _with_surroundings(~self._data.usable())
         stands[[0, -1]] = True
         return ~binary_dilation(stands, iterations=round(_REACH / self.corner_hz / self._period_s))
 
@@ -146,3 +144,12 @@ class OnMeasuredMotion:
         for vector, out in zip(many, torque, strict=True):
             required_torque_Nm(vector, self._x, self._v, self._a, self._period_s, out)
         return self._filter.smooth(torque)[:, None, :: self.every]
+
+
+def _with_surroundings(left_out: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """(n,): the rows left out, and as many on either side of each gap: the longer it is the worse it is bridged."""
+    found = left_out.copy()
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], left_out, [False]])))
+    for first, end in edges.reshape(-1, 2):
+        found[max(2 * first - end, 0) : 2 * end - first] = True
+    return found
