@@ -19,7 +19,7 @@ from scipy.stats import t as student
 from hilbench.diagnosis.diagnosis import Diagnosis, Gap, GapLocation, NamedEffect, Unobservable, Value
 from hilbench.diagnosis.measured import Measured
 from hilbench.diagnosis.misfit import located
-from hilbench.diagnosis.noise import repeats
+from hilbench.diagnosis.noise import repeats, rms
 from hilbench.diagnosis.predictor import Predictor, predictor_for
 from hilbench.diagnosis.proposals import Proposer
 from hilbench.diagnosis.space import Space
@@ -427,7 +427,7 @@ def _concluded(
     noise = predictor.floor(0)
     train, test = now.space.split.train & now.rows, now.space.split.test & now.rows
     held_before, held_after = _residuals(now, then, chosen, train)
-    gap = Gap(predictor.names[0], _rms(held_before, test), _rms(held_after, test), noise, "N·m")
+    gap = Gap(predictor.names[0], rms(held_before[test]), rms(held_after[test]), noise, "N·m")
     conditions = predictor.conditions(pack_with(model, base))
     where = located(predictor.names, before[None] / noise, now.rows, conditions, _ROWS_OF_WHERE) if chosen else []
     unknown = rest_now > _MORE_REST * max(rest_then, noise)
@@ -477,10 +477,6 @@ def _residuals(now: _Side, then: _Side, chosen: list[int], rows: Rows) -> tuple[
     columns = np.concatenate(now.columns)
     as_it_was = now.residual - solved.shared @ columns
     return as_it_was, as_it_was - solved.change @ columns[problem.columns_of(chosen)]
-
-
-def _rms(values: Array, rows: Rows) -> float:
-    return float(np.sqrt(np.mean(values[rows] ** 2)))
 
 
 def _named(found: _Found, one: int, problem: _Problem, chosen: list[int]) -> NamedEffect:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from hilbench.diagnosis import axis_comparison, web_comparison
 from hilbench.diagnosis.diagnosis import Diagnosis
 from hilbench.diagnosis.measured import Measured, measured_from
+from hilbench.diagnosis.noise import rms
 from hilbench.errors import UnusableInputError
 from hilbench.plant.web_line.imitation import Imitation
 from hilbench.plant.web_line.parameters import ModelParameters
@@ -69,7 +70,7 @@ def _check_together(now: Measured, then: Measured, place: str | Path, other: str
             place, f"{made} a load motor and {other} {other_made} one, expected two recordings of one machine"
         )
     for axis in now.tau_Nm:
-        torque = _rms(now.tau_Nm[axis]), _rms(then.tau_Nm[axis])
+        torque = rms(now.tau_Nm[axis]), rms(then.tau_Nm[axis])
         speed = _top_speed(now, axis), _top_speed(then, axis)
         for what, unit, pair in (("torque", "N·m", torque), ("speed", "m/s or rad/s", speed)):
             if max(pair) > _ONE_MACHINE * min(pair):
@@ -78,10 +79,6 @@ def _check_together(now: Measured, then: Measured, place: str | Path, other: str
                     f"{what} of axis {axis} is {pair[0]:.3g} {unit} where it is {pair[1]:.3g} in {other}, expected two "
                     "recordings of one machine",
                 )
-
-
-def _rms(values: Array) -> float:
-    return float(np.sqrt(np.mean(values**2)))
 
 
 def _top_speed(data: Measured, axis: int) -> float:

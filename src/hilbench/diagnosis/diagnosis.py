@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from hilbench.diagnosis.fit import Fit, around, fit, sums, time_profile
 from hilbench.diagnosis.measured import Measured, measured_from
 from hilbench.diagnosis.misfit import LARGEST_RATIO, Condition, Misfit, located, misfits, ratios
-from hilbench.diagnosis.noise import Whitening, floor
+from hilbench.diagnosis.noise import NORMAL_95, Whitening, floor, rms
 from hilbench.diagnosis.predictor import Choice, choice
 from hilbench.diagnosis.proposals import Proposer
 from hilbench.diagnosis.repairs import Repair
@@ -32,7 +32,6 @@ from hilbench.results.recording import Recording
 Array = NDArray[np.float64]
 Announce = Callable[[str, float], None]
 
-_NORMAL_95: Final = 1.96
 #: An effect is invisible when a change of its usual size is below so many standard deviations.
 _VISIBLE: Final = 5.0
 #: Rms of what is left up to which effects are named where a right model need not leave white noise, as a share of the
@@ -210,7 +209,7 @@ def concluded(space: Space, chosen: Choice, data: Measured, selection: Selection
     if predictor.exact:
         unknown = bool(unexplained) or max(ratios(final.residual, rows, floors).values()) > LARGEST_RATIO
     else:
-        left = max(_rms(final.residual[k], rows) / _rms(predictor.measured[k], rows) for k in torques)
+        left = max(rms(final.residual[k, rows]) / rms(predictor.measured[k, rows]) for k in torques)
         unknown = left > LARGEST_REST
     better = selection.better
     unknown |= selection.exhausted or better is not None
@@ -263,7 +262,7 @@ def _nuisance(model: ModelParameters, chosen: Choice, effects: list[NamedEffect]
             if effect == "drive_lag" and loop.axis in late:
                 continue
             values = {
-                name: Value(_rounded(value), (_rounded(low), _rounded(high)), unit)
+                name: Value(rounded(value), (rounded(low), rounded(high)), unit)
                 for name, (value, (low, high), unit) in parameters.items()
             }
             result.append(NamedEffect(effect, loop.axis, values, {"likelihood_ratio": loop.gain}, [], None))
@@ -275,10 +274,6 @@ def _laws(space: Space, names: tuple[str, ...], residuals: Array, conditions: li
     train, test = space.split.train, space.split.test
     found = (law(name, rest, conditions, train, test) for name, rest in zip(names, residuals, strict=True))
     return [one for one in found if one is not None]
-
-
-def _rms(values: Array, rows: NDArray[np.bool_]) -> float:
-    return float(np.sqrt(np.mean(values[rows] ** 2)))
 
 
 @dataclass(frozen=True)
@@ -300,7 +295,7 @@ def _judged_by_noise(space: Space, selection: Selection) -> _Judged:
     inflation = float(np.sqrt(max((train + test) / samples, 1.0)))
     final = fit(space, white, trained.terms, space.predictor.rows) if trained.terms else trained
     moments = _moments(space, white, final.terms, inflation)
-    quantiles = np.full(len(final.covariance), _NORMAL_95 * inflation)
+    quantiles = np.full(len(final.covariance), NORMAL_95 * inflation)
     return _Judged(trained, final, final.covariance, quantiles, moments)
 
 
@@ -313,10 +308,7 @@ def _judged_by_rest(space: Space, selection: Selection) -> _Judged:
 
 
 def _gap(name: str, before: Array, after: Array, noise: float, rows: NDArray[np.bool_]) -> Gap:
-    def rms(values: Array) -> float:
-        return float(np.sqrt(np.mean(values[rows] ** 2)))
-
-    return Gap(name, rms(before), rms(after), noise, "N·m")
+    return Gap(name, rms(before[rows]), rms(after[rows]), noise, "N·m")
 
 
 def _moments(
@@ -328,7 +320,7 @@ def _moments(
         if not term.is_sudden:
             continue
         here, half_s = term.time_s, _PROFILE_S
-        rise = (_NORMAL_95 * inflation) ** 2
+        rise = (NORMAL_95 * inflation) ** 2
         times = around(here, half_s / 30.0, 0.5 * space.period_s)
         while True:
             times = np.union1d(times, around(here, half_s, half_s / 30.0))
@@ -354,7 +346,7 @@ def _named(terms: list[Term], judged: _Judged, selection: Selection) -> list[Nam
         for parameter in (term.effect.parameter(name) for name in term.own):
             value, half = term.values[parameter.name], half_of.get(parameter.name, 0.0)
             low, high = judged.moments.get((place, parameter.name), (value - half, value + half))
-            values[parameter.name] = Value(_rounded(value), (_rounded(low), _rounded(high)), parameter.unit)
+            values[parameter.name] = Value(rounded(value), (rounded(low), rounded(high)), parameter.unit)
         tied = [other for other in selection.tied.get(term.key, []) if other != term.place]
         names = [
             f"{effect}" if axis is None or axis == term.axis else f"{effect} (axis {axis})" for effect, axis in tied
@@ -392,7 +384,8 @@ def _experiment(effect: Effect, other: str) -> str:
     return effect.told_apart_from(find_effect(other))
 
 
-def _rounded(value: float) -> float:
+def rounded(value: float) -> float:
+    """To as many digits as any interval needs."""
     return float(f"{value:.{_DIGITS}g}")
 
 
@@ -424,7 +417,7 @@ def _unobservable(selection: Selection) -> list[Unobservable]:
         information = float(np.sum(offered.whitening.apply(response)[0] ** 2))
         smallest = _VISIBLE / np.sqrt(information) if information > 0.0 else None
         if smallest is None or smallest > candidate.size:
-            visible = None if smallest is None else _rounded(float(smallest))
+            visible = None if smallest is None else rounded(float(smallest))
             unit = effect.parameter(effect.strength[0]).unit
             result.append(Unobservable(effect.id, candidate.axis, visible, unit, effect.shown_by))
     return result

@@ -12,6 +12,8 @@ from scipy.signal import lfilter
 
 Array = NDArray[np.float64]
 
+#: Standard deviations on either side of which 95 % of a normal variable lies.
+NORMAL_95: Final = 1.96
 #: Order of the autoregressive model of a signal's noise.
 ORDER: Final = 24
 #: Share of the variance added to it as white noise: keeps the model from trusting a few samples of a smooth signal.
@@ -20,6 +22,11 @@ _WHITE_SHARE: Final = 1e-4
 _GAIN, _MEDIAN = 70.0, 0.6744897501960817
 #: Differences beyond so many standard deviations are no noise.
 _CALM = 4.5
+
+
+def rms(values: Array) -> float:
+    """Root of the mean square of all values."""
+    return float(np.sqrt(np.mean(values**2)))
 
 
 def floor(values: Array) -> float:

@@ -13,8 +13,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.diagnosis.diagnosis import Diagnosis, NamedEffect, Value, concluded
+from hilbench.diagnosis.diagnosis import Diagnosis, NamedEffect, Value, concluded, rounded
 from hilbench.diagnosis.measured import Measured
+from hilbench.diagnosis.noise import NORMAL_95
 from hilbench.diagnosis.predictor import Choice, choice
 from hilbench.diagnosis.proposals import Proposer
 from hilbench.diagnosis.select import Key, Search, Selection
@@ -28,7 +29,6 @@ Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
 Announce = Callable[[str, float], None]
 
-_NORMAL_95: Final = 1.96
 #: What belongs to one recording's clock: it is found anew in the other one, or not there.
 _BY_THE_CLOCK: Final = (ProbeOver.TIME, ProbeOver.ONSET, ProbeOver.ONSET_AND_DURATION)
 
@@ -161,15 +161,15 @@ class _Joint:
             change = float(np.linalg.norm(here - was))
             direction = (here - was) / max(change, 1e-300)
             error = float(np.sqrt(max(float(direction @ covariance @ direction), 0.0)))
-        half = _NORMAL_95 * error
+        half = NORMAL_95 * error
         if abs(change) <= half:
             return None
         strength = term.effect.strength[0]
         size = Value(
-            _rounded(change),
-            (_rounded(change - half), _rounded(change + half)),
+            rounded(change),
+            (rounded(change - half), rounded(change + half)),
             term.effect.parameter(strength).unit,
-            before=_rounded(float(np.linalg.norm(was) if term.has_phase else was[0])),
+            before=rounded(float(np.linalg.norm(was) if term.has_phase else was[0])),
         )
         return replace(effect, parameters={**effect.parameters, strength: size})
 
@@ -197,7 +197,3 @@ def _placed(terms: list[Term]) -> Iterator[tuple[Term, Rows]]:
         size = len(term.coordinates())
         yield term, np.arange(at, at + size)
         at += size
-
-
-def _rounded(value: float) -> float:
-    return float(f"{value:.8g}")

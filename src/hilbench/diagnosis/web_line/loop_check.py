@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 from scipy.signal import lfilter
 
+from hilbench.diagnosis.noise import NORMAL_95
 from hilbench.plant.parameters import per_item
 from hilbench.plant.web_line.parameters import ModelParameters
 
@@ -39,7 +40,6 @@ _LEAST_SHARE: Final = 0.03
 _SAME: Final = 0.2
 #: Share by which gains may be off the model's to count as the same beside a lag.
 _GAINS: Final = 0.03
-_NORMAL_95: Final = 1.96
 #: Deviations by which a gain or lag must be off the model's: several are looked at on every axis.
 _CERTAIN: Final = 4.0
 
@@ -214,7 +214,7 @@ def nuisance_of(loop: Loop, model: ModelParameters) -> dict[str, dict[str, tuple
     lag_s = per_item(drives.current_loop_time_constant_s, loop.axis)
 
     def value(estimate: float, deviation: float, of: float) -> tuple[float, tuple[float, float], str]:
-        middle, half = estimate / of - 1.0, _NORMAL_95 * deviation / of
+        middle, half = estimate / of - 1.0, NORMAL_95 * deviation / of
         return middle, (middle - half, middle + half), "1"
 
     found: dict[str, dict[str, tuple[float, tuple[float, float], str]]] = {}
@@ -226,7 +226,7 @@ def nuisance_of(loop: Loop, model: ModelParameters) -> dict[str, dict[str, tuple
         abs(loop.ki_Nm_per_rad - ki) > _CERTAIN * loop.ki_deviation
     ):
         found["drive_gain"] = gains
-    half_s = _NORMAL_95 * loop.lag_deviation_s
+    half_s = NORMAL_95 * loop.lag_deviation_s
     if abs(loop.lag_s - lag_s) > _CERTAIN * loop.lag_deviation_s:
         more_s = loop.lag_s - lag_s
         found["drive_lag"] = {"lag_s": (more_s, (more_s - half_s, more_s + half_s), "s")}

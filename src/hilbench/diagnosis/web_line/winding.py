@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
-from hilbench.diagnosis.noise import repeats
+from hilbench.diagnosis.noise import NORMAL_95, repeats
 
 Array = NDArray[np.float64]
 
@@ -35,7 +35,6 @@ _START_2_S: Final = 0.2
 _SHORTEST_S: Final = 1e-3
 #: Substeps of a set point's hold in which two lags in series are simulated.
 _SUBSTEPS: Final = 20
-_NORMAL_95: Final = 1.96
 #: Variance inflation from which a parameter can't be told from the others.
 _COLLINEAR: Final = 10.0
 _STEP: Final = 1e-4
@@ -71,7 +70,7 @@ class LineParameter:
     @property
     def told(self) -> bool:
         """Whether the data tell it by itself: not zero, and not to be made up for by the others."""
-        return abs(self.value) > _NORMAL_95 * self.deviation and self.variance_inflation < _COLLINEAR
+        return abs(self.value) > NORMAL_95 * self.deviation and self.variance_inflation < _COLLINEAR
 
 
 @dataclass(frozen=True)
