@@ -56,6 +56,22 @@ def test_methods_side_by_side_as_json_and_as_a_page(files: tuple[Path, Path], tm
     assert "<svg" in page
 
 
+def test_a_recording_of_a_clock_that_drifts_and_was_set_with_rows_missing(
+    files: tuple[Path, Path], tmp_path: Path
+) -> None:
+    recording, model = files
+    table = np.loadtxt(recording, delimiter=",", skiprows=1)
+    table[:, 0] *= 1.0002
+    table[2500:, 0] += 0.05
+    table = np.delete(table, slice(2700, 2725), axis=0)
+    np.savetxt(tmp_path / "other.csv", table, delimiter=",", header=COLUMNS, comments="", fmt="%.12g")
+    done = sync(tmp_path / "other.csv", "--model", model, "--method", "changepoint", "--json")
+    assert done.returncode == 0, done.stderr
+    (found,) = json.loads(done.stdout)["methods"]
+    assert found["time_to_1pct_s"] < 0.12
+    assert found["final_E_Pa"] == pytest.approx(NEW_PA, rel=2e-3)
+
+
 def test_the_stated_deviation_is_what_the_option_allows_for(files: tuple[Path, Path]) -> None:
     recording, model = files
     deviations = []

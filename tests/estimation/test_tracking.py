@@ -22,7 +22,7 @@ from hilbench.estimation.web_line.config import (
     RlsConfig,
 )
 from hilbench.estimation.web_line.delay import DelayFinder
-from hilbench.estimation.web_line.offline import Measurements
+from hilbench.estimation.web_line.measurements import Measurements
 from hilbench.estimation.web_line.tracking import Tracking
 from hilbench.plant.motor_port import MotorMode, MotorPort
 from hilbench.plant.web_line.line import Line

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from hilbench.estimation.noise_level import NoiseLevel
 from hilbench.estimation.web_line.balance import MeasuredBalance
 from hilbench.estimation.web_line.config import AlsoEstimated
-from hilbench.estimation.web_line.offline import Measurements
+from hilbench.estimation.web_line.measurements import Measurements
 from hilbench.plant.web_line.parameters import ModelParameters
 
 Array = NDArray[np.float64]

@@ -7,31 +7,17 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import PchipInterpolator
 
 from hilbench.estimation.web_line.config import EstimationConfig
+from hilbench.estimation.web_line.even_rows import EvenRows, even_rows
+from hilbench.estimation.web_line.measurements import Measurements
 from hilbench.estimation.web_line.tracking import Tracking
 from hilbench.plant.motor_port import MotorMode, MotorPort
 from hilbench.plant.web_line.line import Line
 from hilbench.plant.web_line.parameters import ModelParameters
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True, slots=True)
-class Measurements:
-    """What a twin would have heard, one row a cycle; SI, positions and velocities at the web, torque at the motor."""
-
-    t_s: Array  #: (n,)
-    v_cmd_m_s: Array  #: (n, 2)
-    x_m: Array  #: (n, 2)
-    tau2_Nm: Array  #: (n,)
-    strain_prev: Array  #: (n,)
-    F_next_N: Array  #: (n,)
-
-    @property
-    def cycle_s(self) -> float:
-        """Time between two rows."""
-        return float((self.t_s[-1] - self.t_s[0]) / (len(self.t_s) - 1))
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,27 +33,28 @@ class Track:
 
 
 def run_offline(model: ModelParameters, config: EstimationConfig, data: Measurements) -> Track:
-    """Run the twin of `model` over a recording. Raises ValueError where `Line` and `MeasuredBalance` do."""
-    cycle_s = round(data.cycle_s, 9)
+    """Run the twin of `model` over a recording, in a cycle of its own where the rows are none (`even_rows`).
+
+    Raises ValueError where `Line` and `MeasuredBalance` do.
+    """
+    even = even_rows(data, model.drives.sample_time_s if model.drives else data.cycle_s)
+    cycles, cycle_s, tau2_Nm = even.data, even.cycle_s, even.data.tau2_Nm
     ports = (MotorPort(mode=MotorMode.VELOCITY), MotorPort(mode=MotorMode.VELOCITY))
     line = Line(model, ports)
     tracking = Tracking(model, config, line, ports[1], cycle_s)
     rad_per_m = [model.motor_rad_per_m(axis) for axis in (1, 2)]
-    n = len(data.t_s)
+    n = len(cycles.t_s)
     modulus, deviation, tension, residual = (np.empty(n) for _ in range(4))
     others: dict[str, tuple[Array, Array]] = {}
     spent_ns = 0
     for row in range(n):
         tension[row] = line.tension_N[0]
+        strain_prev, F_next_N = cycles.strain_prev[row], cycles.F_next_N[row]
         before_ns = time.thread_time_ns()
-        tracking.compare(
-            row * cycle_s,
-            data.x_m[row, 0],
-            data.x_m[row, 1],
-            data.tau2_Nm[row],
-            data.strain_prev[row],
-            data.F_next_N[row],
-        )
+        if even.measured[row]:
+            tracking.compare(row * cycle_s, cycles.x_m[row, 0], cycles.x_m[row, 1], tau2_Nm[row], strain_prev, F_next_N)
+        else:
+            tracking.miss()
         spent_ns += time.thread_time_ns() - before_ns
         estimate = tracking.estimate
         modulus[row], deviation[row] = estimate.youngs_modulus_Pa, estimate.deviation_Pa
@@ -75,9 +62,27 @@ def run_offline(model: ModelParameters, config: EstimationConfig, data: Measurem
         for nuisance in estimate.nuisances:
             values = others.setdefault(nuisance.name, (np.full(n, np.nan), np.full(n, np.nan)))
             values[0][row], values[1][row] = nuisance.value, nuisance.deviation
-        for port, ratio, speed in zip(ports, rad_per_m, data.v_cmd_m_s[row], strict=True):
+        for port, ratio, speed in zip(ports, rad_per_m, cycles.v_cmd_m_s[row], strict=True):
             port.setpoint = speed * ratio
-        line.set_input("strain_prev", tracking.upstream_strain(data.strain_prev[row]))
-        line.set_input("F_next_N", data.F_next_N[row])
+        line.set_input("strain_prev", tracking.upstream_strain(strain_prev))
+        line.set_input("F_next_N", F_next_N)
         line.step(cycle_s)
-    return Track(modulus, deviation, tension, residual, others, spent_ns / 1000.0 / n)
+    at = even.held_rows
+    return Track(
+        modulus[at],
+        deviation[at],
+        _between(even, tension),
+        residual[at],
+        {name: (values[at], deviations[at]) for name, (values, deviations) in others.items()},
+        spent_ns / 1000.0 / n,
+    )
+
+
+def _between(even: EvenRows, values: Array) -> Array:
+    """What is continuous in a cycle (cycles,), at the rows there were (n,): monotone between two cycles, so that a step
+    is no overshoot (Fritsch and Carlson 1980)."""
+    at = even.held_rows
+    if np.array_equal(at * even.cycle_s, even.times_s):
+        return values[at]
+    cycles_s = np.arange(len(values)) * even.cycle_s
+    return np.asarray(PchipInterpolator(cycles_s, values)(np.minimum(even.times_s, cycles_s[-1])), np.float64)

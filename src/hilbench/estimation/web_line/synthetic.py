@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.estimation.web_line.offline import Measurements
+from hilbench.estimation.web_line.measurements import Measurements
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.offline import simulate, start_state
 from hilbench.plant.web_line.parameters import ModelParameters

@@ -123,6 +123,7 @@ class Tracking:
     def release(self, strain_uncertainty: float = 0.0) -> None:
         """The web is released anew, strained as upstream but for an unknown share (relative)."""
         self._balance.reset()
+        self._missed_s = 0.0  # since the last measurement
         self._delay_line.reset()
         self._anomalies.reset()
         self._shift_finder.reset()
@@ -175,6 +176,7 @@ class Tracking:
 
     def miss(self) -> None:
         """A cycle without measurement."""
+        self._missed_s += self._cycle_s
         self._anomalies.interrupt()
         self._shift_finder.interrupt()
         self.skip()
@@ -190,7 +192,8 @@ class Tracking:
         line, balance = self._line, self._balance
         torque_Nm -= self.torque_shift_Nm
         balance.use_modulus(self.estimate.youngs_modulus_Pa)
-        now = balance.update(x1_m, x2_m, torque_Nm, strain_prev, F_next_N, self._cycle_s)
+        now = balance.update(x1_m, x2_m, torque_Nm, strain_prev, F_next_N, self._cycle_s + self._missed_s)
+        self._missed_s = 0.0
         torque_sim_Nm = self._axis2.torque_Nm
         self.residual_Nm = torque_Nm - torque_sim_Nm
         self.problem = self._plausibility.problem(torque_Nm, now.web_per_Pa, now.velocity_m_s)

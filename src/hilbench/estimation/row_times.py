@@ -1,0 +1,96 @@
+"""When the rows of a recording were measured, whatever clock has stamped them.
+
+The axes answer SYNC, so the rows of a recording are a cycle apart; their time stamps need not be: the clock of who
+wrote them drifts against that of the bus, is set while it runs, and is read late by a different time in each row. Or
+rows are missing. Or, where nothing paces a stand, the axes were asked at odd times, and the stamps are right. The way
+of the axes tells which of these it was: smooth motion is rough in the wrong time.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Counts = NDArray[np.int64]
+
+#: Two clocks differ by less than this share: rows so near to whole sample times of the drives are that far apart.
+CLOCKS_DIFFER = 1e-3
+#: Rows whose stamps are further from a period than this share of it are not told by their stamps alone.
+_ODD = 0.5
+#: Way in a period from which it counts time, m: many steps of an encoder.
+_LEAST_WAY_M = 1e-5
+#: Rows beside a gap from which the way of a period is taken (median), and stamps that tell whether all have moved.
+_BESIDE = 3
+_AROUND = 10
+#: How far way over way of a period may be from a whole number to count periods.
+_WHOLE = 0.25
+#: The stamps are believed row by row where the motion is smoother in them by this factor than in even periods.
+_SMOOTHER = 0.5
+#: Rows across which the period is measured: jitter of single stamps is shared by so many.
+_ACROSS = 500
+#: Most periods that one gap between two rows may be long: who was away for longer begins anew.
+_LONGEST_GAP = 100_000
+
+
+@dataclass(frozen=True, slots=True)
+class RowTimes:
+    """Times of n rows on the clock by which they were measured, s since the first."""
+
+    period_s: float  #: between two rows, by the stamps
+    times_s: Array  #: (n,), strictly increasing
+    periods: Counts  #: (n,) since the first row, where the rows are even
+    even: bool  #: rows are whole periods apart; else their stamps are their times
+
+
+def row_times(stamps_s: Array, positions_m: Array) -> RowTimes:
+    """The times of rows from their stamps (n,), strictly increasing, and the axes' positions (n, axes), at the web."""
+    steps_s = np.diff(stamps_s)
+    nominal_s = float(np.median(steps_s)) if len(steps_s) else 0.0
+    if nominal_s <= 0.0:
+        return RowTimes(nominal_s, stamps_s - stamps_s[:1], np.arange(len(stamps_s)), even=True)
+    way_m = np.diff(positions_m.mean(axis=1))
+    periods = np.concatenate([[0], np.cumsum(_periods_gone(stamps_s / nominal_s, way_m))])
+    if _smoother_in_stamps(stamps_s, positions_m.mean(axis=1), np.diff(periods), nominal_s):
+        return RowTimes(nominal_s, stamps_s - stamps_s[0], periods, even=False)
+    period_s = _period_s(stamps_s, periods)
+    return RowTimes(period_s, periods * period_s, periods, even=True)
+
+
+def _periods_gone(stamps: Array, way_m: Array) -> Counts:
+    """Periods between neighbouring rows (n - 1,): one, but for stamps, in periods, that are odd; there by the way, and
+    at rest by how far the stamps of the rows around have moved: one that was read late has moved alone."""
+    steps = np.diff(stamps)
+    gone = np.ones(len(steps), np.int64)
+    for row in np.flatnonzero(np.abs(steps - 1.0) > _ODD):
+        beside = (way_m[max(row - _BESIDE, 0) : row], way_m[row + 1 : row + 1 + _BESIDE])
+        usual_m = float(np.mean([np.median(side) for side in beside if len(side)]))
+        by_way = float(way_m[row]) / usual_m if abs(usual_m) > _LEAST_WAY_M else 0.0
+        whole = round(by_way)
+        # A ramp that bends in the gap makes its way no whole number.
+        if whole >= 1 and abs(by_way - whole) <= _WHOLE * np.sqrt(whole):
+            gone[row] = whole
+        else:
+            before, after = stamps[max(row + 1 - _AROUND, 0) : row + 1], stamps[row + 1 : row + 1 + _AROUND]
+            moved = np.median(after - np.arange(len(after))) - np.median(before + np.arange(len(before))[::-1])
+            gone[row] = max(round(float(moved)), 1)
+    return np.minimum(gone, _LONGEST_GAP)
+
+
+def _smoother_in_stamps(stamps_s: Array, position_m: Array, gone: Counts, nominal_s: float) -> bool:
+    """Whether the moving axes have a steadier speed by the stamps than by even periods."""
+    way_m, steps = np.diff(position_m), np.diff(stamps_s) / nominal_s
+    used = np.abs(way_m) > _LEAST_WAY_M
+    pairs = used[1:] & used[:-1] & (gone[1:] == 1) & (gone[:-1] == 1)
+    if pairs.sum() < _AROUND:
+        return False
+    rough_m = [float(np.median(np.abs(np.diff(way_m / parts))[pairs])) for parts in (gone, steps)]
+    return rough_m[1] < _SMOOTHER * rough_m[0]
+
+
+def _period_s(stamps_s: Array, periods: Counts) -> float:
+    """Of the stamps' clock: the median over stretches of rows, which a clock that is set or jitters hardly moves."""
+    across = min(_ACROSS, len(stamps_s) - 1)
+    return float(np.median((stamps_s[across:] - stamps_s[:-across]) / (periods[across:] - periods[:-across])))

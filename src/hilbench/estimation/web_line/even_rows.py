@@ -1,0 +1,102 @@
+"""Measurements of a web line in the cycle of its twin: rows that are a cycle apart, some of them missing.
+
+Rows that are whole sample times of the drives apart, but for the difference of two clocks, are taken as they are.
+Others are brought to a cycle of whole sample times: positions by cubic splines, whose error is below an encoder's
+step; torque from the nearest row, as a mean of two would hide half of its noise; what is held between two SYNCs (set
+points, what the bench says of the boundary) from the last one. That cycle is hardly shorter than the rows are apart,
+so that no measurement counts twice.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import ceil
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+
+from hilbench.estimation.row_times import CLOCKS_DIFFER, RowTimes, row_times
+from hilbench.estimation.web_line.measurements import Measurements
+
+Array = NDArray[np.float64]
+Rows = NDArray[np.int64]
+
+#: A cycle may be shorter than what is between two rows by this part of a sample time of the drives.
+_SHORTER = 0.1
+#: A gap of more periods than this is not bridged by interpolation.
+_BRIDGED = 1.5
+#: Cycles of a measurement that are not worth more than their rounding.
+_ROUNDING = 1e-6
+
+
+@dataclass(frozen=True, slots=True)
+class EvenRows:
+    """`data` has a row a cycle; those that are not `measured` hold no measurement (and the values of the last)."""
+
+    data: Measurements
+    cycle_s: float
+    measured: NDArray[np.bool_]  #: (cycles,)
+    times_s: Array  #: (n,) of the rows that there were, since the first, on the clock of the cycles
+
+    @property
+    def held_rows(self) -> Rows:
+        """The cycle (n,) that each row there was is in, or after which it came: what is discrete is held until then."""
+        return np.asarray(np.floor(self.times_s / self.cycle_s + _ROUNDING), np.int64)
+
+
+def even_rows(data: Measurements, sample_s: float) -> EvenRows:
+    """Rows in a cycle of whole sample times of the drives."""
+    times = row_times(data.t_s, data.x_m)
+    samples = times.period_s / sample_s
+    cycle_s = round(max(round(samples), 1) * sample_s, 9)
+    if times.even and abs(times.period_s / cycle_s - 1.0) <= CLOCKS_DIFFER:
+        return _placed(data, times, cycle_s)
+    return _interpolated(data, times, round(max(ceil(samples - _SHORTER), 1) * sample_s, 9))
+
+
+def _placed(data: Measurements, times: RowTimes, cycle_s: float) -> EvenRows:
+    """Each row at its cycle."""
+    count = int(times.periods[-1]) + 1
+    measured = np.zeros(count, bool)
+    measured[times.periods] = True
+    if measured.all():
+        return EvenRows(data, cycle_s, measured, _times(times.periods, cycle_s))
+    last = np.searchsorted(times.periods, np.arange(count), side="right") - 1
+    at_rows = Measurements(
+        _times(np.arange(count), cycle_s),
+        data.v_cmd_m_s[last],
+        data.x_m[last],
+        data.tau2_Nm[last],
+        data.strain_prev[last],
+        data.F_next_N[last],
+    )
+    return EvenRows(at_rows, cycle_s, measured, _times(times.periods, cycle_s))
+
+
+def _times(cycles: Rows, cycle_s: float) -> Array:
+    return np.asarray(cycles * cycle_s, np.float64)
+
+
+def _interpolated(data: Measurements, times: RowTimes, cycle_s: float) -> EvenRows:
+    """Cycles between the rows, as far as these reach."""
+    t_s = times.times_s
+    at_s = _times(np.arange(int(t_s[-1] / cycle_s + _ROUNDING) + 1), cycle_s)
+    last = np.clip(np.searchsorted(t_s, at_s + _ROUNDING * cycle_s, side="right") - 1, 0, len(t_s) - 1)
+    following = np.minimum(last + 1, len(t_s) - 1)
+    nearest = np.where(at_s - t_s[last] <= t_s[following] - at_s, last, following)
+    on_row = np.abs(at_s - t_s[last]) <= _ROUNDING * cycle_s
+    measured = on_row | (t_s[following] - t_s[last] <= _BRIDGED * times.period_s)
+    return EvenRows(
+        Measurements(
+            at_s,
+            data.v_cmd_m_s[last],
+            np.asarray(CubicSpline(t_s, data.x_m)(at_s), np.float64),
+            data.tau2_Nm[nearest],
+            data.strain_prev[last],
+            data.F_next_N[last],
+        ),
+        cycle_s,
+        measured,
+        t_s,
+    )

@@ -1,0 +1,27 @@
+"""What a twin of a web line hears: rows of a recording, or of a simulation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Measurements:
+    """What a twin would have heard, one row a cycle; SI, positions and velocities at the web, torque at the motor."""
+
+    t_s: Array  #: (n,)
+    v_cmd_m_s: Array  #: (n, 2)
+    x_m: Array  #: (n, 2)
+    tau2_Nm: Array  #: (n,)
+    strain_prev: Array  #: (n,)
+    F_next_N: Array  #: (n,)
+
+    @property
+    def cycle_s(self) -> float:
+        """Time between two rows."""
+        return float((self.t_s[-1] - self.t_s[0]) / (len(self.t_s) - 1))
