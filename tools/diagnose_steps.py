@@ -119,7 +119,7 @@ def recorded(config: ExperimentConfig) -> Recording:
 def run(case: Case) -> Case:
     """Make the recording, diagnose, compare."""
     plain = load(CONFIG)[0]
-    E_Pa = plain.web_line.required_web.youngs_modulus_Pa
+    E_Pa = plain.web_line.youngs_modulus_Pa(1)
     changes = {"seed": case.seed, "steps": experiment(case, E_Pa), "criteria": []}
     config = ExperimentConfig.model_validate({**plain.model_dump(), **changes})
     try:

@@ -321,7 +321,9 @@ def _parameters(effect: Effect) -> Iterator[str]:
 
 
 def _place(effect: Effect) -> str:
-    return "an axis" if effect.per_axis else "the web"
+    if effect.per_axis:
+        return "an axis"
+    return "a span, or of every one" if effect.per_span else "the web"
 
 
 def _domain(effect: Effect) -> str:

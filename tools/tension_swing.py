@@ -76,7 +76,7 @@ def margin_table() -> str:
         for speed_m_s in SPEEDS_M_S:
             cells = []
             for believed in (1.0 + share, 1.0):
-                point = OperatingPoint(MODULUS_PA * (1.0 + share), speed_m_s, 1.0, MODULUS_PA * believed)
+                point = OperatingPoint((MODULUS_PA * (1.0 + share),), speed_m_s, (1.0,), (MODULUS_PA * believed,))
                 before, after = (TensionLoop(config, point).margins for config in (undamped, damped))
                 cells.append(f"{before.gain:.2f} → {after.gain:.2f}")
                 cells.append(f"{before.phase_deg:.0f} → {after.phase_deg:.0f}")

@@ -12,6 +12,8 @@ import pytest
 import yaml
 
 from hilbench.bench.lifecycle.participants import Participants
+from hilbench.bench.machines.ranges import OPERATOR_OBJECTS, operator_ranges
+from hilbench.bench.tasks.imitated_web import web_load_model
 from hilbench.canopen.identifiers import SYNC
 from hilbench.errors import UnusableInputError
 from hilbench.exchange.nodes import Nodes
@@ -170,6 +172,45 @@ def test_e_is_found_from_the_torques_behind_the_first_span_as_well(tmp_path: Pat
     assert float(np.asarray(found["E1_sim_Pa"])[-100:].mean()) == pytest.approx(9.5e9, rel=0.01)
 
 
+def test_e_of_one_span_steps_and_is_found_while_the_other_stays(tmp_path: Path) -> None:
+    steps = [
+        *STEPS[:1],
+        {"hold": {"until_s": 4.0}},
+        {"step": {"path": "load.web.span2.youngs_modulus_Pa", "to": 9.5e9}},
+    ]
+    given = loaded(tmp_path, steps=[*steps, STEPS[7]], criteria=[])
+    outcome = run_experiment(given, tmp_path / "runs", participants=Participants.IN_PROCESS)
+    found = {name: np.asarray(values) for name, values in read_recording(outcome.folder.recording).channels.items()}
+    assert set(found["E1_true_Pa"]) == {8.7e9}
+    assert (found["E2_true_Pa"][0], found["E2_true_Pa"][-1]) == (8.7e9, 9.5e9)
+    assert float(found["E2_sim_Pa"][-100:].mean()) == pytest.approx(9.5e9, rel=0.01)
+    at = int(np.argmax(found["E2_true_Pa"] > 9e9))
+    assert found["F2_true_N"][at] == pytest.approx(found["F2_true_N"][at - 1] * 9.5 / 8.7, rel=0.01)
+    assert found["F1_true_N"][at] == pytest.approx(found["F1_true_N"][at - 1], rel=0.01)
+
+
+def test_the_imitated_spans_have_what_the_config_says_of_each(tmp_path: Path) -> None:
+    hidden = [{"effect": "elasticity_shift", "span": 2, "parameters": {"relative_change": 0.1}}]
+    given = loaded(tmp_path, load={"web": {"youngs_modulus_Pa": [8.0e9, 9.0e9]}, "effects": hidden})
+    web = web_load_model(given.config)
+    outputs = web.machine.outputs()
+    assert (outputs["E1_Pa"], outputs["E2_Pa"]) == (8.0e9, pytest.approx(9.9e9))
+    web.set("load.effects.elasticity_shift.relative_change", 0.2)
+    assert web.value("load.effects.elasticity_shift.span2.relative_change") == 0.2
+    web.set("load.effects.elasticity_shift.span1.relative_change", 0.0)
+    assert [web.value(f"load.effects.elasticity_shift.span{k}.relative_change") for k in (1, 2)] == [0.0, 0.2]
+    outputs = web.machine.outputs()
+    assert (outputs["E1_Pa"], outputs["E2_Pa"]) == (8.0e9, pytest.approx(10.8e9))
+
+
+def test_an_operator_changes_e_of_one_span(tmp_path: Path) -> None:
+    ranges = operator_ranges(loaded(tmp_path).config)
+    assert {f"load.web.span{k}.youngs_modulus_Pa" for k in (1, 2)} < set(ranges) <= set(OPERATOR_OBJECTS)
+    addresses = {path: OPERATOR_OBJECTS[path][0] for path in ranges}
+    assert addresses["load.web.youngs_modulus_Pa"] == 3
+    assert [addresses[f"load.web.span{k}.youngs_modulus_Pa"] for k in (1, 2)] == [32, 33]
+
+
 def test_the_pdo_set_follows_from_the_topology_and_must_fit_the_cycle(tmp_path: Path) -> None:
     given = loaded(tmp_path)
     checked = check_experiment(given)
@@ -193,6 +234,11 @@ def test_the_pdo_set_follows_from_the_topology_and_must_fit_the_cycle(tmp_path: 
         ("steps.3.step.path=tension_control.span1.set_point_N", "a quantity of a web_line"),
         ("steps.8.set.path=load.effects.coulomb_friction.axis1.force_N", "coulomb_friction of axis 3 or 2"),
         ("steps.8.set.path=load.effects.coulomb_friction.axis4.force_N", "coulomb_friction of axis 3 or 2"),
+        ("steps.6.step.path=load.web.span3.youngs_modulus_Pa", "a quantity of a web_line"),
+        ("steps.8.set.path=load.effects.elasticity_shift.span3.relative_change", "with span 3, expected 1 to 2"),
+        ("steps.8.set.path=load.effects.splice.span1.relative_change", "'splice' without an axis"),
+        ("load.web.youngs_modulus_Pa=[8e9, 9e9, 8e9]", "'web.youngs_modulus_Pa' as one number or 2"),
+        ("load.effects=[{effect: elasticity_shift, span: 3, parameters: {relative_change: 0.1}}]", "with span 3"),
         ("criteria.0.metric=E1_final_error_pct", "none of this machine"),
         ("criteria.0.metric=E_final_error_pct", "none of this machine"),
     ],

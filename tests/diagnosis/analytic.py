@@ -102,7 +102,8 @@ class Ringing:
         self.space = Space(self.model, Analytic(self._torque_Nm, truth), PERIOD_S)  # type: ignore[arg-type]
 
     def _torque_Nm(self, parameters: Array) -> Array:
-        since = self.t_s - parameters[lay.place("elasticity_step", "time_s")]
-        size = parameters[lay.place("elasticity_step", "relative_change")]
+        (span,) = lay.Layout.of(parameters).span_rows(parameters)
+        since = self.t_s - span[lay.place("elasticity_step", "time_s")]
+        size = span[lay.place("elasticity_step", "relative_change")]
         ringing = np.exp(-np.maximum(since, 0.0) / 0.3) * np.cos(2.0 * np.pi * 20.0 * since)
         return np.where(since >= 0.0, size * (0.1 + 10.0 * ringing), 0.0)

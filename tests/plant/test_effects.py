@@ -171,10 +171,10 @@ def test_the_modulus_that_acts_is_told_with_what_effects_make_of_it() -> None:
     drift = effect("elasticity_drift", rate_per_s=0.5), effect("elasticity_shift", relative_change=-0.2)
     line = Line(model(*drift))
     line.step(0.4)
-    assert line.elasticity_factor == pytest.approx(0.8 * 1.2)
+    assert line.elasticity_factor(1) == pytest.approx(0.8 * 1.2)
     plain = Line(model())
     plain.step(0.4)
-    assert plain.elasticity_factor == 1.0
+    assert plain.elasticity_factor(1) == 1.0
 
 
 def test_measured_torque_is_late_by_the_delay_and_interpolated() -> None:

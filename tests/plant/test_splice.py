@@ -20,16 +20,21 @@ COMES_S, LENGTH_M = 0.2, 0.25
 STIFFNESS_N, STRAIN_PREV = 8.7e9 * 0.5 * 65e-6, 80.0 / (8.7e9 * 0.5 * 65e-6)
 
 
-def pieces(change: float, steps: int) -> np.ndarray:
-    """Tensions (steps, 2) of spans of 1 and 1.2 m: each a row of pieces (unstretched length, E·S), first in last."""
+def pieces(splices: list[tuple[float, float]], steps: int) -> np.ndarray:
+    """Tensions (steps, 2) of spans of 1 and 1.2 m: each a row of pieces (unstretched length, E·S), first in last.
+
+    `splices`: when each comes in, s, and its relative change; all are `LENGTH_M` long.
+    """
     spans = [deque([(length / (1.0 + STRAIN_PREV), STIFFNESS_N)]) for length in (1.0, 1.2)]
     tensions = np.empty((steps, 2))
     for step in range(steps):
         for k, (span, length) in enumerate(zip(spans, (1.0, 1.2), strict=True)):
             unstretched = sum(piece for piece, _ in span)
             tensions[step, k] = (length - unstretched) / sum(piece / stiff for piece, stiff in span)
-        passed = step * STEP_S - COMES_S
-        stiff = STIFFNESS_N * (1.0 + change) if 0.0 <= passed * SPEEDS[0] < LENGTH_M else STIFFNESS_N
+        stiff = STIFFNESS_N
+        for comes_s, change in splices:
+            if 0.0 <= (step * STEP_S - comes_s) * SPEEDS[0] < LENGTH_M:
+                stiff = STIFFNESS_N * (1.0 + change)
         coming = [(SPEEDS[0] * STEP_S / (1.0 + STRAIN_PREV), stiff)]
         for k, span in enumerate(spans):
             left, going = SPEEDS[k + 1] * STEP_S, []
@@ -52,7 +57,7 @@ def test_a_splice_is_a_spring_in_series_with_the_web_around_it_in_one_span_after
     steps = 3600
     x = np.arange(steps)[:, None] * STEP_S * np.array(SPEEDS)
     boundary = np.tile([line.upstream_strain, 70.0], (steps, 1))
-    found, expected = follow(line, x, boundary, STEP_S), pieces(change, steps)
+    found, expected = follow(line, x, boundary, STEP_S), pieces([(COMES_S, change)], steps)
     plain = follow(line_of(3), x, boundary, STEP_S)
     for k in (0, 1):
         assert np.abs(expected[:, k] - plain[:, k]).max() > 5.0
@@ -108,3 +113,43 @@ def test_a_line_from_which_a_splice_is_taken_is_as_it_was() -> None:
     for each in (line, plain):
         each.step(0.1)
     assert line.outputs() == plain.outputs()
+
+
+def test_a_second_splice_leaves_the_first_on_its_way_through_the_spans() -> None:
+    follower, rows, second_s = SpanFollower(line_of(3)), 3600, 0.5
+    found, plain = np.empty((rows, 2)), np.empty((rows, 2))
+    others = SpanFollower(line_of(3))
+    for row in range(rows):
+        if row in (round(COMES_S / STEP_S), round(second_s / STEP_S)):
+            change = 1.0 if row * STEP_S < second_s else -0.5
+            follower.set_effect("splice", relative_change=change, length_m=LENGTH_M, time_s=0.0)
+        x = [row * STEP_S * speed for speed in SPEEDS]
+        for each, out in ((follower, found), (others, plain)):
+            if row:
+                each.follow(x, STEP_S)
+            out[row] = each.tension_N
+    expected = pieces([(COMES_S, 1.0), (second_s, -0.5)], rows)
+    for k in (0, 1):
+        size = np.abs(expected[:, k] - plain[:, k]).max()
+        assert size > 5.0
+        assert np.abs(found[:, k] - expected[:, k]).max() < 0.03 * size
+    # Both are in span 2 at once, the second while the first is still in it.
+    both = slice(round(1.3 / STEP_S), round(1.4 / STEP_S))
+    alone = pieces([(second_s, -0.5)], rows)
+    assert np.abs(found[both, 1] - alone[both, 1]).min() > 3.0
+
+
+def test_pieces_beyond_what_is_kept_never_grow_the_state_and_those_that_left_are_forgotten() -> None:
+    follower = SpanFollower(line_of(3))
+    plain, x = SpanFollower(line_of(3)), 0.0
+    size = len(follower.get_state().memory.state)  # type: ignore[attr-defined]
+    for row in range(10_000):
+        if row < 1000 and row % 40 == 0:
+            follower.set_effect("splice", relative_change=0.5, length_m=0.05, time_s=0.0)
+        if row == 1000:
+            follower.clear_effect("splice")
+        x += 0.002
+        for each in (follower, plain):
+            each.follow((x, x, x), 0.002)
+    assert len(follower.get_state().memory.state) == size  # type: ignore[attr-defined]
+    np.testing.assert_allclose(follower.tension_N, plain.tension_N, rtol=1e-6)

@@ -73,7 +73,7 @@ def swing_behind_a_kick_N(bandwidth: float) -> float:
 
 def test_the_border_of_stability_is_where_the_bench_has_it() -> None:
     config = load_with_overrides(CONFIG, changes=[UNDAMPED]).config
-    border = 6.0 * TensionLoop(config, OperatingPoint(8.7e9, 0.0, 1.0, 8.7e9)).margins.gain
+    border = 6.0 * TensionLoop(config, OperatingPoint((8.7e9,), 0.0, (1.0,), (8.7e9,))).margins.gain
     assert swing_behind_a_kick_N(0.9 * border) < 3.0
     assert swing_behind_a_kick_N(1.1 * border) > 20.0
 
@@ -162,7 +162,7 @@ def test_a_bus_that_is_not_there_is_refused_in_one_line() -> None:
 )
 def test_what_check_calls_usable_runs_through_a_step_of_e(changes: list[str]) -> None:
     config = load_with_overrides(CONFIG, changes=changes).config
-    before_Pa = config.web_line.required_web.youngs_modulus_Pa
+    before_Pa = config.web_line.youngs_modulus_Pa(1)
     changes = [*changes, f"steps.2.step.to={1.207 * before_Pa}"]
     check(CONFIG, *changes)
     with Bench(config, participants=Participants.IN_PROCESS) as bench:

@@ -169,7 +169,7 @@ def _variants(model: ModelParameters) -> Section:
     commands, boundary = _recording(model)
     p = lay.pack(model)
     many = np.tile(p, (_VARIANTS, 1))
-    many[:, lay.W_MODULUS_PA] *= np.linspace(0.9, 1.1, _VARIANTS)
+    many[:, lay.Layout.of(p).first_span + lay.SP_MODULUS_PA] *= np.linspace(0.9, 1.1, _VARIANTS)
     state = start_state(p, model)
     layout = lay.Layout.of(p)
 

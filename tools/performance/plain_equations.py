@@ -23,7 +23,7 @@ class PlainLine:
     """Two drives, two rollers, one span; set points in m/s at the web."""
 
     def __init__(self, model: ModelParameters) -> None:
-        web, drives = model.required_web, model.drives
+        drives = model.drives
         assert drives is not None
         self._mass = [model.mass_kg(axis) for axis in (1, 2)]
         self._ratio = [model.motor_rad_per_m(axis) for axis in (1, 2)]
@@ -33,7 +33,7 @@ class PlainLine:
         self._limit = [per_item(drives.torque_limit_Nm, axis) for axis in (1, 2)]
         self._current_s = per_item(drives.current_loop_time_constant_s, 1)
         self._period_s = drives.sample_time_s
-        self._stiffness_N = web.stiffness_N
+        self._stiffness_N = model.stiffness_N(1)
         self._length_m = model.span_length_m(1)
         self._strain_prev = model.upstream_strain
         self._f_prev_N = model.upstream_stiffness_N * model.upstream_strain

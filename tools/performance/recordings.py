@@ -47,7 +47,7 @@ def synchronizers(model: ModelParameters, lengths_s: list[float]) -> Section:
         n = round(length / 0.002)
         t = np.arange(n) * 0.002
         speed = 3.0 * np.minimum(t / 4.0, 1.0)
-        modulus = np.where(t > 0.5 * length, 1.2, 1.0) * model.required_web.youngs_modulus_Pa
+        modulus = np.where(t > 0.5 * length, 1.2, 1.0) * model.youngs_modulus_Pa(1)
         data = simulated_measurements(model, np.column_stack([speed * (1.0 - model.upstream_strain), speed]), modulus)
         start = time.perf_counter()
         compare_methods(model, data, methods_of(_METHODS), modulus, None)

@@ -7,7 +7,7 @@ from math import inf
 import numpy as np
 
 from hilbench.bench.tasks.imitated_web import imitated_web
-from hilbench.bench.tasks.tension_loop import OperatingPoint, TensionLoop
+from hilbench.bench.tasks.tension_loop import Moduli, OperatingPoint, TensionLoop
 from hilbench.errors import UnusableInputError
 from hilbench.exchange.nodes import Nodes, declared_units
 from hilbench.plant.sampled_shaft import imitation_delay_s
@@ -68,18 +68,18 @@ def _unmatched_loads(config: BenchConfig) -> list[str]:
 
 def _coarse_units(config: BenchConfig, nodes: Nodes) -> list[str]:
     """What one unit of an axis' position or velocity is in web tension, where that is more than 1 N."""
-    web, notes = config.web_line.required_web, []
+    model, notes = config.web_line, []
     for part in config.parts_of(Role.AXIS):
         axis = part.axis or 1
         units = declared_units(part, nodes.dictionary(part.name))
-        rad_per_m = config.web_line.motor_rad_per_m(axis)
-        beside = range(max(axis - 1, 1), min(axis, config.web_line.span_count) + 1)
-        span_m = min(map(config.web_line.span_length_m, beside))
-        position_N = web.stiffness_N * units.position_rad / rad_per_m / span_m
+        rad_per_m = model.motor_rad_per_m(axis)
+        beside = range(max(axis - 1, 1), min(axis, model.span_count) + 1)
+        stiffest_N_per_m = max(model.stiffness_N(span) / model.span_length_m(span) for span in beside)
+        position_N = stiffest_N_per_m * units.position_rad / rad_per_m
         if position_N > _COARSE_N:
             notes.append(f"{part.name}: one unit of position (6064h) stands for {position_N:.3g} N of web tension")
         # Steady tension changes by E·S·Δv/v; the slowest that the line is meant to run at would be worse than 1 m/s.
-        velocity_N = web.stiffness_N * units.velocity_rad_s / rad_per_m
+        velocity_N = max(map(model.stiffness_N, beside)) * units.velocity_rad_s / rad_per_m
         if velocity_N > _COARSE_N:
             notes.append(
                 f"{part.name}: one unit of velocity (60FFh) moves the web tension by {velocity_N:.3g} N at 1 m/s"
@@ -89,8 +89,10 @@ def _coarse_units(config: BenchConfig, nodes: Nodes) -> list[str]:
 
 def start_point(config: BenchConfig) -> OperatingPoint:
     """The tension loop when the drives are enabled, with the E that the twin begins with."""
-    web = imitated_web(config.web_line, config.load).required_web
-    return OperatingPoint(web.youngs_modulus_Pa, 0.0, 1.0, config.web_line.required_web.youngs_modulus_Pa)
+    model, spans = config.web_line, range(1, config.shape.spans + 1)
+    web = imitated_web(model, config.load)
+    moduli_Pa, estimates_Pa = (tuple(map(of.youngs_modulus_Pa, spans)) for of in (web, model))
+    return OperatingPoint(moduli_Pa, 0.0, (1.0,) * len(spans), estimates_Pa)
 
 
 def check_stability(config: BenchConfig, document: Document, point: OperatingPoint, where: Location) -> None:
@@ -116,10 +118,20 @@ def check_stability(config: BenchConfig, document: Document, point: OperatingPoi
 
 def operating_point_text(point: OperatingPoint) -> str:
     """An operating point as a message names it."""
-    text = f"E {point.youngs_modulus_Pa * 1e-6:.4g} N/mm²"
-    if not abs(point.estimate_Pa / point.youngs_modulus_Pa - 1.0) <= SAME_MODULUS:
-        text += f" (believed: {point.estimate_Pa * 1e-6:.4g})"
+    text = f"E {_told(point.moduli_Pa)} N/mm²"
+    if not alike(point.estimates_Pa, point.moduli_Pa):
+        text += f" (believed: {_told(point.estimates_Pa)})"
     return f"{text}, {point.line_speed_m_s:g} m/s"
+
+
+def alike(some: Moduli, others: Moduli) -> bool:
+    """Whether E of the spans differs by nothing that matters."""
+    return all(abs(one / other - 1.0) <= SAME_MODULUS for one, other in zip(some, others, strict=True))
+
+
+def _told(moduli_Pa: Moduli) -> str:
+    """One number where all spans have the same."""
+    return ", ".join(dict.fromkeys(f"{modulus * 1e-6:.4g}" for modulus in moduli_Pa))
 
 
 def stiffness_reserve(config: BenchConfig, point: OperatingPoint) -> float:
@@ -131,8 +143,8 @@ def stiffness_reserve(config: BenchConfig, point: OperatingPoint) -> float:
     model = config.web_line
     web = imitated_web(model, config.load)
     stiffness_N_per_m = [
-        point.youngs_modulus_Pa * web.required_web.section_m2 / (web.span_length_m(span) * point.length_factor)
-        for span in range(1, web.span_count + 1)
+        modulus_Pa * web.section_m2(span) / (web.span_length_m(span) * factor)
+        for span, (modulus_Pa, factor) in enumerate(zip(point.moduli_Pa, point.length_factors, strict=True), 1)
     ]
     loaded = [axis for axis in config.loaded_axes if model.carries_web_load(axis)]
     if not loaded:

@@ -272,7 +272,7 @@ def _as_measured(steps: list[Step], model: ModelParameters, reach: Reach) -> Mea
     t = np.asarray(np.arange(round(times[-1] / _PERIOD_S)) * _PERIOD_S, np.float64)
     v2 = np.interp(t, times, speeds)
     tension = np.array(tensions)[np.clip(np.searchsorted(times, t, side="right") - 1, 0, len(tensions) - 1)]
-    stiffness = model.required_web.stiffness_N
+    stiffness = model.stiffness_N(1)
     v1 = v2 * (1.0 - (tension / stiffness - model.upstream_strain))
     n, axes = len(t), range(1, model.axis_count + 1)
     zero = np.zeros(n)

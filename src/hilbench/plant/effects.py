@@ -184,6 +184,8 @@ class Effect:
     slots: int = 1
     #: Axis that may be named although the effect has no choice of axis: the one at which its law acts.
     implied_axis: int | None = None
+    #: Whether each span of a line can have it by itself; given without a span it is in all of them.
+    per_span: bool = False
     kinds: frozenset[MachineKind] = field(default=_WEB_ONLY)
     rotary: Rotary | None = None
     #: How a search probes it; None: one look at its response, at a strength of its usual size.
@@ -234,6 +236,16 @@ class Effect:
             return f"effect '{self.id}' with axis {axis}, expected none: it is an effect of the web"
         if axis is not None and (axis < 1 or (axes is not None and axis > axes)):
             return f"effect '{self.id}' with axis {axis}, expected 1 to {axes if axes is not None else 'N'}"
+        return None
+
+    def span_problem(self, span: int | None, spans: int | None = None) -> str | None:
+        """What is wrong with the span given for it (of a machine with `spans`), in one line, or None."""
+        if span is None:
+            return None
+        if not self.per_span:
+            return f"effect '{self.id}' with span {span}, expected none: it is no effect of a span"
+        if span < 1 or (spans is not None and span > spans):
+            return f"effect '{self.id}' with span {span}, expected 1 to {spans if spans is not None else 'K'}"
         return None
 
     def enters(self, place: EffectPlace) -> bool:
@@ -457,6 +469,7 @@ EFFECTS: tuple[Effect, ...] = (
     Effect(
         id="elasticity_shift",
         per_axis=False,
+        per_span=True,
         law="E·(1+s)",
         domain=Domain.ELASTICITY,
         parameters=(_relative(),),
@@ -467,6 +480,7 @@ EFFECTS: tuple[Effect, ...] = (
     Effect(
         id="elasticity_step",
         per_axis=False,
+        per_span=True,
         law="E·(1+s) from time_s on",
         domain=Domain.ELASTICITY,
         parameters=(_onset(), _relative()),
@@ -483,6 +497,7 @@ EFFECTS: tuple[Effect, ...] = (
     Effect(
         id="elasticity_drift",
         per_axis=False,
+        per_span=True,
         law="E·(1 + k·t)",
         domain=Domain.ELASTICITY,
         parameters=(Parameter("rate_per_s", "1/s", 0.0, -1.0, 1.0, Size(1e-3)),),
@@ -493,6 +508,7 @@ EFFECTS: tuple[Effect, ...] = (
     Effect(
         id="web_damping",
         per_axis=False,
+        per_span=True,
         law="F = E·S·(strain + T·strain')",
         domain=Domain.ELASTICITY,
         parameters=(Parameter("time_constant_s", "s", 0.0, 0.0, 1.0, Size(5.0, sample_time=1)),),
@@ -503,6 +519,7 @@ EFFECTS: tuple[Effect, ...] = (
     Effect(
         id="web_slip",
         per_axis=False,
+        per_span=True,
         law="web speed at the roller behind a span = v·(1 - c·(F - F_next)) (creep)",
         domain=Domain.WEB_KINEMATICS,
         parameters=(Parameter("creep_per_N", "1/N", 0.0, 0.0, 1e-2, Size(0.565, strain=1, force=-1)),),
@@ -514,6 +531,7 @@ EFFECTS: tuple[Effect, ...] = (
     Effect(
         id="strain_offset",
         per_axis=False,
+        per_span=True,
         law="F = E·S·(strain - strain0)",
         domain=Domain.ELASTICITY,
         parameters=(Parameter("strain", "1", 0.0, -0.1, 0.1, Size(0.07, strain=1)),),
@@ -540,6 +558,7 @@ EFFECTS: tuple[Effect, ...] = (
     Effect(
         id="span_length_error",
         per_axis=False,
+        per_span=True,
         law="L·(1+s)",
         domain=Domain.GEOMETRY,
         parameters=(_relative(),),
@@ -550,6 +569,7 @@ EFFECTS: tuple[Effect, ...] = (
     Effect(
         id="elasticity_ramp",
         per_axis=False,
+        per_span=True,
         law="E·(1 + s·(t - time_s)/duration_s) from time_s on, E·(1+s) after duration_s",
         domain=Domain.ELASTICITY,
         parameters=(_onset(), Parameter("duration_s", "s", 1.0, 1e-3, 1e9, Size(1.0)), _relative()),
@@ -730,11 +750,14 @@ def effect_problem(
     axes: int | None,
     loaded: Collection[int] | None = (),
     kind: MachineKind = MachineKind.WEB_LINE,
+    *,
+    span: int | None = None,
+    spans: int | None = None,
 ) -> str | None:
     """Why an effect can't be hidden at a place, in one line, or None.
 
-    axis: the one given for it, from 1 (None: none). axes: how many the machine has. loaded: those on whose shaft a load
-    motor is. Either is None where that is not known yet.
+    axis, span: those given for it, from 1 (None: none). axes, spans: how many the machine has. loaded: axes on whose
+    shaft a load motor is. What the machine has is None where that is not known yet.
     """
     try:
         effect = find_effect(effect_id, kind)
@@ -749,4 +772,4 @@ def effect_problem(
     if place is EffectPlace.LOAD and effect.domain in _AT_A_ROLLER and loaded is not None and axis not in loaded:
         where, motor = " or ".join(map(str, loaded)) or "none", "a load motor" if len(loaded) > 1 else "the load motor"
         return f"{effect_id} of axis {where}, where {motor} is; other axes' in 'hardware:'"
-    return effect.axis_problem(axis, axes)
+    return effect.axis_problem(axis, axes) or effect.span_problem(span, spans)

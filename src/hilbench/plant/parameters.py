@@ -64,6 +64,9 @@ class EffectEntry(Block):
 
     effect: str = Field(description="its id in the vocabulary of effects")
     axis: int | None = Field(default=None, description="1 is the first roller's; for effects that belong to an axis")
+    span: int | None = Field(
+        default=None, description="1 is behind the first roller; for effects of a span, which are else in every one"
+    )
     parameters: dict[str, FiniteFloat] = Field(default_factory=dict, description="its values, by name")
 
     @model_validator(mode="after")
@@ -72,7 +75,7 @@ class EffectEntry(Block):
             effect = find_effect(self.effect, self.machine_kind)
         except KeyError as error:
             raise ValueError(error.args[0]) from None
-        problem = effect.axis_problem(self.axis) or effect.problem(self.parameters)
+        problem = effect.axis_problem(self.axis) or effect.span_problem(self.span) or effect.problem(self.parameters)
         if problem:
             raise ValueError(problem)
         return self

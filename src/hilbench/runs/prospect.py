@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 from math import prod
 
+from hilbench.bench.tasks.imitated_web import imitated_web
 from hilbench.plant.effects import MachineKind, find_effect
 from hilbench.plant.parameters import EffectEntry
 from hilbench.runs.config import ExperimentConfig
@@ -38,29 +39,31 @@ class State:
         """Of the tensions, by path."""
         return {path: value for path, value in self.values.items() if quantities.span_of_set_point(path) is not None}
 
-    @property
-    def youngs_modulus_Pa(self) -> float:
-        """E of the imitated web, with its effects."""
-        modulus_Pa = self.values[quantities.YOUNGS_MODULUS]
-        for effect, parameters in self._all_effects():
+    def youngs_modulus_Pa(self, span: int) -> float:
+        """E of a span (counted from 1) of the imitated web, with its effects."""
+        modulus_Pa = self.values.get(quantities.modulus_of_span(span), self.values[quantities.YOUNGS_MODULUS])
+        for effect, parameters in self._effects_in(span):
             modulus_Pa *= _elasticity_factor(effect, parameters, self.time_s)
         return modulus_Pa
 
-    @property
-    def length_factor(self) -> float:
-        """Of the imitated span."""
-        return prod(1.0 + p["relative_change"] for effect, p in self._all_effects() if effect == "span_length_error")
+    def length_factor(self, span: int) -> float:
+        """Of a span of the imitated web."""
+        effects = self._effects_in(span)
+        return prod(1.0 + p["relative_change"] for effect, p in effects if effect == "span_length_error")
 
-    def _all_effects(self) -> Iterator[tuple[str, Mapping[str, float]]]:
+    def _effects_in(self, span: int) -> Iterator[tuple[str, Mapping[str, float]]]:
+        """Those of a span, and of all spans or of the whole line."""
         for entry in self.effects:
-            yield entry.effect, find_effect(entry.effect).filled(entry.parameters)
-        changed: dict[str, dict[str, float]] = {}
+            if entry.span in (None, span):
+                yield entry.effect, find_effect(entry.effect).filled(entry.parameters)
+        changed: dict[tuple[str, int | None, int | None], dict[str, float]] = {}
         for path, value in self.values.items():
             if path.startswith(_LOAD_EFFECT):
                 known = quantities.parse_effect_path(path)
-                changed.setdefault(known.effect, {})[known.parameter] = value
-        for effect, parameters in changed.items():
-            yield effect, find_effect(effect).filled(parameters)
+                changed.setdefault((known.effect, known.axis, known.span), {})[known.parameter] = value
+        for (effect, axis, at), parameters in changed.items():
+            if at == span or (at is None and (effect, axis, span) not in changed):
+                yield effect, find_effect(effect).filled(parameters)
 
 
 def _elasticity_factor(effect: str, parameters: Mapping[str, float], t_s: float) -> float:
@@ -94,12 +97,16 @@ def _start_values(config: ExperimentConfig) -> dict[str, float]:
             quantities.SHAFT_INERTIA: shaft.inertia_kg_m2,
             quantities.SHAFT_COULOMB_FRICTION: shaft.shaft.coulomb_friction_Nm,
         }
-    modulus_Pa = config.load.web.youngs_modulus_Pa or config.web_line.required_web.youngs_modulus_Pa
+    web = imitated_web(config.web_line, config.load)
+    moduli_Pa = {quantities.YOUNGS_MODULUS: web.youngs_modulus_Pa(1)}
+    if web.span_count > 1:
+        spans = range(1, web.span_count + 1)
+        moduli_Pa |= {quantities.modulus_of_span(span): web.youngs_modulus_Pa(span) for span in spans}
     set_points = {
         quantities.tension_set_point(config.shape.numbered(span)): control.set_point_N
         for span, control in config.tension_controls.items()
     }
-    return {quantities.LINE_SPEED: 0.0, **set_points, quantities.YOUNGS_MODULUS: modulus_Pa}
+    return {quantities.LINE_SPEED: 0.0, **set_points, **moduli_Pa}
 
 
 def start_of(config: ExperimentConfig) -> State:
@@ -107,11 +114,13 @@ def start_of(config: ExperimentConfig) -> State:
     values = _start_values(config)
     others: list[EffectEntry] = []
     for number, entry in enumerate(config.load.effects):
-        if any(later.effect == entry.effect for later in config.load.effects[number + 1 :]):
+        place = (entry.effect, entry.axis, entry.span)
+        if any((later.effect, later.axis, later.span) == place for later in config.load.effects[number + 1 :]):
             others.append(entry)  # a path changes the last one of a kind
             continue
-        axis = "" if entry.axis is None else f"axis{entry.axis}."
-        values |= {f"{_LOAD_EFFECT}{entry.effect}.{axis}{name}": value for name, value in entry.parameters.items()}
+        part = "" if entry.axis is None else f"axis{entry.axis}."
+        part += "" if entry.span is None else f"span{entry.span}."
+        values |= {f"{_LOAD_EFFECT}{entry.effect}.{part}{name}": value for name, value in entry.parameters.items()}
     return State(0.0, ("steps",), values, tuple(others))
 
 
@@ -151,7 +160,10 @@ def moves(config: ExperimentConfig) -> Iterator[Move]:
 
 
 def _move(state: State, place: Location, path: str, value: float, lasts_s: float) -> Move:
-    after = replace(state, time_s=state.time_s + lasts_s, place=place, values={**state.values, path: value})
+    values = {**state.values, path: value}
+    if path == quantities.YOUNGS_MODULUS:  # of all spans, whatever each had
+        values |= {known: value for known in values if quantities.span_of_modulus(known) is not None}
+    after = replace(state, time_s=state.time_s + lasts_s, place=place, values=values)
     return Move(state, after, lasts_s)
 
 

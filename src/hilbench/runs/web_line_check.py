@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from math import inf
 
-from hilbench.bench.tasks.tension_loop import OperatingPoint
-from hilbench.bench.web_line_check import SAME_MODULUS
+from hilbench.bench.tasks.tension_loop import Moduli, OperatingPoint
+from hilbench.bench.web_line_check import alike
 from hilbench.plant.parameters import per_item
 from hilbench.runs.config import ExperimentConfig, LoadedConfig
 from hilbench.runs.prospect import Move, State, start_of
@@ -21,38 +21,43 @@ _MOST_POINTS = 24
 
 def operating_points(config: ExperimentConfig, asked: list[Move]) -> dict[OperatingPoint, Location]:
     """Where the loop will be, each with the step that brings it there; behind a step of E with the old one believed."""
-    start = start_of(config)
-    model_Pa = config.web_line.required_web.youngs_modulus_Pa
+    start, spans = start_of(config), range(1, config.shape.spans + 1)
     points: dict[OperatingPoint, Location] = {}
 
-    def add(state: State, believed_Pa: float) -> None:
-        if state.youngs_modulus_Pa <= 0.0 or believed_Pa <= 0.0:
+    def add(state: State, believed_Pa: Moduli) -> None:
+        moduli_Pa = _moduli(state, spans)
+        if min(*moduli_Pa, *believed_Pa) <= 0.0:
             return  # values are checked where they enter
-        factor = state.length_factor
-        point = OperatingPoint(state.youngs_modulus_Pa, abs(state.line_speed_m_s), factor, believed_Pa)
+        factors = tuple(state.length_factor(span) for span in spans)
+        point = OperatingPoint(moduli_Pa, abs(state.line_speed_m_s), factors, believed_Pa)
         if not any(_alike(point, known) for known in points):
             points[point] = state.place
 
-    add(start, model_Pa)
-    add(start, start.youngs_modulus_Pa)
+    add(start, tuple(config.web_line.youngs_modulus_Pa(span) for span in spans))
+    add(start, _moduli(start, spans))
     for move in asked:
-        if move.duration_s == 0.0 and move.before.youngs_modulus_Pa != move.after.youngs_modulus_Pa:
-            add(move.after, move.before.youngs_modulus_Pa)
-        add(move.after, move.after.youngs_modulus_Pa)
+        before, after = _moduli(move.before, spans), _moduli(move.after, spans)
+        if move.duration_s == 0.0 and before != after:
+            add(move.after, before)
+        add(move.after, after)
     return points if len(points) <= _MOST_POINTS else _extremes(points)
 
 
+def _moduli(state: State, spans: Iterable[int]) -> Moduli:
+    return tuple(state.youngs_modulus_Pa(span) for span in spans)
+
+
 def stiffness_of(point: OperatingPoint) -> float:
-    """Of the web, to compare points by."""
-    return point.youngs_modulus_Pa / point.length_factor
+    """Of the stiffest span, to compare points by."""
+    return max(modulus / factor for modulus, factor in zip(point.moduli_Pa, point.length_factors, strict=True))
 
 
 def _alike(one: OperatingPoint, other: OperatingPoint) -> bool:
     return (
         abs(one.line_speed_m_s - other.line_speed_m_s) <= _SAME_SPEED_M_S
-        and one.length_factor == other.length_factor
-        and abs(one.youngs_modulus_Pa / other.youngs_modulus_Pa - 1.0) <= SAME_MODULUS
-        and abs(one.estimate_Pa / other.estimate_Pa - 1.0) <= SAME_MODULUS
+        and one.length_factors == other.length_factors
+        and alike(one.moduli_Pa, other.moduli_Pa)
+        and alike(one.estimates_Pa, other.estimates_Pa)
     )
 
 
@@ -60,7 +65,7 @@ def _extremes(points: dict[OperatingPoint, Location]) -> dict[OperatingPoint, Lo
     """The softest and the stiffest, the slowest and the fastest, those that are believed wrongly the most."""
 
     def mistake(point: OperatingPoint) -> float:
-        return point.youngs_modulus_Pa / point.estimate_Pa
+        return max(true / believed for true, believed in zip(point.moduli_Pa, point.estimates_Pa, strict=True))
 
     kept: dict[OperatingPoint, Location] = {}
     for order in (
@@ -76,23 +81,33 @@ def _extremes(points: dict[OperatingPoint, Location]) -> dict[OperatingPoint, Lo
 def step_warnings(loaded: LoadedConfig, asked: list[Move]) -> Iterator[str]:
     """What the steps will run into."""
     limits = loaded.config.safety.limits
-    model_Pa = loaded.config.web_line.required_web.youngs_modulus_Pa
     for move in asked:
         before, after = move.before, move.after
         at = loaded.document.place(after.place)
-        modulus_Pa = after.youngs_modulus_Pa
         for path, set_point_N in after.set_points_N.items():
             if set_point_N != before.set_points_N.get(path):
                 yield from beyond(at, "set-point of the tension", set_point_N, limits.tension_N, "N")
         if after.line_speed_m_s != before.line_speed_m_s:
             yield from beyond(at, "line speed", abs(after.line_speed_m_s), limits.speed_m_s, "m/s")
             yield from _too_fast(loaded.config, at, move)
-        if modulus_Pa > 0.0 and before.youngs_modulus_Pa > 0.0 and modulus_Pa != before.youngs_modulus_Pa:
-            ratio = max(modulus_Pa / model_Pa, model_Pa / modulus_Pa)
-            yield from beyond(at, "E over the model's (or its inverse)", ratio, limits.estimate_ratio, "")
-            if move.duration_s == 0.0:
-                tension_N = max(after.set_points_N.values()) * modulus_Pa / before.youngs_modulus_Pa
-                yield from beyond(at, "tension right behind this step of E", tension_N, limits.tension_N, "N")
+        yield from _of_a_change_of_E(loaded.config, at, move)
+
+
+def _of_a_change_of_E(config: ExperimentConfig, at: str, move: Move) -> Iterator[str]:
+    """What the span whose E is then off the most, or jumps the most, runs into."""
+    limits, model = config.safety.limits, config.web_line
+    changed = []
+    for span in range(1, model.span_count + 1):
+        before_Pa, after_Pa = move.before.youngs_modulus_Pa(span), move.after.youngs_modulus_Pa(span)
+        if before_Pa > 0.0 and after_Pa > 0.0 and before_Pa != after_Pa:
+            model_Pa = model.youngs_modulus_Pa(span)
+            changed.append((max(after_Pa / model_Pa, model_Pa / after_Pa), after_Pa / before_Pa))
+    if changed:
+        ratio = max(ratio for ratio, _ in changed)
+        yield from beyond(at, "E over the model's (or its inverse)", ratio, limits.estimate_ratio, "")
+        if move.duration_s == 0.0:
+            tension_N = max(move.after.set_points_N.values()) * max(jump for _, jump in changed)
+            yield from beyond(at, "tension right behind this step of E", tension_N, limits.tension_N, "N")
 
 
 def beyond(at: str, what: str, value: float, limit: Limit, unit: str) -> Iterator[str]:

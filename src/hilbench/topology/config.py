@@ -98,11 +98,11 @@ def _effect_problem(entry: EffectEntry, kind: MachineKind) -> str | None:
         effect = find_effect(entry.effect, kind)
     except KeyError as error:
         return str(error.args[0])
-    return effect.axis_problem(entry.axis) or effect.problem(entry.parameters)
+    return effect.axis_problem(entry.axis) or effect.span_problem(entry.span) or effect.problem(entry.parameters)
 
 
 def _place_problem(entry: EffectEntry, place: EffectPlace, kind: MachineKind) -> str | None:
-    return effect_problem(entry.effect, entry.axis, place, None, None, kind)
+    return effect_problem(entry.effect, entry.axis, place, None, None, kind, span=entry.span)
 
 
 def _possible_effects(entries: list[HiddenEffect], place: EffectPlace) -> list[HiddenEffect]:
@@ -200,9 +200,9 @@ def _misfits(key: str, value: Any, machine: Any, loaded: Collection[int] | None)
         yield from span_misfits([control.span for control in value.values()], machine.span_count)
     if key == "twin" and not of_servo:
         yield from estimate_misfits(value, machine)
-    lengths = value.web.span_length_m if key == "load" and not of_servo else None
-    if isinstance(lengths, list) and len(lengths) != machine.span_count:
-        yield f"'web.span_length_m' as one number or {machine.span_count}"
+    for name, of_spans in value.web if key == "load" and not of_servo else ():
+        if isinstance(of_spans, list) and len(of_spans) != machine.span_count:
+            yield f"'web.{name}' as one number or {machine.span_count}"
     if key == "load" and value.web != LoadWebConfig() and of_servo:
         yield "'shaft:' for a servo axis"
     if not of_servo and ((key == "load" and value.shaft != LoadShaftConfig()) or (key == "hardware" and value.shaft)):
@@ -213,8 +213,12 @@ def _misfits(key: str, value: Any, machine: Any, loaded: Collection[int] | None)
             if getattr(value, name) != getattr(default, name):
                 yield f"no '{name}:', which is of a twin of another kind of machine (this one is a {kind})"
     if key in ("hardware", "load"):
+        spans = 0 if of_servo else machine.span_count
         for entry in value.effects:
-            place = effect_problem(entry.effect, entry.axis, EffectPlace(key), machine.axis_count, loaded, kind)
+            place = effect_problem(
+                entry.effect, entry.axis, EffectPlace(key), machine.axis_count, loaded, kind,
+                span=entry.span, spans=spans,
+            )  # fmt: skip
             yield from filter(None, [_effect_problem(entry, kind), place])
 
 

@@ -4,8 +4,9 @@
 has torn and pulls no more; 0: it is whole), and any parameter of any effect, hidden
 in the imitated mechanics or in the simulated hardware: `load.effects.elasticity_drift.rate_per_s`,
 `hardware.effects.coulomb_friction.axis1.force_N`. On a line of several spans a set-point has the number of its span:
-`tension_control.span2.set_point_N`. Of a servo axis: `speed_rad_s`, `load.shaft.inertia_kg_m2`,
-`load.shaft.coulomb_friction_Nm`, `load.shaft.viscous_friction_Nm_s_per_rad`.
+`tension_control.span2.set_point_N`; E and the effects of a span are those of all spans, or with its number of one:
+`load.web.span2.youngs_modulus_Pa`, `load.effects.elasticity_drift.span2.rate_per_s`. Of a servo axis: `speed_rad_s`,
+`load.shaft.inertia_kg_m2`, `load.shaft.coulomb_friction_Nm`, `load.shaft.viscous_friction_Nm_s_per_rad`.
 
 The ranges here are those of values with a meaning, whatever the config. What an operator may ask for of a running
 bench is less (`hilbench.bench.operator.operator_objects`), and `safety: limits` end a run before that.
@@ -93,7 +94,8 @@ _PLAIN_OF = {
 _PLAIN = {path: values for of_kind in _PLAIN_OF.values() for path, values in of_kind.items()}
 PLAIN_PATHS = tuple(_PLAIN)
 _NUMBERED_SET_POINT = re.compile(r"tension_control\.span([1-9]\d{0,3})\.set_point_N")
-_AXIS = re.compile(r"axis([1-9]\d{0,3})")
+_NUMBERED_MODULUS = re.compile(r"load\.web\.span([1-9]\d{0,3})\.youngs_modulus_Pa")
+_PART = re.compile(r"(axis|span)([1-9]\d{0,3})")
 
 #: Axes of the smallest machine of each kind, and those on whose shaft a load motor is.
 _SMALLEST = {MachineKind.WEB_LINE: (2, (2,)), MachineKind.SERVO_AXIS: (1, (1,))}
@@ -110,8 +112,21 @@ def span_of_set_point(path: str) -> str | None:
     return found[1] if found else "" if path == TENSION_SET_POINT else None
 
 
-def _is_plain(path: str) -> bool:
-    return path in _PLAIN or _NUMBERED_SET_POINT.fullmatch(path) is not None
+def modulus_of_span(span: int) -> str:
+    """The path of E of one span of the imitated web, on a line of several."""
+    return f"load.web.span{span}.youngs_modulus_Pa"
+
+
+def span_of_modulus(path: str) -> int | None:
+    """The span in the path of E of one span of the imitated web; None for another path."""
+    found = _NUMBERED_MODULUS.fullmatch(path)
+    return int(found[1]) if found else None
+
+
+def is_plain(path: str) -> bool:
+    """Whether a quantity is none of an effect, whatever the machine."""
+    numbered = (_NUMBERED_SET_POINT, _NUMBERED_MODULUS)
+    return path in _PLAIN or any(pattern.fullmatch(path) for pattern in numbered)
 
 
 @dataclass(frozen=True)
@@ -123,13 +138,14 @@ class EffectPath:
     axis: int | None
     parameter: str
     kind: MachineKind = MachineKind.WEB_LINE  #: by whose rows the parameter is named
+    span: int | None = None  #: None: all of them, or the effect is of no span
 
 
 @cache
 def parse_effect_path(text: str, kind: MachineKind | None = None) -> EffectPath:
-    """Take ``load|hardware.effects.ID[.axisN].PARAMETER`` apart, as a kind of machine has it (None: as any has).
+    """Take ``load|hardware.effects.ID[.axisN|.spanN].PARAMETER`` apart, as a kind of machine has it (None: any).
 
-    Which axes there are the bench says (`path_problem`). Raises ValueError that says what is wrong.
+    Which axes and spans there are the bench says (`path_problem`). Raises ValueError that says what is wrong.
     """
     if kind is not None:
         return _parsed(text, kind)
@@ -148,34 +164,42 @@ def _parsed(text: str, kind: MachineKind) -> EffectPath:
     if len(parts) not in (4, 5) or parts[0] not in list(EffectPlace) or parts[1] != "effects":
         known = ", ".join(PLAIN_PATHS)
         raise ValueError(
-            f"one of {known}, or load|hardware.effects.ID[.axisN].PARAMETER{did_you_mean(text, all_paths())}"
+            f"one of {known}, or load|hardware.effects.ID[.axisN|.spanN].PARAMETER{did_you_mean(text, all_paths())}"
         )
-    place, _, name, *axis_part, parameter = parts
+    place, _, name, *part, parameter = parts
     try:
         effect = find_effect(name, kind)
     except KeyError:
         meant = did_you_mean(name, (effect.id for effect in effects_of(kind)))
         raise ValueError(f"an effect of the vocabulary, '{name}' is none{meant}") from None
-    numbered = _AXIS.fullmatch(axis_part[0]) if axis_part else None
-    axis = int(numbered[1]) if numbered else None
+    numbered = _PART.fullmatch(part[0]) if part else None
+    axis = int(numbered[2]) if numbered and numbered[1] == "axis" else None
+    span = int(numbered[2]) if numbered and numbered[1] == "span" else None
     if effect.per_axis and axis is None:
         raise ValueError(f"'{name}' with its axis: {place}.effects.{name}.axisN.{parameter}")
-    if not effect.per_axis and axis_part:
-        raise ValueError(f"'{name}' without an axis: {place}.effects.{name}.{parameter}")
+    if not effect.per_axis and part and not (effect.per_span and span is not None):
+        or_span = f", or with its span: {place}.effects.{name}.spanN.{parameter}" if effect.per_span else ""
+        raise ValueError(f"'{name}' without an axis: {place}.effects.{name}.{parameter}{or_span}")
     names = [known.name for known in effect.parameters]
     if parameter not in names:
         meant = did_you_mean(parameter, names)
         raise ValueError(f"a parameter of '{name}' ({', '.join(names)}), '{parameter}' is none{meant}")
-    problem = effect_problem(name, axis, EffectPlace(place), None, None, kind)
+    problem = effect_problem(name, axis, EffectPlace(place), None, None, kind, span=span)
     if problem:
         raise ValueError(problem)
-    return EffectPath(place, name, axis, parameter, kind)
+    return EffectPath(place, name, axis, parameter, kind, span)
 
 
 def plain_paths(kind: MachineKind, shape: Shape) -> tuple[str, ...]:
     """The quantities of a machine, without those of its effects."""
-    set_points = [tension_set_point(shape.numbered(span)) for span in shape.controlled]
-    return tuple(path for known in _PLAIN_OF[kind] for path in (set_points if known == TENSION_SET_POINT else [known]))
+    several = {
+        TENSION_SET_POINT: [tension_set_point(shape.numbered(span)) for span in shape.controlled],
+        YOUNGS_MODULUS: [
+            YOUNGS_MODULUS,
+            *(modulus_of_span(k + 1) for k in range(shape.spans if shape.spans > 1 else 0)),
+        ],
+    }
+    return tuple(path for known in _PLAIN_OF[kind] for path in several.get(known, [known]))
 
 
 def path_problem(path: str, kind: MachineKind, shape: Shape, loaded: Collection[int]) -> str | None:
@@ -183,14 +207,15 @@ def path_problem(path: str, kind: MachineKind, shape: Shape, loaded: Collection[
     known = plain_paths(kind, shape)
     if path in known:
         return None
-    if _is_plain(path):
+    if is_plain(path):
         other = "another kind of machine" if path in _PLAIN and path not in _PLAIN_OF[kind] else "another machine"
         return f"a quantity of a {kind} ({', '.join(known)}), '{path}' is of {other}"
     try:
         of = parse_effect_path(path, kind)
     except ValueError as error:
         return str(error)
-    return effect_problem(of.effect, of.axis, EffectPlace(of.place), shape.axes, loaded, kind)
+    place, spans = EffectPlace(of.place), shape.spans
+    return effect_problem(of.effect, of.axis, place, shape.axes, loaded, kind, span=of.span, spans=spans)
 
 
 def all_paths() -> Iterator[str]:
@@ -211,7 +236,7 @@ def is_of_load(path: str) -> bool:
 
 def settable_path(text: str) -> str:
     """The path itself when it names a quantity that can be set; ValueError otherwise."""
-    if not _is_plain(text):
+    if not is_plain(text):
         parse_effect_path(text)
     return text
 
@@ -226,8 +251,8 @@ def rampable_path(text: str) -> str:
 @cache
 def permitted(path: str) -> Permitted:
     """What values a quantity may have. Raises ValueError for an unknown path."""
-    if _is_plain(path):
-        return _PLAIN.get(path, _PLAIN[TENSION_SET_POINT])
+    if is_plain(path):
+        return _PLAIN.get(path, _PLAIN[YOUNGS_MODULUS if span_of_modulus(path) else TENSION_SET_POINT])
     of = parse_effect_path(path)
     parameter = find_effect(of.effect, of.kind).parameter(of.parameter)
     return Permitted(parameter.lower, parameter.upper, parameter.unit)

@@ -15,7 +15,9 @@ from hilbench.plant.web_line.parameters import Length, ModelParameters, Modulus
 class LoadWebConfig(Block):
     """Where the imitated web differs from the model; what is not given is as in `machine:`."""
 
-    youngs_modulus_Pa: Modulus | None = Field(default=None, description="Young's modulus E of the imitated web")
+    youngs_modulus_Pa: Modulus | list[Modulus] | None = Field(
+        default=None, description="Young's modulus E of the imitated web: one, or a list of the spans'"
+    )
     span_length_m: Length | list[Length] | None = Field(default=None, description="free web between two driven rollers")
 
 

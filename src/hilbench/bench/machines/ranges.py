@@ -14,13 +14,15 @@ from hilbench.topology.quantities import (
     SPEED,
     TENSION_SET_POINT,
     YOUNGS_MODULUS,
+    modulus_of_span,
     permitted,
     tension_set_point,
 )
 from hilbench.topology.safety import Limit
 
 _FIRST_SET_POINT: Final = 15  #: sub-index before that of span 1 on a line of several spans
-MOST_SET_POINTS: Final = 16  #: of how many spans there is one
+_FIRST_MODULUS: Final = 31  #: sub-index before that of E of span 1
+MOST_SPANS: Final = 16  #: of how many spans there is an object of each
 #: Sub-index of 2200h, given once and for all, and name in the EDS file of each quantity, by path.
 OPERATOR_OBJECTS: Final = {
     LINE_SPEED: (1, "Line speed [m/s]"),
@@ -31,7 +33,11 @@ OPERATOR_OBJECTS: Final = {
     SHAFT_COULOMB_FRICTION: (6, "Dry friction of the imitated shaft [N.m]"),
     **{
         tension_set_point(str(span)): (_FIRST_SET_POINT + span, f"Tension set-point of span {span} [N]")
-        for span in range(1, MOST_SET_POINTS + 1)
+        for span in range(1, MOST_SPANS + 1)
+    },
+    **{
+        modulus_of_span(span): (_FIRST_MODULUS + span, f"Modulus of the imitated web in span {span} [Pa]")
+        for span in range(1, MOST_SPANS + 1)
     },
 }
 
@@ -57,12 +63,15 @@ def _of_web_line(config: BenchConfig) -> dict[str, tuple[float, float]]:
     """Line speed (m/s), tension set-point (N), Young's modulus of the imitated web (Pa)."""
     limits = config.safety.limits
     speed_m_s, ratio = _highest(limits.speed_m_s), min(_highest(limits.estimate_ratio), _LARGEST_RATIO)
-    modulus_Pa = config.web_line.required_web.youngs_modulus_Pa
+    moduli_Pa = {YOUNGS_MODULUS: config.web_line.youngs_modulus_Pa(1)}
+    if config.shape.spans > 1:
+        spans = range(1, config.shape.spans + 1)
+        moduli_Pa |= {modulus_of_span(span): config.web_line.youngs_modulus_Pa(span) for span in spans}
     set_points = [tension_set_point(config.shape.numbered(span)) for span in config.tension_controls]
     return {
         LINE_SPEED: (-speed_m_s, speed_m_s),
         **{path: (0.0, _highest(limits.tension_N)) for path in set_points if path in OPERATOR_OBJECTS},
-        YOUNGS_MODULUS: (modulus_Pa / ratio, modulus_Pa * ratio),
+        **{path: (E / ratio, E * ratio) for path, E in moduli_Pa.items() if path in OPERATOR_OBJECTS},
     }
 
 

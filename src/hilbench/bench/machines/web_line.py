@@ -50,7 +50,7 @@ def tasks(config: BenchConfig, state: BenchState) -> MachineTasks:
         axes.append(loops[-1])
     boundary = BoundaryTask(model.upstream_strain, model.boundary.downstream_tension_N)
     load = WebLoadTask(config)
-    limit_watch = LimitWatch(limits, model.required_web.youngs_modulus_Pa, cycle_s, config.shape)
+    limit_watch = LimitWatch(limits, model, cycle_s, config.shape)
     return MachineTasks(
         reference=line_speed,
         quantities=(line_speed, *loops, load),
@@ -81,7 +81,7 @@ def _tension_task(
         leader,
         control.set_point_N,
         TensionController.of_model(control, model, strain),
-        SwingDamping(swing, control.swing_damping_ratio, model.required_web.youngs_modulus_Pa),
+        SwingDamping(swing, control.swing_damping_ratio, model.youngs_modulus_Pa(control.span)),
         trust,
         state.twin,
         state.reports,
@@ -170,7 +170,7 @@ class WebLoadTask(LoadTask):
             for signal, unit, output in (
                 ("F", "_N", f"F{span}_N"),
                 ("strain", "", f"strain{span}"),
-                ("E", "_Pa", "E_Pa"),
+                ("E", "_Pa", f"E{span}_Pa"),
             )
         ]
 

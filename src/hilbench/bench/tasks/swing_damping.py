@@ -73,7 +73,7 @@ class SwingPlant:
         )
         return cls(
             span_length_m=model.span_length_m(span),
-            section_m2=model.required_web.section_m2,
+            section_m2=model.section_m2(span),
             upstream_strain=upstream_strain,
             mass1_kg=model.mass_kg(span),
             mass2_kg=model.mass_kg(span + 1),

@@ -32,7 +32,7 @@ def strain_before(config: BenchConfig, span: int) -> float:
     controller, as an axis without one hands the strain on; that of the web upstream for none."""
     model = config.web_line
     before = [control for number, control in config.tension_controls.items() if number < span]
-    return before[-1].set_point_N / model.required_web.stiffness_N if before else model.upstream_strain
+    return before[-1].set_point_N / model.stiffness_N(before[-1].span) if before else model.upstream_strain
 
 
 class TensionController:
@@ -63,7 +63,7 @@ class TensionController:
         cls, config: TensionControlConfig, model: ModelParameters, upstream_strain: float
     ) -> TensionController:
         """For its span of a model, and the strain of the web that enters that. Raises ValueError without a web."""
-        section_m2, stiffness_N_per_m = model.required_web.section_m2, model.drive_stiffness_N_per_m(config.span + 1)
+        section_m2, stiffness_N_per_m = model.section_m2(config.span), model.drive_stiffness_N_per_m(config.span + 1)
         return cls(config, model.span_length_m(config.span), section_m2, stiffness_N_per_m, upstream_strain)
 
     def gains(self, line_speed_m_s: float, modulus_Pa: float) -> tuple[float, float]:

@@ -34,14 +34,18 @@ _STAYS_PER_S = 0.05
 _LOWEST_RAD_S, _POINTS = 0.5, 600
 
 
+#: E of each span.
+Moduli = tuple[float, ...]
+
+
 @dataclass(frozen=True, slots=True)
 class OperatingPoint:
-    """Where the loop is looked at: the true web, the line speed, and the E that the twin believes."""
+    """Where the loop is looked at: the true web, the line speed, and the E that the twin believes; a value per span."""
 
-    youngs_modulus_Pa: float
+    moduli_Pa: Moduli
     line_speed_m_s: float
-    length_factor: float  #: of the imitated spans, by what the load model's are
-    estimate_Pa: float
+    length_factors: tuple[float, ...]  #: of the imitated spans, by what the load model's are
+    estimates_Pa: Moduli
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,11 +155,10 @@ class TensionLoop:
     def _lengths_m(self) -> dict[int, float]:
         """Of the imitated spans."""
         web = imitated_web(self.config.web_line, self.config.load)
-        return {j: web.span_length_m(j) * self.point.length_factor for j in range(1, web.span_count + 1)}
+        return {j: web.span_length_m(j) * self.point.length_factors[j - 1] for j in range(1, web.span_count + 1)}
 
     def _stiffness_N_per_m(self, span: int) -> float:
-        section_m2 = self.config.web_line.required_web.section_m2
-        return self.point.youngs_modulus_Pa * section_m2 / self._lengths_m[span]
+        return self.point.moduli_Pa[span - 1] * self.config.web_line.section_m2(span) / self._lengths_m[span]
 
     @cached_property
     def _damping(self) -> dict[int, DampingGains]:
@@ -164,7 +167,7 @@ class TensionLoop:
         for span, control in config.tension_controls.items():
             strain = strain_before(config, span)
             plant = SwingPlant.of_model(config.web_line, config.cycle_time_s, span, strain)
-            found[span] = damping_gains(plant, control.swing_damping_ratio, self.point.estimate_Pa)
+            found[span] = damping_gains(plant, control.swing_damping_ratio, self.point.estimates_Pa[span - 1])
         return found
 
     def _unit(self, name: str) -> Matrix:
@@ -213,7 +216,7 @@ class TensionLoop:
             for k, sign in ((j, 1.0), (j + 1, -1.0)):
                 if model.carries_web_load(k):
                     rates[at[f"v{k}_sim"], at[web]] = sign / axes[k].mass_kg
-            believed = self.point.estimate_Pa * model.required_web.section_m2 / length_m
+            believed = self.point.estimates_Pa[j - 1] * model.section_m2(j) / length_m
             rates[at[web], at[web]] = -self.point.line_speed_m_s / length_m
             rates[at[web], [at[f"v{j + 1}_sim"], at[f"v{j}_sim"]]] = believed, -believed
             if j > 1:
@@ -237,7 +240,7 @@ class TensionLoop:
         for j, web in webs.items():
             tick[at[f"web{j}"]] = web
             if transfer.strain:
-                tick[at[f"web{j}_sim"]] = self.point.estimate_Pa / self.point.youngs_modulus_Pa * web
+                tick[at[f"web{j}_sim"]] = self.point.estimates_Pa[j - 1] / self.point.moduli_Pa[j - 1] * web
         for k in range(1, count + 1):
             tick[at[f"way{k}"]] = 0.0
             if transfer.axes:
@@ -280,7 +283,7 @@ class TensionLoop:
                     rows[f"sent{j}_{n}"] = self._unit(f"sent{j}_{n - 1}") if n else damping
             if j in controls and self.closed:
                 controller = TensionController.of_model(controls[j], config.web_line, strain_before(config, j))
-                kp, ki = controller.gains(self.point.line_speed_m_s, self.point.estimate_Pa)
+                kp, ki = controller.gains(self.point.line_speed_m_s, self.point.estimates_Pa[j - 1])
                 error = -self._unit(f"web{j}_sim")
                 rows[f"integral{j}"] = self._unit(f"integral{j}") + ki * cycle_s * error
                 speed = speed - kp * error - rows[f"integral{j}"]

@@ -6,17 +6,17 @@ from collections.abc import Iterator
 from operator import attrgetter
 
 from hilbench.bench.tasks.limits import Levels, Watched, apart, is_synchronized, load_motor_labels
+from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.topology.safety import LimitsConfig
 from hilbench.topology.sample import CycleSample
 from hilbench.topology.signals import Shape
 
 
 class LimitWatch:
-    """Watches the samples of one run of a web line. `model_modulus_Pa`: what the estimate is compared with."""
+    """Watches the samples of one run of a web line. `model`: with whose E the estimate is compared."""
 
-    def __init__(self, limits: LimitsConfig, model_modulus_Pa: float, cycle_s: float, shape: Shape) -> None:
+    def __init__(self, limits: LimitsConfig, model: ModelParameters, cycle_s: float, shape: Shape) -> None:
         self._limits = limits
-        self._modulus_Pa = model_modulus_Pa
         self._levels = Levels()
         axes, spans = range(1, shape.axes + 1), range(1, shape.spans + 1)
         labels = load_motor_labels(shape.load_motors)
@@ -28,7 +28,7 @@ class LimitWatch:
         self._torques += [(f"torque of {labels[name]}", f"tau_{name}_Nm") for name in shape.load_motors]
         self._speeds = [(f"speed of axis {k}", f"v{k}_m_s") for k in axes]
         self._differences = [_PositionDifference(span, shape, cycle_s) for span in spans]
-        self._moduli = [f"E{shape.numbered(span)}_sim_Pa" for span in shape.estimated]
+        self._moduli = [(f"E{shape.numbered(span)}_sim_Pa", model.youngs_modulus_Pa(span)) for span in shape.estimated]
 
     def update(self, sample: CycleSample) -> list[tuple[str, str]]:
         """The warnings that begin in this cycle, each after its quantity. Raises LimitTripError."""
@@ -45,8 +45,8 @@ class LimitWatch:
         for difference in self._differences:
             yield difference.name, difference.update(sample), " m", limits.position_difference_m
         if is_synchronized(sample):
-            for signal in self._moduli:
-                ratio = apart(getattr(sample, signal), self._modulus_Pa)
+            for signal, modulus_Pa in self._moduli:
+                ratio = apart(getattr(sample, signal), modulus_Pa)
                 yield "estimate of E over the model's", ratio, "", limits.estimate_ratio
 
 

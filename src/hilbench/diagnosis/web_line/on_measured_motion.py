@@ -272,7 +272,7 @@ class _Noise:
         acceleration = np.hypot(mean, self._difference_noise * np.sqrt(end**power / (power + 1.0)))
         tension_N = 0.0
         if not self._difference_by_speed and model.web is not None:
-            tension_N = 2.0 * self._difference_noise * model.web.stiffness_N / model.span_length_m(1)
+            tension_N = 2.0 * self._difference_noise * model.stiffness_N(1) / model.span_length_m(1)
         found = []
         for axis, torque in sorted(self._torque_Nm.items()):
             web = tension_N / model.motor_rad_per_m(axis)

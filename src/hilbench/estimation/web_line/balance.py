@@ -76,7 +76,7 @@ class MeasuredBalance:
         inertia = 1.0 + axis[lay.place("inertia_mismatch", "relative_change")]
         self.mass_kg = float((axis[lay.A_MOTOR_MASS_KG] + axis[lay.A_ROLLER_MASS_KG]) * inertia)
         self.force_per_torque_per_m = model.motor_rad_per_m(2)  #: i/r
-        self.section_m2 = model.web.section_m2
+        self.section_m2 = model.section_m2(1)
         self.span_length_m = model.span_length_m(1)
         self.dry_friction_N = float(
             axis[lay.place("coulomb_friction", "force_N")] + axis[lay.place("stribeck_friction", "force_N")]

@@ -85,15 +85,13 @@ class Tracking:
         self._axis2 = axis2
         self._cycle_s = cycle_s
         self._balance = MeasuredBalance(model)
-        self._initial_Pa = config.youngs_modulus_Pa or model.required_web.youngs_modulus_Pa
+        self._initial_Pa = config.youngs_modulus_Pa or model.youngs_modulus_Pa(1)
         self._torque_limit_Nm = per_item(model.drives.torque_limit_Nm, 2) if model.drives else inf
         self._strain_prev = model.upstream_strain
         self._model_delay_s = next(
             (e.parameters.get("delay_s", 0.0) for e in model.effects if (e.effect, e.axis) == ("torque_delay", 2)), 0.0
         )
-        self._anomalies = Anomalies(
-            model.required_web.youngs_modulus_Pa, self._balance.mass_kg, model.span_length_m(1), cycle_s
-        )
+        self._anomalies = Anomalies(model.youngs_modulus_Pa(1), self._balance.mass_kg, model.span_length_m(1), cycle_s)
         self._shift_finder = TorqueShiftFinder(self._balance.mass_kg, cycle_s)
         self._synchronizer: Synchronizer
         self._unmodelled_N = 0.0

@@ -167,15 +167,17 @@ class ImitatedShaft:
         """Torque from outside that is imitated as well. Raises as `Shaft.set_input`."""
         self._machine.set_input(name, value)
 
-    def set_effect(self, effect_id: str, axis: int | None = None, *, slot: int = 0, **parameters: float) -> None:
+    def set_effect(
+        self, effect_id: str, axis: int | None = None, *, span: int | None = None, slot: int = 0, **parameters: float
+    ) -> None:
         """Imitate an effect of the shaft from now on. Raises ValueError, also for effects of drive and motor."""
         self._check(effect_id, axis)
-        self._machine.set_effect(effect_id, axis, slot=slot, **parameters)
+        self._machine.set_effect(effect_id, axis, span=span, slot=slot, **parameters)
 
-    def clear_effect(self, effect_id: str, axis: int | None = None, *, slot: int = 0) -> None:
+    def clear_effect(self, effect_id: str, axis: int | None = None, *, span: int | None = None, slot: int = 0) -> None:
         """Imitate it no more. Raises as `set_effect`."""
         self._check(effect_id, axis)
-        self._machine.clear_effect(effect_id, axis, slot=slot)
+        self._machine.clear_effect(effect_id, axis, span=span, slot=slot)
 
     def _check(self, effect_id: str, axis: int | None) -> None:
         problem = imitated_effect_problem(effect_id, axis)

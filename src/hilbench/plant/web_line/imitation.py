@@ -102,8 +102,9 @@ def _rows(
         for j in range(k):
             material = follower[1 + n + j]
             out[place + 3 * m + j] = tension[j]
-            out[place + 3 * m + k + j] = follower[1 + n + k + j] * laws.length_factor(web) / material - 1.0
-        for j in range(1 + n + 2 * k + lay.SPLICE_SIZE):
+            scale = laws.length_factor(web, lay.W_SIZE + n * (lay.A_SIZE + lay.M_SIZE) + j * lay.SP_SIZE)
+            out[place + 3 * m + k + j] = follower[1 + n + k + j] * scale / material - 1.0
+        for j in range(len(follower)):
             guess[j] = follower[j]
         guess[0] -= lead_s  # only the motion is predicted: the tension has the E of now
         spans.roll_on(web, guess, scratch, v, boundary[row, 0], boundary[row, 1], lead_s, cycle_s, tension)
@@ -145,7 +146,7 @@ def _entry_point(sources: int) -> SimulateImitated:
     ) -> None:
         flat, size = out.reshape(-1), out.shape[1] * out.shape[2]
         n, m, k = int(p[0, lay.W_AXES]), int(p[0, lay.W_MOTORS]), int(web[0, lay.W_SPANS])
-        guess = np.zeros(1 + n + 2 * k + lay.SPLICE_SIZE)
+        guess = np.zeros(follower.shape[1])
         v, tension, torques = np.zeros(n), np.zeros(k), np.zeros(m - n)
         first = u.copy()
         for b in range(p.shape[0] if sources >= 0 else 0):
@@ -235,13 +236,13 @@ def _stands(imitation: Imitation, model: ModelParameters, many: Vector) -> Vecto
 
 
 def _start(layout: Layout, stands: Vector, many: Vector, states: Vector, boundary: Vector) -> tuple[Vector, Vector]:
-    """States (B, S) of the rigs and (B, 1 + N + 2·K + 2) of the webs, for states of the models.
+    """States (B, S) of the rigs and of the webs (as `span.roll_on` has them), for states of the models.
 
     `boundary` (2,): upstream strain and downstream tension (N) at the start.
     """
     of_model = Layout.of(many[0])
     n, k = of_model.axes, of_model.spans
-    starts, followers = np.zeros((len(many), layout.state_size)), np.zeros((len(many), 1 + n + 2 * k + lay.SPLICE_SIZE))
+    starts, followers = np.zeros((len(many), layout.state_size)), np.zeros((len(many), spans.follower_size(of_model)))
     for stand, start, follower, parameters, state in zip(stands, starts, followers, many, states, strict=True):
         y = of_model.y(state)
         layout.y(start)[:] = y[: 4 * n]
@@ -250,7 +251,8 @@ def _start(layout: Layout, stands: Vector, many: Vector, states: Vector, boundar
         motors[:n] = of_model.motor_states(state)
         if np.any(y[n : 2 * n]):  # under way: the load motors have been pulling
             strain = y[4 * n + k :] / y[4 * n : 4 * n + k] - 1.0
-            tension = strain * parameters[lay.W_MODULUS_PA] * parameters[lay.W_SECTION_M2]
+            of_spans = of_model.span_rows(parameters)
+            tension = strain * of_spans[:, lay.SP_MODULUS_PA] * of_spans[:, lay.SP_SECTION_M2]
             around = np.array([boundary[0] * parameters[lay.W_UPSTREAM_STIFFNESS_N], *tension, boundary[1]])
             rows = layout.motor_rows(stand)[n:]
             axes = rows[:, lay.M_AXIS].astype(int)

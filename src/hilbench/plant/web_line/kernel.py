@@ -51,6 +51,12 @@ def _motor(n: int, j: int) -> int:
 
 
 @inlined
+def _first_span(n: int, m: int) -> int:
+    """Where the span rows begin in the parameters."""
+    return lay.W_SIZE + n * lay.A_SIZE + m * lay.M_SIZE
+
+
+@inlined
 def _axis_state(n: int, k: int, i: int) -> int:
     """Where the direction and contact of axis i stand in the state."""
     return lay.S_Y + 4 * n + 2 * k + i * lay.SA_SIZE
@@ -66,6 +72,12 @@ def _motor_state(n: int, k: int, j: int) -> int:
 def _past(n: int, m: int, k: int, j: int) -> int:
     """Where the past torques of motor j begin in the state."""
     return _motor_state(n, k, m) + j * lay.RING
+
+
+@inlined
+def _pieces(n: int, m: int, k: int) -> int:
+    """Where the pieces of other web stand in the state."""
+    return _past(n, m, k, m)
 
 
 @inlined
@@ -94,7 +106,17 @@ def _is_one_span(p: Vector) -> bool:
 
 @inlined
 def _web(
-    p: Vector, u: Vector, w: Vector, n: int, m: int, k: int, t: float, strain_prev: float, y: int, slides: bool
+    p: Vector,
+    s: Vector,
+    u: Vector,
+    w: Vector,
+    n: int,
+    m: int,
+    k: int,
+    t: float,
+    strain_prev: float,
+    y: int,
+    slides: bool,
 ) -> None:
     """Tensions (N), and rates of the unstretched lengths (m/s), for the quantities at `y`, into their parts of `w`.
 
@@ -104,16 +126,17 @@ def _web(
     if k > 0:
         for i in range(n):
             w[speed + i] = laws.web_speed_m_s(p, _axis(i), w[y + i], w[y + n + i])
-        stiffness = laws.stiffness_N(p, t, w[_part(n, m, k, lay.STEPS)])
+        first, steps, pieces = _first_span(n, m), _part(n, m, k, lay.STEPS), _pieces(n, m, k)
         length_rate = _part(n, m, k, lay.LENGTH_RATE)
         f_next, material = u[lay.U_F_NEXT_N], y + 4 * n
-        if not slides and laws.has_splice(p):
-            front, blur = w[y] - w[_part(n, m, k, lay.SPLICE_FRONT)], w[_part(n, m, k, lay.SPLICE_BLUR)]
+        if not slides and laws.has_splice(p, s, pieces):
+            blur = w[_part(n, m, k, lay.SPLICE_BLUR)]
             laws.spliced_span_rates(
-                p, k, stiffness, strain_prev, f_next, w, speed, material, length_rate, tension, rate, front, blur
-            )
+                p, s, pieces, first, k, t, strain_prev, f_next, w, steps, speed, material, length_rate, tension, rate,
+                w[y], blur,
+            )  # fmt: skip
         else:
-            laws.span_rates(p, k, stiffness, strain_prev, f_next, w, speed, material, length_rate, tension, rate)
+            laws.span_rates(p, first, k, t, strain_prev, f_next, w, steps, speed, material, length_rate, tension, rate)
 
 
 @inlined
@@ -257,7 +280,7 @@ def _stage(
     """
     size, y = _block(n, k, 1), _block(n, k, lay.STAGE)
     strain_prev = laws.upstream_strain(p, u[lay.U_STRAIN_PREV], t)
-    _web(p, u, w, n, m, k, t, strain_prev, y, slides)
+    _web(p, s, u, w, n, m, k, t, strain_prev, y, slides)
     for i in range(n):
         _go_axis(p, s, u, w, n, m, k, i, strain_prev, weight, ahead, slides)
     for j in range(k):
@@ -399,17 +422,17 @@ def _half_gap_m(p: Vector, n: int, i: int) -> float:
 
 
 @compiled
-def _web_at(p: Vector, u: Vector, w: Vector, t: float, y: int) -> None:
+def _web_at(p: Vector, s: Vector, u: Vector, w: Vector, t: float, y: int) -> None:
     """Tensions for the quantities at `y`."""
     n, m, k = _counts(p)
-    _web(p, u, w, n, m, k, t, laws.upstream_strain(p, u[lay.U_STRAIN_PREV], t), y, False)
+    _web(p, s, u, w, n, m, k, t, laws.upstream_strain(p, u[lay.U_STRAIN_PREV], t), y, False)
 
 
 @compiled
 def _settle_one(p: Vector, s: Vector, u: Vector, w: Vector, t: float) -> bool:
     """Change the mode of the first axis that has left it, if there is one."""
     n, _, k = _counts(p)
-    _web_at(p, u, w, t, 0)
+    _web_at(p, s, u, w, t, 0)
     for i in range(n):
         mode = _axis_state(n, k, i)
         gear, friction, net = _violations(p, s, u, w, t, i, 0)
@@ -475,7 +498,7 @@ def _try(p: Vector, s: Vector, u: Vector, w: Vector, t: float, h: float) -> floa
     n, _, k = _counts(p)
     _integrate_any(p, s, u, w, t, h)
     end = _block(n, k, lay.STAGE)
-    _web_at(p, u, w, t + h, end)
+    _web_at(p, s, u, w, t + h, end)
     worst = -1.0
     for i in range(n):
         gear, friction, _ = _violations(p, s, u, w, t + h, i, end)
@@ -606,7 +629,7 @@ def _advance_line(
     period = p[lay.W_SAMPLE_TIME_S]
     h = period / substeps
     pace, reports = w[_part(n, m, k, lay.PACE)], w[_part(n, m, k, lay.REPORTS)] != 0.0
-    spliced = k > 0 and laws.has_splice(p)
+    spliced = k > 0 and laws.has_splice(p, s, _pieces(n, m, k))
     for _ in range(samples):
         if reports:
             _sample_erring_drives(p, s, u, w)
@@ -614,9 +637,9 @@ def _advance_line(
             _sample_drives(p, s, u, w, n, m, k)
         for substep in range(substeps):
             t = s[lay.S_COUNT] * period + substep * h
-            w[_part(n, m, k, lay.STEPS)] = laws.step_factor(p, t, h)
+            laws.put_step_factors(p, _first_span(n, m), k, t, h, w, _part(n, m, k, lay.STEPS))
             if spliced:
-                _follow_splice(p, s, w, t, h)
+                _follow_pieces(p, s, u, w, t, h)
             if not _simple_step(p, s, u, w, n, m, k, t, h, pace, one_span):
                 _step_with_events(p, s, u, w, t, h)
         s[lay.S_COUNT] += 1.0
@@ -634,7 +657,7 @@ def _fed_forward_Nm(p: Vector, s: Vector, u: Vector, w: Vector, t: float, j: int
     n, m, k = _counts(p)
     axis, motor = _axis(j), _motor(n, j)
     _torques_now(s, w, n, m, k)
-    _web_at(p, u, w, t, 0)
+    _web_at(p, s, u, w, t, 0)
     drive = _motor_force_N(p, w, n, m, k, j, w[2 * n + j], False)
     acceleration, direction = 0.0, s[_axis_state(n, k, j) + lay.SA_DIRECTION]
     if _is_apart(p, s, n, k, j):
@@ -649,17 +672,24 @@ def _fed_forward_Nm(p: Vector, s: Vector, u: Vector, w: Vector, t: float, j: int
     return fed / p[motor + lay.M_RAD_PER_M]
 
 
+@inlined
+def _set_blur(w: Vector, n: int, m: int, k: int, h: float) -> None:
+    """Over which way the ends of pieces are not sharp in a step of length h."""
+    w[_part(n, m, k, lay.SPLICE_BLUR)] = max(abs(w[n]) * h, lay.LEAST_BLUR_M)
+
+
 @compiled
-def _follow_splice(p: Vector, s: Vector, w: Vector, t: float, h: float) -> None:
-    """Where a splice is during a step from t on; one that is yet to come may come in within it."""
+def _follow_pieces(p: Vector, s: Vector, u: Vector, w: Vector, t: float, h: float) -> None:
+    """Pieces of other web during a step from t on: one that is yet to come may come in, those that are out go."""
     noinline()
     n, m, k = _counts(p)
-    state, x, v = _past(n, m, k, m), w[0], w[n]
-    if s[state + lay.SPLICE_IN] == 0.0 and laws.splice_comes_in(p, t, h):
-        s[state + lay.SPLICE_IN] = 1.0
-        s[state + lay.SPLICE_AT] = laws.splice_place_m(p, t, x, v)
-    w[_part(n, m, k, lay.SPLICE_FRONT)] = s[state + lay.SPLICE_AT] if s[state + lay.SPLICE_IN] != 0.0 else lay.NOT_YET
-    w[_part(n, m, k, lay.SPLICE_BLUR)] = max(abs(v) * h, lay.LEAST_BLUR_M)
+    pieces, strain_prev = _pieces(n, m, k), laws.upstream_strain(p, u[lay.U_STRAIN_PREV], t)
+    laws.let_splice_in(p, s, pieces, t, h, w[0], w[n], strain_prev)
+    web_m = 0.0
+    for j in range(k):
+        web_m += w[4 * n + j]
+    laws.forget_passed(s, pieces, w[0], strain_prev, web_m)
+    _set_blur(w, n, m, k, h)
 
 
 @compiled
@@ -718,13 +748,9 @@ def enter(p: Vector, s: Vector, u: Vector, w: Vector) -> None:
             pace = lay.PLAY
         elif laws.has_rare_force(p, axis, _motor(n, i)):
             pace = max(pace, lay.RARE)
-    if k > 0 and laws.has_splice(p):
-        pace, state = max(pace, lay.RARE), _past(n, m, k, m)
-        come = s[state + lay.SPLICE_IN] != 0.0
-        w[_part(n, m, k, lay.SPLICE_FRONT)] = s[state + lay.SPLICE_AT] if come else lay.NOT_YET
-        w[_part(n, m, k, lay.SPLICE_BLUR)] = max(
-            abs(w[n]) * p[lay.W_SAMPLE_TIME_S] / p[lay.W_SUBSTEPS], lay.LEAST_BLUR_M
-        )
+    if k > 0 and laws.has_splice(p, s, _pieces(n, m, k)):
+        pace = max(pace, lay.RARE)
+        _set_blur(w, n, m, k, p[lay.W_SAMPLE_TIME_S] / p[lay.W_SUBSTEPS])
     w[_part(n, m, k, lay.PACE)] = pace
     reports = False
     for j in range(m):
@@ -748,8 +774,9 @@ def leave(s: Vector, w: Vector, size: int) -> None:
 def _report_line(p: Vector, s: Vector, u: Vector, w: Vector, n: int, m: int, k: int, out: Vector, at: int) -> None:
     period = p[lay.W_SAMPLE_TIME_S]
     t = s[lay.S_COUNT] * period
-    w[_part(n, m, k, lay.STEPS)] = laws.step_factor(p, t, period / p[lay.W_SUBSTEPS])
-    _web(p, u, w, n, m, k, t, laws.upstream_strain(p, u[lay.U_STRAIN_PREV], t), 0, False)
+    step = period / p[lay.W_SUBSTEPS]
+    laws.put_step_factors(p, _first_span(n, m), k, t, step, w, _part(n, m, k, lay.STEPS))
+    _web(p, s, u, w, n, m, k, t, laws.upstream_strain(p, u[lay.U_STRAIN_PREV], t), 0, False)
     reports = w[_part(n, m, k, lay.REPORTS)] != 0.0
     for j in range(m):
         motion = _motor_motion(p, n, j)
@@ -766,7 +793,8 @@ def _report_line(p: Vector, s: Vector, u: Vector, w: Vector, n: int, m: int, k: 
         out[at + 2 * m + j] = laws.measured_torque_Nm(p, motor, torque, s, _past(n, m, k, j), int(s[lay.S_COUNT]))
     for j in range(k):
         out[at + 3 * m + j] = w[_part(n, m, k, lay.TENSION) + j]
-        out[at + 3 * m + k + j] = w[4 * n + k + j] * laws.length_factor(p) / w[4 * n + j] - 1.0
+        scale = laws.length_factor(p, _first_span(n, m) + j * lay.SP_SIZE)
+        out[at + 3 * m + k + j] = w[4 * n + k + j] * scale / w[4 * n + j] - 1.0
 
 
 @merged

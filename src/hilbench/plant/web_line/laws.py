@@ -1,7 +1,7 @@
 """The laws of the web model, each effect's in one place: small compiled functions of parameter rows and state.
 
 Design sections 5 and 6. Every effect is skipped, or multiplies by exactly 1, while its parameters are neutral.
-`p` is the parameter vector of `hilbench.plant.web_line.layout`; `axis` and `motor` are where a row begins in it.
+`p` is the parameter vector of `hilbench.plant.web_line.layout`; in it, rows begin at `axis`, `motor` and `span`.
 """
 
 from __future__ import annotations
@@ -355,24 +355,24 @@ def true_torque_Nm(p: Vector, motor: int, measured_Nm: float) -> float:
 
 
 @inlined
-def step_factor(p: Vector, t_s: float, duration_s: float) -> float:
+def step_factor(p: Vector, span: int, t_s: float, duration_s: float) -> float:
     """Factor of the steps and ramps of E, averaged over [t, t + duration]: continuous in the time of a step."""
-    if not (_is_any(p, _STEP + 1, 2, _STEPS) or _is_any(p, _RAMP + 2, 3, _RAMPS)):
+    if not (_is_any(p, span + _STEP + 1, 2, _STEPS) or _is_any(p, span + _RAMP + 2, 3, _RAMPS)):
         return 1.0
-    return _step_factor(p, t_s, duration_s)
+    return _step_factor(p, span, t_s, duration_s)
 
 
 @compiled
-def _step_factor(p: Vector, t_s: float, duration_s: float) -> float:
+def _step_factor(p: Vector, span: int, t_s: float, duration_s: float) -> float:
     noinline()
     factor = 1.0
     for slot in range(_STEPS):
-        at = _STEP + 2 * slot
+        at = span + _STEP + 2 * slot
         if p[at + 1] != 0.0:
             share = min(max((t_s + duration_s - p[at]) / duration_s, 0.0), 1.0)
             factor *= 1.0 + p[at + 1] * share
     for slot in range(_RAMPS):
-        at = _RAMP + 3 * slot
+        at = span + _RAMP + 3 * slot
         if p[at + 2] != 0.0:
             share = min(max((t_s + 0.5 * duration_s - p[at]) / p[at + 1], 0.0), 1.0)
             factor *= 1.0 + p[at + 2] * share
@@ -380,15 +380,22 @@ def _step_factor(p: Vector, t_s: float, duration_s: float) -> float:
 
 
 @inlined
-def stiffness_N(p: Vector, t_s: float, factor_of_steps: float) -> float:
-    """E·S with shift, steps, ramps and drift."""
-    return p[lay.W_MODULUS_PA] * elasticity_factor(p, t_s, factor_of_steps) * p[lay.W_SECTION_M2]
+def put_step_factors(p: Vector, first: int, spans: int, t_s: float, duration_s: float, w: Vector, at: int) -> None:
+    """`step_factor` of all spans (K,), whose rows begin at `first`, to place `at` of `w`."""
+    for k in range(spans):
+        w[at + k] = step_factor(p, first + k * lay.SP_SIZE, t_s, duration_s)
 
 
 @inlined
-def elasticity_factor(p: Vector, t_s: float, factor_of_steps: float) -> float:
+def stiffness_N(p: Vector, span: int, t_s: float, factor_of_steps: float) -> float:
+    """E·S with shift, steps, ramps and drift."""
+    return p[span + lay.SP_MODULUS_PA] * elasticity_factor(p, span, t_s, factor_of_steps) * p[span + lay.SP_SECTION_M2]
+
+
+@inlined
+def elasticity_factor(p: Vector, span: int, t_s: float, factor_of_steps: float) -> float:
     """What shift, steps, ramps and drift make of E."""
-    return (1.0 + p[_SHIFT]) * factor_of_steps * (1.0 + p[_DRIFT] * t_s)
+    return (1.0 + p[span + _SHIFT]) * factor_of_steps * (1.0 + p[span + _DRIFT] * t_s)
 
 
 @inlined
@@ -411,19 +418,30 @@ def _disturbance_N(p: Vector, t_s: float) -> float:
 
 
 @inlined
-def length_factor(p: Vector) -> float:
-    """Factor on the nominal length of every span."""
-    return 1.0 + p[_LENGTH]
+def length_factor(p: Vector, span: int) -> float:
+    """Factor on the nominal length of a span."""
+    return 1.0 + p[span + _LENGTH]
+
+
+@inlined
+def _any_in_spans(p: Vector, first: int, spans: int, place_: int) -> bool:
+    """Whether a parameter at `place_` of the span rows is above 0 in any of the spans, whose rows begin at `first`."""
+    found = False
+    for k in range(spans):
+        found |= p[first + k * lay.SP_SIZE + place_] > 0.0
+    return found
 
 
 @inlined
 def span_rates(
     p: Vector,
+    first: int,
     spans: int,
-    stiffness: float,
+    t_s: float,
     strain_prev: float,
     f_next_N: float,
     w: Vector,
+    steps: int,
     speed: int,
     material: int,
     length_rate: int,
@@ -436,109 +454,171 @@ def span_rates(
     a span: m' = v1/(1 + strain_prev) - v2/(1 + strain). It holds for any L(t), and a Runge-Kutta step conserves
     the web to rounding.
 
-    p (P,): parameters; spans: K; stiffness: E·S, N; strain_prev: of the web that enters; f_next_N: tension behind the
-    line. Read from `w`: speeds (K + 1,) of the web at the rollers without creep, m/s (`speed`), unstretched (K,) and
-    then nominal lengths (K,), m (`material`), rates (K,) of the nominal lengths, m/s (`length_rate`). Written: tensions
-    (K,), N (`tension`), and rates (K,) of the unstretched lengths, m/s (`rate`).
+    p (P,): parameters, with the rows of the spans from `first` on; spans: K; t_s: since the start; strain_prev: of the
+    web that enters; f_next_N: tension behind the line. Read from `w`: factors (K,) of the steps of E (`steps`), speeds
+    (K + 1,) of the web at the rollers without creep, m/s (`speed`), unstretched (K,) and then nominal lengths (K,), m
+    (`material`), rates (K,) of the nominal lengths, m/s (`length_rate`). Written: tensions (K,), N (`tension`), and
+    rates (K,) of the unstretched lengths, m/s (`rate`).
     """
-    scale, offset = length_factor(p), p[_STRAIN_OFFSET]
     for k in range(spans):
-        strain = w[material + spans + k] * scale / w[material + k] - 1.0
-        w[tension + k] = max(stiffness * (strain - offset), 0.0)
-    _flows(p, spans, strain_prev, f_next_N, w, speed, material, tension, rate)
-    if p[_DAMPING_S] > 0.0:
-        _damped(p, spans, stiffness, strain_prev, f_next_N, w, speed, material, length_rate, tension, rate)
+        row = first + k * lay.SP_SIZE
+        strain = w[material + spans + k] * length_factor(p, row) / w[material + k] - 1.0
+        w[tension + k] = max(stiffness_N(p, row, t_s, w[steps + k]) * (strain - p[row + _STRAIN_OFFSET]), 0.0)
+    _flows(p, first, spans, strain_prev, f_next_N, w, speed, material, tension, rate)
+    if _any_in_spans(p, first, spans, _DAMPING_S):
+        _damped(p, first, spans, t_s, strain_prev, f_next_N, w, steps, speed, material, length_rate, tension, rate)
 
 
 @inlined
-def has_splice(p: Vector) -> bool:
-    """Whether a piece of other web comes in."""
-    return p[_SPLICE] != 0.0
+def has_splice(p: Vector, s: Vector, pieces: int) -> bool:
+    """Whether a piece of other web is to come, or is in the line; `pieces`: where what has come in stands in `s`."""
+    return p[_SPLICE] != 0.0 or s[pieces + lay.PIECES_COUNT] > 0.0
 
 
-@inlined
-def splice_comes_in(p: Vector, t_s: float, duration_s: float) -> bool:
-    """Whether the splice has come in by the end of [t, t + duration]."""
-    return t_s + duration_s > p[_SPLICE_S]
+@compiled
+def let_splice_in(
+    p: Vector, s: Vector, pieces: int, t_s: float, duration_s: float, x_m: float, v_m_s: float, strain_prev: float
+) -> None:
+    """Let the splice come in, if that is in [t, t + duration]; one that should have come in before comes now.
 
-
-@inlined
-def splice_place_m(p: Vector, t_s: float, x_m: float, v_m_s: float) -> float:
-    """Where roller 1, at x and v now, is when the splice comes in; one that should have come in before comes now."""
-    return x_m + v_m_s * max(p[_SPLICE_S] - t_s, 0.0)
-
-
-@inlined
-def _spliced_share(p: Vector, beyond_m: float, blur_m: float) -> float:
-    """How much of the web at a place that its front is `beyond_m` past is the splice: 0 or 1, less sharp than that."""
-    front = min(max(beyond_m / blur_m + 0.5, 0.0), 1.0)
-    return front - min(max((beyond_m - p[_SPLICE_M]) / blur_m + 0.5, 0.0), 1.0)
-
-
-@inlined
-def _series_factor(p: Vector, front_m: float, first_m: float, length_m: float) -> float:
-    """Factor on E of a span that begins at `first_m` and holds `length_m` of web, springs in series with the splice.
-
-    All lengths unstretched, from roller 1; the splice reaches from `front_m` backwards.
+    `x_m`, `v_m_s`: way and speed of the web at roller 1 at t. What came in before stays; where the new piece comes in
+    before the last one is all in, it takes the place of the rest. Of more than `layout.PIECES` in the line the oldest
+    is forgotten.
     """
-    inside = min(front_m, first_m + length_m) - max(front_m - p[_SPLICE_M], first_m)
-    share = max(inside, 0.0) / length_m
-    return 1.0 / (1.0 - share + share / (1.0 + p[_SPLICE]))
+    noinline()
+    if p[_SPLICE] == 0.0 or s[pieces + lay.PIECES_CAME] != 0.0 or t_s + duration_s <= p[_SPLICE_S]:
+        return
+    front = x_m + v_m_s * max(p[_SPLICE_S] - t_s, 0.0)
+    count = int(s[pieces + lay.PIECES_COUNT])
+    if count > 0:
+        last = _piece(pieces, count - 1)
+        rest = (front - s[last + lay.PIECE_FRONT_M]) / (1.0 + strain_prev)
+        s[last + lay.PIECE_LENGTH_M] = min(s[last + lay.PIECE_LENGTH_M], max(rest, 0.0))
+    at = _piece(pieces, count)
+    s[at + lay.PIECE_FRONT_M] = front
+    s[at + lay.PIECE_LENGTH_M] = p[_SPLICE_M]
+    s[at + lay.PIECE_CHANGE] = p[_SPLICE]
+    s[pieces + lay.PIECES_COUNT] = count + 1.0
+    s[pieces + lay.PIECES_CAME] = 1.0
+
+
+@inlined
+def _piece(pieces: int, number: int) -> int:
+    """Where the piece that came in as `number` (from 0) stands in the ring."""
+    return pieces + lay.PIECES_FIRST + number % lay.PIECES * lay.PIECE_SIZE
+
+
+@inlined
+def _oldest(s: Vector, pieces: int) -> int:
+    """Number of the oldest piece that is kept."""
+    return max(int(s[pieces + lay.PIECES_COUNT]) - lay.PIECES, 0)
+
+
+@compiled
+def forget_passed(s: Vector, pieces: int, x_m: float, strain_prev: float, web_m: float) -> None:
+    """Forget all pieces when the last of them has left the line, which holds `web_m` of web, unstretched."""
+    noinline()
+    for number in range(_oldest(s, pieces), int(s[pieces + lay.PIECES_COUNT])):
+        at = _piece(pieces, number)
+        tail = (x_m - s[at + lay.PIECE_FRONT_M]) / (1.0 + strain_prev) - s[at + lay.PIECE_LENGTH_M]
+        if tail <= web_m + lay.FORGOTTEN_BEHIND_M:
+            return
+    s[pieces + lay.PIECES_COUNT] = 0.0
+
+
+@inlined
+def _change_at(s: Vector, pieces: int, x_m: float, at_m: float, stretch: float, blur_m: float) -> float:
+    """Relative change of E·S of the web `at_m` behind roller 1: that of the piece there, with ends that are not sharp.
+
+    Arguments as in `_series_factor` and `spliced_span_rates`.
+    """
+    change = 0.0
+    for number in range(_oldest(s, pieces), int(s[pieces + lay.PIECES_COUNT])):
+        piece = _piece(pieces, number)
+        beyond = (x_m - s[piece + lay.PIECE_FRONT_M]) / stretch - at_m
+        share = min(max(beyond / blur_m + 0.5, 0.0), 1.0)
+        share -= min(max((beyond - s[piece + lay.PIECE_LENGTH_M]) / blur_m + 0.5, 0.0), 1.0)
+        change += share * s[piece + lay.PIECE_CHANGE]
+    return change
+
+
+@inlined
+def _series_factor(s: Vector, pieces: int, x_m: float, first_m: float, length_m: float, stretch: float) -> float:
+    """Factor on E·S of a span that begins at `first_m` and holds `length_m` of web: springs in series.
+
+    Lengths unstretched, from roller 1, whose web has gone `x_m` at the `stretch` of what enters:
+    L/(E·S) = sum of l_j/(E_j·S_j) over what lies in the span.
+    """
+    compliance = 1.0
+    for number in range(_oldest(s, pieces), int(s[pieces + lay.PIECES_COUNT])):
+        piece = _piece(pieces, number)
+        front = (x_m - s[piece + lay.PIECE_FRONT_M]) / stretch
+        inside = min(front, first_m + length_m) - max(front - s[piece + lay.PIECE_LENGTH_M], first_m)
+        compliance += max(inside, 0.0) / length_m * (1.0 / (1.0 + s[piece + lay.PIECE_CHANGE]) - 1.0)
+    return 1.0 / compliance
 
 
 @compiled
 def spliced_span_rates(
     p: Vector,
+    s: Vector,
+    pieces: int,
+    first: int,
     spans: int,
-    stiffness: float,
+    t_s: float,
     strain_prev: float,
     f_next_N: float,
     w: Vector,
+    steps: int,
     speed: int,
     material: int,
     length_rate: int,
     tension: int,
     rate: int,
-    front_m: float,
+    x_m: float,
     blur_m: float,
 ) -> None:
-    """As `span_rates`, with a piece of other web on its way: its front `front_m` past roller 1.
+    """As `span_rates`, with pieces of other web on their way, which stand from place `pieces` of the state `s` on.
 
-    In every span one tension, F = (L - m)/(m_a/(E·S) + m_b/(E_b·S)), and at its end the strain of the piece that is
-    there. What comes in has the strain of the web that enters, as when E of the span steps. The way of roller 1 is
-    taken for the web's: they differ by its strain. `blur_m`: way over which the ends of the piece are not sharp where
-    it leaves, so that rates do not jump within a step. Damping beside creep takes the rates at the tension without it.
+    In every span one tension, F = (L - m)/sum of m_j/(E_j·S_j), and at its end the strain of the piece that is there.
+    What comes in has the strain of the web that enters, as when E of the span steps. Places of pieces are counted
+    unstretched from roller 1, whose web has gone `x_m`. `blur_m`: way over which the ends of a piece are not sharp
+    where it leaves a span, so that rates do not jump within a step. Damping beside creep takes the rates at the tension
+    without it.
     """
     noinline()
-    scale, offset, creep, damping = length_factor(p), p[_STRAIN_OFFSET], p[_CREEP], p[_DAMPING_S]
-    first = 0.0
+    stretch_prev = 1.0 + strain_prev
+    begin = 0.0
     for k in range(spans):
-        factor = _series_factor(p, front_m, first, w[material + k])
-        strain = w[material + spans + k] * scale / w[material + k] - 1.0
-        w[tension + k] = max(stiffness * factor * (strain - offset), 0.0)
-        first += w[material + k]
-    inflow = w[speed] / (1.0 + strain_prev)
-    first = 0.0
+        row, length = first + k * lay.SP_SIZE, w[material + k]
+        factor = _series_factor(s, pieces, x_m, begin, length, stretch_prev)
+        strain = w[material + spans + k] * length_factor(p, row) / length - 1.0
+        w[tension + k] = max(stiffness_N(p, row, t_s, w[steps + k]) * factor * (strain - p[row + _STRAIN_OFFSET]), 0.0)
+        begin += length
+    inflow = w[speed] / stretch_prev
+    begin = 0.0
     for k in range(spans):
-        length = w[material + k]
-        factor = _series_factor(p, front_m, first, length)
-        stretch = w[material + spans + k] * scale / length
-        at_end = 1.0 + p[_SPLICE] * _spliced_share(p, front_m - first - length, blur_m)
+        row, length = first + k * lay.SP_SIZE, w[material + k]
+        factor = _series_factor(s, pieces, x_m, begin, length, stretch_prev)
+        stretch = w[material + spans + k] * length_factor(p, row) / length
+        begin += length
+        at_end = 1.0 + _change_at(s, pieces, x_m, begin, stretch_prev, blur_m)
         outflow = w[speed + k + 1] / (1.0 + (stretch - 1.0) * factor / at_end)
-        if creep != 0.0:
+        if p[row + _CREEP] != 0.0:
             behind = w[tension + k + 1] if k + 1 < spans else f_next_N
-            outflow *= 1.0 - creep * (w[tension + k] - behind)
+            outflow *= 1.0 - p[row + _CREEP] * (w[tension + k] - behind)
         w[rate + k] = inflow - outflow
         inflow = outflow
-        first += length
-        if damping > 0.0:
-            growth = (w[length_rate + k] * scale - stretch * w[rate + k]) / length
-            w[tension + k] = max(stiffness * factor * (stretch - 1.0 - offset + damping * growth), 0.0)
+        if p[row + _DAMPING_S] > 0.0:
+            growth = (w[length_rate + k] * length_factor(p, row) - stretch * w[rate + k]) / length
+            strain = stretch - 1.0 - p[row + _STRAIN_OFFSET] + p[row + _DAMPING_S] * growth
+            w[tension + k] = max(stiffness_N(p, row, t_s, w[steps + k]) * factor * strain, 0.0)
 
 
 @inlined
 def _flows(
     p: Vector,
+    first: int,
     spans: int,
     strain_prev: float,
     f_next_N: float,
@@ -552,10 +632,11 @@ def _flows(
 
     Places in `w` and units as in `span_rates`; read: `speed`, `material`, `tension`, written: `rate`.
     """
-    scale, creep = length_factor(p), p[_CREEP]
     inflow = w[speed] / (1.0 + strain_prev)
     for k in range(spans):
-        outflow = w[speed + k + 1] * w[material + k] / (w[material + spans + k] * scale)
+        row = first + k * lay.SP_SIZE
+        creep = p[row + _CREEP]
+        outflow = w[speed + k + 1] * w[material + k] / (w[material + spans + k] * length_factor(p, row))
         if creep != 0.0:
             behind = w[tension + k + 1] if k + 1 < spans else f_next_N
             outflow *= 1.0 - creep * (w[tension + k] - behind)
@@ -566,11 +647,13 @@ def _flows(
 @compiled
 def _damped(
     p: Vector,
+    first: int,
     spans: int,
-    stiffness: float,
+    t_s: float,
     strain_prev: float,
     f_next_N: float,
     w: Vector,
+    steps: int,
     speed: int,
     material: int,
     length_rate: int,
@@ -582,19 +665,21 @@ def _damped(
     Arguments, places in `w` and units as in `span_rates`; read: all of them, written: `tension` and `rate`.
     """
     noinline()
-    scale, offset = length_factor(p), p[_STRAIN_OFFSET]
-    damping, creep = p[_DAMPING_S], p[_CREEP]
+    creeps = _any_in_spans(p, first, spans, _CREEP)
     for _ in range(_MOST_PASSES):
-        change = 0.0
+        change, creep_before = 0.0, 0.0
         for k in range(spans):
-            stretch = w[material + spans + k] * scale / w[material + k]
-            strain_rate = (w[length_rate + k] * scale - stretch * w[rate + k]) / w[material + k]
-            force = max(stiffness * (stretch - 1.0 - offset + damping * strain_rate), 0.0)
+            row = first + k * lay.SP_SIZE
+            stiffness, damping, creep = stiffness_N(p, row, t_s, w[steps + k]), p[row + _DAMPING_S], p[row + _CREEP]
+            stretch = w[material + spans + k] * length_factor(p, row) / w[material + k]
+            strain_rate = (w[length_rate + k] * length_factor(p, row) - stretch * w[rate + k]) / w[material + k]
+            force = max(stiffness * (stretch - 1.0 - p[row + _STRAIN_OFFSET] + damping * strain_rate), 0.0)
             # Newton: the tension lowers the strain's rate by creep at the rollers around the span.
-            slope = stiffness * damping * creep * abs(w[speed + k + 1]) / w[material + k]
-            force = w[tension + k] + (force - w[tension + k]) / (1.0 + slope * (2.0 if k > 0 else 1.0))
+            slope = stiffness * damping * (creep + creep_before) * abs(w[speed + k + 1]) / w[material + k]
+            force = w[tension + k] + (force - w[tension + k]) / (1.0 + slope)
             change = max(change, abs(force - w[tension + k]))
             w[tension + k] = force
-        if creep == 0.0 or change < _TENSION_TOLERANCE_N:
+            creep_before = creep
+        if not creeps or change < _TENSION_TOLERANCE_N:
             break
-        _flows(p, spans, strain_prev, f_next_N, w, speed, material, tension, rate)
+        _flows(p, first, spans, strain_prev, f_next_N, w, speed, material, tension, rate)

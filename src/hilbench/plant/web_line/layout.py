@@ -2,9 +2,10 @@
 
 Three vectors of float64 describe a line of N axes, M motors and K spans:
 
-- parameters: web row, N axis rows, M motor rows (the counts stand in front, so the vector describes itself);
+- parameters: web row, N axis rows, M motor rows, K span rows (the counts stand in front, so the vector describes
+  itself);
 - state: sample counter, the integrated quantities (x, v, motor x, motor v per axis; material length and length per
-  span), per axis the friction direction and gear contact, M motor rows, M rows of past torques, where a splice is;
+  span), per axis the friction direction and gear contact, M motor rows, M rows of past torques, pieces of other web;
 - inputs: boundary, M motor rows (mode, set point, slope, limit), K rates of length.
 
 Motor k drives axis k. Motors beyond the last axis (load motors of a rig) sit on the roller's side of the gear play of
@@ -13,6 +14,7 @@ the axis that their row names.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache
@@ -27,7 +29,7 @@ from hilbench.plant import drive_loops as loops
 from hilbench.plant.effects import Domain, Effect, MachineKind, effects_of, find_effect
 from hilbench.plant.motor_port import MotorMode
 from hilbench.plant.parameters import DriveParameters, EffectEntry, per_item
-from hilbench.plant.web_line.parameters import ModelParameters
+from hilbench.plant.web_line.parameters import ModelParameters, places_of
 
 Vector = NDArray[np.float64]
 
@@ -39,9 +41,7 @@ W_MOTORS: Final = 1
 W_SPANS: Final = 2
 W_SAMPLE_TIME_S: Final = 3
 W_SUBSTEPS: Final = 4  #: integration steps per sample time
-W_SECTION_M2: Final = 5
-W_MODULUS_PA: Final = 6
-W_UPSTREAM_STIFFNESS_N: Final = 7
+W_UPSTREAM_STIFFNESS_N: Final = 5
 # Axis rows.
 A_RADIUS_M: Final = 0
 A_MOTOR_MASS_KG: Final = 1  #: on the motor's side of the gear play
@@ -56,7 +56,10 @@ M_POSITION_KP: Final = M_LOOPS + loops.POSITION_KP
 M_LIMIT_NM: Final = M_LOOPS + loops.LIMIT_NM
 M_CURRENT_S: Final = M_LOOPS + loops.CURRENT_S
 M_AXIS: Final = M_LOOPS + loops.LOOPS_SIZE  #: on whose shaft it is, from 0; of a motor beyond the last axis any
-_FIXED = {"web": 8, "axis": 4, "motor": M_AXIS + 1}
+# Span rows.
+SP_SECTION_M2: Final = 0
+SP_MODULUS_PA: Final = 1
+_FIXED = {"web": 6, "axis": 4, "motor": M_AXIS + 1, "span": 2}
 
 # State.
 S_COUNT: Final = 0
@@ -72,9 +75,18 @@ SM_LIMITED: Final = loops.LIMITED
 SM_MODE: Final = loops.MODE
 SM_SIZE: Final = loops.STATE_SIZE
 RING: Final = 128  #: past torques kept per motor, one per sample time
-SPLICE_IN: Final = 0  #: of a splice, behind the past torques: whether it has come in
-SPLICE_AT: Final = 1  #: and where roller 1 was then, m
-SPLICE_SIZE: Final = 2
+# Pieces of other web in the line, behind the past torques: a ring of the last ones that came in.
+PIECES_CAME: Final = 0  #: whether the splice of the effect as it is given now has come in
+PIECES_COUNT: Final = 1  #: how many have come in since the line was last without any
+PIECES_FIRST: Final = 2
+PIECE_FRONT_M: Final = 0  #: where the web at roller 1 was when the piece came in
+PIECE_LENGTH_M: Final = 1  #: unstretched
+PIECE_CHANGE: Final = 2  #: relative change of E·S
+PIECE_SIZE: Final = 3
+PIECES: Final = 8  #: how many are kept
+PIECES_SIZE: Final = PIECES_FIRST + PIECES * PIECE_SIZE
+#: A piece is forgotten when it has left the line by more than this: the web may go back a little.
+FORGOTTEN_BEHIND_M: Final = 1.0
 
 # Inputs.
 U_STRAIN_PREV: Final = 0
@@ -101,19 +113,16 @@ DECAY_FULL: Final = 6
 PER_MASS: Final = 7  #: 1/kg of motor and roller together
 PER_ROLLER_MASS: Final = 8
 PER_MOTOR_MASS: Final = 9
-STEPS: Final = 10  #: factor of the steps of E in this step
+STEPS: Final = 10  #: factor of the steps of E in each span in this step
 DECAY_STEP_S: Final = 11  #: length of step that the decays are for
 PACE: Final = 12  #: one number: which of the ways to step the line its effects allow
 REPORTS: Final = 13  #: one number: whether any drive measures or records something else than what is
 LOOP_KP: Final = 14  #: gains and current loop of a motor's drive, with what effects make of them
 LOOP_KI: Final = 15
 LOOP_CURRENT_S: Final = 16
-SPLICE_FRONT: Final = 17  #: one number: where roller 1 was when a splice came in, m; `NOT_YET` before that
-SPLICE_BLUR: Final = 18  #: one number: way of the web in a step, over which its ends are blurred, m
-PARTS: Final = 19
-#: A place of roller 1 that it never reaches: no splice has come in.
-NOT_YET: Final = 1e12
-#: Least way over which a splice's ends are blurred, m.
+SPLICE_BLUR: Final = 17  #: one number: way of the web in a step, over which the ends of a piece are blurred, m
+PARTS: Final = 18
+#: Least way over which the ends of a piece are blurred, m.
 LEAST_BLUR_M: Final = 1e-9
 #: Paces: the step that is made for what is usual; the general one, that knows every force; gear play, whose contact is
 #: an event.
@@ -132,9 +141,9 @@ _OF_A_MOTOR: Final = (
 
 
 def row_of(effect: Effect) -> str:
-    """Which row holds an effect's parameters: "web", "axis" or "motor"."""
+    """Which row holds an effect's parameters: "web", "axis", "motor" or "span"."""
     if not effect.per_axis:
-        return "web"
+        return "span" if effect.per_span else "web"
     return "motor" if effect.domain in _OF_A_MOTOR else "axis"
 
 
@@ -150,6 +159,7 @@ _SIZES, _FIRST = _allocate()
 W_SIZE: Final = _SIZES["web"]
 A_SIZE: Final = _SIZES["axis"]
 M_SIZE: Final = _SIZES["motor"]
+SP_SIZE: Final = _SIZES["span"]
 
 
 @cache
@@ -158,6 +168,9 @@ def place(effect_id: str, parameter: str, slot: int = 0) -> int:
     effect = find_effect(effect_id)
     names = [p.name for p in effect.parameters]
     return _FIRST[effect_id] + slot * len(names) + names.index(parameter)
+
+
+_LENGTH_ERROR: Final = place("span_length_error", "relative_change")
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,6 +188,11 @@ class Layout:
 
     @property
     def parameter_size(self) -> int:
+        return self.first_span + self.spans * SP_SIZE
+
+    @property
+    def first_span(self) -> int:
+        """Where the span rows begin in the parameters."""
         return W_SIZE + self.axes * A_SIZE + self.motors * M_SIZE
 
     @property
@@ -184,7 +202,7 @@ class Layout:
 
     @property
     def state_size(self) -> int:
-        return S_Y + self.y_size + self.axes * SA_SIZE + self.motors * (SM_SIZE + RING) + SPLICE_SIZE
+        return S_Y + self.y_size + self.axes * SA_SIZE + self.motors * (SM_SIZE + RING) + PIECES_SIZE
 
     @property
     def input_size(self) -> int:
@@ -206,7 +224,11 @@ class Layout:
 
     def motor_rows(self, parameters: Vector) -> Vector:
         """View (M, M_SIZE)."""
-        return parameters[W_SIZE + self.axes * A_SIZE :].reshape(self.motors, M_SIZE)
+        return parameters[W_SIZE + self.axes * A_SIZE : self.first_span].reshape(self.motors, M_SIZE)
+
+    def span_rows(self, parameters: Vector) -> Vector:
+        """View (K, SP_SIZE)."""
+        return parameters[self.first_span :].reshape(self.spans, SP_SIZE)
 
     def y(self, state: Vector) -> Vector:
         """View of the integrated quantities."""
@@ -254,18 +276,31 @@ def _columns(motors: int, spans: int) -> Mapping[str, slice]:
     return MappingProxyType(result)
 
 
-def write_effect(parameters: Vector, effect_id: str, axis: int | None, slot: int, values: dict[str, float]) -> None:
+def write_effect(
+    parameters: Vector,
+    effect_id: str,
+    axis: int | None,
+    slot: int,
+    values: Mapping[str, float],
+    *,
+    span: int | None = None,
+) -> None:
     """Write an effect's (checked, complete) parameters, by name and in their units, into a parameter vector (P,).
 
-    axis: from 1, None for an effect of the web; slot: from 0, for effects that can be given several times.
+    axis: from 1, None for an effect of the web; span: from 1, None for all of them; slot: from 0, for effects that can
+    be given several times.
     """
     layout, effect = Layout.of(parameters), find_effect(effect_id)
-    row = parameters
-    if effect.per_axis and axis is not None:
-        rows = layout.axis_rows(parameters) if row_of(effect) == "axis" else layout.motor_rows(parameters)
-        row = rows[axis - 1]
+    of = row_of(effect)
+    if of == "span":
+        every = layout.span_rows(parameters)
+        targets = every if span is None else every[span - 1 : span]
+    elif of == "web" or axis is None:
+        targets = parameters[np.newaxis]
+    else:
+        targets = (layout.axis_rows(parameters) if of == "axis" else layout.motor_rows(parameters))[axis - 1 : axis]
     for name, value in values.items():
-        row[place(effect_id, name, slot)] = value
+        targets[:, place(effect_id, name, slot)] = value
 
 
 def clear_effects(parameters: Vector) -> None:
@@ -309,9 +344,9 @@ def pack(model: ModelParameters, substeps: int = 1) -> Vector:
     parameters[W_SAMPLE_TIME_S] = model.drives.sample_time_s if model.drives else 0.001
     parameters[W_SUBSTEPS] = substeps
     if model.web is not None:
-        parameters[W_SECTION_M2] = model.web.section_m2
-        parameters[W_MODULUS_PA] = model.web.youngs_modulus_Pa
         parameters[W_UPSTREAM_STIFFNESS_N] = model.upstream_stiffness_N
+        for span, row in enumerate(layout.span_rows(parameters), 1):
+            row[SP_SECTION_M2], row[SP_MODULUS_PA] = model.section_m2(span), model.youngs_modulus_Pa(span)
     clear_effects(parameters)
     for axis in range(1, axes + 1):
         row = layout.axis_rows(parameters)[axis - 1]
@@ -332,15 +367,17 @@ def write_entries(parameters: Vector, entries: Iterable[EffectEntry]) -> None:
 
     Raises ValueError as `check_effects`, and when there are more than slots.
     """
-    used: dict[tuple[str, int | None], int] = {}
+    used: Counter[tuple[str, int | None]] = Counter()
+    spans = Layout.of(parameters).spans
     for entry in entries:
         effect = find_effect(entry.effect)
-        key = (entry.effect, entry.axis if effect.per_axis else None)
-        slot = used.get(key, 0)
-        used[key] = slot + 1
-        if slot >= effect.slots:
-            raise ValueError(f"effect '{effect.id}' is given more than {effect.slots} times at one place")
-        write_effect(parameters, entry.effect, entry.axis, slot, effect.filled(entry.parameters))
+        for at in places_of(effect, entry.axis, entry.span, spans):
+            slot = used[effect.id, at]
+            used[effect.id, at] += 1
+            if slot >= effect.slots:
+                raise ValueError(f"effect '{effect.id}' is given more than {effect.slots} times at one place")
+            values = effect.filled(entry.parameters)
+            write_effect(parameters, effect.id, entry.axis, slot, values, span=at if effect.per_span else None)
     check_effects(parameters)
 
 
@@ -368,16 +405,27 @@ def new_state(parameters: Vector, strain: float | Vector = 0.0, length_m: float 
 
 def set_strain(parameters: Vector, state: Vector, strain: ArrayLike) -> None:
     """Set the strain of every span (state transfer): material length = length/(1 + strain)."""
-    k, material = int(parameters[W_SPANS]), S_Y + 4 * int(parameters[W_AXES])
-    factor = 1.0 + parameters.item(place("span_length_error", "relative_change"))
+    layout = Layout.of(parameters)
+    k, material = layout.spans, S_Y + 4 * layout.axes
     strains = np.asarray(strain, dtype=float)
     for span, of_span in enumerate(strains.tolist() if strains.ndim else [float(strains)] * k):
+        factor = length_factor(parameters, layout, span + 1)
         state[material + span] = state.item(material + k + span) * factor / (1.0 + of_span)
 
 
-def forget_splice(state: Vector) -> None:
-    """A splice is yet to come, whatever came in before."""
-    state[-SPLICE_SIZE:] = 0.0
+def length_factor(parameters: Vector, layout: Layout, span: int) -> float:
+    """Factor on the nominal length of a span, from 1, in plain Python."""
+    return 1.0 + parameters.item(layout.first_span + (span - 1) * SP_SIZE + _LENGTH_ERROR)
+
+
+def await_splice(state: Vector) -> None:
+    """A splice is yet to come; what came in before stays in the web."""
+    state[PIECES_CAME - PIECES_SIZE] = 0.0
+
+
+def forget_pieces(state: Vector) -> None:
+    """The web is all of one kind, and a splice is yet to come."""
+    state[-PIECES_SIZE:] = 0.0
 
 
 def refresh_modes(parameters: Vector, state: Vector) -> None:

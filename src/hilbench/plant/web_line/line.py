@@ -13,9 +13,7 @@ from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.layout import Vector
 from hilbench.plant.web_line.offline import start_state
 from hilbench.plant.web_line.parameters import ModelParameters
-from hilbench.plant.web_line.simulated import KIND, SimulatedLine, checked_positive
-
-YOUNGS_MODULUS = Quantity("youngs_modulus_Pa", "Pa", "Young's modulus E of the web, without the effects on it")
+from hilbench.plant.web_line.simulated import KIND, SimulatedLine, modulus_names, modulus_Pa, set_modulus
 
 
 class Line(SimulatedLine):
@@ -48,20 +46,25 @@ class Line(SimulatedLine):
         if axis <= self._layout.axes:
             self._set_inertia(name, value, axis, value / self.parameters.radius_m(axis) ** 2)
         else:
-            self._p[lay.W_MODULUS_PA] = self._parameters[name] = checked_positive(name, value, "Pa")
+            set_modulus(self._p, name, value)
+            self._parameters |= {
+                known.name: modulus_Pa(self._p, known.name) for known in modulus_names(self._layout.spans)
+            }
 
-    def set_effect(self, effect_id: str, axis: int | None = None, *, slot: int = 0, **parameters: float) -> None:
+    def set_effect(
+        self, effect_id: str, axis: int | None = None, *, span: int | None = None, slot: int = 0, **parameters: float
+    ) -> None:
         """Give an effect these parameters from now on; strain and motion stay. Raises as `SimulatedLine`."""
-        super().set_effect(effect_id, axis, slot=slot, **parameters)
+        super().set_effect(effect_id, axis, span=span, slot=slot, **parameters)
         self._elastic |= _acts_on_elasticity(effect_id)
 
-    @property
-    def elasticity_factor(self) -> float:
-        """What the effects on E make of it now; 1 without any."""
+    def elasticity_factor(self, span: int) -> float:
+        """What the effects on E make of it now in a span (counted from 1); 1 without any."""
         if not self._elastic:
             return 1.0
-        sample_s, time_s = self._p[lay.W_SAMPLE_TIME_S], self.time_s
-        return float(laws.elasticity_factor(self._p, time_s, laws.step_factor(self._p, time_s, sample_s)))
+        sample_s, time_s, row = self._p[lay.W_SAMPLE_TIME_S], self.time_s, self._layout.first_span
+        row += (span - 1) * lay.SP_SIZE
+        return float(laws.elasticity_factor(self._p, row, time_s, laws.step_factor(self._p, row, time_s, sample_s)))
 
     @property
     def tension_N(self) -> Vector:
@@ -93,7 +96,8 @@ def _values(parameters: ModelParameters) -> dict[Quantity, float]:
         for k in range(1, parameters.axis_count + 1)
     }
     if parameters.web is not None:
-        values[YOUNGS_MODULUS] = parameters.web.youngs_modulus_Pa
+        p = lay.pack(parameters)
+        values |= {known: modulus_Pa(p, known.name) for known in modulus_names(parameters.span_count)}
     return values
 
 

@@ -60,24 +60,26 @@ def _required(sources: int) -> Required:
                 xs[row, i], vs[row, i], accelerations[row, i] = true_motion(
                     p, motor, x_m[row, i], v_m_s[row, i], a_m_s2[row, i]
                 )
-        speed, tension, rate, length_rate, material = 0, n, n + k, n + 2 * k, n + 3 * k
-        w = np.zeros(n + 5 * k)
+        speed, tension, rate, length_rate, material, steps = 0, n, n + k, n + 2 * k, n + 3 * k, n + 5 * k
+        w, first_span = np.zeros(n + 6 * k), lay.W_SIZE + n * (lay.A_SIZE + lay.M_SIZE)
         begin, first = np.zeros(k), np.zeros(k)
         for j in range(k):
             w[material + k + j] = lengths[j]
-            w[material + j] = lengths[j] * laws.length_factor(p) / (1.0 + boundary[0, 0])
+            w[material + j] = lengths[j] * laws.length_factor(p, first_span + j * lay.SP_SIZE) / (1.0 + boundary[0, 0])
         for row in range(x_m.shape[0]):
             t = row * period_s
-            factor = laws.step_factor(p, t, period_s)
-            stiffness = laws.stiffness_N(p, t, factor)
+            laws.put_step_factors(p, first_span, k, t, period_s, w, steps)
             strain_prev = laws.upstream_strain(p, boundary[row, 0], t)
             downstream = boundary[row, 1]
             for i in range(n):
                 w[speed + i] = laws.web_speed_m_s(p, lay.W_SIZE + i * lay.A_SIZE, xs[row, i], vs[row, i])
-            laws.span_rates(p, k, stiffness, strain_prev, downstream, w, speed, material, length_rate, tension, rate)
+            laws.span_rates(
+                p, first_span, k, t, strain_prev, downstream, w, steps, speed, material, length_rate, tension, rate
+            )
             for j in range(k):
                 F_N[row, j] = w[tension + j]
-                strain[row, j] = w[material + k + j] * laws.length_factor(p) / w[material + j] - 1.0
+                scale = laws.length_factor(p, first_span + j * lay.SP_SIZE)
+                strain[row, j] = w[material + k + j] * scale / w[material + j] - 1.0
             upstream = strain_prev * p[lay.W_UPSTREAM_STIFFNESS_N]
             for i in range(n):
                 axis, motor = lay.W_SIZE + i * lay.A_SIZE, lay.W_SIZE + n * lay.A_SIZE + i * lay.M_SIZE
@@ -94,11 +96,15 @@ def _required(sources: int) -> Required:
                 w[speed + i] = gone / period_s
             for j in range(k):
                 begin[j] = w[material + j]
-            laws.span_rates(p, k, stiffness, strain_prev, downstream, w, speed, material, length_rate, tension, rate)
+            laws.span_rates(
+                p, first_span, k, t, strain_prev, downstream, w, steps, speed, material, length_rate, tension, rate
+            )
             for j in range(k):
                 first[j] = w[rate + j]
                 w[material + j] = begin[j] + period_s * first[j]
-            laws.span_rates(p, k, stiffness, strain_prev, downstream, w, speed, material, length_rate, tension, rate)
+            laws.span_rates(
+                p, first_span, k, t, strain_prev, downstream, w, steps, speed, material, length_rate, tension, rate
+            )
             for j in range(k):
                 w[material + j] = begin[j] + 0.5 * period_s * (first[j] + w[rate + j])
         rows = x_m.shape[0]

@@ -6,6 +6,7 @@ one number for all of them or a list. Without ``web:`` the model is a lone axis.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self
@@ -17,37 +18,31 @@ from hilbench import strict_yaml
 from hilbench.block import Block
 from hilbench.errors import UnusableInputError
 from hilbench.files import writing
-from hilbench.plant.effects import find_effect
+from hilbench.plant.effects import Effect, find_effect
 from hilbench.plant.parameters import DriveParameters, EffectEntry, GearRatio, NotNegative, per_item
 
 #: Young's moduli with a meaning: from the softest gel to beyond diamond.
 LEAST_MODULUS_Pa, LARGEST_MODULUS_Pa = 1e3, 1e13
 Length = Annotated[FiniteFloat, Field(ge=1e-3, le=1e4)]
 Radius = Annotated[FiniteFloat, Field(ge=1e-4, le=100.0)]
+Width = Annotated[FiniteFloat, Field(ge=1e-3, le=100.0)]
+Thickness = Annotated[FiniteFloat, Field(ge=1e-7, le=0.1)]
 Modulus = Annotated[FiniteFloat, Field(ge=LEAST_MODULUS_Pa, le=LARGEST_MODULUS_Pa)]
 
 
 class WebParameters(Block):
-    """The web: elastic, of constant section; one length for every span or a list."""
+    """The web: elastic; each value is one for every span or a list of them, in the direction of the web."""
 
-    youngs_modulus_Pa: Modulus = Field(description="E along the run of the web")
-    width_m: Annotated[FiniteFloat, Field(ge=1e-3, le=100.0)] = Field(description="across the machine")
-    thickness_m: Annotated[FiniteFloat, Field(ge=1e-7, le=0.1)] = Field(
+    youngs_modulus_Pa: Modulus | Annotated[list[Modulus], Field(min_length=1)] = Field(
+        description="E along the run of the web; a list where it differs from span to span (warmth, moisture)"
+    )
+    width_m: Width | Annotated[list[Width], Field(min_length=1)] = Field(description="across the machine")
+    thickness_m: Thickness | Annotated[list[Thickness], Field(min_length=1)] = Field(
         description="with the width: the section S, tension = E·S·strain"
     )
     span_length_m: Length | Annotated[list[Length], Field(min_length=1)] = Field(
-        description="free web between two driven rollers"
+        description="free web between two rollers"
     )
-
-    @property
-    def section_m2(self) -> float:
-        """Cross-section S of the web."""
-        return self.width_m * self.thickness_m
-
-    @property
-    def stiffness_N(self) -> float:
-        """E·S: tension per strain, by the modulus of the model file."""
-        return self.youngs_modulus_Pa * self.section_m2
 
 
 class RollerParameters(Block):
@@ -67,7 +62,7 @@ class MotorParameters(Block):
 
 
 class BoundaryParameters(Block):
-    """What the neighbouring sections do. Without `upstream_strain` it is upstream_tension_N/(E·S) by the file's E."""
+    """What the neighbouring sections do. Without `upstream_strain` it is upstream_tension_N/(E·S) by E·S of span 1."""
 
     upstream_tension_N: NotNegative = Field(default=0.0, description="before the first roller")
     downstream_tension_N: NotNegative = Field(default=0.0, description="behind the last roller")
@@ -111,13 +106,14 @@ class ModelParameters(Block):
                 _count(name, value, axes)
         _count("web_load", self.web_load, axes)
         if self.web is not None:
-            _count("span_length_m", self.web.span_length_m, axes - 1)
+            for name, value in self.web:
+                _count(name, value, axes - 1)
         if self.web is None and (axes > 1 or self.boundary != BoundaryParameters()):
             raise ValueError("several rollers or a boundary without a web, expected 'web' or a lone axis")
         if not -0.5 < self.upstream_strain < 1.0:
             raise ValueError(
                 f"upstream_tension_N of {self.boundary.upstream_tension_N:g} N strains the web that enters by "
-                f"{self.upstream_strain:g}, expected less than 1 (E·S is {self.required_web.stiffness_N:g} N)"
+                f"{self.upstream_strain:g}, expected less than 1 (E·S is {self.stiffness_N(1):g} N)"
             )
         for axis in range(1, axes + 1):
             if self.mass_kg(axis) <= 0.0:
@@ -135,15 +131,16 @@ class ModelParameters(Block):
         if "rollers" not in info.data:
             return entries  # the rollers' own error is the one to report
         axes = _axis_count(info.data.get("web"), info.data["rollers"], info.data.get("motors"), info.data.get("drives"))
-        used: dict[tuple[str, int | None], int] = {}
+        used: Counter[tuple[str, int | None]] = Counter()
         for position, entry in enumerate(entries):
             effect = find_effect(entry.effect)
-            place = (entry.effect, entry.axis if effect.per_axis else None)
-            used[place] = used.get(place, 0) + 1
             problem = effect.axis_problem(entry.axis, axes if effect.per_axis else None)
+            problem = problem or effect.span_problem(entry.span, axes - 1)
             if problem is None and info.data.get("web") is None and not effect.per_axis:
                 problem = f"effect '{effect.id}' in a model without a web"
-            if problem is None and used[place] > effect.slots:
+            places = places_of(effect, entry.axis, entry.span, axes - 1)
+            used.update((effect.id, place) for place in places)
+            if problem is None and any(used[effect.id, place] > effect.slots for place in places):
                 problem = f"effect '{effect.id}' is given more than {effect.slots} times at one place"
             if problem:
                 raise ValueError(f"entry {position + 1}: {problem}")
@@ -200,6 +197,18 @@ class ModelParameters(Block):
         """Nominal length of a span (counted from 1). Raises ValueError without a web."""
         return per_item(self.required_web.span_length_m, span)
 
+    def youngs_modulus_Pa(self, span: int) -> float:
+        """E of the web in a span (counted from 1), without effects. Raises ValueError without a web."""
+        return per_item(self.required_web.youngs_modulus_Pa, span)
+
+    def section_m2(self, span: int) -> float:
+        """Cross-section S of the web in a span (counted from 1). Raises ValueError without a web."""
+        return per_item(self.required_web.width_m, span) * per_item(self.required_web.thickness_m, span)
+
+    def stiffness_N(self, span: int) -> float:
+        """E·S in a span (counted from 1): tension per strain, by the model file. Raises ValueError without a web."""
+        return self.youngs_modulus_Pa(span) * self.section_m2(span)
+
     @property
     def required_web(self) -> WebParameters:
         """The web. Raises ValueError when the model is a lone axis."""
@@ -212,7 +221,7 @@ class ModelParameters(Block):
         """Strain of the web that enters; stays what it is when E changes (0 without a web)."""
         if self.boundary.upstream_strain is not None:
             return self.boundary.upstream_strain
-        return self.boundary.upstream_tension_N / self.web.stiffness_N if self.web else 0.0
+        return self.boundary.upstream_tension_N / self.stiffness_N(1) if self.web else 0.0
 
     @property
     def upstream_stiffness_N(self) -> float:
@@ -220,7 +229,7 @@ class ModelParameters(Block):
         strain, tension = self.upstream_strain, self.boundary.upstream_tension_N
         if tension > 0.0 and strain > 0.0:
             return tension / strain
-        return self.web.stiffness_N if self.web else 0.0
+        return self.stiffness_N(1) if self.web else 0.0
 
     def with_effects(self, *entries: EffectEntry) -> ModelParameters:
         """The same model with further effects, validated. Raises pydantic.ValidationError."""
@@ -229,10 +238,21 @@ class ModelParameters(Block):
         return ModelParameters.model_validate(data)
 
 
+def places_of(effect: Effect, axis: int | None, span: int | None, spans: int) -> tuple[int | None, ...]:
+    """Where of a line with `spans` an effect is that is given so: its axis, its spans, or (None,) for all of the line.
+
+    One of a span without the span is in all of them.
+    """
+    if effect.per_axis:
+        return (axis,)
+    if effect.per_span:
+        return tuple(range(1, spans + 1)) if span is None else (span,)
+    return (None,)
+
+
 def _axis_count(web: WebParameters | None, *parts: BaseModel | None) -> int:
     lengths = [len(value) for part in parts for _, value in part or () if isinstance(value, list)]
-    if web is not None and isinstance(web.span_length_m, list):
-        lengths.append(len(web.span_length_m) + 1)
+    lengths += [len(value) + 1 for _, value in web or () if isinstance(value, list)]
     return max(lengths, default=1 if web is None else 2)
 
 

@@ -198,12 +198,14 @@ class TestRig(SimulatedLine):
         turned = value + self._rig.rotors_kg_m2(axis)
         self._set_inertia(name, value, axis, turned * _rad_per_m(self._rig, axis) ** 2)
 
-    def set_effect(self, effect_id: str, axis: int | None = None, *, slot: int = 0, **parameters: float) -> None:
+    def set_effect(
+        self, effect_id: str, axis: int | None = None, *, span: int | None = None, slot: int = 0, **parameters: float
+    ) -> None:
         """Give an axis an effect from now on. Raises ValueError, also for an effect of the web."""
-        problem = effect_problem(effect_id, axis, EffectPlace.HARDWARE, self._layout.axes)
+        problem = effect_problem(effect_id, axis, EffectPlace.HARDWARE, self._layout.axes, span=span)
         if problem:
             raise ValueError(problem)
-        super().set_effect(effect_id, axis, slot=slot, **parameters)
+        super().set_effect(effect_id, axis, span=span, slot=slot, **parameters)
 
 
 def _values(parameters: RigParameters) -> dict[Quantity, float]:

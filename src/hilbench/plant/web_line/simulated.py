@@ -24,7 +24,7 @@ from hilbench.plant.web_line.layout import Layout, Vector
 from hilbench.plant.web_line.ports import read_ports, write_ports
 
 KIND = MachineKind.WEB_LINE
-_LENGTH_ERROR = lay.place("span_length_error", "relative_change")
+YOUNGS_MODULUS = Quantity("youngs_modulus_Pa", "Pa", "Young's modulus E of the web, without the effects on it")
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,6 +68,32 @@ def span_names(spans: int) -> tuple[Quantity, ...]:
     )
 
 
+def modulus_names(spans: int) -> tuple[Quantity, ...]:
+    """E of the web as a parameter: of all spans and, where there are several, of each."""
+    each = (
+        Quantity(f"youngs_modulus{k}_Pa", "Pa", f"Young's modulus E of the web in span {k}, without the effects on it")
+        for k in range(1, spans + 1)
+    )
+    return (YOUNGS_MODULUS, *each) if spans > 1 else (YOUNGS_MODULUS,) * spans
+
+
+def modulus_Pa(p: Vector, name: str) -> float:
+    """E in a parameter vector (P,), by the name of `modulus_names`; that of all spans is told of the first."""
+    return float(_moduli(p, name)[0])
+
+
+def set_modulus(p: Vector, name: str, value: float) -> None:
+    """Give the web another E, by the name of `modulus_names`. Raises ValueError for one that is not above 0."""
+    _moduli(p, name)[:] = checked_positive(name, value, "Pa")
+
+
+def _moduli(p: Vector, name: str) -> Vector:
+    """View of the moduli that a name is for."""
+    moduli: Vector = Layout.of(p).span_rows(p)[:, lay.SP_MODULUS_PA]
+    span = name.removeprefix("youngs_modulus").removesuffix("_Pa")
+    return moduli[int(span) - 1 : int(span)] if span else moduli
+
+
 def known_effect(effect_id: str) -> Effect:
     """The effect with this id. Raises ValueError that lists the known ones."""
     try:
@@ -77,15 +103,22 @@ def known_effect(effect_id: str) -> Effect:
 
 
 def set_effect(
-    p: Vector, effect_id: str, axis: int | None, slot: int, parameters: Mapping[str, float], able: Iterable[str]
+    p: Vector,
+    effect_id: str,
+    axis: int | None,
+    span: int | None,
+    slot: int,
+    parameters: Mapping[str, float],
+    able: Iterable[str],
 ) -> None:
     """Check and write one effect into a parameter vector (P,), or leave it as it was and raise ValueError.
 
     `able`: ids of the effects that this machine can have.
     """
     effect = known_effect(effect_id)
-    axes = Layout.of(p).axes if effect.per_axis else None
-    problem = effect.axis_problem(axis, axes) or effect.problem(parameters)
+    layout = Layout.of(p)
+    axes = layout.axes if effect.per_axis else None
+    problem = effect.axis_problem(axis, axes) or effect.span_problem(span, layout.spans) or effect.problem(parameters)
     if problem is None and not 0 <= slot < effect.slots:
         problem = f"effect '{effect_id}' with slot {slot}, expected 0 to {effect.slots - 1}"
     if problem is None and effect_id not in able:
@@ -93,7 +126,7 @@ def set_effect(
     if problem:
         raise ValueError(problem)
     changed = p.copy()
-    lay.write_effect(changed, effect_id, axis, slot, effect.filled(parameters))
+    lay.write_effect(changed, effect_id, axis, slot, effect.filled(parameters), span=span)
     lay.check_effects(changed)
     p[:] = changed
 
@@ -238,7 +271,7 @@ class SimulatedLine:
             else:
                 span = place - 2 * n - m
                 material = lay.S_Y + 4 * n + span
-                length = state.item(material + k) * (1.0 + self._p.item(_LENGTH_ERROR))
+                length = state.item(material + k) * lay.length_factor(self._p, self._layout, span + 1)
                 state[material] = length / (1.0 + value)
         lay.refresh_modes(self._p, state)
         self._observe()
@@ -258,21 +291,24 @@ class SimulatedLine:
             span = [quantity.name for quantity in self._description.inputs].index(name) - 2
             self._layout.length_rates(self._inputs)[span] = value
 
-    def set_effect(self, effect_id: str, axis: int | None = None, *, slot: int = 0, **parameters: float) -> None:
+    def set_effect(
+        self, effect_id: str, axis: int | None = None, *, span: int | None = None, slot: int = 0, **parameters: float
+    ) -> None:
         """Give an effect these parameters from now on; strain and motion stay.
 
-        Raises ValueError for an unknown effect, one that this machine cannot have, or a wrong axis, slot or parameter.
+        Raises ValueError for an unknown effect, one that this machine cannot have, or a wrong axis, span, slot or
+        parameter.
         """
         strain = self._out[self._layout.columns["strain"]].copy()
-        set_effect(self._p, effect_id, axis, slot, parameters, self._description.effects)
+        set_effect(self._p, effect_id, axis, span, slot, parameters, self._description.effects)
         if effect_id == "splice":
-            lay.forget_splice(self._state)
+            lay.await_splice(self._state)
         lay.set_strain(self._p, self._state, strain)
         lay.refresh_modes(self._p, self._state)
 
-    def clear_effect(self, effect_id: str, axis: int | None = None, *, slot: int = 0) -> None:
+    def clear_effect(self, effect_id: str, axis: int | None = None, *, span: int | None = None, slot: int = 0) -> None:
         """Make an effect neutral from now on. Raises as `set_effect`."""
-        self.set_effect(effect_id, axis, slot=slot, **known_effect(effect_id).filled({}))
+        self.set_effect(effect_id, axis, span=span, slot=slot, **known_effect(effect_id).filled({}))
 
     def _set_inertia(self, name: str, value: float, axis: int, roller_mass_kg: float) -> None:
         """Give axis (counted from 1) another mass on the roller's side of the gear. Raises ValueError."""

@@ -41,7 +41,7 @@ def machine_sizes(
         force_N = per_m * (limit_Nm if torque_Nm is None else torque_Nm)
     else:
         force_N = tension_N
-    strain = force_N / model.web.stiffness_N if model.web is not None else 1.0
+    strain = force_N / model.stiffness_N(1) if model.web is not None else 1.0
     time_s = drives.sample_time_s if drives is not None else sample_time_s
     return MachineSizes(
         force_N=force_N,

@@ -8,68 +8,77 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hilbench.compiled import compiled, entry_point
+from hilbench.compiled import compiled, entry_point, inlined
 from hilbench.plant.effects import EffectPlace, effects_of
 from hilbench.plant.interface import PlantDescription, PlantState, Quantity, checked_name
 from hilbench.plant.web_line import laws
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.kernel import source_number
 from hilbench.plant.web_line.layout import Layout, Vector
-from hilbench.plant.web_line.line import YOUNGS_MODULUS
 from hilbench.plant.web_line.offline import start_state
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.simulated import (
     KIND,
     axis_names,
     boundary_names,
-    checked_positive,
     known_effect,
+    modulus_names,
+    modulus_Pa,
     set_effect,
+    set_modulus,
     span_names,
 )
 
 #: Longest integration step; the error of a step is of order (v·h/L)^5/120, below rounding on the demonstrator.
 _LONGEST_STEP_S = 0.001
-_LENGTH_ERROR = lay.place("span_length_error", "relative_change")
 
 BROKEN = Quantity("broken", "1", "1: the web has torn and pulls no more; 0: it is whole")
+
+
+#: So many states in front of the positions: time.
+_TIME = 1
+
+
+@inlined
+def _first_span(p: Vector) -> int:
+    """Where the span rows begin in the parameters."""
+    return lay.W_SIZE + int(p[lay.W_AXES]) * lay.A_SIZE + int(p[lay.W_MOTORS]) * lay.M_SIZE
 
 
 @compiled
 def _span_rates(
     p: Vector,
+    s: Vector,
     w: Vector,
     n: int,
     k: int,
     at: int,
     rate: int,
     t: float,
-    steps: float,
+    steps: int,
     strain_prev: float,
     f_next: float,
-    splice_m: float,
     blur_m: float,
 ) -> None:
     """Rates (2·K,), m/s, to place `rate` of `w`, of the unstretched and then the nominal lengths (2·K,), m, at `at`.
 
-    p (P,): parameters of the line. w: positions (n,), m, and speeds (n,), m/s, at its start; behind them room for the
-    web's speeds (n,), then rates of the nominal lengths (k,), and the tensions (k,), N, that come with it. t: s since
-    the start. steps: factor of the steps of E. strain_prev: of the web that enters; f_next: tension behind the line, N.
-    splice_m: where roller 1 was when a splice came in; blur_m: way in a step (`laws.spliced_span_rates`).
+    p (P,): parameters of the line. s: state of `roll_on`, for the pieces of other web. w: positions (n,), m, and speeds
+    (n,), m/s, at its start; behind them room for the web's speeds (n,), then rates of the nominal lengths (k,), and the
+    tensions (k,), N, that come with it; factors (k,) of the steps of E at `steps`. t: s since the start. strain_prev:
+    of the web that enters; f_next: tension behind the line, N; blur_m: way in a step (`laws.spliced_span_rates`).
     """
     speed, length_rate, tension = 2 * n, 3 * n, 3 * n + k
+    first, pieces = _first_span(p), _TIME + n + 2 * k
     for i in range(n):
         axis = lay.W_SIZE + i * lay.A_SIZE
         w[speed + i] = laws.web_speed_m_s(p, axis, w[i], w[n + i])
     strain = laws.upstream_strain(p, strain_prev, t)
-    stiffness = laws.stiffness_N(p, t, steps)
-    if laws.has_splice(p):
-        front = w[0] - splice_m
+    if laws.has_splice(p, s, pieces):
         laws.spliced_span_rates(
-            p, k, stiffness, strain, f_next, w, speed, at, length_rate, tension, rate, front, blur_m
+            p, s, pieces, first, k, t, strain, f_next, w, steps, speed, at, length_rate, tension, rate, w[0], blur_m
         )
     else:
-        laws.span_rates(p, k, stiffness, strain, f_next, w, speed, at, length_rate, tension, rate)
+        laws.span_rates(p, first, k, t, strain, f_next, w, steps, speed, at, length_rate, tension, rate)
     for j in range(k):
         w[rate + k + j] = w[length_rate + j]
 
@@ -86,7 +95,7 @@ def roll_on(
     spread_s: float,
     out: Vector,
 ) -> None:
-    """Advance s = [t, positions (N,), unstretched lengths (K,), lengths (K,), a splice], s and m, at constant speeds.
+    """Advance s = [t, positions (N,), unstretched lengths (K,), lengths (K,), pieces], s and m, at constant speeds.
 
     p (P,): parameters of the line; w: scratch space of `new_follower_work`; v (N,): speeds, m/s; strain_prev: of the
     web that enters; f_next: tension behind the line, N; duration: s, 0 for the tensions alone. Tensions into `out`
@@ -101,16 +110,18 @@ def roll_on(
         w[n + i] = v[i]
     for j in range(size):
         w[now + j] = s[1 + n + j]
-    t0, splice = s[0], 1 + n + size
+    t0, pieces, first, steps = s[0], _TIME + n + size, _first_span(p), now + 6 * size
     blur = max(abs(v[0]) * (h if duration > 0.0 else _LONGEST_STEP_S), lay.LEAST_BLUR_M)
-    if laws.has_splice(p) and s[splice + lay.SPLICE_IN] == 0.0 and laws.splice_comes_in(p, t0, duration):
-        s[splice + lay.SPLICE_IN] = 1.0
-        s[splice + lay.SPLICE_AT] = laws.splice_place_m(p, t0, s[1], v[0])
-    splice_m = s[splice + lay.SPLICE_AT] if s[splice + lay.SPLICE_IN] != 0.0 else lay.NOT_YET
-    steps = 1.0
+    if laws.has_splice(p, s, pieces):
+        strain = laws.upstream_strain(p, strain_prev, t0)
+        laws.let_splice_in(p, s, pieces, t0, duration, s[1], v[0], strain)
+        web_m = 0.0
+        for j in range(k):
+            web_m += s[1 + n + j]
+        laws.forget_passed(s, pieces, s[1], strain, web_m)
     for step in range(count if duration > 0.0 else 0):
         t = t0 + step * h
-        steps = laws.step_factor(p, t, h)
+        laws.put_step_factors(p, first, k, t, h, w, steps)
         for part in range(4):
             ahead = 0.0 if part == 0 else (h if part == 3 else 0.5 * h)
             for i in range(n):
@@ -118,7 +129,7 @@ def roll_on(
             for j in range(size):
                 slope = w[slopes + (part - 1) * size + j] if part > 0 else 0.0
                 w[stage + j] = w[now + j] + ahead * slope
-            _span_rates(p, w, n, k, stage, slopes + part * size, t + ahead, steps, strain_prev, f_next, splice_m, blur)
+            _span_rates(p, s, w, n, k, stage, slopes + part * size, t + ahead, steps, strain_prev, f_next, blur)
         for j in range(size):
             total = w[slopes + j] + 2.0 * (w[slopes + size + j] + w[slopes + 2 * size + j]) + w[slopes + 3 * size + j]
             w[now + j] += h / 6.0 * total
@@ -128,8 +139,8 @@ def roll_on(
         w[i] = s[1 + i]
     for j in range(size):
         s[1 + n + j] = w[now + j]
-    steps = laws.step_factor(p, s[0], spread_s)
-    _span_rates(p, w, n, k, now, slopes, s[0], steps, strain_prev, f_next, splice_m, blur)
+    laws.put_step_factors(p, first, k, s[0], spread_s, w, steps)
+    _span_rates(p, s, w, n, k, now, slopes, s[0], steps, strain_prev, f_next, blur)
     for j in range(k):
         out[j] = w[3 * n + k + j]
 
@@ -137,7 +148,7 @@ def roll_on(
 FollowCycle = Callable[[Vector, Vector, Vector, Vector, float, float, float, Vector], None]
 FollowRows = Callable[[Vector, Vector, Vector, Vector, Vector, float, Vector, Vector], None]
 Resistance = Callable[[Vector, int, float, float, float], float]
-Modulus = Callable[[Vector, float], float]
+Modulus = Callable[[Vector, int, float], float]
 
 
 def _entry_points(sources: int) -> tuple[FollowCycle, FollowRows, Resistance, Modulus]:
@@ -168,9 +179,10 @@ def _entry_points(sources: int) -> tuple[FollowCycle, FollowRows, Resistance, Mo
         return laws.measured_resistance_N(p, lay.W_SIZE + axis * lay.A_SIZE, x_m, v_m_s, width_m_s)
 
     @entry_point
-    def modulus(p: Vector, t: float) -> float:
-        factor = laws.step_factor(p, t, _LONGEST_STEP_S) if sources >= 0 else 1.0
-        acting: float = laws.stiffness_N(p, t, factor) / p[lay.W_SECTION_M2]
+    def modulus(p: Vector, span: int, t: float) -> float:
+        row = _first_span(p) + span * lay.SP_SIZE
+        factor = laws.step_factor(p, row, t, _LONGEST_STEP_S) if sources >= 0 else 1.0
+        acting: float = laws.stiffness_N(p, row, t, factor) / p[row + lay.SP_SECTION_M2]
         return acting
 
     return follow, follow_rows, resistance, modulus
@@ -181,11 +193,12 @@ _follow_cycle, _follow_rows, _resistance, _modulus = _entry_points(source_number
 
 def new_follower_work(layout: Layout) -> Vector:
     """Scratch space of `roll_on`."""
-    return np.zeros(3 * layout.axes + 14 * layout.spans)
+    return np.zeros(3 * layout.axes + 15 * layout.spans)
 
 
-#: So many states in front of the lengths: time, then the positions.
-_TIME = 1
+def follower_size(layout: Layout) -> int:
+    """Length of the state of `roll_on`."""
+    return _TIME + layout.axes + 2 * layout.spans + lay.PIECES_SIZE
 
 
 @dataclass(frozen=True, slots=True)
@@ -210,7 +223,7 @@ class SpanFollower:
         self._layout = Layout.of(self._p)
         n, k = self._layout.axes, self._layout.spans
         self._work = new_follower_work(self._layout)
-        self._state = np.zeros(_TIME + n + 2 * k + lay.SPLICE_SIZE)
+        self._state = np.zeros(follower_size(self._layout))
         self._v = np.zeros(n)
         self._boundary = (parameters.upstream_strain, parameters.boundary.downstream_tension_N)
         self._tension = np.zeros(k)
@@ -230,7 +243,7 @@ class SpanFollower:
         start = start_state(self._p, self.parameters, strain)
         self._state[_TIME : _TIME + n] = positions
         self._state[_TIME + n : _TIME + n + 2 * self._layout.spans] = self._layout.y(start)[4 * n :]
-        lay.forget_splice(self._state)
+        lay.forget_pieces(self._state)
         self._v[:] = 0.0
         self._evaluate()
 
@@ -320,19 +333,21 @@ class SpanFollower:
     @property
     def strain(self) -> Vector:
         """Strain of each span (K,); of a web that has torn none."""
+        return np.zeros(self._layout.spans) if self._broken else np.array(self._strain_of_lengths())
+
+    def _strain_of_lengths(self) -> list[float]:
         n, k = self._layout.axes, self._layout.spans
-        if self._broken:
-            return np.zeros(k)
-        lengths = self._state[
-            _TIME + n :
-        ].tolist()  # in plain Python: of one span, every cycle, a third of numpy's time
-        factor = 1.0 + self._p.item(_LENGTH_ERROR)
-        return np.array([lengths[k + j] * factor / lengths[j] - 1.0 for j in range(k)])
+        # In plain Python: of one span, every cycle, a third of numpy's time.
+        lengths = self._state[_TIME + n : _TIME + n + 2 * k].tolist()
+        return [lengths[k + j] * self._length_factor(j + 1) / lengths[j] - 1.0 for j in range(k)]
+
+    def _length_factor(self, span: int) -> float:
+        return lay.length_factor(self._p, self._layout, span)
 
     @property
-    def effective_modulus_Pa(self) -> float:
-        """E as it acts now, with the effects on it."""
-        return float(_modulus(self._p, self._state[0]))
+    def effective_moduli_Pa(self) -> Vector:
+        """E as it acts now in each span (K,), with the effects on it."""
+        return np.array([_modulus(self._p, span, self._state[0]) for span in range(self._layout.spans)])
 
     def outputs(self) -> dict[str, float]:
         """Motion of the rollers, tension and strain of the spans, and E as it acts."""
@@ -342,7 +357,7 @@ class SpanFollower:
             *self._v.tolist(),
             *self.tension_N.tolist(),
             *self.strain.tolist(),
-            self.effective_modulus_Pa,
+            *self.effective_moduli_Pa.tolist(),
         ]
         return {quantity.name: value for quantity, value in zip(self._description.outputs, values, strict=True)}
 
@@ -383,12 +398,12 @@ class SpanFollower:
 
     def _set_strain(self, span: int, strain: float, spans: int) -> None:
         material = _TIME + self._layout.axes + span
-        self._state[material] = self._state[material + spans] * (1.0 + self._p[_LENGTH_ERROR]) / (1.0 + strain)
+        self._state[material] = self._state[material + spans] * self._length_factor(span + 1) / (1.0 + strain)
 
     def parameter(self, name: str) -> float:
         """Present value of a parameter. Raises ValueError for an unknown name."""
         checked_name("parameter", name, self._description.parameters)
-        return float(self._broken) if name == BROKEN.name else float(self._p[lay.W_MODULUS_PA])
+        return float(self._broken) if name == BROKEN.name else modulus_Pa(self._p, name)
 
     def set_parameter(self, name: str, value: float) -> None:
         """Give a parameter a value from now on; strains stay, so a new E makes the tensions jump.
@@ -401,7 +416,7 @@ class SpanFollower:
                 raise ValueError(f"{name} = {value!r}, expected 0 or 1")
             self._broken = value != 0.0
         else:
-            self._p[lay.W_MODULUS_PA] = checked_positive(name, value, "Pa")
+            set_modulus(self._p, name, value)
             self._stale = True
 
     def set_input(self, name: str, value: float) -> None:
@@ -412,28 +427,33 @@ class SpanFollower:
         if boundary != self._boundary:  # every cycle, and mostly what it was
             self._boundary, self._stale = boundary, True
 
-    def set_effect(self, effect_id: str, axis: int | None = None, *, slot: int = 0, **parameters: float) -> None:
+    def set_effect(
+        self, effect_id: str, axis: int | None = None, *, span: int | None = None, slot: int = 0, **parameters: float
+    ) -> None:
         """Give an effect these parameters from now on; the strain stays.
 
-        Raises ValueError for an effect that is unknown or cannot be imitated, or a wrong axis, slot or parameter.
+        Raises ValueError for an effect that is unknown or cannot be imitated, or a wrong axis, span, slot or parameter.
         """
-        n, k = self._layout.axes, self._layout.spans
-        lengths = self._state[_TIME + n : _TIME + n + 2 * k]
-        before = 1.0 + self._p[_LENGTH_ERROR]
-        set_effect(self._p, effect_id, axis, slot, parameters, self._description.effects)
-        strain = lengths[k:] * before / lengths[:k] - 1.0
-        lengths[:k] = lengths[k:] * (1.0 + self._p[_LENGTH_ERROR]) / (1.0 + strain)
+        strain = self._strain_of_lengths()
+        set_effect(self._p, effect_id, axis, span, slot, parameters, self._description.effects)
+        for at, value in enumerate(strain):
+            self._set_strain(at, value, len(strain))
         if effect_id == "splice":
-            lay.forget_splice(self._state)
+            lay.await_splice(self._state)
         self._stale = True
 
-    def clear_effect(self, effect_id: str, axis: int | None = None, *, slot: int = 0) -> None:
+    def clear_effect(self, effect_id: str, axis: int | None = None, *, span: int | None = None, slot: int = 0) -> None:
         """Make an effect neutral from now on. Raises as `set_effect`."""
-        self.set_effect(effect_id, axis, slot=slot, **known_effect(effect_id).filled({}))
+        self.set_effect(effect_id, axis, span=span, slot=slot, **known_effect(effect_id).filled({}))
 
 
 def _description(parameters: ModelParameters) -> PlantDescription:
-    axes, spans = axis_names(parameters.axis_count, "m"), span_names(parameters.span_count)
+    count = parameters.span_count
+    axes, spans = axis_names(parameters.axis_count, "m"), span_names(count)
+    moduli = (
+        Quantity(f"E{k}_Pa", "Pa", f"Young's modulus as it acts in span {k}, with the effects on it")
+        for k in range(1, count + 1)
+    )
     return PlantDescription(
         kind=KIND,
         position_unit="m",
@@ -441,8 +461,8 @@ def _description(parameters: ModelParameters) -> PlantDescription:
         motors=(),
         states=(*axes, *spans[parameters.span_count :]),
         inputs=boundary_names(),
-        outputs=(*axes, *spans, Quantity("E_Pa", "Pa", "Young's modulus as it acts, with the effects on it")),
-        parameters=(YOUNGS_MODULUS, BROKEN),
+        outputs=(*axes, *spans, *moduli),
+        parameters=(*modulus_names(count), BROKEN),
         effects=tuple(effect.id for effect in effects_of(KIND) if effect.enters(EffectPlace.LOAD)),
     )
 

@@ -49,10 +49,9 @@ def largest_stiffness_Nm_per_rad(shaft: SampledShaft, lead_s: float = 0.0, most:
 
 def web_stiffness_Nm_per_rad(model: ModelParameters, axis: int = 2, modulus_Pa_per_m: float | None = None) -> float:
     """The span before `axis` as a spring at its motor: E·S/L·(r/i)²; `modulus_Pa_per_m`: E/L, unless the model's."""
-    web = model.required_web
     if modulus_Pa_per_m is None:
-        modulus_Pa_per_m = web.youngs_modulus_Pa / model.span_length_m(axis - 1)
-    return modulus_Pa_per_m * web.section_m2 / model.motor_rad_per_m(axis) ** 2
+        modulus_Pa_per_m = model.youngs_modulus_Pa(axis - 1) / model.span_length_m(axis - 1)
+    return modulus_Pa_per_m * model.section_m2(axis - 1) / model.motor_rad_per_m(axis) ** 2
 
 
 def _law(shaft: SampledShaft, inertia: float, stiffness: float, lead_s: float) -> LinearLaw:

@@ -164,7 +164,7 @@ class WebLineTwin:
         """Of each span its tension; of that at which E is found E, its deviation, and of the torque of the axis behind
         it what is simulated, and the residual."""
         tracking, line = self._tracking, self.plant
-        factor = line.elasticity_factor  # the E that acts is told, as of a web that is measured
+        factor = line.elasticity_factor(self._span)  # the E that acts is told, as of a web that is measured
         tensions_N = line.tension_N.tolist()
         return (
             *tensions_N[: self._span],
@@ -219,7 +219,9 @@ class _OtherSpans:
                 states[f"strain{at}"] = measured
             else:
                 self.refused = True
-        self._web.set_parameter("youngs_modulus_Pa", line.parameter("youngs_modulus_Pa"))
+        for at in range(1, len(states) + 2):
+            name = f"youngs_modulus{at}_Pa"
+            self._web.set_parameter(name, line.parameter(name))
         line.set_state(states)
 
 

@@ -19,6 +19,7 @@ from hilbench.plant.parameters import DriveParameters, EffectEntry, per_item
 from hilbench.plant.web_line.layout import Vector
 from hilbench.plant.web_line.line import Line
 from hilbench.plant.web_line.parameters import ModelParameters
+from hilbench.plant.web_line.simulated import YOUNGS_MODULUS
 
 
 class WebSection:
@@ -41,6 +42,11 @@ class WebSection:
             MeasuredBalance(two_rollers(model, axis - 1)) for axis in range(span + 2, model.axis_count + 1)
         ]
         self._per_m = per_m
+        own_Pa = model.youngs_modulus_Pa(span)
+        #: E of each span over that of the section, by the model: the web changes as one.
+        self._moduli = {
+            f"youngs_modulus{k}_Pa": model.youngs_modulus_Pa(k) / own_Pa for k in range(1, model.span_count + 1)
+        }
         self.model = two_rollers(model, span, [balance.mass_kg for balance in self._balances])
 
     def reset(self) -> None:
@@ -67,12 +73,18 @@ class WebSection:
         return sum(port.torque_Nm * share for port, share in self._motors)
 
     def parameter(self, name: str) -> float:
-        """Of the line."""
+        """Of the line; E is that of the section's span."""
+        if name == YOUNGS_MODULUS.name and len(self._moduli) > 1:
+            name = f"youngs_modulus{self._span}_Pa"
         return self._line.parameter(name)
 
     def set_parameter(self, name: str, value: float) -> None:
-        """Of the line."""
-        self._line.set_parameter(name, value)
+        """Of the line; E is that of the section's span, and the other spans' goes with it."""
+        if name == YOUNGS_MODULUS.name and len(self._moduli) > 1:
+            for of_span, ratio in self._moduli.items():
+                self._line.set_parameter(of_span, ratio * value)
+        else:
+            self._line.set_parameter(name, value)
 
     def set_state(self, state: Mapping[str, float]) -> None:
         """States of the section, by the names that they have in a line of two rollers."""
@@ -108,7 +120,7 @@ def two_rollers(model: ModelParameters, span: int, masses_behind_kg: Sequence[fl
     around = (span, span + 1)
     behind_kg_m2 = sum(masses_behind_kg) * model.radius_m(span + 1) ** 2
     data = model.model_dump()
-    data["web"]["span_length_m"] = model.span_length_m(span)
+    data["web"] = {name: per_item(value, span) for name, value in model.required_web}
     for block in ("rollers", "motors", "drives"):
         values = getattr(model, block)
         for name, value in values or ():
@@ -121,7 +133,9 @@ def two_rollers(model: ModelParameters, span: int, masses_behind_kg: Sequence[fl
     data["web_load"] = [model.carries_web_load(axis) for axis in around]
     data["boundary"]["upstream_strain"] = model.upstream_strain
     data["effects"] = [
-        _moved(entry, span).model_dump() for entry in model.effects if entry.axis is None or entry.axis in around
+        _moved(entry, span).model_dump()
+        for entry in model.effects
+        if (entry.axis is None or entry.axis in around) and entry.span in (None, span)
     ]
     return ModelParameters.model_validate(data)
 
@@ -134,4 +148,5 @@ def _limits_Nm(model: ModelParameters, drives: DriveParameters, span: int) -> li
 
 
 def _moved(entry: EffectEntry, span: int) -> EffectEntry:
-    return entry if entry.axis is None else entry.model_copy(update={"axis": entry.axis - span + 1})
+    axis = None if entry.axis is None else entry.axis - span + 1
+    return entry.model_copy(update={"axis": axis, "span": None})
