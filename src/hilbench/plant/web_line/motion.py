@@ -1,0 +1,272 @@
+"""What moves a line, compiled: tensions, forces and rates of all it has, and a Runge-Kutta step over them.
+
+Arguments as in `hilbench.plant.web_line.kernel`.
+"""
+
+from __future__ import annotations
+
+from hilbench.compiled import compiled, inlined, merged, noinline
+from hilbench.plant import drive_loops as loops
+from hilbench.plant.web_line import laws, places
+from hilbench.plant.web_line import layout as lay
+from hilbench.plant.web_line.layout import Vector
+
+
+@inlined
+def web(
+    p: Vector,
+    s: Vector,
+    u: Vector,
+    w: Vector,
+    n: int,
+    m: int,
+    k: int,
+    t: float,
+    strain_prev: float,
+    y: int,
+    slides: bool,
+) -> None:
+    """Tensions (N), and rates of the unstretched lengths (m/s), for the quantities at `y`, into their parts of `w`.
+
+    `strain_prev`: strain of the web that enters, with the disturbance. `slides` as in `_go_axis`.
+    """
+    speed, tension, rate = (
+        places.part(n, m, k, lay.SPEED),
+        places.part(n, m, k, lay.TENSION),
+        places.part(n, m, k, lay.RATE),
+    )
+    if k > 0:
+        for i in range(n):
+            w[speed + i] = laws.web_speed_m_s(p, places.axis(i), w[y + i], w[y + n + i])
+        first, steps, pieces = places.first_span(n, m), places.part(n, m, k, lay.STEPS), places.pieces(n, m, k)
+        length_rate = places.part(n, m, k, lay.LENGTH_RATE)
+        f_next, material = u[lay.U_F_NEXT_N], y + 4 * n
+        if not slides and laws.has_splice(p, s, pieces):
+            blur = w[places.part(n, m, k, lay.SPLICE_BLUR)]
+            laws.spliced_span_rates(
+                p, s, pieces, first, k, t, strain_prev, f_next, w, steps, speed, material, length_rate, tension, rate,
+                w[y], blur,
+            )  # fmt: skip
+        else:
+            laws.span_rates(p, first, k, t, strain_prev, f_next, w, steps, speed, material, length_rate, tension, rate)
+
+
+@inlined
+def web_force_N(p: Vector, u: Vector, w: Vector, n: int, m: int, k: int, i: int, strain_prev: float) -> float:
+    """Pull of the web on roller i, N forward: the tension behind it less the one before it, as last put into `w`."""
+    if p[places.axis(i) + lay.A_WEB_LOAD] == 0.0:
+        return 0.0
+    tension = places.part(n, m, k, lay.TENSION)
+    before = w[tension + i - 1] if i > 0 else strain_prev * p[lay.W_UPSTREAM_STIFFNESS_N]
+    return (w[tension + i] if i < k else u[lay.U_F_NEXT_N]) - before
+
+
+@inlined
+def motor_force_N(p: Vector, w: Vector, n: int, m: int, k: int, j: int, x_m: float, slides: bool) -> float:
+    """Force of motor j at the web, N, from the torque in `w`; its shaft is at `x_m`. `slides` as in `_go_axis`."""
+    motor = places.motor(n, j)
+    ratio, torque = p[motor + lay.M_RAD_PER_M], w[places.part(n, m, k, lay.TORQUE) + j]
+    if slides:
+        return ratio * laws.usual_shaft_torque_Nm(p, motor, torque, x_m * ratio)
+    return ratio * laws.shaft_torque_Nm(p, motor, torque, x_m * ratio)
+
+
+@inlined
+def own_force_N(p: Vector, w: Vector, n: int, m: int, k: int, i: int, y: int, slides: bool) -> float:
+    """Force on the roller's side of gear i without web and dry friction: load motors, resistance, unbalance."""
+    force = -laws.smooth_resistance_N(p, places.axis(i), w[y + n + i])
+    if not slides:
+        force -= laws.drag_N(p, places.axis(i), w[y + n + i])
+        if laws.has_unbalance(p, places.axis(i)):
+            force += laws.unbalance_N(p, places.axis(i), w[y + i])
+    for j in range(n, m):  # load motors; of a line without any, the loop is not compiled
+        if p[places.motor(n, j) + lay.M_AXIS] == i:
+            force += motor_force_N(p, w, n, m, k, j, w[y + i], slides)
+    return force
+
+
+@inlined
+def is_apart(p: Vector, s: Vector, n: int, k: int, i: int) -> bool:
+    """Whether the motor of axis i moves within its gear play."""
+    return laws.has_gap(p, places.axis(i)) and s[places.axis_state(n, k, i) + lay.SA_CONTACT] == 0.0
+
+
+@inlined
+def sticks(p: Vector, s: Vector, n: int, k: int, i: int) -> bool:
+    """Whether dry friction holds roller i."""
+    return s[places.axis_state(n, k, i) + lay.SA_DIRECTION] == 0.0 and laws.is_dry(p, places.axis(i))
+
+
+@inlined
+def acceleration_m_s2(
+    p: Vector,
+    s: Vector,
+    n: int,
+    k: int,
+    i: int,
+    v: float,
+    per_mass: float,
+    force_N: float,
+    web_N: float,
+    load_N: float,
+    slides: bool,
+) -> float:
+    """m/s² of a roller that does not stick, at speed `v` (m/s).
+
+    `per_mass`: 1/kg of all that turns with it; `force_N`: motors and smooth resistance on that, `web_N`: pull of the
+    web, `load_N`: what its own motor pushes with through the gear. `slides` as in `_go_axis`.
+    """
+    axis = places.axis(i)
+    if slides:
+        if laws.breakaway_N(p, axis) != 0.0:
+            force_N -= s[places.axis_state(n, k, i) + lay.SA_DIRECTION] * laws.dry_friction_N(p, axis, v)
+    elif laws.is_dry(p, axis):
+        friction = laws.dry_friction_N(p, axis, v) + laws.load_friction_N(p, axis, load_N)
+        force_N -= s[places.axis_state(n, k, i) + lay.SA_DIRECTION] * friction
+    return (force_N + web_N) * per_mass
+
+
+@inlined
+def _go(w: Vector, size: int, j: int, rate: float, weight: float, ahead: float) -> None:
+    """Quantity j of `size`: its rate into the weighted sum of the step, and on to the next stage, `ahead` s of now."""
+    w[lay.SUM * size + j] += weight * rate
+    w[lay.STAGE * size + j] = w[lay.NOW * size + j] + ahead * rate
+
+
+@inlined
+def _go_axis(
+    p: Vector,
+    s: Vector,
+    u: Vector,
+    w: Vector,
+    n: int,
+    m: int,
+    k: int,
+    i: int,
+    strain_prev: float,
+    weight: float,
+    ahead: float,
+    slides: bool,
+) -> None:
+    """Rates of axis i in the stage block: roller and motor as one, or apart within the gear play; it may stick.
+
+    `weight`, `ahead` (s): of this stage of the Runge-Kutta step. `slides`: known beforehand that no gear has play, no
+    roller sticks and no rare force acts, a constant where it is compiled for, so that none is asked for.
+    """
+    size, y = places.block(n, k, 1), places.block(n, k, lay.STAGE)
+    v, per_mass = w[y + n + i], w[places.part(n, m, k, lay.PER_MASS) + i]
+    drive = motor_force_N(p, w, n, m, k, i, w[y + 2 * n + i], slides)
+    own, web = own_force_N(p, w, n, m, k, i, y, slides), web_force_N(p, u, w, n, m, k, i, strain_prev)
+    apart = not slides and is_apart(p, s, n, k, i)
+    if apart:
+        per_mass = w[places.part(n, m, k, lay.PER_ROLLER_MASS) + i]
+    if not slides and sticks(p, s, n, k, i):
+        acceleration = 0.0
+    else:
+        force, load = own if apart else own + drive, 0.0 if apart else drive
+        acceleration = acceleration_m_s2(p, s, n, k, i, v, per_mass, force, web, load, slides)
+    motor_acceleration = drive * w[places.part(n, m, k, lay.PER_MOTOR_MASS) + i] if apart else acceleration
+    _go(w, size, i, v, weight, ahead)
+    _go(w, size, n + i, acceleration, weight, ahead)
+    _go(w, size, 2 * n + i, w[y + 3 * n + i] if apart else v, weight, ahead)
+    _go(w, size, 3 * n + i, motor_acceleration, weight, ahead)
+
+
+@merged
+def _stage(
+    p: Vector,
+    s: Vector,
+    u: Vector,
+    w: Vector,
+    n: int,
+    m: int,
+    k: int,
+    t: float,
+    weight: float,
+    ahead: float,
+    slides: bool,
+) -> None:
+    """Rates at time t of what is in the stage block and the torques there, and the next stage `ahead` (s) of now.
+
+    `weight` of these rates in the step's sum; `slides` as in `_go_axis`.
+    """
+    size, y = places.block(n, k, 1), places.block(n, k, lay.STAGE)
+    strain_prev = laws.upstream_strain(p, u[lay.U_STRAIN_PREV], t)
+    web(p, s, u, w, n, m, k, t, strain_prev, y, slides)
+    for i in range(n):
+        _go_axis(p, s, u, w, n, m, k, i, strain_prev, weight, ahead, slides)
+    for j in range(k):
+        _go(w, size, 4 * n + j, w[places.part(n, m, k, lay.RATE) + j], weight, ahead)
+        _go(w, size, 4 * n + k + j, w[places.part(n, m, k, lay.LENGTH_RATE) + j], weight, ahead)
+
+
+@inlined
+def _torques(s: Vector, w: Vector, n: int, m: int, k: int, decay: int) -> None:
+    """Torques after the time that belongs to the decays at `decay`, exact for the held commands."""
+    torque = places.part(n, m, k, lay.TORQUE)
+    for j in range(m):
+        at = places.motor_state(n, k, j)
+        w[torque + j] = loops.torque_after(s[at + lay.SM_TORQUE_NM], s[at + lay.SM_COMMAND_NM], w[decay + j])
+
+
+@inlined
+def torques_now(s: Vector, w: Vector, n: int, m: int, k: int) -> None:
+    for j in range(m):
+        w[places.part(n, m, k, lay.TORQUE) + j] = s[places.motor_state(n, k, j) + lay.SM_TORQUE_NM]
+
+
+@compiled
+def set_decays(p: Vector, w: Vector, h: float) -> None:
+    """Decays of the current loops for steps of length h."""
+    noinline()
+    n, m, k = places.counts(p)
+    half, full = places.part(n, m, k, lay.DECAY_HALF), places.part(n, m, k, lay.DECAY_FULL)
+    for j in range(m):
+        time_constant = w[places.part(n, m, k, lay.LOOP_CURRENT_S) + j]
+        w[half + j] = loops.current_decay(0.5 * h, time_constant)
+        w[full + j] = loops.current_decay(h, time_constant)
+    w[places.part(n, m, k, lay.DECAY_STEP_S)] = h
+
+
+@merged
+def integrate(
+    p: Vector, s: Vector, u: Vector, w: Vector, n: int, m: int, k: int, t: float, h: float, slides: bool
+) -> None:
+    """One classical Runge-Kutta step: quantities at its end in the stage block, torques there; none taken over yet.
+
+    That they are not taken over is what lets a step with an event in it be tried again, shorter. `slides` as in
+    `_go_axis`.
+    """
+    size = places.block(n, k, 1)
+    if w[places.part(n, m, k, lay.DECAY_STEP_S)] != h:
+        set_decays(p, w, h)
+    for j in range(size):
+        w[lay.STAGE * size + j] = w[lay.NOW * size + j]
+        w[lay.SUM * size + j] = 0.0
+    torques_now(s, w, n, m, k)
+    _stage(p, s, u, w, n, m, k, t, 1.0, 0.5 * h, slides)
+    _torques(s, w, n, m, k, places.part(n, m, k, lay.DECAY_HALF))
+    _stage(p, s, u, w, n, m, k, t + 0.5 * h, 2.0, 0.5 * h, slides)
+    _stage(p, s, u, w, n, m, k, t + 0.5 * h, 2.0, h, slides)
+    _torques(s, w, n, m, k, places.part(n, m, k, lay.DECAY_FULL))
+    _stage(p, s, u, w, n, m, k, t + h, 1.0, h, slides)
+    for j in range(size):
+        w[lay.STAGE * size + j] = w[lay.NOW * size + j] + h / 6.0 * w[lay.SUM * size + j]
+
+
+@compiled
+def integrate_any(p: Vector, s: Vector, u: Vector, w: Vector, t: float, h: float) -> None:
+    """The same for any line in any mode."""
+    noinline()
+    n, m, k = places.counts(p)
+    integrate(p, s, u, w, n, m, k, t, h, False)
+
+
+@inlined
+def accept(s: Vector, w: Vector, n: int, m: int, k: int) -> None:
+    """Take the end of the step over."""
+    size = places.block(n, k, 1)
+    for j in range(size):
+        w[lay.NOW * size + j] = w[lay.STAGE * size + j]
+    for j in range(m):
+        s[places.motor_state(n, k, j) + lay.SM_TORQUE_NM] = w[places.part(n, m, k, lay.TORQUE) + j]
