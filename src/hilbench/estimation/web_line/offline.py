@@ -12,7 +12,7 @@ from scipy.interpolate import PchipInterpolator
 from hilbench.estimation.web_line.config import EstimationConfig
 from hilbench.estimation.web_line.even_rows import EvenRows, even_rows
 from hilbench.estimation.web_line.measurements import Measurements
-from hilbench.estimation.web_line.tracking import Tracking
+from hilbench.estimation.web_line.tracking import MOVES_M_S, UNKNOWN_STRAIN, Tracking
 from hilbench.plant.motor_port import MotorMode, MotorPort
 from hilbench.plant.web_line.line import Line
 from hilbench.plant.web_line.parameters import ModelParameters
@@ -47,6 +47,7 @@ def run_offline(model: ModelParameters, config: EstimationConfig, data: Measurem
     modulus, deviation, tension, residual = (np.empty(n) for _ in range(4))
     others: dict[str, tuple[Array, Array]] = {}
     spent_ns = 0
+    _join(line, tracking, cycles, cycle_s)
     for row in range(n):
         tension[row] = line.tension_N[0]
         strain_prev, F_next_N = cycles.strain_prev[row], cycles.F_next_N[row]
@@ -76,6 +77,17 @@ def run_offline(model: ModelParameters, config: EstimationConfig, data: Measurem
         {name: (values[at], deviations[at]) for name, (values, deviations) in others.items()},
         spent_ns / 1000.0 / n,
     )
+
+
+def _join(line: Line, tracking: Tracking, cycles: Measurements, cycle_s: float) -> None:
+    """Where the recording begins under way, let the simulation begin there, with a web that is not known."""
+    start_m = cycles.x_m[0]
+    speeds = (cycles.x_m[min(1, len(cycles.x_m) - 1)] - start_m) / cycle_s
+    if np.abs(speeds).max() <= MOVES_M_S:
+        return
+    line.set_state({"x1_m": start_m[0], "x2_m": start_m[1], "v1_m_s": speeds[0], "v2_m_s": speeds[1]})
+    line.set_state({"tau2_Nm": float(cycles.tau2_Nm[0])})
+    tracking.release(UNKNOWN_STRAIN)
 
 
 def _between(even: EvenRows, values: Array) -> Array:

@@ -15,6 +15,7 @@ from hilbench.estimation.web_line.anomalies import Anomalies
 from hilbench.estimation.web_line.balance import BalanceSample, MeasuredBalance
 from hilbench.estimation.web_line.config import EstimationConfig, InputConfig, PidConfig, SynchronizerConfig
 from hilbench.estimation.web_line.delay import DelayFinder, DelayLine
+from hilbench.estimation.web_line.found_running import FoundRunning
 from hilbench.estimation.web_line.synchronizers.base import Estimate, Synchronizer, SyncSample
 from hilbench.estimation.web_line.synchronizers.create import new_synchronizer
 from hilbench.estimation.web_line.synchronizers.plant import Plant
@@ -23,12 +24,18 @@ from hilbench.plant.parameters import per_item
 from hilbench.plant.web_line.layout import Vector
 from hilbench.plant.web_line.parameters import ModelParameters
 
+#: Above this speed of an axis the plant runs already when the twin joins.
+MOVES_M_S = 1e-3
+#: How far off the upstream strain may be as a guess of the strain of a web that is found under way.
+UNKNOWN_STRAIN = 0.3
 #: Relative uncertainty of the strain below which the web in the span counts as known.
 _KNOWN_STRAIN = 0.003
 #: Least deviation with which a method takes over the estimate of the one before.
 _LEAST_PRIOR_PCT = 0.1
 #: What is left of a shift of the torque that has gone again, as a share of it.
 _GONE = 0.1
+#: Deviations of E and of the strain, in %, with which a web that was found under way is known.
+_FOUND_MODULUS_PCT, _FOUND_STRAIN_PCT = 0.3, 0.3
 #: Largest strain, either way, of a measured state that is taken over: no web has more.
 _LARGEST_STRAIN = 0.5
 
@@ -126,6 +133,10 @@ class Tracking:
         self._anomalies.reset()
         self._shift_finder.reset()
         self._strain_uncertainty = strain_uncertainty
+        self._found: FoundRunning | None = None
+        if strain_uncertainty > 0.0 and not isinstance(self._method, PidConfig | InputConfig):
+            plant = Plant.of(self._balance, self.estimate.youngs_modulus_Pa)
+            self._found = FoundRunning(plant, self._strain_prev)
         self._running = False
 
     def use(self, synchronizer: SynchronizerConfig | None) -> None:
@@ -207,7 +218,11 @@ class Tracking:
             paired = self._delay_line.pair(now, torque_Nm * balance.force_per_torque_per_m, self.delay_s)
         if self._strain_uncertainty > 0.0:
             self._transport_out(now.velocity_m_s)
-        if self.problem is not None or paired is None or moved or self._strain_uncertainty > 0.0:
+        if self._strain_uncertainty > 0.0:
+            usable = paired if self.problem is None and not moved else None
+            self._look_at_found_web(time_s, torque_Nm, torque_sim_Nm, strain_prev, usable, now.velocity_m_s)
+            self.skip()
+        elif self.problem is not None or paired is None or moved:
             self.skip()
         else:
             strain = float(line.strain[0])
@@ -223,6 +238,34 @@ class Tracking:
             transfer = self.config.transfer
             self._transfer(x1_m, x2_m, strain=transfer.strain and not black_box, axes=transfer.axes or black_box)
         self._running = True
+
+    def _look_at_found_web(
+        self,
+        time_s: float,
+        torque_Nm: float,
+        torque_sim_Nm: float,
+        strain_prev: float,
+        paired: BalanceSample | None,
+        velocity_m_s: float,
+    ) -> None:
+        """The web was found under way: the method begins as soon as its E and strain are known."""
+        if self._found is None:
+            return
+        if paired is None:
+            self._found.skip(velocity_m_s, self._cycle_s)
+            return
+        sample = SyncSample(time_s, self._cycle_s, torque_Nm, torque_sim_Nm, 0.0, strain_prev, paired)
+        found = self._found.update(sample)
+        if found is None:
+            return
+        strain = float(self._balance.web.strain[0]) + found.strain_error
+        known = found.deviation_Pa <= 0.01 * _FOUND_MODULUS_PCT * found.youngs_modulus_Pa
+        if not known or found.strain_deviation > 0.01 * _FOUND_STRAIN_PCT * strain:
+            return
+        self._balance.web.set_state({"strain1": strain})
+        self._strain_uncertainty, self._found = 0.0, None
+        self.estimate = self._stated(Estimate(found.youngs_modulus_Pa, found.deviation_Pa))
+        self.use(self._method)
 
     def upstream_strain(self, told: float) -> float:
         """The strain of the web that enters the simulation; `told` is what the real web's is said to be."""

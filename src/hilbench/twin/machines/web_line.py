@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from hilbench.estimation.plausibility import Problem
 from hilbench.estimation.web_line.config import EstimationConfig, InputConfig
 from hilbench.estimation.web_line.synchronizers.create import METHODS
-from hilbench.estimation.web_line.tracking import Tracking
+from hilbench.estimation.web_line.tracking import MOVES_M_S, UNKNOWN_STRAIN, Tracking
 from hilbench.plant.motor_port import MotorPort
 from hilbench.plant.pairing import Pairing, SteadyWay
 from hilbench.plant.web_line.line import Line
@@ -16,11 +16,6 @@ from hilbench.plant.web_line.sizes import least_way_m
 from hilbench.plant.web_line.span import SpanFollower
 from hilbench.twin.machines.machine import Measured, Told
 from hilbench.twin.machines.web_section import WebSection
-
-#: Above this speed of an axis the plant runs already when the twin joins.
-_MOVES_M_S = 1e-3
-#: How far off the upstream strain may be as a guess of the strain of a web that is found under way.
-_UNKNOWN_STRAIN = 0.3
 
 
 def boundary(model: ModelParameters) -> dict[str, float]:
@@ -32,8 +27,8 @@ class WebLineTwin:
     """A `TwinMachine` with N axes and the spans between them; E is found from the torques behind one of these.
 
     The web starts as the bench's load model does, strained like the web upstream. On axes that move already this is a
-    guess: the twin then calls itself synchronized when the web that it could not know has been transported out of the
-    span and E is known.
+    guess: the twin then calls itself synchronized when strain and E are known, at the latest when the web that it could
+    not know has been transported out of the span.
     """
 
     def __init__(self, model: ModelParameters, config: EstimationConfig, cycle_s: float, told: Told) -> None:
@@ -100,13 +95,13 @@ class WebLineTwin:
         """Let the web go, with the axes' motion and torque."""
         last, positions = self._positions_m(before), self._positions_m(now)
         speeds = [(x - then) / self._cycle_s for x, then in zip(positions, last, strict=True)]
-        moves = max(map(abs, speeds)) > _MOVES_M_S
+        moves = max(map(abs, speeds)) > MOVES_M_S
         at_rest = [0.0] * len(self.ports)
         torques = [torque for _, torque in now]
         self.plant.set_state(
             _states(self._told("strain_prev"), positions, speeds if moves else at_rest, torques if moves else at_rest)
         )
-        self._tracking.release(_UNKNOWN_STRAIN if moves else 0.0)
+        self._tracking.release(UNKNOWN_STRAIN if moves else 0.0)
         self._start_anew()
         self._pairing.reset()
         self._steady.reset()
