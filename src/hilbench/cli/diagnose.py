@@ -20,10 +20,12 @@ from hilbench.diagnosis.live import LiveGap, live_gap, run_bench
 from hilbench.diagnosis.web_next_experiment import NextExperiment, Reach, Step, propose, write_steps
 from hilbench.errors import BenchFaultError, UnusableInputError
 from hilbench.files import make_folder
+from hilbench.history.entries import keep_diagnosis
 from hilbench.plant.web_line.imitation import Imitation
 from hilbench.plant.web_line.parameters import write_model
 from hilbench.report.diagnosis_page import LIVE_ROWS, write_diagnosis_page
 from hilbench.results.recording import Recording, read_recording, read_rows
+from hilbench.results.run_folder import RunFolder
 from hilbench.runs.config import load_with_overrides, write_config_over
 from hilbench.topology.config import BenchConfig
 
@@ -78,12 +80,15 @@ def diagnose_command(
 ) -> None:
     """Diagnose, print, and write page, extended model and extended config into `out`.
 
-    `source` is a recording, or a bench config: that is run first, and again with the extended model. `against`: a
-    recording of the same machine before, then it is what changed since that is looked for. `next_experiment`: the file
-    for steps that would tell more. `until_clear`: the bench runs on with such steps until nothing is tied. Raises
-    UnusableInputError; for runs that don't come to their end InterruptedByOperatorError and BenchFaultError, the latter
-    after everything has been shown when it was the run with the extended model.
+    `source` is a recording, or a run folder with one, or a bench config: that is run first, and again with the extended
+    model. `against`: a recording of the same machine before, then it is what changed since that is looked for.
+    `next_experiment`: the file for steps that would tell more. `until_clear`: the bench runs on with such steps until
+    nothing is tied. Raises UnusableInputError; for runs that don't come to their end InterruptedByOperatorError and
+    BenchFaultError, the latter after everything has been shown when it was the run with the extended model.
     """
+    if source.is_dir():
+        run = RunFolder.open(source)
+        source, model_path = run.recording, model_path or run.config
     console, errors = Console(highlight=False), Console(stderr=True, highlight=False)
     console.width = max(console.width, _WIDTH)
     with ProgressDisplay(errors, quiet=as_json) as progress:
@@ -115,14 +120,26 @@ def diagnose_command(
     if next_experiment is not None and found.proposed is not None:
         write_steps(next_experiment, found.proposed, found.config)
     written = next_experiment if found.proposed is not None else None
+    data = as_data(found, files, written)
+    _remember(found, source, data, errors)
     if as_json:
-        print(json.dumps(as_data(found, files, written), indent=2))
+        print(json.dumps(data, indent=2))
     else:
         _show_all(console, found, files)
         if next_experiment is not None:
             console.print(_next_line(found, written), soft_wrap=True)
     if found.fault is not None:
         raise found.fault
+
+
+def _remember(found: _Found, source: Path, data: dict[str, Any], errors: Console) -> None:
+    """Put what was found of a stand's run into its folder and the history; of a change there is no value to keep."""
+    run = RunFolder(found.live[0].run if found.live else source.parent)
+    if found.against is None and run.config.is_file():
+        try:
+            keep_diagnosis(run, data)
+        except UnusableInputError as error:  # what was found is shown all the same
+            errors.print(f"not in the history: {error}", soft_wrap=True, markup=False)
 
 
 def _next_line(found: _Found, written: Path | None) -> str:

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
-from hilbench.cli import compare, config, convert, drive, monitor, replay, scan, sdo, sweep
+from hilbench.cli import compare, config, convert, drive, history, monitor, replay, scan, sdo, sweep
 from hilbench.cli.commands import Commands
 from hilbench.cli.options import BusOption, ConfigArgument, JsonOption, PacedByOption, PaceOption, SetOption
 from hilbench.ending import ended
@@ -281,7 +281,8 @@ def diagnose(
     source: Annotated[
         Path,
         typer.Argument(
-            metavar="RECORDING", help="recording (.mf4, .csv, .csv.gz), or a bench config (.yaml) to run and diagnose"
+            metavar="RECORDING",
+            help="recording (.mf4, .csv, .csv.gz) or run folder, or a bench config (.yaml) to run and diagnose",
         ),
     ],
     model: Annotated[
@@ -319,6 +320,8 @@ def diagnose(
 ) -> None:
     """Find where simulation and measurement disagree, name the missing effect, and add it to the model.
 
+    What is found in a run of a bench goes into its folder (diagnosis.json) and the history of its stand.
+
     Exit code: 0 diagnosed, whatever the verdict; 2 unusable input; 3 a run of the bench faulted, 130 interrupted.
 
     Example: hilbench diagnose runs/web_section_step-20260101-120000/recording.mf4 --model model.yaml --out diagnosis
@@ -349,6 +352,7 @@ app.command()(drive.drive)
 app.command()(replay.replay)
 app.command()(monitor.monitor)
 app.command()(compare.compare)
+app.command()(history.history)
 app.command()(sweep.sweep)
 app.command()(convert.convert)
 app.command()(convert.dbc)

@@ -14,6 +14,8 @@ from hilbench.bench.bench import Bench
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.cli.shown import servo_axis, web_line
 from hilbench.cli.shown.machine import Shown
+from hilbench.errors import UnusableInputError
+from hilbench.history.entries import remember
 from hilbench.report.html import write_report
 from hilbench.results.result import Result, StepRecord, Timing
 from hilbench.results.run import RunOutcome, run_experiment
@@ -43,6 +45,7 @@ def run_command(
         outcome = run_experiment(loaded, out, participants=participants, force=force)
         if outcome.recorded and with_report:
             write_report(outcome.folder)
+        _remember(outcome)
         print(outcome.as_json())
         return outcome.exit_code
     console = Console(highlight=False)
@@ -55,7 +58,17 @@ def run_command(
             progress.announce("write report")
             write_report(outcome.folder)
     show_outcome(console, outcome)
+    _remember(outcome)
     return outcome.exit_code
+
+
+def _remember(outcome: RunOutcome) -> None:
+    """Add what the run has found to the history of its stand; a run is no worse for a history that can't be written."""
+    if outcome.recorded:
+        try:
+            remember(outcome.folder)
+        except UnusableInputError as error:
+            Console(stderr=True, highlight=False).print(f"not in the history: {error}", soft_wrap=True, markup=False)
 
 
 class Progress:

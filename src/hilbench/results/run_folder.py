@@ -97,6 +97,11 @@ class RunFolder:
         return self.path / "report.html"
 
     @property
+    def diagnosis(self) -> Path:
+        """What a diagnosis of the recording has found, JSON; only where there was one."""
+        return self.path / "diagnosis.json"
+
+    @property
     def traceback(self) -> Path:
         """The traceback of what nobody foresaw; most runs have none."""
         return self.path / TRACEBACK_FILE
@@ -111,6 +116,7 @@ class RunFolder:
             "result": self.result,
             "junit": self.junit,
             "report": self.report,
+            "diagnosis": self.diagnosis,
             "traceback": self.traceback,
         }
         return {name: path for name, path in known.items() if path.exists()}

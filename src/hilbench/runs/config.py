@@ -99,7 +99,7 @@ def _with_files_of_its_folder(document: strict_yaml.Document) -> strict_yaml.Doc
 
 
 def _named_files(data: Mapping[str, Any]) -> Iterator[tuple[tuple[str | int, ...], str]]:
-    blocks: list[tuple[tuple[str | int, ...], Any, str]] = []
+    blocks: list[tuple[tuple[str | int, ...], Any, str]] = [((), data, "history")]
     for group in ("drives", "load_motors"):
         parts = data.get(group)
         for name, node in parts.items() if isinstance(parts, Mapping) else ():

@@ -19,6 +19,8 @@ from hilbench.bench.lifecycle.in_process import check_in_process
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.bench.lifecycle.startup import held_bus
 from hilbench.bench.reports.change import Change
+from hilbench.errors import UnusableInputError
+from hilbench.history.entries import remember
 from hilbench.results.recording import Recording
 from hilbench.results.run import Recorder, RunRecord
 from hilbench.results.run_folder import RunFolder
@@ -172,7 +174,12 @@ class Bench(bench.Bench):
         elif isinstance(error, Exception | KeyboardInterrupt):
             record.ending.add(error, "bench", self.fault_time_s)
         record.verdicts += self.verdicts
-        record.finish(self, ())
+        outcome = record.finish(self, ())
+        if outcome.recorded:
+            try:
+                remember(outcome.folder)
+            except UnusableInputError as unusable:  # the run is no worse for it
+                print(f"hilbench: not in the history: {unusable}", file=sys.stderr)
 
     def _leave_forgotten(self) -> None:
         """The program ends, and the bench still runs."""

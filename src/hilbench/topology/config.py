@@ -6,9 +6,10 @@ The experiment and its criteria stand in the same file; `hilbench.runs.config` a
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Discriminator, Field, Tag, ValidationInfo, field_validator, model_validator
+from pydantic import Discriminator, Field, FiniteFloat, Tag, ValidationInfo, field_validator, model_validator
 
 from hilbench.block import Block
 from hilbench.can.open import BusAddress
@@ -270,6 +271,23 @@ class BenchConfig(Block):
     )
     safety: SafetyConfig = SafetyConfig()
     realtime: RealtimeConfig = RealtimeConfig()
+    stand: str | None = Field(
+        default=None,
+        min_length=1,
+        max_length=100,
+        description="name of the stand in its history, the same in all configs that run on it; the bench's name unless "
+        "given",
+    )
+    history: Path | None = Field(
+        default=None,
+        description="SQLite file with what runs have found of the machine; a relative path is taken from the config "
+        "file's folder; history.sqlite beside the folder of the runs unless given",
+    )
+    wear_limits: dict[str, FiniteFloat] = Field(
+        default={},
+        description="values of quantities of the history of which it is asked when they are reached: "
+        "{axis2.coulomb_friction.force_N: 12.0}",
+    )
 
     @field_validator("load_motors", "hardware", "load", "twin", "controllers")
     @classmethod
@@ -323,6 +341,11 @@ class BenchConfig(Block):
             self.servo_rig_parameters(), self.imitated_shaft()  # raise ValueError for what can't be built
         samples_per(self.cycle_time_s, machine.drives.sample_time_s)  # raises ValueError for what is no multiple
         return self
+
+    @property
+    def stand_name(self) -> str:
+        """Of the stand in its history."""
+        return self.stand or self.name
 
     # -- the machine -------------------------------------------------------------------------------------
 

@@ -1,0 +1,145 @@
+"""What a run folder says of the machine: what the twin estimated, and what a diagnosis of its recording found.
+
+Only what was estimated from measurements enters, never a value that a config gives: of a twin, what it held when it was
+last in step with the machine; of a diagnosis, the parameters of the effects that it named, with the names of those that
+its data could not tell from them.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from hilbench.errors import UnusableInputError
+from hilbench.files import written_whole
+from hilbench.history.store import Entry, History, Quantity
+from hilbench.results.recording import Recording, read_recording
+from hilbench.results.run_folder import RunFolder
+from hilbench.runs.config import load
+from hilbench.topology.config import BenchConfig
+from hilbench.twin.virtual_io import TwinStatus
+
+#: Where the history lies unless the config says so: beside the folder of the runs.
+FILE: Final = "history.sqlite"
+TWIN: Final = "twin"
+DIAGNOSIS: Final = "diagnosis"
+_NORMAL_95: Final = 1.959964
+#: Parameters that say when or where in a turn, and not how much.
+_PLACES: Final = ("phase_rad", "time_s", "duration_s")
+
+
+def history_of(config: BenchConfig, runs: Path) -> Path:
+    """The history file of a bench whose run folders are made in `runs`."""
+    return config.history or runs.resolve().parent / FILE
+
+
+def remember(folder: RunFolder) -> Path | None:
+    """Add what a run has found to the history of its stand; returns the file, None where nothing was found.
+
+    Raises UnusableInputError for a folder that can't be read, or a history that can't be written.
+    """
+    config = load(folder.config)[0]
+    found = list(entries_of(folder, config))
+    if not found:
+        return None
+    path = history_of(config, folder.path.resolve().parent)
+    History(path).add(*found)
+    return path
+
+
+def rebuild(path: Path, stand: str | None, runs: Path) -> tuple[int, list[str]]:
+    """Make a history, or one stand's part of it, from the run folders in `runs`.
+
+    Returns how many entries it has, and a line for each folder that could not be read. Raises UnusableInputError for no
+    folder `runs`.
+    """
+    if not runs.is_dir():
+        raise UnusableInputError(runs, "no such folder, expected that in which the run folders are")
+    entries: list[Entry] = []
+    problems = []
+    for config_file in sorted(runs.glob("*/config.yaml")):
+        folder = RunFolder(config_file.parent)
+        if not folder.recording.is_file():
+            continue
+        try:
+            config = load(folder.config)[0]
+            if stand is None or config.stand_name == stand:
+                entries += entries_of(folder, config)
+        except UnusableInputError as error:
+            problems.append(str(error))
+    History(path).replace_all(stand, entries)
+    return len(entries), problems
+
+
+def entries_of(folder: RunFolder, config: BenchConfig) -> Iterator[Entry]:
+    """What is known from a run: one entry for each source that found something. Raises UnusableInputError."""
+    recording = read_recording(folder.recording)
+    began = recording.start_time or datetime.fromtimestamp(folder.config.stat().st_mtime, UTC)
+    sources = {TWIN: list(_of_twin(recording)), DIAGNOSIS: list(_of_diagnosis(folder))}
+    for source, quantities in sources.items():
+        if quantities:
+            yield Entry(config.stand_name, folder.name, source, began, folder.path.resolve(), quantities)
+
+
+def keep_diagnosis(folder: RunFolder, diagnosis: Mapping[str, Any]) -> None:
+    """Put a diagnosis of a run's recording (the object of `diagnose --json`) into its folder, and into the history.
+
+    Raises UnusableInputError for what can't be written.
+    """
+    with written_whole(folder.diagnosis) as partial:
+        partial.write_text(json.dumps(diagnosis, indent=2) + "\n", encoding="utf-8")
+    remember(folder)
+
+
+def _of_twin(recording: Recording) -> Iterator[Quantity]:
+    """The estimates that the twin held when it was last synchronized."""
+    if "twin_status" not in recording:
+        return
+    status = np.asarray(recording["twin_status"]).astype(np.int64)
+    good = (status & int(TwinStatus.SYNCHRONIZED) != 0) & (
+        status & int(TwinStatus.NOT_SEPARABLE | TwinStatus.HOLDING) == 0
+    )
+    if not good.any():
+        return
+    last = int(np.flatnonzero(good)[-1])
+    for name in recording.channels:
+        for suffix, deviation, quantity, unit in _ESTIMATES:
+            number = name.removeprefix(suffix[0]).removesuffix(suffix[1])
+            if name != f"{suffix[0]}{number}{suffix[1]}" or not (number == "" or number.isdecimal()):
+                continue
+            values = np.asarray(recording[name], np.float64)
+            sd = np.asarray(recording[deviation.format(number)], np.float64)[last] if deviation else 0.0
+            if np.isfinite(values[last]) and np.isfinite(sd) and np.ptp(values[good]) > 0.0:
+                yield Quantity(quantity.format(f"span{number}" if number else "web"), float(values[last]), sd, unit)
+
+
+#: Channel around the number of a span, that of its deviation ("" where the twin states none), the quantity, its unit.
+_ESTIMATES: Final = (
+    (("E", "_sim_Pa"), "E{}_sd_Pa", "{}.youngs_modulus_Pa", "Pa"),
+    (("J", "_sim_kg_m2"), "J{}_sd_kg_m2", "shaft.inertia_kg_m2", "kg·m²"),
+    (("coulomb", "_sim_Nm"), "", "shaft.coulomb_friction_Nm", "N·m"),
+)
+
+
+def _of_diagnosis(folder: RunFolder) -> Iterator[Quantity]:
+    """The parameters of the effects that were named, from the diagnosis in a run folder."""
+    if not folder.diagnosis.is_file():
+        return
+    try:
+        found = json.loads(folder.diagnosis.read_text(encoding="utf-8"))
+        for effect in [*found["effects"], *found["nuisance"]]:
+            place, tied = f"axis{effect['axis']}" if effect["axis"] else "web", ", ".join(effect["tied_with"])
+            for name, parameter in effect["parameters"].items():
+                low, high = parameter["ci95"]
+                sd, value = (float(high) - float(low)) / (2.0 * _NORMAL_95), float(parameter["value"])
+                if name not in _PLACES and np.isfinite([sd, value]).all() and sd >= 0.0:
+                    yield Quantity(f"{place}.{effect['effect']}.{name}", value, sd, str(parameter["unit"]), tied)
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise UnusableInputError(
+            folder.diagnosis, f"is no diagnosis ({' '.join(str(error).split())}), expected what diagnose has written"
+        ) from error
