@@ -184,17 +184,26 @@ def run(case: Recorded) -> Recorded:
 
 def is_visible(case: Recorded) -> bool:
     """Whether what is hidden acts on anything that is recorded: not at a roller without torque, nor in a strain that no
-    position tells."""
+    position tells, nor a ripple that is faster than the rows while the speed is always the same."""
     if case.condition != "drawn":
         return True
     without = case.line.get("without", [])
     at_blind_axis = "tau1_Nm" in without and any(
         item["axis"] == 1 and item["effect"] != "roller_eccentricity" for item in case.hidden
     )
+    too_fast = any(
+        item["effect"] == "torque_ripple" and _ripple_Hz(item) > 0.5 / case.line["row_s"] for item in case.hidden
+    )
     in_strain = "x1_m" in without and any(
         item["axis"] is None or item["effect"] in ("roller_eccentricity", "torque_scale") for item in case.hidden
     )
-    return not (at_blind_axis or in_strain)
+    return not (at_blind_axis or in_strain or (too_fast and case.line["profile"] == "production"))
+
+
+def _ripple_Hz(item: dict[str, Any]) -> float:
+    """Of a torque ripple at the speed of a production run, 3 m/s."""
+    line = Line()
+    return float(item["parameters"]["order"]) * 3.0 * line.gear_ratio / line.radius_m / (2.0 * np.pi)
 
 
 def false_names(case: Recorded) -> int:

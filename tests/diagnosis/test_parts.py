@@ -11,7 +11,7 @@ from tests.plant.models import DEMONSTRATOR, effect, lone_axis, model
 
 from hilbench.diagnosis.diagnosis import Value
 from hilbench.diagnosis.measured import measured_from
-from hilbench.diagnosis.misfit import Condition, located, misfits
+from hilbench.diagnosis.misfit import Condition, largest_ratio, located, misfits
 from hilbench.diagnosis.noise import floor, repeats, whitening
 from hilbench.diagnosis.proposals import Proposer, peaks
 from hilbench.diagnosis.space import Linear, Split
@@ -134,6 +134,24 @@ def test_the_linear_problem_gives_least_squares_of_the_training_blocks() -> None
     expected, left, _, _ = np.linalg.lstsq(a.T, b, rcond=None)
     assert theta == pytest.approx(expected, rel=1e-6)
     assert gain == pytest.approx(b @ b - left[0], rel=1e-6)
+
+
+def test_the_stretch_in_which_a_signal_changes_is_not_held_out() -> None:
+    rows, signal = np.ones(6000, bool), np.zeros((1, 6000))
+    for first in range(0, 6000, 600):
+        signal[:] = 0.0
+        signal[0, first : first + 400] = 1.0
+        split = Split.balanced(signal, rows, 0.01)
+        assert np.sum(signal[0, split.train]) > np.sum(signal[0, split.test])
+
+
+def test_few_rows_of_noise_are_not_more_than_noise() -> None:
+    rng = np.random.default_rng(1)
+    for count in (100, 1000, 20000):
+        rows = np.ones(count, bool)
+        worst = max(float(np.sqrt(np.mean(rng.standard_normal(count) ** 2))) for _ in range(200))
+        assert worst < largest_ratio(rows) < 1.5
+    assert largest_ratio(np.ones(100000, bool)) < 1.06
 
 
 @given(st.integers(0, 2**32 - 1))

@@ -95,3 +95,44 @@ def test_a_measured_tension_is_used() -> None:
     hidden = {"hidden": [item], "without": (*COMMANDS, "tau1_Nm"), "torque_noise_Nm": 2.0}
     assert "elasticity_shift" not in [e.effect for e in examined(**hidden).effects]
     assert_only(examined(**hidden, measured_tension_N=0.5), item)
+
+
+@pytest.mark.parametrize(
+    ("profile", "line"),
+    [
+        ("production", {"without": COMMANDS, "row_s": 0.01, "jitter_s": 2e-5}),
+        ("identification", {"loops": Loops(kp=(0.92, 0.89), ki=(1.29, 0.88)), "row_s": 0.01}),
+    ],
+    ids=["production", "identification"],
+)
+def test_the_noise_of_a_coarse_motion_is_not_named_as_a_delay(profile: str, line: dict[str, Any]) -> None:
+    found = examined(profile, 40.0, **line)
+    assert (found.verdict, found.effects) == ("complete", [])
+
+
+def test_what_only_the_one_ramp_of_a_production_run_shows_is_found() -> None:
+    """A third of the recording is held out; the ramp must not be in it alone."""
+    pair = [effect("torque_scale", 1, relative_change=0.19), effect("web_slip", creep_per_N=1.8e-6)]
+    found = examined("production", 40.0, hidden=pair, loops=OTHER_GAINS, row_s=0.02)
+    assert found.verdict == "named"
+    assert any(("torque_scale", 1) in options for options in named(found))
+    assert any(("web_slip", None) in options for options in named(found))
+
+
+def test_a_step_that_was_held_out_gets_its_time_beside_what_is_found_later() -> None:
+    pair = [
+        effect("elasticity_step", time_s=25.1, relative_change=0.15),
+        effect("roller_eccentricity", 1, amplitude_m=1.1e-5, phase_rad=1.0),
+    ]
+    found = examined("identification", 40.0, hidden=pair, without=COMMANDS, row_s=0.01, jitter_s=2e-5)
+    assert [e.effect for e in found.effects] == ["elasticity_step", "roller_eccentricity"]
+    assert found.effects[0].parameters["time_s"].value == pytest.approx(25.1, abs=0.02)
+
+
+def test_a_sudden_change_beside_another_is_no_short_ramp() -> None:
+    pair = [
+        effect("elasticity_step", time_s=27.1, relative_change=0.08),
+        effect("elasticity_shift", relative_change=0.054),
+    ]
+    found = examined("production", 40.0, hidden=pair, loops=OTHER_GAINS, row_s=0.02)
+    assert {e.effect for e in found.effects} == {"elasticity_step", "elasticity_shift"}

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from hilbench.diagnosis.fit import Fit, around, fit, sums, time_profile
 from hilbench.diagnosis.measured import Measured, measured_from
-from hilbench.diagnosis.misfit import LARGEST_RATIO, Condition, Misfit, located, misfits, ratios
+from hilbench.diagnosis.misfit import Condition, Misfit, largest_ratio, located, misfits, ratios
 from hilbench.diagnosis.noise import NORMAL_95, Whitening, floor, rms
 from hilbench.diagnosis.predictor import Choice, choice
 from hilbench.diagnosis.proposals import Proposer
@@ -207,7 +207,7 @@ def concluded(space: Space, chosen: Choice, data: Measured, selection: Selection
     unexplained = [m for m in after if m.significant]
     found = misfits(names, before[torques] / scale, rows, conditions)
     if predictor.exact:
-        unknown = bool(unexplained) or max(ratios(final.residual, rows, floors).values()) > LARGEST_RATIO
+        unknown = bool(unexplained) or max(ratios(final.residual, rows, floors).values()) > largest_ratio(rows)
     else:
         left = max(rms(final.residual[k, rows]) / rms(predictor.measured[k, rows]) for k in torques)
         unknown = left > LARGEST_REST
@@ -290,13 +290,35 @@ class _Judged:
 def _judged_by_noise(space: Space, selection: Selection) -> _Judged:
     """By the noise that a right model leaves, which is white."""
     trained, white = selection.fit, selection.candidates.whitening
-    train, test = sums(space, white, trained.residual)
     samples = np.count_nonzero(space.split.train | space.split.test) * len(space.predictor.names)
-    inflation = float(np.sqrt(max((train + test) / samples, 1.0)))
-    final = fit(space, white, trained.terms, space.predictor.rows) if trained.terms else trained
+    while True:
+        train, test = sums(space, white, trained.residual)
+        inflation = float(np.sqrt(max((train + test) / samples, 1.0)))
+        final = fit(space, white, trained.terms, space.predictor.rows) if trained.terms else trained
+        neutral = _perhaps_neutral(final, NORMAL_95 * inflation)
+        if neutral is None:
+            break
+        trained = fit(space, white, [*trained.terms[:neutral], *trained.terms[neutral + 1 :]])
     moments = _moments(space, white, final.terms, inflation)
     quantiles = np.full(len(final.covariance), NORMAL_95 * inflation)
     return _Judged(trained, final, final.covariance, quantiles, moments)
+
+
+def _perhaps_neutral(found: Fit, quantile: float) -> int | None:
+    """The place of a term whose 95 % interval contains its neutral value, the least certain; None without one.
+
+    quantile: half the interval in standard deviations. The rows that the search held out may have brought a term there.
+    """
+    sure, at = [], 0
+    for term in found.terms:
+        part = slice(at, at + term.linear)
+        at += len(term.coordinates())
+        moved = term.coordinates()[: term.linear] - term.neutral().coordinates()[: term.linear]
+        wald = float(moved @ np.linalg.pinv(found.covariance[part, part]) @ moved)
+        sure.append(wald**0.5 if wald > 0.0 else 0.0)
+    if not sure or min(sure) > quantile:
+        return None
+    return int(np.argmin(sure))
 
 
 def _judged_by_rest(space: Space, selection: Selection) -> _Judged:

@@ -26,6 +26,8 @@ _SEARCH: Final = 12
 #: How far from where it was proposed a time is looked for, and the steps of the first look, s: a step of E lets the web
 #: ring at some 20 Hz, and each period of it is a minimum.
 _TIME_SEARCH: Final = (0.3, 0.01)
+#: How often it is looked further on where the best time is at an end of that.
+_MOVES: Final = 5
 
 
 @dataclass(frozen=True)
@@ -145,8 +147,14 @@ def time_profile(space: Space, white: Whitening, terms: list[Term], place: int, 
 def with_best_time(space: Space, white: Whitening, terms: list[Term], place: int) -> list[Term]:
     """The term at `place` put at the time near its own at which it explains most, with the strength for it."""
     term, scale = terms[place], 1.0
+    for _ in range(_MOVES):
+        profile = time_profile(space, white, terms, place, around(term.time_s, *_TIME_SEARCH))
+        best = int(np.argmin(profile.squares))
+        term = term.moved_to(float(profile.times_s[best]))
+        if 0 < best < len(profile.times_s) - 1:
+            break
     closer = (_TIME_SEARCH[1], 0.5 * space.period_s), (0.5 * space.period_s, 0.05 * space.period_s)
-    for half_s, step_s in (_TIME_SEARCH, *closer):
+    for half_s, step_s in closer:
         profile = time_profile(space, white, terms, place, around(term.time_s, half_s, step_s))
         best = int(np.argmin(profile.squares))
         term, scale = term.moved_to(float(profile.times_s[best])), float(profile.scales[best])

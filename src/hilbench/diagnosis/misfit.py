@@ -25,8 +25,9 @@ _ERRORS, _LEAST = 6.0, 15.0
 _PEAK: Final = 24.0
 #: Length of a window in which a burst is looked for, s, and its size in standard deviations.
 _WINDOW_S, _BURST = 0.5, 7.0
-#: Excess of the rms over the floor that counts even if no condition explains it.
-LARGEST_RATIO: Final = 1.05
+#: Rms over the floor from which more than noise is left even if no condition explains it, and standard errors of an rms
+#: of few rows from which it is.
+_LARGEST_RATIO, _OF_FEW = 1.05, 4.0
 #: Highest frequency in Hz, or order of a turn, of a peak; the lowest order (what takes more than two turns does not
 #: come from the turning); and the lowest of both in cycles over the recording.
 _HIGHEST: Final = 64.0
@@ -179,6 +180,12 @@ def _burst(name: str, values: Array, rows: NDArray[np.bool_], time: Condition) -
     threshold = _BURST * float(np.sqrt(2.0 * max(count[worst], 1.0)))
     shape = np.where(rows & np.isin(window, loud), values, 0.0)
     return Misfit(name, "burst in time", when, excess, threshold, when, shape=shape)
+
+
+def largest_ratio(rows: NDArray[np.bool_]) -> float:
+    """Of the rms of a signal's residual on these rows (n,) to its floor, as far as noise alone may make it."""
+    count = max(int(np.count_nonzero(rows)), 1)
+    return max(_LARGEST_RATIO, 1.0 + _OF_FEW / float(np.sqrt(2.0 * count)))
 
 
 def ratios(residual: Array, rows: NDArray[np.bool_], floors: Mapping[int, float]) -> dict[int, float]:

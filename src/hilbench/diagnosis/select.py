@@ -21,8 +21,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.diagnosis.fit import Fit, around, fit, sums
-from hilbench.diagnosis.misfit import LARGEST_RATIO
+from hilbench.diagnosis.fit import Fit, around, fit, sums, with_best_time
+from hilbench.diagnosis.misfit import largest_ratio
 from hilbench.diagnosis.noise import Whitening
 from hilbench.diagnosis.proposals import Proposer
 from hilbench.diagnosis.space import Linear, Space, finest, noise_model
@@ -71,6 +71,8 @@ _FORCE_SHARE: Final = 0.05
 _FORCE_SEARCH: Final = (0.02, 0.002)
 #: Information on a strength below which these data say nothing of it.
 _LEAST_INFORMATION: Final = 1e-6
+#: Share of a response that the rest leaves of it, below which two effects added together are one for these data.
+_OWN_SHARE: Final = 0.005
 
 
 def price(terms: list[Term], samples: float) -> float:
@@ -148,8 +150,8 @@ class Search:
             offered = self._carried_over(current, offered)
             if not self._promises(offered):
                 break
-            offered = self._candidates(current)
             current = self._again(current, offered.whitening)
+            offered = self._candidates(current)
         # What is not explained would be spread over the alternatives of every term: they would all seem tied.
         if self._is_rough(current):
             return Selection(current, offered, self._samples)
@@ -165,8 +167,25 @@ class Search:
         return Fit(terms, residual, float("nan"), float("nan"), np.empty((0, 0)))
 
     def _again(self, current: Fit, white: Whitening) -> Fit:
-        """The same terms fitted again, weighted by the noise as it is seen now."""
-        return fit(self._space, white, current.terms)
+        """The same terms fitted again, weighted by the noise as it is seen now.
+
+        What sets in at once is put to the time that is best beside the others; what has grown so fast that it might as
+        well have set in at once does.
+        """
+        found = fit(self._space, white, current.terms)
+        for k, term in enumerate(current.terms):
+            rest = [*found.terms[:k], *found.terms[k + 1 :]]
+            sudden = [found.terms[k]] if term.is_sudden and rest else self._proposer.at_once(found.terms[k], rest)
+            for other in sudden:
+                terms = with_best_time(self._space, white, [*found.terms[:k], other, *found.terms[k + 1 :]], k)
+                aimed = fit(self._space, white, terms)
+                if self._criterion(aimed) < self._criterion(found):
+                    found = aimed
+        return found
+
+    def _criterion(self, found: Fit) -> float:
+        """Of a fit on all rows."""
+        return found.train + found.test + price(found.terms, self._samples)
 
     def _candidates(self, current: Fit) -> CandidateSet:
         """All candidates at a model, each with its response.
@@ -193,6 +212,9 @@ class Search:
     def _changes(self, current: Fit, white: Whitening) -> list[Term]:
         """Of each sudden effect the times at which it would explain most, and what grows into it over a while."""
         times, apart_s = self._proposer.onset_times_s()
+        counted = np.flatnonzero(self._space.split.block >= 0) * self._space.period_s * self._every
+        # What set in before the first row that counts has been there always.
+        times = times[(times > counted[0]) & (times < counted[-1])]
         sudden = self._proposer.sudden()
         return [term for effect in sudden for term in self._changes_by(effect, current, white, times, apart_s)]
 
@@ -283,7 +305,7 @@ class Search:
         space, rows = self._space, self._space.split.block >= 0
         torques = [k for k, name in enumerate(space.predictor.names) if name.startswith("tau")]
         rms = np.sqrt(np.mean(current.residual[torques][:, rows] ** 2, axis=1))
-        return bool(np.any(rms > LARGEST_RATIO * np.array([space.predictor.floor(k) for k in torques])))
+        return bool(np.any(rms > largest_ratio(rows) * np.array([space.predictor.floor(k) for k in torques])))
 
     def _promises(self, offered: CandidateSet) -> bool:
         """Whether anything is left that a candidate could explain, or that none can."""
@@ -326,12 +348,13 @@ class Search:
         for chosen in additions:
             terms = [*current.terms, *chosen]
             cost = price(terms, self._samples)
-            found = fit(self._space, offered.whitening, terms, worth=least - cost)
-            fits.append((found.train + cost, found))
+            found = fit(self._space, offered.whitening, terms, worth=least + _MARGIN - cost)
+            fits.append(found)
             least = min(least, found.train + cost)
-        fits.sort(key=lambda item: item[0])
-        for criterion, found in fits:
-            if criterion < before and self._is_confirmed(offered.whitening, current, test, found):
+        # Among those that the training rows speak for all rows decide: a time may lie in a stretch that was held out.
+        for found in sorted(fits, key=self._criterion):
+            better = found.train + price(found.terms, self._samples) < before
+            if better and self._is_confirmed(offered.whitening, current, test, found):
                 return found
         return None
 
@@ -411,6 +434,12 @@ class Search:
         columns = [c for k in members for c in groups[k]]
         if any(problem.information(c) < _LEAST_INFORMATION for c in columns):
             return None
+        if len(members) > 1 and any(
+            problem.own_share(c, [*mine, *(other for other in columns if other not in groups[k])]) < _OWN_SHARE
+            for k in members
+            for c in groups[k]
+        ):
+            return None
         _, theta = problem.gain([*mine, *columns])
         at, terms = len(mine), []
         for k in members:
@@ -443,6 +472,11 @@ class Search:
                 break
             current = better[1]
         return current
+
+    def _spares_a_term(self, found: Fit, white: Whitening) -> bool:
+        """Whether beside an explanation that is as good another term is superfluous: two effects in the place of three
+        of which one stands for the wrong choice of another."""
+        return len(self._pruned(found, white).terms) < len(found.terms)
 
     def _removable(self, current: Fit, k: int) -> bool:
         """Whether term k may be superfluous, by Wald's statistic: only then a fit without it is worth its time.
@@ -485,7 +519,9 @@ class Search:
             if evidence[term.key]["criterion_gain"] <= 0.0:
                 offered = self._candidates(without)
                 return self._alternatives_tested(self._again(without, offered.whitening), offered)
-            others = self._ranked(offered, without.residual, self._own_without(offered, current.terms, k))
+            # The others as they are: fitted without the term they may have run far off.
+            left = self._space.residual(rest)
+            others = self._ranked(offered, left, self._own_without(offered, current.terms, k))
             tied[term.key] = []
             # What was proposed beside a gradual change says nothing of a sudden one in its middle.
             sudden = [[other] for other in self._proposer.at_once(term, rest)]
@@ -497,14 +533,10 @@ class Search:
                 found = fit(self._space, fine, [*rest, *terms], worth=close.train + _MARGIN - cost)
                 difference = found.train + found.test + cost - close.train - close.test
                 simpler = abs(difference) <= _TIED and _RANK[terms[0].effect.id] < _RANK[term.effect.id]
-                if difference < -_TIED or simpler:
-                    current = Fit(
-                        [*found.terms[:k], found.terms[-1], *found.terms[k:-1]],
-                        found.residual,
-                        found.train,
-                        found.test,
-                        found.covariance,
-                    )
+                better = difference < -_TIED or simpler
+                if better or (abs(difference) < _TIED and self._spares_a_term(found, offered.whitening)):
+                    in_place = [*found.terms[:k], found.terms[-1], *found.terms[k:-1]]
+                    current = self._pruned(fit(self._space, offered.whitening, in_place), offered.whitening)
                     offered = self._candidates(current)
                     return self._alternatives_tested(fit(self._space, offered.whitening, current.terms), offered)
                 if abs(difference) < _TIED or difference < 0.0:

@@ -21,9 +21,12 @@ from hilbench.plant.web_line.parameters import ModelParameters
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
 
-#: Blocks a recording is cut into; every third is held out, so that each regime is on both sides.
+#: Blocks a recording is cut into; every third is held out, so that each regime is on both sides. Which thirds are
+#: tried, and how much of what changes in the recording (of its variance about the median) may be in those held out.
 BLOCKS: Final = 12
 _HELD_OUT_OF: Final = 3
+_FIRST_HELD_OUT: Final = (1, 2, 0)
+_MOST_HELD_OUT: Final = 0.6
 #: Shortest block, s, and what is cut off both ends of a held-out one (about three web transports at 3 m/s), s.
 _SHORTEST_BLOCK_S: Final = 1.5
 _EMBARGO_S: Final = 1.0
@@ -37,13 +40,13 @@ class Split:
     held_out: NDArray[np.bool_]
 
     @classmethod
-    def of(cls, rows: NDArray[np.bool_], period_s: float) -> Split:
-        """Equal contiguous blocks over the rows that count."""
+    def of(cls, rows: NDArray[np.bool_], period_s: float, first: int = 1) -> Split:
+        """Equal contiguous blocks over the rows that count; `first`: the first that is held out."""
         n = len(rows)
         count = int(np.clip(n * period_s / _SHORTEST_BLOCK_S, 3, BLOCKS))
         edges = np.linspace(0, n, count + 1).astype(int)
         block = np.repeat(np.arange(count), np.diff(edges))
-        held_out = np.arange(count) % _HELD_OUT_OF == 1
+        held_out = np.arange(count) % _HELD_OUT_OF == first
         length = n * period_s / count
         embargo = int(min(_EMBARGO_S, 0.15 * length) / period_s)
         for b in np.flatnonzero(held_out):
@@ -55,6 +58,18 @@ class Split:
         block[:ORDER] = -1
         return cls(block, held_out)
 
+    @classmethod
+    def balanced(cls, measured: Array, rows: NDArray[np.bool_], period_s: float) -> Split:
+        """The same, with blocks held out that do not have most of what changes in the signals (signals, n): a fit can't
+        see the one ramp of a production run where that is held out."""
+        change = np.sum(_shares(measured, rows), axis=0)
+        splits = [cls.of(rows, period_s, first) for first in _FIRST_HELD_OUT]
+        held_out = [
+            float(np.sum(change[split.test]) / max(np.sum(change[split.block >= 0]), 1e-300)) for split in splits
+        ]
+        enough = [k for k, share in enumerate(held_out) if share < _MOST_HELD_OUT]
+        return splits[enough[0] if enough else int(np.argmin(held_out))]
+
     @property
     def train(self) -> NDArray[np.bool_]:
         """Rows that fits see."""
@@ -64,6 +79,12 @@ class Split:
     def test(self) -> NDArray[np.bool_]:
         """Rows that no fit sees."""
         return (self.block >= 0) & self.held_out[np.maximum(self.block, 0)]
+
+
+def _shares(measured: Array, rows: NDArray[np.bool_]) -> Array:
+    """(signals, n): what each row has of a signal's variance about its median, on the rows that count."""
+    square = (measured - np.median(measured[:, rows], axis=1, keepdims=True)) ** 2 * rows
+    return np.asarray(square / np.maximum(np.sum(square, axis=1, keepdims=True), 1e-300))
 
 
 @dataclass(frozen=True)
@@ -86,7 +107,7 @@ class Space:
     simulations: int = 0
 
     def __post_init__(self) -> None:
-        self.split = Split.of(self.predictor.rows, self.period_s)
+        self.split = Split.balanced(self.predictor.measured, self.predictor.rows, self.period_s * self.predictor.every)
 
     @property
     def duration_s(self) -> float:
@@ -181,6 +202,14 @@ class Linear:
     def information(self, column: int) -> float:
         """Of the training blocks about one coordinate, if it were the only one."""
         return float(self._gram[column, column])
+
+    def own_share(self, column: int, beside: list[int]) -> float:
+        """Share of a column's square on the training blocks that these others leave of it."""
+        gram, cross = self._gram[np.ix_(beside, beside)], self._gram[column, beside]
+        scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+        normal = gram / np.outer(scale, scale) + 1e-10 * np.eye(len(beside))
+        explained = cross / scale @ np.linalg.solve(normal, cross / scale)
+        return 1.0 - float(explained) / max(self.information(column), 1e-300)
 
     def gain(self, chosen: list[int]) -> tuple[float, Array]:
         """Fall of the training blocks' sum of squares by these columns, and their coordinates."""

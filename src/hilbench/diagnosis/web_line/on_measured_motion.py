@@ -29,15 +29,16 @@ Array = NDArray[np.float64]
 #: Speed below which an axis stands, and how long before and after it is left out, s.
 _STANDSTILL_M_S: Final = 5.0 * FRICTION_WIDTH_M_S
 _NEAR_S: Final = 0.05
-#: Band of the motion that residuals are looked at against, Hz.
-_CALM_HZ: Final = 6.0
+#: Band of the motion that residuals are looked at against, Hz, and as a share of that of the torques at most.
+_CALM_HZ, _CALM_SHARE = 6.0, 0.3
 #: Longest period of the grid on which torques are worked out, s: ripple that is faster than the band must not fold
 #: back into it.
 _FINE_S: Final = 0.001
-#: Noise of the acceleration's torque at the end of the band, as a share of the torque's own (densities of power).
-_NOISE_SHARE: Final = 0.15
+#: Noise of the acceleration's torque at the end of the band, as a share of the torque's own (densities of power). More
+#: of it is shifted by a delay until it cancels the torque's by chance, which no price of a parameter covers.
+_NOISE_SHARE: Final = 0.02
 #: Lowest and highest end of the band, Hz.
-_LOWEST_HZ: Final = 5.0
+_LOWEST_HZ: Final = 4.0
 _HIGHEST_HZ: Final = 60.0
 #: How far beyond the band motion is taken, and up to which share of half the sampling rate.
 _WIDER: Final = 1.3
@@ -189,7 +190,8 @@ class LineOnMeasuredMotion:
         rows = slice(None, None, self._whole * self.every)
         strain = run.strain[0, :, 0]
         # What they are looked at against must not have the noise that the residual has.
-        band = (_CALM_HZ, 1.5 * _CALM_HZ)
+        calm_Hz = min(_CALM_HZ, _CALM_SHARE * self._thinning.corner_Hz)
+        band = (calm_Hz, 1.5 * calm_Hz)
         _, speed, acceleration = smoothed(self._x[rows, 1], self._fine_s * self._whole * self.every, 1, band, 2)
         strain, strain_rate = smoothed(strain[rows], self._fine_s * self._whole * self.every, 1, band, 1)
         found = [
