@@ -19,10 +19,11 @@ from hilbench.diagnosis.synthetic import hidden_recording
 from hilbench.diagnosis.terms import Term, extended, pack_with
 from hilbench.diagnosis.web_line.free_run import FreeRun, between
 from hilbench.plant.effects import MachineKind, effects_of, find_effect
+from hilbench.plant.model_file import write_model
 from hilbench.plant.parameters import EffectEntry
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.inverse import required_torque_Nm
-from hilbench.plant.web_line.parameters import ModelParameters, load_model, write_model
+from hilbench.plant.web_line.parameters import ModelParameters, load_model
 
 
 def term(effect_id: str, axis: int | None, **values: float) -> Term:

@@ -25,8 +25,8 @@ from hilbench.can.open import BusAddress, open_link
 from hilbench.canopen.listening import present
 from hilbench.cli.main import app
 from hilbench.diagnosis.synthetic import hidden_recording
+from hilbench.plant.model_file import write_model
 from hilbench.plant.parameters import EffectEntry
-from hilbench.plant.web_line.parameters import write_model
 from hilbench.results.recording import write_recording
 from hilbench.runs.config import load
 

@@ -72,9 +72,13 @@ def test_effect_shows(entry: dict[str, Any]) -> None:
     assert not np.array_equal(run(model()).tau_Nm[:, 1], run(model(entry)).tau_Nm[:, 1])
 
 
-@pytest.mark.parametrize("item", EFFECTS, ids=lambda e: e.id)
+ROWS = [row for kind in MachineKind for row in effects_of(kind)]
+
+
+@pytest.mark.parametrize("item", ROWS, ids=lambda e: e.id)
 def test_strength_parameters_exist_and_bounds_hold_the_neutral_value(item: Any) -> None:
     assert {q.name for q in item.parameters} >= set(item.strength) != set()
+    assert item.probe is None or item.probe.parameter in {q.name for q in item.parameters}
     for q in item.parameters:
         assert q.problem(q.neutral) is None
         assert q.problem(float("nan")) is not None
@@ -239,7 +243,7 @@ def test_web_is_conserved_in_a_line_whose_ends_stand_still() -> None:
 @given(
     speeds=st.lists(st.floats(-4.0, 4.0), min_size=4, max_size=12),
     difference=st.floats(-5e-3, 5e-3),
-    which=st.sampled_from([item.id for item in EFFECTS]),
+    which=st.sampled_from([item.id for item in effects_of(MachineKind.WEB_LINE)]),
 )
 def test_no_web_pushes_and_nothing_runs_away(speeds: list[float], difference: float, which: str) -> None:
     item = find_effect(which)

@@ -7,8 +7,9 @@ from pathlib import Path
 import pytest
 
 from hilbench.errors import UnusableInputError
+from hilbench.plant.model_file import write_model
 from hilbench.plant.parameters import EffectEntry
-from hilbench.plant.web_line.parameters import load_model, write_model
+from hilbench.plant.web_line.parameters import load_model
 
 from .models import effect, line_of, model
 

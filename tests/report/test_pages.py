@@ -10,7 +10,7 @@ import pytest
 from tests.report.parsed import EVIL, parsed
 
 from hilbench.diagnosis.diagnosis import Diagnosis, Gap, GapLocation, NamedEffect, Profile, Unobservable, Value
-from hilbench.diagnosis.live import LiveGap
+from hilbench.diagnosis.live import LiveFigure, LiveGap
 from hilbench.diagnosis.misfit import Misfit
 from hilbench.diagnosis.synchronization import Comparison, MethodResult
 from hilbench.errors import UnusableInputError
@@ -63,7 +63,7 @@ def diagnosis() -> Diagnosis:
 
 
 def diagnosed(path: Path) -> Path:
-    gaps = [LiveGap(Path("run"), 3, 1.0, 2.0, 3.0, 4.0)]
+    gaps = [LiveGap(Path("run"), 3, (LiveFigure("torque_residual_rms_Nm", "torque residual, rms, N·m", 1.0),))]
     return write_diagnosis_page(diagnosis(), gaps, f"why {EVIL}", f"title {EVIL}", path, Path("bench<b>.yaml"))
 
 

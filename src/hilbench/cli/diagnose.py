@@ -11,19 +11,20 @@ from rich.console import Console
 from rich.table import Table
 
 from hilbench.cli.columns import report_unknown
-from hilbench.cli.model_option import config_from, machine_of, model_from
+from hilbench.cli.model_option import config_from, model_from
 from hilbench.cli.progress import ProgressDisplay
 from hilbench.diagnosis.comparison import Run, compared
 from hilbench.diagnosis.diagnosis import Diagnosis, NamedEffect, diagnose
 from hilbench.diagnosis.imitated import imitation_beside, imitation_of
 from hilbench.diagnosis.live import LiveGap, live_gap, run_bench
+from hilbench.diagnosis.machines import AnyImitation
 from hilbench.diagnosis.web_next_experiment import NextExperiment, Reach, Step, propose, write_steps
 from hilbench.errors import BenchFaultError, UnusableInputError
 from hilbench.files import make_folder
 from hilbench.history.entries import keep_diagnosis
-from hilbench.plant.web_line.imitation import Imitation
-from hilbench.plant.web_line.parameters import write_model
-from hilbench.report.diagnosis_page import LIVE_ROWS, write_diagnosis_page
+from hilbench.plant.model_file import write_model
+from hilbench.plant.web_line.parameters import ModelParameters
+from hilbench.report.diagnosis_page import write_diagnosis_page
 from hilbench.results.recording import Recording, read_recording, read_rows
 from hilbench.results.run_folder import RunFolder
 from hilbench.runs.config import load_with_overrides, write_config_over
@@ -151,7 +152,7 @@ def _next_line(found: _Found, written: Path | None) -> str:
 
 def _proposed(diagnosis: Diagnosis, recording: Recording) -> NextExperiment | None:
     """What would tell more of a web machine; of what moved by other commands nothing is known to propose."""
-    if diagnosis.model.web is None or "v2_cmd_m_s" not in recording:
+    if not isinstance(diagnosis.model, ModelParameters) or diagnosis.model.web is None or "v2_cmd_m_s" not in recording:
         return None
     return propose(diagnosis, Reach.of(recording))
 
@@ -169,8 +170,8 @@ def _against(source: Path, before: Path, model_path: Path | None, progress: Prog
     return _Found(compared(runs[0], runs[1], model, progress.announce), model_path if config else None, against=before)
 
 
-def _imitation(recording: Path, config: BenchConfig | None) -> Imitation | None:
-    """How the web was imitated, if a bench made the recording: by the config of its run, else by that of the model."""
+def _imitation(recording: Path, config: BenchConfig | None) -> AnyImitation | None:
+    """How web or shaft was imitated, if a bench made the recording: by the config of its run, else the model's."""
     return imitation_beside(recording) or (None if config is None else imitation_of(config))
 
 
@@ -183,7 +184,7 @@ def _on_the_bench(
     """
     runs = (out or Path()) / "runs"
     loaded = load_with_overrides(config)
-    model = machine_of(loaded.config, config) if model_path is None else model_from(model_path)
+    model = loaded.config.machine if model_path is None else model_from(model_path)
     observer, announce = progress.of_run("run the bench", 0.0)
     first = run_bench(loaded, model, runs, observers=[observer], announce=announce)
     before = live_gap(first)
@@ -306,7 +307,10 @@ def as_data(shown: _Found, files: _Files | None, next_experiment: Path | None = 
         "imitation_cycle_s": None if found.imitation is None else found.imitation.cycle_s,
         "next_experiment": None if next_experiment is None else str(next_experiment),
         "rounds": shown.rounds,
-        "live": [{**asdict(gap), "run": str(gap.run)} for gap in live],
+        "live": [
+            {"run": str(gap.run), "cycles": gap.cycles} | {each.name: each.value for each in gap.figures}
+            for gap in live
+        ],
         "not_compared": not_compared or None,
         "model": None if files is None else str(files.model),
         "config": None if files is None or files.config is None else str(files.config),
@@ -337,7 +341,8 @@ def _show(console: Console, found: Diagnosis, against: Path | None) -> None:
         what = f"{effect.effect} of axis {effect.axis}: {', '.join(sizes)}"
         console.print(f"not the model's, and corrected for: {what}", soft_wrap=True)
     if found.imitation is not None:
-        console.print(f"a bench's recording: web imitated by a load motor, every {1e3 * found.imitation.cycle_s:g} ms")
+        every = f"every {1e3 * found.imitation.cycle_s:g} ms"
+        console.print(f"a bench's recording: {found.imitation.part} imitated by a load motor, {every}")
     if found.effects:
         console.print(_effects_table(found, changes=against is not None))
         for effect in found.effects:
@@ -387,8 +392,8 @@ def _live_table(live: list[LiveGap]) -> Table:
     shown.add_column("", no_wrap=True)
     for name in ("original model", "extended model")[: len(live)]:
         shown.add_column(name, justify="right")
-    for title, name in LIVE_ROWS:
-        shown.add_row(title, *(f"{getattr(gap, name):.4g}" for gap in live))
+    for each in zip(*(gap.figures for gap in live), strict=True):
+        shown.add_row(each[0].text, *(f"{figure.value:.4g}" for figure in each))
     return shown
 
 

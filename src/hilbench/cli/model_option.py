@@ -7,23 +7,27 @@ from pathlib import Path
 
 from hilbench import strict_yaml
 from hilbench.errors import UnusableInputError
-from hilbench.plant.web_line.parameters import ModelParameters, load_model
+from hilbench.plant.model_file import Machine, load_machine
+from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.runs.config import ExperimentConfig, is_model, load
 
 
-def model_from(path: Path) -> ModelParameters:
+def model_from(path: Path) -> Machine:
     """Read it. Raises UnusableInputError (file, line, key, found, expected)."""
     config = config_from(path)
-    return load_model(path) if config is None else machine_of(config, path)
+    return load_machine(path) if config is None else config.machine
 
 
 def machine_of(config: ExperimentConfig, path: Path) -> ModelParameters:
     """The machine of the config in this file, for what knows web lines only. Raises UnusableInputError."""
-    if isinstance(config.machine, ModelParameters):
-        return config.machine
-    raise UnusableInputError(
-        path, f"the machine is a {config.machine_kind}, expected a web_line: this command knows no other"
-    )
+    return web_line_of(config.machine, path)
+
+
+def web_line_of(machine: Machine, path: Path) -> ModelParameters:
+    """The machine read from this file, for what knows web lines only. Raises UnusableInputError."""
+    if isinstance(machine, ModelParameters):
+        return machine
+    raise UnusableInputError(path, f"the machine is a {machine.kind}, expected a web_line: this command knows no other")
 
 
 def config_from(path: Path) -> ExperimentConfig | None:

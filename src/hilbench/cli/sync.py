@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.table import Table
 
 from hilbench.cli.columns import report_unknown
-from hilbench.cli.model_option import machine_of, model_from
+from hilbench.cli.model_option import machine_of, model_from, web_line_of
 from hilbench.diagnosis.synchronization import (
     SETTLED_AFTER_S,
     Comparison,
@@ -63,7 +63,7 @@ def sync_runs_command(config_path: Path, methods: str, out: Path | None, jobs: i
         if row.run is None or row.exit_code not in (EXIT_PASSED, EXIT_CRITERION_FAILED):
             raise BenchFaultError(f"{name}: the run ended with exit code {row.exit_code}: {row.said}")
         recordings[name] = read_recording(RunFolder(folder / row.run).recording)
-    comparison = compare_runs(model_from(config_path), recordings)
+    comparison = compare_runs(machine_of(config, config_path), recordings)
     _show(
         comparison, write_sync_page(comparison, f"Synchronizers on {config_path.name}", folder / "sync.html"), as_json
     )
@@ -80,7 +80,7 @@ def sync_command(
 ) -> None:
     """Compare, print, and write the page into `out`. Raises UnusableInputError for what can't be used."""
     chosen = methods_of(methods)
-    model, recording = model_from(model_path), read_recording(recording_path)
+    model, recording = web_line_of(model_from(model_path), model_path), read_recording(recording_path)
     report_unknown(recording, recording_path)
     require_one_span(model, model_path)
     data = measurements_of(recording, recording_path)

@@ -25,7 +25,7 @@ from hilbench.diagnosis.proposals import Proposer
 from hilbench.diagnosis.space import Space
 from hilbench.diagnosis.terms import Term, extended, pack_with
 from hilbench.plant.effects import EFFECTS, Domain, find_effect
-from hilbench.plant.web_line.parameters import ModelParameters
+from hilbench.plant.model_file import Machine
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.bool_]
@@ -222,7 +222,7 @@ def _basis(rows: Array) -> Array:
     return np.asarray(vectors[sizes > 1e-6])
 
 
-def changes(model: ModelParameters, now: Measured, then: Measured, announce: Announce) -> Diagnosis:
+def changes(model: Machine, now: Measured, then: Measured, announce: Announce) -> Diagnosis:
     """What differs in `now` from `then`, of one lone axis with `model`."""
     announce("simulate the model", 0.1)
     sides, base, terms = _prepared(model, now, then)
@@ -234,9 +234,7 @@ def changes(model: ModelParameters, now: Measured, then: Measured, announce: Ann
     return _concluded(model, sides, base, judge, chosen)
 
 
-def _prepared(
-    model: ModelParameters, now: Measured, then: Measured
-) -> tuple[tuple[_Side, _Side], list[Term], list[Term]]:
+def _prepared(model: Machine, now: Measured, then: Measured) -> tuple[tuple[_Side, _Side], list[Term], list[Term]]:
     """Both sides at a model with what is simple of the one before; those simple terms; all that may differ."""
     spaces = [Space(model, predictor_for(model, data), data.period_s) for data in (now, then)]
     proposer = Proposer(model, then)
@@ -293,7 +291,7 @@ def _is_linear(term: Term) -> bool:
 
 def _ripples(
     proposer: Proposer,
-    model: ModelParameters,
+    model: Machine,
     spaces: list[Space],
     residuals: list[Array],
     data: tuple[Measured, Measured],
@@ -315,9 +313,9 @@ def _ripples(
     return found
 
 
-def _apart(data: Measured, model: ModelParameters) -> float:
+def _apart(data: Measured, model: Machine) -> float:
     """Orders nearer to each other than this can't be told apart."""
-    return 2.0 * _TURN / max(float(np.ptp(data.x_m[1])) * model.motor_rad_per_m(1), 1e-9)
+    return 2.0 * _TURN / max(float(np.ptp(data.x_m[1])) * model.motor_rad_per_unit(1), 1e-9)
 
 
 @dataclass(frozen=True)
@@ -404,7 +402,7 @@ class _Found:
 
 
 def _concluded(
-    model: ModelParameters,
+    model: Machine,
     sides: tuple[_Side, _Side],
     base: list[Term],
     judge: _Judge,

@@ -10,12 +10,14 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.diagnosis import axis_comparison, web_comparison
+from hilbench.diagnosis import axis_comparison, machines, web_comparison
 from hilbench.diagnosis.diagnosis import Diagnosis
+from hilbench.diagnosis.machines import AnyImitation
 from hilbench.diagnosis.measured import Measured, measured_from
 from hilbench.diagnosis.noise import rms
 from hilbench.errors import UnusableInputError
-from hilbench.plant.web_line.imitation import Imitation
+from hilbench.plant.model_file import Machine
+from hilbench.plant.servo_axis.parameters import ServoAxisParameters, ShaftParameters
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.results.recording import Recording
 
@@ -32,11 +34,11 @@ class Run:
 
     recording: Recording
     place: str | Path
-    imitation: Imitation | None = None  #: how the web was imitated, if the recording is a bench's
+    imitation: AnyImitation | None = None  #: how web or shaft was imitated, if the recording is a bench's
 
 
 def compared(
-    after: Run, before: Run, model: ModelParameters | None, announce: Announce = lambda text, share: None
+    after: Run, before: Run, model: Machine | None, announce: Announce = lambda text, share: None
 ) -> Diagnosis:
     """What changed from `before` to `after`: effects with the size of the change, beside `before` of each value.
 
@@ -49,10 +51,10 @@ def compared(
         model = _lone_axis(after, before)
     now, then = (measured_from(run.recording, model, run.place) for run in (after, before))
     _check_together(now, then, after.place, before.place)
-    if model.web is None:
-        found = axis_comparison.changes(model, now, then, announce)
-    else:
+    if machines.is_web(model) or all(each.imitated and each.commands_m_s.size for each in (now, then)):
         found = web_comparison.changes(model, now, then, (after.imitation, before.imitation), announce)
+    else:
+        found = axis_comparison.changes(model, now, then, announce)
     repairs = [replace(repair, text=f"{before.place}: {repair.text}") for repair in then.repairs]
     return replace(found, repairs=[*now.repairs, *repairs])
 
@@ -89,19 +91,21 @@ def _top_speed(data: Measured, axis: int) -> float:
     return float(np.max(np.abs(data.x_m[axis][apart:] - data.x_m[axis][:-apart]))) / (apart * data.period_s)
 
 
-def _lone_axis(after: Run, before: Run) -> ModelParameters:
+def _lone_axis(after: Run, before: Run) -> Machine:
     """A model of which only the inertia is known: the larger of what both recordings show (feed-forward hides some)."""
     inertia = 0.0
     for run in (after, before):
         if "x2_m" in run.recording:
             raise UnusableInputError("--model", "missing, expected the model file of a machine of several axes")
-        data = measured_from(run.recording, _axis_of(1.0), run.place)
+        data = measured_from(run.recording, _axis_of(1.0, run.recording), run.place)
         inertia = max(inertia, axis_comparison.inertia(data))
-    return _axis_of(inertia)
+    return _axis_of(inertia, after.recording)
 
 
-def _axis_of(inertia: float) -> ModelParameters:
-    """One shaft, in the units of its recording: torque over acceleration of x1_m."""
+def _axis_of(inertia: float, recording: Recording) -> Machine:
+    """One shaft, in the units of its recording: torque over acceleration of x1_rad, or of x1_m."""
+    if "x1_rad" in recording or "v1_rad_s" in recording:
+        return ServoAxisParameters(shaft=ShaftParameters(inertia_kg_m2=inertia))
     return ModelParameters.model_validate(
         {"rollers": {"radius_m": 1.0, "inertia_kg_m2": inertia, "gear_ratio": 1.0}, "motors": {"inertia_kg_m2": 0.0}}
     )

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.diagnosis.fit import Fit, around, fit, sums, time_profile
+from hilbench.diagnosis.machines import AnyImitation
 from hilbench.diagnosis.measured import Measured, measured_from
 from hilbench.diagnosis.misfit import Condition, Misfit, largest_ratio, located, misfits, ratios
 from hilbench.diagnosis.noise import NORMAL_95, Whitening, floor, rms
@@ -25,7 +26,7 @@ from hilbench.diagnosis.sparse_law import SparseLaw, law
 from hilbench.diagnosis.terms import Term, extended, pack_with
 from hilbench.diagnosis.web_line.loop_check import nuisance_of
 from hilbench.plant.effects import Effect, find_effect
-from hilbench.plant.web_line.imitation import Imitation
+from hilbench.plant.model_file import Machine
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.results.recording import Recording
 
@@ -132,14 +133,14 @@ class Diagnosis:
     unexplained: list[Misfit]  #: significant dependences of the residual that no effect explains
     unobservable: list[Unobservable]
     missing_channels: list[str]
-    model: ModelParameters  #: extended
+    model: Machine  #: extended
     names: tuple[str, ...]
     t_s: Array
     before: Array  #: residuals (signals, n)
     after: Array
     held_out: NDArray[np.bool_]
     simulations: int
-    imitation: Imitation | None = None  #: how the web was imitated, of a bench's recording
+    imitation: AnyImitation | None = None  #: how web or shaft was imitated, of a bench's recording
     predicted_on: str = ""  #: what the prediction is driven by, and why, for a person
     nuisance: list[NamedEffect] = field(default_factory=list)  #: found beside the effects and corrected for
     laws: list[SparseLaw] = field(default_factory=list)  #: proposals for what no effect explains, no names
@@ -157,14 +158,14 @@ def _size(gap: Gap) -> float:
 
 def diagnose(
     recording: Recording,
-    model: ModelParameters,
+    model: Machine,
     place: str | Path,
     announce: Announce = lambda text, share: None,
-    imitation: Imitation | None = None,
+    imitation: AnyImitation | None = None,
 ) -> Diagnosis:
     """Diagnose one recording. Raises UnusableInputError, one line, where it can't be used.
 
-    `imitation`: how the bench imitated the web, if the recording is a bench's; by default as benches do it.
+    `imitation`: how the bench imitated web or shaft, if the recording is a bench's; by default as benches do it.
     """
     announce("simulate the model", 0.02)
     data = measured_from(recording, model, place)
@@ -176,7 +177,7 @@ def diagnose(
     return _predicted_by(chosen, model, data, announce)
 
 
-def _predicted_by(chosen: Choice, model: ModelParameters, data: Measured, announce: Announce) -> Diagnosis:
+def _predicted_by(chosen: Choice, model: Machine, data: Measured, announce: Announce) -> Diagnosis:
     predictor = chosen.predictor
     space = Space(model, predictor, data.period_s)
     proposer = Proposer(model, data)
@@ -250,13 +251,15 @@ def concluded(space: Space, chosen: Choice, data: Measured, selection: Selection
     )
 
 
-def _nuisance(model: ModelParameters, chosen: Choice, effects: list[NamedEffect]) -> list[NamedEffect]:
+def _nuisance(model: Machine, chosen: Choice, effects: list[NamedEffect]) -> list[NamedEffect]:
     """How the drives' loops differ from the model's, where that is certain.
 
     A torque that is reported late looks like a lag of its loop.
     """
     late = {e.axis for e in effects if e.effect == "torque_delay"}
-    result = []
+    result: list[NamedEffect] = []
+    if not isinstance(model, ModelParameters):
+        return result
     for loop in chosen.loops:
         for effect, parameters in nuisance_of(loop, model).items():
             if effect == "drive_lag" and loop.axis in late:

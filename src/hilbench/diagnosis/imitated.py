@@ -1,4 +1,4 @@
-"""How the web of a bench's recording was imitated: from the bench config that made it."""
+"""How the machine of a bench's recording was imitated: from the bench config that made it."""
 
 from __future__ import annotations
 
@@ -6,8 +6,11 @@ from contextlib import suppress
 from pathlib import Path
 
 from hilbench.canopen.eds import load_eds
+from hilbench.diagnosis.machines import AnyImitation
 from hilbench.errors import UnusableInputError
 from hilbench.exchange.nodes import declared_units
+from hilbench.plant.effects import MachineKind
+from hilbench.plant.servo_axis.imitated_run import ShaftImitation
 from hilbench.plant.web_line.imitation import Imitation
 from hilbench.results.run_folder import RunFolder
 from hilbench.runs.config import load
@@ -15,21 +18,28 @@ from hilbench.topology.config import BenchConfig
 from hilbench.topology.parts import Role
 
 
-def imitation_of(config: BenchConfig) -> Imitation:
-    """How the bench of this config imitates the web. Without its EDS files it is not known what its drives round to."""
+def imitation_of(config: BenchConfig) -> AnyImitation | None:
+    """How the bench of this config imitates its machine; None without a load motor. Without its EDS files it is not
+    known what its drives round to."""
     resolution = None
     with suppress(UnusableInputError):  # a run folder that was brought here from another machine
-        resolution = tuple(_resolution_m_s(config, axis) for axis in range(1, len(config.drives) + 1))
-    return Imitation(config.cycle_time_s, config.rig_parameters().load_motors, resolution)
+        resolution = tuple(_resolution(config, axis) for axis in range(1, len(config.drives) + 1))
+    if config.machine_kind is MachineKind.WEB_LINE:
+        return Imitation(config.cycle_time_s, config.rig_parameters().load_motors, resolution)
+    if not config.load_motors:
+        return None
+    stand = config.servo_rig_parameters(effects=())
+    return ShaftImitation(config.cycle_time_s, stand, None if resolution is None else resolution[0])
 
 
-def _resolution_m_s(config: BenchConfig, axis: int) -> float:
+def _resolution(config: BenchConfig, axis: int) -> float:
+    """What the drive of an axis rounds a velocity command to, in the machine's unit of position per s."""
     part = config.parts_of(Role.AXIS)[axis - 1]
     units = declared_units(part, load_eds(part.node.eds, part.node.node_id))
-    return units.velocity_rad_s / config.web_line.motor_rad_per_m(axis)
+    return units.velocity_rad_s / config.machine.motor_rad_per_unit(axis)
 
 
-def imitation_beside(recording: Path) -> Imitation | None:
+def imitation_beside(recording: Path) -> AnyImitation | None:
     """By the config in the run folder that a recording lies in; None if it lies in no run folder.
 
     Raises UnusableInputError for a config that can't be read.

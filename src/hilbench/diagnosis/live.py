@@ -10,31 +10,38 @@ from typing import Any
 import numpy as np
 
 from hilbench.bench.bench import CycleObserver, InterruptedByOperatorError
+from hilbench.diagnosis.noise import rms
 from hilbench.errors import EXIT_BENCH_FAULT, EXIT_INTERRUPTED, BenchFaultError, UnusableInputError
-from hilbench.plant.web_line.parameters import ModelParameters
+from hilbench.plant.model_file import Machine
 from hilbench.results.recording import Recording, read_recording
 from hilbench.results.run import RunOutcome, run_experiment
 from hilbench.runs.config import ExperimentConfig, LoadedConfig
 
-#: The line's share of its highest speed above which it counts as working.
+#: Share of its highest speed above which a machine counts as working.
 _WORKS = 0.2
 
 
 @dataclass(frozen=True)
+class LiveFigure:
+    """One figure of a run."""
+
+    name: str  #: with its unit, as `--json` prints it
+    text: str  #: with its unit, for a person
+    value: float
+
+
+@dataclass(frozen=True)
 class LiveGap:
-    """How well the twin did in one run, while the line worked."""
+    """How well the twin did in one run, while the machine worked."""
 
     run: Path
     cycles: int  #: length of the whole run
-    torque_residual_rms_Nm: float
-    tension_error_rms_N: float  #: true tension less set-point, the loop closed
-    tension_deviation_mean_N: float  #: simulated less true tension
-    E_bias_pct: float  #: mean of estimate over truth, less 1
+    figures: tuple[LiveFigure, ...]
 
 
 def run_bench(
     loaded: LoadedConfig,
-    model: ModelParameters,
+    model: Machine,
     out: Path,
     *,
     more_steps: Sequence[Mapping[str, Any]] = (),
@@ -66,23 +73,47 @@ def live_gap(outcome: RunOutcome) -> LiveGap:
     if not outcome.recorded:
         raise UnusableInputError(outcome.folder.path, "the run has no recording, expected steps that take time")
     recording = read_recording(outcome.folder.recording)
+    figures = _of_a_shaft(recording) if "x1_rad" in recording else _of_a_web(recording)
+    return LiveGap(outcome.folder.path, len(recording), figures)
+
+
+def _of_a_web(recording: Recording) -> tuple[LiveFigure, ...]:
     speed = _signal(recording, "v2_cmd_m_s")
     works = (speed > _WORKS * speed.max()) & (_signal(recording, "loop_closed") > 0.5)
     if not works.any():
         works = speed > _WORKS * speed.max()
-
-    def rms(values: np.ndarray) -> float:
-        return float(np.sqrt(np.mean(values[works] ** 2)))
-
     true_N, sim_N = _signal(recording, "F_true_N"), _signal(recording, "F_sim_N")
-    ratio = _signal(recording, "E_sim_Pa") / _signal(recording, "E_true_Pa")
-    return LiveGap(
-        run=outcome.folder.path,
-        cycles=len(recording),
-        torque_residual_rms_Nm=rms(_signal(recording, "tau2_residual_Nm")),
-        tension_error_rms_N=rms(true_N - _signal(recording, "F_ref_N")),
-        tension_deviation_mean_N=float(np.mean((sim_N - true_N)[works])),
-        E_bias_pct=100.0 * float(np.mean(ratio[works]) - 1.0),
+    error_N, ratio = (
+        true_N - _signal(recording, "F_ref_N"),
+        _signal(recording, "E_sim_Pa") / _signal(recording, "E_true_Pa"),
+    )
+    residual_Nm = _signal(recording, "tau2_residual_Nm")
+    return (
+        LiveFigure("torque_residual_rms_Nm", "torque residual, rms, N·m", rms(residual_Nm[works])),
+        LiveFigure("tension_error_rms_N", "true tension less set-point, rms, N", rms(error_N[works])),
+        LiveFigure(
+            "tension_deviation_mean_N", "simulated less true tension, mean, N", float(np.mean((sim_N - true_N)[works]))
+        ),
+        LiveFigure("E_bias_pct", "bias of E, %", 100.0 * float(np.mean(ratio[works]) - 1.0)),
+    )
+
+
+def _of_a_shaft(recording: Recording) -> tuple[LiveFigure, ...]:
+    speed = np.abs(_signal(recording, "v1_cmd_rad_s"))
+    works = speed > _WORKS * speed.max()
+    ratio = _signal(recording, "J_sim_kg_m2") / _signal(recording, "J_true_kg_m2")
+    error_rad_s = _signal(recording, "v1_cmd_rad_s") - _signal(recording, "v1_rad_s")
+    friction_Nm = _signal(recording, "coulomb_sim_Nm") - _signal(recording, "coulomb_true_Nm")
+    residual_Nm = _signal(recording, "tau1_residual_Nm")
+    return (
+        LiveFigure("torque_residual_rms_Nm", "torque residual, rms, N·m", rms(residual_Nm[works])),
+        LiveFigure("speed_error_rms_rad_s", "speed less its command, rms, rad/s", rms(error_rad_s[works])),
+        LiveFigure(
+            "friction_deviation_mean_Nm",
+            "estimated less imitated dry friction, mean, N·m",
+            float(np.mean(friction_Nm[works])),
+        ),
+        LiveFigure("J_bias_pct", "bias of the inertia, %", 100.0 * float(np.mean(ratio[works]) - 1.0)),
     )
 
 

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.integrate import cumulative_trapezoid
 
+from hilbench.diagnosis import machines
 from hilbench.diagnosis.repairs import Repair, mended
 from hilbench.errors import UnusableInputError
-from hilbench.plant.web_line.parameters import ModelParameters
+from hilbench.plant.model_file import Machine
 from hilbench.results.recording import Recording
 
 Array = NDArray[np.float64]
@@ -23,8 +26,10 @@ LONGEST_PERIOD_S: Final = 0.02
 SHORTEST_S: Final = 5.0
 #: Share of the period by which two samples may be further apart than others.
 _UNEVEN: Final = 0.01
-#: Speeds (m/s) and strains that a web machine has; beyond them a channel is in other units than its name says.
-_FASTEST_M_S, _LARGEST_STRAIN = 100.0, 0.1
+#: Speeds (by the unit of the position) and strains that a machine has; beyond them a channel is in other units than its
+#: name says.
+_FASTEST: Final = {"m": 100.0, "rad": 1e4}
+_LARGEST_STRAIN: Final = 0.1
 #: Speed below which nothing moves.
 _STANDSTILL_M_S = 1e-3
 #: Time without commands after which a free run has forgotten nothing it should and knows nothing it must, s.
@@ -47,16 +52,18 @@ _UNITS: Final = (
 )
 #: Share by which such a ratio may be missed.
 _RATIO: Final = 0.03
-_COMMANDS = ("v1_cmd_m_s", "v2_cmd_m_s")
 _BOUNDARY = ("strain_prev", "F_next_N")
 #: Only a bench has it: who records a web that is there has no load motor.
-_LOAD_MOTOR = "tau_load_cmd_Nm"
+_LOAD_MOTOR: Final = re.compile(r"tau_\w+_cmd_Nm")
 _TENSION = "F_meas_N"
 
 
 @dataclass(frozen=True)
 class Measured:
-    """Checked arrays of one recording; times from 0. `missing` are channels a diagnosis could have used."""
+    """Checked arrays of one recording; times from 0. `missing` are channels a diagnosis could have used.
+
+    Of a rotary machine positions are in rad, and speeds in rad/s.
+    """
 
     t_s: Array  #: (n,)
     period_s: float
@@ -70,6 +77,7 @@ class Measured:
     left_out: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, bool))  #: (n,), or none: see `usable`
     repairs: list[Repair] = field(default_factory=list)  #: what was wrong with the rows, and is mended
     F_N: dict[int, Array] = field(default_factory=dict)  #: measured tensions, by span
+    integrated: bool = False  #: the position is that of a lone axis' speed, added up
 
     @property
     def duration_s(self) -> float:
@@ -88,14 +96,17 @@ class Measured:
         return [_TENSION if span == 1 else f"F{span}_meas_N" for span in sorted(self.F_N)]
 
 
-def measured_from(recording: Recording, model: ModelParameters, place: str | Path) -> Measured:
+def measured_from(recording: Recording, model: Machine, place: str | Path) -> Measured:
     """Check and take what is needed. Raises UnusableInputError, one line, for what can't be diagnosed."""
-    web = model.web is not None
+    web = machines.is_web(model)
+    commands = [machines.speed_channel(model, axis, "_cmd") for axis in range(1, model.axis_count + 1)]
+    imitated = any(_LOAD_MOTOR.fullmatch(name) and bool(np.any(v)) for name, v in recording.channels.items())
+    free = web or (imitated and model.drives is not None)  # run with the drives' loops, which know their limits
     found = mended(
         recording,
         place,
         longest_gap_s=_LONGEST_GAP_S if web else float("inf"),
-        limits_Nm=_limits_Nm(model) if web else None,
+        limits_Nm=_limits_Nm(model) if free else None,
     )
     recording = found.recording
     period_s = _period_s(recording.time_s, place)
@@ -104,58 +115,89 @@ def measured_from(recording: Recording, model: ModelParameters, place: str | Pat
     if web and model.drives is None:
         raise UnusableInputError(place, "a model with a web and no 'drives', expected the drives' control loops")
     axes = range(1, model.axis_count + 1)
-    wanted = [f"{name}{axis}{unit}" for axis in axes for name, unit in (("tau", "_Nm"), ("x", "_m"), ("v", "_m_s"))]
+    positions, speeds, torques = (
+        {axis: name(axis) for axis in axes}
+        for name in (
+            lambda axis: machines.position_channel(model, axis),
+            lambda axis: machines.speed_channel(model, axis),
+            lambda axis: f"tau{axis}_Nm",
+        )
+    )
+    wanted = [each[axis] for axis in axes for each in (torques, positions, speeds)]
     if web:
-        wanted += _COMMANDS
+        wanted += commands
         recording.require(_BOUNDARY, place)
-        _check_enough(recording, place)
+        _check_enough(recording, place, commands)
     else:
-        recording.require(["x1_m", "tau1_Nm"], place)
+        _check_lone(recording, model, place)
     tensions = [name for name in (_TENSION, "F1_meas_N") if web and name in recording][:1]
     there = [name for name in wanted if name in recording] + tensions
     recording.require(there, place)
 
-    def channels(name: str, unit: str) -> dict[int, Array]:
-        found = {axis: f"{name}{axis}{unit}" for axis in axes}
-        return {axis: np.asarray(recording[key], np.float64) for axis, key in found.items() if key in recording}
+    def channels(names: dict[int, str]) -> dict[int, Array]:
+        return {axis: np.asarray(recording[key], np.float64) for axis, key in names.items() if key in recording}
 
     n = len(recording)
-    told = web and all(name in recording for name in _COMMANDS)
-    commands = [np.asarray(recording[name], np.float64) for name in _COMMANDS] if told else []
+    told = free and all(name in recording for name in commands)
     boundary = np.zeros((n, 2))
     if web:
         boundary = np.column_stack([np.asarray(recording[name], np.float64) for name in _BOUNDARY])
+    x, v = channels(positions), channels(speeds)
+    integrated = not web and not x
+    if integrated:
+        x = {axis: cumulative_trapezoid(values, dx=period_s, initial=0) for axis, values in v.items()}
     measured = Measured(
         t_s=recording.time_s - recording.time_s[0],
         period_s=period_s,
-        commands_m_s=np.column_stack(commands) if commands else np.empty((n, 0)),
+        commands_m_s=np.column_stack([np.asarray(recording[name], np.float64) for name in commands])
+        if told
+        else np.empty((n, 0)),
         boundary=boundary,
-        tau_Nm=channels("tau", "_Nm"),
-        x_m=channels("x", "_m"),
-        v_m_s=channels("v", "_m_s"),
+        tau_Nm=channels(torques),
+        x_m=x,
+        v_m_s=v,
         missing=[name for name in wanted if name not in there],
-        imitated=web and _LOAD_MOTOR in recording and bool(np.any(recording[_LOAD_MOTOR])),
+        imitated=imitated,
         left_out=found.left_out,
         repairs=found.repairs,
         F_N=dict.fromkeys((1,), np.asarray(recording[tensions[0]], np.float64)) if tensions else {},
+        integrated=integrated,
     )
     _check_plausible(measured, model, place)
     return measured
 
 
-def _check_enough(recording: Recording, place: str | Path) -> None:
+def _check_lone(recording: Recording, model: Machine, place: str | Path) -> None:
+    """A lone axis needs a torque, and how it moved in the unit of its machine."""
+    position, speed = machines.position_channel(model, 1), machines.speed_channel(model, 1)
+    other = {"m": ("x1_rad", "v1_rad_s"), "rad": ("x1_m", "v1_m_s")}[model.position_unit]
+    if position not in recording and speed not in recording:
+        found = [name for name in other if name in recording]
+        if found:
+            raise UnusableInputError(
+                place,
+                f"channel {', '.join(found)} and a model of kind {model.kind}, expected {position} or {speed}: a"
+                f" {model.kind} moves in {model.position_unit}",
+            )
+        raise UnusableInputError(
+            place, f"channels {position}, {speed} missing, expected one of them beside {', '.join(recording.channels)}"
+        )
+    recording.require(["tau1_Nm"], place)
+
+
+def _check_enough(recording: Recording, place: str | Path, commands: list[str]) -> None:
     """A web line needs a torque, and the commands of both axes or how both moved."""
     if not any(f"tau{axis}_Nm" in recording for axis in (1, 2)):
         raise UnusableInputError(place, "channels tau1_Nm, tau2_Nm missing, expected at least one torque")
-    if all(name in recording for name in _COMMANDS):
+    if all(name in recording for name in commands):
         return
-    missing = [name for name in _COMMANDS if name not in recording]
+    missing = [name for name in commands if name not in recording]
     if all(f"x{axis}_m" in recording for axis in (1, 2)):
         return
     for name in (f"{letter}{axis}_{unit}" for letter, unit in (("v", "m_s"), ("tau", "Nm")) for axis in (1, 2)):
         if name not in recording and not (name[0] == "v" and f"x{name[1]}_m" in recording):
             missing.append(name)
-    if len(missing) > sum(name in _COMMANDS for name in missing):
+    if len(missing) > sum(name in commands for name in missing):
         raise UnusableInputError(
             place,
             f"channels {', '.join(missing)} missing, expected the commands of both axes, or the positions of both, or"
@@ -185,15 +227,17 @@ def _period_s(t_s: Array, place: str | Path) -> float:
     return round(float((t_s[-1] - t_s[0]) / len(steps)), 9)
 
 
-def _check_plausible(measured: Measured, model: ModelParameters, place: str | Path) -> None:
-    _check_units(measured, place)
-    speeds = {f"v{axis}_m_s": values for axis, values in measured.v_m_s.items()}
-    speeds |= {name: measured.commands_m_s[:, k] for k, name in enumerate(_COMMANDS) if measured.commands_m_s.size}
+def _check_plausible(measured: Measured, model: Machine, place: str | Path) -> None:
+    _check_units(measured, model, place)
+    speeds = {machines.speed_channel(model, axis): values for axis, values in measured.v_m_s.items()}
+    for column, values in enumerate(measured.commands_m_s.T):
+        speeds[machines.speed_channel(model, column + 1, "_cmd")] = values
+    fastest, unit = _FASTEST[model.position_unit], machines.speed_unit(model)
     for name, values in speeds.items():
         largest = float(np.max(np.abs(values)))
-        if largest > _FASTEST_M_S:
-            raise UnusableInputError(place, f"channel {name} reaches {largest:g}, expected m/s up to {_FASTEST_M_S:g}")
-    _check_positions(measured, place)
+        if largest > fastest:
+            raise UnusableInputError(place, f"channel {name} reaches {largest:g}, expected {unit} up to {fastest:g}")
+    _check_positions(measured, model, place)
     strain = float(np.max(np.abs(measured.boundary[:, 0])))
     if strain > _LARGEST_STRAIN:
         raise UnusableInputError(place, f"channel strain_prev reaches {strain:g}, expected a strain (1) below 0.1")
@@ -201,10 +245,11 @@ def _check_plausible(measured: Measured, model: ModelParameters, place: str | Pa
     moves = [float(np.ptp(x)) for x in measured.x_m.values()]
     moves += [float(np.max(np.abs(v))) * measured.duration_s for v in speeds.values()]
     if max(moves, default=0.0) < _STANDSTILL_M_S * measured.duration_s:
-        raise UnusableInputError(place, "nothing moves, expected an experiment with changes of speed and tension")
+        what = "speed and tension" if machines.is_web(model) else "speed"
+        raise UnusableInputError(place, f"nothing moves, expected an experiment with changes of {what}")
 
 
-def _limits_Nm(model: ModelParameters) -> dict[str, float]:
+def _limits_Nm(model: Machine) -> dict[str, float]:
     """Of the torque channels, the limits of the drives."""
     if model.drives is None:
         return {}
@@ -213,10 +258,10 @@ def _limits_Nm(model: ModelParameters) -> dict[str, float]:
     return {f"tau{axis}_Nm": float(limit) for axis, limit in enumerate(each, start=1)}
 
 
-def _check_units(measured: Measured, place: str | Path) -> None:
+def _check_units(measured: Measured, model: Machine, place: str | Path) -> None:
     """A speed must be the rate of its position: where it is that in other units, they are to be said."""
     width = max(1, round(0.05 / measured.period_s))
-    for axis in sorted(set(measured.x_m) & set(measured.v_m_s)):
+    for axis in [] if measured.integrated else sorted(set(measured.x_m) & set(measured.v_m_s)):
         whole = len(measured.t_s) // width * width
         rate = np.diff(measured.x_m[axis][:whole:width]) / (width * measured.period_s)
         speed = measured.v_m_s[axis][:whole].reshape(-1, width).mean(axis=1)[: len(rate)]
@@ -224,10 +269,11 @@ def _check_units(measured: Measured, place: str | Path) -> None:
         ratio = float(rate @ speed) / max(float(rate @ rate), 1e-300)
         if both < _ALIKE or abs(np.log(max(ratio, 1e-300))) < np.log(1.0 + _SAME_MOTION):
             continue
-        said = f"channel v{axis}_m_s is {ratio:.4g} times the rate of x{axis}_m"
+        position, rate_of = machines.position_channel(model, axis), machines.speed_channel(model, axis)
+        said = f"channel {rate_of} is {ratio:.4g} times the rate of {position}"
         for known, letter, unit, factor in _UNITS:
             if abs(ratio / known - 1.0) < _RATIO:
-                name = f"v{axis}_m_s" if letter == "v" else f"x{axis}_m"
+                name = rate_of if letter == "v" else position
                 raise UnusableInputError(
                     place,
                     f"{said}, as if {name} were in {unit}, expected SI units: say so with 'hilbench convert --columns'"
@@ -236,7 +282,7 @@ def _check_units(measured: Measured, place: str | Path) -> None:
         raise UnusableInputError(place, f"{said}, expected both in the same unit, of the same axis")
 
 
-def _check_positions(measured: Measured, place: str | Path) -> None:
+def _check_positions(measured: Measured, model: Machine, place: str | Path) -> None:
     """A position must move as fast as its axis is told to."""
     for axis, x in measured.x_m.items():
         if axis > measured.commands_m_s.shape[1]:
@@ -246,12 +292,13 @@ def _check_positions(measured: Measured, place: str | Path) -> None:
         if told > 0.1 and not 0.5 < moved / told < 2.0:
             raise UnusableInputError(
                 place,
-                f"channel x{axis}_m moves {moved:.4g} while v{axis}_cmd_m_s says {told:.4g} m,"
-                " expected position in m and speed in m/s",
+                f"channel {machines.position_channel(model, axis)} moves {moved:.4g} while"
+                f" {machines.speed_channel(model, axis, '_cmd')} says {told:.4g} {model.position_unit},"
+                f" expected position in {model.position_unit} and speed in {machines.speed_unit(model)}",
             )
 
 
-def _check_torques(measured: Measured, model: ModelParameters, place: str | Path) -> None:
+def _check_torques(measured: Measured, model: Machine, place: str | Path) -> None:
     if model.drives is None:
         return
     for axis, torque in measured.tau_Nm.items():

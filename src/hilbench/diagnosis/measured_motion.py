@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Final
@@ -11,13 +12,12 @@ from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation
 from scipy.signal import butter, sosfiltfilt
 
+from hilbench.diagnosis import machines
 from hilbench.diagnosis.measured import Measured
 from hilbench.diagnosis.misfit import Condition
 from hilbench.diagnosis.noise import floor
-from hilbench.plant.web_line import layout as lay
-from hilbench.plant.web_line.inverse import required_torque_Nm
+from hilbench.plant.model_file import Machine
 from hilbench.plant.web_line.laws import FRICTION_WIDTH_M_S
-from hilbench.plant.web_line.parameters import ModelParameters
 
 Array = NDArray[np.float64]
 
@@ -60,20 +60,34 @@ class MotionFilter:
     @classmethod
     def for_position(cls, position: Array, period_s: float) -> MotionFilter:
         """The widest filter with which the noise of a measured position (n,) hardly shows in the acceleration."""
+        return cls._widest(position_noise(position), period_s, position, cls.acceleration)
+
+    @classmethod
+    def for_speed(cls, speed: Array, period_s: float) -> MotionFilter:
+        """The same of a measured speed (n,)."""
+        return cls._widest(position_noise(speed), period_s, speed, cls.rate)
+
+    def rate(self, values: Array) -> Array:
+        """First derivative of values (n,), per s."""
+        return np.gradient(self.smooth(values), self.period_s)
+
+    @classmethod
+    def _widest(
+        cls, noise: float, period_s: float, measured: Array, acceleration: Callable[[MotionFilter, Array], Array]
+    ) -> MotionFilter:
         corner = min(_HIGHEST_HZ, _OF_NYQUIST * 0.5 / period_s)
-        noise = position_noise(position)
         impulse = np.zeros(2 * round(2.0 / _LOWEST_HZ / period_s) + 1)
         impulse[len(impulse) // 2] = 1.0
         while True:
             found = cls(corner, period_s)
-            carried = noise**2 * float(np.sum(found.acceleration(impulse) ** 2))
-            if carried <= _NOISE_SHARE * float(np.var(found.acceleration(position))) or corner <= _LOWEST_HZ:
+            carried = noise**2 * float(np.sum(acceleration(found, impulse) ** 2))
+            if carried <= _NOISE_SHARE * float(np.var(acceleration(found, measured))) or corner <= _LOWEST_HZ:
                 return found
             corner = max(_FINER * corner, _LOWEST_HZ)
 
 
 def position_noise(position: Array) -> float:
-    """Standard deviation of the noise of a measured position (n,): white, or an encoder's counts, whichever is more."""
+    """Standard deviation of the noise of a measured position or speed (n,): white, or counts, whichever is more."""
     steps = np.abs(np.diff(position))
     counts = steps[steps > 1e-9 * max(float(np.ptp(position)), 1e-300)]
     count = float(np.min(counts)) if len(counts) else 0.0
@@ -86,13 +100,13 @@ class OnMeasuredMotion:
     Motion and torque pass the same filter, which is as wide as the encoder's noise allows.
     """
 
-    def __init__(self, model: ModelParameters, data: Measured, motion: MotionFilter | None = None) -> None:
+    def __init__(self, model: Machine, data: Measured, motion: MotionFilter | None = None) -> None:
         """`motion`: by default as wide as the noise of the position allows."""
         self._model, self._data = model, data
         self.names = ("tau1_Nm",)
         self.imitation = None
         self._period_s = data.period_s
-        self._filter = motion or MotionFilter.for_position(data.x_m[1], data.period_s)
+        self._filter = motion or _filter_for(data)
         self._x = self._filter.smooth(data.x_m[1])
         self._v = np.gradient(self._x, data.period_s)
         self._a = np.gradient(self._v, data.period_s)
@@ -102,7 +116,6 @@ class OnMeasuredMotion:
         self.measured = self._filter.smooth(data.tau_Nm[1])[None, :: self.every]
         self._noise_Nm = floor(data.tau_Nm[1]) * float(np.sqrt(2.0 * self.corner_hz * data.period_s))
         self.rows = self._moving()[:: self.every]
-        self._layout = lay.Layout.of(lay.pack(model))
         self._t_s = data.t_s
 
     @property
@@ -129,12 +142,12 @@ class OnMeasuredMotion:
 
     def conditions(self, parameters: Array) -> list[Condition]:
         """Time and motion."""
-        step = slice(None, None, self.every)
+        step, unit = slice(None, None, self.every), self._model.position_unit
         return [
             Condition("time", "s", self._t_s[step], spectral=True),
-            Condition("speed of axis 1", "m/s", self._v[step]),
-            Condition("acceleration of axis 1", "m/s²", self._a[step]),
-            Condition("position of axis 1", "m", self._x[step], spectral=True),
+            Condition("speed of axis 1", f"{unit}/s", self._v[step]),
+            Condition("acceleration of axis 1", f"{unit}/s²", self._a[step]),
+            Condition("position of axis 1", unit, self._x[step], spectral=True),
         ]
 
     def predict(self, parameters: Array) -> Array:
@@ -142,8 +155,15 @@ class OnMeasuredMotion:
         many = np.atleast_2d(parameters)
         torque = np.empty((len(many), len(self._x)))
         for vector, out in zip(many, torque, strict=True):
-            required_torque_Nm(vector, self._x, self._v, self._a, self._period_s, out)
+            machines.required_Nm(self._model, vector, self._x, self._v, self._a, self._period_s, out)
         return self._filter.smooth(torque)[:, None, :: self.every]
+
+
+def _filter_for(data: Measured) -> MotionFilter:
+    """As wide as the noise of what is measured allows."""
+    if data.integrated:
+        return MotionFilter.for_speed(data.v_m_s[1], data.period_s)
+    return MotionFilter.for_position(data.x_m[1], data.period_s)
 
 
 def _with_surroundings(left_out: NDArray[np.bool_]) -> NDArray[np.bool_]:

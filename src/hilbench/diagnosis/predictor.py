@@ -8,12 +8,18 @@ from typing import Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from hilbench.diagnosis.axis_free_run import AxisFreeRun
+from hilbench.diagnosis.machines import AnyImitation
 from hilbench.diagnosis.measured import Measured
 from hilbench.diagnosis.measured_motion import OnMeasuredMotion
 from hilbench.diagnosis.misfit import Condition
 from hilbench.diagnosis.web_line.free_run import FreeRun
 from hilbench.diagnosis.web_line.loop_check import Loop
 from hilbench.diagnosis.web_line.on_measured_motion import LineOnMeasuredMotion
+from hilbench.plant.model_file import Machine
+from hilbench.plant.servo_axis.imitated_run import ShaftImitation
+from hilbench.plant.servo_axis.parameters import ServoAxisParameters
+from hilbench.plant.servo_axis.rig import ServoRigParameters
 from hilbench.plant.web_line.imitation import Imitation
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.rig import CoupledMotor
@@ -54,8 +60,8 @@ class Predictor(Protocol):
         """(signals,): what a signal may be off by beside its noise."""
 
     @property
-    def imitation(self) -> Imitation | None:
-        """How the web was imitated; None where a web was there."""
+    def imitation(self) -> AnyImitation | None:
+        """How a load motor imitated web or shaft; None where they were there."""
 
     @property
     def narrower(self) -> Predictor | None:
@@ -81,20 +87,37 @@ class Choice:
     simpler: Choice | None = None  #: to be believed instead where it leaves nothing unexplained
 
 
-def choice(model: ModelParameters, data: Measured, imitation: Imitation | None = None) -> Choice:
+def choice(model: Machine, data: Measured, imitation: AnyImitation | None = None) -> Choice:
     """A free run where the drives' loops are those of the model; else on measured motion, which needs none.
 
     A recording with neither both positions nor both torques is run freely, with the loops that it shows. Where it has
     a load motor the web was imitated: as `imitation` says, or as benches do it by default, by one load motor at the
     last roller. What happened in its cycles can't be told from rows between them.
     """
+    commands = "the recorded commands"
+    if isinstance(model, ServoAxisParameters):
+        shaft = imitation if isinstance(imitation, ShaftImitation) else None
+        if not data.imitated or not data.commands_m_s.size:
+            return Choice(OnMeasuredMotion(model, data), "measured motion of a lone axis")
+        shaft = shaft or ShaftImitation(data.period_s, ServoRigParameters.matching(model))
+        if not _is_cycle(data.period_s / shaft.cycle_s) or round(data.period_s / shaft.cycle_s) != 1:
+            return Choice(OnMeasuredMotion(model, data), "measured motion: there is not a row each cycle")
+        return Choice(AxisFreeRun(model, data, shaft), commands)
     if model.web is None:
         return Choice(OnMeasuredMotion(model, data), "measured motion of a lone axis")
+    return _web_choice(model, data, imitation if isinstance(imitation, Imitation) else None)
+
+
+def _is_cycle(cycles: float) -> bool:
+    """Whether a row of a bench's recording is whole cycles after the one before."""
+    return cycles > 0.5 and abs(cycles - round(cycles)) <= _UNEVEN_CYCLES
+
+
+def _web_choice(model: ModelParameters, data: Measured, imitation: Imitation | None) -> Choice:
     commands = "the recorded commands"
     if data.imitated:
         imitation = imitation or Imitation(data.period_s, (CoupledMotor(axis=model.axis_count),))
-        cycles = data.period_s / imitation.cycle_s
-        if cycles < 0.5 or abs(cycles - round(cycles)) > _UNEVEN_CYCLES:
+        if not _is_cycle(data.period_s / imitation.cycle_s):
             return Choice(FreeRun(model, data), commands)
         return Choice(FreeRun(model, data, imitation), commands)
     if not set(data.x_m) | set(data.v_m_s) >= {1, 2}:
@@ -121,6 +144,6 @@ def _blind(motion: LineOnMeasuredMotion) -> str:
     )
 
 
-def predictor_for(model: ModelParameters, data: Measured, imitation: Imitation | None = None) -> Predictor:
+def predictor_for(model: Machine, data: Measured, imitation: AnyImitation | None = None) -> Predictor:
     """The way to predict that `choice` chooses."""
     return choice(model, data, imitation).predictor

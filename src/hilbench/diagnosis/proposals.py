@@ -9,12 +9,13 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from hilbench.diagnosis import machines
 from hilbench.diagnosis.measured import Measured
 from hilbench.diagnosis.terms import Term
-from hilbench.plant.effects import Effect, MachineKind, MachineSizes, ProbeOver, effects_of
+from hilbench.plant.effects import Effect, MachineSizes, ProbeOver, effects_of
+from hilbench.plant.model_file import Machine
 from hilbench.plant.parameters import EffectEntry
 from hilbench.plant.web_line.parameters import ModelParameters
-from hilbench.plant.web_line.sizes import machine_sizes
 
 Array = NDArray[np.float64]
 
@@ -54,13 +55,13 @@ _NEAR_STEP: Final = 0.25
 class Proposer:
     """Makes terms for one model and recording, of the effects that its kind of machine has."""
 
-    def __init__(
-        self, model: ModelParameters, data: Measured, vocabulary: Sequence[Effect] = effects_of(MachineKind.WEB_LINE)
-    ) -> None:
+    def __init__(self, model: Machine, data: Measured, vocabulary: Sequence[Effect] | None = None) -> None:
+        """`vocabulary`: by default that of the machine's kind."""
+        known = effects_of(machines.kind_of(model)) if vocabulary is None else vocabulary
         self._model = model
         self._data = data
         # What a drive's loops are is found from its commands, motion and torque, not by what it does to a machine.
-        possible = [effect for effect in vocabulary if effect.per_axis or model.web is not None]
+        possible = [effect for effect in known if effect.per_axis or machines.is_web(model)]
         self._vocabulary = [effect for effect in possible if not effect.nuisance]
         self._axes = range(1, model.axis_count + 1)
         speeds = [np.abs(v) for v in data.v_m_s.values()] + [np.abs(data.commands_m_s).ravel()]
@@ -72,13 +73,7 @@ class Proposer:
 
     def sizes(self, axis: int | None) -> MachineSizes:
         """What is usual on the machine at an axis (None: the first), by its model and how it ran."""
-        return machine_sizes(
-            self._model,
-            axis,
-            top_speed_m_s=self._top_m_s,
-            torque_Nm=self._torque_Nm,
-            sample_time_s=self._data.period_s,
-        )
+        return machines.sizes(self._model, axis, self._top_m_s, self._torque_Nm, self._data.period_s)
 
     def _term(
         self,
@@ -112,7 +107,7 @@ class Proposer:
     def _least_order(self, axis: int | None) -> float:
         """Of a torque ripple: some of its periods are in the recording, and on a machine it comes from what turns."""
         least = _LEAST_CYCLES / max(self._turns(axis), 1e-9)
-        if axis is None or self._model.web is None:
+        if axis is None or not machines.is_web(self._model):
             return least
         return max(least, _LEAST_SHARE_OF_A_TURN / self._model.gear_ratio(axis))
 
@@ -123,7 +118,7 @@ class Proposer:
     def _turns(self, axis: int | None) -> float:
         if axis is None or axis not in self._data.x_m:
             return 1.0
-        return float(np.ptp(self._data.x_m[axis])) * self._model.motor_rad_per_m(axis) / _TURN
+        return float(np.ptp(self._data.x_m[axis])) * self._model.motor_rad_per_unit(axis) / _TURN
 
     def plain(self) -> list[Term]:
         """Every effect that needs no search, at every place it can be."""
@@ -152,7 +147,7 @@ class Proposer:
     def _possible(self, effect: Effect, axis: int | None) -> bool:
         if not effect.needs_gear or axis is None:
             return True
-        return self._model.motor_mass_kg(axis) > 0.0 and self._model.roller_mass_kg(axis) > 0.0
+        return machines.turns_apart(self._model, axis)
 
     def _over(self, over: ProbeOver) -> list[Effect]:
         """The effects that are searched for over this."""
@@ -209,7 +204,7 @@ class Proposer:
         """What the searched shape of a term multiplies, for each row; None for a term without one."""
         probe = term.effect.probe
         if probe is not None and probe.over is ProbeOver.MOTOR_ANGLE and term.axis is not None:
-            return probe.parameter, self._data.x_m[term.axis][::every] * self._model.motor_rad_per_m(term.axis)
+            return probe.parameter, self._data.x_m[term.axis][::every] * self._model.motor_rad_per_unit(term.axis)
         if probe is not None and probe.over is ProbeOver.TIME:
             return probe.parameter, _TURN * self._data.t_s[::every]
         return None, np.empty(0)
@@ -261,6 +256,8 @@ class Proposer:
         whitened: residuals (n,) by signal; rows (n,): those that count; every: rows of the recording per row.
         A while is as long as the web needs through a span; what passes in it has come somewhere in the one before.
         """
+        if not isinstance(self._model, ModelParameters):
+            return np.empty(0), 0.0
         while_s = self._model.span_length_m(1) / max(self._usual_m_s, 1e-3)
         window = max(8, round(while_s / (self._data.period_s * every)))
         alike, usable = np.ones(window), np.asarray(rows, np.float64)
@@ -279,10 +276,11 @@ class Proposer:
 
     def onsets(self, effect: Effect, times_s: Array, present: list[Term]) -> list[Term]:
         """A sudden effect at each of these times (n,), if the model can have another one."""
-        slot = self._slot(effect, None, present)
+        axis = self._axes[0] if effect.per_axis else None  # only a lone axis has one of its own
+        slot = self._slot(effect, axis, present)
         if slot is None or effect.probe is None:
             return []
-        return [self._term(effect, None, {effect.probe.parameter: float(t)}, slot, _TIMES) for t in times_s]
+        return [self._term(effect, axis, {effect.probe.parameter: float(t)}, slot, _TIMES) for t in times_s]
 
     def gradual(self, effect: Effect, time_s: float, duration_s: float, present: list[Term]) -> list[Term]:
         """What grows over a time into what the sudden `effect` is at once, if the model can have another one."""
@@ -314,9 +312,9 @@ class Proposer:
         slot, turns = self._slot(effect, axis, present), self._turns(axis)
         if slot is None or turns < 2.0 * _LEAST_CYCLES or effect.probe is None:
             return []
-        angle = self._data.x_m[axis][::every] * self._model.motor_rad_per_m(axis) / _TURN
+        angle = self._data.x_m[axis][::every] * self._model.motor_rad_per_unit(axis) / _TURN
         top = _HIGHEST_ORDER
-        if self._model.web is None and turns < _RESOLVED:  # a screw's turn is not the "motor's" of the model
+        if not machines.is_web(self._model) and turns < _RESOLVED:  # a screw's turn is not the "motor's" of the model
             top = _HIGHEST_ORDER_OF_A_SCREW
         orders, count = self._peaks(
             angle, whitened, [name for name in whitened if f"tau{axis}_Nm" in name], self._least_order(axis), top

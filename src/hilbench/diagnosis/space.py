@@ -16,7 +16,7 @@ from hilbench.diagnosis.predictor import Predictor
 from hilbench.diagnosis.terms import Term, pack_with
 from hilbench.diagnosis.web_line.free_run import FreeRun
 from hilbench.diagnosis.web_line.on_measured_motion import LineOnMeasuredMotion
-from hilbench.plant.web_line.parameters import ModelParameters
+from hilbench.plant.model_file import Machine
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
@@ -100,7 +100,7 @@ class Point:
 class Space:
     """A recording and a model to extend; evaluates points."""
 
-    model: ModelParameters
+    model: Machine
     predictor: Predictor
     period_s: float
     split: Split = field(init=False)

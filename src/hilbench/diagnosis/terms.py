@@ -13,10 +13,10 @@ from math import atan2, cos, hypot, sin
 import numpy as np
 from numpy.typing import NDArray
 
+from hilbench.diagnosis import machines
 from hilbench.plant.effects import Effect, ProbeOver
+from hilbench.plant.model_file import Machine
 from hilbench.plant.parameters import EffectEntry
-from hilbench.plant.web_line import layout as lay
-from hilbench.plant.web_line.parameters import ModelParameters
 
 Array = NDArray[np.float64]
 
@@ -163,10 +163,6 @@ class Term:
         parameter = self.effect.parameter(self._strength)
         return self.has_phase or parameter.lower <= strength <= parameter.upper
 
-    def write(self, parameters: Array) -> None:
-        """Into a parameter vector of the kernel."""
-        lay.write_effect(parameters, self.effect.id, self.axis, self.slot, self.own)
-
     def gradient(self) -> Array:
         """(parameters, coordinates): derivatives of the named parameters `free()` by the coordinates."""
         size = len(self.coordinates())
@@ -177,29 +173,23 @@ class Term:
             matrix[1, :2] = -sin(phase) / amplitude, cos(phase) / amplitude
         return matrix
 
-    def entry(self) -> EffectEntry:
-        """As it stands in a model file."""
-        return EffectEntry(effect=self.effect.id, axis=self.axis, parameters=self.own)
 
-
-def pack_with(model: ModelParameters, terms: list[Term]) -> Array:
+def pack_with(model: Machine, terms: list[Term]) -> Array:
     """The kernel's parameter vector of a model with these terms."""
-    parameters = lay.pack(model)
+    parameters = machines.pack(model)
     for term in terms:
-        term.write(parameters)
+        machines.write_effect(model, parameters, term.effect, term.axis, term.slot, term.own)
     return parameters
 
 
-def extended(model: ModelParameters, terms: list[Term]) -> ModelParameters:
+def extended(model: Machine, terms: list[Term]) -> Machine:
     """The model with the terms in its effects; a term at a place where the model has the effect replaces its values."""
-    entries = list(model.effects)
+    entries: list[EffectEntry] = list(model.effects)
     for term in terms:
         positions = [k for k, e in enumerate(entries) if (e.effect, e.axis) == term.place]
         if term.slot < len(positions):
             before = entries[positions[term.slot]]
             entries[positions[term.slot]] = before.model_copy(update={"parameters": before.parameters | term.own})
         else:
-            entries.append(term.entry())
-    data = model.model_dump()
-    data["effects"] = [entry.model_dump() for entry in entries]
-    return ModelParameters.model_validate(data)
+            entries.append(machines.entry(model, term.effect.id, term.axis, term.own))
+    return machines.with_effects(model, entries)

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.diagnosis.diagnosis import Diagnosis, NamedEffect, Value, concluded, rounded
+from hilbench.diagnosis.machines import AnyImitation
 from hilbench.diagnosis.measured import Measured
 from hilbench.diagnosis.noise import NORMAL_95
 from hilbench.diagnosis.predictor import Choice, choice
@@ -22,8 +23,7 @@ from hilbench.diagnosis.select import Key, Search, Selection
 from hilbench.diagnosis.space import Space
 from hilbench.diagnosis.terms import Term, extended
 from hilbench.plant.effects import ProbeOver
-from hilbench.plant.web_line.imitation import Imitation
-from hilbench.plant.web_line.parameters import ModelParameters
+from hilbench.plant.model_file import Machine
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
@@ -43,7 +43,7 @@ class _Side:
     selection: Selection
 
     @classmethod
-    def of(cls, model: ModelParameters, data: Measured, imitation: Imitation | None, announce: Announce) -> _Side:
+    def of(cls, model: Machine, data: Measured, imitation: AnyImitation | None, announce: Announce) -> _Side:
         chosen = choice(model, data, imitation)
         space = Space(model, chosen.predictor, data.period_s)
         search = Search(space, Proposer(model, data), announce, space.predictor.every)
@@ -62,13 +62,13 @@ class _Side:
 
 
 def changes(
-    model: ModelParameters,
+    model: Machine,
     now: Measured,
     then: Measured,
-    imitations: tuple[Imitation | None, Imitation | None],
+    imitations: tuple[AnyImitation | None, AnyImitation | None],
     announce: Announce,
 ) -> Diagnosis:
-    """What differs in `now` from `then`, of a machine with a web and `model`; `imitations` of both, in that order."""
+    """What differs in `now` from `then`, of a machine that is simulated; `imitations` of both, in that order."""
     before = _Side.of(model, then, imitations[1], lambda text, share: announce(f"before: {text}", 0.4 * share))
     was = extended(model, [term for term in before.terms if not _by_the_clock(term)])
     after = _Side.of(was, now, imitations[0], lambda text, share: announce(f"after: {text}", 0.4 + 0.3 * share))

@@ -21,6 +21,7 @@ from hilbench.files import writing
 from hilbench.plant.effects import EFFECTS, Effect, find_effect
 from hilbench.plant.parameters import EffectEntry
 from hilbench.plant.web_line import layout as lay
+from hilbench.plant.web_line.imitation import Imitation
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.sizes import machine_sizes
 from hilbench.results.recording import Recording
@@ -139,16 +140,17 @@ def propose(found: Diagnosis, reach: Reach) -> NextExperiment | None:
     Each is simulated with the model that was found, with and without what is asked; how far the predictions lie apart,
     in units of the noise and with the other explanation fitted, is what it would tell.
     """
-    if found.model.web is None:
+    model = found.model
+    if not isinstance(model, ModelParameters) or model.web is None:
         return None
-    questions = list(_questions(found, reach))
+    questions = list(_questions(found, model, reach))
     if not questions:
         return None
     library = moves(reach)
     options: list[tuple[str, ...]] = [(name,) for name in library]
     options += [pair for pair in combinations(library, 2) if _takes(library, pair) <= LONGEST_S]
     noise = {gap.signal: gap.noise_floor for gap in found.gaps}
-    told = {name: _told(steps, found, reach, questions, noise) for name, steps in library.items()}
+    told = {name: _told(steps, found, model, reach, questions, noise) for name, steps in library.items()}
     best, score = None, 0.0
     for names in options:
         # What moves tell adds up; longer ones have to tell more.
@@ -173,8 +175,7 @@ def _takes(library: dict[str, list[Step]], names: tuple[str, ...]) -> float:
     return 0.5 + sum(duration_s(library[name]) for name in names)
 
 
-def _questions(found: Diagnosis, reach: Reach) -> Iterator[_Question]:
-    model = found.model
+def _questions(found: Diagnosis, model: ModelParameters, reach: Reach) -> Iterator[_Question]:
     for effect in found.effects:
         entry = next((e for e in model.effects if (e.effect, e.axis) == (effect.effect, effect.axis)), None)
         if entry is None:
@@ -233,11 +234,16 @@ _SHAPES = ("order", "frequency_Hz", "time_s", "duration_s")
 
 
 def _told(
-    steps: list[Step], found: Diagnosis, reach: Reach, questions: list[_Question], noise: dict[str, float]
+    steps: list[Step],
+    found: Diagnosis,
+    model: ModelParameters,
+    reach: Reach,
+    questions: list[_Question],
+    noise: dict[str, float],
 ) -> Array:
     """What a move tells of each question: how far apart its answers lie, squared, in units of the noise."""
-    data = _as_measured([_hold(0.5), *steps], found.model, reach)
-    predictor = FreeRun(found.model, data, found.imitation)
+    data = _as_measured([_hold(0.5), *steps], model, reach)
+    predictor = FreeRun(model, data, found.imitation if isinstance(found.imitation, Imitation) else None)
     sigma = np.array([noise.get(name, 0.0) for name in predictor.names])
     sigma = np.where(sigma > 0.0, sigma, predictor.tolerances)
     kept = np.flatnonzero(sigma > 0.0)

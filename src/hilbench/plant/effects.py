@@ -158,6 +158,7 @@ class Rotary:
     parameters: tuple[Parameter, ...]
     strength: tuple[str, ...]
     object_index: int
+    probe: Probe | None = None  #: where the one of the row is by a parameter of another name
 
 
 _EVERY_KIND = frozenset(MachineKind)
@@ -276,7 +277,13 @@ class Effect:
             return self
         of = self.rotary
         return replace(
-            self, law=of.law, parameters=of.parameters, strength=of.strength, object_index=of.object_index, rotary=None
+            self,
+            law=of.law,
+            parameters=of.parameters,
+            strength=of.strength,
+            object_index=of.object_index,
+            probe=of.probe or self.probe,
+            rotary=None,
         )
 
 
@@ -302,6 +309,8 @@ _FORCE, _TORQUE = Size(0.05, force=1), Size(0.05, force=1, radius=1)
 _PER_SPEED, _PER_ANGULAR_SPEED = Size(0.1, force=1, speed=-1), Size(0.1, force=1, radius=2, speed=-1)
 _PER_SQUARE, _PER_ANGULAR_SQUARE = Size(0.2, force=1, speed=-2), Size(0.2, force=1, radius=3, speed=-2)
 _MOTOR_TORQUE = Size(1.0 / 64.0, force=1, radius=1, gear=-1)
+#: Of the highest speed, at which a law with a speed of its own is looked at.
+_SHARES = (0.01, 0.04, 0.15)
 
 #: Among explanations that a recording can't tell apart the one that stands first here is named.
 EFFECTS: tuple[Effect, ...] = (
@@ -362,8 +371,9 @@ EFFECTS: tuple[Effect, ...] = (
             ),
             ("torque_Nm",),
             0x2282,
+            Probe(ProbeOver.SHARES_OF_TOP_SPEED, "speed_rad_s", tried=_SHARES),
         ),
-        probe=Probe(ProbeOver.SHARES_OF_TOP_SPEED, "speed_m_s", tried=(0.01, 0.04, 0.15)),
+        probe=Probe(ProbeOver.SHARES_OF_TOP_SPEED, "speed_m_s", tried=_SHARES),
     ),
     Effect(
         id="roller_eccentricity",
@@ -454,6 +464,19 @@ EFFECTS: tuple[Effect, ...] = (
         object_index=0x2209,
         shown_by="ramp the speed steeply",
         kinds=_EVERY_KIND,
+    ),
+    Effect(
+        id="inertia_step",
+        per_axis=True,
+        law="J·(1+s) from time_s on",
+        domain=Domain.INERTIA,
+        parameters=(_onset(), _relative()),
+        strength=("relative_change",),
+        object_index=0x22A0,
+        shown_by="ramp the speed steeply before and after the change",
+        slots=4,
+        kinds=frozenset({MachineKind.SERVO_AXIS}),
+        probe=Probe(ProbeOver.ONSET, "time_s"),
     ),
     Effect(
         id="backlash",

@@ -4,9 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
+
+import yaml
 
 from hilbench import strict_yaml
 from hilbench.errors import UnusableInputError
+from hilbench.files import writing
 from hilbench.plant.effects import MachineKind
 from hilbench.plant.servo_axis.parameters import ServoAxisParameters
 from hilbench.plant.web_line.parameters import ModelParameters, load_model
@@ -30,3 +34,14 @@ def load_machine(path: str | Path) -> Machine:
         hint = did_you_mean(kind, MachineKind) if isinstance(kind, str) else ""
         raise UnusableInputError(document.place(("kind",)), f"{kind!r}, expected {' or '.join(MachineKind)}{hint}")
     return strict_yaml.validate(document, ServoAxisParameters)
+
+
+def write_model(path: str | Path, parameters: Machine) -> None:
+    """Write a model file that `load_machine` reads back to an equal model. Raises UnusableInputError."""
+    data: dict[str, Any] = parameters.model_dump(mode="json", exclude_none=True, exclude_unset=True)
+    if isinstance(parameters, ServoAxisParameters):  # a file without `kind` is a web line's
+        data = {"kind": parameters.kind, **data}
+    data["effects"] = [entry.model_dump(mode="json", exclude_none=True) for entry in parameters.effects]
+    text = yaml.safe_dump(data, sort_keys=False, allow_unicode=True)
+    with writing(path):
+        Path(path).write_text(text, encoding="utf-8")

@@ -26,13 +26,6 @@ _CHANGES = {
     "named": "The effects below changed, by the values below.",
     "unknown": "Something changed, or is missing, that no effect of the vocabulary explains.",
 }
-#: What is shown of a run, by its name in `LiveGap`.
-LIVE_ROWS = (
-    ("torque residual, rms, N·m", "torque_residual_rms_Nm"),
-    ("true tension less set-point, rms, N", "tension_error_rms_N"),
-    ("simulated less true tension, mean, N", "tension_deviation_mean_N"),
-    ("bias of E, %", "E_bias_pct"),
-)
 #: Residuals are averaged over this time in the pictures, s: the noise of single samples would hide what is left.
 _SMOOTHING_S = 0.2
 
@@ -75,7 +68,10 @@ def write_diagnosis_page(
         ],
         residuals=residuals,
         profiles=_profiles(found) if found.profiles else "",
-        live=[(text, *(number(getattr(gap, name)) for gap in live)) for text, name in LIVE_ROWS] if live else [],
+        live=[
+            (each[0].text, *(number(figure.value) for figure in each))
+            for each in zip(*(gap.figures for gap in live), strict=True)
+        ],
         not_compared=not_compared,
         where=[(w.signal, w.condition, w.when, f"{100.0 * w.share_of_gap:.0f} %") for w in found.where],
         left=[(m.signal, m.condition, m.detail, number(m.excess, 3)) for m in found.unexplained],

@@ -86,8 +86,8 @@ def read_document(path: Path, including: tuple[Path, ...] = ()) -> strict_yaml.D
 
 
 def is_model(data: Mapping[str, Any]) -> bool:
-    """Whether a file's data are a model, as `hilbench.plant.web_line.parameters.load_model` reads it."""
-    return "rollers" in data
+    """Whether a file's data are a model, as `hilbench.plant.model_file.load_machine` reads it."""
+    return "rollers" in data or "shaft" in data
 
 
 def _with_files_of_its_folder(document: strict_yaml.Document) -> strict_yaml.Document:

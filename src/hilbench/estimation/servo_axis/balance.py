@@ -91,7 +91,7 @@ class FilterInputs:
         self._p = lay.pack(model)
         self._breakaway_Nm = float(laws.breakaway_Nm(self._p)) + also.coulomb_friction_Nm
         self._gear_ratio = model.shaft.gear_ratio
-        self.inertia_kg_m2 = float(laws.inertia_kg_m2(self._p))  #: J0
+        self.inertia_kg_m2 = float(laws.inertia_kg_m2(self._p, 0.0))  #: J0
         self.priors = np.array(
             [
                 also.torque_offset_Nm,

@@ -14,7 +14,7 @@ from math import inf
 
 import numpy as np
 
-from hilbench.compiled import entry_point
+from hilbench.compiled import entry_point, inlined
 from hilbench.plant.interface import PlantDescription, PlantState, Quantity, checked_name
 from hilbench.plant.parameters import per_item
 from hilbench.plant.servo_axis import kernel, laws
@@ -33,26 +33,50 @@ FILTER_CYCLES = 2.5
 _SLOPE_SHARE = 0.25
 _LEAST_LEAD_S = 1e-3
 
-Torque = Callable[[Vector, Vector, float, float, float, float], float]
+Torque = Callable[[Vector, Vector, float, float, float, float, float], float]
+
+
+@inlined
+def load_torque_Nm(
+    imitated: Vector, real: Vector, time_s: float, x: float, v: float, a: float, steepest: float
+) -> float:
+    """Torque that makes the real shaft, at x, v, a at a time, the imitated one.
+
+    steepest: N·m·s/rad, slope of the dry friction at standstill.
+    """
+    inertia = laws.inertia_kg_m2(imitated, time_s) - laws.inertia_kg_m2(real, time_s)
+    smooth = laws.smooth_friction_Nm(imitated, v) - laws.smooth_friction_Nm(real, v)
+    dry = laws.dry_friction_Nm(imitated, v) - laws.dry_friction_Nm(real, v)
+    limited = min(max(steepest * v, -abs(dry)), abs(dry)) * (1.0 if dry > 0.0 else -1.0)
+    unbalance = laws.unbalance_Nm(imitated, x) - laws.unbalance_Nm(real, x)
+    return unbalance - inertia * a - smooth - limited
 
 
 def _compiled_torque(sources: int) -> Torque:
     """The function that is called from Python; `sources` as in the kernel."""
 
     @entry_point
-    def torque_Nm(imitated: Vector, real: Vector, x: float, v: float, a: float, steepest: float) -> float:
-        """Torque for a shaft at x, v, a; `steepest`: N·m·s/rad, slope of the dry friction at standstill."""
-        inertia = laws.inertia_kg_m2(imitated) - laws.inertia_kg_m2(real) if sources >= 0 else 0.0
-        smooth = laws.smooth_friction_Nm(imitated, v) - laws.smooth_friction_Nm(real, v)
-        dry = laws.dry_friction_Nm(imitated, v) - laws.dry_friction_Nm(real, v)
-        limited = min(max(steepest * v, -abs(dry)), abs(dry)) * (1.0 if dry > 0.0 else -1.0)
-        unbalance = laws.unbalance_Nm(imitated, x) - laws.unbalance_Nm(real, x)
-        return float(unbalance - inertia * a - smooth - limited)
+    def torque_Nm(
+        imitated: Vector, real: Vector, time_s: float, x: float, v: float, a: float, steepest: float
+    ) -> float:
+        return float(load_torque_Nm(imitated, real, time_s, x, v, a, steepest)) if sources >= 0 else 0.0
 
     return torque_Nm
 
 
 _torque_Nm = _compiled_torque(kernel.source_number(__file__))
+
+
+def most_rad_s2(real: ServoRigParameters) -> float:
+    """The acceleration beyond which no motor of the stand turns its shaft."""
+    drives = real.axis.drives
+    torque_Nm = real.load_motor.torque_limit_Nm + (per_item(drives.torque_limit_Nm, 1) if drives else inf)
+    return torque_Nm / real.inertia_kg_m2
+
+
+def steepest_Nm_s_per_rad(real: Vector, lead_s: float) -> float:
+    """Slope of the imitated dry friction at standstill on the stand with these parameters (P,)."""
+    return _SLOPE_SHARE * real.item(lay.P_INERTIA) / max(lead_s, _LEAST_LEAD_S)
 
 
 class ImitatedShaft:
@@ -76,9 +100,7 @@ class ImitatedShaft:
         self._real = lay.pack(known, real.load_motor)
         self._filter = TrackingFilter(filter_cycles * cycle_s)
         # No motor turns the shaft faster: more is a sample of another instant than it was taken for.
-        drives = real.axis.drives
-        torque_Nm = real.load_motor.torque_limit_Nm + (per_item(drives.torque_limit_Nm, 1) if drives else inf)
-        self._most_rad_s2 = torque_Nm / real.inertia_kg_m2
+        self._most_rad_s2 = most_rad_s2(real)
         self._time_s = 0.0
 
     def describe(self) -> PlantDescription:
@@ -126,8 +148,8 @@ class ImitatedShaft:
         position, _, acceleration, jerk = self._filter.predicted(lead_s).tolist()
         acceleration = min(max(acceleration, -self._most_rad_s2), self._most_rad_s2)
         speed = speeds[0] + lead_s * (acceleration - 0.5 * lead_s * jerk)
-        steepest = _SLOPE_SHARE * self._real.item(lay.P_INERTIA) / max(lead_s, _LEAST_LEAD_S)
-        torque = _torque_Nm(self._machine.packed, self._real, position, speed, acceleration, steepest)
+        steepest = steepest_Nm_s_per_rad(self._real, lead_s)
+        torque = _torque_Nm(self._machine.packed, self._real, self._time_s, position, speed, acceleration, steepest)
         return [torque + self._machine.external_torque_Nm] * len(axes)
 
     def outputs(self) -> dict[str, float]:

@@ -51,13 +51,15 @@ def _net_Nm(p: Vector, motor_Nm: float, others_Nm: float, x: float, v: float) ->
 
 
 @inlined
-def _acceleration(p: Vector, torques_Nm: tuple[float, float], x: float, v: float, direction: float) -> float:
-    """Of a shaft that turns in `direction`, rad/s²; torques as `_torques_Nm` has them."""
+def _acceleration(
+    p: Vector, time_s: float, torques_Nm: tuple[float, float], x: float, v: float, direction: float
+) -> float:
+    """Of a shaft that turns in `direction`, rad/s², at a time; torques as `_torques_Nm` has them."""
     motor = laws.shaft_torque_Nm(p, torques_Nm[0], x)
     net = _net_Nm(p, motor, torques_Nm[1], x, v)
     if laws.is_dry(p):
         net -= direction * (laws.dry_friction_Nm(p, v) + laws.load_friction_Nm(p, motor))
-    return net / laws.inertia_kg_m2(p)
+    return net / laws.inertia_kg_m2(p, time_s)
 
 
 @inlined
@@ -79,13 +81,14 @@ def _attempt(p: Vector, s: Vector, u: Vector, h: float) -> tuple[float, float, f
         net, breakaway = _held_Nm(p, last, x)
         return x, 0.0, abs(net) - breakaway
     middle = _torques_Nm(p, s, u, 0.5 * h)
-    a1 = _acceleration(p, _torques_Nm(p, s, u, 0.0), x, v, direction)
+    time_s = s[lay.S_COUNT] * p[lay.P_SAMPLE_TIME_S]
+    a1 = _acceleration(p, time_s, _torques_Nm(p, s, u, 0.0), x, v, direction)
     v2 = v + 0.5 * h * a1
-    a2 = _acceleration(p, middle, x + 0.5 * h * v, v2, direction)
+    a2 = _acceleration(p, time_s, middle, x + 0.5 * h * v, v2, direction)
     v3 = v + 0.5 * h * a2
-    a3 = _acceleration(p, middle, x + 0.5 * h * v2, v3, direction)
+    a3 = _acceleration(p, time_s, middle, x + 0.5 * h * v2, v3, direction)
     v4 = v + h * a3
-    a4 = _acceleration(p, last, x + h * v3, v4, direction)
+    a4 = _acceleration(p, time_s, last, x + h * v3, v4, direction)
     x += h / 6.0 * (v + 2.0 * v2 + 2.0 * v3 + v4)
     v += h / 6.0 * (a1 + 2.0 * a2 + 2.0 * a3 + a4)
     return x, v, -v * direction if dry else 0.0
@@ -167,17 +170,26 @@ def _step(p: Vector, s: Vector, u: Vector, h: float) -> None:
 
 
 @compiled
+def acceleration_rad_s2(p: Vector, s: Vector, u: Vector) -> float:
+    """Of the shaft now; 0 where it sticks."""
+    noinline()
+    direction = s[lay.S_DIRECTION]
+    if direction == 0.0 and laws.is_dry(p):
+        return 0.0
+    time_s = s[lay.S_COUNT] * p[lay.P_SAMPLE_TIME_S]
+    return _acceleration(p, time_s, _torques_Nm(p, s, u, 0.0), s[lay.S_X], s[lay.S_V], direction)
+
+
+@inlined
 def _fed_forward_Nm(p: Vector, s: Vector, u: Vector) -> float:
     """Torque of the drive now that its record leaves out."""
-    noinline()
-    direction, acceleration = s[lay.S_DIRECTION], 0.0
-    if direction != 0.0 or not laws.is_dry(p):
-        acceleration = _acceleration(p, _torques_Nm(p, s, u, 0.0), s[lay.S_X], s[lay.S_V], direction)
-    return laws.fed_forward_Nm(p, s[lay.S_V], acceleration, direction)
+    time_s = s[lay.S_COUNT] * p[lay.P_SAMPLE_TIME_S]
+    return laws.fed_forward_Nm(p, time_s, s[lay.S_V], acceleration_rad_s2(p, s, u), s[lay.S_DIRECTION])
 
 
 @compiled
-def _advance(p: Vector, s: Vector, u: Vector, samples: int) -> None:
+def go_on(p: Vector, s: Vector, u: Vector, samples: int) -> None:
+    """`samples` drive sample times onwards, the state changed in place."""
     period, substeps = p[lay.P_SAMPLE_TIME_S], int(p[lay.P_SUBSTEPS])
     fed, first_x, first_v = laws.has_feed_forward(p), s[lay.S_X], s[lay.S_V]
     s[lay.S_MEAN] = 0.0
@@ -208,11 +220,13 @@ def _advance(p: Vector, s: Vector, u: Vector, samples: int) -> None:
     s[lay.S_MEAN] /= samples * period
     if fed:
         v, a = (s[lay.S_X] - first_x) / (samples * period), (s[lay.S_V] - first_v) / (samples * period)
-        s[lay.S_MEAN] -= laws.fed_forward_Nm(p, v, a, s[lay.S_DIRECTION])
+        time_s = s[lay.S_COUNT] * period
+        s[lay.S_MEAN] -= laws.fed_forward_Nm(p, time_s, v, a, s[lay.S_DIRECTION])
 
 
 @compiled
-def _observe(p: Vector, s: Vector, out: Vector, at: int) -> None:
+def report(p: Vector, s: Vector, out: Vector, at: int) -> None:
+    """What is observed of the state, from place `at` of `out` on."""
     out[at + lay.O_X] = s[lay.S_X]
     out[at + lay.O_V] = s[lay.S_V]
     if laws.has_encoder_error(p):
@@ -242,12 +256,12 @@ def _entry_points(sources: int) -> tuple[Advance, Observe, Simulate]:
     @entry_point
     def advance(p: Vector, s: Vector, u: Vector, samples: int) -> None:
         if sources >= 0:
-            _advance(p, s, u, samples)
+            go_on(p, s, u, samples)
 
     @entry_point
     def observe(p: Vector, s: Vector, out: Vector) -> None:
         if sources >= 0:
-            _observe(p, s, out, 0)
+            report(p, s, out, 0)
 
     @entry_point
     def simulate(p: Vector, s: Vector, u: Vector, commands: Vector, torques: Vector, samples: int, out: Vector) -> None:
@@ -257,8 +271,8 @@ def _entry_points(sources: int) -> tuple[Advance, Observe, Simulate]:
                 for j in range(commands.shape[1]):
                     u[lay.U_MOTORS + j * loops.IN_SIZE + loops.IN_SETPOINT] = commands[row, j]
                 u[lay.U_TORQUE_NM] = torques[row]
-                _observe(p[b], s[b], flat, (b * rows + row) * columns)
-                _advance(p[b], s[b], u, samples)
+                report(p[b], s[b], flat, (b * rows + row) * columns)
+                go_on(p[b], s[b], u, samples)
 
     return advance, observe, simulate
 

@@ -24,6 +24,10 @@ _RIPPLES = find("torque_ripple").slots
 _OFFSET = place("torque_offset")
 _SCALE = place("torque_scale")
 _INERTIA = place("inertia_mismatch")
+_STEP_TIME = place("inertia_step", 0)
+_STEP = place("inertia_step", 1)
+_STEP_SIZE = 2
+_STEPS = find("inertia_step").slots
 _DELAY = place("torque_delay")
 _UNBALANCE = place("unbalance", 0)
 _UNBALANCE_PHASE = place("unbalance", 1)
@@ -39,12 +43,38 @@ _ENCODER_PHASE = place("encoder_error", 1)
 _KP = place("drive_gain", 0)
 _KI = place("drive_gain", 1)
 _LAG = place("drive_lag")
+#: Newton's steps from a measured angle to the true one.
+_ANGLE_PASSES = 3
 
 
 @inlined
-def inertia_kg_m2(p: Vector) -> float:
+def inertia_factor(p: Vector, time_s: float) -> float:
+    """What effects make of the inertia at a time: (1 + s), and (1 + s_k) of each step from its time on.
+
+    A step grows within the sample of the drive before its time, so that a fit can find the time.
+    """
+    factor = 1.0 + p[_INERTIA]
+    found = False
+    for slot in range(_STEPS):
+        found |= p[_STEP + _STEP_SIZE * slot] != 0.0
+    return factor * _step_factor(p, time_s) if found else factor
+
+
+@compiled
+def _step_factor(p: Vector, time_s: float) -> float:
+    noinline()
+    factor = 1.0
+    for slot in range(_STEPS):
+        at = _STEP_SIZE * slot
+        reached = (time_s - p[_STEP_TIME + at]) / p[lay.P_SAMPLE_TIME_S] + 1.0
+        factor *= 1.0 + p[_STEP + at] * min(max(reached, 0.0), 1.0)
+    return factor
+
+
+@inlined
+def inertia_kg_m2(p: Vector, time_s: float) -> float:
     """All that turns."""
-    return p[lay.P_INERTIA] * (1.0 + p[_INERTIA])
+    return p[lay.P_INERTIA] * inertia_factor(p, time_s)
 
 
 @inlined
@@ -138,16 +168,34 @@ def _load_ripple_factor(p: Vector, x_rad: float) -> float:
 
 
 @inlined
+def turned_with_Nm(p: Vector, passed_Nm: float, direction: float) -> float:
+    """What the motor turns with when, beside the friction that goes with it, so much turns the shaft; `direction` -1 to
+    1."""
+    sign = 1.0 if passed_Nm > 0.0 else -1.0
+    return passed_Nm / (1.0 - sign * direction * p[_LOAD_SHARE])
+
+
+@inlined
+def motor_torque_Nm(p: Vector, turned_with: float, x_rad: float) -> float:
+    """The torque the drive must know of to turn with so much: the inverse of `shaft_torque_Nm`."""
+    torque = (turned_with - ripple_Nm(p, x_rad)) / (1.0 + p[_SCALE])
+    found = False
+    for slot in range(_LOAD_RIPPLES):
+        found |= p[_LOAD_RIPPLE + 3 * slot] != 0.0
+    return torque / _load_ripple_factor(p, x_rad) if found else torque
+
+
+@inlined
 def has_feed_forward(p: Vector) -> bool:
     """Whether the record of the torque leaves out what is fed forward."""
     return p[_FED_INERTIA] != 0.0 or p[_FED_VISCOUS] != 0.0 or p[_FED_COULOMB] != 0.0
 
 
 @inlined
-def fed_forward_Nm(p: Vector, v_rad_s: float, a_rad_s2: float, direction: float) -> float:
+def fed_forward_Nm(p: Vector, time_s: float, v_rad_s: float, a_rad_s2: float, direction: float) -> float:
     """Torque that is fed forward for a motion: s_J·J·a + s_b·b·v + s_C·Tc·direction (-1 to 1)."""
     return (
-        p[_FED_INERTIA] * inertia_kg_m2(p) * a_rad_s2
+        p[_FED_INERTIA] * inertia_kg_m2(p, time_s) * a_rad_s2
         + p[_FED_VISCOUS] * (p[lay.P_VISCOUS] + p[_VISCOUS]) * v_rad_s
         + p[_FED_COULOMB] * (p[lay.P_COULOMB] + p[_COULOMB]) * direction
     )
@@ -165,6 +213,20 @@ def measured_motion(p: Vector, x_rad: float, v_rad_s: float) -> tuple[float, flo
     noinline()
     at = x_rad + p[_ENCODER_PHASE]
     return x_rad + p[_ENCODER] * sin(at), v_rad_s * (1.0 + p[_ENCODER] * cos(at))
+
+
+@compiled
+def true_motion(p: Vector, x_rad: float, v_rad_s: float, a_rad_s2: float) -> tuple[float, float, float]:
+    """Angle, speed and acceleration that were measured so: the inverse of `measured_motion`."""
+    noinline()
+    amplitude, phase = p[_ENCODER], p[_ENCODER_PHASE]
+    angle = x_rad
+    for _ in range(_ANGLE_PASSES):
+        error = angle + amplitude * sin(angle + phase) - x_rad
+        angle -= error / (1.0 + amplitude * cos(angle + phase))
+    slope = 1.0 + amplitude * cos(angle + phase)
+    speed = v_rad_s / slope
+    return angle, speed, (a_rad_s2 + amplitude * sin(angle + phase) * speed**2) / slope
 
 
 @inlined
@@ -186,6 +248,12 @@ def current_loop_s(p: Vector, motor: int) -> float:
     """Time constant of the current loop."""
     time_constant = p[lay.P_LOOPS + motor * loops.LOOPS_SIZE + loops.CURRENT_S]
     return max(time_constant + p[_LAG], 0.0) if motor == 0 else time_constant
+
+
+@inlined
+def reporting_delay_s(p: Vector) -> float:
+    """By how much the reported torque is late."""
+    return p[_DELAY]
 
 
 @inlined

@@ -37,7 +37,7 @@ P_VISCOUS: Final = 5  #: N·m·s/rad
 P_UNBALANCE: Final = 6  #: N·m
 P_UNBALANCE_PHASE: Final = 7  #: rad
 P_GEAR_RATIO: Final = 8
-_FIXED: Final = 9
+P_EFFECTS: Final = 9  #: the first of the effects' parameters, up to P_LOOPS
 
 # State.
 S_COUNT: Final = 0
@@ -61,7 +61,7 @@ O_TORQUE: Final = 3
 
 
 def _allocate() -> tuple[dict[str, int], int]:
-    first, size = {}, _FIXED
+    first, size = {}, P_EFFECTS
     for effect in effects_of(KIND):
         first[effect.id] = size
         size += effect.slots * len(effect.parameters)

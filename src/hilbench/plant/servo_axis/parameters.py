@@ -87,6 +87,10 @@ class ServoAxisParameters(Block):
         """Motor angle per unit of the axis' position, which is the motor's."""
         return 1.0
 
+    def gear_ratio(self, axis: int) -> float:
+        """Turns of the motor per turn of what is unbalanced."""
+        return self.shaft.gear_ratio
+
     @property
     def inertia_kg_m2(self) -> float:
         """J: motor and all that it turns, without effects."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +31,9 @@ from hilbench.plant.web_line.stability import sampled_shaft
 @dataclass(frozen=True)
 class Imitation:
     """How a bench imitates the web: its cycle, the load motors on shafts of axes, and whole units of set points."""
+
+    #: What is imitated, for a person.
+    part: ClassVar[str] = "web"
 
     cycle_s: float
     load_motors: tuple[CoupledMotor, ...]

@@ -9,15 +9,13 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, ClassVar, Literal, Self
 
-import yaml
 from pydantic import BaseModel, Field, FiniteFloat, ValidationInfo, field_validator, model_validator
 
 from hilbench import strict_yaml
 from hilbench.block import Block
 from hilbench.errors import UnusableInputError
-from hilbench.files import writing
 from hilbench.plant.effects import Effect, find_effect
 from hilbench.plant.parameters import DriveParameters, EffectEntry, GearRatio, NotNegative, per_item
 
@@ -262,12 +260,3 @@ def load_model(path: str | Path) -> ModelParameters:
     if not isinstance(document.data, Mapping):
         raise UnusableInputError(document.place(), "no mapping, expected a model file with the key 'rollers'")
     return strict_yaml.validate(document, ModelParameters)
-
-
-def write_model(path: str | Path, parameters: ModelParameters) -> None:
-    """Write a model file that `load_model` reads back to an equal model. Raises UnusableInputError."""
-    data: dict[str, Any] = parameters.model_dump(mode="json", exclude_none=True, exclude_unset=True)
-    data["effects"] = [entry.model_dump(mode="json", exclude_none=True) for entry in parameters.effects]
-    text = yaml.safe_dump(data, sort_keys=False, allow_unicode=True)
-    with writing(path):
-        Path(path).write_text(text, encoding="utf-8")

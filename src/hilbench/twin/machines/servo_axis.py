@@ -54,13 +54,13 @@ class ServoAxisTwin:
         shaft = self._model.shaft
         self._found = {_COULOMB: shaft.coulomb_friction_Nm, _VISCOUS: shaft.viscous_friction_Nm_s_per_rad}
         self._begin()
-        self._simulate(self._model.inertia_kg_m2)
+        self._simulate(self._estimate.inertia_kg_m2)
         self.plant.set_state({"x1_rad": 0.0, "v1_rad_s": 0.0, "tau1_Nm": 0.0})
 
     def _begin(self) -> None:
         self._estimator = InertiaEstimator(self._config.inertia, self._model)
         self._plausibility = Plausibility(self._limit_Nm, 0.0, 0.0, self._cycle_s)
-        initial = self._model.inertia_kg_m2
+        initial = self._model.inertia_kg_m2 * self.plant.inertia_factor
         self._estimate = ShaftEstimate(initial, 0.01 * self._config.inertia.initial_deviation_pct * initial, False)
         self.problem: Problem | None = None
         self._residual_Nm = 0.0
@@ -102,7 +102,8 @@ class ServoAxisTwin:
         return True
 
     def _simulate(self, inertia_kg_m2: float) -> None:
-        self.plant.set_parameter("inertia_kg_m2", inertia_kg_m2)
+        # What is found has what the model's effects make of the inertia.
+        self.plant.set_parameter("inertia_kg_m2", inertia_kg_m2 / self.plant.inertia_factor)
         for name, value in self._found.items():
             self.plant.set_parameter(name, max(value, 0.0))
 

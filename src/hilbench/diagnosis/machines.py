@@ -1,0 +1,114 @@
+"""The model of a machine of any kind, as a diagnosis varies it: its parameter vector, effects, and channels."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilbench.plant.effects import Effect, MachineKind, MachineSizes, find_effect
+from hilbench.plant.model_file import Machine
+from hilbench.plant.parameters import EffectEntry
+from hilbench.plant.servo_axis import layout as shaft_layout
+from hilbench.plant.servo_axis import sizes as shaft_sizes
+from hilbench.plant.servo_axis.effects import ShaftEffect
+from hilbench.plant.servo_axis.imitated_run import ShaftImitation
+from hilbench.plant.servo_axis.inverse import required_torque_Nm as shaft_torque_Nm
+from hilbench.plant.servo_axis.parameters import ServoAxisParameters
+from hilbench.plant.web_line import layout as lay
+from hilbench.plant.web_line.imitation import Imitation
+from hilbench.plant.web_line.inverse import required_torque_Nm
+from hilbench.plant.web_line.sizes import machine_sizes
+
+Array = NDArray[np.float64]
+#: How a bench imitated a machine with its load motors.
+AnyImitation = Imitation | ShaftImitation
+
+#: The unit of a speed, in a channel's name and as a person writes it, by that of the position.
+_RATES: Final = {"m": ("m_s", "m/s"), "rad": ("rad_s", "rad/s")}
+
+
+def is_web(model: Machine) -> bool:
+    """Whether it has a web, and not a lone axis."""
+    return model.span_count > 0
+
+
+def kind_of(model: Machine) -> MachineKind:
+    """By whose rows its effects are."""
+    return MachineKind(model.kind)
+
+
+def position_channel(model: Machine, axis: int) -> str:
+    """Of a recording, in the machine's unit."""
+    return f"x{axis}_{model.position_unit}"
+
+
+def speed_channel(model: Machine, axis: int, what: str = "") -> str:
+    """The same of a speed; `what`: "_cmd" of a command."""
+    return f"v{axis}{what}_{_RATES[model.position_unit][0]}"
+
+
+def speed_unit(model: Machine) -> str:
+    """As a person writes it."""
+    return _RATES[model.position_unit][1]
+
+
+def pack(model: Machine) -> Array:
+    """The kernel's parameter vector."""
+    return shaft_layout.pack(model) if isinstance(model, ServoAxisParameters) else lay.pack(model)
+
+
+def write_effect(
+    model: Machine, parameters: Array, effect: Effect, axis: int | None, slot: int, values: dict[str, float]
+) -> None:
+    """Write an effect's values, by name, into a parameter vector of the machine's kernel; others stay."""
+    if isinstance(model, ServoAxisParameters):
+        for number, parameter in enumerate(effect.parameters):
+            if parameter.name in values:
+                parameters[shaft_layout.place(effect.id, number, slot)] = values[parameter.name]
+        return
+    lay.write_effect(parameters, effect.id, axis, slot, values)
+
+
+def with_effects(model: Machine, entries: Sequence[EffectEntry]) -> Machine:
+    """The model with these effects instead of its own, validated. Raises pydantic.ValidationError."""
+    data = model.model_dump()
+    data["effects"] = [entry.model_dump() for entry in entries]
+    return type(model).model_validate(data)
+
+
+def entry(model: Machine, effect_id: str, axis: int | None, parameters: Mapping[str, float]) -> EffectEntry:
+    """An effect as it stands in the model's file."""
+    made = ShaftEffect if isinstance(model, ServoAxisParameters) else EffectEntry
+    return made(effect=effect_id, axis=axis, parameters=dict(parameters))
+
+
+def effect_of(model: Machine, effect_id: str) -> Effect:
+    """The row as the machine has it. Raises KeyError."""
+    return find_effect(effect_id, kind_of(model))
+
+
+def sizes(
+    model: Machine, axis: int | None, top_speed: float, torque_Nm: float, sample_time_s: float | None
+) -> MachineSizes:
+    """What is usual at an axis; `top_speed` in the machine's unit."""
+    if isinstance(model, ServoAxisParameters):
+        return shaft_sizes.machine_sizes(
+            model, top_speed_rad_s=top_speed, torque_Nm=torque_Nm, sample_time_s=sample_time_s
+        )
+    return machine_sizes(model, axis, top_speed_m_s=top_speed, torque_Nm=torque_Nm, sample_time_s=sample_time_s)
+
+
+def turns_apart(model: Machine, axis: int) -> bool:
+    """Whether there is inertia on both sides of a gear of the model."""
+    if isinstance(model, ServoAxisParameters):
+        return False
+    return model.motor_mass_kg(axis) > 0.0 and model.roller_mass_kg(axis) > 0.0
+
+
+def required_Nm(model: Machine, parameters: Array, x: Array, v: Array, a: Array, period_s: float, out: Array) -> None:
+    """Torque (n,) that a motion (n,) of a lone axis needs, into `out`: as its drive reports it."""
+    law = shaft_torque_Nm if isinstance(model, ServoAxisParameters) else required_torque_Nm
+    law(parameters, x, v, a, period_s, out)

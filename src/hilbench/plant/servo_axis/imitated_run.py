@@ -1,0 +1,188 @@
+"""A shaft that a load motor imitates, whole recordings in one compiled call: the stand under its load model.
+
+What the bench does each cycle (`hilbench.bench.tasks.load_model` with `hilbench.plant.servo_axis.imitation`): the
+motion at SYNC is filtered and predicted over the delay of the imitation, and the load motor gets the torque with the
+next SYNC. Noise and resolution are left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilbench.compiled import entry_point
+from hilbench.plant import drive_loops as loops
+from hilbench.plant.motor_port import MotorMode
+from hilbench.plant.sampled_shaft import imitation_delay_s
+from hilbench.plant.sampling import on_all_cores, samples_per
+from hilbench.plant.servo_axis import imitation, kernel, laws
+from hilbench.plant.servo_axis import layout as lay
+from hilbench.plant.servo_axis.effects import find
+from hilbench.plant.servo_axis.imitation import FILTER_CYCLES, load_torque_Nm, most_rad_s2, steepest_Nm_s_per_rad
+from hilbench.plant.servo_axis.layout import Vector
+from hilbench.plant.servo_axis.parameters import ServoAxisParameters
+from hilbench.plant.servo_axis.rig import ServoRigParameters
+from hilbench.plant.servo_axis.stability import sampled_shaft
+from hilbench.plant.servo_axis.tracking_filter import ORDER, gains, transition
+
+_INERTIA = lay.place("inertia_mismatch")
+_STEPS = slice(lay.place("inertia_step"), lay.place("inertia_step") + 2 * find("inertia_step").slots)
+_FED_FORWARD = slice(lay.place("feed_forward"), lay.place("feed_forward") + 3)
+_EFFECTS = slice(lay.P_EFFECTS, lay.P_LOOPS)
+
+
+@dataclass(frozen=True)
+class ShaftImitation:
+    """How a bench imitates a shaft: its cycle, the stand as it believes it to be, whole units of set points."""
+
+    #: What is imitated, for a person.
+    part: ClassVar[str] = "shaft"
+
+    cycle_s: float
+    stand: ServoRigParameters
+    #: What the drive rounds a velocity command to, rad/s; None if that is not known.
+    resolution_rad_s: float | None = None
+
+    def as_taken(self, commands_rad_s: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Velocity commands (n,), rad/s, in the drive's whole units."""
+        unit = self.resolution_rad_s
+        return commands_rad_s if unit is None else np.asarray(np.round(commands_rad_s / unit) * unit)
+
+
+Rows = Callable[..., None]
+
+
+def _compiled_rows(sources: int) -> Rows:
+    """The compiled function; `sources` as in the kernel."""
+
+    @entry_point
+    def rows(
+        p: Vector,
+        imitated: Vector,
+        believed: Vector,
+        s: Vector,
+        u: Vector,
+        commands: Vector,
+        samples: int,
+        cycle_s: float,
+        step: Vector,
+        gain: Vector,
+        ahead: Vector,
+        lead_s: float,
+        steepest: float,
+        most: float,
+        out: Vector,
+    ) -> None:
+        motion, predicted = np.empty(ORDER), np.empty(ORDER)
+        observed = np.empty(lay.O_TORQUE + 2)
+        drive, load = lay.U_MOTORS + loops.IN_SETPOINT, lay.U_MOTORS + loops.IN_SIZE + loops.IN_SETPOINT
+        for b in range(p.shape[0] if sources >= 0 else 0):
+            state = s[b]
+            motion[:] = 0.0
+            motion[0], motion[1] = state[lay.S_X], state[lay.S_V]
+            torque = state[lay.S_MOTORS + loops.STATE_SIZE + loops.TORQUE_NM]
+            for row in range(commands.shape[0]):
+                kernel.report(p[b], state, observed, 0)
+                fed = 0.0
+                if laws.has_feed_forward(imitated[b]):
+                    a = kernel.acceleration_rad_s2(p[b], state, u)
+                    fed = laws.fed_forward_Nm(imitated[b], row * cycle_s, observed[lay.O_V], a, state[lay.S_DIRECTION])
+                out[b, row, 0], out[b, row, 1] = observed[lay.O_X], observed[lay.O_V]
+                out[b, row, 2] = observed[lay.O_TORQUE] - fed
+                if row > 0:
+                    predicted[:] = step @ motion
+                    motion[:] = predicted + gain * (observed[lay.O_X] - predicted[0])
+                predicted[:] = ahead @ motion
+                acceleration = min(max(predicted[2], -most), most)
+                speed = observed[lay.O_V] + lead_s * (acceleration - 0.5 * lead_s * predicted[3])
+                u[drive], u[load] = commands[row], torque
+                # The torque of what was measured at this SYNC goes out with the next.
+                torque = load_torque_Nm(
+                    imitated[b], believed, row * cycle_s, predicted[0], speed, acceleration, steepest
+                )
+                kernel.go_on(p[b], state, u, samples)
+
+    return rows
+
+
+_simulate_rows = _compiled_rows(kernel.source_number(imitation.__file__, __file__))
+
+
+@dataclass(frozen=True, slots=True)
+class ImitatedRun:
+    """What the drive reports; arrays (B, n), at each SYNC."""
+
+    x_rad: Vector
+    v_rad_s: Vector
+    tau_Nm: Vector
+
+
+def simulate_imitated(
+    bench: ShaftImitation,
+    model: ServoAxisParameters,
+    parameters: Vector,
+    commands_rad_s: NDArray[np.float64],
+    start: tuple[float, float] = (0.0, 0.0),
+) -> ImitatedRun:
+    """Simulate recorded velocity commands on the stand, on which a load motor imitates the shaft of a model.
+
+    parameters: (B, P) of the model from `layout.pack`, with effects: they act on the stand itself, as much as they
+    would in the model. commands_rad_s (n,): one each cycle. start: position (rad) and speed (rad/s) in the first row.
+    Raises ValueError for a cycle that is no multiple of the drive's sample time.
+    """
+    many = np.atleast_2d(np.ascontiguousarray(parameters))
+    believed = lay.pack(bench.stand.axis.model_copy(update={"effects": ()}), bench.stand.load_motor)
+    stands, imitated = _stands(believed, many), _imitated(many)
+    states = np.array([_started(stand, *start) for stand in stands])
+    inputs = lay.new_inputs(believed)
+    lay.motor_inputs(inputs)[:, loops.IN_MODE] = MotorMode.VELOCITY, MotorMode.TORQUE
+    samples = samples_per(bench.cycle_s, believed.item(lay.P_SAMPLE_TIME_S))
+    lead_s = imitation_delay_s(sampled_shaft(bench.stand, bench.cycle_s))
+    rows = np.ascontiguousarray(commands_rad_s, dtype=np.float64)
+    out = np.empty((len(many), len(rows), 3))
+    step, gain = transition(bench.cycle_s), gains(bench.cycle_s, FILTER_CYCLES * bench.cycle_s)
+    steepest, most = steepest_Nm_s_per_rad(believed, lead_s), most_rad_s2(bench.stand)
+
+    def run(share: slice) -> None:
+        _simulate_rows(
+            stands[share], imitated[share], believed, states[share], inputs.copy(), rows, samples, bench.cycle_s, step,
+            gain, transition(lead_s), lead_s, steepest, most, out[share],
+        )  # fmt: skip
+
+    on_all_cores(run, len(many))
+    return ImitatedRun(out[..., 0], out[..., 1], out[..., 2])
+
+
+def _stands(believed: Vector, many: Vector) -> Vector:
+    """(B, P): the stand with what the models' effects make of it.
+
+    Effects that are a share of an inertia are the shares of the model's: the stand has another.
+    """
+    stands = np.tile(believed, (len(many), 1))
+    stands[:, _EFFECTS] = many[:, _EFFECTS]
+    stands[:, lay.P_INERTIA] += many[:, _INERTIA] * many[:, lay.P_INERTIA]
+    for of_model in (_INERTIA, _STEPS, _FED_FORWARD):
+        stands[:, of_model] = 0.0
+    return stands
+
+
+def _imitated(many: Vector) -> Vector:
+    """(B, P): what is imitated, without what acts on the stand itself; a step of the inertia and feed-forward stay."""
+    shafts = many.copy()
+    neutral = many[0].copy()
+    lay.write_entries(neutral, ())
+    shafts[:, _EFFECTS] = neutral[_EFFECTS]
+    for of_model in (_STEPS, _FED_FORWARD):
+        shafts[:, of_model] = many[:, of_model]
+    return shafts
+
+
+def _started(stand: Vector, position_rad: float, speed_rad_s: float) -> Vector:
+    """The stand's state (S,) in even motion; its motors take up their torques from there."""
+    state = lay.new_state(stand)
+    state[[lay.S_X, lay.S_V]] = position_rad, speed_rad_s
+    return state

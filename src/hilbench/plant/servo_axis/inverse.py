@@ -1,0 +1,50 @@
+"""Inverse dynamics of a servo axis: the torque that its drive reports for a measured motion."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from hilbench.compiled import entry_point, inlined
+from hilbench.plant.servo_axis import kernel, laws
+from hilbench.plant.servo_axis.layout import Vector
+
+RequiredTorque = Callable[[Vector, Vector, Vector, Vector, float, Vector], None]
+
+#: Speed within which the direction of a measured motion is not certain, rad/s: dry friction turns over linearly there.
+DIRECTION_WIDTH_RAD_S = 1e-3
+
+
+@inlined
+def reported_torque_Nm(p: Vector, time_s: float, x_rad: float, v_rad_s: float, a_rad_s2: float) -> float:
+    """Torque that the drive reports (without its delay) for a motion of the shaft at a time, as its encoder has it."""
+    x, v, a = x_rad, v_rad_s, a_rad_s2
+    if laws.has_encoder_error(p):
+        x, v, a = laws.true_motion(p, x, v, a)
+    direction = min(max(v / DIRECTION_WIDTH_RAD_S, -1.0), 1.0)
+    resistance = laws.smooth_friction_Nm(p, v) + direction * laws.dry_friction_Nm(p, v) - laws.unbalance_Nm(p, x)
+    passed = laws.inertia_kg_m2(p, time_s) * a + resistance
+    torque = laws.motor_torque_Nm(p, laws.turned_with_Nm(p, passed, direction), x)
+    fed_forward: float = laws.fed_forward_Nm(p, time_s, v, a, direction) if laws.has_feed_forward(p) else 0.0
+    return torque - fed_forward + laws.reported_offset_Nm(p)
+
+
+def _required_torque(sources: int) -> RequiredTorque:
+    """The function that is called from Python; `sources` as in the kernel."""
+
+    @entry_point
+    def required(p: Vector, x_rad: Vector, v_rad_s: Vector, a_rad_s2: Vector, period_s: float, out_Nm: Vector) -> None:
+        late = laws.reporting_delay_s(p) / period_s if sources >= 0 else 0.0
+        for k in range(len(x_rad)):
+            at = min(max(k - late, 0.0), len(x_rad) - 1.0)
+            first = min(int(at), len(x_rad) - 2)
+            share = at - first
+            x = x_rad[first] + share * (x_rad[first + 1] - x_rad[first])
+            v = v_rad_s[first] + share * (v_rad_s[first + 1] - v_rad_s[first])
+            a = a_rad_s2[first] + share * (a_rad_s2[first + 1] - a_rad_s2[first])
+            out_Nm[k] = reported_torque_Nm(p, at * period_s, x, v, a)
+
+    return required
+
+
+#: required_torque_Nm(parameters (P,), x, v, a (n,) at the shaft, period_s, out (n,) N·m).
+required_torque_Nm = _required_torque(kernel.source_number(__file__))
