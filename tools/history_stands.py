@@ -9,7 +9,6 @@ are alike on neighbouring days (correlation time two days: temperature); a part 
 from __future__ import annotations
 
 import argparse
-import sys
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -106,19 +105,15 @@ def _picture() -> str:
     """A stand that wears, whose bearing was exchanged after two weeks."""
     shown = stand(3, "temperature 0.5 %", wears=True)
     friction_N = shown.friction_N - 1.1 * (shown.t > 14.0)
+    friction = "axis2.coulomb_friction.force_N"
+    found = zip(shown.t, friction_N, shown.stated_N, strict=True)
     rows = [
-        Row(
-            str(run),
-            "diagnosis",
-            _BEGAN_S + SECONDS_PER_DAY * t,
-            Quantity("axis2.coulomb_friction.force_N", *found, "N"),
-        )
-        for run, (t, *found) in enumerate(zip(shown.t, friction_N, shown.stated_N, strict=True))
+        Row(str(run), "diagnosis", _BEGAN_S + SECONDS_PER_DAY * t, Quantity(friction, value, stated, "N"))
+        for run, (t, value, stated) in enumerate(found)
     ]
-    sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-    from tools.report_pictures import standalone
+    from report_pictures import standalone  # beside this file
 
-    (quantity,) = quantities_of(rows, {rows[0].quantity.name: 12.0})
+    (quantity,) = quantities_of(rows, {friction: 12.0})
     css = resources.files("hilbench.report").joinpath("page.css").read_text(encoding="utf-8")
     return standalone(picture("docs", quantity), css)
 
