@@ -11,11 +11,12 @@ from pydantic import ValidationError
 from scipy.integrate import solve_ivp
 
 from hilbench.errors import UnusableInputError
+from hilbench.plant.model_file import write_model
 from hilbench.plant.motor_port import MotorMode
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line import offline
 from hilbench.plant.web_line.line import Line
-from hilbench.plant.web_line.parameters import ModelParameters, load_model, write_model
+from hilbench.plant.web_line.parameters import ModelParameters, load_model
 from hilbench.plant.web_line.span import SpanFollower, follow
 
 from .models import DEMONSTRATOR, effect, line_of, model
