@@ -16,6 +16,8 @@ from hilbench.bench.lifecycle.participants import Participants
 from hilbench.bench.lifecycle.startup import TWIN, StartedBench, bring_up, held_bus
 from hilbench.bench.machines.kinds import machine_tasks
 from hilbench.bench.operator.operator import Operator, StepEvent
+from hilbench.bench.prediction.create import prediction_task
+from hilbench.bench.prediction.task import Prediction
 from hilbench.bench.reports.change import Change
 from hilbench.bench.reports.notice import Notices
 from hilbench.bench.state import BenchState
@@ -29,6 +31,7 @@ from hilbench.exchange.frame_tap import FrameTap
 from hilbench.exchange.nodes import Nodes
 from hilbench.exchange.timeliness import Timeliness
 from hilbench.plant.effects import MachineKind
+from hilbench.prediction.plan import Asked, Move, Plan
 from hilbench.processes import ChildProcess
 from hilbench.suggest import did_you_mean
 from hilbench.topology import quantities
@@ -98,6 +101,9 @@ class Bench:
         self._machine = machine_tasks(config, self._state)
         self._quantities = list(self._machine.quantities)
         self._operator = Operator(config, self._state, self._machine.reference, self._quantities)
+        self._plan = Plan()
+        #: None where the config asks for none.
+        self.prediction: Prediction | None = prediction_task(config, self._state, self._asked, self._machine.reference)
         self._twin: TwinConnection
         self._cycle: BenchCycle
         self._drives: Drives | None = None  # before the nodes are operational
@@ -109,6 +115,9 @@ class Bench:
         try:
             self._announce("prepare the model (compiled on first use)")
             self._machine.warm_up()
+            if self.prediction is not None:
+                self.prediction.warm_up()
+                self._resources.callback(self.prediction.close)
             if not self._bus_is_held:
                 self._resources.enter_context(held_bus(self.config, self._participants, force=self._force))
             started = self._resources.enter_context(
@@ -160,6 +169,7 @@ class Bench:
             LatenessWatch(self.timeliness, state.twin, state.reports),
             ControllerWatch(exchange, state.reports),
             EmergencyWatch(state.reports),
+            *([self.prediction] if self.prediction else []),
             *self._machine.watches,
         ]
         self._cycle = BenchCycle(
@@ -252,6 +262,21 @@ class Bench:
     def request_interrupt(self) -> None:
         """End the run between two cycles: the next one raises InterruptedByOperatorError."""
         self._state.interrupt_requested = True
+
+    def foresee(self, plan: Plan) -> None:
+        """What will be asked of the bench from now on, as far as its experiment knows; a look ahead goes by it."""
+        self._plan = plan
+
+    def _asked(self) -> Asked:
+        """What is asked of the machine, by whomever."""
+        config, reference, now_s = self.config, self._machine.reference, self.time_s
+        paths = quantities.plain_paths(config.machine_kind, config.shape)
+        plan, goal = self._plan, reference.goal
+        if goal is not None:
+            lasts_s = abs(goal - reference.present) / config.quick_stop_per_s2
+            plan = plan.with_moves([Move(reference.path, now_s, now_s + lasts_s, goal)])
+        ceilings = {} if reference.ceiling is None else {reference.path: reference.ceiling}
+        return Asked({path: self._operator.get(path) for path in paths}, plan, ceilings)
 
     # -- time --------------------------------------------------------------------------------------------
 

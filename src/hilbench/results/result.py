@@ -19,6 +19,7 @@ from pydantic import (
     model_validator,
 )
 
+from hilbench.bench.prediction.announcements import Announcement
 from hilbench.block import Strict
 from hilbench.errors import UnusableInputError
 from hilbench.files import written_whole
@@ -263,6 +264,48 @@ class StepRecord(Strict):
         )
 
 
+class PredictedLimit(_WithOptions):
+    """A crossing of a limit as it was announced at `t_s`, and what came of it (times in s of experiment time).
+
+    `expected_s`, with the times before and after which one future in ten has it; `crossed_s`: when it came;
+    `withdrawn_s`: when it was not expected any more; `action`: what the bench did.
+    """
+
+    t_s: float
+    quantity: str
+    signal: str
+    level: Literal["warning", "trip"]
+    limit: float
+    unit: str
+    probability: float
+    expected_s: float
+    earliest_s: float
+    latest_s: float
+    action: str
+    crossed_s: float | None = None
+    withdrawn_s: float | None = None
+
+    @classmethod
+    def of(cls, made: Announcement) -> Self:
+        """As it stands in the file."""
+        crossing = made.crossing
+        return cls(
+            t_s=made.t_s,
+            quantity=crossing.watched.name,
+            signal=crossing.watched.signal,
+            level=crossing.level,
+            limit=crossing.limit,
+            unit=crossing.watched.unit,
+            probability=crossing.probability,
+            expected_s=crossing.expected_s,
+            earliest_s=crossing.earliest_s,
+            latest_s=crossing.latest_s,
+            action=made.action,
+            crossed_s=made.crossed_s,
+            withdrawn_s=made.withdrawn_s,
+        )
+
+
 def _known(value: float | None) -> float | None:
     return value if value is not None and isfinite(value) else None
 
@@ -274,6 +317,7 @@ class Result(_WithOptions):
     else that happened, the first `MOST_EVENTS` of each.
     `warnings`: what did not stop the run (a limit's warning level, an EMCY message, a tension loop that opened), each
     kind once with its count.
+    `predicted`: crossings of limits that were announced, where the config asks for predictions.
     """
 
     passed: bool
@@ -287,6 +331,7 @@ class Result(_WithOptions):
     not_judged: dict[str, str] | None = None
     steps: list[StepRecord] | None = None
     events: list[EventRecord] | None = None
+    predicted: list[PredictedLimit] | None = None
 
     @classmethod
     def of(
@@ -299,6 +344,7 @@ class Result(_WithOptions):
         warnings: Sequence[Warned] = (),
         judged: Judgement | None = None,
         provenance: Provenance | None = None,
+        predicted: Sequence[Announcement] | None = None,
     ) -> Self:
         """A result whose `passed` follows from its criteria and faults."""
         passed = all(criterion.passed for criterion in criteria) and not faults
@@ -314,6 +360,7 @@ class Result(_WithOptions):
             not_judged=judged.not_judged() if judged else None,
             steps=[StepRecord.of(step) for step in judged.steps[:MOST_EVENTS]] if judged else None,
             events=[EventRecord.of(event) for event in judged.events[:MOST_EVENTS]] if judged else None,
+            predicted=None if predicted is None else [PredictedLimit.of(made) for made in predicted[:MOST_EVENTS]],
         )
 
     def all_warnings(self) -> list[str]:

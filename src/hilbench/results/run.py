@@ -46,6 +46,7 @@ from hilbench.runs.check import check_experiment
 from hilbench.runs.config import LoadedConfig
 from hilbench.runs.criteria import Criterion, CriterionResult, evaluate
 from hilbench.runs.events import EventLog
+from hilbench.runs.foresight import Foresight
 from hilbench.runs.metrics import Judgement, judge
 from hilbench.topology.sample import CycleSample
 from hilbench.topology.signal_kinds import Signal
@@ -146,7 +147,9 @@ def run_experiment(
         kept = record.ending.kept("bench", lambda: bench.fault_time_s)
         with record.journal, kept, record.trace, stop_on_signals(bench), bench:
             announce("run the experiment")
-            for step in config.steps:
+            foresight = Foresight(config)
+            for number, step in enumerate(config.steps):
+                bench.foresee(foresight.plan(number, bench.time_s))
                 step.run(bench, record.verdicts)
     return record.finish(bench, config.criteria)
 
@@ -203,11 +206,24 @@ class RunRecord:
         judged = Judgement(())
         with ending.kept("metrics"):
             judged = judge(recording.channels, journal=self._happened.events())
+        prediction = bench.prediction
         metrics = judged.metrics() | timing.metrics()
+        if prediction is not None:
+            metrics |= prediction.announcements.metrics()
         verdicts = self.verdicts + evaluate(criteria, metrics, judged)
         warnings = [_warned(notice) for notice in bench.notices]
         environment = Environment.here(config.seed)
-        result = Result.of(verdicts, metrics, timing, ending.faults, environment, warnings, judged, self._provenance)
+        result = Result.of(
+            verdicts,
+            metrics,
+            timing,
+            ending.faults,
+            environment,
+            warnings,
+            judged,
+            self._provenance,
+            None if prediction is None else prediction.announcements.made,
+        )
         try:
             result.write(folder.result)
             write_junit(result, config.name, self._started, folder.junit)

@@ -34,6 +34,7 @@ _NUMBERED: Final = re.compile(r"[A-Za-z]+([1-9]\d{0,2})_\w+")
 
 _NO_SUCH_METRIC = "there is no such metric"
 _NO_TIMING = "the timing was not measured"
+_NO_PREDICTION = "the config asks for no prediction (twin: prediction)"
 _NOT_COUNTED = "this bus interface does not count them, or no cycle ran"
 
 #: What is counted of the whole run.
@@ -49,6 +50,14 @@ OF_RUNS: Final = {
         _NO_TIMING,
     ),
     "bus_load_pct": Metric("%", "bits on the bus over its capacity", _NO_TIMING),
+    "limits_predicted": Metric("", "announced crossings of limits that came", _NO_PREDICTION),
+    "limits_not_predicted": Metric("", "crossings of limits that came unannounced", _NO_PREDICTION),
+    "limits_predicted_in_vain": Metric(
+        "", "announced crossings of limits that did not come, although nothing was done about them", _NO_PREDICTION
+    ),
+    "prediction_lead_s": Metric(
+        "s", "least time from the announcement of a crossing to the crossing", "no crossing was announced and came"
+    ),
 }
 
 #: Every metric of the smallest machines: of several kinds with one the first's.

@@ -25,6 +25,7 @@ from hilbench.plant.servo_axis.parameters import ServoAxisParameters, ShaftParam
 from hilbench.plant.servo_axis.rig import ServoRigParameters
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.rig import CoupledMotor, RigParameters
+from hilbench.prediction.config import PredictionConfig
 from hilbench.real_time import ProcessSettings
 from hilbench.topology.parts import DriveConfig, LoadMotorConfig, NodeConfig, Part, PartName, Role
 from hilbench.topology.quantities import path_problem
@@ -181,6 +182,9 @@ class TwinConfig(EstimationConfig):
 
     node: NodeConfig = Field(description="the virtual I/O: what the twin is told and what it tells")
     inertia: InertiaConfig = InertiaConfig()
+    prediction: PredictionConfig | None = Field(
+        default=None, description="look ahead while the bench runs; null: it does not"
+    )
 
 
 #: Keys of `twin:` that every kind of machine has; the others say how one kind finds what it estimates.

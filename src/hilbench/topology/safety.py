@@ -59,6 +59,11 @@ class SafetyConfig(Block):
     )
     limits: LimitsConfig = LimitsConfig()
     on_web_break: Literal["stop", "warn"] = Field(default="stop", description="when the twin reports a web break")
+    on_predicted_limit: Literal["warn", "stop", "slow_down"] = Field(
+        default="warn",
+        description="when a trip level will be crossed, as the twin's prediction says: note it; stop, as when it is "
+        "crossed; or slow the machine down until it is not expected any more",
+    )
     on_foreign_frames: Literal["stop", "warn"] = Field(
         default="warn",
         description="when somebody else sends what only the bench or its nodes send, or writes to the nodes by SDO",

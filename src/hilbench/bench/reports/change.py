@@ -13,11 +13,12 @@ class Change:
     `cycle` counts SYNCs: the change acts from the one after it. ``enabled``: the experiment's time begins;
     ``set``: the quantity `path` (`hilbench.topology.quantities`) had `before` and has `value` from now on;
     ``twin_lost``: the twin is not counted on any more; ``twin_back``: it is again, and counts the SYNCs after number
-    `value`; ``stopping``: the drives are brought to a stop.
+    `value`; ``predicted``: the signal `path` was predicted to go beyond the level
+    `value`, with the probability `before`; ``stopping``: the drives are brought to a stop.
     """
 
     cycle: int
-    what: Literal["enabled", "set", "twin_lost", "twin_back", "stopping"]
+    what: Literal["enabled", "set", "twin_lost", "twin_back", "predicted", "stopping"]
     path: str = ""
     value: float = 0.0
     before: float | None = None

@@ -14,6 +14,8 @@ class Reference:
         self.present = 0.0
         self._step = step
         self._goal: float | None = None
+        self._ceiling: float | None = None
+        self._held_back = False
 
     def owns(self, path: str) -> bool:
         """Whether it is this reference."""
@@ -24,7 +26,13 @@ class Reference:
         return self.present
 
     def set(self, path: str, value: float) -> None:
-        """Another value at once; a goal that it was on the way to is forgotten."""
+        """Another value at once, as far as it is not held back; a goal that it was on the way to is forgotten."""
+        if self._ceiling is not None:
+            highest = max(self._ceiling, abs(self.present))
+            if abs(value) > highest:
+                value, self._held_back = copysign(highest, value), True
+            elif self._held_back and abs(value) <= self._ceiling:
+                self._ceiling = None
         self.present = value
         self._goal = None
 
@@ -36,6 +44,22 @@ class Reference:
     def head_for(self, goal: float) -> None:
         """Go there by itself, step by step."""
         self._goal = goal
+
+    @property
+    def ceiling(self) -> float | None:
+        """The size that it is held to, whoever asks for more; None while it is not, and once less was asked for after
+        more."""
+        return self._ceiling
+
+    def hold_below(self, ceiling: float) -> None:
+        """No more than this from now on, as a size; what it is beyond that it loses step by step (`keep_below`)."""
+        self._ceiling, self._held_back = ceiling, False
+
+    def keep_below(self) -> None:
+        """One step towards what it is held to, where it is beyond."""
+        if self._ceiling is not None and abs(self.present) > self._ceiling:
+            self._held_back = True
+            self.present = copysign(max(self._ceiling, abs(self.present) - self._step), self.present)
 
     def step_to(self, goal: float) -> tuple[float, bool]:
         """The value one step nearer to a goal, and whether that is the goal."""

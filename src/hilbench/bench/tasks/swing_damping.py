@@ -29,8 +29,6 @@ from hilbench.plant.parameters import per_item
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.sizes import least_way_m
 
-#: Cycles from measuring to the start of a command's hold.
-_DELAY_CYCLES = 1
 #: Corner of the elongation's high-pass, as a share of the swing's angular frequency.
 _WASHOUT = 0.25
 #: Share of axis 1's torque limit that the damping may ask for.
@@ -55,6 +53,7 @@ class SwingPlant:
     torque_limit_N: float  #: of axis 1
     cycle_s: float
     least_way_m: float  #: by which positions of one instant may differ
+    delay_cycles: int = 1  #: from measuring to the start of a command's hold
 
     @classmethod
     def of_model(cls, model: ModelParameters, cycle_s: float, span: int, upstream_strain: float) -> SwingPlant:
@@ -87,9 +86,15 @@ class SwingPlant:
         )
 
     @property
+    def limit_m_s(self) -> float:
+        """Largest velocity that the damping may ask axis 1 for; 0 where its drive has no proportional gain."""
+        kp1 = self.velocity_kp1_N_s_per_m
+        return _TORQUE_SHARE * self.torque_limit_N / kp1 if kp1 > 0.0 else 0.0
+
+    @property
     def delay_s(self) -> float:
         """Mean time from a measured rate to the torque of axis 1 that it asks for."""
-        held_s = (_DELAY_CYCLES + 1.0) * self.cycle_s
+        held_s = (self.delay_cycles + 1.0) * self.cycle_s
         return held_s + 0.5 * self.sample_time_s + self.current_loop_time_constant_s
 
 
@@ -139,11 +144,7 @@ class SwingDamping:
     def __init__(self, plant: SwingPlant, damping_ratio: float, modulus_Pa: float) -> None:
         self._plant = plant
         self._ratio = damping_ratio
-        self._limit_m_s = (
-            _TORQUE_SHARE * plant.torque_limit_N / plant.velocity_kp1_N_s_per_m
-            if plant.velocity_kp1_N_s_per_m > 0.0
-            else 0.0
-        )
+        self._limit_m_s = plant.limit_m_s
         self._modulus_Pa = modulus_Pa
         self._gains = damping_gains(plant, damping_ratio, modulus_Pa)
         self._pairing = Pairing(plant.least_way_m)

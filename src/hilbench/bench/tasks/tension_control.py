@@ -66,13 +66,18 @@ class TensionController:
         section_m2, stiffness_N_per_m = model.section_m2(config.span), model.drive_stiffness_N_per_m(config.span + 1)
         return cls(config, model.span_length_m(config.span), section_m2, stiffness_N_per_m, upstream_strain)
 
-    def gains(self, line_speed_m_s: float, modulus_Pa: float) -> tuple[float, float]:
-        """Kp in m/s per N and Ki in m/s per N·s at this speed and E."""
+    def schedule(self, modulus_Pa: float) -> tuple[float, float, float]:
+        """At this E: Kp in m/s per N; a length in m, and a rate in 1/s. Ki is Kp times the line speed over that length,
+        at least times that rate."""
         stiffness_N = modulus_Pa * self._area_m2
         gives_way = stiffness_N / (self._length_m * self._roller_stiffness_N_per_m)
         kp = self._config.bandwidth_rad_per_s * (1.0 + gives_way) * self._length_m / stiffness_N
-        pole_per_s = abs(line_speed_m_s) / ((1.0 + gives_way) * self._length_m)
-        return kp, kp * max(pole_per_s, self._config.bandwidth_rad_per_s / _LONGEST_INTEGRAL)
+        return kp, (1.0 + gives_way) * self._length_m, self._config.bandwidth_rad_per_s / _LONGEST_INTEGRAL
+
+    def gains(self, line_speed_m_s: float, modulus_Pa: float) -> tuple[float, float]:
+        """Kp in m/s per N and Ki in m/s per N·s at this speed and E."""
+        kp, length_m, least_per_s = self.schedule(modulus_Pa)
+        return kp, kp * max(abs(line_speed_m_s) / length_m, least_per_s)
 
     def reset(self) -> None:
         """Forget the integral (drives off)."""

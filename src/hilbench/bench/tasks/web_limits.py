@@ -3,13 +3,46 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from operator import attrgetter
 
 from hilbench.bench.tasks.limits import Levels, Watched, apart, is_synchronized, load_motor_labels
 from hilbench.plant.web_line.parameters import ModelParameters
-from hilbench.topology.safety import LimitsConfig
+from hilbench.topology.safety import Limit, LimitsConfig
 from hilbench.topology.sample import CycleSample
 from hilbench.topology.signals import Shape
+
+
+@dataclass(frozen=True, slots=True)
+class Limited:
+    """A quantity whose size a signal shows: what messages call it, its unit, and its levels."""
+
+    name: str
+    signal: str
+    unit: str
+    limit: Limit
+
+
+def limited(limits: LimitsConfig, shape: Shape) -> list[Limited]:
+    """What has limits and is a signal of a line: tensions of the spans, torques of the axes and of the load motors,
+    speeds of the axes."""
+    axes, spans = range(1, shape.axes + 1), range(1, shape.spans + 1)
+    labels = load_motor_labels(shape.load_motors)
+    tensions = [
+        Limited(
+            f"tension of span {span}" if shape.spans > 1 else "tension of the web",
+            f"F{shape.numbered(span)}_true_N",
+            "N",
+            limits.tension_N,
+        )
+        for span in spans
+    ]
+    torques = [Limited(f"torque of axis {k}", f"tau{k}_Nm", "N·m", limits.torque_Nm) for k in axes]
+    torques += [
+        Limited(f"torque of {labels[name]}", f"tau_{name}_Nm", "N·m", limits.torque_Nm) for name in shape.load_motors
+    ]
+    speeds = [Limited(f"speed of axis {k}", f"v{k}_m_s", "m/s", limits.speed_m_s) for k in axes]
+    return [*tensions, *torques, *speeds]
 
 
 class LimitWatch:
@@ -18,15 +51,9 @@ class LimitWatch:
     def __init__(self, limits: LimitsConfig, model: ModelParameters, cycle_s: float, shape: Shape) -> None:
         self._limits = limits
         self._levels = Levels()
-        axes, spans = range(1, shape.axes + 1), range(1, shape.spans + 1)
-        labels = load_motor_labels(shape.load_motors)
-        self._tensions = [
-            (f"tension of span {span}" if shape.spans > 1 else "tension of the web", f"F{shape.numbered(span)}_true_N")
-            for span in spans
-        ]
-        self._torques = [(f"torque of axis {k}", f"tau{k}_Nm") for k in axes]
-        self._torques += [(f"torque of {labels[name]}", f"tau_{name}_Nm") for name in shape.load_motors]
-        self._speeds = [(f"speed of axis {k}", f"v{k}_m_s") for k in axes]
+        spans = range(1, shape.spans + 1)
+        self._limited = [(each.name, each.signal, f" {each.unit}", each.limit) for each in limited(limits, shape)]
+        self._tensions = {f"F{shape.numbered(span)}_true_N" for span in spans}
         self._differences = [_PositionDifference(span, shape, cycle_s) for span in spans]
         self._moduli = [(f"E{shape.numbered(span)}_sim_Pa", model.youngs_modulus_Pa(span)) for span in shape.estimated]
 
@@ -36,12 +63,9 @@ class LimitWatch:
 
     def _quantities(self, sample: CycleSample) -> Iterator[Watched]:
         limits = self._limits
-        for name, signal in self._tensions:
-            yield name, getattr(sample, signal), " N", limits.tension_N
-        for name, signal in self._torques:
-            yield name, abs(getattr(sample, signal)), " N·m", limits.torque_Nm
-        for name, signal in self._speeds:
-            yield name, abs(getattr(sample, signal)), " m/s", limits.speed_m_s
+        for name, signal, unit, limit in self._limited:
+            value = getattr(sample, signal)
+            yield name, value if signal in self._tensions else abs(value), unit, limit
         for difference in self._differences:
             yield difference.name, difference.update(sample), " m", limits.position_difference_m
         if is_synchronized(sample):

@@ -1,0 +1,184 @@
+"""The task that looks ahead: at fixed cycles, from what is known then, and never in the way of a cycle."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
+from operator import attrgetter
+from typing import Literal, Protocol
+
+import numpy as np
+
+from hilbench.bench.prediction.announcements import Announcement, Announcements
+from hilbench.bench.prediction.hindsight import Hindsight
+from hilbench.bench.prediction.window import Window
+from hilbench.bench.reports.change import Change
+from hilbench.bench.state import BenchState
+from hilbench.bench.tasks.reference import Reference
+from hilbench.bench.tasks.task import CyclicTask, Outputs
+from hilbench.errors import BenchFaultError
+from hilbench.exchange.exchange import Inputs
+from hilbench.prediction.config import PredictionConfig
+from hilbench.prediction.outlook import Crossing, Outlook, Watched
+from hilbench.prediction.plan import Asked
+from hilbench.topology.sample import CycleSample
+
+#: What the highest speed to come is brought to, as a share of itself, with each look that still sees a limit crossed.
+_LOWER = 0.9
+#: Of the horizon, to find that speed.
+_POINTS = 200
+
+
+class PredictedLimitError(BenchFaultError):
+    """A quantity is going to go beyond its trip level."""
+
+
+class Look(Protocol):
+    """How a kind of machine looks ahead."""
+
+    watched: tuple[Watched, ...]
+    signals: tuple[str, ...]  #: that a look goes by
+
+    def warm_up(self) -> None:
+        """Compile, or load, what a look runs."""
+
+    def ready(self, sample: CycleSample) -> bool:
+        """Whether the present is known well enough."""
+
+    def prepare(
+        self, now_s: float, window: Window, hindsight: Hindsight, asked: Asked, *key: int
+    ) -> tuple[Callable[[], None], Callable[[], Outlook]]:
+        """Two parts of a look ahead: what takes its time and lets other threads run, and what says what came out."""
+
+
+def expected(crossing: Crossing, now_s: float) -> str:
+    """One line for an operator."""
+    when = f"in {max(crossing.expected_s - now_s, 0.0):.1f} s"
+    if crossing.latest_s - crossing.earliest_s >= 0.1:
+        earliest, latest = (max(each - now_s, 0.0) for each in (crossing.earliest_s, crossing.latest_s))
+        when += f" ({earliest:.1f} to {latest:.1f} s)"
+    return f"{crossing} {when}, probability {100 * crossing.probability:.0f} %"
+
+
+class Prediction(CyclicTask):
+    """Looks ahead in one run; `asked`: what is asked of the machine, now and as far as is known.
+
+    In lockstep a look is over in its own cycle. In real time it runs in a thread of its own beside the cycles, with no
+    more than a normal process' share of the machine, and its outlook counts from the cycle in which it is ready; a look
+    that takes longer than the time to the next leaves that one out.
+    """
+
+    def __init__(
+        self,
+        look: Look,
+        config: PredictionConfig,
+        state: BenchState,
+        asked: Callable[[], Asked],
+        *,
+        seed: int,
+        lockstep: bool,
+        on_predicted_limit: Literal["warn", "stop", "slow_down"],
+        reference: Reference,
+    ) -> None:
+        self.announcements = Announcements(look.watched, config.announce_above)
+        self.outlook: Outlook | None = None  #: the last one
+        self.looks = self.left_out = 0
+        self._look, self._config, self._state, self._asked = look, config, state, asked
+        self._seed, self._on_predicted_limit = seed, on_predicted_limit
+        self._reference, self._slows_down = reference, False
+        self._every = max(1, round(config.every_s / state.cycle_s))
+        self._window, self._hindsight = Window(look.signals), Hindsight(len(look.watched))
+        self._values = attrgetter(*(watched.signal for watched in look.watched))
+        self._pool = None if lockstep else ThreadPoolExecutor(1, "prediction", initializer=_give_way)
+        self._running: tuple[Future[None], Callable[[], Outlook]] | None = None
+
+    def warm_up(self) -> None:
+        """Compile what a look runs, before one has to wait for it."""
+        self._look.warm_up()
+
+    def close(self) -> None:
+        """A look that still runs is of no use any more."""
+        if self._pool is not None:
+            self._pool.shutdown(wait=True, cancel_futures=True)
+
+    def before(self, sample: CycleSample, outputs: Outputs) -> None:
+        """Keep the reference where it is held."""
+        self._reference.keep_below()
+
+    def after(self, sample: CycleSample, inputs: Inputs) -> None:
+        """Take this cycle in; look ahead when it is time. Raises PredictedLimitError where the bench is to stop."""
+        self.announcements.see(sample.t_s, self._values(sample))
+        if not (self._state.twin.fresh(sample) and self._look.ready(sample)):
+            self._window.clear()
+            self._hindsight.clear()
+            return
+        self._window.add(sample)
+        if self._running is not None and self._running[0].done():
+            (run, outlook), self._running = self._running, None
+            run.result()
+            self._take(sample, outlook())
+        if sample.cycle % self._every == 0 and self._window.full:
+            self._begin(sample)
+
+    def _begin(self, sample: CycleSample) -> None:
+        if self._running is not None:
+            self.left_out += 1
+            return
+        run, outlook = self._look.prepare(
+            sample.t_s, self._window, self._hindsight, self._asked(), self._seed, sample.cycle
+        )
+        if self._pool is not None:
+            self._running = self._pool.submit(run), outlook
+            return
+        run()
+        self._take(sample, outlook())
+
+    def _take(self, sample: CycleSample, outlook: Outlook) -> None:
+        self.looks += 1
+        self.outlook = outlook
+        self._hindsight.expect(outlook)
+        crossings = list(outlook.crossings())
+        for announcement in self.announcements.update(sample.t_s, crossings):
+            self._announce(sample, announcement)
+        self._act(sample, [each for each in crossings if each.level == "trip"])
+
+    def _act(self, sample: CycleSample, trips: Sequence[Crossing]) -> None:
+        """What the bench does about what would end the run."""
+        config, now_s = self._config, sample.t_s
+        slowed, self._slows_down = self._slows_down, False
+        likely = [each for each in trips if each.probability >= config.act_above]
+        if self._on_predicted_limit == "stop" and likely:
+            first = min(likely, key=lambda each: each.expected_s)
+            self.announcements.acted(likely, "stopped")
+            raise PredictedLimitError(f"t = {now_s:.3f} s: predicted: {expected(first, now_s)}")
+        if self._on_predicted_limit == "slow_down":
+            still = [each for each in trips if each.probability >= config.announce_above] if slowed else likely
+            self.announcements.acted(still, "slowed down")
+            self._slows_down = bool(still)
+            if still:
+                self._reference.hold_below(_LOWER * self._highest(now_s))
+            elif slowed and self._reference.ceiling is not None:
+                text = f"{self._reference.path} is held below {self._reference.ceiling:.4g}"
+                self._state.reports.note("prediction", text, kind="held")
+
+    def _highest(self, now_s: float) -> float:
+        """What the reference will be at most within the horizon, as a size."""
+        path, asked = self._reference.path, self._asked()
+        times_s = now_s + np.linspace(0.0, self._config.horizon_s, _POINTS)
+        return float(np.max(np.abs(asked.course(path, self._reference.present, now_s, times_s))))
+
+    def _announce(self, sample: CycleSample, announcement: Announcement) -> None:
+        crossing = announcement.crossing
+        kind = f"{crossing.watched.signal} {crossing.level}"
+        self._state.reports.note("prediction", expected(crossing, sample.t_s), kind=kind)
+        cycle = self._state.running().timing.cycles
+        self._state.journal(Change(cycle, "predicted", crossing.watched.signal, crossing.limit, crossing.probability))
+
+
+def _give_way() -> None:
+    """In a thread: the cycle's priority and core are not this one's."""
+    with suppress(OSError):
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+        os.sched_setaffinity(0, range(os.cpu_count() or 1))

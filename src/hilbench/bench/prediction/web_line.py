@@ -1,0 +1,168 @@
+"""A web line of a config, as it looks ahead: its model with the bench's controllers, from the bench's signals."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from math import exp
+from operator import attrgetter
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilbench.bench.prediction.hindsight import Hindsight
+from hilbench.bench.prediction.window import Reading, Window
+from hilbench.bench.tasks.limits import is_synchronized
+from hilbench.bench.tasks.swing_damping import SwingPlant, damping_gains
+from hilbench.bench.tasks.tension_control import TensionController, strain_before
+from hilbench.bench.tasks.web_limits import limited
+from hilbench.prediction.config import PredictionConfig
+from hilbench.prediction.outlook import Outlook, Watched
+from hilbench.prediction.plan import Asked
+from hilbench.prediction.web_line import kernel
+from hilbench.prediction.web_line.futures import LineCourses, LineFutures, LinePresent, Offsets
+from hilbench.topology.config import BenchConfig
+from hilbench.topology.quantities import LINE_SPEED, YOUNGS_MODULUS, modulus_of_span, tension_set_point
+from hilbench.topology.sample import CycleSample
+
+Array = NDArray[np.float64]
+
+
+class LineLook:
+    """Looks ahead from the samples of one run."""
+
+    def __init__(self, config: BenchConfig, prediction: PredictionConfig) -> None:
+        shape, model = config.shape, config.web_line
+        axes, spans = range(1, shape.axes + 1), range(1, shape.spans + 1)
+        self.watched = tuple(
+            Watched(each.name, each.signal, each.unit, each.limit.warning, each.limit.trip)
+            for each in limited(config.safety.limits, shape)
+        )
+        self._speeds = [f"v{k}_m_s" for k in axes]
+        self._torques = [f"tau{k}_Nm" for k in axes]
+        self._commands = [f"v{k}_cmd_m_s" for k in axes]
+        self._tensions = [f"F{shape.numbered(span)}_sim_N" for span in spans]
+        #: E of each span by its path; that of all spans is a move of each (`hilbench.runs.foresight`).
+        self._moduli = [modulus_of_span(span) if shape.spans > 1 else YOUNGS_MODULUS for span in spans]
+        known = shape.numbered(shape.estimated[0])
+        self._modulus, self._modulus_sd = f"E{known}_sim_Pa", f"E{known}_sd_Pa"
+        self._paths = {span: tension_set_point(shape.numbered(span)) for span in config.tension_controls}
+        self._set_points = {span: f"F{shape.numbered(span)}_ref_N" for span in config.tension_controls}
+        self._closed = attrgetter(*(f"loop{shape.numbered(span)}_closed" for span in config.tension_controls))
+        motors = [each.signal for each in self.watched if each.unit == "N·m"]
+        self.signals = tuple(
+            dict.fromkeys(
+                [
+                    *self._speeds,
+                    *self._commands,
+                    *motors,
+                    *self._tensions,
+                    *self._set_points.values(),
+                    self._modulus,
+                    self._modulus_sd,
+                    "strain_prev",
+                    "F_next_N",
+                ]
+            )
+        )
+        self._compared = np.array([k for k, each in enumerate(self.watched) if each.unit == "N·m"])
+        self._noisy = np.array([k for k, each in enumerate(self.watched) if each.unit != "N"])
+        self.futures = LineFutures(
+            model,
+            self._gains(config),
+            self.watched,
+            config.loaded_axes,
+            span=shape.estimated[0],
+            cycle_s=config.cycle_time_s,
+            horizon_s=prediction.horizon_s,
+            futures=prediction.futures,
+        )
+        self._controllers = {
+            span: TensionController.of_model(control, model, strain_before(config, span))
+            for span, control in config.tension_controls.items()
+        }
+
+    def warm_up(self) -> None:
+        """Compile, or load, what a look runs."""
+        self.futures.warm_up()
+
+    def ready(self, sample: CycleSample) -> bool:
+        """Whether the present is known: the twin is synchronized, and every loop closed on it."""
+        closed = self._closed(sample)
+        return is_synchronized(sample) and bool(np.all(closed)) and getattr(sample, self._modulus) > 0.0
+
+    def prepare(
+        self, now_s: float, window: Window, hindsight: Hindsight, asked: Asked, *key: int
+    ) -> tuple[Callable[[], None], Callable[[], Outlook]]:
+        """As `LineFutures.prepare`, from the last samples and what is going to be asked for."""
+        reading = window.read()
+        present, noise = self._present(now_s, reading, window.fit_noise), np.zeros(len(self.watched))
+        noise[self._noisy] = reading.noise(*(self.watched[k].signal for k in self._noisy))
+        measured = np.zeros(len(self.watched))
+        measured[self._compared] = reading.fitted(*(self.watched[k].signal for k in self._compared))
+        hindsight.compare(now_s, measured, self._compared)
+        offsets = Offsets(hindsight.lasting.copy(), hindsight.deviation, noise)
+        return self.futures.prepare(present, self._courses(present, asked), offsets, *key)
+
+    def _present(self, now_s: float, reading: Reading, fit_noise: float) -> LinePresent:
+        modulus_Pa, sd_Pa, strain, behind_N = reading.last(
+            self._modulus, self._modulus_sd, "strain_prev", "F_next_N"
+        ).tolist()
+        commands = reading.fitted(*self._commands)
+        tensions = reading.last(*self._tensions)
+        set_points = tensions.copy()
+        for span, signal in self._set_points.items():
+            set_points[span - 1] = reading.last(signal)[0]
+        line_speed = float(reading.last(self._commands[-1])[0])
+        commands[-1] = line_speed
+        return LinePresent(
+            now_s=now_s,
+            speeds_m_s=reading.fitted(*self._speeds),
+            speeds_sd_m_s=reading.noise(*self._speeds) * fit_noise,
+            torques_Nm=reading.fitted(*self._torques),
+            commands_m_s=commands,
+            commands_before_m_s=reading.before(*self._commands),
+            tensions_N=tensions,
+            set_points_N=set_points,
+            modulus_Pa=modulus_Pa,
+            modulus_sd_Pa=sd_Pa,
+            upstream_strain=strain,
+            downstream_tension_N=behind_N,
+            line_speed_m_s=line_speed,
+        )
+
+    def _courses(self, present: LinePresent, asked: Asked) -> LineCourses:
+        times_s = self.futures.times_s(present.now_s)
+        course = partial(asked.course, now_s=present.now_s, times_s=times_s)
+        set_points = np.tile(present.set_points_N, (len(times_s), 1))
+        for span, path in self._paths.items():
+            set_points[:, span - 1] = course(path, float(present.set_points_N[span - 1]))
+        factors = [course(path, 1.0) / asked.present.get(path, 1.0) for path in self._moduli]
+        return LineCourses(course(LINE_SPEED, present.line_speed_m_s), set_points, np.stack(factors, axis=1))
+
+    def _gains(self, config: BenchConfig) -> Callable[[float], Array]:
+        model, spans = config.web_line, config.shape.spans
+        swings = {
+            span: SwingPlant.of_model(model, config.cycle_time_s, span, strain_before(config, span))
+            for span in config.tension_controls
+        }
+
+        def gains(modulus_Pa: float) -> Array:
+            step_s, found = self.futures.step_s, np.zeros((spans, kernel.G_SIZE))
+            for span, control in config.tension_controls.items():
+                # What a future knows of a strain at the start of a step acts in that step, and is that of the step
+                # before in the mean; its drives act on the motion at the same instant.
+                plant = replace(swings[span], cycle_s=step_s, sample_time_s=0.0, delay_cycles=0)
+                damping = damping_gains(plant, control.swing_damping_ratio, modulus_Pa)
+                kp, length_m, least_per_s = self._controllers[span].schedule(modulus_Pa)
+                row = found[span - 1]
+                row[kernel.G_KP], row[kernel.G_POLE_LENGTH_M], row[kernel.G_LEAST_PER_S] = kp, length_m, least_per_s
+                row[kernel.G_LIMIT_M_S] = control.correction_limit_m_s
+                row[kernel.G_RATE], row[kernel.G_ELONGATION_PER_S] = damping.rate, damping.elongation_per_s
+                row[kernel.G_FADES] = exp(-damping.washout_per_s * step_s)
+                row[kernel.G_SENT] = sum(damping.pending)
+                row[kernel.G_DAMPING_LIMIT_M_S] = plant.limit_m_s
+            return found
+
+        return gains

@@ -1,0 +1,90 @@
+"""The last cycles of some signals: what they are now without most of their noise, and how noisy they are."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from operator import attrgetter
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilbench.topology.sample import CycleSample
+
+Array = NDArray[np.float64]
+
+#: Cycles of which a straight line is fitted.
+CYCLES: Final = 20
+#: Of the mean square of noise: weight of the latest cycles in it.
+_NEW: Final = 0.2
+
+
+class Window:
+    """The last `CYCLES` + 1 cycles of these signals."""
+
+    def __init__(self, signals: Sequence[str]) -> None:
+        self._places = {signal: place for place, signal in enumerate(signals)}
+        self._values = attrgetter(*signals)
+        self._rows = np.zeros((CYCLES + 1, len(signals)))
+        self._count = 0
+        self._variance: Array | None = None
+        time = np.arange(CYCLES) - (CYCLES - 1) / 2
+        #: Weights of the fitted line's value at its last point.
+        self._weights = 1.0 / CYCLES + time[-1] * time / np.sum(time**2)
+
+    def add(self, sample: CycleSample) -> None:
+        """The next cycle."""
+        self._rows[self._count % len(self._rows)] = self._values(sample)
+        self._count += 1
+
+    def clear(self) -> None:
+        """What was before does not go on into what comes."""
+        self._count = 0
+
+    @property
+    def full(self) -> bool:
+        """Whether there are as many cycles as it takes."""
+        return self._count >= len(self._rows)
+
+    def read(self) -> Reading:
+        """What the signals are now."""
+        rows = np.roll(self._rows, -(self._count % len(self._rows)), axis=0)
+        # Of second differences of white noise the mean square is six times its variance; what moves smoothly has none.
+        found = np.mean(np.diff(rows, 2, axis=0) ** 2, axis=0) / 6.0
+        self._variance = found if self._variance is None else self._variance + _NEW * (found - self._variance)
+        return Reading(
+            self._places,
+            rows[-1].copy(),
+            self._weights @ rows[1:],
+            self._weights @ rows[:-1],
+            np.sqrt(self._variance),
+        )
+
+    @property
+    def fit_noise(self) -> float:
+        """Deviation of a fitted value, as a share of that of a sample."""
+        return float(np.sqrt(np.sum(self._weights**2)))
+
+
+class Reading:
+    """Signals at one time, by name."""
+
+    def __init__(self, places: dict[str, int], last: Array, fitted: Array, before: Array, noise: Array) -> None:
+        self._places = places
+        self._last, self._fitted, self._before, self._noise = last, fitted, before, noise
+
+    def last(self, *signals: str) -> Array:
+        """As sampled in the last cycle."""
+        return self._last[[self._places[signal] for signal in signals]]
+
+    def fitted(self, *signals: str) -> Array:
+        """In the last cycle by a straight line through the last `CYCLES`."""
+        return self._fitted[[self._places[signal] for signal in signals]]
+
+    def before(self, *signals: str) -> Array:
+        """The same a cycle before."""
+        return self._before[[self._places[signal] for signal in signals]]
+
+    def noise(self, *signals: str) -> Array:
+        """Standard deviation of a sample."""
+        return self._noise[[self._places[signal] for signal in signals]]

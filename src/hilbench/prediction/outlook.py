@@ -1,0 +1,92 @@
+"""What futures say: courses with bands, and the probability that a limit will be crossed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Level = Literal["warning", "trip"]
+LEVELS: Final[tuple[Level, Level]] = ("warning", "trip")
+
+
+@dataclass(frozen=True, slots=True)
+class Watched:
+    """A quantity that has limits: what messages call it, the signal that shows it, its unit, and levels of its size."""
+
+    name: str
+    signal: str
+    unit: str
+    warning: float | None = None
+    trip: float | None = None
+
+    def level(self, level: Level) -> float | None:
+        """One of the two; None where there is none."""
+        return self.warning if level == "warning" else self.trip
+
+
+@dataclass(frozen=True, slots=True)
+class Crossing:
+    """That the size of a quantity goes beyond a level: with which probability, and when if it does (experiment time, s:
+    median, and the times before and after which one future in ten crosses it)."""
+
+    watched: Watched
+    level: Level
+    limit: float
+    probability: float
+    expected_s: float
+    earliest_s: float
+    latest_s: float
+
+    def __str__(self) -> str:
+        unit = f" {self.watched.unit}".rstrip()
+        return f"{self.watched.name} beyond its {self.level} level {self.limit:g}{unit}"
+
+
+@dataclass(frozen=True)
+class Outlook:
+    """B futures from `now_s` (experiment time) on, of Q quantities.
+
+    `times_s` (R,) of the `rows` (R, B, Q); `largest` (B, Q): size over the whole horizon, both without the noise of
+    measurement. `probability` (Q, 2), noise included, and `first_s` (B, Q, 2; NaN where it is not): of going beyond
+    the warning level and the trip level.
+    """
+
+    now_s: float
+    watched: Sequence[Watched]
+    times_s: Array
+    rows: Array
+    largest: Array
+    probability: Array
+    first_s: Array
+
+    def place(self, signal: str) -> int:
+        """Of the quantity that this signal shows. Raises KeyError."""
+        for place, watched in enumerate(self.watched):
+            if watched.signal == signal:
+                return place
+        raise KeyError(signal)
+
+    def band(self, place: int, share: float = 0.9) -> tuple[Array, Array, Array]:
+        """Low, median and high (R,) of a quantity: `share` of the futures lie between low and high."""
+        tail = 0.5 * (1.0 - share)
+        low, median, high = np.quantile(self.rows[:, :, place], (tail, 0.5, 1.0 - tail), axis=1)
+        return low, median, high
+
+    def crossings(self, above: float = 0.0) -> Iterator[Crossing]:
+        """Of all levels that there are, those with a probability of `above` at least, and above 0."""
+        for place, column in zip(*np.nonzero((self.probability >= above) & (self.probability > 0.0)), strict=True):
+            watched, level = self.watched[place], LEVELS[column]
+            limit = watched.level(level)
+            if limit is None:
+                continue
+            first = self.first_s[:, place, column]
+            crossed = first[~np.isnan(first)]
+            end_s = float(self.times_s[-1])
+            times = np.quantile(crossed, (0.5, 0.1, 0.9)) if len(crossed) else np.full(3, end_s)
+            probability = float(self.probability[place, column])
+            yield Crossing(watched, level, limit, probability, *(float(time) for time in times))

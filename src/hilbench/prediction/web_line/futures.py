@@ -1,0 +1,258 @@
+"""Futures of a web line from what is known of it now."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from math import ceil, sqrt
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilbench.plant.motor_port import MotorMode
+from hilbench.plant.parameters import per_item
+from hilbench.plant.web_line import layout as lay
+from hilbench.plant.web_line.offline import start_state
+from hilbench.plant.web_line.parameters import ModelParameters
+from hilbench.prediction.draws import normal_draws
+from hilbench.prediction.outlook import Outlook, Watched
+from hilbench.prediction.web_line import kernel
+
+Array = NDArray[np.float64]
+#: Gains (K, `kernel.G_SIZE`) of the controllers at an E (Pa) as the twin has it.
+Gains = Callable[[float], Array]
+
+#: Longest step of a future, s, and the largest share of the fastest motion's time (1/ω) that one may be.
+_LONGEST_STEP_S: Final = 0.005
+_SHARE_OF_FASTEST: Final = 0.5
+#: How long the twin takes to find another E: so long after a step of E the controllers still go by the old one.
+_FOUND_AFTER_S: Final = 0.1
+#: E of a future is at least this share of the estimate.
+_LEAST_MODULUS_SHARE: Final = 0.05
+#: A row of a course is kept every so often, s.
+_ROW_S: Final = 0.05
+
+
+@dataclass(frozen=True)
+class LinePresent:
+    """What is known of a line now: N axes, K spans, L load motors; at the web but for torques (motor side), SI.
+
+    Of what is measured with noise the deviation of one sample is given, too. `modulus_Pa`: as the twin has it,
+    `modulus_sd_Pa` its stated deviation; `tensions_N`: as the twin simulates them; `commands_m_s`: as the drives have
+    them from now on, `commands_before_m_s` until now.
+    """
+
+    now_s: float
+    speeds_m_s: Array
+    speeds_sd_m_s: Array
+    torques_Nm: Array
+    commands_m_s: Array
+    commands_before_m_s: Array
+    tensions_N: Array
+    set_points_N: Array
+    modulus_Pa: float
+    modulus_sd_Pa: float
+    upstream_strain: float
+    downstream_tension_N: float
+    line_speed_m_s: float
+
+
+@dataclass(frozen=True)
+class LineCourses:
+    """What is asked for at the start of each of T steps: line speed (T,), m/s; set-points (T, K), N; E of the imitated
+    web in each span over the present one (T, K)."""
+
+    line_speed_m_s: Array
+    set_points_N: Array
+    modulus_factor: Array
+
+
+@dataclass(frozen=True)
+class Offsets:
+    """How what is measured differs from what the futures say, by quantity (Q,): lastingly, with the deviation of that,
+    and the noise of one measured sample; in the unit of the quantity."""
+
+    lasting: Array
+    lasting_sd: Array
+    noise: Array
+
+
+def step_s(model: ModelParameters, horizon_s: float) -> float:
+    """The step of futures: as long as the fastest motion of the line allows, and a whole part of the horizon.
+
+    That is the swing of a roller between the spans beside it, or its velocity loop. Raises ValueError for a model
+    without web or drives.
+    """
+    if model.drives is None:
+        raise ValueError("the model has no drives, expected 'drives'")
+    fastest_per_s = 0.0
+    for axis in range(1, model.axis_count + 1):
+        around = [span for span in (axis - 1, axis) if 1 <= span <= model.span_count]
+        spring_N_per_m = sum(model.stiffness_N(span) / model.span_length_m(span) for span in around)
+        carried = spring_N_per_m if model.carries_web_load(axis) else 0.0
+        loop = per_item(model.drives.velocity_kp_Nm_s_per_rad, axis) * model.motor_rad_per_m(axis) ** 2
+        mass_kg = model.mass_kg(axis)
+        fastest_per_s = max(fastest_per_s, sqrt(carried / mass_kg), loop / mass_kg)
+    longest_s = min(_LONGEST_STEP_S, _SHARE_OF_FASTEST / fastest_per_s if fastest_per_s else _LONGEST_STEP_S)
+    return horizon_s / ceil(horizon_s / longest_s)
+
+
+class LineFutures:
+    """Draws and runs the futures of one line.
+
+    `watched`: its quantities in the kernel's order; `load_axes`: axis (from 1) of each load motor; `span`: at which
+    the twin finds E, that of the others goes with it by the model; `cycle_s`: between two measurements. What `prepare`
+    returns may be run by any thread, one at a time.
+    """
+
+    def __init__(
+        self,
+        model: ModelParameters,
+        gains: Gains,
+        watched: Sequence[Watched],
+        load_axes: Sequence[int],
+        *,
+        span: int,
+        cycle_s: float,
+        horizon_s: float,
+        futures: int,
+    ) -> None:
+        self.watched = tuple(watched)
+        self.step_s = step_s(model, horizon_s)
+        self.steps = round(horizon_s / self.step_s)
+        self._model, self._gains, self._futures, self._span = model, gains, futures, span
+        self._p = lay.pack(model)
+        self._p[lay.W_SAMPLE_TIME_S] = self.step_s
+        self._layout = lay.Layout.of(self._p)
+        rows = self._layout.span_rows(self._p)
+        self._moduli = rows[:, lay.SP_MODULUS_PA] / model.youngs_modulus_Pa(span)
+        self._sections_m2 = rows[:, lay.SP_SECTION_M2].copy()
+        self._load_axes = np.array([axis - 1 for axis in load_axes], np.int64)
+        self._samples = self.step_s / cycle_s
+        self._every = max(1, round(_ROW_S / self.step_s))
+        levels = [(each.warning or np.inf, each.trip or np.inf) for each in watched]
+        self._levels = np.array(levels, float).reshape(-1, 2)
+        self._work, self._state = self._layout.new_work(), np.zeros(self._layout.state_size)
+        self._inputs = self._layout.new_inputs()
+        self._layout.motor_inputs(self._inputs)[:, lay.UM_MODE] = MotorMode.VELOCITY
+
+    @property
+    def quantities(self) -> int:
+        """Q."""
+        return len(self.watched)
+
+    def times_s(self, now_s: float) -> Array:
+        """When each of the T steps begins."""
+        return np.asarray(now_s + self.step_s * np.arange(self.steps), np.float64)
+
+    def prepare(
+        self, present: LinePresent, courses: LineCourses, offsets: Offsets, *key: int
+    ) -> tuple[Callable[[], None], Callable[[], Outlook]]:
+        """Two parts of a look ahead: what takes its time and lets other threads run, and what says what came out.
+
+        `key`: numbers from which all is drawn; the same look has the same outlook.
+        """
+        n, k, b, q = self._layout.axes, self._layout.spans, self._futures, self.quantities
+        z = normal_draws(b, 1 + n + q, *key)
+        scale = np.maximum(1.0 + present.modulus_sd_Pa / present.modulus_Pa * z[:, 0], _LEAST_MODULUS_SHARE)
+        start = self._start(present, z[:, 1 : 1 + n])
+        offset = offsets.lasting + offsets.lasting_sd * z[:, 1 + n :]
+        moduli = present.modulus_Pa * self._moduli
+        factor = self._delayed(courses.modulus_factor)
+        known = np.ascontiguousarray(moduli * self._sections_m2 * factor)
+        # All controllers go by the one E that the twin tells.
+        seen, row_of = np.unique(present.modulus_Pa * factor[:, self._span - 1], return_inverse=True)
+        gains = np.concatenate([self._gains(float(modulus)) for modulus in seen])
+        controllers = self._controllers(present, gains[row_of[0] * k : (row_of[0] + 1) * k])
+        survival, first = np.ones((b, 2 * q)), np.full((b, 2 * q), kernel.NEVER, np.int64)
+        largest, rows = np.zeros((b, q)), np.zeros((self.steps // self._every, b, q))
+        u = self._inputs.copy()
+        u[lay.U_STRAIN_PREV], u[lay.U_F_NEXT_N] = present.upstream_strain, present.downstream_tension_N
+
+        def run() -> None:
+            kernel.run_futures(
+                self._p.copy(), start, moduli, scale, self._state, u, self._work, controllers,
+                np.zeros(4 * k), np.zeros(q),
+                np.ascontiguousarray(courses.line_speed_m_s), np.ascontiguousarray(courses.set_points_N),
+                np.ascontiguousarray(courses.modulus_factor), known, gains, row_of.astype(np.int64),
+                self._load_axes, offset, np.ascontiguousarray(offsets.noise), self._levels, self._samples, self._every,
+                survival, first, largest, rows,
+            )  # fmt: skip
+
+        def outlook() -> Outlook:
+            crossed: Array = np.where(first > kernel.NEVER, present.now_s + (first + 1) * self.step_s, np.nan)
+            return Outlook(
+                present.now_s,
+                self.watched,
+                np.asarray(present.now_s + self.step_s * self._every * np.arange(1, len(rows) + 1), np.float64),
+                rows,
+                largest,
+                (1.0 - survival.mean(axis=0)).reshape(q, 2),
+                crossed.reshape(b, q, 2),
+            )
+
+        return run, outlook
+
+    def look(self, present: LinePresent, courses: LineCourses, offsets: Offsets, *key: int) -> Outlook:
+        """Both at once."""
+        run, outlook = self.prepare(present, courses, offsets, *key)
+        run()
+        return outlook()
+
+    def no_offsets(self) -> Offsets:
+        """Measured without noise, and as the futures say."""
+        return Offsets(np.zeros(self.quantities), np.zeros(self.quantities), np.zeros(self.quantities))
+
+    def warm_up(self) -> None:
+        """Compile, or load, what a look runs: of a line at rest."""
+        n, k = self._layout.axes, self._layout.spans
+        tension_N = np.array([self._model.upstream_strain * self._model.stiffness_N(span + 1) for span in range(k)])
+        rest, modulus_Pa = np.zeros(n), self._model.youngs_modulus_Pa(self._span)
+        present = LinePresent(
+            0.0, rest, rest, rest, rest, rest, tension_N, tension_N, modulus_Pa, 0.0, self._model.upstream_strain,
+            self._model.boundary.downstream_tension_N, 0.0,
+        )  # fmt: skip
+        steps = self.steps
+        self.look(
+            present,
+            LineCourses(np.zeros(steps), np.tile(tension_N, (steps, 1)), np.ones((steps, k))),
+            self.no_offsets(),
+        )
+
+    def _start(self, present: LinePresent, z: Array) -> Array:
+        """States (B, S): axes at the web's speed in their control loops; z (B, N) of the speeds."""
+        layout, n = self._layout, self._layout.axes
+        strain = self._strains(present)
+        state = start_state(self._p, self._model, strain)
+        state[lay.S_COUNT] = round(present.now_s / self.step_s)  # effects of the model go by the experiment's time
+        rows, motors = layout.motor_rows(self._p), layout.motor_states(state)
+        ratio = rows[:, lay.M_RAD_PER_M]
+        motors[:, lay.SM_MODE] = MotorMode.VELOCITY
+        motors[:, lay.SM_REFERENCE] = present.commands_m_s * ratio
+        motors[:, lay.SM_TORQUE_NM] = motors[:, lay.SM_COMMAND_NM] = present.torques_Nm
+        error = (present.commands_before_m_s - present.speeds_m_s) * ratio
+        motors[:, lay.SM_INTEGRAL_NM] = present.torques_Nm - rows[:, lay.M_KP] * error
+        state[lay.S_Y + n : lay.S_Y + 2 * n] = present.speeds_m_s
+        lay.refresh_modes(self._p, state)
+        states = np.tile(state, (self._futures, 1))
+        speeds = present.speeds_m_s + present.speeds_sd_m_s * z
+        states[:, lay.S_Y + n : lay.S_Y + 2 * n] = states[:, lay.S_Y + 3 * n : lay.S_Y + 4 * n] = speeds
+        return states
+
+    def _controllers(self, present: LinePresent, gains: Array) -> Array:
+        """What the controllers keep (B, 4·K): their integrals are those that led to the present commands."""
+        kept = np.zeros((self._layout.spans, 4))
+        error_N = present.set_points_N - present.tensions_N
+        commands = np.append(present.commands_m_s[:-1], present.line_speed_m_s)
+        kept[:, 0] = commands[1:] - commands[:-1] - gains[:, kernel.G_KP] * error_N
+        kept[:, 2] = self._strains(present)
+        return np.tile(kept.reshape(-1), (self._futures, 1))
+
+    def _strains(self, present: LinePresent) -> Array:
+        """Of the spans (K,), which the twin takes over from the axes."""
+        return np.asarray(present.tensions_N / (present.modulus_Pa * self._moduli * self._sections_m2), np.float64)
+
+    def _delayed(self, factor: Array) -> Array:
+        late = min(round(_FOUND_AFTER_S / self.step_s), len(factor))
+        return np.concatenate((np.ones((late, factor.shape[1])), factor[: len(factor) - late]))

@@ -1,0 +1,269 @@
+"""Futures of a web line: the plant's kernel with the tension controllers around it, compiled.
+
+The closed loop of plant, drives and controllers at one coarse step: the drives' loops sample and the controllers act
+once per step, the mechanics are integrated by the plant's own kernel, with every effect that the model has. What a
+coarse step changes is small beside what is not known: docs/prediction.md has the figures.
+
+Vectors as in `hilbench.plant.web_line.layout`. B futures, T steps, N axes, K spans, L load motors; the quantities that
+are watched, Q = K + N + L + N, in this order: tensions (N), torques of the axes' motors and of the load motors (N·m),
+speeds of the axes at the web (m/s).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from math import erfc, sqrt
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilbench.compiled import compiled, entry_point, inlined
+from hilbench.plant import drive_loops as loops
+from hilbench.plant.web_line import kernel, laws, places
+from hilbench.plant.web_line import layout as lay
+from hilbench.plant.web_line.layout import Vector
+
+Matrix = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+# Columns of a controller's gains at one E.
+G_KP: Final = 0  #: m/s per N; 0: the span has no controller
+G_POLE_LENGTH_M: Final = 1
+G_LEAST_PER_S: Final = 2  #: of the integral: inverse of the longest integral time
+G_LIMIT_M_S: Final = 3
+G_RATE: Final = 4  #: of the damping
+G_ELONGATION_PER_S: Final = 5
+G_FADES: Final = 6  #: what is left of the elongation after a step
+G_SENT: Final = 7  #: of the damping's last command
+G_DAMPING_LIMIT_M_S: Final = 8
+G_SIZE: Final = 9
+
+#: Noise further from a level than so many standard deviations never carries a quantity beyond it.
+_FARTHEST: Final = 6.0
+#: The step of a crossing that does not come.
+NEVER: Final = -2
+_ROOT_2: Final = sqrt(2.0)
+
+
+@inlined
+def _strain(p: Vector, w: Vector, n: int, m: int, k: int, j: int) -> float:
+    """Of span j, from the quantities now."""
+    scale = laws.length_factor(p, places.first_span(n, m) + j * lay.SP_SIZE)
+    return w[4 * n + k + j] * scale / w[4 * n + j] - 1.0
+
+
+@inlined
+def _command(
+    c: Vector, at: int, g: Matrix, row: int, lead: float, error_N: float, strain: float, length_m: float, h: float
+) -> tuple[float, float]:
+    """Speed of the axis before a span, m/s, without and with the damping.
+
+    c: from `at` on what the controller keeps: integral, elongation, last strain, last command of the damping.
+    """
+    kp = g[row, G_KP]
+    ki = kp * max(abs(lead) / g[row, G_POLE_LENGTH_M], g[row, G_LEAST_PER_S])
+    integral = c[at] + ki * error_N * h
+    correction, limit = kp * error_N + integral, g[row, G_LIMIT_M_S]
+    if abs(correction) <= limit:
+        c[at] = integral
+    correction = loops.clip(correction, limit)
+    rate = length_m * (strain - c[at + 2]) / h
+    c[at + 1] = c[at + 1] * g[row, G_FADES] + rate * h
+    damping = g[row, G_RATE] * rate + g[row, G_ELONGATION_PER_S] * c[at + 1] + g[row, G_SENT] * c[at + 3]
+    damping = loops.clip(damping, g[row, G_DAMPING_LIMIT_M_S])
+    c[at + 2], c[at + 3] = strain, damping
+    return lead - correction, lead - correction + damping
+
+
+@compiled
+def _set_points(
+    p: Vector,
+    u: Vector,
+    w: Vector,
+    c: Vector,
+    g: Matrix,
+    row: int,
+    lead: float,
+    set_point: Matrix,
+    i: int,
+    known: Matrix,
+) -> None:
+    """Velocities of all axes for step i, from the last one on; `known` (T, K): E·S as the twin has it, N."""
+    n, m, k = places.counts(p)
+    h = p[lay.W_SAMPLE_TIME_S]
+    speed = command = lead
+    for j in range(k, -1, -1):
+        if j < k and g[row * k + j, G_KP] != 0.0:
+            strain = _strain(p, w, n, m, k, j)
+            error_N = set_point[i, j] - known[i, j] * strain
+            without, command = _command(c, 4 * j, g, row * k + j, speed, error_N, strain, w[4 * n + k + j], h)
+            speed = without
+        ratio = p[places.motor(n, j) + lay.M_RAD_PER_M]
+        u[lay.U_MOTORS + j * lay.UM_SIZE + lay.UM_SETPOINT] = command * ratio
+
+
+@compiled
+def _watched(p: Vector, s: Vector, u: Vector, w: Vector, load_axes: Indices, q: Vector) -> None:
+    """The quantities now into q (Q,)."""
+    n, m, k = places.counts(p)
+    loads, now_s = load_axes.shape[0], s[lay.S_COUNT] * p[lay.W_SAMPLE_TIME_S]
+    for j in range(k):
+        span = places.first_span(n, m) + j * lay.SP_SIZE
+        factor = laws.step_factor(p, span, now_s, p[lay.W_SAMPLE_TIME_S])
+        q[j] = laws.stiffness_N(p, span, now_s, factor) * _strain(p, w, n, m, k, j)
+    for i in range(n):
+        q[k + i] = s[places.motor_state(n, k, i) + lay.SM_TORQUE_NM]
+        q[k + n + loads + i] = w[n + i]
+    for load in range(loads):
+        i = load_axes[load]
+        behind = q[i] if i < k else u[lay.U_F_NEXT_N]
+        before = q[i - 1] if i > 0 else u[lay.U_STRAIN_PREV] * p[lay.W_UPSTREAM_STIFFNESS_N]
+        pulls = p[places.axis(i) + lay.A_WEB_LOAD]
+        q[k + n + load] = pulls * (behind - before) / p[places.motor(n, i) + lay.M_RAD_PER_M]
+
+
+@inlined
+def _judge(
+    size: float, level: float, sigma: float, samples: float, survival: Matrix, first: Indices, b: int, at: int, i: int
+) -> None:
+    """What a step with a quantity of this size does to the probability that it stayed below a level.
+
+    sigma: of the noise with which it is measured, `samples` times in a step.
+    """
+    if sigma == 0.0:
+        if size > level:
+            survival[b, at] = 0.0
+    else:
+        away = (level - size) / sigma
+        if away < _FARTHEST:
+            survival[b, at] *= (1.0 - 0.5 * erfc(away / _ROOT_2)) ** samples
+    if survival[b, at] < 0.5 and first[b, at] == NEVER:
+        first[b, at] = i
+
+
+@compiled
+def _see(
+    q: Vector,
+    offset: Matrix,
+    sigma: Vector,
+    levels: Matrix,
+    samples: float,
+    b: int,
+    i: int,
+    survival: Matrix,
+    first: Indices,
+    worst: Matrix,
+) -> None:
+    """What future b is at the end of step i: its largest sizes, and whether it stays below the levels."""
+    for j in range(q.shape[0]):
+        size = abs(q[j] + offset[b, j])
+        worst[b, j] = max(worst[b, j], size)
+        for level in range(2):
+            if levels[j, level] < np.inf:
+                _judge(size, levels[j, level], sigma[j], samples, survival, first, b, 2 * j + level, i)
+
+
+@inlined
+def _change_moduli(p: Vector, moduli: Vector, scale: float, factor: Matrix, i: int) -> bool:
+    """E of all spans in step i; whether that is another than before."""
+    n, m, k = places.counts(p)
+    changed = False
+    for j in range(k):
+        at = places.first_span(n, m) + j * lay.SP_SIZE + lay.SP_MODULUS_PA
+        modulus = moduli[j] * scale * factor[i, j]
+        changed |= modulus != p[at]
+        p[at] = modulus
+    return changed
+
+
+@compiled
+def _run(
+    p: Vector,
+    s: Vector,
+    u: Vector,
+    w: Vector,
+    c: Vector,
+    q: Vector,
+    moduli: Vector,
+    scale: float,
+    lead: Vector,
+    set_point: Matrix,
+    factor: Matrix,
+    known: Matrix,
+    g: Matrix,
+    row_of: Indices,
+    load_axes: Indices,
+    offset: Matrix,
+    sigma: Vector,
+    levels: Matrix,
+    samples: float,
+    every: int,
+    b: int,
+    survival: Matrix,
+    first: Indices,
+    worst: Matrix,
+    rows: NDArray[np.float64],
+) -> None:
+    """Future b, to its end."""
+    _change_moduli(p, moduli, scale, factor, 0)
+    kernel.enter(p, s, u, w)
+    for i in range(lead.shape[0]):
+        changed = i > 0 and _change_moduli(p, moduli, scale, factor, i)
+        _set_points(p, u, w, c, g, row_of[i], lead[i], set_point, i, known)
+        if changed:  # the tension jumps with E, and the rollers give way within a step
+            _watched(p, s, u, w, load_axes, q)
+            _see(q, offset, sigma, levels, 1.0, b, i - 1, survival, first, worst)
+        kernel.go_on(p, s, u, w, 1)
+        _watched(p, s, u, w, load_axes, q)
+        _see(q, offset, sigma, levels, samples, b, i, survival, first, worst)
+        if (i + 1) % every == 0:
+            for j in range(q.shape[0]):
+                rows[(i + 1) // every - 1, b, j] = q[j] + offset[b, j]
+
+
+Run = Callable[..., None]
+
+
+def _entry_point(sources: int) -> Run:
+    @entry_point
+    def futures(
+        p: Vector,
+        start: Matrix,
+        moduli: Vector,
+        scale: Vector,
+        s: Vector,
+        u: Vector,
+        w: Vector,
+        integrals: Matrix,
+        c: Vector,
+        q: Vector,
+        lead: Vector,
+        set_point: Matrix,
+        factor: Matrix,
+        known: Matrix,
+        g: Matrix,
+        row_of: Indices,
+        load_axes: Indices,
+        offset: Matrix,
+        sigma: Vector,
+        levels: Matrix,
+        samples: float,
+        every: int,
+        survival: Matrix,
+        first: Indices,
+        worst: Matrix,
+        rows: NDArray[np.float64],
+    ) -> None:
+        for b in range(start.shape[0] if sources >= 0 else 0):
+            s[:] = start[b]
+            c[:] = integrals[b]
+            _run(
+                p, s, u, w, c, q, moduli, scale[b], lead, set_point, factor, known, g, row_of, load_axes, offset, sigma,
+                levels, samples, every, b, survival, first, worst, rows,
+            )  # fmt: skip
+
+    return futures
+
+
+run_futures = _entry_point(kernel.source_number(__file__))

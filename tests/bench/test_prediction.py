@@ -1,0 +1,89 @@
+"""A bench that looks ahead: what it announces, what it does about it, and what it leaves alone."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from hilbench.bench.lifecycle.participants import Participants
+from hilbench.errors import EXIT_BENCH_FAULT, EXIT_PASSED
+from hilbench.results.journal import read_journal
+from hilbench.results.recording import read_recording
+from hilbench.results.result import Result
+from hilbench.results.run import RunOutcome, run_experiment
+from hilbench.runs.config import load_with_overrides
+
+CONFIGS = Path(__file__).resolve().parents[2] / "bench_configs"
+#: The shipped experiment, told faster: 1.5 s to 3 m/s, one step of E at 4 s.
+SHORTER = (
+    "steps.0.ramp.duration_s=1.5",
+    "steps.1.hold.until_s=4.0",
+    "steps.3.hold.duration_s=0.4",
+    "steps.5.hold.duration_s=0.4",
+    "steps.7.hold.duration_s=0.4",
+    "steps.8.ramp.duration_s=1.0",
+    "twin.prediction.horizon_s=2.0",
+    "twin.prediction.futures=32",
+)
+TRIPS = ("safety.limits.tension_N={trip: 90.0}",)
+
+
+def run(
+    folder: Path, *changes: str, config: str = "predicted_limit.yaml", shorter: tuple[str, ...] = SHORTER
+) -> RunOutcome:
+    loaded = load_with_overrides(CONFIGS / config, changes=(*shorter, *changes))
+    return run_experiment(loaded, folder, participants=Participants.IN_PROCESS)
+
+
+def test_the_shipped_experiment_knows_its_crossings_seconds_before(tmp_path: Path) -> None:
+    outcome = run(tmp_path, shorter=())
+    assert outcome.exit_code == EXIT_PASSED, outcome.result.criteria
+    predicted = Result.read(outcome.folder.result).predicted
+    assert predicted is not None
+    assert [(each.signal, each.level, round(each.crossed_s or 0.0, 1)) for each in predicted] == [
+        ("F_true_N", "warning", 6.0),
+        ("F_true_N", "warning", 14.0),
+    ]
+    for each in predicted:
+        assert each.crossed_s == pytest.approx(each.expected_s, abs=0.05)
+        assert each.probability > 0.9
+    journal = [change for change in read_journal(outcome.folder.journal) if change.what == "predicted"]
+    assert [(change.path, change.value) for change in journal] == [("F_true_N", 90.0)] * 2
+    assert any(notice.source == "prediction" for notice in outcome.result.warnings or ())
+
+
+def test_the_same_seed_predicts_the_same_and_leaves_the_run_as_it_is(tmp_path: Path) -> None:
+    first, second = run(tmp_path / "a"), run(tmp_path / "b")
+    without = run(tmp_path / "c", "twin.prediction=null")
+    assert first.result.predicted == second.result.predicted
+    assert first.result.predicted
+    assert without.result.predicted is None
+    assert "limits_predicted" not in without.result.metrics
+    recordings = [read_recording(each.folder.recording) for each in (first, second, without)]
+    for name in recordings[0].channels:
+        assert all((each[name] == recordings[0][name]).all() for each in recordings[1:]), name
+
+
+def test_a_bench_that_is_to_stop_does_so_before_the_limit_is_crossed(tmp_path: Path) -> None:
+    outcome = run(tmp_path, *TRIPS, "safety.on_predicted_limit=stop")
+    assert outcome.exit_code == EXIT_BENCH_FAULT
+    (fault,) = outcome.result.faults
+    assert "predicted: tension of the web beyond its trip level 90 N" in fault.text
+    assert fault.time_s is not None
+    assert fault.time_s < 4.0
+    (made,) = outcome.result.predicted or ()
+    assert (made.action, made.crossed_s) == ("stopped", None)
+    assert outcome.result.metrics["limits_predicted_in_vain"] == 0.0
+
+
+def test_a_bench_that_is_to_slow_down_keeps_below_the_limit_of_the_speed(tmp_path: Path) -> None:
+    limit = ("safety.limits.speed_m_s={trip: 2.5}", "safety.limits.tension_N={}")
+    tripped = run(tmp_path / "a", *limit)
+    assert tripped.exit_code == EXIT_BENCH_FAULT
+    outcome = run(tmp_path / "b", *limit, "safety.on_predicted_limit=slow_down", "criteria=[]")
+    assert outcome.exit_code == EXIT_PASSED, outcome.result.faults
+    speed = read_recording(outcome.folder.recording)["v2_m_s"]
+    assert 1.0 < speed.max() < 2.5
+    assert {each.action for each in outcome.result.predicted or ()} == {"slowed down"}
+    assert any("is held below" in each.text for each in outcome.result.warnings or ())
