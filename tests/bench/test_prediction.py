@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from hilbench.bench.lifecycle.participants import Participants
-from hilbench.errors import EXIT_BENCH_FAULT, EXIT_PASSED
+from hilbench.errors import EXIT_BENCH_FAULT, EXIT_PASSED, UnusableInputError
 from hilbench.results.journal import read_journal
 from hilbench.results.recording import read_recording
 from hilbench.results.result import Result
@@ -87,3 +87,44 @@ def test_a_bench_that_is_to_slow_down_keeps_below_the_limit_of_the_speed(tmp_pat
     assert 1.0 < speed.max() < 2.5
     assert {each.action for each in outcome.result.predicted or ()} == {"slowed down"}
     assert any("is held below" in each.text for each in outcome.result.warnings or ())
+
+
+STEP_CHECKED = "steps.2.step={path: load.web.youngs_modulus_Pa, to: 10.5e+9, check: predicted}"
+
+
+def test_a_step_that_would_trip_a_limit_is_refused_before_it_is_done(tmp_path: Path) -> None:
+    outcome = run(tmp_path, *TRIPS, STEP_CHECKED)
+    assert outcome.exit_code == EXIT_BENCH_FAULT
+    (fault,) = outcome.result.faults
+    assert (
+        "load.web.youngs_modulus_Pa to 1.05e+10 is refused: tension of the web beyond its trip level 90 N" in fault.text
+    )
+    assert "expected at most 10 %" in fault.text
+    tension = read_recording(outcome.folder.recording)["F_true_N"]
+    assert tension.max() < 85.0
+
+
+def test_a_step_that_keeps_within_the_limits_is_done(tmp_path: Path) -> None:
+    outcome = run(tmp_path, "safety.limits.tension_N={trip: 120.0}", STEP_CHECKED, "criteria=[]")
+    assert outcome.exit_code == EXIT_PASSED, outcome.result.faults
+    assert read_recording(outcome.folder.recording)["E_true_Pa"].max() == pytest.approx(13.0e9)
+
+
+def test_a_ramp_that_the_drives_cannot_follow_within_their_limit_is_refused(tmp_path: Path) -> None:
+    checked = "steps.8.ramp={path: line_speed_m_s, to: 0.0, duration_s: 0.5, check: predicted}"
+    outcome = run(tmp_path, "safety.limits.torque_Nm={trip: 6.0}", "safety.limits.tension_N={}", checked)
+    assert outcome.exit_code == EXIT_BENCH_FAULT
+    (fault,) = outcome.result.faults
+    assert "line_speed_m_s to 0 is refused: torque of axis" in fault.text
+
+
+def test_a_check_in_a_bench_that_does_not_look_ahead_is_refused_with_its_place(tmp_path: Path) -> None:
+    with pytest.raises(UnusableInputError, match="'predicted' in a bench that does not look ahead"):
+        run(tmp_path, STEP_CHECKED, "twin.prediction=null")
+
+
+def test_a_step_before_the_twin_knows_the_machine_cannot_be_checked(tmp_path: Path) -> None:
+    checked = "steps.0.ramp={path: line_speed_m_s, to: 1.0, duration_s: 1.0, check: predicted}"
+    outcome = run(tmp_path, checked)
+    assert outcome.exit_code == EXIT_BENCH_FAULT
+    assert "can't be checked: the twin is not synchronized" in outcome.result.faults[0].text

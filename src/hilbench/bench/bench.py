@@ -267,6 +267,18 @@ class Bench:
         """What will be asked of the bench from now on, as far as its experiment knows; a look ahead goes by it."""
         self._plan = plan
 
+    def refuse_if_predicted(self, path: str, to: float, duration_s: float, above: float) -> None:
+        """Look ahead as if a quantity went to `to` from now on; cycles run until the outlook is there.
+
+        Raises PredictedLimitError when a trip level would be crossed with a probability above `above`, BenchFaultError
+        when nothing can be said (the twin is not synchronized), UnusableValueError where the config asks for no
+        prediction.
+        """
+        prediction = self.prediction
+        if prediction is None:
+            raise UnusableValueError("twin.prediction is not given, expected it for a step that is checked by it")
+        prediction.refuse_if_predicted(path, to, duration_s, above, self.cycle)
+
     def _asked(self) -> Asked:
         """What is asked of the machine, by whomever."""
         config, reference, now_s = self.config, self._machine.reference, self.time_s

@@ -33,7 +33,7 @@ class Plan:
         values = np.full(len(times_s), present)
         value = present
         for move in self.moves:
-            if move.path != path or move.end_s <= now_s:
+            if move.path != path or move.end_s < now_s:
                 continue
             begin = max(move.start_s, now_s)
             values[times_s >= move.end_s] = move.to

@@ -62,6 +62,7 @@ def check_experiment(loaded: LoadedConfig, *, with_margins: bool = False) -> Che
     _check_paths(loaded, asked)
     _check_criteria(loaded)
     _check_methods(loaded)
+    _check_predictions(loaded)
     if config.machine_kind is MachineKind.SERVO_AXIS:
         found = _check_shaft(loaded, bench, asked)
     else:
@@ -92,6 +93,18 @@ def _check_methods(loaded: LoadedConfig) -> None:
             place = loaded.document.place(("steps", number, "synchronizer"))
             raise UnusableInputError(
                 place, f"a change of the twin's method, expected none: the twin of a {kind} has one method"
+            )
+
+
+def _check_predictions(loaded: LoadedConfig) -> None:
+    """A step that is checked by a prediction needs one."""
+    if loaded.config.twin.prediction is not None:
+        return
+    for number, step in enumerate(loaded.config.steps):
+        if any(move is not None and move.check is not None for move in (step.ramp, step.set, step.step)):
+            raise UnusableInputError(
+                loaded.document.place(("steps", number, step.kind, "check")),
+                "'predicted' in a bench that does not look ahead, expected 'prediction: {}' in 'twin:'",
             )
 
 

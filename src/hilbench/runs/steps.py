@@ -5,7 +5,7 @@ from __future__ import annotations
 import operator
 import re
 from collections.abc import Callable
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import (
     AfterValidator,
@@ -78,7 +78,23 @@ def _method(name: str) -> str:
 Method = Annotated[str, AfterValidator(_method), WithJsonSchema({"type": "string", "enum": list(METHODS)})]
 
 
-class Ramp(Block):
+class CheckedMove(Block):
+    """What may be checked before it is done: whether the twin's prediction sees a trip level crossed by it."""
+
+    check: Literal["predicted"] | None = Field(
+        default=None,
+        description="predicted: look ahead first, and refuse the step (a bench fault, as a limit that is crossed) "
+        "where a trip level would be crossed within the horizon",
+    )
+    check_above: float = Field(default=0.1, ge=0, lt=1, description="probability above which the step is refused")
+
+    def make_sure(self, bench: Bench, path: str, to: float, duration_s: float = 0.0) -> None:
+        """Raise PredictedLimitError where it is refused."""
+        if self.check is not None:
+            bench.refuse_if_predicted(path, to, duration_s, self.check_above)
+
+
+class Ramp(CheckedMove):
     """Move a quantity linearly: at `rate_per_s` (unit of the quantity per second) or within `duration_s`."""
 
     path: RampedPath = Field(description="what is moved")
@@ -101,6 +117,7 @@ class Ramp(Block):
                 f"ramp of {self.path} by {distance:g} at {self.rate_per_s:g} per s takes {duration_s:g} s, "
                 f"expected at most {LONGEST_S:g} s"
             )
+        self.make_sure(bench, self.path, self.to, duration_s)
         bench.ramp(self.path, self.to, max(duration_s, bench.config.cycle_time_s))
 
 
@@ -122,7 +139,7 @@ class Hold(Block):
         bench.run(max(0.0, left_s))
 
 
-class Set(Block):
+class Set(CheckedMove):
     """Give quantities a value from the next cycle on."""
 
     path: Path = Field(description="what is set")
@@ -130,6 +147,7 @@ class Set(Block):
 
     def run(self, bench: Bench) -> None:
         """Set it; takes no time."""
+        self.make_sure(bench, self.path, self.to)
         bench.set(self.path, self.to)
 
 
@@ -138,6 +156,7 @@ class Step(Set):
 
     def run(self, bench: Bench) -> None:
         """Set it and note the event."""
+        self.make_sure(bench, self.path, self.to)
         bench.step(self.path, self.to)
 
 

@@ -6,6 +6,7 @@ import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
+from dataclasses import replace
 from operator import attrgetter
 from typing import Literal, Protocol
 
@@ -22,11 +23,13 @@ from hilbench.errors import BenchFaultError
 from hilbench.exchange.exchange import Inputs
 from hilbench.prediction.config import PredictionConfig
 from hilbench.prediction.outlook import Crossing, Outlook, Watched
-from hilbench.prediction.plan import Asked
+from hilbench.prediction.plan import Asked, Move
 from hilbench.topology.sample import CycleSample
 
 #: What the highest speed to come is brought to, as a share of itself, with each look that still sees a limit crossed.
 _LOWER = 0.9
+#: What the draws of a look besides the regular ones of a cycle are told from those by.
+_BESIDES = 1
 #: Of the horizon, to find that speed.
 _POINTS = 200
 
@@ -93,6 +96,7 @@ class Prediction(CyclicTask):
         self._values = attrgetter(*(watched.signal for watched in look.watched))
         self._pool = None if lockstep else ThreadPoolExecutor(1, "prediction", initializer=_give_way)
         self._running: tuple[Future[None], Callable[[], Outlook]] | None = None
+        self._is_asked = False  # a look besides the regular ones is under way
 
     def warm_up(self) -> None:
         """Compile what a look runs, before one has to wait for it."""
@@ -122,8 +126,49 @@ class Prediction(CyclicTask):
         if sample.cycle % self._every == 0 and self._window.full:
             self._begin(sample)
 
+    def refuse_if_predicted(
+        self, path: str, to: float, duration_s: float, above: float, cycle: Callable[[], object]
+    ) -> None:
+        """As `Bench.refuse_if_predicted`."""
+        sample = self._state.sample
+        step = f"{path} to {to:.6g}"
+        while self._running is not None:
+            cycle()
+        if not self._window.full:
+            raise BenchFaultError(
+                f"t = {sample.t_s:.3f} s: {step} can't be checked: the twin is not synchronized, or a loop is open"
+            )
+        asked = self._asked()
+        plan = asked.plan.with_moves([Move(path, sample.t_s, sample.t_s + duration_s, to)])
+        outlook = self._looked(replace(asked, plan=plan), sample, cycle)
+        trips = [each for each in outlook.crossings() if each.level == "trip" and each.probability > above]
+        if trips:
+            worst = max(trips, key=lambda each: each.probability)
+            raise PredictedLimitError(
+                f"t = {outlook.now_s:.3f} s: {step} is refused: {expected(worst, outlook.now_s)}, "
+                f"expected at most {100 * above:g} %"
+            )
+
+    def _looked(self, asked: Asked, sample: CycleSample, cycle: Callable[[], object]) -> Outlook:
+        """The outlook of one look besides the regular ones; where it must not hold up a cycle, cycles run meanwhile."""
+        run, outlook = self._look.prepare(
+            sample.t_s, self._window, self._hindsight, asked, self._seed, sample.cycle, _BESIDES
+        )
+        if self._pool is None:
+            run()
+            return outlook()
+        self._is_asked = True
+        try:
+            done = self._pool.submit(run)
+            while not done.done():
+                cycle()
+            done.result()
+        finally:
+            self._is_asked = False
+        return outlook()
+
     def _begin(self, sample: CycleSample) -> None:
-        if self._running is not None:
+        if self._running is not None or self._is_asked:
             self.left_out += 1
             return
         run, outlook = self._look.prepare(

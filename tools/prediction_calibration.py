@@ -1,0 +1,199 @@
+"""How well the probabilities of predicted limits are calibrated: seeded runs of the demonstrator, one forecast each.
+
+    python tools/prediction_calibration.py [--runs 200] [--first 1]
+
+Each run is drawn from its seed: a speed, the true E of the web (the twin starts from the model's), an experiment (a
+step of E, of the tension set-point, or a faster or slower ramp), what is hidden from the model (dry friction, a torque
+scale, or nothing), and a warning level around what the experiment will reach (standard deviation 5 % of a tension, 0.3
+N·m of a torque). The forecast is the last one a second before the experiment moves; the run says whether the level was
+crossed within the horizon. Printed are the Brier score (Brier, Monthly Weather Review 78(1), 1950), that of a forecast
+that always says the share of crossings, and what came of the forecasts of each probability. Deterministic: lockstep, one
+process.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hilbench.bench.bench import Bench
+from hilbench.bench.lifecycle.participants import Participants
+from hilbench.runs.config import ExperimentConfig, load_with_overrides
+from hilbench.runs.foresight import Foresight
+from hilbench.topology.sample import CycleSample
+
+CONFIG = Path(__file__).resolve().parents[1] / "bench_configs" / "predicted_limit.yaml"
+HORIZON_S = 2.5
+#: When the experiment moves, s; the forecast is made `LEAD_S` before.
+MOVES_S, LEAD_S = 3.5, 1.0
+EDGES = (0.0, 0.05, 0.2, 0.4, 0.6, 0.8, 0.95, 1.0)
+#: Motor torque per acceleration of the line and per tension: (J/r + i²·J_m/r)/i and r/i of the demonstrator.
+_TORQUE_PER_ACCELERATION, _TORQUE_PER_TENSION = 29.8 * 0.04, 0.04
+
+
+@dataclass(frozen=True)
+class Case:
+    """One run: what was done, what was forecast and what came."""
+
+    seed: int
+    experiment: str
+    hidden: str
+    signal: str
+    level: float
+    probability: float
+    crossed: bool
+
+
+def drawn(seed: int) -> tuple[ExperimentConfig, str, str, str]:
+    """The config of a seed, its experiment, what is hidden, and the signal whose level may be crossed."""
+    random = np.random.default_rng((seed, 18))
+    speed_m_s, modulus_Pa = random.uniform(1.0, 3.0), 8.7e9 * random.uniform(0.97, 1.03)
+    near = random.normal()  #: how far the level is from what will be reached, in units that each experiment has
+    experiment = str(random.choice(["modulus", "set-point", "ramp"]))
+    hidden = str(random.choice(["nothing", "friction", "torque scale"], p=[0.5, 0.25, 0.25]))
+    effects: list[dict[str, Any]] = []
+    if hidden == "friction":
+        effects = [{"effect": "coulomb_friction", "axis": 2, "parameters": {"force_N": random.uniform(0.0, 2.0)}}]
+    elif hidden == "torque scale":
+        scale = random.uniform(-0.02, 0.02)
+        effects = [{"effect": "torque_scale", "axis": 2, "parameters": {"relative_change": scale}}]
+    move: dict[str, Any]
+    if experiment == "modulus":
+        factor = random.uniform(1.1, 1.25)
+        move = {"step": {"path": "load.web.youngs_modulus_Pa", "to": modulus_Pa * factor}}
+        quantity, signal, level = "tension_N", "F_true_N", 80.0 * factor * (1.0 + 0.05 * near)
+    elif experiment == "set-point":
+        to_N = random.uniform(88.0, 100.0)
+        move = {"step": {"path": "tension_control.set_point_N", "to": to_N}}
+        quantity, signal, level = "tension_N", "F_true_N", to_N * (1.005 + 0.05 * near)
+    else:
+        rate = random.uniform(2.0, 4.0)
+        move = {"ramp": {"path": "line_speed_m_s", "to": speed_m_s + rate * 1.0, "duration_s": 1.0}}
+        reached = rate * _TORQUE_PER_ACCELERATION + 10.0 * _TORQUE_PER_TENSION
+        quantity, signal, level = "torque_Nm", "tau2_Nm", 1.15 * reached + 0.17 + 0.3 * near
+    steps = [
+        {"ramp": {"path": "line_speed_m_s", "to": speed_m_s, "duration_s": 1.0}},
+        {"hold": {"until_s": MOVES_S}},
+        move,
+        {"hold": {"duration_s": HORIZON_S - LEAD_S}},
+    ]
+    limits: dict[str, Any] = {
+        "tension_N": {},
+        "torque_Nm": {},
+        "speed_m_s": {},
+        "position_difference_m": {},
+        "estimate_ratio": {},
+    }
+    changes = {
+        "seed": seed,
+        "bus.address": "embedded",
+        "load.web.youngs_modulus_Pa": modulus_Pa,
+        "hardware.effects": effects,
+        "safety.limits": limits | {quantity: {"warning": float(level)}},
+        "twin.prediction": {"horizon_s": HORIZON_S, "announce_above": 0.5},
+        "steps": steps,
+        "criteria": [],
+    }
+    given = [f"{key}={json.dumps(value)}" for key, value in changes.items()]
+    return load_with_overrides(CONFIG, changes=given).config, experiment, hidden, signal
+
+
+class Largest:
+    """The largest size of a signal since `size` was set to 0."""
+
+    def __init__(self, signal: str) -> None:
+        self.size = 0.0
+        self._signal = signal
+
+    def sample(self, sample: CycleSample) -> None:
+        """The next cycle."""
+        self.size = max(self.size, abs(float(getattr(sample, self._signal))))
+
+
+def run(seed: int) -> Case:
+    """The run of a seed."""
+    config, experiment, hidden, signal = drawn(seed)
+    foresight, largest = Foresight(config), Largest(signal)
+    with Bench(config, observers=[largest], participants=Participants.IN_PROCESS) as bench:
+        for number, step in enumerate(config.steps[:2]):
+            bench.foresee(foresight.plan(number, bench.time_s))
+            if number == 0:
+                step.run(bench, [])
+        bench.run(MOVES_S - LEAD_S - bench.time_s)
+        assert bench.prediction is not None, "the config asks for it"
+        outlook = bench.prediction.outlook
+        assert outlook is not None, f"seed {seed}: the twin is not synchronized"
+        place = outlook.place(signal)
+        probability, level = float(outlook.probability[place, 0]), outlook.watched[place].warning
+
+        largest.size = 0.0
+        for number, step in enumerate(config.steps[1:], 1):
+            bench.foresee(foresight.plan(number, bench.time_s))
+            step.run(bench, [])
+    assert level is not None, "it was drawn"
+    return Case(seed, experiment, hidden, signal, level, probability, largest.size > level)
+
+
+def brier(cases: Sequence[Case]) -> float:
+    """Mean square of the forecast's distance from what came."""
+    return float(np.mean([(case.probability - case.crossed) ** 2 for case in cases]))
+
+
+def reliability(cases: Sequence[Case]) -> list[tuple[float, float, int, float, float]]:
+    """Of each class of probability: its edges, how many forecasts, their mean, and the share that came true."""
+    rows = []
+    for low, high in pairwise(EDGES):
+        inside = [case for case in cases if low <= case.probability < high or (high == 1.0 and case.probability == 1.0)]
+        if inside:
+            said = float(np.mean([case.probability for case in inside]))
+            came = float(np.mean([case.crossed for case in inside]))
+            rows.append((low, high, len(inside), said, came))
+    return rows
+
+
+def table(cases: Sequence[Case]) -> str:
+    """For a page, in Markdown."""
+    share = float(np.mean([case.crossed for case in cases]))
+    lines = [
+        f"{len(cases)} runs, {100 * share:.0f} % crossed; Brier score {brier(cases):.4f} "
+        f"(always saying {share:.2f}: {share * (1 - share):.4f})",
+        "",
+        "| forecast | runs | mean forecast | came true |",
+        "|---|---|---|---|",
+    ]
+    for low, high, count, said, came in reliability(cases):
+        lines.append(f"| {100 * low:.0f} to {100 * high:.0f} % | {count} | {100 * said:.1f} % | {100 * came:.1f} % |")
+    return "\n".join([*lines, "", *_by("experiment", cases), *_by("hidden", cases)])
+
+
+def _by(what: str, cases: Sequence[Case]) -> Iterable[str]:
+    for value in sorted({getattr(case, what) for case in cases}):
+        of = [case for case in cases if getattr(case, what) == value]
+        yield f"{what} {value}: {len(of)} runs, Brier score {brier(of):.4f}"
+
+
+def main() -> None:
+    """Run and print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--runs", type=int, default=200, help="how many seeds")
+    parser.add_argument("--first", type=int, default=1, help="the first one")
+    parser.add_argument("--out", type=Path, help="JSON lines, one a run")
+    options = parser.parse_args()
+    cases = []
+    for seed in range(options.first, options.first + options.runs):
+        cases.append(run(seed))
+        if options.out:
+            with open(options.out, "a", encoding="utf-8") as file:
+                file.write(json.dumps(asdict(cases[-1])) + "\n")
+    print(table(cases))
+
+
+if __name__ == "__main__":
+    main()
