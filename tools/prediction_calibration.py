@@ -7,8 +7,8 @@ step of E, of the tension set-point, or a faster or slower ramp), what is hidden
 scale, or nothing), and a warning level around what the experiment will reach (standard deviation 5 % of a tension, 0.3
 N·m of a torque). The forecast is the last one a second before the experiment moves; the run says whether the level was
 crossed within the horizon. Printed are the Brier score (Brier, Monthly Weather Review 78(1), 1950), that of a forecast
-that always says the share of crossings, and what came of the forecasts of each probability. Deterministic: lockstep, one
-process.
+that always says the share of crossings, and what came of the forecasts of each probability. Deterministic: lockstep,
+one process.
 """
 
 from __future__ import annotations

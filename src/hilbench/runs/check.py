@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from math import isfinite
 
 from hilbench.bench.check import CheckedBench, check_bench, check_imitated_inertia, imitable_inertias_kg_m2
+from hilbench.bench.prediction.web_line import foreseen
 from hilbench.bench.tasks.tension_loop import Margins, OperatingPoint, TensionLoop
 from hilbench.bench.web_line_check import check_stability, operating_point_text, stiffness_reserve
 from hilbench.errors import UnusableInputError
@@ -98,13 +99,21 @@ def _check_methods(loaded: LoadedConfig) -> None:
 
 def _check_predictions(loaded: LoadedConfig) -> None:
     """A step that is checked by a prediction needs one."""
-    if loaded.config.twin.prediction is not None:
-        return
-    for number, step in enumerate(loaded.config.steps):
-        if any(move is not None and move.check is not None for move in (step.ramp, step.set, step.step)):
+    config, place = loaded.config, loaded.document.place
+    for number, step in enumerate(config.steps):
+        move = step.ramp or step.set or step.step
+        if move is None or move.check is None:
+            continue
+        if config.twin.prediction is None:
             raise UnusableInputError(
-                loaded.document.place(("steps", number, step.kind, "check")),
+                place(("steps", number, step.kind, "check")),
                 "'predicted' in a bench that does not look ahead, expected 'prediction: {}' in 'twin:'",
+            )
+        if move.path not in foreseen(config):
+            raise UnusableInputError(
+                place(("steps", number, step.kind, "check")),
+                f"'predicted' for {move.path}, whose effect no prediction knows, expected it for one of "
+                f"{', '.join(foreseen(config))}",
             )
 
 

@@ -29,6 +29,16 @@ from hilbench.topology.sample import CycleSample
 Array = NDArray[np.float64]
 
 
+def foreseen(config: BenchConfig) -> dict[str, str]:
+    """The quantities whose courses futures follow, by path, each with the signal that shows it."""
+    shape = config.shape
+    set_points = {
+        tension_set_point(shape.numbered(span)): f"F{shape.numbered(span)}_ref_N" for span in config.tension_controls
+    }
+    modulus = f"E{shape.numbered(shape.estimated[0])}_true_Pa"
+    return {LINE_SPEED: f"v{shape.axes}_cmd_m_s", **set_points, YOUNGS_MODULUS: modulus}
+
+
 class LineLook:
     """Looks ahead from the samples of one run."""
 

@@ -1,0 +1,133 @@
+"""What would come if something were asked of a machine now: futures from a run's recording, or from what a run that
+still goes on has written."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import isfinite
+from types import SimpleNamespace
+from typing import Final, cast
+
+import numpy as np
+
+from hilbench.bench.prediction.hindsight import Hindsight
+from hilbench.bench.prediction.web_line import LineLook, foreseen
+from hilbench.bench.prediction.window import CYCLES, Window
+from hilbench.errors import UnusableInputError
+from hilbench.plant.effects import MachineKind
+from hilbench.prediction.config import PredictionConfig
+from hilbench.prediction.outlook import Outlook
+from hilbench.prediction.plan import Asked, Move, Plan
+from hilbench.results.recording import Recording, read_recording
+from hilbench.results.recover import replay
+from hilbench.results.run_folder import RunFolder
+from hilbench.topology import quantities
+from hilbench.topology.config import BenchConfig
+from hilbench.topology.sample import CycleSample
+
+
+@dataclass(frozen=True)
+class Question:
+    """What is asked for: values by path, SI, reached within `over_s` (None: the machine's reference at the rate at
+    which the bench itself moves it, all else at once); how far and in how many futures to look; when (experiment time,
+    s; None: as late as possible)."""
+
+    values: Mapping[str, float]
+    over_s: float | None = None
+    horizon_s: float = 10.0
+    futures: int = 64
+    at_s: float | None = None
+
+
+@dataclass(frozen=True)
+class Answer:
+    """The outlook with what was asked, and what was before, by path."""
+
+    outlook: Outlook
+    moves: tuple[Move, ...]
+    before: Mapping[str, float]
+
+
+def recorded(folder: RunFolder, config: BenchConfig) -> Recording:
+    """The recording of a run, or what its trace has of it by now.
+
+    Raises UnusableInputError for a run that has neither.
+    """
+    return read_recording(folder.recording) if folder.recording.exists() else replay(config, folder).recording
+
+
+def what_if(config: BenchConfig, recording: Recording, question: Question, place: str) -> Answer:
+    """Look ahead from a recording of a bench.
+
+    Raises UnusableInputError for a machine that can't be predicted, a quantity that can't be asked for, and a time at
+    which the present is not known well enough; `place` names the recording.
+    """
+    require_predictable(config, place)
+    for path, value in question.values.items():
+        check_asked(config, path, value)
+    look = LineLook(config, PredictionConfig(horizon_s=question.horizon_s, futures=question.futures))
+    row = _row(look, recording, question.at_s, place)
+    window = Window(look.signals)
+    for at in range(row - CYCLES, row + 1):
+        window.add(_sample(recording, at))
+    now_s = float(recording.time_s[row])
+    before = {path: float(recording[signal][row]) for path, signal in foreseen(config).items()}
+    unknown = [path for path, value in before.items() if not isfinite(value) and path in question.values]
+    if unknown:
+        raise UnusableInputError(place, f"nothing says what {unknown[0]} is now, expected the journal of the run")
+    before = {path: value for path, value in before.items() if isfinite(value)}
+    moves = tuple(
+        Move(path, now_s, now_s + _lasts_s(config, path, before[path], value, question.over_s), value)
+        for path, value in question.values.items()
+    )
+    run, outlook = look.prepare(
+        now_s, window, Hindsight(len(look.watched)), Asked(before, Plan(moves)), config.seed, row
+    )
+    run()
+    return Answer(outlook(), moves, before)
+
+
+def require_predictable(config: BenchConfig, place: str) -> None:
+    """Raise UnusableInputError for a machine whose futures nobody can run."""
+    if config.machine_kind is not MachineKind.WEB_LINE:
+        raise UnusableInputError(place, f"a bench with a {config.machine_kind}, expected one with a web_line")
+
+
+def check_asked(config: BenchConfig, path: str, value: float) -> None:
+    """Raise UnusableInputError for what is no quantity whose future is known, or a value that it can't have."""
+    known = foreseen(config)
+    if path not in known:
+        raise UnusableInputError("--set", f"'{path}', expected one of {', '.join(known)}")
+    allowed = quantities.permitted(path)
+    if not allowed.holds(value):
+        raise UnusableInputError("--set", f"{path} is {value:g}, expected {allowed}")
+
+
+def _lasts_s(config: BenchConfig, path: str, before: float, to: float, over_s: float | None) -> float:
+    if over_s is not None:
+        return over_s
+    return abs(to - before) / config.quick_stop_per_s2 if path == quantities.LINE_SPEED else 0.0
+
+
+def _sample(recording: Recording, row: int) -> CycleSample:
+    values = {name: recording[name][row].item() for name in recording.channels}
+    return cast("CycleSample", SimpleNamespace(**values))
+
+
+#: So many of the last cycles are looked through for one in which the present is known.
+_MOST_BACK: Final = 30_000
+
+
+def _row(look: LineLook, recording: Recording, at_s: float | None, place: str) -> int:
+    """The cycle to look ahead from: the one at a time, or the last one possible."""
+    time_s = recording.time_s
+    if at_s is not None and not time_s[0] <= at_s <= time_s[-1]:
+        raise UnusableInputError("--at", f"{at_s:g} s, expected a time of the run: {time_s[0]:g} to {time_s[-1]:g} s")
+    last = len(time_s) - 1 if at_s is None else int(np.searchsorted(time_s, at_s, side="right")) - 1
+    least = CYCLES if at_s is None else max(CYCLES, last)
+    for row in range(last, max(least, last - _MOST_BACK) - 1, -1):
+        if all(look.ready(_sample(recording, at)) for at in (row, row - CYCLES)):
+            return row
+    when = "in this run" if at_s is None else f"at t = {at_s:g} s"
+    raise UnusableInputError(place, f"the twin is not synchronized, or a tension loop is open, {when}: expected both")
