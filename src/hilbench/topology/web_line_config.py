@@ -21,6 +21,24 @@ class LoadWebConfig(Block):
     span_length_m: Length | list[Length] | None = Field(default=None, description="free web between two driven rollers")
 
 
+ProbingMode = Literal["off", "ask", "on"]
+
+
+class ProbingConfig(Block):
+    """Small known changes of the tension set-point that tell E from friction and from an offset of the torque."""
+
+    mode: ProbingMode = Field(
+        default="off",
+        description="on: made when the deviation of E is wide; ask: only when an operator allows it; off: never",
+    )
+    amplitude_pct: float = Field(default=2.0, gt=0, le=2.0, description="of the set-point, either way")
+    period_s: float = Field(default=1.25, ge=0.2, le=60, description="of going up and down")
+    duration_s: float = Field(default=5.0, ge=1, le=60, description="of a probe")
+    deviation_pct: PositiveFloat = Field(default=0.5, description="stated deviation of E from which it is wide")
+    settled_s: PositiveFloat = Field(default=2.0, description="how long the line has to be steady before a probe")
+    rest_s: float = Field(default=60.0, ge=0, description="least time between two probes that nobody asked for")
+
+
 class TensionControlConfig(Block):
     """The tension loop: how the velocity of the axis before a span keeps its simulated tension at the set-point."""
 
@@ -43,6 +61,14 @@ class TensionControlConfig(Block):
         le=2.0,
         description="damping ratio that axis 1 gives the swing of roller 2 against the web; 0: none",
     )
+    probing: ProbingMode | ProbingConfig = Field(
+        default="off", description="small known changes of the tension; a word alone is the mode"
+    )
+
+    @property
+    def probes(self) -> ProbingConfig:
+        """How the tension is probed."""
+        return ProbingConfig(mode=self.probing) if isinstance(self.probing, str) else self.probing
 
 
 def span_misfits(spans: Sequence[int], count: int) -> Iterator[str]:

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from hilbench.canopen.eds import load_eds
+from hilbench.estimation.web_line.config import KnownChangeConfig
 from hilbench.exchange.device_clock import device_clock
 from hilbench.exchange.nodes import declared_units
-from hilbench.topology.config import BenchConfig
+from hilbench.topology.config import BenchConfig, TwinConfig
 from hilbench.topology.parts import Part, Role
 from hilbench.twin.axis_listener import RealAxis, TwinNode
 from hilbench.twin.process import TwinSetup
+
+#: What the gains of a simulated drive's loop may be off the model's, %.
+_SIMULATED_LOOP_PCT = 0.2
 
 
 def twin_setup(config: BenchConfig) -> TwinSetup:
@@ -27,9 +31,20 @@ def twin_setup(config: BenchConfig) -> TwinSetup:
         cycle_s=config.cycle_time_s,
         model=config.machine,
         shape=config.shape,
-        twin=config.twin,
+        twin=_twin(config),
         real_axes=tuple(map(axis, config.parts_of(Role.AXIS))),
         virtual_axes=tuple(map(node, config.parts_of(Role.VIRTUAL_AXIS))),
         virtual_io=node(*config.parts_of(Role.VIRTUAL_IO)),
         process=config.process_settings("twin"),
     )
+
+
+def _twin(config: BenchConfig) -> TwinConfig:
+    """The twin beside a bench that makes probes looks at what they show."""
+    twin = config.twin
+    probes = any(control.probes.mode != "off" for control in config.tension_controls.values())
+    if not probes or twin.known_change is not None:
+        return twin
+    measured = list(config.drives.values())[twin.synchronizer.span]
+    deviation_pct = _SIMULATED_LOOP_PCT if measured.simulated and config.shape.spans == 1 else None
+    return twin.model_copy(update={"known_change": KnownChangeConfig(loop_gain_deviation_pct=deviation_pct)})

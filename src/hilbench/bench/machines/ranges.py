@@ -12,6 +12,7 @@ from hilbench.topology.quantities import (
     SHAFT_COULOMB_FRICTION,
     SHAFT_INERTIA,
     SPEED,
+    TENSION_PROBE,
     TENSION_SET_POINT,
     YOUNGS_MODULUS,
     modulus_of_span,
@@ -31,6 +32,7 @@ OPERATOR_OBJECTS: Final = {
     SPEED: (4, "Speed of the shaft [rad/s]"),
     SHAFT_INERTIA: (5, "Inertia of the imitated shaft [kg.m2]"),
     SHAFT_COULOMB_FRICTION: (6, "Dry friction of the imitated shaft [N.m]"),
+    TENSION_PROBE: (7, "Probe of the tension [0 or 1]"),
     **{
         tension_set_point(str(span)): (_FIRST_SET_POINT + span, f"Tension set-point of span {span} [N]")
         for span in range(1, MOST_SPANS + 1)
@@ -72,6 +74,7 @@ def _of_web_line(config: BenchConfig) -> dict[str, tuple[float, float]]:
         LINE_SPEED: (-speed_m_s, speed_m_s),
         **{path: (0.0, _highest(limits.tension_N)) for path in set_points if path in OPERATOR_OBJECTS},
         **{path: (E / ratio, E * ratio) for path, E in moduli_Pa.items() if path in OPERATOR_OBJECTS},
+        TENSION_PROBE: (0.0, 1.0),
     }
 
 

@@ -3,7 +3,7 @@ tension of the span between kept where there is a controller; load motors imitat
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from math import inf
 from operator import attrgetter
 
@@ -11,6 +11,7 @@ from hilbench.bench.machines.machine import MachineTasks
 from hilbench.bench.state import BenchState, TwinState
 from hilbench.bench.tasks.imitated_web import web_load_model
 from hilbench.bench.tasks.load_task import LoadTask
+from hilbench.bench.tasks.probing import Probing
 from hilbench.bench.tasks.reference import Reference
 from hilbench.bench.tasks.saturation import SaturationWatch
 from hilbench.bench.tasks.swing_damping import SwingDamping, SwingPlant
@@ -26,7 +27,7 @@ from hilbench.exchange.exchange import Inputs
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.quantities import LINE_SPEED
 from hilbench.topology.sample import CycleSample
-from hilbench.topology.web_line_config import TensionControlConfig
+from hilbench.topology.web_line_config import ProbingConfig, TensionControlConfig
 
 
 def tasks(config: BenchConfig, state: BenchState) -> MachineTasks:
@@ -48,13 +49,14 @@ def tasks(config: BenchConfig, state: BenchState) -> MachineTasks:
         trusts.append(TwinTrust(control, limits.tension_N.trip or inf, names.twin))
         loops.append(_tension_task(config, state, control, names, axes[-1], trusts[-1]))
         axes.append(loops[-1])
+    probing = _probing(config, state, {loop.span: loop for loop in loops}, line_speed)
     boundary = BoundaryTask(model.upstream_strain, model.boundary.downstream_tension_N)
     load = WebLoadTask(config)
     limit_watch = LimitWatch(limits, model, cycle_s, config.shape)
     return MachineTasks(
         reference=line_speed,
-        quantities=(line_speed, *loops, load),
-        control=(boundary, *axes, load),
+        quantities=(line_speed, *loops, load, probing),
+        control=(boundary, probing, *axes, load),
         watches=(
             WebAlarms(trusts, state.twin, stop_on_break=config.safety.on_web_break == "stop"),
             Watch("limits", limit_watch.update, reports),
@@ -63,6 +65,16 @@ def tasks(config: BenchConfig, state: BenchState) -> MachineTasks:
         twin_age_limit_cycles=max(control.twin_age_limit_cycles for control in controls.values()),
         warm_up=load.model.warm_up,
     )
+
+
+def _probing(
+    config: BenchConfig, state: BenchState, loops: Mapping[int, TensionTask], line_speed: Reference
+) -> Probing:
+    """Probes of the loop of the span at which E is found; none where that span has no loop."""
+    span = config.twin.synchronizer.span
+    found = config.tension_controls[span].probes if span in loops else ProbingConfig()
+    loop = loops.get(span) or next(iter(loops.values()))
+    return Probing(found, loop, loop.names.twin, line_speed, state)
 
 
 def _tension_task(

@@ -86,6 +86,7 @@ class TensionTask(CyclicTask):
         self._names = names
         self._leader = leader
         self._set_point_N = set_point_N
+        self.set_point_shift_N = 0.0  #: of a probe
         self._controller = controller
         self._damping = damping
         self._trust = trust
@@ -106,6 +107,26 @@ class TensionTask(CyclicTask):
         """What the axis is told."""
         return self._command_m_s
 
+    @property
+    def names(self) -> LoopNames:
+        """What is called what."""
+        return self._names
+
+    @property
+    def span(self) -> int:
+        """Number of the span whose tension is kept."""
+        return self._names.axis
+
+    @property
+    def set_point_N(self) -> float:
+        """The set-point without a probe's shift."""
+        return self._set_point_N
+
+    @property
+    def closed(self) -> bool:
+        """Whether the loop was closed in the last cycle."""
+        return bool(self._was_closed)
+
     def owns(self, path: str) -> bool:
         """Whether it is the set-point."""
         return path == self._names.path
@@ -124,12 +145,13 @@ class TensionTask(CyclicTask):
         closed = self._is_closed(sample)
         setattr(sample, names.closed, int(closed))
         speed_m_s, since_s = self._leader.speed_m_s, self._since_controlled_s(sample)
+        set_point_N = self._set_point_N + self.set_point_shift_N
         if closed:
             tension_N, modulus_Pa = getattr(sample, names.twin.tension), getattr(sample, names.twin.modulus)
-            velocity_m_s = self._controller.velocity(speed_m_s, self._set_point_N, tension_N, modulus_Pa, since_s)
+            velocity_m_s = self._controller.velocity(speed_m_s, set_point_N, tension_N, modulus_Pa, since_s)
             self._damping.use_modulus(modulus_Pa)
         else:
-            velocity_m_s = self._controller.hold(speed_m_s, self._set_point_N, self._cycle_s)
+            velocity_m_s = self._controller.hold(speed_m_s, set_point_N, self._cycle_s)
         self._speed_m_s = velocity_m_s
         velocity_m_s += self._damping.velocity(getattr(sample, names.before), getattr(sample, names.behind))
         outputs[names.drive] = self._command_m_s = velocity_m_s
@@ -137,7 +159,7 @@ class TensionTask(CyclicTask):
 
     def after(self, sample: CycleSample, inputs: Inputs) -> None:
         """Record the set-point."""
-        setattr(sample, self._names.set_point, self._set_point_N)
+        setattr(sample, self._names.set_point, self._set_point_N + self.set_point_shift_N)
 
     def rest(self, sample: CycleSample, outputs: Outputs) -> None:
         """The web is at rest, strained as upstream."""

@@ -146,6 +146,16 @@ class TransferConfig(Block):
     velocity_limit_m_s: PositiveFloat = Field(default=0.2, description="largest plausible difference of velocity")
 
 
+class KnownChangeConfig(Block):
+    """E from known changes of the strain, as probes of the bench make them."""
+
+    loop_gain_deviation_pct: PositiveFloat | None = Field(
+        default=None,
+        description="what the gains of axis 2's velocity loop may be off the model's: changes of its torque are then "
+        "taken from the loop's error of speed, without noise of the measured torque; not given: measured ones alone",
+    )
+
+
 class EstimationConfig(Block):
     """The twin: what it assumes and how it keeps in step with the bench."""
 
@@ -172,6 +182,11 @@ class EstimationConfig(Block):
         default="compensate",
         description="a shift of friction or of the torque's offset that is told from a change of E: taken out of the "
         "measured torque, or booked as E",
+    )
+    known_change: KnownChangeConfig | None = Field(
+        default=None,
+        description="E from changes of the tension at steady speed, from which friction and offsets cancel; not given: "
+        "where the bench makes probes, with a loop gain deviation of 0.2 % for a simulated drive",
     )
     synchronized_pct: PositiveFloat = Field(
         default=1.0,

@@ -16,6 +16,7 @@ from hilbench.estimation.web_line.balance import BalanceSample, MeasuredBalance
 from hilbench.estimation.web_line.config import EstimationConfig, InputConfig, PidConfig, SynchronizerConfig
 from hilbench.estimation.web_line.delay import DelayFinder, DelayLine
 from hilbench.estimation.web_line.found_running import FoundRunning
+from hilbench.estimation.web_line.known_change import DriveLoop, KnownChange
 from hilbench.estimation.web_line.synchronizers.base import Estimate, Synchronizer, SyncSample
 from hilbench.estimation.web_line.synchronizers.create import new_synchronizer
 from hilbench.estimation.web_line.synchronizers.plant import Plant
@@ -36,6 +37,8 @@ _LEAST_PRIOR_PCT = 0.1
 _GONE = 0.1
 #: Deviations of E and of the strain, in %, with which a web that was found under way is known.
 _FOUND_MODULUS_PCT, _FOUND_STRAIN_PCT = 0.3, 0.3
+#: Deviation of E, in %, with which a known change of the tension tells it, and its share of what was stated before.
+_KNOWN_PCT, _SAYS_MORE = 0.3, 0.9
 #: Largest strain, either way, of a measured state that is taken over: no web has more.
 _LARGEST_STRAIN = 0.5
 
@@ -100,6 +103,7 @@ class Tracking:
         )
         self._anomalies = Anomalies(model.youngs_modulus_Pa(1), self._balance.mass_kg, model.span_length_m(1), cycle_s)
         self._shift_finder = TorqueShiftFinder(self._balance.mass_kg, cycle_s)
+        self._known_change = _known_change(model, config, self._balance.mass_kg, cycle_s)
         self._synchronizer: Synchronizer
         self._unmodelled_N = 0.0
         self.reset()
@@ -132,6 +136,9 @@ class Tracking:
         self._delay_line.reset()
         self._anomalies.reset()
         self._shift_finder.reset()
+        self._now: tuple[BalanceSample, float] | None = None  # and the part of its force that the torque makes
+        if self._known_change is not None:
+            self._known_change.reset()
         self._strain_uncertainty = strain_uncertainty
         self._found: FoundRunning | None = None
         if strain_uncertainty > 0.0 and not isinstance(self._method, PidConfig | InputConfig):
@@ -203,6 +210,7 @@ class Tracking:
         balance.use_modulus(self.estimate.youngs_modulus_Pa)
         now = balance.update(x1_m, x2_m, torque_Nm, strain_prev, F_next_N, self._cycle_s + self._missed_s)
         self._missed_s = 0.0
+        self._now = (now, torque_Nm * balance.force_per_torque_per_m)
         torque_sim_Nm = self._axis2.torque_Nm
         self.residual_Nm = torque_Nm - torque_sim_Nm
         self.problem = self._plausibility.problem(torque_Nm, now.web_per_Pa, now.velocity_m_s)
@@ -266,6 +274,35 @@ class Tracking:
         self._strain_uncertainty, self._found = 0.0, None
         self.estimate = self._stated(Estimate(found.youngs_modulus_Pa, found.deviation_Pa))
         self.use(self._method)
+
+    def look_for_known_change(self, set_point_m_s: float) -> None:
+        """After `compare`: what the last changes of the tension tell of E, at a steady set-point of axis 2 (m/s).
+
+        It is believed, and what else the torque shows taken out of it, when it says more than what is known.
+        """
+        change = self._known_change
+        if change is None or self._now is None:
+            return
+        if self.problem is not None or self._strain_uncertainty > 0.0 or self.estimate.upstream_strain is not None:
+            change.reset()
+            return
+        now, torque_N = self._now
+        # The torque as it is measured: what it is corrected for may become another.
+        shift_N = self.torque_shift_Nm * self._balance.force_per_torque_per_m
+        measured = replace(now, force_N=now.force_N + shift_N)
+        known = change.update(measured, set_point_m_s, torque_N + shift_N, self.estimate.youngs_modulus_Pa)
+        limit_Pa = min(0.01 * _KNOWN_PCT * self.estimate.youngs_modulus_Pa, _SAYS_MORE * self.estimate.deviation_Pa)
+        if known is None or not 0.0 < known.deviation_Pa <= limit_Pa or known.youngs_modulus_Pa <= 0.0:
+            return
+        self.torque_shift_Nm = known.force_N / self._balance.force_per_torque_per_m
+        self.estimate = replace(self.estimate, youngs_modulus_Pa=known.youngs_modulus_Pa)
+        self.use(self._method)
+        # It is not the web that has changed, but what is known of it.
+        self._anomalies.suspend()
+        self._shift_finder.reset()
+        self._unmodelled_N = known.deviation_Pa * now.web_per_Pa
+        self.estimate = self._stated(Estimate(known.youngs_modulus_Pa, self._own_deviation_Pa))
+        change.believe(known.youngs_modulus_Pa)
 
     def upstream_strain(self, told: float) -> float:
         """The strain of the web that enters the simulation; `told` is what the real web's is said to be."""
@@ -333,3 +370,23 @@ class Tracking:
                 self.refused = True
         if states:
             line.set_state(states)
+
+
+def _known_change(
+    model: ModelParameters, config: EstimationConfig, mass_kg: float, cycle_s: float
+) -> KnownChange | None:
+    """What looks at known changes of the tension; None where that is not wanted."""
+    wanted = config.known_change
+    if wanted is None:
+        return None
+    loop = None
+    if wanted.loop_gain_deviation_pct is not None and model.drives is not None:
+        squared = model.motor_rad_per_m(2) ** 2
+        loop = DriveLoop(
+            per_item(model.drives.velocity_kp_Nm_s_per_rad, 2) * squared,
+            per_item(model.drives.velocity_ki_Nm_per_rad, 2) * squared,
+            per_item(model.drives.current_loop_time_constant_s, 2),
+            model.drives.sample_time_s,
+            0.01 * wanted.loop_gain_deviation_pct,
+        )
+    return KnownChange(mass_kg, loop, cycle_s)

@@ -122,6 +122,8 @@ class WebLineTwin:
         torque_Nm = self._section.measured_torque_Nm(positions_m, torques_Nm, strain, self._cycle_s)
         simulated_Nm = self.ports[self._span].torque_Nm
         self._tracking.compare(time_s, before_m, behind_m, torque_Nm, strain, F_next_N)
+        rad_per_m = 1.0 / self._metres_per_rad[self._span]
+        self._tracking.look_for_known_change(self.ports[self._span].setpoint / rad_per_m)
         self._residual_Nm = self._tracking.residual_Nm
         if others is not None:
             self._residual_Nm = torques_Nm[self._span] - self._tracking.torque_shift_Nm - simulated_Nm

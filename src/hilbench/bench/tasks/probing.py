@@ -1,0 +1,159 @@
+"""Asks the machine: a small known change of the tension, where production data can't tell E from friction.
+
+While the line runs steadily, dry friction, an offset of the torque and a wrong E look the same. What the torque does
+when the tension moves by a little tells them apart (`hilbench.estimation.web_line.known_change`, in the twin): the
+set-point goes up and down by a small share for some seconds. It is done when the twin states a wide deviation of E, or
+when somebody asks for it (path `tension_control.probe`, object 2200h sub 7); it is told when it begins and ends, it
+stands in the journal, and the recorded set-point shows it.
+"""
+
+from __future__ import annotations
+
+from math import inf, isfinite
+from operator import attrgetter
+from typing import Protocol
+
+from hilbench.bench.reports.change import Change
+from hilbench.bench.state import BenchState
+from hilbench.bench.tasks.limits import is_synchronized
+from hilbench.bench.tasks.reference import Reference
+from hilbench.bench.tasks.task import CyclicTask, Outputs
+from hilbench.bench.tasks.twin_trust import TwinSignals
+from hilbench.topology.quantities import TENSION_PROBE
+from hilbench.topology.sample import CycleSample
+from hilbench.topology.web_line_config import ProbingConfig
+
+#: Slower than this a roller may turn back within a probe, and dry friction with it.
+_LEAST_SPEED_M_S = 0.05
+#: How to allow what is asked for.
+_ALLOW = "hilbench sdo write bench 2200:7 1 (0 refuses)"
+
+
+class ProbedLoop(Protocol):
+    """A tension loop whose set-point can be shifted for a while."""
+
+    set_point_shift_N: float
+
+    @property
+    def set_point_N(self) -> float:
+        """Without the shift."""
+
+    @property
+    def closed(self) -> bool:
+        """Whether it is closed on the twin."""
+
+
+class Probing(CyclicTask):
+    """The probes of one tension loop; a `SettableQuantity`: 1 asks for one or allows it, 0 ends or refuses it."""
+
+    def __init__(
+        self, config: ProbingConfig, loop: ProbedLoop, signals: TwinSignals, line_speed: Reference, state: BenchState
+    ) -> None:
+        self._config = config
+        self._loop = loop
+        self._signals = attrgetter(signals.modulus, signals.deviation)
+        self._line_speed = line_speed
+        self._state = state
+        self._steady_for_s = 0.0
+        self._steady_at = (0.0, 0.0)  # line speed and set-point
+        self._since_s: float | None = None  # the probe began, in its own time; None while there is none
+        self._rested_s = inf
+        self._wanted = self._asked = False
+
+    def owns(self, path: str) -> bool:
+        """Whether it is the switch of the probes."""
+        return path == TENSION_PROBE
+
+    def value(self, path: str) -> float:
+        """1 while a probe is under way or waits for a steady line."""
+        return float(self._since_s is not None or self._wanted)
+
+    def set(self, path: str, value: float) -> None:
+        """1: begin as soon as the line is steady; 0: none, or not now."""
+        if value and self._config.mode == "off":
+            self._note("not made: 'probing' is off in the config")
+            return
+        if not value and self._since_s is not None:
+            self._end("ended by request")
+        if not value and self._asked:
+            self._note("refused")
+        self._wanted, self._asked = bool(value), False
+        self._rested_s = inf if value else 0.0
+
+    def before(self, sample: CycleSample, outputs: Outputs) -> None:
+        """Shift the set-point of the loop as the probe is far."""
+        if self._config.mode == "off":
+            return
+        cycle_s = self._state.cycle_s
+        steady = self._is_steady(sample)
+        if self._since_s is None:
+            self._rested_s += cycle_s
+            if steady:
+                self._consider(sample)
+            return
+        self._since_s += cycle_s
+        if not steady:
+            self._end("broken off: the line is not steady")
+        elif self._is_over(sample):
+            self._end(self._known(sample))
+        else:
+            half = int(2.0 * self._since_s / self._config.period_s)
+            self._loop.set_point_shift_N = self._size_N if half % 2 == 0 else -self._size_N
+
+    def rest(self, sample: CycleSample, outputs: Outputs) -> None:
+        """The drives are off."""
+        if self._since_s is not None:
+            self._end("broken off: the drives are off")
+        self._steady_for_s = 0.0
+
+    def _is_over(self, sample: CycleSample) -> bool:
+        """After its time, or when a whole period has told enough."""
+        told = self._since_s is not None and self._since_s >= self._config.period_s and not self._is_wide(sample)
+        return told or (self._since_s or 0.0) >= self._config.duration_s
+
+    @property
+    def _size_N(self) -> float:
+        return 0.01 * self._config.amplitude_pct * self._loop.set_point_N
+
+    def _is_steady(self, sample: CycleSample) -> bool:
+        now = (self._line_speed.present, self._loop.set_point_N)
+        usable = self._loop.closed and is_synchronized(sample) and abs(now[0]) >= _LEAST_SPEED_M_S
+        same = usable and now == self._steady_at
+        self._steady_at = now
+        self._steady_for_s = self._steady_for_s + self._state.cycle_s if same else 0.0
+        return same and (self._since_s is not None or self._steady_for_s >= self._config.settled_s)
+
+    def _consider(self, sample: CycleSample) -> None:
+        wide = self._is_wide(sample) and self._rested_s >= self._config.rest_s
+        if self._wanted or (wide and self._config.mode == "on"):
+            self._begin(sample)
+        elif wide and not self._asked:
+            self._asked = True
+            self._note(f"wanted, {self._known(sample)}; allow it: {_ALLOW}")
+
+    def _is_wide(self, sample: CycleSample) -> bool:
+        modulus_Pa, deviation_Pa = self._signals(sample)
+        return bool(isfinite(deviation_Pa) and deviation_Pa > 0.01 * self._config.deviation_pct * modulus_Pa)
+
+    def _begin(self, sample: CycleSample) -> None:
+        self._since_s, self._wanted, self._asked = 0.0, False, False
+        size_N, config = self._size_N, self._config
+        self._note(f"tension set-point ±{size_N:.3g} N for {config.duration_s:g} s, {self._known(sample)}")
+        self._journal(1.0)
+
+    def _end(self, why: str) -> None:
+        self._since_s, self._rested_s = None, 0.0
+        self._loop.set_point_shift_N = 0.0
+        self._note(why)
+        self._journal(0.0)
+
+    def _known(self, sample: CycleSample) -> str:
+        modulus_Pa, deviation_Pa = self._signals(sample)
+        return f"E = {modulus_Pa:.5g} Pa ± {100.0 * deviation_Pa / modulus_Pa:.2g} %"
+
+    def _journal(self, value: float) -> None:
+        cycle = self._state.running().timing.cycles
+        self._state.journal(Change(cycle, "set", TENSION_PROBE, value, 1.0 - value))
+
+    def _note(self, text: str) -> None:
+        self._state.reports.note("probe", text)
