@@ -12,11 +12,15 @@ import pytest
 import yaml
 from tests.plant.models import effect, lone_axis, model
 
+from hilbench.diagnosis import axis_next_experiment
+from hilbench.diagnosis.axis_next_experiment import AxisReach
 from hilbench.diagnosis.diagnosis import Diagnosis, Gap, NamedEffect, Unobservable, Value
 from hilbench.diagnosis.imitated import imitation_of
-from hilbench.diagnosis.web_next_experiment import LONGEST_S, Reach, duration_s, moves, propose, write_steps
+from hilbench.diagnosis.next_experiment import LONGEST_S, duration_s, write_steps
+from hilbench.diagnosis.web_next_experiment import Reach, moves, propose
 from hilbench.plant.effects import find_effect
-from hilbench.plant.web_line.parameters import ModelParameters
+from hilbench.plant.model_file import Machine
+from hilbench.plant.servo_axis.parameters import ServoAxisParameters
 from hilbench.runs.check import check_experiment
 from hilbench.runs.config import load_with_overrides
 
@@ -24,7 +28,7 @@ REACH = Reach(top_m_s=4.0, steepest_m_s2=3.0, tension_N=80.0)
 
 
 def left_open(
-    found: ModelParameters, *, tied: list[str] | None = None, blind: tuple[tuple[str, int | None], ...] = ()
+    found: Machine, *, tied: list[str] | None = None, blind: tuple[tuple[str, int | None], ...] = ()
 ) -> Diagnosis:
     """A diagnosis with one effect of axis 2, tied with others, of the demonstrator or another model."""
     effects = [
@@ -72,11 +76,59 @@ def test_friction_that_may_be_an_offset_of_strain_is_asked_by_going_back_and_for
     assert min(speeds) < 0.0 < max(speeds)
 
 
-def test_where_nothing_is_left_open_or_the_machine_is_a_lone_axis_nothing_is_proposed() -> None:
+def test_where_nothing_is_left_open_nothing_is_proposed() -> None:
     assert propose(left_open(model(FRICTION)), REACH) is None
-    assert (
-        propose(left_open(lone_axis(effect("coulomb_friction", 1, force_N=1.0)), tied=["torque_offset"]), REACH) is None
+    assert axis_next_experiment.propose(left_open(shaft("coulomb_friction", torque_Nm=0.1)), AXIS_REACH) is None
+
+
+AXIS_REACH = AxisReach(top=30.0, steepest=40.0, torque_Nm=0.5)
+
+
+def shaft(name: str, **parameters: float) -> ServoAxisParameters:
+    """A servo axis that was found to have an effect."""
+    return ServoAxisParameters.model_validate(
+        {"shaft": {"inertia_kg_m2": 0.05}, "effects": [{"effect": name, "axis": 1, "parameters": parameters}]}
     )
+
+
+@pytest.mark.parametrize(
+    ("machine", "path"),
+    [
+        (shaft("coulomb_friction", torque_Nm=0.1), "speed_rad_s"),
+        (lone_axis(effect("coulomb_friction", 1, force_N=1.0)), "line_speed_m_s"),
+    ],
+    ids=["shaft", "lone axis of a web"],
+)
+def test_friction_that_may_be_an_offset_of_a_lone_axis_is_told_by_turning_both_ways(
+    machine: Machine, path: str
+) -> None:
+    proposed = axis_next_experiment.propose(left_open(machine, tied=["torque_offset"]), AXIS_REACH)
+    assert proposed is not None
+    assert proposed.duration_s <= LONGEST_S
+    ramps = [step["ramp"] for step in proposed.steps if "ramp" in step]
+    assert {ramp["path"] for ramp in ramps} == {path}
+    speeds = [ramp["to"] for ramp in ramps]
+    assert min(speeds) < 0.0 < max(speeds)
+    assert max(map(abs, speeds)) <= AXIS_REACH.top
+    (reason,) = proposed.reasons
+    assert "whether it is coulomb_friction or torque_offset" in reason
+
+
+def test_no_move_of_an_axis_asks_more_than_it_has_done() -> None:
+    for steps in axis_next_experiment.moves(AXIS_REACH, "speed_rad_s").values():
+        before = 0.0
+        for ramp in (step["ramp"] for step in steps if "ramp" in step):
+            assert abs(ramp["to"]) <= AXIS_REACH.top
+            assert abs(ramp["to"] - before) <= 1.001 * AXIS_REACH.steepest * ramp["duration_s"]
+            before = ramp["to"]
+        assert before == 0.0
+
+
+def test_an_effect_that_an_axis_could_not_show_is_asked_by_a_move_that_shows_it() -> None:
+    unseen = left_open(shaft("coulomb_friction", torque_Nm=0.1), blind=(("inertia_mismatch", 1),))
+    proposed = axis_next_experiment.propose(unseen, AXIS_REACH)
+    assert proposed is not None
+    assert "steep ramps" in proposed.moves
 
 
 def test_an_effect_that_was_not_shown_is_asked_by_a_move_that_shows_it() -> None:

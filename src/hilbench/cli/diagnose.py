@@ -13,17 +13,18 @@ from rich.table import Table
 from hilbench.cli.columns import report_unknown
 from hilbench.cli.model_option import config_from, model_from
 from hilbench.cli.progress import ProgressDisplay
+from hilbench.diagnosis import axis_next_experiment, machines, web_next_experiment
 from hilbench.diagnosis.comparison import Run, compared
 from hilbench.diagnosis.diagnosis import Diagnosis, NamedEffect, diagnose
 from hilbench.diagnosis.imitated import imitation_beside, imitation_of
 from hilbench.diagnosis.live import LiveGap, live_gap, run_bench
 from hilbench.diagnosis.machines import AnyImitation
-from hilbench.diagnosis.web_next_experiment import NextExperiment, Reach, Step, propose, write_steps
+from hilbench.diagnosis.measured import measured_from
+from hilbench.diagnosis.next_experiment import NextExperiment, Step, write_steps
 from hilbench.errors import BenchFaultError, UnusableInputError
 from hilbench.files import make_folder
 from hilbench.history.entries import keep_diagnosis
 from hilbench.plant.model_file import write_model
-from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.report.diagnosis_page import write_diagnosis_page
 from hilbench.results.recording import Recording, read_recording, read_rows
 from hilbench.results.run_folder import RunFolder
@@ -116,7 +117,7 @@ def diagnose_command(
             imitation = _imitation(source, config)
             diagnosis = diagnose(recording, model, source, progress.announce, imitation)
             found = _Found(diagnosis, None if config is None else model_path)
-            found.proposed = _proposed(diagnosis, recording)
+            found.proposed = _proposed(diagnosis, recording, source)
         files = None if out is None else _write(found, source, out)
     if next_experiment is not None and found.proposed is not None:
         write_steps(next_experiment, found.proposed, found.config)
@@ -150,11 +151,14 @@ def _next_line(found: _Found, written: Path | None) -> str:
     return said if found.config is None else f"{said}\nhilbench run {written}"
 
 
-def _proposed(diagnosis: Diagnosis, recording: Recording) -> NextExperiment | None:
-    """What would tell more of a web machine; of what moved by other commands nothing is known to propose."""
-    if not isinstance(diagnosis.model, ModelParameters) or diagnosis.model.web is None or "v2_cmd_m_s" not in recording:
+def _proposed(diagnosis: Diagnosis, recording: Recording, place: Path) -> NextExperiment | None:
+    """What would tell more; of a web that moved by other commands nothing is known to propose."""
+    if not machines.is_web(diagnosis.model):
+        data = measured_from(recording, diagnosis.model, place)
+        return axis_next_experiment.propose(diagnosis, axis_next_experiment.AxisReach.of(data))
+    if "v2_cmd_m_s" not in recording:
         return None
-    return propose(diagnosis, Reach.of(recording))
+    return web_next_experiment.propose(diagnosis, web_next_experiment.Reach.of(recording))
 
 
 def _against(source: Path, before: Path, model_path: Path | None, progress: ProgressDisplay) -> _Found:
@@ -191,7 +195,7 @@ def _on_the_bench(
     recording, imitation = first.folder.recording, imitation_of(loaded.config)
     diagnosis = diagnose(read_recording(recording), model, recording, progress.announce, imitation)
     found = _Found(diagnosis, config, [before])
-    found.proposed = _proposed(diagnosis, read_recording(recording))
+    found.proposed = _proposed(diagnosis, read_recording(recording), recording)
     steps: list[Step] = []
     while until_clear and found.proposed is not None and len(found.rounds) < _MOST_ROUNDS and _is_tied(diagnosis):
         steps += found.proposed.steps
@@ -201,7 +205,7 @@ def _on_the_bench(
         before, recording = live_gap(again), again.folder.recording
         diagnosis = diagnose(read_recording(recording), model, recording, progress.announce, imitation)
         found.diagnosis, found.live = diagnosis, [before]
-        found.proposed = _proposed(diagnosis, read_recording(recording))
+        found.proposed = _proposed(diagnosis, read_recording(recording), recording)
     if not diagnosis.effects:
         return found
     observer, announce = progress.of_run("run the bench with the extended model", 0.97)

@@ -10,7 +10,7 @@ import numpy as np
 
 from hilbench.diagnosis.diagnosis import Diagnosis, NamedEffect, Unobservable
 from hilbench.diagnosis.live import LiveGap
-from hilbench.diagnosis.web_next_experiment import NextExperiment
+from hilbench.diagnosis.next_experiment import NextExperiment
 from hilbench.report.chart import BLUE, VERMILLION, Chart, Curve, Mark
 from hilbench.report.page import number, write_page
 from hilbench.report.plots import Panel, Picture, drawn, render_picture
