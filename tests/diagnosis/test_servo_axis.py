@@ -29,7 +29,7 @@ def only(found: Diagnosis) -> NamedEffect:
         ("coulomb_friction", {"torque_Nm": 0.05}),
         ("viscous_friction", {"coefficient_Nm_s_per_rad": 0.006}),
         ("unbalance", {"amplitude_Nm": 0.1, "phase_rad": 0.5}),
-        ("torque_ripple", {"amplitude_Nm": 0.05, "order": 6.0, "phase_rad": 0.4}),
+        ("torque_ripple", {"amplitude_Nm": 0.1, "order": 12.0, "phase_rad": 1.0}),  # misleads the twin's estimate
         ("torque_offset", {"offset_Nm": -0.05}),
         ("inertia_mismatch", {"relative_change": 0.1}),
     ],

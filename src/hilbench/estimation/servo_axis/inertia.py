@@ -29,6 +29,8 @@ _NAMES = (
 )
 #: A parameter counts as found when the data have shrunk its prior deviation to this share.
 _FOUND = 0.7
+#: Model's inertia over the one that is found, below which it is none.
+_LEAST_BETA = 0.01
 
 BankStep = Callable[[Array, Array, Array, Array, Array, Array, Array], None]
 
@@ -82,7 +84,12 @@ class InertiaEstimator:
         self._settings[bank.DRIFT_VARIANCE] = (0.01 * config.drift_pct_per_s) ** 2
         self._scratch = np.zeros((2, kalman.SIZE))
         self._out = np.zeros((2, kalman.SIZE))
-        deviation = 0.01 * config.initial_deviation_pct
+        self._begin()
+
+    def _begin(self) -> None:
+        """At the model's inertia, as little sure of it as at the start."""
+        self._records[:] = 0.0
+        deviation = 0.01 * self._config.initial_deviation_pct
         kalman.new_filter(self._z, self._p, 0, deviation, self._inputs.priors)
         self._records[0, bank.ALIVE] = 1.0
         self._out[0] = self._z[0]
@@ -102,6 +109,9 @@ class InertiaEstimator:
             settings[bank.CYCLE] += 1.0
             bank.set_priors(settings, c.jumps_per_s, c.drift_onsets_per_s, self._inputs.duration_s)
             _bank_step(self._z, self._p, self._records, settings, self._inputs.u, self._scratch, self._out)
+            # No shaft turns against its torque: what says so (a strong ripple that the model lacks) has misled it.
+            if not self._out[0, kalman.BETA] > _LEAST_BETA:
+                self._begin()
         return self._estimate()
 
     def miss(self, duration_s: float) -> ShaftEstimate:
