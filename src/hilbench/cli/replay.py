@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -11,7 +12,9 @@ from hilbench.cli.options import BusOption, ForceOption, JsonOption
 from hilbench.errors import UnusableInputError
 
 if TYPE_CHECKING:
+    from hilbench.results.recording import Recording
     from hilbench.results.run_folder import RunFolder
+    from hilbench.runs.config import ExperimentConfig
 
 
 def replay(
@@ -70,9 +73,7 @@ def _trace(run: Path, bus: str | None, speed: float, *, commands: bool, force: b
 def _twin(run: Path, method: str | None, out: Path | None) -> dict[str, Any]:
     import numpy as np
 
-    from hilbench.cli.model_option import machine_of
-    from hilbench.diagnosis.synchronization import measurements_of, methods_of, require_one_span
-    from hilbench.estimation.web_line.offline import run_offline
+    from hilbench.plant.effects import MachineKind
     from hilbench.results.journal import read_journal
     from hilbench.results.recording import Recording, read_recording, write_recording
     from hilbench.results.run_folder import RunFolder
@@ -82,23 +83,10 @@ def _twin(run: Path, method: str | None, out: Path | None) -> dict[str, Any]:
 
     folder: RunFolder = RunFolder.open(run)
     config, _ = load(folder.config)
-    model = machine_of(config, folder.config)
-    require_one_span(model, folder.config)
     recording = read_recording(folder.recording)
-    twin = config.twin
-    if method is not None:
-        chosen = methods_of(method)
-        if len(chosen) != 1:
-            raise UnusableInputError("--method", f"'{method}', expected one method")
-        twin = twin.model_copy(update={"estimate": list(chosen.values())})
-    track = run_offline(model, twin, measurements_of(recording, folder.recording))
-    signals = {
-        "F_sim_N": track.F_sim_N,
-        "E_sim_Pa": track.E_Pa,
-        "E_sd_Pa": track.E_sd_Pa,
-        "tau2_residual_Nm": track.residual_Nm,
-    }
-    again = Recording({**recording.channels, **signals}, recording.start_time, recording.comment, recording.units)
+    of_kind = _of_a_shaft if config.machine_kind is MachineKind.SERVO_AXIS else _of_a_web
+    found = of_kind(config, folder.config, recording, folder.recording, method)
+    again = Recording({**recording.channels, **found.signals}, recording.start_time, recording.comment, recording.units)
     if out is not None:
         write_recording(again, out)
 
@@ -106,11 +94,67 @@ def _twin(run: Path, method: str | None, out: Path | None) -> dict[str, Any]:
         part = slice(len(recording) // 2, None)
         return float(np.sqrt(np.mean((again[name][part] - recording[name][part]) ** 2)))
 
-    figures: dict[str, Any] = {"method": twin.synchronizer.method, "cycles": len(again)}
-    for name in ("F_sim_N", "E_sim_Pa"):
+    figures: dict[str, Any] = {"method": found.method, "cycles": len(again)}
+    for name in found.compared:
         if name in recording:
             figures[f"rms_difference_{name}"] = rms_difference(name)
     changes = read_journal(folder.journal) if folder.journal.exists() else []
-    found = evaluate_metrics(again.channels, journal=journal_events(changes, config.cycle_time_s))
-    figures |= {name: value for name, value in found.items() if name.startswith("E_")}
+    metrics = evaluate_metrics(again.channels, journal=journal_events(changes, config.cycle_time_s))
+    figures |= {name: value for name, value in metrics.items() if name.startswith(found.metrics)}
     return figures
+
+
+@dataclass(frozen=True)
+class _Found:
+    """What the twin of a kind of machine makes of a recording."""
+
+    method: str
+    signals: dict[str, Any]  #: channels (n,) by name
+    compared: tuple[str, ...]  #: those that are compared with what was recorded
+    metrics: tuple[str, ...]  #: how the names of its metrics begin
+
+
+def _of_a_web(
+    config: ExperimentConfig, config_path: Path, recording: Recording, place: Path, method: str | None
+) -> _Found:
+    from hilbench.cli.model_option import machine_of
+    from hilbench.diagnosis.synchronization import measurements_of, methods_of, require_one_span
+    from hilbench.estimation.web_line.offline import run_offline
+
+    model = machine_of(config, config_path)
+    require_one_span(model, config_path)
+    twin = config.twin
+    if method is not None:
+        chosen = methods_of(method)
+        if len(chosen) != 1:
+            raise UnusableInputError("--method", f"'{method}', expected one method")
+        twin = twin.model_copy(update={"estimate": list(chosen.values())})
+    track = run_offline(model, twin, measurements_of(recording, place))
+    signals = {
+        "F_sim_N": track.F_sim_N,
+        "E_sim_Pa": track.E_Pa,
+        "E_sd_Pa": track.E_sd_Pa,
+        "tau2_residual_Nm": track.residual_Nm,
+    }
+    return _Found(twin.synchronizer.method, signals, ("F_sim_N", "E_sim_Pa"), ("E_",))
+
+
+def _of_a_shaft(
+    config: ExperimentConfig, config_path: Path, recording: Recording, place: Path, method: str | None
+) -> _Found:
+    import numpy as np
+
+    from hilbench.estimation.servo_axis.offline import ShaftRecording, track
+
+    settings = config.twin.inertia
+    if method not in (None, settings.method):
+        raise UnusableInputError("--method", f"'{method}', expected {settings.method}: a servo axis has no other")
+    needed = ("v1_cmd_rad_s", "x1_rad", "tau1_Nm")
+    recording.require(needed, place)
+    command, x, tau = (np.asarray(recording[name], np.float64) for name in needed)
+    found = track(config.servo_axis, settings, ShaftRecording(config.cycle_time_s, command, x, tau))
+    signals = {"J_sim_kg_m2": found.inertia_kg_m2, "J_sd_kg_m2": found.deviation_kg_m2}
+    friction = found.also.get("coulomb_friction_Nm")
+    if friction is not None:
+        signals["coulomb_sim_Nm"] = friction[0]
+    return _Found(settings.method, signals, tuple(signals), ("J_", "coulomb_"))
