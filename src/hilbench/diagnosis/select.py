@@ -14,13 +14,14 @@ How often that is right: tools/diagnose_scoreboard.py, docs/diagnosis.md.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hilbench.diagnosis import machines
 from hilbench.diagnosis.fit import Fit, around, fit, sums, with_best_time
 from hilbench.diagnosis.misfit import largest_ratio
 from hilbench.diagnosis.noise import Whitening
@@ -206,6 +207,9 @@ class Search:
         searched += self._passages(current, white, named)
         more = space.strengths(current.terms, current.residual, searched)
         responses = responses + self._tune(current, white, searched, more)
+        whole = self._at_whole_orders(searched)
+        searched = searched + whole
+        responses = responses + space.strengths(current.terms, current.residual, whole)
         white = noise_model(space, current.residual, np.concatenate([own, *responses]))
         return CandidateSet(white, current.residual, own, plain + searched, responses)
 
@@ -287,6 +291,21 @@ class Search:
         for k, response in zip(moved, anew, strict=True):
             responses[k] = response
         return responses
+
+    def _at_whole_orders(self, searched: list[Term]) -> list[Term]:
+        """Of a lone axis the searched orders at the nearest whole ones as well, from where a fit may go on.
+
+        An axis that goes to and fro over the same turns shows an order with side peaks, and its loop answers in another
+        phase at every speed: neither the spectrum nor one response says which of them it is.
+        """
+        if machines.is_web(self._space.model):
+            return []
+        found: dict[tuple[Key, float], Term] = {}
+        for term in searched:
+            for whole in self._proposer.at_whole_orders(term):
+                (name,) = whole.held
+                found.setdefault((whole.key, whole.values[name]), replace(whole, held=frozenset()))
+        return list(found.values())
 
     def _trained(self, values: Array) -> Array:
         """Values (…, n) with zeros in the rows that fits do not see."""
