@@ -152,7 +152,8 @@ def run_folder(stand: Stand) -> Path:
 
 def hilbench(*words: str) -> None:
     result = CliRunner().invoke(app, list(words), input="\n" * 40)
-    assert result.exit_code == 0, f"{result.output}\n{result.exception!r}"
+    # The commands before may have changed something on the stand.
+    assert result.exit_code in ((0, 1) if words[0] == "drift" else (0,)), f"{result.output}\n{result.exception!r}"
 
 
 @pytest.mark.parametrize("words", LINES, ids=" ".join)

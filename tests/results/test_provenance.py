@@ -54,7 +54,7 @@ def test_json_names_folder_files_exit_code_verdict_and_what_was_overridden(print
     assert (printed["exit_code"], printed["verdict"], printed["passed"]) == (1, "failed", False)
     assert printed["overridden"] == {"seed": 3, "description": "tried"}
     folder = Path(printed["run"])
-    names = {"config", "trace", "journal", "recording", "result", "junit", "report"}
+    names = {"config", "trace", "journal", "nodes", "recording", "result", "junit", "report"}
     assert set(printed["files"]) == names
     assert {Path(file) for file in printed["files"].values()} == set(folder.iterdir())
 

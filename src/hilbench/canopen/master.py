@@ -41,7 +41,7 @@ class Master(SdoClient):
     """canopen's network on a python-can bus; one SDO transfer with a node at a time.
 
     Raises BenchFaultError, one line with node, object and reason, when a node does not answer or refuses. `sent` is
-    what it has put on the bus.
+    what it has put on the bus, `written` what was last written to each object, by node id, index and sub-index.
     """
 
     def __init__(self, bus: can.BusABC, sdo_timeout_s: float = 1.0) -> None:
@@ -49,6 +49,7 @@ class Master(SdoClient):
         self._booted: set[int] = set()
         self._boot_seen = threading.Condition()
         self._names: dict[int, str] = {}
+        self.written: dict[tuple[int, int, int], bytes] = {}
 
     def add(self, node_id: int, od: canopen.ObjectDictionary, name: str) -> None:
         """Make a node known by its object dictionary; `name` is used in messages."""
@@ -154,6 +155,7 @@ class Master(SdoClient):
             self.download(node_id, index, sub, data)
         except (canopen.SdoCommunicationError, canopen.SdoAbortedError) as error:
             raise self._fault(node_id, variable, f"writing {value!r} to", error) from error
+        self.written[node_id, index, sub] = data
 
     def configure(self, node_id: int, writes: Mapping[tuple[int, int], Any]) -> None:
         """Write objects by (index, sub-index) and read each back. Raises BenchFaultError where they differ."""

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
-from hilbench.cli import compare, config, convert, drive, history, monitor, replay, scan, sdo, sweep, what_if
+from hilbench.cli import compare, config, convert, drift, drive, history, monitor, replay, scan, sdo, sweep, what_if
 from hilbench.cli.commands import Commands
 from hilbench.cli.options import BusOption, ConfigArgument, JsonOption, PacedByOption, PaceOption, SetOption
 from hilbench.ending import ended
@@ -354,6 +354,7 @@ app.command()(monitor.monitor)
 app.command()(compare.compare)
 app.command()(history.history)
 app.command("what-if")(what_if.what_if)
+app.command()(drift.drift)
 app.command()(sweep.sweep)
 app.command()(convert.convert)
 app.command()(convert.dbc)

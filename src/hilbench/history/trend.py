@@ -29,7 +29,7 @@ Direction = Literal["rising", "falling"]
 
 #: A rate is reported as a trend when its sign is at least so sure. A person looks every day: over a month of looks
 #: some two of a hundred stands without a trend get one reported (`tools/history_stands.py`).
-SURE: Final = 0.99
+SURE: Final = 0.98
 #: Least days with a run, and least time from the first to the last, d, before a trend is reported.
 LEAST_DAYS: Final = 4
 LEAST_SPAN_D: Final = 3.0
@@ -164,14 +164,20 @@ def _scatter(t: Array, y: Array, s: Array) -> float:
 def _together(t: Array, z: Array, variance: Array) -> tuple[Array, Array, Array, Array]:
     """Time, value, stated variance and number of runs of each point."""
     points = []
-    for rows in _groups(t):
-        if len(rows) > 2:
-            rows = rows[np.abs(z[rows] - np.median(z[rows])) <= _FAR_OFF]
+    for rows in (part for group in _groups(t) for part in _agreeing(group, z)):
         weight = 1.0 / (variance[rows] + 1.0)
         weight /= weight.sum()
         points.append((weight @ t[rows], weight @ z[rows], weight**2 @ variance[rows], 1.0 / np.sum(weight**2)))
     time, value, stated, runs = np.array(points).T
     return time, value, stated, runs
+
+
+def _agreeing(rows: NDArray[np.int64], z: Array) -> list[NDArray[np.int64]]:
+    """Runs of one time as one point, without those far from the others; two that differ stay apart: one is off."""
+    near = np.abs(z[rows] - np.median(z[rows])) <= _FAR_OFF
+    if len(rows) > 2:
+        return [rows[near]] if near.any() else [rows]
+    return [rows] if np.ptp(z[rows]) <= _FAR_OFF else list(rows[:, None])
 
 
 def _groups(t: Array) -> list[NDArray[np.int64]]:

@@ -77,6 +77,11 @@ class RunFolder:
         return self.path / "journal.log"
 
     @property
+    def nodes(self) -> Path:
+        """What the drives said of themselves before they were configured, and what was written, JSON."""
+        return self.path / "nodes.json"
+
+    @property
     def recording(self) -> Path:
         """Every cycle's samples, MDF4."""
         return self.path / "recording.mf4"
@@ -112,6 +117,7 @@ class RunFolder:
             "config": self.config,
             "trace": self.trace,
             "journal": self.journal,
+            "nodes": self.nodes,
             "recording": self.recording,
             "result": self.result,
             "junit": self.junit,

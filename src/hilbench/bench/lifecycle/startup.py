@@ -24,6 +24,7 @@ from hilbench.canopen.sdo_client import SentFrames
 from hilbench.errors import BusError, EmergencyStopError, UnusableInputError
 from hilbench.exchange.exchange import Exchange
 from hilbench.exchange.frame_tap import FrameTap
+from hilbench.exchange.node_data import FILE, ask_all, stand_data
 from hilbench.exchange.nodes import Nodes
 from hilbench.processes import ChildProcess
 from hilbench.real_time import kept_ready
@@ -115,7 +116,10 @@ def bring_up(
                 resources.callback(supervisor.end)
             _wait_for_nodes(config, master, children, participants)
             announce("configure nodes")
+            found = ask_all(master, config)
             nodes.configure(master)
+            brought = {} if participants is Participants.PRESENT else config.simulated_drives
+            stand_data(config, found, master.written, started=brought).write(folder / FILE)
             master.nmt(NmtCommand.START)
             time.sleep(_AFTER_START_S)
             if participants is Participants.PRESENT:

@@ -1,0 +1,208 @@
+"""What the drives of a bench say of themselves, and what the bench has written into them: `nodes.json` of a run folder.
+
+Read before the bench configures them: device type, names, versions and identity (1000h, 1008h to 100Ah, 1018h), what
+their units follow from (CiA 402-2: 6076h, 6089h to 6097h with 608Fh to 6092h, 60A8h to 60ABh), the objects that the
+bench or the config writes, and the PDOs that the bench maps. Beside it stand the defaults of their EDS files.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Final, Self
+
+from canopen.objectdictionary import ObjectDictionary
+from pydantic import Field, ValidationError
+
+from hilbench.block import Strict
+from hilbench.canopen import eds
+from hilbench.canopen.data_types import data_type
+from hilbench.canopen.eds import load_eds
+from hilbench.canopen.sdo_client import Refusal, SdoClient
+from hilbench.cia402 import configuration, objects
+from hilbench.errors import UnusableInputError
+from hilbench.exchange.nodes import drive_settings
+from hilbench.files import written_whole
+from hilbench.topology.config import BenchConfig
+from hilbench.topology.parts import Part, Role
+
+Key = tuple[int, int]
+
+FILE: Final = "nodes.json"
+DEVICE: Final[tuple[Key, ...]] = (
+    (0x1000, 0),
+    (0x1008, 0),
+    (0x1009, 0),
+    (0x100A, 0),
+    *((0x1018, k) for k in (1, 2, 3, 4)),
+)
+#: What a device's units follow from.
+UNITS: Final = frozenset({objects.MOTOR_RATED_TORQUE, *range(0x6089, 0x6098), *range(0x60A8, 0x60AC)})
+_SET_BY_THE_BENCH: Final = (
+    configuration.CONSUMER_HEARTBEAT,
+    configuration.PRODUCER_HEARTBEAT,
+    objects.MODES_OF_OPERATION,
+    objects.INTERPOLATION_TIME_PERIOD,
+)
+_RECEIVED: Final = (0x1400, 0x1600)
+_SENT: Final = ((0x1800, 0x1A00), (0x1801, 0x1A01))
+_MOST_MAPPED: Final = 64
+
+
+def name_of(key: Key) -> str:
+    """As a config and messages have it: ``60A9h``, ``60C2h:1``."""
+    return f"{key[0]:04X}h" + (f":{key[1]}" if key[1] else "")
+
+
+class NodeData(Strict):
+    """One drive: what its objects held before the bench configured it, and what was written; bytes as hexadecimal text
+    by object, None where the device refused to say."""
+
+    node_id: int
+    eds: str
+    started: bool = Field(description="the run started it: it is the simulated hardware's")
+    found: dict[str, str | None]
+    written: dict[str, str]
+
+
+class EdsObject(Strict):
+    """An object of an EDS file: its data type, access type, whether it can be mapped, and its default as text."""
+
+    type: int
+    access: str
+    mappable: bool
+    default: str | None
+
+
+class StandData(Strict):
+    """What a run knew of its stand's nodes when it started. `eds`: by file, the objects in it."""
+
+    stand: str
+    time: datetime
+    nodes: dict[str, NodeData]
+    eds: dict[str, dict[str, EdsObject]]
+
+    def write(self, path: Path) -> None:
+        """Write as JSON; the file appears complete or not at all. Raises UnusableInputError if it cannot be."""
+        with written_whole(path) as partial:
+            partial.write_text(self.model_dump_json(indent=1) + "\n", encoding="utf-8")
+
+    @classmethod
+    def read(cls, path: Path) -> Self:
+        """Read and check. Raises UnusableInputError: file, key, what was found."""
+        try:
+            return cls.model_validate_json(path.read_bytes())
+        except OSError as error:
+            raise UnusableInputError(path, f"cannot be read ({error.strerror}), expected a run's nodes") from error
+        except ValidationError as error:
+            first = error.errors()[0]
+            place = ".".join(map(str, first["loc"])) or "the file"
+            raise UnusableInputError(
+                path, f"{place}: {' '.join(first['msg'].split())}, expected a run's nodes"
+            ) from error
+
+
+def drives_of(config: BenchConfig) -> tuple[Part, ...]:
+    """The parts of which something is known: the devices of the stand, not what the twin plays."""
+    return (*config.parts_of(Role.AXIS), *config.parts_of(Role.LOAD_MOTOR))
+
+
+def ask_all(reader: SdoClient, config: BenchConfig) -> dict[str, dict[Key, bytes | None]]:
+    """What each drive of a bench says, by part: bytes by object, None where it refuses; nothing of one that is silent.
+
+    Raises BusError when the bus is lost.
+    """
+    return {part.name: ask(reader, config, part) for part in drives_of(config)}
+
+
+def ask(reader: SdoClient, config: BenchConfig, part: Part) -> dict[Key, bytes | None]:
+    """What one drive says; empty when it does not answer."""
+    od = load_eds(part.node.eds, part.node.node_id)
+    found: dict[Key, bytes | None] = {}
+    wanted = [*DEVICE, *_parameters(config, part, od)]
+    for communication, mapping in (_RECEIVED, *_SENT):
+        if communication in od:
+            wanted += [(communication, 1), (communication, 2), (mapping, 0)]
+    for index, sub in wanted:
+        answer = reader.read(part.node.node_id, index, sub)
+        if answer is None:
+            return {}
+        found[index, sub] = None if isinstance(answer, Refusal) else answer
+        if (index, sub) in {(mapping, 0) for _, mapping in (_RECEIVED, *_SENT)} and isinstance(answer, bytes):
+            count = min(int.from_bytes(answer[:1], "little"), _MOST_MAPPED)
+            for entry in range(1, count + 1):
+                said = reader.read(part.node.node_id, index, entry)
+                found[index, entry] = said if isinstance(said, bytes) else None
+    return found
+
+
+def _parameters(config: BenchConfig, part: Part, od: ObjectDictionary) -> list[Key]:
+    """The objects that units follow from, and those that are written."""
+    written = drive_settings(config, part, od).parameters
+    return [
+        (each.index, each.subindex)
+        for each in eds.all_variables(od)
+        if (each.index in UNITS and each.readable)
+        or each.index in _SET_BY_THE_BENCH
+        or (each.index, each.subindex) in written
+    ]
+
+
+def stand_data(
+    config: BenchConfig,
+    found: Mapping[str, Mapping[Key, bytes | None]],
+    written: Mapping[tuple[int, int, int], bytes],
+    *,
+    started: Iterable[int],
+) -> StandData:
+    """What a run keeps. `written`: bytes by node id, index and sub-index; `started`: the node ids that the run brings.
+
+    Raises UnusableInputError for an EDS file that can't be used.
+    """
+    brought = frozenset(started)
+    nodes = {
+        part.name: NodeData(
+            node_id=part.node.node_id,
+            eds=str(part.node.eds),
+            started=part.node.node_id in brought,
+            found={name_of(key): None if data is None else data.hex() for key, data in found[part.name].items()},
+            written={
+                name_of((index, sub)): data.hex()
+                for (node_id, index, sub), data in written.items()
+                if node_id == part.node.node_id
+            },
+        )
+        for part in drives_of(config)
+    }
+    files = {str(part.node.eds): eds_objects(part.node.eds) for part in drives_of(config)}
+    return StandData(stand=config.stand_name, time=datetime.now(UTC), nodes=nodes, eds=files)
+
+
+def eds_objects(path: Path) -> dict[str, EdsObject]:
+    """The objects of an EDS file; ``$NODEID`` counts as 0. Raises UnusableInputError."""
+    return {
+        name_of((each.index, each.subindex)): EdsObject(
+            type=each.data_type or 0,
+            access=each.access_type,
+            mappable=each.pdo_mappable,
+            default=None if each.default is None else str(each.default),
+        )
+        for each in eds.all_variables(load_eds(path, 0))
+    }
+
+
+def text_of(od: ObjectDictionary, key: Key, data: bytes | None) -> str:
+    """What an object holds, for a person, by its type in an EDS file."""
+    if data is None:
+        return "not told"
+    try:
+        variable = eds.variable(od, *key)
+        value = data_type(variable.data_type or 0).decode(data)
+    except (KeyError, ValueError):
+        value = int.from_bytes(data, "little") if len(data) <= 4 else data.decode("latin-1").rstrip("\0")
+    if key[0] in (0x1008, 0x1009, 0x100A) and isinstance(value, bytes):
+        value = value.decode("latin-1")
+    if isinstance(value, int) and (key[0] < 0x2000 or key[0] in range(0x60A8, 0x60AC)):
+        return f"{value & 0xFFFFFFFF:08X}h"
+    return repr(value) if isinstance(value, str) else str(value)
