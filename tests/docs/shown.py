@@ -108,7 +108,16 @@ def _commands(line: str, *, block: bool) -> Iterator[str]:
 
 def _says_more(words: list[str]) -> bool:
     """Whether inline code is a line to type, not only the name of a command."""
-    return len(words) > 2 or words[1] not in ("run", "sync", "diagnose", "twin", "simulate-hardware", "drive", "check")
+    return len(words) > 2 or words[1] not in (
+        "run",
+        "sync",
+        "diagnose",
+        "twin",
+        "simulate-hardware",
+        "drive",
+        "drift",
+        "check",
+    )
 
 
 def _judged(place: str, text: str) -> Shown:

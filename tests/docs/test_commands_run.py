@@ -52,6 +52,8 @@ LONGER_STEPS = [
 #: The bench that starts its own processes, on a bus of its own; and what a diagnosis makes of it.
 _OWN = "hidden_friction"
 _EXTENDED = "found/config_extended.yaml"
+#: The folder of a run that is long enough for a diagnosis.
+_LONG_ENOUGH = "diagnosed/RUN"
 #: What costs too much of these.
 _SHORTER = {"2..10:5": "2..10:2", "seed=1,2,3": "seed=1", "20": "1"}
 #: The bus of the stand, in a line.
@@ -72,6 +74,7 @@ def as_it_is_run(words: tuple[str, ...]) -> tuple[str, ...]:
         done += ["--bus", _BUS]
     if words[0] == "diagnose":
         done = [word.replace("runs/RUN/recording.mf4", "blind.mf4") for word in done]
+        done = [_LONG_ENOUGH if word == "runs/RUN" else word for word in done]
     return tuple(done)
 
 
@@ -110,6 +113,9 @@ def stand(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stand]:
     write_model(folder / "model.yaml", model)
     friction = EffectEntry(effect="coulomb_friction", axis=2, parameters={"force_N": 4.2})
     write_recording(hidden_recording(model, [friction], duration_s=12.0), folder / "blind.mf4")
+    (folder / _LONG_ENOUGH).mkdir(parents=True)
+    shutil.copy(folder / "blind.mf4", folder / _LONG_ENOUGH / "recording.mf4")
+    shutil.copy(folder / "bench_configs" / "web_section_step.yaml", folder / _LONG_ENOUGH / "config.yaml")
     for name, coulomb_Nm in (("before", 0.03), ("after", 0.04)):
         write_recording(Rig(coulomb_Nm=coulomb_Nm).recordings(1)[0], folder / f"{name}.csv")
     (folder / "machine.csv").write_text("Zeit;M2\n0;1,5\n2;1,6\n4;1,4\n")
