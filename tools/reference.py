@@ -323,7 +323,7 @@ def _parameters(effect: Effect) -> Iterator[str]:
 def _place(effect: Effect) -> str:
     if effect.per_axis:
         return "an axis"
-    return "a span, or of every one" if effect.per_span else "the web"
+    return "a span, or of every one" if effect.per_section else "the web"
 
 
 def _domain(effect: Effect) -> str:

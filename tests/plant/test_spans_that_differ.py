@@ -129,23 +129,23 @@ def test_e_of_one_span_is_stepped_while_it_runs_and_its_strain_stays() -> None:
     for row in range(1, 200):
         follower.follow((0.003 * row, 0.0030003 * row, 0.0030005 * row), 0.002)
     before, strain = follower.outputs(), follower.strain
-    follower.set_parameter("youngs_modulus2_Pa", 10.5e9)
+    follower.set_parameter("span2.youngs_modulus_Pa", 10.5e9)
     after = follower.outputs()
     assert after["F1_N"] == before["F1_N"]
     assert after["F2_N"] == pytest.approx(before["F2_N"] * 10.5 / 8.7)
     assert (after["E1_Pa"], after["E2_Pa"]) == (8.7e9, 10.5e9)
     np.testing.assert_array_equal(follower.strain, strain)
     follower.set_parameter("youngs_modulus_Pa", 9e9)
-    assert [follower.parameter(f"youngs_modulus{k}_Pa") for k in (1, 2)] == [9e9, 9e9]
+    assert [follower.parameter(f"span{k}.youngs_modulus_Pa") for k in (1, 2)] == [9e9, 9e9]
 
 
 def test_a_closed_line_takes_an_effect_of_a_span_and_gives_it_back() -> None:
     line, plain = Line(line_of(3)), Line(line_of(3))
-    line.set_effect("elasticity_shift", span=2, relative_change=0.2)
+    line.set_effect("elasticity_shift", section=2, relative_change=0.2)
     assert (line.elasticity_factor(1), line.elasticity_factor(2)) == (1.0, 1.2)
     assert line.tension_N[1] == pytest.approx(1.2 * plain.tension_N[1])
     assert line.tension_N[0] == plain.tension_N[0]
-    line.clear_effect("elasticity_shift", span=2)
+    line.clear_effect("elasticity_shift", section=2)
     for each in (line, plain):
         each.step(0.05)
     assert line.outputs() == plain.outputs()
@@ -162,7 +162,7 @@ def test_a_closed_line_takes_an_effect_of_a_span_and_gives_it_back() -> None:
 )
 def test_a_span_that_there_is_not_is_refused(effect_id: str, span: int, said: str) -> None:
     with pytest.raises(ValueError, match=said):
-        Line(line_of(3)).set_effect(effect_id, span=span)
+        Line(line_of(3)).set_effect(effect_id, section=span)
 
 
 def test_a_model_of_spans_that_differ_is_written_and_read_back(tmp_path: Path) -> None:

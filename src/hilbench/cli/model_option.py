@@ -9,13 +9,18 @@ from hilbench import strict_yaml
 from hilbench.errors import UnusableInputError
 from hilbench.plant.model_file import Machine, load_machine
 from hilbench.plant.web_line.parameters import ModelParameters
+from hilbench.plant.web_line.stations import ONLY_DRIVEN
 from hilbench.runs.config import ExperimentConfig, is_model, load
 
 
 def model_from(path: Path) -> Machine:
     """Read it. Raises UnusableInputError (file, line, key, found, expected)."""
     config = config_from(path)
-    return load_machine(path) if config is None else config.machine
+    machine = load_machine(path) if config is None else config.machine
+    if isinstance(machine, ModelParameters) and machine.stations is not None:
+        found = "a line with idlers, dancers, accumulators or reels"
+        raise UnusableInputError(strict_yaml.load(path).place(("stations",)), f"{found}, expected {ONLY_DRIVEN}")
+    return machine
 
 
 def machine_of(config: ExperimentConfig, path: Path) -> ModelParameters:

@@ -144,7 +144,7 @@ def _time_base(config: BenchConfig) -> tuple[Clock, PlantTime]:
 def _effect_setter(rig: Plant, axis: int) -> Callable[[str, dict[str, float]], None]:
     def apply(effect: str, parameters: dict[str, float]) -> None:
         try:
-            rig.set_effect(effect, axis, span=None, slot=0, **parameters)
+            rig.set_effect(effect, axis, section=None, slot=0, **parameters)
         except ValueError:
             raise SdoAbort(INVALID_VALUE) from None
 

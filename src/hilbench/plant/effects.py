@@ -185,8 +185,8 @@ class Effect:
     slots: int = 1
     #: Axis that may be named although the effect has no choice of axis: the one at which its law acts.
     implied_axis: int | None = None
-    #: Whether each span of a line can have it by itself; given without a span it is in all of them.
-    per_span: bool = False
+    #: Whether each section between two axes (the span of a web) can have it by itself; else it is in all of them.
+    per_section: bool = False
     kinds: frozenset[MachineKind] = field(default=_WEB_ONLY)
     rotary: Rotary | None = None
     #: How a search probes it; None: one look at its response, at a strength of its usual size.
@@ -239,15 +239,20 @@ class Effect:
             return f"effect '{self.id}' with axis {axis}, expected 1 to {axes if axes is not None else 'N'}"
         return None
 
-    def span_problem(self, span: int | None, spans: int | None = None) -> str | None:
-        """What is wrong with the span given for it (of a machine with `spans`), in one line, or None."""
-        if span is None:
+    def section_problem(self, section: int | None, sections: int | None = None) -> str | None:
+        """What is wrong with the section given for it (of a machine with `sections`), in one line, or None."""
+        if section is None:
             return None
-        if not self.per_span:
-            return f"effect '{self.id}' with span {span}, expected none: it is no effect of a span"
-        if span < 1 or (spans is not None and span > spans):
-            return f"effect '{self.id}' with span {span}, expected 1 to {spans if spans is not None else 'K'}"
+        if not self.per_section:
+            return f"effect '{self.id}' with span {section}, expected none: it is no effect of one"
+        if section < 1 or (sections is not None and section > sections):
+            return f"effect '{self.id}' with span {section}, expected 1 to {sections if sections is not None else 'K'}"
         return None
+
+    @property
+    def part(self) -> str:
+        """What of a machine it can be given for, as paths and entries have it; none where it is of the whole."""
+        return "axis" if self.per_axis else "span" if self.per_section else ""
 
     def enters(self, place: EffectPlace) -> bool:
         """Whether it can be hidden at a place."""
@@ -492,7 +497,7 @@ EFFECTS: tuple[Effect, ...] = (
     Effect(
         id="elasticity_shift",
         per_axis=False,
-        per_span=True,
+        per_section=True,
         law="E·(1+s)",
         domain=Domain.ELASTICITY,
         parameters=(_relative(),),
@@ -503,7 +508,7 @@ EFFECTS: tuple[Effect, ...] = (
     Effect(
         id="elasticity_step",
         per_axis=False,
-        per_span=True,
+        per_section=True,
         law="E·(1+s) from time_s on",
         domain=Domain.ELASTICITY,
         parameters=(_onset(), _relative()),
@@ -520,7 +525,7 @@ EFFECTS: tuple[Effect, ...] = (
     Effect(
         id="elasticity_drift",
         per_axis=False,
-        per_span=True,
+        per_section=True,
         law="E·(1 + k·t)",
         domain=Domain.ELASTICITY,
         parameters=(Parameter("rate_per_s", "1/s", 0.0, -1.0, 1.0, Size(1e-3)),),
@@ -531,7 +536,7 @@ EFFECTS: tuple[Effect, ...] = (
     Effect(
         id="web_damping",
         per_axis=False,
-        per_span=True,
+        per_section=True,
         law="F = E·S·(strain + T·strain')",
         domain=Domain.ELASTICITY,
         parameters=(Parameter("time_constant_s", "s", 0.0, 0.0, 1.0, Size(5.0, sample_time=1)),),
@@ -542,7 +547,7 @@ EFFECTS: tuple[Effect, ...] = (
     Effect(
         id="web_slip",
         per_axis=False,
-        per_span=True,
+        per_section=True,
         law="web speed at the roller behind a span = v·(1 - c·(F - F_next)) (creep)",
         domain=Domain.WEB_KINEMATICS,
         parameters=(Parameter("creep_per_N", "1/N", 0.0, 0.0, 1e-2, Size(0.565, strain=1, force=-1)),),
@@ -554,7 +559,7 @@ EFFECTS: tuple[Effect, ...] = (
     Effect(
         id="strain_offset",
         per_axis=False,
-        per_span=True,
+        per_section=True,
         law="F = E·S·(strain - strain0)",
         domain=Domain.ELASTICITY,
         parameters=(Parameter("strain", "1", 0.0, -0.1, 0.1, Size(0.07, strain=1)),),
@@ -581,7 +586,7 @@ EFFECTS: tuple[Effect, ...] = (
     Effect(
         id="span_length_error",
         per_axis=False,
-        per_span=True,
+        per_section=True,
         law="L·(1+s)",
         domain=Domain.GEOMETRY,
         parameters=(_relative(),),
@@ -592,7 +597,7 @@ EFFECTS: tuple[Effect, ...] = (
     Effect(
         id="elasticity_ramp",
         per_axis=False,
-        per_span=True,
+        per_section=True,
         law="E·(1 + s·(t - time_s)/duration_s) from time_s on, E·(1+s) after duration_s",
         domain=Domain.ELASTICITY,
         parameters=(_onset(), Parameter("duration_s", "s", 1.0, 1e-3, 1e9, Size(1.0)), _relative()),
@@ -774,13 +779,13 @@ def effect_problem(
     loaded: Collection[int] | None = (),
     kind: MachineKind = MachineKind.WEB_LINE,
     *,
-    span: int | None = None,
-    spans: int | None = None,
+    section: int | None = None,
+    sections: int | None = None,
 ) -> str | None:
     """Why an effect can't be hidden at a place, in one line, or None.
 
-    axis, span: those given for it, from 1 (None: none). axes, spans: how many the machine has. loaded: axes on whose
-    shaft a load motor is. What the machine has is None where that is not known yet.
+    axis, section: those given for it, from 1 (None: none). axes, sections: how many the machine has. loaded: axes on
+    whose shaft a load motor is. What the machine has is None where that is not known yet.
     """
     try:
         effect = find_effect(effect_id, kind)
@@ -795,4 +800,4 @@ def effect_problem(
     if place is EffectPlace.LOAD and effect.domain in _AT_A_ROLLER and loaded is not None and axis not in loaded:
         where, motor = " or ".join(map(str, loaded)) or "none", "a load motor" if len(loaded) > 1 else "the load motor"
         return f"{effect_id} of axis {where}, where {motor} is; other axes' in 'hardware:'"
-    return effect.axis_problem(axis, axes) or effect.span_problem(span, spans)
+    return effect.axis_problem(axis, axes) or effect.section_problem(section, sections)

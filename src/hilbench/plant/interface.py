@@ -98,15 +98,17 @@ class Machine(Protocol):
         """What the neighbourhood does to it (a boundary) from now on."""
 
     def set_effect(
-        self, effect_id: str, axis: int | None = None, *, span: int | None = None, slot: int = 0, **parameters: float
+        self, effect_id: str, axis: int | None = None, *, section: int | None = None, slot: int = 0, **parameters: float
     ) -> None:
         """Give it an effect with these parameters from now on; the states stay.
 
-        `axis`, counted from 1, for effects of an axis; `span`, from 1, for those of a span (None: of every one);
-        `slot` for effects that can be given several times.
+        `axis`, counted from 1, for effects of an axis; `section`, from 1, for those of what is between two axes (None:
+        everywhere); `slot` for effects that can be given several times.
         """
 
-    def clear_effect(self, effect_id: str, axis: int | None = None, *, span: int | None = None, slot: int = 0) -> None:
+    def clear_effect(
+        self, effect_id: str, axis: int | None = None, *, section: int | None = None, slot: int = 0
+    ) -> None:
         """Make an effect neutral from now on."""
 
 

@@ -65,9 +65,15 @@ class EffectEntry(Block):
     effect: str = Field(description="its id in the vocabulary of effects")
     axis: int | None = Field(default=None, description="1 is the first roller's; for effects that belong to an axis")
     span: int | None = Field(
-        default=None, description="1 is behind the first roller; for effects of a span, which are else in every one"
+        default=None,
+        description="1 is behind the first roller; for effects of what is there, which are else everywhere",
     )
     parameters: dict[str, FiniteFloat] = Field(default_factory=dict, description="its values, by name")
+
+    @property
+    def section(self) -> int | None:
+        """Between which axes it is: behind which, from 1; None: of an axis, or everywhere."""
+        return self.span
 
     @model_validator(mode="after")
     def _known(self) -> Self:
@@ -75,7 +81,9 @@ class EffectEntry(Block):
             effect = find_effect(self.effect, self.machine_kind)
         except KeyError as error:
             raise ValueError(error.args[0]) from None
-        problem = effect.axis_problem(self.axis) or effect.span_problem(self.span) or effect.problem(self.parameters)
+        problem = (
+            effect.axis_problem(self.axis) or effect.section_problem(self.section) or effect.problem(self.parameters)
+        )
         if problem:
             raise ValueError(problem)
         return self

@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from math import prod
 
-from hilbench.bench.tasks.imitated_web import imitated_web
 from hilbench.plant.effects import MachineKind, find_effect
 from hilbench.plant.parameters import EffectEntry
+from hilbench.runs import web_line_values
 from hilbench.runs.config import ExperimentConfig
 from hilbench.runs.scenario import read_scenario
 from hilbench.runs.steps import TableStep
@@ -39,45 +38,15 @@ class State:
         """Of the tensions, by path."""
         return {path: value for path, value in self.values.items() if quantities.span_of_set_point(path) is not None}
 
-    def youngs_modulus_Pa(self, span: int) -> float:
-        """E of a span (counted from 1) of the imitated web, with its effects."""
-        modulus_Pa = self.values.get(quantities.modulus_of_span(span), self.values[quantities.YOUNGS_MODULUS])
-        for effect, parameters in self._effects_in(span):
-            modulus_Pa *= _elasticity_factor(effect, parameters, self.time_s)
-        return modulus_Pa
-
-    def length_factor(self, span: int) -> float:
-        """Of a span of the imitated web."""
-        effects = self._effects_in(span)
-        return prod(1.0 + p["relative_change"] for effect, p in effects if effect == "span_length_error")
-
-    def _effects_in(self, span: int) -> Iterator[tuple[str, Mapping[str, float]]]:
-        """Those of a span, and of all spans or of the whole line."""
-        for entry in self.effects:
-            if entry.span in (None, span):
-                yield entry.effect, find_effect(entry.effect).filled(entry.parameters)
+    @property
+    def load_effects(self) -> dict[tuple[str, int | None, int | None], dict[str, float]]:
+        """Values given for effects in the imitated mechanics that a path changes, by effect, axis and section."""
         changed: dict[tuple[str, int | None, int | None], dict[str, float]] = {}
         for path, value in self.values.items():
             if path.startswith(_LOAD_EFFECT):
                 known = quantities.parse_effect_path(path)
-                changed.setdefault((known.effect, known.axis, known.span), {})[known.parameter] = value
-        for (effect, axis, at), parameters in changed.items():
-            if at == span or (at is None and (effect, axis, span) not in changed):
-                yield effect, find_effect(effect).filled(parameters)
-
-
-def _elasticity_factor(effect: str, parameters: Mapping[str, float], t_s: float) -> float:
-    """What an effect makes of E, as `hilbench.plant.web_line.laws` has it; 1 for one that is none of the elasticity."""
-    change = parameters.get("relative_change", 0.0)
-    if effect == "elasticity_shift":
-        return 1.0 + change
-    if effect == "elasticity_step":
-        return 1.0 + change if t_s >= parameters["time_s"] else 1.0
-    if effect == "elasticity_ramp":
-        return 1.0 + change * min(max((t_s - parameters["time_s"]) / parameters["duration_s"], 0.0), 1.0)
-    if effect == "elasticity_drift":
-        return 1.0 + parameters["rate_per_s"] * t_s
-    return 1.0
+                changed.setdefault((known.effect, known.axis, known.section), {})[known.parameter] = value
+        return changed
 
 
 @dataclass(frozen=True)
@@ -97,16 +66,11 @@ def _start_values(config: ExperimentConfig) -> dict[str, float]:
             quantities.SHAFT_INERTIA: shaft.inertia_kg_m2,
             quantities.SHAFT_COULOMB_FRICTION: shaft.shaft.coulomb_friction_Nm,
         }
-    web = imitated_web(config.web_line, config.load)
-    moduli_Pa = {quantities.YOUNGS_MODULUS: web.youngs_modulus_Pa(1)}
-    if web.span_count > 1:
-        spans = range(1, web.span_count + 1)
-        moduli_Pa |= {quantities.modulus_of_span(span): web.youngs_modulus_Pa(span) for span in spans}
     set_points = {
         quantities.tension_set_point(config.shape.numbered(span)): control.set_point_N
         for span, control in config.tension_controls.items()
     }
-    return {quantities.LINE_SPEED: 0.0, **set_points, **moduli_Pa}
+    return {quantities.LINE_SPEED: 0.0, **set_points, **web_line_values.start_moduli_Pa(config)}
 
 
 def start_of(config: ExperimentConfig) -> State:
@@ -114,12 +78,13 @@ def start_of(config: ExperimentConfig) -> State:
     values = _start_values(config)
     others: list[EffectEntry] = []
     for number, entry in enumerate(config.load.effects):
-        place = (entry.effect, entry.axis, entry.span)
-        if any((later.effect, later.axis, later.span) == place for later in config.load.effects[number + 1 :]):
+        place = (entry.effect, entry.axis, entry.section)
+        if any((later.effect, later.axis, later.section) == place for later in config.load.effects[number + 1 :]):
             others.append(entry)  # a path changes the last one of a kind
             continue
-        part = "" if entry.axis is None else f"axis{entry.axis}."
-        part += "" if entry.span is None else f"span{entry.span}."
+        known = find_effect(entry.effect, config.machine_kind)
+        at = entry.axis if known.per_axis else entry.section
+        part = "" if at is None else f"{known.part}{at}."
         values |= {f"{_LOAD_EFFECT}{entry.effect}.{part}{name}": value for name, value in entry.parameters.items()}
     return State(0.0, ("steps",), values, tuple(others))
 
@@ -160,9 +125,7 @@ def moves(config: ExperimentConfig) -> Iterator[Move]:
 
 
 def _move(state: State, place: Location, path: str, value: float, lasts_s: float) -> Move:
-    values = {**state.values, path: value}
-    if path == quantities.YOUNGS_MODULUS:  # of all spans, whatever each had
-        values |= {known: value for known in values if quantities.span_of_modulus(known) is not None}
+    values = web_line_values.changed({**state.values, path: value}, path)
     after = replace(state, time_s=state.time_s + lasts_s, place=place, values=values)
     return Move(state, after, lasts_s)
 

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from math import inf
+from collections.abc import Iterable, Iterator, Mapping
+from math import inf, prod
 
 from hilbench.bench.tasks.tension_loop import Moduli, OperatingPoint
 from hilbench.bench.web_line_check import alike
+from hilbench.plant.effects import find_effect
 from hilbench.plant.parameters import per_item
 from hilbench.runs.config import ExperimentConfig, LoadedConfig
 from hilbench.runs.prospect import Move, State, start_of
 from hilbench.strict_yaml import Location
+from hilbench.topology.quantities import YOUNGS_MODULUS
 from hilbench.topology.safety import Limit
+from hilbench.topology.web_line_quantities import modulus_of_span
 
 #: A difference that makes no other operating point.
 _SAME_SPEED_M_S = 0.05
@@ -28,7 +31,7 @@ def operating_points(config: ExperimentConfig, asked: list[Move]) -> dict[Operat
         moduli_Pa = _moduli(state, spans)
         if min(*moduli_Pa, *believed_Pa) <= 0.0:
             return  # values are checked where they enter
-        factors = tuple(state.length_factor(span) for span in spans)
+        factors = tuple(_length_factor(state, span) for span in spans)
         point = OperatingPoint(moduli_Pa, abs(state.line_speed_m_s), factors, believed_Pa)
         if not any(_alike(point, known) for known in points):
             points[point] = state.place
@@ -43,8 +46,47 @@ def operating_points(config: ExperimentConfig, asked: list[Move]) -> dict[Operat
     return points if len(points) <= _MOST_POINTS else _extremes(points)
 
 
+def _modulus_Pa(state: State, span: int) -> float:
+    """E of a span (from 1) of the imitated web, with its effects."""
+    modulus_Pa = state.values.get(modulus_of_span(span), state.values[YOUNGS_MODULUS])
+    for effect, parameters in _effects_in(state, span):
+        modulus_Pa *= _elasticity_factor(effect, parameters, state.time_s)
+    return modulus_Pa
+
+
+def _length_factor(state: State, span: int) -> float:
+    """Of a span (from 1) of the imitated web."""
+    effects = _effects_in(state, span)
+    return prod(1.0 + p["relative_change"] for effect, p in effects if effect == "span_length_error")
+
+
+def _effects_in(state: State, span: int) -> Iterator[tuple[str, Mapping[str, float]]]:
+    """Those of a span, and of all spans or of the whole line."""
+    for entry in state.effects:
+        if entry.span in (None, span):
+            yield entry.effect, find_effect(entry.effect).filled(entry.parameters)
+    changed = state.load_effects
+    for (effect, axis, at), parameters in changed.items():
+        if at == span or (at is None and (effect, axis, span) not in changed):
+            yield effect, find_effect(effect).filled(parameters)
+
+
+def _elasticity_factor(effect: str, parameters: Mapping[str, float], t_s: float) -> float:
+    """What an effect makes of E, as `hilbench.plant.web_line.laws` has it; 1 for one that is none of the elasticity."""
+    change = parameters.get("relative_change", 0.0)
+    if effect == "elasticity_shift":
+        return 1.0 + change
+    if effect == "elasticity_step":
+        return 1.0 + change if t_s >= parameters["time_s"] else 1.0
+    if effect == "elasticity_ramp":
+        return 1.0 + change * min(max((t_s - parameters["time_s"]) / parameters["duration_s"], 0.0), 1.0)
+    if effect == "elasticity_drift":
+        return 1.0 + parameters["rate_per_s"] * t_s
+    return 1.0
+
+
 def _moduli(state: State, spans: Iterable[int]) -> Moduli:
-    return tuple(state.youngs_modulus_Pa(span) for span in spans)
+    return tuple(_modulus_Pa(state, span) for span in spans)
 
 
 def stiffness_of(point: OperatingPoint) -> float:
@@ -98,7 +140,7 @@ def _of_a_change_of_E(config: ExperimentConfig, at: str, move: Move) -> Iterator
     limits, model = config.safety.limits, config.web_line
     changed = []
     for span in range(1, model.span_count + 1):
-        before_Pa, after_Pa = move.before.youngs_modulus_Pa(span), move.after.youngs_modulus_Pa(span)
+        before_Pa, after_Pa = _modulus_Pa(move.before, span), _modulus_Pa(move.after, span)
         if before_Pa > 0.0 and after_Pa > 0.0 and before_Pa != after_Pa:
             model_Pa = model.youngs_modulus_Pa(span)
             changed.append((max(after_Pa / model_Pa, model_Pa / after_Pa), after_Pa / before_Pa))

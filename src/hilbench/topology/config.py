@@ -25,6 +25,7 @@ from hilbench.plant.servo_axis.parameters import ServoAxisParameters, ShaftParam
 from hilbench.plant.servo_axis.rig import ServoRigParameters
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.rig import CoupledMotor, RigParameters
+from hilbench.plant.web_line.stations import ONLY_DRIVEN
 from hilbench.prediction.config import PredictionConfig
 from hilbench.real_time import ProcessSettings
 from hilbench.topology.parts import DriveConfig, LoadMotorConfig, NodeConfig, Part, PartName, Role
@@ -100,11 +101,11 @@ def _effect_problem(entry: EffectEntry, kind: MachineKind) -> str | None:
         effect = find_effect(entry.effect, kind)
     except KeyError as error:
         return str(error.args[0])
-    return effect.axis_problem(entry.axis) or effect.span_problem(entry.span) or effect.problem(entry.parameters)
+    return effect.axis_problem(entry.axis) or effect.section_problem(entry.section) or effect.problem(entry.parameters)
 
 
 def _place_problem(entry: EffectEntry, place: EffectPlace, kind: MachineKind) -> str | None:
-    return effect_problem(entry.effect, entry.axis, place, None, None, kind, span=entry.span)
+    return effect_problem(entry.effect, entry.axis, place, None, None, kind, section=entry.section)
 
 
 def _possible_effects(entries: list[HiddenEffect], place: EffectPlace) -> list[HiddenEffect]:
@@ -205,9 +206,10 @@ def _misfits(key: str, value: Any, machine: Any, loaded: Collection[int] | None)
         yield from span_misfits([control.span for control in value.values()], machine.span_count)
     if key == "twin" and not of_servo:
         yield from estimate_misfits(value, machine)
-    for name, of_spans in value.web if key == "load" and not of_servo else ():
-        if isinstance(of_spans, list) and len(of_spans) != machine.span_count:
-            yield f"'web.{name}' as one number or {machine.span_count}"
+    sections = 0 if of_servo else machine.span_count
+    for name, of_sections in value.web if key == "load" and not of_servo else ():
+        if isinstance(of_sections, list) and len(of_sections) != sections:
+            yield f"'web.{name}' as one number or {sections}"
     if key == "load" and value.web != LoadWebConfig() and of_servo:
         yield "'shaft:' for a servo axis"
     if not of_servo and ((key == "load" and value.shaft != LoadShaftConfig()) or (key == "hardware" and value.shaft)):
@@ -218,11 +220,10 @@ def _misfits(key: str, value: Any, machine: Any, loaded: Collection[int] | None)
             if getattr(value, name) != getattr(default, name):
                 yield f"no '{name}:', which is of a twin of another kind of machine (this one is a {kind})"
     if key in ("hardware", "load"):
-        spans = 0 if of_servo else machine.span_count
         for entry in value.effects:
             place = effect_problem(
                 entry.effect, entry.axis, EffectPlace(key), machine.axis_count, loaded, kind,
-                span=entry.span, spans=spans,
+                section=entry.section, sections=sections,
             )  # fmt: skip
             yield from filter(None, [_effect_problem(entry, kind), place])
 
@@ -325,6 +326,8 @@ class BenchConfig(Block):
         if machine.drives is None or (isinstance(machine, ModelParameters) and machine.web is None):
             needs = "'web:' and 'drives:'" if isinstance(machine, ModelParameters) else "'drives:'"
             raise ValueError(f"a machine with {needs}")
+        if isinstance(machine, ModelParameters) and machine.stations is not None:
+            raise ValueError(f"a machine without 'stations:', {ONLY_DRIVEN}")
         if machine.axis_count != len(self.drives):
             axes = "driven rollers" if machine.position_unit == "m" else "axes"
             raise ValueError(

@@ -27,6 +27,7 @@ from hilbench.errors import UnusableValueError
 from hilbench.plant.effects import EffectPlace, MachineKind, effect_problem, effects_of, find_effect
 from hilbench.plant.web_line.parameters import LARGEST_MODULUS_Pa, LEAST_MODULUS_Pa
 from hilbench.suggest import did_you_mean
+from hilbench.topology import web_line_quantities as numbered
 from hilbench.topology.signals import Shape
 
 LINE_SPEED = "line_speed_m_s"
@@ -97,8 +98,7 @@ _PLAIN_OF = {
 _PLAIN = {path: values for of_kind in _PLAIN_OF.values() for path, values in of_kind.items()}
 PLAIN_PATHS = tuple(_PLAIN)
 _NUMBERED_SET_POINT = re.compile(r"tension_control\.span([1-9]\d{0,3})\.set_point_N")
-_NUMBERED_MODULUS = re.compile(r"load\.web\.span([1-9]\d{0,3})\.youngs_modulus_Pa")
-_PART = re.compile(r"(axis|span)([1-9]\d{0,3})")
+_PART = re.compile(r"([a-z]+)([1-9]\d{0,3})")
 
 #: Axes of the smallest machine of each kind, and those on whose shaft a load motor is.
 _SMALLEST = {MachineKind.WEB_LINE: (2, (2,)), MachineKind.SERVO_AXIS: (1, (1,))}
@@ -115,21 +115,9 @@ def span_of_set_point(path: str) -> str | None:
     return found[1] if found else "" if path == TENSION_SET_POINT else None
 
 
-def modulus_of_span(span: int) -> str:
-    """The path of E of one span of the imitated web, on a line of several."""
-    return f"load.web.span{span}.youngs_modulus_Pa"
-
-
-def span_of_modulus(path: str) -> int | None:
-    """The span in the path of E of one span of the imitated web; None for another path."""
-    found = _NUMBERED_MODULUS.fullmatch(path)
-    return int(found[1]) if found else None
-
-
 def is_plain(path: str) -> bool:
     """Whether a quantity is none of an effect, whatever the machine."""
-    numbered = (_NUMBERED_SET_POINT, _NUMBERED_MODULUS)
-    return path in _PLAIN or any(pattern.fullmatch(path) for pattern in numbered)
+    return path in _PLAIN or _NUMBERED_SET_POINT.fullmatch(path) is not None or numbered.is_modulus(path)
 
 
 @dataclass(frozen=True)
@@ -141,14 +129,14 @@ class EffectPath:
     axis: int | None
     parameter: str
     kind: MachineKind = MachineKind.WEB_LINE  #: by whose rows the parameter is named
-    span: int | None = None  #: None: all of them, or the effect is of no span
+    section: int | None = None  #: behind which axis; None: everywhere, or the effect is of an axis
 
 
 @cache
 def parse_effect_path(text: str, kind: MachineKind | None = None) -> EffectPath:
     """Take ``load|hardware.effects.ID[.axisN|.spanN].PARAMETER`` apart, as a kind of machine has it (None: any).
 
-    Which axes and spans there are the bench says (`path_problem`). Raises ValueError that says what is wrong.
+    Which axes and sections there are the bench says (`path_problem`). Raises ValueError that says what is wrong.
     """
     if kind is not None:
         return _parsed(text, kind)
@@ -175,32 +163,29 @@ def _parsed(text: str, kind: MachineKind) -> EffectPath:
     except KeyError:
         meant = did_you_mean(name, (effect.id for effect in effects_of(kind)))
         raise ValueError(f"an effect of the vocabulary, '{name}' is none{meant}") from None
-    numbered = _PART.fullmatch(part[0]) if part else None
-    axis = int(numbered[2]) if numbered and numbered[1] == "axis" else None
-    span = int(numbered[2]) if numbered and numbered[1] == "span" else None
+    at = _PART.fullmatch(part[0]) if part else None
+    number = int(at[2]) if at and at[1] == effect.part else None
+    axis, section = (number, None) if effect.per_axis else (None, number)
     if effect.per_axis and axis is None:
         raise ValueError(f"'{name}' with its axis: {place}.effects.{name}.axisN.{parameter}")
-    if not effect.per_axis and part and not (effect.per_span and span is not None):
-        or_span = f", or with its span: {place}.effects.{name}.spanN.{parameter}" if effect.per_span else ""
-        raise ValueError(f"'{name}' without an axis: {place}.effects.{name}.{parameter}{or_span}")
+    if part and number is None:
+        more = f", or with its {effect.part}: {place}.effects.{name}.{effect.part}N.{parameter}"
+        raise ValueError(f"'{name}' without an axis: {place}.effects.{name}.{parameter}{more if effect.part else ''}")
     names = [known.name for known in effect.parameters]
     if parameter not in names:
         meant = did_you_mean(parameter, names)
         raise ValueError(f"a parameter of '{name}' ({', '.join(names)}), '{parameter}' is none{meant}")
-    problem = effect_problem(name, axis, EffectPlace(place), None, None, kind, span=span)
+    problem = effect_problem(name, axis, EffectPlace(place), None, None, kind, section=section)
     if problem:
         raise ValueError(problem)
-    return EffectPath(place, name, axis, parameter, kind, span)
+    return EffectPath(place, name, axis, parameter, kind, section)
 
 
 def plain_paths(kind: MachineKind, shape: Shape) -> tuple[str, ...]:
     """The quantities of a machine, without those of its effects."""
     several = {
         TENSION_SET_POINT: [tension_set_point(shape.numbered(span)) for span in shape.controlled],
-        YOUNGS_MODULUS: [
-            YOUNGS_MODULUS,
-            *(modulus_of_span(k + 1) for k in range(shape.spans if shape.spans > 1 else 0)),
-        ],
+        YOUNGS_MODULUS: [YOUNGS_MODULUS, *numbered.moduli(shape)],
     }
     return tuple(path for known in _PLAIN_OF[kind] for path in several.get(known, [known]))
 
@@ -217,8 +202,8 @@ def path_problem(path: str, kind: MachineKind, shape: Shape, loaded: Collection[
         of = parse_effect_path(path, kind)
     except ValueError as error:
         return str(error)
-    place, spans = EffectPlace(of.place), shape.spans
-    return effect_problem(of.effect, of.axis, place, shape.axes, loaded, kind, span=of.span, spans=spans)
+    place, sections = EffectPlace(of.place), shape.spans
+    return effect_problem(of.effect, of.axis, place, shape.axes, loaded, kind, section=of.section, sections=sections)
 
 
 def all_paths() -> Iterator[str]:
@@ -255,7 +240,7 @@ def rampable_path(text: str) -> str:
 def permitted(path: str) -> Permitted:
     """What values a quantity may have. Raises ValueError for an unknown path."""
     if is_plain(path):
-        return _PLAIN.get(path, _PLAIN[YOUNGS_MODULUS if span_of_modulus(path) else TENSION_SET_POINT])
+        return _PLAIN.get(path, _PLAIN[YOUNGS_MODULUS if numbered.is_modulus(path) else TENSION_SET_POINT])
     of = parse_effect_path(path)
     parameter = find_effect(of.effect, of.kind).parameter(of.parameter)
     return Permitted(parameter.lower, parameter.upper, parameter.unit)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from math import inf
 from typing import Final
 
+from hilbench.bench.machines import web_line_ranges
 from hilbench.plant.effects import MachineKind
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.quantities import (
@@ -15,15 +16,11 @@ from hilbench.topology.quantities import (
     TENSION_PROBE,
     TENSION_SET_POINT,
     YOUNGS_MODULUS,
-    modulus_of_span,
     permitted,
     tension_set_point,
 )
 from hilbench.topology.safety import Limit
 
-_FIRST_SET_POINT: Final = 15  #: sub-index before that of span 1 on a line of several spans
-_FIRST_MODULUS: Final = 31  #: sub-index before that of E of span 1
-MOST_SPANS: Final = 16  #: of how many spans there is an object of each
 #: Sub-index of 2200h, given once and for all, and name in the EDS file of each quantity, by path.
 OPERATOR_OBJECTS: Final = {
     LINE_SPEED: (1, "Line speed [m/s]"),
@@ -33,14 +30,7 @@ OPERATOR_OBJECTS: Final = {
     SHAFT_INERTIA: (5, "Inertia of the imitated shaft [kg.m2]"),
     SHAFT_COULOMB_FRICTION: (6, "Dry friction of the imitated shaft [N.m]"),
     TENSION_PROBE: (7, "Probe of the tension [0 or 1]"),
-    **{
-        tension_set_point(str(span)): (_FIRST_SET_POINT + span, f"Tension set-point of span {span} [N]")
-        for span in range(1, MOST_SPANS + 1)
-    },
-    **{
-        modulus_of_span(span): (_FIRST_MODULUS + span, f"Modulus of the imitated web in span {span} [Pa]")
-        for span in range(1, MOST_SPANS + 1)
-    },
+    **web_line_ranges.OF_EACH_SPAN,
 }
 
 #: What E may be off the model's by where the config sets no limit.
@@ -65,10 +55,7 @@ def _of_web_line(config: BenchConfig) -> dict[str, tuple[float, float]]:
     """Line speed (m/s), tension set-point (N), Young's modulus of the imitated web (Pa)."""
     limits = config.safety.limits
     speed_m_s, ratio = _highest(limits.speed_m_s), min(_highest(limits.estimate_ratio), _LARGEST_RATIO)
-    moduli_Pa = {YOUNGS_MODULUS: config.web_line.youngs_modulus_Pa(1)}
-    if config.shape.spans > 1:
-        spans = range(1, config.shape.spans + 1)
-        moduli_Pa |= {modulus_of_span(span): config.web_line.youngs_modulus_Pa(span) for span in spans}
+    moduli_Pa = web_line_ranges.moduli_Pa(config)
     set_points = [tension_set_point(config.shape.numbered(span)) for span in config.tension_controls]
     return {
         LINE_SPEED: (-speed_m_s, speed_m_s),

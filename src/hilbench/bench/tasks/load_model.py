@@ -14,7 +14,7 @@ from hilbench.plant.effects import MachineKind, find_effect
 from hilbench.plant.interface import Follower
 from hilbench.plant.pairing import Pairing
 from hilbench.plant.parameters import EffectEntry
-from hilbench.topology.quantities import EffectPath, is_plain, parse_effect_path, span_of_modulus
+from hilbench.topology.quantities import EffectPath, is_plain, parse_effect_path
 
 #: So many cycles that a sample is late by are made good by prediction; an older one has too little in it.
 _MOST_PREDICTED_CYCLES = 3
@@ -58,7 +58,7 @@ class LoadModel:
         self._behind_cycles = 0  # since the instant of the positions that the machine is at
         self._counted = self._load_axes[0] - 1 if self._load_axes else 0  # the axis whose way counts cycles
         self._position, self._speed = 0.0, 0.0
-        self._effects = {(entry.effect, entry.axis, entry.span): dict(entry.parameters) for entry in effects}
+        self._effects = {(entry.effect, entry.axis, entry.section): dict(entry.parameters) for entry in effects}
 
     def warm_up(self) -> None:
         """Compile (or load from the cache) what each cycle runs, before one has to wait for it."""
@@ -137,21 +137,20 @@ class LoadModel:
         return self._effect_values(path)[path.parameter]
 
     def _effect_values(self, path: EffectPath) -> dict[str, float]:
-        """All parameters of an effect; one that was given for all spans is in each of them."""
+        """All parameters of an effect; one that was given without a section is in each of them."""
         of_all = self._effects.get((path.effect, path.axis, None), {})
-        given = self._effects.get((path.effect, path.axis, path.span), of_all)
+        given = self._effects.get((path.effect, path.axis, path.section), of_all)
         return find_effect(path.effect, self._kind).filled(given)
 
     def _set_effect_value(self, path: EffectPath, value: float) -> None:
         parameters = self._effect_values(path)
         parameters[path.parameter] = value
-        self.machine.set_effect(path.effect, path.axis, span=path.span, slot=0, **parameters)
-        if path.span is None:  # of all spans, whatever each had
+        self.machine.set_effect(path.effect, path.axis, section=path.section, slot=0, **parameters)
+        if path.section is None:  # everywhere, whatever there was
             self._effects = {key: known for key, known in self._effects.items() if key[:2] != (path.effect, path.axis)}
-        self._effects[path.effect, path.axis, path.span] = parameters
+        self._effects[path.effect, path.axis, path.section] = parameters
 
 
 def _parameter(path: str) -> str:
-    """The machine's parameter that a path such as ``load.web.youngs_modulus_Pa`` names."""
-    span = span_of_modulus(path)
-    return path.rpartition(".")[2] if span is None else f"youngs_modulus{span}_Pa"
+    """The machine's parameter that a path such as ``load.web.youngs_modulus_Pa`` names: what is behind two words."""
+    return path.split(".", 2)[2]

@@ -190,16 +190,18 @@ class ImitatedShaft:
         self._machine.set_input(name, value)
 
     def set_effect(
-        self, effect_id: str, axis: int | None = None, *, span: int | None = None, slot: int = 0, **parameters: float
+        self, effect_id: str, axis: int | None = None, *, section: int | None = None, slot: int = 0, **parameters: float
     ) -> None:
         """Imitate an effect of the shaft from now on. Raises ValueError, also for effects of drive and motor."""
         self._check(effect_id, axis)
-        self._machine.set_effect(effect_id, axis, span=span, slot=slot, **parameters)
+        self._machine.set_effect(effect_id, axis, section=section, slot=slot, **parameters)
 
-    def clear_effect(self, effect_id: str, axis: int | None = None, *, span: int | None = None, slot: int = 0) -> None:
+    def clear_effect(
+        self, effect_id: str, axis: int | None = None, *, section: int | None = None, slot: int = 0
+    ) -> None:
         """Imitate it no more. Raises as `set_effect`."""
         self._check(effect_id, axis)
-        self._machine.clear_effect(effect_id, axis, span=span, slot=slot)
+        self._machine.clear_effect(effect_id, axis, section=section, slot=slot)
 
     def _check(self, effect_id: str, axis: int | None) -> None:
         problem = imitated_effect_problem(effect_id, axis)

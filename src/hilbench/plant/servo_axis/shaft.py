@@ -195,26 +195,28 @@ class Shaft:
         self._inputs[lay.U_TORQUE_NM] = value
 
     def set_effect(
-        self, effect_id: str, axis: int | None = None, *, span: int | None = None, slot: int = 0, **parameters: float
+        self, effect_id: str, axis: int | None = None, *, section: int | None = None, slot: int = 0, **parameters: float
     ) -> None:
         """Give the axis an effect from now on. Raises ValueError for what it cannot have."""
         lay.check_effect(effect_id, axis, slot, parameters)
-        _refuse_span(effect_id, span)
+        _refuse_section(effect_id, section)
         changed = self._p.copy()
         lay.write_effect(changed, effect_id, slot, find(effect_id).filled(parameters).values())
         lay.check_delay(changed)
         self._p[:] = changed
         self._refresh_direction()
 
-    def clear_effect(self, effect_id: str, axis: int | None = None, *, span: int | None = None, slot: int = 0) -> None:
+    def clear_effect(
+        self, effect_id: str, axis: int | None = None, *, section: int | None = None, slot: int = 0
+    ) -> None:
         """Make an effect neutral from now on. Raises as `set_effect`."""
         lay.check_effect(effect_id, axis, slot, find(effect_id).filled({}) if effect_id in IDS else {})
-        _refuse_span(effect_id, span)
+        _refuse_section(effect_id, section)
         lay.write_effect(self._p, effect_id, slot, find(effect_id).filled({}).values())
         self._refresh_direction()
 
 
-def _refuse_span(effect_id: str, span: int | None) -> None:
-    problem = find(effect_id).span_problem(span)
+def _refuse_section(effect_id: str, section: int | None) -> None:
+    problem = find(effect_id).section_problem(section)
     if problem:
         raise ValueError(problem)

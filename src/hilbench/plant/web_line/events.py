@@ -1,13 +1,13 @@
-"""Events of a line, compiled: rollers that stop and slide, flanks of gear play that meet and part.
+"""Events of a line, compiled: rollers and carriages that stop and slide, flanks of gear play, stops of carriages.
 
-Standstill under dry friction and the flanks of gear play are located in time, then the roller sticks or slides, the
-gear touches or not; nothing is smoothed, nothing chatters. Arguments as in `hilbench.plant.web_line.kernel`.
+Each is located in time; then the roller sticks or slides, the gear touches or not, the carriage is held. Nothing is
+smoothed, nothing chatters. Arguments as in `hilbench.plant.web_line.kernel`.
 """
 
 from __future__ import annotations
 
 from hilbench.compiled import compiled, inlined, noinline
-from hilbench.plant.web_line import laws, motion, places
+from hilbench.plant.web_line import carriages, laws, motion, places
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.layout import Vector
 
@@ -22,19 +22,22 @@ _POSITION_ROUNDING = 1e-15
 
 @inlined
 def any_sticks(p: Vector, s: Vector, n: int, k: int) -> bool:
-    """Whether dry friction holds a roller."""
+    """Whether dry friction holds a roller or carriage, or a stop a carriage."""
     sticks = False
     for i in range(n):
-        sticks |= motion.sticks(p, s, n, k, i)
+        sticks |= motion.sticks(p, s, n, k, i) or motion.is_at_stop(s, n, k, i)
     return sticks
 
 
 @inlined
 def still_slides(p: Vector, s: Vector, w: Vector, n: int, k: int) -> bool:
-    """Whether at the end of the step every roller with dry friction still turns as it did."""
+    """Whether at the end of the step all that has dry friction still moves as it did, and no carriage is at a stop."""
     for i in range(n):
         v, direction = w[places.block(n, k, lay.STAGE) + n + i], s[places.axis_state(n, k, i) + lay.SA_DIRECTION]
         if _reversal(v, direction) > _EVENT_TOLERANCE and laws.is_dry(p, places.axis(i)):
+            return False
+        x = w[places.block(n, k, lay.STAGE) + i]
+        if carriages.is_carriage(k, i) and carriages.beyond_m(p, places.axis(i), x) > 0.0:
             return False
     return True
 
@@ -49,14 +52,15 @@ def _reversal(v: float, direction: float) -> float:
 def _violations(p: Vector, s: Vector, u: Vector, w: Vector, t: float, i: int, y: int) -> tuple[float, float, float]:
     """How far axis i has left its mode at place `y`, tensions and torques there: gear, friction; the force on it.
 
-    Gear: a flank passed (µm), or a flank that would have to pull (N). Friction: a speed against its direction (mm/s),
-    or a force too great for it to stick (N). In these units one tolerance does for all, as the search needs one number.
+    Gear: a flank passed (µm), or a flank that would have to pull (N); a carriage's stops likewise. Friction: a speed
+    against its direction (mm/s), or a force too great for it to stick (N). In these units one tolerance does for all,
+    as the search needs one number.
     """
     n, m, k = places.counts(p)
     axis, mode = places.axis(i), places.axis_state(n, k, i)
     v, gear, friction = w[y + n + i], -1.0, -1.0
     drive = motion.motor_force_N(p, w, n, m, k, i, w[y + 2 * n + i], False)
-    web = motion.web_force_N(p, u, w, n, m, k, i, laws.upstream_strain(p, u[lay.U_STRAIN_PREV], t))
+    web = motion.web_force_N(p, u, w, n, m, k, i, y, laws.upstream_strain(p, u[lay.U_STRAIN_PREV], t), False)
     apart, sticks = motion.is_apart(p, s, n, k, i), motion.sticks(p, s, n, k, i)
     own = motion.own_force_N(p, w, n, m, k, i, y, False) + (0.0 if apart else drive)
     if apart:
@@ -69,7 +73,11 @@ def _violations(p: Vector, s: Vector, u: Vector, w: Vector, t: float, i: int, y:
         motor_mass = p[axis + lay.A_MOTOR_MASS_KG] * laws.inertia_factor(p, axis)
         gear = (motor_mass * acceleration - drive) * s[mode + lay.SA_CONTACT]
     net = own + web
-    if laws.is_dry(p, axis):
+    if carriages.is_carriage(k, i):
+        gear = (carriages.beyond_m(p, axis, w[y + i]) - _POSITION_ROUNDING * abs(w[y + i])) * 1e6
+    if motion.is_at_stop(s, n, k, i):
+        gear = -s[mode + lay.SA_CONTACT] * net - laws.breakaway_N(p, axis)
+    elif laws.is_dry(p, axis):
         breakaway = laws.breakaway_N(p, axis) + laws.load_friction_N(p, axis, 0.0 if apart else drive)
         friction = abs(net) - breakaway if sticks else _reversal(v, s[mode + lay.SA_DIRECTION])
     return gear, friction, net
@@ -96,6 +104,9 @@ def _settle_one(p: Vector, s: Vector, u: Vector, w: Vector, t: float) -> bool:
     for i in range(n):
         mode = places.axis_state(n, k, i)
         gear, friction, net = _violations(p, s, u, w, t, i, 0)
+        if gear > _EVENT_TOLERANCE and carriages.is_carriage(k, i):
+            _meet_or_leave_stop(p, s, w, n, k, i)
+            return True
         if gear > _EVENT_TOLERANCE:
             if s[mode + lay.SA_CONTACT] != 0.0:
                 s[mode + lay.SA_CONTACT] = 0.0
@@ -118,6 +129,25 @@ def _stick(p: Vector, s: Vector, w: Vector, n: int, k: int, i: int) -> None:
     w[n + i] = 0.0
     if not motion.is_apart(p, s, n, k, i):
         w[3 * n + i] = 0.0
+
+
+@compiled
+def _meet_or_leave_stop(p: Vector, s: Vector, w: Vector, n: int, k: int, i: int) -> None:
+    """A carriage stands at its stop, without a rebound; one that stood there is let go."""
+    mode = places.axis_state(n, k, i)
+    side = s[mode + lay.SA_CONTACT]
+    if side != 0.0:
+        s[mode + lay.SA_CONTACT] = 0.0
+        s[mode + lay.SA_DIRECTION] = -side
+        return
+    axis = places.axis(i)
+    side = carriages.side_of_stop(p, axis, w[i])
+    s[mode + lay.SA_CONTACT] = side
+    at = p[axis + lay.A_UPPER_STOP_M] if side > 0.0 else p[axis + lay.A_LOWER_STOP_M]
+    w[i] = at
+    w[2 * n + i] = at
+    w[n + i] = 0.0
+    w[3 * n + i] = 0.0
 
 
 @compiled

@@ -233,8 +233,7 @@ def _stands(imitation: Imitation, model: ModelParameters, many: Vector) -> Vecto
     stands = np.tile(template, (len(many), 1))
     layout, of_model = Layout.of(template), Layout.of(many[0])
     for stand, parameters in zip(stands, many, strict=True):
-        effects = of_model.axis_rows(parameters)[:, lay.A_WEB_LOAD + 1 :]
-        layout.axis_rows(stand)[:, lay.A_WEB_LOAD + 1 :] = effects
+        layout.axis_rows(stand)[:, lay.A_FIXED :] = of_model.axis_rows(parameters)[:, lay.A_FIXED :]
         layout.motor_rows(stand)[: layout.axes] = of_model.motor_rows(parameters)
     return stands
 

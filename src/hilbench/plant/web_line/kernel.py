@@ -1,4 +1,4 @@
-"""The model kernel: a line of driven rollers with the web between them, compiled.
+"""The model kernel: a line of rollers, carriages and reels with the web between them, compiled.
 
 Per drive sample time: the drives' loops once, then Runge-Kutta steps of fourth order with the torque of the
 current loops known in closed form. Standstill under dry friction and the flanks of gear play are events: located
@@ -25,7 +25,7 @@ from pathlib import Path
 from hilbench import compiled as decorators
 from hilbench.compiled import compiled, entry_point, inlined, merged, noinline, number_of_sources
 from hilbench.plant import drive_loops as loops
-from hilbench.plant.web_line import events, laws, motion, places
+from hilbench.plant.web_line import carriages, events, laws, motion, places, reels
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.layout import Vector
 
@@ -142,9 +142,10 @@ def _fed_forward_Nm(p: Vector, s: Vector, u: Vector, w: Vector, t: float, j: int
     if motion.is_apart(p, s, n, k, j):
         acceleration = drive * w[places.part(n, m, k, lay.PER_MOTOR_MASS) + j]
     elif not motion.sticks(p, s, n, k, j):
-        web = motion.web_force_N(p, u, w, n, m, k, j, laws.upstream_strain(p, u[lay.U_STRAIN_PREV], t))
+        strain_prev = laws.upstream_strain(p, u[lay.U_STRAIN_PREV], t)
+        web = motion.web_force_N(p, u, w, n, m, k, j, 0, strain_prev, False)
         force = motion.own_force_N(p, w, n, m, k, j, 0, False) + drive
-        per_mass = w[places.part(n, m, k, lay.PER_MASS) + j]
+        per_mass = motion.per_mass(p, w, n, m, k, j, 0)
         acceleration = motion.acceleration_m_s2(p, s, n, k, j, w[n + j], per_mass, force, web, drive, False)
     mass = (p[axis + lay.A_MOTOR_MASS_KG] + p[axis + lay.A_ROLLER_MASS_KG]) * laws.inertia_factor(p, axis)
     fed = laws.fed_forward_N(p, axis, motor, mass, w[3 * n + j], acceleration, direction)
@@ -163,11 +164,12 @@ def _follow_pieces(p: Vector, s: Vector, u: Vector, w: Vector, t: float, h: floa
     noinline()
     n, m, k = places.counts(p)
     pieces, strain_prev = places.pieces(n, m, k), laws.upstream_strain(p, u[lay.U_STRAIN_PREV], t)
-    laws.let_splice_in(p, s, pieces, t, h, w[0], w[n], strain_prev)
+    way = motion.web_way_m(p, w[0])
+    laws.let_splice_in(p, s, pieces, t, h, way, w[n], strain_prev)
     web_m = 0.0
     for j in range(k):
         web_m += w[4 * n + j]
-    laws.forget_passed(s, pieces, w[0], strain_prev, web_m)
+    laws.forget_passed(s, pieces, way, strain_prev, web_m)
     _set_blur(w, n, m, k, h)
 
 
@@ -227,6 +229,8 @@ def enter(p: Vector, s: Vector, u: Vector, w: Vector) -> None:
             pace = lay.PLAY
         elif laws.has_rare_force(p, axis, places.motor(n, i)):
             pace = max(pace, lay.RARE)
+    if k > 0 and (n > k + 1 or reels.is_reel(p, places.axis(0)) or reels.is_reel(p, places.axis(k))):
+        pace = max(pace, lay.RARE)
     if k > 0 and laws.has_splice(p, s, places.pieces(n, m, k)):
         pace = max(pace, lay.RARE)
         _set_blur(w, n, m, k, p[lay.W_SAMPLE_TIME_S] / p[lay.W_SUBSTEPS])
@@ -324,7 +328,7 @@ Simulate = Callable[[Vector, Vector, Vector, Vector, Vector, Vector, int, Vector
 def source_number(*further: str) -> int:
     """A number that changes with the source of what is compiled here, and with `further` files."""
     table = str(Path(__file__).parents[1] / "effects.py")
-    modules = (decorators, loops, laws, lay, places, motion, events)
+    modules = (decorators, loops, laws, lay, places, carriages, reels, motion, events)
     names = (*(str(module.__file__) for module in modules), __file__, table, *further)
     return number_of_sources(*names)
 

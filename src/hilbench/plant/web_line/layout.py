@@ -8,8 +8,9 @@ Three vectors of float64 describe a line of N axes, M motors and K spans:
   span), per axis the friction direction and gear contact, M motor rows, M rows of past torques, pieces of other web;
 - inputs: boundary, M motor rows (mode, set point, slope, limit), K rates of length.
 
-Motor k drives axis k. Motors beyond the last axis (load motors of a rig) sit on the roller's side of the gear play of
-the axis that their row names.
+Axes are the rollers in the direction of the web, K + 1 where there are spans, then the carriages. Motor k drives axis
+k; of an axis that is not driven it is never on. Motors beyond the last axis (load motors of a rig) sit on the roller's
+side of the gear play of the axis that their row names.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache
-from math import inf
+from math import inf, pi, sin
 from types import MappingProxyType
 from typing import Final
 
@@ -30,6 +31,7 @@ from hilbench.plant.effects import Domain, Effect, MachineKind, effects_of, find
 from hilbench.plant.motor_port import MotorMode
 from hilbench.plant.parameters import DriveParameters, EffectEntry, per_item
 from hilbench.plant.web_line.parameters import ModelParameters, places_of
+from hilbench.plant.web_line.stations import IdlerRollers, LineCarriage, Reel, Station
 
 Vector = NDArray[np.float64]
 
@@ -47,6 +49,19 @@ A_RADIUS_M: Final = 0
 A_MOTOR_MASS_KG: Final = 1  #: on the motor's side of the gear play
 A_ROLLER_MASS_KG: Final = 2  #: on the roller's side
 A_WEB_LOAD: Final = 3
+A_AXIS: Final = 4  #: number of the driven axis, from 1; 0 of a roller without a motor, or a carriage
+A_REEL_SLOPE_PER_M: Final = 5  #: of a reel: change of the radius over that at the start, per m; 0: no reel
+A_CORE_RATIO: Final = 6  #: of a reel: radius of the core over that at the start
+A_WOUND_KG: Final = 7  #: of a reel: J/r² of a web wound from nothing to the radius at the start
+A_FORCE_N: Final = 8  #: of a carriage, as all that follow
+A_SPRING_N_PER_M: Final = 9
+A_SPRING_REST_M: Final = 10
+A_ARM_M: Final = 11  #: 0: on a guide
+A_LOWER_STOP_M: Final = 12
+A_UPPER_STOP_M: Final = 13
+A_FIRST_SPAN: Final = 14  #: that its way lengthens, from 0
+A_LAST_SPAN: Final = 15
+A_FIXED: Final = 16  #: effects from here on
 # Motor rows.
 M_RAD_PER_M: Final = 0  #: i/r
 M_LOOPS: Final = 1  #: from here on as `drive_loops` has them
@@ -59,13 +74,13 @@ M_AXIS: Final = M_LOOPS + loops.LOOPS_SIZE  #: on whose shaft it is, from 0; of 
 # Span rows.
 SP_SECTION_M2: Final = 0
 SP_MODULUS_PA: Final = 1
-_FIXED = {"web": 6, "axis": 4, "motor": M_AXIS + 1, "span": 2}
+_FIXED = {"web": 6, "axis": A_FIXED, "motor": M_AXIS + 1, "span": 2}
 
 # State.
 S_COUNT: Final = 0
 S_Y: Final = 1
 SA_DIRECTION: Final = 0  #: of the dry friction: -1, 1, or 0 (sticks)
-SA_CONTACT: Final = 1  #: gear flank: -1, 1, or 0 (in the play)
+SA_CONTACT: Final = 1  #: gear flank, of a carriage the stop: -1, 1, or 0 (in the play, between the stops)
 SA_SIZE: Final = 2
 SM_TORQUE_NM: Final = loops.TORQUE_NM
 SM_COMMAND_NM: Final = loops.COMMAND_NM
@@ -143,7 +158,7 @@ _OF_A_MOTOR: Final = (
 def row_of(effect: Effect) -> str:
     """Which row holds an effect's parameters: "web", "axis", "motor" or "span"."""
     if not effect.per_axis:
-        return "span" if effect.per_span else "web"
+        return "span" if effect.per_section else "web"
     return "motor" if effect.domain in _OF_A_MOTOR else "axis"
 
 
@@ -287,8 +302,8 @@ def write_effect(
 ) -> None:
     """Write an effect's (checked, complete) parameters, by name and in their units, into a parameter vector (P,).
 
-    axis: from 1, None for an effect of the web; span: from 1, None for all of them; slot: from 0, for effects that can
-    be given several times.
+    axis: number of the driven axis, from 1, None for an effect of the web; span: from 1, None for all of them; slot:
+    from 0, for effects that can be given several times.
     """
     layout, effect = Layout.of(parameters), find_effect(effect_id)
     of = row_of(effect)
@@ -298,7 +313,8 @@ def write_effect(
     elif of == "web" or axis is None:
         targets = parameters[np.newaxis]
     else:
-        targets = (layout.axis_rows(parameters) if of == "axis" else layout.motor_rows(parameters))[axis - 1 : axis]
+        row = driven_row(parameters, axis)
+        targets = (layout.axis_rows(parameters) if of == "axis" else layout.motor_rows(parameters))[row : row + 1]
     for name, value in values.items():
         targets[:, place(effect_id, name, slot)] = value
 
@@ -306,21 +322,28 @@ def write_effect(
 def clear_effects(parameters: Vector) -> None:
     """Set every effect of a parameter vector neutral."""
     layout = Layout.of(parameters)
+    rows = {
+        "web": parameters[np.newaxis],
+        "axis": layout.axis_rows(parameters),
+        "motor": layout.motor_rows(parameters),
+        "span": layout.span_rows(parameters),
+    }
     for effect in _EFFECTS:
-        neutral = effect.filled({})
-        for axis in range(1, layout.axes + 1) if effect.per_axis else (None,):
-            for slot in range(effect.slots):
-                write_effect(parameters, effect.id, axis, slot, neutral)
-    _neutral_spare_motors(parameters, layout)
+        for slot in range(effect.slots):
+            for p in effect.parameters:
+                rows[row_of(effect)][:, place(effect.id, p.name, slot)] = p.neutral
 
 
-def _neutral_spare_motors(parameters: Vector, layout: Layout) -> None:
-    for row in layout.motor_rows(parameters)[layout.axes :]:
-        for effect in _EFFECTS:
-            if row_of(effect) == "motor":
-                for slot in range(effect.slots):
-                    for p in effect.parameters:
-                        row[place(effect.id, p.name, slot)] = p.neutral
+def driven_rows(parameters: Vector) -> tuple[int, ...]:
+    """Rows of the driven axes among all axes, from 0, in the order of their numbers."""
+    numbers = Layout.of(parameters).axis_rows(parameters)[:, A_AXIS].astype(int).tolist()
+    return tuple(row for row, number in enumerate(numbers) if number > 0)
+
+
+def driven_row(parameters: Vector, axis: int) -> int:
+    """Row, from 0, of a driven axis by its number, from 1."""
+    first = W_SIZE + (axis - 1) * A_SIZE + A_AXIS
+    return axis - 1 if parameters.item(first) == axis else driven_rows(parameters)[axis - 1]
 
 
 def write_drive(row: Vector, drives: DriveParameters | None, axis: int) -> None:
@@ -337,7 +360,8 @@ def pack(model: ModelParameters, substeps: int = 1) -> Vector:
 
     Raises ValueError for gear play without motor inertia and for a torque delay longer than is kept.
     """
-    axes = model.axis_count
+    rollers, carriages = model.line_rollers, model.carriages
+    axes = len(rollers) + len(carriages)
     layout = Layout(axes, axes, model.span_count if model.web else 0)
     parameters = np.zeros(layout.parameter_size)
     parameters[[W_AXES, W_MOTORS, W_SPANS]] = layout.axes, layout.motors, layout.spans
@@ -348,18 +372,63 @@ def pack(model: ModelParameters, substeps: int = 1) -> Vector:
         for span, row in enumerate(layout.span_rows(parameters), 1):
             row[SP_SECTION_M2], row[SP_MODULUS_PA] = model.section_m2(span), model.youngs_modulus_Pa(span)
     clear_effects(parameters)
-    for axis in range(1, axes + 1):
-        row = layout.axis_rows(parameters)[axis - 1]
-        row[A_RADIUS_M] = model.radius_m(axis)
-        row[A_MOTOR_MASS_KG] = model.motor_mass_kg(axis)
-        row[A_ROLLER_MASS_KG] = model.roller_mass_kg(axis)
-        row[A_WEB_LOAD] = model.carries_web_load(axis)
-        motor = layout.motor_rows(parameters)[axis - 1]
-        motor[M_RAD_PER_M] = model.motor_rad_per_m(axis)
-        motor[M_AXIS] = axis - 1
-        write_drive(motor, model.drives, axis)
+    rows, motors = layout.axis_rows(parameters), layout.motor_rows(parameters)
+    motors[:, M_AXIS] = np.arange(axes)
+    for row, motor, roller in zip(rows, motors, rollers, strict=False):
+        if roller.axis is None:
+            _write_idler(row, motor, roller.station)
+        else:
+            _write_driven(row, motor, model, roller.axis)
+            if isinstance(roller.station, Reel):
+                _write_reel(row, model, roller.station)
+    for row, motor, carriage in zip(rows[len(rollers) :], motors[len(rollers) :], carriages, strict=True):
+        _write_carriage(row, motor, carriage)
     write_entries(parameters, model.effects)
     return parameters
+
+
+def _write_driven(row: Vector, motor: Vector, model: ModelParameters, axis: int) -> None:
+    row[A_AXIS] = axis
+    row[A_RADIUS_M] = model.radius_m(axis)
+    row[A_MOTOR_MASS_KG] = model.motor_mass_kg(axis)
+    row[A_ROLLER_MASS_KG] = model.roller_mass_kg(axis)
+    row[A_WEB_LOAD] = model.carries_web_load(axis)
+    motor[M_RAD_PER_M] = model.motor_rad_per_m(axis)
+    write_drive(motor, model.drives, axis)
+
+
+def _write_idler(row: Vector, motor: Vector, station: Station | None) -> None:
+    assert isinstance(station, IdlerRollers), "a roller without a motor has a station of its own"
+    row[A_RADIUS_M] = station.radius_m
+    row[A_ROLLER_MASS_KG] = station.inertia_kg_m2 / station.radius_m**2
+    row[A_WEB_LOAD] = 1.0
+    row[place("coulomb_friction", "force_N")] = station.roller_coulomb_friction_N
+    row[place("viscous_friction", "coefficient_N_s_per_m")] = station.roller_viscous_friction_N_s_per_m
+    motor[M_RAD_PER_M] = 1.0 / station.radius_m
+    write_drive(motor, None, 1)
+
+
+def _write_reel(row: Vector, model: ModelParameters, reel: Reel) -> None:
+    winds, span = (-1.0, 1) if reel.type == "unwinder" else (1.0, model.span_count)
+    radius_m, web = row[A_RADIUS_M], model.required_web
+    row[A_REEL_SLOPE_PER_M] = winds * per_item(web.thickness_m, span) / (2.0 * pi * radius_m**2)
+    row[A_CORE_RATIO] = reel.core_radius_m / radius_m
+    row[A_WOUND_KG] = 0.5 * pi * reel.density_kg_m3 * per_item(web.width_m, span) * radius_m**2
+
+
+def _write_carriage(row: Vector, motor: Vector, carriage: LineCarriage) -> None:
+    station = carriage.station
+    row[A_RADIUS_M], row[A_ROLLER_MASS_KG], row[A_WEB_LOAD] = 1.0, station.mass_kg, 1.0
+    row[A_FORCE_N] = station.force_N
+    row[A_SPRING_N_PER_M], row[A_SPRING_REST_M] = station.spring_N_per_m, station.spring_rest_m
+    row[A_ARM_M] = station.arm_length_m
+    row[A_LOWER_STOP_M] = -inf if station.lower_stop_m is None else station.lower_stop_m
+    row[A_UPPER_STOP_M] = inf if station.upper_stop_m is None else station.upper_stop_m
+    row[A_FIRST_SPAN], row[A_LAST_SPAN] = carriage.first_span - 1, carriage.last_span - 1
+    row[place("coulomb_friction", "force_N")] = station.coulomb_friction_N
+    row[place("viscous_friction", "coefficient_N_s_per_m")] = station.viscous_friction_N_s_per_m
+    motor[M_RAD_PER_M] = 1.0
+    write_drive(motor, None, 1)
 
 
 def write_entries(parameters: Vector, entries: Iterable[EffectEntry]) -> None:
@@ -377,7 +446,7 @@ def write_entries(parameters: Vector, entries: Iterable[EffectEntry]) -> None:
             if slot >= effect.slots:
                 raise ValueError(f"effect '{effect.id}' is given more than {effect.slots} times at one place")
             values = effect.filled(entry.parameters)
-            write_effect(parameters, effect.id, entry.axis, slot, values, span=at if effect.per_span else None)
+            write_effect(parameters, effect.id, entry.axis, slot, values, span=at if effect.per_section else None)
     check_effects(parameters)
 
 
@@ -385,12 +454,15 @@ def check_effects(parameters: Vector) -> None:
     """Raises ValueError for effects that this line cannot show: gear play without motor inertia, too long a delay."""
     layout = Layout.of(parameters)
     longest = (RING - 2) * parameters[W_SAMPLE_TIME_S]
-    for axis in range(layout.axes):
-        row, motor = layout.axis_rows(parameters)[axis], layout.motor_rows(parameters)[axis]
-        if row[place("backlash", "gap_rad")] > 0.0 and min(row[A_MOTOR_MASS_KG], row[A_ROLLER_MASS_KG]) <= 0.0:
-            raise ValueError(f"effect 'backlash' at axis {axis + 1}, expected inertia on both sides of the gear")
+    for at in driven_rows(parameters):
+        row, motor = layout.axis_rows(parameters)[at], layout.motor_rows(parameters)[at]
+        axis, play = int(row[A_AXIS]), row[place("backlash", "gap_rad")] > 0.0
+        if play and min(row[A_MOTOR_MASS_KG], row[A_ROLLER_MASS_KG]) <= 0.0:
+            raise ValueError(f"effect 'backlash' at axis {axis}, expected inertia on both sides of the gear")
+        if play and row[A_REEL_SLOPE_PER_M] != 0.0:
+            raise ValueError(f"effect 'backlash' at axis {axis}, expected none at a reel")
         if motor[place("torque_delay", "delay_s")] > longest:
-            raise ValueError(f"effect 'torque_delay' at axis {axis + 1}, expected at most {longest:g} s")
+            raise ValueError(f"effect 'torque_delay' at axis {axis}, expected at most {longest:g} s")
 
 
 def new_state(parameters: Vector, strain: float | Vector = 0.0, length_m: float | Vector = 1.0) -> Vector:
@@ -416,6 +488,12 @@ def set_strain(parameters: Vector, state: Vector, strain: ArrayLike) -> None:
 def length_factor(parameters: Vector, layout: Layout, span: int) -> float:
     """Factor on the nominal length of a span, from 1, in plain Python."""
     return 1.0 + parameters.item(layout.first_span + (span - 1) * SP_SIZE + _LENGTH_ERROR)
+
+
+def strand_length_m(carriage: Vector, x_m: float) -> float:
+    """What a carriage at x adds to each of its strands; `carriage`: the row of its axis."""
+    arm = float(carriage[A_ARM_M])
+    return arm * sin(x_m / arm) if arm else x_m
 
 
 def await_splice(state: Vector) -> None:

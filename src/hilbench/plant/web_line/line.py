@@ -2,37 +2,58 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 
 from hilbench.plant.effects import Domain, effects_of, find_effect
 from hilbench.plant.interface import Quantity, checked_name
 from hilbench.plant.motor_port import MotorPort
 from hilbench.plant.parameters import per_item
-from hilbench.plant.web_line import laws
+from hilbench.plant.web_line import laws, reels
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.layout import Vector
+from hilbench.plant.web_line.modes import needed_substeps
 from hilbench.plant.web_line.offline import start_state
 from hilbench.plant.web_line.parameters import ModelParameters
-from hilbench.plant.web_line.simulated import KIND, SimulatedLine, modulus_names, modulus_Pa, set_modulus
+from hilbench.plant.web_line.simulated import (
+    KIND,
+    FurtherState,
+    SimulatedLine,
+    modulus_names,
+    modulus_Pa,
+    set_modulus,
+)
+from hilbench.plant.web_line.stations import Reel, reel_name
 
 
 class Line(SimulatedLine):
-    """N driven rollers with N-1 spans of web between them; motor k drives roller k through port k.
+    """N driven rollers and what else the web runs over, with spans of web between; motor k drives roller k by port k.
 
     Starts at rest, with every span strained as the web that enters. `step` takes the set points from the ports
     and writes the feedback to them; without ports every motor is off. Parameters may change between calls; a change of
-    E leaves the strains, so the tensions jump.
+    E leaves the strains, so the tensions jump. `substeps`: integration steps per sample time of the drives; unless it
+    is given, as many as the line needs.
     Raises ValueError for ports that do not fit, or ports on a model without drives.
     """
 
-    def __init__(self, parameters: ModelParameters, ports: Sequence[MotorPort] | None = None, *, substeps: int = 1):
+    def __init__(
+        self, parameters: ModelParameters, ports: Sequence[MotorPort] | None = None, *, substeps: int | None = None
+    ):
         if ports is not None and (parameters.drives is None or len(ports) != parameters.axis_count):
             raise ValueError(f"{len(ports)} ports, expected a model with drives and {parameters.axis_count} axes")
         self.parameters = parameters
-        p = lay.pack(parameters, substeps)
+        p = lay.pack(parameters, needed_substeps(parameters) if substeps is None else substeps)
         effects = [effect for effect in effects_of(KIND) if parameters.web is not None or effect.per_axis]
         super().__init__(
-            p, start_state(p, parameters), ports or (), "m", [effect.id for effect in effects], _values(parameters)
+            p,
+            start_state(p, parameters),
+            ports or (),
+            "m",
+            [effect.id for effect in effects],
+            _values(parameters),
+            _further_states(parameters),
+            _radii(parameters),
+            _forces(parameters),
         )
         self._inputs[lay.U_STRAIN_PREV] = parameters.upstream_strain
         self._inputs[lay.U_F_NEXT_N] = parameters.boundary.downstream_tension_N
@@ -43,7 +64,7 @@ class Line(SimulatedLine):
         """Give a parameter a value from now on. Raises ValueError for an unknown name or an impossible value."""
         names = [quantity.name for quantity in self._description.parameters]
         axis = names.index(checked_name("parameter", name, self._description.parameters)) + 1
-        if axis <= self._layout.axes:
+        if axis <= self.parameters.axis_count:
             self._set_inertia(name, value, axis, value / self.parameters.radius_m(axis) ** 2)
         else:
             set_modulus(self._p, name, value)
@@ -52,10 +73,10 @@ class Line(SimulatedLine):
             }
 
     def set_effect(
-        self, effect_id: str, axis: int | None = None, *, span: int | None = None, slot: int = 0, **parameters: float
+        self, effect_id: str, axis: int | None = None, *, section: int | None = None, slot: int = 0, **parameters: float
     ) -> None:
         """Give an effect these parameters from now on; strain and motion stay. Raises as `SimulatedLine`."""
-        super().set_effect(effect_id, axis, span=span, slot=slot, **parameters)
+        super().set_effect(effect_id, axis, section=section, slot=slot, **parameters)
         self._elastic |= _acts_on_elasticity(effect_id)
 
     def elasticity_factor(self, span: int) -> float:
@@ -80,12 +101,12 @@ class Line(SimulatedLine):
     @property
     def x_m(self) -> Vector:
         """Motor positions at the web (N,): angle × nominal radius / gear ratio."""
-        return self._out[self._layout.columns["x_m"]].copy()
+        return self._out[self._layout.columns["x_m"]][list(self._driven)]
 
     @property
     def v_m_s(self) -> Vector:
         """Motor speeds at the web (N,)."""
-        return self._out[self._layout.columns["v_m_s"]].copy()
+        return self._out[self._layout.columns["v_m_s"]][list(self._driven)]
 
 
 def _values(parameters: ModelParameters) -> dict[Quantity, float]:
@@ -99,6 +120,48 @@ def _values(parameters: ModelParameters) -> dict[Quantity, float]:
         p = lay.pack(parameters)
         values |= {known: modulus_Pa(p, known.name) for known in modulus_names(parameters.span_count)}
     return values
+
+
+def _further_states(parameters: ModelParameters) -> list[FurtherState]:
+    """Speeds of rollers without a motor, position and speed of carriages, in the direction of the web."""
+    rollers, carriages = parameters.line_rollers, parameters.carriages
+    axes = len(rollers) + len(carriages)
+    found = [
+        FurtherState(Quantity(f"v_{roller.name}_m_s", "m/s", f"speed of {roller.name} at the web"), axes + row)
+        for row, roller in enumerate(rollers)
+        if roller.axis is None
+    ]
+    for row, carriage in enumerate(carriages, len(rollers)):
+        name = carriage.station.name
+        where = "position of the carriage, positive where it lengthens the web"
+        found.append(FurtherState(Quantity(f"x_{name}_m", "m", f"{where}: {name}"), row))
+        found.append(FurtherState(Quantity(f"v_{name}_m_s", "m/s", f"speed of the carriage: {name}"), axes + row))
+    return found
+
+
+def _radii(parameters: ModelParameters) -> dict[Quantity, Callable[[Vector], float]]:
+    """Radii of the reels."""
+    found: dict[Quantity, Callable[[Vector], float]] = {}
+    rows = lay.Layout.of(p := lay.pack(parameters)).axis_rows(p)
+    for row, roller in enumerate(parameters.line_rollers):
+        if isinstance(roller.station, Reel):
+            quantity = Quantity(f"r_{reel_name(roller.station)}_m", "m", f"radius of the {roller.station.type}")
+            found[quantity] = partial(_radius_m, rows[row].copy(), row)
+    return found
+
+
+def _radius_m(reel: Vector, place: int, y: Vector) -> float:
+    """Of a reel by the row of its axis and its position at `place` of what is integrated."""
+    return float(reel[lay.A_RADIUS_M] * reels.radius_ratio(reel, 0, y[place]))
+
+
+def _forces(parameters: ModelParameters) -> dict[Quantity, int]:
+    """What pushes each carriage, with the row of its axis."""
+    rollers = len(parameters.line_rollers)
+    return {
+        Quantity(f"force_{carriage.station.name}_N", "N", f"that pushes the carriage: {carriage.station.name}"): row
+        for row, carriage in enumerate(parameters.carriages, rollers)
+    }
 
 
 def _acts_on_elasticity(effect_id: str) -> bool:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from hilbench.compiled import compiled, inlined, merged, noinline
 from hilbench.plant import drive_loops as loops
-from hilbench.plant.web_line import laws, places
+from hilbench.plant.web_line import carriages, laws, places, reels
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.layout import Vector
 
@@ -40,23 +40,58 @@ def web(
             w[speed + i] = laws.web_speed_m_s(p, places.axis(i), w[y + i], w[y + n + i])
         first, steps, pieces = places.first_span(n, m), places.part(n, m, k, lay.STEPS), places.pieces(n, m, k)
         length_rate = places.part(n, m, k, lay.LENGTH_RATE)
+        if not slides:
+            _put_rates_of_stations(p, u, w, n, m, k, y)
         f_next, material = u[lay.U_F_NEXT_N], y + 4 * n
         if not slides and laws.has_splice(p, s, pieces):
             blur = w[places.part(n, m, k, lay.SPLICE_BLUR)]
             laws.spliced_span_rates(
                 p, s, pieces, first, k, t, strain_prev, f_next, w, steps, speed, material, length_rate, tension, rate,
-                w[y], blur,
+                web_way_m(p, w[y]), blur,
             )  # fmt: skip
         else:
             laws.span_rates(p, first, k, t, strain_prev, f_next, w, steps, speed, material, length_rate, tension, rate)
 
 
 @inlined
-def web_force_N(p: Vector, u: Vector, w: Vector, n: int, m: int, k: int, i: int, strain_prev: float) -> float:
-    """Pull of the web on roller i, N forward: the tension behind it less the one before it, as last put into `w`."""
-    if p[places.axis(i) + lay.A_WEB_LOAD] == 0.0:
+def web_way_m(p: Vector, x_m: float) -> float:
+    """Way of the web at the first roller, which is at x."""
+    return reels.web_way_m(p, places.axis(0), x_m) if reels.is_reel(p, places.axis(0)) else x_m
+
+
+@inlined
+def _put_rates_of_stations(p: Vector, u: Vector, w: Vector, n: int, m: int, k: int, y: int) -> None:
+    """What reels make of the web's speeds, and carriages of the rates of the lengths."""
+    speed, length_rate = places.part(n, m, k, lay.SPEED), places.part(n, m, k, lay.LENGTH_RATE)
+    if reels.is_reel(p, places.axis(0)):
+        w[speed] *= reels.radius_ratio(p, places.axis(0), w[y])
+    if reels.is_reel(p, places.axis(k)):
+        w[speed + k] *= reels.radius_ratio(p, places.axis(k), w[y + k])
+    if n > k + 1:
+        for j in range(k):
+            w[length_rate + j] = u[lay.U_MOTORS + m * lay.UM_SIZE + j]
+        for i in range(k + 1, n):
+            carriages.add_length_rates(p, w, places.axis(i), length_rate, w[y + i], w[y + n + i])
+
+
+@inlined
+def web_force_N(
+    p: Vector, u: Vector, w: Vector, n: int, m: int, k: int, i: int, y: int, strain_prev: float, slides: bool
+) -> float:
+    """Pull of the web on axis i, N forward: the tension behind the roller less the one before it, as last put into `w`.
+
+    An unwinder has none before it, a rewinder none behind it; a carriage is pulled by all its strands. `slides` as in
+    `_go_axis`.
+    """
+    axis = places.axis(i)
+    if p[axis + lay.A_WEB_LOAD] == 0.0:
         return 0.0
     tension = places.part(n, m, k, lay.TENSION)
+    if not slides:
+        if carriages.is_carriage(k, i):
+            return carriages.web_force_N(p, w, axis, tension, w[y + i])
+        if reels.is_reel(p, axis):
+            return reels.radius_ratio(p, axis, w[y + i]) * (w[tension] if i == 0 else -w[tension + k - 1])
     before = w[tension + i - 1] if i > 0 else strain_prev * p[lay.W_UPSTREAM_STIFFNESS_N]
     return (w[tension + i] if i < k else u[lay.U_F_NEXT_N]) - before
 
@@ -79,6 +114,8 @@ def own_force_N(p: Vector, w: Vector, n: int, m: int, k: int, i: int, y: int, sl
         force -= laws.drag_N(p, places.axis(i), w[y + n + i])
         if laws.has_unbalance(p, places.axis(i)):
             force += laws.unbalance_N(p, places.axis(i), w[y + i])
+        if carriages.is_carriage(k, i):
+            force += carriages.force_N(p, places.axis(i), w[y + i])
     for j in range(n, m):  # load motors; of a line without any, the loop is not compiled
         if p[places.motor(n, j) + lay.M_AXIS] == i:
             force += motor_force_N(p, w, n, m, k, j, w[y + i], slides)
@@ -89,6 +126,21 @@ def own_force_N(p: Vector, w: Vector, n: int, m: int, k: int, i: int, y: int, sl
 def is_apart(p: Vector, s: Vector, n: int, k: int, i: int) -> bool:
     """Whether the motor of axis i moves within its gear play."""
     return laws.has_gap(p, places.axis(i)) and s[places.axis_state(n, k, i) + lay.SA_CONTACT] == 0.0
+
+
+@inlined
+def is_at_stop(s: Vector, n: int, k: int, i: int) -> bool:
+    """Whether axis i is a carriage at one of its stops."""
+    return carriages.is_carriage(k, i) and s[places.axis_state(n, k, i) + lay.SA_CONTACT] != 0.0
+
+
+@inlined
+def per_mass(p: Vector, w: Vector, n: int, m: int, k: int, i: int, y: int) -> float:
+    """1/kg of roller and motor i as one, of a reel with what is wound on it."""
+    axis = places.axis(i)
+    if reels.is_reel(p, axis):
+        return 1.0 / (reels.mass_kg(p, axis, w[y + i]) * laws.inertia_factor(p, axis))
+    return w[places.part(n, m, k, lay.PER_MASS) + i]
 
 
 @inlined
@@ -148,23 +200,26 @@ def _go_axis(
     ahead: float,
     slides: bool,
 ) -> None:
-    """Rates of axis i in the stage block: roller and motor as one, or apart within the gear play; it may stick.
+    """Rates of axis i in the stage block: roller and motor as one, or apart within the gear play; it may stick, and a
+    carriage be at a stop.
 
     `weight`, `ahead` (s): of this stage of the Runge-Kutta step. `slides`: known beforehand that no gear has play, no
     roller sticks and no rare force acts, a constant where it is compiled for, so that none is asked for.
     """
     size, y = places.block(n, k, 1), places.block(n, k, lay.STAGE)
-    v, per_mass = w[y + n + i], w[places.part(n, m, k, lay.PER_MASS) + i]
+    v = w[y + n + i]
+    of_mass = w[places.part(n, m, k, lay.PER_MASS) + i] if slides else per_mass(p, w, n, m, k, i, y)
     drive = motor_force_N(p, w, n, m, k, i, w[y + 2 * n + i], slides)
-    own, web = own_force_N(p, w, n, m, k, i, y, slides), web_force_N(p, u, w, n, m, k, i, strain_prev)
+    own = own_force_N(p, w, n, m, k, i, y, slides)
+    pull = web_force_N(p, u, w, n, m, k, i, y, strain_prev, slides)
     apart = not slides and is_apart(p, s, n, k, i)
     if apart:
-        per_mass = w[places.part(n, m, k, lay.PER_ROLLER_MASS) + i]
-    if not slides and sticks(p, s, n, k, i):
+        of_mass = w[places.part(n, m, k, lay.PER_ROLLER_MASS) + i]
+    if not slides and (sticks(p, s, n, k, i) or is_at_stop(s, n, k, i)):
         acceleration = 0.0
     else:
         force, load = own if apart else own + drive, 0.0 if apart else drive
-        acceleration = acceleration_m_s2(p, s, n, k, i, v, per_mass, force, web, load, slides)
+        acceleration = acceleration_m_s2(p, s, n, k, i, v, of_mass, force, pull, load, slides)
     motor_acceleration = drive * w[places.part(n, m, k, lay.PER_MOTOR_MASS) + i] if apart else acceleration
     _go(w, size, i, v, weight, ahead)
     _go(w, size, n + i, acceleration, weight, ahead)

@@ -28,10 +28,22 @@ class Simulation:
 
 
 def start_state(parameters: Vector, model: ModelParameters, strain: ArrayLike | None = None) -> Vector:
-    """At rest, at position zero; every span strained by `strain` (default: as the web that enters)."""
+    """At rest, at position zero (carriages where the model says); every span strained by `strain`.
+
+    Default: as the web that enters.
+    """
     spans = Layout.of(parameters).spans
     lengths = np.array([model.span_length_m(k + 1) for k in range(spans)])
-    return lay.new_state(parameters, np.asarray(model.upstream_strain if strain is None else strain), lengths)
+    layout = Layout.of(parameters)
+    carriages = [(spans + 1 + number, each.station.position_m) for number, each in enumerate(model.carriages)]
+    for row, x_m in carriages:
+        carriage = layout.axis_rows(parameters)[row]
+        first, last = int(carriage[lay.A_FIRST_SPAN]), int(carriage[lay.A_LAST_SPAN])
+        lengths[first : last + 1] += lay.strand_length_m(carriage, x_m)
+    state = lay.new_state(parameters, np.asarray(model.upstream_strain if strain is None else strain), lengths)
+    for row, x_m in carriages:
+        layout.y(state)[[row, 2 * layout.axes + row]] = x_m
+    return state
 
 
 def simulate(

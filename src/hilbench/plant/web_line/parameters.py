@@ -18,6 +18,15 @@ from hilbench.block import Block
 from hilbench.errors import UnusableInputError
 from hilbench.plant.effects import Effect, find_effect
 from hilbench.plant.parameters import DriveParameters, EffectEntry, GearRatio, NotNegative, per_item
+from hilbench.plant.web_line.stations import (
+    LineCarriage,
+    LineRoller,
+    Reel,
+    Station,
+    carriages_of,
+    rollers_of,
+    stations_problem,
+)
 
 #: Young's moduli with a meaning: from the softest gel to beyond diamond.
 LEAST_MODULUS_Pa, LARGEST_MODULUS_Pa = 1e3, 1e13
@@ -89,6 +98,11 @@ class ModelParameters(Block):
     motors: MotorParameters = MotorParameters()
     drives: DriveParameters | None = None
     boundary: BoundaryParameters = BoundaryParameters()
+    stations: tuple[Station, ...] | None = Field(
+        default=None,
+        description="all that the web runs over, in its direction, where that is more than driven rollers; a span is "
+        "between any two rollers that follow each other",
+    )
     web_load: bool | list[bool] = Field(
         default=True, description="whether the web's tensions load the roller; one value or one per roller"
     )
@@ -105,7 +119,8 @@ class ModelParameters(Block):
         _count("web_load", self.web_load, axes)
         if self.web is not None:
             for name, value in self.web:
-                _count(name, value, axes - 1)
+                _count(name, value, self.span_count)
+        self._check_stations()
         if self.web is None and (axes > 1 or self.boundary != BoundaryParameters()):
             raise ValueError("several rollers or a boundary without a web, expected 'web' or a lone axis")
         if not -0.5 < self.upstream_strain < 1.0:
@@ -118,6 +133,25 @@ class ModelParameters(Block):
                 raise ValueError(f"axis {axis} has no inertia, expected inertia of roller or motor above 0")
         return self
 
+    @field_validator("stations")
+    @classmethod
+    def _stations_fit(cls, stations: tuple[Station, ...] | None) -> tuple[Station, ...] | None:
+        problem = None if stations is None else stations_problem(stations)
+        if problem:
+            raise ValueError(problem)
+        return stations
+
+    def _check_stations(self) -> None:
+        if self.stations is not None and self.web is None:
+            raise ValueError("stations without a web, expected 'web'")
+        for roller in self.line_rollers:
+            if isinstance(roller.station, Reel) and roller.axis is not None:
+                radius_m, core_m = self.radius_m(roller.axis), roller.station.core_radius_m
+                if core_m > radius_m:
+                    raise ValueError(
+                        f"core_radius_m of {core_m:g}, expected at most its radius at the start, {radius_m:g}"
+                    )
+
     @field_validator("effects", mode="before")
     @classmethod
     def _nothing_is_no_effect(cls, value: object) -> object:
@@ -128,15 +162,16 @@ class ModelParameters(Block):
     def _effects_fit(cls, entries: tuple[EffectEntry, ...], info: ValidationInfo) -> tuple[EffectEntry, ...]:
         if "rollers" not in info.data:
             return entries  # the rollers' own error is the one to report
-        axes = _axis_count(info.data.get("web"), info.data["rollers"], info.data.get("motors"), info.data.get("drives"))
+        of = {name: info.data.get(name) for name in ("stations", "web", "rollers", "motors", "drives")}
+        axes, spans = _axis_count(**of), _span_count(**of)
         used: Counter[tuple[str, int | None]] = Counter()
         for position, entry in enumerate(entries):
             effect = find_effect(entry.effect)
             problem = effect.axis_problem(entry.axis, axes if effect.per_axis else None)
-            problem = problem or effect.span_problem(entry.span, axes - 1)
+            problem = problem or effect.section_problem(entry.span, spans)
             if problem is None and info.data.get("web") is None and not effect.per_axis:
                 problem = f"effect '{effect.id}' in a model without a web"
-            places = places_of(effect, entry.axis, entry.span, axes - 1)
+            places = places_of(effect, entry.axis, entry.span, spans)
             used.update((effect.id, place) for place in places)
             if problem is None and any(used[effect.id, place] > effect.slots for place in places):
                 problem = f"effect '{effect.id}' is given more than {effect.slots} times at one place"
@@ -147,12 +182,24 @@ class ModelParameters(Block):
     @property
     def axis_count(self) -> int:
         """N: driven rollers in the line (1 without a web)."""
-        return _axis_count(self.web, self.rollers, self.motors, self.drives)
+        return _axis_count(self.stations, self.web, self.rollers, self.motors, self.drives)
 
     @property
     def span_count(self) -> int:
-        """Free spans between driven rollers."""
-        return self.axis_count - 1
+        """Free spans between rollers that follow each other."""
+        return _span_count(self.stations, self.web, self.rollers, self.motors, self.drives)
+
+    @property
+    def line_rollers(self) -> tuple[LineRoller, ...]:
+        """All rollers that the web runs over, in its direction."""
+        if self.stations is None:
+            return tuple(LineRoller(str(axis), axis, None) for axis in range(1, self.axis_count + 1))
+        return rollers_of(self.stations)
+
+    @property
+    def carriages(self) -> tuple[LineCarriage, ...]:
+        """Those of dancers and accumulators, in the direction of the web."""
+        return () if self.stations is None else carriages_of(self.stations)
 
     def radius_m(self, axis: int) -> float:
         """Nominal radius of the roller of `axis` (counted from 1)."""
@@ -243,15 +290,35 @@ def places_of(effect: Effect, axis: int | None, span: int | None, spans: int) ->
     """
     if effect.per_axis:
         return (axis,)
-    if effect.per_span:
+    if effect.per_section:
         return tuple(range(1, spans + 1)) if span is None else (span,)
     return (None,)
 
 
-def _axis_count(web: WebParameters | None, *parts: BaseModel | None) -> int:
+def _axis_count(
+    stations: tuple[Station, ...] | None,
+    web: WebParameters | None,
+    rollers: BaseModel | None,
+    motors: BaseModel | None,
+    drives: BaseModel | None,
+) -> int:
+    if stations is not None:
+        return sum(roller.axis is not None for roller in rollers_of(stations))
+    parts = (rollers, motors, drives)
     lengths = [len(value) for part in parts for _, value in part or () if isinstance(value, list)]
     lengths += [len(value) + 1 for _, value in web or () if isinstance(value, list)]
     return max(lengths, default=1 if web is None else 2)
+
+
+def _span_count(
+    stations: tuple[Station, ...] | None,
+    web: WebParameters | None,
+    rollers: BaseModel | None,
+    motors: BaseModel | None,
+    drives: BaseModel | None,
+) -> int:
+    count = _axis_count(None, web, rollers, motors, drives) if stations is None else len(rollers_of(stations))
+    return count - 1
 
 
 def load_model(path: str | Path) -> ModelParameters:

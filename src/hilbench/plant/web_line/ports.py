@@ -9,32 +9,37 @@ from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.layout import Layout, Vector
 
 
-def read_ports(layout: Layout, ports: Sequence[MotorPort], state: Vector, inputs: Vector) -> None:
-    """Set points of the ports into the inputs; forgets that a limit was reached earlier."""
-    at = lay.U_MOTORS
-    for port in ports:
+def read_ports(
+    layout: Layout, motors: Sequence[int], ports: Sequence[MotorPort], state: Vector, inputs: Vector
+) -> None:
+    """Set points of the ports into the inputs; forgets that a limit was reached earlier.
+
+    `motors`: the kernel's motor, from 0, of each port.
+    """
+    for motor, port in zip(motors, ports, strict=False):
+        at = lay.U_MOTORS + motor * lay.UM_SIZE
         inputs[at + lay.UM_MODE] = port.mode
         inputs[at + lay.UM_SETPOINT] = port.setpoint
         inputs[at + lay.UM_SLOPE] = port.slope
         inputs[at + lay.UM_LIMIT_NM] = port.torque_limit_Nm
-        at += lay.UM_SIZE
     first = _first_motor_state(layout) + lay.SM_LIMITED
     state[first : first + layout.motors * lay.SM_SIZE : lay.SM_SIZE] = 0.0
 
 
-def write_ports(layout: Layout, p: Vector, ports: Sequence[MotorPort], state: Vector, out: Vector) -> None:
-    """Feedback from the columns of `kernel.observe` to the ports, exact (without sensors)."""
-    motors, values = layout.motors, out.tolist()
-    row, motor_state = lay.W_SIZE + layout.axes * lay.A_SIZE, _first_motor_state(layout)
-    for j, port in enumerate(ports):
+def write_ports(
+    layout: Layout, motors: Sequence[int], p: Vector, ports: Sequence[MotorPort], state: Vector, out: Vector
+) -> None:
+    """Feedback from the columns of `kernel.observe` to the ports, exact (without sensors); `motors` as `read_ports`."""
+    count, values = layout.motors, out.tolist()
+    first_row, first_state = lay.W_SIZE + layout.axes * lay.A_SIZE, _first_motor_state(layout)
+    for j, port in zip(motors, ports, strict=False):
+        row, motor_state = first_row + j * lay.M_SIZE, first_state + j * lay.SM_SIZE
         rad_per_m = p.item(row + lay.M_RAD_PER_M)
         port.position_rad = values[j] * rad_per_m
-        port.velocity_rad_s = values[motors + j] * rad_per_m
-        port.torque_Nm = values[2 * motors + j]
+        port.velocity_rad_s = values[count + j] * rad_per_m
+        port.torque_Nm = values[2 * count + j]
         port.reference = state.item(motor_state + lay.SM_REFERENCE)
         port.torque_limited = state.item(motor_state + lay.SM_LIMITED) != 0.0
-        row += lay.M_SIZE
-        motor_state += lay.SM_SIZE
 
 
 def _first_motor_state(layout: Layout) -> int:

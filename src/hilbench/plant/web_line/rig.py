@@ -133,6 +133,7 @@ def pack_rig(rig: RigParameters, substeps: int = 1) -> Vector:
         ratio = _rad_per_m(rig, axis)
         turned = per_item(rig.flywheel_inertia_kg_m2, axis) + rig.rotors_kg_m2(axis)
         row = layout.axis_rows(p)[axis - 1]
+        row[lay.A_AXIS] = axis
         row[lay.A_RADIUS_M] = per_item(rig.radius_m, axis)
         row[lay.A_MOTOR_MASS_KG] = per_item(rig.motor_inertia_kg_m2, axis) * ratio**2
         row[lay.A_ROLLER_MASS_KG] = turned * ratio**2
@@ -185,7 +186,7 @@ class TestRig(SimulatedLine):
 
     def _observe(self) -> None:
         self._refresh()
-        write_ports(self._layout, self._p, self._ports, self._state, self._out)
+        write_ports(self._layout, self._motors, self._p, self._ports, self._state, self._out)
         for port, sensors in zip(self._ports, self._sensors, strict=True):
             port.position_rad = sensors.position_rad(port.position_rad)
             port.velocity_rad_s = sensors.velocity_rad_s(port.velocity_rad_s)
@@ -199,13 +200,13 @@ class TestRig(SimulatedLine):
         self._set_inertia(name, value, axis, turned * _rad_per_m(self._rig, axis) ** 2)
 
     def set_effect(
-        self, effect_id: str, axis: int | None = None, *, span: int | None = None, slot: int = 0, **parameters: float
+        self, effect_id: str, axis: int | None = None, *, section: int | None = None, slot: int = 0, **parameters: float
     ) -> None:
         """Give an axis an effect from now on. Raises ValueError, also for an effect of the web."""
-        problem = effect_problem(effect_id, axis, EffectPlace.HARDWARE, self._layout.axes, span=span)
+        problem = effect_problem(effect_id, axis, EffectPlace.HARDWARE, self._layout.axes, section=section)
         if problem:
             raise ValueError(problem)
-        super().set_effect(effect_id, axis, span=span, slot=slot, **parameters)
+        super().set_effect(effect_id, axis, section=section, slot=slot, **parameters)
 
 
 def _values(parameters: RigParameters) -> dict[Quantity, float]:

@@ -6,9 +6,10 @@ its shafts and says so in radians.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Literal
 
 import numpy as np
@@ -34,6 +35,14 @@ class _Memory:
     state: bytes
     feedback: tuple[tuple[float, float, float, float, bool], ...]
     sensors: list[Sensors]
+
+
+@dataclass(frozen=True, slots=True)
+class FurtherState:
+    """Position or speed of a part without a motor, which is a state and an output: `place` among what is integrated."""
+
+    quantity: Quantity
+    place: int
 
 
 def axis_names(axes: int, unit: Literal["m", "rad"]) -> tuple[Quantity, ...]:
@@ -71,7 +80,9 @@ def span_names(spans: int) -> tuple[Quantity, ...]:
 def modulus_names(spans: int) -> tuple[Quantity, ...]:
     """E of the web as a parameter: of all spans and, where there are several, of each."""
     each = (
-        Quantity(f"youngs_modulus{k}_Pa", "Pa", f"Young's modulus E of the web in span {k}, without the effects on it")
+        Quantity(
+            f"span{k}.youngs_modulus_Pa", "Pa", f"Young's modulus E of the web in span {k}, without the effects on it"
+        )
         for k in range(1, spans + 1)
     )
     return (YOUNGS_MODULUS, *each) if spans > 1 else (YOUNGS_MODULUS,) * spans
@@ -90,7 +101,7 @@ def set_modulus(p: Vector, name: str, value: float) -> None:
 def _moduli(p: Vector, name: str) -> Vector:
     """View of the moduli that a name is for."""
     moduli: Vector = Layout.of(p).span_rows(p)[:, lay.SP_MODULUS_PA]
-    span = name.removeprefix("youngs_modulus").removesuffix("_Pa")
+    span = name.removesuffix(YOUNGS_MODULUS.name).removeprefix("span").removesuffix(".")
     return moduli[int(span) - 1 : int(span)] if span else moduli
 
 
@@ -117,8 +128,10 @@ def set_effect(
     """
     effect = known_effect(effect_id)
     layout = Layout.of(p)
-    axes = layout.axes if effect.per_axis else None
-    problem = effect.axis_problem(axis, axes) or effect.span_problem(span, layout.spans) or effect.problem(parameters)
+    axes = len(lay.driven_rows(p)) if effect.per_axis else None
+    problem = (
+        effect.axis_problem(axis, axes) or effect.section_problem(span, layout.spans) or effect.problem(parameters)
+    )
     if problem is None and not 0 <= slot < effect.slots:
         problem = f"effect '{effect_id}' with slot {slot}, expected 0 to {effect.slots - 1}"
     if problem is None and effect_id not in able:
@@ -142,7 +155,9 @@ class SimulatedLine:
     """Driven axes that the kernel moves, a motor port for each motor; see `hilbench.plant.interface.Plant`.
 
     `p` (P,): parameter vector, which the machine makes its own; `state` (S,): where it starts; `unit`: of positions.
-    `effects`: ids of those that it can be given. Without ports every motor is off.
+    `effects`: ids of those that it can be given. `further`: motion of parts without a motor; `derived`: outputs that
+    follow from what is integrated (`Layout.y`); `forces`: inputs that push carriages, each with its axis' row from 0.
+    Without ports every motor is off.
     """
 
     def __init__(
@@ -153,6 +168,9 @@ class SimulatedLine:
         unit: Literal["m", "rad"],
         effects: Iterable[str],
         parameters: Mapping[Quantity, float],
+        further: Sequence[FurtherState] = (),
+        derived: Mapping[Quantity, Callable[[Vector], float]] = MappingProxyType({}),
+        forces: Mapping[Quantity, int] = MappingProxyType({}),
     ) -> None:
         self._p, self._state = p, state
         self._layout = layout = Layout.of(p)
@@ -161,23 +179,50 @@ class SimulatedLine:
         self._inputs, self._work = layout.new_inputs(), layout.new_work()
         self._out = np.zeros(layout.output_size)
         self._parameters = {quantity.name: value for quantity, value in parameters.items()}
-        n, m, k = layout.axes, layout.motors, layout.spans
+        m, k = layout.motors, layout.spans
+        #: Rows of the driven axes, and of the motors that have ports: the kernel's, from 0.
+        self._driven = lay.driven_rows(p)
+        self._motors = (*self._driven, *range(layout.axes, m))
+        n = len(self._driven)
         rows = layout.motor_rows(p)
-        self._per_m = [1.0 if unit == "m" else float(rows[axis, lay.M_RAD_PER_M]) for axis in range(n)]
+        shown = [rows[motor] for motor in self._motors]
+        axis_of = {row: number for number, row in enumerate(self._driven, 1)}
+        self._per_m = [1.0 if unit == "m" else float(rows[row, lay.M_RAD_PER_M]) for row in self._driven]
         axes, spans = axis_names(n, unit), span_names(k)
         self._description = PlantDescription(
             kind=KIND,
             position_unit=unit,
             axes=n,
             motors=tuple(
-                Motor(int(row[lay.M_AXIS]) + 1, float(row[lay.M_RAD_PER_M]) if unit == "m" else 1.0) for row in rows
+                Motor(axis_of[int(row[lay.M_AXIS])], float(row[lay.M_RAD_PER_M]) if unit == "m" else 1.0)
+                for row in shown
             ),
-            states=(*axes, *torque_names(n, m, "as it acts"), *spans[k:]),
-            inputs=_inputs(k),
-            outputs=(*axes, *torque_names(n, m, "as its drive reports it"), *spans),
+            states=(
+                *axes,
+                *torque_names(n, len(shown), "as it acts"),
+                *spans[k:],
+                *(each.quantity for each in further),
+            ),
+            inputs=(*_inputs(k), *forces),
+            outputs=(
+                *axes,
+                *torque_names(n, len(shown), "as its drive reports it"),
+                *spans,
+                *(each.quantity for each in further),
+                *derived,
+            ),
             parameters=tuple(parameters),
             effects=tuple(effects),
         )
+        self._further = tuple(further)
+        self._derived = tuple(derived.values())
+        self._forces = {quantity.name: row for quantity, row in forces.items()}
+        #: Where the outputs stand in what the kernel reports, and what they are multiplied with.
+        columns = [(row, scale) for row, scale in zip(self._driven, self._per_m, strict=True)]
+        columns += [(m + row, scale) for row, scale in columns[:n]]
+        columns += [(2 * m + motor, 1.0) for motor in self._motors]
+        columns += [(3 * m + place, 1.0) for place in range(2 * k)]
+        self._columns = columns
         self._places = {quantity.name: i for i, quantity in enumerate(self._description.states)}
 
     def describe(self) -> PlantDescription:
@@ -200,14 +245,14 @@ class SimulatedLine:
         Raises ValueError for another duration.
         """
         samples = samples_per(duration_s, self._p.item(lay.W_SAMPLE_TIME_S))
-        read_ports(self._layout, self._ports, self._state, self._inputs)
+        read_ports(self._layout, self._motors, self._ports, self._state, self._inputs)
         kernel.advance(self._p, self._state, self._inputs, self._work, samples)
         self._observe()
 
     def _observe(self) -> None:
         """Bring `_out` up to the state, and the feedback to the ports."""
         self._refresh()
-        write_ports(self._layout, self._p, self._ports, self._state, self._out)
+        write_ports(self._layout, self._motors, self._p, self._ports, self._state, self._out)
 
     def _refresh(self) -> None:
         kernel.observe(self._p, self._state, self._inputs, self._work, self._out)
@@ -215,20 +260,20 @@ class SimulatedLine:
     def outputs(self) -> dict[str, float]:
         """The outputs as they are now, with the present parameters."""
         self._refresh()
-        values, motors, per_m = self._out.tolist(), self._layout.motors, self._per_m
-        speeds = values[motors:]
-        result = [x * scale for x, scale in zip(values, per_m, strict=False)]
-        result += [v * scale for v, scale in zip(speeds, per_m, strict=False)]
-        result += values[2 * motors :]
+        values, y = self._out.tolist(), self._layout.y(self._state)
+        result = [values[place] * scale for place, scale in self._columns]
+        result += [float(y[each.place]) for each in self._further]
+        result += [of(y) for of in self._derived]
         return dict(zip((quantity.name for quantity in self._description.outputs), result, strict=True))
 
     def get_state(self) -> PlantState:
         """The state now; an equal machine goes on from it bit for bit."""
         self._refresh()
-        columns, n = self._layout.columns, self._layout.axes
+        columns, n, rows = self._layout.columns, self._layout.axes, list(self._driven)
         y = self._layout.y(self._state)
-        torques = self._layout.motor_states(self._state)[:, lay.SM_TORQUE_NM]
-        values = [*(y[:n] * self._per_m), *(y[n : 2 * n] * self._per_m), *torques, *self._out[columns["strain"]]]
+        torques = self._layout.motor_states(self._state)[list(self._motors), lay.SM_TORQUE_NM]
+        values = [*(y[rows] * self._per_m), *(y[n:][rows] * self._per_m), *torques, *self._out[columns["strain"]]]
+        values += [y[each.place] for each in self._further]
         feedback = tuple(
             (port.position_rad, port.velocity_rad_s, port.torque_Nm, port.reference, port.torque_limited)
             for port in self._ports
@@ -249,7 +294,7 @@ class SimulatedLine:
             return
         memory = state.memory
         if not isinstance(memory, _Memory) or len(memory.state) != self._state.nbytes:
-            raise ValueError(f"a state of another machine, expected one of a {KIND} of {self._layout.axes} axes")
+            raise ValueError(f"a state of another machine, expected one of a {KIND} of {len(self._driven)} axes")
         self._state[:] = np.frombuffer(memory.state)
         self._refresh()
         for port, shown in zip(self._ports, memory.feedback, strict=True):
@@ -257,24 +302,41 @@ class SimulatedLine:
         self._sensors = deepcopy(memory.sensors)
 
     def _transfer(self, values: Mapping[str, float]) -> None:
-        n, m, k, state = self._layout.axes, self._layout.motors, self._layout.spans, self._state
+        n, k, state = self._layout.axes, self._layout.spans, self._state
+        driven, motors = len(self._driven), len(self._motors)
         first_torque = lay.S_Y + self._layout.y_size + n * lay.SA_SIZE + lay.SM_TORQUE_NM
         for name in values:
             if name not in self._places:
                 checked_name("state", name, self._description.states)
         for name, value in values.items():
             place = self._places[name]
-            if place < 2 * n:
-                state[lay.S_Y + place] = state[lay.S_Y + 2 * n + place] = value / self._per_m[place % n]
-            elif place < 2 * n + m:
-                state[first_torque + (place - 2 * n) * lay.SM_SIZE] = value
-            else:
-                span = place - 2 * n - m
+            if place < 2 * driven:
+                at = lay.S_Y + self._driven[place % driven] + (n if place >= driven else 0)
+                state[at] = state[at + 2 * n] = value / self._per_m[place % driven]
+            elif place < 2 * driven + motors:
+                state[first_torque + self._motors[place - 2 * driven] * lay.SM_SIZE] = value
+            elif place < 2 * driven + motors + k:
+                span = place - 2 * driven - motors
                 material = lay.S_Y + 4 * n + span
                 length = state.item(material + k) * lay.length_factor(self._p, self._layout, span + 1)
                 state[material] = length / (1.0 + value)
+            else:
+                self._set_further(self._further[place - 2 * driven - motors - k], value)
         lay.refresh_modes(self._p, state)
         self._observe()
+
+    def _set_further(self, state: FurtherState, value: float) -> None:
+        """Transfer the motion of a part without a motor; the strains of spans that a carriage lengthens stay."""
+        n, k, vector = self._layout.axes, self._layout.spans, self._state
+        at = lay.S_Y + state.place
+        if state.place < n and state.place > k:
+            row = self._layout.axis_rows(self._p)[state.place]
+            grows_m = lay.strand_length_m(row, value) - lay.strand_length_m(row, vector.item(at))
+            for span in range(int(row[lay.A_FIRST_SPAN]), int(row[lay.A_LAST_SPAN]) + 1):
+                length = lay.S_Y + 4 * n + k + span
+                vector[length - k] *= 1.0 + grows_m / vector.item(length)
+                vector[length] += grows_m
+        vector[at] = vector[at + 2 * n] = value
 
     def parameter(self, name: str) -> float:
         """Present value of a parameter. Raises ValueError for an unknown name."""
@@ -287,12 +349,14 @@ class SimulatedLine:
             self._inputs[lay.U_STRAIN_PREV] = value
         elif name == "F_next_N":
             self._inputs[lay.U_F_NEXT_N] = value
+        elif name in self._forces:
+            self._layout.axis_rows(self._p)[self._forces[name], lay.A_FORCE_N] = value
         else:
             span = [quantity.name for quantity in self._description.inputs].index(name) - 2
             self._layout.length_rates(self._inputs)[span] = value
 
     def set_effect(
-        self, effect_id: str, axis: int | None = None, *, span: int | None = None, slot: int = 0, **parameters: float
+        self, effect_id: str, axis: int | None = None, *, section: int | None = None, slot: int = 0, **parameters: float
     ) -> None:
         """Give an effect these parameters from now on; strain and motion stay.
 
@@ -300,19 +364,21 @@ class SimulatedLine:
         parameter.
         """
         strain = self._out[self._layout.columns["strain"]].copy()
-        set_effect(self._p, effect_id, axis, span, slot, parameters, self._description.effects)
+        set_effect(self._p, effect_id, axis, section, slot, parameters, self._description.effects)
         if effect_id == "splice":
             lay.await_splice(self._state)
         lay.set_strain(self._p, self._state, strain)
         lay.refresh_modes(self._p, self._state)
 
-    def clear_effect(self, effect_id: str, axis: int | None = None, *, span: int | None = None, slot: int = 0) -> None:
+    def clear_effect(
+        self, effect_id: str, axis: int | None = None, *, section: int | None = None, slot: int = 0
+    ) -> None:
         """Make an effect neutral from now on. Raises as `set_effect`."""
-        self.set_effect(effect_id, axis, span=span, slot=slot, **known_effect(effect_id).filled({}))
+        self.set_effect(effect_id, axis, section=section, slot=slot, **known_effect(effect_id).filled({}))
 
     def _set_inertia(self, name: str, value: float, axis: int, roller_mass_kg: float) -> None:
         """Give axis (counted from 1) another mass on the roller's side of the gear. Raises ValueError."""
-        row = self._layout.axis_rows(self._p)[axis - 1]
+        row = self._layout.axis_rows(self._p)[self._driven[axis - 1]]
         if not 0.0 <= value < np.inf or row[lay.A_MOTOR_MASS_KG] + roller_mass_kg <= 0.0:
             raise ValueError(f"{name} = {value!r} kg·m², expected 0 or more, and inertia of roller or motor above 0")
         before = row[lay.A_ROLLER_MASS_KG]

@@ -28,6 +28,7 @@ from hilbench.plant.web_line.simulated import (
     set_modulus,
     span_names,
 )
+from hilbench.plant.web_line.stations import ONLY_DRIVEN
 
 #: Longest integration step; the error of a step is of order (v·h/L)^5/120, below rounding on the demonstrator.
 _LONGEST_STEP_S = 0.001
@@ -214,10 +215,12 @@ class SpanFollower:
 
     N rollers with N-1 spans; positions at the web (motor angle × nominal radius / gear ratio). Starts at `x_m` (N,)
     with the spans strained by `strain` (K,) (default: as the web that enters). See `hilbench.plant.interface.Follower`.
-    Raises ValueError for a model without a web.
+    Raises ValueError for a model without a web, or one with stations.
     """
 
     def __init__(self, parameters: ModelParameters, x_m: ArrayLike = 0.0, strain: ArrayLike | None = None):
+        if parameters.stations is not None:
+            raise ValueError(f"a line with stations, expected {ONLY_DRIVEN}")
         self.parameters = parameters.model_copy(update={"web": parameters.required_web})
         self._p = lay.pack(parameters)
         self._layout = Layout.of(self._p)
@@ -428,23 +431,25 @@ class SpanFollower:
             self._boundary, self._stale = boundary, True
 
     def set_effect(
-        self, effect_id: str, axis: int | None = None, *, span: int | None = None, slot: int = 0, **parameters: float
+        self, effect_id: str, axis: int | None = None, *, section: int | None = None, slot: int = 0, **parameters: float
     ) -> None:
         """Give an effect these parameters from now on; the strain stays.
 
         Raises ValueError for an effect that is unknown or cannot be imitated, or a wrong axis, span, slot or parameter.
         """
         strain = self._strain_of_lengths()
-        set_effect(self._p, effect_id, axis, span, slot, parameters, self._description.effects)
+        set_effect(self._p, effect_id, axis, section, slot, parameters, self._description.effects)
         for at, value in enumerate(strain):
             self._set_strain(at, value, len(strain))
         if effect_id == "splice":
             lay.await_splice(self._state)
         self._stale = True
 
-    def clear_effect(self, effect_id: str, axis: int | None = None, *, span: int | None = None, slot: int = 0) -> None:
+    def clear_effect(
+        self, effect_id: str, axis: int | None = None, *, section: int | None = None, slot: int = 0
+    ) -> None:
         """Make an effect neutral from now on. Raises as `set_effect`."""
-        self.set_effect(effect_id, axis, span=span, slot=slot, **known_effect(effect_id).filled({}))
+        self.set_effect(effect_id, axis, section=section, slot=slot, **known_effect(effect_id).filled({}))
 
 
 def _description(parameters: ModelParameters) -> PlantDescription:

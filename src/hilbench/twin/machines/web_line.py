@@ -217,7 +217,7 @@ class _OtherSpans:
             else:
                 self.refused = True
         for at in range(1, len(states) + 2):
-            name = f"youngs_modulus{at}_Pa"
+            name = f"span{at}.youngs_modulus_Pa"
             self._web.set_parameter(name, line.parameter(name))
         line.set_state(states)
 

@@ -45,7 +45,7 @@ class WebSection:
         own_Pa = model.youngs_modulus_Pa(span)
         #: E of each span over that of the section, by the model: the web changes as one.
         self._moduli = {
-            f"youngs_modulus{k}_Pa": model.youngs_modulus_Pa(k) / own_Pa for k in range(1, model.span_count + 1)
+            f"span{k}.youngs_modulus_Pa": model.youngs_modulus_Pa(k) / own_Pa for k in range(1, model.span_count + 1)
         }
         self.model = two_rollers(model, span, [balance.mass_kg for balance in self._balances])
 
@@ -75,7 +75,7 @@ class WebSection:
     def parameter(self, name: str) -> float:
         """Of the line; E is that of the section's span."""
         if name == YOUNGS_MODULUS.name and len(self._moduli) > 1:
-            name = f"youngs_modulus{self._span}_Pa"
+            name = f"span{self._span}.youngs_modulus_Pa"
         return self._line.parameter(name)
 
     def set_parameter(self, name: str, value: float) -> None:

@@ -1,0 +1,32 @@
+"""What an operator may change of each span of a web line, and where it stands on the bus."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from hilbench.topology.config import BenchConfig
+from hilbench.topology.quantities import YOUNGS_MODULUS, tension_set_point
+from hilbench.topology.web_line_quantities import modulus_of_span
+
+_FIRST_SET_POINT: Final = 15  #: sub-index of 2200h before that of span 1 on a line of several spans
+_FIRST_MODULUS: Final = 31  #: sub-index before that of E of span 1
+_MOST_SPANS: Final = 16  #: of how many spans there is an object of each
+
+#: Sub-index of 2200h, given once and for all, and name in the EDS file, by path.
+OF_EACH_SPAN: Final = {
+    **{
+        tension_set_point(str(span)): (_FIRST_SET_POINT + span, f"Tension set-point of span {span} [N]")
+        for span in range(1, _MOST_SPANS + 1)
+    },
+    **{
+        modulus_of_span(span): (_FIRST_MODULUS + span, f"Modulus of the imitated web in span {span} [Pa]")
+        for span in range(1, _MOST_SPANS + 1)
+    },
+}
+
+
+def moduli_Pa(config: BenchConfig) -> dict[str, float]:
+    """E of the model by the paths of the imitated one: of all spans (that of the first) and, of several, of each."""
+    model, spans = config.web_line, config.shape.spans
+    of_each = {modulus_of_span(span): model.youngs_modulus_Pa(span) for span in range(1, spans + 1)}
+    return {YOUNGS_MODULUS: model.youngs_modulus_Pa(1)} | (of_each if spans > 1 else {})

@@ -1,0 +1,23 @@
+"""E of each span among the values that the steps of an experiment ask for."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from hilbench.bench.tasks.imitated_web import imitated_web
+from hilbench.runs.config import ExperimentConfig
+from hilbench.topology.quantities import YOUNGS_MODULUS
+from hilbench.topology.web_line_quantities import is_modulus, moduli
+
+
+def start_moduli_Pa(config: ExperimentConfig) -> dict[str, float]:
+    """E of the imitated web at the start, by path: of all spans (that of the first) and, of several, of each."""
+    web = imitated_web(config.web_line, config.load)
+    of_each = {path: web.youngs_modulus_Pa(span) for span, path in enumerate(moduli(config.shape), 1)}
+    return {YOUNGS_MODULUS: web.youngs_modulus_Pa(1)} | of_each
+
+
+def changed(values: Mapping[str, float], path: str) -> dict[str, float]:
+    """The values after that of `path` was given: E of all spans is that of each, whatever it was."""
+    of_each = {known: values[path] for known in values if is_modulus(known)} if path == YOUNGS_MODULUS else {}
+    return {**values, **of_each}

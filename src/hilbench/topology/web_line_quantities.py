@@ -1,0 +1,24 @@
+"""Paths of the quantities that each span of an imitated web has, on a line of several."""
+
+from __future__ import annotations
+
+import re
+
+from hilbench.topology.signals import Shape
+
+_MODULUS = re.compile(r"load\.web\.span([1-9]\d{0,3})\.youngs_modulus_Pa")
+
+
+def modulus_of_span(span: int) -> str:
+    """The path of E of one span, from 1."""
+    return f"load.web.span{span}.youngs_modulus_Pa"
+
+
+def is_modulus(path: str) -> bool:
+    """Whether a path is that of E of one span."""
+    return _MODULUS.fullmatch(path) is not None
+
+
+def moduli(shape: Shape) -> list[str]:
+    """The paths of E of each span of a line; none where there is one span."""
+    return [modulus_of_span(span) for span in range(1, shape.spans + 1)] if shape.spans > 1 else []
