@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import Annotated, ClassVar, Self, TypeVar
 
-from pydantic import Field, FiniteFloat, model_validator
+from pydantic import BeforeValidator, Field, FiniteFloat, model_validator
 
 from hilbench.block import Block
 from hilbench.plant.effects import MachineKind, find_effect
@@ -16,6 +16,8 @@ Positive = Annotated[FiniteFloat, Field(gt=0.0)]
 NotNegative = Annotated[FiniteFloat, Field(ge=0.0)]
 GearRatio = Annotated[FiniteFloat, Field(ge=1e-4, le=1e4)]
 Value = TypeVar("Value")
+#: A list of effects that is there and empty (`effects:` and nothing after it) has none.
+NOTHING_IS_NO_EFFECT = BeforeValidator(lambda value: () if value is None else value)
 
 
 class DriveParameters(Block):

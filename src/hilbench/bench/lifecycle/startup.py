@@ -30,7 +30,7 @@ from hilbench.processes import ChildProcess
 from hilbench.real_time import kept_ready
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.resolved import write_resolved
-from hilbench.twin.machines.kinds import new_plant
+from hilbench.twin.machines.kinds import warm_up
 
 #: After the start command the nodes' clocks stand still until SYNC; what they sent just before it must not arrive as
 #: part of the first cycle.
@@ -176,7 +176,7 @@ def _release_nodes(master: Master, exchange: Exchange) -> None:
 def start_children(config: BenchConfig, folder: Path) -> list[ChildProcess]:
     """Start the simulated hardware, where a node is simulated, and the twin; their logs go to `folder`."""
     # Once, into the cache on disk: compiling takes longer than a process has to show itself on the bus.
-    new_plant(config.machine).step(config.cycle_time_s)
+    warm_up(config.machine, config.twin, config.cycle_time_s)
     path = folder / "config.yaml"
     write_resolved(config, path)
     arguments = [str(path), "--pace", config.pace]

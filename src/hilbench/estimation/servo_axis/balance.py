@@ -89,9 +89,10 @@ class FilterInputs:
     def __init__(self, model: ServoAxisParameters, config: InertiaConfig) -> None:
         also = config.also
         self._p = lay.pack(model)
-        self._breakaway_Nm = float(laws.breakaway_Nm(self._p)) + also.coulomb_friction_Nm
+        factor, breakaway_Nm, _ = kernel.look(self._p, 0.0)
+        self._breakaway_Nm = breakaway_Nm + also.coulomb_friction_Nm
         self._gear_ratio = model.shaft.gear_ratio
-        self.inertia_kg_m2 = float(laws.inertia_kg_m2(self._p, 0.0))  #: J0
+        self.inertia_kg_m2 = model.inertia_kg_m2 * factor  #: J0
         self.priors = np.array(
             [
                 also.torque_offset_Nm,

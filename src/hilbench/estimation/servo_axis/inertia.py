@@ -15,7 +15,7 @@ from hilbench.estimation.nuisance import Nuisance
 from hilbench.estimation.servo_axis import kalman
 from hilbench.estimation.servo_axis.balance import FilterInputs, ShaftSample
 from hilbench.estimation.servo_axis.config import InertiaConfig
-from hilbench.plant.servo_axis import laws
+from hilbench.plant.servo_axis import kernel
 from hilbench.plant.servo_axis import layout as lay
 from hilbench.plant.servo_axis.parameters import ServoAxisParameters
 
@@ -75,7 +75,7 @@ class InertiaEstimator:
         self._of_model = np.zeros(kalman.TERMS)
         self._of_model[1] = model.shaft.viscous_friction_Nm_s_per_rad
         self._of_model[2] = model.shaft.coulomb_friction_Nm
-        self._of_model[0] = laws.reported_offset_Nm(p)
+        self._of_model[0] = kernel.look(p, 0.0)[2]
         self._z = np.zeros((bank.CAPACITY, kalman.SIZE))
         self._p = np.zeros((bank.CAPACITY, kalman.SIZE, kalman.SIZE))
         self._records = np.zeros((bank.CAPACITY, bank.RECORD))

@@ -239,6 +239,7 @@ def report(p: Vector, s: Vector, out: Vector, at: int) -> None:
 
 Advance = Callable[[Vector, Vector, Vector, int], None]
 Observe = Callable[[Vector, Vector, Vector], None]
+Look = Callable[[Vector, float], tuple[float, float, float]]
 Simulate = Callable[[Vector, Vector, Vector, Vector, Vector, int, Vector], None]
 
 
@@ -250,7 +251,7 @@ def source_number(*further: str) -> int:
     )
 
 
-def _entry_points(sources: int) -> tuple[Advance, Observe, Simulate]:
+def _entry_points(sources: int) -> tuple[Advance, Observe, Simulate, Look]:
     """The compiled functions others call; `sources` as in `number_of_sources`."""
 
     @entry_point
@@ -274,11 +275,19 @@ def _entry_points(sources: int) -> tuple[Advance, Observe, Simulate]:
                 report(p[b], s[b], flat, (b * rows + row) * columns)
                 go_on(p[b], s[b], u, samples)
 
-    return advance, observe, simulate
+    @entry_point
+    def look(p: Vector, time_s: float) -> tuple[float, float, float]:
+        if sources >= 0:
+            return laws.inertia_factor(p, time_s), laws.breakaway_Nm(p), laws.reported_offset_Nm(p)
+        return 1.0, 0.0, 0.0
+
+    return advance, observe, simulate, look
 
 
 #: advance(parameters, state, inputs, samples): `samples` drive sample times onwards, state changed in place.
 #: observe(parameters, state, out): position, speed, and the torques as the drives report them.
 #: simulate(parameters (B, P), states (B, S), inputs, commands (n, M), torques (n,), samples, out (B, n, C)): for each
 #: row observe, then advance `samples` with the row's set points and the row's torque from outside.
-advance, observe, simulate = _entry_points(source_number())
+#: look(parameters, time_s): as many times its parameter as the inertia is then, dry friction at standstill and what the
+#: reported torque is off by, N·m.
+advance, observe, simulate, look = _entry_points(source_number())

@@ -12,7 +12,7 @@ from typing import Annotated, ClassVar, Literal, Self
 from pydantic import Field, FiniteFloat, field_validator, model_validator
 
 from hilbench.block import Block
-from hilbench.plant.parameters import DriveParameters, GearRatio, NotNegative
+from hilbench.plant.parameters import NOTHING_IS_NO_EFFECT, DriveParameters, GearRatio, NotNegative
 from hilbench.plant.servo_axis.effects import ShaftEffect, effects_problem
 
 Phase = Annotated[FiniteFloat, Field(ge=-7.0, le=7.0)]
@@ -47,7 +47,7 @@ class ServoAxisParameters(Block):
     shaft: ShaftParameters
     motor: MotorParameters = MotorParameters()
     drives: DriveParameters | None = None
-    effects: tuple[ShaftEffect, ...] = Field(
+    effects: Annotated[tuple[ShaftEffect, ...], NOTHING_IS_NO_EFFECT] = Field(
         default=(), description="what else the model has, of the vocabulary of effects"
     )
 
@@ -59,11 +59,6 @@ class ServoAxisParameters(Block):
             if isinstance(value, list) and len(value) != 1:
                 raise ValueError(f"{name} has {len(value)} values, expected one: the machine has one drive")
         return self
-
-    @field_validator("effects", mode="before")
-    @classmethod
-    def _nothing_is_no_effect(cls, value: object) -> object:
-        return () if value is None else value
 
     @field_validator("effects")
     @classmethod

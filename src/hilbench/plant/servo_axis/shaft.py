@@ -12,7 +12,7 @@ from hilbench.plant.interface import Motor, PlantDescription, PlantState, Quanti
 from hilbench.plant.motor_port import MotorPort
 from hilbench.plant.parameters import LoadMotorParameters
 from hilbench.plant.sampling import samples_per
-from hilbench.plant.servo_axis import kernel, laws
+from hilbench.plant.servo_axis import kernel
 from hilbench.plant.servo_axis import layout as lay
 from hilbench.plant.servo_axis.effects import IDS, KIND, find
 from hilbench.plant.servo_axis.layout import Vector
@@ -91,7 +91,7 @@ class Shaft:
     @property
     def inertia_factor(self) -> float:
         """How many times as large as its parameter the inertia is now, by effects."""
-        return float(laws.inertia_factor(self._p, self.time_s))
+        return float(kernel.look(self._p, self.time_s)[0])
 
     @property
     def external_torque_Nm(self) -> float:

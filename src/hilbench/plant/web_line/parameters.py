@@ -17,7 +17,14 @@ from hilbench import strict_yaml
 from hilbench.block import Block
 from hilbench.errors import UnusableInputError
 from hilbench.plant.effects import Effect, find_effect
-from hilbench.plant.parameters import DriveParameters, EffectEntry, GearRatio, NotNegative, per_item
+from hilbench.plant.parameters import (
+    NOTHING_IS_NO_EFFECT,
+    DriveParameters,
+    EffectEntry,
+    GearRatio,
+    NotNegative,
+    per_item,
+)
 from hilbench.plant.web_line.stations import (
     LineCarriage,
     LineRoller,
@@ -106,7 +113,7 @@ class ModelParameters(Block):
     web_load: bool | list[bool] = Field(
         default=True, description="whether the web's tensions load the roller; one value or one per roller"
     )
-    effects: tuple[EffectEntry, ...] = Field(
+    effects: Annotated[tuple[EffectEntry, ...], NOTHING_IS_NO_EFFECT] = Field(
         default=(), description="what else the model has, of the vocabulary of effects"
     )
 
@@ -151,11 +158,6 @@ class ModelParameters(Block):
                     raise ValueError(
                         f"core_radius_m of {core_m:g}, expected at most its radius at the start, {radius_m:g}"
                     )
-
-    @field_validator("effects", mode="before")
-    @classmethod
-    def _nothing_is_no_effect(cls, value: object) -> object:
-        return () if value is None else value
 
     @field_validator("effects")
     @classmethod

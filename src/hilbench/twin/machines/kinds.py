@@ -4,10 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from hilbench.plant.interface import Plant
-from hilbench.plant.servo_axis.axis import ServoAxis
 from hilbench.plant.servo_axis.parameters import ServoAxisParameters
-from hilbench.plant.web_line.line import Line
 from hilbench.topology.config import MachineParameters, TwinConfig
 from hilbench.twin.machines import web_line
 from hilbench.twin.machines.machine import Told, TwinMachine
@@ -21,11 +18,6 @@ def new_machine(model: MachineParameters, config: TwinConfig, cycle_s: float, to
     if isinstance(model, ServoAxisParameters):
         return ServoAxisTwin(model, config, cycle_s, told)
     return web_line.WebLineTwin(model, config, cycle_s, told)
-
-
-def new_plant(model: MachineParameters) -> Plant:
-    """The closed model alone, its motors off for good."""
-    return ServoAxis(model) if isinstance(model, ServoAxisParameters) else Line(model)
 
 
 def boundary(model: MachineParameters) -> Mapping[str, float]:
