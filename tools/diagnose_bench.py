@@ -22,8 +22,16 @@ import yaml
 
 ROOT = Path(__file__).resolve().parents[1]
 HEAD = (
-    "| config | hidden | found (95 %) | torque residual, N·m | simulated less true tension, N | bias of E, % |\n"
+    "| config | hidden | found (95 %) | torque residual, N·m | simulated less true tension, N, or friction, N·m |"
+    " bias of E, or of the inertia, % |\n"
     "|---|---|---|---|---|---|"
+)
+
+#: What is shown of a run, by whichever of these its machine has.
+FIGURES = (
+    ("torque_residual_rms_Nm",),
+    ("tension_deviation_mean_N", "friction_deviation_mean_Nm"),
+    ("E_bias_pct", "J_bias_pct"),
 )
 
 
@@ -58,8 +66,8 @@ def row(config: Path) -> str:
         tied = f", tied with {', '.join(effect['tied_with'])}" if effect["tied_with"] else ""
         found.append(f"{place(effect)} {', '.join(values)}{tied}")
     live = []
-    for name in ("torque_residual_rms_Nm", "tension_deviation_mean_N", "E_bias_pct"):
-        live.append(" → ".join(f"{run[name]:.3g}" for run in result["live"]))
+    for names in FIGURES:
+        live.append(" → ".join(f"{run[name]:.3g}" for run in result["live"] for name in names if name in run))
     return f"| {config.stem} | {there} | {'; '.join(found) or result['verdict']} | {' | '.join(live)} |"
 
 
