@@ -153,7 +153,7 @@ def _next_line(found: _Found, written: Path | None) -> str:
 
 def _proposed(diagnosis: Diagnosis, recording: Recording, place: Path) -> NextExperiment | None:
     """What would tell more; of a web that moved by other commands nothing is known to propose."""
-    if not machines.is_web(diagnosis.model):
+    if machines.is_lone(diagnosis.model):
         data = measured_from(recording, diagnosis.model, place)
         return axis_next_experiment.propose(diagnosis, axis_next_experiment.AxisReach.of(data))
     if "v2_cmd_m_s" not in recording:

@@ -51,7 +51,7 @@ def compared(
         model = _lone_axis(after, before)
     now, then = (measured_from(run.recording, model, run.place) for run in (after, before))
     _check_together(now, then, after.place, before.place)
-    if machines.is_web(model) or all(each.imitated and each.commands_m_s.size for each in (now, then)):
+    if not machines.is_lone(model) or all(each.imitated and each.commands_m_s.size for each in (now, then)):
         found = web_comparison.changes(model, now, then, (after.imitation, before.imitation), announce)
     else:
         found = axis_comparison.changes(model, now, then, announce)

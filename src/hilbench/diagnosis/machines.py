@@ -30,9 +30,9 @@ AnyImitation = Imitation | ShaftImitation
 _RATES: Final = {"m": ("m_s", "m/s"), "rad": ("rad_s", "rad/s")}
 
 
-def is_web(model: Machine) -> bool:
-    """Whether it has a web, and not a lone axis."""
-    return model.span_count > 0
+def is_lone(model: Machine) -> bool:
+    """Whether it is a lone axis, without a web."""
+    return model.span_count == 0
 
 
 def kind_of(model: Machine) -> MachineKind:

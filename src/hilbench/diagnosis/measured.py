@@ -98,7 +98,7 @@ class Measured:
 
 def measured_from(recording: Recording, model: Machine, place: str | Path) -> Measured:
     """Check and take what is needed. Raises UnusableInputError, one line, for what can't be diagnosed."""
-    web = machines.is_web(model)
+    web = not machines.is_lone(model)
     commands = [machines.speed_channel(model, axis, "_cmd") for axis in range(1, model.axis_count + 1)]
     imitated = any(_LOAD_MOTOR.fullmatch(name) and bool(np.any(v)) for name, v in recording.channels.items())
     free = web or (imitated and model.drives is not None)  # run with the drives' loops, which know their limits
@@ -245,7 +245,7 @@ def _check_plausible(measured: Measured, model: Machine, place: str | Path) -> N
     moves = [float(np.ptp(x)) for x in measured.x_m.values()]
     moves += [float(np.max(np.abs(v))) * measured.duration_s for v in speeds.values()]
     if max(moves, default=0.0) < _STANDSTILL_M_S * measured.duration_s:
-        what = "speed and tension" if machines.is_web(model) else "speed"
+        what = "speed and tension" if not machines.is_lone(model) else "speed"
         raise UnusableInputError(place, f"nothing moves, expected an experiment with changes of {what}")
 
 

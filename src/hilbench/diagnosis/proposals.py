@@ -61,7 +61,7 @@ class Proposer:
         self._model = model
         self._data = data
         # What a drive's loops are is found from its commands, motion and torque, not by what it does to a machine.
-        possible = [effect for effect in known if effect.per_axis or machines.is_web(model)]
+        possible = [effect for effect in known if effect.per_axis or not machines.is_lone(model)]
         self._vocabulary = [effect for effect in possible if not effect.nuisance]
         self._axes = range(1, model.axis_count + 1)
         speeds = [np.abs(v) for v in data.v_m_s.values()] + [np.abs(data.commands_m_s).ravel()]
@@ -107,7 +107,7 @@ class Proposer:
     def _least_order(self, axis: int | None) -> float:
         """Of a torque ripple: some of its periods are in the recording, and on a machine it comes from what turns."""
         least = _LEAST_CYCLES / max(self._turns(axis), 1e-9)
-        if axis is None or not machines.is_web(self._model):
+        if axis is None or machines.is_lone(self._model):
             return least
         return max(least, _LEAST_SHARE_OF_A_TURN / self._model.gear_ratio(axis))
 
@@ -314,7 +314,7 @@ class Proposer:
             return []
         angle = self._data.x_m[axis][::every] * self._model.motor_rad_per_unit(axis) / _TURN
         top = _HIGHEST_ORDER
-        if not machines.is_web(self._model) and turns < _RESOLVED:  # a screw's turn is not the "motor's" of the model
+        if machines.is_lone(self._model) and turns < _RESOLVED:  # a screw's turn is not the "motor's" of the model
             top = _HIGHEST_ORDER_OF_A_SCREW
         orders, count = self._peaks(
             angle, whitened, [name for name in whitened if f"tau{axis}_Nm" in name], self._least_order(axis), top

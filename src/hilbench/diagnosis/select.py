@@ -298,7 +298,7 @@ class Search:
         An axis that goes to and fro over the same turns shows an order with side peaks, and its loop answers in another
         phase at every speed: neither the spectrum nor one response says which of them it is.
         """
-        if machines.is_web(self._space.model):
+        if not machines.is_lone(self._space.model):
             return []
         found: dict[tuple[Key, float], Term] = {}
         for term in searched:
