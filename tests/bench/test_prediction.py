@@ -2,17 +2,31 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
+from threading import Event
+from time import sleep
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from hilbench.bench.lifecycle.participants import Participants
+from hilbench.bench.prediction.hindsight import Hindsight
+from hilbench.bench.prediction.task import Prediction
+from hilbench.bench.prediction.window import Window
+from hilbench.bench.state import BenchState
+from hilbench.bench.tasks.reference import Reference
 from hilbench.errors import EXIT_BENCH_FAULT, EXIT_PASSED, UnusableInputError
+from hilbench.prediction.config import PredictionConfig
+from hilbench.prediction.outlook import Outlook, Watched
+from hilbench.prediction.plan import Asked, Move
 from hilbench.results.journal import read_journal
 from hilbench.results.recording import read_recording
 from hilbench.results.result import Result
 from hilbench.results.run import RunOutcome, run_experiment
 from hilbench.runs.config import load_with_overrides
+from hilbench.topology.sample import CycleSample, sample_type
 
 CONFIGS = Path(__file__).resolve().parents[2] / "bench_configs"
 #: The shipped experiment, told faster: 1.5 s to 3 m/s, one step of E at 4 s.
@@ -128,3 +142,93 @@ def test_a_step_before_the_twin_knows_the_machine_cannot_be_checked(tmp_path: Pa
     outcome = run(tmp_path, checked)
     assert outcome.exit_code == EXIT_BENCH_FAULT
     assert "can't be checked: the twin is not synchronized" in outcome.result.faults[0].text
+
+
+def test_on_a_line_of_two_spans_each_tension_is_foreseen_by_its_name(tmp_path: Path) -> None:
+    steps = """steps=[
+      {ramp: {path: line_speed_m_s, to: 2.0, duration_s: 1.0}}, {hold: {until_s: 2.5}},
+      {step: {path: tension_control.span2.set_point_N, to: 110.0}}, {hold: {duration_s: 1.0}}]"""
+    changes = (
+        "twin.prediction={horizon_s: 2.0, futures: 16}",
+        "safety.limits.tension_N={warning: 100.0}",
+        "criteria=[]",
+    )
+    outcome = run(tmp_path, steps, *changes, config="line_two_spans.yaml", shorter=())
+    assert outcome.exit_code == EXIT_PASSED, outcome.result.faults
+    (made,) = outcome.result.predicted or ()
+    assert (made.signal, made.quantity) == ("F2_true_N", "tension of span 2")
+    assert made.t_s < 2.5
+    assert made.crossed_s == pytest.approx(made.expected_s, abs=0.1)
+    assert outcome.result.metrics["limits_not_predicted"] == 0.0
+
+
+class StillRunning:
+    """A look that takes its time: what it says is there when it is let go on."""
+
+    watched = (
+        Watched("speed of axis 1", "v1_m_s", "m/s", warning=1.0),
+        Watched("speed of axis 2", "v2_m_s", "m/s"),
+    )
+    signals = ("v1_m_s", "v2_m_s")
+
+    def __init__(self) -> None:
+        self.goes_on = Event()
+        self.begun = 0
+
+    def warm_up(self) -> None:
+        """Nothing to compile."""
+
+    def ready(self, sample: CycleSample) -> bool:
+        """Always."""
+        return True
+
+    def moves_of(self, move: Move) -> tuple[Move, ...]:
+        """One quantity."""
+        return (move,)
+
+    def prepare(
+        self, now_s: float, window: Window, hindsight: Hindsight, asked: Asked, *key: int
+    ) -> tuple[Callable[[], None], Callable[[], Outlook]]:
+        """Waits in its thread, then sees a crossing."""
+        self.begun += 1
+        times_s, rows = now_s + np.arange(1.0, 3.0), np.full((2, 16, 2), 2.0)
+        outlook = Outlook(
+            now_s, self.watched, times_s, rows, rows[0], np.array([[1.0, 0.0], [0.0, 0.0]]), np.full((16, 2, 2), now_s)
+        )
+        return (lambda: self.goes_on.wait(30.0) and None), lambda: outlook
+
+
+def test_in_real_time_no_cycle_waits_for_a_look_and_one_that_is_late_leaves_the_next_out() -> None:
+    config = load_with_overrides(CONFIGS / "predicted_limit.yaml").config
+    said: list[str] = []
+    sample = sample_type(config.signals)()
+    state = BenchState(0.01, sample, said.append, lambda change: None)
+    state.running = lambda: SimpleNamespace(timing=SimpleNamespace(cycles=0))  # type: ignore[method-assign,assignment,return-value]
+    look, wanted = StillRunning(), PredictionConfig(every_s=0.1)
+    prediction = Prediction(
+        look,
+        wanted,
+        state,
+        Asked,
+        seed=1,
+        lockstep=False,
+        on_predicted_limit="warn",
+        reference=Reference("line_speed_m_s", 0.01),
+    )
+    try:
+        for cycle in range(1, 61):
+            sample.cycle, sample.t_s = cycle, 0.01 * cycle
+            prediction.after(sample, SimpleNamespace())  # type: ignore[arg-type]
+        assert (look.begun, prediction.looks, said) == (1, 0, [])
+        assert prediction.left_out >= 3
+        look.goes_on.set()
+        for cycle in range(61, 1000):
+            sample.cycle, sample.t_s = cycle, 0.01 * cycle
+            prediction.after(sample, SimpleNamespace())  # type: ignore[arg-type]
+            if prediction.looks:
+                break
+            sleep(0.01)
+        assert "speed of axis 1 beyond its warning level 1 m/s" in said[0]
+    finally:
+        look.goes_on.set()
+        prediction.close()

@@ -81,9 +81,8 @@ def what_if(config: BenchConfig, recording: Recording, question: Question, place
         Move(path, now_s, now_s + _lasts_s(config, path, before[path], value, question.over_s), value)
         for path, value in question.values.items()
     )
-    run, outlook = look.prepare(
-        now_s, window, Hindsight(len(look.watched)), Asked(before, Plan(moves)), config.seed, row
-    )
+    plan = Plan(tuple(each for move in moves for each in look.moves_of(move)))
+    run, outlook = look.prepare(now_s, window, Hindsight(len(look.watched)), Asked(before, plan), config.seed, row)
     run()
     return Answer(outlook(), moves, before)
 

@@ -50,6 +50,9 @@ class Look(Protocol):
     def ready(self, sample: CycleSample) -> bool:
         """Whether the present is known well enough."""
 
+    def moves_of(self, move: Move) -> tuple[Move, ...]:
+        """The same of each quantity that it is a move of."""
+
     def prepare(
         self, now_s: float, window: Window, hindsight: Hindsight, asked: Asked, *key: int
     ) -> tuple[Callable[[], None], Callable[[], Outlook]]:
@@ -139,7 +142,7 @@ class Prediction(CyclicTask):
                 f"t = {sample.t_s:.3f} s: {step} can't be checked: the twin is not synchronized, or a loop is open"
             )
         asked = self._asked()
-        plan = asked.plan.with_moves([Move(path, sample.t_s, sample.t_s + duration_s, to)])
+        plan = asked.plan.with_moves(self._look.moves_of(Move(path, sample.t_s, sample.t_s + duration_s, to)))
         outlook = self._looked(replace(asked, plan=plan), sample, cycle)
         trips = [each for each in outlook.crossings() if each.level == "trip" and each.probability > above]
         if trips:

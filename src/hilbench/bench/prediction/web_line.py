@@ -19,7 +19,7 @@ from hilbench.bench.tasks.tension_control import TensionController, strain_befor
 from hilbench.bench.tasks.web_limits import limited
 from hilbench.prediction.config import PredictionConfig
 from hilbench.prediction.outlook import Outlook, Watched
-from hilbench.prediction.plan import Asked
+from hilbench.prediction.plan import Asked, Move
 from hilbench.prediction.web_line import kernel
 from hilbench.prediction.web_line.futures import LineCourses, LineFutures, LinePresent, Offsets
 from hilbench.topology.config import BenchConfig
@@ -35,8 +35,17 @@ def foreseen(config: BenchConfig) -> dict[str, str]:
     set_points = {
         tension_set_point(shape.numbered(span)): f"F{shape.numbered(span)}_ref_N" for span in config.tension_controls
     }
-    modulus = f"E{shape.numbered(shape.estimated[0])}_true_Pa"
-    return {LINE_SPEED: f"v{shape.axes}_cmd_m_s", **set_points, YOUNGS_MODULUS: modulus}
+    spans = range(1, shape.spans + 1) if shape.spans > 1 else ()
+    moduli = {modulus_of_span(span): f"E{span}_true_Pa" for span in spans}
+    first = f"E{shape.numbered(1)}_true_Pa"
+    return {LINE_SPEED: f"v{shape.axes}_cmd_m_s", **set_points, YOUNGS_MODULUS: first, **moduli}
+
+
+def moves_of(config: BenchConfig, move: Move) -> tuple[Move, ...]:
+    """The same of each quantity that it is a move of: E of all spans is E of each."""
+    if move.path != YOUNGS_MODULUS or config.shape.spans == 1:
+        return (move,)
+    return tuple(replace(move, path=modulus_of_span(span)) for span in range(1, config.shape.spans + 1))
 
 
 class LineLook:
@@ -44,6 +53,7 @@ class LineLook:
 
     def __init__(self, config: BenchConfig, prediction: PredictionConfig) -> None:
         shape, model = config.shape, config.web_line
+        self._config = config
         axes, spans = range(1, shape.axes + 1), range(1, shape.spans + 1)
         self.watched = tuple(
             Watched(each.name, each.signal, each.unit, each.limit.warning, each.limit.trip)
@@ -101,6 +111,10 @@ class LineLook:
         """Whether the present is known: the twin is synchronized, and every loop closed on it."""
         closed = self._closed(sample)
         return is_synchronized(sample) and bool(np.all(closed)) and getattr(sample, self._modulus) > 0.0
+
+    def moves_of(self, move: Move) -> tuple[Move, ...]:
+        """The same of each quantity that it is a move of."""
+        return moves_of(self._config, move)
 
     def prepare(
         self, now_s: float, window: Window, hindsight: Hindsight, asked: Asked, *key: int

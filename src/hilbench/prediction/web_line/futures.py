@@ -24,8 +24,8 @@ Array = NDArray[np.float64]
 Gains = Callable[[float], Array]
 
 #: Longest step of a future, s, and the largest share of the fastest motion's time (1/ω) that one may be.
-_LONGEST_STEP_S: Final = 0.005
-_SHARE_OF_FASTEST: Final = 0.5
+_LONGEST_STEP_S: Final = 0.00625
+_SHARE_OF_FASTEST: Final = 0.6
 #: How long the twin takes to find another E: so long after a step of E the controllers still go by the old one.
 _FOUND_AFTER_S: Final = 0.1
 #: E of a future is at least this share of the estimate.
@@ -205,20 +205,30 @@ class LineFutures:
         return Offsets(np.zeros(self.quantities), np.zeros(self.quantities), np.zeros(self.quantities))
 
     def warm_up(self) -> None:
-        """Compile, or load, what a look runs: of a line at rest."""
-        n, k = self._layout.axes, self._layout.spans
+        """Compile, or load, what a look runs."""
+        self.look(*self.at_rest(), self.no_offsets())
+
+    def at_rest(self) -> tuple[LinePresent, LineCourses]:
+        """A line that stands and is to stand, strained as the web that enters."""
+        steps, n, k = self.steps, self._layout.axes, self._layout.spans
         tension_N = np.array([self._model.upstream_strain * self._model.stiffness_N(span + 1) for span in range(k)])
-        rest, modulus_Pa = np.zeros(n), self._model.youngs_modulus_Pa(self._span)
+        rest = np.zeros(n)
         present = LinePresent(
-            0.0, rest, rest, rest, rest, rest, tension_N, tension_N, modulus_Pa, 0.0, self._model.upstream_strain,
-            self._model.boundary.downstream_tension_N, 0.0,
-        )  # fmt: skip
-        steps = self.steps
-        self.look(
-            present,
-            LineCourses(np.zeros(steps), np.tile(tension_N, (steps, 1)), np.ones((steps, k))),
-            self.no_offsets(),
+            now_s=0.0,
+            speeds_m_s=rest,
+            speeds_sd_m_s=rest,
+            torques_Nm=rest,
+            commands_m_s=rest,
+            commands_before_m_s=rest,
+            tensions_N=tension_N,
+            set_points_N=tension_N,
+            modulus_Pa=self._model.youngs_modulus_Pa(self._span),
+            modulus_sd_Pa=0.0,
+            upstream_strain=self._model.upstream_strain,
+            downstream_tension_N=self._model.boundary.downstream_tension_N,
+            line_speed_m_s=0.0,
         )
+        return present, LineCourses(np.zeros(steps), np.tile(tension_N, (steps, 1)), np.ones((steps, k)))
 
     def _start(self, present: LinePresent, z: Array) -> Array:
         """States (B, S): axes at the web's speed in their control loops; z (B, N) of the speeds."""

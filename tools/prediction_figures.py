@@ -1,0 +1,161 @@
+"""What docs/prediction.md shows of the demonstrator: how near its predictions come, what they cost, and a picture.
+
+    python tools/prediction_figures.py                                          print the tables
+    python tools/prediction_figures.py --write docs/prediction.md               write them into the page
+    python tools/prediction_figures.py --picture docs/images/prediction.svg     draw the picture
+
+The run is bench_configs/predicted_limit.yaml in one process; the outlooks are compared with what was recorded later.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+import time
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from importlib import resources
+from pathlib import Path
+
+import docs_page
+import numpy as np
+from report_pictures import standalone
+
+from hilbench.bench.bench import Bench
+from hilbench.bench.lifecycle.participants import Participants
+from hilbench.bench.prediction.web_line import LineLook
+from hilbench.prediction.config import PredictionConfig
+from hilbench.prediction.outlook import Outlook
+from hilbench.report.chart import BLUE, INK, VERMILLION, Band, Chart, Curve
+from hilbench.report.plots import Picture, drawn
+from hilbench.results.recording import Recording
+from hilbench.results.run import Recorder
+from hilbench.runs.config import load_with_overrides
+from hilbench.runs.foresight import Foresight
+from hilbench.topology.sample import CycleSample
+
+CONFIGS = Path(__file__).resolve().parents[1] / "bench_configs"
+CONFIG = CONFIGS / "predicted_limit.yaml"
+
+
+class Outlooks:
+    """All outlooks of a run, as an observer of its cycles."""
+
+    def __init__(self) -> None:
+        self.found: list[Outlook] = []
+        self.bench: Bench | None = None
+
+    def sample(self, sample: CycleSample) -> None:
+        """Keep the outlook if it is a new one."""
+        assert self.bench is not None, "it is set before the bench is entered"
+        prediction = self.bench.prediction
+        outlook = prediction.outlook if prediction is not None else None
+        if outlook is not None and (not self.found or self.found[-1] is not outlook):
+            self.found.append(outlook)
+
+
+def run() -> tuple[Recording, list[Outlook]]:
+    """The shipped experiment."""
+    config = load_with_overrides(CONFIG, bus="embedded").config
+    recorder, outlooks, foresight = Recorder(config.signals), Outlooks(), Foresight(config)
+    with tempfile.TemporaryDirectory() as folder:
+        bench = Bench(
+            config, observers=[recorder, outlooks], participants=Participants.IN_PROCESS, work_folder=Path(folder)
+        )
+        outlooks.bench = bench
+        with bench:
+            for number, step in enumerate(config.steps):
+                bench.foresee(foresight.plan(number, bench.time_s))
+                step.run(bench, [])
+    return recorder.recording(datetime.now(UTC), ""), outlooks.found
+
+
+def errors(recording: Recording, outlooks: Sequence[Outlook]) -> str:
+    """A table: by quantity and lead, how far the median was off (root mean square), and how often the band held."""
+    lines = [
+        "| quantity | lead | median off by, rms | 95 % of the time within | band of 90 % held |",
+        "|---|---|---|---|---|",
+    ]
+    time_s = recording.time_s
+    for place, watched in enumerate(outlooks[0].watched):
+        values = recording[watched.signal]
+        for lead_s in (0.5, 2.0, 5.0):
+            off, held = [], []
+            for outlook in outlooks:
+                row = int(np.argmin(np.abs(outlook.times_s - outlook.now_s - lead_s)))
+                at_s = outlook.times_s[row]
+                if at_s > time_s[-1]:
+                    continue
+                came = float(np.interp(at_s, time_s, values))
+                low, median, high = np.quantile(outlook.rows[row, :, place], (0.05, 0.5, 0.95))
+                off.append(median - came)
+                held.append(low <= came <= high)
+            sizes = np.abs(off)
+            inside = f"{100 * np.mean(held):.0f} %" if watched.unit == "N" else "–"  # of what is measured without noise
+            lines.append(
+                f"| {watched.name} | {lead_s:g} s | {np.sqrt(np.mean(sizes**2)):.2g} {watched.unit} | "
+                f"{np.quantile(sizes, 0.95):.2g} {watched.unit} | {inside} |"
+            )
+    return "\n".join(lines)
+
+
+def cost() -> str:
+    """A table: time of 64 futures of 5 s on one core, of the compiled part and of all of it, the least of ten."""
+    lines = ["| bench | step | 64 futures of 5 s, compiled | all of a look |", "|---|---|---|---|"]
+    for name in ("web_section_step.yaml", "line_two_spans.yaml"):
+        look = LineLook(load_with_overrides(CONFIGS / name).config, PredictionConfig())
+        futures = look.futures
+        futures.warm_up()
+        whole, compiled = [], []
+        for _ in range(10):
+            begin = time.thread_time()
+            run_them, outlook = futures.prepare(*futures.at_rest(), futures.no_offsets(), 1)
+            prepared = time.thread_time()
+            run_them()
+            compiled.append(time.thread_time() - prepared)
+            list(outlook().crossings())
+            whole.append(time.thread_time() - begin)
+        lines.append(
+            f"| {name} | {1e3 * futures.step_s:.2g} ms | {1e3 * min(compiled):.1f} ms | {1e3 * min(whole):.1f} ms |"
+        )
+    return "\n".join(lines)
+
+
+def picture(recording: Recording, outlooks: Sequence[Outlook]) -> str:
+    """The outlook a second before the first step of E, and what came."""
+    outlook = min(outlooks, key=lambda each: abs(each.now_s - 5.0))
+    part = (recording.time_s > 3.0) & (recording.time_s < outlook.times_s[-1])
+    time_s, charts = recording.time_s[part], []
+    for signal, label in (("F_true_N", "tension, N"), ("tau2_Nm", "torque of axis 2, N·m")):
+        place = outlook.place(signal)
+        low, median, high = outlook.band(place)
+        curves = [
+            Curve("came", time_s, recording[signal][part], INK, 1.0, spread=signal == "tau2_Nm"),
+            Curve("predicted at 5 s", outlook.times_s, median, BLUE, 1.4),
+        ]
+        limit = outlook.watched[place].warning
+        if limit is not None and signal == "F_true_N":
+            curves.append(Curve("warning", time_s, np.full(len(time_s), limit), VERMILLION, 1.0, (4.0, 3.0)))
+        charts.append(Chart(label, curves, [Band(outlook.times_s, low, high, BLUE, 0.25)]))
+    shown = drawn(Picture("prediction", "Prediction and what came", "", charts))
+    return standalone(shown.svg, resources.files("hilbench.report").joinpath("page.css").read_text(encoding="utf-8"))
+
+
+def main() -> None:
+    """Measure, and put it where it was asked for."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--write", type=Path, metavar="PAGE", help="put the tables there")
+    parser.add_argument("--picture", type=Path, metavar="FILE", help="draw the picture there (SVG)")
+    options = parser.parse_args()
+    recording, outlooks = run()
+    tables = {"errors": errors(recording, outlooks), "cost": cost()}
+    for name, text in tables.items():
+        if options.write:
+            docs_page.put(options.write, name, text)
+        print(text)
+    if options.picture:
+        options.picture.write_text(picture(recording, outlooks), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
