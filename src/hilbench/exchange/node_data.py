@@ -39,10 +39,10 @@ DEVICE: Final[tuple[Key, ...]] = (
 )
 #: What a device's units follow from.
 UNITS: Final = frozenset({objects.MOTOR_RATED_TORQUE, *range(0x6089, 0x6098), *range(0x60A8, 0x60AC)})
+#: Not the mode (6060h), in which who moves a drive by hand may have left it.
 _SET_BY_THE_BENCH: Final = (
     configuration.CONSUMER_HEARTBEAT,
     configuration.PRODUCER_HEARTBEAT,
-    objects.MODES_OF_OPERATION,
     objects.INTERPOLATION_TIME_PERIOD,
 )
 _RECEIVED: Final = (0x1400, 0x1600)
