@@ -96,9 +96,7 @@ def _limit(text: str) -> tuple[str, float]:
     except ValueError:
         number = float("nan")
     if not equals or not name.strip() or not isfinite(number):
-        raise UnusableInputError(
-            "--limit", f"{text!r}, expected QUANTITY=VALUE such as axis2.coulomb_friction.force_N=12"
-        )
+        raise UnusableInputError("--limit", f"{text!r}, expected QUANTITY=VALUE such as shaft.inertia_kg_m2=0.02")
     return name.strip(), number
 
 

@@ -17,6 +17,7 @@ import numpy as np
 
 from hilbench.errors import UnusableInputError
 from hilbench.files import written_whole
+from hilbench.history import servo_axis, web_line
 from hilbench.history.store import Entry, History, Quantity
 from hilbench.results.recording import Recording, read_recording
 from hilbench.results.run_folder import RunFolder
@@ -107,23 +108,13 @@ def _of_twin(recording: Recording) -> Iterator[Quantity]:
     if not good.any():
         return
     last = int(np.flatnonzero(good)[-1])
-    for name in recording.channels:
-        for suffix, deviation, quantity, unit in _ESTIMATES:
-            number = name.removeprefix(suffix[0]).removesuffix(suffix[1])
-            if name != f"{suffix[0]}{number}{suffix[1]}" or not (number == "" or number.isdecimal()):
-                continue
-            values = np.asarray(recording[name], np.float64)
-            sd = np.asarray(recording[deviation.format(number)], np.float64)[last] if deviation else 0.0
-            if np.isfinite(values[last]) and np.isfinite(sd) and np.ptp(values[good]) > 0.0:
-                yield Quantity(quantity.format(f"span{number}" if number else "web"), float(values[last]), sd, unit)
-
-
-#: Channel around the number of a span, that of its deviation ("" where the twin states none), the quantity, its unit.
-_ESTIMATES: Final = (
-    (("E", "_sim_Pa"), "E{}_sd_Pa", "{}.youngs_modulus_Pa", "Pa"),
-    (("J", "_sim_kg_m2"), "J{}_sd_kg_m2", "shaft.inertia_kg_m2", "kg·m²"),
-    (("coulomb", "_sim_Nm"), "", "shaft.coulomb_friction_Nm", "N·m"),
-)
+    for estimate in (*web_line.estimates(recording.channels), *servo_axis.estimates()):
+        if estimate.value not in recording or (estimate.deviation and estimate.deviation not in recording):
+            continue
+        values = np.asarray(recording[estimate.value], np.float64)
+        sd = np.asarray(recording[estimate.deviation], np.float64)[last] if estimate.deviation else 0.0
+        if np.isfinite(values[last]) and np.isfinite(sd) and np.ptp(values[good]) > 0.0:
+            yield Quantity(estimate.quantity, float(values[last]), float(sd), estimate.unit)
 
 
 def _of_diagnosis(folder: RunFolder) -> Iterator[Quantity]:
@@ -133,7 +124,7 @@ def _of_diagnosis(folder: RunFolder) -> Iterator[Quantity]:
     try:
         found = json.loads(folder.diagnosis.read_text(encoding="utf-8"))
         for effect in [*found["effects"], *found["nuisance"]]:
-            place, tied = f"axis{effect['axis']}" if effect["axis"] else "web", ", ".join(effect["tied_with"])
+            place, tied = f"axis{effect['axis']}" if effect["axis"] else web_line.PLACE, ", ".join(effect["tied_with"])
             for name, parameter in effect["parameters"].items():
                 low, high = parameter["ci95"]
                 sd, value = (float(high) - float(low)) / (2.0 * _NORMAL_95), float(parameter["value"])

@@ -32,7 +32,7 @@ Direction = Literal["rising", "falling"]
 SURE: Final = 0.98
 #: Least days with a run, and least time from the first to the last, d, before a trend is reported.
 LEAST_DAYS: Final = 4
-LEAST_SPAN_D: Final = 3.0
+LEAST_LENGTH_D: Final = 3.0
 #: A change is reported when it is at least so probable.
 CHANGE_SURE: Final = 0.9
 #: Runs that are no farther apart are one point, d; points beyond which neighbouring ones are taken together as well.
@@ -122,11 +122,11 @@ def trend(
         return None
     order = np.argsort(t, kind="stable")
     t, y, s = t[order], y[order], s[order]
-    has_span = len(np.unique(np.floor(t))) >= LEAST_DAYS and t[-1] - t[0] >= LEAST_SPAN_D
+    long_enough = len(np.unique(np.floor(t))) >= LEAST_DAYS and t[-1] - t[0] >= LEAST_LENGTH_D
     points = _Points.of(t, y, s)
     if len(points.t) < 2:
         return None
-    return _Average(points).trend(limits, ahead_d, least_rate_per_d, may_report=has_span)
+    return _Average(points).trend(limits, ahead_d, least_rate_per_d, may_report=long_enough)
 
 
 @dataclass(frozen=True)
@@ -150,8 +150,7 @@ class _Points:
 def _scatter(t: Array, y: Array, s: Array) -> float:
     """Standard deviation of what differs from one run to the next, robust; at least what is stated of it."""
     if len(y) > 2:  # of the middle one against the line through its neighbours: what grows evenly is no scatter
-        span = np.maximum(t[2:] - t[:-2], 1e-12)
-        share = (t[1:-1] - t[:-2]) / span
+        share = (t[1:-1] - t[:-2]) / np.maximum(t[2:] - t[:-2], 1e-12)
         off = y[1:-1] - (1.0 - share) * y[:-2] - share * y[2:]
         off /= np.sqrt(1.0 + share**2 + (1.0 - share) ** 2)
         found = float(np.median(np.abs(off)) / 0.6745)

@@ -291,7 +291,7 @@ class BenchConfig(Block):
     wear_limits: dict[str, FiniteFloat] = Field(
         default={},
         description="values of quantities of the history of which it is asked when they are reached: "
-        "{axis2.coulomb_friction.force_N: 12.0}",
+        "{shaft.coulomb_friction_Nm: 0.05}",
     )
 
     @field_validator("load_motors", "hardware", "load", "twin", "controllers")

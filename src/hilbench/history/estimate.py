@@ -1,0 +1,15 @@
+"""Where a recording has what a twin estimated of its machine."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """An estimate's channel, that of its deviation ("" where the twin states none), and its name in the history."""
+
+    value: str
+    deviation: str
+    quantity: str
+    unit: str
