@@ -14,7 +14,6 @@ from math import ceil
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 
 from hilbench.estimation.row_times import CLOCKS_DIFFER, RowTimes, row_times
 from hilbench.estimation.web_line.measurements import Measurements
@@ -80,6 +79,8 @@ def _times(cycles: Rows, cycle_s: float) -> Array:
 
 def _interpolated(data: Measurements, times: RowTimes, cycle_s: float) -> EvenRows:
     """Cycles between the rows, as far as these reach."""
+    from scipy.interpolate import CubicSpline  # slow to import: only who needs it waits for it
+
     t_s = times.times_s
     at_s = _times(np.arange(int(t_s[-1] / cycle_s + _ROUNDING) + 1), cycle_s)
     last = np.clip(np.searchsorted(t_s, at_s + _ROUNDING * cycle_s, side="right") - 1, 0, len(t_s) - 1)

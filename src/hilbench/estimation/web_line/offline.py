@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import PchipInterpolator
 
 from hilbench.estimation.web_line.config import EstimationConfig
 from hilbench.estimation.web_line.even_rows import EvenRows, even_rows
@@ -97,5 +96,7 @@ def _between(even: EvenRows, values: Array) -> Array:
     at = even.held_rows
     if np.array_equal(at * even.cycle_s, even.times_s):
         return values[at]
+    from scipy.interpolate import PchipInterpolator  # slow to import: only who needs it waits for it
+
     cycles_s = np.arange(len(values)) * even.cycle_s
     return np.asarray(PchipInterpolator(cycles_s, values)(np.minimum(even.times_s, cycles_s[-1])), np.float64)
