@@ -41,6 +41,8 @@ Place = tuple[str, int | None]
 _MOST_TERMS: Final = 3
 #: Candidates (and pairs of them) that are fitted in full at a step.
 _CONTENDERS, _PAIRS = 4, 2
+#: What is fitted in the place of a term, and by how much the promises of two candidates differ that are not the same.
+_ALTERNATIVES, _SAME_PROMISE = 7, 0.5
 #: Singles from which pairs are made.
 _PAIRED_FROM: Final = 14
 #: Price of a term beyond the one for its parameters: 2·ln of the number of places it was chosen from.
@@ -405,10 +407,12 @@ class Search:
         gain = before - after
         return gain > 0.0 and gain > _HELD_OUT_ERRORS * 2.0 * float(np.sqrt(max(gain, 0.0)))
 
-    def _ranked(self, offered: CandidateSet, residual: Array, own: Array) -> list[list[Term]]:
+    def _ranked(self, offered: CandidateSet, residual: Array, own: Array, most: int | None = None) -> list[list[Term]]:
         """Candidates, and pairs, that promise most; with start values.
 
-        residual: raw (signals, n); own: raw columns (J, signals, n) of the terms that are there.
+        residual: raw (signals, n); own: raw columns (J, signals, n) of the terms that are there; most: so many single
+        ones. By default a few, of those that promise the same the first: what these data can't tell apart at all would
+        fill all seats, and is looked at among the alternatives.
         """
         problem, groups = self._linear(offered, residual, own)
         mine = list(range(len(own)))
@@ -421,13 +425,16 @@ class Search:
                 singles.append((gain - base - price(terms, self._samples), k, terms))
         singles.sort(key=lambda item: -item[0])
         chosen: list[list[Term]] = []
-        places: dict[Place, int] = {}
+        places: set[Place] = set()
+        promised: list[float] = []
         for score, _, terms in singles:
-            if score <= -5.0 or len(chosen) >= _CONTENDERS:
+            if score <= -5.0 or len(chosen) >= (_CONTENDERS if most is None else most):
                 break
             place = terms[0].place
-            if places.get(place, 0) < 1:  # variants of one effect at one place would fill all seats
-                places[place] = places.get(place, 0) + 1
+            alike = most is None and any(abs(score - other) < _SAME_PROMISE for other in promised)
+            if place not in places and not alike:  # variants of one effect at one place would fill all seats
+                places.add(place)
+                promised.append(score)
                 chosen.append(terms)
         # Two effects that only together explain anything (friction against an offset) are never found one by one.
         pairs = []
@@ -540,11 +547,11 @@ class Search:
                 return self._alternatives_tested(self._again(without, offered.whitening), offered)
             # The others as they are: fitted without the term they may have run far off.
             left = self._space.residual(rest)
-            others = self._ranked(offered, left, self._own_without(offered, current.terms, k))
+            others = self._ranked(offered, left, self._own_without(offered, current.terms, k), _ALTERNATIVES)
             tied[term.key] = []
             # What was proposed beside a gradual change says nothing of a sudden one in its middle.
             sudden = [[other] for other in self._proposer.at_once(term, rest)]
-            for terms in sudden + others[: _CONTENDERS - 1]:
+            for terms in sudden + others:
                 if len(terms) > 1 or terms[0].place == term.place:
                     continue
                 cost = price([*rest, *terms], self._samples) - price(current.terms, self._samples)

@@ -309,13 +309,18 @@ def sampling_bias_Nm(model: ModelParameters, axis: int, cycle_s: float) -> float
 def _motion(
     data: Measured, whole: int, band_Hz: tuple[float, float], mean_by_speed: bool
 ) -> tuple[Array, Array, Array]:
-    """Position, speed and acceleration (n, 2) on the fine grid."""
+    """Position, speed and acceleration (n, 2) on the fine grid; without both positions that of both is their mean.
+
+    What speeds that are added up differ by is a drift, which would be a tension.
+    """
     way = {axis: data.x_m[axis] if axis in data.x_m else integrated(data.v_m_s[axis], data.period_s) for axis in (1, 2)}
     by_position = smoothed(0.5 * (way[1] + way[2]), data.period_s, whole, band_Hz, 2)
     x, v, a = by_position
     if mean_by_speed:
         v, a = smoothed(0.5 * (data.v_m_s[1] + data.v_m_s[2]), data.period_s, whole, band_Hz, 1)
-    dx, dv, da = smoothed(way[1] - way[2], data.period_s, whole, band_Hz, 2)
+    both_known = set(data.x_m) >= {1, 2}
+    apart = way[1] - way[2] if both_known else np.zeros_like(way[1])
+    dx, dv, da = smoothed(apart, data.period_s, whole, band_Hz, 2)
     half = np.array([0.5, -0.5])
 
     def both(mean: Array, difference: Array) -> Array:
