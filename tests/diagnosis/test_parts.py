@@ -146,6 +146,14 @@ def test_the_stretch_in_which_a_signal_changes_is_not_held_out() -> None:
         assert np.sum(signal[0, split.train]) > np.sum(signal[0, split.test])
 
 
+def test_an_axis_that_moves_for_a_short_while_has_rows_on_both_sides() -> None:
+    rows = np.zeros(60000, bool)
+    rows[1000:5000] = True
+    split = Split.balanced(np.sin(0.01 * np.arange(60000))[None], rows, 0.001)
+    assert np.count_nonzero(split.train) > 1000
+    assert np.count_nonzero(split.test) > 500
+
+
 def test_few_rows_of_noise_are_not_more_than_noise() -> None:
     rng = np.random.default_rng(1)
     for count in (100, 1000, 20000):

@@ -49,6 +49,8 @@ _PAIRED_FROM: Final = 14
 _PLACES: Final = 60.0
 #: Fall of the held-out sum of squares from which it speaks for a term: 1.5 standard errors of its own size.
 _HELD_OUT_ERRORS: Final = 1.5
+#: Ratio to the rms that noise alone may make from which the right model was certainly not found.
+_ROUGH: Final = 1.05
 #: Sum of squares of an addition's response on the held-out rows from which they can confirm or refute it.
 _OBSERVABLE: Final = 30.0
 #: Factor up to which a response to a probe speaks for other strengths of a law that is far from linear.
@@ -326,7 +328,7 @@ class Search:
         space, rows = self._space, self._space.split.block >= 0
         torques = [k for k, name in enumerate(space.predictor.names) if name.startswith("tau")]
         rms = np.sqrt(np.mean(current.residual[torques][:, rows] ** 2, axis=1))
-        return bool(np.any(rms > largest_ratio(rows) * np.array([space.predictor.floor(k) for k in torques])))
+        return bool(np.any(rms > _ROUGH * largest_ratio(rows) * np.array([space.predictor.floor(k) for k in torques])))
 
     def _promises(self, offered: CandidateSet) -> bool:
         """Whether anything is left that a candidate could explain, or that none can."""

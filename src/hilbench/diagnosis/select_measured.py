@@ -433,20 +433,22 @@ class MeasuredSearch:
         return current
 
     def _shares(self, current: Fit) -> list[float]:
-        """By which share each term lowers what is left without it, the others free to adapt."""
+        """By which share each term lowers what is left without it, the others free to adapt.
+
+        Of what is no wave beside the side bands of the waves: a delay makes up for a phase that changes with the speed.
+        """
         point = self._space.point(current.terms, current.residual)
-        problem = _Linear.of(self._counted(current.residual), self._counted(point.derivatives))
-        here = problem.left(list(range(len(point.derivatives))))[0]
+        bands = self._side_bands(current)
         shares = []
         for k, first in enumerate(_firsts(current.terms)):
             term = current.terms[k]
             own = list(range(first, first + len(term.coordinates())))
             moved = term.coordinates()[: term.linear] - term.neutral().coordinates()[: term.linear]
-            back = _Linear.of(
-                self._counted(current.residual + np.tensordot(moved, point.derivatives[own[: term.linear]], 1)),
-                self._counted(point.derivatives),
-            )
-            without = back.left([c for c in range(len(point.derivatives)) if c not in own])[0]
+            columns = point.derivatives if term.has_phase else np.concatenate([point.derivatives, bands])
+            counted = self._counted(columns)
+            here = _Linear.of(self._counted(current.residual), counted).left(list(range(len(columns))))[0]
+            back = self._counted(current.residual + np.tensordot(moved, point.derivatives[own[: term.linear]], 1))
+            without = _Linear.of(back, counted).left([c for c in range(len(columns)) if c not in own])[0]
             shares.append(1.0 - here / max(without, 1e-300))
         return shares
 

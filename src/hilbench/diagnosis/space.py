@@ -40,14 +40,21 @@ class Split:
     held_out: NDArray[np.bool_]
 
     @classmethod
-    def of(cls, rows: NDArray[np.bool_], period_s: float, first: int = 1) -> Split:
-        """Equal contiguous blocks over the rows that count; `first`: the first that is held out."""
+    def of(cls, rows: NDArray[np.bool_], period_s: float, first: int = 1, *, counted: bool = False) -> Split:
+        """Contiguous blocks, equally long, or with `counted` of equally many rows that count.
+
+        first: the first that is held out.
+        """
         n = len(rows)
-        count = int(np.clip(n * period_s / _SHORTEST_BLOCK_S, 3, BLOCKS))
+        length_s = (np.count_nonzero(rows) if counted else n) * period_s
+        count = int(np.clip(length_s / _SHORTEST_BLOCK_S, 3, BLOCKS))
         edges = np.linspace(0, n, count + 1).astype(int)
+        if counted:
+            so_far = np.cumsum(rows)
+            edges[1:-1] = np.searchsorted(so_far, np.linspace(0, so_far[-1], count + 1)[1:-1])
         block = np.repeat(np.arange(count), np.diff(edges))
         held_out = np.arange(count) % _HELD_OUT_OF == first
-        length = n * period_s / count
+        length = length_s / count
         embargo = int(min(_EMBARGO_S, 0.15 * length) / period_s)
         for b in np.flatnonzero(held_out):
             block[edges[b] : edges[b] + embargo] = -1
@@ -61,14 +68,18 @@ class Split:
     @classmethod
     def balanced(cls, measured: Array, rows: NDArray[np.bool_], period_s: float) -> Split:
         """The same, with blocks held out that do not have most of what changes in the signals (signals, n): a fit can't
-        see the one ramp of a production run where that is held out."""
+        see the one ramp of a production run where that is held out.
+
+        Where equally long blocks leave no rows to one side (an axis that moves for a short while) each has as many.
+        """
         change = np.sum(_shares(measured, rows), axis=0)
         splits = [cls.of(rows, period_s, first) for first in _FIRST_HELD_OUT]
-        held_out = [
-            float(np.sum(change[split.test]) / max(np.sum(change[split.block >= 0]), 1e-300)) for split in splits
-        ]
+        usable = [split for split in splits if np.any(split.test) and np.any(split.train)]
+        if not usable:
+            return cls.of(rows, period_s, counted=True)
+        held_out = [np.sum(change[split.test]) / max(np.sum(change[split.block >= 0]), 1e-300) for split in usable]
         enough = [k for k, share in enumerate(held_out) if share < _MOST_HELD_OUT]
-        return splits[enough[0] if enough else int(np.argmin(held_out))]
+        return usable[enough[0] if enough else int(np.argmin(held_out))]
 
     @property
     def train(self) -> NDArray[np.bool_]:

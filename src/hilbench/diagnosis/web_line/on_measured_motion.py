@@ -2,7 +2,8 @@
 
 Neither commands nor control loops are needed. The strain of the span follows from what the web travelled at both
 rollers, each torque from the balance of its roller: `hilbench.plant.web_line.line_inverse`. Both measured and predicted
-torque pass the same filter, of a band in which the noise of the acceleration is small beside that of the torque.
+torque pass the same filter, of a band in which the noise of the acceleration is small beside that of the torque. What
+an effect changes is worked out on a calmer motion still: noise in a regressor is correlated with what is left of it.
 """
 
 from __future__ import annotations
@@ -29,17 +30,20 @@ Array = NDArray[np.float64]
 #: Speed below which an axis stands, and how long before and after it is left out, s.
 _STANDSTILL_M_S: Final = 5.0 * FRICTION_WIDTH_M_S
 _NEAR_S: Final = 0.05
-#: Band of the motion that residuals are looked at against, Hz, and as a share of that of the torques at most.
-_CALM_HZ, _CALM_SHARE = 6.0, 0.3
+#: Band of the motion that residuals are looked at against, Hz, at most.
+_CALM_HZ: Final = 6.0
 #: Longest period of the grid on which torques are worked out, s: ripple that is faster than the band must not fold
 #: back into it.
 _FINE_S: Final = 0.001
-#: Noise of the acceleration's torque at the end of the band, as a share of the torque's own (densities of power). More
-#: of it is shifted by a delay until it cancels the torque's by chance, which no price of a parameter covers.
-_NOISE_SHARE: Final = 0.02
-#: Lowest and highest end of the band, Hz.
-_LOWEST_HZ: Final = 4.0
+#: Noise of the acceleration's torque at the end of the band, as a share of the torque's own (densities of power); and
+#: of the motion from which it follows what an effect changes. Noise there is shifted by a delay until it cancels the
+#: torque's by chance, which no price of a parameter covers.
+_NOISE_SHARE: Final = 0.15
+_CALM_SHARE: Final = 0.01
+#: Lowest and highest end of the band, and lowest of the calm one, Hz.
+_LOWEST_HZ: Final = 5.0
 _HIGHEST_HZ: Final = 60.0
+_CALMEST_HZ: Final = 1.5
 #: How far beyond the band motion is taken, and up to which share of half the sampling rate.
 _WIDER: Final = 1.3
 _OF_NYQUIST: Final = 0.95
@@ -83,7 +87,10 @@ class LineOnMeasuredMotion:
         self._fine_s = data.period_s / self._whole
         nyquist = 0.5 / data.period_s
         band = (min(thinning.highest_Hz, 0.85 * nyquist), min(_WIDER * thinning.highest_Hz, _OF_NYQUIST * nyquist))
-        self._x, self._v, self._a = _motion(data, self._whole, band, noise.mean_by_speed)
+        self._measured_motion = _motion(data, self._whole, (band, band), noise.mean_by_speed)
+        calm = [(min(end, band[0]), min(_WIDER * end, band[1])) for end in noise.calm_ends_Hz]
+        self._calm_Hz = min(_CALM_HZ, calm[0][0])
+        self._x, self._v, self._a = _motion(data, self._whole, (calm[0], calm[1]), noise.mean_by_speed)
         self._boundary = np.repeat(data.boundary, self._whole, axis=0)[: len(self._x)]
         rows = np.array([data.tau_Nm[axis] for axis in self._torques] + [data.F_N[span] for span in self._tensions])
         self._torque_floors, tension_floors = noise.floors()
@@ -95,7 +102,7 @@ class LineOnMeasuredMotion:
         measured = thinning.apply(rows)
         for k, axis in enumerate(self._torques):
             measured[k] -= sampling_bias_Nm(model, axis, self._cycle_s) * self._at_rows(self._a[:, axis - 1])
-        self.measured = self._discounted(self._mix(measured))
+        self.measured = self._discounted(self._mix(measured) - self._above_the_calm())
 
     def _usable(self) -> NDArray[np.bool_]:
         """Not standstill, where dry friction is not one law; not while the first strain is remembered; not the ends."""
@@ -111,6 +118,12 @@ class LineOnMeasuredMotion:
         near[:reach] = near[-reach:] = True
         rows = ~near[:: self._whole] & data.usable(reach_s)
         return np.asarray(rows[::every])
+
+    def _above_the_calm(self) -> Array:
+        """(signals, n): what the measured motion needs by the model more than its calm part."""
+        model = lay.pack(self._model)[None]
+        runs = [self._moved_by(model, *motion) for motion in (self._measured_motion, (self._x, self._v, self._a))]
+        return np.asarray((self._signals(runs[0]) - self._signals(runs[1]))[0])
 
     @property
     def _cycle_s(self) -> float:
@@ -160,7 +173,7 @@ class LineOnMeasuredMotion:
         needed = self._run(lay.pack(self._model)[None]).tau_Nm[0]
         for k, axis in enumerate(self._torques):
             command, torque = data.commands_m_s[:, axis - 1], data.tau_Nm[axis]
-            x, v, a = (values[:, axis - 1] for values in (self._x, self._v, self._a))
+            x, v, a = (values[:, axis - 1] for values in self._measured_motion)
             moved = np.array([self._at_rows(values) for values in (a, v, np.sign(v))])
             beyond = self._thinning.apply(torque) - self._at_rows(needed[:, axis - 1])
             like = np.vstack([moved, np.ones_like(beyond)])[:, self.rows]
@@ -190,8 +203,7 @@ class LineOnMeasuredMotion:
         rows = slice(None, None, self._whole * self.every)
         strain = run.strain[0, :, 0]
         # What they are looked at against must not have the noise that the residual has.
-        calm_Hz = min(_CALM_HZ, _CALM_SHARE * self._thinning.corner_Hz)
-        band = (calm_Hz, 1.5 * calm_Hz)
+        band = (self._calm_Hz, 1.5 * self._calm_Hz)
         _, speed, acceleration = smoothed(self._x[rows, 1], self._fine_s * self._whole * self.every, 1, band, 2)
         strain, strain_rate = smoothed(strain[rows], self._fine_s * self._whole * self.every, 1, band, 1)
         found = [
@@ -210,12 +222,18 @@ class LineOnMeasuredMotion:
 
     def predict(self, parameters: Array) -> Array:
         """(B, P) to (B, signals, n), on all cores."""
-        run = self._run(np.atleast_2d(parameters))
+        return self._discounted(self._signals(self._run(np.atleast_2d(parameters))))
+
+    def _signals(self, run: RequiredTorques) -> Array:
+        """(B, signals, n) of the rows that are compared."""
         rows = [run.tau_Nm[..., axis - 1] for axis in self._torques] + [run.F_N[..., k - 1] for k in self._tensions]
-        return self._discounted(self._mix(self._thinning.apply(np.stack(rows, axis=1), self._whole)))
+        return self._mix(self._thinning.apply(np.stack(rows, axis=1), self._whole))
 
     def _run(self, parameters: Array) -> RequiredTorques:
-        return required_torques(parameters, self._model, self._x, self._v, self._a, self._boundary, self._fine_s)
+        return self._moved_by(parameters, self._x, self._v, self._a)
+
+    def _moved_by(self, parameters: Array, x_m: Array, v_m_s: Array, a_m_s2: Array) -> RequiredTorques:
+        return required_torques(parameters, self._model, x_m, v_m_s, a_m_s2, self._boundary, self._fine_s)
 
 
 class _Noise:
@@ -237,6 +255,8 @@ class _Noise:
         self.mean_by_speed = max(ends, key=lambda by_speed: ends[by_speed])
         self._mean_noise = options[self.mean_by_speed]
         self.thinning = self._thinning(float(np.clip(ends[self.mean_by_speed], _LOWEST_HZ, _HIGHEST_HZ)))
+        calm = self._ends_Hz(self.mean_by_speed, self._mean_noise, _CALM_SHARE)
+        self.calm_ends_Hz = [float(np.clip(end, _CALMEST_HZ, _HIGHEST_HZ)) for end in calm]
 
     def _difference(self) -> tuple[float, bool]:
         """Of half the difference of the positions, m, or of the speeds, m/s, and whether it is the speeds'."""
@@ -248,14 +268,18 @@ class _Noise:
 
     def _band_Hz(self, by_speed: bool, noise: float) -> float:
         """Where the noise of the acceleration's torque has a given share of that of the torque."""
+        mean, difference = self._ends_Hz(by_speed, noise, _NOISE_SHARE)
+        return float((mean**-4.0 + difference**-4.0) ** -0.25)
+
+    def _ends_Hz(self, by_speed: bool, noise: float, share: float) -> tuple[float, float]:
+        """The same of the mean motion and of the difference alone."""
 
         def end_Hz(noise: float, power: float) -> float:
-            ratio = np.sqrt(_NOISE_SHARE) * max(self._torque_Nm.values()) / max(noise * self._per_acceleration, 1e-300)
+            ratio = np.sqrt(share) * max(self._torque_Nm.values()) / max(noise * self._per_acceleration, 1e-300)
             return float(ratio ** (1.0 / power) / (2.0 * np.pi))
 
         mean = end_Hz(noise, 1.0 if by_speed else 2.0)
-        difference = end_Hz(self._difference_noise, 1.0 if self._difference_by_speed else 2.0)
-        return float((mean**-4.0 + difference**-4.0) ** -0.25)
+        return mean, end_Hz(self._difference_noise, 1.0 if self._difference_by_speed else 2.0)
 
     def _thinning(self, end_Hz: float) -> Thinning:
         thinning = Thinning(max(1, round(0.5 / (end_Hz * self._data.period_s))), self._data.period_s)
@@ -307,12 +331,14 @@ def sampling_bias_Nm(model: ModelParameters, axis: int, cycle_s: float) -> float
 
 
 def _motion(
-    data: Measured, whole: int, band_Hz: tuple[float, float], mean_by_speed: bool
+    data: Measured, whole: int, bands_Hz: tuple[tuple[float, float], tuple[float, float]], mean_by_speed: bool
 ) -> tuple[Array, Array, Array]:
     """Position, speed and acceleration (n, 2) on the fine grid; without both positions that of both is their mean.
 
-    What speeds that are added up differ by is a drift, which would be a tension.
+    bands_Hz: of the mean motion and of the difference. What speeds that are added up differ by is a drift, which would
+    be a tension.
     """
+    band_Hz, apart_Hz = bands_Hz
     way = {axis: data.x_m[axis] if axis in data.x_m else integrated(data.v_m_s[axis], data.period_s) for axis in (1, 2)}
     by_position = smoothed(0.5 * (way[1] + way[2]), data.period_s, whole, band_Hz, 2)
     x, v, a = by_position
@@ -320,7 +346,7 @@ def _motion(
         v, a = smoothed(0.5 * (data.v_m_s[1] + data.v_m_s[2]), data.period_s, whole, band_Hz, 1)
     both_known = set(data.x_m) >= {1, 2}
     apart = way[1] - way[2] if both_known else np.zeros_like(way[1])
-    dx, dv, da = smoothed(apart, data.period_s, whole, band_Hz, 2)
+    dx, dv, da = smoothed(apart, data.period_s, whole, apart_Hz, 2)
     half = np.array([0.5, -0.5])
 
     def both(mean: Array, difference: Array) -> Array:
