@@ -36,3 +36,20 @@ def test_a_python_can_that_cannot_be_imported_leaves_the_libraries_of_recordings
     """
     ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False)
     assert ended.returncode == 0, ended.stderr
+
+
+def test_a_diagnosis_calculates_with_one_thread_a_product_unless_told_otherwise() -> None:
+    """The library reads it once, when it is imported: nothing may have imported it before."""
+    program = """if True:
+        import os, sys
+        import hilbench.cli.main
+        assert "numpy" not in sys.modules
+        os.environ.pop("OPENBLAS_NUM_THREADS", None)
+        try:
+            hilbench.cli.main.diagnose("nowhere.csv", None)
+        except BaseException:
+            pass
+        assert os.environ["OPENBLAS_NUM_THREADS"] == "1"
+    """
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False)
+    assert ended.returncode == 0, ended.stderr

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from importlib.metadata import version
 from pathlib import Path
@@ -332,6 +333,8 @@ def diagnose(
 
     Example: hilbench diagnose after.csv --against before.csv --out changed
     """
+    # Its matrices are many and small: threads of one product wait for each other for longer than they work.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from hilbench.cli.diagnose import diagnose_command
 
     diagnose_command(

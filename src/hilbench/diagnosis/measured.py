@@ -15,6 +15,7 @@ from hilbench.diagnosis import machines
 from hilbench.diagnosis.repairs import Repair, mended
 from hilbench.errors import UnusableInputError
 from hilbench.plant.model_file import Machine
+from hilbench.plant.web_line.laws import FRICTION_WIDTH_M_S
 from hilbench.results.recording import Recording
 
 Array = NDArray[np.float64]
@@ -30,8 +31,9 @@ _UNEVEN: Final = 0.01
 #: name says.
 _FASTEST: Final = {"m": 100.0, "rad": 1e4}
 _LARGEST_STRAIN: Final = 0.1
-#: Speed below which nothing moves.
-_STANDSTILL_M_S = 1e-3
+#: Speed (m/s, rad/s) below which an axis stands, where dry friction is not one law; mean speed from which it has moved.
+STANDSTILL_M_S: Final = 5.0 * FRICTION_WIDTH_M_S
+_NOTHING_MOVES_M_S: Final = 1e-3
 #: Time without commands after which a free run has forgotten nothing it should and knows nothing it must, s.
 _LONGEST_GAP_S: Final = 0.5
 #: Share by which two channels of one motion may differ.
@@ -244,7 +246,7 @@ def _check_plausible(measured: Measured, model: Machine, place: str | Path) -> N
     _check_torques(measured, model, place)
     moves = [float(np.ptp(x)) for x in measured.x_m.values()]
     moves += [float(np.max(np.abs(v))) * measured.duration_s for v in speeds.values()]
-    if max(moves, default=0.0) < _STANDSTILL_M_S * measured.duration_s:
+    if max(moves, default=0.0) < _NOTHING_MOVES_M_S * measured.duration_s:
         what = "speed and tension" if not machines.is_lone(model) else "speed"
         raise UnusableInputError(place, f"nothing moves, expected an experiment with changes of {what}")
 

@@ -13,16 +13,14 @@ from scipy.ndimage import binary_dilation
 from scipy.signal import butter, sosfiltfilt
 
 from hilbench.diagnosis import machines
-from hilbench.diagnosis.measured import Measured
+from hilbench.diagnosis.measured import STANDSTILL_M_S, Measured
 from hilbench.diagnosis.misfit import Condition
 from hilbench.diagnosis.noise import floor
 from hilbench.plant.model_file import Machine
-from hilbench.plant.web_line.laws import FRICTION_WIDTH_M_S
 
 Array = NDArray[np.float64]
 
-#: Speed below which an axis stands, and the same as a share of its usual highest speed.
-_STANDSTILL_M_S: Final = 5.0 * FRICTION_WIDTH_M_S
+#: Speed below which an axis stands at least, as a share of its usual highest speed.
 _STANDSTILL_SHARE: Final = 0.02
 #: Share of the measured acceleration's variance that may be the encoder's noise. By as much an inertia is found too
 #: small: noise in a regressor pulls its coefficient to zero.
@@ -131,7 +129,7 @@ class OnMeasuredMotion:
     def _moving(self) -> NDArray[np.bool_]:
         """(n,): where the axis moves, and no standstill, gap or end of the recording is within reach of the filter."""
         usual = float(np.quantile(np.abs(self._v), 0.99))
-        stands = np.abs(self._v) < max(_STANDSTILL_M_S, _STANDSTILL_SHARE * usual)
+        stands = np.abs(self._v) < max(STANDSTILL_M_S, _STANDSTILL_SHARE * usual)
         stands |= _with_surroundings(~self._data.usable())
         stands[[0, -1]] = True
         return ~binary_dilation(stands, iterations=round(_REACH / self.corner_hz / self._period_s))

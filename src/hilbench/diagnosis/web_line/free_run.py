@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
-from hilbench.diagnosis.measured import Measured
+from hilbench.diagnosis.measured import STANDSTILL_M_S, Measured
 from hilbench.diagnosis.misfit import Condition
 from hilbench.diagnosis.noise import floor
 from hilbench.diagnosis.web_line.loop_check import Loop
@@ -25,9 +25,7 @@ Array = NDArray[np.float64]
 
 #: Speed from which a recording counts as begun under way.
 _MOVES_M_S: Final = 10.0 * FRICTION_WIDTH_M_S
-#: Speed below which an axis stands, how long that acts on what comes after it, s, and the share of a recording that may
-#: be left out.
-_STANDSTILL_M_S: Final = 5.0 * FRICTION_WIDTH_M_S
+#: How long standstill acts on what comes after it, s, and the share of a recording that may be left out for it.
 _MOVING_S: Final = 0.25
 _MOSTLY: Final = 0.6
 #: Positions are compared without what is slower than this, s, and believed to this share of what the web in the span is
@@ -139,7 +137,7 @@ class FreeRun:
         What happens there is forgotten `_MOVING_S` after the axes move again.
         """
         speed = abs(float(data.commands_m_s[0].mean()))
-        slow = np.min(np.abs(data.commands_m_s), axis=1) < _STANDSTILL_M_S
+        slow = np.min(np.abs(data.commands_m_s), axis=1) < STANDSTILL_M_S
         near = np.convolve(slow, np.ones(round(_MOVING_S / data.period_s) + 1), "full")[: len(slow)] > 0.0
         usable = ~near if np.mean(near) < _MOSTLY else np.ones(len(slow), bool)
         usable &= data.usable(_MOVING_S)

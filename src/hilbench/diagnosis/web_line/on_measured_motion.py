@@ -14,21 +14,19 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.diagnosis.measured import Measured
+from hilbench.diagnosis.measured import STANDSTILL_M_S, Measured
 from hilbench.diagnosis.misfit import Condition
 from hilbench.diagnosis.noise import floor
 from hilbench.diagnosis.smooth_motion import Thinning, integrated, smoothed
 from hilbench.diagnosis.web_line.loop_check import Loop, Told, loop_of
 from hilbench.plant.parameters import per_item
 from hilbench.plant.web_line import layout as lay
-from hilbench.plant.web_line.laws import FRICTION_WIDTH_M_S
 from hilbench.plant.web_line.line_inverse import RequiredTorques, required_torques
 from hilbench.plant.web_line.parameters import ModelParameters
 
 Array = NDArray[np.float64]
 
-#: Speed below which an axis stands, and how long before and after it is left out, s.
-_STANDSTILL_M_S: Final = 5.0 * FRICTION_WIDTH_M_S
+#: How long before and after a standstill rows are left out, s.
 _NEAR_S: Final = 0.05
 #: Band of the motion that residuals are looked at against, Hz, at most.
 _CALM_HZ: Final = 6.0
@@ -109,7 +107,7 @@ class LineOnMeasuredMotion:
         data, every = self._data, self.every
         reach_s = self._thinning.reach_s + _NEAR_S
         reach = round(reach_s / self._fine_s)
-        slow = np.min(np.abs(self._v), axis=1) < _STANDSTILL_M_S
+        slow = np.min(np.abs(self._v), axis=1) < STANDSTILL_M_S
         near = np.convolve(slow, np.ones(2 * reach + 1), "same") > 0.5
         way = np.abs(integrated(np.abs(self._v[:, -1]), self._fine_s))
         forgotten = _TRANSPORTS * self._model.span_length_m(1)
