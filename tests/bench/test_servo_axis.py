@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from math import cos, pi
 from pathlib import Path
+from typing import Any
 
 import pytest
 from tests.cli.in_process import hilbench
@@ -17,7 +19,7 @@ from hilbench.errors import UnusableInputError, UnusableValueError
 from hilbench.exchange.nodes import Nodes
 from hilbench.results.recording import read_recording
 from hilbench.runs.check import check_experiment
-from hilbench.runs.config import load_with_overrides
+from hilbench.runs.config import ExperimentConfig, load_with_overrides
 
 CONFIG = Path(__file__).resolve().parents[2] / "bench_configs" / "servo_axis.yaml"
 WEB = CONFIG.with_name("web_section_step.yaml")
@@ -77,6 +79,27 @@ def test_an_effect_hidden_in_the_stand_changes_what_the_drive_reports_and_not_wh
         running.run(0.5)
         seen = [running.cycle().tau1_Nm for _ in range(200)]
         assert sum(seen) / len(seen) == pytest.approx(0.28 + 0.5, abs=0.05)
+
+
+@pytest.mark.parametrize(
+    "effect",
+    [
+        {"effect": "inertia_mismatch", "axis": 1, "parameters": {"relative_change": 0.25}},
+        {"effect": "inertia_step", "axis": 1, "parameters": {"time_s": 0.0, "relative_change": 0.25}},
+    ],
+    ids=lambda effect: str(effect["effect"]),
+)
+def test_an_inertia_that_an_effect_of_the_model_makes_larger_is_found_as_it_is(effect: dict[str, Any]) -> None:
+    """What the twin finds is the whole inertia: the effect does not come on top of it."""
+    data = load_with_overrides(CONFIG, changes=["load.shaft.inertia_kg_m2=0.06"]).config.model_dump()
+    data["machine"]["effects"] = [effect]
+    config = ExperimentConfig.model_validate(data)
+    with Bench(config, participants=Participants.IN_PROCESS) as running:
+        running.ramp("speed_rad_s", 5.0, duration_s=0.5)
+        swing(running, 3.0)
+        assert running.last.J_sim_kg_m2 == pytest.approx(0.06, rel=0.015)
+        residuals = [running.cycle().tau1_residual_Nm for _ in range(200)]
+        assert sum(value**2 for value in residuals) / len(residuals) < 0.08**2
 
 
 def test_a_speed_beyond_its_limit_ends_the_run() -> None:
@@ -199,3 +222,34 @@ def test_check_says_how_much_inertia_is_left_and_which_ramp_is_too_steep() -> No
     assert done.returncode == 0
     assert "times the largest inertia that is asked for" in done.stdout
     assert "expected a longer ramp" in done.stdout
+
+
+def test_a_run_that_was_killed_is_recovered_and_its_twin_can_be_run_again(tmp_path: Path) -> None:
+    """What recovery makes of the frames alone is what a whole run records; the estimator finds the same from it."""
+    experiment = tmp_path / "short.yaml"
+    experiment.write_text(
+        f"include: {CONFIG}\nname: short\nsteps:\n"
+        "  - ramp: {path: speed_rad_s, to: 30.0, duration_s: 0.6}\n"
+        "  - ramp: {path: speed_rad_s, to: 5.0, duration_s: 0.6}\n"
+        "criteria: []\n"
+    )
+    done = hilbench("run", experiment, "--in-process", "--no-report", "--out", tmp_path)
+    assert done.returncode == 0, done.stderr
+    (run,) = tmp_path.glob("short-*")
+    whole = read_recording(run / "recording.mf4")
+    (run / "recording.mf4").unlink()  # as a kill leaves it: trace and journal, and nothing that is written at the end
+    (run / "result.json").unlink()
+    assert hilbench("recover", run).returncode in (0, 1)
+    again = read_recording(run / "recording.mf4")
+    for name in ("x1_rad", "tau1_Nm", "tau_load_Nm", "J_sim_kg_m2", "J_true_kg_m2"):
+        rows = min(len(again), len(whole))
+        assert rows > 500
+        assert again[name][:rows].tolist() == pytest.approx(whole[name][:rows].tolist(), nan_ok=True)
+    replayed = hilbench("replay", run, "--twin", "--json")
+    assert replayed.returncode == 0, replayed.stderr
+    figures = json.loads(replayed.stdout)
+    assert figures["method"] == "changepoint"
+    assert figures["rms_difference_J_sim_kg_m2"] < 0.03 * 0.048
+    refused_method = hilbench("replay", run, "--twin", "--method", "ekf")
+    assert refused_method.returncode == 2
+    assert refused_method.stderr == "hilbench: --method: 'ekf', expected changepoint: a servo axis has no other\n"
