@@ -70,6 +70,18 @@ def test_a_recording_of_a_clock_that_drifts_and_was_set_with_rows_missing(
     (found,) = json.loads(done.stdout)["methods"]
     assert found["time_to_1pct_s"] < 0.12
     assert found["final_E_Pa"] == pytest.approx(NEW_PA, rel=2e-3)
+    assert "25 of 3500 cycles have no row" in done.stderr
+
+
+def test_rows_of_another_cycle_are_said_to_be_brought_to_the_twins(files: tuple[Path, Path], tmp_path: Path) -> None:
+    recording, model = files
+    table = np.loadtxt(recording, delimiter=",", skiprows=1)
+    t_s = np.arange(0.0, table[-1, 0], 0.0033)
+    rows = np.column_stack([np.interp(t_s, table[:, 0], column) for column in table.T])
+    np.savetxt(tmp_path / "other.csv", rows, delimiter=",", header=COLUMNS, comments="", fmt="%.12g")
+    done = sync(tmp_path / "other.csv", "--model", model, "--method", "rls", "--json")
+    assert done.returncode == 0, done.stderr
+    assert "rows are brought to cycles of 4 ms" in done.stderr
 
 
 def test_the_stated_deviation_is_what_the_option_allows_for(files: tuple[Path, Path]) -> None:

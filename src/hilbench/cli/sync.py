@@ -12,7 +12,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from hilbench.cli.columns import report_unknown
+from hilbench.cli.columns import report, report_unknown
 from hilbench.cli.model_option import machine_of, model_from, web_line_of
 from hilbench.diagnosis.synchronization import (
     SETTLED_AFTER_S,
@@ -24,6 +24,7 @@ from hilbench.diagnosis.synchronization import (
     require_one_span,
 )
 from hilbench.errors import EXIT_CRITERION_FAILED, EXIT_PASSED, BenchFaultError, UnusableInputError
+from hilbench.estimation.web_line.offline import remarks
 from hilbench.files import make_folder
 from hilbench.report.sync_page import COLUMNS, rows, write_sync_page
 from hilbench.results.recording import read_recording
@@ -91,6 +92,8 @@ def sync_command(
         )
     if out is not None:  # before what takes its time
         make_folder(out)
+    for remark in remarks(model, data):
+        report(recording_path, remark)
     true = np.asarray(recording["E_true_Pa"], np.float64) if "E_true_Pa" in recording else None
     try:
         comparison = compare_methods(model, data, chosen, true, unmodelled_torque_Nm)

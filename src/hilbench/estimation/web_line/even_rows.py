@@ -39,6 +39,19 @@ class EvenRows:
     times_s: Array  #: (n,) of the rows that there were, since the first, on the clock of the cycles
 
     @property
+    def remarks(self) -> list[str]:
+        """What is otherwise than in a recording of one row a cycle, for a person; none where nothing is."""
+        found = []
+        missing = int(np.count_nonzero(~self.measured))
+        if missing:
+            found.append(f"{missing} of {len(self.measured)} cycles have no row: E is held in them")
+        if len(self.times_s) and not np.array_equal(self.held_rows * self.cycle_s, self.times_s):
+            found.append(
+                f"rows are brought to cycles of {1e3 * self.cycle_s:g} ms, which the drives can be simulated in"
+            )
+        return found
+
+    @property
     def held_rows(self) -> Rows:
         """The cycle (n,) that each row there was is in, or after which it came: what is discrete is held until then."""
         return np.asarray(np.floor(self.times_s / self.cycle_s + _ROUNDING), np.int64)

@@ -31,12 +31,21 @@ class Track:
     synchronizer_us: float | None  #: mean CPU time of a cycle of the method alone; None where it was not measured
 
 
+def remarks(model: ModelParameters, data: Measurements) -> list[str]:
+    """What a person should know of how `run_offline` takes the rows of a recording."""
+    return _even_rows(model, data).remarks
+
+
+def _even_rows(model: ModelParameters, data: Measurements) -> EvenRows:
+    return even_rows(data, model.drives.sample_time_s if model.drives else data.cycle_s)
+
+
 def run_offline(model: ModelParameters, config: EstimationConfig, data: Measurements) -> Track:
     """Run the twin of `model` over a recording, in a cycle of its own where the rows are none (`even_rows`).
 
     Raises ValueError where `Line` and `MeasuredBalance` do.
     """
-    even = even_rows(data, model.drives.sample_time_s if model.drives else data.cycle_s)
+    even = _even_rows(model, data)
     cycles, cycle_s, tau2_Nm = even.data, even.cycle_s, even.data.tau2_Nm
     ports = (MotorPort(mode=MotorMode.VELOCITY), MotorPort(mode=MotorMode.VELOCITY))
     line = Line(model, ports)
