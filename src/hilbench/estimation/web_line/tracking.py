@@ -136,7 +136,7 @@ class Tracking:
         self._delay_line.reset()
         self._anomalies.reset()
         self._shift_finder.reset()
-        self._now: tuple[BalanceSample, float] | None = None  # and the part of its force that the torque makes
+        self._now: tuple[BalanceSample, float] | None = None  # and its torque, N·m
         if self._known_change is not None:
             self._known_change.reset()
         self._strain_uncertainty = strain_uncertainty
@@ -210,7 +210,7 @@ class Tracking:
         balance.use_modulus(self.estimate.youngs_modulus_Pa)
         now = balance.update(x1_m, x2_m, torque_Nm, strain_prev, F_next_N, self._cycle_s + self._missed_s)
         self._missed_s = 0.0
-        self._now = (now, torque_Nm * balance.force_per_torque_per_m)
+        self._now = (now, torque_Nm)
         torque_sim_Nm = self._axis2.torque_Nm
         self.residual_Nm = torque_Nm - torque_sim_Nm
         self.problem = self._plausibility.problem(torque_Nm, now.web_per_Pa, now.velocity_m_s)
@@ -286,15 +286,16 @@ class Tracking:
         if self.problem is not None or self._strain_uncertainty > 0.0 or self.estimate.upstream_strain is not None:
             change.reset()
             return
-        now, torque_N = self._now
+        now, torque_Nm = self._now
         # The torque as it is measured: what it is corrected for may become another.
-        shift_N = self.torque_shift_Nm * self._balance.force_per_torque_per_m
+        ratio = self._balance.force_per_torque_per_m
+        shift_N = self.torque_shift_Nm * ratio
         measured = replace(now, force_N=now.force_N + shift_N)
-        known = change.update(measured, set_point_m_s, torque_N + shift_N, self.estimate.youngs_modulus_Pa)
+        known = change.update(measured, set_point_m_s, torque_Nm * ratio + shift_N, self.estimate.youngs_modulus_Pa)
         limit_Pa = min(0.01 * _KNOWN_PCT * self.estimate.youngs_modulus_Pa, _SAYS_MORE * self.estimate.deviation_Pa)
         if known is None or not 0.0 < known.deviation_Pa <= limit_Pa or known.youngs_modulus_Pa <= 0.0:
             return
-        self.torque_shift_Nm = known.force_N / self._balance.force_per_torque_per_m
+        self.torque_shift_Nm = known.force_N / ratio
         self.estimate = replace(self.estimate, youngs_modulus_Pa=known.youngs_modulus_Pa)
         self.use(self._method)
         # It is not the web that has changed, but what is known of it.
