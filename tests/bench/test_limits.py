@@ -9,18 +9,25 @@ from tests.bench.samples import sample_of_two_axes
 
 from hilbench.bench.tasks.limits import LimitTripError
 from hilbench.bench.tasks.web_limits import LimitWatch
+from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.topology.safety import Limit, LimitsConfig
 from hilbench.topology.signals import SMALLEST
 from hilbench.twin.virtual_io import TwinStatus
 
 CYCLE_S = 0.002
 MODULUS_PA = 8.7e9
+MODEL = ModelParameters.model_validate(
+    {
+        "web": {"youngs_modulus_Pa": MODULUS_PA, "width_m": 0.5, "thickness_m": 65e-6, "span_length_m": 1.0},
+        "rollers": {"radius_m": 0.2, "inertia_kg_m2": 1.167},
+    }
+)
 LEVELS = Limit(warning=2.0, trip=4.0)
 
 
 def watch(**limits: Limit) -> LimitWatch:
     none = {name: Limit() for name in LimitsConfig.model_fields}
-    return LimitWatch(LimitsConfig(**(none | limits)), MODULUS_PA, CYCLE_S, SMALLEST["web_line"])
+    return LimitWatch(LimitsConfig(**(none | limits)), MODEL, CYCLE_S, SMALLEST["web_line"])
 
 
 @pytest.mark.parametrize(

@@ -109,7 +109,7 @@ def test_noise_of_the_measurement_crosses_a_limit_as_often_as_it_is_asked() -> N
     assert outlook.probability[place, 0] == pytest.approx(1.0 - below**1000, abs=0.03)
 
 
-def test_the_coarse_step_changes_a_ramp_by_less_than_a_hundredth_of_what_is_steered() -> None:
+def test_the_coarse_step_changes_a_ramp_by_less_than_two_hundredths_of_what_is_steered() -> None:
     """Against the twin's simulation at the drives' own sample time, on the same commands."""
     loaded = load_with_overrides(
         CONFIGS / "web_section_step.yaml", changes=["controllers.tension_control.swing_damping_ratio=0"]
@@ -136,7 +136,7 @@ def test_the_coarse_step_changes_a_ramp_by_less_than_a_hundredth_of_what_is_stee
     at = at[at < 2000]
     for signal, column in (("tau1_Nm", exact.tau_Nm[:, 0]), ("v2_m_s", exact.v_m_s[:, 1])):
         found = np.median(outlook.rows[: len(at), :, outlook.place(signal)], axis=1)
-        assert np.max(np.abs(found - column[at])) < 0.01 * max(np.ptp(column), 0.75), signal
+        assert np.max(np.abs(found - column[at])) < 0.02 * max(np.ptp(column), 0.75), signal
 
 
 def test_a_line_of_two_spans_has_a_step_that_its_lighter_spans_allow() -> None:

@@ -42,8 +42,10 @@ def test_what_is_asked_before_it_is_done_is_what_came_when_it_was_done(run: Path
     came = np.interp(answer["times_s"], recording.time_s, recording["F_true_N"])  # type: ignore[arg-type]
     inside = came < 1e9
     inside[-1] = False  # beyond the run
-    assert np.max(np.abs(np.array(course["median"]) - came)[inside]) < 1.0
-    band = (np.array(course["low"]) - 1.0 <= came) & (came <= np.array(course["high"]) + 1.0)
+    off = np.abs(np.array(course["median"]) - came)[inside]
+    assert np.max(off) < 2.0  # of the 20 N of the step, while it is under way
+    assert np.max(off[10:]) < 0.5
+    band = (np.array(course["low"]) - 2.0 <= came) & (came <= np.array(course["high"]) + 2.0)
     assert np.mean(band[inside]) > 0.9
     assert answer["asked"] == [
         {"path": "tension_control.set_point_N", "before": 80.0, "to": 100.0, "end_s": pytest.approx(2.998)}
