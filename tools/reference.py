@@ -20,6 +20,7 @@ from hilbench.canopen.eds import variable as find_variable
 from hilbench.cia402.object_units import has_drive_unit, si_unit
 from hilbench.cli.main import app
 from hilbench.plant.effects import EFFECTS, Effect, EffectPlace, MachineKind, Parameter
+from hilbench.runs import found
 from hilbench.runs.config import ExperimentConfig
 from hilbench.runs.config_text import json_schema
 from hilbench.runs.metrics import OF_RUNS, OF_STEPS
@@ -355,6 +356,13 @@ def metrics_page() -> str:
     for kind, machine in OF_STEPS.items():
         lines += ["", f"## Of steps, `kind: {kind}`", "", *_metrics_table(machine.metrics)]
     lines += ["", "## Of the whole run, any machine", "", *_metrics_table(OF_RUNS)]
+    lines += ["", "## Of what is found while the bench runs (`twin: live_diagnosis:`)", ""]
+    lines += [*_metrics_table({**found.METRICS, **found.FIGURES})]
+    lines += [
+        "",
+        "`gone` in the place of `found`: of an effect that was in the model and has gone again. A parameter of the",
+    ]
+    lines += ["effect can stand for the figure, too: `found.coulomb_friction.axis2.force_N`."]
     return "\n".join(lines)
 
 

@@ -11,6 +11,7 @@ from importlib import resources
 from pathlib import Path
 
 from hilbench.diagnosis.synchronization import reference_estimate
+from hilbench.report.found import found_pictures
 from hilbench.report.html import marks_of
 from hilbench.report.plots import run_pictures, zooms
 from hilbench.results.recording import read_recording
@@ -33,9 +34,10 @@ def main() -> None:
     page_css = resources.files("hilbench.report").joinpath("page.css").read_text(encoding="utf-8")
     recording = read_recording(run.recording)
     reference_Pa = reference_estimate(load_with_overrides(run.config).config, recording)
-    marks = marks_of(Result.read(run.result), recording)
+    result = Result.read(run.result)
+    marks = marks_of(result, recording)
     pictures = run_pictures(recording, marks, reference_Pa)
-    for picture in [*pictures, *zooms(pictures, marks)]:
+    for picture in [*found_pictures(result), *pictures, *zooms(pictures, marks)]:
         name = re.sub(r"[^a-z0-9]+", "_", picture.title.lower()).strip("_")
         path = folder / f"{name}.svg"
         path.write_text(standalone(picture.svg, page_css), encoding="utf-8")

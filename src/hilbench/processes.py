@@ -23,15 +23,17 @@ _END_TIMEOUT_S = 5.0
 class ChildProcess:
     """One process beside the bench, by its arguments after ``python -m``; what it says goes to a log file.
 
+    `pass_fds`: open files that it gets beside its standard ones, by the same numbers; it can't be started again then.
     Raises BenchFaultError when the system refuses to start it.
     """
 
-    def __init__(self, name: str, arguments: Sequence[str], log_path: Path) -> None:
+    def __init__(self, name: str, arguments: Sequence[str], log_path: Path, pass_fds: Sequence[int] = ()) -> None:
         self.name = name
         #: Frames it lost because it did not read in time; None: it has not ended in order, or its bus cannot tell.
         self.lost_frames: int | None = None
         self._log_path = log_path
         self._arguments = list(arguments)
+        self._pass_fds = tuple(pass_fds)
         self._process = self._start()
 
     def _start(self) -> subprocess.Popen[bytes]:
@@ -45,6 +47,7 @@ class ChildProcess:
                     env={**os.environ, FOLLOW_PARENT: "1", TRACEBACK_FOLDER: str(self._log_path.parent)},
                     # Ctrl-C at the terminal is the bench's to handle: it needs the drives to stop them.
                     start_new_session=True,
+                    pass_fds=self._pass_fds,
                 )
         except OSError as error:
             raise BenchFaultError(f"{self.name} cannot be started ({error.strerror}), log {self._log_path}") from error
@@ -69,7 +72,7 @@ class ChildProcess:
         """Raise BenchFaultError with its last words when it has ended."""
         code = self._process.poll()
         if code is not None:
-            raise BenchFaultError(f"{self.name} ended by itself (exit code {code}): {self._last_words()}")
+            raise BenchFaultError(f"{self.name} ended by itself (exit code {code}): {self.last_words()}")
 
     def end(self) -> None:
         """Ask it to end, insist when it does not; then `lost_frames` is known if it ended in order."""
@@ -82,11 +85,12 @@ class ChildProcess:
                 self._process.wait()
         if self._process.stdin is not None:
             self._process.stdin.close()
-        said = self._last_words()
+        said = self.last_words()
         if said.startswith(_LOST_FRAMES) and said.removeprefix(_LOST_FRAMES).strip().isdecimal():
             self.lost_frames = int(said.removeprefix(_LOST_FRAMES))
 
-    def _last_words(self) -> str:
+    def last_words(self) -> str:
+        """The last line of its log."""
         try:
             lines = self._log_path.read_text(encoding="utf-8", errors="replace").strip().splitlines()
         except OSError as error:

@@ -6,6 +6,7 @@ from collections.abc import Callable, Generator, Sequence
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from types import TracebackType
 from typing import Self
 
@@ -15,6 +16,8 @@ from hilbench.bench.lifecycle.drives import Drives
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.bench.lifecycle.startup import TWIN, StartedBench, bring_up, held_bus
 from hilbench.bench.machines.kinds import machine_tasks
+from hilbench.bench.model_changes.process import LiveProcess
+from hilbench.bench.model_changes.task import ModelChanges
 from hilbench.bench.operator.operator import Operator, StepEvent
 from hilbench.bench.prediction.create import prediction_task
 from hilbench.bench.prediction.task import Prediction
@@ -87,6 +90,7 @@ class Bench:
         self.config = config
         self.timeliness = Timeliness((), config.cycle_time_s)  #: whose answers came late, since the drives were enabled
         self.nodes: Nodes
+        self.model_changes: ModelChanges | None = None  #: what the diagnosis found while the bench ran; None: none did
         self.children: list[ChildProcess] = []
         self._observers = list(observers)
         self._tap = tap
@@ -162,6 +166,9 @@ class Bench:
             lockstep=lockstep,
             age_limit_cycles=self._machine.twin_age_limit_cycles,
         )
+        self.model_changes = self._diagnosis_beside(nodes, exchange)
+        if self.model_changes is not None:
+            self._quantities.append(self.model_changes)
         watches = [
             self._operator,
             self._twin,
@@ -171,6 +178,7 @@ class Bench:
             EmergencyWatch(state.reports),
             *([self.prediction] if self.prediction else []),
             *self._machine.watches,
+            *([self.model_changes] if self.model_changes is not None else []),
         ]
         self._cycle = BenchCycle(
             state,
@@ -184,6 +192,28 @@ class Bench:
         for warning in started.warnings:
             state.reports.note("realtime", warning)
         return self._drives
+
+    def _diagnosis_beside(self, nodes: Nodes, exchange: Exchange) -> ModelChanges | None:
+        """What looks after the diagnosis while the bench runs, where the config asks for it."""
+        config, live = self.config, self.config.twin.live_diagnosis
+        if live is None:
+            return None
+        folder = self._work_folder
+        if folder is None:
+            folder = Path(self._resources.enter_context(TemporaryDirectory(prefix="hilbench-live-")))
+        process = LiveProcess(config, folder)
+        self._resources.callback(process.end)
+        simulated = all(part.is_simulated or part.is_virtual for part in config.parts)
+        return ModelChanges(
+            self._state,
+            nodes,
+            exchange,
+            process,
+            config.signals,
+            config.web_line.effects,
+            apply=simulated if live.model_changes is None else live.model_changes == "apply",
+            lockstep=config.pace == "lockstep",
+        )
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None

@@ -168,7 +168,16 @@ def diagnose(
     `imitation`: how the bench imitated web or shaft, if the recording is a bench's; by default as benches do it.
     """
     announce("simulate the model", 0.02)
-    data = measured_from(recording, model, place)
+    return diagnosed(measured_from(recording, model, place), model, announce, imitation)
+
+
+def diagnosed(
+    data: Measured,
+    model: Machine,
+    announce: Announce = lambda text, share: None,
+    imitation: AnyImitation | None = None,
+) -> Diagnosis:
+    """Diagnose what was taken from a recording."""
     chosen = choice(model, data, imitation)
     if chosen.simpler is not None:
         found = _predicted_by(chosen.simpler, model, data, announce)

@@ -61,6 +61,15 @@ _TENSION = "F_meas_N"
 
 
 @dataclass(frozen=True)
+class Before:
+    """What the encoders showed up to and with the first row of what was measured, at its period."""
+
+    x_m: Array  #: (m, axes)
+    boundary: Array  #: (m, 2) upstream strain, downstream tension (N)
+    strain: float  #: of the web at the first of these rows
+
+
+@dataclass(frozen=True)
 class Measured:
     """Checked arrays of one recording; times from 0. `missing` are channels a diagnosis could have used.
 
@@ -80,6 +89,8 @@ class Measured:
     repairs: list[Repair] = field(default_factory=list)  #: what was wrong with the rows, and is mended
     F_N: dict[int, Array] = field(default_factory=dict)  #: measured tensions, by span
     integrated: bool = False  #: the position is that of a lone axis' speed, added up
+    #: What was before the first row; None: nobody knows.
+    before: Before | None = None
 
     @property
     def duration_s(self) -> float:

@@ -38,6 +38,8 @@ _HEARTBEATS_MISSED = 4
 _HEARTBEAT_LOOK_CYCLES = 16
 _ABORT_BY_QUICK_STOP = 3
 _QUICK_STOP_RAMP = 2
+#: Effects of the twin's model, and what their change did: index and sub-index at the virtual I/O.
+_TWIN_EFFECTS, _TWIN_STEP = (0x2102, 1), (0x2102, 2)
 #: Controlwords that lead from SWITCH ON DISABLED to OPERATION ENABLED: shutdown, switch on, enable operation.
 _ENABLE = (0x06, 0x07, 0x0F)
 
@@ -542,6 +544,14 @@ class Nodes:
         """Change a parameter of an effect in the simulated hardware, by SDO."""
         index, sub = effect_object(path.effect, path.parameter, self.config.machine_kind)
         self._sdo().sdo_write(self._effect_node(path), index, value, sub)
+
+    def set_twin_effects(self, effects: str) -> None:
+        """Let the twin go on with other effects in its model (JSON; "": as configured). Raises BenchFaultError."""
+        self._sdo().sdo_write(self.config.twin.node.node_id, _TWIN_EFFECTS[0], effects, _TWIN_EFFECTS[1])
+
+    def twin_step_N(self) -> float:
+        """Largest step of a simulated tension that the last change of the twin's effects has made, N."""
+        return float(self._sdo().sdo_read(self.config.twin.node.node_id, *_TWIN_STEP))
 
     def _effect_node(self, path: EffectPath) -> int:
         assert path.axis is not None, "effects of the hardware are effects of an axis"

@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future
 from concurrent.futures import wait as wait_for
 from dataclasses import dataclass, replace
+from typing import Any
 
 from hilbench.can.confinement import ControllerState
 from hilbench.can.frame import Frame
@@ -27,6 +28,8 @@ from hilbench.exchange.frame_tap import FrameTap
 _GUARD_FRACTION = 0.3
 #: Lockstep: part of the time-out after which a bench that waits for an answer says that it is alive.
 _ALIVE = 0.3
+#: The longest time between two of them while the bus stands still, far less than the nodes wait for SYNC.
+_LONGEST_SILENCE_S = 0.5
 #: The same for cycles that answer, but slowly.
 _SLOW = 0.6
 #: Between cycles: wall time in which devices of this process may take what was sent to them.
@@ -212,7 +215,7 @@ class SyncCycle:
         self._heartbeat = self._heartbeat._replace(data=_PRE_OPERATIONAL)
         send_emergency_stop(self._link)
 
-    def stand_still(self, done: Future[None], longest_s: float) -> None:
+    def stand_still(self, done: Future[Any], longest_s: float) -> None:
         """Lockstep: no cycle until `done`, or for `longest_s` of wall time: the nodes wait for SYNC meanwhile."""
         with self._lock:
             trace_fault = self._write_last_answers()
@@ -221,9 +224,10 @@ class SyncCycle:
             self._say_alive()
             end_s = time.monotonic() + longest_s
             while (left_s := end_s - time.monotonic()) > 0.0:
-                if not wait_for([done], timeout=min(left_s, _ALIVE * self._timeout_s)).not_done:
+                if not wait_for([done], timeout=min(left_s, _ALIVE * self._timeout_s, _LONGEST_SILENCE_S)).not_done:
                     return
                 self._say_alive()
+                self._came_between += self._link.receive(_A_MOMENT_S)
 
     def stay_alive(self, silence_s: float) -> None:
         """Lockstep, from another thread, while nobody wants a cycle: say that the bench is alive, where nothing has

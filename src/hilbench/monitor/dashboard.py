@@ -246,6 +246,8 @@ def _figures(picture: BusPicture, dropped: int | None) -> str:
     late = picture.late_pct()
     if late:
         parts.append("late samples: " + ", ".join(f"{share:.0f} % of {part}" for part, share in late.items()))
+    if picture.model:
+        parts.append(f"twin: {picture.model}")
     if dropped:
         parts.append(f"{dropped} frames not read in time")
     return "   ".join(part for part in parts if part)

@@ -28,6 +28,7 @@ from hilbench.monitor.condition import SILENCE_S, BenchWatch, Condition
 from hilbench.monitor.trends import trends_of
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.parts import Role
+from hilbench.twin.virtual_io import TwinStatus
 
 #: Cycles over which bus load and jitter are counted.
 _WINDOW = 500
@@ -111,6 +112,8 @@ class BusPicture:
             if part.role in (Role.AXIS, Role.LOAD_MOTOR)
         }
         self._answers["virtual_io"] = nodes.io.status.cob_id
+        self._status = nodes.io.status
+        self.model = ""  #: of the twin, where it is another than the configured one
         self._ages = dict.fromkeys(self._answers, 0)
         self.timeliness = Timeliness(tuple(self._answers), self.config.cycle_time_s)
         self._answered: set[int] = set()  # since the last SYNC
@@ -145,12 +148,20 @@ class BusPicture:
                 if frame.can_id in self._state_data:
                     self._state_data[frame.can_id] = frame.data
         self._decode(last)
+        status = last.get(self._status.cob_id, b"")
+        if len(status) == self._status.size:
+            self._look_at_model(int(self._status.unpack(status)[2]))
         if any(len(last.get(cob_id, b"")) == pdo.size for cob_id, pdo in self._states.items()):
             self._hear(self.config.twin.node.node_id, "PDO", _MISSED)
         for node_id, state in nmt_states(heartbeats).items():
             self._hear(node_id, "heartbeat", _HEARTBEATS_MISSED * self._heartbeat_cycles)
             self._nmt(node_id, state)
         self._look_for_silence()
+
+    def _look_at_model(self, status: int) -> None:
+        """What the twin says of its model (2100h sub 3)."""
+        changing, changed = status & TwinStatus.MODEL_CHANGING, status & TwinStatus.MODEL_CHANGED
+        self.model = "another model is tried beside it" if changing else "model with what was found" if changed else ""
 
     def _hear(self, node_id: int, what: str, within_cycles: float) -> None:
         self._heard[node_id, what] = _Heard(self.cycles, self._now_s, within_cycles)
@@ -286,6 +297,7 @@ class BusPicture:
             "jitter_p99_us": jitter and jitter[0],
             "jitter_max_us": jitter and jitter[1],
             "late_samples_pct": self.late_pct(),
+            "model": self.model or "as configured",
             **{
                 trend.signal: trend.values[-1] if trend.values and self.twin_is_heard else None for trend in self.trends
             },

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import platform
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
 from importlib import metadata
 from math import isfinite
 from pathlib import Path
@@ -20,6 +21,7 @@ from pydantic import (
 )
 
 from hilbench.bench.prediction.announcements import Announcement
+from hilbench.bench.reports.found import FoundEffect, GapRow, ModelChange
 from hilbench.block import Strict
 from hilbench.errors import UnusableInputError
 from hilbench.files import written_whole
@@ -35,6 +37,8 @@ LIBRARIES = ("numpy", "numba", "scipy", "canopen", "python-can", "asammdf", "pyd
 _HISTOGRAM_BINS = 60
 #: Steps and events that a result holds, of a run with more the first.
 MOST_EVENTS = 500
+#: Pieces of the history of the gap that it holds.
+MOST_GAPS = 2000
 
 
 class _WithOptions(Strict):
@@ -310,11 +314,112 @@ def _known(value: float | None) -> float | None:
     return value if value is not None and isfinite(value) else None
 
 
+class FoundParameter(Strict):
+    """A parameter of an effect that was found, with its 95 % interval."""
+
+    value: float
+    ci95: tuple[float, float]
+    unit: str
+
+
+class GapRecord(Strict):
+    """Rms of what was measured less what was predicted, before and after, on data that neither model had seen."""
+
+    signal: str
+    unit: str
+    before: float
+    after: float
+    noise_floor: float
+
+
+class FoundRecord(Strict):
+    """What was found while the bench ran: an effect that had come, or (`gone`) that of a model that had gone.
+
+    `t_s`: since when model and measurement parted (s of experiment time); how long after that it was named, and in the
+    twin's model (None: it never was; `refused`: by the operator); `tension_step_N`: largest change of a simulated
+    tension from one cycle to the next while the twin went over; `tied_with`: what the data could not tell it from.
+    """
+
+    t_s: float
+    effect: str
+    axis: int | None
+    span: int | None
+    parameters: dict[str, FoundParameter]
+    named_after_s: float
+    applied_after_s: float | None
+    tension_step_N: float | None
+    gap: GapRecord | None
+    gone: bool = False
+    refused: bool = False
+    tied_with: list[str] = Field(default_factory=list)
+
+    @classmethod
+    def of(cls, change: ModelChange) -> list[Self]:
+        """As they stand in the file: one for each effect of a change."""
+        both = [*((effect, False) for effect in change.effects), *((effect, True) for effect in change.gone)]
+        return [cls._of(change, effect, gone=gone) for effect, gone in both]
+
+    @classmethod
+    def _of(cls, change: ModelChange, effect: FoundEffect, *, gone: bool) -> Self:
+        gap = change.gap
+        return cls(
+            t_s=change.begun_s,
+            effect=effect.effect,
+            axis=effect.axis,
+            span=effect.span,
+            parameters={
+                name: FoundParameter(value=each.value, ci95=(each.low, each.high), unit=each.unit)
+                for name, each in effect.parameters.items()
+            },
+            named_after_s=change.named_after_s,
+            applied_after_s=change.applied_after_s,
+            tension_step_N=change.tension_step_N,
+            gap=None if gap is None else GapRecord(**asdict(gap)),
+            gone=gone,
+            refused=change.refused,
+            tied_with=list(effect.tied_with),
+        )
+
+
+class GapHistory(Strict):
+    """Size of the gap between a measured signal and what models say of it, without what is noise (None: at rest).
+
+    `configured`: of the model as it was configured; `in_use`: of the one that the twin had then.
+    """
+
+    signal: str
+    unit: str
+    t_s: list[float]
+    configured: list[float | None]
+    in_use: list[float | None]
+
+    @classmethod
+    def of(cls, rows: Sequence[GapRow], time_s: Callable[[int], float]) -> Self | None:
+        """Of at most `MOST_GAPS` pieces, the largest of each few of a longer run; None without one. `time_s`: of a
+        cycle."""
+        if not rows:
+            return None
+        every = -(-len(rows) // MOST_GAPS)
+        parts = [rows[at : at + every] for at in range(0, len(rows), every)]
+        return cls(
+            signal=rows[0].signal,
+            unit="N·m",
+            t_s=[time_s(part[-1].cycle) for part in parts],
+            configured=[_largest([row.configured for row in part]) for part in parts],
+            in_use=[_largest([row.in_use for row in part]) for part in parts],
+        )
+
+
+def _largest(values: Sequence[float]) -> float | None:
+    return max((value for value in values if isfinite(value)), default=None)
+
+
 class Result(_WithOptions):
     """The verdict of one run. `passed` holds exactly when every criterion does and no fault stopped the run.
 
     `not_judged`: why a metric has no value; `steps`: every step of the run with its figures; `events`: these and all
     else that happened, the first `MOST_EVENTS` of each.
+    `found`: what the diagnosis beside the run found, where there was one, and how the gap went (`gap_history`).
     `warnings`: what did not stop the run (a limit's warning level, an EMCY message, a tension loop that opened), each
     kind once with its count.
     `predicted`: crossings of limits that were announced, where the config asks for predictions.
@@ -332,6 +437,8 @@ class Result(_WithOptions):
     steps: list[StepRecord] | None = None
     events: list[EventRecord] | None = None
     predicted: list[PredictedLimit] | None = None
+    found: list[FoundRecord] | None = None
+    gap_history: GapHistory | None = None
 
     @classmethod
     def of(
@@ -345,6 +452,8 @@ class Result(_WithOptions):
         judged: Judgement | None = None,
         provenance: Provenance | None = None,
         predicted: Sequence[Announcement] | None = None,
+        found: Sequence[FoundRecord] | None = None,
+        gap_history: GapHistory | None = None,
     ) -> Self:
         """A result whose `passed` follows from its criteria and faults."""
         passed = all(criterion.passed for criterion in criteria) and not faults
@@ -361,6 +470,8 @@ class Result(_WithOptions):
             steps=[StepRecord.of(step) for step in judged.steps[:MOST_EVENTS]] if judged else None,
             events=[EventRecord.of(event) for event in judged.events[:MOST_EVENTS]] if judged else None,
             predicted=None if predicted is None else [PredictedLimit.of(made) for made in predicted[:MOST_EVENTS]],
+            found=None if found is None else list(found),
+            gap_history=gap_history,
         )
 
     def all_warnings(self) -> list[str]:

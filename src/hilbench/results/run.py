@@ -38,7 +38,7 @@ from hilbench.results.journal import JournalWriter
 from hilbench.results.junit import write_junit
 from hilbench.results.provenance import Provenance
 from hilbench.results.recording import LEAST_SAMPLES, Recording, RecordingBuilder, write_recording
-from hilbench.results.result import Environment, Fault, Late, Result, Timing, Warned, jitter
+from hilbench.results.result import Environment, Fault, FoundRecord, GapHistory, Late, Result, Timing, Warned, jitter
 from hilbench.results.run_folder import RunFolder
 from hilbench.results.trace import TraceWriter
 from hilbench.runs import config as config_files
@@ -47,6 +47,7 @@ from hilbench.runs.config import LoadedConfig
 from hilbench.runs.criteria import Criterion, CriterionResult, evaluate
 from hilbench.runs.events import EventLog
 from hilbench.runs.foresight import Foresight
+from hilbench.runs.found import metrics as found_metrics
 from hilbench.runs.metrics import Judgement, judge
 from hilbench.topology.sample import CycleSample
 from hilbench.topology.signal_kinds import Signal
@@ -206,10 +207,15 @@ class RunRecord:
         judged = Judgement(())
         with ending.kept("metrics"):
             judged = judge(recording.channels, journal=self._happened.events())
-        prediction = bench.prediction
+        prediction, changes = bench.prediction, bench.model_changes
         metrics = judged.metrics() | timing.metrics()
         if prediction is not None:
             metrics |= prediction.announcements.metrics()
+        found, history = None, None
+        if changes is not None:
+            metrics |= found_metrics(changes.changes)
+            found = [record for change in changes.changes for record in FoundRecord.of(change)]
+            history = GapHistory.of(changes.gaps, bench.experiment_time_s)
         verdicts = self.verdicts + evaluate(criteria, metrics, judged)
         warnings = [_warned(notice) for notice in bench.notices]
         environment = Environment.here(config.seed)
@@ -223,6 +229,8 @@ class RunRecord:
             judged,
             self._provenance,
             None if prediction is None else prediction.announcements.made,
+            found,
+            history,
         )
         try:
             result.write(folder.result)

@@ -13,6 +13,7 @@ from hilbench.errors import UnusableInputError
 from hilbench.plant.effects import MachineKind
 from hilbench.plant.parameters import per_item
 from hilbench.runs.config import ExperimentConfig, LoadedConfig
+from hilbench.runs.found import find_metric as find_found_metric
 from hilbench.runs.metrics import OF_RUNS, metrics_of
 from hilbench.runs.prospect import Move, moves, start_of
 from hilbench.runs.web_line_check import beyond, operating_points, step_warnings, stiffness_of
@@ -122,6 +123,14 @@ def _check_criteria(loaded: LoadedConfig) -> None:
     config = loaded.config
     known = {**metrics_of(config.machine.kind, config.shape).metrics, **OF_RUNS}
     for number, criterion in enumerate(config.criteria):
+        if find_found_metric(criterion.metric) is not None:
+            if config.twin.live_diagnosis is None:
+                raise UnusableInputError(
+                    loaded.document.place(("criteria", number, "metric")),
+                    f"metric '{criterion.metric}' of a run beside which nothing is diagnosed, expected 'twin: "
+                    "{live_diagnosis: {}}'",
+                )
+            continue
         if criterion.metric not in known:
             meant = did_you_mean(criterion.metric, known)
             raise UnusableInputError(

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from hilbench.bench.reports.change import Change
 from hilbench.topology.main_quantities.of_kind import find_quantity, recorded_quantities
+from hilbench.topology.quantities import MODEL_CHANGE
 
 Array = NDArray[np.float64]
 Channels = Mapping[str, NDArray[Any]]
@@ -31,7 +32,15 @@ _STEP_S: Final = 0.02
 #: A change within a ramp that is so many times the ramp's own is a step within it.
 _STANDS_OUT: Final = 5.0
 
-_MARKS: Final = {"twin_lost": "twin lost", "twin_back": "twin is back"}
+_MARKS: Final = {
+    "twin_lost": "twin lost",
+    "twin_back": "twin is back",
+    "effect_named": "named: {path}",
+    "effect_gone": "gone: {path}",
+    "model_applied": "in the model: {path}",
+    "model_refused": "refused: {path}",
+    "model_announced": "announced: {path}",
+}
 
 
 @dataclass(frozen=True)
@@ -112,10 +121,11 @@ class EventLog:
         elif self._began is None:
             return
         elif change.what == "set":
-            self._set(change)
+            if change.path != MODEL_CHANGE:  # the marks say what became of it
+                self._set(change)
         elif change.what in _MARKS:
             at_s = self._time_s(change.cycle)
-            self._done.append(Event("mark", at_s, at_s, text=_MARKS[change.what]))
+            self._done.append(Event("mark", at_s, at_s, text=_MARKS[change.what].format(path=change.path)))
 
     def events(self) -> list[Event]:
         """What has happened until now, in order of time and in the time of the recording."""

@@ -17,6 +17,7 @@ from typing import Final
 
 import numpy as np
 
+from hilbench.runs import found
 from hilbench.runs.events import Event, find_events
 from hilbench.runs.figures import finite_or_none, working_window
 from hilbench.runs.machines import servo_axis, web_line
@@ -70,6 +71,7 @@ METRICS: Final[Mapping[str, Metric]] = {
         if name not in OF_STEPS[FIRST_KIND].metrics
     },
     **OF_RUNS,
+    **found.METRICS,
 }
 
 #: Steps whose reasons are told in one line.
@@ -88,7 +90,7 @@ def find_metric(name: str) -> Metric | None:
         return METRICS[name]
     numbered = _NUMBERED.fullmatch(name)
     if numbered is None:
-        return None
+        return found.find_metric(name)
     spans = tuple(range(1, max(int(numbered[1]), 2) + 1))  # of the shortest line with so many
     return web_line.metrics_of(Shape(len(spans) + 1, (), len(spans), spans, spans)).metrics.get(name)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import operator
 import re
 from collections.abc import Callable
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
 from pydantic import (
     AfterValidator,
@@ -144,11 +144,27 @@ class Set(CheckedMove):
 
     path: Path = Field(description="what is set")
     to: Value = Field(description="its new value, SI")
+    announced: bool = Field(
+        default=False,
+        description="the machine is changed on purpose (another roller): the twin's model gets this effect, too, and "
+        "the diagnosis beside the run takes it for no anomaly",
+    )
+
+    @model_validator(mode="after")
+    def _can_be_announced(self) -> Self:
+        if self.announced and ".effects." not in self.path:
+            raise ValueError(f"'announced' for a parameter of an effect, '{self.path}' is none")
+        return self
 
     def run(self, bench: Bench) -> None:
         """Set it; takes no time."""
         self.make_sure(bench, self.path, self.to)
         bench.set(self.path, self.to)
+        self._announce(bench)
+
+    def _announce(self, bench: Bench) -> None:
+        if self.announced and bench.model_changes is not None:
+            bench.model_changes.announced(self.path, self.to)
 
 
 class Step(Set):
@@ -158,6 +174,7 @@ class Step(Set):
         """Set it and note the event."""
         self.make_sure(bench, self.path, self.to)
         bench.step(self.path, self.to)
+        self._announce(bench)
 
 
 class WaitUntil(Block):

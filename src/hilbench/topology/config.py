@@ -28,8 +28,9 @@ from hilbench.plant.web_line.rig import CoupledMotor, RigParameters
 from hilbench.plant.web_line.stations import ONLY_DRIVEN
 from hilbench.prediction.config import PredictionConfig
 from hilbench.real_time import ProcessSettings
+from hilbench.topology.live_config import LiveDiagnosisConfig
 from hilbench.topology.parts import DriveConfig, LoadMotorConfig, NodeConfig, Part, PartName, Role
-from hilbench.topology.quantities import path_problem
+from hilbench.topology.quantities import MODEL_CHANGE, path_problem
 from hilbench.topology.safety import SafetyConfig, TimeOut
 from hilbench.topology.signal_kinds import Signal
 from hilbench.topology.signals import Shape, signals_of
@@ -185,6 +186,9 @@ class TwinConfig(EstimationConfig):
     inertia: InertiaConfig = InertiaConfig()
     prediction: PredictionConfig | None = Field(
         default=None, description="look ahead while the bench runs; null: it does not"
+    )
+    live_diagnosis: LiveDiagnosisConfig | None = Field(
+        default=None, description="name what the model lacks while the bench runs; without it nothing is looked for"
     )
 
 
@@ -486,6 +490,8 @@ class BenchConfig(Block):
 
     def path_problem(self, path: str) -> str | None:
         """Why this bench has no such quantity that can be set, in one line, or None."""
+        if path == MODEL_CHANGE and self.twin.live_diagnosis is None:
+            return f"'twin: {{live_diagnosis: {{}}}}' for '{path}': nothing proposes changes of the model"
         return path_problem(path, self.machine_kind, self.shape, self.loaded_axes)
 
     def controller_of(self, span: int) -> str:

@@ -1,8 +1,9 @@
 """The quantities of a running bench that an experiment may change, by path, and what values each of them may have.
 
 `line_speed_m_s`, `tension_control.set_point_N`, `load.web.youngs_modulus_Pa`, `load.web.broken` (1: the web
-has torn and pulls no more; 0: it is whole), `tension_control.probe` (1: a probe is wanted; 0: none), and any parameter
-of any effect, hidden in the imitated mechanics or in the simulated hardware:
+has torn and pulls no more; 0: it is whole), `tension_control.probe` (1: a probe is wanted; 0: none),
+`twin.model_change` (the word on a change of the twin's model that the diagnosis beside the run proposes, 1: go on with
+it, 0: do not), and any parameter of any effect, hidden in the imitated mechanics or in the simulated hardware:
 `load.effects.elasticity_drift.rate_per_s`, `hardware.effects.coulomb_friction.axis1.force_N`. On a line of several
 spans a set-point has the number of its span: `tension_control.span2.set_point_N`; E and the effects of a span are
 those of all spans, or with its number of one: `load.web.span2.youngs_modulus_Pa`,
@@ -35,6 +36,7 @@ TENSION_SET_POINT = "tension_control.set_point_N"
 YOUNGS_MODULUS = "load.web.youngs_modulus_Pa"
 TENSION_PROBE = "tension_control.probe"
 WEB_BROKEN = "load.web.broken"
+MODEL_CHANGE = "twin.model_change"
 SPEED = "speed_rad_s"
 SHAFT_INERTIA = "load.shaft.inertia_kg_m2"
 SHAFT_COULOMB_FRICTION = "load.shaft.coulomb_friction_Nm"
@@ -87,6 +89,7 @@ _PLAIN_OF = {
         YOUNGS_MODULUS: Permitted(LEAST_MODULUS_Pa, LARGEST_MODULUS_Pa, "Pa"),
         WEB_BROKEN: Permitted(0.0, 1.0, "1", only_ends=True),
         TENSION_PROBE: Permitted(0.0, 1.0, "1", only_ends=True),
+        MODEL_CHANGE: Permitted(0.0, 1.0, "1", only_ends=True),
     },
     MachineKind.SERVO_AXIS: {
         SPEED: Permitted(-1e4, 1e4, "rad/s"),

@@ -29,11 +29,12 @@ from hilbench.twin.alarms import Alarms
 from hilbench.twin.axis_listener import AxisListener, RealAxis, TwinNode
 from hilbench.twin.machines.kinds import boundary, new_machine, warm_up
 from hilbench.twin.machines.machine import Measured, TwinMachine
+from hilbench.twin.model_change import ChangeableMachine, with_effects
 from hilbench.twin.virtual_io import TwinStatus, VirtualIo
 
 #: Error register (1001h): generic and device profile.
 _PROFILE_SPECIFIC = 0x21
-_VALUE_TOO_HIGH = 0x06090031
+_VALUE_TOO_HIGH, _INVALID_VALUE, _PRESENT_STATE = 0x06090031, 0x06090030, 0x08000022
 #: SYNCs that an axis may leave unanswered and answer later.
 _MOST_OWED = 100
 #: Missed SYNCs in a row that the simulation makes up for; after more a twin has to find the plant anew.
@@ -48,6 +49,8 @@ _STATUS_BITS = tuple(
         TwinStatus.LATE,
         TwinStatus.TRANSFER_REFUSED,
         TwinStatus.NOT_SEPARABLE,
+        TwinStatus.MODEL_CHANGING,
+        TwinStatus.MODEL_CHANGED,
     )
 )
 
@@ -83,7 +86,7 @@ class TwinApplication:
     def __init__(
         self,
         setup: TwinSetup,
-        machine: TwinMachine,
+        machine: ChangeableMachine,
         drives: Sequence[SimulatedDrive],
         device: Device,
         virtual_io: VirtualIo,
@@ -114,6 +117,7 @@ class TwinApplication:
         self._sync_time = None if isinstance(setup.clock, SyncClock) else SyncTime(round(setup.cycle_s * 1e9))
         self._ahead = False  # of a SYNC that was counted as missed, and came
         virtual_io.on_method(self._use_method)
+        virtual_io.on_model(self._use_model, lambda: machine.largest_steps)
         self._publish()
 
     def reset(self) -> None:
@@ -155,7 +159,7 @@ class TwinApplication:
         if not self._released or not 0 < skipped <= _MOST_SKIPPED:
             return
         for _ in range(skipped):
-            self._machine.plant.step(self._cycle_s)
+            self._machine.step(self._cycle_s)
             self._time_s += self._cycle_s
         for drive in self._drives:
             drive.publish()
@@ -199,7 +203,7 @@ class TwinApplication:
                 self._compare()
                 self._machine.listen()
                 if not self._ahead:
-                    self._machine.plant.step(self._cycle_s)
+                    self._machine.step(self._cycle_s)
                     self._time_s += self._cycle_s
         else:
             self._released = False
@@ -265,6 +269,15 @@ class TwinApplication:
         except ValueError:
             raise SdoAbort(_VALUE_TOO_HIGH) from None
 
+    def _use_model(self, effects: str) -> None:
+        """Try a model with these effects beside the one in use, and go on with it (2102h)."""
+        try:
+            self._machine.change(effects)
+        except ValueError:
+            raise SdoAbort(_INVALID_VALUE) from None
+        except RuntimeError:
+            raise SdoAbort(_PRESENT_STATE) from None
+
     def _status(self) -> int:
         """Bits of `TwinStatus`, as a plain number: flags of the enum take microseconds to put together."""
         machine, status = self._machine, 0
@@ -277,6 +290,8 @@ class TwinApplication:
                 self._behind > 0,
                 machine.refused,
                 not machine.separable,
+                machine.changing,
+                machine.changed,
             ),
             strict=True,
         ):
@@ -311,7 +326,11 @@ def twin(setup: TwinSetup) -> HostedDevices:
     io_node = setup.virtual_io
     io_device = Device(load_eds(io_node.eds, io_node.node_id), io_node.node_id, setup.clock)
     virtual_io = VirtualIo(io_device, process_data(MachineKind(model.kind), setup.shape), boundary(model))
-    machine = new_machine(model, setup.twin, setup.cycle_s, virtual_io.told)
+
+    def make(effects: str) -> TwinMachine:
+        return new_machine(with_effects(model, effects), setup.twin, setup.cycle_s, virtual_io.told)
+
+    machine = ChangeableMachine(make, setup.cycle_s)
     drives = [SimulatedDrive(device, port) for device, port in zip(devices, machine.ports, strict=True)]
     application = TwinApplication(setup, machine, drives, io_device, virtual_io)
 

@@ -10,6 +10,7 @@ from hilbench.topology.process_data.table import ProcessData
 
 _STATUS = 0x2100  #: manufacturer specific: of which SYNC the process data are, and whether they can be trusted
 _SYNCHRONIZER = 0x2101
+_MODEL = 0x2102  #: effects in the place of those that the model was configured with
 
 
 class TwinStatus(IntFlag):
@@ -21,6 +22,8 @@ class TwinStatus(IntFlag):
     LATE = 8  #: further SYNCs are waiting already
     TRANSFER_REFUSED = 16  #: a measured state was not plausible and was not taken over
     NOT_SEPARABLE = 32  #: the data don't tell what is estimated apart: it is held
+    MODEL_CHANGING = 64  #: a changed model runs beside the one in use, or is being taken over
+    MODEL_CHANGED = 128  #: the model in use has other effects than the configured one
 
 
 class VirtualIo:
@@ -36,6 +39,9 @@ class VirtualIo:
         self._age = device.cell(_STATUS, 2)
         self._status = device.cell(_STATUS, 3)
         self._method = device.cell(_SYNCHRONIZER, 1)
+        self._effects = device.cell(_MODEL, 1) if device.has(_MODEL, 1) else None
+        self._step = device.cell(_MODEL, 2) if device.has(_MODEL, 2) else None
+        self._names = [signal.name for signal in data.published]
         for name, value in boundary.items():
             self._told[name].value = value
 
@@ -53,6 +59,15 @@ class VirtualIo:
     def on_method(self, act: Callable[[int], None]) -> None:
         """Call `act` with the number of the method that is written (0: as configured)."""
         self._method.on_write = act
+
+    def on_model(self, act: Callable[[str], None], steps: Callable[[], Sequence[float]]) -> None:
+        """Call `act` with the effects (JSON, a list; empty: as configured) that are written into the model (2102h);
+        `steps`: of each published value the largest step that the last change has made."""
+        if self._effects is None or self._step is None:
+            return
+        self._effects.on_write = act
+        tensions = [place for place, name in enumerate(self._names) if name.startswith("F")]
+        self._step.on_read = lambda: max((steps()[place] for place in tensions if steps()), default=0.0)
 
     def told(self, name: str) -> float:
         """A signal of the boundary, as the bench last said."""

@@ -10,6 +10,7 @@ from hilbench.plant.effects import MachineKind
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.quantities import (
     LINE_SPEED,
+    MODEL_CHANGE,
     SHAFT_COULOMB_FRICTION,
     SHAFT_INERTIA,
     SPEED,
@@ -30,6 +31,7 @@ OPERATOR_OBJECTS: Final = {
     SHAFT_INERTIA: (5, "Inertia of the imitated shaft [kg.m2]"),
     SHAFT_COULOMB_FRICTION: (6, "Dry friction of the imitated shaft [N.m]"),
     TENSION_PROBE: (7, "Probe of the tension [0 or 1]"),
+    MODEL_CHANGE: (8, "Proposed change of the twin's model: 1 go on with it, 0 do not"),
     **web_line_ranges.OF_EACH_SPAN,
 }
 
@@ -58,6 +60,7 @@ def _of_web_line(config: BenchConfig) -> dict[str, tuple[float, float]]:
     moduli_Pa = web_line_ranges.moduli_Pa(config)
     set_points = [tension_set_point(config.shape.numbered(span)) for span in config.tension_controls]
     return {
+        **({} if config.twin.live_diagnosis is None else {MODEL_CHANGE: (0.0, 1.0)}),
         LINE_SPEED: (-speed_m_s, speed_m_s),
         **{path: (0.0, _highest(limits.tension_N)) for path in set_points if path in OPERATOR_OBJECTS},
         **{path: (E / ratio, E * ratio) for path, E in moduli_Pa.items() if path in OPERATOR_OBJECTS},

@@ -90,6 +90,8 @@ class Operator(CyclicTask):
             self._state.reports.note("operator", f"{path} from {self.get(path):.6g} to {value:.6g}")
             if self._reference.owns(path):
                 self._reference.head_for(value)
+            elif path == quantities.MODEL_CHANGE:
+                self.set(path, value)
             else:
                 self.step(path, value)
         goal = self._reference.goal

@@ -5,6 +5,22 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+What = Literal[
+    "enabled",
+    "set",
+    "twin_lost",
+    "twin_back",
+    "predicted",
+    "stopping",
+    "gap_seen",
+    "effect_named",
+    "effect_gone",
+    "model_proposed",
+    "model_refused",
+    "model_applied",
+    "model_announced",
+]
+
 
 @dataclass(frozen=True)
 class Change:
@@ -15,10 +31,14 @@ class Change:
     ``twin_lost``: the twin is not counted on any more; ``twin_back``: it is again, and counts the SYNCs after number
     `value`; ``predicted``: the signal `path` was predicted to go beyond the level
     `value`, with the probability `before`; ``stopping``: the drives are brought to a stop.
+    Of the diagnosis that goes on meanwhile: ``gap_seen``: model and measurement part since `value` s; ``effect_named``,
+    ``effect_gone``: by the effect `path`, whose strength has `value`; ``model_proposed``, ``model_refused``: the twin
+    could go on, or is not to go on, with that; ``model_applied``: it does; ``model_announced``: the machine has got
+    `path` on purpose.
     """
 
     cycle: int
-    what: Literal["enabled", "set", "twin_lost", "twin_back", "predicted", "stopping"]
+    what: What
     path: str = ""
     value: float = 0.0
     before: float | None = None

@@ -10,16 +10,19 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
-from hilbench.diagnosis.measured import STANDSTILL_M_S, Measured
+from hilbench.diagnosis.measured import STANDSTILL_M_S, Before, Measured
 from hilbench.diagnosis.misfit import Condition
 from hilbench.diagnosis.noise import floor
 from hilbench.diagnosis.web_line.loop_check import Loop
+from hilbench.estimation.web_line.balance import web_force_N
+from hilbench.plant.web_line import laws
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.imitation import Imitation, simulate_imitated
 from hilbench.plant.web_line.laws import FRICTION_WIDTH_M_S
 from hilbench.plant.web_line.offline import Simulation, simulate, start_state
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.sizes import machine_sizes
+from hilbench.plant.web_line.span import follow_on
 
 Array = NDArray[np.float64]
 
@@ -38,6 +41,14 @@ _UNROUNDED_TOLERANCE: Final = 0.035
 _TRANSPORTS: Final = 6.0
 #: Cycle in which commands of a coarser recording may have changed in truth.
 _FINE_S: Final = 0.002
+#: Least time over which the tension before a start is a mean, s, and places of a turn over which resistance is one.
+_TURNS_S: Final = 0.5
+_PLACES: Final = 40
+#: Steps of the creep within which the slow mode is one, 1/N.
+_CREEP_STEP: Final = 5e-8
+_CREEP: Final = lay.place("web_slip", "creep_per_N")
+#: A change of a torque by which its response is looked at, N·m.
+_A_TORQUE_NM: Final = 0.01
 #: Share of a corner's bend by which the slopes of one side of it may differ.
 _STRAIGHT: Final = 0.25
 
@@ -96,6 +107,8 @@ class FreeRun:
         self.exact = True
         self.narrower = None
         self._start = self._start_state(data)
+        self._before, self._more_Nm = data.before, 0.0
+        self._slow: dict[int, tuple[Array, Array]] = {}  # by creep, in steps
         if data.period_s > 1.5 * self._cycle_s:
             self._choose_hold(data)
 
@@ -142,7 +155,8 @@ class FreeRun:
         usable = ~near if np.mean(near) < _MOSTLY else np.ones(len(slow), bool)
         usable &= data.usable(_MOVING_S)
         if speed > _MOVES_M_S:
-            settle_s = _TRANSPORTS * self._model.span_length_m(1) / speed + 1.0
+            transports = _TRANSPORTS if data.before is None else 0.0
+            settle_s = transports * self._model.span_length_m(1) / speed + 1.0
             usable[: int(settle_s / data.period_s)] = False
         return usable
 
@@ -165,6 +179,32 @@ class FreeRun:
                 motor[lay.SM_REFERENCE] = speed * self._model.motor_rad_per_m(axis)
         return state
 
+    def _begin_after(self, before: Before, parameters: Array, state: Array) -> None:
+        """The web strained as it was by `parameters` on the motion before, and axis 2 with the torque that it needs.
+
+        It is that of the mean tension over the last whole turns.
+        """
+        layout = lay.Layout.of(parameters)
+        y, n = layout.y(state), layout.axes
+        x2, v2, F_next_N = y.item(1), y.item(n + 1), self._boundary.item(0, 1)
+        tension_N, strain = follow_on(
+            parameters, self._model, before.x_m, before.boundary, self._period_s, before.strain
+        )
+        lay.set_strain(parameters, state, strain)
+        turn_m = 2.0 * np.pi * self._model.radius_m(2)
+        turn = turn_m / max(abs(v2), 1e-9) / self._period_s
+        rows = round(turn * np.ceil(_TURNS_S / self._period_s / turn))
+        mean_N = float(np.mean(tension_N[-rows:, 0]))
+        places = x2 + np.arange(_PLACES) * (turn_m / _PLACES)
+        idle_N, driven_N = (
+            float(np.mean([web_force_N(parameters, torque, float(x), v2, F_next_N) for x in places]))
+            for torque in (0.0, 1.0)
+        )
+        motor = lay.W_SIZE + n * lay.A_SIZE + lay.M_SIZE
+        torque_Nm = laws.true_torque_Nm(parameters, motor, (mean_N - idle_N) / (driven_N - idle_N))
+        torque_Nm += self._more_Nm
+        layout.motor_states(state)[1, [lay.SM_TORQUE_NM, lay.SM_COMMAND_NM, lay.SM_INTEGRAL_NM]] = torque_Nm
+
     def _choose_hold(self, data: Measured) -> None:
         """A recording coarser than the cycle: were commands held, or did they go on between its rows?"""
         whole = round(data.period_s / self._cycle_s)
@@ -181,7 +221,35 @@ class FreeRun:
         self._commands = options[int(np.argmin(errors))]
 
     def predict(self, parameters: Array) -> Array:
-        """(B, P) to (B, signals, n), on all cores."""
+        """(B, P) to (B, signals, n), on all cores; begun under way with the slow mode that suits it best."""
+        predicted = self._predicted(parameters)
+        if self._before is not None:
+            for one, found in zip(parameters, predicted, strict=True):
+                mode, along = self._slow_mode(one)
+                found += float(np.sum(along * (self.measured - found))) * mode
+        return predicted
+
+    def _slow_mode(self, parameters: Array) -> tuple[Array, Array]:
+        """(signals, n) each: what another integral of the loop of axis 2 at the start does, and what tells how much.
+
+        With a stiff web behind it the loop forgets that only over E·S/(v·ki·(i/r)²), which is seconds; and nobody knows
+        it to better than what the torque swings by. Of what a model may lack only creep makes it much quicker.
+        """
+        creep = parameters.item(lay.Layout.of(parameters).first_span + _CREEP)
+        key = round(creep / _CREEP_STEP)
+        if key not in self._slow:
+            self._more_Nm = _A_TORQUE_NM
+            try:
+                mode = self._predicted(parameters[None])[0]
+            finally:
+                self._more_Nm = 0.0
+            mode = (mode - self._predicted(parameters[None])[0]) / _A_TORQUE_NM
+            floors = np.array([self.floor(k) for k in range(len(self.names))])
+            along = np.where(self.rows, mode, 0.0) / np.hypot(floors, self.tolerances)[:, None] ** 2
+            self._slow[key] = mode, along / max(float(np.sum(along * mode)), 1e-300)
+        return self._slow[key]
+
+    def _predicted(self, parameters: Array) -> Array:
         run = self._run(np.atleast_2d(parameters))
         tau, x, v = run.tau_Nm, run.x_m, run.v_m_s
         rows = [tau[..., axis - 1] for axis in self._torques]
@@ -216,7 +284,10 @@ class FreeRun:
         parameters = self._with_loops(parameters)
         state = np.broadcast_to(self._start, (*parameters.shape[:-1], len(self._start))).copy()
         for one, start in zip(np.atleast_2d(parameters), np.atleast_2d(state), strict=True):
-            lay.set_strain(one, start, self._model.upstream_strain)
+            if self._before is None:
+                lay.set_strain(one, start, self._model.upstream_strain)
+            else:
+                self._begin_after(self._before, one, start)
             lay.refresh_modes(one, start)
         whole = len(self._commands)
         commands, boundary = self._commands[0], self._boundary

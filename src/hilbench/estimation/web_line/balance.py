@@ -56,7 +56,9 @@ def _measured_force(sources: int) -> MeasuredForce:
     return measured_force
 
 
-_force = _measured_force(kernel.source_number(__file__))
+#: Force of the web on roller 2 (N, less `f_next_N`'s pull) by the parameters of a line, the torque that is measured
+#: there (N·m), place and speed of the roller at the web (m, m/s), and the tension behind it (N).
+web_force_N = _measured_force(kernel.source_number(__file__))
 
 
 class MeasuredBalance:
@@ -106,5 +108,5 @@ class MeasuredBalance:
         web.set_input("strain_prev", strain_prev)
         web.set_input("F_next_N", F_next_N)
         self._before = (x1_m, x2_m)
-        force_N = float(_force(self._p, torque_Nm, x2_m, velocity_m_s, F_next_N))
+        force_N = float(web_force_N(self._p, torque_Nm, x2_m, velocity_m_s, F_next_N))
         return BalanceSample(x2_m, force_N, float(web.tension_N[0]) / web.parameter("youngs_modulus_Pa"), velocity_m_s)

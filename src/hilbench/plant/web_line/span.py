@@ -486,3 +486,22 @@ def follow(parameters: ModelParameters, x_m: NDArray[np.float64], boundary: NDAr
     x, limits = np.ascontiguousarray(x_m, dtype=float), np.ascontiguousarray(boundary, dtype=float)
     _follow_rows(start._p, start._state, start._work, x, limits, dt_s, start._v, out)
     return out
+
+
+def follow_on(
+    p: Vector,
+    model: ModelParameters,
+    x_m: NDArray[np.float64],
+    boundary: NDArray[np.float64],
+    dt_s: float,
+    strain: float,
+) -> tuple[Vector, Vector]:
+    """Tensions (n, K) on positions as `follow`, by a parameter vector (P,) of the model with other effects, from spans
+    that are strained by `strain` on; and the strains (K,) at the end."""
+    web = SpanFollower(model)
+    web._p[:] = p
+    web.reset(x_m[0], np.full(web._layout.spans, strain))
+    out = np.empty((len(x_m), web._layout.spans))
+    x, limits = np.ascontiguousarray(x_m, dtype=float), np.ascontiguousarray(boundary, dtype=float)
+    _follow_rows(web._p, web._state, web._work, x, limits, dt_s, web._v, out)
+    return out, web.strain

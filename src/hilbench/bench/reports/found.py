@@ -1,0 +1,136 @@
+"""What the diagnosis beside a running bench finds, and what the two say to each other.
+
+The bench hands over samples, a chunk at a time, and gets one answer to each. Times are cycles as `CycleSample` counts
+them: in lockstep an answer belongs to a cycle, not to a moment.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+#: Cycles of a chunk of samples.
+CHUNK_CYCLES = 250
+
+
+@dataclass(frozen=True)
+class FoundValue:
+    """A parameter of an effect with its 95 % interval, in `unit`."""
+
+    value: float
+    low: float
+    high: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class FoundEffect:
+    """An effect that the model lacks, by its id; `axis` and `span` count from 1, None where it has none."""
+
+    effect: str
+    axis: int | None
+    span: int | None
+    parameters: Mapping[str, FoundValue]
+    tied_with: tuple[str, ...] = ()  #: what these data can't tell it from
+
+
+@dataclass(frozen=True)
+class FoundGap:
+    """Rms of what is measured less what is predicted on data that neither model has seen, before and after."""
+
+    signal: str
+    unit: str
+    before: float
+    after: float
+    noise_floor: float
+
+
+@dataclass(frozen=True)
+class News:
+    """One thing that the diagnosis has to say; `begun_cycle`: since when there has been what it is about.
+
+    ``seen``: model and measurement part; ``named``: by `effects`, or `gone` ones; ``decided``: with `model` (effects as
+    `hilbench.twin.model_change.with_effects` reads them, "" for the configured model) the gap is smaller on data that
+    neither has seen; ``ended``: the gap is not there any more, or is none that the model's structure has to do with;
+    ``unknown``: no effect of the vocabulary explains it.
+    """
+
+    what: Literal["seen", "named", "decided", "ended", "unknown"]
+    begun_cycle: int
+    text: str
+    effects: tuple[FoundEffect, ...] = ()
+    gone: tuple[FoundEffect, ...] = ()
+    model: str | None = None
+    gap: FoundGap | None = None
+
+
+@dataclass(frozen=True)
+class GapRow:
+    """Size of the gap over some cycles: rms of measured less predicted torque, N·m, without what is noise; NaN at rest.
+
+    `configured`: of the model as it was configured; `in_use`: of the one that the twin has.
+    """
+
+    cycle: int
+    signal: str
+    configured: float
+    in_use: float
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Bench to diagnosis: rows of all signals as binary64, up to and with a cycle."""
+
+    cycle: int
+    rows: bytes
+
+
+WhatBecame = Literal["applied", "refused", "announced"]
+
+
+@dataclass(frozen=True)
+class Told:
+    """Bench to diagnosis: what became of a proposal, or a change that somebody has announced.
+
+    ``applied``, ``refused``: the last `decided` model; ``announced``: the machine has `model` from this cycle on.
+    """
+
+    cycle: int
+    what: WhatBecame
+    model: str = ""
+
+
+@dataclass(frozen=True)
+class Watched:
+    """Diagnosis to bench: the answer to `Samples` of the same cycle."""
+
+    cycle: int
+    news: tuple[News, ...] = ()
+    gaps: tuple[GapRow, ...] = ()
+
+
+@dataclass
+class ModelChange:
+    """One model change of a run, as it goes on; times in s of experiment time, None for what has not happened."""
+
+    begun_s: float
+    effects: tuple[FoundEffect, ...]
+    gone: tuple[FoundEffect, ...]
+    named_s: float
+    gap: FoundGap | None = None
+    decided_s: float | None = None
+    applied_s: float | None = None
+    refused: bool = False
+    tension_step_N: float | None = None  #: largest change of the simulated tension from one cycle to the next
+    model: str | None = field(default=None, repr=False)
+
+    @property
+    def named_after_s(self) -> float:
+        """From when model and measurement parted."""
+        return self.named_s - self.begun_s
+
+    @property
+    def applied_after_s(self) -> float | None:
+        """The same until the twin had gone over."""
+        return None if self.applied_s is None else self.applied_s - self.begun_s

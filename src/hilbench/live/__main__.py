@@ -1,0 +1,56 @@
+"""``python -m hilbench.live CONFIG --pace PACE --connection N``: diagnosis beside a bench, as that starts it."""
+
+import os
+import sys
+from argparse import ArgumentParser
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import get_args
+
+from hilbench.bench.reports.found import Samples, Told
+from hilbench.diagnosis.imitated import imitation_of
+from hilbench.ending import ended
+from hilbench.live.session import Session
+from hilbench.plant.web_line.imitation import Imitation
+from hilbench.topology.config import BenchConfig, Pace
+from hilbench.topology.resolved import read_resolved
+
+#: Of the processes that a bench in real time starts this one may wait.
+_NICENESS = 15
+
+
+def main() -> None:
+    """Answer every chunk of samples until the bench ends this process, or is gone."""
+    parser = ArgumentParser(prog="python -m hilbench.live")
+    parser.add_argument("config", type=Path, help="resolved bench config")
+    parser.add_argument("--pace", choices=get_args(Pace), default="realtime", help="by the clock, or by SYNC")
+    parser.add_argument("--connection", type=int, required=True, help="open socket to the bench")
+    given = parser.parse_args()
+    config = read_resolved(given.config).model_copy(update={"pace": given.pace})
+    if config.pace == "realtime":
+        os.nice(_NICENESS)
+    with Connection(given.connection) as connection:
+        answer(connection, config)
+
+
+def answer(connection: Connection, config: BenchConfig) -> None:
+    """Answer what comes, until nobody is there any more."""
+    live = config.twin.live_diagnosis
+    assert live is not None, "it is started where there is one"
+    imitation = imitation_of(config) if config.load_motors else None
+    assert imitation is None or isinstance(imitation, Imitation), "of a web"
+    names = [signal.name for signal in config.signals]
+    session = Session(names, config.web_line, imitation, live, config.cycle_time_s)
+    while True:
+        try:
+            said = connection.recv()
+        except EOFError:
+            return
+        if isinstance(said, Samples):
+            connection.send(session.samples(said))
+        elif isinstance(said, Told):
+            session.told(said)
+
+
+if __name__ == "__main__":
+    sys.exit(ended(main))

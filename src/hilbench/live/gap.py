@@ -1,0 +1,106 @@
+"""How far measurement and model part, cycle by cycle, cheaply: the momentum balance of each roller.
+
+    r_k = (i/r)·τ_k − R_k(v_k) + F_k − F_(k−1) − m_k·v_k'        (0 but for noise where the model is right)
+
+Motion and torques are measured, the tension follows from the measured motion by the model (`SpanFollower`), effects
+included. What is left is looked at as means over `SHORT` cycles, whose accelerations are differences of positions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilbench.plant.web_line import laws
+from hilbench.plant.web_line import layout as lay
+from hilbench.plant.web_line.layout import Layout
+from hilbench.plant.web_line.parameters import ModelParameters
+from hilbench.plant.web_line.span import SpanFollower
+
+Array = NDArray[np.float64]
+
+#: Cycles of a mean.
+SHORT = 10
+
+
+class ModelGap:
+    """The gap of one model along a run of a line of N rollers, in N·m at the motor of each."""
+
+    def __init__(self, model: ModelParameters, cycle_s: float) -> None:
+        self._model = model
+        self._cycle_s = cycle_s
+        self._axes = model.axis_count
+        self._p = lay.pack(model)
+        layout = Layout.of(self._p)
+        rows, motors = layout.axis_rows(self._p), layout.motor_rows(self._p)
+        more = 1.0 + rows[:, lay.place("inertia_mismatch", "relative_change")]
+        self._mass_kg = (rows[:, lay.A_MOTOR_MASS_KG] + rows[:, lay.A_ROLLER_MASS_KG]) * more
+        self._per_m = motors[: self._axes, lay.M_RAD_PER_M].copy()
+        self._web_load = rows[:, lay.A_WEB_LOAD].copy()
+        self._axis_at = [lay.W_SIZE + k * lay.A_SIZE for k in range(self._axes)]
+        self._motor_at = [lay.W_SIZE + self._axes * lay.A_SIZE + k * lay.M_SIZE for k in range(self._axes)]
+        self._follower = SpanFollower(model)
+        self._last: Array | None = None
+
+    def use_modulus(self, youngs_modulus_Pa: float) -> None:
+        """E of the web from now on."""
+        self._follower.set_parameter("youngs_modulus_Pa", youngs_modulus_Pa)
+
+    def follow(self, channels: Mapping[str, Array]) -> Array:
+        """(n // SHORT, N): of the next rows (n,) of x{k}_m, tau{k}_Nm, strain_prev and F_next_N; n a multiple."""
+        axes = range(1, self._axes + 1)
+        x = np.column_stack([channels[f"x{k}_m"] for k in axes])
+        torque = np.column_stack([channels[f"tau{k}_Nm"] for k in axes])
+        around = np.column_stack([channels["strain_prev"], channels["F_next_N"]])
+        tensions = self._tensions(x, around)
+        before = x[:1] if self._last is None else self._last
+        self._last = x[-SHORT - 1 :]
+        positions = np.concatenate([before, x])
+        lead = len(before)
+        count = len(x) // SHORT
+        result = np.empty((count, self._axes))
+        for j in range(count):
+            part = slice(j * SHORT, (j + 1) * SHORT)
+            end = lead + (j + 1) * SHORT - 1
+            result[j] = self._of(positions, end, torque[part].mean(0), tensions[part].mean(0), around[part].mean(0))
+        return result
+
+    def _tensions(self, x: Array, around: Array) -> Array:
+        """(n, N + 1): before, between and behind the rollers."""
+        web, stiffness_N = self._follower, self._p.item(lay.W_UPSTREAM_STIFFNESS_N)
+        result = np.empty((len(x), self._axes + 1))
+        for row, (here, (strain, F_next_N)) in enumerate(zip(x.tolist(), around.tolist(), strict=True)):
+            if row == 0 and self._last is None:
+                web.reset(here, strain=[strain] * (self._axes - 1))
+            else:
+                web.follow(here, self._cycle_s)
+            web.set_input("strain_prev", strain)
+            web.set_input("F_next_N", F_next_N)
+            result[row, 0] = strain * stiffness_N
+            result[row, 1:-1] = web.tension_N
+            result[row, -1] = F_next_N
+        return result
+
+    def _of(self, positions: Array, end: int, torque_Nm: Array, tension_N: Array, around: Array) -> Array:
+        """At the means over the SHORT rows up to and with row `end` of positions."""
+        first = end - SHORT
+        if first < 1:
+            return np.full(self._axes, np.nan)
+        now, was = positions[end] - positions[end - 1], positions[first] - positions[first - 1]
+        speed = (positions[end] - positions[first]) / (SHORT * self._cycle_s)
+        acceleration = (now - was) / (SHORT * self._cycle_s**2)
+        gap = np.empty(self._axes)
+        for k in range(self._axes):
+            place, v = float(positions[end, k]), float(speed[k])
+            at, motor, per_m = self._axis_at[k], self._motor_at[k], float(self._per_m[k])
+            true_Nm = laws.true_torque_Nm(self._p, motor, float(torque_Nm[k]))
+            drive_Nm = laws.shaft_torque_Nm(self._p, motor, true_Nm, place * per_m)
+            resistance_N = laws.measured_resistance_N(self._p, at, place, v, laws.FRICTION_WIDTH_M_S)
+            passed_N = laws.passed_on_N(
+                self._p, at, per_m * drive_Nm, laws.measured_direction(v, laws.FRICTION_WIDTH_M_S)
+            )
+            web_N = self._web_load[k] * (tension_N[k + 1] - tension_N[k])
+            gap[k] = (passed_N - resistance_N + web_N - self._mass_kg[k] * acceleration[k]) / per_m
+        return gap

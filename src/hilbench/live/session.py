@@ -1,0 +1,329 @@
+"""One run beside which is diagnosed: samples in, news out.
+
+    watching ── parts for a while ──▶ naming ── named ──▶ trial ── decided ──▶ waiting ── applied ──▶ watching
+        ▲                              │ nothing the structure has to do with   │ not better
+        └──────────────────────────────┴────────────────────────────────────────┘
+
+What is decided depends on the samples alone, not on how long anything took.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilbench.bench.reports.found import FoundEffect, FoundGap, GapRow, News, Samples, Told, Watched
+from hilbench.diagnosis.diagnosis import Diagnosis, diagnosed
+from hilbench.diagnosis.misfit import largest_ratio, misfits, ratios
+from hilbench.errors import UnusableInputError
+from hilbench.live import models
+from hilbench.live.stretch import Stretch, data_of, packed, quiet_cycle, torque_gap
+from hilbench.live.watch import ROW, Piece, Watch
+from hilbench.live.window import Window
+from hilbench.plant.web_line.imitation import Imitation
+from hilbench.plant.web_line.parameters import ModelParameters
+from hilbench.plant.web_line.sizes import machine_sizes
+from hilbench.topology.live_config import LiveDiagnosisConfig
+from hilbench.twin.model_change import with_effects
+
+Array = NDArray[np.float64]
+
+#: Signals that the watch looks at.
+_NEEDED: Final = ("x1_m", "x2_m", "v1_m_s", "v2_m_s", "tau1_Nm", "tau2_Nm", "strain_prev", "F_next_N")
+#: From the first piece that parts until the transient of what happened is over, s.
+_SETTLED_S: Final = 1.0
+#: How much less a sum of squares has to be for a model to be better, beside its price: far beyond chance.
+_DECISIVE: Final = 40.0
+#: Times the configured window after which nothing more is hoped for from more of it, and lengths of a trial.
+_LONGEST, _TRIALS = 4, 3
+#: E that the model goes by is the twin's, as it was between these times before now, s.
+_E_FROM_S, _E_TO_S = 6.0, 2.0
+#: How far off it may be from what it was, as a share, while nothing parts.
+_E_DRIFT: Final = 0.01
+#: How well it is known then, as a share, and in which steps its best value is looked for.
+_E_KNOWN, _E_STEP = 0.005, 0.02
+
+
+@dataclass(frozen=True)
+class _Case:
+    """What is being looked into: since when model and measurement part, and what has been found of it."""
+
+    begun: int
+    lacking: int  #: shortest data that could say more, in cycles
+    candidate: ModelParameters | None = None
+    effects: tuple[FoundEffect, ...] = ()
+    gone: tuple[FoundEffect, ...] = ()
+    trial: int = 0  #: cycle from which data are new
+
+
+class Session:
+    """The diagnosis beside one run of a line of two rollers.
+
+    `names`: of the signals of a row; `model`: as it was configured; `imitation`: how the web is imitated, None where
+    it is there.
+    """
+
+    def __init__(
+        self,
+        names: Sequence[str],
+        model: ModelParameters,
+        imitation: Imitation | None,
+        config: LiveDiagnosisConfig,
+        cycle_s: float,
+    ) -> None:
+        self._configured = model
+        self._in_use = model
+        self._imitation = imitation
+        self._config = config
+        self._cycle_s = cycle_s
+        self._window = Window(names, round(config.memory_s / cycle_s))
+        self._usual_Nm = np.array(
+            [machine_sizes(model, k).force_N / model.motor_rad_per_m(k) for k in range(1, model.axis_count + 1)]
+        )
+        self._watch = Watch(model, cycle_s, self._usual_Nm)
+        self._original = Watch(model, cycle_s, self._usual_Nm)
+        self._modulus_Pa = model.youngs_modulus_Pa(1)
+        self._state: Literal["watching", "naming", "trial", "waiting"] = "watching"
+        self._case: _Case | None = None
+        self._pieces_calm = 0  # while waiting
+        self._news: list[News] = []
+
+    # -- what comes from the bench ---------------------------------------------------------------------------
+
+    def samples(self, samples: Samples) -> Watched:
+        """The next chunk."""
+        rows = self._window.add(samples.cycle, samples.rows)
+        channels = {name: self._window.column(rows, name) for name in _NEEDED}
+        piece, original = (watch.update(samples.cycle, channels) for watch in (self._watch, self._original))
+        self._news = []
+        if self._state == "watching":
+            self._look()
+        if self._state == "naming":
+            self._name()
+        elif self._state == "trial":
+            self._try()
+        elif self._state == "waiting":
+            self._pieces_calm = 0 if self._watch.in_a_row else self._pieces_calm + 1
+            if self._pieces_calm >= ROW:
+                self._begin_anew()
+        return Watched(samples.cycle, tuple(self._news), self._gap_rows(samples.cycle, piece, original))
+
+    def told(self, told: Told) -> None:
+        """What became of a change, or was announced."""
+        if told.what == "refused":
+            self._rest_until_it_ends()
+            return
+        model = with_effects(self._configured, told.model)
+        assert isinstance(model, ModelParameters), "of the same kind"
+        self._use(model)
+
+    def _gap_rows(self, cycle: int, piece: Piece | None, original: Piece | None) -> tuple[GapRow, ...]:
+        """Of the roller that carries the web."""
+        if piece is None or original is None:
+            return (GapRow(cycle, "tau2_Nm", float("nan"), float("nan")),)
+        return (GapRow(cycle, "tau2_Nm", float(original.size[1]), float(piece.size[1])),)
+
+    # -- watching --------------------------------------------------------------------------------------------
+
+    def _use(self, model: ModelParameters) -> None:
+        """Watch with another model from now on."""
+        self._in_use = model
+        anew = Watch(model, self._cycle_s, self._usual_Nm)
+        anew.learned_from(self._watch)
+        anew.use_modulus(self._modulus_Pa)
+        self._watch = anew
+        self._state, self._case = "watching", None
+
+    def _rest_until_it_ends(self) -> None:
+        """Nothing more is said of what there is now."""
+        self._state = "waiting"
+
+    def _look(self) -> None:
+        if self._watch.in_a_row < ROW:
+            self._follow_estimate()
+            return
+        begun = self._watch.begun_cycle
+        self._state, self._case = "naming", _Case(begun, self._cycles(self._config.window_s))
+        self._say("seen", begun, "model and measurement part")
+
+    def _follow_estimate(self) -> None:
+        """Keep to the E that the twin finds, while nothing is wrong."""
+        end = self._window.end - self._cycles(_E_TO_S)
+        rows = self._window.rows(self._window.end - self._cycles(_E_FROM_S), end)
+        if self._watch.in_a_row or len(rows) < self._cycles(_E_FROM_S - _E_TO_S):
+            return
+        found_Pa = float(np.median(self._window.column(rows, "E_sim_Pa")))
+        # More at once, and nothing parts: the twin has mistaken something else for E, and will find out.
+        if abs(found_Pa / self._modulus_Pa - 1.0) < _E_DRIFT:
+            self._use_modulus(found_Pa)
+
+    def _use_modulus(self, youngs_modulus_Pa: float) -> None:
+        self._modulus_Pa = youngs_modulus_Pa
+        self._watch.use_modulus(youngs_modulus_Pa)
+        self._original.use_modulus(youngs_modulus_Pa)
+
+    # -- naming ----------------------------------------------------------------------------------------------
+
+    def _name(self) -> None:
+        case = self._case
+        assert case is not None
+        earliest, end = case.begun + self._cycles(_SETTLED_S), self._window.end
+        first = quiet_cycle(self._window, earliest, end, self._cycle_s)
+        if first is None or end - first < case.lacking:
+            return
+        before = models.with_modulus(self._in_use, self._modulus_Pa)
+        try:
+            simpler = self._explained_without(before, first, end)
+            if simpler is not None:
+                gone = [e for e in self._in_use.effects if e not in simpler.effects]
+                self._found(replace(case, candidate=simpler, gone=tuple(map(models.of_entry, gone)), trial=end))
+                return
+            data = data_of(self._window, before, first, end, self._cycle_s)
+            found = diagnosed(data, before, imitation=self._imitation)
+        except UnusableInputError as error:
+            self._say("ended", case.begun, f"can't be diagnosed: {error}")
+            self._rest_until_it_ends()
+            return
+        self._judge(found, case, end)
+
+    def _explained_without(self, before: ModelParameters, first: int, end: int) -> ModelParameters | None:
+        """The model in use without what has been added to it, where that explains these data as well as any."""
+        added = [entry for entry in self._in_use.effects if entry not in self._configured.effects]
+        if not added:
+            return None
+        options = [self._configured]
+        if len(added) > 1:
+            for entry in added:
+                kept = [other for other in self._in_use.effects if other != entry]
+                options.append(models.with_entries(self._configured, kept))
+        stretch = Stretch.of(self._window, before, self._imitation, first, end, self._cycle_s)
+        for option in options:
+            if self._is_noise(stretch, option):
+                return option
+        return None
+
+    def _is_noise(self, stretch: Stretch, model: ModelParameters) -> bool:
+        """Whether a model leaves nothing but noise of the torques."""
+        predictor, (residual, _) = stretch.predictor, self._fitted(stretch, model)
+        torques = [k for k, name in enumerate(predictor.names) if name.startswith("tau")]
+        floors = {k: predictor.floor(k) for k in torques}
+        if max(ratios(residual, predictor.rows, floors).values()) > largest_ratio(predictor.rows):
+            return False
+        scaled = residual[torques] / np.array([floors[k] for k in torques])[:, None]
+        names = tuple(predictor.names[k] for k in torques)
+        found = misfits(names, scaled, predictor.rows, predictor.conditions(packed(model)))
+        return not any(each.significant for each in found)
+
+    def _judge(self, found: Diagnosis, case: _Case, end: int) -> None:
+        structure = [e for e in found.effects if not models.is_of_estimate(e.effect)]
+        undecided = found.verdict == "unknown" or any(map(models.is_of_estimate, _tied(found)))
+        if found.verdict == "complete" or (found.effects and not structure and found.verdict == "named"):
+            why = "nothing is missing" if found.verdict == "complete" else "it is the twin's estimate that has changed"
+            self._say("ended", case.begun, f"{why}: the model stays as it is")
+            self._modulus_Pa = models.modulus_at(found.model, float(found.t_s[-1]))
+            self._begin_anew()
+            return
+        if undecided:
+            if case.lacking >= _LONGEST * self._cycles(self._config.window_s):
+                self._say("unknown", case.begun, "no effect explains for certain what the model lacks")
+                self._rest_until_it_ends()
+            else:
+                self._case = replace(case, lacking=2 * case.lacking)
+            return
+        candidate = models.without_estimate(found.model, self._configured)
+        effects = tuple(map(models.found_effect, structure))
+        self._found(replace(case, candidate=candidate, effects=effects, trial=end))
+
+    def _found(self, case: _Case) -> None:
+        what = [*map(_text, case.effects), *(f"no {_place(effect)} any more" for effect in case.gone)]
+        self._case, self._state = case, "trial"
+        self._say("named", case.begun, f"named: {', '.join(what)}; tried on new data beside the model in use")
+
+    # -- trial -----------------------------------------------------------------------------------------------
+
+    def _try(self) -> None:
+        """Both models on data that neither has seen."""
+        case = self._case
+        assert case is not None
+        assert case.candidate is not None
+        end = self._window.end
+        first = quiet_cycle(self._window, case.trial, end, self._cycle_s)
+        length = self._cycles(self._config.trial_s) + 1
+        if first is None or end - first < length:
+            return
+        new = models.with_modulus(case.candidate, self._modulus_Pa)
+        try:
+            stretch = Stretch.of(self._window, new, self._imitation, first, end, self._cycle_s)
+        except UnusableInputError as error:
+            self._say("ended", case.begun, f"can't be tried: {error}")
+            self._begin_anew()
+            return
+        before = stretch.residual(packed(models.with_modulus(self._in_use, self._modulus_Pa)))
+        (_, old_cost), (after, new_cost) = (self._fitted(stretch, model) for model in (self._in_use, case.candidate))
+        gain = old_cost - new_cost
+        if gain > _DECISIVE:
+            self._decide(case, FoundGap(*_gap(torque_gap(stretch, before, after))))
+        elif gain < 0.0 or end - first >= _TRIALS * length:
+            self._say("ended", case.begun, "on new data the model in use is as good as the changed one: it stays")
+            self._begin_anew()
+
+    def _fitted(self, stretch: Stretch, model: ModelParameters) -> tuple[Array, float]:
+        """Residual (signals, n) and cost of a model on a stretch, with the E that suits it best there: in so far as it
+        is not far from what E was known to be before model and measurement parted."""
+        at = [models.with_modulus(model, self._modulus_Pa * (1.0 + share)) for share in (0.0, _E_STEP)]
+        here, there = (stretch.residual(packed(one)) for one in at)
+        rows, scale = stretch.predictor.rows, stretch.deviations[:, None]
+        slope = ((there - here) / scale)[:, rows].ravel() / _E_STEP
+        rest = (here / scale)[:, rows].ravel()
+        best = -float(slope @ rest) / (float(slope @ slope) + _E_KNOWN**-2)
+        best = float(np.clip(best, -0.5, 1.0))
+        residual = stretch.residual(packed(models.with_modulus(model, self._modulus_Pa * (1.0 + best))))
+        return residual, stretch.misfit(residual) + (best / _E_KNOWN) ** 2
+
+    def _decide(self, case: _Case, gap: FoundGap) -> None:
+        assert case.candidate is not None
+        self._state = "waiting"
+        if not all(models.can_be_carried(effect.effect) for effect in case.effects):
+            self._say("ended", case.begun, "it goes by a clock that the twin does not have: the model stays as it is")
+            return
+        text = models.as_text(case.candidate, self._configured)
+        smaller = f"{gap.signal} {gap.before:.3g} → {gap.after:.3g} {gap.unit} on new data, noise {gap.noise_floor:.3g}"
+        news = News("decided", case.begun, f"decided: {smaller}", case.effects, case.gone, text, gap)
+        self._news.append(news)
+
+    def _begin_anew(self) -> None:
+        self._use(self._in_use)
+        self._original.use_modulus(self._modulus_Pa)
+
+    # -- words -----------------------------------------------------------------------------------------------
+
+    def _say(self, what: Literal["seen", "named", "ended", "unknown"], begun: int, text: str) -> None:
+        case = self._case
+        effects, gone = (case.effects, case.gone) if case is not None and what == "named" else ((), ())
+        self._news.append(News(what, begun, text, effects, gone))
+
+    def _cycles(self, duration_s: float) -> int:
+        return round(duration_s / self._cycle_s)
+
+
+def _tied(found: Diagnosis) -> list[str]:
+    """Ids of what the data can't tell from what was named."""
+    return [name.split(" ")[0] for effect in found.effects for name in effect.tied_with]
+
+
+def _gap(of: tuple[str, float, float, float]) -> tuple[str, str, float, float, float]:
+    signal, before, after, noise = of
+    return signal, "N·m", before, after, noise
+
+
+def _place(effect: FoundEffect) -> str:
+    return effect.effect if effect.axis is None else f"{effect.effect} of axis {effect.axis}"
+
+
+def _text(effect: FoundEffect) -> str:
+    sizes = (f"{name} {value.value:.4g}" for name, value in effect.parameters.items())
+    return f"{_place(effect)} ({', '.join(sizes)})"

@@ -1,0 +1,129 @@
+"""Stretches of a running bench as a diagnosis takes them: begun under way, at a moment when little happens."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilbench.diagnosis.measured import Before, Measured, measured_from
+from hilbench.diagnosis.noise import floor
+from hilbench.diagnosis.predictor import Predictor, choice
+from hilbench.live.window import Window
+from hilbench.plant.web_line import layout as lay
+from hilbench.plant.web_line.imitation import Imitation
+from hilbench.plant.web_line.parameters import ModelParameters
+from hilbench.plant.web_line.span import follow_on
+
+Array = NDArray[np.float64]
+
+#: How long before a start a candidate follows the web, and for how long before that the model, s.
+_SHOWN_S, _KNOWN_S = 3.0, 5.0
+#: Rows by which the last position before it is smoothed.
+_SMOOTHED = 40
+#: For how long before it nothing much happens, s; how far the speed may change meanwhile.
+_QUIET_S, _QUIET_M_S = 0.5, 0.01
+#: Speed from which a line runs, m/s.
+_MOVES_M_S = 0.05
+#: The same of the mean tension, from that time to the one before, N.
+_QUIET_N = 0.5
+
+
+def quiet_cycle(window: Window, first: int, end: int, cycle_s: float) -> int | None:
+    """The first cycle of a range before which, for a while, neither speeds nor tension change; None where there is none
+    yet."""
+    before = round(_QUIET_S / cycle_s)
+    rows = window.rows(first - 2 * before, end)
+    if len(rows) <= 2 * before:
+        return None
+    speeds = np.column_stack([window.column(rows, name) for name in ("v1_cmd_m_s", "v2_cmd_m_s")])[before:]
+    moved = np.abs(speeds[before:] - speeds[:-before]).max(axis=1)
+    total = np.cumsum(window.column(rows, "F_sim_N"))
+    pulled = np.abs(total[2 * before :] - 2.0 * total[before:-before] + total[: -2 * before]) / before
+    quiet = np.flatnonzero((moved < _QUIET_M_S) & (np.abs(speeds[before:, 1]) > _MOVES_M_S) & (pulled < _QUIET_N))
+    return None if len(quiet) == 0 else end - len(moved) + int(quiet[0])
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """Data from a cycle on, and a way to predict them by a model."""
+
+    data: Measured
+    predictor: Predictor
+
+    @classmethod
+    def of(
+        cls,
+        window: Window,
+        model: ModelParameters,
+        imitation: Imitation | None,
+        first: int,
+        end: int,
+        cycle_s: float,
+    ) -> Stretch:
+        """The cycles from `first` to before `end`. Raises UnusableInputError for what can't be diagnosed."""
+        data = data_of(window, model, first, end, cycle_s)
+        return cls(data, choice(model, data, imitation).predictor)
+
+    @property
+    def deviations(self) -> Array:
+        """(signals,): what a right model is off by."""
+        predictor = self.predictor
+        floors = np.array([predictor.floor(k) for k in range(len(predictor.names))])
+        return np.asarray(np.hypot(floors, predictor.tolerances))
+
+    def residual(self, parameters: Array) -> Array:
+        """(signals, n): measured less predicted."""
+        return np.asarray(self.predictor.measured - self.predictor.predict(parameters[None])[0])
+
+    def misfit(self, residual: Array) -> float:
+        """Sum of squares of a residual in units of what a right model leaves, on the rows that count."""
+        return float(np.sum((residual / self.deviations[:, None])[:, self.predictor.rows] ** 2))
+
+
+def data_of(window: Window, model: ModelParameters, first: int, end: int, cycle_s: float) -> Measured:
+    """What a diagnosis takes from these cycles. Raises UnusableInputError for what can't be diagnosed."""
+    data = measured_from(window.recording(first, end), model, "the running bench")
+    return replace(data, before=_before(window, model, first, cycle_s))
+
+
+def _before(window: Window, model: ModelParameters, cycle: int, cycle_s: float) -> Before:
+    """How the rollers turned until a cycle. The strain at the beginning of that is the model's, on what was before."""
+    shown, known = (round(duration_s / cycle_s) for duration_s in (_SHOWN_S, _SHOWN_S + _KNOWN_S))
+    rows = window.rows(cycle - known, cycle + 1)
+    x = np.column_stack([window.column(rows, name) for name in ("x1_m", "x2_m")])
+    boundary = np.column_stack([window.column(rows, name) for name in ("strain_prev", "F_next_N")])
+    x[-1] = _smooth_end(x)
+    split = max(len(rows) - shown, 0)
+    strain = model.upstream_strain
+    if split > 1:
+        _, at_split = follow_on(packed(model), model, x[:split], boundary[:split], cycle_s, strain)
+        strain = float(at_split[0])
+    return Before(x[max(split - 1, 0) :], boundary[max(split - 1, 0) :], strain)
+
+
+def _smooth_end(x: Array) -> Array:
+    """(N,): the last of positions (n, N), without the noise of a single one."""
+    rows = x[-min(_SMOOTHED, len(x)) :]
+    at = np.arange(len(rows)) - (len(rows) - 1.0)
+    return np.array([np.polyfit(at, column - column[-1], 2)[-1] + column[-1] for column in rows.T])
+
+
+def torque_gap(stretch: Stretch, before: Array, after: Array) -> tuple[str, float, float, float]:
+    """Of two residuals (signals, n) of one stretch: the torque with the largest gap, its rms before and after, N·m, and
+    its noise floor."""
+    rows, names = stretch.predictor.rows, stretch.predictor.names
+    torques = [k for k, name in enumerate(names) if name.startswith("tau")]
+    floors = {k: min(floor(after[k]), stretch.predictor.floor(k)) for k in torques}
+
+    def rms(residual: Array, k: int) -> float:
+        return float(np.sqrt(np.mean(residual[k, rows] ** 2)))
+
+    worst = max(torques, key=lambda k: rms(before, k) / floors[k])
+    return names[worst], rms(before, worst), rms(after, worst), floors[worst]
+
+
+def packed(model: ModelParameters) -> Array:
+    """The model as the predictor takes it."""
+    return lay.pack(model)

@@ -1,0 +1,87 @@
+"""Whether model and measurement part: the gap in pieces of half a second, against what is noise."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilbench.diagnosis.noise import floor
+from hilbench.live.gap import SHORT, ModelGap
+from hilbench.plant.web_line.parameters import ModelParameters
+
+Array = NDArray[np.float64]
+
+#: Pieces in a row that have to part, so that a passing transient is none; pieces that the noise is learned from.
+ROW, _LEARNED = 3, 40
+#: Share by which the rest is more than the noise of the torque alone where nothing is wrong.
+_MORE = 1.15
+#: Share of a usual torque by which a level may be off where nothing is wrong: acceleration, imitation, drives.
+_TOLERATED = 0.008
+#: Standard deviations of a level, and how many times its usual size the rest, from which a piece parts.
+_LEVELS, _ROUGHER = 6.0, 1.8
+#: Speed below which friction is not one law but many, m/s.
+_MOVES_M_S = 0.05
+
+
+@dataclass(frozen=True)
+class Piece:
+    """The gap over one chunk, N·m at each motor (N,): its level, and what is about it."""
+
+    cycle: int
+    level: Array
+    rest: Array
+
+    @property
+    def size(self) -> Array:
+        """Both together (N,)."""
+        return np.asarray(np.hypot(self.level, self.rest))
+
+
+class Watch:
+    """The gap of one model; `usual_Nm` (N,): torques that are usual at the motors."""
+
+    def __init__(self, model: ModelParameters, cycle_s: float, usual_Nm: Array) -> None:
+        self._gap = ModelGap(model, cycle_s)
+        self._usual_Nm = usual_Nm
+        self._rests: deque[Array] = deque(maxlen=_LEARNED)
+        self.in_a_row = 0  #: pieces until now that part
+        self.begun_cycle = 0  #: the first of them begins there
+
+    def learned_from(self, other: Watch) -> None:
+        """The noise is that of the stand: another model's watch knows it."""
+        self._rests = other._rests.copy()
+
+    def use_modulus(self, youngs_modulus_Pa: float) -> None:
+        """E of the web from now on."""
+        self._gap.use_modulus(youngs_modulus_Pa)
+
+    def update(self, last_cycle: int, channels: Mapping[str, Array]) -> Piece | None:
+        """The next chunk (n,) of each channel; None of one in which the line stands."""
+        values = self._gap.follow(channels)
+        cycles = len(channels["v2_m_s"])
+        slow = min(float(np.min(np.abs(channels[f"v{k}_m_s"]))) for k in (1, 2)) < _MOVES_M_S
+        if slow or not np.all(np.isfinite(values)):
+            self.in_a_row = 0
+            return None
+        level = np.median(values, axis=0)
+        rest = 1.4826 * np.median(np.abs(values - level), axis=0)
+        piece = Piece(last_cycle, level, rest)
+        white = np.array([floor(channels[f"tau{k}_Nm"]) for k in range(1, len(level) + 1)]) * _MORE / np.sqrt(SHORT)
+        if self._parts(piece, len(values), white):
+            self.begun_cycle = self.begun_cycle if self.in_a_row else last_cycle + 1 - cycles
+            self.in_a_row += 1
+        else:
+            self.in_a_row = 0
+            self._rests.append(rest)
+        return piece
+
+    def _parts(self, piece: Piece, means: int, white: Array) -> bool:
+        """`white` (N,): what the noise of the torques alone makes of the rest."""
+        noise = np.median(np.array(self._rests), axis=0) if self._rests else white
+        of_level = _LEVELS * 1.25 * noise / np.sqrt(means)
+        off = np.abs(piece.level) > np.maximum(of_level, _TOLERATED * self._usual_Nm)
+        return bool(np.any(off | (piece.rest > _ROUGHER * noise)))

@@ -1,0 +1,214 @@
+"""Another model for a twin that runs: tried beside the one in use, then taken over without a jump.
+
+The changed model finds state and E of the running plant by itself, as a twin that is started beside one does: it has
+the measurements, the set points and the boundary that the model in use has. When it calls itself synchronized, what the
+virtual I/O shows goes from the one to the other along a smooth curve, so that the tension loop, which works on what is
+shown, follows without noticing a step.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+
+from hilbench.estimation.plausibility import Problem
+from hilbench.plant.motor_port import MotorPort
+from hilbench.topology.config import MachineParameters
+from hilbench.twin.machines.machine import Measured, TwinMachine
+
+#: Time over which what is shown goes from one model to the other, and for which the changed one must have been
+#: synchronized before, s.
+HAND_OVER_S, SYNCHRONIZED_S = 3.0, 0.5
+
+
+def with_effects(model: MachineParameters, effects: str) -> MachineParameters:
+    """The model with these effects (JSON: a list of {effect, axis, parameters}) in the place of its own; "": as it is.
+
+    Raises ValueError for what is no such list, or can't be of this machine.
+    """
+    if not effects:
+        return model
+    return type(model).model_validate({**model.model_dump(), "effects": json.loads(effects)})
+
+
+class ChangeableMachine:
+    """A `TwinMachine` whose model can be exchanged while it runs.
+
+    `make`: a new machine of the model with these effects (JSON) in the place of the configured ones; "": as it is
+    configured. Until the first change all calls go straight to the configured machine.
+    """
+
+    def __init__(self, make: Callable[[str], TwinMachine], cycle_s: float) -> None:
+        self._make = make
+        self._cycle_s = cycle_s
+        self._configured = self._current = make("")
+        self.ports: Sequence[MotorPort] = self._configured.ports
+        self._candidate: TwinMachine | None = None
+        self._effects = self._effects_beside = ""  # of the model in use, and of the candidate
+        self._before: Sequence[Measured] | None = None  # while the candidate waits to be released
+        self._released = False
+        self._synchronized_cycles = self._cycles_over = 0
+        self._share = 0.0
+        self._apart: Sequence[float] = ()  # what is shown, less what the model in use alone would show
+        #: Of each shown value the largest step from one cycle to the next that the last change has made; none before.
+        self.largest_steps: Sequence[float] = ()
+
+    def change(self, effects: str) -> None:
+        """Take a model with these effects beside the one in use, and over; "" is the configured one.
+
+        A change that still runs beside is given up for it. Raises ValueError for what is no list of effects of this
+        machine, RuntimeError while a model is being taken over.
+        """
+        if self._share > 0.0:
+            raise RuntimeError("a model is being taken over")
+        self._candidate, self._effects_beside = self._make(effects), effects
+        self._before, self._released = None, False
+        self._synchronized_cycles = self._cycles_over = 0
+        self._apart = self.largest_steps = ()
+
+    @property
+    def changing(self) -> bool:
+        """Whether a changed model runs beside the one in use, or is being taken over."""
+        return self._candidate is not None
+
+    @property
+    def changed(self) -> bool:
+        """Whether the model in use is another than the configured one."""
+        return self._effects != ""
+
+    # -- a TwinMachine -----------------------------------------------------------------------------------
+
+    @property
+    def problem(self) -> Problem | None:
+        """Why the last measurement could not be used."""
+        return self._current.problem
+
+    @property
+    def refused(self) -> bool:
+        """Whether a measured state was not plausible and was not taken over in the last cycle."""
+        return self._current.refused
+
+    @property
+    def synchronized(self) -> bool:
+        """Whether what is estimated is known as well as the config asks for."""
+        return self._current.synchronized
+
+    @property
+    def separable(self) -> bool:
+        """Whether the data tell everything that is estimated apart."""
+        return self._current.separable
+
+    @property
+    def torque_shift_Nm(self) -> float:
+        """What the measured torque has shifted by, and is corrected for."""
+        return self._current.torque_shift_Nm
+
+    @property
+    def torque_undecided(self) -> bool:
+        """Whether the torque has changed, and nothing tells yet why."""
+        return self._current.torque_undecided
+
+    def reset(self) -> None:
+        """Start anew with the model that was configured."""
+        self._candidate, self._current, self._share = None, self._configured, 0.0
+        self._effects = ""
+        self._configured.reset()
+
+    def release(self, before: Sequence[Measured], now: Sequence[Measured]) -> None:
+        """The drives have been enabled."""
+        if self._candidate is not None and self._share > 0.0:
+            self._take_over(self._candidate)
+        self._pass_set_points(self._current)
+        self._current.release(before, now)
+        self._before, self._released = None, False
+
+    def compare(self, time_s: float, measured: Sequence[Measured]) -> bool:
+        """Take what the axes (N,) measured."""
+        candidate = self._candidate
+        if candidate is not None:
+            if self._released:
+                candidate.compare(time_s, measured)
+            elif self._before is not None:
+                candidate.release(self._before, measured)
+                self._released = True
+            self._before = measured
+        return self._current.compare(time_s, measured)
+
+    def miss(self) -> None:
+        """A cycle without measurement."""
+        if self._candidate is not None:
+            if self._released:
+                self._candidate.miss()
+            self._before = None
+        self._current.miss()
+
+    def listen(self) -> None:
+        """Take over what the bench says of the machine's boundary."""
+        if self._candidate is not None and self._released:
+            self._candidate.listen()
+        self._current.listen()
+
+    def step(self, duration_s: float) -> None:
+        """Go on with the set points of the ports."""
+        if self._candidate is None and self._current is self._configured:
+            self._current.plant.step(duration_s)
+            return
+        self._pass_set_points(self._current)
+        self._current.plant.step(duration_s)
+        candidate = self._candidate
+        if candidate is not None and self._released:
+            self._pass_set_points(candidate)
+            candidate.plant.step(duration_s)
+            self._go_over(candidate)
+        if self._current is not self._configured:
+            for shown, port in zip(self.ports, self._current.ports, strict=True):
+                shown.reference, shown.torque_limited = port.reference, port.torque_limited
+                shown.position_rad, shown.velocity_rad_s = port.position_rad, port.velocity_rad_s
+                shown.torque_Nm = port.torque_Nm
+
+    def use_method(self, number: int) -> None:
+        """Go on with another method from the present estimate."""
+        self._current.use_method(number)
+        if self._candidate is not None:
+            self._candidate.use_method(number)
+
+    def published(self) -> Sequence[float]:
+        """What the virtual I/O shows now: of both models where one is being taken over."""
+        shown = self._current.published()
+        if self._candidate is None or self._share == 0.0:
+            return shown
+        apart = [self._share * (new - old) for old, new in zip(shown, self._candidate.published(), strict=True)]
+        self._note_steps(apart)
+        return [old + more for old, more in zip(shown, apart, strict=True)]
+
+    def _note_steps(self, apart: Sequence[float]) -> None:
+        """How much more the shown values change in this cycle than those of the model in use alone."""
+        before = self._apart or [0.0] * len(apart)
+        steps = [abs(now - then) for now, then in zip(apart, before, strict=True)]
+        self.largest_steps = [max(pair) for pair in zip(steps, self.largest_steps or steps, strict=True)]
+        self._apart = apart
+
+    # -- a change ----------------------------------------------------------------------------------------
+
+    def _pass_set_points(self, machine: TwinMachine) -> None:
+        if machine is self._configured:
+            return
+        for given, port in zip(self.ports, machine.ports, strict=True):
+            port.mode, port.setpoint = given.mode, given.setpoint
+            port.slope, port.torque_limit_Nm = given.slope, given.torque_limit_Nm
+
+    def _go_over(self, candidate: TwinMachine) -> None:
+        """A cycle nearer to the changed model, when it has been synchronized for a while."""
+        if self._share == 0.0 and self._synchronized_cycles * self._cycle_s < SYNCHRONIZED_S:
+            self._synchronized_cycles = self._synchronized_cycles + 1 if candidate.synchronized else 0
+            return
+        self._cycles_over += 1
+        way = self._cycles_over * self._cycle_s / HAND_OVER_S
+        if way < 1.0:
+            self._share = way * way * (3.0 - 2.0 * way)
+            return
+        self._take_over(candidate)
+
+    def _take_over(self, candidate: TwinMachine) -> None:
+        self._current, self._candidate, self._share = candidate, None, 0.0
+        self._effects = self._effects_beside

@@ -1,0 +1,115 @@
+"""Another model in a twin that runs: beside the one in use first, then over without a step."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from hilbench.plant.motor_port import MotorMode
+from hilbench.runs.config import load_with_overrides
+from hilbench.twin.machines.kinds import new_machine
+from hilbench.twin.machines.machine import TwinMachine
+from hilbench.twin.machines.web_line import boundary
+from hilbench.twin.model_change import HAND_OVER_S, ChangeableMachine, with_effects
+
+CONFIG = load_with_overrides(Path(__file__).resolve().parents[2] / "bench_configs" / "web_section_step.yaml").config
+MODEL = CONFIG.web_line
+CYCLE_S = CONFIG.cycle_time_s
+SPEED_M_S = 3.0
+FRICTION = json.dumps([{"effect": "coulomb_friction", "axis": 2, "parameters": {"force_N": 5.0}}])
+RAD_PER_M = MODEL.motor_rad_per_m(2)
+
+
+def machine() -> ChangeableMachine:
+    told = boundary(MODEL)
+
+    def make(effects: str) -> TwinMachine:
+        return new_machine(with_effects(MODEL, effects), CONFIG.twin, CYCLE_S, told.__getitem__)
+
+    return ChangeableMachine(make, CYCLE_S)
+
+
+class Line:
+    """What is measured of a line at a constant speed, whose web pulls with 80 N and whose axis 2 rubs with 5 N."""
+
+    def __init__(self, twin: ChangeableMachine) -> None:
+        self.twin = twin
+        self.way_m = 0.0
+        self.shown_N: list[float] = []
+        twin.reset()
+        before = self.measured()
+        self.way_m += SPEED_M_S * CYCLE_S
+        twin.release(before, self.measured())
+
+    def measured(self) -> list[tuple[float, float]]:
+        torque_Nm = (80.0 - 70.0 + 5.0) / RAD_PER_M
+        return [(self.way_m * RAD_PER_M, 0.0), (self.way_m * RAD_PER_M, torque_Nm)]
+
+    def run(self, duration_s: float) -> None:
+        twin = self.twin
+        for cycle in range(round(duration_s / CYCLE_S)):
+            for port in twin.ports:
+                port.mode, port.setpoint, port.torque_limit_Nm = MotorMode.VELOCITY, SPEED_M_S * RAD_PER_M, 9.0
+            twin.compare(cycle * CYCLE_S, self.measured())
+            twin.listen()
+            twin.step(CYCLE_S)
+            self.way_m += SPEED_M_S * CYCLE_S
+            self.shown_N.append(twin.published()[0])
+
+
+def test_the_tension_goes_to_that_of_the_changed_model_without_a_step() -> None:
+    twin = machine()
+    line = Line(twin)
+    line.run(3.0)
+    before_N = line.shown_N[-1]
+    twin.change(FRICTION)
+    assert twin.changing
+    line.run(4.0 + HAND_OVER_S)
+    assert (twin.changing, twin.changed) == (False, True)
+    assert line.shown_N[-1] == pytest.approx(before_N - 5.0, abs=0.5)  # the friction was taken for tension
+    steps_N = [abs(now - then) for then, now in zip(line.shown_N[1500:], line.shown_N[1501:], strict=False)]
+    assert max(steps_N) < 0.1
+    assert max(twin.largest_steps[:1]) < 0.1
+
+
+def test_a_twin_goes_back_to_the_model_that_was_configured() -> None:
+    twin = machine()
+    line = Line(twin)
+    line.run(3.0)
+    twin.change(FRICTION)
+    line.run(4.0 + HAND_OVER_S)
+    twin.change("")
+    line.run(4.0 + HAND_OVER_S)
+    assert (twin.changing, twin.changed) == (False, False)
+
+
+def test_a_reset_twin_has_the_model_that_was_configured() -> None:
+    twin = machine()
+    line = Line(twin)
+    twin.change(FRICTION)
+    line.run(1.0)
+    twin.reset()
+    assert (twin.changing, twin.changed) == (False, False)
+
+
+@pytest.mark.parametrize(
+    "effects",
+    ["no list", "[]x", '[{"effect": "no_such_effect"}]', '[{"effect": "coulomb_friction", "axis": 3}]', "{}"],
+)
+def test_what_is_no_list_of_effects_of_the_machine_is_refused(effects: str) -> None:
+    twin = machine()
+    with pytest.raises(ValueError):  # noqa: PT011 - whichever of them it is, the twin answers with one abort code
+        twin.change(effects)
+    assert not twin.changing
+
+
+def test_no_other_model_is_taken_while_one_is_being_taken_over() -> None:
+    twin = machine()
+    line = Line(twin)
+    line.run(3.0)
+    twin.change(FRICTION)
+    line.run(3.0)
+    with pytest.raises(RuntimeError, match="taken over"):
+        twin.change("")
