@@ -10,7 +10,7 @@ from typing import get_args
 from hilbench.bench.reports.found import Samples, Told
 from hilbench.diagnosis.imitated import imitation_of
 from hilbench.ending import ended
-from hilbench.live.session import Session
+from hilbench.live.web_line.session import Session
 from hilbench.plant.web_line.imitation import Imitation
 from hilbench.topology.config import BenchConfig, Pace
 from hilbench.topology.resolved import read_resolved

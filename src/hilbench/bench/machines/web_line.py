@@ -11,14 +11,14 @@ from hilbench.bench.machines.machine import MachineTasks
 from hilbench.bench.state import BenchState, TwinState
 from hilbench.bench.tasks.imitated_web import web_load_model
 from hilbench.bench.tasks.load_task import LoadTask
-from hilbench.bench.tasks.probing import Probing
 from hilbench.bench.tasks.reference import Reference
 from hilbench.bench.tasks.saturation import SaturationWatch
 from hilbench.bench.tasks.swing_damping import SwingDamping, SwingPlant
 from hilbench.bench.tasks.task import CyclicTask, Outputs
 from hilbench.bench.tasks.tension_control import TensionController, strain_before
+from hilbench.bench.tasks.tension_probing import Probing
 from hilbench.bench.tasks.tension_task import Leader, LoopNames, TensionTask
-from hilbench.bench.tasks.twin_trust import TwinTrust
+from hilbench.bench.tasks.tension_trust import TwinTrust
 from hilbench.bench.tasks.watches import Watch
 from hilbench.bench.tasks.web_limits import LimitWatch
 from hilbench.errors import BenchFaultError

@@ -10,7 +10,7 @@ from hilbench.bench.state import Reports, TwinState
 from hilbench.bench.tasks.swing_damping import SwingDamping
 from hilbench.bench.tasks.task import CyclicTask, Outputs
 from hilbench.bench.tasks.tension_control import TensionController
-from hilbench.bench.tasks.twin_trust import TwinSignals, TwinTrust
+from hilbench.bench.tasks.tension_trust import TwinSignals, TwinTrust
 from hilbench.exchange.exchange import Inputs
 from hilbench.topology.quantities import tension_set_point
 from hilbench.topology.sample import CycleSample

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from tests.bench.samples import sample_of_two_axes
 
-from hilbench.bench.tasks.twin_trust import TwinTrust
+from hilbench.bench.tasks.tension_trust import TwinTrust
 from hilbench.topology.sample import CycleSample
 from hilbench.topology.web_line_config import TensionControlConfig
 from hilbench.twin.virtual_io import TwinStatus

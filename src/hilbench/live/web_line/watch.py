@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.diagnosis.noise import floor
-from hilbench.live.gap import SHORT, ModelGap
+from hilbench.live.web_line.gap import SHORT, ModelGap
 from hilbench.plant.web_line.parameters import ModelParameters
 
 Array = NDArray[np.float64]

@@ -18,7 +18,7 @@ from hilbench.bench.state import BenchState
 from hilbench.bench.tasks.limits import is_synchronized
 from hilbench.bench.tasks.reference import Reference
 from hilbench.bench.tasks.task import CyclicTask, Outputs
-from hilbench.bench.tasks.twin_trust import TwinSignals
+from hilbench.bench.tasks.tension_trust import TwinSignals
 from hilbench.topology.quantities import TENSION_PROBE
 from hilbench.topology.sample import CycleSample
 from hilbench.topology.web_line_config import ProbingConfig

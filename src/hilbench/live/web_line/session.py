@@ -20,9 +20,9 @@ from hilbench.bench.reports.found import FoundEffect, FoundGap, GapRow, News, Sa
 from hilbench.diagnosis.diagnosis import Diagnosis, diagnosed
 from hilbench.diagnosis.misfit import largest_ratio, misfits, ratios
 from hilbench.errors import UnusableInputError
-from hilbench.live import models
-from hilbench.live.stretch import Stretch, data_of, packed, quiet_cycle, torque_gap
-from hilbench.live.watch import ROW, Piece, Watch
+from hilbench.live.web_line import models
+from hilbench.live.web_line.stretch import Stretch, data_of, packed, quiet_cycle, torque_gap
+from hilbench.live.web_line.watch import ROW, Piece, Watch
 from hilbench.live.window import Window
 from hilbench.plant.web_line.imitation import Imitation
 from hilbench.plant.web_line.parameters import ModelParameters

@@ -1,0 +1,1 @@
+"""A web line: its gap, its models, what is tried and when."""
