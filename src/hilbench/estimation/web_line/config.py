@@ -24,6 +24,30 @@ class AlsoEstimated(Block):
     )
 
 
+class ModelErrorsConfig(Block):
+    """What the twin's model may lack on axis 2: standard deviations of what is usual, as shares of the machine's sizes.
+
+    It is estimated beside E; what the data can't tell apart from E is part of E's stated deviation.
+    """
+
+    friction_pct: PositiveFloat = Field(
+        default=10.0, description="dry friction beyond the model's, and viscous at `at_speed_m_s`, of the tension"
+    )
+    at_speed_m_s: PositiveFloat = Field(default=3.0, description="usual line speed, for viscous friction")
+    torque_offset_pct: PositiveFloat = Field(
+        default=0.6, description="of the torque's measurement, of the drive's limit"
+    )
+    torque_scale_pct: PositiveFloat = Field(default=7.0, description="error of the torque's scale")
+    inertia_pct: PositiveFloat = Field(default=10.0, description="of the moving mass")
+    strain_pct: PositiveFloat = Field(default=2.0, description="lasting error of the strain, of the usual strain")
+    creep_pct: PositiveFloat = Field(
+        default=60.0,
+        description="slip by creep: strain that is lost per difference of the tensions at the roller, both relative",
+    )
+    eccentricity_um: PositiveFloat = Field(default=20.0, description="of either roller, micrometres")
+    unbalance_pct: PositiveFloat = Field(default=4.0, description="of roller 2, as a force at the web, of the tension")
+
+
 class EstimateConfig(Block):
     """What is estimated, and where the measurement that shows it is taken."""
 
@@ -172,11 +196,12 @@ class EstimationConfig(Block):
     torque_delay: Literal["estimate", "model"] = Field(
         default="model", description="delay of the measured torque: found from the data, or as in the model's effects"
     )
-    unmodelled_torque_Nm: float = Field(
-        default=0.03,
+    model_errors: ModelErrorsConfig = ModelErrorsConfig()
+    unmodelled_torque_Nm: float | None = Field(
+        default=None,
         ge=0,
-        description="what the torque of axis 2 may lastingly be off the model's by (standard deviation): part of the "
-        "stated deviation of E, unless the method looks for it (also.torque_offset_Nm)",
+        description="the torque of axis 2 is known to be lastingly off the model's by no more (standard deviation), "
+        "and nothing else: `model_errors` are not looked for then; null: they are",
     )
     torque_shift: Literal["compensate", "ignore"] = Field(
         default="compensate",

@@ -4,7 +4,8 @@ Both change the torque at once, and at one strain alone nothing tells them apart
 encoders show it. What does is the strain that moves afterwards, which the closed tension loop sees to by itself: it
 takes either for another tension. From then on a changed E goes on a line through the origin, F = E'·h, a shift on the
 one that was there before, F = E·h + d, and the two are weighed by their squared residuals over the noise. While both
-fit, the change stays open: the next change of tension decides.
+fit, the change stays open: the next change of tension decides. What the balance may have been off by all the time (c)
+is in both: F = E'·h + c, and F = (E - c/h)·h + c + d.
 
 A shift is not looked for while the speed changes (an error of the inertia looks like one). When neither line fits it
 was something else.
@@ -14,6 +15,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass, field
+from math import inf
 from typing import NamedTuple
 
 from hilbench.estimation.web_line.balance import BalanceSample
@@ -81,15 +83,31 @@ class _Sums:
         self.fh += f * h
         self.hh += h * h
 
-    def through_origin(self) -> float:
-        """Squared residuals of f = E'·h."""
-        return self.ff - self.fh * self.fh / self.hh
+    def of_modulus(self, precision: float) -> float:
+        """Squared residuals of f = E'·h + c with c known to be small, `precision`: variance of the noise over that of
+        c; infinite: f = E'·h."""
+        through_origin = self.ff - self.fh * self.fh / self.hh
+        if precision == inf:
+            return through_origin
+        # Least squares for c beside E', with c² weighed by its precision.
+        across = self.f - self.fh * self.h / self.hh
+        return through_origin - across * across / (self.count - self.h * self.h / self.hh + precision)
 
-    def shifted(self, modulus_Pa: float) -> tuple[float, float]:
-        """d of f = E·h + d with E given, and the squared residuals."""
-        d = (self.f - modulus_Pa * self.h) / self.count
-        squares = self.ff - 2.0 * modulus_Pa * self.fh + modulus_Pa * modulus_Pa * self.hh
-        return d, squares - self.count * d * d
+    def of_shift(self, modulus_Pa: float, web_before_per_Pa: float, precision: float) -> tuple[float, float]:
+        """d of f = E·h + d, and the squared residuals. E was c/h smaller before: c as in `of_modulus`."""
+        s_fh = self.fh - self.f * self.h / self.count
+        s_hh = max(self.hh - self.h * self.h / self.count, 0.0)
+        s_ff = self.ff - self.f * self.f / self.count
+        least = modulus_Pa
+        if precision < inf:
+            held = precision * web_before_per_Pa * web_before_per_Pa
+            least = (s_fh + held * modulus_Pa) / (s_hh + held)
+        d = (self.f - least * self.h) / self.count
+        squares = s_ff - 2.0 * least * s_fh + least * least * s_hh
+        if precision < inf:
+            squares += held * (least - modulus_Pa) ** 2
+        # What there was before is in E as it is told: the shift is what there is beyond that.
+        return d - (modulus_Pa - least) * web_before_per_Pa, squares
 
     def free(self) -> float:
         """Squared residuals of f = E'·h + d'."""
@@ -106,6 +124,7 @@ class _Change:
 
     modulus_Pa: float
     told_Pa: float
+    web_per_Pa: float
     variance_N2: float
     hit: int = _HIT
     leans_to_modulus: bool = False
@@ -139,10 +158,13 @@ class TorqueShiftFinder:
         self._force_sum_N = self._web_sum = 0.0
         self._began_m_s = 0.0
 
-    def update(self, now: BalanceSample, told_Pa: float, *, may_decide: bool = True) -> TorqueShift | None:
+    def update(
+        self, now: BalanceSample, told_Pa: float, *, may_decide: bool = True, deviation_N: float = 0.0
+    ) -> TorqueShift | None:
         """Take the balance of this cycle and the E that is told; a shift once it is sure.
 
-        Without `may_decide` what is sure is not said yet: it may be something else.
+        Without `may_decide` what is sure is not said yet: it may be something else. `deviation_N`: what the balance may
+        have been off by all the time.
         """
         if self._count == 0:
             self._began_m_s = now.velocity_m_s
@@ -155,14 +177,14 @@ class TorqueShiftFinder:
         accelerating_N = self._mass_kg * (now.velocity_m_s - self._began_m_s) / ((count - 1) * self._cycle_s)
         block = Block(self._force_sum_N / count - accelerating_N, self._web_sum / count, now.velocity_m_s, told_Pa)
         self.interrupt()
-        return self._take(block, may_decide)
+        return self._take(block, may_decide, deviation_N)
 
-    def _take(self, block: Block, may_decide: bool) -> TorqueShift | None:
+    def _take(self, block: Block, may_decide: bool, deviation_N: float) -> TorqueShift | None:
         before = self._before
         if block.web_per_Pa <= 0.0 or (before and not _same_speed(block, before[0])):
             self.reset()
         elif self._change is not None:
-            return self._explain(self._change, block, may_decide)
+            return self._explain(self._change, block, may_decide, deviation_N)
         elif len(before) < _ENOUGH:
             before.append(block)
         else:
@@ -171,7 +193,7 @@ class TorqueShiftFinder:
                 before.append(block)
         return None
 
-    def _explain(self, change: _Change, block: Block, may_decide: bool) -> TorqueShift | None:
+    def _explain(self, change: _Change, block: Block, may_decide: bool, deviation_N: float) -> TorqueShift | None:
         if change.hit > 0:
             change.hit -= 1
             return None
@@ -182,8 +204,9 @@ class TorqueShiftFinder:
         free = since.free()
         # What a shaft that was hit swings through goes on neither line: it counts as noise.
         variance = max(change.variance_N2, free / (since.count - 2))
-        shift_N, of_shift = since.shifted(change.modulus_Pa)
-        of_shift, of_modulus = (of_shift - free) / variance, (since.through_origin() - free) / variance
+        precision = variance / deviation_N**2 if deviation_N else inf
+        shift_N, of_shift = since.of_shift(change.modulus_Pa, change.web_per_Pa, precision)
+        of_shift, of_modulus = (of_shift - free) / variance, (since.of_modulus(precision) - free) / variance
         if of_modulus - of_shift > _DECIDED and of_shift < _ACCEPTED:
             self.reset()
             return TorqueShift(shift_N, change.told_Pa)
@@ -209,4 +232,5 @@ def _noticed(before: deque[Block], block: Block) -> _Change | None:
     difference_N = abs(block.force_N - modulus_Pa * block.web_per_Pa)
     if difference_N < max(_CHANGED_NOISES * variance_N2**0.5, _CHANGED * tension_N):
         return None
-    return _Change(modulus_Pa, before[-1].told_Pa, variance_N2)
+    web_per_Pa = sum(past.web_per_Pa for past in before) / len(before)
+    return _Change(modulus_Pa, before[-1].told_Pa, web_per_Pa, variance_N2)

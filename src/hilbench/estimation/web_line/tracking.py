@@ -17,6 +17,7 @@ from hilbench.estimation.web_line.config import EstimationConfig, InputConfig, P
 from hilbench.estimation.web_line.delay import DelayFinder, DelayLine
 from hilbench.estimation.web_line.found_running import FoundRunning
 from hilbench.estimation.web_line.known_change import DriveLoop, KnownChange
+from hilbench.estimation.web_line.model_errors import ModelErrors
 from hilbench.estimation.web_line.synchronizers.base import Estimate, Synchronizer, SyncSample
 from hilbench.estimation.web_line.synchronizers.create import new_synchronizer
 from hilbench.estimation.web_line.synchronizers.plant import Plant
@@ -39,6 +40,8 @@ _GONE = 0.1
 _FOUND_MODULUS_PCT, _FOUND_STRAIN_PCT = 0.3, 0.3
 #: Deviation of E, in %, with which a known change of the tension tells it, and its share of what was stated before.
 _KNOWN_PCT, _SAYS_MORE = 0.3, 0.9
+#: Share of the tension by which more may become known to be none without a fresh look at what happens to the web.
+_ALL_AT_ONCE = 0.002
 #: Largest strain, either way, of a measured state that is taken over: no web has more.
 _LARGEST_STRAIN = 0.5
 
@@ -104,6 +107,8 @@ class Tracking:
         self._anomalies = Anomalies(model.youngs_modulus_Pa(1), self._balance.mass_kg, model.span_length_m(1), cycle_s)
         self._shift_finder = TorqueShiftFinder(self._balance.mass_kg, cycle_s)
         self._known_change = _known_change(model, config, self._balance.mass_kg, cycle_s)
+        self._model = model
+        self._errors: ModelErrors | None = None
         self._synchronizer: Synchronizer
         self._unmodelled_N = 0.0
         self.reset()
@@ -111,6 +116,10 @@ class Tracking:
     def reset(self) -> None:
         """Start anew, with E as assumed at the start."""
         self._line.set_parameter("youngs_modulus_Pa", self._initial_Pa)
+        if self.config.unmodelled_torque_Nm is None:
+            self._errors = ModelErrors(
+                self.config.model_errors, self._model, self._balance, self._initial_Pa, self._cycle_s
+            )
         self._begin(self.config.synchronizer, self._initial_Pa)
         self._web_per_Pa = self._balance.section_m2 * self._strain_prev
         self._plausibility = Plausibility(
@@ -139,6 +148,8 @@ class Tracking:
         self._now: tuple[BalanceSample, float] | None = None  # and its torque, N·m
         if self._known_change is not None:
             self._known_change.reset()
+        if self._errors is not None:
+            self._errors.release()
         self._strain_uncertainty = strain_uncertainty
         self._found: FoundRunning | None = None
         if strain_uncertainty > 0.0 and not isinstance(self._method, PidConfig | InputConfig):
@@ -162,11 +173,12 @@ class Tracking:
         self._method = config
         self._synchronizer = new_synchronizer(config, Plant.of(self._balance, youngs_modulus_Pa))
         looks_for_it = not isinstance(config, PidConfig | InputConfig) and config.also.torque_offset_Nm > 0.0
-        unmodelled_Nm = 0.0 if looks_for_it else self.config.unmodelled_torque_Nm
-        self._unmodelled_N = unmodelled_Nm * self._balance.force_per_torque_per_m
+        if self.config.unmodelled_torque_Nm is not None:
+            unmodelled_Nm = 0.0 if looks_for_it else self.config.unmodelled_torque_Nm
+            self._unmodelled_N = unmodelled_Nm * self._balance.force_per_torque_per_m
 
     def _stated(self, estimate: Estimate) -> Estimate:
-        """With what a lasting error of the torque may add to the deviation: no method sees it in its data."""
+        """With what the data can't tell from E: no method sees it in its data."""
         modulus_Pa, self._own_deviation_Pa = estimate.youngs_modulus_Pa, estimate.deviation_Pa
         if not 0.0 < modulus_Pa < inf:  # torque of somebody else's web, say: no material has such an E
             modulus_Pa, self._own_deviation_Pa = self.estimate.youngs_modulus_Pa, inf
@@ -174,10 +186,11 @@ class Tracking:
         return Estimate(modulus_Pa, deviation_Pa, estimate.nuisances, estimate.upstream_strain)
 
     def _unmodelled_Pa(self) -> float:
-        """A lasting error of the torque, as E; a web without strain says nothing of E."""
-        if not self._unmodelled_N:
+        """What the model may lack, as E; a web without strain says nothing of E."""
+        force_N = self._unmodelled_N if self._errors is None else self._errors.deviation_N
+        if not force_N:
             return 0.0
-        return self._unmodelled_N / self._web_per_Pa if self._web_per_Pa else inf
+        return force_N / self._web_per_Pa if self._web_per_Pa else inf
 
     @property
     def synchronized(self) -> bool:
@@ -199,6 +212,8 @@ class Tracking:
 
     def skip(self) -> None:
         """Hold the estimate for a cycle."""
+        if self._errors is not None:
+            self._errors.hold(self._cycle_s)
         self.estimate = self._stated(self._synchronizer.hold(self._cycle_s))
 
     def compare(
@@ -208,9 +223,10 @@ class Tracking:
         line, balance = self._line, self._balance
         torque_Nm -= self.torque_shift_Nm
         balance.use_modulus(self.estimate.youngs_modulus_Pa)
-        now = balance.update(x1_m, x2_m, torque_Nm, strain_prev, F_next_N, self._cycle_s + self._missed_s)
+        raw = balance.update(x1_m, x2_m, torque_Nm, strain_prev, F_next_N, self._cycle_s + self._missed_s)
         self._missed_s = 0.0
-        self._now = (now, torque_Nm)
+        self._now = (raw, torque_Nm)
+        now = self._without_errors(raw)
         torque_sim_Nm = self._axis2.torque_Nm
         self.residual_Nm = torque_Nm - torque_sim_Nm
         self.problem = self._plausibility.problem(torque_Nm, now.web_per_Pa, now.velocity_m_s)
@@ -220,10 +236,10 @@ class Tracking:
             self._anomalies.suspend()
         moved = self._find_delay(torque_Nm, torque_sim_Nm)
         paired = None
-        if not isfinite(now.force_N):
+        if not isfinite(raw.force_N):
             self._delay_line.reset()
         else:
-            paired = self._delay_line.pair(now, torque_Nm * balance.force_per_torque_per_m, self.delay_s)
+            paired = self._delay_line.pair(raw, torque_Nm * balance.force_per_torque_per_m, self.delay_s)
         if self._strain_uncertainty > 0.0:
             self._transport_out(now.velocity_m_s)
         if self._strain_uncertainty > 0.0:
@@ -233,6 +249,8 @@ class Tracking:
         elif self.problem is not None or paired is None or moved:
             self.skip()
         else:
+            self._look_for_errors(paired, torque_Nm, x1_m, F_next_N)
+            paired = self._without_errors(paired)
             strain = float(line.strain[0])
             sensitivity = balance.section_m2 * strain / balance.force_per_torque_per_m
             sample = SyncSample(time_s, self._cycle_s, torque_Nm, torque_sim_Nm, sensitivity, strain_prev, paired)
@@ -301,6 +319,8 @@ class Tracking:
         # It is not the web that has changed, but what is known of it.
         self._anomalies.suspend()
         self._shift_finder.reset()
+        # An experiment tells it once and for all: nothing else is looked for from here on.
+        self._errors = None
         self._unmodelled_N = known.deviation_Pa * now.web_per_Pa
         self.estimate = self._stated(Estimate(known.youngs_modulus_Pa, self._own_deviation_Pa))
         change.believe(known.youngs_modulus_Pa)
@@ -318,6 +338,25 @@ class Tracking:
             return Problem.WEB_BREAK
         return Problem.SLIP if self._anomalies.slipping else None
 
+    def _without_errors(self, balance: BalanceSample) -> BalanceSample:
+        """The balance without what is known to be no tension."""
+        if self._errors is None or not self._errors.correction_N:
+            return balance
+        return replace(balance, force_N=balance.force_N - self._errors.correction_N)
+
+    def _look_for_errors(self, balance: BalanceSample, torque_Nm: float, x1_m: float, F_next_N: float) -> None:
+        """What is known to be no tension from now on; when that is more than before, the past means another E."""
+        errors = self._errors
+        if errors is None:
+            return
+        errors.update(balance, torque_Nm, x1_m, F_next_N, self.estimate.youngs_modulus_Pa)
+        if errors.rebased_N and balance.web_per_Pa > 0.0:
+            self._synchronizer.rebase(-errors.rebased_N / balance.web_per_Pa)
+            # What has become known all at once is nothing that has happened to the web.
+            if abs(errors.rebased_N) > _ALL_AT_ONCE * self.estimate.youngs_modulus_Pa * balance.web_per_Pa:
+                self._anomalies.suspend()
+                self._shift_finder.reset()
+
     def _look_for_shift(self, now: BalanceSample) -> None:
         """A shift is taken out of the torque from the next cycle on, and E goes on from what it was before it."""
         if self.config.torque_shift == "ignore":
@@ -325,7 +364,12 @@ class Tracking:
         if self.problem is not None or self._strain_uncertainty > 0.0:
             self._shift_finder.reset()
             return
-        shift = self._shift_finder.update(now, self.estimate.youngs_modulus_Pa, may_decide=not self._anomalies.judging)
+        shift = self._shift_finder.update(
+            now,
+            self.estimate.youngs_modulus_Pa,
+            may_decide=not self._anomalies.judging,
+            deviation_N=self._errors.likely_deviation_N if self._errors is not None else 0.0,
+        )
         if shift is not None:
             more_Nm = shift.force_N / self._balance.force_per_torque_per_m
             self.torque_shift_Nm += more_Nm

@@ -39,5 +39,8 @@ class Synchronizer(Protocol):
     def update(self, sample: SyncSample) -> Estimate:
         """Take one sample in and return the estimate to simulate the next cycle with."""
 
+    def rebase(self, change_Pa: float) -> None:
+        """What is believed to be no tension is another force now: what was concluded of E moves by `change_Pa`."""
+
     def hold(self, duration_s: float) -> Estimate:
         """A cycle without a usable sample: the estimate stays, its deviation grows."""

@@ -88,6 +88,13 @@ class ChangepointSynchronizer:
         self._out[1] = np.sqrt(np.diag(self._p[0]))
         self._started = True
 
+    def rebase(self, change_Pa: float) -> None:
+        """Move E of every hypothesis."""
+        change = change_Pa / self._reference_Pa
+        self._z[:, kalman.E] += change
+        self._out[0, kalman.E] += change
+        self._told += change
+
     def hold(self, duration_s: float) -> Estimate:
         """Let E walk in every hypothesis, and find position and velocity anew afterwards."""
         self._inputs.interrupt()

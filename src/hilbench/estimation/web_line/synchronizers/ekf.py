@@ -82,6 +82,10 @@ class EkfSynchronizer:
         else:
             before.append(beside.copy())
 
+    def rebase(self, change_Pa: float) -> None:
+        """Move E."""
+        self._z[0, kalman.E] += change_Pa / self._reference_Pa
+
     def hold(self, duration_s: float) -> Estimate:
         """Let E walk, and find position and velocity anew afterwards."""
         self._inputs.interrupt()

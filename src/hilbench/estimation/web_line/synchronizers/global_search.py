@@ -52,6 +52,10 @@ class GlobalSynchronizer:
             self._age = 0
         return self._estimate
 
+    def rebase(self, change_Pa: float) -> None:
+        """Move the rows of the window."""
+        self._window.rebase(change_Pa)
+
     def hold(self, duration_s: float) -> Estimate:
         """Keep the last result."""
         self._window.interrupt()

@@ -66,6 +66,9 @@ class InputSynchronizer:
         self._publish(sample, sqrt(0.5 * share * noise**2 + self._innovation**2))
         return self._estimate
 
+    def rebase(self, change_Pa: float) -> None:
+        """Nothing of the past is kept that would be wrong now."""
+
     def hold(self, duration_s: float) -> Estimate:
         """The correction stays; filters start anew."""
         self._rows.interrupt()

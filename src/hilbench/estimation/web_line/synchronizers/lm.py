@@ -32,6 +32,10 @@ class LmSynchronizer:
             self._solve()
         return self._estimate
 
+    def rebase(self, change_Pa: float) -> None:
+        """Move the rows of the window."""
+        self._window.rebase(change_Pa)
+
     def hold(self, duration_s: float) -> Estimate:
         """Keep the last solution."""
         self._window.interrupt()

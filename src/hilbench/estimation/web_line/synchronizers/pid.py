@@ -39,6 +39,9 @@ class PidSynchronizer:
         self._modulus_Pa = min(c.upper_limit_Pa, max(c.lower_limit_Pa, self._modulus_Pa + rate_Pa_per_s * dt))
         return self._estimate(sample)
 
+    def rebase(self, change_Pa: float) -> None:
+        """Nothing of the past is kept that would be wrong now."""
+
     def hold(self, duration_s: float) -> Estimate:
         """The loop stands still; what is lasting of the error is not known to grow."""
         return self._last

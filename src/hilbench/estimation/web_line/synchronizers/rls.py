@@ -55,6 +55,12 @@ class RlsSynchronizer:
         self.estimate = self._estimate()
         return self.estimate
 
+    def rebase(self, change_Pa: float) -> None:
+        """Move E."""
+        change = change_Pa / self._reference_Pa
+        self._vector += change * self._information[:, 0]
+        self._theta[0] += change
+
     def hold(self, duration_s: float) -> Estimate:
         """Keep what is known; the filter starts anew."""
         self._rows.interrupt()

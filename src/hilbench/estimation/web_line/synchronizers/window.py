@@ -14,6 +14,7 @@ class RowWindow:
 
     def __init__(self, plant: Plant, window_s: float, torque_noise_Nm: float, priors: Array) -> None:
         self._rows = RegressionRows(plant)
+        self._reference_Pa = plant.youngs_modulus_Pa
         self._window_s = window_s
         self._data = np.zeros((0, PARAMETERS + 1))
         self._count = 0
@@ -42,6 +43,10 @@ class RowWindow:
             self._count += 1
         self._noise_gain = noise_gain(sample.cycle_s)
         return self._count >= length // 4 and bool(np.any(self._data[: self._count, 0]))
+
+    def rebase(self, change_Pa: float) -> None:
+        """E of all rows is another one by `change_Pa`."""
+        self._data[:, PARAMETERS] += change_Pa / self._reference_Pa * self._data[:, 0]
 
     def rows(self) -> Array:
         """A copy of the rows, in no order."""

@@ -1,0 +1,253 @@
+"""What the twin's model may lack is estimated beside E, and E's deviation holds what can't be told apart from it.
+
+Slowly, from means of the balance over blocks of some cycles (`model_errors_filter`), while the synchronizer follows E
+in each cycle: it is given the force without what is known to be no tension. As long as the data do not say that
+something is lacking nothing is taken out, and E is what the model makes of the torque. When more is known, the past
+means another E (`rebased_N`).
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from itertools import product
+from math import hypot, log, sqrt
+
+import numpy as np
+
+from hilbench.estimation.bank import Array
+from hilbench.estimation.noise_level import NoiseLevel
+from hilbench.estimation.nuisance import Nuisance
+from hilbench.estimation.web_line import model_errors_filter as filters
+from hilbench.estimation.web_line.balance import BalanceSample, MeasuredBalance
+from hilbench.estimation.web_line.config import ModelErrorsConfig
+from hilbench.plant.parameters import per_item
+from hilbench.plant.web_line.laws import FRICTION_WIDTH_M_S
+from hilbench.plant.web_line.parameters import ModelParameters
+
+#: A block: short against the span's transport and the drives' loops, long enough for motion to be differentiated.
+_BLOCK_S = 0.02
+#: Probability that a group of errors is there, before anything is measured.
+_LACKING = 0.1
+#: Deviation of E at the start: anything that pulls alike is E until the data tell.
+_INITIAL_E = 0.5
+#: Time in which what the model lacks may wander through its prior: a working day.
+_WANDER_S = 36000.0
+#: The same of an eccentricity: the angles of two rollers part slowly.
+_BEAT_S = 2000.0
+#: Random walk of E, relative per sqrt(s): while speed or tension change, and while they don't: nothing can be told
+#: then from a drift of E.
+_E_WALK, _E_WALK_STEADY = 1e-3, 4e-3
+#: Without measurements what is known is forgotten: the prior's variance is added in this time, s, up to so much of it.
+_FORGOTTEN_S, _MOST_FORGOTTEN = 1.0, 1.5
+#: Force that keeps a roller at rest over the friction of one that rolls: anything between both signs.
+_STUCK = 0.6
+#: Deviation of a force that comes and goes, relative to the tension: at least, and in deviations of how far the tension
+#: that is told goes to and fro, over which time, on an average over which time. What goes much farther than usual
+#: counts only so much (variances): that is a change of E.
+_REST = 4e-3
+_REST_SHARE, _APART_S, _USUAL_S, _MOST_APART = 1.0, 0.5, 5.0, 9.0
+#: Friction at another speed, beyond viscous: share of its prior deviation after a change by 1 m/s.
+_CURVE = 0.05
+#: A parameter counts as told apart when the data have shrunk its prior deviation to this share.
+_SEPARABLE = 0.7
+#: Relative difference of the radii up to which the rollers' angles are one.
+_SAME_RADIUS = 0.01
+_TORQUE_NOISE_NM, _TORQUE_FLOOR_NM = 0.05, 1e-4
+_POSITION_NOISE_M, _POSITION_FLOOR_M = 2e-7, 2e-8
+#: Names of what is found, by its place in the filters; what swings apart.
+_NAMES = {
+    "torque_offset_Nm": filters.OFFSET,
+    "dry_friction_N": filters.DRY,
+    "viscous_friction_N_s_per_m": filters.VISCOUS,
+    "torque_scale": filters.SCALE,
+    "inertia_share": filters.MASS,
+    "creep_per_N": filters.CREEP,
+}
+
+
+def prior_deviations(config: ModelErrorsConfig, model: ModelParameters, force_per_torque_per_m: float) -> Array:
+    """Standard deviations of the filters' states (N,), from sizes of the machine; of E and REST: 0."""
+    web, boundary = model.required_web, model.boundary
+    tension_N = max(boundary.upstream_tension_N, boundary.downstream_tension_N)
+    strain = tension_N / web.stiffness_N
+    if model.drives is not None:
+        limit_Nm = per_item(model.drives.torque_limit_Nm, 2)
+    else:
+        limit_Nm = 5.0 * tension_N / force_per_torque_per_m
+    friction_N = 0.01 * config.friction_pct * tension_N
+    equal = abs(model.radius_m(1) / model.radius_m(2) - 1.0) < _SAME_RADIUS
+    priors = np.zeros(filters.SIZE_OF_EQUALS if equal else filters.LARGEST)
+    priors[filters.OFFSET] = hypot(
+        0.01 * config.torque_offset_pct * limit_Nm * force_per_torque_per_m,
+        0.01 * config.strain_pct * tension_N,
+    )
+    priors[filters.DRY] = friction_N
+    priors[filters.STUCK] = _STUCK * friction_N
+    priors[filters.VISCOUS] = friction_N / config.at_speed_m_s
+    priors[filters.SCALE] = 0.01 * config.torque_scale_pct
+    priors[filters.MASS] = 0.01 * config.inertia_pct
+    priors[filters.UNBALANCE_COS] = priors[filters.UNBALANCE_SIN] = 0.01 * config.unbalance_pct * tension_N
+    priors[filters.CREEP] = 0.01 * config.creep_pct * strain / tension_N
+    for axis, cosine in ((2, filters.COS2),) if equal else ((2, filters.COS2), (1, filters.COS1)):
+        radius_m = model.radius_m(axis)
+        priors[cosine] = priors[cosine + 1] = 1e-6 * config.eccentricity_um / radius_m / sqrt(2.0)
+    return priors
+
+
+class ModelErrors:
+    """Friction, offset, scale, mass, creep, unbalance and eccentricity beyond the model's, of the roller behind the
+    first span."""
+
+    def __init__(
+        self,
+        config: ModelErrorsConfig,
+        model: ModelParameters,
+        balance: MeasuredBalance,
+        youngs_modulus_Pa: float,
+        cycle_s: float,
+    ) -> None:
+        f = filters
+        self._reference_Pa = youngs_modulus_Pa
+        self._force_per_torque = balance.force_per_torque_per_m
+        self._radius_m = model.radius_m(1), model.radius_m(2)
+        self._priors = prior_deviations(config, model, self._force_per_torque)
+        tension_N = max(model.boundary.upstream_tension_N, model.boundary.downstream_tension_N)
+        u = self._u = np.zeros(f.INPUTS)
+        block = max(2, round(_BLOCK_S / cycle_s))
+        u[f.CYCLE_S], u[f.BLOCK], u[f.MASS_KG], u[f.SPAN_M] = cycle_s, block, balance.mass_kg, balance.span_length_m
+        u[f.STIFFNESS_N] = youngs_modulus_Pa * balance.section_m2
+        u[f.REST_N] = _REST * tension_N
+        u[f.CURVE_N2] = (_CURVE * self._priors[f.DRY]) ** 2
+        u[f.STANDSTILL_M_S] = 5.0 * FRICTION_WIDTH_M_S
+        u[f.STUCK_N] = self._priors[f.STUCK]
+        self._process = 2.0 / _WANDER_S * self._priors**2
+        self._process[f.COS2 :] *= _WANDER_S / _BEAT_S
+        self._process[f.E] = _E_WALK**2
+        u[f.STEADY_E2] = _E_WALK_STEADY**2
+        self._torque = NoiseLevel(_TORQUE_NOISE_NM, _TORQUE_FLOOR_NM)
+        self._position = NoiseLevel(_POSITION_NOISE_M, _POSITION_FLOOR_M)
+        self._s = np.zeros(f.KEPT)
+        self._block_s = block * cycle_s
+        self._told: deque[float] = deque(maxlen=round(_APART_S / self._block_s) + 1)
+        self._least_rest_N2 = self._rest_N2 = u.item(f.REST_N) ** 2
+        self._start()
+
+    def _start(self) -> None:
+        """A filter for every subset of the groups, the empty one first and that of all last."""
+        f, size = filters, len(self._priors)
+        subsets = sorted(product((False, True), repeat=len(f.GROUPS)), key=sum)
+        self._z = np.zeros((len(subsets), size))
+        self._p = np.zeros((len(subsets), size, size))
+        self._places = np.full((len(subsets), size), -1, np.int64)
+        self._weights = np.zeros(len(subsets))
+        for k, chosen in enumerate(subsets):
+            places = [f.E, f.REST]
+            for there, group in zip(chosen, f.GROUPS, strict=True):
+                places += [place for place in group if there and place < size]
+                self._weights[k] += log(_LACKING if there else 1.0 - _LACKING)
+            self._places[k, : len(places)] = places
+            self._z[k, f.E] = 1.0
+            for place in places:
+                self._p[k, place, place] = self._priors[place] ** 2
+            self._p[k, f.E, f.E] = _INITIAL_E**2
+            self._p[k, f.REST, f.REST] = self._u[f.REST_N] ** 2
+        self._theta = np.zeros(size)
+        self._work = np.zeros((4, size + 1))
+        self._s[f.SPREAD_N] = hypot(self._priors[f.OFFSET], self._priors[f.DRY])
+
+    def interrupt(self) -> None:
+        """A cycle is missing, or can't be used: no mean goes across."""
+        self._s[filters.COUNT] = 0.0
+        self._told.clear()
+
+    def hold(self, duration_s: float) -> None:
+        """Nothing can be measured: what is known gets less."""
+        self.interrupt()
+        s, f = self._s, filters
+        now_N2, prior_N2 = s[f.SPREAD_N] ** 2, s[f.PRIOR_N2]
+        if now_N2 < _MOST_FORGOTTEN * prior_N2:
+            s[f.SPREAD_N] = sqrt(now_N2 + duration_s / _FORGOTTEN_S * prior_N2)
+
+    def release(self) -> None:
+        """The web is another one: its E may be, too."""
+        self.interrupt()
+        filters.free_modulus(self._p, _INITIAL_E**2)
+
+    @property
+    def correction_N(self) -> float:
+        """Force in the balance that is believed to be no tension."""
+        return self._s.item(filters.CORRECTION_N)
+
+    @property
+    def rebased_N(self) -> float:
+        """By how much more the correction is than with what was known in the cycle before."""
+        return self._s.item(filters.REBASED_N)
+
+    @property
+    def deviation_N(self) -> float:
+        """What the correction may be wrong by, standard deviation."""
+        return self._s.item(filters.SPREAD_N)
+
+    @property
+    def likely_deviation_N(self) -> float:
+        """The same by what is likely: as a rule the model lacks nothing."""
+        return self.deviation_N * sqrt(self._s.item(filters.LACKING))
+
+    def update(self, now: BalanceSample, torque_Nm: float, x1_m: float, next_N: float, told_Pa: float) -> float:
+        """Take the balance of this cycle; returns what of its force is no tension."""
+        f, u = filters, self._u
+        self._torque.update(torque_Nm)
+        self._position.update(now.x2_m)
+        u[f.FORCE_N], u[f.WEB_N], u[f.SPEED_M_S] = now.force_N, now.web_per_Pa * self._reference_Pa, now.velocity_m_s
+        u[f.TOLD] = told_Pa / self._reference_Pa
+        u[f.RESISTANCE_N], u[f.NEXT_N] = torque_Nm * self._force_per_torque + next_N - now.force_N, next_N
+        u[f.ANGLE_1], u[f.ANGLE_2] = x1_m / self._radius_m[0], now.x2_m / self._radius_m[1]
+        position_m2 = self._position.variance
+        u[f.POSITION_M2] = position_m2
+        u[f.VARIANCE_N2] = (
+            self._force_per_torque**2 * self._torque.variance
+            + 2.0 * (u[f.STIFFNESS_N] / u[f.SPAN_M]) ** 2 * position_m2
+        )
+        if f.cycle(
+            u,
+            self._s,
+            self._z,
+            self._p,
+            self._places,
+            self._weights,
+            self._process,
+            self._work,
+            self._theta,
+            self._priors,
+        ):
+            self._look_at_unrest(told_Pa, now.web_per_Pa)
+        return self.correction_N
+
+    def _look_at_unrest(self, told_Pa: float, web_per_Pa: float) -> None:
+        """How far E as it is told goes to and fro: what no error of a constant size explains comes and goes."""
+        told = self._told
+        told.append(told_Pa)
+        if len(told) < (told.maxlen or 0):
+            return
+        apart_N = _REST_SHARE * (told[-1] - told[0]) * web_per_Pa
+        more_N2 = min(apart_N * apart_N, _MOST_APART * self._rest_N2) - self._rest_N2
+        self._rest_N2 = max(self._rest_N2 + self._block_s / _USUAL_S * more_N2, self._least_rest_N2)
+        self._u[filters.REST_N] = sqrt(self._rest_N2)
+
+    def found(self) -> tuple[Nuisance, ...]:
+        """What is estimated beside E by now, by the filter that allows for all of it; of an eccentricity (of roller 2,
+        and of one of equal radius before it) the amplitude."""
+        mean, deviations = self._z[-1], np.sqrt(np.diag(self._p[-1]))
+        rows = []
+        for name, place in _NAMES.items():
+            unit = self._force_per_torque if place == filters.OFFSET else 1.0
+            deviation, prior = deviations.item(place), self._priors.item(place)
+            rows.append(Nuisance(name, mean.item(place) / unit, deviation / unit, deviation < _SEPARABLE * prior))
+        wobble = slice(filters.COS2, filters.COS2 + 2)
+        deviation = float(np.hypot(*deviations[wobble]))
+        separable = deviation < _SEPARABLE * float(np.hypot(*self._priors[wobble]))
+        radius_m = self._radius_m[1]
+        rows.append(
+            Nuisance("eccentricity_m", float(np.hypot(*mean[wobble])) * radius_m, deviation * radius_m, separable)
+        )
+        return tuple(rows)

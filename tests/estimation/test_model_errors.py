@@ -1,0 +1,56 @@
+"""A twin whose model lacks something, on a line of other equations: E is right, or as uncertain as is said."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from tests.estimation.hidden_beside_a_step import outcome
+from tests.estimation.runs import measured, stepped, tracked
+
+from hilbench.estimation.web_line.config import ChangepointConfig
+
+#: What is left of a production run is like what there was of it.
+DURATION_S = 30.0
+
+
+@pytest.mark.parametrize(
+    "case",
+    [
+        "torque offset 0.05 N·m",
+        "dry friction 20 N",
+        "viscous friction 3 N·s/m",
+        "torque ripple 0.1 N·m",
+        "creep 3e-6 per N",
+        "upstream tension ±3 N, 0.3 Hz",
+    ],
+)
+def test_e_is_right_or_as_uncertain_as_is_said_when_the_model_lacks_something(case: str) -> None:
+    found = outcome(case, ChangepointConfig(), duration_s=DURATION_S)
+    assert found.right, found
+    assert found.stated_pct < 30.0, "a deviation that opens every tension loop is of no use"
+
+
+@pytest.mark.parametrize("case", ["eccentric roller 1, 20 µm", "eccentric roller 2, 20 µm", "unbalance 0.8 N·m"])
+def test_what_goes_round_with_a_roller_is_found_and_taken_out(case: str) -> None:
+    found = outcome(case, ChangepointConfig(), duration_s=DURATION_S)
+    assert found.right, found
+    assert abs(found.end_pct) < 0.5
+    assert found.time_to_1pct_s is not None
+    assert found.time_to_1pct_s <= 0.2
+
+
+def test_where_nothing_is_lacking_a_step_is_found_as_fast_as_ever() -> None:
+    found = outcome("nothing", ChangepointConfig(), duration_s=DURATION_S)
+    assert found.right
+    assert abs(found.end_pct) < 0.3
+    assert found.stated_pct < 10.0
+    assert found.time_to_1pct_s is not None
+    assert found.time_to_1pct_s <= 0.12
+
+
+def test_where_nothing_is_lacking_e_is_what_the_model_makes_of_the_torque() -> None:
+    """Bit for bit: what is looked for beside it moves nothing until it is found."""
+    data = measured(stepped())
+    looking, believing = tracked(data, ChangepointConfig()), tracked(data, ChangepointConfig(), unmodelled_torque_Nm=0)
+    assert np.array_equal(looking.E_Pa, believing.E_Pa)
+    assert np.all(looking.E_sd_Pa[1:] >= believing.E_sd_Pa[1:])
