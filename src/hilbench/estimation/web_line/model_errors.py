@@ -18,6 +18,7 @@ from hilbench.estimation.bank import Array
 from hilbench.estimation.noise_level import NoiseLevel
 from hilbench.estimation.nuisance import Nuisance
 from hilbench.estimation.web_line import model_errors_filter as filters
+from hilbench.estimation.web_line import ripples
 from hilbench.estimation.web_line.balance import BalanceSample, MeasuredBalance
 from hilbench.estimation.web_line.config import ModelErrorsConfig
 from hilbench.plant.parameters import per_item
@@ -151,14 +152,26 @@ class ModelErrors:
                 self._p[k, place, place] = self._priors[place] ** 2
             self._p[k, f.E, f.E] = _INITIAL_E**2
             self._p[k, f.REST, f.REST] = self._u[f.REST_N] ** 2
+        self._first, self._first_weights = (self._z.copy(), self._p.copy()), self._weights.copy()
         self._theta = np.zeros(size)
         self._work = np.zeros((4, size + 1))
+        self._orders, self._kept_of_orders = ripples.new_table()
         self._s[f.SPREAD_N] = hypot(self._priors[f.OFFSET], self._priors[f.DRY])
+
+    def _forget(self) -> None:
+        """What has been learned with a ripple in the torque that was not known of is worth nothing."""
+        f = filters
+        modulus = self._z[:, f.E].copy()
+        self._z[:], self._p[:] = self._first
+        self._z[:, f.E] = modulus
+        self._weights[:] = self._first_weights
+        self._s[f.EXCESS] = self._s[f.LEANING] = self._s[f.SURPRISED] = self._s[f.COUNT] = 0.0
 
     def interrupt(self) -> None:
         """A cycle is missing, or can't be used: no mean goes across."""
         self._s[filters.COUNT] = 0.0
         self._told.clear()
+        ripples.interrupt(self._kept_of_orders)
 
     def hold(self, duration_s: float) -> None:
         """Nothing can be measured: what is known gets less."""
@@ -202,6 +215,7 @@ class ModelErrors:
         u[f.TOLD] = told_Pa / self._reference_Pa
         u[f.RESISTANCE_N], u[f.NEXT_N] = torque_Nm * self._force_per_torque + next_N - now.force_N, next_N
         u[f.ANGLE_1], u[f.ANGLE_2] = x1_m / self._radius_m[0], now.x2_m / self._radius_m[1]
+        u[f.MOTOR_ANGLE] = now.x2_m * self._force_per_torque
         position_m2 = self._position.variance
         u[f.POSITION_M2] = position_m2
         u[f.VARIANCE_N2] = (
@@ -219,8 +233,12 @@ class ModelErrors:
             self._work,
             self._theta,
             self._priors,
+            self._orders,
+            self._kept_of_orders,
         ):
             self._look_at_unrest(told_Pa, now.web_per_Pa)
+        if self._s[f.RIPPLES_CHANGED]:
+            self._forget()
         return self.correction_N
 
     def _look_at_unrest(self, told_Pa: float, web_per_Pa: float) -> None:

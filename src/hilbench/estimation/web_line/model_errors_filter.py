@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from hilbench.compiled import compiled, entry_point, number_of_sources
 from hilbench.estimation.bank import Array
+from hilbench.estimation.web_line import ripples
 
 Places = NDArray[np.int64]
 
@@ -53,6 +54,7 @@ GROUPS = (
     NEXT_N,  # tension behind the roller
     ANGLE_1,
     ANGLE_2,
+    MOTOR_ANGLE,
     MASS_KG,
     SPAN_M,
     STIFFNESS_N,  # E·S at the reference E
@@ -63,8 +65,8 @@ GROUPS = (
     STANDSTILL_M_S,  # speed up to which a roller may stand
     STUCK_N,  # prior deviation of what keeps a roller at rest
     STEADY_E2,  # variance per s by which E may walk while speed and tension stay
-) = range(20)
-INPUTS = 20
+) = range(21)
+INPUTS = 21
 # What is kept from cycle to cycle.
 (
     COUNT,
@@ -90,9 +92,11 @@ INPUTS = 20
     LACKING,  # probability that the model lacks something
     JUMPED_S,  # time since E has jumped
     BEYOND_N,  # force beside the web's that the filter of all errors has found, swings apart
+    RIPPLE_N,  # force of the motor's ripples that have been found
+    RIPPLES_CHANGED,  # another has been found
     PRIOR_N2,  # variance of what may be taken for tension where nothing has been measured
-) = range(24)
-KEPT = 24
+) = range(26)
+KEPT = 26
 #: Smoothing of the speed that dry friction goes by, and of that which the error of the mass goes by, s.
 _DIRECTION_S, _ACCELERATION_S = 0.02, 0.1
 #: Memory of the force that comes and goes, s.
@@ -116,7 +120,8 @@ _EXCESS_S, _MOST_EXCESS = 2.0, 30.0
 #: Evidence against a set of errors reaches no farther (logarithm): what comes later can still change it.
 _LEAST_WEIGHT = -14.0
 #: Probability of a lack from which on it is taken out of the force, and up to which no longer; how fast, 1/s.
-_SURE, _UNSURE, _APPLIED_PER_S = 0.99, 0.5, 2.0
+#: And the size of the innovations beyond which none of the sets is believed.
+_SURE, _UNSURE, _APPLIED_PER_S, _FITS_NONE = 0.99, 0.5, 2.0, 2.0
 
 
 @compiled
@@ -267,7 +272,9 @@ def _weigh(s: Array, weights: Array) -> None:
 @compiled
 def _believe(s: Array, z: Array, weights: Array, theta: Array, dt: float) -> None:
     """theta (N,): what is taken out of the force."""
-    if s[LACKING] > _SURE:
+    if s[EXCESS] > _FITS_NONE:
+        goal = 0.0
+    elif s[LACKING] > _SURE:
         goal = 1.0
     elif s[LACKING] < _UNSURE:
         goal = 0.0
@@ -370,12 +377,15 @@ def _compiled_cycle(sources: int) -> Callable[..., bool]:
         work: Array,
         theta: Array,
         priors: Array,
+        orders: Array,
+        kept_of_orders: Array,
     ) -> bool:
         """One cycle; True when a block has ended with it.
 
         u (INPUTS,), s (KEPT,); of the filters: z (K, N), p (K, N, N), places (K, N) of what each estimates, -1 behind
         the last, weights (K,), process_per_s (N,); work (3, N + 1): regressors of now, their sums, scratch; theta (N,):
-        what is taken out of the force, priors (N,): deviations of what may be lacking.
+        what is taken out of the force, priors (N,): deviations of what may be lacking; orders and kept_of_orders as
+        in `ripples`.
         """
         if sources < 0:
             return False
@@ -432,7 +442,12 @@ def _compiled_cycle(sources: int) -> Callable[..., bool]:
                 sums[j] = 0.0
         for j in range(size):
             sums[j] += a[j]
-        sums[size] += u[FORCE_N]
+        # By the filter that lacks nothing: one in which E has a slope explains a ripple by the strain that it moves.
+        expected = u[WEB_N] * z[0, E] + z[0, REST]
+        changed = ripples.look(orders, kept_of_orders, u[FORCE_N], expected, speed, u[MOTOR_ANGLE], u[MASS_KG], dt)
+        s[RIPPLES_CHANGED] = 1.0 if changed else 0.0
+        s[RIPPLE_N] = ripples.ripple_N(orders, u[MOTOR_ANGLE])
+        sums[size] += u[FORCE_N] - s[RIPPLE_N]
         s[COUNT] += 1.0
         _transport(u, s, size, found)
         if ended:
@@ -441,10 +456,10 @@ def _compiled_cycle(sources: int) -> Callable[..., bool]:
             s[REBASED_N] = _of_terms(a, theta, u[TOLD], False) - before
             s[SPREAD_N] = _spread_N(z, p, a, theta, u[TOLD], s[LACKING])
             s[PRIOR_N2] = _believed_of_nothing_N2(a, priors, u[TOLD])
-        s[CORRECTION_N] = _of_terms(a, theta, u[TOLD], True)
+        s[CORRECTION_N] = _of_terms(a, theta, u[TOLD], True) + s[RIPPLE_N]
         return bool(ended)
 
     return cycle
 
 
-cycle = _compiled_cycle(number_of_sources(__file__))
+cycle = _compiled_cycle(number_of_sources(ripples.__file__, __file__))
