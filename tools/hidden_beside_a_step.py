@@ -2,8 +2,8 @@
 
     hidden_beside_a_step.py [--jobs N] [--write docs/synchronization.md]
 
-Lines of other equations than the product's (`tests/independent_line`), run through a production profile: a ramp, constant
-speed, E +20.7 % at 23 s. `--write` puts the table between the marker lines of the page.
+Lines of other equations than the product's (`tests/independent_line`), run through a production profile: a ramp,
+constant speed, E +20.7 % at 23 s. `--write` puts the table between the marker lines of the page.
 """
 
 from __future__ import annotations

@@ -149,14 +149,15 @@ class Honesty:
 
     name: str
     offset_Nm: float
-    unmodelled_Nm: float
+    unmodelled_Nm: float | None
     also_Nm: float = 0.0
 
 
 HONESTY = (
     Honesty("noise only, nothing else allowed for", 0.0, 0.0),
-    Honesty("offset 0.03 N·m, allowed for (default)", 0.03, 0.03),
+    Honesty("offset 0.03 N·m, allowed for (`unmodelled_torque_Nm`)", 0.03, 0.03),
     Honesty("offset 0.05 N·m, looked for (`also`)", 0.05, 0.0, also_Nm=0.05),
+    Honesty("offset 0.05 N·m, anything looked for (default)", 0.05, None),
 )
 HONEST_METHODS = ("rls", "lm", "ekf", "changepoint")
 

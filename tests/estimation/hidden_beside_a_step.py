@@ -4,9 +4,9 @@ makes of it whose model has nothing of it."""
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
-from tests.independent import MODEL
 from tests.independent_line.line import STEP_OF_E, Hidden, Line, effect
 
 from hilbench.cli.model_option import model_from
@@ -16,6 +16,8 @@ from hilbench.estimation.web_line.offline import run_offline
 from hilbench.results.recording import Recording
 from hilbench.runs.figures import ESTIMATE_BAND, time_to_stay
 
+#: The line as the twin believes it.
+MODEL = Path(__file__).parents[1] / "recordings" / "model.yaml"
 #: From here on a twin that has just started is scored, s.
 SCORED_FROM_S = 1.0
 CASES: dict[str, tuple[Hidden, ...]] = {

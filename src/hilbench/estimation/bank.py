@@ -142,6 +142,19 @@ def compare(records: Array) -> float:
 
 
 @compiled
+def covariance(z: Array, p: Array, records: Array, total: float, mean: Array, out: Array) -> None:
+    """Covariance (N, N) of the mixture about its mean into `out`; `total` as of `compare`."""
+    size = z.shape[1]
+    out[:] = 0.0
+    for i in range(records.shape[0]):
+        if records[i, ALIVE] != 0.0:
+            share = exp(records[i, WEIGHT]) / total
+            for j in range(size):
+                for k in range(size):
+                    out[j, k] += share * (p[i, j, k] + (z[i, j] - mean[j]) * (z[i, k] - mean[k]))
+
+
+@compiled
 def mix(z: Array, p: Array, records: Array, total: float, out: Array) -> None:
     """Means and standard deviations of the mixture into the first two rows of `out`; `total` as of `compare`."""
     size = z.shape[1]

@@ -13,23 +13,36 @@ from hilbench.estimation.bank import Array
 from hilbench.estimation.web_line.config import ChangepointConfig
 from hilbench.estimation.web_line.synchronizers import kalman
 from hilbench.estimation.web_line.synchronizers.base import Estimate, SyncSample
-from hilbench.estimation.web_line.synchronizers.plant import FilterInputs, Plant, nuisances
+from hilbench.estimation.web_line.synchronizers.plant import SEPARABLE, FilterInputs, Plant, nuisances
 
-BankStep = Callable[[Array, Array, Array, Array, Array, Array, Array], None]
+BankStep = Callable[[Array, Array, Array, Array, Array, Array, Array, Array, bool], None]
 
 
 def _compiled_step(sources: int) -> BankStep:
     """The function that is called from Python; `sources` as in `number_of_sources`."""
 
     @entry_point
-    def bank_step(z: Array, p: Array, records: Array, settings: Array, u: Array, row: Array, out: Array) -> None:
+    def bank_step(
+        z: Array,
+        p: Array,
+        records: Array,
+        settings: Array,
+        u: Array,
+        row: Array,
+        out: Array,
+        covariance: Array,
+        beside: bool,
+    ) -> None:
         """One cycle of all hypotheses. `out` (3, SIZE): means and standard deviations of the mixture, and, of E,
-        the deviation that comes from noise alone."""
+        the deviation that comes from noise alone; covariance (SIZE, SIZE) of the mixture, if E has something `beside`
+        it."""
         for i in range(records.shape[0] if sources >= 0 else 0):
             if records[i, bank.ALIVE] != 0.0:
                 records[i, bank.WEIGHT] += kalman.step(z, p, i, u, row)
         total = bank.compare(records)
         bank.mix(z, p, records, total, out)
+        if beside:
+            bank.covariance(z, p, records, total, out[0], covariance)
         out[2, kalman.E] = 0.0
         for i in range(records.shape[0]):
             if records[i, bank.ALIVE] != 0.0:
@@ -62,7 +75,10 @@ class ChangepointSynchronizer:
         self._inputs.u[kalman.E_VARIANCE_PER_S] = (0.01 * config.wander_pct_per_sqrt_s) ** 2
         self._row = np.zeros(kalman.SIZE)
         self._out = np.zeros((3, kalman.SIZE))
+        self._covariance = np.zeros((kalman.SIZE, kalman.SIZE))
+        self._beside = bool(self._inputs.priors[:-1].any())
         self._told = 1.0
+        self._found = 1.0
         self._started = False
 
     def update(self, sample: SyncSample) -> Estimate:
@@ -73,11 +89,31 @@ class ChangepointSynchronizer:
             c, settings = self._config, self._settings
             settings[bank.CYCLE] += 1.0
             bank.set_priors(settings, c.jumps_per_s, c.drift_onsets_per_s, sample.cycle_s)
-            _bank_step(self._z, self._p, self._records, settings, self._inputs.u, self._row, self._out)
+            _bank_step(
+                self._z,
+                self._p,
+                self._records,
+                settings,
+                self._inputs.u,
+                self._row,
+                self._out,
+                self._covariance,
+                self._beside,
+            )
+            self._found = self._out.item(0, kalman.E) - (self._of_what_is_held() if self._beside else 0.0)
             # A few samples after a jump the mixture still has the noise of a few samples.
             share = min(1.0, (0.01 * c.cautious_pct / self._out.item(2, kalman.E)) ** 2)
-            self._told += share * (self._out.item(0, kalman.E) - self._told)
+            self._told += share * (self._found - self._told)
         return self._estimate()
+
+    def _of_what_is_held(self) -> float:
+        """What E has of the parameters beside it that the data don't tell from it: those count as 0, their prior."""
+        priors, deviations = self._inputs.priors, self._out[1, kalman.OFFSET :]
+        held = kalman.OFFSET + np.flatnonzero((priors > 0.0) & (deviations >= SEPARABLE * priors))
+        if not held.size:
+            return 0.0
+        gain = np.linalg.solve(self._covariance[np.ix_(held, held)], self._covariance[held, kalman.E])
+        return float(gain @ self._out[0, held])
 
     def _start(self, sample: SyncSample) -> None:
         c = self._config
@@ -86,6 +122,7 @@ class ChangepointSynchronizer:
         self._records[0, bank.ALIVE] = 1.0
         self._out[0] = self._z[0]
         self._out[1] = np.sqrt(np.diag(self._p[0]))
+        self._found = self._out.item(0, kalman.E)
         self._started = True
 
     def rebase(self, change_Pa: float) -> None:
@@ -93,6 +130,7 @@ class ChangepointSynchronizer:
         change = change_Pa / self._reference_Pa
         self._z[:, kalman.E] += change
         self._out[0, kalman.E] += change
+        self._found += change
         self._told += change
 
     def hold(self, duration_s: float) -> Estimate:
@@ -108,6 +146,6 @@ class ChangepointSynchronizer:
         mean, deviation, _ = self._out.tolist()
         return Estimate(
             self._told * self._reference_Pa,
-            hypot(deviation[kalman.E], mean[kalman.E] - self._told) * self._reference_Pa,
+            hypot(deviation[kalman.E], self._found - self._told) * self._reference_Pa,
             nuisances(self._also, mean[kalman.OFFSET :], deviation[kalman.OFFSET :]),
         )

@@ -23,8 +23,11 @@ _ACCELERATION_S = 0.02
 #: Share of the inertial force that counts as noise: while the roller shakes, torque, load and position are less of one
 #: instant than else.
 _SHAKING = 0.1
+#: Time over which the tension changes that counts as noise where something is looked for that the tension tells from E,
+#: s; smoothing of that change. What shakes the roller shakes the strain as well, and tells nothing.
+_QUICK_S, _QUICK_SMOOTHING_S = 0.15, 0.02
 #: A nuisance counts as told apart from E when the data have shrunk its prior deviation to this share.
-_SEPARABLE = 0.7
+SEPARABLE = 0.7
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,6 +67,8 @@ class FilterInputs:
         self._position = NoiseLevel(_POSITION_NOISE_M, _POSITION_FLOOR_M)
         self._before: tuple[float, float] | None = None
         self._speed_m_s = 0.0
+        self._slowly = bool(self.priors[:-1].any())
+        self._web_N = self._web_N_per_s = 0.0
 
     def interrupt(self) -> None:
         """A cycle is missing: no mean is formed across it."""
@@ -78,6 +83,7 @@ class FilterInputs:
         before, self._before = self._before, now
         if before is None:
             self._speed_m_s = balance.velocity_m_s
+            self._web_N = balance.web_per_Pa * self._plant.youngs_modulus_Pa
             u[kalman.ACCELERATION_M_S2] = 0.0
             return False
         slope = (balance.velocity_m_s - self._speed_m_s) / (_ACCELERATION_S + sample.cycle_s)
@@ -94,6 +100,10 @@ class FilterInputs:
             + 2.0 * self._stiffness_per_m**2 * position_variance
             + (_SHAKING * self._plant.mass_kg * slope) ** 2
         )
+        if self._slowly:
+            self._web_N_per_s = (u[kalman.WEB_N] - self._web_N) / (_QUICK_SMOOTHING_S + sample.cycle_s)
+            self._web_N += self._web_N_per_s * sample.cycle_s
+            u[kalman.FORCE_VARIANCE] += (_QUICK_S * self._web_N_per_s) ** 2
         u[kalman.POSITION_M] = balance.x2_m
         u[kalman.POSITION_VARIANCE] = position_variance
         return True
@@ -112,7 +122,7 @@ def nuisances(
     rows = zip(also, values, deviations, strict=True)
     return tuple(
         [
-            Nuisance(name, value, deviation, deviation < _SEPARABLE * prior)
+            Nuisance(name, value, deviation, deviation < SEPARABLE * prior)
             for (name, prior), value, deviation in rows
             if prior > 0.0
         ]
