@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 from tests.independent_line.line import STEP_OF_E, Hidden, Line, effect
 
-from hilbench.cli.model_option import model_from
 from hilbench.diagnosis.synchronization import measurements_of, twin_config
 from hilbench.estimation.web_line.config import SynchronizerConfig
 from hilbench.estimation.web_line.offline import run_offline
+from hilbench.plant.web_line.parameters import load_model
 from hilbench.results.recording import Recording
 from hilbench.runs.figures import ESTIMATE_BAND, time_to_stay
 
@@ -63,7 +63,7 @@ def outcome(name: str, method: SynchronizerConfig, *, seed: int = 0, duration_s:
     """One case in production: a ramp, then constant speed, E +20.7 % at 23 s."""
     record = Line(hidden=[*CASES[name], STEP_OF_E]).record("production", seed=seed, duration_s=duration_s)
     data = measurements_of(Recording(record.channels), name)
-    track = run_offline(model_from(MODEL), twin_config(method), data)
+    track = run_offline(load_model(MODEL), twin_config(method), data)
     true = record.truth["E_true_Pa"]
     error = track.E_Pa / true - 1.0
     step = int(np.flatnonzero(np.diff(true))[-1]) + 1

@@ -68,9 +68,9 @@ _NAMES = {
 
 def prior_deviations(config: ModelErrorsConfig, model: ModelParameters, force_per_torque_per_m: float) -> Array:
     """Standard deviations of the filters' states (N,), from sizes of the machine; of E and REST: 0."""
-    web, boundary = model.required_web, model.boundary
+    boundary = model.boundary
     tension_N = max(boundary.upstream_tension_N, boundary.downstream_tension_N)
-    strain = tension_N / web.stiffness_N
+    strain = tension_N / model.stiffness_N(1)
     if model.drives is not None:
         limit_Nm = per_item(model.drives.torque_limit_Nm, 2)
     else:
