@@ -103,7 +103,7 @@ def test_the_result_says_what_was_found_and_when(friction: RunOutcome) -> None:
     low, high = came.parameters["force_N"].ci95
     assert low < came.parameters["force_N"].value < high
     assert came.gap is not None
-    assert came.gap.before > 3.0 * came.gap.noise_floor
+    assert came.gap.before > 2.0 * came.gap.noise_floor
     assert came.gap.after < 1.1 * came.gap.noise_floor
     assert abs(came.t_s - 12.0) < 1.0
     assert (went.effect, went.gone) == ("coulomb_friction", True)
