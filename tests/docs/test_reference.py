@@ -39,7 +39,7 @@ def test_a_key_has_type_unit_and_default(made: dict[str, str]) -> None:
     found = rows(made["reference/config.md"])
     assert found["cycle_time_s"][1:4] == ["number ≥ 0.0005, ≤ 0.1", "s", "`0.002`"]
     assert found["mirroring"][1:4] == ["`listen` or `copy`", "", "`listen`"]
-    assert found["radius_m"][1:4] == ["number ≥ 0.0001, ≤ 100 or list of number ≥ 0.0001, ≤ 100", "m", "required"]
+    assert found["width_m"][1:4] == ["number ≥ 0.001, ≤ 100 or list of number ≥ 0.001, ≤ 100", "m", "required"]
     assert found["speed_m_s"][3] == "`{warning: 8, trip: 10}`"
 
 
