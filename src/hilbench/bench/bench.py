@@ -312,7 +312,8 @@ class Bench:
     def _asked(self) -> Asked:
         """What is asked of the machine, by whomever."""
         config, reference, now_s = self.config, self._machine.reference, self.time_s
-        paths = quantities.plain_paths(config.machine_kind, config.shape)
+        every = quantities.plain_paths(config.machine_kind, config.shape)
+        paths = [path for path in every if config.path_problem(path) is None]
         plan, goal = self._plan, reference.goal
         if goal is not None:
             lasts_s = abs(goal - reference.present) / config.quick_stop_per_s2
