@@ -75,6 +75,8 @@ class ChangepointSynchronizer:
         self._inputs.u[kalman.E_VARIANCE_PER_S] = (0.01 * config.wander_pct_per_sqrt_s) ** 2
         self._row = np.zeros(kalman.SIZE)
         self._out = np.zeros((3, kalman.SIZE))
+        # Before the first sample E is what is believed at the start.
+        self._out[0, kalman.E], self._out[1, kalman.E] = 1.0, 0.01 * config.initial_deviation_pct
         self._covariance = np.zeros((kalman.SIZE, kalman.SIZE))
         self._beside = bool(self._inputs.priors[:-1].any())
         self._told = 1.0
