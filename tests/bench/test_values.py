@@ -49,7 +49,7 @@ def as_number(value: object) -> float | None:
 
 def test_every_effect_can_be_set_somewhere_and_where_it_has_no_place_it_is_refused() -> None:
     assert {path.split(".")[2] for path in PATHS if ".effects." in path} == {
-        effect.id for effect in effects_of(MachineKind.WEB_LINE)
+        effect.id for kind in MachineKind for effect in effects_of(kind)
     }
     for path in ("hardware.effects.elasticity_drift.rate_per_s", "load.effects.inertia_mismatch.axis2.relative_change"):
         with pytest.raises(ValueError, match=r"load model|hardware"):
@@ -92,7 +92,7 @@ def bench(folder: Path) -> Bench:
 def test_a_script_that_sets_what_is_no_value_is_told_and_its_bench_goes_on_and_stops_in_order(tmp_path: Path) -> None:
     with bench(tmp_path) as running:
         running.ramp("line_speed_m_s", 0.5, 0.2)
-        for path in plain_paths(running.config.machine_kind, running.config.shape):
+        for path in running.config.plain_paths:
             before = running.get(path)
             for value in [*NO_NUMBERS, -1e9, 1e300]:
                 for way in (running.set, running.step, lambda path, value: running.ramp(path, value, 0.1)):

@@ -312,14 +312,12 @@ class Bench:
     def _asked(self) -> Asked:
         """What is asked of the machine, by whomever."""
         config, reference, now_s = self.config, self._machine.reference, self.time_s
-        every = quantities.plain_paths(config.machine_kind, config.shape)
-        paths = [path for path in every if config.path_problem(path) is None]
         plan, goal = self._plan, reference.goal
         if goal is not None:
             lasts_s = abs(goal - reference.present) / config.quick_stop_per_s2
             plan = plan.with_moves([Move(reference.path, now_s, now_s + lasts_s, goal)])
         ceilings = {} if reference.ceiling is None else {reference.path: reference.ceiling}
-        return Asked({path: self._operator.get(path) for path in paths}, plan, ceilings)
+        return Asked({path: self._operator.get(path) for path in config.plain_paths}, plan, ceilings)
 
     # -- time --------------------------------------------------------------------------------------------
 

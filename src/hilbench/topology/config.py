@@ -30,7 +30,7 @@ from hilbench.prediction.config import PredictionConfig
 from hilbench.real_time import ProcessSettings
 from hilbench.topology.live_config import LiveDiagnosisConfig
 from hilbench.topology.parts import DriveConfig, LoadMotorConfig, NodeConfig, Part, PartName, Role
-from hilbench.topology.quantities import MODEL_CHANGE, path_problem
+from hilbench.topology.quantities import MODEL_CHANGE, path_problem, plain_paths
 from hilbench.topology.safety import SafetyConfig, TimeOut
 from hilbench.topology.signal_kinds import Signal
 from hilbench.topology.signals import Shape, signals_of
@@ -487,6 +487,12 @@ class BenchConfig(Block):
     def tension_controls(self) -> dict[int, TensionControlConfig]:
         """The controllers of a web line by the span whose tension they keep, in the order of the spans."""
         return {control.span: control for control in sorted(self.controllers.values(), key=lambda each: each.span)}
+
+    @property
+    def plain_paths(self) -> tuple[str, ...]:
+        """The quantities of this bench that can be set, without those of effects."""
+        known = plain_paths(self.machine_kind, self.shape)
+        return tuple(path for path in known if self.path_problem(path) is None)
 
     def path_problem(self, path: str) -> str | None:
         """Why this bench has no such quantity that can be set, in one line, or None."""
