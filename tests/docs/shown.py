@@ -40,6 +40,7 @@ NOT_RUN = {
     r"make (setup|demo|test|docs|bench|lint)\b": "CI runs it, or it takes longer than all tests; it is looked up",
     r"python tools/\S+": "writes the tables of a page from runs that take minutes; the tool is looked up",
     r"python -m hilbench\.(hardware|twin)$": "a bench starts them; tests/bench/test_children.py starts each alone",
+    r"python -m hilbench\.live$": "a bench starts it and holds the other end: tests/live/test_live_runs.py",
     r"source \.venv/bin/activate": "changes the shell it stands in",
     r"pip install ": "loads packages",
     r"(sudo|ip|echo) ": "changes the machine, or asks an interface: the guest of `make test-vcan` has one",
