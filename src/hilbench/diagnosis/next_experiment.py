@@ -199,7 +199,8 @@ def _tries(
     if sum((e.effect, e.axis) == (effect.id, axis) for e in model.effects) >= effect.slots:
         return []
     strength = effect.parameter(effect.strength[0])
-    values[strength.name] = strength.size.on(sizes(axis))
+    # On a rotary axis that a model describes with a radius of 1 m, sizes in m are larger than any roller has.
+    values[strength.name] = min(max(strength.size.on(sizes(axis)), strength.lower), strength.upper)
     phases = (0.0, 0.5 * np.pi) if "phase_rad" in values else (None,)
     return [machines.entry(model, effect.id, axis, values | ({} if p is None else {"phase_rad": p})) for p in phases]
 

@@ -152,8 +152,8 @@ class LineLook:
             tensions_N=tensions,
             set_points_N=set_points,
             modulus_Pa=modulus_Pa,
-            # By noise alone, as the twin is synchronized: what its model may lack makes the present tension wrong as well,
-            # and no future of it differs by that.
+            # By noise alone, as the twin is synchronized: what its model may lack makes the present tension wrong as
+            # well, and no future of it differs by that.
             modulus_sd_Pa=min(sd_Pa, self._synchronized * modulus_Pa),
             upstream_strain=strain,
             downstream_tension_N=behind_N,
