@@ -18,7 +18,7 @@ from hilbench.diagnosis.diagnosis import Diagnosis, Gap, NamedEffect, Unobservab
 from hilbench.diagnosis.imitated import imitation_of
 from hilbench.diagnosis.next_experiment import LONGEST_S, duration_s, write_steps
 from hilbench.diagnosis.web_next_experiment import Reach, moves, propose
-from hilbench.plant.effects import find_effect
+from hilbench.plant.effects import MachineKind, effects_of, find_effect
 from hilbench.plant.model_file import Machine
 from hilbench.plant.servo_axis.parameters import ServoAxisParameters
 from hilbench.runs.check import check_experiment
@@ -129,6 +129,14 @@ def test_an_effect_that_an_axis_could_not_show_is_asked_by_a_move_that_shows_it(
     proposed = axis_next_experiment.propose(unseen, AXIS_REACH)
     assert proposed is not None
     assert "steep ramps" in proposed.moves
+
+
+def test_every_effect_that_a_rotary_axis_described_in_metres_did_not_show_can_be_asked() -> None:
+    """Of a radius of 1 m a usual eccentricity would be larger than any may be."""
+    machine = lone_axis(effect("coulomb_friction", 1, force_N=1.0))
+    for name in (each.id for each in effects_of(MachineKind.WEB_LINE) if each.per_axis):
+        proposed = axis_next_experiment.propose(left_open(machine, blind=((name, 1),)), AXIS_REACH)
+        assert proposed is None or proposed.duration_s <= LONGEST_S
 
 
 def test_an_effect_that_was_not_shown_is_asked_by_a_move_that_shows_it() -> None:
