@@ -116,7 +116,9 @@ def test_a_twin_that_is_killed_is_started_again_while_the_loop_holds(tmp_path: P
     tension = settled(found, "F_true_N")
     # The loop may have been busy when it opened; what it was at then has left the span after some seconds.
     assert np.max(np.abs(tension[opened:again] - 80.0)) < 20.0
-    assert np.max(np.abs(tension[again - 100 : again] - 80.0)) < 2.0
+    # The twin knows the web before what the loop was busy with has left the span: the closed loop brings it back.
+    back = again + round(0.8 / CYCLE_S)
+    assert np.max(np.abs(tension[back : back + 50] - 80.0)) < 2.0
     warnings = result_of(folder).all_warnings()
     assert any("axis 1 follows the ratio of speeds: the twin" in warning for warning in warnings)
     assert any("tension loop closed again" in warning for warning in warnings)
