@@ -10,10 +10,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Final, Self
+from typing import ClassVar, Final
 
 from canopen.objectdictionary import ObjectDictionary
-from pydantic import Field, ValidationError
+from pydantic import Field
 
 from hilbench.block import Strict
 from hilbench.canopen import eds
@@ -21,9 +21,8 @@ from hilbench.canopen.data_types import data_type
 from hilbench.canopen.eds import load_eds
 from hilbench.canopen.sdo_client import Refusal, SdoClient
 from hilbench.cia402 import configuration, objects
-from hilbench.errors import UnusableInputError
 from hilbench.exchange.nodes import drive_settings
-from hilbench.files import written_whole
+from hilbench.json_file import JsonFile
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.parts import Part, Role
 
@@ -75,32 +74,16 @@ class EdsObject(Strict):
     default: str | None
 
 
-class StandData(Strict):
+class StandData(JsonFile):
     """What a run knew of its stand's nodes when it started. `eds`: by file, the objects in it."""
+
+    described: ClassVar[str] = "a run's nodes"
+    indent: ClassVar[int] = 1
 
     stand: str
     time: datetime
     nodes: dict[str, NodeData]
     eds: dict[str, dict[str, EdsObject]]
-
-    def write(self, path: Path) -> None:
-        """Write as JSON; the file appears complete or not at all. Raises UnusableInputError if it cannot be."""
-        with written_whole(path) as partial:
-            partial.write_text(self.model_dump_json(indent=1) + "\n", encoding="utf-8")
-
-    @classmethod
-    def read(cls, path: Path) -> Self:
-        """Read and check. Raises UnusableInputError: file, key, what was found."""
-        try:
-            return cls.model_validate_json(path.read_bytes())
-        except OSError as error:
-            raise UnusableInputError(path, f"cannot be read ({error.strerror}), expected a run's nodes") from error
-        except ValidationError as error:
-            first = error.errors()[0]
-            place = ".".join(map(str, first["loc"])) or "the file"
-            raise UnusableInputError(
-                path, f"{place}: {' '.join(first['msg'].split())}, expected a run's nodes"
-            ) from error
 
 
 def drives_of(config: BenchConfig) -> tuple[Part, ...]:

@@ -7,15 +7,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from importlib import metadata
 from math import isfinite
-from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import (
     Field,
     SerializerFunctionWrapHandler,
-    ValidationError,
     model_serializer,
     model_validator,
 )
@@ -23,8 +21,7 @@ from pydantic import (
 from hilbench.bench.prediction.announcements import Announcement
 from hilbench.bench.reports.found import FoundEffect, GapRow, ModelChange
 from hilbench.block import Strict
-from hilbench.errors import UnusableInputError
-from hilbench.files import written_whole
+from hilbench.json_file import JsonFile
 from hilbench.results.provenance import Provenance
 from hilbench.runs.criteria import CriterionResult
 from hilbench.runs.events import Event
@@ -414,7 +411,7 @@ def _largest(values: Sequence[float]) -> float | None:
     return max((value for value in values if isfinite(value)), default=None)
 
 
-class Result(_WithOptions):
+class Result(_WithOptions, JsonFile):
     """The verdict of one run. `passed` holds exactly when every criterion does and no fault stopped the run.
 
     `not_judged`: why a metric has no value; `steps`: every step of the run with its figures; `events`: these and all
@@ -424,6 +421,8 @@ class Result(_WithOptions):
     kind once with its count.
     `predicted`: crossings of limits that were announced, where the config asks for predictions.
     """
+
+    described: ClassVar[str] = "a run's result"
 
     passed: bool
     criteria: list[CriterionResult]
@@ -477,22 +476,3 @@ class Result(_WithOptions):
     def all_warnings(self) -> list[str]:
         """One line for each: losses of frames, then what the bench noted, in the order of time."""
         return [*self.timing.warnings(), *(warning.line() for warning in self.warnings or [])]
-
-    def write(self, path: Path) -> None:
-        """Write as JSON; the file appears complete or not at all. Raises UnusableInputError if it cannot be."""
-        with written_whole(path) as partial:
-            partial.write_text(self.model_dump_json(indent=2) + "\n", encoding="utf-8")
-
-    @classmethod
-    def read(cls, path: Path) -> Self:
-        """Read and check. Raises UnusableInputError: file, key, what was found."""
-        try:
-            return cls.model_validate_json(path.read_bytes())
-        except OSError as error:
-            raise UnusableInputError(path, f"cannot be read ({error.strerror}), expected a run's result") from error
-        except ValidationError as error:
-            first = error.errors()[0]
-            key = ".".join(map(str, first["loc"])) or "the file"
-            raise UnusableInputError(
-                path, f"{key}: {' '.join(first['msg'].split())}, expected a run's result"
-            ) from error
