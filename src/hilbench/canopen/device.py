@@ -64,6 +64,9 @@ class Device:
         self.nmt_state = NmtState.INITIALISING
         self.replies: list[Frame] = []
         self.outbox: list[Frame] = []
+        #: For tests of masters: nothing, or no heartbeat, leaves the device meanwhile.
+        self.silent = False
+        self.heartbeat_fails = False
         self.on_nmt: Callable[[NmtState], None] | None = None
         self.on_communication_error: Callable[[int], None] | None = None
         self.on_emergency_stop: Callable[[], None] | None = None
@@ -188,7 +191,7 @@ class Device:
     def poll(self) -> None:
         """Time has passed: heartbeats, time-outs, event-driven PDOs, held-back EMCYs."""
         now_ns = self._clock.now_ns()
-        if self._producer.due(now_ns):
+        if self._producer.due(now_ns) and not self.heartbeat_fails:
             self._say(HEARTBEAT + self.node_id, self.nmt_state.heartbeat)
         self._consumer.poll(now_ns)
         self._emcy.poll(now_ns)
@@ -222,10 +225,19 @@ class Device:
             self._enter(NmtState.STOPPED)
         elif command == NmtCommand.ENTER_PRE_OPERATIONAL:
             self._enter(NmtState.PRE_OPERATIONAL)
-        elif command in (NmtCommand.RESET_NODE, NmtCommand.RESET_COMMUNICATION):
-            self._enter(NmtState.INITIALISING)
-            self._reset(*(_ALL_AREAS if command == NmtCommand.RESET_NODE else _COMMUNICATION_AREA))
-            self.boot()
+        elif command == NmtCommand.RESET_NODE:
+            self.reset_node()
+        elif command == NmtCommand.RESET_COMMUNICATION:
+            self._restart(_COMMUNICATION_AREA)
+
+    def reset_node(self) -> None:
+        """Start anew, as after power-on: by NMT, or because the device itself has to."""
+        self._restart(_ALL_AREAS)
+
+    def _restart(self, area: tuple[int, int]) -> None:
+        self._enter(NmtState.INITIALISING)
+        self._reset(*area)
+        self.boot()
 
     def _enter(self, state: NmtState) -> None:
         if state is self.nmt_state:
@@ -320,7 +332,9 @@ class Device:
     # -- frames out --------------------------------------------------------------------------------------
 
     def _say(self, cob_id: int, data: bytes) -> None:
-        self.outbox.append(Frame(cob_id, bytes(data)))
+        if not self.silent:
+            self.outbox.append(Frame(cob_id, bytes(data)))
 
     def _reply(self, cob_id: int, data: bytes) -> None:
-        self.replies.append(Frame(cob_id, bytes(data)))
+        if not self.silent:
+            self.replies.append(Frame(cob_id, bytes(data)))

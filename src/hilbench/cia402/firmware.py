@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from functools import partial
 from math import inf
 from typing import TYPE_CHECKING, Final
 
+from hilbench.canopen.object_store import Cell
 from hilbench.cia402 import objects
+from hilbench.cia402.assumed import cell_of
+from hilbench.cia402.switches import Switches
 from hilbench.cia402.units import RPM, DriveUnits, wrap_int32
 from hilbench.plant.motor_port import MotorMode, MotorPort
 
@@ -29,14 +34,17 @@ class Firmware:
     def __init__(self, device: Device, port: MotorPort, units: DriveUnits) -> None:
         self.port = port
         self.units = units
-        cell = device.cell
-        self.controlword = cell(objects.CONTROLWORD)
+        cell = partial(cell_of, device, units)
+        self.controlword = device.cell(objects.CONTROLWORD)
         self.target_velocity = cell(objects.TARGET_VELOCITY)
         self.velocity_offset = cell(objects.VELOCITY_OFFSET)
         self.target_torque = cell(objects.TARGET_TORQUE)
         self.torque_offset = cell(objects.TORQUE_OFFSET)
         self.target_position = cell(objects.TARGET_POSITION)
+        self.interpolated_target = cell(objects.INTERPOLATION_DATA_RECORD, 1)
+        self.vl_target = cell(objects.VL_TARGET_VELOCITY)
         self.home_offset = cell(objects.HOME_OFFSET)
+        self.homing_method = cell(objects.HOMING_METHOD)
 
         self.position_actual = cell(objects.POSITION_ACTUAL_VALUE)
         self.position_demand = cell(objects.POSITION_DEMAND_VALUE)
@@ -45,32 +53,52 @@ class Firmware:
         self.velocity_demand = cell(objects.VELOCITY_DEMAND_VALUE)
         self.torque_actual = cell(objects.TORQUE_ACTUAL_VALUE)
         self.torque_demand = cell(objects.TORQUE_DEMAND)
+        self.vl_demand = cell(objects.VL_VELOCITY_DEMAND)
+        self.vl_actual = cell(objects.VL_VELOCITY_ACTUAL_VALUE)
+        self._shows_vl = device.has(objects.VL_VELOCITY_ACTUAL_VALUE)
+        self.digital_inputs = cell(objects.DIGITAL_INPUTS)
 
         self._max_torque = cell(objects.MAX_TORQUE)
         self._max_motor_speed = cell(objects.MAX_MOTOR_SPEED)
         self._max_profile_velocity = cell(objects.MAX_PROFILE_VELOCITY)
+        self._profile_velocity = cell(objects.PROFILE_VELOCITY)
         self._acceleration = cell(objects.PROFILE_ACCELERATION)
         self._deceleration = cell(objects.PROFILE_DECELERATION)
         self._quick_stop_deceleration = cell(objects.QUICK_STOP_DECELERATION)
         self._torque_slope = cell(objects.TORQUE_SLOPE)
         self._following_window = cell(objects.FOLLOWING_ERROR_WINDOW)
         self._following_time = cell(objects.FOLLOWING_ERROR_TIME_OUT)
+        self._position_window = cell(objects.POSITION_WINDOW)
+        self._position_window_time = cell(objects.POSITION_WINDOW_TIME)
         self._velocity_window = cell(objects.VELOCITY_WINDOW)
         self._velocity_window_time = cell(objects.VELOCITY_WINDOW_TIME)
         self._velocity_threshold = cell(objects.VELOCITY_THRESHOLD)
         self._velocity_threshold_time = cell(objects.VELOCITY_THRESHOLD_TIME)
         self._period_value = cell(objects.INTERPOLATION_TIME_PERIOD, 1)
         self._period_index = cell(objects.INTERPOLATION_TIME_PERIOD, 2)
+        self._software_limits = [cell(objects.SOFTWARE_POSITION_LIMIT, sub) for sub in (1, 2)]
+        self._homing_speeds = [cell(objects.HOMING_SPEEDS, sub) for sub in (1, 2)]
+        self._homing_acceleration = cell(objects.HOMING_ACCELERATION)
+        self._vl_amounts = [cell(objects.VL_VELOCITY_MIN_MAX_AMOUNT, sub) for sub in (1, 2)]
+        self._vl_acceleration = [cell(objects.VL_VELOCITY_ACCELERATION, sub) for sub in (1, 2)]
+        self._vl_deceleration = [cell(objects.VL_VELOCITY_DECELERATION, sub) for sub in (1, 2)]
         for parameter in (
             *(self._max_torque, self._max_motor_speed, self._max_profile_velocity),
+            self._profile_velocity,
             *(self._acceleration, self._deceleration, self._quick_stop_deceleration, self._torque_slope),
-            *(self._following_window, self._following_time),
+            *(self._following_window, self._following_time, self._position_window, self._position_window_time),
             *(self._velocity_window, self._velocity_window_time),
             *(self._velocity_threshold, self._velocity_threshold_time),
-            *(self._period_value, self._period_index),
+            *(self._period_value, self._period_index, *self._software_limits),
+            *(*self._homing_speeds, self._homing_acceleration),
+            *(*self._vl_amounts, *self._vl_acceleration, *self._vl_deceleration),
         ):
             parameter.on_write = self._parameter_written
 
+        #: What there is beside the encoder; None: nothing.
+        self.switches: Switches | None = None
+        #: Time until the plant has advanced by this cycle's set points (s).
+        self.dt_s = 0.0
         #: Position units between the encoder's zero and the application's (set by homing).
         self.position_origin = 0
         #: The encoder's reading in position units, not wrapped, without the origin.
@@ -81,6 +109,11 @@ class Firmware:
     def _parameter_written(self, _value: object) -> None:
         self.stale = True
 
+    def angle_rad(self, position: int) -> float:
+        """Where the encoder shows a position (position units); 32-bit counts wrap, and the short way is meant."""
+        distance = wrap_int32(position - self.encoder_count - self.position_origin)
+        return (self.encoder_count + distance) * self.units.position_rad
+
     def refresh(self) -> None:
         """Derive the settings from the parameter objects."""
         self.stale = False
@@ -90,6 +123,7 @@ class Firmware:
         self.velocity_limit_rad_s = min(self.motor_speed_limit_rad_s, profile_limit)
         self.overspeed_rad_s = self.motor_speed_limit_rad_s * OVERSPEED_RATIO
         self.torque_limit_Nm = int(self._max_torque.value) * units.torque_Nm
+        self.profile_velocity_rad_s = int(self._profile_velocity.value) * units.velocity_rad_s
         self.acceleration_rad_s2 = int(self._acceleration.value) * units.acceleration_rad_s2
         self.deceleration_rad_s2 = int(self._deceleration.value) * units.acceleration_rad_s2
         self.quick_stop_deceleration_rad_s2 = int(self._quick_stop_deceleration.value) * units.acceleration_rad_s2
@@ -97,11 +131,24 @@ class Firmware:
         window = int(self._following_window.value)
         self.following_window = inf if window == NO_WINDOW else window
         self.following_time_s = int(self._following_time.value) / 1000.0
+        window = int(self._position_window.value)
+        self.position_window = inf if window == NO_WINDOW else window
+        self.position_window_time_s = int(self._position_window_time.value) / 1000.0
+        low, high = (int(limit.value) for limit in self._software_limits)
+        #: 607Dh in position units; None: both are 0, or the lower is not below the upper.
+        self.software_limits = (low, high) if low < high else None
         self.velocity_window_rad_s = int(self._velocity_window.value) * units.velocity_rad_s
         self.velocity_window_time_s = int(self._velocity_window_time.value) / 1000.0
         self.standstill_rad_s = int(self._velocity_threshold.value) * units.velocity_rad_s
         self.standstill_time_s = int(self._velocity_threshold_time.value) / 1000.0
         self.interpolation_period_s = int(self._period_value.value) * 10.0 ** int(self._period_index.value)
+        fast, slow = (int(speed.value) * units.velocity_rad_s for speed in self._homing_speeds)
+        self.homing_switch_speed_rad_s, self.homing_zero_speed_rad_s = fast, slow
+        self.homing_acceleration_rad_s2 = int(self._homing_acceleration.value) * units.acceleration_rad_s2
+        slowest, fastest = (int(amount.value) * RPM for amount in self._vl_amounts)
+        self.vl_slowest_rad_s, self.vl_fastest_rad_s = slowest, min(fastest or inf, self.motor_speed_limit_rad_s)
+        self.vl_acceleration_rad_s2 = _ramp_rad_s2(self._vl_acceleration)
+        self.vl_deceleration_rad_s2 = _ramp_rad_s2(self._vl_deceleration)
         self.port.torque_limit_Nm = self.torque_limit_Nm
 
     def show(self) -> None:
@@ -124,6 +171,10 @@ class Firmware:
         self.position_actual.value = position
         self.velocity_actual.value = velocity
         self.torque_actual.value = max(-_INT16_MAX, min(_INT16_MAX, torque))
+        if self._shows_vl:
+            self.vl_actual.value = max(-_INT16_MAX, min(_INT16_MAX, round(port.velocity_rad_s / RPM)))
+        if self.switches is not None:
+            self.digital_inputs.value = self.switches.inputs(port.position_rad)
         self._show_demands(position)
 
     def _show_demands(self, position: int) -> None:
@@ -142,7 +193,13 @@ class Firmware:
             self.torque_demand.value = round(port.reference / units.torque_Nm)
         self.position_demand.value = position
 
-    def set_home(self, position: int) -> None:
-        """Let the present position be `position` (position units)."""
-        self.position_origin = position - self.encoder_count
-        self.position_actual.value = wrap_int32(position)
+    def set_home(self, position: int, at_count: int | None = None) -> None:
+        """Let the place where the encoder shows `at_count` (None: the present one) be `position` (position units)."""
+        self.position_origin = position - (self.encoder_count if at_count is None else at_count)
+        self.position_actual.value = wrap_int32(self.encoder_count + self.position_origin)
+
+
+def _ramp_rad_s2(delta: Sequence[Cell]) -> float:
+    """A ramp of the velocity mode: delta speed in rpm by delta time in s; without a time, at once."""
+    speed, time_s = (int(part.value) for part in delta)
+    return speed * RPM / time_s if time_s else inf

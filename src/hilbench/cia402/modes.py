@@ -1,64 +1,25 @@
-"""Modes of operation of the simulated drive (6060h): set points to the motor, and statusword bits 10, 12, 13."""
+"""The modes of operation of the simulated drive (6060h): set points to the motor, and statusword bits 10, 12, 13."""
 
 from __future__ import annotations
 
 from math import inf
-from typing import ClassVar, Final
+from typing import Final
 
 from hilbench.cia402.firmware import Firmware
+from hilbench.cia402.homing import Homing
+from hilbench.cia402.mode import DebouncedCondition, Mode
 from hilbench.cia402.objects import OperationMode
+from hilbench.cia402.profile_position import ProfilePosition
 from hilbench.cia402.state_machine import STATUS_MODE_12, STATUS_MODE_13, STATUS_TARGET_REACHED
-from hilbench.cia402.units import wrap_int32
+from hilbench.cia402.units import RPM
 from hilbench.plant.motor_port import MotorMode
 
-HOMING_START: Final = 1 << 4  #: controlword bit 4 in homing mode
-
-
-class Mode:
-    """No mode chosen (6060h = 0): the motor is energized and without torque. Base of the modes."""
-
-    motor_mode: ClassVar[MotorMode] = MotorMode.TORQUE
-
-    def __init__(self, firmware: Firmware) -> None:
-        self._firmware = firmware
-        #: The set point was cut by a limit (statusword bit 11).
-        self.limited = False
-
-    def enter(self) -> None:
-        """The mode begins to act: operation was enabled, or another mode left."""
-
-    def command(self) -> None:
-        """Set points of this cycle, from the target objects."""
-        self._set(0.0)
-
-    def follow_controlword(self, controlword: int, previous: int) -> None:
-        """Mode-specific bits of a new controlword, in OPERATION ENABLED."""
-
-    def status(self, dt_s: float) -> int:
-        """Statusword bits 10, 12 and 13 after `dt_s` more seconds in OPERATION ENABLED, not halted."""
-        return 0
-
-    def _set(self, setpoint: float, slope: float = inf) -> None:
-        port = self._firmware.port
-        port.mode = self.motor_mode
-        port.setpoint = setpoint
-        port.slope = slope
-
-    def _limit(self, setpoint: float, limit: float) -> float:
-        self.limited = not -limit <= setpoint <= limit
-        return max(-limit, min(limit, setpoint)) if self.limited else setpoint
-
-
-class DebouncedCondition:
-    """A condition that counts once it has held for a time (6067h-style windows)."""
-
-    def __init__(self) -> None:
-        self._held_s = 0.0
-
-    def update(self, holds: bool, dt_s: float, time_s: float) -> bool:
-        """Whether the condition has now held for `time_s` (times are compared to a microsecond)."""
-        self._held_s = self._held_s + dt_s if holds else 0.0
-        return holds and self._held_s + 1e-6 >= time_s
+#: Controlword bit 4 in interpolated position mode.
+INTERPOLATION_ENABLED: Final = 1 << 4
+#: Controlword bits 4 to 6 in velocity mode.
+RAMP_ENABLED: Final = 1 << 4
+RAMP_UNLOCKED: Final = 1 << 5
+RAMP_USES_REFERENCE: Final = 1 << 6
 
 
 class ProfileVelocity(Mode):
@@ -116,37 +77,6 @@ class ProfileTorque(Mode):
         return STATUS_TARGET_REACHED if left_Nm < self._firmware.units.torque_Nm else 0
 
 
-class Homing(Mode):
-    """Mode 6 with methods 35 and 37: the present position becomes 607Ch, at rest and without motion."""
-
-    motor_mode = MotorMode.VELOCITY
-
-    def __init__(self, firmware: Firmware) -> None:
-        super().__init__(firmware)
-        self._attained = False
-        self._error = False
-
-    def command(self) -> None:
-        """Hold still."""
-        self._set(0.0, self._firmware.deceleration_rad_s2)
-
-    def follow_controlword(self, controlword: int, previous: int) -> None:
-        """Home on the rising edge of bit 4; a homing of a moving motor ends in the homing error."""
-        if controlword & ~previous & HOMING_START:
-            firmware = self._firmware
-            self._error = abs(firmware.port.velocity_rad_s) > firmware.standstill_rad_s
-            self._attained = not self._error
-            if self._attained:
-                firmware.set_home(int(firmware.home_offset.value))
-
-    def status(self, dt_s: float) -> int:
-        """Not started 10; attained 10 and 12; error 13, with 10 once the motor is at rest."""
-        if self._error:
-            moving = abs(self._firmware.port.velocity_rad_s) > self._firmware.standstill_rad_s
-            return STATUS_MODE_13 | (0 if moving else STATUS_TARGET_REACHED)
-        return STATUS_TARGET_REACHED | (STATUS_MODE_12 if self._attained else 0)
-
-
 class CyclicSynchronousPosition(Mode):
     """Mode 8: follows 607Ah, interpolated over 60C2h; bit 13 following error.
 
@@ -154,11 +84,10 @@ class CyclicSynchronousPosition(Mode):
     """
 
     motor_mode = MotorMode.POSITION
+    follows_position = True
 
     def __init__(self, firmware: Firmware) -> None:
         super().__init__(firmware)
-        #: The following error is outside its window 6065h.
-        self.outside_window = False
         self._target: int | None = None
         self._approach_rad_s = inf
 
@@ -169,13 +98,16 @@ class CyclicSynchronousPosition(Mode):
     def command(self) -> None:
         """The target, approached so that it is reached when the interpolation period after it was given is over."""
         firmware = self._firmware
-        here, target = firmware.encoder_count, int(firmware.target_position.value)
-        distance = wrap_int32(target - here - firmware.position_origin)
-        target_rad = (here + distance) * firmware.units.position_rad
+        target = self._asked()
+        target_rad = firmware.angle_rad(target)
         if target != self._target:
             self._target = target
             self._approach_rad_s = self._approach(target_rad)
         self._set(target_rad, self._limit(self._approach_rad_s, firmware.velocity_limit_rad_s))
+
+    def _asked(self) -> int:
+        """The target of this cycle, in position units."""
+        return int(self._firmware.target_position.value)
 
     def _approach(self, target_rad: float) -> float:
         """Speed (rad/s) that bridges the distance to a new target in the interpolation period."""
@@ -186,6 +118,75 @@ class CyclicSynchronousPosition(Mode):
     def status(self, dt_s: float) -> int:
         """Bit 12: the drive follows; bit 13: the following error is outside its window."""
         return STATUS_MODE_12 | (STATUS_MODE_13 if self.outside_window else 0)
+
+
+class InterpolatedPosition(CyclicSynchronousPosition):
+    """Mode 7 with linear interpolation: follows 60C1h:1 while bit 4 of the controlword is set, else stays."""
+
+    def __init__(self, firmware: Firmware) -> None:
+        super().__init__(firmware)
+        self._active = False
+        self._stays_at: int | None = None
+
+    def enter(self) -> None:
+        """Stay, until the controlword says otherwise."""
+        super().enter()
+        self._active, self._stays_at = False, None
+
+    def follow_controlword(self, controlword: int, previous: int) -> None:
+        """Bit 4: interpolation is enabled."""
+        active = bool(controlword & INTERPOLATION_ENABLED)
+        if active is not self._active:
+            self._active, self._stays_at = active, None
+
+    def _asked(self) -> int:
+        if self._active:
+            return int(self._firmware.interpolated_target.value)
+        if self._stays_at is None:
+            self._stays_at = int(self._firmware.position_actual.value)
+        return self._stays_at
+
+    def status(self, dt_s: float) -> int:
+        """Bit 10: the target is reached; bit 12: interpolation is active."""
+        port = self._firmware.port
+        reached = abs(port.setpoint - port.reference) < self._firmware.units.position_rad
+        return (STATUS_TARGET_REACHED if reached else 0) | (STATUS_MODE_12 if self._active else 0)
+
+
+class Velocity(Mode):
+    """Mode 2 (vl): follows 6042h (rpm) by the ramps 6048h and 6049h, between the amounts of 6046h.
+
+    Bits 4 to 6 of the controlword: without 6 the ramp's input is 0, without 5 its output stays, without 4 it goes to 0.
+    """
+
+    motor_mode = MotorMode.VELOCITY
+
+    def __init__(self, firmware: Firmware) -> None:
+        super().__init__(firmware)
+        self._bits = 0
+
+    def command(self) -> None:
+        """The ramp's input, or its output where it is locked."""
+        firmware, port = self._firmware, self._firmware.port
+        reference = port.reference if port.mode is MotorMode.VELOCITY else port.velocity_rad_s
+        running = self._bits & RAMP_ENABLED and self._bits & RAMP_USES_REFERENCE
+        target = self._amount(int(firmware.vl_target.value) * RPM) if running else 0.0
+        if self._bits & RAMP_ENABLED and not self._bits & RAMP_UNLOCKED:
+            target = reference
+        slower = target * reference < 0.0 or abs(target) < abs(reference)
+        self._set(target, firmware.vl_deceleration_rad_s2 if slower else firmware.vl_acceleration_rad_s2)
+        firmware.vl_demand.value = round(reference / RPM)
+
+    def _amount(self, target: float) -> float:
+        slowest, fastest = self._firmware.vl_slowest_rad_s, self._firmware.vl_fastest_rad_s
+        if target and abs(target) < slowest:
+            self.limited = True
+            return slowest if target > 0.0 else -slowest
+        return self._limit(target, fastest)
+
+    def follow_controlword(self, controlword: int, previous: int) -> None:
+        """Bits 4, 5 and 6."""
+        self._bits = controlword
 
 
 class CyclicSynchronousVelocity(Mode):
@@ -220,9 +221,12 @@ class CyclicSynchronousTorque(Mode):
 
 MODES: Final = {
     OperationMode.NONE: Mode,
+    OperationMode.PROFILE_POSITION: ProfilePosition,
+    OperationMode.VELOCITY: Velocity,
     OperationMode.PROFILE_VELOCITY: ProfileVelocity,
     OperationMode.TORQUE: ProfileTorque,
     OperationMode.HOMING: Homing,
+    OperationMode.INTERPOLATED_POSITION: InterpolatedPosition,
     OperationMode.CYCLIC_SYNCHRONOUS_POSITION: CyclicSynchronousPosition,
     OperationMode.CYCLIC_SYNCHRONOUS_VELOCITY: CyclicSynchronousVelocity,
     OperationMode.CYCLIC_SYNCHRONOUS_TORQUE: CyclicSynchronousTorque,

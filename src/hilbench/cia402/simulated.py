@@ -11,14 +11,18 @@ A state whose option code asks for a ramp is left when the ramp has ended: a dri
 
 from __future__ import annotations
 
+from functools import partial
 from math import inf
 from typing import TYPE_CHECKING, Final
 
 from hilbench.canopen.device import SdoAbort
 from hilbench.canopen.identifiers import NmtState
 from hilbench.cia402 import objects
+from hilbench.cia402.assumed import cell_of
 from hilbench.cia402.firmware import Firmware
-from hilbench.cia402.modes import MODES, CyclicSynchronousPosition, DebouncedCondition
+from hilbench.cia402.homing import PRESENT_POSITION, WITH_SWITCHES
+from hilbench.cia402.mode import DebouncedCondition
+from hilbench.cia402.modes import MODES
 from hilbench.cia402.objects import OperationMode
 from hilbench.cia402.state_machine import (
     CONTROLWORD_HALT,
@@ -35,7 +39,10 @@ from hilbench.cia402.state_machine import (
     decode_controlword,
 )
 from hilbench.cia402.stopping import QUICK_STOP_OPTIONS, Stop, StopKind
+from hilbench.cia402.switches import Switches
+from hilbench.cia402.touch_probe import TouchProbes
 from hilbench.cia402.units import DriveUnits, ObjectReader
+from hilbench.errors import UnusableInputError
 from hilbench.plant.motor_port import MotorMode, MotorPort
 
 if TYPE_CHECKING:
@@ -51,9 +58,9 @@ REGISTER_COMMUNICATION: Final = 0x11
 REGISTER_PROFILE: Final = 0x21
 
 SIMULATED_FAULT: Final = 0x2001
+#: How that object's name begins in our EDS files; at other makers' drives 2001h is something else.
+_FAULT_ON_COMMAND: Final = "Simulated fault"
 _ABORT_VALUE_RANGE: Final = 0x06090030
-
-HOMING_METHODS: Final = (35, 37)  #: both: the present position, where the motor stands
 
 _OPTION_CODES: Final = (
     objects.ABORT_CONNECTION_OPTION_CODE,
@@ -63,6 +70,20 @@ _OPTION_CODES: Final = (
     objects.HALT_OPTION_CODE,
     objects.FAULT_REACTION_OPTION_CODE,
 )
+#: Target object (index, sub-index) of each mode.
+_TARGETS: Final = {
+    OperationMode.PROFILE_POSITION: (objects.TARGET_POSITION, 0),
+    OperationMode.VELOCITY: (objects.VL_TARGET_VELOCITY, 0),
+    OperationMode.PROFILE_VELOCITY: (objects.TARGET_VELOCITY, 0),
+    OperationMode.TORQUE: (objects.TARGET_TORQUE, 0),
+    OperationMode.HOMING: (objects.HOMING_METHOD, 0),
+    OperationMode.INTERPOLATED_POSITION: (objects.INTERPOLATION_DATA_RECORD, 1),
+    OperationMode.CYCLIC_SYNCHRONOUS_POSITION: (objects.TARGET_POSITION, 0),
+    OperationMode.CYCLIC_SYNCHRONOUS_VELOCITY: (objects.TARGET_VELOCITY, 0),
+    OperationMode.CYCLIC_SYNCHRONOUS_TORQUE: (objects.TARGET_TORQUE, 0),
+}
+#: Transitions towards power, which take their time at a slow drive.
+DELAYED: Final = (Transition.T2_SHUTDOWN, Transition.T3_SWITCH_ON, Transition.T4_ENABLE_OPERATION)
 #: Transitions out of OPERATION ENABLED that an option code (1) puts behind a slow-down ramp.
 _DISABLING: Final = {
     Transition.T5_DISABLE_OPERATION: objects.DISABLE_OPERATION_OPTION_CODE,
@@ -76,26 +97,50 @@ class SimulatedDrive:
     The host's application calls `sync` once per cycle (or tick) before the plant advances and `publish` after it.
     """
 
-    def __init__(self, device: Device, port: MotorPort, units: DriveUnits | None = None) -> None:
-        """Take over the CiA-402 objects of `device`; `units` default to those its objects tell."""
+    def __init__(
+        self,
+        device: Device,
+        port: MotorPort,
+        units: DriveUnits | None = None,
+        *,
+        switches: Switches | None = None,
+        state_change_s: float = 0.0,
+    ) -> None:
+        """Take over the CiA-402 objects of `device`; `units` default to those its objects tell.
+
+        `switches`: along the motor's way; `state_change_s`: how long a commanded transition takes. Raises
+        UnusableInputError for a device without controlword and statusword.
+        """
+        for index in (objects.CONTROLWORD, objects.STATUSWORD):
+            if not device.has(index):
+                raise UnusableInputError(
+                    f"EDS of node {device.node_id}", f"object {index:04X}h is missing, expected that of a CiA-402 drive"
+                )
         self._device = device
-        self._firmware = Firmware(device, port, units or DriveUnits.from_objects(_reader(device)))
+        self._firmware = Firmware(device, port, units or DriveUnits.from_objects(object_reader(device)))
+        self._firmware.switches = switches
+        probed = device.has(objects.TOUCH_PROBE_FUNCTION)
+        self._probes = TouchProbes(device, self._firmware) if probed else None
         self._stop = Stop(self._firmware)
-        supported = int(device.cell(objects.SUPPORTED_DRIVE_MODES).value)
+        supported = supported_modes(device)
         self._modes = {
             code: kind(self._firmware)
             for code, kind in MODES.items()
             if code is OperationMode.NONE or supported & code.supported_bit
         }
+        cell = partial(cell_of, device, self._firmware.units)
         self._statusword = device.cell(objects.STATUSWORD)
-        self._error_code = device.cell(objects.ERROR_CODE)
-        self._mode_request = device.cell(objects.MODES_OF_OPERATION)
-        self._mode_display = device.cell(objects.MODES_OF_OPERATION_DISPLAY)
-        self._options = {index: device.cell(index) for index in _OPTION_CODES}
+        self._error_code = cell(objects.ERROR_CODE)
+        self._mode_request = cell(objects.MODES_OF_OPERATION)
+        self._mode_display = cell(objects.MODES_OF_OPERATION_DISPLAY)
+        self._options = {index: cell(index) for index in _OPTION_CODES}
+        self._state_change_s = state_change_s
+        self._pending: tuple[Transition, float] | None = None
         self._firmware.controlword.on_write = self._controlword_written
         self._mode_request.on_write = self._mode_written
-        device.cell(objects.HOMING_METHOD).on_write = _check_homing_method
-        device.cell(SIMULATED_FAULT).on_write = self._simulated_fault_written
+        self._firmware.homing_method.on_write = self._homing_method_written
+        if device.has(SIMULATED_FAULT) and device.cell(SIMULATED_FAULT).variable.name.startswith(_FAULT_ON_COMMAND):
+            device.cell(SIMULATED_FAULT).on_write = self._simulated_fault_written
         device.on_nmt = self._nmt_changed
         device.on_communication_error = self._communication_error
         device.on_emergency_stop = self._emergency_stop
@@ -131,7 +176,7 @@ class SimulatedDrive:
 
     def sync(self, dt_s: float) -> None:
         """Take this cycle's targets as set points of the motor; the plant advances by `dt_s` (seconds) after it."""
-        self._dt_s = dt_s
+        self._dt_s = self._firmware.dt_s = dt_s
         if self._firmware.stale:
             self._firmware.refresh()
         if not self._powered:
@@ -146,6 +191,10 @@ class SimulatedDrive:
     def publish(self) -> None:
         """Show the motor's feedback in the objects, supervise it, and bring the statusword up to date."""
         self._firmware.show()
+        if self._probes is not None:
+            self._probes.update()
+        if self._pending is not None:
+            self._wait_for_transition()
         if self._powered:
             self._supervise()
             if self._stop.active and self._stop.check_rest() and self._stop.then is not None:
@@ -156,7 +205,7 @@ class SimulatedDrive:
         firmware, mode = self._firmware, self._mode
         if not abs(firmware.port.velocity_rad_s) <= firmware.overspeed_rad_s:  # no number is too fast as well
             self.fault(ERROR_OVERSPEED)
-        if isinstance(mode, CyclicSynchronousPosition):
+        if mode.follows_position:
             mode.outside_window = abs(int(firmware.following_error.value)) > firmware.following_window
             if self._outside_window.update(mode.outside_window, self._dt_s, firmware.following_time_s):
                 self.fault(ERROR_FOLLOWING)
@@ -178,6 +227,26 @@ class SimulatedDrive:
     def _controlword_written(self, controlword: int) -> None:
         previous, self._controlword = self._controlword, controlword
         transition = commanded(self._state, controlword, previous)
+        if transition in DELAYED and self._state_change_s > 0.0:
+            if self._pending is None or self._pending[0] is not transition:
+                self._pending = transition, self._state_change_s
+            return
+        self._pending = None
+        self._obey(transition, controlword, previous)
+
+    def _wait_for_transition(self) -> None:
+        """A commanded transition that takes its time: one more cycle has passed."""
+        assert self._pending is not None, "somebody waits"
+        transition, left_s = self._pending
+        self._pending = transition, left_s - self._dt_s
+        if left_s - self._dt_s <= 0.0:
+            self._pending = None
+            self._perform(transition)
+            following = commanded(self._state, self._controlword, self._controlword)
+            if following in DELAYED:
+                self._pending = following, self._state_change_s
+
+    def _obey(self, transition: Transition | None, controlword: int, previous: int) -> None:
         while transition is not None and self._perform(transition):
             transition = commanded(self._state, controlword, previous)
         if self._state is State.OPERATION_ENABLED:
@@ -229,7 +298,10 @@ class SimulatedDrive:
             self._begin_halt()
         elif stop.active and not halt:
             stop.end()
-            self._mode.enter()
+            if disabling:
+                self._mode.enter()
+            else:
+                self._mode.resume()
         if not halt:
             self._mode.follow_controlword(controlword, previous)
 
@@ -266,6 +338,10 @@ class SimulatedDrive:
         if self._stop.active:  # halted: go on with the stop of the new mode
             self._begin_halt()
         self._mode.enter()
+
+    def _homing_method_written(self, method: int) -> None:
+        if method not in (PRESENT_POSITION if self._firmware.switches is None else WITH_SWITCHES):
+            raise SdoAbort(_ABORT_VALUE_RANGE)
 
     # --- faults ------------------------------------------------------------------------------------------------------
 
@@ -363,7 +439,16 @@ class SimulatedDrive:
         self._show_status(0.0)
 
 
-def _reader(device: Device) -> ObjectReader:
+def supported_modes(device: Device) -> int:
+    """6502h; where the file names none, the modes whose target object the device has."""
+    named = int(device.cell(objects.SUPPORTED_DRIVE_MODES).value) if device.has(objects.SUPPORTED_DRIVE_MODES) else 0
+    if named:
+        return named
+    targets = {code: device.has(*target) for code, target in _TARGETS.items()}
+    return sum(code.supported_bit for code, there in targets.items() if there)
+
+
+def object_reader(device: Device) -> ObjectReader:
     """Read the device's own objects; None for those it lacks."""
 
     def read(index: int, sub: int) -> float | None:
@@ -371,8 +456,3 @@ def _reader(device: Device) -> ObjectReader:
         return value if isinstance(value, int | float) else None
 
     return read
-
-
-def _check_homing_method(method: int) -> None:
-    if method not in HOMING_METHODS:
-        raise SdoAbort(_ABORT_VALUE_RANGE)

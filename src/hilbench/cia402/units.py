@@ -3,7 +3,7 @@
 The factors come from the drive's own objects, or from the configuration for drives that lack them:
 
 - position: 608Fh encoder increments per motor revolution; with a feed constant (6092h) instead in its units per
-  revolution of the shaft behind the gear 6091h;
+  revolution of the shaft behind the gear 6091h, unless 60A8h says increments;
 - velocity: 60A9h (CiA 303-2 notation), at the shaft behind the gear 6091h;
 - acceleration: velocity units per second;
 - torque: per mille of the rated torque 6076h (mN·m).
@@ -30,6 +30,7 @@ _VELOCITY_CODES: Final = {
     0xB403: 2.0 * pi,  # revolutions per second
     0x1003: 1.0,  # radians per second
 }
+_INCREMENTS: Final = 0xB5
 _INCREMENTS_PER_SECOND: Final = 0xB503
 
 _WRAP: Final = 1 << 32
@@ -64,15 +65,31 @@ class DriveUnits:
             raise UnusableInputError(
                 place, f"unknown unit '{unknown[0]}', expected position_rad, velocity_rad_s or rated_torque_Nm"
             )
-        gear = _ratio(read, objects.GEAR_RATIO) or 1.0
-        position = given.get("position_rad") or _position_unit(read, gear)
-        if position is None:
-            raise UnusableInputError(place, "608Fh is absent or 0, expected it or the unit 'position_rad'")
-        rated = given.get("rated_torque_Nm") or (read(objects.MOTOR_RATED_TORQUE, 0) or 0) / 1000.0
-        if not rated:
-            raise UnusableInputError(place, "6076h is absent or 0, expected it or the unit 'rated_torque_Nm'")
-        velocity = given.get("velocity_rad_s") or _velocity_unit(read, gear, position, place)
+        factors = factors_told(read, given, place)
+        for name, (told, problem) in factors.items():
+            if told is None:
+                raise UnusableInputError(place, f"{problem}, expected it or the unit '{name}'")
+        position, rated, velocity = (told or 0.0 for told, _ in factors.values())
         return cls(position, velocity, rated / 1000.0)
+
+
+def factors_told(
+    read: ObjectReader, given: Mapping[str, float], place: str = ""
+) -> dict[str, tuple[float | None, str]]:
+    """position_rad, velocity_rad_s and rated_torque_Nm as `given` or the objects tell them.
+
+    None for one that nobody tells, and then what is wrong with its object. Raises UnusableInputError, at `place`, for a
+    velocity unit that is not known.
+    """
+    gear = _ratio(read, objects.GEAR_RATIO) or 1.0
+    position = given.get("position_rad") or _position_unit(read, gear)
+    rated = given.get("rated_torque_Nm") or (read(objects.MOTOR_RATED_TORQUE, 0) or 0) / 1000.0
+    velocity = given.get("velocity_rad_s") or _velocity_unit(read, gear, position, place)
+    return {
+        "position_rad": (position, "608Fh is absent or 0"),
+        "rated_torque_Nm": (rated or None, "6076h is absent or 0"),
+        "velocity_rad_s": (velocity, "60A9h is absent"),
+    }
 
 
 def _ratio(read: ObjectReader, index: int) -> float | None:
@@ -83,21 +100,22 @@ def _ratio(read: ObjectReader, index: int) -> float | None:
 
 def _position_unit(read: ObjectReader, gear: float) -> float | None:
     feed = _ratio(read, objects.FEED_CONSTANT)  # units per shaft revolution
-    if feed is not None:
+    in_increments = (int(read(objects.SI_UNIT_POSITION, 0) or 0) >> 16) & 0xFF == _INCREMENTS
+    if feed is not None and not in_increments:
         return 2.0 * pi * gear / feed
     increments = _ratio(read, objects.POSITION_ENCODER_RESOLUTION)  # increments per motor revolution
     return None if increments is None else 2.0 * pi / increments
 
 
-def _velocity_unit(read: ObjectReader, gear: float, position_rad: float, place: str) -> float:
+def _velocity_unit(read: ObjectReader, gear: float, position_rad: float | None, place: str) -> float | None:
     raw = read(objects.SI_UNIT_VELOCITY, 0)
     if raw is None:
-        raise UnusableInputError(place, "60A9h is absent, expected it or the unit 'velocity_rad_s'")
+        return None
     code = int(raw)
     exponent = (code >> 24) - 256 if code >> 31 else code >> 24  # a signed byte
     unit = (code >> 8) & 0xFFFF
     if unit == _INCREMENTS_PER_SECOND:
-        return position_rad * 10.0**exponent
+        return None if position_rad is None else position_rad * 10.0**exponent
     if unit not in _VELOCITY_CODES:
         raise UnusableInputError(
             place,

@@ -147,6 +147,30 @@ def doctor(
     raise typer.Exit(doctor_command(loaded, address, start=start, as_json=json))
 
 
+@app.command("simulate-drive")
+def simulate_drive(
+    eds: Annotated[Path, typer.Argument(metavar="EDS", help="EDS or DCF file of a CiA-402 drive")],
+    node: Annotated[int, typer.Option("--node", min=1, max=127, help="node id, of the first of several")] = 1,
+    bus: Annotated[
+        str, typer.Option("--bus", help="embedded:NAME, socketcan:vcan0, or another python-can interface:channel")
+    ] = "embedded",
+    count: Annotated[int, typer.Option("--count", min=1, max=127, help="so many drives, ids in a row")] = 1,
+    plant: Annotated[
+        Path | None, typer.Option("--plant", help="model file or config of a servo_axis: what the motor turns")
+    ] = None,
+    behaviour: Annotated[
+        Path | None, typer.Option("--behaviour", help="YAML file: switches, units, and what the drive does wrong")
+    ] = None,
+) -> None:
+    """A drive on a bus that is not there: as its EDS file describes it, with CiA 402 behind its objects.
+
+    Example: hilbench simulate-drive eds/hilbench_servo.eds --node 5 --bus socketcan:vcan0
+    """
+    from hilbench.cli.simulate_drive import simulate_drive_command
+
+    simulate_drive_command(eds, node, bus, count=count, plant=plant, behaviour_file=behaviour)
+
+
 @app.command("simulate-hardware")
 def simulate_hardware(
     config: ConfigArgument, bus: BusOption = None, pace: PacedByOption = "realtime", changes: SetOption = None

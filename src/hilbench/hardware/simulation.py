@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import Protocol
 
 from hilbench.can.frame import Frame
 from hilbench.can.open import open_link
@@ -29,6 +30,13 @@ from hilbench.topology.parts import Role
 _OVERDUE = 1.5
 
 
+class Steps(Protocol):
+    """What the motors of a rig turn."""
+
+    def step(self, duration_s: float) -> None:
+        """Go on for so long with the set points that the motors have."""
+
+
 class RigApplication:
     """What the hardware does at a SYNC: the drives take their set points, then the rig moves on.
 
@@ -42,7 +50,7 @@ class RigApplication:
         self,
         drives: list[SimulatedDrive],
         ports: Sequence[MotorPort],
-        rig: Plant,
+        rig: Steps,
         time: PlantTime,
         cycle_s: float,
         sample_s: float,

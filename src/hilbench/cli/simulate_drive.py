@@ -1,0 +1,64 @@
+"""`hilbench simulate-drive`: any EDS file of a CiA-402 drive is one on a bus."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+from hilbench.can.open import BusAddress, open_link
+from hilbench.canopen.host import DeviceHost
+from hilbench.canopen.identifiers import LAST_NODE
+from hilbench.canopen.mastery import nodes_of_ours
+from hilbench.cli.model_option import model_from
+from hilbench.devices.behaviour import Behaviour, load_behaviour
+from hilbench.devices.simulation import SimulatedNode, hosted, new_clock, simulated_node
+from hilbench.errors import UnusableInputError
+from hilbench.plant.servo_axis.parameters import ServoAxisParameters
+from hilbench.processes import log, stop_request
+from hilbench.real_time import kept_ready
+
+
+def simulate_drive_command(
+    eds: Path, node_id: int, bus: str, *, count: int, plant: Path | None, behaviour_file: Path | None
+) -> None:
+    """Play `count` drives with the node ids from `node_id` on until SIGINT, SIGTERM or SIGHUP.
+
+    Raises UnusableInputError, also when a node with one of the ids is there already.
+    """
+    last = node_id + count - 1
+    if last > LAST_NODE:
+        raise UnusableInputError("--count", f"{count} drives from node {node_id} on, expected ids up to {LAST_NODE}")
+    behaviour = _behaviour(behaviour_file, plant)
+    address = BusAddress.parse(bus).as_it_runs() if bus == "embedded" else BusAddress.parse(bus)
+    stop, clock = stop_request(), new_clock()
+    node_ids = range(node_id, last + 1)
+    with nodes_of_ours(address, node_ids, "simulated drive", by_bench=False):
+        nodes = [simulated_node(eds, number, clock, behaviour) for number in node_ids]
+        for node in nodes:
+            _introduce(node)
+        link = open_link(address)
+        try:
+            time.sleep(behaviour.boot_s)
+            with kept_ready(None, log):
+                DeviceHost(link, *hosted(nodes, clock)[0]).run(stop)
+        finally:
+            link.close()
+
+
+def _behaviour(path: Path | None, plant: Path | None) -> Behaviour:
+    behaviour = Behaviour() if path is None else load_behaviour(path)
+    if plant is None:
+        return behaviour
+    if behaviour.shaft is not None:
+        raise UnusableInputError("--plant", f"{path} has a shaft as well, expected one of the two")
+    machine = model_from(plant)
+    if not isinstance(machine, ServoAxisParameters):
+        raise UnusableInputError(plant, f"the machine is a {machine.kind}, expected a servo_axis")
+    return behaviour.model_copy(update={"shaft": machine.shaft})
+
+
+def _introduce(node: SimulatedNode) -> None:
+    modes = ", ".join(mode.name.lower().replace("_", " ") for mode in node.modes)
+    print(f"node {node.device.node_id}: {node.name}; {modes or 'no mode of operation'}", flush=True)
+    for assumption in node.assumptions:
+        print(f"node {node.device.node_id}: {assumption}", flush=True)

@@ -1,0 +1,131 @@
+"""What stands behind simulated drives on their host: shafts that turn, and events that come."""
+
+from __future__ import annotations
+
+import queue
+from collections.abc import Callable, Sequence
+from math import pi
+from typing import TYPE_CHECKING, Final
+
+from hilbench.can.frame import Frame
+from hilbench.devices.behaviour import Event
+from hilbench.hardware.plant_time import ByClock
+from hilbench.hardware.simulation import RigApplication
+
+if TYPE_CHECKING:
+    from hilbench.devices.simulation import SimulatedNode
+
+#: Sample time of the drives' control loops, and how often they look at their set points at least.
+SAMPLE_S: Final = 0.001
+CYCLE_S: Final = 0.002
+
+
+class DrivesApplication:
+    """The `Application` of a host: each drive on a shaft of its own, all by one clock.
+
+    Other threads act on the drives by `ask`: what they ask for is done between two cycles, by the host's thread.
+    """
+
+    listens_to: frozenset[int] = frozenset()
+
+    def __init__(self, nodes: Sequence[SimulatedNode], now_ns: Callable[[], int]) -> None:
+        self._faulty = [FaultyDrive(node, now_ns) for node in nodes]
+        self._asked: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
+        self._rig = RigApplication(
+            [node.drive for node in nodes],
+            [node.port for node in nodes],
+            _Shafts(self._faulty),
+            ByClock(CYCLE_S, SAMPLE_S, now_ns, lambda _text: None),
+            CYCLE_S,
+            SAMPLE_S,
+        )
+
+    def ask(self, what: Callable[[], None]) -> None:
+        """Do this soon, from whatever thread it is asked."""
+        self._asked.put(what)
+
+    def faulty(self, number: int) -> FaultyDrive:
+        """The drive of that place, for what goes wrong with it."""
+        return self._faulty[number]
+
+    def before_sync(self, behind: int) -> None:
+        """As the clock says, whatever the period of SYNC."""
+        self._happen()
+        self._rig.before_sync(behind)
+
+    def after_sync(self) -> None:
+        """Set points act."""
+        self._rig.after_sync()
+
+    def tick(self, duration_s: float) -> None:
+        """No SYNC runs: time goes on all the same."""
+        self._happen()
+        self._rig.tick(duration_s)
+
+    def on_frame(self, frame: Frame) -> None:
+        """Frames for others don't concern a drive."""
+
+    def _happen(self) -> None:
+        while not self._asked.empty():
+            self._asked.get()()
+        for drive in self._faulty:
+            drive.happen()
+
+
+class _Shafts:
+    """All rigs as one."""
+
+    def __init__(self, drives: Sequence[FaultyDrive]) -> None:
+        self._drives = drives
+
+    def step(self, duration_s: float) -> None:
+        """Turn all of them for so long."""
+        for drive in self._drives:
+            drive.step(duration_s)
+
+
+class FaultyDrive:
+    """A drive's own events, and what a test does to it."""
+
+    def __init__(self, node: SimulatedNode, now_ns: Callable[[], int]) -> None:
+        self._node = node
+        self._now_ns = now_ns
+        self._power_on_ns = now_ns()
+        self._events = sorted(node.behaviour.events, key=lambda event: event.at_s)
+        self._jumped_rad = 0.0
+        #: When heartbeats, and everything, are sent again.
+        self._no_heartbeat_until_ns = self._silent_until_ns = 0
+
+    def step(self, duration_s: float) -> None:
+        """Turn the shaft; the encoder shows it with its jumps."""
+        self._node.rig.step(duration_s)
+        self._node.port.position_rad += self._jumped_rad
+
+    def happen(self) -> None:
+        """What is due."""
+        now_ns = self._now_ns()
+        while self._events and (now_ns - self._power_on_ns) * 1e-9 >= self._events[0].at_s:
+            self.cause(self._events.pop(0))
+        device = self._node.device
+        device.silent = now_ns < self._silent_until_ns
+        device.heartbeat_fails = now_ns < self._no_heartbeat_until_ns
+
+    def cause(self, event: Event) -> None:
+        """Let it happen now."""
+        device, now_ns = self._node.device, self._now_ns()
+        if event.fault is not None:
+            self._node.drive.fault(event.fault)
+        elif event.emergency is not None:
+            told = event.emergency
+            device.emergency(told.code, told.register_bits, bytes(told.data))
+        elif event.emergency_over is not None:
+            device.clear_emergency(event.emergency_over)
+        elif event.encoder_jump_turns is not None:
+            self._jumped_rad += event.encoder_jump_turns * 2.0 * pi
+            self._node.port.position_rad += event.encoder_jump_turns * 2.0 * pi
+        elif event.no_heartbeat_s is not None:
+            self._no_heartbeat_until_ns = now_ns + round(event.no_heartbeat_s * 1e9)
+        elif event.silent_s is not None:
+            self._silent_until_ns = now_ns + round(event.silent_s * 1e9)
+        elif event.reset:
+            device.reset_node()

@@ -1,0 +1,163 @@
+"""A simulated drive for a test: a context manager, on any python-can bus, with faults on command."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from concurrent.futures import Future
+from math import pi
+from pathlib import Path
+from types import TracebackType
+from typing import Final, Self, TypeVar
+
+from hilbench.can.adapter import PythonCanLink
+from hilbench.can.link import Link
+from hilbench.can.open import BusAddress, open_link
+from hilbench.can.python_can import can
+from hilbench.canopen.host import DeviceHost
+from hilbench.cia402.objects import OperationMode
+from hilbench.cia402.state_machine import State
+from hilbench.cia402.units import RPM
+from hilbench.devices.behaviour import Behaviour, Emergency, Event, load_behaviour
+from hilbench.devices.simulation import hosted, new_clock, simulated_node
+from hilbench.errors import HilbenchError
+
+_ANSWER_S: Final = 5.0
+Result = TypeVar("Result")
+
+
+class SimulatedDrive:
+    """A CiA-402 drive as its EDS file describes it, alive while the `with` block runs.
+
+        with SimulatedDrive("drive.eds", node_id=5, bus="socketcan:vcan0") as drive:
+            ...  # your master drives it
+            drive.fault(0x8611)
+
+    `bus`: ``interface:channel``, or a `can.BusABC` of its own, which is shut down at the end. `behaviour`: a file, or
+    the object that it is read to. Several drives can be on one bus, each with a link of its own.
+    Raises UnusableInputError for a file that is none of a CiA-402 drive.
+    """
+
+    def __init__(
+        self, eds: str | Path, node_id: int, bus: str | can.BusABC, *, behaviour: str | Path | Behaviour | None = None
+    ) -> None:
+        self._bus = bus
+        read = load_behaviour(Path(behaviour)) if isinstance(behaviour, str | Path) else behaviour
+        clock = new_clock()
+        self._node = simulated_node(Path(eds), node_id, clock, read)
+        self._hosted, self._application = hosted([self._node], clock)
+        self._stop = threading.Event()
+        self._thread: threading.Thread | None = None
+        self._error: BaseException | None = None
+
+    def __enter__(self) -> Self:
+        link = self._open()
+        self._thread = threading.Thread(target=self._run, args=(link,), name="simulated-drive", daemon=True)
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._stop.set()
+        if self._thread is not None:
+            self._thread.join()
+        if self._error is not None and kind is None:
+            raise self._error
+
+    def _open(self) -> Link:
+        if isinstance(self._bus, can.BusABC):
+            return PythonCanLink(self._bus, str(getattr(self._bus, "channel_info", "")))
+        return open_link(BusAddress.parse(self._bus))
+
+    def _run(self, link: Link) -> None:
+        try:
+            time.sleep(self._node.behaviour.boot_s)
+            DeviceHost(link, *self._hosted).run(self._stop.is_set)
+        except HilbenchError as error:  # the bus was lost: who leaves the block learns it
+            self._error = error
+        finally:
+            link.close()
+
+    # --- what it does -------------------------------------------------------------------------------------------------
+
+    @property
+    def state(self) -> State:
+        """Its power state."""
+        return self._node.drive.state
+
+    @property
+    def modes(self) -> list[OperationMode]:
+        """Modes of operation that it has."""
+        return self._node.modes
+
+    @property
+    def position_turns(self) -> float:
+        """Turns of the motor since power-on, as the encoder shows them."""
+        return self._node.port.position_rad / (2.0 * pi)
+
+    @property
+    def velocity_rpm(self) -> float:
+        """Speed of the motor."""
+        return self._node.port.velocity_rad_s / RPM
+
+    @property
+    def torque_Nm(self) -> float:
+        """Torque of the motor."""
+        return self._node.port.torque_Nm
+
+    def read(self, index: int, sub: int = 0) -> object:
+        """The value of an object. Raises KeyError for one that the EDS file lacks."""
+        return self._node.device.cell(index, sub).value
+
+    def write(self, index: int, value: object, sub: int = 0) -> None:
+        """Write an object as over SDO. Raises KeyError, or canopen's SdoAbortedError where the drive refuses it."""
+        self._do(lambda: self._node.device.cell(index, sub).write(value))
+
+    # --- what goes wrong with it --------------------------------------------------------------------------------------
+
+    def fault(self, code: int) -> None:
+        """Fail with an error code (603Fh, EMCY): fault reaction, then FAULT."""
+        self._cause(fault=code)
+
+    def emergency(self, code: int, register_bits: int = 1, data: bytes = b"") -> None:
+        """Send an EMCY message and go on."""
+        self._cause(emergency=Emergency(code=code, register_bits=register_bits, data=list(data)))
+
+    def clear_emergency(self, code: int) -> None:
+        """That error is gone."""
+        self._cause(emergency_over=code)
+
+    def encoder_jump(self, turns: float) -> None:
+        """Let the encoder jump."""
+        self._cause(encoder_jump_turns=turns)
+
+    def no_heartbeat(self, duration_s: float) -> None:
+        """Send no heartbeat for so long."""
+        self._cause(no_heartbeat_s=duration_s)
+
+    def silence(self, duration_s: float) -> None:
+        """Send nothing for so long."""
+        self._cause(silent_s=duration_s)
+
+    def reset(self) -> None:
+        """Reset, as after a dip of its supply."""
+        self._cause(reset=True)
+
+    def _cause(self, **what: object) -> None:
+        event = Event.model_validate({"at_s": 0.0, **what})
+        self._do(lambda: self._application.faulty(0).cause(event))
+
+    def _do(self, what: Callable[[], Result]) -> Result:
+        """Do it on the host's thread, between two cycles, and wait for it."""
+        done: Future[Result] = Future()
+
+        def act() -> None:
+            try:
+                done.set_result(what())
+            except Exception as error:
+                done.set_exception(error)
+
+        self._application.ask(act)
+        return done.result(_ANSWER_S)

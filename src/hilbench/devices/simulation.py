@@ -1,0 +1,116 @@
+"""Drives made of EDS files: each a CANopen device with a CiA-402 firmware and a motor that turns a shaft of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import pi
+from pathlib import Path
+
+from hilbench.canopen.clock import Clock, MonotonicClock
+from hilbench.canopen.device import Device
+from hilbench.canopen.eds import load_eds
+from hilbench.canopen.host import HostedDevices
+from hilbench.canopen.object_store import SdoAbort, Value
+from hilbench.cia402.assumed import assumed_units
+from hilbench.cia402.objects import OperationMode
+from hilbench.cia402.simulated import SimulatedDrive as Cia402Drive
+from hilbench.cia402.simulated import object_reader, supported_modes
+from hilbench.cia402.units import RPM, DriveUnits
+from hilbench.devices.application import CYCLE_S, SAMPLE_S, DrivesApplication
+from hilbench.devices.behaviour import Behaviour, RefusedWrite
+from hilbench.errors import UnusableInputError
+from hilbench.plant.motor_port import MotorPort
+from hilbench.plant.parameters import DriveParameters, LoadMotorParameters
+from hilbench.plant.sensors import SensorParameters
+from hilbench.plant.servo_axis.parameters import MotorParameters, ServoAxisParameters, ShaftParameters
+from hilbench.plant.servo_axis.rig import ServoRig, ServoRigParameters
+
+#: The motor that is behind a drive unless its behaviour says otherwise: rated torque brings it to 1000 rpm in 0.1 s.
+_RUN_UP_RAD_S, _RUN_UP_S = 1000.0 * RPM, 0.1
+_PEAK_TORQUE = 3.0  # of the rated one
+_LOOP_RAD_S, _POSITION_LOOP_PER_S = 150.0, 40.0
+
+
+@dataclass(frozen=True)
+class SimulatedNode:
+    """One drive as it was made."""
+
+    device: Device
+    drive: Cia402Drive
+    port: MotorPort
+    rig: ServoRig
+    units: DriveUnits
+    behaviour: Behaviour
+    #: What the EDS file does not tell, and was taken for granted; one line each.
+    assumptions: Sequence[str]
+    name: str
+
+    @property
+    def modes(self) -> list[OperationMode]:
+        """Modes of operation that it has."""
+        supported = supported_modes(self.device)
+        return [mode for mode in OperationMode if mode and supported & mode.supported_bit]
+
+
+def simulated_node(eds: Path, node_id: int, clock: Clock, behaviour: Behaviour | None = None) -> SimulatedNode:
+    """The drive of an EDS or DCF file. Raises UnusableInputError for a file that is none of a CiA-402 drive."""
+    behaviour = behaviour or Behaviour()
+    od = load_eds(eds, node_id)
+    try:
+        device = Device(od, node_id, clock)
+        units, assumptions = assumed_units(object_reader(device), behaviour.units.given(), str(eds))
+        port = MotorPort()
+        drive = Cia402Drive(
+            device, port, units, switches=behaviour.switches.switches(), state_change_s=behaviour.state_change_s
+        )
+    except UnusableInputError as error:
+        raise UnusableInputError(str(eds), error.problem) from error
+    for refused in behaviour.refuse:
+        _refuse(device, refused)
+    rig = _rig(units, behaviour.shaft, port)
+    name = od.device_information.product_name or eds.stem
+    return SimulatedNode(device, drive, port, rig, units, behaviour, assumptions, name)
+
+
+def hosted(nodes: Sequence[SimulatedNode], clock: Clock) -> tuple[HostedDevices, DrivesApplication]:
+    """What a host runs, and the part of it through which a test acts on the drives."""
+    application = DrivesApplication(nodes, clock.now_ns)
+    return HostedDevices([node.device for node in nodes], clock, application), application
+
+
+def new_clock() -> Clock:
+    """Of drives that nobody waits for."""
+    return MonotonicClock(stall_s=1.5 * CYCLE_S)
+
+
+def _rig(units: DriveUnits, shaft: ShaftParameters | None, port: MotorPort) -> ServoRig:
+    rated_Nm = 1000.0 * units.torque_Nm
+    behind = shaft or ShaftParameters(inertia_kg_m2=rated_Nm * _RUN_UP_S / _RUN_UP_RAD_S)
+    inertia = behind.inertia_kg_m2
+    kp = inertia * _LOOP_RAD_S
+    drives = DriveParameters(
+        velocity_kp_Nm_s_per_rad=kp,
+        velocity_ki_Nm_per_rad=kp * _LOOP_RAD_S / 5.0,
+        position_kp_per_s=_POSITION_LOOP_PER_S,
+        torque_limit_Nm=_PEAK_TORQUE * rated_Nm,
+        sample_time_s=SAMPLE_S,
+    )
+    axis = ServoAxisParameters(shaft=behind, motor=MotorParameters(), drives=drives)
+    sensors = SensorParameters(encoder_rad_per_count=min(units.position_rad, 2.0 * pi))
+    parameters = ServoRigParameters(axis=axis, load_motor=LoadMotorParameters(), sensors=sensors)
+    # One that nobody sees runs first, so that compiling is over before the device boots.
+    ServoRig(parameters, (MotorPort(), MotorPort())).step(SAMPLE_S)
+    return ServoRig(parameters, (port, MotorPort()))
+
+
+def _refuse(device: Device, refused: RefusedWrite) -> None:
+    if not device.has(refused.index, refused.sub):
+        raise UnusableInputError(
+            "behaviour", f"refuse: {refused.index:04X}h sub {refused.sub} is not in the EDS file, expected one that is"
+        )
+
+    def refuse(_value: Value) -> None:
+        raise SdoAbort(refused.abort_code)
+
+    device.cell(refused.index, refused.sub).on_write = refuse
