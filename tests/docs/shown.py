@@ -46,6 +46,7 @@ NOT_RUN = {
     r"(sudo|ip|echo) ": "changes the machine, or asks an interface: the guest of `make test-vcan` has one",
     r"candump ": "needs a CAN interface: the guest of `make test-vcan` has one, and a candump as witness",
     r"hilbench --install-completion": "writes into the start-up files of the user's shell",
+    r"hilbench simulate-drive ": "runs until it is ended; tests/cli/test_simulate_drive.py drives what it plays",
     r"hilbench drive \S+ jog ": "its key is held by hand; tests/cli/test_attach.py holds it",
     r"hilbench sdo write bench ": "needs a running bench; tests/bench/test_beside_a_bench.py writes to one",
     r"hilbench run bench_configs/probing.yaml": "tests/bench/test_probing.py runs it",

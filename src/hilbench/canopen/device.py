@@ -75,6 +75,7 @@ class Device:
         for index in _NEEDED:
             if (index, 0) not in self._store:
                 raise UnusableInputError(f"EDS of node {node_id}", f"object {index:04X}h is missing, a device needs it")
+        self._check_pdo_objects(od)
         self._storage = Storage(self._store, store)
         self._sdo = DeviceSdoServer(node_id, self._store, self._reply)
         self._emcy = EmergencyProducer(self._store, self._say, clock.now_ns, self._communicates)
@@ -285,6 +286,15 @@ class Device:
         active = [tpdo for tpdo in self._tpdos if tpdo.valid and tpdo.map is not None]
         self._synchronous = [tpdo for tpdo in active if tpdo.transmission_type <= 240]
         self._event_driven = [tpdo for tpdo in active if tpdo.transmission_type > 240]
+
+    def _check_pdo_objects(self, od: canopen.ObjectDictionary) -> None:
+        for first in (0x1400, 0x1800):
+            for index in od.indices:
+                if first <= index < first + 512 and index + 0x200 not in od.indices:
+                    raise UnusableInputError(
+                        f"EDS of node {self.node_id}",
+                        f"object {index + 0x200:04X}h is missing, a PDO with {index:04X}h needs it",
+                    )
 
     # -- SYNC objects ------------------------------------------------------------------------------------
 

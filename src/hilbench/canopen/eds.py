@@ -282,6 +282,7 @@ def _fill_device_information(path: Path, sections: dict[str, _Section], od: cano
     for key, attribute in _DEVICE_NUMBERS.items():
         if key in section.options:
             setattr(od.device_information, attribute, _integer(path, section, key, 0))
+    od.device_information.product_name = section.options.get("ProductName")
 
 
 def _variable_of(path: Path, section: _Section, index: int, sub: int, node_id: int) -> ODVariable:

@@ -81,6 +81,7 @@ class Trapezoid:
         change = speed * self._sign - self._velocity
         if change:
             self._add(abs(change) / rate, copysign(rate, change))
+            self._velocity = speed * self._sign  # without what rounding leaves
 
     def _add(self, duration_s: float, acceleration: float) -> None:
         self._phases.append(_Phase(self._time_s, self._position, self._velocity, acceleration))

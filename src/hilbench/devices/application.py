@@ -5,15 +5,13 @@ from __future__ import annotations
 import queue
 from collections.abc import Callable, Sequence
 from math import pi
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from hilbench.can.frame import Frame
 from hilbench.devices.behaviour import Event
+from hilbench.devices.node import SimulatedNode
 from hilbench.hardware.plant_time import ByClock
 from hilbench.hardware.simulation import RigApplication
-
-if TYPE_CHECKING:
-    from hilbench.devices.simulation import SimulatedNode
 
 #: Sample time of the drives' control loops, and how often they look at their set points at least.
 SAMPLE_S: Final = 0.001

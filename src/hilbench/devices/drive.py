@@ -98,6 +98,11 @@ class SimulatedDrive:
         return self._node.port.position_rad / (2.0 * pi)
 
     @property
+    def position_unit_rad(self) -> float:
+        """Motor angle of one position unit (6064h, 607Ah)."""
+        return self._node.units.position_rad
+
+    @property
     def velocity_rpm(self) -> float:
         """Speed of the motor."""
         return self._node.port.velocity_rad_s / RPM

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from math import pi
 from pathlib import Path
 
@@ -13,12 +12,12 @@ from hilbench.canopen.eds import load_eds
 from hilbench.canopen.host import HostedDevices
 from hilbench.canopen.object_store import SdoAbort, Value
 from hilbench.cia402.assumed import assumed_units
-from hilbench.cia402.objects import OperationMode
 from hilbench.cia402.simulated import SimulatedDrive as Cia402Drive
-from hilbench.cia402.simulated import object_reader, supported_modes
+from hilbench.cia402.simulated import object_reader
 from hilbench.cia402.units import RPM, DriveUnits
 from hilbench.devices.application import CYCLE_S, SAMPLE_S, DrivesApplication
 from hilbench.devices.behaviour import Behaviour, RefusedWrite
+from hilbench.devices.node import SimulatedNode
 from hilbench.errors import UnusableInputError
 from hilbench.plant.motor_port import MotorPort
 from hilbench.plant.parameters import DriveParameters, LoadMotorParameters
@@ -30,27 +29,6 @@ from hilbench.plant.servo_axis.rig import ServoRig, ServoRigParameters
 _RUN_UP_RAD_S, _RUN_UP_S = 1000.0 * RPM, 0.1
 _PEAK_TORQUE = 3.0  # of the rated one
 _LOOP_RAD_S, _POSITION_LOOP_PER_S = 150.0, 40.0
-
-
-@dataclass(frozen=True)
-class SimulatedNode:
-    """One drive as it was made."""
-
-    device: Device
-    drive: Cia402Drive
-    port: MotorPort
-    rig: ServoRig
-    units: DriveUnits
-    behaviour: Behaviour
-    #: What the EDS file does not tell, and was taken for granted; one line each.
-    assumptions: Sequence[str]
-    name: str
-
-    @property
-    def modes(self) -> list[OperationMode]:
-        """Modes of operation that it has."""
-        supported = supported_modes(self.device)
-        return [mode for mode in OperationMode if mode and supported & mode.supported_bit]
 
 
 def simulated_node(eds: Path, node_id: int, clock: Clock, behaviour: Behaviour | None = None) -> SimulatedNode:

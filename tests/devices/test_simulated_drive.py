@@ -1,0 +1,217 @@
+"""A simulated drive on a python-can bus, driven by canopen's own CiA-402 client."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from itertools import count
+from pathlib import Path
+
+import pytest
+from canopen.profiles.p402 import BaseNode402
+from canopen.sdo import SdoAbortedError
+from tests.cia402.every_mode import INCREMENTS, eds_file
+
+from canopen import Network
+from hilbench.can.python_can import can
+from hilbench.canopen.eds import load_eds
+from hilbench.cia402.state_machine import State
+from hilbench.devices import SimulatedDrive
+from hilbench.devices.behaviour import Behaviour
+from hilbench.errors import UnusableInputError
+
+_channels = count()
+OTHERS = [
+    path
+    for path in sorted(Path(__file__).parents[3].glob("shared/eds/*"))
+    if "[6040]" in path.read_text(errors="replace")
+]
+
+
+def eventually(condition: Callable[[], bool], timeout_s: float = 10.0) -> None:
+    deadline_s = time.monotonic() + timeout_s
+    while not condition():
+        assert time.monotonic() < deadline_s
+        time.sleep(0.01)
+
+
+@contextmanager
+def driven(eds: Path, behaviour: Behaviour | Path | None = None) -> Iterator[tuple[SimulatedDrive, BaseNode402]]:
+    """The drive as node 5, and the client that drives it, on a virtual bus of python-can."""
+    channel = f"devices-{next(_channels)}"
+    with (
+        can.Bus(interface="virtual", channel=channel) as ours,
+        SimulatedDrive(eds, 5, can.Bus(interface="virtual", channel=channel), behaviour=behaviour) as drive,
+    ):
+        network = Network(ours)
+        network.connect()
+        node = BaseNode402(5, load_eds(eds, 5))
+        network.add_node(node)
+        node.sdo.RESPONSE_TIMEOUT = 2.0
+        eventually(lambda: _answers(node))
+        try:
+            yield drive, node
+        finally:
+            network.disconnect()
+
+
+def _answers(node: BaseNode402) -> bool:
+    try:
+        return node.sdo[0x1000].raw is not None
+    except Exception:  # it is still booting
+        return False
+
+
+def enable(node: BaseNode402, mode: int) -> None:
+    node.sdo[0x6060].raw = mode
+    for word in (0x80, 0x06, 0x07, 0x0F):
+        node.sdo[0x6040].raw = word
+    eventually(lambda: node.sdo[0x6041].raw & 0x6F == 0x27)
+
+
+@pytest.fixture
+def eds(tmp_path: Path) -> Path:
+    return eds_file(tmp_path)
+
+
+def test_canopens_client_positions_it(eds: Path) -> None:
+    with driven(eds) as (drive, node):
+        node.nmt.state = "PRE-OPERATIONAL"
+        node.setup_402_state_machine(read_pdos=False)
+        node.op_mode = "PROFILED POSITION"
+        for word in (0x06, 0x07, 0x0F):
+            node.sdo[0x6040].raw = word
+        node.sdo[0x607A].raw = 2 * INCREMENTS
+        node.sdo[0x6040].raw = 0x1F
+        node.sdo[0x6040].raw = 0x0F
+        eventually(lambda: bool(node.sdo[0x6041].raw & 0x400))
+        assert drive.position_turns == pytest.approx(2.0, abs=0.01)
+        assert node.sdo[0x6064].raw == pytest.approx(2 * INCREMENTS, abs=20)
+        assert drive.state is State.OPERATION_ENABLED
+
+
+def test_a_master_with_sync_and_pdos_gets_its_positions_back(eds: Path) -> None:
+    with driven(eds) as (drive, node):
+        enable(node, 8)
+        node.tpdo.read()
+        node.rpdo.read()
+        seen: list[int] = []
+        node.tpdo[1].add_callback(lambda message: seen.append(message["entry 6064"].raw))
+        node.nmt.state = "OPERATIONAL"
+        node.rpdo[1]["entry 6040"].raw = 0x0F
+        node.rpdo[1]["entry 607A"].raw = 300
+        node.rpdo[1].start(0.01)
+        node.network.sync.start(0.01)
+        try:
+            eventually(lambda: bool(seen) and abs(seen[-1] - 300) <= 2)
+        finally:
+            node.network.sync.stop()
+            node.rpdo[1].stop()
+        assert drive.position_turns == pytest.approx(0.03, abs=0.001)
+
+
+def test_a_fault_on_command_is_told_and_reset(eds: Path) -> None:
+    with driven(eds) as (drive, node):
+        enable(node, 3)
+        drive.fault(0x8611)
+        eventually(lambda: node.sdo[0x6041].raw & 0x4F == 0x08)
+        eventually(lambda: any(entry.code == 0x8611 for entry in node.emcy.active))
+        node.sdo[0x6040].raw = 0x00
+        node.sdo[0x6040].raw = 0x80
+        assert drive.state is State.SWITCH_ON_DISABLED
+        eventually(lambda: not node.emcy.active)
+
+
+def test_it_falls_silent_and_its_heartbeat_stays_away(eds: Path) -> None:
+    with driven(eds) as (drive, node):
+        node.sdo[0x1017].raw = 20
+        node.nmt.wait_for_heartbeat(2.0)
+        drive.no_heartbeat(0.5)
+        time.sleep(0.1)
+        assert node.sdo[0x1000].raw, "it answers"
+        beats: list[float] = []
+        node.nmt.add_heartbeat_callback(lambda _state: beats.append(time.monotonic()))
+        eventually(lambda: len(beats) > 3)
+        drive.silence(0.6)
+        node.sdo.RESPONSE_TIMEOUT = 0.2
+        with pytest.raises(Exception, match="No SDO response"):
+            _ = node.sdo[0x1000].raw
+        eventually(lambda: _answers(node))
+
+
+def test_the_encoder_jumps_and_it_resets_itself(eds: Path) -> None:
+    with driven(eds) as (drive, node):
+        before = node.sdo[0x6064].raw
+        drive.encoder_jump(0.5)
+        eventually(lambda: node.sdo[0x6064].raw - before == INCREMENTS // 2)
+        node.sdo[0x6081].raw = 77
+        booted: list[int] = []
+        node.network.subscribe(0x705, lambda _id, data, _time: booted.append(data[0]))
+        drive.reset()
+        eventually(lambda: 0 in booted)
+        assert node.sdo[0x6081].raw == 600
+
+
+def test_what_the_behaviour_file_asks_for_goes_wrong(eds: Path, tmp_path: Path) -> None:
+    path = tmp_path / "behaviour.yaml"
+    path.write_text(
+        "state_change_s: 0.2\n"
+        "refuse:\n  - {index: 0x6083, abort_code: 0x06010002}\n"
+        "events:\n  - {at_s: 0.0, emergency: {code: 0x5000, register_bits: 8, data: [1, 2]}}\n"
+    )
+    with driven(eds, path) as (drive, node):
+        with pytest.raises(SdoAbortedError) as refused:
+            node.sdo[0x6083].raw = 1
+        assert refused.value.code == 0x06010002
+        node.sdo[0x6040].raw = 0x06
+        assert drive.state is State.SWITCH_ON_DISABLED
+        eventually(lambda: drive.state is State.READY_TO_SWITCH_ON)
+        assert node.sdo[0x1001].raw & 8
+
+
+def test_an_error_of_the_behaviour_file_names_line_key_and_what_was_expected(eds: Path, tmp_path: Path) -> None:
+    path = tmp_path / "behaviour.yaml"
+    path.write_text("events:\n  - {at_s: 1.0}\n")
+    with pytest.raises(UnusableInputError, match=r"behaviour.yaml:2: .*expected one a row"):
+        SimulatedDrive(eds, 5, "virtual:x", behaviour=path)
+
+
+def test_a_file_of_no_drive_is_refused_in_one_line(tmp_path: Path) -> None:
+    with pytest.raises(UnusableInputError, match=r"every_mode.eds: object 6040h is missing, expected"):
+        SimulatedDrive(eds_file(tmp_path, 0x6040, 0x1400, 0x1600), 5, "virtual:x")
+
+
+def test_a_pdo_without_its_mapping_is_refused_in_one_line(tmp_path: Path) -> None:
+    with pytest.raises(UnusableInputError, match=r"every_mode.eds: object 1600h is missing, a PDO with 1400h needs it"):
+        SimulatedDrive(eds_file(tmp_path, 0x1600), 5, "virtual:x")
+
+
+def test_several_drives_on_one_bus(eds: Path) -> None:
+    def bus() -> can.BusABC:
+        return can.Bus(interface="virtual", channel="devices-several")
+
+    with SimulatedDrive(eds, 5, bus()) as one, SimulatedDrive(eds, 6, bus()) as other, bus() as ours:
+        network = Network(ours)
+        network.connect()
+        nodes = [BaseNode402(number, load_eds(eds, number)) for number in (5, 6)]
+        for node in nodes:
+            network.add_node(node)
+            eventually(lambda node=node: _answers(node))
+        enable(nodes[1], 3)
+        assert (one.state, other.state) == (State.SWITCH_ON_DISABLED, State.OPERATION_ENABLED)
+        network.disconnect()
+
+
+@pytest.mark.parametrize("path", OTHERS, ids=lambda path: path.stem)
+def test_drives_of_other_makers_are_enabled_and_move(path: Path) -> None:
+    with driven(path) as (drive, node):
+        mode = drive.modes[0]
+        enable(node, int(mode))
+        assert mode == 1, "all of them have profile position"
+        turn = round(2 * 3.14159265 / drive.position_unit_rad)
+        node.sdo[0x607A].raw = turn
+        for word in (0x1F, 0x0F):
+            node.sdo[0x6040].raw = word
+        eventually(lambda: abs(node.sdo[0x6064].raw - turn) <= max(3, turn // 500))
+        assert drive.position_turns == pytest.approx(1.0, abs=0.01)
