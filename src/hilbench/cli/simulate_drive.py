@@ -11,7 +11,8 @@ from hilbench.canopen.identifiers import LAST_NODE
 from hilbench.canopen.mastery import nodes_of_ours
 from hilbench.cli.model_option import model_from
 from hilbench.devices.behaviour import Behaviour, load_behaviour
-from hilbench.devices.simulation import SimulatedNode, hosted, new_clock, simulated_node
+from hilbench.devices.node import SimulatedNode
+from hilbench.devices.simulation import hosted, new_clock, simulated_node
 from hilbench.errors import UnusableInputError
 from hilbench.plant.servo_axis.parameters import ServoAxisParameters
 from hilbench.processes import log, stop_request
