@@ -469,7 +469,7 @@ class BenchConfig(Block):
             machine.axis_count,
             tuple(self.load_motors),
             machine.span_count,
-            tuple(sorted(each.span for each in self.twin.estimate)) if machine.span_count else (),
+            tuple(self.twin.by_span(machine.span_count)),
             tuple(sorted(control.span for control in self.controllers.values())),
         )
 

@@ -66,6 +66,11 @@ class Shape:
         """The number of a span as it stands in names: none where there is only one."""
         return str(span) if self.spans > 1 else ""
 
+    def shows(self, span: int) -> int:
+        """The span whose estimate a span goes by: itself, or the nearest at which something is estimated; of two the
+        one before it, whose web comes in."""
+        return min(self.estimated, key=lambda other: (abs(other - span), other))
+
     def _parts(self, per: Per) -> Iterable[str]:
         if per is Per.LOAD_MOTOR:
             return self.load_motors

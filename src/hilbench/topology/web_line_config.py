@@ -72,25 +72,33 @@ class TensionControlConfig(Block):
 
 
 def span_misfits(spans: Sequence[int], count: int) -> Iterator[str]:
-    """Why these can't be the spans of controllers or estimates of a line that has so many."""
+    """Why these can't be the spans of controllers of a line that has so many."""
+    yield from _each_once(spans, count, "one axis can keep one tension")
+
+
+def _each_once(spans: Sequence[int], count: int, why: str) -> Iterator[str]:
     for span in spans:
         if span > count:
             yield f"a span of 1 to {count}, '{span}' is none"
     if len(set(spans)) < len(spans):
-        yield "each span at most once: one axis can keep one tension"
+        yield f"each span at most once: {why}"
 
 
 def estimate_misfits(twin: EstimationConfig, machine: ModelParameters) -> Iterator[str]:
     """Why a twin can't estimate what it is told to."""
-    (estimate,) = twin.estimate
-    yield from span_misfits([estimate.span], machine.span_count)
+    given = [estimate.span for estimate in twin.estimate if estimate.span is not None]
+    if len(twin.estimate) > len(given) and len(twin.estimate) > 1:
+        yield "'estimate' with a span in every entry, or one entry without a span for all of them"
+    yield from _each_once(given, machine.span_count, "E of a span is found in one way")
     if machine.span_count < 2:
         return
-    if isinstance(estimate, InputConfig):
+    methods = twin.by_span(machine.span_count)
+    if any(isinstance(estimate, InputConfig) for estimate in methods.values()):
         yield "another method than 'input', which is for a line of one span"
-    unloaded = [axis for axis in range(estimate.span + 1, machine.axis_count + 1) if not machine.carries_web_load(axis)]
+    first = min(methods)
+    unloaded = [axis for axis in range(first + 1, machine.axis_count + 1) if not machine.carries_web_load(axis)]
     if unloaded:
         yield (
-            f"'estimate' at a span behind which the web loads every roller: span {estimate.span} can't be seen in "
+            f"'estimate' at a span behind which the web loads every roller: span {first} can't be seen in "
             f"torques as long as 'machine.web_load' says that axis {unloaded[0]} carries none"
         )

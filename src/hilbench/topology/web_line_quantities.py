@@ -14,9 +14,15 @@ def modulus_of_span(span: int) -> str:
     return f"load.web.span{span}.youngs_modulus_Pa"
 
 
+def span_of_modulus(path: str) -> str:
+    """The number of the span in the path of E of one span; "" for another path."""
+    found = _MODULUS.fullmatch(path)
+    return found[1] if found else ""
+
+
 def is_modulus(path: str) -> bool:
     """Whether a path is that of E of one span."""
-    return _MODULUS.fullmatch(path) is not None
+    return span_of_modulus(path) != ""
 
 
 def moduli(shape: Shape) -> list[str]:

@@ -70,10 +70,12 @@ def tasks(config: BenchConfig, state: BenchState) -> MachineTasks:
 def _probing(
     config: BenchConfig, state: BenchState, loops: Mapping[int, TensionTask], line_speed: Reference
 ) -> Probing:
-    """Probes of the loop of the span at which E is found; none where that span has no loop."""
-    span = config.twin.synchronizer.span
-    found = config.tension_controls[span].probes if span in loops else ProbingConfig()
-    loop = loops.get(span) or next(iter(loops.values()))
+    """Probes of the loop of a span at which E is found, the first that is to be probed; none where there is none."""
+    controls = config.tension_controls
+    at_estimates = [span for span in config.shape.estimated if span in loops]
+    probed = [span for span in at_estimates if controls[span].probes.mode != "off"] or at_estimates
+    found = controls[probed[0]].probes if probed else ProbingConfig()
+    loop = loops[probed[0]] if probed else next(iter(loops.values()))
     return Probing(found, loop, loop.names.twin, line_speed, state)
 
 

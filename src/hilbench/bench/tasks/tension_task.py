@@ -49,8 +49,8 @@ class LoopNames:
 
     @classmethod
     def of(cls, drive: str, span: int, shape: Shape) -> LoopNames:
-        """Those of a span's loop; E is that of the span at which it is estimated."""
-        k, known = shape.numbered(span), shape.numbered(shape.estimated[0])
+        """Those of a span's loop; E is that of the nearest span at which it is estimated."""
+        k, known = shape.numbered(span), shape.numbered(shape.shows(span))
         return cls(
             drive=drive,
             axis=span,

@@ -17,7 +17,7 @@ def shown(shape: Shape) -> Shown:
         live.append(LiveRow(title, signals, "N", ".1f"))
     for span in shape.estimated:
         k = shape.numbered(span)
-        live.append(LiveRow("E true / estimated", (f"E{k}_true_Pa", f"E{k}_sim_Pa"), "N/mm²", ".0f", 1e6))
+        live.append(LiveRow(f"E{k} true / estimated", (f"E{k}_true_Pa", f"E{k}_sim_Pa"), "N/mm²", ".0f", 1e6))
     of_steps = []
     for span in shape.estimated:
         k = shape.numbered(span)

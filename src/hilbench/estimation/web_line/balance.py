@@ -27,7 +27,7 @@ _WORTH_TELLING = 1e-4
 class BalanceSample:
     """One instant of the balance; forces at the web."""
 
-    x2_m: float  #: measured position of roller 2
+    x2_m: float  #: measured position of roller 2; of several rollers as one, of their centre of mass
     force_N: float  #: (i/r)·τ2 + F_next − R2(v2), with the model's effects
     web_per_Pa: float  #: ∂F/∂E in N/Pa: section times strain; 0 while the web is slack
     velocity_m_s: float  #: of roller 2, from two positions
@@ -61,6 +61,13 @@ def _measured_force(sources: int) -> MeasuredForce:
 web_force_N = _measured_force(kernel.source_number(__file__))
 
 
+def mass_at_web_kg(p: Vector) -> float:
+    """Mass of roller 2 with its motor, by the parameters of a line, as its effects have it."""
+    axis = Layout.of(p).axis_rows(p)[_AXIS]
+    inertia = 1.0 + axis[lay.place("inertia_mismatch", "relative_change")]
+    return float((axis[lay.A_MOTOR_MASS_KG] + axis[lay.A_ROLLER_MASS_KG]) * inertia)
+
+
 class MeasuredBalance:
     """The balance of axis 2 of a two-roller model, cycle by cycle; also the strain that the encoders show.
 
@@ -73,10 +80,8 @@ class MeasuredBalance:
             raise ValueError(f"a model of {model.axis_count} axes, expected two driven rollers with a web")
         self.web = SpanFollower(model)
         self._p = lay.pack(model)
-        layout = Layout.of(self._p)
-        axis = layout.axis_rows(self._p)[_AXIS]
-        inertia = 1.0 + axis[lay.place("inertia_mismatch", "relative_change")]
-        self.mass_kg = float((axis[lay.A_MOTOR_MASS_KG] + axis[lay.A_ROLLER_MASS_KG]) * inertia)
+        axis = Layout.of(self._p).axis_rows(self._p)[_AXIS]
+        self.mass_kg = mass_at_web_kg(self._p)
         self.force_per_torque_per_m = model.motor_rad_per_m(2)  #: i/r
         self.section_m2 = model.section_m2(1)
         self.span_length_m = model.span_length_m(1)

@@ -52,8 +52,11 @@ class EstimateConfig(Block):
     """What is estimated, and where the measurement that shows it is taken."""
 
     quantity: Literal["youngs_modulus_Pa"] = Field(default="youngs_modulus_Pa", description="what is estimated: E")
-    span: int = Field(
-        default=1, ge=1, description="number of the span whose tension shows E, in the torques of what is behind it"
+    span: int | None = Field(
+        default=None,
+        ge=1,
+        description="number of the span whose tension shows E, in the torques of what is behind it; not given: every "
+        "span, each by itself",
     )
 
 
@@ -186,8 +189,8 @@ class EstimationConfig(Block):
     estimate: list[SynchronizerConfig] = Field(
         default=[ChangepointConfig()],
         min_length=1,
-        max_length=1,
-        description="what is found from the torques, and how: one entry, as the model has one E for the whole web",
+        description="what is found from the torques, and how: an entry for a span, or one without a span for all of "
+        "them; E of a span without an entry goes with that of the nearest that has one",
     )
     transfer: TransferConfig = TransferConfig()
     youngs_modulus_Pa: Modulus | None = Field(
@@ -234,5 +237,16 @@ class EstimationConfig(Block):
 
     @property
     def synchronizer(self) -> SynchronizerConfig:
-        """How E is found."""
+        """How E is found, of several spans at the first."""
         return self.estimate[0]
+
+    def by_span(self, spans: int) -> dict[int, SynchronizerConfig]:
+        """How E is found at each span, by its number from 1, of a line that has so many; in their order."""
+        everywhere = [entry for entry in self.estimate if entry.span is None]
+        found = {span: entry for entry in everywhere for span in range(1, spans + 1)}
+        found |= {entry.span: entry for entry in self.estimate if entry.span is not None}
+        return dict(sorted(found.items()))
+
+    def of_span(self, method: SynchronizerConfig) -> EstimationConfig:
+        """The same with this method alone."""
+        return self.model_copy(update={"estimate": [method]})

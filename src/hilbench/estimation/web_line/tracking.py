@@ -199,6 +199,16 @@ class Tracking:
         return self.problem is None and self._strain_uncertainty == 0.0 and self._own_deviation_Pa <= limit
 
     @property
+    def web_is_known(self) -> bool:
+        """Whether the web in the span is the one that was measured, none that was found under way."""
+        return self._strain_uncertainty == 0.0
+
+    @property
+    def measured_strain(self) -> float:
+        """Of the web in the span, as the encoders show it."""
+        return float(self._balance.web.strain[0])
+
+    @property
     def torque_undecided(self) -> bool:
         """Whether the torque has changed, and nothing tells yet whether that was E or a shift."""
         return self._shift_finder.undecided
@@ -217,13 +227,25 @@ class Tracking:
         self.estimate = self._stated(self._synchronizer.hold(self._cycle_s))
 
     def compare(
-        self, time_s: float, x1_m: float, x2_m: float, torque_Nm: float, strain_prev: float, F_next_N: float
+        self,
+        time_s: float,
+        x1_m: float,
+        x2_m: float,
+        torque_Nm: float,
+        strain_prev: float,
+        F_next_N: float,
+        centre_m: float | None = None,
     ) -> None:
-        """Take what was measured at the instant that the line has been simulated to; updates the line."""
+        """Take what was measured at the instant that the line has been simulated to; updates the line.
+
+        `centre_m`: of the centre of mass, where roller 2 stands for several.
+        """
         line, balance = self._line, self._balance
         torque_Nm -= self.torque_shift_Nm
         balance.use_modulus(self.estimate.youngs_modulus_Pa)
         raw = balance.update(x1_m, x2_m, torque_Nm, strain_prev, F_next_N, self._cycle_s + self._missed_s)
+        if centre_m is not None:
+            raw.x2_m = centre_m
         self._missed_s = 0.0
         self._now = (raw, torque_Nm)
         now = self._without_errors(raw)

@@ -146,8 +146,8 @@ def _torques(axis: int) -> RunPicture:
 def _elasticity(number: str) -> RunPicture:
     """`number`: of the span at which E is estimated, as names have it."""
     return RunPicture(
-        "elasticity",
-        "Young’s modulus",
+        f"elasticity{number}",
+        f"Young’s modulus in span {number}" if number else "Young’s modulus",
         f"Young’s modulus of the imitated web with a band of ±{100 * ESTIMATE_BAND:g} % (grey), and the twin’s "
         "estimate with a band of ±2 standard deviations where the twin states one.",
         (estimate(modulus(number), f"E{number}_sd_Pa"),),
@@ -194,7 +194,11 @@ def pictures_of(shape: Shape) -> MachinePictures:
         compared=(
             *(
                 ComparedSignal(
-                    f"elasticity{number}", "Young’s modulus, estimated", "E in N/mm²", (f"E{number}_sim_Pa",), 1e6
+                    f"elasticity{number}",
+                    f"Young’s modulus in span {number}, estimated" if number else "Young’s modulus, estimated",
+                    "E in N/mm²",
+                    (f"E{number}_sim_Pa",),
+                    1e6,
                 )
                 for _, number in estimated
             ),

@@ -7,6 +7,7 @@ from typing import Final
 from hilbench.topology.main_quantities.quantity import MainQuantity
 from hilbench.topology.quantities import LINE_SPEED, YOUNGS_MODULUS, tension_set_point
 from hilbench.topology.signals import Shape
+from hilbench.topology.web_line_quantities import modulus_of_span
 
 
 def line_speed(axes: int) -> MainQuantity:
@@ -30,14 +31,15 @@ def set_point(number: str = "") -> MainQuantity:
 
 
 def modulus(number: str = "") -> MainQuantity:
-    """E of the web, as it is estimated at the span of that number, as names have it."""
+    """E of the web in the span of that number, as names have it (`Shape.numbered`)."""
+    of = f" in span {number}" if number else ""
     return MainQuantity(
-        YOUNGS_MODULUS,
-        "E of the imitated web",
-        "E",
+        modulus_of_span(int(number)) if number else YOUNGS_MODULUS,
+        f"E of the imitated web{of}",
+        f"E{number}",
         "Pa",
         f"E{number}_true_Pa",
-        "m",
+        f"f{number}" if number else "m",
         f"E{number}_sim_Pa",
         shown_unit="N/mm²",
         si_per_shown=1e6,

@@ -1,11 +1,13 @@
-"""The twin of a web line: the simulated web, and the synchronizer that finds its E from torques behind a span."""
+"""The twin of a web line: the simulated web, and a synchronizer for each span that finds E from the torques behind it."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 from hilbench.estimation.plausibility import Problem
 from hilbench.estimation.web_line.config import EstimationConfig, InputConfig
+from hilbench.estimation.web_line.rollers import Rollers
 from hilbench.estimation.web_line.synchronizers.create import METHODS
 from hilbench.estimation.web_line.tracking import MOVES_M_S, UNKNOWN_STRAIN, Tracking
 from hilbench.plant.motor_port import MotorPort
@@ -14,6 +16,7 @@ from hilbench.plant.web_line.line import Line
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.sizes import least_way_m
 from hilbench.plant.web_line.span import SpanFollower
+from hilbench.topology.signals import Shape
 from hilbench.twin.machines.machine import Measured, Told
 from hilbench.twin.machines.web_section import WebSection
 
@@ -23,71 +26,92 @@ def boundary(model: ModelParameters) -> dict[str, float]:
     return {"strain_prev": model.upstream_strain, "F_next_N": model.boundary.downstream_tension_N}
 
 
+@dataclass(slots=True)
+class _Estimated:
+    """A span at which E is found."""
+
+    span: int
+    section: WebSection
+    tracking: Tracking
+    residual_Nm: float = 0.0  #: torque of the axis behind it, measured less simulated
+    waiting: bool = False  #: for the span before it, whose web is not known yet
+
+
 class WebLineTwin:
-    """A `TwinMachine` with N axes and the spans between them; E is found from the torques behind one of these.
+    """A `TwinMachine` with N axes and the spans between them; E of each span is found from the torques behind it.
 
     The web starts as the bench's load model does, strained like the web upstream. On axes that move already this is a
     guess: the twin then calls itself synchronized when strain and E are known, at the latest when the web that it could
-    not know has been transported out of the span.
+    not know has been transported out of the span; one span after the other, as each hands its web on.
     """
 
     def __init__(self, model: ModelParameters, config: EstimationConfig, cycle_s: float, told: Told) -> None:
-        axes = range(1, model.axis_count + 1)
+        axes, spans = range(1, model.axis_count + 1), range(1, model.span_count + 1)
         self.ports = tuple(MotorPort() for _ in axes)
         self.plant = Line(model, self.ports)
         self._transfer = config.transfer
-        self._span = config.estimate[0].span
-        self._section = WebSection(model, self.plant, self.ports, self._span)
-        self._tracking = Tracking(self._section.model, config, self._section, self._section, cycle_s)
-        self._others = _OtherSpans(model, self._span, config.transfer.strain_limit) if len(axes) > 2 else None
+        methods = config.by_span(model.span_count)
+        self._rollers = Rollers(model)
+        self._several = len(spans) > 1
+        shape = Shape(model.axis_count, (), len(spans), tuple(methods))
+        self._estimated: dict[int, _Estimated] = {}
+        for span, method in methods.items():
+            along = [other for other in spans if other != span and shape.shows(other) == span]
+            section = WebSection(model, self.plant, self.ports, span, self._rollers, along)
+            tracking = Tracking(section.model, config.of_span(method), section, section, cycle_s)
+            self._estimated[span] = _Estimated(span, section, tracking)
+        self._all = tuple(self._estimated.values())
+        others = [span for span in spans if span not in methods]
+        self._others = _OtherSpans(model, others, config.transfer.strain_limit) if others else None
         self._told = told
         self._cycle_s = cycle_s
         self._metres_per_rad = [1.0 / model.motor_rad_per_m(axis) for axis in axes]
         self._pairing = Pairing(least_way_m(model))
-        self._steady = SteadyWay(cycle_s)  # of the axis behind the span
-        self._residual_Nm = 0.0
+        self._steady = SteadyWay(cycle_s)  # of the axis behind the first of these spans
 
     @property
     def problem(self) -> Problem | None:
-        """Why the last measurement could not be used."""
-        return self._tracking.problem
+        """Why the last measurement could not be used; of several spans at the first that has a problem."""
+        return next((each.tracking.problem for each in self._all if each.tracking.problem is not None), None)
 
     @property
     def refused(self) -> bool:
         """Whether a measured state was not plausible and was not taken over in the last cycle."""
-        return self._tracking.refused or (self._others is not None and self._others.refused)
+        refused = any(each.tracking.refused for each in self._all)
+        return refused or (self._others is not None and self._others.refused)
 
     @property
     def synchronized(self) -> bool:
-        """Whether E is known as well as the config asks for, and the web is the one that was measured."""
-        return self._tracking.synchronized
+        """Whether E of each span is known as well as the config asks for, and the web is the one that was measured."""
+        return all(each.tracking.synchronized and not each.waiting for each in self._all)
 
     @property
     def separable(self) -> bool:
         """Whether the data tell everything that is estimated from E."""
-        return all(nuisance.separable for nuisance in self._tracking.estimate.nuisances)
+        return all(nuisance.separable for each in self._all for nuisance in each.tracking.estimate.nuisances)
 
     @property
     def torque_shift_Nm(self) -> float:
-        """What the measured torque has shifted by, and is corrected for."""
-        return self._tracking.torque_shift_Nm
+        """What the measured torque has shifted by, and is corrected for; of several spans the largest."""
+        return max((each.tracking.torque_shift_Nm for each in self._all), key=abs)
 
     @property
     def torque_undecided(self) -> bool:
         """Whether the torque has changed, and nothing tells yet whether that was E or a shift."""
-        return self._tracking.torque_undecided
+        return any(each.tracking.torque_undecided for each in self._all)
 
     def reset(self) -> None:
         """Start anew with the E that is assumed at the start, at rest."""
-        self._tracking.reset()
+        for each in self._all:
+            each.tracking.reset()
+            each.residual_Nm, each.waiting = 0.0, False
         self._start_anew()
-        self._residual_Nm = 0.0
         at_rest = [0.0] * len(self.ports)
         self.plant.set_state(_states(self._told("strain_prev"), at_rest, at_rest, at_rest))
 
     def _start_anew(self) -> None:
         """What is measured has no past."""
-        self._section.reset()
+        self._rollers.reset()
         if self._others is not None:
             self._others.reset()
 
@@ -101,38 +125,70 @@ class WebLineTwin:
         self.plant.set_state(
             _states(self._told("strain_prev"), positions, speeds if moves else at_rest, torques if moves else at_rest)
         )
-        self._tracking.release(UNKNOWN_STRAIN if moves else 0.0)
+        for each in self._all:
+            each.tracking.release(UNKNOWN_STRAIN if moves else 0.0)
+            each.waiting = moves and each.span - 1 in self._estimated
         self._start_anew()
         self._pairing.reset()
         self._steady.reset()
 
     def compare(self, time_s: float, measured: Sequence[Measured]) -> bool:
-        """Let the synchronizer compare; False where the positions are not of one instant."""
+        """Let the synchronizers compare; False where the positions are not of one instant."""
         positions_m = self._positions_m(measured)
-        before_m, behind_m = positions_m[self._span - 1 : self._span + 1]
-        if not self._pairing.update(*positions_m) or not self._steady.update(behind_m):
+        if not self._pairing.update(*positions_m) or not self._steady.update(positions_m[self._all[0].span]):
             self.miss()
             return False
-        strain, F_next_N = self._told("strain_prev"), self._told("F_next_N")
-        others = self._others
-        if others is not None:
-            others.follow(positions_m, strain, F_next_N, self._cycle_s)
-            strain = others.strain_before
+        strain_prev, F_next_N = self._told("strain_prev"), self._told("F_next_N")
         torques_Nm = [torque_Nm for _, torque_Nm in measured]
-        torque_Nm = self._section.measured_torque_Nm(positions_m, torques_Nm, strain, self._cycle_s)
-        simulated_Nm = self.ports[self._span].torque_Nm
-        self._tracking.compare(time_s, before_m, behind_m, torque_Nm, strain, F_next_N)
-        rad_per_m = 1.0 / self._metres_per_rad[self._span]
-        self._tracking.look_for_known_change(self.ports[self._span].setpoint / rad_per_m)
-        self._residual_Nm = self._tracking.residual_Nm
+        others = self._others
+        if self._several:
+            self._rollers.update(positions_m, torques_Nm, self._cycle_s)
         if others is not None:
-            self._residual_Nm = torques_Nm[self._span] - self._tracking.torque_shift_Nm - simulated_Nm
-            if self._transfer.strain:
-                others.transfer(self.plant)
+            others.follow(positions_m, strain_prev, F_next_N, self._cycle_s)
+        for each in self._all:
+            self._compare(each, time_s, positions_m, torques_Nm, self._strain_before(each.span, strain_prev), F_next_N)
+        if others is not None and self._transfer.strain:
+            others.transfer(self.plant)
         return True
 
+    def _strain_before(self, span: int, strain_prev: float) -> float:
+        """Strain of the web that enters a span, as measured."""
+        if span == 1:
+            return strain_prev
+        before = self._estimated.get(span - 1)
+        if before is not None:
+            return before.tracking.measured_strain
+        assert self._others is not None, "a span is estimated, or among the others"
+        return self._others.strain(span - 1)
+
+    def _compare(
+        self,
+        each: _Estimated,
+        time_s: float,
+        positions_m: Sequence[float],
+        torques_Nm: Sequence[float],
+        strain_before: float,
+        F_next_N: float,
+    ) -> None:
+        span, tracking = each.span, each.tracking
+        if each.waiting:
+            if not self._estimated[span - 1].tracking.web_is_known:
+                tracking.miss()
+                return
+            each.waiting = False
+            tracking.release(UNKNOWN_STRAIN)
+        port = self.ports[span]
+        less_Nm = tracking.torque_shift_Nm, port.torque_Nm
+        torque_Nm, centre_m = torques_Nm[span], None
+        if self._several:
+            torque_Nm, centre_m = each.section.measured_torque_Nm(torques_Nm), each.section.centre_m
+        tracking.compare(time_s, positions_m[span - 1], positions_m[span], torque_Nm, strain_before, F_next_N, centre_m)
+        rad_per_m = 1.0 / self._metres_per_rad[span]
+        tracking.look_for_known_change(port.setpoint / rad_per_m)
+        each.residual_Nm = torques_Nm[span] - less_Nm[0] - less_Nm[1]
+
     def _positions_m(self, measured: Sequence[Measured]) -> list[float]:
-        """Of both axes, at the web."""
+        """Of all axes, at the web."""
         return [
             position_rad * metres_per_rad
             for (position_rad, _), metres_per_rad in zip(measured, self._metres_per_rad, strict=True)
@@ -140,11 +196,13 @@ class WebLineTwin:
 
     def miss(self) -> None:
         """A cycle without measurement."""
-        self._tracking.miss()
+        for each in self._all:
+            each.tracking.miss()
 
     def listen(self) -> None:
         """Take over what is around the web now."""
-        self.plant.set_input("strain_prev", self._tracking.upstream_strain(self._told("strain_prev")))
+        first = self._all[0].tracking
+        self.plant.set_input("strain_prev", first.upstream_strain(self._told("strain_prev")))
         self.plant.set_input("F_next_N", self._told("F_next_N"))
 
     def use_method(self, number: int) -> None:
@@ -153,43 +211,47 @@ class WebLineTwin:
         if number > len(methods):
             raise ValueError(f"method {number}, expected 0 to {len(methods)}")
         method = methods[number - 1]() if number else None
-        if isinstance(method, InputConfig) and self._others is not None:
+        if isinstance(method, InputConfig) and self._several:
             raise ValueError(f"method {number}, expected one that corrects E: the line has several spans")
-        self._tracking.use(method)
+        for each in self._all:
+            each.tracking.use(method)
 
     def published(self) -> tuple[float, ...]:
-        """Of each span its tension; of that at which E is found E, its deviation, and of the torque of the axis behind
-        it what is simulated, and the residual."""
-        tracking, line = self._tracking, self.plant
-        factor = line.elasticity_factor(self._span)  # the E that acts is told, as of a web that is measured
-        tensions_N = line.tension_N.tolist()
-        return (
-            *tensions_N[: self._span],
-            factor * tracking.estimate.youngs_modulus_Pa,
-            factor * tracking.estimate.deviation_Pa,
-            self.ports[self._span].torque_Nm,
-            self._residual_Nm,
-            *tensions_N[self._span :],
-        )
+        """Of each span its tension; where E is found E, its deviation, and of the torque of the axis behind it what is
+        simulated, and the residual."""
+        line, values = self.plant, list[float]()
+        for span, tension_N in enumerate(line.tension_N.tolist(), 1):
+            values.append(tension_N)
+            each = self._estimated.get(span)
+            if each is not None:
+                factor = line.elasticity_factor(span)  # the E that acts is told, as of a web that is measured
+                found = each.tracking.estimate
+                values += (
+                    factor * found.youngs_modulus_Pa,
+                    factor * found.deviation_Pa,
+                    self.ports[span].torque_Nm,
+                    each.residual_Nm,
+                )
+        return tuple(values)
 
 
 class _OtherSpans:
     """The spans of a line at which nothing is estimated, on the measured motion: their strains are taken over.
 
-    `span`: that at which E is found; `strain_limit`: largest plausible difference of a strain.
+    `spans`: their numbers; `strain_limit`: largest plausible difference of a strain.
     """
 
-    def __init__(self, model: ModelParameters, span: int, strain_limit: float) -> None:
+    def __init__(self, model: ModelParameters, spans: Sequence[int], strain_limit: float) -> None:
         self._web = SpanFollower(model)
-        self._span = span
+        self._spans = tuple(spans)
         self._limit = strain_limit
+        self._moduli = [f"span{span}.youngs_modulus_Pa" for span in range(1, model.span_count + 1)]
         self.reset()
 
     def reset(self) -> None:
         """The next positions are the first."""
         self.refused = False
         self._running = False
-        self.strain_before = 0.0  #: of the web that enters the span at which E is found
 
     def follow(self, positions_m: Sequence[float], strain_prev: float, F_next_N: float, cycle_s: float) -> None:
         """The rollers are at these positions (N,) a cycle after the last; around the line is what is told."""
@@ -201,23 +263,22 @@ class _OtherSpans:
         else:
             web.reset(positions_m, strain=[strain_prev] * (len(positions_m) - 1))
         self._running = True
-        self.strain_before = float(web.strain[self._span - 2]) if self._span > 1 else strain_prev
+
+    def strain(self, span: int) -> float:
+        """Of the web in one of these spans, as measured."""
+        return float(self._web.strain[span - 1])
 
     def transfer(self, line: Line) -> None:
         """Put the measured strains in the place of the simulated ones, unless they are too far off to be believed."""
         states = {}
         self.refused = False
-        for at, (measured, simulated) in enumerate(
-            zip(self._web.strain.tolist(), line.strain.tolist(), strict=True), 1
-        ):
-            if at == self._span:
-                continue
-            if abs(measured - simulated) <= self._limit:
-                states[f"strain{at}"] = measured
+        measured, simulated = self._web.strain.tolist(), line.strain.tolist()
+        for at in self._spans:
+            if abs(measured[at - 1] - simulated[at - 1]) <= self._limit:
+                states[f"strain{at}"] = measured[at - 1]
             else:
                 self.refused = True
-        for at in range(1, len(states) + 2):
-            name = f"span{at}.youngs_modulus_Pa"
+        for name in self._moduli:
             self._web.set_parameter(name, line.parameter(name))
         line.set_state(states)
 
