@@ -59,7 +59,7 @@ class IoMaps:
         data = process_data(config.machine_kind, config.shape)
 
         def pdo_map(cob_id: int, pdo: IoPdo) -> PdoMap:
-            names = [f"0x{signal.index:04X}sub{signal.sub}" for signal in pdo.signals]
+            names = [f"0x{signal.index:04X}sub{signal.sub:X}" for signal in pdo.signals]
             return PdoMap.from_names(od, cob_id, pdo.every, names)
 
         boundary, node_id = data.boundary, config.twin.node.node_id
