@@ -5,10 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from functools import partial
 
+import numpy as np
+from numpy.typing import NDArray
+
 from hilbench.plant.effects import Domain, effects_of, find_effect
 from hilbench.plant.interface import Quantity, checked_name
 from hilbench.plant.motor_port import MotorPort
 from hilbench.plant.parameters import per_item
+from hilbench.plant.sampling import samples_per
 from hilbench.plant.web_line import laws, reels
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.layout import Vector
@@ -57,6 +61,7 @@ class Line(SimulatedLine):
         )
         self._inputs[lay.U_STRAIN_PREV] = parameters.upstream_strain
         self._inputs[lay.U_F_NEXT_N] = parameters.boundary.downstream_tension_N
+        self._over: dict[int, tuple[NDArray[np.int64], Vector]] = {}  # times over which torques are compared
         self._elastic = any(_acts_on_elasticity(entry.effect) for entry in parameters.effects)
         self._observe()
 
@@ -97,6 +102,22 @@ class Line(SimulatedLine):
     def strain(self) -> Vector:
         """Strain of each span (K,)."""
         return self._out[self._layout.columns["strain"]].copy()
+
+    def torque_ripples_Nm(self, duration_s: float) -> Vector:
+        """By how much the torque of each driven axis (N,) was larger in the mean of the time just gone by than in the
+        mean of its begin and end: a drive whose set point goes in steps pushes most behind each of them.
+
+        Raises ValueError for a duration that is no multiple of the drives' sample time.
+        """
+        samples = samples_per(duration_s, self._p.item(lay.W_SAMPLE_TIME_S))
+        if samples not in self._over:
+            weights = np.full(samples + 1, 1.0 / samples)
+            weights[[0, -1]] = 0.5 / samples - 0.5
+            self._over[samples] = (np.arange(-samples, 1), weights)
+        back, weights = self._over[samples]
+        places = (int(self._state.item(lay.S_COUNT)) + back) % lay.RING
+        past = self._layout.past_torques(self._state)
+        return np.asarray(past[np.ix_(self._driven, places)] @ weights, np.float64)
 
     @property
     def x_m(self) -> Vector:

@@ -141,12 +141,19 @@ class WebLineTwin:
         strain_prev, F_next_N = self._told("strain_prev"), self._told("F_next_N")
         torques_Nm = [torque_Nm for _, torque_Nm in measured]
         others = self._others
+        measured_Nm = torques_Nm
         if self._several:
+            # What is measured is a torque a cycle, while the set points of a ramp go in steps: of the longer cycles of
+            # such a line the mean is another one.
+            ripples_Nm = self.plant.torque_ripples_Nm(self._cycle_s).tolist()
+            torques_Nm = [now_Nm + more_Nm for now_Nm, more_Nm in zip(measured_Nm, ripples_Nm, strict=True)]
             self._rollers.update(positions_m, torques_Nm, self._cycle_s)
         if others is not None:
             others.follow(positions_m, strain_prev, F_next_N, self._cycle_s)
         for each in self._all:
+            less_Nm = each.tracking.torque_shift_Nm, self.ports[each.span].torque_Nm
             self._compare(each, time_s, positions_m, torques_Nm, self._strain_before(each.span, strain_prev), F_next_N)
+            each.residual_Nm = measured_Nm[each.span] - less_Nm[0] - less_Nm[1]
         if others is not None and self._transfer.strain:
             others.transfer(self.plant)
         return True
@@ -177,15 +184,12 @@ class WebLineTwin:
                 return
             each.waiting = False
             tracking.release(UNKNOWN_STRAIN)
-        port = self.ports[span]
-        less_Nm = tracking.torque_shift_Nm, port.torque_Nm
         torque_Nm, centre_m = torques_Nm[span], None
         if self._several:
             torque_Nm, centre_m = each.section.measured_torque_Nm(torques_Nm), each.section.centre_m
         tracking.compare(time_s, positions_m[span - 1], positions_m[span], torque_Nm, strain_before, F_next_N, centre_m)
         rad_per_m = 1.0 / self._metres_per_rad[span]
-        tracking.look_for_known_change(port.setpoint / rad_per_m)
-        each.residual_Nm = torques_Nm[span] - less_Nm[0] - less_Nm[1]
+        tracking.look_for_known_change(self.ports[span].setpoint / rad_per_m)
 
     def _positions_m(self, measured: Sequence[Measured]) -> list[float]:
         """Of all axes, at the web."""
