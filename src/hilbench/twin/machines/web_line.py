@@ -1,12 +1,18 @@
-"""The twin of a web line: the simulated web, and a synchronizer for each span that finds E from the torques behind it."""
+"""The twin of a web line: the simulated web, and for each span a synchronizer that finds E from torques behind it."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import sqrt
 
 from hilbench.estimation.plausibility import Problem
-from hilbench.estimation.web_line.config import EstimationConfig, InputConfig
+from hilbench.estimation.web_line.config import (
+    ChangepointConfig,
+    EstimationConfig,
+    InputConfig,
+    SynchronizerConfig,
+)
 from hilbench.estimation.web_line.rollers import Rollers
 from hilbench.estimation.web_line.synchronizers.create import METHODS
 from hilbench.estimation.web_line.tracking import MOVES_M_S, UNKNOWN_STRAIN, Tracking
@@ -58,6 +64,7 @@ class WebLineTwin:
         for span, method in methods.items():
             along = [other for other in spans if other != span and shape.shows(other) == span]
             section = WebSection(model, self.plant, self.ports, span, self._rollers, along)
+            method = _over_rollers(method, model.axis_count - span)
             tracking = Tracking(section.model, config.of_span(method), section, section, cycle_s)
             self._estimated[span] = _Estimated(span, section, tracking)
         self._all = tuple(self._estimated.values())
@@ -218,7 +225,7 @@ class WebLineTwin:
         if isinstance(method, InputConfig) and self._several:
             raise ValueError(f"method {number}, expected one that corrects E: the line has several spans")
         for each in self._all:
-            each.tracking.use(method)
+            each.tracking.use(method and _over_rollers(method, len(self.ports) - each.span))
 
     def published(self) -> tuple[float, ...]:
         """Of each span its tension; where E is found E, its deviation, and of the torque of the axis behind it what is
@@ -237,6 +244,14 @@ class WebLineTwin:
                     each.residual_Nm,
                 )
         return tuple(values)
+
+
+def _over_rollers(method: SynchronizerConfig, rollers: int) -> SynchronizerConfig:
+    """A method that sees the torques of so many rollers together: their noise adds up, and to be as cautious as with
+    one would be to wait so much longer."""
+    if rollers == 1 or not isinstance(method, ChangepointConfig):
+        return method
+    return method.model_copy(update={"cautious_pct": sqrt(rollers) * method.cautious_pct})
 
 
 class _OtherSpans:
