@@ -1,0 +1,259 @@
+"""A line with idlers, dancers, accumulators and reels on measured motion of its driven rollers: for load models.
+
+What no motor drives has a motion of its own, which nobody measures: it is simulated by the kernel of the closed line,
+with the driven rollers held to their measured motion. A driven roller turns at constant speed within a cycle; it is so
+heavy that nothing moves it, and no web loads it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from hilbench.compiled import entry_point
+from hilbench.plant.effects import EffectPlace, effects_of
+from hilbench.plant.interface import PlantDescription, Quantity, checked_name
+from hilbench.plant.web_line import kernel, laws, reels
+from hilbench.plant.web_line import layout as lay
+from hilbench.plant.web_line.layout import Vector
+from hilbench.plant.web_line.line import Line
+from hilbench.plant.web_line.offline import start_state
+from hilbench.plant.web_line.parameters import ModelParameters
+from hilbench.plant.web_line.simulated import KIND
+from hilbench.plant.web_line.span import BROKEN, SpanFollower
+from hilbench.plant.web_line.stations import Reel
+
+#: Of a driven roller: a pull of 1 kN makes it 1e-9 m/s faster in a second.
+_HELD_KG: Final = 1e12
+#: E·S of a web that has torn, as a share of what it was: nothing pulls.
+_TORN: Final = 1e-12
+#: Longest integration step where no roller asks for a shorter one, as of a web on driven rollers alone.
+_LONGEST_STEP_S: Final = 0.001
+
+Resistance = Callable[[Vector, int, float, float, float], float]
+RadiusRatio = Callable[[Vector, int, float], float]
+
+
+def _entry_points(sources: int) -> tuple[Resistance, RadiusRatio]:
+    """Compiled functions that are called from Python; `sources` as in the kernel."""
+
+    @entry_point
+    def resistance(p: Vector, row: int, x_m: float, v_m_s: float, width_m_s: float) -> float:
+        if sources < 0:
+            return 0.0
+        return laws.measured_resistance_N(p, lay.W_SIZE + row * lay.A_SIZE, x_m, v_m_s, width_m_s)
+
+    @entry_point
+    def radius_ratio(p: Vector, row: int, x_m: float) -> float:
+        axis = lay.W_SIZE + row * lay.A_SIZE
+        ratio: float = reels.radius_ratio(p, axis, x_m) if sources >= 0 and reels.is_reel(p, axis) else 1.0
+        return ratio
+
+    return resistance, radius_ratio
+
+
+_resistance, _radius_ratio = _entry_points(kernel.source_number(__file__))
+
+
+def follower_of(parameters: ModelParameters) -> SpanFollower | LineFollower:
+    """The follower of a web line: of driven rollers alone the web's, else that of all that the web runs over.
+
+    Raises ValueError for a model without a web.
+    """
+    return SpanFollower(parameters) if parameters.stations is None else LineFollower(parameters)
+
+
+class LineFollower(Line):
+    """All that the web of a model runs over, on measured positions (N,) of its driven rollers, at the web.
+
+    See `hilbench.plant.interface.Follower`; states and outputs are those of the closed line, with E as it acts
+    (`E1_Pa` …) beside them. Raises ValueError for a model without a web.
+    """
+
+    def __init__(self, parameters: ModelParameters) -> None:
+        self.parameters = parameters.model_copy(update={"web": parameters.required_web})
+        self._torn_Pa: Vector | None = None
+        super().__init__(self.parameters)
+        self._sample_s = float(self._p[lay.W_SAMPLE_TIME_S])
+        substep_s = self._sample_s / float(self._p[lay.W_SUBSTEPS])
+        self._step_s = min(substep_s, _LONGEST_STEP_S)
+        self._hold()
+        self._carries = [parameters.carries_web_load(axis) for axis in range(1, parameters.axis_count + 1)]
+        self._rad_per_m = [parameters.motor_rad_per_m(axis) for axis in range(1, parameters.axis_count + 1)]
+        self._described = _description(self._description)
+        self._guess = self._state.copy()
+        self._observe()
+
+    def describe(self) -> PlantDescription:
+        """What it is; see `hilbench.plant.interface.Machine`."""
+        return self._described
+
+    def _hold(self) -> None:
+        """Nothing moves a driven roller but what is measured."""
+        for row in self._driven:
+            axis = self._layout.axis_rows(self._p)[row]
+            axis[lay.A_MOTOR_MASS_KG], axis[lay.A_ROLLER_MASS_KG] = 0.0, _HELD_KG
+            axis[lay.A_WOUND_KG] = axis[lay.A_WEB_LOAD] = 0.0
+
+    def reset(self, positions: ArrayLike, strain: ArrayLike | None = None) -> None:
+        """Start again at these positions (N,) and strains (K,), at rest, carriages as at the start; time goes on."""
+        count = self._state[lay.S_COUNT]
+        self._state[:] = start_state(self._p, self.parameters, strain)
+        self._state[lay.S_COUNT] = count
+        n, y = self._layout.axes, self._layout.y(self._state)
+        for row, position in zip(self._driven, np.atleast_1d(np.asarray(positions, dtype=float)), strict=True):
+            y[row] = y[2 * n + row] = position
+        lay.forget_pieces(self._state)
+        self._observe()
+
+    def follow(self, positions: Sequence[float] | Vector, duration_s: float) -> None:
+        """The driven rollers are now at `positions` (N,), `duration_s` after the last call.
+
+        Raises ValueError for a duration that is not positive.
+        """
+        if not duration_s > 0.0:
+            raise ValueError(f"duration {duration_s!r} s, expected more than 0")
+        n, y = self._layout.axes, self._layout.y(self._state)
+        for row, position in zip(self._driven, positions, strict=True):
+            y[n + row] = y[3 * n + row] = (position - y[row]) / duration_s
+        self._go_on(self._state, duration_s)
+        for row, position in zip(self._driven, positions, strict=True):
+            y[row] = y[2 * n + row] = position  # exactly: no drift from adding up
+        self._observe()
+
+    def predicted_tension_N(self, lead_s: float) -> Vector:
+        """The tensions (K,) `lead_s` later if the driven rollers go on as in the last cycle; changes nothing."""
+        if not lead_s > 0.0:
+            return self.tension_N
+        self._guess[:] = self._state
+        self._go_on(self._guess, lead_s)
+        out = np.empty_like(self._out)
+        kernel.observe(self._p, self._guess, self._inputs, self._work, out)
+        tension: Vector = out[self._layout.columns["F_N"]]
+        return tension
+
+    def _go_on(self, state: Vector, duration_s: float) -> None:
+        """Let the line run by any time: the samples of drives, which are off, are cut to fit it."""
+        p = self._p
+        time_s, samples = float(state[lay.S_COUNT]) * self._sample_s, max(round(duration_s / self._sample_s), 1)
+        p[lay.W_SAMPLE_TIME_S] = duration_s / samples
+        p[lay.W_SUBSTEPS] = np.ceil(p[lay.W_SAMPLE_TIME_S] / self._step_s - 1e-9)
+        state[lay.S_COUNT] = time_s / p[lay.W_SAMPLE_TIME_S]
+        self._refresh_directions(state)
+        kernel.advance(p, state, self._inputs, self._work, samples)
+        p[lay.W_SAMPLE_TIME_S] = self._sample_s
+        state[lay.S_COUNT] = (time_s + duration_s) / self._sample_s
+
+    def _refresh_directions(self, state: Vector) -> None:
+        """Dry friction of the driven rollers goes by their measured motion."""
+        n = self._layout.axes
+        modes = lay.S_Y + self._layout.y_size + lay.SA_DIRECTION
+        for row in self._driven:
+            speed = state.item(lay.S_Y + n + row)
+            state[modes + row * lay.SA_SIZE] = 1.0 if speed > 0.0 else -1.0 if speed < 0.0 else 0.0
+
+    def load_torques_Nm(self, axes: Sequence[int], speeds: Sequence[float], lead_s: float) -> list[float]:
+        """Torques at the shafts of load motors on `axes`, of the line `lead_s` ahead; `speeds` (N,) of the driven
+        rollers, m/s. A load motor turns as fast as the axis' motor."""
+        tension = self.predicted_tension_N(lead_s)
+        return [self.web_torque_Nm(axis, speeds[axis - 1], tension_N=tension) for axis in axes]
+
+    def web_torque_Nm(self, axis: int, v_m_s: float, *, tension_N: ArrayLike | None = None) -> float:
+        """Torque at the motor of `axis` that imitates the web and the roller's resistance: (r/i)·(F_next - F - R(v)).
+
+        F is the tension of the span before the roller, F_next that of the span behind it; of a reel one of them, with
+        its present radius in the place of the nominal. `tension_N` (K,): tensions to use, default the present ones.
+        """
+        tensions = self.tension_N if tension_N is None else np.asarray(tension_N, dtype=float)
+        row, force = self._driven[axis - 1], 0.0
+        x_m = self._layout.y(self._state).item(row)
+        if self._carries[axis - 1]:
+            station = self.parameters.line_rollers[row].station
+            wound = station.type if isinstance(station, Reel) else None
+            before = tensions[row - 1] if row else 0.0 if wound else self._upstream_tension_N()
+            behind = tensions[row] if row < len(tensions) else 0.0 if wound else self._inputs[lay.U_F_NEXT_N]
+            force = float(behind - before) * _radius_ratio(self._p, row, x_m)
+        force -= _resistance(self._p, row, x_m, float(v_m_s), laws.FRICTION_WIDTH_M_S)
+        return float(force / self._rad_per_m[axis - 1])
+
+    def _upstream_tension_N(self) -> float:
+        strain = float(laws.upstream_strain(self._p, self._inputs[lay.U_STRAIN_PREV], self.time_s))
+        return strain * float(self._p[lay.W_UPSTREAM_STIFFNESS_N])
+
+    @property
+    def tension_N(self) -> Vector:
+        """Tension of each span (K,); of a web that has torn none."""
+        return np.zeros(self._layout.spans) if self._torn_Pa is not None else super().tension_N
+
+    @property
+    def effective_moduli_Pa(self) -> Vector:
+        """E as it acts now in each span (K,), with the effects on it."""
+        spans = range(1, self._layout.spans + 1)
+        moduli = self._layout.span_rows(self._p)[:, lay.SP_MODULUS_PA] if self._torn_Pa is None else self._torn_Pa
+        return np.array([self.elasticity_factor(span) for span in spans]) * moduli
+
+    def outputs(self) -> dict[str, float]:
+        """Those of the closed line, and E as it acts; a web that has torn has neither tension nor strain."""
+        spans, moduli = range(1, self._layout.spans + 1), self.effective_moduli_Pa.tolist()
+        found = super().outputs() | {f"E{span}_Pa": moduli[span - 1] for span in spans}
+        if self._torn_Pa is not None:
+            found |= {name: 0.0 for span in spans for name in (f"F{span}_N", f"strain{span}")}
+        return found
+
+    def parameter(self, name: str) -> float:
+        """Present value of a parameter. Raises ValueError for an unknown name."""
+        checked_name("parameter", name, self._described.parameters)
+        torn = self._torn_Pa is not None
+        if name == BROKEN.name:
+            return float(torn)
+        self._tear(False)
+        value = super().parameter(name)
+        self._tear(torn)
+        return value
+
+    def set_parameter(self, name: str, value: float) -> None:
+        """Give a parameter a value from now on. Raises ValueError for an unknown name or an impossible value."""
+        checked_name("parameter", name, self._described.parameters)
+        if name == BROKEN.name:
+            if value not in (0.0, 1.0):
+                raise ValueError(f"{name} = {value!r}, expected 0 or 1")
+            self._tear(value != 0.0)
+        else:
+            torn = self._torn_Pa is not None
+            self._tear(False)
+            super().set_parameter(name, value)
+            self._tear(torn)
+        self._observe()
+
+    def _tear(self, torn: bool) -> None:
+        """Let the web pull nothing any more, or again."""
+        moduli = self._layout.span_rows(self._p)[:, lay.SP_MODULUS_PA]
+        if torn and self._torn_Pa is None:
+            self._torn_Pa = moduli.copy()
+            moduli *= _TORN
+        elif not torn and self._torn_Pa is not None:
+            moduli[:] = self._torn_Pa
+            self._torn_Pa = None
+
+
+def _description(line: PlantDescription) -> PlantDescription:
+    """Of the follower of a closed line: it has no motors, its rollers' inertia is nobody's to change."""
+    spans = sum(quantity.name.startswith("strain") for quantity in line.states)
+    moduli = tuple(
+        Quantity(f"E{k}_Pa", "Pa", f"Young's modulus as it acts in span {k}, with the effects on it")
+        for k in range(1, spans + 1)
+    )
+    return PlantDescription(
+        kind=line.kind,
+        position_unit=line.position_unit,
+        axes=line.axes,
+        motors=(),
+        states=line.states,
+        inputs=line.inputs,
+        outputs=(*line.outputs, *moduli),
+        parameters=(*(each for each in line.parameters if not each.name.startswith("roller_inertia")), BROKEN),
+        effects=tuple(effect.id for effect in effects_of(KIND) if effect.enters(EffectPlace.LOAD)),
+    )
