@@ -124,7 +124,9 @@ def test_a_torn_web_pulls_nothing_and_a_dancer_falls_to_its_stop() -> None:
         follower.follow([cycle * CYCLE_S] * 2, CYCLE_S)
     assert follower.tension_N == pytest.approx([0.0, 0.0], abs=1e-6)
     assert follower.outputs()["x_dancer_m"] == pytest.approx(0.1, abs=1e-9)
-    assert follower.load_torques_Nm([2], [1.0, 1.0], 0.004) == pytest.approx([70.0 * 0.2 / 5.0], abs=1e-6)  # by what is behind the line
+    assert follower.load_torques_Nm([2], [1.0, 1.0], 0.004) == pytest.approx(
+        [70.0 * 0.2 / 5.0], abs=1e-6
+    )  # by what is behind the line
     follower.set_parameter("youngs_modulus_Pa", 9e9)
     assert (follower.parameter("broken"), follower.parameter("youngs_modulus_Pa")) == (1.0, 9e9)
     assert list(follower.tension_N) == [0.0, 0.0]

@@ -8,11 +8,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
-from tests.bench.bench_nodes import shipped
 
 from hilbench.cli.model_option import model_from
 from hilbench.errors import UnusableInputError
@@ -22,7 +20,6 @@ from hilbench.plant.web_line.line import Line
 from hilbench.plant.web_line.modes import natural_frequencies_rad_s, needed_substeps
 from hilbench.plant.web_line.parameters import ModelParameters, load_model
 from hilbench.plant.web_line.span import SpanFollower
-from hilbench.runs.config import load
 
 from .line_equations import Carriage, LineEquations, Roller
 from .models import DEMONSTRATOR, effect
@@ -370,14 +367,3 @@ def test_what_knows_driven_rollers_alone_refuses_a_line_of_stations_in_one_line(
     write_model(tmp_path / "model.yaml", line)
     with pytest.raises(UnusableInputError, match=r"model\.yaml:\d+: a line with .*driven rollers alone"):
         model_from(tmp_path / "model.yaml")
-    config = shipped()
-    data = yaml.safe_load((Path(__file__).parents[2] / "bench_configs/web_section_step.yaml").read_text("utf-8"))
-    data["machine"]["stations"] = [DRIVEN, DANCER, DRIVEN]
-    data["machine"]["web"]["span_length_m"] = [0.5, 0.5]
-    for drive in data["drives"].values():
-        drive["eds"] = drive["virtual"]["eds"] = str(config.drives["axis1"].eds)
-    path = tmp_path / "bench.yaml"
-    path.write_text(yaml.safe_dump(data), encoding="utf-8")
-    with pytest.raises(UnusableInputError, match="driven rollers alone") as refused:
-        load(path)
-    assert "\n" not in str(refused.value)

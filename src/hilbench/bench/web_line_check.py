@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import inf
 
 import numpy as np
@@ -11,6 +12,7 @@ from hilbench.bench.tasks.tension_loop import Moduli, OperatingPoint, TensionLoo
 from hilbench.errors import UnusableInputError
 from hilbench.exchange.nodes import Nodes, declared_units
 from hilbench.plant.sampled_shaft import imitation_delay_s
+from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.stability import largest_stiffness_Nm_per_rad, sampled_shaft
 from hilbench.strict_yaml import Document, Location
 from hilbench.topology.config import BenchConfig
@@ -73,7 +75,7 @@ def _coarse_units(config: BenchConfig, nodes: Nodes) -> list[str]:
         axis = part.axis or 1
         units = declared_units(part, nodes.dictionary(part.name))
         rad_per_m = model.motor_rad_per_m(axis)
-        beside = range(max(axis - 1, 1), min(axis, model.span_count) + 1)
+        beside = spans_beside(model, axis)
         stiffest_N_per_m = max(model.stiffness_N(span) / model.span_length_m(span) for span in beside)
         position_N = stiffest_N_per_m * units.position_rad / rad_per_m
         if position_N > _COARSE_N:
@@ -98,6 +100,9 @@ def start_point(config: BenchConfig) -> OperatingPoint:
 def check_stability(config: BenchConfig, document: Document, point: OperatingPoint, where: Location) -> None:
     """Raise UnusableInputError at `where` in the config when web, drives, bus and twin are unstable at this point."""
     cycle = f"a cycle of {config.cycle_time_s * 1e3:g} ms"
+    if config.shape.has_stations:
+        _check_stiffness(config, document, point, where)
+        return
     if not TensionLoop(config, point, closed=False).stable:
         share = stiffness_reserve(config, point)
         raise UnusableInputError(
@@ -134,30 +139,68 @@ def _told(moduli_Pa: Moduli) -> str:
     return ", ".join(dict.fromkeys(f"{modulus * 1e-6:.4g}" for modulus in moduli_Pa))
 
 
-def stiffness_reserve(config: BenchConfig, point: OperatingPoint) -> float:
-    """Largest stiffness of a web that the load motors imitate stably by themselves, over that of the imitated one.
+def _check_stiffness(config: BenchConfig, document: Document, point: OperatingPoint, where: Location) -> None:
+    """Each load motor by itself, with what the web runs over beside its roller held: nothing that moves is stiffer."""
+    for axis, reserve in stiffness_reserves(config, point).items():
+        if reserve < 1.0:
+            raise UnusableInputError(
+                document.place(where),
+                f"the load motor of axis {axis} can't imitate so stiff a web over a cycle of "
+                f"{config.cycle_time_s * 1e3:g} ms ({operating_point_text(point)}): it is stable up to "
+                f"{100 * reserve:.0f} % of it where the rollers beside it stand still, expected a shorter cycle, a "
+                f"heavier axis {axis}, or a softer or longer web beside it",
+            )
 
-    Several loaded rollers swing against each other: each is held by what the stiffest of their modes has. inf without
-    load motors.
+
+def stiffness_reserves(config: BenchConfig, point: OperatingPoint) -> dict[int, float]:
+    """By axis the largest stiffness of a web that its load motor imitates stably by itself, over that of the imitated.
+
+    Of driven rollers alone, which swing against each other, each is held by what the stiffest of their modes has; with
+    other rollers between them by the spans beside it. Empty without load motors.
     """
     model = config.web_line
-    web = imitated_web(model, config.load)
-    stiffness_N_per_m = [
+    loaded = [axis for axis in config.loaded_axes if model.carries_web_load(axis)]
+    if not loaded:
+        return {}
+    stiffness_N_per_m = _stiffness_of_spans(config, point)
+    if config.shape.has_stations:
+        held_N_per_m = {axis: sum(stiffness_N_per_m[span - 1] for span in spans_beside(model, axis)) for axis in loaded}
+    else:
+        stiffest_per_s2 = _stiffest_mode_per_s2(model, loaded, stiffness_N_per_m)
+        held_N_per_m = {axis: stiffest_per_s2 * model.mass_kg(axis) for axis in loaded}
+    reserves = {}
+    for axis in loaded:
+        shaft = sampled_shaft(model, axis, cycle_s=config.cycle_time_s)
+        asked_Nm_per_rad = held_N_per_m[axis] / model.motor_rad_per_m(axis) ** 2
+        reserves[axis] = largest_stiffness_Nm_per_rad(shaft, imitation_delay_s(shaft)) / asked_Nm_per_rad
+    return reserves
+
+
+def stiffness_reserve(config: BenchConfig, point: OperatingPoint) -> float:
+    """The least of `stiffness_reserves`; inf without load motors."""
+    return min(stiffness_reserves(config, point).values(), default=inf)
+
+
+def spans_beside(model: ModelParameters, axis: int) -> tuple[int, ...]:
+    """The spans, from 1, that end at the roller of a driven axis."""
+    row = next(row for row, roller in enumerate(model.line_rollers) if roller.axis == axis)
+    return tuple(span for span in (row, row + 1) if 1 <= span <= model.span_count)
+
+
+def _stiffness_of_spans(config: BenchConfig, point: OperatingPoint) -> list[float]:
+    """E·S/L of each imitated span, N/m."""
+    web = imitated_web(config.web_line, config.load)
+    return [
         modulus_Pa * web.section_m2(span) / (web.span_length_m(span) * factor)
         for span, (modulus_Pa, factor) in enumerate(zip(point.moduli_Pa, point.length_factors, strict=True), 1)
     ]
-    loaded = [axis for axis in config.loaded_axes if model.carries_web_load(axis)]
-    if not loaded:
-        return inf
+
+
+def _stiffest_mode_per_s2(model: ModelParameters, loaded: Sequence[int], stiffness_N_per_m: Sequence[float]) -> float:
+    """Square of the fastest angular frequency of the loaded rollers on their spans, with the others held."""
     between = np.zeros((model.axis_count, model.axis_count))
     for span, stiffness in enumerate(stiffness_N_per_m):
         between[span : span + 2, span : span + 2] += stiffness * np.array([[1.0, -1.0], [-1.0, 1.0]])
     at = [axis - 1 for axis in loaded]
     per_root_kg = np.array([model.mass_kg(axis) ** -0.5 for axis in loaded])
-    stiffest_per_s2 = float(np.linalg.eigvalsh(per_root_kg[:, None] * between[np.ix_(at, at)] * per_root_kg)[-1])
-    reserves = []
-    for axis in loaded:
-        shaft = sampled_shaft(model, axis, cycle_s=config.cycle_time_s)
-        asked_Nm_per_rad = stiffest_per_s2 * model.mass_kg(axis) / model.motor_rad_per_m(axis) ** 2
-        reserves.append(largest_stiffness_Nm_per_rad(shaft, imitation_delay_s(shaft)) / asked_Nm_per_rad)
-    return min(reserves)
+    return float(np.linalg.eigvalsh(per_root_kg[:, None] * between[np.ix_(at, at)] * per_root_kg)[-1])

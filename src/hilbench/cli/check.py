@@ -32,6 +32,8 @@ def check_command(loaded: LoadedConfig, *, as_json: bool) -> None:
             f"load motor: by itself stable up to {checked.stiffness_reserve:.1f} times the stiffness of the stiffest "
             f"web that is asked for"
         )
+    if len(checked.stiffness_reserves) > 1:
+        print("  " + ", ".join(f"{name} {reserve:.1f}" for name, reserve in checked.stiffness_reserves.items()))
     if checked.inertia_reserve is not None:
         print(f"load motor: stable up to {checked.inertia_reserve:.1f} times the largest inertia that is asked for")
     if checked.worst is not None:
@@ -67,6 +69,7 @@ def _summary(config: ExperimentConfig, checked: CheckedExperiment) -> dict[str, 
         "frames_per_cycle": checked.bench.frames_per_cycle,
         "bus_load_pct": 100 * load.fraction,
         "stiffness_reserve": checked.stiffness_reserve,
+        "stiffness_reserves": dict(checked.stiffness_reserves),
         "inertia_reserve": checked.inertia_reserve,
         "gain_margin": margins.gain if margins and isfinite(margins.gain) else None,
         "phase_margin_deg": None if margins is None else margins.phase_deg,

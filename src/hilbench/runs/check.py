@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from math import isfinite
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from math import inf, isfinite
 
 from hilbench.bench.check import CheckedBench, check_bench, check_imitated_inertia, imitable_inertias_kg_m2
 from hilbench.bench.prediction.web_line import foreseen
 from hilbench.bench.tasks.tension_loop import Margins, OperatingPoint, TensionLoop
-from hilbench.bench.web_line_check import check_stability, operating_point_text, stiffness_reserve
+from hilbench.bench.web_line_check import check_stability, operating_point_text, stiffness_reserves
 from hilbench.errors import UnusableInputError
 from hilbench.plant.effects import MachineKind
 from hilbench.plant.parameters import per_item
@@ -48,6 +49,8 @@ class CheckedExperiment:
     warnings: list[str]  #: what will happen that hardly anybody means to happen
     notes: list[str]  #: what can be run, and will not be good; what can't be known
     inertia_reserve: float | None = None  #: largest inertia that can be imitated, over the largest asked for
+    #: `stiffness_reserve` of each load motor, by its name.
+    stiffness_reserves: Mapping[str, float] = field(default_factory=dict)
 
 
 def check_experiment(loaded: LoadedConfig, *, with_margins: bool = False) -> CheckedExperiment:
@@ -173,8 +176,10 @@ def _check_web(
     places = operating_points(config, asked)
     for point, place in places.items():
         check_stability(config, document, point, place if len(place) > 1 else ("machine", "web"))
-    reserve = stiffness_reserve(config, max(places, key=stiffness_of))
-    worst = _worst(config, list(places)) if with_margins else None
+    reserves = stiffness_reserves(config, max(places, key=stiffness_of))
+    reserve = min(reserves.values(), default=inf)
+    stations = config.shape.has_stations
+    worst = _worst(config, list(places)) if with_margins and not stations else None
     warnings = list(step_warnings(loaded, asked))
     notes = list(bench.notes)
     if worst is not None and (worst.margins.gain < _LEAST_GAIN or worst.margins.phase_deg < _LEAST_PHASE_DEG):
@@ -182,11 +187,17 @@ def _check_web(
             f"the tension loop rings: {worst}, expected at least {_LEAST_GAIN:g} and {_LEAST_PHASE_DEG:g}°, by a "
             f"smaller bandwidth_rad_per_s of the controllers, more swing_damping_ratio or a shorter cycle"
         )
+    if stations:
+        notes.append(
+            "how stable the tension loops are is not looked at: idlers, dancers and accumulators swing beside the "
+            "driven rollers; the twin does not estimate E of such a line, it has the model's"
+        )
     if reserve < 1.0:
         notes.append(
             "the load motor imitates so stiff a web only with the active damping of axis 1 (swing_damping_ratio)"
         )
-    return CheckedExperiment(bench, reserve, worst, warnings, notes)
+    named = {config.load_motor_of(axis): value for axis, value in reserves.items()}
+    return CheckedExperiment(bench, reserve, worst, warnings, notes, stiffness_reserves=named)
 
 
 # -- stability ---------------------------------------------------------------------------------------------------------

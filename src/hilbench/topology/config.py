@@ -25,7 +25,8 @@ from hilbench.plant.servo_axis.parameters import ServoAxisParameters, ShaftParam
 from hilbench.plant.servo_axis.rig import ServoRigParameters
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.rig import CoupledMotor, RigParameters
-from hilbench.plant.web_line.stations import ONLY_DRIVEN
+from hilbench.plant.web_line.sections import axes_before_spans, first_spans
+from hilbench.plant.web_line.stations import Reel, reel_name
 from hilbench.prediction.config import PredictionConfig
 from hilbench.real_time import ProcessSettings
 from hilbench.topology.live_config import LiveDiagnosisConfig
@@ -38,7 +39,9 @@ from hilbench.topology.web_line_config import (
     LoadWebConfig,
     TensionControlConfig,
     estimate_misfits,
+    measured_misfit,
     span_misfits,
+    stations_misfit,
 )
 
 Pace = Literal["lockstep", "realtime"]
@@ -152,6 +155,11 @@ class LoadConfig(Block):
     web: LoadWebConfig = LoadWebConfig()
     shaft: LoadShaftConfig = LoadShaftConfig()
     effects: list[HiddenEffect] = Field(default=[], description="hidden in the imitated mechanics")
+    measured: list[str] = Field(
+        default=[],
+        description="dancers and accumulators, by their names, with a sensor of their position, reels with one of "
+        "their radius: imitated as the machine is, its value is the signal x_NAME_meas_m or r_NAME_meas_m",
+    )
 
     @field_validator("effects")
     @classmethod
@@ -195,6 +203,7 @@ class TwinConfig(EstimationConfig):
 #: Keys of `twin:` that every kind of machine has; the others say how one kind finds what it estimates.
 _OF_EVERY_TWIN = {"node", "synchronized_pct", "behind", "virtual_tpdo_every"}
 _OF_THE_SHAFT = {"inertia"}
+_SERVO = "no 'load.measured' on a servo axis, whose encoder is measured anyway"
 
 
 def _misfits(key: str, value: Any, machine: Any, loaded: Collection[int] | None) -> Iterator[str]:
@@ -331,7 +340,15 @@ class BenchConfig(Block):
             needs = "'web:' and 'drives:'" if isinstance(machine, ModelParameters) else "'drives:'"
             raise ValueError(f"a machine with {needs}")
         if isinstance(machine, ModelParameters) and machine.stations is not None:
-            raise ValueError(f"a machine without 'stations:', {ONLY_DRIVEN}")
+            ahead = [key for key in ("prediction", "live_diagnosis") if getattr(self.twin, key) is not None]
+            names = {*self.drives, *self.load_motors}
+            problem = stations_misfit(machine, list(self.controllers.values()), "".join(ahead[:1]), names)
+            if problem:
+                raise ValueError(problem)
+        if isinstance(machine, ModelParameters) or self.load.measured:
+            problem = measured_misfit(self.load.measured, machine) if isinstance(machine, ModelParameters) else _SERVO
+            if problem:
+                raise ValueError(problem)
         if machine.axis_count != len(self.drives):
             axes = "driven rollers" if machine.position_unit == "m" else "axes"
             raise ValueError(
@@ -465,12 +482,34 @@ class BenchConfig(Block):
     def shape(self) -> Shape:
         """What there are several of."""
         machine = self.machine
+        if isinstance(machine, ModelParameters) and machine.stations is not None:
+            return self._shape_of_stations(machine)
         return Shape(
             machine.axis_count,
             tuple(self.load_motors),
             machine.span_count,
             tuple(self.twin.by_span(machine.span_count)),
             tuple(sorted(control.span for control in self.controllers.values())),
+        )
+
+    def _shape_of_stations(self, machine: ModelParameters) -> Shape:
+        """Of a line with more than driven rollers: the twin tells the tension of each section once, and where there is
+        a controller."""
+        controlled = tuple(sorted(control.span for control in self.controllers.values()))
+        before, rollers = axes_before_spans(machine), machine.line_rollers
+        of_controls = {before[span - 1] for span in controlled}
+        others = [span for span in first_spans(machine) if before[span - 1] not in of_controls]
+        return Shape(
+            machine.axis_count,
+            tuple(self.load_motors),
+            machine.span_count,
+            controlled,
+            controlled,
+            axes_before=before,
+            told=tuple(sorted([*controlled, *others])),
+            carriages=tuple(carriage.station.name for carriage in machine.carriages),
+            reels=tuple(reel_name(roller.station) for roller in rollers if isinstance(roller.station, Reel)),
+            measured=tuple(self.load.measured),
         )
 
     @property
@@ -482,6 +521,10 @@ class BenchConfig(Block):
     def loaded_axes(self) -> tuple[int, ...]:
         """The axis, from 1, on whose shaft each load motor is."""
         return _loaded(self.drives, self.load_motors)
+
+    def load_motor_of(self, axis: int) -> str:
+        """The name of the load motor on the shaft of an axis. Raises KeyError for none."""
+        return dict(zip(self.loaded_axes, self.load_motors, strict=True))[axis]
 
     @property
     def tension_controls(self) -> dict[int, TensionControlConfig]:

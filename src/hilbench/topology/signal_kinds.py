@@ -16,16 +16,26 @@ class Per(StrEnum):
     SPAN = "span"
     ESTIMATED_SPAN = "estimated_span"  #: a span at which the twin estimates something
     CONTROLLED_SPAN = "controlled_span"  #: a span whose tension a controller keeps
+    SIMULATED_SPAN = "simulated_span"  #: a span whose tension the twin tells
+    CARRIAGE = "carriage"  #: of a dancer or accumulator
+    REEL = "reel"
+    MEASURED_CARRIAGE = "measured_carriage"  #: one with a sensor of its position
+    MEASURED_REEL = "measured_reel"  #: one with a sensor of its radius
 
     @property
     def placeholder(self) -> str:
         """What stands in the name of a declaration for the number or name of the part."""
-        return "span" if self.is_of_span else str(self)
+        return "span" if self.is_of_span else self.removeprefix("measured_")
 
     @property
     def is_of_span(self) -> bool:
         """Whether a part is counted among the spans."""
-        return self in (Per.SPAN, Per.ESTIMATED_SPAN, Per.CONTROLLED_SPAN)
+        return self in (Per.SPAN, Per.ESTIMATED_SPAN, Per.CONTROLLED_SPAN, Per.SIMULATED_SPAN)
+
+    @property
+    def is_counted(self) -> bool:
+        """Whether a part has a number; others have a name, or there is one."""
+        return self is Per.AXIS or self.is_of_span
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,9 +67,10 @@ class SignalKind:
     per: Per = Per.BENCH
     integer: bool = False
 
-    def of(self, part: str, *, number: str | None = None) -> Signal:
-        """The signal of one part; `number`: how the part is counted in a name, if not as in the description."""
-        following = str(int(part) + 1) if part.isdecimal() else ""
+    def of(self, part: str, *, number: str | None = None, behind: str = "") -> Signal:
+        """The signal of one part; `number`: how the part is counted in a name, if not as in the description; `behind`:
+        number of the axis behind it, if not the next."""
+        following = behind or (str(int(part) + 1) if part.isdecimal() else "")
         in_name = part if number is None else number
         return Signal(
             self.name.format_map({self.per.placeholder: in_name, "next": following}),

@@ -54,13 +54,36 @@ DECLARATIONS: Final[dict[str, tuple[SignalKind, ...]]] = {"web_line": WEB_LINE, 
 @dataclass(frozen=True, slots=True)
 class Shape:
     """What a bench has several of: driven axes, spans, load motors by name, and which spans are estimated and
-    controlled, by their numbers from 1."""
+    controlled, by their numbers from 1.
+
+    Of a line with more than driven rollers: the number of the driven axis before each span, the spans whose tension the
+    twin tells, dancers, accumulators and reels by name, and which of these have a sensor of their position or radius.
+    """
 
     axes: int
     load_motors: tuple[str, ...] = ()
     spans: int = 0
     estimated: tuple[int, ...] = ()
     controlled: tuple[int, ...] = ()
+    axes_before: tuple[int, ...] = ()
+    told: tuple[int, ...] = ()
+    carriages: tuple[str, ...] = ()
+    reels: tuple[str, ...] = ()
+    measured: tuple[str, ...] = ()
+
+    @property
+    def has_stations(self) -> bool:
+        """Whether there is more than driven rollers."""
+        return self.spans > max(self.axes - 1, 0)
+
+    def axis_before(self, span: int) -> int:
+        """Number of the driven axis before a span; the one behind it is the next."""
+        return self.axes_before[span - 1] if self.axes_before else span
+
+    @property
+    def simulated(self) -> tuple[int, ...]:
+        """The spans whose tension the twin tells."""
+        return self.told or tuple(range(1, self.spans + 1))
 
     def numbered(self, span: int) -> str:
         """The number of a span as it stands in names: none where there is only one."""
@@ -72,13 +95,21 @@ class Shape:
         return min(self.estimated, key=lambda other: (abs(other - span), other))
 
     def _parts(self, per: Per) -> Iterable[str]:
-        if per is Per.LOAD_MOTOR:
-            return self.load_motors
+        named: Mapping[Per, Iterable[str]] = {
+            Per.LOAD_MOTOR: self.load_motors,
+            Per.CARRIAGE: self.carriages,
+            Per.REEL: self.reels,
+            Per.MEASURED_CARRIAGE: [name for name in self.carriages if name in self.measured],
+            Per.MEASURED_REEL: [name for name in self.reels if name in self.measured],
+        }
+        if per in named:
+            return named[per]
         numbers: Mapping[Per, Iterable[int]] = {
             Per.AXIS: range(1, self.axes + 1),
             Per.SPAN: range(1, self.spans + 1),
             Per.ESTIMATED_SPAN: self.estimated,
             Per.CONTROLLED_SPAN: self.controlled,
+            Per.SIMULATED_SPAN: self.simulated,
         }
         return map(str, numbers[per])
 
@@ -88,7 +119,11 @@ class Shape:
             yield kind.of("")
             return
         for part in self._parts(kind.per):
-            yield kind.of(part, number=self.numbered(int(part)) if kind.per.is_of_span else None)
+            if kind.per.is_of_span:
+                span = int(part)
+                yield kind.of(part, number=self.numbered(span), behind=str(self.axis_before(span) + 1))
+            else:
+                yield kind.of(part)
 
 
 def signals_of(kind: str, shape: Shape) -> tuple[Signal, ...]:
@@ -105,7 +140,15 @@ def find_signal(name: str) -> Signal | None:
     return _named(found[0], name) if found else None
 
 
-_PATTERNS: Final = {"axis": r"[1-9]\d*", "next": r"[1-9]\d*", "span": r"(?:[1-9]\d*)?", "load_motor": r"[A-Za-z]\w*?"}
+_NAME: Final = r"[A-Za-z]\w*?"
+_PATTERNS: Final = {
+    "axis": r"[1-9]\d*",
+    "next": r"[1-9]\d*",
+    "span": r"(?:[1-9]\d*)?",
+    "load_motor": _NAME,
+    "carriage": _NAME,
+    "reel": _NAME,
+}
 
 
 @cache
@@ -146,7 +189,7 @@ def shape_of(names: Iterable[str]) -> Shape:
     given = list(names)
     found: dict[Per, set[int]] = {per: set() for per in Per}
     for kind in DECLARATIONS[kind_of(given)]:
-        if kind.per not in (Per.BENCH, Per.LOAD_MOTOR):
+        if kind.per.is_counted:
             matches = (_pattern(kind).fullmatch(name) for name in given)
             found[kind.per] |= {int(_part(kind, match)) for match in matches if match is not None}
     of_spans = [number for per in Per if per.is_of_span for number in found[per]]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from typing import Literal
 
 from pydantic import Field, PositiveFloat
@@ -10,6 +10,8 @@ from pydantic import Field, PositiveFloat
 from hilbench.block import Block
 from hilbench.estimation.web_line.config import EstimationConfig, InputConfig
 from hilbench.plant.web_line.parameters import Length, ModelParameters, Modulus
+from hilbench.plant.web_line.sections import axes_before_spans
+from hilbench.plant.web_line.stations import ONLY_DRIVEN, Reel, reel_name
 
 
 class LoadWebConfig(Block):
@@ -90,7 +92,7 @@ def estimate_misfits(twin: EstimationConfig, machine: ModelParameters) -> Iterat
     if len(twin.estimate) > len(given) and len(twin.estimate) > 1:
         yield "'estimate' with a span in every entry, or one entry without a span for all of them"
     yield from _each_once(given, machine.span_count, "E of a span is found in one way")
-    if machine.span_count < 2:
+    if machine.span_count < 2 or machine.stations is not None:
         return
     methods = twin.by_span(machine.span_count)
     if any(isinstance(estimate, InputConfig) for estimate in methods.values()):
@@ -102,3 +104,42 @@ def estimate_misfits(twin: EstimationConfig, machine: ModelParameters) -> Iterat
             f"'estimate' at a span behind which the web loads every roller: span {first} can't be seen in "
             f"torques as long as 'machine.web_load' says that axis {unloaded[0]} carries none"
         )
+
+
+def stations_misfit(
+    machine: ModelParameters, controls: Iterable[TensionControlConfig], ahead: str, names: Collection[str]
+) -> str | None:
+    """Why a bench can't have the stations of its machine, in one line, or None.
+
+    `ahead`: key of the twin's that is given and needs driven rollers alone, "" for none; `names`: of other parts.
+    """
+    rollers, before = machine.line_rollers, axes_before_spans(machine)
+    if rollers[0].axis is None or rollers[-1].axis is None:
+        return "'stations' that begin and end with a driven roller or reel"
+    sections = [before[control.span - 1] for control in controls]
+    if len(set(sections)) < len(sections):
+        return "one controller between two driven rollers: one axis can keep one tension"
+    if ahead:
+        return f"no '{ahead}' on a line with 'stations:', or {ONLY_DRIVEN}"
+    if any(control.probes.mode != "off" for control in controls):
+        return f"no 'probing' on a line with 'stations:', or {ONLY_DRIVEN}"
+    twice = [name for name in station_names(machine) if name in names]
+    return f"names that differ: a station and another part are both named {twice[0]}" if twice else None
+
+
+def station_names(machine: ModelParameters) -> tuple[str, ...]:
+    """Of dancers and accumulators, which have a position, then of reels, which have a radius."""
+    reels = (roller.station for roller in machine.line_rollers)
+    return (
+        *(carriage.station.name for carriage in machine.carriages),
+        *(reel_name(reel) for reel in reels if isinstance(reel, Reel)),
+    )
+
+
+def measured_misfit(measured: Sequence[str], machine: ModelParameters) -> str | None:
+    """Why a line can't have sensors of these stations, or None."""
+    known = station_names(machine)
+    unknown = [name for name in measured if name not in known]
+    if not unknown:
+        return None
+    return f"'load.measured' of dancers, accumulators and reels ({', '.join(known) or 'none here'}), not {unknown[0]}"

@@ -21,7 +21,7 @@ WEB_LINE: Final = (
     SignalKind("F_next_N", "N", "web tension downstream of the last roller", "boundary"),
     SignalKind("F{span}_ref_N", "N", "tension set-point", "command", Per.CONTROLLED_SPAN),
     *load_motor_signals("m", "encoder times nominal radius"),
-    SignalKind("F{span}_sim_N", "N", "web tension simulated by the twin (virtual sensor)", "twin", Per.SPAN),
+    SignalKind("F{span}_sim_N", "N", "web tension simulated by the twin (virtual sensor)", "twin", Per.SIMULATED_SPAN),
     SignalKind("E{span}_sim_Pa", "Pa", "Young's modulus estimated by the twin", "twin", Per.ESTIMATED_SPAN),
     SignalKind(
         "E{span}_sd_Pa",
@@ -56,5 +56,22 @@ WEB_LINE: Final = (
     SignalKind("E{span}_true_Pa", "Pa", "Young's modulus of the imitated web", "truth", Per.SPAN),
     SignalKind("F{span}_true_N", "N", "tension of the imitated web", "truth", Per.SPAN),
     SignalKind("strain{span}_true", "", "strain of the imitated web", "truth", Per.SPAN),
+    SignalKind("x_{carriage}_true_m", "m", "position of the imitated carriage of {carriage}", "truth", Per.CARRIAGE),
+    SignalKind("v_{carriage}_true_m_s", "m/s", "speed of the imitated carriage of {carriage}", "truth", Per.CARRIAGE),
+    SignalKind("r_{reel}_true_m", "m", "radius of the imitated reel {reel}", "truth", Per.REEL),
+    SignalKind(
+        "x_{carriage}_meas_m",
+        "m",
+        "position of the carriage of {carriage}, as its imitated sensor tells it",
+        "measured",
+        Per.MEASURED_CARRIAGE,
+    ),
+    SignalKind(
+        "r_{reel}_meas_m",
+        "m",
+        "radius of the reel {reel}, as its imitated sensor tells it",
+        "measured",
+        Per.MEASURED_REEL,
+    ),
     *BUS_SIGNALS,
 )

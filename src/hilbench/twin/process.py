@@ -321,14 +321,14 @@ def run_twin(setup: TwinSetup, stop: Callable[[], bool], say: Callable[[str], No
 def twin(setup: TwinSetup) -> HostedDevices:
     """The virtual axes, the virtual I/O and the simulation behind them."""
     model = setup.model
-    warm_up(model, setup.twin, setup.cycle_s)
+    warm_up(model, setup.twin, setup.shape, setup.cycle_s)
     devices = [Device(load_eds(node.eds, node.node_id), node.node_id, setup.clock) for node in setup.virtual_axes]
     io_node = setup.virtual_io
     io_device = Device(load_eds(io_node.eds, io_node.node_id), io_node.node_id, setup.clock)
     virtual_io = VirtualIo(io_device, process_data(MachineKind(model.kind), setup.shape), boundary(model))
 
     def make(effects: str) -> TwinMachine:
-        return new_machine(with_effects(model, effects), setup.twin, setup.cycle_s, virtual_io.told)
+        return new_machine(with_effects(model, effects), setup.twin, setup.shape, setup.cycle_s, virtual_io.told)
 
     machine = ChangeableMachine(make, setup.cycle_s)
     drives = [SimulatedDrive(device, port) for device, port in zip(devices, machine.ports, strict=True)]

@@ -176,7 +176,7 @@ def _release_nodes(master: Master, exchange: Exchange) -> None:
 def start_children(config: BenchConfig, folder: Path) -> list[ChildProcess]:
     """Start the simulated hardware, where a node is simulated, and the twin; their logs go to `folder`."""
     # Once, into the cache on disk: compiling takes longer than a process has to show itself on the bus.
-    warm_up(config.machine, config.twin, config.cycle_time_s)
+    warm_up(config.machine, config.twin, config.shape, config.cycle_time_s)
     path = folder / "config.yaml"
     write_resolved(config, path)
     arguments = [str(path), "--pace", config.pace]

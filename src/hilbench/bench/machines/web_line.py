@@ -24,9 +24,11 @@ from hilbench.bench.tasks.web_limits import LimitWatch
 from hilbench.errors import BenchFaultError
 from hilbench.estimation.plausibility import Problem
 from hilbench.exchange.exchange import Inputs
+from hilbench.plant.web_line.sections import section_model
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.quantities import LINE_SPEED
 from hilbench.topology.sample import CycleSample
+from hilbench.topology.signals import Shape
 from hilbench.topology.web_line_config import ProbingConfig, TensionControlConfig
 
 
@@ -40,12 +42,13 @@ def tasks(config: BenchConfig, state: BenchState) -> MachineTasks:
     axes: list[LeadingAxis | FollowingAxis | TensionTask] = [leading]
     loops: list[TensionTask] = []
     trusts: list[TwinTrust] = []
-    for span in range(model.span_count, 0, -1):
-        control = controls.get(span)
+    by_axis = {config.shape.axis_before(span): control for span, control in controls.items()}
+    for axis in range(model.axis_count - 1, 0, -1):
+        control = by_axis.get(axis)
         if control is None:
-            axes.append(FollowingAxis(drives[span - 1], span, axes[-1]))
+            axes.append(FollowingAxis(drives[axis - 1], axis, axes[-1]))
             continue
-        names = LoopNames.of(drives[span - 1], span, config.shape)
+        names = LoopNames.of(drives[axis - 1], control.span, config.shape)
         trusts.append(TwinTrust(control, limits.tension_N.trip or inf, names.twin))
         loops.append(_tension_task(config, state, control, names, axes[-1], trusts[-1]))
         axes.append(loops[-1])
@@ -87,15 +90,15 @@ def _tension_task(
     leader: Leader,
     trust: TwinTrust,
 ) -> TensionTask:
-    model, cycle_s = config.web_line, config.cycle_time_s
+    model, cycle_s, section = section_model(config.web_line), config.cycle_time_s, names.axis
     strain = strain_before(config, control.span)
-    swing = SwingPlant.of_model(model, cycle_s, control.span, strain)
+    swing = SwingPlant.of_model(model, cycle_s, section, strain)
     return TensionTask(
         names,
         leader,
         control.set_point_N,
-        TensionController.of_model(control, model, strain),
-        SwingDamping(swing, control.swing_damping_ratio, model.youngs_modulus_Pa(control.span)),
+        TensionController.of_model(control.model_copy(update={"span": section}), model, strain),
+        SwingDamping(swing, control.swing_damping_ratio, model.youngs_modulus_Pa(section)),
         trust,
         state.twin,
         state.reports,
@@ -187,6 +190,9 @@ class WebLoadTask(LoadTask):
                 ("E", "_Pa", f"E{span}_Pa"),
             )
         ]
+        self._truth += [(f"{x}_{name}_true_{unit}", f"{x}_{name}_{unit}") for x, unit, name in _of_stations(shape)]
+        measured = [each for each in _of_stations(shape) if each[0] != "v" and each[2] in shape.measured]
+        self._truth += [(f"{x}_{name}_meas_{unit}", f"{x}_{name}_{unit}") for x, unit, name in measured]
 
     def after(self, sample: CycleSample, inputs: Inputs) -> None:
         """Let the web follow the measured motion; the truth of the run is recorded."""
@@ -194,6 +200,12 @@ class WebLoadTask(LoadTask):
         true = self.model.machine.outputs()
         for signal, output in self._truth:
             setattr(sample, signal, true[output])
+
+
+def _of_stations(shape: Shape) -> list[tuple[str, str, str]]:
+    """What carriages and reels have: symbol, unit, and the name of the station."""
+    of_carriages = [(symbol, unit, name) for name in shape.carriages for symbol, unit in (("x", "m"), ("v", "m_s"))]
+    return of_carriages + [("r", "m", name) for name in shape.reels]
 
 
 class WebAlarms(CyclicTask):

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from hilbench.bench.tasks.load_model import LoadModel
 from hilbench.plant.web_line.imitation import lead_s
+from hilbench.plant.web_line.line_follower import follower_of
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.sizes import least_way_m
-from hilbench.plant.web_line.span import SpanFollower
 from hilbench.topology.config import BenchConfig, LoadConfig
 
 
@@ -26,6 +26,6 @@ def imitated_web(model: ModelParameters, load: LoadConfig) -> ModelParameters:
 def web_load_model(config: BenchConfig) -> LoadModel:
     """The load model of a config's web line and load motors."""
     model, cycle_s = config.web_line, config.cycle_time_s
-    machine = SpanFollower(imitated_web(model, config.load))
+    machine = follower_of(imitated_web(model, config.load))
     load_axes = config.loaded_axes
     return LoadModel(machine, load_axes, cycle_s, lead_s(model, cycle_s), least_way_m(model), config.load.effects)

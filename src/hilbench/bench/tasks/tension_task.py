@@ -38,6 +38,7 @@ class LoopNames:
 
     drive: str
     axis: int
+    span: int
     path: str
     twin: TwinSignals
     set_point: str
@@ -50,17 +51,18 @@ class LoopNames:
     @classmethod
     def of(cls, drive: str, span: int, shape: Shape) -> LoopNames:
         """Those of a span's loop; E is that of the nearest span at which it is estimated."""
-        k, known = shape.numbered(span), shape.numbered(shape.shows(span))
+        k, known, axis = shape.numbered(span), shape.numbered(shape.shows(span)), shape.axis_before(span)
         return cls(
             drive=drive,
-            axis=span,
+            axis=axis,
+            span=span,
             path=tension_set_point(k),
             twin=TwinSignals(f"F{k}_sim_N", f"E{known}_sim_Pa", f"E{known}_sd_Pa"),
             set_point=f"F{k}_ref_N",
             closed=f"loop{k}_closed",
-            command=f"v{span}_cmd_m_s",
-            before=f"x{span}_m",
-            behind=f"x{span + 1}_m",
+            command=f"v{axis}_cmd_m_s",
+            before=f"x{axis}_m",
+            behind=f"x{axis + 1}_m",
             of_loop=f"tension loop of span {k}" if k else "tension loop",
         )
 
@@ -115,7 +117,7 @@ class TensionTask(CyclicTask):
     @property
     def span(self) -> int:
         """Number of the span whose tension is kept."""
-        return self._names.axis
+        return self._names.span
 
     @property
     def set_point_N(self) -> float:

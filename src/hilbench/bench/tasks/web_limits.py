@@ -54,7 +54,7 @@ class LimitWatch:
         spans = range(1, shape.spans + 1)
         self._limited = [(each.name, each.signal, f" {each.unit}", each.limit) for each in limited(limits, shape)]
         self._tensions = {f"F{shape.numbered(span)}_true_N" for span in spans}
-        self._differences = [_PositionDifference(span, shape, cycle_s) for span in spans]
+        self._differences = [_PositionDifference(axis, shape, cycle_s) for axis in range(1, shape.axes)]
         self._moduli = [(f"E{shape.numbered(span)}_sim_Pa", model.youngs_modulus_Pa(span)) for span in shape.estimated]
 
     def update(self, sample: CycleSample) -> list[tuple[str, str]]:
@@ -75,11 +75,11 @@ class LimitWatch:
 
 
 class _PositionDifference:
-    """Of the axes around a span, beyond what their set points add up to since the drives were enabled."""
+    """Of an axis and the one behind it, beyond what their set points add up to since the drives were enabled."""
 
-    def __init__(self, span: int, shape: Shape, cycle_s: float) -> None:
-        self.name = f"position difference of {f'axes {span} and {span + 1}' if shape.spans > 1 else 'the axes'}"
-        self._values = attrgetter(f"x{span}_m", f"x{span + 1}_m", f"v{span}_cmd_m_s", f"v{span + 1}_cmd_m_s")
+    def __init__(self, axis: int, shape: Shape, cycle_s: float) -> None:
+        self.name = f"position difference of {f'axes {axis} and {axis + 1}' if shape.axes > 2 else 'the axes'}"
+        self._values = attrgetter(f"x{axis}_m", f"x{axis + 1}_m", f"v{axis}_cmd_m_s", f"v{axis + 1}_cmd_m_s")
         self._cycle_s = cycle_s
         self._at_start_m: float | None = None
         self._commanded_m = 0.0

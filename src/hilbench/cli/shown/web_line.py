@@ -9,7 +9,7 @@ from hilbench.topology.signals import Shape
 def shown(shape: Shape) -> Shown:
     """Of a line with so many spans; a row a span where there are several."""
     live = [LiveRow("line speed", (f"v{shape.axes}_m_s",), "m/s", ".3f")]
-    for span in range(1, shape.spans + 1):
+    for span in shape.simulated:
         k = shape.numbered(span)
         controlled = span in shape.controlled
         title = f"tension {k}".strip() + " true / simulated" + (" / set-point" if controlled else "")

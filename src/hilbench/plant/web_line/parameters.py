@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping
+from math import pi
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal, Self
 
@@ -223,13 +224,25 @@ class ModelParameters(Block):
         """J_roller/r²: the roller alone, at the web."""
         return per_item(self.rollers.inertia_kg_m2, axis) / self.radius_m(axis) ** 2
 
+    def wound_inertia_kg_m2(self, axis: int) -> float:
+        """Of the web that is on a reel at the start, about its shaft; 0 of another roller."""
+        if self.stations is None:
+            return 0.0
+        roller = next(roller for roller in self.line_rollers if roller.axis == axis)
+        if not isinstance(roller.station, Reel):
+            return 0.0
+        span = 1 if roller.station.type == "unwinder" else self.span_count
+        ring_m4 = self.radius_m(axis) ** 4 - roller.station.core_radius_m**4
+        return 0.5 * pi * roller.station.density_kg_m3 * per_item(self.required_web.width_m, span) * ring_m4
+
     def motor_mass_kg(self, axis: int) -> float:
         """i²·J_motor/r²: the motor alone, at the web."""
         return per_item(self.motors.inertia_kg_m2, axis) * self.motor_rad_per_m(axis) ** 2
 
     def mass_kg(self, axis: int) -> float:
-        """m = (J_roller + i²·J_motor)/r² (design section 5)."""
-        return self.roller_mass_kg(axis) + self.motor_mass_kg(axis)
+        """m = (J_roller + i²·J_motor)/r² (design section 5); of a reel with the web that is on it at the start."""
+        wound_kg = self.wound_inertia_kg_m2(axis) / self.radius_m(axis) ** 2
+        return self.roller_mass_kg(axis) + self.motor_mass_kg(axis) + wound_kg
 
     def drive_stiffness_N_per_m(self, axis: int) -> float:
         """ki·(i/r)²: how stiffly the integral part of the velocity loop holds the roller; inf without one."""

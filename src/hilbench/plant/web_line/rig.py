@@ -85,7 +85,8 @@ class RigParameters(Block):
         sensors: SensorParameters | None = None,
         effects: Sequence[EffectEntry] = (),
     ) -> RigParameters:
-        """The stand on which a model's axes turn as in the model: flywheels of J_roller/i².
+        """The stand on which a model's axes turn as in the model: flywheels of J_roller/i², of a reel with the web that
+        is on it at the start.
 
         The inertia of load motors is taken off the flywheels on their shafts. Raises ValueError for a model without
         drives, or load motors heavier than the roller they stand for.
@@ -93,7 +94,10 @@ class RigParameters(Block):
         if model.drives is None:
             raise ValueError("the model has no drives, expected 'drives'")
         axes = range(1, model.axis_count + 1)
-        flywheels = [per_item(model.rollers.inertia_kg_m2, a) / model.gear_ratio(a) ** 2 for a in axes]
+        flywheels = [
+            (per_item(model.rollers.inertia_kg_m2, a) + model.wound_inertia_kg_m2(a)) / model.gear_ratio(a) ** 2
+            for a in axes
+        ]
         for coupled in load_motors:
             if coupled.axis not in axes:
                 raise ValueError(f"a load motor on axis {coupled.axis}, expected 1 to {model.axis_count}")

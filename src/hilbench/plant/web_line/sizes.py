@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import inf
 from typing import Final
 
 from hilbench.plant.effects import MachineSizes
@@ -13,7 +14,12 @@ _ALIKE_SHARE: Final = 5e-4
 
 
 def least_way_m(model: ModelParameters) -> float:
-    """Way at the web that is measured well enough to tell cycles by it: a share of the smallest roller."""
+    """Way at the web that is measured well enough to tell cycles by it: a share of the smallest roller.
+
+    inf where a dancer or an accumulator lets the rollers turn at speeds of their own: no way tells anything.
+    """
+    if model.carriages:
+        return inf
     return _ALIKE_SHARE * min(model.radius_m(axis) for axis in range(1, model.axis_count + 1))
 
 

@@ -16,7 +16,7 @@ from hilbench.block import Block
 from hilbench.plant.parameters import NotNegative, Positive
 
 #: What is expected where dancers and the like are not known yet.
-ONLY_DRIVEN = "driven rollers alone: bench, twin and diagnosis have no idlers, dancers, accumulators and reels yet"
+ONLY_DRIVEN = "driven rollers alone: idlers, dancers, accumulators and reels are not known here yet"
 
 StationName = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]
 

@@ -127,7 +127,7 @@ def metrics_of(shape: Shape) -> MachineMetrics:
         metrics |= Estimate(modulus(shape.numbered(span)), "line").metrics()
     for span in shape.controlled:
         metrics |= _tension(shape.numbered(span))
-    for span in range(1, shape.spans + 1):
+    for span in range(1, shape.spans + 1) if not shape.has_stations else ():
         of_mass = _mass(span, shape)
         metrics |= of_mass
         together.append(tuple(of_mass))

@@ -39,7 +39,7 @@ class _Span:
 
 def _span(shape: Shape, number: int) -> _Span:
     k, of = shape.numbered(number), f" of span {number}" if shape.spans > 1 else ""
-    first, axis = _PER_SPAN * (number - 1) + 1, number + 1
+    first, axis = _PER_SPAN * (number - 1) + 1, shape.axis_before(number) + 1
     return _Span(
         IoSignal(f"F{k}_sim_N", INPUTS, first, f"Simulated tension{of} [N]"),
         IoSignal(f"E{k}_sim_Pa", INPUTS, first + 1, f"Estimated Young's modulus{of} [Pa]"),
@@ -51,7 +51,7 @@ def _span(shape: Shape, number: int) -> _Span:
 
 def process_data(shape: Shape) -> ProcessData:
     """Of a line with so many spans."""
-    spans = {number: _span(shape, number) for number in range(1, shape.spans + 1)}
+    spans = {number: _span(shape, number) for number in shape.simulated}
     estimated = [spans[number] for number in shape.estimated]
     others = [span.tension for number, span in spans.items() if number not in shape.estimated]
     contents: list[tuple[tuple[IoSignal, ...], int]] = []
@@ -76,7 +76,7 @@ def process_data(shape: Shape) -> ProcessData:
         ),
         sent=tuple(IoPdo(number, signals, every) for number, (signals, every) in zip(numbers, contents, strict=False)),
         torques=tuple(
-            SimulatedTorque(number + 1, spans[number].torque.name, spans[number].residual.name)
+            SimulatedTorque(shape.axis_before(number) + 1, spans[number].torque.name, spans[number].residual.name)
             for number in shape.estimated
         ),
     )

@@ -6,17 +6,21 @@ from collections.abc import Mapping
 
 from hilbench.plant.servo_axis.parameters import ServoAxisParameters
 from hilbench.topology.config import MachineParameters, TwinConfig
+from hilbench.topology.signals import Shape
 from hilbench.twin.machines import web_line
+from hilbench.twin.machines.line_with_stations import LineWithStationsTwin
 from hilbench.twin.machines.machine import Told, TwinMachine
 from hilbench.twin.machines.servo_axis import ServoAxisTwin
 
 _WARM_UP_CYCLES = 100
 
 
-def new_machine(model: MachineParameters, config: TwinConfig, cycle_s: float, told: Told) -> TwinMachine:
+def new_machine(model: MachineParameters, config: TwinConfig, shape: Shape, cycle_s: float, told: Told) -> TwinMachine:
     """The machine of a model; `told`: what the bench last said of its boundary."""
     if isinstance(model, ServoAxisParameters):
         return ServoAxisTwin(model, config, cycle_s, told)
+    if model.stations is not None:
+        return LineWithStationsTwin(model, shape, cycle_s, told)
     return web_line.WebLineTwin(model, config, cycle_s, told)
 
 
@@ -25,9 +29,9 @@ def boundary(model: MachineParameters) -> Mapping[str, float]:
     return {} if isinstance(model, ServoAxisParameters) else web_line.boundary(model)
 
 
-def warm_up(model: MachineParameters, config: TwinConfig, cycle_s: float) -> None:
+def warm_up(model: MachineParameters, config: TwinConfig, shape: Shape, cycle_s: float) -> None:
     """Compile (or load) what a cycle runs on scratch objects, so that it is over before the devices boot."""
-    machine = new_machine(model, config, cycle_s, boundary(model).__getitem__)
+    machine = new_machine(model, config, shape, cycle_s, boundary(model).__getitem__)
     axes = range(model.axis_count)
     for k in range(_WARM_UP_CYCLES):
         machine.compare(k * cycle_s, [(0.0, 0.1 + 0.01 * (k % 7)) for _ in axes])

@@ -1,0 +1,69 @@
+"""Sections of a line: the web between two driven rollers, with all idlers, dancers and accumulators that it runs over.
+
+To drives and controllers a section is a span: as long as its strands together, which are springs in series. What turns
+or moves between its ends without a motor is left out.
+"""
+
+from __future__ import annotations
+
+from hilbench.plant.parameters import per_item
+from hilbench.plant.web_line.parameters import ModelParameters
+
+
+def axes_before_spans(model: ModelParameters) -> tuple[int, ...]:
+    """Number of the driven axis before each span (K,), from 1; 0 before the first."""
+    found, axis = [], 0
+    for roller in model.line_rollers[:-1]:
+        axis = roller.axis or axis
+        found.append(axis)
+    return tuple(found)
+
+
+def first_spans(model: ModelParameters) -> tuple[int, ...]:
+    """Of each section its first span, right behind a driven roller."""
+    rollers = model.line_rollers
+    return tuple(number for number, roller in enumerate(rollers[:-1], 1) if roller.axis is not None)
+
+
+def section_model(model: ModelParameters) -> ModelParameters:
+    """A line whose spans are the sections of another; a line of driven rollers alone as it is.
+
+    Raises ValueError for a line that does not begin and end with a driven roller.
+    """
+    if model.stations is None:
+        return model
+    rollers, web = model.line_rollers, model.required_web
+    if rollers[0].axis is None or rollers[-1].axis is None:
+        raise ValueError("a line that does not begin and end with a driven roller")
+    before = axes_before_spans(model)
+    lengths_m, moduli_Pa, sections_m2 = [], [], []
+    for axis in range(1, model.axis_count):
+        spans = [span for span, of in enumerate(before, 1) if of == axis]
+        length_m = sum(model.span_length_m(span) for span in spans)
+        yields_per_N = sum(model.span_length_m(span) / model.stiffness_N(span) for span in spans)
+        section_m2 = model.section_m2(spans[0])
+        lengths_m.append(length_m)
+        sections_m2.append(section_m2)
+        moduli_Pa.append(length_m / yields_per_N / section_m2)
+    widths_m = [model.section_m2(span) / _thickness_m(model, span) for span in first_spans(model)]
+    sections = web.model_copy(
+        update={
+            "youngs_modulus_Pa": moduli_Pa,
+            "span_length_m": lengths_m,
+            "width_m": widths_m,
+            "thickness_m": [S / width_m for S, width_m in zip(sections_m2, widths_m, strict=True)],
+        }
+    )
+    boundary = model.boundary.model_copy(update={"upstream_strain": model.upstream_strain})
+    turned = [
+        per_item(model.rollers.inertia_kg_m2, axis) + model.wound_inertia_kg_m2(axis)
+        for axis in range(1, model.axis_count + 1)
+    ]
+    drawn = model.rollers.model_copy(update={"inertia_kg_m2": turned})
+    of_axes = tuple(entry for entry in model.effects if entry.axis is not None)
+    changes = {"stations": None, "web": sections, "rollers": drawn, "boundary": boundary, "effects": of_axes}
+    return ModelParameters.model_validate(model.model_copy(update=changes).model_dump())
+
+
+def _thickness_m(model: ModelParameters, span: int) -> float:
+    return per_item(model.required_web.thickness_m, span)

@@ -1,0 +1,218 @@
+"""Benches whose web runs over more than driven rollers: load motors imitate dancers, accumulators and reels as well."""
+
+from __future__ import annotations
+
+from functools import cache
+from math import pi
+from pathlib import Path
+from tempfile import mkdtemp
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from hilbench.bench.lifecycle.participants import Participants
+from hilbench.bench.web_line_check import start_point, stiffness_reserves
+from hilbench.errors import UnusableInputError
+from hilbench.results.recording import Recording, read_recording
+from hilbench.results.recover import recover_run
+from hilbench.results.run import RunOutcome, run_experiment
+from hilbench.runs.check import check_experiment
+from hilbench.runs.config import LoadedConfig, load_with_overrides
+
+CONFIG = Path(__file__).resolve().parents[2] / "bench_configs" / "line_with_dancer.yaml"
+SHORTER = ("steps.0.ramp.duration_s=1.0", "steps.1.hold.until_s=2.0", "steps.3.hold.duration_s=1.0", "criteria=[]")
+
+
+def dancer(folder: Path, *changes: str) -> LoadedConfig:
+    return load_with_overrides(CONFIG, bus=f"embedded:{folder.name}", changes=changes)
+
+
+def run(given: LoadedConfig, folder: Path, how: Participants = Participants.IN_PROCESS) -> RunOutcome:
+    return run_experiment(given, folder / how.name, participants=how)
+
+
+@cache
+def shipped() -> RunOutcome:
+    folder = Path(mkdtemp())
+    return run(dancer(folder), folder)
+
+
+def channels(outcome: RunOutcome) -> dict[str, np.ndarray]:
+    found: Recording = read_recording(outcome.folder.recording)
+    return {name: np.asarray(values) for name, values in found.channels.items()}
+
+
+def test_the_shipped_dancer_passes_its_criteria() -> None:
+    result = shipped().result
+    assert result.faults == []
+    assert [row.verdict for row in result.criteria] == ["passed", "passed"]
+
+
+def test_the_dancer_keeps_the_tension_before_the_press_and_its_position_is_recorded() -> None:
+    found = channels(shipped())
+    steady = (found["t_s"] > 6.0) & (found["t_s"] < 7.9)
+    for name in ("F1_true_N", "F2_true_N"):
+        assert np.mean(found[name][steady]) == pytest.approx(80.0, abs=0.5)
+    assert np.mean(found["F4_true_N"][steady]) == pytest.approx(np.mean(found["F3_true_N"][steady]), abs=1.5)
+    assert np.ptp(found["x_dancer_true_m"]) > 1e-4
+    assert np.array_equal(found["x_dancer_meas_m"], found["x_dancer_true_m"])
+
+
+def test_the_twin_follows_the_dancer_and_tells_each_section_once() -> None:
+    found = channels(shipped())
+    assert {name for name in found if name.endswith("_sim_N")} == {"F1_sim_N", "F3_sim_N"}
+    steady = (found["t_s"] > 6.0) & (found["t_s"] < 7.9)
+    for span in (1, 3):
+        assert np.mean((found[f"F{span}_sim_N"] - found[f"F{span}_true_N"])[steady]) == pytest.approx(0.0, abs=0.2)
+
+
+def test_each_load_motor_pulls_by_the_spans_beside_its_roller() -> None:
+    found = channels(shipped())
+    steady = (found["t_s"] > 6.0) & (found["t_s"] < 7.9)
+    mean = {name: float(np.mean(values[steady])) for name, values in found.items()}
+    for motor, pull_N in (
+        ("press", mean["F3_true_N"] - mean["F2_true_N"]),
+        ("outfeed", 70.0 - mean["F4_true_N"]),
+    ):
+        assert mean[f"tau_load_{motor}_cmd_Nm"] == pytest.approx(pull_N * 0.2 / 5.0, abs=0.02)
+
+
+def test_processes_record_the_bits_of_one_process_and_frames_recover_them(tmp_path: Path) -> None:
+    given = dancer(tmp_path, *SHORTER)
+    folder = run(given, tmp_path, Participants.STARTED).folder
+    apart, together = read_recording(folder.recording), channels(run(given, tmp_path))
+    assert list(apart.channels) == list(together)
+    assert [name for name in together if not np.array_equal(np.asarray(apart[name]), together[name], True)] == []
+    folder.recording.unlink()
+    recover_run(folder)
+    again = read_recording(folder.recording)
+    commands = {name for name in together if name.endswith("_cmd_m_s")}  # in whole units of the drives
+    assert set(again.channels) == set(together)
+    different = [name for name in together if not np.array_equal(np.asarray(again[name]), together[name], True)]
+    assert set(different) <= commands
+
+
+def reels(folder: Path, **changes: Any) -> LoadedConfig:
+    """Unwinder, accumulator of four strands, press, rewinder; a thick web that is soon wound."""
+    rolls = {"radius_m": [0.2, 0.1, 0.12], "inertia_kg_m2": [0.5, 0.3, 0.2], "gear_ratio": 5.0}
+    machine: dict[str, Any] = {
+        "web": {
+            "youngs_modulus_Pa": 2e8,
+            "width_m": 0.5,
+            "thickness_m": 1e-3,
+            "span_length_m": [2.0, 1.5, 1.5, 2.0, 3.0],
+        },
+        "stations": [
+            {"type": "unwinder", "core_radius_m": 0.05, "density_kg_m3": 300.0},
+            {
+                "type": "accumulator",
+                "name": "store",
+                "strands": 4,
+                "radius_m": 0.06,
+                "inertia_kg_m2": 0.01,
+                "mass_kg": 40.0,
+                "force_N": 320.0,
+                "viscous_friction_N_s_per_m": 500.0,
+                "lower_stop_m": -0.5,
+                "upper_stop_m": 0.5,
+            },
+            {"type": "roller"},
+            {"type": "rewinder", "name": "wound", "core_radius_m": 0.05, "density_kg_m3": 300.0},
+        ],
+        "rollers": rolls,
+        "web_load": True,
+        "boundary": {"upstream_strain": 80.0 / 1e5},
+    }
+    given = {
+        "load_motors": {
+            f"load_{name}": {
+                "node_id": 4 + k,
+                "eds": str(CONFIG.parents[1] / "eds" / "hilbench_servo.eds"),
+                "shaft": name,
+            }
+            for k, name in enumerate(("infeed", "press", "outfeed"))
+        },
+        "machine": {**dancer(folder).document.data["machine"], **machine},  # type: ignore[index]
+        "load": {"measured": ["store", "unwinder", "wound"]},
+        "controllers": {"wound_tension": {"span": 5, "set_point_N": 80.0, "bandwidth_rad_per_s": 2.0}},
+        "steps": [{"ramp": {"path": "line_speed_m_s", "to": 1.0, "duration_s": 2.0}}, {"hold": {"duration_s": 4.0}}],
+        "criteria": [],
+    } | changes
+    return load_with_overrides(_written(folder, given), bus=f"embedded:{folder.name}")
+
+
+def _written(folder: Path, given: dict[str, Any]) -> Path:
+    path = folder / "reels.yaml"
+    data = yaml.safe_load(CONFIG.read_text(encoding="utf-8")) | given
+    for node in [
+        *data["drives"].values(),
+        *(each["virtual"] for each in data["drives"].values()),
+        data["twin"]["node"],
+    ]:
+        node["eds"] = str((CONFIG.parent / node["eds"]).resolve())
+    path.write_text(yaml.safe_dump(data), encoding="utf-8")
+    return path
+
+
+def test_reels_and_an_accumulator_run_and_their_radii_are_recorded(tmp_path: Path) -> None:
+    given = reels(tmp_path)
+    outcome = run(given, tmp_path)
+    assert outcome.result.faults == []
+    found = channels(outcome)
+    turns = found["x1_m"] / (2.0 * pi * 0.2)
+    assert found["r_unwinder_meas_m"] == pytest.approx(0.2 - 1e-3 * turns, abs=1e-5)
+    assert np.ptp(found["r_wound_true_m"]) > 0.004
+    steady = found["t_s"] > 4.0
+    for span in (1, 2, 3, 4):
+        assert np.mean(found[f"F{span}_true_N"][steady]) == pytest.approx(80.0, abs=2.0)
+    radius_m, tension_N = found["r_unwinder_true_m"][steady], found["F1_true_N"][steady]
+    pulled_Nm = found["tau_load_infeed_cmd_Nm"][steady]
+    assert np.mean(pulled_Nm) == pytest.approx(np.mean(tension_N * radius_m) / 5.0, rel=0.01)
+
+
+def test_the_flywheel_of_a_reel_is_that_of_the_web_that_is_on_it(tmp_path: Path) -> None:
+    given = reels(tmp_path).config
+    wound_kg_m2 = 0.5 * pi * 300.0 * 0.5 * (0.2**4 - 0.05**4)
+    flywheel = given.rig_parameters().flywheel_inertia_kg_m2
+    assert isinstance(flywheel, list)
+    assert flywheel[0] == pytest.approx((0.5 + wound_kg_m2) / 25.0 - 0.0005)
+
+
+def test_the_check_tells_how_stiff_a_web_each_load_motor_can_imitate(tmp_path: Path) -> None:
+    checked = check_experiment(dancer(tmp_path))
+    assert set(checked.stiffness_reserves) == {"load_press", "load_outfeed"}
+    assert checked.stiffness_reserve == min(checked.stiffness_reserves.values()) > 1.0
+    with pytest.raises(UnusableInputError, match=r"the load motor of axis 3 .* stable up to \d+ % of it"):
+        check_experiment(dancer(tmp_path, "machine.web.span_length_m=[1.5, 2.5, 2.0, 0.5]"))
+
+
+def test_the_shortest_span_beside_a_roller_decides_about_its_load_motor(tmp_path: Path) -> None:
+    found = {}
+    for length_m in (1.0, 2.0):
+        given = dancer(tmp_path, f"machine.web.span_length_m=[{length_m}, 2.5, 2.0, 3.0]").config
+        found[length_m] = stiffness_reserves(given, start_point(given))
+    assert found[1.0] == found[2.0], "what is before the dancer is held by it"
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ("load.measured=[guide]", "'load.measured' of dancers, accumulators and reels"),
+        ("twin.prediction={}", "driven rollers alone"),
+        ("controllers.outfeed_tension.probing=on", "driven rollers alone"),
+        ("controllers.outfeed_tension.span=5", "a span of 1 to 4"),
+        ("controllers.press_tension={span: 4, set_point_N: 90.0}", "one controller between two driven rollers"),
+        ("machine.stations.1.name=press", "a station and another part are both named press"),
+        (
+            "machine.stations.0={type: idler, name: first, radius_m: 0.1, inertia_kg_m2: 0.01}; "
+            "machine.stations.3={type: roller}",
+            "driven roller or reel",
+        ),
+    ],
+)
+def test_what_such_a_bench_can_not_have_is_refused_in_one_line(tmp_path: Path, change: str, said: str) -> None:
+    with pytest.raises(UnusableInputError, match=said) as refused:
+        check_experiment(dancer(tmp_path, *change.split("; ")))
+    assert "\n" not in str(refused.value)
