@@ -63,6 +63,14 @@ class TensionControlConfig(Block):
         le=2.0,
         description="damping ratio that axis 1 gives the swing of roller 2 against the web; 0: none",
     )
+    feed_forward: Literal["none", "twin"] = Field(
+        default="none",
+        description="twin: the ratio of speeds from its E and the strain that enters the span, and the rollers' "
+        "torques at ramps and steps of set-points, ahead of the controller, so that neighbours are not disturbed",
+    )
+    set_point_rise_s: float = Field(
+        default=0.4, ge=0.05, le=60, description="with feed_forward: way of a stepped set-point to its new value"
+    )
     probing: ProbingMode | ProbingConfig = Field(
         default="off", description="small known changes of the tension; a word alone is the mode"
     )

@@ -16,8 +16,9 @@ from hilbench.bench.tasks.saturation import SaturationWatch
 from hilbench.bench.tasks.swing_damping import SwingDamping, SwingPlant
 from hilbench.bench.tasks.task import CyclicTask, Outputs
 from hilbench.bench.tasks.tension_control import TensionController, strain_before
+from hilbench.bench.tasks.tension_feed_forward import FeedForwardTask, StrainWay
 from hilbench.bench.tasks.tension_probing import Probing
-from hilbench.bench.tasks.tension_task import Leader, LoopNames, TensionTask
+from hilbench.bench.tasks.tension_task import EnteringStrain, FeedForward, Leader, LoopNames, TensionTask
 from hilbench.bench.tasks.tension_trust import TwinTrust
 from hilbench.bench.tasks.watches import Watch
 from hilbench.bench.tasks.web_limits import LimitWatch
@@ -38,28 +39,38 @@ def tasks(config: BenchConfig, state: BenchState) -> MachineTasks:
     controls = config.tension_controls
     line_speed = Reference(LINE_SPEED, config.safety.quick_stop_m_s2 * cycle_s)
     drives = list(config.drives)
-    leading = LeadingAxis(drives[-1], len(drives), line_speed)
-    axes: list[LeadingAxis | FollowingAxis | TensionTask] = [leading]
-    loops: list[TensionTask] = []
-    trusts: list[TwinTrust] = []
     by_axis = {config.shape.axis_before(span): control for span, control in controls.items()}
+    sections = section_model(model)
+    ways = {
+        axis: StrainWay(control.set_point_rise_s, cycle_s, sections.span_length_m(axis), sections.section_m2(axis))
+        for axis, control in by_axis.items()
+        if control.feed_forward == "twin"
+    }
+    loops: dict[int, TensionTask] = {}
+    plan = FeedForwardTask(sections, cycle_s, line_speed, loops, ways) if ways else None
+    leading = LeadingAxis(drives[-1], len(drives), line_speed, plan)
+    axes: list[LeadingAxis | FollowingAxis | TensionTask] = [leading]
+    trusts: list[TwinTrust] = []
     for axis in range(model.axis_count - 1, 0, -1):
         control = by_axis.get(axis)
         if control is None:
-            axes.append(FollowingAxis(drives[axis - 1], axis, axes[-1]))
+            axes.append(FollowingAxis(drives[axis - 1], axis, axes[-1], plan))
             continue
         names = LoopNames.of(drives[axis - 1], control.span, config.shape)
         trusts.append(TwinTrust(control, limits.tension_N.trip or inf, names.twin))
-        loops.append(_tension_task(config, state, control, names, axes[-1], trusts[-1]))
-        axes.append(loops[-1])
-    probing = _probing(config, state, {loop.span: loop for loop in loops}, line_speed)
+        ahead = None
+        if plan is not None and axis in ways:
+            ahead = FeedForward(ways[axis], entering_strain(config, state.twin, axis), plan)
+        loops[axis] = _tension_task(config, state, control, names, axes[-1], trusts[-1], ahead)
+        axes.append(loops[axis])
+    probing = _probing(config, state, {loop.span: loop for loop in loops.values()}, line_speed)
     boundary = BoundaryTask(model.upstream_strain, model.boundary.downstream_tension_N)
     load = WebLoadTask(config)
     limit_watch = LimitWatch(limits, model, cycle_s, config.shape)
     return MachineTasks(
         reference=line_speed,
-        quantities=(line_speed, *loops, load, probing),
-        control=(boundary, probing, *axes, load),
+        quantities=(line_speed, *loops.values(), load, probing),
+        control=(boundary, probing, *([plan] if plan else []), *axes, load),
         watches=(
             WebAlarms(trusts, state.twin, stop_on_break=config.safety.on_web_break == "stop"),
             Watch("limits", limit_watch.update, reports),
@@ -89,6 +100,7 @@ def _tension_task(
     names: LoopNames,
     leader: Leader,
     trust: TwinTrust,
+    ahead: FeedForward | None,
 ) -> TensionTask:
     model, cycle_s, section = section_model(config.web_line), config.cycle_time_s, names.axis
     strain = strain_before(config, control.span)
@@ -103,7 +115,30 @@ def _tension_task(
         state.twin,
         state.reports,
         cycle_s,
+        model.youngs_modulus_Pa(section),
+        ahead,
     )
+
+
+def entering_strain(config: BenchConfig, twin: TwinState, axis: int) -> EnteringStrain:
+    """Of the web that comes over a driven axis: that of the web upstream, or what the twin has of the span before it;
+    while it has nothing, what that is to be."""
+    model, shape = config.web_line, config.shape
+    before = [span for span in shape.simulated if shape.axis_before(span) == axis - 1]
+    wanted = strain_before(config, next(span for span in range(1, shape.spans + 1) if shape.axis_before(span) == axis))
+    if not before:
+        return lambda sample: wanted
+    known = shape.shows(before[-1])
+    tension, modulus = f"F{shape.numbered(before[-1])}_sim_N", f"E{shape.numbered(known)}_sim_Pa"
+    section_m2 = model.stiffness_N(before[-1]) / model.youngs_modulus_Pa(known)
+
+    def strain(sample: CycleSample) -> float:
+        modulus_Pa = getattr(sample, modulus)
+        if not twin.fresh(sample) or not modulus_Pa > 0.0:
+            return wanted
+        return float(getattr(sample, tension) / (modulus_Pa * section_m2))
+
+    return strain
 
 
 class BoundaryTask(CyclicTask):
@@ -126,10 +161,12 @@ class BoundaryTask(CyclicTask):
 class LeadingAxis(CyclicTask):
     """The last axis follows the line speed."""
 
-    def __init__(self, drive: str, axis: int, line_speed: Reference) -> None:
+    def __init__(self, drive: str, axis: int, line_speed: Reference, ahead: FeedForwardTask | None) -> None:
         self._drive = drive
+        self._axis = axis
         self._command = f"v{axis}_cmd_m_s"
         self._line_speed = line_speed
+        self._ahead = ahead
 
     @property
     def speed_m_s(self) -> float:
@@ -137,24 +174,27 @@ class LeadingAxis(CyclicTask):
         return self._line_speed.present
 
     @property
-    def command_m_s(self) -> float:
+    def damped_m_s(self) -> float:
         """The same: nothing is damped by it."""
         return self._line_speed.present
 
     def before(self, sample: CycleSample, outputs: Outputs) -> None:
         """Velocity of the axis, m/s at the web."""
-        outputs[self._drive] = self.speed_m_s
-        setattr(sample, self._command, self.speed_m_s)
+        lead_m_s = self._ahead.lead_m_s(self._axis) if self._ahead else 0.0
+        outputs[self._drive] = command_m_s = self.speed_m_s + lead_m_s
+        setattr(sample, self._command, command_m_s)
 
 
 class FollowingAxis(CyclicTask):
     """An axis before a span without a controller turns as fast as the one behind it: the strain that enters the span is
     then the strain in it."""
 
-    def __init__(self, drive: str, axis: int, leader: Leader) -> None:
+    def __init__(self, drive: str, axis: int, leader: Leader, ahead: FeedForwardTask | None) -> None:
         self._drive = drive
+        self._axis = axis
         self._command = f"v{axis}_cmd_m_s"
         self._leader = leader
+        self._ahead = ahead
 
     @property
     def speed_m_s(self) -> float:
@@ -162,14 +202,15 @@ class FollowingAxis(CyclicTask):
         return self._leader.speed_m_s
 
     @property
-    def command_m_s(self) -> float:
-        """What it is told: what the axis behind it is told, or the span would be stretched by the damping."""
-        return self._leader.command_m_s
+    def damped_m_s(self) -> float:
+        """With the damping of the axis behind it, or the span would be stretched by that."""
+        return self._leader.damped_m_s
 
     def before(self, sample: CycleSample, outputs: Outputs) -> None:
         """Velocity of the axis, m/s at the web."""
-        outputs[self._drive] = self.command_m_s
-        setattr(sample, self._command, self.command_m_s)
+        lead_m_s = self._ahead.lead_m_s(self._axis) if self._ahead else 0.0
+        outputs[self._drive] = command_m_s = self.damped_m_s + lead_m_s
+        setattr(sample, self._command, command_m_s)
 
 
 class WebLoadTask(LoadTask):

@@ -168,8 +168,9 @@ class SwingDamping:
             self._modulus_Pa = modulus_Pa
             self._gains = damping_gains(self._plant, self._ratio, modulus_Pa)
 
-    def velocity(self, x1_m: float, x2_m: float) -> float:
-        """To be added to the velocity of axis 1, from the encoder positions at the web.
+    def velocity(self, x1_m: float, x2_m: float, planned_m_s: float = 0.0) -> float:
+        """To be added to the velocity of axis 1, from the encoder positions at the web; `planned_m_s`: what they are
+        to show of the span's lengthening, which is no swing.
 
         While they are not of one instant it stays what it was.
         """
@@ -181,6 +182,7 @@ class SwingDamping:
         if before is None:
             return 0.0
         rate_m_s = self._elongated_m(x1_m - before[0], x2_m - before[1]) / (cycles * self._plant.cycle_s)
+        rate_m_s -= planned_m_s
         gains = self._gains
         self._elongation_m *= exp(-gains.washout_per_s * cycles * self._plant.cycle_s)
         self._elongation_m += rate_m_s * cycles * self._plant.cycle_s

@@ -86,10 +86,15 @@ class TensionController:
         self._modulus_Pa: float | None = None  # None before the loop was closed
         self._closed = True
 
-    def hold(self, line_speed_m_s: float, set_point_N: float, cycle_s: float) -> float:
+    def hold(
+        self, line_speed_m_s: float, set_point_N: float, cycle_s: float, *, around_m_s: float | None = None
+    ) -> float:
         """Velocity set point of the axis before the span while the loop is open, without a jump from what it was;
-        `line_speed_m_s`: that of the axis behind it."""
+        `line_speed_m_s`: that of the axis behind it, `around_m_s`: what is known to be right already."""
         self._closed = False
+        if around_m_s is not None:
+            self._ratio -= cycle_s / (_HOLD_S + cycle_s) * self._ratio
+            return around_m_s - line_speed_m_s * self._ratio
         if self._modulus_Pa is not None:
             strain = set_point_N / (self._modulus_Pa * self._area_m2)
             wanted = 1.0 - (1.0 + self._upstream_strain) / (1.0 + strain)
@@ -97,10 +102,17 @@ class TensionController:
         return line_speed_m_s * (1.0 - self._ratio)
 
     def velocity(
-        self, line_speed_m_s: float, set_point_N: float, tension_N: float, modulus_Pa: float, cycle_s: float
+        self,
+        line_speed_m_s: float,
+        set_point_N: float,
+        tension_N: float,
+        modulus_Pa: float,
+        cycle_s: float,
+        *,
+        around_m_s: float | None = None,
     ) -> float:
         """Velocity set point of the axis before the span in m/s from the (simulated) tension and Young's modulus;
-        `line_speed_m_s`: that of the axis behind it.
+        `line_speed_m_s`: that of the axis behind it, which it corrects, or `around_m_s` in its place.
 
         After `hold` it goes on from the held ratio, without a jump.
         """
@@ -119,4 +131,4 @@ class TensionController:
         else:  # hold the integral while the limit is reached
             correction = limit if correction > 0 else -limit
         self._ratio = correction / line_speed_m_s if line_speed_m_s else 0.0
-        return line_speed_m_s - correction
+        return (line_speed_m_s if around_m_s is None else around_m_s) - correction

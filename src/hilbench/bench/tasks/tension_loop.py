@@ -281,6 +281,9 @@ class TensionLoop:
                 rows[f"elongation{j}"] = elongation
                 for n in range(len(gains.pending)):
                     rows[f"sent{j}_{n}"] = self._unit(f"sent{j}_{n - 1}") if n else damping
+            ahead = j in controls and controls[j].feed_forward == "twin"
+            if ahead:
+                speed = command + self._by_entering_strain(j)
             if j in controls and self.closed:
                 controller = TensionController.of_model(controls[j], config.web_line, strain_before(config, j))
                 kp, ki = controller.gains(self.point.line_speed_m_s, self.point.estimates_Pa[j - 1])
@@ -291,6 +294,13 @@ class TensionLoop:
                 command = speed + damping
             rows[f"u{j}_next"] = command
         return rows
+
+    def _by_entering_strain(self, span: int) -> Matrix:
+        """What the feed-forward of a span makes of the strain in the span before it."""
+        if span == 1 or not self.closed:
+            return np.zeros(len(self._places))
+        stiffness_N = self.point.estimates_Pa[span - 2] * self.config.web_line.section_m2(span - 1)
+        return self.point.line_speed_m_s / stiffness_N * self._unit(f"web{span - 1}_sim")
 
     def _return_ratio(self, command: str, omega: NDArray[np.float64]) -> NDArray[np.complex128]:
         """L(jω) of the loop opened at a command; 1 + L = 0 is the border of stability."""

@@ -10,6 +10,7 @@ from hilbench.bench.state import Reports, TwinState
 from hilbench.bench.tasks.swing_damping import SwingDamping
 from hilbench.bench.tasks.task import CyclicTask, Outputs
 from hilbench.bench.tasks.tension_control import TensionController
+from hilbench.bench.tasks.tension_feed_forward import FeedForwardTask, StrainWay
 from hilbench.bench.tasks.tension_trust import TwinSignals, TwinTrust
 from hilbench.exchange.exchange import Inputs
 from hilbench.topology.quantities import tension_set_point
@@ -28,8 +29,24 @@ class Leader(Protocol):
         """What it is to turn at, at the web, without what damps the span behind it."""
 
     @property
-    def command_m_s(self) -> float:
-        """What it is told, with that."""
+    def damped_m_s(self) -> float:
+        """The same with that."""
+
+
+class EnteringStrain(Protocol):
+    """Strain of the web that enters a span, as the twin has it."""
+
+    def __call__(self, sample: CycleSample) -> float:
+        """From what it has sent last."""
+
+
+@dataclass(frozen=True)
+class FeedForward:
+    """What a loop has ahead of its controller; `leads`: of the rollers."""
+
+    way: StrainWay
+    entering_strain: EnteringStrain
+    leads: FeedForwardTask
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +87,8 @@ class LoopNames:
 class TensionTask(CyclicTask):
     """Velocity of the axis before a span from the simulated tension, with the damping of the swing added.
 
-    `set_point_N` is settable under way; `leader`: the axis behind the span.
+    `set_point_N` is settable under way; `leader`: the axis behind the span; `modulus_Pa`: E until the loop was closed
+    (for `feed_forward`).
     """
 
     def __init__(
@@ -84,6 +102,8 @@ class TensionTask(CyclicTask):
         twin: TwinState,
         reports: Reports,
         cycle_s: float,
+        modulus_Pa: float = 0.0,
+        feed_forward: FeedForward | None = None,
     ) -> None:
         self._names = names
         self._leader = leader
@@ -95,9 +115,11 @@ class TensionTask(CyclicTask):
         self._twin = twin
         self._reports = reports
         self._cycle_s = cycle_s
+        self._modulus_Pa = modulus_Pa
+        self._ahead = feed_forward
         self._controlled_cycle: int | None = None  # whose twin data the controller has had
         self._was_closed: bool | None = None  # None before it was closed for the first time
-        self._speed_m_s = self._command_m_s = 0.0
+        self._speed_m_s = self._damped_m_s = 0.0
 
     @property
     def speed_m_s(self) -> float:
@@ -105,9 +127,9 @@ class TensionTask(CyclicTask):
         return self._speed_m_s
 
     @property
-    def command_m_s(self) -> float:
-        """What the axis is told."""
-        return self._command_m_s
+    def damped_m_s(self) -> float:
+        """With the damping."""
+        return self._damped_m_s
 
     @property
     def names(self) -> LoopNames:
@@ -123,6 +145,16 @@ class TensionTask(CyclicTask):
     def set_point_N(self) -> float:
         """The set-point without a probe's shift."""
         return self._set_point_N
+
+    @property
+    def goal_N(self) -> float:
+        """What the tension is to be: with a probe's shift."""
+        return self._set_point_N + self.set_point_shift_N
+
+    @property
+    def modulus_Pa(self) -> float:
+        """E of the web there, as it was known last."""
+        return self._modulus_Pa
 
     @property
     def closed(self) -> bool:
@@ -147,21 +179,34 @@ class TensionTask(CyclicTask):
         closed = self._is_closed(sample)
         setattr(sample, names.closed, int(closed))
         speed_m_s, since_s = self._leader.speed_m_s, self._since_controlled_s(sample)
-        set_point_N = self._set_point_N + self.set_point_shift_N
+        ahead, set_point_N, around_m_s = self._ahead, self.goal_N, None
         if closed:
-            tension_N, modulus_Pa = getattr(sample, names.twin.tension), getattr(sample, names.twin.modulus)
-            velocity_m_s = self._controller.velocity(speed_m_s, set_point_N, tension_N, modulus_Pa, since_s)
+            self._modulus_Pa = modulus_Pa = getattr(sample, names.twin.modulus)
+        if ahead is not None:
+            set_point_N = ahead.way.tension_N(self._modulus_Pa)
+            around_m_s = ahead.way.velocity(self._leader.damped_m_s, ahead.entering_strain(sample))
+        if closed:
+            tension_N = getattr(sample, names.twin.tension)
+            velocity_m_s = self._controller.velocity(
+                speed_m_s, set_point_N, tension_N, modulus_Pa, since_s, around_m_s=around_m_s
+            )
             self._damping.use_modulus(modulus_Pa)
         else:
-            velocity_m_s = self._controller.hold(speed_m_s, set_point_N, self._cycle_s)
+            velocity_m_s = self._controller.hold(speed_m_s, set_point_N, self._cycle_s, around_m_s=around_m_s)
         self._speed_m_s = velocity_m_s
-        velocity_m_s += self._damping.velocity(getattr(sample, names.before), getattr(sample, names.behind))
-        outputs[names.drive] = self._command_m_s = velocity_m_s
+        planned_m_s = ahead.way.shown_m_s if ahead is not None else 0.0
+        velocity_m_s += self._damping.velocity(
+            getattr(sample, names.before), getattr(sample, names.behind), planned_m_s
+        )
+        self._damped_m_s = velocity_m_s
+        if ahead is not None:
+            velocity_m_s += ahead.leads.lead_m_s(names.axis)
+        outputs[names.drive] = velocity_m_s
         setattr(sample, names.command, velocity_m_s)
 
     def after(self, sample: CycleSample, inputs: Inputs) -> None:
         """Record the set-point."""
-        setattr(sample, self._names.set_point, self._set_point_N + self.set_point_shift_N)
+        setattr(sample, self._names.set_point, self.goal_N)
 
     def rest(self, sample: CycleSample, outputs: Outputs) -> None:
         """The web is at rest, strained as upstream."""
