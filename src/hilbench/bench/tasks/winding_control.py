@@ -1,0 +1,171 @@
+"""Controllers of reels, dancers and accumulators: what sets a torque, a speed or a force, and what is known ahead.
+
+A reel in torque mode pulls the web by its motor's torque: without more it takes the torque of its own acceleration out
+of the web. Told beforehand, J(r)·a/r and the tension times the radius leave to the controller what nobody knows. A
+dancer's position loop sets the speed before it; the tension is what pushes the carriage. An accumulator's carriage
+moves as the speeds at its ends say: what its rollers and itself need for that, and what guide and jack hold back by
+friction, is added to the force.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import copysign, pi
+
+from hilbench.plant.web_line.parameters import ModelParameters
+from hilbench.plant.web_line.stations import Accumulator, Dancer, LineCarriage, Reel
+
+#: Speed of a carriage below which its dry friction is not made up for, m/s: it may stick either way.
+_STANDS_M_S = 1e-3
+
+
+@dataclass(frozen=True)
+class ReelMechanics:
+    """Of a reel with what is on it, at its own shaft. `side`: 1 for a rewinder, -1 for an unwinder."""
+
+    side: float
+    gear_ratio: float
+    empty_kg_m2: float
+    core_radius_m: float
+    web_kg_per_m3_m: float  #: density times width
+
+    @classmethod
+    def of_model(cls, model: ModelParameters, axis: int) -> ReelMechanics:
+        """Of an axis that is a reel. Raises ValueError for another."""
+        reel = next((roller.station for roller in model.line_rollers if roller.axis == axis), None)
+        if not isinstance(reel, Reel):
+            raise ValueError(f"axis {axis} is no reel, expected an unwinder or rewinder")
+        span = 1 if reel.type == "unwinder" else model.span_count
+        width_m = model.section_m2(span) / _thickness_m(model, span)
+        return cls(
+            side=-1.0 if reel.type == "unwinder" else 1.0,
+            gear_ratio=model.gear_ratio(axis),
+            empty_kg_m2=model.mass_kg(axis) * model.radius_m(axis) ** 2,
+            core_radius_m=reel.core_radius_m,
+            web_kg_per_m3_m=reel.density_kg_m3 * width_m,
+        )
+
+    def inertia_kg_m2(self, radius_m: float) -> float:
+        """With the web on it."""
+        return self.empty_kg_m2 + 0.5 * pi * self.web_kg_per_m3_m * (radius_m**4 - self.core_radius_m**4)
+
+    def torque_Nm(self, tension_N: float, acceleration_m_s2: float, radius_m: float) -> float:
+        """Of the motor, at its shaft, that keeps a tension at an acceleration of the web."""
+        accelerating_Nm = self.inertia_kg_m2(radius_m) * acceleration_m_s2 / radius_m
+        return (self.side * tension_N * radius_m + accelerating_Nm) / self.gear_ratio
+
+
+def _thickness_m(model: ModelParameters, span: int) -> float:
+    thickness = model.required_web.thickness_m
+    return thickness[span - 1] if isinstance(thickness, list) else thickness
+
+
+class ReelTension:
+    """A reel's torque from the tension beside it, N·m at the motor: PI on the tension, around what is known ahead.
+
+    `gain`: N per N; `rate_per_s`: of the integral; `limit_Nm`: of the motor.
+    """
+
+    def __init__(self, reel: ReelMechanics, gain: float, rate_per_s: float, limit_Nm: float) -> None:
+        self._reel = reel
+        self._gain = gain
+        self._rate_per_s = rate_per_s
+        self._limit_Nm = limit_Nm
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the integral."""
+        self._integral_N = 0.0
+
+    def torque_Nm(
+        self, set_point_N: float, tension_N: float, acceleration_m_s2: float, radius_m: float, cycle_s: float
+    ) -> float:
+        """One cycle; `acceleration_m_s2`: planned, of the web; `radius_m`: of the reel now."""
+        error_N = set_point_N - tension_N
+        integral_N = self._integral_N + self._rate_per_s * error_N * cycle_s
+        pull_N = set_point_N + self._gain * error_N + integral_N
+        torque_Nm = self._reel.torque_Nm(pull_N, acceleration_m_s2, radius_m)
+        if abs(torque_Nm) > self._limit_Nm:
+            return copysign(self._limit_Nm, torque_Nm)
+        self._integral_N = integral_N
+        return torque_Nm
+
+
+class DancerPosition:
+    """Speed of the roller before a dancer or accumulator that keeps its carriage at a position.
+
+    The carriage goes by half the difference of the speeds for a dancer, the n-th part for n strands; PI on the position
+    with two equal poles at `bandwidth_rad_per_s`, around the speed behind and what the wanted motion asks for.
+    """
+
+    def __init__(self, station: Dancer | Accumulator, bandwidth_rad_per_s: float, limit_m_s: float) -> None:
+        self._strands = station.strand_count
+        self._bandwidth = bandwidth_rad_per_s
+        self._limit_m_s = limit_m_s
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the integral."""
+        self._integral_m_s = 0.0
+
+    def velocity(
+        self, behind_m_s: float, wanted_m: float, wanted_m_s: float, position_m: float, cycle_s: float
+    ) -> float:
+        """One cycle: what goes in is what goes out and what the strands take up."""
+        error_m, gain = wanted_m - position_m, self._strands * self._bandwidth
+        integral_m_s = self._integral_m_s + 0.25 * gain * self._bandwidth * error_m * cycle_s
+        correction_m_s = gain * error_m + integral_m_s
+        if abs(correction_m_s) > self._limit_m_s:
+            correction_m_s = copysign(self._limit_m_s, correction_m_s)
+        else:
+            self._integral_m_s = integral_m_s
+        return behind_m_s + self._strands * wanted_m_s + correction_m_s
+
+
+class CarriageForce:
+    """Force on the carriage of an accumulator or dancer that keeps the tension behind it, with what its parts need.
+
+    The rollers between the strands turn at speeds that go evenly from that before to that behind; roller j of n - 1 has
+    the inertia m and friction R, so that strand j pulls by the sum of m·a + R of the rollers behind it less than the
+    web behind the carriage; the carriage has the sum of the strands, its mass and its friction.
+
+    `mass_error`, `friction_error`: shares by which what it goes by is off.
+    """
+
+    def __init__(self, carriage: LineCarriage, mass_error: float = 0.0, friction_error: float = 0.0) -> None:
+        self._station = carriage.station
+        self._moved = 1.0 + mass_error
+        self._held = 1.0 + friction_error
+        self._mass_kg = self._moved * carriage.station.inertia_kg_m2 / carriage.station.radius_m**2
+
+    def force_N(
+        self,
+        tension_N: float,
+        before_m_s: float,
+        behind_m_s: float,
+        before_m_s2: float,
+        behind_m_s2: float,
+        position_m: float = 0.0,
+    ) -> float:
+        """From the speeds of the web at the ends and their planned accelerations."""
+        station, strands = self._station, self._station.strand_count
+        total_N, strand_N = tension_N, tension_N
+        for roller in range(strands - 1, 0, -1):
+            share = roller / strands
+            speed_m_s = before_m_s + share * (behind_m_s - before_m_s)
+            acceleration_m_s2 = before_m_s2 + share * (behind_m_s2 - before_m_s2)
+            strand_N -= self._mass_kg * acceleration_m_s2 + self._friction_N(speed_m_s)
+            total_N += strand_N
+        carriage_m_s = (before_m_s - behind_m_s) / strands
+        moving_N = self._moved * station.mass_kg * (before_m_s2 - behind_m_s2) / strands
+        moving_N += station.viscous_friction_N_s_per_m * carriage_m_s + station.spring_N_per_m * (
+            position_m - station.spring_rest_m
+        )
+        if abs(carriage_m_s) > _STANDS_M_S:
+            moving_N += copysign(self._held * station.coulomb_friction_N, carriage_m_s)
+        return total_N + moving_N
+
+    def _friction_N(self, speed_m_s: float) -> float:
+        station = self._station
+        dry_N = copysign(station.roller_coulomb_friction_N, speed_m_s) if abs(speed_m_s) > _STANDS_M_S else 0.0
+        return self._held * (dry_N + station.roller_viscous_friction_N_s_per_m * speed_m_s)
