@@ -11,6 +11,9 @@ SUITE := .cache/python-can
 STATION := .cache/node-canopen
 STATION_FILES := $(addprefix tests/foreign/,package.json package-lock.json .npmrc crc)
 
+# Where it is set, each of the many processes of runs and tests would compile what it imports anew.
+unexport PYTHONDONTWRITEBYTECODE
+
 .PHONY: setup demo test test-vcan docs bench lint lock clean
 
 setup: $(STAMP)
@@ -19,6 +22,7 @@ $(STAMP): requirements.lock pyproject.toml
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --require-hashes -r requirements.lock
 	$(BIN)/python -m pip install --quiet --no-deps --no-build-isolation --editable .
+	$(BIN)/python -m compileall -q src
 	touch $@
 
 $(SUITE)/.extracted: requirements.lock $(STAMP)

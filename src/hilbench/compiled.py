@@ -11,6 +11,14 @@ import numba
 from numba import types
 from numba.extending import intrinsic
 
+from hilbench.hidden import hidden
+
+# On the first call numba imports scipy.linalg, to see whether products of matrices can be compiled; that takes longer
+# than to load the machine code, in each process of a bench. They can: scipy is installed, and imported where one is.
+with hidden("scipy.linalg"):
+    from numba.np import arraymath
+arraymath._HAVE_BLAS = True
+
 Function = TypeVar("Function", bound=Callable[..., object])
 
 if TYPE_CHECKING:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -18,6 +19,23 @@ _PROGRAM = """if True:
 
 def test_a_bench_starts_without_the_libraries_of_recordings_and_of_its_check() -> None:
     ended = subprocess.run([sys.executable, "-c", _PROGRAM], capture_output=True, text=True, timeout=60, check=False)
+    assert ended.returncode == 0, ended.stderr
+
+
+def test_the_first_compiled_call_does_not_import_scipy_and_a_product_of_matrices_can_still_be_compiled() -> None:
+    program = """if True:
+        import sys
+        import numba, numpy
+        from hilbench.plant.web_line.span import SpanFollower
+        from hilbench.plant.web_line.parameters import ModelParameters
+        web = {"youngs_modulus_Pa": 9e9, "width_m": 0.5, "thickness_m": 65e-6, "span_length_m": 1.0}
+        data = {"web": web, "rollers": {"radius_m": 0.04, "inertia_kg_m2": 1e-3}}
+        SpanFollower(ModelParameters.model_validate(data))
+        assert "scipy.linalg" not in sys.modules
+        product = numba.njit(lambda a, b: numpy.dot(a, b))(numpy.eye(2), numpy.ones((2, 2)))
+        assert (product == 1.0).all()
+    """
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False)
     assert ended.returncode == 0, ended.stderr
 
 
@@ -53,3 +71,18 @@ def test_a_diagnosis_calculates_with_one_thread_a_product_unless_told_otherwise(
     """
     ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False)
     assert ended.returncode == 0, ended.stderr
+
+
+def test_what_make_starts_keeps_the_bytecode_of_what_it_imports() -> None:
+    """Else each of the processes of a run compiles all of hilbench anew, which takes as long as to import it."""
+    ended = subprocess.run(
+        ["make", "--silent", "--eval=shown: ; @env", "shown"],
+        env={**os.environ, "PYTHONDONTWRITEBYTECODE": "1"},
+        cwd=Path(__file__).resolve().parents[2],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=True,
+    )
+    assert "PATH=" in ended.stdout
+    assert "PYTHONDONTWRITEBYTECODE" not in ended.stdout

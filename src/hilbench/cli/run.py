@@ -16,7 +16,6 @@ from hilbench.cli.shown import servo_axis, web_line
 from hilbench.cli.shown.machine import Shown
 from hilbench.errors import UnusableInputError
 from hilbench.history.entries import remember
-from hilbench.report.html import write_report
 from hilbench.results.result import Result, StepRecord, Timing
 from hilbench.results.run import RunOutcome, run_experiment
 from hilbench.runs.config import LoadedConfig
@@ -44,7 +43,7 @@ def run_command(
     if as_json:
         outcome = run_experiment(loaded, out, participants=participants, force=force)
         if outcome.recorded and with_report:
-            write_report(outcome.folder)
+            _write_report(outcome)
         _remember(outcome)
         print(outcome.as_json())
         return outcome.exit_code
@@ -56,10 +55,16 @@ def run_command(
         )
         if outcome.recorded and with_report:
             progress.announce("write report")
-            write_report(outcome.folder)
+            _write_report(outcome)
     show_outcome(console, outcome)
     _remember(outcome)
     return outcome.exit_code
+
+
+def _write_report(outcome: RunOutcome) -> None:
+    from hilbench.report.html import write_report  # slow to import: not before the first SYNC
+
+    write_report(outcome.folder)
 
 
 def _remember(outcome: RunOutcome) -> None:

@@ -184,7 +184,7 @@ class ModelErrors:
     def release(self) -> None:
         """The web is another one: its E may be, too."""
         self.interrupt()
-        filters.free_modulus(self._p, _INITIAL_E**2)
+        self._p[:, filters.E, filters.E] += _INITIAL_E**2
 
     @property
     def correction_N(self) -> float:

@@ -251,7 +251,7 @@ def _stop(z: Array, p: Array, k: int, deviation: float) -> None:
 
 
 @compiled
-def free_modulus(p: Array, variance: float) -> None:
+def _free_modulus(p: Array, variance: float) -> None:
     """E of every filter may be another one."""
     for k in range(p.shape[0]):
         p[k, E, E] += variance
@@ -345,13 +345,13 @@ def _block(
         if s[SURPRISED] == 0.0:
             s[SURPRISED] = 1.0
             return
-        free_modulus(p, _JUMP * _JUMP)
+        _free_modulus(p, _JUMP * _JUMP)
         s[LEANING] = 0.0
         s[JUMPED_S] = 0.0
     else:
         s[LEANING] += (size_of_it - s[LEANING]) / _LEANING_BLOCKS
         if abs(s[LEANING]) > _LEANS / sqrt(2.0 * _LEANING_BLOCKS):
-            free_modulus(p, _SMALL_JUMP * _SMALL_JUMP)
+            _free_modulus(p, _SMALL_JUMP * _SMALL_JUMP)
             s[LEANING] = 0.0
     s[SURPRISED] = 0.0
     for k in range(z.shape[0]):

@@ -59,6 +59,7 @@ class Line(SimulatedLine):
             _radii(parameters),
             _forces(parameters),
         )
+        self._moduli = frozenset(quantity.name for quantity in modulus_names(self._layout.spans))
         self._inputs[lay.U_STRAIN_PREV] = parameters.upstream_strain
         self._inputs[lay.U_F_NEXT_N] = parameters.boundary.downstream_tension_N
         self._over: dict[int, tuple[NDArray[np.int64], Vector]] = {}  # times over which torques are compared
@@ -67,15 +68,13 @@ class Line(SimulatedLine):
 
     def set_parameter(self, name: str, value: float) -> None:
         """Give a parameter a value from now on. Raises ValueError for an unknown name or an impossible value."""
-        names = [quantity.name for quantity in self._description.parameters]
-        axis = names.index(checked_name("parameter", name, self._description.parameters)) + 1
-        if axis <= self.parameters.axis_count:
-            self._set_inertia(name, value, axis, value / self.parameters.radius_m(axis) ** 2)
-        else:
+        if name in self._moduli:
             set_modulus(self._p, name, value)
-            self._parameters |= {
-                known.name: modulus_Pa(self._p, known.name) for known in modulus_names(self._layout.spans)
-            }
+            self._parameters |= {known: modulus_Pa(self._p, known) for known in self._moduli}
+            return
+        checked_name("parameter", name, self._description.parameters)
+        axis = list(self._parameters).index(name) + 1  # the inertias come first
+        self._set_inertia(name, value, axis, value / self.parameters.radius_m(axis) ** 2)
 
     def set_effect(
         self, effect_id: str, axis: int | None = None, *, section: int | None = None, slot: int = 0, **parameters: float
