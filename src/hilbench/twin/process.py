@@ -159,6 +159,7 @@ class TwinApplication:
         if not self._released or not 0 < skipped <= _MOST_SKIPPED:
             return
         for _ in range(skipped):
+            self._machine.miss()  # what is measured next is not one cycle after the last
             self._machine.step(self._cycle_s)
             self._time_s += self._cycle_s
         for drive in self._drives:
