@@ -11,8 +11,9 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 
 from hilbench.errors import BenchFaultError
 from hilbench.unexpected import TRACEBACK_FOLDER
@@ -24,16 +25,25 @@ class ChildProcess:
     """One process beside the bench, by its arguments after ``python -m``; what it says goes to a log file.
 
     `pass_fds`: open files that it gets beside its standard ones, by the same numbers; it can't be started again then.
+    `environment`: variables that it gets beside those of this process.
     Raises BenchFaultError when the system refuses to start it.
     """
 
-    def __init__(self, name: str, arguments: Sequence[str], log_path: Path, pass_fds: Sequence[int] = ()) -> None:
+    def __init__(
+        self,
+        name: str,
+        arguments: Sequence[str],
+        log_path: Path,
+        pass_fds: Sequence[int] = (),
+        environment: Mapping[str, str] = MappingProxyType({}),
+    ) -> None:
         self.name = name
         #: Frames it lost because it did not read in time; None: it has not ended in order, or its bus cannot tell.
         self.lost_frames: int | None = None
         self._log_path = log_path
         self._arguments = list(arguments)
         self._pass_fds = tuple(pass_fds)
+        self._environment = environment
         self._process = self._start()
 
     def _start(self) -> subprocess.Popen[bytes]:
@@ -44,7 +54,12 @@ class ChildProcess:
                     stdin=subprocess.PIPE,
                     stdout=log,
                     stderr=subprocess.STDOUT,
-                    env={**os.environ, FOLLOW_PARENT: "1", TRACEBACK_FOLDER: str(self._log_path.parent)},
+                    env={
+                        **os.environ,
+                        **self._environment,
+                        FOLLOW_PARENT: "1",
+                        TRACEBACK_FOLDER: str(self._log_path.parent),
+                    },
                     # Ctrl-C at the terminal is the bench's to handle: it needs the drives to stop them.
                     start_new_session=True,
                     pass_fds=self._pass_fds,

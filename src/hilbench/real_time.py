@@ -6,9 +6,14 @@ import ctypes
 import gc
 import os
 import resource
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Collection, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from pathlib import Path
+
+#: Beside which nice values of a process mean nothing where the kernel groups them by session (sched(7)).
+_AUTOGROUP = Path("/proc/self/autogroup")
+_LOWEST = 19
 
 # <asm-generic/mman.h>
 _MCL_CURRENT, _MCL_ONFAULT = 1, 4
@@ -97,3 +102,21 @@ def _locked(wanted: bool | None, report: Callable[[str], None]) -> Iterator[None
     finally:
         if locked:
             libc.munlockall()
+
+
+def give_way(taken: Collection[int] = ()) -> None:
+    """For a process that may wait: from here on it gets what nobody else wants, of one core, if there is one on none of
+    those that are `taken`."""
+    os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
+    # A process that has a session of its own is in a group of its own, which is as good as any other.
+    with suppress(OSError):
+        _AUTOGROUP.write_text(str(_LOWEST), encoding="ascii")
+    permitted = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, {max(permitted - set(taken) or permitted)})
+
+
+def leave_the_cycle() -> None:
+    """In a thread that is started from the cycle: the cycle's priority and core are not this one's."""
+    with suppress(OSError):
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+        os.sched_setaffinity(0, range(os.cpu_count() or 1))

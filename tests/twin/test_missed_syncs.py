@@ -13,6 +13,7 @@ from hilbench.canopen.clock import MonotonicClock
 from hilbench.canopen.device import Device
 from hilbench.canopen.eds import load_eds
 from hilbench.estimation.plausibility import Problem
+from hilbench.estimation.web_line.balance import MeasuredBalance
 from hilbench.plant.effects import MachineKind
 from hilbench.plant.motor_port import MotorMode
 from hilbench.runs.config import load_with_overrides
@@ -46,11 +47,8 @@ class Clock(MonotonicClock):
 def motion(time_s: float) -> list[tuple[float, float]]:
     """Both axes' position (rad) and torque (N·m) of a line that starts from rest, with 80 N in its web."""
     way_m = 0.5 * ACCELERATION_M_S2 * time_s**2
-    mass_kg = [
-        MODEL.motor_rad_per_m(k) ** 2 * MODEL.motors.inertia_kg_m2 + MODEL.rollers.inertia_kg_m2 / MODEL.radius_m(k) ** 2
-        for k in (1, 2)
-    ]
-    pulls_N = [mass * ACCELERATION_M_S2 + pull for mass, pull in zip(mass_kg, (-PULL_N, PULL_N), strict=True)]
+    force_N = MeasuredBalance(MODEL).mass_kg * ACCELERATION_M_S2
+    pulls_N = (force_N - PULL_N, force_N + PULL_N)
     return [(way_m * MODEL.motor_rad_per_m(k), pulls_N[k - 1] / MODEL.motor_rad_per_m(k)) for k in (1, 2)]
 
 

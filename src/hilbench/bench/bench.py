@@ -108,6 +108,7 @@ class Bench:
         self._plan = Plan()
         #: None where the config asks for none.
         self.prediction: Prediction | None = prediction_task(config, self._state, self._asked, self._machine.reference)
+        self._live: LiveProcess | None = None
         self._twin: TwinConnection
         self._cycle: BenchCycle
         self._drives: Drives | None = None  # before the nodes are operational
@@ -117,11 +118,14 @@ class Bench:
     def __enter__(self) -> Self:
         self._state.require_new()
         try:
+            self._start_diagnosis()
             self._announce("prepare the model (compiled on first use)")
             self._machine.warm_up()
             if self.prediction is not None:
                 self.prediction.warm_up()
                 self._resources.callback(self.prediction.close)
+            if self._live is not None:
+                self._live.wait_until_ready()
             if not self._bus_is_held:
                 self._resources.enter_context(held_bus(self.config, self._participants, force=self._force))
             started = self._resources.enter_context(
@@ -193,22 +197,28 @@ class Bench:
             state.reports.note("realtime", warning)
         return self._drives
 
-    def _diagnosis_beside(self, nodes: Nodes, exchange: Exchange) -> ModelChanges | None:
-        """What looks after the diagnosis while the bench runs, where the config asks for it."""
-        config, live = self.config, self.config.twin.live_diagnosis
-        if live is None:
-            return None
+    def _start_diagnosis(self) -> None:
+        """The process that diagnoses beside the run, where the config asks for one: it loads while others do."""
+        config = self.config
+        if config.twin.live_diagnosis is None:
+            return
         folder = self._work_folder
         if folder is None:
             folder = Path(self._resources.enter_context(TemporaryDirectory(prefix="hilbench-live-")))
-        process = LiveProcess(config, folder)
-        self._resources.callback(process.end)
+        self._live = LiveProcess(config, folder)
+        self._resources.callback(self._live.end)
+
+    def _diagnosis_beside(self, nodes: Nodes, exchange: Exchange) -> ModelChanges | None:
+        """What looks after the diagnosis while the bench runs, where the config asks for it."""
+        config, live = self.config, self.config.twin.live_diagnosis
+        if live is None or self._live is None:
+            return None
         simulated = all(part.is_simulated or part.is_virtual for part in config.parts)
         return ModelChanges(
             self._state,
             nodes,
             exchange,
-            process,
+            self._live,
             config.signals,
             config.web_line.effects,
             apply=simulated if live.model_changes is None else live.model_changes == "apply",

@@ -1,22 +1,20 @@
 """``python -m hilbench.live CONFIG --pace PACE --connection N``: diagnosis beside a bench, as that starts it."""
 
-import os
 import sys
 from argparse import ArgumentParser
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import get_args
 
-from hilbench.bench.reports.found import Samples, Told
+from hilbench.bench.reports.found import Ready, Samples, Told
 from hilbench.diagnosis.imitated import imitation_of
 from hilbench.ending import ended
 from hilbench.live.web_line.session import Session
+from hilbench.live.web_line.warm_up import warm_up
 from hilbench.plant.web_line.imitation import Imitation
+from hilbench.real_time import give_way
 from hilbench.topology.config import BenchConfig, Pace
 from hilbench.topology.resolved import read_resolved
-
-#: Of the processes that a bench in real time starts this one may wait.
-_NICENESS = 15
 
 
 def main() -> None:
@@ -27,8 +25,6 @@ def main() -> None:
     parser.add_argument("--connection", type=int, required=True, help="open socket to the bench")
     given = parser.parse_args()
     config = read_resolved(given.config).model_copy(update={"pace": given.pace})
-    if config.pace == "realtime":
-        os.nice(_NICENESS)
     with Connection(given.connection) as connection:
         answer(connection, config)
 
@@ -40,7 +36,12 @@ def answer(connection: Connection, config: BenchConfig) -> None:
     imitation = imitation_of(config) if config.load_motors else None
     assert imitation is None or isinstance(imitation, Imitation), "of a web"
     names = [signal.name for signal in config.signals]
+    warm_up(names, config.web_line, imitation, live, config.cycle_time_s)
     session = Session(names, config.web_line, imitation, live, config.cycle_time_s)
+    if config.pace == "realtime":
+        cores = config.realtime.cores
+        give_way({core for core in (cores.bench, cores.hardware, cores.twin) if core is not None})
+    connection.send(Ready())
     while True:
         try:
             said = connection.recv()

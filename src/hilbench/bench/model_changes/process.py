@@ -7,20 +7,27 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from multiprocessing.connection import Connection
 from pathlib import Path
 
-from hilbench.bench.reports.found import Samples, Told, Watched
+from hilbench.bench.reports.found import Ready, Samples, Told, Watched
+from hilbench.errors import BenchFaultError
 from hilbench.processes import ChildProcess
+from hilbench.real_time import leave_the_cycle
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.resolved import write_resolved
 
 #: Name of the process, in messages and of its log.
 LIVE_DIAGNOSIS = "live diagnosis"
 _MODULE = "hilbench.live"
+#: Its matrices are many and small: threads of one product wait for each other, and take cores from the cycle.
+_ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+#: Until it has compiled what it runs, on first use, s.
+_LONGEST_START_S = 600.0
 
 
 class LiveProcess:
     """One process for one run. What is sent goes out from a thread, in order; a process that is gone answers nothing.
 
-    Raises BenchFaultError when the system refuses to start it.
+    It loads and compiles on the cores that the cycle needs: `wait_until_ready` before there is one. Raises
+    BenchFaultError when the system refuses to start it.
     """
 
     def __init__(self, config: BenchConfig, folder: Path) -> None:
@@ -31,8 +38,24 @@ class LiveProcess:
         with theirs:
             number = theirs.fileno()
             arguments = [_MODULE, str(path), "--pace", config.pace, "--connection", str(number)]
-            self._child = ChildProcess(LIVE_DIAGNOSIS, arguments, folder / "live_diagnosis.log", pass_fds=(number,))
-        self._pool = ThreadPoolExecutor(1, thread_name_prefix="live-diagnosis")
+            log = folder / "live_diagnosis.log"
+            self._child = ChildProcess(LIVE_DIAGNOSIS, arguments, log, pass_fds=(number,), environment=_ONE_THREAD)
+        self._pool = ThreadPoolExecutor(1, thread_name_prefix="live-diagnosis", initializer=leave_the_cycle)
+
+    def wait_until_ready(self) -> None:
+        """Until it has loaded and compiled what it runs. Raises BenchFaultError when it ends instead, or never is."""
+        try:
+            said = self._connection.recv() if self._connection.poll(_LONGEST_START_S) else None
+        except (EOFError, OSError):
+            self.end()
+            raise BenchFaultError(f"{LIVE_DIAGNOSIS} ended by itself: {self.last_words()}") from None
+        if not isinstance(said, Ready):
+            raise BenchFaultError(f"{LIVE_DIAGNOSIS} is not ready after {_LONGEST_START_S:g} s")
+
+    @property
+    def pid(self) -> int:
+        """Its process id."""
+        return self._child.pid
 
     def ask(self, samples: Samples) -> Future[Watched]:
         """Hand a chunk over; the future is its answer, or EOFError or OSError of a process that is gone."""

@@ -35,6 +35,7 @@ from hilbench.exchange.exchange import Exchange, Inputs
 from hilbench.exchange.nodes import Nodes
 from hilbench.plant.effects import MachineKind, find_effect
 from hilbench.plant.parameters import EffectEntry
+from hilbench.real_time import leave_the_cycle
 from hilbench.topology.quantities import MODEL_CHANGE, parse_effect_path
 from hilbench.topology.sample import CycleSample
 from hilbench.topology.signal_kinds import Signal
@@ -79,7 +80,7 @@ class ModelChanges(CyclicTask):
         self._lockstep = lockstep
         self._rows: list[bytes] = []
         self._answers: deque[Future[Watched]] = deque()
-        self._pool = ThreadPoolExecutor(1, thread_name_prefix="twin-model")
+        self._pool = ThreadPoolExecutor(1, thread_name_prefix="twin-model", initializer=leave_the_cycle)
         self._request: Future[None] | None = None
         self._in_use = ""  # effects of the twin's model
         self._configured = [entry.model_dump() for entry in effects]

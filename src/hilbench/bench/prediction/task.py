@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import suppress
 from dataclasses import replace
 from operator import attrgetter
 from typing import Literal, Protocol
@@ -24,6 +22,7 @@ from hilbench.exchange.exchange import Inputs
 from hilbench.prediction.config import PredictionConfig
 from hilbench.prediction.outlook import Crossing, Outlook, Watched
 from hilbench.prediction.plan import Asked, Move
+from hilbench.real_time import leave_the_cycle
 from hilbench.topology.sample import CycleSample
 
 #: What the highest speed to come is brought to, as a share of itself, with each look that still sees a limit crossed.
@@ -97,7 +96,7 @@ class Prediction(CyclicTask):
         self._every = max(1, round(config.every_s / state.cycle_s))
         self._window, self._hindsight = Window(look.signals), Hindsight(len(look.watched))
         self._values = attrgetter(*(watched.signal for watched in look.watched))
-        self._pool = None if lockstep else ThreadPoolExecutor(1, "prediction", initializer=_give_way)
+        self._pool = None if lockstep else ThreadPoolExecutor(1, "prediction", initializer=leave_the_cycle)
         self._running: tuple[Future[None], Callable[[], Outlook]] | None = None
         self._is_asked = False  # a look besides the regular ones is under way
 
@@ -223,10 +222,3 @@ class Prediction(CyclicTask):
         self._state.reports.note("prediction", expected(crossing, sample.t_s), kind=kind)
         cycle = self._state.running().timing.cycles
         self._state.journal(Change(cycle, "predicted", crossing.watched.signal, crossing.limit, crossing.probability))
-
-
-def _give_way() -> None:
-    """In a thread: the cycle's priority and core are not this one's."""
-    with suppress(OSError):
-        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
-        os.sched_setaffinity(0, range(os.cpu_count() or 1))

@@ -79,6 +79,11 @@ class GapRow:
 
 
 @dataclass(frozen=True)
+class Ready:
+    """Diagnosis to bench, before anything else: all that it runs is loaded and compiled."""
+
+
+@dataclass(frozen=True)
 class Samples:
     """Bench to diagnosis: rows of all signals as binary64, up to and with a cycle."""
 

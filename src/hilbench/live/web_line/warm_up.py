@@ -1,0 +1,65 @@
+"""What a diagnosis runs again and again, run once on a few seconds of made-up samples, to be compiled and loaded."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilbench.bench.reports.found import CHUNK_CYCLES, Samples
+from hilbench.diagnosis.measured import SHORTEST_S
+from hilbench.errors import UnusableInputError
+from hilbench.live.web_line.session import Session
+from hilbench.live.web_line.stretch import Stretch, packed
+from hilbench.live.web_line.watch import ROW
+from hilbench.live.window import Window
+from hilbench.plant.web_line.imitation import Imitation
+from hilbench.plant.web_line.parameters import ModelParameters
+from hilbench.topology.live_config import LiveDiagnosisConfig
+
+Array = NDArray[np.float64]
+
+#: Speed of the line, m/s, and noise of its torques, N·m.
+_SPEED_M_S, _NOISE_Nm = 1.0, 0.05
+#: What the line did before the stretch that is diagnosed, and that, s.
+_BEFORE_S, _STRETCH_S = 2.0, SHORTEST_S + 0.5
+
+
+def warm_up(
+    names: Sequence[str],
+    model: ModelParameters,
+    imitation: Imitation | None,
+    config: LiveDiagnosisConfig,
+    cycle_s: float,
+) -> None:
+    """As `Session` is given; nothing is left of it but what is compiled."""
+    first, count = round(_BEFORE_S / cycle_s), round((_BEFORE_S + _STRETCH_S) / cycle_s)
+    noise = np.random.default_rng(0)
+    channels: dict[str, Array] = {name: np.zeros(count) for name in names}
+    for name in names:
+        if name.startswith("x"):
+            channels[name] += _SPEED_M_S * cycle_s * np.arange(count)
+        elif name.startswith("v"):
+            channels[name] += _SPEED_M_S
+        elif name.startswith("tau"):
+            channels[name] += _NOISE_Nm * noise.standard_normal(count)
+    channels["t_s"] += cycle_s * np.arange(count)
+    channels["strain_prev"] += model.upstream_strain
+    channels["F_next_N"] += model.boundary.downstream_tension_N
+    channels["E_sim_Pa"] += model.youngs_modulus_Pa(1)
+    session = Session(names, model, imitation, config, cycle_s)
+    for end in range(CHUNK_CYCLES, (ROW + 1) * CHUNK_CYCLES, CHUNK_CYCLES):
+        chunk = np.column_stack([channels[name][end - CHUNK_CYCLES : end] for name in names])
+        session.samples(Samples(end - 1, chunk.tobytes()))
+    with suppress(UnusableInputError):  # of made-up data nothing has to come
+        stretch = Stretch.of(_window(channels), model, imitation, first, count, cycle_s)
+        stretch.residual(packed(model))
+
+
+def _window(channels: Mapping[str, Array]) -> Window:
+    rows = np.column_stack(list(channels.values()))
+    window = Window(list(channels), len(rows))
+    window.add(len(rows) - 1, rows.tobytes())
+    return window
