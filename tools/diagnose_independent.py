@@ -1,15 +1,16 @@
 """How often the diagnosis is right on recordings that share no equation with it, made as stands make them.
 
-    diagnose_independent.py [--what conditions,drawn] [--seeds N] [--first-seed N] [--jobs N]
+    diagnose_independent.py [--what conditions,drawn,intervals] [--seeds N] [--first-seed N] [--jobs N]
                             [--cases FILE] [--docs FILE]
 
 The machine is the independent line of the tests: web in pieces that move with it, presliding friction, quantized
 encoders. `conditions` hides seven effects, one at a time, under each of some conditions that a model does not know:
 other gains of the drives, a slower current loop, no commands, coarse rows, speeds for positions, a torque that is
 missing, a production run. `drawn` draws loops ±30 %, lags of 0 to 4 ms, rows of 1 to 20 ms, jitter, missing channels
-and profiles, all at once, for single effects, pairs, nothing, and what the vocabulary does not have. Prints shares, the
-coverage of the intervals, and what was wrong. `--cases` keeps each finished case in a line of that file and
-takes those that are there as done; `--docs` writes the tables into the page.
+and profiles, all at once, for single effects, pairs, nothing, and what the vocabulary does not have. `intervals` takes
+the names of drawn singles and pairs for known and looks at their intervals alone. Prints shares, the coverage of the
+intervals, and what was wrong. `--cases` keeps each finished case in a line of that file and takes those that are there
+as done; `--docs` writes the tables into the page.
 """
 
 from __future__ import annotations
@@ -19,22 +20,29 @@ import json
 import sys
 import time
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import docs_page
 import finished_cases
 import numpy as np
-from diagnose_scoreboard import Case, right
+from diagnose_scoreboard import Case, holds, right
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))  # the line lies with the tests
 
 from tests.independent_line import Line, Loops, effect  # noqa: E402
 
-from hilbench.diagnosis.diagnosis import diagnose  # noqa: E402
+from hilbench.diagnosis.diagnosis import Diagnosis, concluded, diagnose  # noqa: E402
+from hilbench.diagnosis.fit import fit  # noqa: E402
+from hilbench.diagnosis.measured import measured_from  # noqa: E402
+from hilbench.diagnosis.predictor import choice  # noqa: E402
+from hilbench.diagnosis.proposals import Proposer  # noqa: E402
+from hilbench.diagnosis.select import CandidateSet, Selection  # noqa: E402
+from hilbench.diagnosis.space import Space, noise_model  # noqa: E402
 from hilbench.errors import UnusableInputError  # noqa: E402
+from hilbench.plant.effects import find_effect  # noqa: E402
 from hilbench.plant.web_line.parameters import ModelParameters  # noqa: E402
 from hilbench.results.recording import Recording  # noqa: E402
 
@@ -154,8 +162,14 @@ def under_conditions(seed: int) -> list[Recorded]:
     ]
 
 
-def run(case: Recorded) -> Recorded:
-    """Record, diagnose, compare."""
+def with_known_names(seed: int) -> list[Recorded]:
+    """The singles and pairs that `drawn` has, of what can be seen."""
+    made = [case for case in drawn(seed) if case.kind in ("single", "pair") and is_visible(case)]
+    return [replace(case, condition="known") for case in made]
+
+
+def recorded(case: Recorded) -> tuple[Recording, ModelParameters]:
+    """What the case's line records, and what a model file knows of it."""
     line = dict(case.line)
     profile = line.pop("profile", "identification")
     if "loops" in line:
@@ -163,9 +177,31 @@ def run(case: Recorded) -> Recorded:
         line["loops"] = Loops(**loops)
     machine = Line(hidden=case.hidden, **line)
     recording = Recording(machine.record(profile, case.seed, DURATION_S).channels)
+    return recording, ModelParameters.model_validate(machine.model)
+
+
+def examined(case: Recorded) -> Diagnosis:
+    """The diagnosis; of one with known names, what it concludes of these. Raises UnusableInputError."""
+    recording, model = recorded(case)
+    if case.condition != "known":
+        return diagnose(recording, model, "stand")
+    data = measured_from(recording, model, "stand")
+    chosen = choice(model, data)
+    space, proposer = Space(model, chosen.predictor, data.period_s), Proposer(model, data)
+    terms = [proposer.known(find_effect(item["effect"]), item["axis"], item["parameters"]) for item in case.hidden]
+    residual = space.residual(terms)
+    none = np.empty((0, *residual.shape))
+    white = noise_model(space, residual, none)
+    offered = CandidateSet(white, residual, none, [], [])
+    selection = Selection(fit(space, white, terms), offered, float(np.count_nonzero(space.split.train)))
+    return concluded(space, chosen, data, selection, lambda text, share: None)
+
+
+def run(case: Recorded) -> Recorded:
+    """Record, diagnose, compare."""
     began = time.process_time()
     try:
-        found = diagnose(recording, ModelParameters.model_validate(machine.model), "stand")
+        found = examined(case)
     except UnusableInputError as error:
         case.problem = str(error)
         return case
@@ -178,7 +214,7 @@ def run(case: Recorded) -> Recorded:
         match = [item for item in case.hidden if (item["effect"], item["axis"]) == (e.effect, e.axis)]
         for name, value in e.parameters.items():
             if match and name in match[0]["parameters"] and value.ci95[0] < value.ci95[1]:
-                case.covered.append(value.ci95[0] <= match[0]["parameters"][name] <= value.ci95[1])
+                case.covered.append(holds(value, match[0]["parameters"][name]))
     return case
 
 
@@ -226,11 +262,14 @@ def summary(done: list[Recorded]) -> str:
     for kind in ("single", "pair", "nothing", "unknown"):
         _row(lines, f"drawn: {kind}", [case for case in done if case.condition == "drawn" and case.kind == kind])
     # Under the conditions all have the noise of one seed.
-    covered = [c for case in done if case.condition == "drawn" and right(case) for c in case.covered]
-    if covered:
-        lines.append(f"\n95 % intervals hold the true value in {100.0 * np.mean(covered):.1f} % of {len(covered)}")
+    for condition, of in (("drawn", "of what was named right"), ("known", "of what is known to be hidden")):
+        mine = [case for case in done if case.condition == condition and (right(case) or condition == "known")]
+        covered = [c for case in mine for c in case.covered]
+        if covered:
+            share = f"{100.0 * np.mean(covered):.1f} % of {len(covered)}"
+            lines.append(f"\n95 % intervals {of} hold the true value in {share}")
     lines.append("")
-    for case in done:
+    for case in (case for case in done if case.condition != "known"):
         if not right(case) and (is_visible(case) or false_names(case)):
             hidden = [
                 (i["effect"], i["axis"], *(float(f"{v:.3g}") for v in i["parameters"].values())) for i in case.hidden
@@ -267,6 +306,9 @@ def main() -> None:
     if "drawn" in options.what:
         for seed in range(options.first_seed, options.first_seed + options.seeds):
             asked += drawn(seed)
+    if "intervals" in options.what:
+        for seed in range(options.first_seed, options.first_seed + options.seeds):
+            asked += with_known_names(seed)
     done = finished_cases.finish(asked, run, options.cases, options.jobs)
     table = summary(sorted(done, key=lambda case: (case.condition, case.name)))
     print(table)

@@ -26,7 +26,7 @@ import docs_page
 import finished_cases
 import numpy as np
 
-from hilbench.diagnosis.diagnosis import diagnose
+from hilbench.diagnosis.diagnosis import Value, diagnose
 from hilbench.diagnosis.measured import measured_from
 from hilbench.diagnosis.synthetic import UNKNOWNS, hidden_recording
 from hilbench.diagnosis.web_line.free_run import FreeRun
@@ -197,8 +197,15 @@ def run(case: Case) -> Case:
         match = [item for item in case.hidden if (item["effect"], item["axis"]) == (e.effect, e.axis)]
         for name, value in e.parameters.items():
             if match and name in match[0]["parameters"]:
-                case.covered.append(value.ci95[0] <= match[0]["parameters"][name] <= value.ci95[1])
+                case.covered.append(holds(value, match[0]["parameters"][name]))
     return case
+
+
+def holds(value: Value, true: float) -> bool:
+    """Whether the interval of a parameter has its true value in it; of an angle, that value some turns on."""
+    low, high = value.ci95
+    turns = round((value.value - true) / (2.0 * np.pi)) if value.unit == "rad" else 0
+    return low <= true + 2.0 * np.pi * turns <= high
 
 
 def right(case: Case) -> bool:

@@ -5,13 +5,21 @@ The machine is the independent line, which shares no equation with the model.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
 import pytest
 from tests.independent_line import Line, Loops, effect
 
-from hilbench.diagnosis.diagnosis import Diagnosis, diagnose
+from hilbench.diagnosis.diagnosis import Diagnosis, concluded, diagnose
+from hilbench.diagnosis.fit import fit
+from hilbench.diagnosis.measured import measured_from
+from hilbench.diagnosis.predictor import choice
+from hilbench.diagnosis.proposals import Proposer
+from hilbench.diagnosis.select import CandidateSet, Selection
+from hilbench.diagnosis.space import Space, noise_model
+from hilbench.plant.effects import find_effect
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.results.recording import Recording
 
@@ -139,3 +147,49 @@ def test_a_sudden_change_beside_another_is_no_short_ramp() -> None:
     loops = Loops(kp=(1.14944, 0.86006), ki=(0.79127, 0.95369), lag_s=(0.0015681, 0.000691), trapezoidal=True)
     found = examined("production", 40.0, 5, hidden=pair, loops=loops, row_s=0.02)
     assert {e.effect for e in found.effects} == {"elasticity_step", "elasticity_shift"}
+
+
+def known(hidden: Sequence[Mapping[str, Any]], seed: int, **line: Any) -> Diagnosis:
+    """What is concluded of effects that are known to be there."""
+    machine = Line(hidden=hidden, **line)
+    model = ModelParameters.model_validate(machine.model)
+    data = measured_from(Recording(machine.record("identification", seed, 30.0).channels), model, "stand")
+    chosen = choice(model, data)
+    space, proposer = Space(model, chosen.predictor, data.period_s), Proposer(model, data)
+    terms = [proposer.known(find_effect(e["effect"]), e["axis"], e["parameters"]) for e in hidden]
+    residual = space.residual(terms)
+    none = np.empty((0, *residual.shape))
+    white = noise_model(space, residual, none)
+    offered = CandidateSet(white, residual, none, [], [])
+    selection = Selection(fit(space, white, terms), offered, float(np.count_nonzero(space.split.train)))
+    return concluded(space, chosen, data, selection, lambda text, share: None)
+
+
+def errors(found: Diagnosis, hidden: Sequence[Mapping[str, Any]]) -> list[float]:
+    """Of each parameter, in halves of its 95 % interval."""
+    of = {(e.effect, e.axis): e.parameters for e in found.effects}
+    result = []
+    for item in hidden:
+        for name, true in item["parameters"].items():
+            value = of[item["effect"], item["axis"]][name]
+            low, high = value.ci95
+            result.append((value.value - true) / (0.5 * (high - low)))
+    return result
+
+
+def test_intervals_hold_though_torques_are_read_at_any_time_of_a_drives_sample() -> None:
+    hidden = [
+        effect("torque_ripple", 2, amplitude_Nm=0.06, order=2.0, phase_rad=0.7),
+        effect("elasticity_step", time_s=14.0005, relative_change=0.15),
+    ]
+    drives = Loops(kp=(1.2, 1.2), lag_s=(0.0, 0.0))
+    found = [errors(known(hidden, seed, loops=drives, row_s=0.001), hidden) for seed in range(4)]
+    assert np.mean(np.abs(found) < 1.0) >= 0.9
+    assert np.max(np.abs(found)) < 2.0
+
+
+def test_a_ripple_faster_than_the_rows_is_found_in_its_size_where_the_line_is_slow() -> None:
+    hidden = [effect("torque_ripple", 1, amplitude_Nm=0.08, order=6.0, phase_rad=-0.3)]
+    loops = Loops(kp=(0.8, 1.2), ki=(1.2, 0.8), lag_s=(0.002, 0.002))
+    found = known(hidden, 5, loops=loops, row_s=0.02, jitter_s=2e-5)
+    assert np.max(np.abs(errors(found, hidden))) < 2.0

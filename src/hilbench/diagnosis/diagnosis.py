@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.diagnosis.fit import Fit, around, fit, sums, time_profile
+from hilbench.diagnosis.fit import STATED, Fit, around, fit, moved_by_doubts, sums, time_profile
 from hilbench.diagnosis.machines import AnyImitation
 from hilbench.diagnosis.measured import Measured, measured_from
 from hilbench.diagnosis.misfit import Condition, Misfit, largest_ratio, located, misfits, ratios
@@ -306,14 +306,22 @@ def _judged_by_noise(space: Space, selection: Selection) -> _Judged:
     while True:
         train, test = sums(space, white, trained.residual)
         inflation = float(np.sqrt(max((train + test) / samples, 1.0)))
-        final = fit(space, white, trained.terms, space.predictor.rows) if trained.terms else trained
+        final = _stated(space, white, trained.terms, inflation) if trained.terms else trained
         neutral = _perhaps_neutral(final, NORMAL_95 * inflation)
         if neutral is None:
             break
         trained = fit(space, white, [*trained.terms[:neutral], *trained.terms[neutral + 1 :]])
-    moments = _moments(space, white, final.terms, inflation)
+    moments = _moments(space, white, final, inflation)
     quantiles = np.full(len(final.covariance), NORMAL_95 * inflation)
     return _Judged(trained, final, final.covariance, quantiles, moments)
+
+
+def _stated(space: Space, white: Whitening, terms: list[Term], inflation: float) -> Fit:
+    """The terms fitted to all rows, with what else than noise makes the coordinates uncertain in the covariance, which
+    is in units of a noise that is `inflation` times what was taken for it."""
+    found = fit(space, white, terms, space.predictor.rows, enough=STATED)
+    moved = moved_by_doubts(space, white, found) / inflation
+    return replace(found, covariance=found.covariance + moved @ moved.T)
 
 
 def _perhaps_neutral(found: Fit, quantile: float) -> int | None:
@@ -346,11 +354,15 @@ def _gap(name: str, before: Array, after: Array, noise: float, rows: NDArray[np.
 
 
 def _moments(
-    space: Space, white: Whitening, terms: list[Term], inflation: float
+    space: Space, white: Whitening, final: Fit, inflation: float
 ) -> dict[tuple[int, str], tuple[float, float]]:
-    """95 % intervals, by place among the terms and parameter, of times: from a profile, which may have many minima."""
-    found = {}
+    """95 % intervals, by place among the terms and parameter, of times: from a profile, which may have many minima.
+
+    What else than noise makes a time uncertain is in the fit's covariance alone: no interval is shorter than by that.
+    """
+    found, terms, at = {}, final.terms, 0
     for place, term in enumerate(terms):
+        first, at = at, at + len(term.coordinates())
         if not term.is_sudden:
             continue
         here, half_s = term.time_s, _PROFILE_S
@@ -362,8 +374,11 @@ def _moments(
             if (times[0] < low and high < times[-1]) or half_s > space.duration_s:
                 break
             half_s, times = 3.0 * half_s, np.array([here])
+        k = first + term.free().index(term.onset)
+        variance = float(final.covariance[k, k])
         # When within a cycle it happened no recording says.
-        found[place, term.onset] = (min(low, here - space.period_s), max(high, here + space.period_s))
+        least_s = max(space.period_s, NORMAL_95 * inflation * max(variance, 0.0) ** 0.5)
+        found[place, term.onset] = (min(low, here - least_s), max(high, here + least_s))
     return found
 
 

@@ -19,6 +19,8 @@ _MOST_STEPS: Final = 6
 _LEAST_STEPS: Final = 2
 #: A step that promises less than this fall of the sum of squares is the last.
 _ENOUGH: Final = 0.3
+#: The same of a fit whose coordinates are stated, with intervals: a tenth of a standard error.
+STATED: Final = 0.01
 _FIRST_DAMPING: Final = 1e-4
 #: Strengths, and steps between two of them, with which one is searched for.
 _GRID: Final = 25
@@ -54,6 +56,7 @@ def fit(
     terms: list[Term],
     rows: NDArray[np.bool_] | None = None,
     worth: float = float("inf"),
+    enough: float = _ENOUGH,
 ) -> Fit:
     """Fit all coordinates of the terms from where they are.
 
@@ -66,18 +69,24 @@ def fit(
     """
     timeless = rows is None
     rows = space.split.train if rows is None else rows
-    point, problem = _descended(space, white, terms, rows, worth, timeless)
+    point, problem = _descended(space, white, terms, rows, worth, timeless, enough)
     if not problem.usable:  # where the linear guess has put it the model runs away
         return Fit(terms, point.residual, float("inf"), float("inf"), np.empty((0, 0)))
     if problem.square <= worth and any(term.is_searched for term in point.terms):
         found = _searched(space, white, point.terms, rows)
-        point, problem = _descended(space, white, found, rows, worth, timeless)
+        point, problem = _descended(space, white, found, rows, worth, timeless, enough)
     train, test = sums(space, white, point.residual)
     return Fit(point.terms, point.residual, train, test, problem.covariance())
 
 
 def _descended(
-    space: Space, white: Whitening, terms: list[Term], rows: NDArray[np.bool_], worth: float, timeless: bool
+    space: Space,
+    white: Whitening,
+    terms: list[Term],
+    rows: NDArray[np.bool_],
+    worth: float,
+    timeless: bool,
+    enough: float,
 ) -> tuple[Point, _Problem]:
     """The point where damped Gauss–Newton steps from the terms end, and the linearized problem there; as in `fit`."""
     damping, point = _FIRST_DAMPING, space.point(terms, timeless=timeless)
@@ -86,7 +95,7 @@ def _descended(
         return point, problem
     for taken in range(_MOST_STEPS):
         step, promised = problem.step(damping)
-        if promised < _ENOUGH or (taken >= _LEAST_STEPS and problem.square - promised > worth):
+        if promised < enough or (taken >= _LEAST_STEPS and problem.square - promised > worth):
             break
         moved = _moved(point.terms, step)
         trial = space.residual(moved)
@@ -187,6 +196,17 @@ def _with_best_strength(
     bounds = (float(grid[max(best - 1, 0)]), float(grid[min(best + 1, _GRID - 1)]))
     found = minimize_scalar(square, bounds=bounds, method="bounded", options={"maxiter": _SEARCH, "xatol": 1e-6})
     return variant(float(found.x)) if found.fun < square(float(middle)) else terms
+
+
+def moved_by_doubts(space: Space, white: Whitening, found: Fit) -> Array:
+    """(J, shapes): by how much each coordinate of a fit to all rows is off, to one standard deviation, because a right
+    prediction may be off by more than noise: what least squares makes of each such shape."""
+    doubts = space.doubts(found.terms)
+    if not len(doubts) or not len(found.covariance):
+        return np.zeros((len(found.covariance), 0))
+    rows = space.predictor.rows
+    columns = _flat(white.apply(space.point(found.terms, found.residual).derivatives)[:, :, rows])
+    return np.asarray(found.covariance @ columns @ _flat(white.apply(doubts)[:, :, rows]).T)
 
 
 class _Problem:

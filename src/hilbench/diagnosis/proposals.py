@@ -75,6 +75,11 @@ class Proposer:
         """What is usual on the machine at an axis (None: the first), by its model and how it ran."""
         return machines.sizes(self._model, axis, self._top_m_s, self._torque_Nm, self._data.period_s)
 
+    def known(self, effect: Effect, axis: int | None, values: Mapping[str, float]) -> Term:
+        """An effect that is known to be there, with values to start a fit from: nothing of it is searched for."""
+        term = self._term(effect, axis, values)
+        return replace(term, aimed=term.is_sudden)
+
     def _term(
         self,
         effect: Effect,

@@ -32,9 +32,7 @@ def smoothed(values: Array, period_s: float, whole: int, band_Hz: tuple[float, f
     rest = values - values[0] - slope * period_s * np.arange(n)
     spectrum = np.fft.rfft(np.concatenate([rest, -rest[-2:0:-1]]))
     frequency = np.arange(len(spectrum)) / (2.0 * duration)
-    low, high = band_Hz
-    share = np.clip((frequency - low) / max(high - low, 1e-9), 0.0, 1.0)
-    spectrum = spectrum * np.cos(0.5 * np.pi * share) ** 2
+    spectrum = spectrum * _passed(frequency, band_Hz)
     fine = (n - 1) * whole + 1
     found = []
     for k in range(order + 1):
@@ -45,6 +43,21 @@ def smoothed(values: Array, period_s: float, whole: int, band_Hz: tuple[float, f
     if order > 0:
         found[1] += slope
     return found
+
+
+def low_passed(values: Array, period_s: float, band_Hz: tuple[float, float]) -> Array:
+    """Signals (…, n), a row every `period_s`, without what is above a band; as `smoothed`, even about their ends."""
+    spectrum = np.fft.rfft(np.concatenate([values, values[..., -2:0:-1]], axis=-1))
+    frequency = np.arange(spectrum.shape[-1]) / (2.0 * (values.shape[-1] - 1) * period_s)
+    spectrum *= _passed(frequency, band_Hz)
+    return np.asarray(np.fft.irfft(spectrum, 2 * (values.shape[-1] - 1))[..., : values.shape[-1]])
+
+
+def _passed(frequency: Array, band_Hz: tuple[float, float]) -> Array:
+    """All up to the first of `band_Hz`, nothing beyond the second."""
+    low, high = band_Hz
+    share = np.clip((frequency - low) / max(high - low, 1e-9), 0.0, 1.0)
+    return np.asarray(np.cos(0.5 * np.pi * share) ** 2)
 
 
 def integrated(values: Array, period_s: float) -> Array:

@@ -146,6 +146,13 @@ class Space:
         predicted = self.predictor.with_force(force_N, time_s).predict(pack_with(self.model, terms)[None])
         return np.asarray(self.predictor.measured - predicted[0], np.float64)
 
+    def doubts(self, terms: list[Term]) -> Array:
+        """(shapes, signals, n): by what a right prediction may be off beside the noise, each to one standard
+        deviation."""
+        if not isinstance(self.predictor, LineOnMeasuredMotion):
+            return np.empty((0, *self.predictor.measured.shape))
+        return self.predictor.doubts(pack_with(self.model, terms))
+
     def point(self, terms: list[Term], residual: Array | None = None, *, timeless: bool = False) -> Point:
         """Residual (if it is not known) and derivatives by all coordinates of the terms, by forward differences.
 

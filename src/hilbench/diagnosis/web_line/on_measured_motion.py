@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from hilbench.diagnosis.measured import STANDSTILL_M_S, Measured
 from hilbench.diagnosis.misfit import Condition
 from hilbench.diagnosis.noise import floor
-from hilbench.diagnosis.smooth_motion import Thinning, integrated, smoothed
+from hilbench.diagnosis.smooth_motion import Thinning, integrated, low_passed, smoothed
 from hilbench.diagnosis.web_line.loop_check import Loop, Told, loop_of
 from hilbench.plant.parameters import per_item
 from hilbench.plant.web_line import layout as lay
@@ -85,6 +85,7 @@ class LineOnMeasuredMotion:
         self._fine_s = data.period_s / self._whole
         nyquist = 0.5 / data.period_s
         band = (min(thinning.highest_Hz, 0.85 * nyquist), min(_WIDER * thinning.highest_Hz, _OF_NYQUIST * nyquist))
+        self._band_Hz = band
         self._measured_motion = _motion(data, self._whole, (band, band), noise.mean_by_speed)
         calm = [(min(end, band[0]), min(_WIDER * end, band[1])) for end in noise.calm_ends_Hz]
         self._calm_Hz = min(_CALM_HZ, calm[0][0])
@@ -134,14 +135,28 @@ class LineOnMeasuredMotion:
         """Of each torque the shapes, in noise floors, that are known only up to a share: it is read in step with the
         drive's cycle (the acceleration), and at some time of a drive's sample (its own rate)."""
         shapes = [_IN_STEP * inertia(self._model, axis) * self._at_rows(self._a[:, axis - 1]) for axis in self._torques]
-        needed = self._run(lay.pack(self._model)[None]).tau_Nm[0]
-        rates = np.gradient(needed, self._fine_s, axis=0)
-        late = [_READ_S * self._at_rows(rates[:, axis - 1]) for axis in self._torques]
+        late = self._read_late(self._run(lay.pack(self._model)[None]))
         mixed = [self._mixed @ np.array(rows) for rows in (shapes, late)]
         found = []
         for k in range(len(self._mixed)):
             found.append([np.where(self.rows, rows[k] / self._floors[k], 0.0) for rows in mixed])
         return found
+
+    def _read_late(self, run: RequiredTorques) -> list[Array]:
+        """By how much each torque (n,) is less where it is read later, by a deviation of that time."""
+        rates = np.gradient(run.tau_Nm[0], self._fine_s, axis=0)
+        return [_READ_S * self._at_rows(rates[:, axis - 1]) for axis in self._torques]
+
+    def doubts(self, parameters: Array) -> Array:
+        """(shapes, signals, n): by what a right prediction from parameters (P,) may be off beside the noise, each to
+        one standard deviation: when torques are read matters to what the model has been extended by as well."""
+        runs = self._run(np.array([parameters, lay.pack(self._model)]))
+        more = RequiredTorques(*(values[:1] - values[1:] for values in (runs.tau_Nm, runs.F_N, runs.strain)))
+        late = self._read_late(more)
+        found = np.zeros((len(late), len(self.names), len(self.rows)))
+        for k, shape in enumerate(late):
+            found[k, : len(self._mixed)] = self._mixed[:, [k]] * shape
+        return self._discounted(found)
 
     def _mix(self, signals: Array) -> Array:
         """(…, torques then tensions, n): of the torques what can be compared."""
@@ -225,7 +240,12 @@ class LineOnMeasuredMotion:
     def _signals(self, run: RequiredTorques) -> Array:
         """(B, signals, n) of the rows that are compared."""
         rows = [run.tau_Nm[..., axis - 1] for axis in self._torques] + [run.F_N[..., k - 1] for k in self._tensions]
-        return self._mix(self._thinning.apply(np.stack(rows, axis=1), self._whole))
+        stacked = np.stack(rows, axis=1)
+        if self.every == 1 and self._whole > 1:
+            # No filter stands before the rows. What is faster than the motion that they can show (a ripple) is answered
+            # by motion that nobody has seen, and hardly by the torque: without it a ripple would fold back.
+            stacked = low_passed(stacked, self._fine_s, self._band_Hz)
+        return self._mix(self._thinning.apply(stacked, self._whole))
 
     def _run(self, parameters: Array) -> RequiredTorques:
         return self._moved_by(parameters, self._x, self._v, self._a)
