@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from hilbench.bench.tasks.reference import Reference
 from hilbench.bench.tasks.tension_control import TensionController
 from hilbench.bench.tasks.tension_feed_forward import FeedForwardTask, StrainWay
-from hilbench.bench.tasks.winding_control import CarriageForce, ReelMechanics, ReelTension
+from hilbench.bench.tasks.web_winding_control import CarriageForce, ReelMechanics, ReelTension
 from hilbench.plant.motor_port import MotorMode, MotorPort
 from hilbench.plant.parameters import per_item
 from hilbench.plant.web_line.line import Line

@@ -7,7 +7,8 @@ from tests.bench.bench_nodes import shipped
 
 from hilbench.bench.tasks.imitated_web import web_load_model
 from hilbench.topology.config import LoadConfig
-from hilbench.topology.quantities import WEB_BROKEN, YOUNGS_MODULUS
+from hilbench.topology.quantities import WEB_BROKEN
+from hilbench.topology.web_line_quantities import YOUNGS_MODULUS
 
 CYCLE_S = 0.002
 SPEED_M_S = 1.0

@@ -9,7 +9,7 @@ import pytest
 from tests.plant.models import DEMONSTRATOR
 from tools import published_lines as published
 
-from hilbench.bench.tasks.winding_control import DancerPosition, ReelMechanics, ReelTension
+from hilbench.bench.tasks.web_winding_control import DancerPosition, ReelMechanics, ReelTension
 from hilbench.plant.web_line.parameters import ModelParameters, load_model
 from hilbench.plant.web_line.stations import Dancer
 

@@ -17,8 +17,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from hilbench.bench.reports.change import Change
 from hilbench.topology.main_quantities.of_kind import find_quantity, recorded_quantities
-from hilbench.topology.quantities import MODEL_CHANGE, YOUNGS_MODULUS
-from hilbench.topology.web_line_quantities import is_modulus
+from hilbench.topology.quantities import MODEL_CHANGE
+from hilbench.topology.web_line_quantities import alike
 
 Array = NDArray[np.float64]
 Channels = Mapping[str, NDArray[Any]]
@@ -236,9 +236,4 @@ def merged(journal: Iterable[Event], shown: Iterable[Event], same_s: float) -> l
 
 def _same(event: Event, known: Event, same_s: float) -> bool:
     overlaps = event.start_s <= known.end_s + same_s and known.start_s <= event.end_s + same_s
-    return overlaps and any(known.of(path) is not None for change in event.changes for path in _alike(change.path))
-
-
-def _alike(path: str) -> tuple[str, ...]:
-    """The paths under which a quantity may have been set: E of a span also with that of all."""
-    return (path, YOUNGS_MODULUS) if is_modulus(path) else (path,)
+    return overlaps and any(known.of(path) is not None for change in event.changes for path in alike(change.path))

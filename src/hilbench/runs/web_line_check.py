@@ -12,9 +12,8 @@ from hilbench.plant.parameters import per_item
 from hilbench.runs.config import ExperimentConfig, LoadedConfig
 from hilbench.runs.prospect import Move, State, start_of
 from hilbench.strict_yaml import Location
-from hilbench.topology.quantities import YOUNGS_MODULUS
 from hilbench.topology.safety import Limit
-from hilbench.topology.web_line_quantities import modulus_of_span
+from hilbench.topology.web_line_quantities import YOUNGS_MODULUS, modulus_of_span
 
 #: A difference that makes no other operating point.
 _SAME_SPEED_M_S = 0.05

@@ -6,8 +6,7 @@ from collections.abc import Mapping
 
 from hilbench.bench.tasks.imitated_web import imitated_web
 from hilbench.runs.config import ExperimentConfig
-from hilbench.topology.quantities import YOUNGS_MODULUS
-from hilbench.topology.web_line_quantities import is_modulus, moduli
+from hilbench.topology.web_line_quantities import YOUNGS_MODULUS, is_modulus, moduli
 
 
 def start_moduli_Pa(config: ExperimentConfig) -> dict[str, float]:

@@ -25,8 +25,6 @@ from hilbench.plant.servo_axis.parameters import ServoAxisParameters, ShaftParam
 from hilbench.plant.servo_axis.rig import ServoRigParameters
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.rig import CoupledMotor, RigParameters
-from hilbench.plant.web_line.sections import axes_before_spans, first_spans
-from hilbench.plant.web_line.stations import Reel, reel_name
 from hilbench.prediction.config import PredictionConfig
 from hilbench.real_time import ProcessSettings
 from hilbench.topology.live_config import LiveDiagnosisConfig
@@ -43,6 +41,7 @@ from hilbench.topology.web_line_config import (
     span_misfits,
     stations_misfit,
 )
+from hilbench.topology.web_line_shape import web_line_shape
 
 Pace = Literal["lockstep", "realtime"]
 Mirroring = Literal["listen", "copy"]
@@ -481,36 +480,10 @@ class BenchConfig(Block):
     @property
     def shape(self) -> Shape:
         """What there are several of."""
-        machine = self.machine
-        if isinstance(machine, ModelParameters) and machine.stations is not None:
-            return self._shape_of_stations(machine)
-        return Shape(
-            machine.axis_count,
-            tuple(self.load_motors),
-            machine.span_count,
-            tuple(self.twin.by_span(machine.span_count)),
-            tuple(sorted(control.span for control in self.controllers.values())),
-        )
-
-    def _shape_of_stations(self, machine: ModelParameters) -> Shape:
-        """Of a line with more than driven rollers: the twin tells the tension of each section once, and where there is
-        a controller."""
-        controlled = tuple(sorted(control.span for control in self.controllers.values()))
-        before, rollers = axes_before_spans(machine), machine.line_rollers
-        of_controls = {before[span - 1] for span in controlled}
-        others = [span for span in first_spans(machine) if before[span - 1] not in of_controls]
-        return Shape(
-            machine.axis_count,
-            tuple(self.load_motors),
-            machine.span_count,
-            controlled,
-            controlled,
-            axes_before=before,
-            told=tuple(sorted([*controlled, *others])),
-            carriages=tuple(carriage.station.name for carriage in machine.carriages),
-            reels=tuple(reel_name(roller.station) for roller in rollers if isinstance(roller.station, Reel)),
-            measured=tuple(self.load.measured),
-        )
+        machine, motors = self.machine, tuple(self.load_motors)
+        if not isinstance(machine, ModelParameters):
+            return Shape(machine.axis_count, motors)
+        return web_line_shape(machine, motors, self.twin, self.controllers.values(), self.load.measured)
 
     @property
     def signals(self) -> tuple[Signal, ...]:

@@ -33,7 +33,6 @@ from hilbench.topology.signals import Shape
 
 LINE_SPEED = "line_speed_m_s"
 TENSION_SET_POINT = "tension_control.set_point_N"
-YOUNGS_MODULUS = "load.web.youngs_modulus_Pa"
 TENSION_PROBE = "tension_control.probe"
 WEB_BROKEN = "load.web.broken"
 MODEL_CHANGE = "twin.model_change"
@@ -86,7 +85,7 @@ _PLAIN_OF = {
     MachineKind.WEB_LINE: {
         LINE_SPEED: Permitted(-100.0, 100.0, "m/s"),
         TENSION_SET_POINT: Permitted(0.0, 1e5, "N"),
-        YOUNGS_MODULUS: Permitted(LEAST_MODULUS_Pa, LARGEST_MODULUS_Pa, "Pa"),
+        numbered.YOUNGS_MODULUS: Permitted(LEAST_MODULUS_Pa, LARGEST_MODULUS_Pa, "Pa"),
         WEB_BROKEN: Permitted(0.0, 1.0, "1", only_ends=True),
         TENSION_PROBE: Permitted(0.0, 1.0, "1", only_ends=True),
         MODEL_CHANGE: Permitted(0.0, 1.0, "1", only_ends=True),
@@ -188,7 +187,7 @@ def plain_paths(kind: MachineKind, shape: Shape) -> tuple[str, ...]:
     """The quantities of a machine, without those of its effects."""
     several = {
         TENSION_SET_POINT: [tension_set_point(shape.numbered(span)) for span in shape.controlled],
-        YOUNGS_MODULUS: [YOUNGS_MODULUS, *numbered.moduli(shape)],
+        numbered.YOUNGS_MODULUS: [numbered.YOUNGS_MODULUS, *numbered.moduli(shape)],
     }
     return tuple(path for known in _PLAIN_OF[kind] for path in several.get(known, [known]))
 
@@ -243,7 +242,7 @@ def rampable_path(text: str) -> str:
 def permitted(path: str) -> Permitted:
     """What values a quantity may have. Raises ValueError for an unknown path."""
     if is_plain(path):
-        return _PLAIN.get(path, _PLAIN[YOUNGS_MODULUS if numbered.is_modulus(path) else TENSION_SET_POINT])
+        return _PLAIN.get(path, _PLAIN[numbered.YOUNGS_MODULUS if numbered.is_modulus(path) else TENSION_SET_POINT])
     of = parse_effect_path(path)
     parameter = find_effect(of.effect, of.kind).parameter(of.parameter)
     return Permitted(parameter.lower, parameter.upper, parameter.unit)

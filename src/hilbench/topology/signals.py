@@ -76,23 +76,23 @@ class Shape:
         """Whether there is more than driven rollers."""
         return self.spans > max(self.axes - 1, 0)
 
-    def axis_before(self, span: int) -> int:
-        """Number of the driven axis before a span; the one behind it is the next."""
-        return self.axes_before[span - 1] if self.axes_before else span
+    def axis_before(self, number: int) -> int:
+        """Number of the driven axis before the span of that number; the one behind it is the next."""
+        return self.axes_before[number - 1] if self.axes_before else number
 
     @property
     def simulated(self) -> tuple[int, ...]:
         """The spans whose tension the twin tells."""
         return self.told or tuple(range(1, self.spans + 1))
 
-    def numbered(self, span: int) -> str:
+    def numbered(self, number: int) -> str:
         """The number of a span as it stands in names: none where there is only one."""
-        return str(span) if self.spans > 1 else ""
+        return str(number) if self.spans > 1 else ""
 
-    def shows(self, span: int) -> int:
+    def shows(self, number: int) -> int:
         """The span whose estimate a span goes by: itself, or the nearest at which something is estimated; of two the
         one before it, whose web comes in."""
-        return min(self.estimated, key=lambda other: (abs(other - span), other))
+        return min(self.estimated, key=lambda other: (abs(other - number), other))
 
     def _parts(self, per: Per) -> Iterable[str]:
         named: Mapping[Per, Iterable[str]] = {
@@ -120,8 +120,8 @@ class Shape:
             return
         for part in self._parts(kind.per):
             if kind.per.is_of_span:
-                span = int(part)
-                yield kind.of(part, number=self.numbered(span), behind=str(self.axis_before(span) + 1))
+                number = int(part)
+                yield kind.of(part, number=self.numbered(number), behind=str(self.axis_before(number) + 1))
             else:
                 yield kind.of(part)
 

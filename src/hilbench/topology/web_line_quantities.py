@@ -6,6 +6,9 @@ import re
 
 from hilbench.topology.signals import Shape
 
+#: E of the imitated web, in all spans.
+YOUNGS_MODULUS = "load.web.youngs_modulus_Pa"
+
 _MODULUS = re.compile(r"load\.web\.span([1-9]\d{0,3})\.youngs_modulus_Pa")
 
 
@@ -28,3 +31,8 @@ def is_modulus(path: str) -> bool:
 def moduli(shape: Shape) -> list[str]:
     """The paths of E of each span of a line; none where there is one span."""
     return [modulus_of_span(span) for span in range(1, shape.spans + 1)] if shape.spans > 1 else []
+
+
+def alike(path: str) -> tuple[str, ...]:
+    """The paths under which a quantity may have been set: E of a span also with that of all."""
+    return (path, YOUNGS_MODULUS) if is_modulus(path) else (path,)

@@ -45,6 +45,6 @@ def _twin(config: BenchConfig) -> TwinConfig:
     probes = any(control.probes.mode != "off" for control in config.tension_controls.values())
     if not probes or twin.known_change is not None:
         return twin
-    one_span, behind = config.shape.spans == 1, list(config.drives.values())[1]
-    deviation_pct = _SIMULATED_LOOP_PCT if one_span and behind.simulated else None
+    alone, behind = config.shape.spans == 1, list(config.drives.values())[1]
+    deviation_pct = _SIMULATED_LOOP_PCT if alone and behind.simulated else None
     return twin.model_copy(update={"known_change": KnownChangeConfig(loop_gain_deviation_pct=deviation_pct)})

@@ -16,11 +16,11 @@ from hilbench.topology.quantities import (
     SPEED,
     TENSION_PROBE,
     TENSION_SET_POINT,
-    YOUNGS_MODULUS,
     permitted,
     tension_set_point,
 )
 from hilbench.topology.safety import Limit
+from hilbench.topology.web_line_quantities import YOUNGS_MODULUS
 
 #: Sub-index of 2200h, given once and for all, and name in the EDS file of each quantity, by path.
 OPERATOR_OBJECTS: Final = {

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Final
 
 from hilbench.topology.config import BenchConfig
-from hilbench.topology.quantities import YOUNGS_MODULUS, tension_set_point
-from hilbench.topology.web_line_quantities import modulus_of_span
+from hilbench.topology.quantities import tension_set_point
+from hilbench.topology.web_line_quantities import YOUNGS_MODULUS, modulus_of_span
 
 _FIRST_SET_POINT: Final = 15  #: sub-index of 2200h before that of span 1 on a line of several spans
 _FIRST_MODULUS: Final = 31  #: sub-index before that of E of span 1

@@ -23,9 +23,9 @@ from hilbench.prediction.plan import Asked, Move
 from hilbench.prediction.web_line import kernel
 from hilbench.prediction.web_line.futures import LineCourses, LineFutures, LinePresent, Offsets
 from hilbench.topology.config import BenchConfig
-from hilbench.topology.quantities import LINE_SPEED, YOUNGS_MODULUS, tension_set_point
+from hilbench.topology.quantities import LINE_SPEED, tension_set_point
 from hilbench.topology.sample import CycleSample
-from hilbench.topology.web_line_quantities import modulus_of_span
+from hilbench.topology.web_line_quantities import YOUNGS_MODULUS, modulus_of_span
 
 Array = NDArray[np.float64]
 

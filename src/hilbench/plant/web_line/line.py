@@ -116,7 +116,7 @@ class Line(SimulatedLine):
         back, weights = self._over[samples]
         places = (int(self._state.item(lay.S_COUNT)) + back) % lay.RING
         past = self._layout.past_torques(self._state)
-        return np.asarray(past[np.ix_(self._driven, places)] @ weights, np.float64)
+        return np.asarray(past[np.array(self._driven)[:, None], places] @ weights, np.float64)
 
     @property
     def x_m(self) -> Vector:

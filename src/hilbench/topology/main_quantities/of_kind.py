@@ -7,9 +7,7 @@ from functools import cache
 
 from hilbench.topology.main_quantities import servo_axis, web_line
 from hilbench.topology.main_quantities.quantity import MainQuantity
-from hilbench.topology.quantities import span_of_set_point
 from hilbench.topology.signals import SMALLEST, Shape, shape_of
-from hilbench.topology.web_line_quantities import span_of_modulus
 
 
 def main_quantities(kind: str, shape: Shape) -> tuple[MainQuantity, ...]:
@@ -20,12 +18,9 @@ def main_quantities(kind: str, shape: Shape) -> tuple[MainQuantity, ...]:
 @cache
 def find_quantity(path: str) -> MainQuantity | None:
     """The main quantity with a path; None for one that is none, as a parameter of an effect."""
-    span = span_of_set_point(path)
-    if span is not None:
-        return web_line.set_point(span)
-    span = span_of_modulus(path)
-    if span:
-        return web_line.modulus(span)
+    numbered = web_line.numbered(path)
+    if numbered is not None:
+        return numbered
     known = (each for kind, shape in SMALLEST.items() for each in main_quantities(kind, shape))
     return next((each for each in known if each.path == path), None)
 

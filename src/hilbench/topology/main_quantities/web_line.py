@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Final
 
 from hilbench.topology.main_quantities.quantity import MainQuantity
-from hilbench.topology.quantities import LINE_SPEED, YOUNGS_MODULUS, tension_set_point
+from hilbench.topology.quantities import LINE_SPEED, span_of_set_point, tension_set_point
 from hilbench.topology.signals import Shape
-from hilbench.topology.web_line_quantities import modulus_of_span
+from hilbench.topology.web_line_quantities import YOUNGS_MODULUS, modulus_of_span, span_of_modulus
 
 
 def line_speed(axes: int) -> MainQuantity:
@@ -45,6 +45,15 @@ def modulus(number: str = "") -> MainQuantity:
         si_per_shown=1e6,
         imitated=True,
     )
+
+
+def numbered(path: str) -> MainQuantity | None:
+    """The set-point or E of one span, by its path; None for another path."""
+    span = span_of_set_point(path)
+    if span is not None:
+        return set_point(span)
+    span = span_of_modulus(path)
+    return modulus(span) if span else None
 
 
 def quantities(shape: Shape) -> tuple[MainQuantity, ...]:

@@ -8,9 +8,9 @@ from hilbench.plant.servo_axis.parameters import ServoAxisParameters
 from hilbench.topology.config import MachineParameters, TwinConfig
 from hilbench.topology.signals import Shape
 from hilbench.twin.machines import web_line
-from hilbench.twin.machines.line_with_stations import LineWithStationsTwin
 from hilbench.twin.machines.machine import Told, TwinMachine
 from hilbench.twin.machines.servo_axis import ServoAxisTwin
+from hilbench.twin.machines.web_line_with_stations import LineWithStationsTwin
 
 _WARM_UP_CYCLES = 100
 

@@ -1,0 +1,49 @@
+"""What a web line's bench has several of."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+from hilbench.estimation.web_line.config import EstimationConfig
+from hilbench.plant.web_line.parameters import ModelParameters
+from hilbench.plant.web_line.sections import axes_before_spans, first_spans
+from hilbench.plant.web_line.stations import Reel, reel_name
+from hilbench.topology.signals import Shape
+from hilbench.topology.web_line_config import TensionControlConfig
+
+
+def web_line_shape(
+    machine: ModelParameters,
+    load_motors: tuple[str, ...],
+    twin: EstimationConfig,
+    controllers: Iterable[TensionControlConfig],
+    measured: Sequence[str],
+) -> Shape:
+    """Of a line with these load motors, this twin, these controllers, and sensors of these stations."""
+    controlled = tuple(sorted(control.span for control in controllers))
+    if machine.stations is None:
+        spans = machine.span_count
+        return Shape(machine.axis_count, load_motors, spans, tuple(twin.by_span(spans)), controlled)
+    return _with_stations(machine, load_motors, controlled, measured)
+
+
+def _with_stations(
+    machine: ModelParameters, load_motors: tuple[str, ...], controlled: tuple[int, ...], measured: Sequence[str]
+) -> Shape:
+    """Of a line with more than driven rollers: the twin tells the tension of each section once, and where there is a
+    controller."""
+    before, rollers = axes_before_spans(machine), machine.line_rollers
+    of_controls = {before[span - 1] for span in controlled}
+    others = [span for span in first_spans(machine) if before[span - 1] not in of_controls]
+    return Shape(
+        machine.axis_count,
+        load_motors,
+        machine.span_count,
+        controlled,
+        controlled,
+        axes_before=before,
+        told=tuple(sorted([*controlled, *others])),
+        carriages=tuple(carriage.station.name for carriage in machine.carriages),
+        reels=tuple(reel_name(roller.station) for roller in rollers if isinstance(roller.station, Reel)),
+        measured=tuple(measured),
+    )
