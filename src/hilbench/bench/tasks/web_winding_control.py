@@ -12,6 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import copysign, pi
 
+from hilbench.plant.parameters import per_item
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.stations import Accumulator, Dancer, LineCarriage, Reel
 
@@ -40,7 +41,8 @@ class ReelMechanics:
         return cls(
             side=-1.0 if reel.type == "unwinder" else 1.0,
             gear_ratio=model.gear_ratio(axis),
-            empty_kg_m2=model.mass_kg(axis) * model.radius_m(axis) ** 2,
+            empty_kg_m2=per_item(model.rollers.inertia_kg_m2, axis)
+            + model.gear_ratio(axis) ** 2 * per_item(model.motors.inertia_kg_m2, axis),
             core_radius_m=reel.core_radius_m,
             web_kg_per_m3_m=reel.density_kg_m3 * width_m,
         )
@@ -56,8 +58,7 @@ class ReelMechanics:
 
 
 def _thickness_m(model: ModelParameters, span: int) -> float:
-    thickness = model.required_web.thickness_m
-    return thickness[span - 1] if isinstance(thickness, list) else thickness
+    return per_item(model.required_web.thickness_m, span)
 
 
 class ReelTension:
