@@ -2,6 +2,7 @@
 
     python tools/published_lines.py                        print the table
     python tools/published_lines.py --write docs/lines.md  write it into the page
+    python tools/published_lines.py --pictures docs/images drawings of the lines
 
 The lines are the models in bench_configs/published, stepped by `hilbench.plant`. A deviation is the largest |F - F_ref|
 of the tension that the paper shows, over its set-point. Papers print no gains of Koç's PID; those here are tuned to
@@ -12,6 +13,7 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import dataclass
+from importlib import resources
 from math import copysign, cos, pi
 from pathlib import Path
 
@@ -26,6 +28,7 @@ from hilbench.plant.motor_port import MotorMode, MotorPort
 from hilbench.plant.parameters import per_item
 from hilbench.plant.web_line.line import Line
 from hilbench.plant.web_line.parameters import ModelParameters, load_model
+from hilbench.report.line_drawing import LineNotes, drawing
 from hilbench.topology.quantities import LINE_SPEED
 from hilbench.topology.sample import CycleSample
 from hilbench.topology.web_line_config import TensionControlConfig
@@ -334,16 +337,23 @@ def table() -> str:
 
 
 def main() -> None:
-    """Print the table, or write it into a page."""
+    """Print the table, write it into a page, or draw the lines."""
     import docs_page  # beside this file
+    from report_pictures import standalone
 
     parser = argparse.ArgumentParser(description="published web lines here")
     parser.add_argument("--write", type=Path, metavar="PAGE", help="page into which the table goes")
-    page = parser.parse_args().write
-    if page is None:
-        print(table())
+    parser.add_argument("--pictures", type=Path, metavar="FOLDER", help="draw the lines there instead")
+    given = parser.parse_args()
+    if given.pictures is not None:
+        page_css = resources.files("hilbench.report").joinpath("page.css").read_text(encoding="utf-8")
+        for name in ("koc_2002", "giannoccaro_2016", "kuhm_2012"):
+            svg = drawing(load_model(FOLDER / f"{name}.yaml"), LineNotes()).svg
+            given.pictures.joinpath(f"{name}.svg").write_text(standalone(svg, page_css), encoding="utf-8")
+    elif given.write is not None:
+        docs_page.put(given.write, "published", table())
     else:
-        docs_page.put(page, "published", table())
+        print(table())
 
 
 if __name__ == "__main__":

@@ -13,6 +13,7 @@ from pathlib import Path
 from hilbench.diagnosis.synchronization import reference_estimate
 from hilbench.report.found import found_pictures
 from hilbench.report.html import marks_of
+from hilbench.report.line_drawing import line_picture
 from hilbench.report.plots import run_pictures, zooms
 from hilbench.results.recording import read_recording
 from hilbench.results.result import Result
@@ -37,7 +38,8 @@ def main() -> None:
     result = Result.read(run.result)
     marks = marks_of(result, recording)
     pictures = run_pictures(recording, marks, reference_Pa)
-    for picture in [*found_pictures(result), *pictures, *zooms(pictures, marks)]:
+    line = line_picture(run.config, recording)
+    for picture in [*line, *found_pictures(result), *pictures, *zooms(pictures, marks)]:
         name = re.sub(r"[^a-z0-9]+", "_", picture.title.lower()).strip("_")
         path = folder / f"{name}.svg"
         path.write_text(standalone(picture.svg, page_css), encoding="utf-8")

@@ -8,6 +8,7 @@ from pathlib import Path
 from hilbench.errors import UnusableInputError
 from hilbench.report.chart import Mark
 from hilbench.report.found import COLUMNS, found_pictures, found_rows
+from hilbench.report.line_drawing import line_picture
 from hilbench.report.machines.kinds import pictures_of
 from hilbench.report.page import number, quantity, write_page
 from hilbench.report.plots import draw_histogram, run_pictures, zooms
@@ -46,6 +47,7 @@ def write_report(run_folder: RunFolder) -> Path:
         summary=_summary(result),
         reason_of=_reason,
         faults=[(number(fault.time_s, 6), fault.source, fault.text) for fault in result.faults],
+        line=line_picture(run_folder.config, recording),
         pictures=[*pictures, *zooms(pictures, marks)],
         found_pictures=found_pictures(result),
         found_columns=COLUMNS,

@@ -48,7 +48,7 @@ def tasks(config: BenchConfig, state: BenchState) -> MachineTasks:
     }
     loops: dict[int, TensionTask] = {}
     plan = FeedForwardTask(sections, cycle_s, line_speed, loops, ways) if ways else None
-    leading = LeadingAxis(drives[-1], len(drives), line_speed, plan)
+    leading = LeadingAxis(drives[-1], len(drives), line_speed)
     axes: list[LeadingAxis | FollowingAxis | TensionTask] = [leading]
     trusts: list[TwinTrust] = []
     for axis in range(model.axis_count - 1, 0, -1):
@@ -161,12 +161,10 @@ class BoundaryTask(CyclicTask):
 class LeadingAxis(CyclicTask):
     """The last axis follows the line speed."""
 
-    def __init__(self, drive: str, axis: int, line_speed: Reference, ahead: FeedForwardTask | None) -> None:
+    def __init__(self, drive: str, axis: int, line_speed: Reference) -> None:
         self._drive = drive
-        self._axis = axis
         self._command = f"v{axis}_cmd_m_s"
         self._line_speed = line_speed
-        self._ahead = ahead
 
     @property
     def speed_m_s(self) -> float:
@@ -180,9 +178,8 @@ class LeadingAxis(CyclicTask):
 
     def before(self, sample: CycleSample, outputs: Outputs) -> None:
         """Velocity of the axis, m/s at the web."""
-        lead_m_s = self._ahead.lead_m_s(self._axis) if self._ahead else 0.0
-        outputs[self._drive] = command_m_s = self.speed_m_s + lead_m_s
-        setattr(sample, self._command, command_m_s)
+        outputs[self._drive] = self.speed_m_s
+        setattr(sample, self._command, self.speed_m_s)
 
 
 class FollowingAxis(CyclicTask):

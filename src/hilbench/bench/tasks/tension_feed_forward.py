@@ -13,6 +13,7 @@ and only there.
 A roller held by a velocity loop u → kp·(u - v) + ki·∫(u - v) gives way to a force until the integral has taken it up.
 For a force f that is known (m·a at a ramp, the difference of the wanted tensions, with what a change of E that the twin
 has found makes of them) the command that keeps v as planned leads it by (f - f')/kp, f' being f behind a lag of kp/ki.
+The last roller is told the line's speed and no more: by what it gives way the others are told to go with it.
 """
 
 from __future__ import annotations
@@ -199,6 +200,9 @@ class FeedForwardTask(CyclicTask):
                 for span, sign in self._pulled.get(axis, ())
             )
             self._leads_m_s[axis] = roller.lead_m_s(acceleration_m_s2, pull_N)
+        leading_m_s = next(iter(self._leads_m_s.values()))
+        for axis in self._leads_m_s:
+            self._leads_m_s[axis] -= leading_m_s
 
     def rest(self, sample: CycleSample, outputs: Outputs) -> None:
         """Nothing turns: the web is strained as upstream, and the ways begin there."""
