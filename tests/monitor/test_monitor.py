@@ -29,7 +29,7 @@ from hilbench.results.run import run_experiment
 from hilbench.results.trace import TraceReader
 from hilbench.runs.config import load, load_with_overrides
 from hilbench.topology.config import BenchConfig
-from hilbench.topology.signals import SMALLEST
+from hilbench.topology.signals import SMALLEST, Shape
 
 SHIPPED = Path(__file__).resolve().parents[2] / "bench_configs" / "web_section_step.yaml"
 
@@ -343,6 +343,16 @@ def test_the_dashboard_says_it_instead_of_old_values(bench: BenchConfig, patient
     assert runs[0].startswith("tension: 178.0 N")
     assert runs[1:] == ("OPERATION ENABLED", "1.000")
     assert stopped == ("tension: E-STOP", "E-STOP", "-")
+
+
+def test_of_a_line_the_trends_have_the_tension_of_every_span_controlled_or_not() -> None:
+    shape = Shape(axes=4, load_motors=(), spans=3, estimated=(3,), controlled=(1, 3))
+    found = {trend.signal: trend.unit for trend in trends_of(MachineKind.WEB_LINE, shape)}
+    assert {signal: found[signal] for signal in ("F1_sim_N", "F2_sim_N", "F3_sim_N")} == {
+        "F1_sim_N": "N",
+        "F2_sim_N": "N",
+        "F3_sim_N": "N",
+    }
 
 
 def test_of_a_servo_axis_the_trends_are_its_inertia_and_friction() -> None:
