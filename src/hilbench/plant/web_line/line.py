@@ -23,9 +23,9 @@ from hilbench.plant.web_line.simulated import (
     KIND,
     FurtherState,
     SimulatedLine,
+    checked_positive,
+    moduli_by_name,
     modulus_names,
-    modulus_Pa,
-    set_modulus,
 )
 from hilbench.plant.web_line.stations import Reel, reel_name
 
@@ -59,7 +59,7 @@ class Line(SimulatedLine):
             _radii(parameters),
             _forces(parameters),
         )
-        self._moduli = frozenset(quantity.name for quantity in modulus_names(self._layout.spans))
+        self._moduli = moduli_by_name(self._p)
         self._inputs[lay.U_STRAIN_PREV] = parameters.upstream_strain
         self._inputs[lay.U_F_NEXT_N] = parameters.boundary.downstream_tension_N
         self._over: dict[int, tuple[NDArray[np.int64], Vector]] = {}  # times over which torques are compared
@@ -68,9 +68,10 @@ class Line(SimulatedLine):
 
     def set_parameter(self, name: str, value: float) -> None:
         """Give a parameter a value from now on. Raises ValueError for an unknown name or an impossible value."""
-        if name in self._moduli:
-            set_modulus(self._p, name, value)
-            self._parameters |= {known: modulus_Pa(self._p, known) for known in self._moduli}
+        modulus_Pa = self._moduli.get(name)
+        if modulus_Pa is not None:  # in every cycle of a twin
+            modulus_Pa[:] = checked_positive(name, value, "Pa")
+            self._parameters |= {known: view.item(0) for known, view in self._moduli.items()}
             return
         checked_name("parameter", name, self._description.parameters)
         axis = list(self._parameters).index(name) + 1  # the inertias come first
@@ -137,8 +138,8 @@ def _values(parameters: ModelParameters) -> dict[Quantity, float]:
         for k in range(1, parameters.axis_count + 1)
     }
     if parameters.web is not None:
-        p = lay.pack(parameters)
-        values |= {known: modulus_Pa(p, known.name) for known in modulus_names(parameters.span_count)}
+        moduli = moduli_by_name(lay.pack(parameters))
+        values |= {known: moduli[known.name].item(0) for known in modulus_names(parameters.span_count)}
     return values
 
 

@@ -88,21 +88,11 @@ def modulus_names(spans: int) -> tuple[Quantity, ...]:
     return (YOUNGS_MODULUS, *each) if spans > 1 else (YOUNGS_MODULUS,) * spans
 
 
-def modulus_Pa(p: Vector, name: str) -> float:
-    """E in a parameter vector (P,), by the name of `modulus_names`; that of all spans is told of the first."""
-    return float(_moduli(p, name)[0])
-
-
-def set_modulus(p: Vector, name: str, value: float) -> None:
-    """Give the web another E, by the name of `modulus_names`. Raises ValueError for one that is not above 0."""
-    _moduli(p, name)[:] = checked_positive(name, value, "Pa")
-
-
-def _moduli(p: Vector, name: str) -> Vector:
-    """View of the moduli that a name is for."""
+def moduli_by_name(p: Vector) -> dict[str, Vector]:
+    """E in a parameter vector (P,), by the names of `modulus_names`: views of all spans (K,) or of one (1,)."""
     moduli: Vector = Layout.of(p).span_rows(p)[:, lay.SP_MODULUS_PA]
-    span = name.removesuffix(YOUNGS_MODULUS.name).removeprefix("span").removesuffix(".")
-    return moduli[int(span) - 1 : int(span)] if span else moduli
+    views = (moduli, *(moduli[k : k + 1] for k in range(len(moduli))))
+    return {quantity.name: view for quantity, view in zip(modulus_names(len(moduli)), views, strict=False)}
 
 
 def known_effect(effect_id: str) -> Effect:

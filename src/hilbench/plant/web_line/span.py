@@ -21,11 +21,11 @@ from hilbench.plant.web_line.simulated import (
     KIND,
     axis_names,
     boundary_names,
+    checked_positive,
     known_effect,
+    moduli_by_name,
     modulus_names,
-    modulus_Pa,
     set_effect,
-    set_modulus,
     span_names,
 )
 from hilbench.plant.web_line.stations import ONLY_DRIVEN
@@ -224,6 +224,7 @@ class SpanFollower:
         self.parameters = parameters.model_copy(update={"web": parameters.required_web})
         self._p = lay.pack(parameters)
         self._layout = Layout.of(self._p)
+        self._moduli = moduli_by_name(self._p)
         n, k = self._layout.axes, self._layout.spans
         self._work = new_follower_work(self._layout)
         self._state = np.zeros(follower_size(self._layout))
@@ -405,8 +406,11 @@ class SpanFollower:
 
     def parameter(self, name: str) -> float:
         """Present value of a parameter. Raises ValueError for an unknown name."""
+        modulus_Pa = self._moduli.get(name)
+        if modulus_Pa is not None:  # in every cycle of a twin
+            return float(modulus_Pa.item(0))
         checked_name("parameter", name, self._description.parameters)
-        return float(self._broken) if name == BROKEN.name else modulus_Pa(self._p, name)
+        return float(self._broken)
 
     def set_parameter(self, name: str, value: float) -> None:
         """Give a parameter a value from now on; strains stay, so a new E makes the tensions jump.
@@ -419,7 +423,7 @@ class SpanFollower:
                 raise ValueError(f"{name} = {value!r}, expected 0 or 1")
             self._broken = value != 0.0
         else:
-            set_modulus(self._p, name, value)
+            self._moduli[name][:] = checked_positive(name, value, "Pa")
             self._stale = True
 
     def set_input(self, name: str, value: float) -> None:
