@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 from tests.cli.in_process import hilbench
 
+from hilbench.bench.bench import Bench
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.results.recording import read_recording
 from hilbench.results.run import run_experiment
@@ -73,6 +77,37 @@ def test_a_run_that_still_goes_on_is_read_from_its_trace(run: Path, tmp_path: Pa
             same["courses"][signal]["median"],  # type: ignore[index]
             abs=0.05,
         )
+
+
+def test_a_bench_that_runs_is_asked_on_its_bus(tmp_path: Path) -> None:
+    address = f"embedded:what-if-{os.getpid()}"
+    config = load_with_overrides(CONFIG, bus=address).config
+    with Bench(config, work_folder=tmp_path) as bench:
+        bench.ramp("line_speed_m_s", 2.0, 1.0)
+        bench.set("tension_control.set_point_N", 90.0)
+        bench.run(1.0)
+        asked = ("--set", "tension_control.set_point_N=100", "--horizon", "2", "--json")
+        command = [sys.executable, "-m", "hilbench.cli", "what-if", str(CONFIG), "--bus", address, *asked]
+        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+            while process.poll() is None:
+                bench.cycle()
+            answer = json.loads(process.stdout.read() if process.stdout else "")
+        bench.set("tension_control.set_point_N", 100.0)
+        bench.run(1.9)
+        came_N = bench.last.F_true_N
+        bench.ramp("line_speed_m_s", 0.0, 1.0)
+    (move,) = answer["asked"]
+    assert (move["before"], move["to"]) == (90.0, 100.0)
+    tensions_N = answer["courses"]["F_true_N"]["median"]
+    assert 90.0 < tensions_N[0] < 98.0
+    assert tensions_N[-1] == pytest.approx(came_N, abs=1.0)
+    assert answer["courses"]["v2_m_s"]["median"][-1] == pytest.approx(2.0, abs=0.05)
+
+
+def test_a_bus_without_a_bench_is_refused_in_one_line() -> None:
+    done = hilbench("what-if", CONFIG, "--bus", f"embedded:nobody-{os.getpid()}", "--set", "line_speed_m_s=3")
+    assert done.returncode == 2
+    assert "no SYNC within 5 s, expected a bench that runs" in done.stderr
 
 
 def test_the_terminal_shows_numbers_and_courses_and_the_page_is_written(run: Path, tmp_path: Path) -> None:

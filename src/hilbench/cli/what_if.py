@@ -7,16 +7,24 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hilbench.cli.options import JsonOption
+from hilbench.cli.options import BusOption, JsonOption
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from hilbench.results.recording import Recording
     from hilbench.results.what_if import Answer
+    from hilbench.runs.config import ExperimentConfig
 
 
 def what_if(
-    run: Annotated[Path, typer.Argument(metavar="RUN", help="run folder, of a run that has ended or still goes on")],
+    run: Annotated[
+        Path,
+        typer.Argument(
+            metavar="RUN",
+            help="run folder, of a run that has ended or still goes on; or the config (YAML) of a bench that runs",
+        ),
+    ],
     asked: Annotated[
         list[str],
         typer.Option(
@@ -40,41 +48,77 @@ def what_if(
     ] = None,
     futures: Annotated[int, typer.Option("--futures", min=16, max=1024, help="how many to draw")] = 64,
     out: Annotated[Path | None, typer.Option("--out", help="page with all courses (HTML)")] = None,
+    bus: BusOption = None,
     json: JsonOption = False,
 ) -> None:
     """Look ahead: tension, torques and speeds to come, with bands, if something were asked for; nothing is moved.
 
-    The futures start from what the run's recording has, or the trace of a run that still goes on; the rest of its
-    experiment is not in them.
+    The futures start from what the run's recording has, or the trace of a run that still goes on; of a config, from
+    what is heard on the bus of the bench that runs by it, whose folder may be elsewhere. The rest of the experiment is
+    not in them.
 
     Exit code: 0 looked, whatever is seen; 2 unusable input.
 
     Example: hilbench what-if runs/web_section_step-20260101-120000 --set line_speed_m_s=5 --horizon 10
 
     Example: hilbench what-if runs/web_section_step-20260101-120000 --set line_speed_m_s=5 --out page.html
-    """
-    from hilbench.results.run_folder import RunFolder
-    from hilbench.results.what_if import Question, recorded
-    from hilbench.results.what_if import what_if as answer_to
-    from hilbench.runs.config import load
 
-    folder = RunFolder.open(run)
-    config, _ = load(folder.config)
+    Example: hilbench what-if bench_configs/web_section_step.yaml --set line_speed_m_s=5
+    """
+    from hilbench.results.what_if import Question
+    from hilbench.results.what_if import what_if as answer_to
+
     question = Question(dict(map(_asked, asked)), over, horizon, futures, at)
-    answer = answer_to(config, recorded(folder, config), question, str(run))
+    name, config, recording = _running(run, bus, at) if run.is_file() else _run(run, bus)
+    answer = answer_to(config, recording, question, str(run))
     texts = told(answer)
     if out is not None:
         from hilbench.report.what_if_page import write_what_if_page
 
-        write_what_if_page(answer, texts, folder.name, out)
+        write_what_if_page(answer, texts, name, out)
     if json:
         from json import dumps
 
         print(dumps(_as_object(answer), indent=2))
         return
-    _print(answer, texts)
+    _print(answer, texts, "now" if run.is_file() else f"t = {answer.outlook.now_s:.3f} s")
     if out is not None:
         print(f"page: {out}")
+
+
+def _run(run: Path, bus: str | None) -> tuple[str, ExperimentConfig, Recording]:
+    """Name, config and recording of a run folder."""
+    from hilbench.errors import UnusableInputError
+    from hilbench.results.run_folder import RunFolder
+    from hilbench.results.what_if import recorded
+    from hilbench.runs.config import load
+
+    if bus is not None:
+        raise UnusableInputError("--bus", f"{bus} beside a run folder, expected the config of a bench that runs")
+    folder = RunFolder.open(run)
+    config, _ = load(folder.config)
+    return folder.name, config, recorded(folder, config)
+
+
+def _running(path: Path, bus: str | None, at_s: float | None) -> tuple[str, ExperimentConfig, Recording]:
+    """The same of a bench that runs, as it is heard on its bus."""
+    from contextlib import closing
+
+    from hilbench.can.open import open_link, open_python_can
+    from hilbench.canopen.sdo_client import SDO_ANSWERS, SdoClient
+    from hilbench.errors import UnusableInputError
+    from hilbench.monitor.changes import PATIENCE_S
+    from hilbench.results.heard import heard
+    from hilbench.results.what_if import require_predictable
+    from hilbench.runs.config import load_with_overrides
+
+    if at_s is not None:
+        raise UnusableInputError("--at", f"{at_s:g} s of a bench that runs, expected none: it is asked now")
+    config = load_with_overrides(path, bus=bus).config
+    require_predictable(config, str(path))
+    address = config.bus_address.as_it_runs()
+    with closing(open_link(address)) as link, SdoClient(open_python_can(address, SDO_ANSWERS), PATIENCE_S) as client:
+        return config.name, config, heard(config, link, client)
 
 
 def told(answer: Answer) -> list[str]:
@@ -98,7 +142,7 @@ def _asked(text: str) -> tuple[str, float]:
     raise UnusableInputError("--set", f"'{text}', expected PATH=NUMBER such as line_speed_m_s=5")
 
 
-def _print(answer: Answer, texts: Sequence[str]) -> None:
+def _print(answer: Answer, texts: Sequence[str], when: str) -> None:
     from rich.console import Console
     from rich.table import Table
 
@@ -107,7 +151,7 @@ def _print(answer: Answer, texts: Sequence[str]) -> None:
 
     outlook, console = answer.outlook, Console(highlight=False)
     seconds = outlook.times_s[-1] - outlook.now_s
-    console.print(f"what if, from t = {outlook.now_s:.3f} s on: {', '.join(texts)}", soft_wrap=True)
+    console.print(f"what if, from {when} on: {', '.join(texts)}", soft_wrap=True)
     console.print(f"{seconds:.3g} s in {outlook.rows.shape[1]} futures; bands hold 90 % of them", soft_wrap=True)
     table = Table(box=None, padding=(0, 2, 0, 0))
     table.add_column("quantity", no_wrap=True)

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import fcntl
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from math import nan
 from operator import attrgetter
@@ -119,15 +119,32 @@ def _result(config: ExperimentConfig, found: Recovery, changes: list[Change]) ->
 
 def replay(config: BenchConfig, folder: RunFolder) -> Recovery:
     """Decode the frames of a run as its bench did. Raises UnusableInputError for a trace that shows no two cycles."""
-    nodes = Nodes(config)
     reader = TraceReader(folder.trace)
+    changes = read_journal(folder.journal) if folder.journal.exists() else None
+    found = replay_frames(config, reader, changes, folder.trace)
+    return replace(found, torn=reader.torn)
+
+
+def replay_frames(
+    config: BenchConfig,
+    frames: Iterable[Frame],
+    changes: list[Change] | None,
+    place: str | Path,
+    *,
+    under_way: bool = False,
+) -> Recovery:
+    """Decode the frames of a bench, in the order in which it saw them.
+
+    `changes`: what no frame shows (None: not known); `under_way`: the first frames are not those of the start.
+    Raises UnusableInputError, which names the `place`, for frames that show no two cycles.
+    """
+    nodes = Nodes(config)
     master_id = config.master.node_id
     own = {cob_id for cob_id, _ in _own_frames(nodes)} | {HEARTBEAT + master_id, answer_id(master_id)}
-    cycles = _cycles(reader, own, nodes.axes[0].pdos.rpdo.cob_id)
+    cycles = _cycles(frames, own, nodes.axes[0].pdos.rpdo.cob_id)
     configuration = next(cycles, _Cycle())
     _take_units(nodes, configuration.received)
-    changes = read_journal(folder.journal) if folder.journal.exists() else None
-    decoder = _Decoder(config, nodes, changes)
+    decoder = _Decoder(config, nodes, changes, under_way=under_way)
     bits, count, missed, last_ns, first_ns = 0, 0, 0, 0, 0
     fault = ""
     for cycle in _complete(cycles, nodes):
@@ -145,10 +162,10 @@ def replay(config: BenchConfig, folder: RunFolder) -> Recovery:
     fault = fault or decoder.fault
     if len(decoder.rows) < LEAST_SAMPLES:
         found = f"{len(decoder.rows)} cycle(s) with enabled drives"
-        raise UnusableInputError(folder.trace, f"{found}, expected at least {LEAST_SAMPLES}")
+        raise UnusableInputError(place, f"{found}, expected at least {LEAST_SAMPLES}")
     started = datetime.fromtimestamp(first_ns * _NANOSECOND, UTC)
     recording = decoder.rows.build(started, config.description)
-    return Recovery(recording, started, count, bits, missed, fault, reader.torn)
+    return Recovery(recording, started, count, bits, missed, fault, torn=False)
 
 
 def _cycles(frames: Iterable[Frame], own: set[int], first: int) -> Iterator[_Cycle]:
@@ -217,7 +234,9 @@ class _Decoder:
     they make of the same samples and the same changes is the same again.
     """
 
-    def __init__(self, config: BenchConfig, nodes: Nodes, changes: list[Change] | None) -> None:
+    def __init__(
+        self, config: BenchConfig, nodes: Nodes, changes: list[Change] | None, *, under_way: bool = False
+    ) -> None:
         names = [signal.name for signal in config.signals]
         self.rows = RecordingBuilder(names)
         self.fault = ""  #: what a watch of the machine found
@@ -244,6 +263,7 @@ class _Decoder:
             or (signal.group in ("command", "load") and not signal.integer and signal.name not in shown)
         ]
         self._first: int | None = None
+        self._joins_twin = under_way  # which counts SYNCs from before the first frame
 
     def take(self, cycle: _Cycle) -> int:
         """Decode one cycle; returns the bits on the bus. Raises BenchFaultError as the bench did."""
@@ -258,6 +278,8 @@ class _Decoder:
         sample.cycle += 1
         nodes.decode([*cycle.late, *cycle.received], len(cycle.late))
         nodes.fill(sample)
+        if self._joins_twin and nodes.twin_reported_cycle:
+            state.twin.started_cycle, self._joins_twin = nodes.twin_started(nodes.twin_reported_cycle), False
         sample.twin_age_cycles = nodes.twin_age(sample.cycle - state.twin.started_cycle)
         sync = cycle.sync
         sample.bus_bits = sum(map(frame_bits, [*cycle.sent, *cycle.late, *cycle.received, *([sync] if sync else [])]))
