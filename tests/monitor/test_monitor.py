@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import asyncio
+import struct
 import time
 from pathlib import Path
+from typing import cast
 
 import pytest
 from tests.bench.whole_runs import config
@@ -167,8 +169,87 @@ def test_only_a_confirmed_key_sends(bench: BenchConfig) -> None:
     asyncio.run(asyncio.wait_for(press(), 60.0))
 
 
+#: SDO writes of 1 and of 0 to 2200h:7 and :8 of node 127, and their confirmations.
+YES_NO = {
+    ("p", "y"): ("230022070000803f", "6000220700000000", "probe: yes: set"),
+    ("p", "n"): ("2300220700000000", "6000220700000000", "probe: no: set"),
+    ("c", "y"): ("230022080000803f", "6000220800000000", "model change: yes: set"),
+    ("c", "n"): ("2300220800000000", "6000220800000000", "model change: no: set"),
+    ("p", "escape"): ("", "", ""),
+    ("c", "escape"): ("", "", ""),
+}
+
+
+def test_a_probe_and_a_proposed_model_are_allowed_or_refused_by_two_keys() -> None:
+    changes = ["twin.live_diagnosis={}", "controllers.tension_control.probing=ask", "pace=realtime"]
+    bench = load_with_overrides(SHIPPED, changes=changes).config
+    bus = MemoryBus()
+    ours, theirs = bus.open_link(), bus.open_link()
+    dashboard = dashboard_of(bench, bus, ours)
+
+    async def press() -> None:
+        async with dashboard.run_test(size=(110, 36)) as pilot:
+            log = dashboard.query_one("#faults", Log)
+            for keys, (sent, answer, said) in YES_NO.items():
+                await pilot.press(*keys)
+                heard: list[Frame] = []
+                while sent and not heard:
+                    await pilot.pause(0.05)
+                    heard = theirs.receive(0.0)
+                if answer:
+                    theirs.send([Frame(0x5FF, bytes.fromhex(answer))])
+                while said and not any(said in line for line in log.lines):
+                    await pilot.pause(0.05)
+                await pilot.pause(0.2)
+                heard += theirs.receive(0.0)
+                assert [frame[:2] for frame in heard] == ([(0x67F, bytes.fromhex(sent))] if sent else []), keys
+
+    asyncio.run(asyncio.wait_for(press(), 60.0))
+
+
+def test_keys_of_what_a_bench_has_not_do_not_exist(bench: BenchConfig) -> None:
+    dashboard = dashboard_of(bench, MemoryBus())
+    keys = set(dashboard._bindings.key_to_bindings)
+    assert {"w", "v", "t", "m"} <= keys
+    assert not {"p", "c"} & keys
+
+
+class Node:
+    """A bench's node as who asks it sees it: a set-point of 80 N, E of 8700 N/mm²."""
+
+    def upload(self, node_id: int, index: int, sub: int) -> bytes:
+        return struct.pack("<f", {1: 2.0, 2: 80.0, 3: 8.7e9}[sub])
+
+    def close(self) -> None:
+        """Nothing was opened."""
+
+
+def test_what_would_come_is_said_from_what_the_monitor_has_heard(tmp_path: Path) -> None:
+    steps = [{"ramp": {"path": "line_speed_m_s", "to": 2.0, "duration_s": 1.0}}, {"hold": {"duration_s": 1.0}}]
+    loaded = load_with_overrides(config(tmp_path, steps=steps))
+    outcome = run_experiment(loaded, tmp_path / "runs", participants=Participants.IN_PROCESS)
+    frames = list(TraceReader(outcome.folder.trace))
+    ends = [at for at, frame in enumerate(frames) if frame.can_id == 0x80]
+    requests = ChangeRequests(loaded.config, lambda: cast("SdoClient", Node()))
+    heard = frames[ends[700] : ends[900]]  # 1.4 to 1.8 s after the first SYNC
+    requests.look_ahead(requests.foreseeable["v"], 9.0, heard)
+    (said,) = ended(requests)
+    assert said.startswith("what if line speed 9 m/s: within ")
+    assert "tension of the web" in said
+    # From 2 to 8 m/s at the 3 m/s² at which the bench moves the speed.
+    assert "speed of axis 2 beyond its warning level 8 m/s in 2.0 s, probability 100 %" in said, said
+
+
+def test_nothing_is_foreseen_of_a_bench_that_is_not_heard(bench: BenchConfig) -> None:
+    requests = ChangeRequests(bench, lambda: cast("SdoClient", Node()))
+    requests.look_ahead(requests.foreseeable["t"], 90.0, [])
+    (said,) = ended(requests)
+    assert "expected a bench that runs" in said
+
+
 @pytest.mark.parametrize(
-    "opened", [["t"], ["v", "2"], ["t", "9", "5", "enter"], ["m", "9", "0", "0", "0", "enter"], []]
+    "opened",
+    [["t"], ["v", "2"], ["t", "9", "5", "enter"], ["m", "9", "0", "0", "0", "enter"], ["w"], ["w", "v", "5"], []],
 )
 @pytest.mark.parametrize("confirmed", ["y", "e"])
 def test_the_emergency_stop_works_in_every_dialogue(bench: BenchConfig, opened: list[str], confirmed: str) -> None:

@@ -30,7 +30,9 @@ def monitor(
     It may be started before the bench and stay when it has ended; while no bench runs it says STALE, ENDED or E-STOP
     instead of values. It sends nothing but what a key asks for and a second one confirms: e emergency stop, and a key
     for each quantity of the machine that can be changed (of a web line v line speed, t tension set-point, m E of the
-    imitated web; of a servo axis v speed, m inertia, f friction). With --json it listens for a while and prints what
+    imitated web; of a servo axis v speed, m inertia, f friction). Where the bench has it, p makes, allows or refuses a
+    probe, and c a proposed change of the twin's model. w shows what would come if the speed, the set-point or E went to
+    another value. With --json it listens for a while and prints what
     it heard as one object.
 
     Example: hilbench monitor bench_configs/web_section_step.yaml --bus socketcan:can0

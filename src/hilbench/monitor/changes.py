@@ -1,25 +1,51 @@
-"""Asks a running bench to change a quantity: SDO writes of its node (`hilbench.bench.operator.operator_objects`)."""
+"""Asks a running bench to change a quantity, and what would come if: SDO transfers with its node
+(`hilbench.bench.operator.operator_objects`)."""
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Container, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
 from typing import Final
 
 from canopen import SdoAbortedError, SdoCommunicationError
 from hilbench.bench.machines.ranges import OPERATOR_OBJECTS, operator_ranges
 from hilbench.bench.operator.operator_objects import INDEX
+from hilbench.bench.prediction.web_line import foreseen
+from hilbench.can.frame import Frame
 from hilbench.canopen.data_types import REAL32, data_type
 from hilbench.canopen.object_store import PRESENT_STATE, VALUE_TOO_HIGH, VALUE_TOO_LOW
 from hilbench.canopen.sdo_client import SdoClient
-from hilbench.errors import BusError
+from hilbench.errors import BusError, HilbenchError
+from hilbench.plant.effects import MachineKind
+from hilbench.prediction.outlook import Outlook
+from hilbench.results.heard import from_frames
+from hilbench.results.what_if import Question, what_if
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.main_quantities.of_kind import find_quantity
 from hilbench.topology.main_quantities.quantity import MainQuantity
+from hilbench.topology.quantities import MODEL_CHANGE, TENSION_PROBE
+
+
+@dataclass(frozen=True)
+class Switch:
+    """What a bench is told yes or no: path, key in the monitor, how it is called, and what yes and no mean."""
+
+    path: str
+    key: str
+    title: str
+    yes: str
+    no: str
+
+
+PROBE: Final = Switch(TENSION_PROBE, "p", "probe", "move the tension a little, or allow it", "end or refuse it")
+MODEL: Final = Switch(MODEL_CHANGE, "c", "model change", "the twin goes on with what was proposed", "refuse it")
 
 #: How long the bench may take, s; in lockstep it answers with its next cycle.
 PATIENCE_S: Final = 3.0
+#: Probability from which a crossing to come is told.
+_LIKELY: Final = 0.5
 
 
 class ChangeRequests:
@@ -37,10 +63,24 @@ class ChangeRequests:
         self._ranges = operator_ranges(config)
         known = map(find_quantity, self._ranges)
         self.changeable = {quantity.key: quantity for quantity in known if quantity is not None}  #: by key
+        self.switches = {switch.key: switch for switch in _switches(config)}  #: by key
+        #: Those whose futures can be looked at, by key.
+        self.foreseeable = {
+            key: quantity for key, quantity in self.changeable.items() if quantity.path in _foreseen(config)
+        }
 
     def ask(self, quantity: MainQuantity, value: float) -> None:
         """Ask for a value, in the quantity's unit, as soon as those before it have been answered."""
         self._requests.append(self._thread.submit(self._change, quantity, value))
+
+    def tell(self, switch: Switch, on: bool) -> None:
+        """Say yes or no, as soon as what was asked before has been answered."""
+        asked = f"{switch.title}: {'yes' if on else 'no'}"
+        self._requests.append(self._thread.submit(self._write, switch.path, asked, float(on), "0 or 1"))
+
+    def look_ahead(self, quantity: MainQuantity, value: float, frames: Sequence[Frame]) -> None:
+        """Ask what would come if the quantity went to a value, from the last frames that were heard; nothing moves."""
+        self._requests.append(self._thread.submit(self._looked_ahead, quantity, value, frames))
 
     def ended(self) -> list[str]:
         """A line for each request that has ended since the last call."""
@@ -61,24 +101,67 @@ class ChangeRequests:
             self._client.close()
 
     def _change(self, quantity: MainQuantity, value: float) -> str:
-        asked = f"{quantity.title} {value:g} {quantity.in_unit}"
-        node_id, data = self._config.master.node_id, data_type(REAL32).encode(value * quantity.si_per_shown)
+        low, high = self.range_of(quantity)
+        asked, expected = f"{quantity.title} {value:g} {quantity.in_unit}", f"{low:g} to {high:g} {quantity.in_unit}"
+        return self._write(quantity.path, asked, value * quantity.si_per_shown, expected)
+
+    def _write(self, path: str, asked: str, value: float, expected: str) -> str:
+        """SI; `asked` and `expected`: how the value and what may be asked for are called."""
+        node_id, data = self._config.master.node_id, data_type(REAL32).encode(value)
         try:
-            if self._client is None:
-                self._client = self._open_client()
-            self._client.download(node_id, INDEX, OPERATOR_OBJECTS[quantity.path][0], data)
+            self._joined().download(node_id, INDEX, OPERATOR_OBJECTS[path][0], data)
         except SdoAbortedError as error:
-            return f"{asked}: refused, {self._reason(quantity, error.code)} (abort {error.code:08X}h)"
+            return f"{asked}: refused, {_reason(error.code, expected)} (abort {error.code:08X}h)"
         except SdoCommunicationError:
             return f"{asked}: no answer from the bench (node {node_id})"
         except BusError as error:
             return f"{asked}: NOT SENT: {error}"
         return f"{asked}: set"
 
-    def _reason(self, quantity: MainQuantity, code: int) -> str:
-        if code in (VALUE_TOO_HIGH, VALUE_TOO_LOW):
-            low, high = self.range_of(quantity)
-            return f"expected {low:g} to {high:g} {quantity.in_unit}"
-        if code == PRESENT_STATE:
-            return "the experiment moves it just now, or does not run"
-        return str(SdoAbortedError.CODES.get(code, "unknown code"))
+    def _looked_ahead(self, quantity: MainQuantity, value: float, frames: Sequence[Frame]) -> str:
+        asked = f"what if {quantity.title} {value:g} {quantity.in_unit}"
+        question = Question({quantity.path: value * quantity.si_per_shown})
+        try:
+            recording = from_frames(self._config, frames, self._joined())
+            return f"{asked}: {said(what_if(self._config, recording, question, 'now').outlook)}"
+        except HilbenchError as error:
+            return f"{asked}: {error}"
+
+    def _joined(self) -> SdoClient:
+        if self._client is None:
+            self._client = self._open_client()
+        return self._client
+
+
+def said(outlook: Outlook) -> str:
+    """Tensions and torques to come, and the limits that are crossed more likely than not, in a line."""
+    seconds = outlook.times_s[-1] - outlook.now_s
+    parts = []
+    for place, watched in enumerate(outlook.watched):
+        if watched.unit in ("N", "N·m"):
+            low, _, high = outlook.band(place)
+            parts.append(f"{watched.name} {low.min():.3g} to {high.max():.3g} {watched.unit}")
+    for crossing in outlook.crossings(_LIKELY):
+        when_s, chance = crossing.expected_s - outlook.now_s, 100 * crossing.probability
+        parts.append(f"{crossing} in {when_s:.1f} s, probability {chance:.0f} %")
+    return f"within {seconds:.3g} s {', '.join(parts)}"
+
+
+def _reason(code: int, expected: str) -> str:
+    if code in (VALUE_TOO_HIGH, VALUE_TOO_LOW):
+        return f"expected {expected}"
+    if code == PRESENT_STATE:
+        return "the experiment moves it just now, or does not run"
+    return str(SdoAbortedError.CODES.get(code, "unknown code"))
+
+
+def _switches(config: BenchConfig) -> Iterator[Switch]:
+    """Those that this bench has."""
+    if any(control.probes.mode != "off" for control in config.tension_controls.values()):
+        yield PROBE
+    if config.twin.live_diagnosis is not None:
+        yield MODEL
+
+
+def _foreseen(config: BenchConfig) -> Container[str]:
+    return foreseen(config) if config.machine_kind is MachineKind.WEB_LINE else ()

@@ -1,10 +1,13 @@
 """The dashboard of the monitor: a terminal program that reads its link a few times a second.
 
-It sends nothing but what a key asks for and a second key confirms: an emergency stop, or a change of the running bench.
+It sends nothing but what a key asks for and a second key confirms: an emergency stop, a change of the running bench,
+yes or no to what it proposes, and to look ahead a question of its present values.
 """
 
 from __future__ import annotations
 
+from collections import deque
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from functools import partial
 from math import floor, log10
@@ -17,13 +20,16 @@ from textual.css.query import NoMatches
 from textual.screen import ModalScreen
 from textual.widgets import DataTable, Footer, Input, Log, Sparkline, Static
 
+from hilbench.can.frame import Frame
 from hilbench.can.link import Link
 from hilbench.canopen.emergency_stop import send_emergency_stop
+from hilbench.canopen.identifiers import SYNC
 from hilbench.errors import BusError
-from hilbench.monitor.changes import ChangeRequests
+from hilbench.monitor.changes import ChangeRequests, Switch
 from hilbench.monitor.condition import Condition
 from hilbench.monitor.picture import BusPicture, NodePicture
 from hilbench.monitor.trends import Trend
+from hilbench.results.heard import SYNCS
 from hilbench.topology.main_quantities.quantity import MainQuantity
 
 _READ_S = 0.05
@@ -34,6 +40,7 @@ _COLUMNS = ("node", "part", "NMT", "drive", "statusword", "velocity rad/s", "tor
 #: A trend that is never larger is written with more decimals.
 _SMALL = 10.0
 
+_WHAT_IF_KEY = "w"
 _STOP_KEY = "e"
 _STOP_HINT = f"{_STOP_KEY}: EMERGENCY STOP"
 
@@ -65,6 +72,40 @@ class _Number(Input):
     def check_consume_key(self, key: str, character: str | None) -> bool:
         """Which keys are text; the others' bindings act."""
         return key != _STOP_KEY and super().check_consume_key(key, character)
+
+
+class _YesOrNo(ModalScreen[bool | None]):
+    """Asks for one of two answers; Esc gives none."""
+
+    BINDINGS: ClassVar[list[BindingType]] = [
+        ("y", "dismiss(True)", "yes"),
+        ("n", "dismiss(False)", "no"),
+        ("escape", "dismiss(None)", "leave it"),
+    ]
+
+    def __init__(self, switch: Switch) -> None:
+        super().__init__()
+        self._text = f"{switch.title}?\ny: {switch.yes}\nn: {switch.no}\nEsc leaves it   {_STOP_HINT}"
+
+    def compose(self) -> ComposeResult:
+        """The question."""
+        yield Static(self._text, classes="dialogue")
+
+
+class _OneOf(ModalScreen[str | None]):
+    """Asks for one of some quantities, each by its key."""
+
+    def __init__(self, quantities: Mapping[str, MainQuantity]) -> None:
+        super().__init__()
+        for key in quantities:
+            self._bindings.bind(key, f"dismiss('{key}')")
+        self._bindings.bind("escape", "dismiss(None)")
+        lines = [f"{key}: {quantity.title}" for key, quantity in quantities.items()]
+        self._text = "\n".join(["What if another", *lines, f"Esc leaves it   {_STOP_HINT}"])
+
+    def compose(self) -> ComposeResult:
+        """The choice."""
+        yield Static(self._text, classes="dialogue")
 
 
 class _NewValue(ModalScreen[float | None]):
@@ -119,7 +160,13 @@ class Dashboard(App[None]):
         self._changes = changes
         for key, quantity in changes.changeable.items():
             self.bind(key, f"change('{key}')", description=quantity.title)
+        for key, switch in changes.switches.items():
+            self.bind(key, f"switch('{key}')", description=switch.title)
+        if changes.foreseeable:
+            self.bind(_WHAT_IF_KEY, "what_if", description="what if")
         self._noted = 0
+        self._recent: deque[list[Frame]] = deque()  # of about SYNCS cycles
+        self._syncs = 0
 
     def compose(self) -> ComposeResult:
         """The widgets."""
@@ -169,6 +216,31 @@ class Dashboard(App[None]):
 
         self.push_screen(_Question(f"Set {quantity.title} to {value:g} {quantity.in_unit}?"), ask)
 
+    def action_switch(self, key: str) -> None:
+        """Ask for yes or no, and tell the bench."""
+        switch = self._changes.switches[key]
+
+        def tell(on: bool | None) -> None:
+            if on is not None:
+                self._changes.tell(switch, on)
+
+        self.push_screen(_YesOrNo(switch), tell)
+
+    def action_what_if(self) -> None:
+        """Ask of what, and for which value, to look ahead; nothing is sent that moves anything."""
+        self.push_screen(_OneOf(self._changes.foreseeable), self._of_what)
+
+    def _of_what(self, key: str | None) -> None:
+        if key is None:
+            return
+        quantity = self._changes.foreseeable[key]
+
+        def look(value: float | None) -> None:
+            if value is not None:
+                self._changes.look_ahead(quantity, value, [frame for heard in self._recent for frame in heard])
+
+        self.push_screen(_NewValue(f"What if {quantity.title} in {quantity.in_unit} went to; Esc leaves it"), look)
+
     def _stop(self, yes: bool | None) -> None:
         if yes:
             try:
@@ -183,9 +255,19 @@ class Dashboard(App[None]):
     # -- what is heard -------------------------------------------------------------------------------------
 
     def _read(self) -> None:
-        self._picture.take(self._link.receive(0.0))
+        frames = self._link.receive(0.0)
+        self._picture.take(frames)
+        self._keep(frames)
         for text in self._changes.ended():
             self._say(text)
+
+    def _keep(self, frames: list[Frame]) -> None:
+        """The frames of the last cycles, for who looks ahead."""
+        self._recent.append(frames)
+        self._syncs += _syncs(frames)
+        while self._syncs - (oldest := _syncs(self._recent[0])) > SYNCS:
+            self._recent.popleft()
+            self._syncs -= oldest
 
     def _draw(self) -> None:
         with suppress(NoMatches):  # when the program ends, its widgets go before its timers
@@ -222,6 +304,10 @@ class Dashboard(App[None]):
         else:
             now = (Condition.STALE if picture.condition is Condition.RUNNING else picture.condition).value
         self.query_one(f"#{trend.signal}-value", Static).update(f"{trend.title}: {now}")
+
+
+def _syncs(frames: Sequence[Frame]) -> int:
+    return sum(frame.can_id == SYNC for frame in frames)
 
 
 def _digits(largest: float) -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from typing import Final, Protocol
 
 import numpy as np
@@ -44,8 +45,13 @@ def heard(config: BenchConfig, link: Link, reader: Reader) -> Recording:
         new = link.receive(_READ_S)
         frames += new
         syncs += sum(frame.can_id == SYNC for frame in new)
+    return from_frames(config, frames, reader)
+
+
+def from_frames(config: BenchConfig, frames: Sequence[Frame], reader: Reader) -> Recording:
+    """The same of frames that were heard already, in their order. Raises as `heard`."""
     place = f"bus {config.bus.address}"
-    if not syncs:
+    if not any(frame.can_id == SYNC for frame in frames):
         raise UnusableInputError(place, f"no SYNC within {_LONGEST_S:g} s, expected a bench that runs")
     return _with_asked(config, replay_frames(config, frames, None, place, under_way=True).recording, reader)
 
