@@ -35,9 +35,9 @@ def answer(connection: Connection, config: BenchConfig) -> None:
     assert live is not None, "it is started where there is one"
     imitation = imitation_of(config) if config.load_motors else None
     assert imitation is None or isinstance(imitation, Imitation), "of a web"
-    names = [signal.name for signal in config.signals]
-    warm_up(names, config.web_line, imitation, live, config.cycle_time_s)
-    session = Session(names, config.web_line, imitation, live, config.cycle_time_s)
+    names, model = [signal.name for signal in config.signals], config.web_line
+    warm_up(names, model, imitation, live, config.cycle_time_s)
+    session = Session(names, model, imitation, live, config.cycle_time_s)
     if config.pace == "realtime":
         cores = config.realtime.cores
         give_way({core for core in (cores.bench, cores.hardware, cores.twin) if core is not None})

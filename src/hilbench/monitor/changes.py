@@ -4,43 +4,26 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Container, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
 from typing import Final
 
 from canopen import SdoAbortedError, SdoCommunicationError
 from hilbench.bench.machines.ranges import OPERATOR_OBJECTS, operator_ranges
 from hilbench.bench.operator.operator_objects import INDEX
-from hilbench.bench.prediction.web_line import foreseen
+from hilbench.bench.prediction.create import foreseeable
 from hilbench.can.frame import Frame
 from hilbench.canopen.data_types import REAL32, data_type
 from hilbench.canopen.object_store import PRESENT_STATE, VALUE_TOO_HIGH, VALUE_TOO_LOW
 from hilbench.canopen.sdo_client import SdoClient
 from hilbench.errors import BusError, HilbenchError
-from hilbench.plant.effects import MachineKind
+from hilbench.monitor.web_line_switches import Switch, switches
 from hilbench.prediction.outlook import Outlook
 from hilbench.results.heard import from_frames
 from hilbench.results.what_if import Question, what_if
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.main_quantities.of_kind import find_quantity
 from hilbench.topology.main_quantities.quantity import MainQuantity
-from hilbench.topology.quantities import MODEL_CHANGE, TENSION_PROBE
-
-
-@dataclass(frozen=True)
-class Switch:
-    """What a bench is told yes or no: path, key in the monitor, how it is called, and what yes and no mean."""
-
-    path: str
-    key: str
-    title: str
-    yes: str
-    no: str
-
-
-PROBE: Final = Switch(TENSION_PROBE, "p", "probe", "move the tension a little, or allow it", "end or refuse it")
-MODEL: Final = Switch(MODEL_CHANGE, "c", "model change", "the twin goes on with what was proposed", "refuse it")
 
 #: How long the bench may take, s; in lockstep it answers with its next cycle.
 PATIENCE_S: Final = 3.0
@@ -63,10 +46,10 @@ class ChangeRequests:
         self._ranges = operator_ranges(config)
         known = map(find_quantity, self._ranges)
         self.changeable = {quantity.key: quantity for quantity in known if quantity is not None}  #: by key
-        self.switches = {switch.key: switch for switch in _switches(config)}  #: by key
+        self.switches = {switch.key: switch for switch in switches(config)}  #: by key
         #: Those whose futures can be looked at, by key.
         self.foreseeable = {
-            key: quantity for key, quantity in self.changeable.items() if quantity.path in _foreseen(config)
+            key: quantity for key, quantity in self.changeable.items() if quantity.path in foreseeable(config)
         }
 
     def ask(self, quantity: MainQuantity, value: float) -> None:
@@ -153,15 +136,3 @@ def _reason(code: int, expected: str) -> str:
     if code == PRESENT_STATE:
         return "the experiment moves it just now, or does not run"
     return str(SdoAbortedError.CODES.get(code, "unknown code"))
-
-
-def _switches(config: BenchConfig) -> Iterator[Switch]:
-    """Those that this bench has."""
-    if any(control.probes.mode != "off" for control in config.tension_controls.values()):
-        yield PROBE
-    if config.twin.live_diagnosis is not None:
-        yield MODEL
-
-
-def _foreseen(config: BenchConfig) -> Container[str]:
-    return foreseen(config) if config.machine_kind is MachineKind.WEB_LINE else ()

@@ -25,7 +25,7 @@ from hilbench.can.link import Link
 from hilbench.canopen.emergency_stop import send_emergency_stop
 from hilbench.canopen.identifiers import SYNC
 from hilbench.errors import BusError
-from hilbench.monitor.changes import ChangeRequests, Switch
+from hilbench.monitor.changes import ChangeRequests
 from hilbench.monitor.condition import Condition
 from hilbench.monitor.picture import BusPicture, NodePicture
 from hilbench.monitor.trends import Trend
@@ -83,9 +83,9 @@ class _YesOrNo(ModalScreen[bool | None]):
         ("escape", "dismiss(None)", "leave it"),
     ]
 
-    def __init__(self, switch: Switch) -> None:
+    def __init__(self, title: str, yes: str, no: str) -> None:
         super().__init__()
-        self._text = f"{switch.title}?\ny: {switch.yes}\nn: {switch.no}\nEsc leaves it   {_STOP_HINT}"
+        self._text = f"{title}?\ny: {yes}\nn: {no}\nEsc leaves it   {_STOP_HINT}"
 
     def compose(self) -> ComposeResult:
         """The question."""
@@ -224,7 +224,7 @@ class Dashboard(App[None]):
             if on is not None:
                 self._changes.tell(switch, on)
 
-        self.push_screen(_YesOrNo(switch), tell)
+        self.push_screen(_YesOrNo(switch.title, switch.yes, switch.no), tell)
 
     def action_what_if(self) -> None:
         """Ask of what, and for which value, to look ahead; nothing is sent that moves anything."""

@@ -11,7 +11,7 @@ import numpy as np
 from canopen import SdoAbortedError, SdoCommunicationError
 from hilbench.bench.machines.ranges import OPERATOR_OBJECTS
 from hilbench.bench.operator.operator_objects import INDEX
-from hilbench.bench.prediction.web_line import foreseen
+from hilbench.bench.prediction.create import foreseeable
 from hilbench.can.frame import Frame
 from hilbench.can.link import Link
 from hilbench.canopen.data_types import REAL32, data_type
@@ -59,7 +59,7 @@ def from_frames(config: BenchConfig, frames: Sequence[Frame], reader: Reader) ->
 def _with_asked(config: BenchConfig, recording: Recording, reader: Reader) -> Recording:
     """The recording with what no frame shows: set-points, E of the imitated web."""
     channels = dict(recording.channels)
-    for path, signal in foreseen(config).items():
+    for path, signal in foreseeable(config).items():
         if path in OPERATOR_OBJECTS and np.isnan(channels[signal][-1]):
             try:
                 data = reader.upload(config.master.node_id, INDEX, OPERATOR_OBJECTS[path][0])

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 from hilbench.bench.prediction.task import Prediction
-from hilbench.bench.prediction.web_line import LineLook
+from hilbench.bench.prediction.web_line import LineLook, foreseen
 from hilbench.bench.state import BenchState
 from hilbench.bench.tasks.reference import Reference
+from hilbench.plant.effects import MachineKind
 from hilbench.prediction.plan import Asked
 from hilbench.topology.config import BenchConfig
 
@@ -29,3 +30,9 @@ def prediction_task(
         on_predicted_limit=config.safety.on_predicted_limit,
         reference=reference,
     )
+
+
+def foreseeable(config: BenchConfig) -> Mapping[str, str]:
+    """The quantities whose courses futures follow, by path, each with the signal that shows it; none of a machine whose
+    futures nobody can run."""
+    return foreseen(config) if config.machine_kind is MachineKind.WEB_LINE else {}
