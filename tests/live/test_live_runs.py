@@ -15,6 +15,7 @@ from hilbench.results.recording import read_recording
 from hilbench.results.run import RunOutcome, run_experiment
 from hilbench.runs.check import check_experiment
 from hilbench.runs.config import LoadedConfig, load_with_overrides
+from hilbench.twin.virtual_io import TwinStatus
 
 CONFIGS = Path(__file__).resolve().parents[2] / "bench_configs"
 
@@ -95,6 +96,28 @@ def test_a_change_that_is_announced_is_no_anomaly(tmp_path: Path) -> None:
     assert history is not None
     assert max(gap for t_s, gap in zip(history.t_s, history.in_use, strict=True) if gap and t_s > 10.0) < 0.05
     assert max(gap for gap in history.configured if gap) > 0.2
+
+
+def test_a_twin_that_is_reset_gets_the_changed_model_once_more(tmp_path: Path) -> None:
+    loaded = load_with_overrides(CONFIGS / "live_friction.yaml")
+    data = loaded.config.model_dump()
+    path = "load.effects.viscous_friction.axis2.coefficient_N_s_per_m"
+    data["steps"] = [
+        {"ramp": {"path": "line_speed_m_s", "to": 3.0, "duration_s": 1.0}},
+        {"hold": {"until_s": 2.0}},
+        {"step": {"path": path, "to": 2.0, "announced": True}},
+        {"hold": {"until_s": 8.0}},
+        {"restart_twin": {}},
+        {"hold": {"duration_s": 7.0}},
+    ]
+    data["criteria"] = []
+    changed = LoadedConfig(type(loaded.config).model_validate(data), loaded.document)
+    recording = read_recording(run_experiment(changed, tmp_path, participants=Participants.IN_PROCESS).folder.recording)
+    has_it = (np.asarray(recording["twin_status"]).astype(int) & TwinStatus.MODEL_CHANGED) > 0
+    before, at, end = np.searchsorted(recording.time_s, [7.9, 8.2, recording.time_s[-1]])
+    assert (has_it[before], has_it[at], has_it[end]) == (True, False, True)
+    off_N = np.asarray(recording["F_true_N"]) - np.asarray(recording["F_sim_N"])
+    assert abs(off_N[recording.time_s > recording.time_s[-1] - 2.0].mean()) < 0.3
 
 
 def test_the_result_says_what_was_found_and_when(friction: RunOutcome) -> None:

@@ -89,6 +89,7 @@ class ModelChanges(CyclicTask):
         self._applying: ModelChange | None = None
         self._written = False  # the twin has the changed model beside the one in use
         self._step: Future[float] | None = None  # of the change that the twin has made
+        self._back_cycle = state.twin.back_cycle  # when the twin was taken back last
 
     @property
     def proposed(self) -> ModelChange | None:
@@ -140,6 +141,9 @@ class ModelChanges(CyclicTask):
         """Take an answer that is due, and go on with a change of the model."""
         if self._request is not None and self._request.done():
             self._end_request(self._request)
+        if self._state.twin.back_cycle != self._back_cycle:
+            self._back_cycle = self._state.twin.back_cycle
+            self._write_anew()
         if self._announced is not None and self._applying is None:
             change, self._announced = self._announced, None
             self._begin(change)
@@ -214,6 +218,15 @@ class ModelChanges(CyclicTask):
             if self._request.done():
                 self._end_request(self._request)
 
+    def _write_anew(self) -> None:
+        """A twin that was reset has the model that was configured: it gets what it had, or was to get, once more."""
+        if self._applying is not None:
+            self._begin(self._applying)
+        elif self._in_use:
+            now_s = self._state.sample.t_s
+            self._state.reports.note(_SOURCE, "the twin was reset: it gets the changed model once more")
+            self._begin(ModelChange(now_s, (), (), now_s, decided_s=now_s, model=self._in_use))
+
     def _end_request(self, done: Future[None]) -> None:
         self._request = None
         try:
@@ -279,4 +292,4 @@ def path_of(effect: FoundEffect) -> str:
 def _names(change: ModelChange) -> str:
     there = ", ".join(map(path_of, change.effects))
     gone = ", ".join(f"no {path_of(effect)}" for effect in change.gone)
-    return ", ".join(filter(None, (there, gone))) or "what was announced"
+    return ", ".join(filter(None, (there, gone))) or "the changed model"
