@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 from collections.abc import Iterator
 
 import pytest
@@ -15,6 +16,13 @@ from hilbench.can.memory import MemoryBus
 def bus(request: pytest.FixtureRequest) -> Bus:
     """The bus inside the process and, with `-m vcan`, the kernel's."""
     return MemoryBus() if request.param == "memory" else KernelBus()
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _collections_leave_out_what_stays() -> None:
+    """Each bench in this process starts with a full collection: it need not look through all imports and all tests."""
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.fixture(autouse=True)

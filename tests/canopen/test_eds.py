@@ -84,6 +84,20 @@ def test_compact_arrays_have_the_members_that_are_named(tmp_path: Path) -> None:
         variable(od, 0x2100, 4)
 
 
+def test_a_file_of_several_nodes_is_read_alike_for_each_and_each_has_a_dictionary_of_its_own(tmp_path: Path) -> None:
+    path = write(
+        tmp_path,
+        eds_text()
+        + "[2100]\nParameterName=Gains\nObjectType=0x8\nDataType=0x6\nAccessType=rw\nDefaultValue=5\nCompactSubObj=3\n",
+    )
+    first, second = load_eds(path, 9), load_eds(path, 10)
+    assert [one.index for one in all_variables(first)] == [one.index for one in all_variables(second)]
+    assert [variable(second, 0x2100, sub).default for sub in range(4)] == [3, 5, 5, 5]
+    assert (variable(first, 0x1400, 1).default, variable(second, 0x1400, 1).default) == (0x209, 0x20A)
+    variable(first, 0x2100, 1).default = 7
+    assert variable(load_eds(path, 9), 0x2100, 1).default == 5
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [

@@ -101,12 +101,12 @@ class MemoryLink:
             self._check_open()
             medium = bus._medium
             bus.waiting = True
+            station, queue, free_ns = self.station, medium.queue, medium.free_ns
             for can_id, data, _ in frames:
                 content = bytes(data)
-                medium.queue(self.station, can_id, content, bits_on_wire(can_id, content), medium.free_ns)
-            heard_by = [bus._listeners.of(frame.can_id) for frame in frames]
-            for link in bus._links:
-                if link is not self and link._is_awaited() and any(link in listeners for listeners in heard_by):
+                queue(station, can_id, content, bits_on_wire(can_id, content), free_ns)
+            for link in [link for link in bus._links if link is not self and link._is_awaited()]:
+                if any(link in bus._listeners.of(frame.can_id) for frame in frames):
                     link._publish()
 
     def take(self, frame: Frame) -> None:

@@ -29,7 +29,7 @@ from hilbench.canopen.identifiers import (
     node_of,
 )
 from hilbench.canopen.object_store import INVALID_VALUE, PRESENT_STATE, Cell, ObjectStore, SdoAbort
-from hilbench.canopen.sdo_server import DeviceSdoServer
+from hilbench.canopen.sdo_server import DeviceSdoServer, may_write
 from hilbench.canopen.storage import Storage
 from hilbench.errors import UnusableInputError
 
@@ -153,7 +153,8 @@ class Device:
         elif can_id == SDO_REQUEST + self.node_id:
             if self._communicates():
                 self._sdo.handle(frame.data)
-                self._compile_pdos_if_changed()
+                if may_write(frame.data):
+                    self._compile_pdos_if_changed()
         elif can_id == NMT:
             self._nmt_command(frame.data)
         elif can_id == EMERGENCY_STOP_COB_ID:

@@ -60,13 +60,17 @@ def load_eds(path: Path | str, node_id: int) -> canopen.ObjectDictionary:
 
 
 @lru_cache(64)  # at its start a bench asks for each file several times; to unpickle takes a fifth of the time to copy
-def _load(path: Path, node_id: int, _as_of: tuple[int, int]) -> bytes:
+def _load(path: Path, node_id: int, as_of: tuple[int, int]) -> bytes:
     """The dictionary, pickled: everybody gets one of their own."""
-    return pickle.dumps(_read(path, node_id))
+    return pickle.dumps(_read(path, node_id, _sections(path, as_of)))
 
 
-def _read(path: Path, node_id: int) -> canopen.ObjectDictionary:
-    sections = _read_sections(path)
+@lru_cache(16)  # nodes of one kind share their file
+def _sections(path: Path, _as_of: tuple[int, int]) -> dict[str, _Section]:
+    return _read_sections(path)
+
+
+def _read(path: Path, node_id: int, sections: dict[str, _Section]) -> canopen.ObjectDictionary:
     objects = _object_sections(path, sections)
     _check_hierarchy(path, objects)
     od = canopen.ObjectDictionary()
@@ -226,7 +230,8 @@ def _expand_compact(
         if values and str(sub) in values.options:
             options["ParameterValue"] = values.options[str(sub)]
         members[(index, sub)] = _Section(f"{section.name}sub{sub:X}", section.line, options, section.lines)
-    section.options = {"ParameterName": section.options.get("ParameterName", section.name), "ObjectType": "0x8"}
+    array = {"ParameterName": section.options.get("ParameterName", section.name), "ObjectType": "0x8"}
+    members[(index, None)] = _Section(section.name, section.line, array, section.lines)
     return members
 
 

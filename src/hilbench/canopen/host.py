@@ -18,6 +18,7 @@ from hilbench.can.link import Link
 from hilbench.canopen.clock import Clock, SyncClock
 from hilbench.canopen.device import Device
 from hilbench.canopen.identifiers import LAST_NODE, NMT, SDO_REQUEST, NmtState
+from hilbench.canopen.sdo_server import may_write
 
 _ERROR_PASSIVE = 0x8120  #: EMCY error code: CAN in error passive mode
 _COMMUNICATION_ERROR = 0x11  #: error register (1001h): generic and communication
@@ -89,7 +90,7 @@ class DeviceHost:
         frames = self._link.receive(timeout_s)
         self._look_at_controller()
         sync_cob_id = self._devices[0].sync_cob_id
-        behind = sum(frame.can_id == sync_cob_id for frame in frames)
+        behind = [frame.can_id for frame in frames].count(sync_cob_id)
         listens_to, sync_clock = self._application.listens_to, self._sync_clock
         operational = NmtState.OPERATIONAL.heartbeat
         for frame in frames:
@@ -105,7 +106,7 @@ class DeviceHost:
                 device.handle(frame)
             if can_id in listens_to:
                 self._application.on_frame(frame)
-            if can_id == NMT or SDO_REQUEST < can_id <= SDO_REQUEST + LAST_NODE:
+            if can_id == NMT or (SDO_REQUEST < can_id <= SDO_REQUEST + LAST_NODE and may_write(frame.data)):
                 self._listen()  # before the answer goes out
             if devices:
                 self._flush_replies()

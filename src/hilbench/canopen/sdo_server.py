@@ -65,6 +65,11 @@ class _Node(canopen.LocalNode):
         cell.write(cell.decode(bytes(data)))
 
 
+def may_write(data: bytes) -> bool:
+    """Whether a request can change an object: it does not ask for a value."""
+    return not data or data[0] >> 5 not in (_UPLOAD, _UPLOAD_SEGMENT, _BLOCK_UPLOAD)
+
+
 class DeviceSdoServer(SdoServer):
     """SDO server whose requests come in by `handle` and whose answers go out through `send(cob_id, data)`."""
 
