@@ -3,9 +3,15 @@
 from __future__ import annotations
 
 import gc
+import os
 from collections.abc import Iterator
 
 import pytest
+
+# As `hilbench diagnose` calculates, too: each of several processes with threads for all cores hold one another up.
+# The library reads it once, when numpy is imported.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 from tests.bench.whole_runs import STARTED
 from tests.buses import Bus, KernelBus
 

@@ -137,6 +137,7 @@ class _Problem:
         )
         self._friction = np.concatenate([now.friction[rows_now], then.friction[then.rows]])
         self._basis = _basis(self._shared)
+        self._fixed: tuple[list[int], Array] = [], self._basis
 
     def columns_of(self, chosen: list[int]) -> list[int]:
         """Of some terms, the columns."""
@@ -174,7 +175,9 @@ class _Problem:
 
     def gain(self, without: _Solved, chosen: list[int], one: int) -> float:
         """By how much the sum of squares falls when one more term may differ."""
-        fixed = _basis(np.concatenate([self._shared, self._differing(chosen)]))
+        if chosen != self._fixed[0]:  # many are asked for beside the same ones, and a basis takes its time
+            self._fixed = list(chosen), _basis(np.concatenate([self._shared, self._differing(chosen)]))
+        fixed = self._fixed[1]
         free = self._differing([one])
         free = free - (free @ fixed.T) @ fixed
         if float(np.sum(free**2)) <= 1e-8 * float(np.sum(self._differing([one]) ** 2)):
