@@ -31,7 +31,7 @@ def check_web_line(config: BenchConfig, document: Document, nodes: Nodes) -> lis
     """
     _check_set_point(config, document)
     check_stability(config, document, start_point(config), ("machine", "web"))
-    return [*_coarse_units(config, nodes), *_unmatched_loads(config)]
+    return [*_coarse_units(config, nodes), *_unmatched_loads(config), *_slow_stop(config)]
 
 
 def _check_set_point(config: BenchConfig, document: Document) -> None:
@@ -44,6 +44,18 @@ def _check_set_point(config: BenchConfig, document: Document) -> None:
                 f"set_point_N is {control.set_point_N:g}, expected less than the trip level of the tension, "
                 f"{trip_N:g} N",
             )
+
+
+def _slow_stop(config: BenchConfig) -> list[str]:
+    """The axis that keeps a line from stopping as fast as is asked for."""
+    asked, found = config.safety.quick_stop_m_s2, config.quick_stop_per_s2
+    if not found < asked:
+        return []
+    slowest = min(range(1, config.shape.axes + 1), key=config.fastest_m_s2)
+    return [
+        f"axis {slowest} has not the torque for a quick stop by {asked:g} m/s²: all axes stop together by "
+        f"{found:.3g} m/s²"
+    ]
 
 
 def _unmatched_loads(config: BenchConfig) -> list[str]:

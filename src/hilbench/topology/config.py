@@ -17,7 +17,7 @@ from hilbench.errors import UnusableInputError
 from hilbench.estimation.servo_axis.config import InertiaConfig
 from hilbench.estimation.web_line.config import EstimationConfig
 from hilbench.plant.effects import EffectPlace, MachineKind, effect_problem, find_effect
-from hilbench.plant.parameters import DriveParameters, EffectEntry, NotNegative, Positive
+from hilbench.plant.parameters import DriveParameters, EffectEntry, NotNegative, Positive, per_item
 from hilbench.plant.sampling import samples_per
 from hilbench.plant.sensors import SensorParameters
 from hilbench.plant.servo_axis.effects import ShaftEffect
@@ -202,6 +202,8 @@ class TwinConfig(EstimationConfig):
 #: Keys of `twin:` that every kind of machine has; the others say how one kind finds what it estimates.
 _OF_EVERY_TWIN = {"node", "synchronized_pct", "behind", "virtual_tpdo_every"}
 _OF_THE_SHAFT = {"inertia"}
+#: Share of a drive's torque limit that a quick stop may take: the rest is for friction and the pull of the web.
+_STOPPING_SHARE = 0.8
 _SERVO = "no 'load.measured' on a servo axis, whose encoder is measured anyway"
 
 
@@ -403,8 +405,29 @@ class BenchConfig(Block):
 
     @property
     def quick_stop_per_s2(self) -> float:
-        """Deceleration of a quick stop, in the machine's unit of position per s²."""
-        return self.safety.quick_stop_m_s2 if self.machine.position_unit == "m" else self.safety.quick_stop_rad_s2
+        """Deceleration of a quick stop, in the machine's unit of position per s².
+
+        On a line of several spans one for all rollers, that of the slowest of them: rollers that stop at different
+        rates tear the web.
+        """
+        machine = self.machine
+        if not isinstance(machine, ModelParameters):
+            return self.safety.quick_stop_rad_s2
+        if not self.stops_together:
+            return self.safety.quick_stop_m_s2
+        axes = range(1, machine.axis_count + 1)
+        return min(self.safety.quick_stop_m_s2, *(_STOPPING_SHARE * self.fastest_m_s2(axis) for axis in axes))
+
+    @property
+    def stops_together(self) -> bool:
+        """Whether the axes are brought to rest in the ratio of their speeds."""
+        return isinstance(self.machine, ModelParameters) and self.machine.span_count > 1
+
+    def fastest_m_s2(self, axis: int) -> float:
+        """How fast the drive of an axis of a web line changes its speed, by its torque limit and all that it turns."""
+        model = self.web_line
+        limit_N = per_item(self.drive_parameters.torque_limit_Nm, axis) * model.motor_rad_per_m(axis)
+        return limit_N / model.mass_kg(axis)
 
     def rig_parameters(self) -> RigParameters:
         """The simulated hardware of a web line: its axes without their effects, with those hidden in the hardware.

@@ -52,7 +52,11 @@ class SafetyConfig(Block):
     missing_cycles: int = Field(default=25, ge=1, description="realtime: cycles in a row a PDO may be missing")
     drive_timeout_s: TimeOut = Field(default=2.0, description="for a drive to reach a requested state")
     quick_stop_m_s2: float = Field(
-        default=3.0, ge=0.01, le=1000.0, description="deceleration of a quick stop, at the web"
+        default=3.0,
+        ge=0.01,
+        le=1000.0,
+        description="deceleration of a quick stop, at the web; on a line of several spans that of all rollers, less "
+        "where the drive of one has not the torque for it",
     )
     quick_stop_rad_s2: float = Field(
         default=50.0, ge=0.01, le=1e5, description="deceleration of a quick stop of a servo axis, motor side"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from math import ceil
 
 from hilbench.bench.cycle import BenchCycle
 from hilbench.bench.lifecycle.safety import confirm_stopped, quick_stop
@@ -11,7 +12,7 @@ from hilbench.bench.operator.operator import Operator
 from hilbench.bench.reports.change import Change
 from hilbench.bench.state import BenchState
 from hilbench.cia402.drive import Drive, DriveGoal
-from hilbench.errors import BenchFaultError, EmergencyStopError, HilbenchError
+from hilbench.errors import BenchFaultError, BusError, EmergencyStopError, HilbenchError
 from hilbench.exchange.exchange import Exchange
 from hilbench.exchange.nodes import Nodes
 
@@ -41,13 +42,14 @@ class Drives:
         self._cycle = cycle
         self._lockstep = lockstep
         self._unexpected = unexpected
+        self._was_enabled = False
 
     def enable(self) -> None:
         """Enable all; the experiment's time begins. Raises BenchFaultError when one does not come up."""
         self._bring_to(DriveGoal.ENABLED)
         self._check_virtual_axes()
         state = self._state
-        state.enabled = True
+        state.enabled = self._was_enabled = True
         state.first_cycle = self._exchange.timing.cycles + 1
         state.journal(Change(state.first_cycle - 1, "enabled"))
 
@@ -92,6 +94,7 @@ class Drives:
         try:
             try:
                 if not isinstance(reason, EmergencyStopError):
+                    self._stop_together()
                     self._quick_stop()
                     return
             except EmergencyStopError:
@@ -105,11 +108,48 @@ class Drives:
         finally:
             self._journal_stop(began_cycle)
 
-    def _quick_stop(self) -> None:
+    def _stop_together(self) -> None:
+        """Bring the rollers of a line to rest in the ratio of their speeds, which keeps the strain of every span.
+
+        The load motors go on imitating the web meanwhile. What goes wrong here leaves the rest to the quick stop: a
+        fault of one drive must not keep the others from going on in ratio.
+        """
+        state, config = self._state, self._nodes.config
+        names = list(config.drives)
+        commands = {name: getattr(state.sample, f"v{axis}_cmd_m_s", 0.0) for axis, name in enumerate(names, 1)}
+        fastest_m_s = max(map(abs, commands.values()))
+        if not (config.stops_together and self._was_enabled and fastest_m_s > 0.0):
+            return
+        self._expect_whoever_answers()
+        timing = self._exchange.timing
+        cycles = ceil(fastest_m_s / (config.quick_stop_per_s2 * state.cycle_s))
+        state.enabled = True
+        try:
+            for left in range(cycles - 1, -1, -1):
+                before = timing.cycles
+                try:
+                    self._cycle.exchange({name: speed * left / cycles for name, speed in commands.items()})
+                except (BusError, EmergencyStopError):
+                    raise
+                except BenchFaultError:  # of the drive that it is about the quick stop will tell
+                    if timing.cycles == before:  # nothing was sent: the drives would go on as they are
+                        return
+        except HilbenchError:
+            raise
+        except Exception as error:  # nobody foresaw it: the drives' own ramps need nothing of the machine's tasks
+            state.safe_state_problems.append(self._unexpected(error))
+        finally:
+            state.enabled = False
+
+    def _expect_whoever_answers(self) -> None:
         """No drive is vital any more: who does not answer must not keep the others from being stopped."""
+        self._exchange.expect_drives(vital=False)
+        self._nodes.twin_is_not_waited_for()
+
+    def _quick_stop(self) -> None:
+        """Command it, and see that all have stopped."""
         nodes, exchange = self._nodes, self._exchange
-        exchange.expect_drives(vital=False)
-        nodes.twin_is_not_waited_for()
+        self._expect_whoever_answers()
 
         def silent(drive: Drive) -> bool:
             return nodes.sender(drive) in exchange.silent

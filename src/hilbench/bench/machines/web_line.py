@@ -37,7 +37,7 @@ def tasks(config: BenchConfig, state: BenchState) -> MachineTasks:
     """The tasks of the config's web line."""
     model, cycle_s, limits, reports = config.web_line, config.cycle_time_s, config.safety.limits, state.reports
     controls = config.tension_controls
-    line_speed = Reference(LINE_SPEED, config.safety.quick_stop_m_s2 * cycle_s)
+    line_speed = Reference(LINE_SPEED, config.quick_stop_per_s2 * cycle_s)
     drives = list(config.drives)
     by_axis = {config.shape.axis_before(span): control for span, control in controls.items()}
     sections = section_model(model)
