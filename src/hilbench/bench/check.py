@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import isclose
 
+from hilbench.bench.bus_options import BusOption, bus_options
 from hilbench.bench.web_line_check import check_web_line
 from hilbench.can.load import BusLoad, cycle_load
 from hilbench.cia402.configuration import lacking
@@ -25,6 +26,7 @@ class CheckedBench:
     load: BusLoad
     frames_per_cycle: float
     notes: list[str]  #: what can be run, and will not be good
+    options: tuple[BusOption, ...]  #: what the PDO set takes on one wire, and on two
 
 
 def check_bench(config: BenchConfig, document: Document) -> CheckedBench:
@@ -53,22 +55,31 @@ def check_bench(config: BenchConfig, document: Document) -> CheckedBench:
     _check_drives(config, document, nodes)
     frames = nodes.cyclic_frames()
     load = cycle_load(frames, config.cycle_time_s, config.bus.bitrate)
+    options = bus_options(config, nodes)
     if load.fraction > 1.0:
+        one, two = (f"{option.least_lockstep_s * 1e3:g} ms" for option in options)
         raise UnusableInputError(
             document.place(("bus", "bitrate")),
             f"the PDO set takes {load.bits:.0f} bit times of the {load.capacity_bits:.0f} in a cycle of "
             f"{config.cycle_time_s * 1e3:g} ms at {config.bus.bitrate} bit/s ({100 * load.fraction:.0f} %), "
-            f"expected at most 100 %: a longer cycle, a higher bit rate or fewer PDOs",
+            f"expected at most 100 %: a cycle of {one} or more (on two wires, which a bench can't use yet, {two}), a "
+            f"higher bit rate or fewer PDOs",
         )
     notes: list[str] = []
+    least_s = options[0].least_realtime_s
+    if config.pace == "realtime" and config.cycle_time_s < least_s:
+        notes.append(
+            f"the PDO set takes {100 * load.fraction:.0f} % of a cycle at worst: set points or answers may come too "
+            f"late in real time, expected a cycle of {least_s * 1e3:g} ms or more"
+        )
     if config.machine_kind is MachineKind.SERVO_AXIS:
         place: Location = (
             ("load", "shaft", "inertia_kg_m2") if config.load.shaft.inertia_kg_m2 else ("machine", "shaft")
         )
         check_imitated_inertia(config, document, config.imitated_shaft().inertia_kg_m2, place)
     else:
-        notes = check_web_line(config, document, nodes)
-    return CheckedBench(load, sum(frame.per_cycle for frame in frames), notes)
+        notes += check_web_line(config, document, nodes)
+    return CheckedBench(load, sum(frame.per_cycle for frame in frames), notes, options)
 
 
 def imitable_inertias_kg_m2(config: BenchConfig) -> tuple[float, float]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from math import isfinite
 
+from hilbench.bench.bus_options import BusOption
 from hilbench.can.open import open_link
 from hilbench.errors import BusError, UnusableInputError
 from hilbench.runs.check import CheckedExperiment, check_experiment
@@ -27,6 +28,8 @@ def check_command(loaded: LoadedConfig, *, as_json: bool) -> None:
         f"{bench.frames_per_cycle:.1f} frames a cycle, at worst {load.bits:.0f} of {load.capacity_bits:.0f} "
         f"bit times ({100 * load.fraction:.0f} %)"
     )
+    for option in bench.options:
+        print(_fits(option, config.bus.bitrate))
     if checked.stiffness_reserve is not None:
         print(
             f"load motor: by itself stable up to {checked.stiffness_reserve:.1f} times the stiffness of the stiffest "
@@ -43,6 +46,17 @@ def check_command(loaded: LoadedConfig, *, as_json: bool) -> None:
     for note in checked.notes:
         print(f"note: {note}")
     print(f"{len(config.steps)} steps, {len(config.criteria)} criteria")
+
+
+def _fits(option: BusOption, bitrate: int) -> str:
+    """What a way to lay the wires fits, as a line."""
+    several = len(option.wires) > 1
+    loads = " and ".join(f"{bits:.0f}" for bits in option.bits)
+    where = "on two wires (a bench can't use them yet)" if several else f"on one wire of {bitrate} bit/s"
+    return (
+        f"{where}: at worst {loads} bit times; fits cycles from {option.least_lockstep_s * 1e3:g} ms in lockstep, "
+        f"{option.least_realtime_s * 1e3:g} ms in real time"
+    )
 
 
 def _check_bus(loaded: LoadedConfig) -> None:
@@ -68,6 +82,15 @@ def _summary(config: ExperimentConfig, checked: CheckedExperiment) -> dict[str, 
         "pace": config.pace,
         "frames_per_cycle": checked.bench.frames_per_cycle,
         "bus_load_pct": 100 * load.fraction,
+        "fits": [
+            {
+                "wires": list(option.wires),
+                "bits": list(option.bits),
+                "least_lockstep_s": option.least_lockstep_s,
+                "least_realtime_s": option.least_realtime_s,
+            }
+            for option in checked.bench.options
+        ],
         "stiffness_reserve": checked.stiffness_reserve,
         "stiffness_reserves": dict(checked.stiffness_reserves),
         "inertia_reserve": checked.inertia_reserve,
