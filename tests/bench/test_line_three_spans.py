@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import re
 from functools import cache
 from pathlib import Path
+from struct import pack
 from tempfile import mkdtemp
 
 import numpy as np
 import pytest
 
 from hilbench.bench.lifecycle.participants import Participants
+from hilbench.estimation.plausibility import Problem
+from hilbench.estimation.web_line.torque_shift import TORQUE_SHIFT
+from hilbench.exchange.emergencies import Emergency
 from hilbench.exchange.nodes import Nodes
 from hilbench.results.recording import Recording, read_recording
 from hilbench.results.run import RunOutcome, run_experiment
@@ -81,3 +86,31 @@ def test_processes_record_the_bits_of_one_process(tmp_path: Path) -> None:
     assert list(apart.channels) == list(together.channels)
     assert len(apart) > 1000
     assert [name for name in apart.channels if not np.array_equal(apart[name], together[name])] == []
+
+
+def test_a_web_break_is_told_with_its_span(tmp_path: Path) -> None:
+    steps = [
+        "steps=[{ramp: {path: line_speed_m_s, to: 1.0, duration_s: 1.0}}, {hold: {duration_s: 1.0}}, "
+        "{set: {path: load.web.broken, to: 1}}, {hold: {duration_s: 3.0}}]",
+        "criteria=[]",
+    ]
+    given = load_with_overrides(CONFIG, bus=f"embedded:{tmp_path.name}", changes=steps)
+    outcome = run_experiment(given, tmp_path, participants=Participants.IN_PROCESS)
+    [fault] = outcome.result.faults
+    told = re.search(r"reports a web break in span ([123])", fault.text)
+    assert told is not None, fault.text
+    assert any(f"web break in span {told[1]}" in warning for warning in outcome.result.all_warnings())
+
+
+@pytest.mark.parametrize("span", [0, 2])
+def test_an_alarm_of_the_twin_names_its_span_where_there_are_several(span: int) -> None:
+    def message(code: int, info: bytes = bytes(4)) -> str:
+        found = Emergency.of(32, "virtual io", code.to_bytes(2, "little") + b"\x21" + info + bytes((span,)))
+        return str(found)
+
+    where = " in span 2" if span else ""
+    assert message(Problem.SLACK) == f"EMCY FF13h: slack{where}"
+    assert message(Problem.SLIP) == f"EMCY FF16h: slip{where}"
+    axis = 3 if span else 2
+    assert f"of axis {axis}, +0.5 N·m" in message(TORQUE_SHIFT, pack("<f", 0.5))
+    assert message(0x8110).endswith("communication")

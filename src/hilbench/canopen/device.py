@@ -108,14 +108,14 @@ class Device:
         """Whether the EDS has the object."""
         return (index, sub) in self._store
 
-    def emergency(self, code: int, register_bits: int, info: bytes = b"") -> None:
+    def emergency(self, code: int, register_bits: int, info: bytes = b"", source: int = 0) -> None:
         """An error has come (1001h, 1003h, and EMCY where the NMT state allows it); reported once until
-        `clear_emergency`."""
-        self._emcy.raise_error(code, register_bits, info)
+        `clear_emergency`, of each `source` by itself."""
+        self._emcy.raise_error(code, register_bits, info, source)
 
-    def clear_emergency(self, code: int) -> None:
+    def clear_emergency(self, code: int, source: int = 0) -> None:
         """An error has gone."""
-        self._emcy.clear_error(code)
+        self._emcy.clear_error(code, source)
 
     def keep_emergency(self, code: int) -> None:
         """The application is in fault because of this error: it stays in 1001h, and EMCY 0000h is not sent, though its

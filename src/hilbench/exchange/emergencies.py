@@ -28,8 +28,8 @@ _CLASSES = {
     "FF": "device specific",
 }
 _OF_TWIN = {int(problem): problem.name.lower().replace("_", " ") for problem in Problem} | {
-    TORQUE_SHIFT: "shift of friction or torque offset of axis 2",
-    UNDECIDED: "torque of axis 2 has changed: E, or a shift of friction or offset; another tension would tell",
+    TORQUE_SHIFT: "shift of friction or torque offset of axis {axis}",
+    UNDECIDED: "torque of axis {axis} has changed: E, or a shift of friction or offset; another tension would tell",
 }
 #: Codes that the bench acts on: these are never too many.
 ACTED_ON = frozenset({int(Problem.WEB_BREAK), int(Problem.SLIP)})
@@ -48,6 +48,7 @@ class Emergency:
     register: int
     cleared: int = 0
     shift_Nm: float = 0.0  #: of TORQUE_SHIFT: what the measured torque has shifted by
+    span: int = 0  #: number of the span that the twin speaks of, on a line of several
 
     @classmethod
     def of(cls, node_id: int, node: str, data: bytes) -> Emergency | None:
@@ -57,18 +58,25 @@ class Emergency:
         code = int.from_bytes(data[:2], "little")
         cleared = int.from_bytes(data[3:5], "little") if code == 0 else 0
         shift_Nm = float(unpack_from("<f", data, 3)[0]) if code == TORQUE_SHIFT else 0.0
-        return cls(node_id, node, code, data[2], cleared, shift_Nm)
+        return cls(node_id, node, code, data[2], cleared, shift_Nm, data[7] if code in _OF_TWIN else 0)
 
     @property
     def kind(self) -> str:
-        """What counts as the same message: the code, or the code that is taken back."""
-        return f"{self.code:04X}{self.cleared:04X}"
+        """What counts as the same message: the code, or the code that is taken back; of each span by itself."""
+        return f"{self.code:04X}{self.cleared:04X}" + (f" {self.span}" if self.span else "")
+
+    @property
+    def where(self) -> str:
+        """The span, for a message; "" where there is one."""
+        return f" in span {self.span}" if self.span else ""
 
     def __str__(self) -> str:
         if self.code == 0:
             return f"EMCY 0000h: {_meaning(self.cleared)} is over" if self.cleared else "EMCY 0000h: no error any more"
         size = f", {self.shift_Nm:+.3g} N·m" if self.code == TORQUE_SHIFT else ""
-        return f"EMCY {self.code:04X}h: {_meaning(self.code)}{size}"
+        if self.code in (TORQUE_SHIFT, UNDECIDED):
+            return f"EMCY {self.code:04X}h: {_meaning(self.code, self.span)}{size}"
+        return f"EMCY {self.code:04X}h: {_meaning(self.code)}{self.where}"
 
 
 class EmergencyInbox:
@@ -99,8 +107,9 @@ class EmergencyInbox:
         return True
 
 
-def _meaning(code: int) -> str:
+def _meaning(code: int, span: int = 0) -> str:
+    """`span`: at which it is; its torque is that of the axis behind it."""
     if code in _OF_TWIN:
-        return _OF_TWIN[code]
+        return _OF_TWIN[code].format(axis=span + 1 if span else 2)
     text = f"{code:04X}"
     return next((name for start, name in _CLASSES.items() if text.startswith(start)), "error")

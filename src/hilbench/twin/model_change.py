@@ -9,7 +9,7 @@ shown, follows without noticing a step.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 from hilbench.estimation.plausibility import Problem
 from hilbench.plant.motor_port import MotorPort
@@ -82,6 +82,16 @@ class ChangeableMachine:
     def problem(self) -> Problem | None:
         """Why the last measurement could not be used."""
         return self._current.problem
+
+    @property
+    def problems(self) -> Mapping[int, Problem | None]:
+        """The same by the number of the span."""
+        return self._current.problems
+
+    @property
+    def shift_span(self) -> int:
+        """The span at which the torque has shifted."""
+        return self._current.shift_span
 
     @property
     def refused(self) -> bool:

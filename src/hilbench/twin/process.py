@@ -107,7 +107,7 @@ class TwinApplication:
         self._measured = list(self._nothing)
         self._owed = [0] * len(self._listeners)  # SYNCs that the axis has not answered
         self._measured_before: list[Measured] | None = None  # while the machine waits to be released
-        self._alarms = Alarms(setup.cycle_s)
+        self._alarms = {span: Alarms(setup.cycle_s) for span in machine.problems}
         self._reported_shift_Nm, self._reported_undecided = 0.0, False
         self._pending = self._released = False
         self._sync_number = self._behind = 0
@@ -126,7 +126,8 @@ class TwinApplication:
         self._measured = list(self._nothing)
         self._owed = [0] * len(self._owed)
         self._measured_before = None
-        self._alarms.reset()
+        for alarms in self._alarms.values():
+            alarms.reset()
         self._reported_shift_Nm, self._reported_undecided = 0.0, False
         self._pending = self._released = False
         self._time_s = 0.0
@@ -242,11 +243,12 @@ class TwinApplication:
 
     def _report_problem(self) -> None:
         """Say by EMCY why a measurement can't be used, and when it can be again."""
-        begun, ended = self._alarms.update(self._machine.problem)
-        for problem in ended:
-            self._device.clear_emergency(problem)
-        for problem in begun:
-            self._device.emergency(problem, _PROFILE_SPECIFIC)
+        for span, found in self._machine.problems.items():
+            begun, ended = self._alarms[span].update(found)
+            for problem in ended:
+                self._device.clear_emergency(problem, span)
+            for problem in begun:
+                self._device.emergency(problem, _PROFILE_SPECIFIC, _at(span), span)
 
     def _report_shift(self) -> None:
         """Say by EMCY what the torque is corrected for, and whether something is open."""
@@ -254,11 +256,12 @@ class TwinApplication:
         if shift_Nm != self._reported_shift_Nm:
             self._device.clear_emergency(TORQUE_SHIFT)
             if shift_Nm != 0.0:
-                self._device.emergency(TORQUE_SHIFT, _PROFILE_SPECIFIC, pack("<f", shift_Nm))
+                info = pack("<f", shift_Nm) + _at(self._machine.shift_span)[-1:]
+                self._device.emergency(TORQUE_SHIFT, _PROFILE_SPECIFIC, info)
             self._reported_shift_Nm = shift_Nm
         if undecided is not self._reported_undecided:
             if undecided:
-                self._device.emergency(UNDECIDED, _PROFILE_SPECIFIC)
+                self._device.emergency(UNDECIDED, _PROFILE_SPECIFIC, _at(self._machine.shift_span))
             else:
                 self._device.clear_emergency(UNDECIDED)
             self._reported_undecided = undecided
@@ -302,6 +305,11 @@ class TwinApplication:
 
     def _publish(self) -> None:
         self._io.publish(self._machine.published())
+
+
+def _at(span: int) -> bytes:
+    """The manufacturer's five bytes of an EMCY message: the number of the span in the last; 0: there is one."""
+    return bytes((0, 0, 0, 0, span))
 
 
 def run_twin(setup: TwinSetup, stop: Callable[[], bool], say: Callable[[str], None]) -> int | None:

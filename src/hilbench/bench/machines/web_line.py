@@ -263,4 +263,4 @@ class WebAlarms(CyclicTask):
                 for trust in self._trusts:
                     trust.forget(str(emergency))
             if emergency.code == Problem.WEB_BREAK and self._stop_on_break:
-                raise BenchFaultError(f"t = {sample.t_s:.3f} s: {emergency.node} reports a web break")
+                raise BenchFaultError(f"t = {sample.t_s:.3f} s: {emergency.node} reports a web break{emergency.where}")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Protocol
 
 from hilbench.estimation.plausibility import Problem
@@ -29,6 +29,14 @@ class TwinMachine(Protocol):
     @property
     def problem(self) -> Problem | None:
         """Why the last measurement could not be used."""
+
+    @property
+    def problems(self) -> Mapping[int, Problem | None]:
+        """The same by the number of the span at which it is; of a machine with one, or without, under 0."""
+
+    @property
+    def shift_span(self) -> int:
+        """Number of the span at which the torque has shifted, or is undecided, most; 0 where there is one, or none."""
 
     @property
     def refused(self) -> bool:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from math import inf
 
 from hilbench.estimation.plausibility import Plausibility, Problem
@@ -49,6 +49,11 @@ class ServoAxisTwin:
         """Whether the motion has said enough of the inertia."""
         return self._estimate.separable
 
+    @property
+    def problems(self) -> Mapping[int, Problem | None]:
+        """Why the last measurement could not be used."""
+        return {0: self.problem}
+
     def reset(self) -> None:
         """Start anew with the inertia and friction of the model, at rest."""
         shaft = self._model.shaft
@@ -63,6 +68,7 @@ class ServoAxisTwin:
         initial = self._model.inertia_kg_m2 * self.plant.inertia_factor
         self._estimate = ShaftEstimate(initial, 0.01 * self._config.inertia.initial_deviation_pct * initial, False)
         self.problem: Problem | None = None
+        self.shift_span = 0
         self._residual_Nm = 0.0
         self._torque_before_Nm: float | None = None  # simulated
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import sqrt
 
@@ -80,6 +80,19 @@ class WebLineTwin:
     def problem(self) -> Problem | None:
         """Why the last measurement could not be used; of several spans at the first that has a problem."""
         return next((each.tracking.problem for each in self._all if each.tracking.problem is not None), None)
+
+    @property
+    def problems(self) -> Mapping[int, Problem | None]:
+        """The same of each span."""
+        return {each.span if self._several else 0: each.tracking.problem for each in self._all}
+
+    @property
+    def shift_span(self) -> int:
+        """The span whose torque has shifted most, or is undecided; 0 where there is one."""
+        if not self._several:
+            return 0
+        found = max(self._all, key=lambda each: (abs(each.tracking.torque_shift_Nm), each.tracking.torque_undecided))
+        return found.span
 
     @property
     def refused(self) -> bool:

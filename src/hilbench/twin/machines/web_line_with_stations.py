@@ -7,7 +7,7 @@ that show it know driven rollers alone.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from math import inf
 
 from hilbench.estimation.plausibility import Problem
@@ -35,6 +35,8 @@ class LineWithStationsTwin:
         self.ports = tuple(MotorPort() for _ in axes)
         self.plant = Line(model, self.ports)
         self.problem: Problem | None = None
+        self.problems: Mapping[int, Problem | None] = {0: None}
+        self.shift_span = 0
         self.refused, self.synchronized = False, False
         self.separable = False  #: nothing is estimated
         self.torque_shift_Nm, self.torque_undecided = 0.0, False
