@@ -5,10 +5,11 @@ The same for the twin on the bus and for a recording.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from copy import deepcopy
 from dataclasses import replace
 from math import exp, hypot, inf, isfinite
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 from hilbench.estimation.plausibility import Plausibility, Problem
 from hilbench.estimation.web_line.anomalies import Anomalies
@@ -25,6 +26,7 @@ from hilbench.estimation.web_line.torque_shift import TorqueShiftFinder
 from hilbench.plant.parameters import per_item
 from hilbench.plant.web_line.layout import Vector
 from hilbench.plant.web_line.parameters import ModelParameters
+from hilbench.plant.web_line.splices import WHOLE, Piece
 
 #: Above this speed of an axis the plant runs already when the twin joins.
 MOVES_M_S = 1e-3
@@ -77,6 +79,14 @@ class SimulatedMotor(Protocol):
     @property
     def torque_Nm(self) -> float:
         """Motor side."""
+
+
+class Known(NamedTuple):
+    """What is known of a span at some time: E, what the torque has shifted by, and what else the model lacks."""
+
+    youngs_modulus_Pa: float
+    torque_shift_Nm: float
+    errors: ModelErrors | None
 
 
 class Tracking:
@@ -133,6 +143,8 @@ class Tracking:
         self.delay_s = self._model_delay_s
         self.estimate = self._stated(Estimate(self._initial_Pa, inf))
         self.residual_Nm = 0.0
+        self.used: BalanceSample | None = None  #: what E was found from in this cycle, with what is no tension
+        self._spliced = WHOLE
         self.problem: Problem | None = None
         self.torque_shift_Nm = 0.0  #: what the measured torque has shifted by, and is corrected for
         self.refused = False  #: a measured state was not plausible in this cycle
@@ -209,6 +221,57 @@ class Tracking:
         return float(self._balance.web.strain[0])
 
     @property
+    def series_factor(self) -> float:
+        """What pieces of other web make of E of the span, as springs in series."""
+        return self._spliced.factor
+
+    @property
+    def leaving_strain(self) -> float:
+        """Of the web that leaves the span, as measured: all of it pulls alike, and each piece has its strain."""
+        return self.measured_strain * self._spliced.factor / self._spliced.at_end
+
+    @property
+    def unstretched_m(self) -> float:
+        """Web in the span."""
+        return self._balance.span_length_m / (1.0 + self.measured_strain)
+
+    @property
+    def span_length_m(self) -> float:
+        """Of the span."""
+        return self._balance.span_length_m
+
+    @property
+    def mass_kg(self) -> float:
+        """At the web, of what is behind the span."""
+        return self._balance.mass_kg
+
+    def put_pieces(self, pieces: Sequence[Piece]) -> None:
+        """Let these be the pieces of other web in the span, by the way of the roller before it."""
+        self._balance.web.put_pieces(pieces)
+        self._spliced = self._balance.web.spliced_spans[0]
+
+    def become(self, relative_change: float) -> None:
+        """The web in the span is all of what a piece of it was: what is known of E is known of that."""
+        more_Pa = relative_change * self.estimate.youngs_modulus_Pa
+        self._synchronizer.rebase(more_Pa)
+        self.estimate = replace(self.estimate, youngs_modulus_Pa=self.estimate.youngs_modulus_Pa + more_Pa)
+        if self._errors is not None:
+            self._errors.release()
+
+    def known(self) -> Known:
+        """What is known now, to come back to."""
+        return Known(self.estimate.youngs_modulus_Pa, self.torque_shift_Nm, deepcopy(self._errors))
+
+    def believe(self, known: Known, strain: float) -> None:
+        """What has come to light since then was no change of E of the web that is in the span, but another strain."""
+        self._balance.web.set_state({"strain1": strain})
+        self.torque_shift_Nm, self._errors = known.torque_shift_Nm, deepcopy(known.errors)
+        self.estimate = replace(self.estimate, youngs_modulus_Pa=known.youngs_modulus_Pa)
+        self.use(self._method)
+        self._anomalies.suspend()
+        self._shift_finder.reset()
+
+    @property
     def torque_undecided(self) -> bool:
         """Whether the torque has changed, and nothing tells yet whether that was E or a shift."""
         return self._shift_finder.undecided
@@ -247,7 +310,8 @@ class Tracking:
         if centre_m is not None:
             raw.x2_m = centre_m
         self._missed_s = 0.0
-        self._now = (raw, torque_Nm)
+        self._now, self.used = (raw, torque_Nm), None
+        self._spliced = balance.web.spliced_spans[0]
         now = self._without_errors(raw)
         torque_sim_Nm = self._axis2.torque_Nm
         self.residual_Nm = torque_Nm - torque_sim_Nm
@@ -271,6 +335,7 @@ class Tracking:
         elif self.problem is not None or paired is None or moved:
             self.skip()
         else:
+            self.used = paired
             self._look_for_errors(paired, torque_Nm, x1_m, F_next_N)
             paired = self._without_errors(paired)
             strain = float(line.strain[0])
@@ -281,7 +346,7 @@ class Tracking:
         self._look_for_shift(now)
         black_box = self.estimate.upstream_strain is not None
         if not black_box:
-            line.set_parameter("youngs_modulus_Pa", self.estimate.youngs_modulus_Pa)
+            line.set_parameter("youngs_modulus_Pa", self._spliced.factor * self.estimate.youngs_modulus_Pa)
         if self._running:
             transfer = self.config.transfer
             self._transfer(x1_m, x2_m, strain=transfer.strain and not black_box, axes=transfer.axes or black_box)
@@ -370,6 +435,9 @@ class Tracking:
         """What is known to be no tension from now on; when that is more than before, the past means another E."""
         errors = self._errors
         if errors is None:
+            return
+        if self._spliced is not WHOLE:  # how much of it is in the span, and what else it is, says nothing of the model
+            errors.interrupt()
             return
         errors.update(balance, torque_Nm, x1_m, F_next_N, self.estimate.youngs_modulus_Pa)
         if errors.rebased_N and balance.web_per_Pa > 0.0:

@@ -527,10 +527,10 @@ def forget_passed(s: Vector, pieces: int, x_m: float, strain_prev: float, web_m:
 
 
 @inlined
-def _change_at(s: Vector, pieces: int, x_m: float, at_m: float, stretch: float, blur_m: float) -> float:
+def change_at(s: Vector, pieces: int, x_m: float, at_m: float, stretch: float, blur_m: float) -> float:
     """Relative change of E·S of the web `at_m` behind roller 1: that of the piece there, with ends that are not sharp.
 
-    Arguments as in `_series_factor` and `spliced_span_rates`.
+    Arguments as in `series_factor` and `spliced_span_rates`.
     """
     change = 0.0
     for number in range(_oldest(s, pieces), int(s[pieces + lay.PIECES_COUNT])):
@@ -543,7 +543,7 @@ def _change_at(s: Vector, pieces: int, x_m: float, at_m: float, stretch: float, 
 
 
 @inlined
-def _series_factor(s: Vector, pieces: int, x_m: float, first_m: float, length_m: float, stretch: float) -> float:
+def series_factor(s: Vector, pieces: int, x_m: float, first_m: float, length_m: float, stretch: float) -> float:
     """Factor on E·S of a span that begins at `first_m` and holds `length_m` of web: springs in series.
 
     Lengths unstretched, from roller 1, whose web has gone `x_m` at the `stretch` of what enters:
@@ -591,7 +591,7 @@ def spliced_span_rates(
     begin = 0.0
     for k in range(spans):
         row, length = first + k * lay.SP_SIZE, w[material + k]
-        factor = _series_factor(s, pieces, x_m, begin, length, stretch_prev)
+        factor = series_factor(s, pieces, x_m, begin, length, stretch_prev)
         strain = w[material + spans + k] * length_factor(p, row) / length - 1.0
         w[tension + k] = max(stiffness_N(p, row, t_s, w[steps + k]) * factor * (strain - p[row + _STRAIN_OFFSET]), 0.0)
         begin += length
@@ -599,10 +599,10 @@ def spliced_span_rates(
     begin = 0.0
     for k in range(spans):
         row, length = first + k * lay.SP_SIZE, w[material + k]
-        factor = _series_factor(s, pieces, x_m, begin, length, stretch_prev)
+        factor = series_factor(s, pieces, x_m, begin, length, stretch_prev)
         stretch = w[material + spans + k] * length_factor(p, row) / length
         begin += length
-        at_end = 1.0 + _change_at(s, pieces, x_m, begin, stretch_prev, blur_m)
+        at_end = 1.0 + change_at(s, pieces, x_m, begin, stretch_prev, blur_m)
         outflow = w[speed + k + 1] / (1.0 + (stretch - 1.0) * factor / at_end)
         if p[row + _CREEP] != 0.0:
             behind = w[tension + k + 1] if k + 1 < spans else f_next_N

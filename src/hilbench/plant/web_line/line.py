@@ -13,7 +13,7 @@ from hilbench.plant.interface import Quantity, checked_name
 from hilbench.plant.motor_port import MotorPort
 from hilbench.plant.parameters import per_item
 from hilbench.plant.sampling import samples_per
-from hilbench.plant.web_line import laws, reels
+from hilbench.plant.web_line import laws, motion, reels
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.layout import Vector
 from hilbench.plant.web_line.modes import needed_substeps
@@ -27,6 +27,7 @@ from hilbench.plant.web_line.simulated import (
     moduli_by_name,
     modulus_names,
 )
+from hilbench.plant.web_line.splices import has_pieces, spliced_spans
 from hilbench.plant.web_line.stations import Reel, reel_name
 
 
@@ -85,12 +86,19 @@ class Line(SimulatedLine):
         self._elastic |= _acts_on_elasticity(effect_id)
 
     def elasticity_factor(self, span: int) -> float:
-        """What the effects on E make of it now in a span (counted from 1); 1 without any."""
+        """What the effects on E make of it now in a span (counted from 1), of web with a splice in it that of the
+        whole; 1 without any."""
         if not self._elastic:
             return 1.0
         sample_s, time_s, row = self._p[lay.W_SAMPLE_TIME_S], self.time_s, self._layout.first_span
         row += (span - 1) * lay.SP_SIZE
-        return float(laws.elasticity_factor(self._p, row, time_s, laws.step_factor(self._p, row, time_s, sample_s)))
+        factor = float(laws.elasticity_factor(self._p, row, time_s, laws.step_factor(self._p, row, time_s, sample_s)))
+        if not has_pieces(self._state):
+            return factor
+        n, k, y = self._layout.axes, self._layout.spans, self._layout.y(self._state)
+        stretch = 1.0 + float(laws.upstream_strain(self._p, self._inputs[lay.U_STRAIN_PREV], time_s))
+        way_m = float(motion.web_way_m(self._p, y[0]))
+        return factor * spliced_spans(self._state, way_m, stretch, y[4 * n : 4 * n + k].tolist())[span - 1].factor
 
     @property
     def tension_N(self) -> Vector:

@@ -28,6 +28,7 @@ from hilbench.plant.web_line.simulated import (
     set_effect,
     span_names,
 )
+from hilbench.plant.web_line.splices import WHOLE, Piece, SplicedSpan, has_pieces, put_pieces, spliced_spans
 from hilbench.plant.web_line.stations import ONLY_DRIVEN
 
 #: Longest integration step; the error of a step is of order (v·h/L)^5/120, below rounding on the demonstrator.
@@ -350,8 +351,24 @@ class SpanFollower:
 
     @property
     def effective_moduli_Pa(self) -> Vector:
-        """E as it acts now in each span (K,), with the effects on it."""
-        return np.array([_modulus(self._p, span, self._state[0]) for span in range(self._layout.spans)])
+        """E as it acts now in each span (K,), with the effects on it; of web with a splice in it that of the whole."""
+        moduli = np.array([_modulus(self._p, span, self._state[0]) for span in range(self._layout.spans)])
+        return moduli * [span.factor for span in self.spliced_spans] if has_pieces(self._state) else moduli
+
+    @property
+    def spliced_spans(self) -> list[SplicedSpan]:
+        """What pieces of other web make of each span (K,)."""
+        n, k = self._layout.axes, self._layout.spans
+        if not has_pieces(self._state):
+            return [WHOLE] * k
+        stretch = 1.0 + float(laws.upstream_strain(self._p, self._boundary[0], self._state[0]))
+        unstretched_m = self._state[_TIME + n : _TIME + n + k].tolist()
+        return spliced_spans(self._state, self._state.item(_TIME), stretch, unstretched_m)
+
+    def put_pieces(self, pieces: Sequence[Piece]) -> None:
+        """Let these be the pieces of other web in it, in the order in which they came in; the strains stay."""
+        put_pieces(self._state, pieces)
+        self._stale = True
 
     def outputs(self) -> dict[str, float]:
         """Motion of the rollers, tension and strain of the spans, and E as it acts."""

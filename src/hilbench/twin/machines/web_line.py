@@ -24,6 +24,7 @@ from hilbench.plant.web_line.sizes import least_way_m
 from hilbench.plant.web_line.span import SpanFollower
 from hilbench.topology.signals import Shape
 from hilbench.twin.machines.machine import Measured, Told
+from hilbench.twin.machines.passage import Passage
 from hilbench.twin.machines.web_section import WebSection
 
 
@@ -68,6 +69,12 @@ class WebLineTwin:
             tracking = Tracking(section.model, config.of_span(method), section, section, cycle_s)
             self._estimated[span] = _Estimated(span, section, tracking)
         self._all = tuple(self._estimated.values())
+        first, joined = self._all[0].span, list[Tracking]()
+        for span in range(first, len(spans) + 1):
+            if span not in self._estimated:
+                break
+            joined.append(self._estimated[span].tracking)
+        self._passage = Passage(joined, cycle_s) if self._several else None
         others = [span for span in spans if span not in methods]
         self._others = _OtherSpans(model, others, config.transfer.strain_limit) if others else None
         self._told = told
@@ -132,6 +139,8 @@ class WebLineTwin:
     def _start_anew(self) -> None:
         """What is measured has no past."""
         self._rollers.reset()
+        if self._passage is not None:
+            self._passage.reset()
         if self._others is not None:
             self._others.reset()
 
@@ -174,6 +183,8 @@ class WebLineTwin:
             less_Nm = each.tracking.torque_shift_Nm, self.ports[each.span].torque_Nm
             self._compare(each, time_s, positions_m, torques_Nm, self._strain_before(each.span, strain_prev), F_next_N)
             each.residual_Nm = measured_Nm[each.span] - less_Nm[0] - less_Nm[1]
+        if self._passage is not None:
+            self._passage.update(positions_m[self._all[0].span - 1 :])
         if others is not None and self._transfer.strain:
             others.transfer(self.plant)
         return True
@@ -184,7 +195,7 @@ class WebLineTwin:
             return strain_prev
         before = self._estimated.get(span - 1)
         if before is not None:
-            return before.tracking.measured_strain
+            return before.tracking.leaving_strain
         assert self._others is not None, "a span is estimated, or among the others"
         return self._others.strain(span - 1)
 
@@ -248,8 +259,9 @@ class WebLineTwin:
             values.append(tension_N)
             each = self._estimated.get(span)
             if each is not None:
-                factor = line.elasticity_factor(span)  # the E that acts is told, as of a web that is measured
                 found = each.tracking.estimate
+                # The E that acts is told, as of a web that is measured.
+                factor = line.elasticity_factor(span) * each.tracking.series_factor
                 values += (
                     factor * found.youngs_modulus_Pa,
                     factor * found.deviation_Pa,

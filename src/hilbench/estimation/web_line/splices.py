@@ -1,0 +1,214 @@
+"""Other web that enters a span, told from a change of E of the web that is there.
+
+A span that a joint passes through is two springs in series: its compliance goes from the old web's to the new web's
+with the way s of the joint through the length L. What the encoders show is less than that, as they are followed as if
+the web that leaves were like the rest: of the compliance that they seem to show, relative to the old one,
+
+    web of another E from the joint on:     b·(1 − exp(−s/L))        b = E_old/E_new − 1
+    a short piece of other web:             β·exp(−s/L)              β = b·(its length)/L
+    E of the web that is in the span:       a step
+
+to the first order in the change, and within 0.2 % of the compliance for one by 20 %. Means over blocks are compared
+with these three, each with every place of the joint that the last blocks can tell.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import Enum
+from math import exp, inf
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilbench.estimation.web_line.balance import BalanceSample
+
+Array = NDArray[np.float64]
+
+#: Length of a block, time between two looks, and the most and the fewest blocks that are looked at.
+_BLOCK_S, _LOOK_S = 0.02, 0.1
+_MOST, _FEWEST = 400, 40
+#: Blocks that have to lie before a joint and behind it, and how many places are tried.
+_BEFORE, _BEHIND, _PLACES = 15, 10, 48
+#: Twice the logarithm of the likelihood: something has changed; one explanation is better than another.
+_CHANGED, _BETTER = 45.0, 16.0
+#: Way of a joint through the span, in lengths, before which it is not told from a step, and up to which what is known
+#: of it gets better.
+_LEAST_WAY, _THROUGH = 0.12, 1.0
+#: Relative change of the speed from which on the web's share in the torque is not all that changes.
+_SAME_SPEED = 0.02
+#: A short piece is taken to be so long, m, and no softer or stiffer than this share of the span allows.
+_SHORT_M, _LEAST_SHARE = 0.3, 0.5
+
+
+class Joint(NamedTuple):
+    """Other web that has come in: where the roller before the span was then, m; the relative change of E, and the
+    length of the piece, m (inf: all that follows)."""
+
+    front_m: float
+    relative_change: float
+    length_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class Entered:
+    """A joint in the span, and how much larger the strain is than it seemed.
+
+    Without a joint there was none: `relative_change` is that of E of the web in the span.
+    """
+
+    joint: Joint | None
+    strain_ratio: float = 1.0
+    relative_change: float = 0.0
+
+
+class _Kind(Enum):
+    """What has changed: E of the web in the span, the web that comes in, or a short piece of it."""
+
+    STEP = "step"
+    WEB = "web"
+    SHORT = "short"
+
+
+class _Fit(NamedTuple):
+    gain: float  #: twice the logarithm of the likelihood over that of no change
+    front_m: float
+    share: float  #: change of the compliance
+
+
+class SpliceFinder:
+    """Looks at the balances of one span for other web that enters it."""
+
+    def __init__(self, span_length_m: float, mass_kg: float, cycle_s: float) -> None:
+        self._length_m = span_length_m
+        self._mass_kg = mass_kg
+        self._cycles = max(2, round(_BLOCK_S / cycle_s))
+        self._block_s = self._cycles * cycle_s
+        self._every = max(1, round(_LOOK_S / self._block_s))
+        self.reset()
+
+    def reset(self) -> None:
+        """The web is another one, or what is measured has no past."""
+        #: Of each block: position of the roller before the span, m, and seeming strain times section over tension.
+        self._blocks: deque[tuple[float, float]] = deque(maxlen=_MOST)
+        self._speeds: deque[float] = deque(maxlen=self._every)
+        self._blocks_seen = 0
+        self._kind: _Kind | None = None
+        self._joint: Joint | None = None
+        self._interrupt()
+
+    def _interrupt(self) -> None:
+        self._count = 0
+        self._force_N = self._web = self._way_m = self._first_m_s = 0.0
+
+    def update(self, now: BalanceSample | None, before_m: float, seeming: float) -> Entered | None:
+        """Take the balance of this cycle (None: it can't be used), the position of the roller before the span in m,
+        and what the tension would be by the strain as it seems, over that of the balance. A joint when one is found, or
+        is known better; it stays the same one until `reset`."""
+        if now is None:
+            self._interrupt()
+            return None
+        if not self._count:
+            self._first_m_s = now.velocity_m_s
+        self._force_N += now.force_N
+        self._web += now.web_per_Pa * seeming
+        self._way_m += before_m
+        self._count += 1
+        if self._count < self._cycles:
+            return None
+        count = self._count
+        gained_N = self._mass_kg * (now.velocity_m_s - self._first_m_s) / ((count - 1) * self._block_s / count)
+        tension_N = self._force_N / count - gained_N
+        block = (self._way_m / count, self._web / count / tension_N) if tension_N > 0.0 else None
+        self._interrupt()
+        if block is None or not self._is_steady(now.velocity_m_s):
+            self._blocks.clear()
+            return None
+        self._blocks.append(block)
+        self._blocks_seen += 1
+        if self._blocks_seen % self._every or len(self._blocks) < _FEWEST:
+            return None
+        return self._look()
+
+    def _is_steady(self, velocity_m_s: float) -> bool:
+        speeds = self._speeds
+        speeds.append(velocity_m_s)
+        return abs(velocity_m_s - speeds[0]) <= _SAME_SPEED * abs(velocity_m_s)
+
+    def _look(self) -> Entered | None:
+        ways_m, compliances = np.array(self._blocks).T
+        noise = 1.4826 * float(np.median(np.abs(np.diff(compliances)))) / 2.0**0.5
+        if not noise > 0.0:
+            return None
+        places = np.linspace(_BEFORE, len(ways_m) - _BEHIND - 1, min(_PLACES, len(ways_m) - _BEFORE - _BEHIND))
+        fronts_m = 0.5 * (ways_m[places.astype(int)] + ways_m[places.astype(int) + 1])
+        into = (ways_m - fronts_m[:, None]) / self._length_m
+        inside, left = into > 0.0, np.exp(-np.maximum(into, 0.0))
+        shapes = {_Kind.STEP: inside.astype(float), _Kind.WEB: 1.0 - left, _Kind.SHORT: np.where(inside, left, 0.0)}
+        fits = {kind: _best(compliances, shape, fronts_m, noise) for kind, shape in shapes.items()}
+        # What none of them explains, as a roller that a step has hit, counts as noise.
+        total = float(np.sum((compliances - compliances.mean()) ** 2)) / noise**2
+        rest = (total - max(fit.gain for fit in fits.values())) / len(compliances)
+        far_in = all(
+            (ways_m[-1] - fits[kind].front_m) > _LEAST_WAY * self._length_m for kind in (_Kind.WEB, _Kind.SHORT)
+        )
+        if not self._decide({kind: fit.gain / max(rest, 1.0) for kind, fit in fits.items()}, far_in=far_in):
+            return None
+        kind = self._kind
+        assert kind is not None, "it was decided"
+        if kind is _Kind.STEP:
+            self._forget_before(fits[kind].front_m)
+            if self._joint is None:
+                return None
+            self._joint = None
+            return Entered(None, relative_change=1.0 / (1.0 + fits[kind].share) - 1.0)
+        return self._entered(fits[kind], (float(ways_m[-1]) - fits[kind].front_m) / self._length_m)
+
+    def _decide(self, gains: Mapping[_Kind, float], *, far_in: bool) -> bool:
+        """Which of the explanations it is, by their gains; whether there is something to tell.
+
+        A short piece that has just come in is like a step, and what is neither for certain stays what it was.
+        """
+        joint, other = sorted((_Kind.WEB, _Kind.SHORT), key=gains.__getitem__, reverse=True)
+        if gains[_Kind.STEP] > max(gains[joint] + _BETTER, _CHANGED):
+            self._kind = _Kind.STEP
+        elif gains[joint] > _CHANGED and (far_in or self._kind is not None):
+            than = [gains[other]] if self._kind is not None else [gains[other], gains[_Kind.STEP]]
+            if gains[joint] > max(than) + _BETTER:
+                self._kind = joint
+        return self._kind is not None
+
+    def _forget_before(self, front_m: float) -> None:
+        """What was before a step says nothing any more."""
+        kept = [block for block in self._blocks if block[0] > front_m]
+        self._blocks.clear()
+        self._blocks.extend(kept)
+        self._kind = None
+
+    def _entered(self, found: _Fit, way: float) -> Entered | None:
+        """As it is known now; a joint that is through is known as well as it will be."""
+        if self._joint is not None and way > _THROUGH:
+            return None
+        share, endless = found.share, self._kind is _Kind.WEB
+        left = exp(-max(way, 0.0))
+        if endless:
+            length_m, of_piece, acts, seems = inf, share, share * min(max(way, 0.0), 1.0), share * (1.0 - left)
+        else:
+            length_m = max(_SHORT_M, abs(share) * self._length_m / _LEAST_SHARE)
+            of_piece, acts, seems = share * self._length_m / length_m, share, share * left
+        self._joint = Joint(found.front_m, 1.0 / (1.0 + of_piece) - 1.0, length_m)
+        return Entered(self._joint, (1.0 + acts) / (1.0 + seems))
+
+
+def _best(values: Array, shapes: Array, fronts_m: Array, noise: float) -> _Fit:
+    """The best of straight lines a + b·shape, by least squares: values (n,), shapes (m, n), fronts (m,), m."""
+    centred = shapes - shapes.mean(axis=1, keepdims=True)
+    squares = np.maximum(np.einsum("mn,mn->m", centred, centred), 1e-12)
+    slopes = centred @ (values - values.mean()) / squares
+    at = int(np.argmax(slopes * slopes * squares))
+    before = float(values.mean() - slopes[at] * shapes[at].mean())
+    slope = float(slopes[at])
+    return _Fit(slope * slope * float(squares[at]) / noise**2, float(fronts_m[at]), slope / before)

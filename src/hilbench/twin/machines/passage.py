@@ -1,0 +1,147 @@
+"""Other web on its way through a line: found in the first span at which E is estimated, and expected in the next ones.
+
+While a joint is inside a span the web there is followed as springs in series, and leaves the span with the strain that
+its piece has. When it reaches the next roller the next span has it, without looking for it: what is found there is E of
+the web without it, and a change of that is a new one.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from math import isinf
+
+from hilbench.estimation.web_line.splices import Entered, Joint, SpliceFinder
+from hilbench.estimation.web_line.tracking import Known, Tracking
+from hilbench.plant.web_line.splices import Piece
+
+#: How often what is known is remembered, and how long, s: a joint is found after it has come in.
+_REMEMBERED_S, _LONGEST_S = 0.1, 3.0
+#: Length of a piece that has no end, m.
+_ENDLESS_M = 1e9
+
+
+@dataclass
+class _Inside:
+    """A joint whose web is in a span; `handed_on`: its front has left."""
+
+    joint: Joint
+    handed_on: bool = False
+
+
+@dataclass
+class _Span:
+    """A span with the joints in it, by the way of the roller before it."""
+
+    tracking: Tracking
+    joints: list[_Inside] = field(default_factory=list)
+
+    def put(self) -> None:
+        """Let these joints be those of the web that is followed."""
+        self.tracking.put_pieces(
+            [
+                Piece(inside.joint.front_m, min(inside.joint.length_m, _ENDLESS_M), inside.joint.relative_change)
+                for inside in self.joints
+            ]
+        )
+
+
+class Passage:
+    """Joints in spans that follow each other, from the first of them on; `trackings` of these spans."""
+
+    def __init__(self, trackings: Sequence[Tracking], cycle_s: float) -> None:
+        self._spans = [_Span(tracking) for tracking in trackings]
+        first = trackings[0]
+        self._finder = SpliceFinder(first.span_length_m, first.mass_kg, cycle_s)
+        self._cycle_s = cycle_s
+        self._remembered_every, self._cycle = max(1, round(_REMEMBERED_S / cycle_s)), 0
+        #: What was known in the first span, by the position of the roller before it, m.
+        self._memories: deque[tuple[float, Known]] = deque(maxlen=round(_LONGEST_S / _REMEMBERED_S))
+        self.reset()
+
+    def reset(self) -> None:
+        """The web is all of one kind."""
+        self._look_anew()
+        for span in self._spans:
+            if span.joints:
+                span.joints.clear()
+                span.put()
+
+    def _look_anew(self) -> None:
+        self._finder.reset()
+        #: In the first span, the strain that would be seen without a joint over that which is; of the cycle before.
+        self._seeming, self._strain = 1.0, 0.0
+        self._memories.clear()
+        self._before: Known | None = None
+
+    def update(self, positions_m: Sequence[float]) -> None:
+        """After the spans have been compared; positions (K + 1,) of the rollers around them, at the web, in m."""
+        first = self._spans[0]
+        self._remember(first, positions_m[0])
+        self._follow_seeming(first)
+        tracking = first.tracking
+        entered = self._finder.update(tracking.used, positions_m[0], self._seeming / tracking.series_factor)
+        if entered is not None:
+            self._enter(first, entered)
+        for place, span in enumerate(self._spans):
+            if span.joints:
+                behind = self._spans[place + 1] if place + 1 < len(self._spans) else None
+                self._hand_on(span, behind, positions_m[place], positions_m[place + 1])
+        if entered is None and self._seeming != 1.0 and not first.joints:
+            self._look_anew()
+        self._strain = first.tracking.measured_strain
+
+    def _enter(self, first: _Span, entered: Entered) -> None:
+        """A joint has been found, or is known better, or was none."""
+        tracking = first.tracking
+        before = self._known_before(entered.joint)
+        known = before._replace(youngs_modulus_Pa=before.youngs_modulus_Pa * (1.0 + entered.relative_change))
+        tracking.believe(known, tracking.measured_strain * self._seeming * entered.strain_ratio)
+        first.joints = [] if entered.joint is None else [_Inside(entered.joint)]
+        first.put()
+        self._seeming = 1.0 / entered.strain_ratio
+
+    def _known_before(self, joint: Joint | None) -> Known:
+        """What was known before a joint came in; what was known at the first one is kept as long as it is inside."""
+        if joint is not None and not self._spans[0].joints:
+            before = [known for at_m, known in self._memories if at_m < joint.front_m]
+            self._before = before[-1] if before else self._memories[0][1]
+        assert self._before is not None, "a joint is taken back only after it was found"
+        return self._before
+
+    def _remember(self, first: _Span, at_m: float) -> None:
+        self._cycle += 1
+        if self._cycle % self._remembered_every == 0 and not first.joints and first.tracking.used is not None:
+            self._memories.append((at_m, first.tracking.known()))
+
+    def _follow_seeming(self, first: _Span) -> None:
+        """The strain as it would be seen without a joint: as if all web in the span were alike."""
+        tracking, before = first.tracking, self._strain
+        strain, now = tracking.measured_strain, tracking.used
+        if not first.joints or now is None or not strain > 0.0:
+            return
+        share = abs(now.velocity_m_s) * self._cycle_s / tracking.span_length_m
+        seems = self._seeming * before
+        self._seeming = (seems + strain - before + share * (tracking.leaving_strain - seems)) / strain
+
+    def _hand_on(self, span: _Span, behind: _Span | None, before_m: float, behind_m: float) -> None:
+        """What has come through a span is in the next one; a span that is full of it consists of it."""
+        stretch, unstretched_m = 1.0 + span.tracking.measured_strain, span.tracking.unstretched_m
+        gone = []
+        for inside in span.joints:
+            joint = inside.joint
+            beyond_m = (before_m - joint.front_m) / stretch - unstretched_m
+            if beyond_m >= 0.0 and not inside.handed_on:
+                inside.handed_on = True
+                if behind is not None:
+                    behind.joints.append(_Inside(joint._replace(front_m=behind_m - beyond_m * stretch)))
+                    behind.put()
+                if isinf(joint.length_m):
+                    span.tracking.become(joint.relative_change)
+                    gone.append(inside)
+            if beyond_m >= joint.length_m:
+                gone.append(inside)
+        if gone:
+            span.joints = [inside for inside in span.joints if inside not in gone]
+            span.put()
