@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from hilbench.diagnosis.fit import STATED, Fit, around, fit, moved_by_doubts, sums, time_profile
 from hilbench.diagnosis.machines import AnyImitation
 from hilbench.diagnosis.measured import Measured, measured_from
+from hilbench.diagnosis.measured_motion import OnMeasuredMotion
 from hilbench.diagnosis.misfit import Condition, Misfit, largest_ratio, located, misfits, ratios
 from hilbench.diagnosis.noise import NORMAL_95, Whitening, floor, rms
 from hilbench.diagnosis.predictor import Choice, choice
@@ -254,7 +255,7 @@ def concluded(space: Space, chosen: Choice, data: Measured, selection: Selection
         simulations=space.simulations,
         imitation=predictor.imitation,
         predicted_on=chosen.basis,
-        nuisance=_nuisance(space.model, chosen, effects),
+        nuisance=[*_nuisance(space.model, chosen, effects), *_presliding(space.model, chosen)],
         laws=_laws(space, names, final.residual[torques], conditions) if unexplained else [],
         repairs=data.repairs,
     )
@@ -279,6 +280,16 @@ def _nuisance(model: Machine, chosen: Choice, effects: list[NamedEffect]) -> lis
             }
             result.append(NamedEffect(effect, loop.axis, values, {"likelihood_ratio": loop.gain}, [], None))
     return result
+
+
+def _presliding(model: Machine, chosen: Choice) -> list[NamedEffect]:
+    """The way over which dry friction turns over after a reversal, of a lone axis that shows one."""
+    if not isinstance(chosen.predictor, OnMeasuredMotion) or chosen.predictor.presliding is None:
+        return []
+    found = chosen.predictor.presliding
+    low, high = found.ci95
+    way = Value(rounded(found.way), (rounded(low), rounded(high)), model.position_unit)
+    return [NamedEffect("presliding", 1, {f"way_{model.position_unit}": way}, {}, [], None)]
 
 
 def _laws(space: Space, names: tuple[str, ...], residuals: Array, conditions: list[Condition]) -> list[SparseLaw]:

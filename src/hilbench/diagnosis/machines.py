@@ -102,13 +102,27 @@ def sizes(
 
 
 def turns_apart(model: Machine, axis: int) -> bool:
-    """Whether there is inertia on both sides of a gear of the model."""
+    """Whether a play can be between motor and roller: with a web there has to be inertia on both sides of it."""
     if isinstance(model, ServoAxisParameters):
         return False
+    if is_lone(model):
+        return True
     return model.motor_mass_kg(axis) > 0.0 and model.roller_mass_kg(axis) > 0.0
 
 
-def required_Nm(model: Machine, parameters: Array, x: Array, v: Array, a: Array, period_s: float, out: Array) -> None:
-    """Torque (n,) that a motion (n,) of a lone axis needs, into `out`: as its drive reports it."""
+def required_Nm(
+    model: Machine,
+    parameters: Array,
+    x: Array,
+    v: Array,
+    a: Array,
+    period_s: float,
+    out: Array,
+    presliding: float = 0.0,
+) -> None:
+    """Torque (n,) that a motion (n,) of a lone axis needs, into `out`: as its drive reports it.
+
+    presliding: way over which dry friction turns over after a reversal, in the machine's unit.
+    """
     law = shaft_torque_Nm if isinstance(model, ServoAxisParameters) else required_torque_Nm
-    law(parameters, x, v, a, period_s, out)
+    law(parameters, x, v, a, period_s, out, presliding)

@@ -16,6 +16,7 @@ from hilbench.diagnosis import machines
 from hilbench.diagnosis.measured import STANDSTILL_M_S, Measured
 from hilbench.diagnosis.misfit import Condition
 from hilbench.diagnosis.noise import floor
+from hilbench.diagnosis.presliding import Presliding, presliding
 from hilbench.plant.model_file import Machine
 
 Array = NDArray[np.float64]
@@ -27,8 +28,10 @@ _STANDSTILL_SHARE: Final = 0.02
 _NOISE_SHARE: Final = 1e-3
 #: Corners of the filter, Hz: highest, lowest, and the ratio of one that is tried to the next.
 _HIGHEST_HZ, _LOWEST_HZ, _FINER = 60.0, 5.0, 0.9
-#: How far the filter smears what happens at standstill, in periods of its corner.
-_REACH: Final = 1.5
+#: How far the filter smears what happens at standstill, in periods of its corner; time, in the same, within which an
+#: axis that reverses passes through standstill: what is predicted passes it as fast, in the same filter. The same
+#: where it is known how friction turns over.
+_REACH, _PASSES, _TURNS_OVER = 1.5, 0.5, 4.0
 #: Corner as a share of the Nyquist frequency, and rows per period of it.
 _OF_NYQUIST, _ROWS_PER_PERIOD = 0.8, 4.0
 
@@ -98,22 +101,24 @@ class OnMeasuredMotion:
     Motion and torque pass the same filter, which is as wide as the encoder's noise allows.
     """
 
-    def __init__(self, model: Machine, data: Measured, motion: MotionFilter | None = None) -> None:
-        """`motion`: by default as wide as the noise of the position allows."""
+    def __init__(self, model: Machine, data: Measured, wider: OnMeasuredMotion | None = None) -> None:
+        """`wider`: the one of which this has half the corner; without it as wide as the position's noise allows."""
         self._model, self._data = model, data
         self.names = ("tau1_Nm",)
         self.imitation = None
         self._period_s = data.period_s
-        self._filter = motion or _filter_for(data)
+        self._filter = _filter_for(data) if wider is None else MotionFilter(0.5 * wider.corner_hz, data.period_s)
         self._x = self._filter.smooth(data.x_m[1])
         self._v = np.gradient(self._x, data.period_s)
         self._a = np.gradient(self._v, data.period_s)
         self.exact = False
         self.tolerances = np.zeros(1)
         self.every = max(1, round(1.0 / (_ROWS_PER_PERIOD * self.corner_hz) / data.period_s))
-        self.measured = self._filter.smooth(data.tau_Nm[1])[None, :: self.every]
+        torque = self._filter.smooth(data.tau_Nm[1])
+        self.measured = torque[None, :: self.every]
         self._noise_Nm = floor(data.tau_Nm[1]) * float(np.sqrt(2.0 * self.corner_hz * data.period_s))
-        self.rows = self._moving()[:: self.every]
+        self.presliding: Presliding | None = self._presliding(torque) if wider is None else wider.presliding
+        self.rows = self._moving(_PASSES if self.presliding is None else _TURNS_OVER)[:: self.every]
         self._t_s = data.t_s
 
     @property
@@ -124,12 +129,21 @@ class OnMeasuredMotion:
     @property
     def narrower(self) -> OnMeasuredMotion:
         """The same with half the corner."""
-        return OnMeasuredMotion(self._model, self._data, MotionFilter(0.5 * self.corner_hz, self._period_s))
+        return OnMeasuredMotion(self._model, self._data, self)
 
-    def _moving(self) -> NDArray[np.bool_]:
-        """(n,): where the axis moves, and no standstill, gap or end of the recording is within reach of the filter."""
+    def _presliding(self, torque: Array) -> Presliding | None:
+        """How friction turns over at reversals, however long they take."""
+        rows = self._moving(len(self._x) * self._period_s * self.corner_hz)
+        return presliding((self._x, self._v, self._a), torque, self._filter.smooth, rows)
+
+    def _moving(self, passes: float) -> NDArray[np.bool_]:
+        """(n,): where the axis moves, and no standstill, gap or end of the recording is within reach of the filter.
+
+        passes: periods of the corner within which a reversal is no standstill.
+        """
         usual = float(np.quantile(np.abs(self._v), 0.99))
         stands = np.abs(self._v) < max(STANDSTILL_M_S, _STANDSTILL_SHARE * usual)
+        stands &= ~_passing(self._v, stands, round(passes / self.corner_hz / self._period_s))
         stands |= _with_surroundings(~self._data.usable())
         stands[[0, -1]] = True
         return ~binary_dilation(stands, iterations=round(_REACH / self.corner_hz / self._period_s))
@@ -139,21 +153,28 @@ class OnMeasuredMotion:
         return self._noise_Nm
 
     def conditions(self, parameters: Array) -> list[Condition]:
-        """Time and motion."""
+        """Time and motion. Before friction slides, and within a play, it depends on the way since the last reversal."""
         step, unit = slice(None, None, self.every), self._model.position_unit
         return [
             Condition("time", "s", self._t_s[step], spectral=True),
             Condition("speed of axis 1", f"{unit}/s", self._v[step]),
             Condition("acceleration of axis 1", f"{unit}/s²", self._a[step]),
             Condition("position of axis 1", unit, self._x[step], spectral=True),
+            Condition("way since the last reversal of axis 1", unit, self._since_reversal()[step]),
         ]
+
+    def _since_reversal(self) -> Array:
+        """(n,): how far the axis has gone in its present direction, with the sign of it."""
+        turns = np.concatenate([[0], np.flatnonzero(np.diff(np.sign(self._v))) + 1, [len(self._v)]])
+        return np.asarray(self._x - np.repeat(self._x[turns[:-1]], np.diff(turns)))
 
     def predict(self, parameters: Array) -> Array:
         """(B, P) to (B, 1, n): torque by the laws, filtered as the measurement is."""
         many = np.atleast_2d(parameters)
         torque = np.empty((len(many), len(self._x)))
+        way = self.presliding.way if self.presliding is not None else 0.0
         for vector, out in zip(many, torque, strict=True):
-            machines.required_Nm(self._model, vector, self._x, self._v, self._a, self._period_s, out)
+            machines.required_Nm(self._model, vector, self._x, self._v, self._a, self._period_s, out, way)
         return self._filter.smooth(torque)[:, None, :: self.every]
 
 
@@ -164,10 +185,23 @@ def _filter_for(data: Measured) -> MotionFilter:
     return MotionFilter.for_position(data.x_m[1], data.period_s)
 
 
+def _passing(speed: Array, slow: NDArray[np.bool_], most: int) -> NDArray[np.bool_]:
+    """(n,): the slow rows of at most so many in a row, in which the speed changes its sign."""
+    found = np.zeros_like(slow)
+    for first, end in _runs(slow):
+        if end - first <= most and first > 0 and end < len(slow) and speed[first - 1] * speed[end] < 0.0:
+            found[first:end] = True
+    return found
+
+
+def _runs(rows: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """(runs, 2): first of the rows that follow one another, and the one after the last."""
+    return np.flatnonzero(np.diff(np.concatenate([[False], rows, [False]]))).reshape(-1, 2)
+
+
 def _with_surroundings(left_out: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """(n,): the rows left out, and as many on either side of each gap: the longer it is the worse it is bridged."""
     found = left_out.copy()
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], left_out, [False]])))
-    for first, end in edges.reshape(-1, 2):
+    for first, end in _runs(left_out):
         found[max(2 * first - end, 0) : 2 * end - first] = True
     return found

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from hilbench.diagnosis import machines
 from hilbench.diagnosis.measured import Measured
 from hilbench.diagnosis.terms import Term
-from hilbench.plant.effects import Effect, MachineSizes, ProbeOver, effects_of
+from hilbench.plant.effects import Domain, Effect, MachineSizes, ProbeOver, effects_of
 from hilbench.plant.model_file import Machine
 from hilbench.plant.parameters import EffectEntry
 from hilbench.plant.web_line.parameters import ModelParameters
@@ -26,6 +26,9 @@ _LEAST_CYCLES: Final = 4.0
 _HIGHEST_ORDER: Final = 64.0
 _LEAST_SHARE_OF_A_TURN: Final = 0.5  #: of the roller's
 _HIGHEST_ORDER_OF_A_SCREW: Final = 1e4
+#: Angle that a roller (an arm) has to turn for a torque by its angle to be told from a spring or an offset: over less
+#: a sine is straight within some per cent.
+_LEAST_ARC_RAD: Final = 1.0
 #: Turns from which whole orders can be told apart.
 _RESOLVED: Final = 4.0
 #: Times of a step that are simulated at first, and among how many that can be told apart it was chosen.
@@ -150,6 +153,13 @@ class Proposer:
         return [replace(plain, probe=times * plain.size, multiplicity=count) for times in probe.tried]
 
     def _possible(self, effect: Effect, axis: int | None) -> bool:
+        # In less than a turn an encoder's error once a turn is one of its scale, or a torque that goes with the angle.
+        if effect.domain is Domain.POSITION_MEASUREMENT and axis in self._data.x_m and self._turns(axis) < 1.0:
+            return False
+        if effect.domain is Domain.ROLLER_TORQUE and axis in self._data.x_m:
+            turned_rad = self._turns(axis) * _TURN / self._model.gear_ratio(axis)
+            if turned_rad < _LEAST_ARC_RAD:
+                return False
         if not effect.needs_gear or axis is None:
             return True
         return machines.turns_apart(self._model, axis)

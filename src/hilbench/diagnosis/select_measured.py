@@ -75,10 +75,11 @@ class _Linear:
     gram: Array
     cross: Array
     square: Array
+    raw: Array  #: (J,) squares of the columns, as they are without all that is beside them
 
     @classmethod
-    def of(cls, residual: Array, columns: Array) -> _Linear:
-        """residual (signals, n), columns (J, signals, n), rows that count only."""
+    def of(cls, residual: Array, columns: Array, raw: Array | None = None) -> _Linear:
+        """residual (signals, n), columns (J, signals, n), rows that count only; raw: by default their squares."""
         edges = np.linspace(0, residual.shape[-1], _STRETCHES + 1).astype(int)
         gram, cross, square = [], [], []
         for low, high in pairwise(edges):
@@ -87,7 +88,8 @@ class _Linear:
             gram.append(c @ c.T)
             cross.append(c @ r)
             square.append(float(r @ r))
-        return cls(np.array(gram), np.array(cross), np.array(square))
+        whole = np.sum(columns**2, axis=(1, 2)) if raw is None else raw
+        return cls(np.array(gram), np.array(cross), np.array(square), whole)
 
     def left(self, chosen: list[int]) -> tuple[float, Array]:
         """Sum of squares that is left by these columns, and their coordinates."""
@@ -137,11 +139,24 @@ class _Linear:
     def own_share(self, column: int, beside: list[int]) -> float:
         """Share of a column's square that these others leave of it."""
         gram = self.gram.sum(0)
-        whole = float(gram[column, column])
+        whole = float(self.raw[column])
         if whole <= 0.0:
             return 0.0
         explained = _solved(gram, gram[column], beside) @ gram[column][beside]
-        return 1.0 - float(explained) / whole
+        return (float(gram[column, column]) - float(explained)) / whole
+
+
+def _basis(columns: Array) -> Array:
+    """Orthonormal rows that span the same as these (J, n)."""
+    scaled = columns / np.maximum(np.linalg.norm(columns, axis=1), 1e-300)[:, None]
+    _, sizes, vectors = np.linalg.svd(scaled, full_matrices=False)
+    return np.asarray(vectors[sizes > 1e-6 * float(sizes[0])])
+
+
+def _without(columns: Array, basis: Array) -> Array:
+    """Columns (J, signals, n) without what they have of the rows of a basis (B, signals·n)."""
+    flat = columns.reshape(len(columns), -1)
+    return np.asarray((flat - (flat @ basis.T) @ basis).reshape(columns.shape))
 
 
 def _solved(gram: Array, cross: Array, chosen: list[int]) -> Array:
@@ -164,9 +179,9 @@ def weights(space: Space, terms: list[Term]) -> Whitening:
     return scaling(np.maximum(np.std(residual, axis=-1), 1e-300))
 
 
-def uncertainty_of(space: Space, found: Fit) -> Uncertainty:
-    """Of a fit's coordinates, with what it leaves as noise."""
-    rows = space.predictor.rows
+def uncertainty_of(space: Space, found: Fit, rows: NDArray[np.bool_] | None = None) -> Uncertainty:
+    """Of a fit's coordinates, with what it leaves as noise; rows (n,) of the fit, by default all that count."""
+    rows = space.predictor.rows if rows is None else rows
     derivatives = space.point(found.terms, found.residual).derivatives
     return uncertainty(derivatives[..., rows], found.residual[..., rows])
 
@@ -192,7 +207,7 @@ class MeasuredSearch:
                 break
             current = found
             offered = self._offered(current)
-        steady = self._in_every_band(current)
+        steady = self._in_both_halves(self._in_every_band(current))
         wandering = {term.place for term in current.terms} - {term.place for term in steady.terms}
         certain = self._without_superfluous(steady)
         if len(certain.terms) < len(current.terms):
@@ -200,6 +215,10 @@ class MeasuredSearch:
         current = certain
         self._announce("what else could explain it", 0.85)
         tied = self._tied(current, offered, wandering)
+        plainer = self._with_first_of_alike(current, tied, offered)
+        if plainer is not current:
+            current, offered = plainer, self._offered(plainer)
+            tied = self._tied(current, offered, wandering)
         samples = float(np.count_nonzero(self._rows) * len(self._space.predictor.names))
         return Selection(current, offered, samples, tied, self._evidence(current))
 
@@ -256,7 +275,8 @@ class MeasuredSearch:
         """Waves (J, signals, n) near the orders and frequencies of the present terms.
 
         A loop answers to an order in another phase at every speed and in each direction. What that leaves of the order
-        is neither an order beside it nor anything else.
+        is neither an order beside it nor anything else. Where an axis goes there and back each wave has another size
+        and phase either way.
         """
         columns = []
         for term in current.terms:
@@ -267,7 +287,11 @@ class MeasuredSearch:
             step = max(0.5 / turns, _NEAR / _MOST_SIDE_BANDS)
             offsets = step * np.arange(-int(_NEAR / step), int(_NEAR / step) + 1)
             waves = np.exp(1j * np.outer(term.values[name] + offsets, angle))
-            columns.append(np.concatenate([waves.real, waves.imag]))
+            both = np.concatenate([waves.real, waves.imag])
+            columns.append(both)
+            forward = np.gradient(angle) > 0.0
+            if term.axis is not None and np.any(forward[self._rows]) and not np.all(forward[self._rows]):
+                columns.append(np.where(forward, both, -both))
         signals, n = current.residual.shape
         if not columns:
             return np.empty((0, signals, n))
@@ -292,22 +316,32 @@ class MeasuredSearch:
         """Values (…, n) with zeros in the rows that do not count."""
         return np.where(self._rows, values, 0.0)
 
-    def _linear(self, residual: Array, own: Array, offered: CandidateSet) -> tuple[_Linear, list[list[int]]]:
-        """The linear problem of the terms' own columns and of the candidates; which columns are each candidate's."""
+    def _linear(
+        self, residual: Array, own: Array, offered: CandidateSet, beside: Array | None = None
+    ) -> tuple[_Linear, list[list[int]]]:
+        """The linear problem of the terms' own columns and of the candidates; which columns are each candidate's.
+
+        beside: columns (J, signals, n) of which nothing is looked at: taken out of all the others beforehand, because
+        what one stretch has of them the others don't tell.
+        """
         columns = self._counted(np.concatenate([own, *offered.responses]))
+        counted = self._counted(residual)
+        raw = np.sum(columns**2, axis=(1, 2))
+        if beside is not None and len(beside):
+            basis = _basis(self._counted(beside).reshape(len(beside), -1))
+            columns, counted = _without(columns, basis), _without(counted[None], basis)[0]
         groups, at = [], len(own)
         for response in offered.responses:
             groups.append(list(range(at, at + len(response))))
             at += len(response)
-        return _Linear.of(self._counted(residual), columns), groups
+        return _Linear.of(counted, columns, raw), groups
 
     # -- additions ---------------------------------------------------------------------------------------
 
     def _with_one_more(self, current: Fit, offered: CandidateSet) -> Fit | None:
         """The fit with the candidate that explains most of those that are certain; the simple ones go first."""
-        own = np.concatenate([offered.own, self._side_bands(current)])
-        problem, groups = self._linear(offered.residual, own, offered)
-        mine = list(range(len(own)))
+        problem, groups = self._linear(offered.residual, offered.own, offered, self._side_bands(current))
+        mine = list(range(len(offered.own)))
         before, before_unseen = problem.left(mine)[0], problem.left_unseen(mine)
         waves = [
             (term, self._wave_gain(problem, mine, group))
@@ -404,15 +438,34 @@ class MeasuredSearch:
         space = replace(self._space, predictor=self._space.predictor.narrower)
         while current.terms:
             narrow = fitted(space, current.terms)
-            here, there = self._uncertainty(current).deviations, uncertainty_of(space, narrow).deviations
-            apart = [
-                abs(wide.coordinates()[0] - near.coordinates()[0]) / max(float(np.hypot(here[k], there[k])), 1e-300)
-                if not wide.has_phase
-                else 0.0
-                for wide, near, k in zip(current.terms, narrow.terms, _firsts(current.terms), strict=True)
-            ]
+            apart = _apart(current, narrow, self._uncertainty(current), uncertainty_of(space, narrow))
             worst = int(np.argmax(apart))
             if apart[worst] < _APART:
+                break
+            current = self._fitted([*current.terms[:worst], *current.terms[worst + 1 :]])
+        return current
+
+    def _in_both_halves(self, current: Fit) -> Fit:
+        """The fit without the delays that every other stretch finds in another size than those between.
+
+        A cable is as long in every stretch; what a delay stands for (an arm that swings along) is another from motion
+        to motion. Of what the model is linear in each stretch was predicted from the others before.
+        """
+        stretches = np.array_split(np.flatnonzero(self._rows), _STRETCHES)
+        halves = []
+        for first in (0, 1):
+            half = np.zeros(len(self._rows), bool)
+            half[np.concatenate(stretches[first::2])] = True
+            halves.append(half)
+        while any(term.probe is not None for term in current.terms):
+            early, late = (
+                fit(self._space, weights(self._space, current.terms), current.terms, half) for half in halves
+            )
+            sure = [uncertainty_of(self._space, found, half) for found, half in zip((early, late), halves, strict=True)]
+            apart = _apart(early, late, *sure)
+            delays = [size if term.probe is not None else 0.0 for size, term in zip(apart, current.terms, strict=True)]
+            worst = int(np.argmax(delays))
+            if delays[worst] < _APART:
                 break
             current = self._fitted([*current.terms[:worst], *current.terms[worst + 1 :]])
         return current
@@ -494,11 +547,36 @@ class MeasuredSearch:
                 known.add(other.place)
                 yield other.place
 
+    def _with_first_of_alike(self, current: Fit, tied: dict[Key, list[Place]], offered: CandidateSet) -> Fit:
+        """The fit with the first in the table of each term and what is alike and tied with it: an inertia that the
+        torque lacks is named, not one of the ways in which it may come to lack it."""
+        for term in current.terms:
+            instead = [
+                other
+                for other in offered.candidates
+                if other.place in tied[term.key] and other.effect.is_alike(term.effect) and not other.has_phase
+                if _RANK[other.effect.id] < _RANK[term.effect.id]
+            ]
+            if instead:
+                first = min(instead, key=lambda other: _RANK[other.effect.id])
+                found = self._fitted([first if one is term else one for one in current.terms])
+                return self._with_first_of_alike(found, {one.key: [] for one in found.terms} | tied, offered)
+        return current
+
     def _evidence(self, current: Fit) -> dict[Key, dict[str, float]]:
         if not current.terms:
             return {}
         judged = zip(current.terms, self._chances(current), self._shares(current), strict=True)
         return {term.key: {"chance_if_neutral": chance, "share_of_rest": share} for term, chance, share in judged}
+
+
+def _apart(one: Fit, other: Fit, sure: Uncertainty, other_sure: Uncertainty) -> list[float]:
+    """By how many standard deviations two fits of the same terms differ in the strength of each; 0 of a wave."""
+    deviations = np.maximum(np.hypot(sure.deviations, other_sure.deviations), 1e-300)
+    return [
+        0.0 if a.has_phase else abs(float(a.coordinates()[0] - b.coordinates()[0])) / float(deviations[k])
+        for a, b, k in zip(one.terms, other.terms, _firsts(one.terms), strict=True)
+    ]
 
 
 def _firsts(terms: list[Term]) -> list[int]:

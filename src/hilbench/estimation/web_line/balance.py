@@ -48,8 +48,8 @@ def _measured_force(sources: int) -> MeasuredForce:
         motor = lay.W_SIZE + n * lay.A_SIZE + _AXIS * lay.M_SIZE
         ratio = p[motor + lay.M_RAD_PER_M]
         torque = laws.shaft_torque_Nm(p, motor, laws.true_torque_Nm(p, motor, torque_Nm), x_m * ratio)
-        resistance = laws.measured_resistance_N(p, axis, x_m, v_m_s, laws.FRICTION_WIDTH_M_S)
         direction = laws.measured_direction(v_m_s, laws.FRICTION_WIDTH_M_S)
+        resistance = laws.measured_resistance_N(p, axis, x_m, v_m_s, direction)
         force: float = laws.passed_on_N(p, axis, ratio * torque, direction) + f_next_N - resistance
         return force
 

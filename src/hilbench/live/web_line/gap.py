@@ -97,10 +97,9 @@ class ModelGap:
             at, motor, per_m = self._axis_at[k], self._motor_at[k], float(self._per_m[k])
             true_Nm = laws.true_torque_Nm(self._p, motor, float(torque_Nm[k]))
             drive_Nm = laws.shaft_torque_Nm(self._p, motor, true_Nm, place * per_m)
-            resistance_N = laws.measured_resistance_N(self._p, at, place, v, laws.FRICTION_WIDTH_M_S)
-            passed_N = laws.passed_on_N(
-                self._p, at, per_m * drive_Nm, laws.measured_direction(v, laws.FRICTION_WIDTH_M_S)
-            )
+            direction = laws.measured_direction(v, laws.FRICTION_WIDTH_M_S)
+            resistance_N = laws.measured_resistance_N(self._p, at, place, v, direction)
+            passed_N = laws.passed_on_N(self._p, at, per_m * drive_Nm, direction)
             web_N = self._web_load[k] * (tension_N[k + 1] - tension_N[k])
             gap[k] = (passed_N - resistance_N + web_N - self._mass_kg[k] * acceleration[k]) / per_m
         return gap

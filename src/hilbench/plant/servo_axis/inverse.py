@@ -5,22 +5,23 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from hilbench.compiled import entry_point, inlined
+from hilbench.plant import hysteresis
+from hilbench.plant.hysteresis import friction_direction, wound
 from hilbench.plant.servo_axis import kernel, laws
 from hilbench.plant.servo_axis.layout import Vector
 
-RequiredTorque = Callable[[Vector, Vector, Vector, Vector, float, Vector], None]
+RequiredTorque = Callable[[Vector, Vector, Vector, Vector, float, Vector, float], None]
 
 #: Speed within which the direction of a measured motion is not certain, rad/s: dry friction turns over linearly there.
 DIRECTION_WIDTH_RAD_S = 1e-3
 
 
 @inlined
-def reported_torque_Nm(p: Vector, time_s: float, x_rad: float, v_rad_s: float, a_rad_s2: float) -> float:
-    """Torque that the drive reports (without its delay) for a motion of the shaft at a time, as its encoder has it."""
-    x, v, a = x_rad, v_rad_s, a_rad_s2
-    if laws.has_encoder_error(p):
-        x, v, a = laws.true_motion(p, x, v, a)
-    direction = min(max(v / DIRECTION_WIDTH_RAD_S, -1.0), 1.0)
+def reported_torque_Nm(p: Vector, time_s: float, x: float, v: float, a: float, direction: float) -> float:
+    """Torque that the drive reports (without its delay) for a motion of the shaft at a time, rad, rad/s, rad/s².
+
+    direction: of the dry friction, -1 to 1.
+    """
     resistance = laws.smooth_friction_Nm(p, v) + direction * laws.dry_friction_Nm(p, v) - laws.unbalance_Nm(p, x)
     passed = laws.inertia_kg_m2(p, time_s) * a + resistance
     torque = laws.motor_torque_Nm(p, laws.turned_with_Nm(p, passed, direction), x)
@@ -32,8 +33,17 @@ def _required_torque(sources: int) -> RequiredTorque:
     """The function that is called from Python; `sources` as in the kernel."""
 
     @entry_point
-    def required(p: Vector, x_rad: Vector, v_rad_s: Vector, a_rad_s2: Vector, period_s: float, out_Nm: Vector) -> None:
+    def required(
+        p: Vector,
+        x_rad: Vector,
+        v_rad_s: Vector,
+        a_rad_s2: Vector,
+        period_s: float,
+        out_Nm: Vector,
+        presliding_rad: float,
+    ) -> None:
         late = laws.reporting_delay_s(p) / period_s if sources >= 0 else 0.0
+        deflection, before = 0.0, x_rad[0]
         for k in range(len(x_rad)):
             at = min(max(k - late, 0.0), len(x_rad) - 1.0)
             first = min(int(at), len(x_rad) - 2)
@@ -41,10 +51,31 @@ def _required_torque(sources: int) -> RequiredTorque:
             x = x_rad[first] + share * (x_rad[first + 1] - x_rad[first])
             v = v_rad_s[first] + share * (v_rad_s[first + 1] - v_rad_s[first])
             a = a_rad_s2[first] + share * (a_rad_s2[first + 1] - a_rad_s2[first])
-            out_Nm[k] = reported_torque_Nm(p, at * period_s, x, v, a)
+            if laws.has_encoder_error(p):
+                x, v, a = laws.true_motion(p, x, v, a)
+            direction = min(max(v / DIRECTION_WIDTH_RAD_S, -1.0), 1.0)
+            if presliding_rad > 0.0:
+                deflection, before = wound(deflection, x - before, 0.0, presliding_rad), x
+                direction = friction_direction(deflection, 0.0, presliding_rad)
+            out_Nm[k] = reported_torque_Nm(p, at * period_s, x, v, a, direction)
 
     return required
 
 
-#: required_torque_Nm(parameters (P,), x, v, a (n,) at the shaft, period_s, out (n,) N·m).
-required_torque_Nm = _required_torque(kernel.source_number(__file__))
+_required_torque_Nm = _required_torque(kernel.source_number(__file__, hysteresis.__file__))
+
+
+def required_torque_Nm(
+    p: Vector,
+    x_rad: Vector,
+    v_rad_s: Vector,
+    a_rad_s2: Vector,
+    period_s: float,
+    out_Nm: Vector,
+    presliding_rad: float = 0.0,
+) -> None:
+    """Parameters (P,), x, v, a (n,) at the shaft, a row every `period_s`; into out (n,) N·m.
+
+    presliding_rad: way over which dry friction turns over after a reversal; 0: with the sign of the speed.
+    """
+    _required_torque_Nm(p, x_rad, v_rad_s, a_rad_s2, period_s, out_Nm, presliding_rad)

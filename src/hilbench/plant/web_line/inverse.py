@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from hilbench.compiled import entry_point, inlined
+from hilbench.plant import hysteresis
+from hilbench.plant.hysteresis import LEAST_PRESLIDING, friction_direction, wound
 from hilbench.plant.web_line import kernel, laws
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.layout import Vector
 
-RequiredTorque = Callable[[Vector, Vector, Vector, Vector, float, Vector], None]
+RequiredTorque = Callable[[Vector, Vector, Vector, Vector, float, Vector, float], None]
 
 
 @inlined
@@ -24,13 +26,26 @@ def true_motion(p: Vector, motor: int, x_m: float, v_m_s: float, a_m_s2: float) 
 
 @inlined
 def reported_torque_Nm(
-    p: Vector, axis: int, motor: int, x_m: float, v_m_s: float, a_m_s2: float, pull_N: float
+    p: Vector,
+    axis: int,
+    motor: int,
+    x_m: float,
+    v_m_s: float,
+    a_m_s2: float,
+    pull_N: float,
+    direction: float,
+    carried: float,
 ) -> float:
-    """Torque, motor side, that a drive reports (without its delay) for a motion of its axis; `pull_N` of the web."""
+    """Torque, motor side, that a drive reports (without its delay) for a motion of its axis; `pull_N` of the web.
+
+    direction: of the dry friction, -1 to 1; carried: what of the roller goes along, 0 within a play of the gear.
+    """
     ratio = p[motor + lay.M_RAD_PER_M]
-    mass = (p[axis + lay.A_MOTOR_MASS_KG] + p[axis + lay.A_ROLLER_MASS_KG]) * laws.inertia_factor(p, axis)
-    direction = laws.measured_direction(v_m_s, laws.FRICTION_WIDTH_M_S)
-    passed = mass * a_m_s2 + laws.measured_resistance_N(p, axis, x_m, v_m_s, laws.FRICTION_WIDTH_M_S) - pull_N
+    mass = (p[axis + lay.A_MOTOR_MASS_KG] + carried * p[axis + lay.A_ROLLER_MASS_KG]) * laws.inertia_factor(p, axis)
+    resistance = 0.0
+    if carried > 0.0:
+        resistance = carried * laws.measured_resistance_N(p, axis, x_m, v_m_s, direction / carried)
+    passed = mass * a_m_s2 + resistance - pull_N
     force = laws.pushed_with_N(p, axis, passed, direction)
     torque = laws.motor_torque_Nm(p, motor, force / ratio, x_m * ratio)
     fed_forward: float = laws.fed_forward_N(p, axis, motor, mass, v_m_s, a_m_s2, direction) / ratio
@@ -41,10 +56,21 @@ def _required_torque(sources: int) -> RequiredTorque:
     """The function that is called from Python; `sources` as in `number_of_sources`."""
 
     @entry_point
-    def required(p: Vector, x_m: Vector, v_m_s: Vector, a_m_s2: Vector, period_s: float, out_Nm: Vector) -> None:
+    def required(
+        p: Vector,
+        x_m: Vector,
+        v_m_s: Vector,
+        a_m_s2: Vector,
+        period_s: float,
+        out_Nm: Vector,
+        presliding_m: float,
+    ) -> None:
         axis = lay.W_SIZE
         motor = lay.W_SIZE + int(p[lay.W_AXES]) * lay.A_SIZE
         late = laws.reporting_delay_s(p, motor) / period_s if sources >= 0 else 0.0
+        half_play = laws.half_gap_m(p, axis, p[motor + lay.M_RAD_PER_M])
+        turns_over = presliding_m > 0.0 or half_play > 0.0
+        presliding, deflection, before = max(presliding_m, LEAST_PRESLIDING), 0.0, x_m[0]
         for k in range(len(x_m)):
             at = min(max(k - late, 0.0), len(x_m) - 1.0)
             first = min(int(at), len(x_m) - 2)
@@ -53,10 +79,33 @@ def _required_torque(sources: int) -> RequiredTorque:
             v = v_m_s[first] + share * (v_m_s[first + 1] - v_m_s[first])
             a = a_m_s2[first] + share * (a_m_s2[first + 1] - a_m_s2[first])
             x, v, a = true_motion(p, motor, x, v, a)
-            out_Nm[k] = reported_torque_Nm(p, axis, motor, x, v, a, 0.0)
+            carried = 1.0
+            if turns_over:
+                deflection, before = wound(deflection, x - before, half_play, presliding), x
+                direction = friction_direction(deflection, half_play, presliding)
+                if half_play > 0.0:
+                    carried = abs(direction)
+            else:
+                direction = laws.measured_direction(v, laws.FRICTION_WIDTH_M_S)
+            out_Nm[k] = reported_torque_Nm(p, axis, motor, x, v, a, 0.0, direction, carried)
 
     return required
 
 
-#: required_torque_Nm(parameters (P,), x, v, a (n,) at the web, period_s, out (n,) N·m at the motor).
-required_torque_Nm = _required_torque(kernel.source_number(__file__))
+_required_torque_Nm = _required_torque(kernel.source_number(__file__, hysteresis.__file__))
+
+
+def required_torque_Nm(
+    p: Vector,
+    x_m: Vector,
+    v_m_s: Vector,
+    a_m_s2: Vector,
+    period_s: float,
+    out_Nm: Vector,
+    presliding_m: float = 0.0,
+) -> None:
+    """Parameters (P,), x, v, a (n,) at the web, a row every `period_s`; into out (n,) N·m at the motor.
+
+    presliding_m: way over which dry friction turns over after a reversal; 0: with the sign of the speed.
+    """
+    _required_torque_Nm(p, x_m, v_m_s, a_m_s2, period_s, out_Nm, presliding_m)

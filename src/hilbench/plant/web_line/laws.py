@@ -138,11 +138,10 @@ def measured_direction(v_m_s: float, width_m_s: float) -> float:
 
 
 @inlined
-def measured_resistance_N(p: Vector, axis: int, x_m: float, v_m_s: float, width_m_s: float) -> float:
+def measured_resistance_N(p: Vector, axis: int, x_m: float, v_m_s: float, direction: float) -> float:
     """Force against a roller of which motion is measured: position x, speed v; dry friction, that a simulation takes as
-    an event at standstill, turns over linearly within ±`width_m_s`, and unbalance is a resistance by the angle. That
-    of a load is the gear's: see `passed_on_N`."""
-    direction = measured_direction(v_m_s, width_m_s)
+    an event at standstill, acts in a `direction` from -1 to 1 (`measured_direction`), and unbalance is a resistance by
+    the angle. That of a load is the gear's: see `passed_on_N`."""
     resistance = smooth_resistance_N(p, axis, v_m_s) + direction * dry_friction_N(p, axis, v_m_s)
     resistance += drag_N(p, axis, v_m_s)
     if has_unbalance(p, axis):

@@ -458,16 +458,28 @@ def write_entries(parameters: Vector, entries: Iterable[EffectEntry]) -> None:
 def check_effects(parameters: Vector) -> None:
     """Raises ValueError for effects that this line cannot show: gear play without motor inertia, too long a delay."""
     layout = Layout.of(parameters)
+    if layout.spans:
+        check_play(parameters)
     longest = (RING - 2) * parameters[W_SAMPLE_TIME_S]
     for at in driven_rows(parameters):
         row, motor = layout.axis_rows(parameters)[at], layout.motor_rows(parameters)[at]
         axis, play = int(row[A_AXIS]), row[place("backlash", "gap_rad")] > 0.0
-        if play and min(row[A_MOTOR_MASS_KG], row[A_ROLLER_MASS_KG]) <= 0.0:
-            raise ValueError(f"effect 'backlash' at axis {axis}, expected inertia on both sides of the gear")
         if play and row[A_REEL_SLOPE_PER_M] != 0.0:
             raise ValueError(f"effect 'backlash' at axis {axis}, expected none at a reel")
         if motor[place("torque_delay", "delay_s")] > longest:
             raise ValueError(f"effect 'torque_delay' at axis {axis}, expected at most {longest:g} s")
+
+
+def check_play(parameters: Vector) -> None:
+    """Raises ValueError for gear play without inertia on both sides, which can't be simulated: what a lone axis needs
+    for a motion is known without."""
+    layout = Layout.of(parameters)
+    for at in driven_rows(parameters):
+        row = layout.axis_rows(parameters)[at]
+        if row[place("backlash", "gap_rad")] > 0.0 and min(row[A_MOTOR_MASS_KG], row[A_ROLLER_MASS_KG]) <= 0.0:
+            raise ValueError(
+                f"effect 'backlash' at axis {int(row[A_AXIS])}, expected inertia on both sides of the gear"
+            )
 
 
 def new_state(parameters: Vector, strain: float | Vector = 0.0, length_m: float | Vector = 1.0) -> Vector:

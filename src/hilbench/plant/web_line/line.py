@@ -48,6 +48,7 @@ class Line(SimulatedLine):
             raise ValueError(f"{len(ports)} ports, expected a model with drives and {parameters.axis_count} axes")
         self.parameters = parameters
         p = lay.pack(parameters, needed_substeps(parameters) if substeps is None else substeps)
+        lay.check_play(p)
         effects = [effect for effect in effects_of(KIND) if parameters.web is not None or effect.per_axis]
         super().__init__(
             p,

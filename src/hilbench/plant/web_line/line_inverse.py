@@ -85,7 +85,8 @@ def _required(sources: int) -> Required:
                 axis, motor = lay.W_SIZE + i * lay.A_SIZE, lay.W_SIZE + n * lay.A_SIZE + i * lay.M_SIZE
                 pull = _pull_N(p, w, tension, i, n, upstream, downstream)
                 x, v, a = xs[row, i], vs[row, i], accelerations[row, i]
-                tau_Nm[row, i] = reported_torque_Nm(p, axis, motor, x, v, a, pull)
+                direction = laws.measured_direction(v, laws.FRICTION_WIDTH_M_S)
+                tau_Nm[row, i] = reported_torque_Nm(p, axis, motor, x, v, a, pull, direction, 1.0)
             if row + 1 == x_m.shape[0]:
                 break
             # To the next row by Heun's rule, with the way that the web went and not with speeds: what was travelled is

@@ -178,7 +178,8 @@ def _entry_points(sources: int) -> tuple[FollowCycle, FollowRows, Resistance, Mo
     def resistance(p: Vector, axis: int, x_m: float, v_m_s: float, width_m_s: float) -> float:
         if sources < 0:
             return 0.0
-        return laws.measured_resistance_N(p, lay.W_SIZE + axis * lay.A_SIZE, x_m, v_m_s, width_m_s)
+        direction = laws.measured_direction(v_m_s, width_m_s)
+        return laws.measured_resistance_N(p, lay.W_SIZE + axis * lay.A_SIZE, x_m, v_m_s, direction)
 
     @entry_point
     def modulus(p: Vector, span: int, t: float) -> float:

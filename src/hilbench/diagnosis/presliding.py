@@ -1,0 +1,101 @@
+"""The way over which the dry friction of an axis turns over after a reversal, from its motion and torque alone.
+
+Before friction slides it is a spring (presliding). Where that way shows, what happens at reversals is one law, and a
+friction that would be read from what is far from them alone is not mistaken for one that grows with the speed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilbench.diagnosis.noise import repeats
+from hilbench.plant.hysteresis import LEAST_PRESLIDING, friction_directions
+
+Array = NDArray[np.float64]
+Rows = NDArray[np.bool_]
+
+#: Ways that are tried, as shares of the one that the axis covers, and plays beside each, in that way.
+_SHARES: Final = np.geomspace(3e-4, 0.1, 26)
+_PLAYS: Final = (0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 6.0)
+#: Share of what is left without it that a way has to explain, and half of it in every stretch of the recording; an
+#: axis that reverses less often shows none.
+_LEAST_SHARE, _STRETCHES, _LEAST_REVERSALS = 0.1, 2, 4
+#: Rise of the sum of squares, in variances, up to which a way may be the right one: 95 % of one parameter.
+_RISE: Final = 3.84
+
+
+@dataclass(frozen=True)
+class Presliding:
+    """The way, in the unit of the position, with its 95 % interval."""
+
+    way: float
+    ci95: tuple[float, float]
+
+
+def presliding(
+    motion: tuple[Array, Array, Array], torque: Array, smooth: Callable[[Array], Array], rows: Rows
+) -> Presliding | None:
+    """The way that explains the torque best beside inertia, offset, and friction that grows with the speed.
+
+    motion: x, v, a (n,); torque (n,), filtered as `smooth` filters (…, n); rows (n,): those that count. None where
+    friction that turns over with the sign of the speed explains as much.
+    """
+    x, v, a = motion
+    if np.count_nonzero(np.diff(np.sign(v[rows]))) < _LEAST_REVERSALS:
+        return None
+    plain = np.array([a, v, np.abs(v), np.ones(len(x)), x - np.mean(x)])
+
+    def left(direction: Array) -> Array:
+        columns = np.vstack([plain, smooth(direction)])[:, rows]
+        columns = columns / np.maximum(np.linalg.norm(columns, axis=1), 1e-300)[:, None]
+        theta, *_ = np.linalg.lstsq(columns.T, torque[rows], rcond=1e-9)
+        return np.asarray(torque[rows] - theta @ columns)
+
+    def square(way: float, play: float) -> float:
+        return float(np.sum(left(_direction(x, way, play)) ** 2))
+
+    stroke = float(np.ptp(x[rows]))
+    squares = np.array([[square(share * stroke, play * share * stroke) for play in _PLAYS] for share in _SHARES])
+    best = int(np.argmin(np.min(squares, axis=1)))
+    if best in (0, len(_SHARES) - 1):
+        return None
+    play = _PLAYS[int(np.argmin(squares[best]))]
+    sudden = min(
+        (left(_direction(x, LEAST_PRESLIDING, p * _SHARES[best] * stroke)) for p in _PLAYS),
+        key=lambda rest: float(np.sum(rest**2)),
+    )
+    here = left(_direction(x, _SHARES[best] * stroke, play * _SHARES[best] * stroke))
+    if not _explains(here, sudden):
+        return None
+    # The play is what it is at the best way; a profile over the way alone, closer.
+    gap = play * _SHARES[best] * stroke
+    ways = np.geomspace(_SHARES[max(best - 3, 0)], _SHARES[min(best + 3, len(_SHARES) - 1)], 40) * stroke
+    profile = np.array([square(way, gap) for way in ways])
+    at = int(np.argmin(profile))
+    variance = float(np.mean(here**2)) * repeats(here)
+    within = np.flatnonzero(profile <= profile[at] + _RISE * variance)
+    low, high = max(int(within[0]) - 1, 0), min(int(within[-1]) + 1, len(ways) - 1)
+    return Presliding(float(ways[at]), (float(ways[low]), float(ways[high])))
+
+
+def _direction(x: Array, way: float, play: float) -> Array:
+    out = np.empty(len(x))
+    friction_directions(x, 0.5 * play, way, out)
+    return out
+
+
+def _explains(here: Array, without: Array) -> bool:
+    """Whether the rest is so much smaller, and in every stretch as well."""
+    if float(np.sum(here**2)) > (1.0 - _LEAST_SHARE) * float(np.sum(without**2)):
+        return False
+    edges = np.linspace(0, len(here), _STRETCHES + 1).astype(int)
+    return all(
+        float(np.sum(here[a:b] ** 2)) < (1.0 - 0.5 * _LEAST_SHARE) * float(np.sum(without[a:b] ** 2))
+        for a, b in pairwise(edges)
+    )

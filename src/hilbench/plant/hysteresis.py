@@ -1,0 +1,57 @@
+"""What dry friction is after a reversal: it turns over a way, not at once, and behind a play it waits.
+
+A spring that slides (Prandtl's element; Al-Bender, Swevers, *Characterization of friction force dynamics*, IEEE Control
+Systems Magazine 2008), in series with a play: from the stop on one side the spring lets go, the play is crossed without
+force, the spring is wound up the other way, and friction slides. Inertia is neglected in it: friction holds what is
+behind the play until the play is crossed. Ways in the unit of the position.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilbench.compiled import entry_point, inlined, number_of_sources
+
+Vector = NDArray[np.float64]
+
+#: The least way over which friction turns.
+LEAST_PRESLIDING: Final = 1e-9
+
+
+@inlined
+def wound(deflection: float, step: float, half_play: float, presliding: float) -> float:
+    """The deflection of play and spring together after a step of the motion; at their ends both are dragged along."""
+    end = half_play + presliding
+    return min(max(deflection + step, -end), end)
+
+
+@inlined
+def friction_direction(deflection: float, half_play: float, presliding: float) -> float:
+    """Dry friction as a share of what it is while it slides, with the sign of the motion: -1 to 1."""
+    share = min(max((abs(deflection) - half_play) / presliding, 0.0), 1.0)
+    return share if deflection > 0.0 else -share
+
+
+Directions = Callable[[Vector, float, float, Vector], None]
+
+
+def _entry_point(sources: int) -> Directions:
+    """The function that is called from Python; `sources` as in `number_of_sources`."""
+
+    @entry_point
+    def directions(x: Vector, half_play: float, presliding: float, out: Vector) -> None:
+        deflection = 0.0
+        for k in range(len(x)):
+            step = x[k] - x[k - 1] if k > 0 and sources >= 0 else 0.0
+            deflection = wound(deflection, step, half_play, presliding)
+            out[k] = friction_direction(deflection, half_play, presliding)
+
+    return directions
+
+
+#: friction_directions(position (n,), half_play, presliding, out (n,)): the direction at each row, from no deflection.
+friction_directions = _entry_point(number_of_sources(__file__))
