@@ -73,6 +73,10 @@ RIGS = (
         frozenset({"coulomb_friction", "backlash"}), _FRICTION | {"torque_offset"}, "Coulomb and backlash",
     ),
     Rig(
+        "pendulum, joint 1", "double_pendulum/*", ("time", "pos_meas1", "tau_meas1"), 1e-2,
+        frozenset({"unbalance"}), _SERVO, "gravity of order 1",
+    ),
+    Rig(
         "pendulum, joint 2", "double_pendulum/*", ("time", "pos_meas2", "tau_meas2"), 1e-2,
         frozenset({"coulomb_friction", "unbalance"}), _SERVO, "Coulomb 0.11 to 0.12, gravity",
     ),
@@ -127,6 +131,8 @@ def _said(found: Diagnosis) -> str:
         order = f" (order {item.parameters['order'].value:.4g})" if "order" in item.parameters else ""
         tied = f", tied with {', '.join(item.tied_with)}" if item.tied_with else ""
         words.append(f"{item.effect}{order} {value.value:.3g} ± {half:.1g}{tied}")
+    for item in found.nuisance:
+        words += [f"beside it {item.effect} {value.value:.3g} {value.unit}" for value in item.parameters.values()]
     return "; ".join(words) or "nothing"
 
 

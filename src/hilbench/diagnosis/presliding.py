@@ -26,6 +26,8 @@ _PLAYS: Final = (0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 6.0)
 #: Share of what is left without it that a way has to explain, and half of it in every stretch of the recording; an
 #: axis that reverses less often shows none.
 _LEAST_SHARE, _STRETCHES, _LEAST_REVERSALS = 0.1, 2, 4
+#: Share of the torque that may be left: what acts on an axis from elsewhere turns round with it as well.
+_MOST_LEFT: Final = 0.5
 #: Rise of the sum of squares, in variances, up to which a way may be the right one: 95 % of one parameter.
 _RISE: Final = 3.84
 
@@ -71,7 +73,7 @@ def presliding(
         key=lambda rest: float(np.sum(rest**2)),
     )
     here = left(_direction(x, _SHARES[best] * stroke, play * _SHARES[best] * stroke))
-    if not _explains(here, sudden):
+    if not _explains(here, sudden) or np.std(here) > _MOST_LEFT * np.std(torque[rows]):
         return None
     # The play is what it is at the best way; a profile over the way alone, closer.
     gap = play * _SHARES[best] * stroke
