@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.integrate import cumulative_trapezoid
 
 from hilbench.diagnosis import machines
+from hilbench.diagnosis.noise import floor
 from hilbench.diagnosis.repairs import Repair, mended
 from hilbench.errors import UnusableInputError
 from hilbench.plant.model_file import Machine
@@ -34,6 +35,8 @@ _LARGEST_STRAIN: Final = 0.1
 #: Speed (m/s, rad/s) below which an axis stands, where dry friction is not one law; mean speed from which it has moved.
 STANDSTILL_M_S: Final = 5.0 * FRICTION_WIDTH_M_S
 _NOTHING_MOVES_M_S: Final = 1e-3
+#: Range of a position over its noise from which it is motion, and the steps in which its way is added up, s.
+_OVER_NOISE, _STEP_S = 30.0, 0.1
 #: Time without commands after which a free run has forgotten nothing it should and knows nothing it must, s.
 _LONGEST_GAP_S: Final = 0.5
 #: Share by which two channels of one motion may differ.
@@ -255,11 +258,19 @@ def _check_plausible(measured: Measured, model: Machine, place: str | Path) -> N
     if strain > _LARGEST_STRAIN:
         raise UnusableInputError(place, f"channel strain_prev reaches {strain:g}, expected a strain (1) below 0.1")
     _check_torques(measured, model, place)
-    moves = [float(np.ptp(x)) for x in measured.x_m.values()]
+    moves = [_way(x, measured.period_s) for x in measured.x_m.values()]
     moves += [float(np.max(np.abs(v))) * measured.duration_s for v in speeds.values()]
     if max(moves, default=0.0) < _NOTHING_MOVES_M_S * measured.duration_s:
         what = "speed and tension" if not machines.is_lone(model) else "speed"
         raise UnusableInputError(place, f"nothing moves, expected an experiment with changes of {what}")
+
+
+def _way(x: Array, period_s: float) -> float:
+    """How far an axis has gone, to and fro; its range where that may be noise."""
+    span = float(np.ptp(x))
+    if span < _OVER_NOISE * floor(x):
+        return span
+    return float(np.sum(np.abs(np.diff(x[:: max(1, round(_STEP_S / period_s))]))))
 
 
 def _limits_Nm(model: Machine) -> dict[str, float]:

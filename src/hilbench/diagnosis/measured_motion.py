@@ -134,7 +134,7 @@ class OnMeasuredMotion:
     def _presliding(self, torque: Array) -> Presliding | None:
         """How friction turns over at reversals, however long they take."""
         rows = self._moving(len(self._x) * self._period_s * self.corner_hz)
-        return presliding((self._x, self._v, self._a), torque, self._filter.smooth, rows)
+        return presliding((self._x, self._v, self._a), torque, self._filter.smooth, rows, self.every)
 
     def _moving(self, passes: float) -> NDArray[np.bool_]:
         """(n,): where the axis moves, and no standstill, gap or end of the recording is within reach of the filter.

@@ -13,6 +13,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import minimize
 
 from hilbench.diagnosis.noise import repeats
 from hilbench.plant.hysteresis import LEAST_PRESLIDING, friction_directions
@@ -28,6 +29,8 @@ _PLAYS: Final = (0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 6.0)
 _LEAST_SHARE, _STRETCHES, _LEAST_REVERSALS = 0.1, 2, 4
 #: Share of the torque that may be left: what acts on an axis from elsewhere turns round with it as well.
 _MOST_LEFT: Final = 0.5
+#: Ratio of a way to the next in the search for the ends of its interval, and most of them.
+_STEP, _STEPS = 1.03, 30
 #: Rise of the sum of squares, in variances, up to which a way may be the right one: 95 % of one parameter.
 _RISE: Final = 3.84
 
@@ -41,23 +44,25 @@ class Presliding:
 
 
 def presliding(
-    motion: tuple[Array, Array, Array], torque: Array, smooth: Callable[[Array], Array], rows: Rows
+    motion: tuple[Array, Array, Array], torque: Array, smooth: Callable[[Array], Array], rows: Rows, every: int = 1
 ) -> Presliding | None:
     """The way that explains the torque best beside inertia, offset, and friction that grows with the speed.
 
-    motion: x, v, a (n,); torque (n,), filtered as `smooth` filters (…, n); rows (n,): those that count. None where
-    friction that turns over with the sign of the speed explains as much.
+    motion: x, v, a (n,); torque (n,), filtered as `smooth` filters (…, n); rows (n,): those that count, of which every
+    so many are looked at. None where friction that turns over with the sign of the speed explains as much.
     """
     x, v, a = motion
     if np.count_nonzero(np.diff(np.sign(v[rows]))) < _LEAST_REVERSALS:
         return None
-    plain = np.array([a, v, np.abs(v), np.ones(len(x)), x - np.mean(x)])
+    looked_at = np.flatnonzero(rows)[::every]
+    plain = np.array([a, v, np.abs(v), np.ones(len(x)), x - np.mean(x)])[:, looked_at]
+    fixed, _ = np.linalg.qr((plain / np.maximum(np.linalg.norm(plain, axis=1), 1e-300)[:, None]).T)
+    beside = torque[looked_at] - fixed @ (fixed.T @ torque[looked_at])
 
     def left(direction: Array) -> Array:
-        columns = np.vstack([plain, smooth(direction)])[:, rows]
-        columns = columns / np.maximum(np.linalg.norm(columns, axis=1), 1e-300)[:, None]
-        theta, *_ = np.linalg.lstsq(columns.T, torque[rows], rcond=1e-9)
-        return np.asarray(torque[rows] - theta @ columns)
+        turning = smooth(direction)[looked_at]
+        turning = turning - fixed @ (fixed.T @ turning)
+        return np.asarray(beside - turning * float(turning @ beside) / max(float(turning @ turning), 1e-300))
 
     def square(way: float, play: float) -> float:
         return float(np.sum(left(_direction(x, way, play)) ** 2))
@@ -73,17 +78,33 @@ def presliding(
         key=lambda rest: float(np.sum(rest**2)),
     )
     here = left(_direction(x, _SHARES[best] * stroke, play * _SHARES[best] * stroke))
-    if not _explains(here, sudden) or np.std(here) > _MOST_LEFT * np.std(torque[rows]):
+    if not _explains(here, sudden) or np.std(here) > _MOST_LEFT * np.std(torque[looked_at]):
         return None
-    # The play is what it is at the best way; a profile over the way alone, closer.
-    gap = play * _SHARES[best] * stroke
-    ways = np.geomspace(_SHARES[max(best - 3, 0)], _SHARES[min(best + 3, len(_SHARES) - 1)], 40) * stroke
-    profile = np.array([square(way, gap) for way in ways])
-    at = int(np.argmin(profile))
+    # Closer: way and play make up for each other, so the profile over the way has the best play at each.
+    first, gap = _SHARES[best] * stroke, play * _SHARES[best] * stroke
+    closest = minimize(
+        lambda at: square(first * float(np.exp(at[0])), max(gap + first * at[1], 0.0)),
+        np.zeros(2),
+        method="Nelder-Mead",
+        options={"initial_simplex": [[-0.2, -0.2], [0.2, -0.2], [0.0, 0.2]], "maxfev": 60},
+    )
+    way, gap = first * float(np.exp(closest.x[0])), max(gap + first * float(closest.x[1]), 0.0)
     variance = float(np.mean(here**2)) * repeats(here)
-    within = np.flatnonzero(profile <= profile[at] + _RISE * variance)
-    low, high = max(int(within[0]) - 1, 0), min(int(within[-1]) + 1, len(ways) - 1)
-    return Presliding(float(ways[at]), (float(ways[low]), float(ways[high])))
+
+    def fits(other: float) -> bool:
+        plays = gap + (way - other) * np.linspace(0.0, 2.0, 5)
+        return min(square(other, max(float(p), 0.0)) for p in plays) <= closest.fun + _RISE * variance
+
+    return Presliding(way, (_furthest(way, 1.0 / _STEP, fits), _furthest(way, _STEP, fits)))
+
+
+def _furthest(way: float, factor: float, fits: Callable[[float], bool]) -> float:
+    """The first way, ever further from the best one, that does not fit any more."""
+    for _ in range(_STEPS):
+        way *= factor
+        if not fits(way):
+            break
+    return way
 
 
 def _direction(x: Array, way: float, play: float) -> Array:

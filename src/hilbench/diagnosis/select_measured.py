@@ -64,6 +64,8 @@ _WHOLE: Final = 0.75
 _CHANGING: Final = 0.5
 #: Standard deviations by which what a narrower band finds may differ.
 _APART: Final = 3.5
+#: Share of a strength by which two bands or stretches may differ however sure they are: a filter rounds what turns.
+_SAME_SIZE: Final = 0.03
 #: Additions that are fitted in full at a step.
 _CONTENDERS: Final = 6
 
@@ -571,12 +573,15 @@ class MeasuredSearch:
 
 
 def _apart(one: Fit, other: Fit, sure: Uncertainty, other_sure: Uncertainty) -> list[float]:
-    """By how many standard deviations two fits of the same terms differ in the strength of each; 0 of a wave."""
+    """By how many standard deviations two fits of the same terms differ in the strength of each, beyond a share of it
+    that makes no other effect of it; 0 of a wave."""
     deviations = np.maximum(np.hypot(sure.deviations, other_sure.deviations), 1e-300)
-    return [
-        0.0 if a.has_phase else abs(float(a.coordinates()[0] - b.coordinates()[0])) / float(deviations[k])
-        for a, b, k in zip(one.terms, other.terms, _firsts(one.terms), strict=True)
-    ]
+    found = []
+    for a, b, k in zip(one.terms, other.terms, _firsts(one.terms), strict=True):
+        here, there, neutral = (float(term.coordinates()[0]) for term in (a, b, a.neutral()))
+        beyond = abs(here - there) - _SAME_SIZE * abs(here - neutral)
+        found.append(0.0 if a.has_phase else max(beyond, 0.0) / float(deviations[k]))
+    return found
 
 
 def _firsts(terms: list[Term]) -> list[int]:
