@@ -128,7 +128,7 @@ def test_in_less_than_a_radian_a_spring_is_no_gravity_and_no_error_of_the_encode
 def test_a_load_that_swings_behind_its_arm_by_now_more_now_less_is_no_delay() -> None:
     x, v, a = arm(1.2)
     t = np.arange(len(x)) * PERIOD_S
-    behind_s = 0.03 + 0.015 * np.sin(2.0 * np.pi * t / 3.3)
+    behind_s = 0.03 + 0.025 * np.sign(np.sin(2.0 * np.pi * t / 3.0))
     torque = 1e-2 * a + 0.12 * np.sign(v) + 1.1 * np.sin(np.interp(t - behind_s, t, x))
     found = diagnose(recording(x, torque, count=1e-4, noise=0.02), axis_model(1e-2), "arm")
     assert {"coulomb_friction", "unbalance"} <= names(found)

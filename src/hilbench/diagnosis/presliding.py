@@ -82,18 +82,18 @@ def presliding(
         return None
     # Closer: way and play make up for each other, so the profile over the way has the best play at each.
     first, gap = _SHARES[best] * stroke, play * _SHARES[best] * stroke
-    closest = minimize(
-        lambda at: square(first * float(np.exp(at[0])), max(gap + first * at[1], 0.0)),
-        np.zeros(2),
-        method="Nelder-Mead",
-        options={"initial_simplex": [[-0.2, -0.2], [0.2, -0.2], [0.0, 0.2]], "maxfev": 60},
-    )
+
+    def near(at: np.ndarray[tuple[int], np.dtype[np.float64]]) -> float:
+        return square(first * float(np.exp(at[0])), max(gap + first * float(at[1]), 0.0))
+
+    simplex = np.array([[-0.2, -0.2], [0.2, -0.2], [0.0, 0.2]])
+    closest = minimize(near, np.zeros(2), method="Nelder-Mead", options={"initial_simplex": simplex, "maxfev": 60})
     way, gap = first * float(np.exp(closest.x[0])), max(gap + first * float(closest.x[1]), 0.0)
     variance = float(np.mean(here**2)) * repeats(here)
 
     def fits(other: float) -> bool:
         plays = gap + (way - other) * np.linspace(0.0, 2.0, 5)
-        return min(square(other, max(float(p), 0.0)) for p in plays) <= closest.fun + _RISE * variance
+        return min(square(other, max(float(p), 0.0)) for p in plays) <= float(closest.fun) + _RISE * variance
 
     return Presliding(way, (_furthest(way, 1.0 / _STEP, fits), _furthest(way, _STEP, fits)))
 
