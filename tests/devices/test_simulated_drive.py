@@ -86,8 +86,8 @@ def test_canopens_client_positions_it(eds: Path) -> None:
         node.sdo[0x6040].raw = 0x1F
         node.sdo[0x6040].raw = 0x0F
         eventually(lambda: bool(node.sdo[0x6041].raw & 0x400))
+        eventually(lambda: abs(node.sdo[0x6064].raw - 2 * INCREMENTS) <= 20)
         assert drive.position_turns == pytest.approx(2.0, abs=0.01)
-        assert node.sdo[0x6064].raw == pytest.approx(2 * INCREMENTS, abs=20)
         assert drive.state is State.OPERATION_ENABLED
 
 

@@ -46,6 +46,17 @@ def twice(c: Channels) -> Channels:
     return {name: np.concatenate([values, shifted[name]]) for name, values in c.items()}
 
 
+def first_roller_of_another_recording(c: Channels) -> Channels:
+    other = hidden_recording(model(), [], duration_s=12.0, seed=8, top_m_s=3.0).channels
+    return {**c, **{name: other[name] for name in ("x1_m", "v1_m_s")}}
+
+
+def slow_and_in_per_cent(c: Channels) -> Channels:
+    """Torques in per cent of the drive's 9 N·m, of a run in which they stay below its limit all the same."""
+    slow = hidden_recording(model(), [], duration_s=12.0, top_m_s=1.0).channels
+    return {**slow, "tau2_Nm": slow["tau2_Nm"] / 0.09}
+
+
 def short(c: Channels) -> Channels:
     return {name: values[:400] for name, values in c.items()}
 
@@ -77,6 +88,13 @@ def quiet(c: Channels) -> Channels:
         (scaled("tau1_Nm", 1000.0), "expected N·m within the drive's limit of 9"),
         (scaled("strain_prev", 1e6), "channel strain_prev reaches"),
         (scaled("tau2_Nm", 0.0), "channel tau2_Nm never changes"),
+        (scaled("v1_m_s", 25.0 * 60.0 / (2.0 * np.pi)), "as if v1_m_s were in rpm of the motor, expected SI units"),
+        (scaled("v1_m_s", 5.0), "as if v1_m_s were in rad/s of the roller, expected SI units"),
+        (both(scaled("x2_m", 25.0), scaled("x1_m", 25.0)), "x1_m were in rad of the motor"),
+        (both(scaled("x2_m", -1.0), scaled("v2_m_s", -1.0)), "by 200 % of the way apart, expected one web"),
+        (both(scaled("tau1_Nm", -1.0), scaled("tau2_Nm", -1.0)), "tau1_Nm is -0.989 times the torque"),
+        (slow_and_in_per_cent, "times the torque that accelerates axis 2 by the model, expected N·m of the motor"),
+        (first_roller_of_another_recording, "channels x1_m and x2_m move"),
     ],
 )
 def test_it_is_named(good: Channels, damage: Callable[[Channels], Channels], said: str) -> None:

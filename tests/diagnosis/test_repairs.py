@@ -219,3 +219,23 @@ def test_a_file_with_rows_out_of_order_can_be_read_to_be_mended_and_is_refused_w
     assert np.array_equal(taken(dict(read_rows(path).channels)).x_m[1], good["x1_m"])
     with pytest.raises(UnusableInputError, match="strictly increasing"):
         read_recording(path)
+
+
+@pytest.mark.parametrize("channel", ["x1_m", "tau1_Nm"])
+def test_a_value_that_stays_while_the_axis_moves_is_left_out_and_said(channel: str) -> None:
+    stuck = moving()
+    values = stuck[channel].copy()
+    values[700:760] = values[699]
+    found = taken({**stuck, channel: values})
+    assert whats(found) == ["stuck"]
+    assert f"channel {channel} stays at one value in 60 row(s), the first at t = 3.5 s" in found.repairs[0].text
+    assert not np.any(found.usable()[700:760])
+    assert np.count_nonzero(found.usable()) == len(found.t_s) - 60
+    if channel == "x1_m":
+        assert np.allclose(found.x_m[1], stuck["x1_m"], atol=0.03)
+
+
+def test_a_torque_that_is_often_the_same_twice_is_taken_as_it_is() -> None:
+    coarse = moving()
+    coarse["tau1_Nm"] = np.round(coarse["tau1_Nm"] / 0.5) * 0.5
+    assert whats(taken(coarse)) == []

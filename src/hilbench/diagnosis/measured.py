@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
 from typing import Final
 
@@ -14,9 +16,11 @@ from scipy.integrate import cumulative_trapezoid
 from hilbench.diagnosis import machines
 from hilbench.diagnosis.noise import floor
 from hilbench.diagnosis.repairs import Repair, mended
+from hilbench.diagnosis.smooth_motion import smoothed
 from hilbench.errors import UnusableInputError
 from hilbench.plant.model_file import Machine
 from hilbench.plant.web_line.laws import FRICTION_WIDTH_M_S
+from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.results.recording import Recording
 
 Array = NDArray[np.float64]
@@ -55,6 +59,15 @@ _UNITS: Final = (
     (1e-3, "x", "mm", 1e-3),
     (1e-6, "x", "µm", 1e-6),
 )
+_TURN: Final = 2.0 * np.pi
+#: Corner up to which torque and acceleration are compared, Hz, rows of that, how many of them from the ends, and least
+#: number of them.
+_SLOW_HZ, _SLOW_ROW_S, _FROM_ENDS, _LEAST_ROWS = 3.0, 0.05, 10, 40
+#: Deviations by which the torque's share of what accelerates the axis is certain; shares of the inertia from which it
+#: is no effect.
+_CERTAIN, _AGAINST, _MOST_INERTIA = 15.0, 0.3, 5.0
+#: Time over which the ways of the web at two rollers are compared, s.
+_SAME_WAY_S: Final = 0.5
 #: Share by which such a ratio may be missed.
 _RATIO: Final = 0.03
 _BOUNDARY = ("strain_prev", "F_next_N")
@@ -254,10 +267,14 @@ def _check_plausible(measured: Measured, model: Machine, place: str | Path) -> N
         if largest > fastest:
             raise UnusableInputError(place, f"channel {name} reaches {largest:g}, expected {unit} up to {fastest:g}")
     _check_positions(measured, model, place)
+    if isinstance(model, ModelParameters) and model.span_count:
+        _check_one_way(measured, place)
     strain = float(np.max(np.abs(measured.boundary[:, 0])))
     if strain > _LARGEST_STRAIN:
         raise UnusableInputError(place, f"channel strain_prev reaches {strain:g}, expected a strain (1) below 0.1")
     _check_torques(measured, model, place)
+    if isinstance(model, ModelParameters) and model.span_count and not measured.imitated:
+        _check_direction(measured, model, place)
     moves = [_way(x, measured.period_s) for x in measured.x_m.values()]
     moves += [float(np.max(np.abs(v))) * measured.duration_s for v in speeds.values()]
     if max(moves, default=0.0) < _NOTHING_MOVES_M_S * measured.duration_s:
@@ -295,7 +312,7 @@ def _check_units(measured: Measured, model: Machine, place: str | Path) -> None:
             continue
         position, rate_of = machines.position_channel(model, axis), machines.speed_channel(model, axis)
         said = f"channel {rate_of} is {ratio:.4g} times the rate of {position}"
-        for known, letter, unit, factor in _UNITS:
+        for known, letter, unit, factor in (*_UNITS, *_of_the_machine(model, axis)):
             if abs(ratio / known - 1.0) < _RATIO:
                 name = rate_of if letter == "v" else position
                 raise UnusableInputError(
@@ -304,6 +321,65 @@ def _check_units(measured: Measured, model: Machine, place: str | Path) -> None:
                     f" and {name}: {{column: {name}, factor: {factor:.6g}}}",
                 )
         raise UnusableInputError(place, f"{said}, expected both in the same unit, of the same axis")
+
+
+def _of_the_machine(model: Machine, axis: int) -> Iterator[tuple[float, str, str, float]]:
+    """As `_UNITS`, of what turns where positions and speeds are those of the web."""
+    if model.position_unit != "m":
+        return
+    motor = model.motor_rad_per_unit(axis)
+    for what, rad_per_m in (("motor", motor), ("roller", motor / model.gear_ratio(axis))):
+        yield rad_per_m * 60.0 / _TURN, "v", f"rpm of the {what}", _TURN / 60.0 / rad_per_m
+        yield rad_per_m, "v", f"rad/s of the {what}", 1.0 / rad_per_m
+        yield 1.0 / rad_per_m, "x", f"rad of the {what}", 1.0 / rad_per_m
+
+
+def _check_one_way(measured: Measured, place: str | Path) -> None:
+    """A web goes at all rollers the same way, but for what it is stretched by."""
+    way = measured.x_m if len(measured.x_m) > 1 else {}
+    rows = max(1, round(_SAME_WAY_S / measured.period_s))
+    steps = {axis: np.diff(x[::rows]) for axis, x in sorted(way.items())}
+    for (axis, one), (other, two) in pairwise(steps.items()):
+        apart = float(np.sum(np.abs(one - two))) / max(float(np.sum(np.maximum(np.abs(one), np.abs(two)))), 1e-300)
+        if apart > _LARGEST_STRAIN:
+            raise UnusableInputError(
+                place,
+                f"channels x{axis}_m and x{other}_m move {np.sum(one):.4g} and {np.sum(two):.4g} m, by"
+                f" {100.0 * apart:.0f} % of the way apart, expected one web, of one recording, forward positive at all"
+                " rollers",
+            )
+
+
+def _check_direction(measured: Measured, model: ModelParameters, place: str | Path) -> None:
+    """A torque must accelerate its axis: one that is recorded with the other sign, or in a smaller unit, does not."""
+    step = max(1, round(_SLOW_ROW_S / measured.period_s))
+    band_Hz = (_SLOW_HZ, 2.0 * _SLOW_HZ)
+    for axis, torque in measured.tau_Nm.items():
+        if axis in measured.x_m:
+            _, v, a = smoothed(measured.x_m[axis], measured.period_s, 1, band_Hz, 2)
+        elif axis in measured.v_m_s:
+            v, a = smoothed(measured.v_m_s[axis], measured.period_s, 1, band_Hz, 1)
+        else:
+            continue
+        (tau,) = smoothed(torque, measured.period_s, 1, band_Hz, 0)
+        rows = np.flatnonzero(measured.usable(1.0 / _SLOW_HZ))[::step]
+        rows = rows[(rows > step * _FROM_ENDS) & (rows < len(tau) - step * _FROM_ENDS)]
+        per_acceleration = model.motor_mass_kg(axis) + model.roller_mass_kg(axis)
+        columns = np.column_stack([per_acceleration / model.motor_rad_per_m(axis) * a, v, np.sign(v), np.ones_like(v)])[
+            rows
+        ]
+        if len(rows) < _LEAST_ROWS:
+            continue
+        theta, *_ = np.linalg.lstsq(columns, tau[rows], rcond=None)
+        share, left = float(theta[0]), tau[rows] - columns @ theta
+        deviation = float(np.std(left) * np.sqrt(np.linalg.pinv(columns.T @ columns)[0, 0]))
+        if abs(share) < _CERTAIN * deviation or -_AGAINST < share < _MOST_INERTIA:
+            continue
+        raise UnusableInputError(
+            place,
+            f"channel tau{axis}_Nm is {share:.3g} times the torque that accelerates axis {axis} by the model, expected"
+            " N·m of the motor, positive where it drives forward",
+        )
 
 
 def _check_positions(measured: Measured, model: Machine, place: str | Path) -> None:

@@ -1,8 +1,8 @@
 """What can be wrong with the rows of a recording and is no reason to refuse it: mended, left out, and said.
 
 Rows out of order are sorted, repeated ones dropped, missing ones filled in and left out of every comparison, counters
-that wrap are unwrapped, samples that are no number or stand at the end of a sensor's range are left out. What can't be
-mended without guessing is refused, in one line.
+that wrap are unwrapped, samples that are no number, stay as they were or stand at the end of a sensor's range are left
+out. What can't be mended without guessing is refused, in one line.
 """
 
 from __future__ import annotations
@@ -44,6 +44,8 @@ _QUANTA: Final = 3.0
 _FLAT, _PILED, _NEXT = 5, 3.0, 0.002
 #: Share of a limit within which a torque is at it.
 _AT_LIMIT: Final = 0.01
+#: Rows from which a value that stays is looked at, and the chance up to which it stays by itself.
+_STUCK, _BY_CHANCE = 20, 1e-9
 #: What a diagnosis reads; other channels may hold what they like.
 _READ: Final = re.compile(r"(x|v|tau)\d+(_cmd)?_(m|m_s|rad|rad_s|Nm)|strain_prev|F_next_N|F\d*_meas_N")
 _MEASURED: Final = re.compile(r"(x|v|tau)\d+_(m|m_s|rad|rad_s|Nm)")
@@ -118,6 +120,7 @@ def mended(
         lambda t: _timed(t, place),
         lambda t: _in_order(t, place),
         _without_frozen_rows,
+        _without_stuck_values,
         _unwrapped,
         _finite,
         lambda t: _unsaturated(t, limits_Nm or {}),
@@ -225,6 +228,42 @@ def _without_frozen_rows(table: _Table) -> _Table:
     at = table.t_s[np.argmax(frozen)]
     text = f"{count} row(s) repeat the row before while the axis moves, the first at t = {at:g} s: dropped"
     return table.rows(~frozen, Repair("repeated", "", count, text))
+
+
+def _without_stuck_values(table: _Table) -> _Table:
+    """Positions and torques that stay what they are for a while, as of a bus that lost them: rows left out.
+
+    A position does that where it has caught up by the end of it; a torque where it hardly ever is the same twice.
+    """
+    positions = table.named(_POSITION)
+    for name in [*positions, *table.named(_TORQUE)]:
+        values, stuck = table.channels[name], np.zeros(len(table.t_s), bool)
+        again = np.concatenate([[False], np.diff(values) == 0.0])
+        edges = np.flatnonzero(np.diff(np.concatenate([[0], again.astype(int), [0]]))).reshape(-1, 2)
+        long = edges[edges[:, 1] - edges[:, 0] >= _STUCK]
+        if not len(long) or float(np.ptp(values)) == 0.0:
+            continue
+        quantum = _quantum(values)
+        for start, end in map(tuple, long):
+            if name in positions:
+                stuck[start:end] = end < len(values) and _moved_on(values, start, end, quantum)
+            elif np.min(values) < values[start] < np.max(values):  # at an end of its range it may be cut off
+                elsewhere = (np.count_nonzero(again) - (end - start)) / len(values)
+                stuck[start:end] = len(values) * max(elsewhere, 1e-3) ** (end - start) < _BY_CHANCE and any(
+                    _moves(table.channels[x], start, end) for x in positions
+                )
+        if np.any(stuck):
+            filled = values.copy()
+            filled[stuck] = np.interp(table.t_s[stuck], table.t_s[~stuck], values[~stuck])
+            count, at = int(np.count_nonzero(stuck)), table.t_s[np.argmax(stuck)]
+            text = f"channel {name} stays at one value in {count} row(s), the first at t = {at:g} s: rows left out"
+            table = table.with_channel(name, filled, Repair("stuck", name, count, text), left_out=stuck)
+    return table
+
+
+def _moves(x: Array, start: int, end: int) -> bool:
+    """Whether a position moves in rows start to end - 1 by more than counts."""
+    return float(np.ptp(x[start:end])) > _QUANTA * _quantum(x)
 
 
 def _moved_on(x: Array, start: int, end: int, quantum: float) -> bool:
