@@ -1,7 +1,7 @@
 """How often the diagnosis is right on recordings that share no equation with it, made as stands make them.
 
-    diagnose_independent.py [--what conditions,drawn,intervals] [--seeds N] [--first-seed N] [--jobs N]
-                            [--cases FILE] [--docs FILE]
+    diagnose_independent.py [--what conditions,drawn,intervals] [--seeds N] [--first-seed N] [--interval-seeds N]
+                            [--jobs N] [--cases FILE] [--docs FILE]
 
 The machine is the independent line of the tests: web in pieces that move with it, presliding friction, quantized
 encoders. `conditions` hides seven effects, one at a time, under each of some conditions that a model does not know:
@@ -298,6 +298,7 @@ def main() -> None:
     parser.add_argument("--what", default="conditions,drawn")
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--first-seed", type=int, default=0)
+    parser.add_argument("--interval-seeds", type=int, help="of `intervals`, by default as many as --seeds")
     parser.add_argument("--jobs", type=int)
     parser.add_argument("--cases", type=Path, help="file of finished cases, a line each")
     parser.add_argument("--docs", type=Path, help="page that gets the tables")
@@ -307,7 +308,7 @@ def main() -> None:
         for seed in range(options.first_seed, options.first_seed + options.seeds):
             asked += drawn(seed)
     if "intervals" in options.what:
-        for seed in range(options.first_seed, options.first_seed + options.seeds):
+        for seed in range(options.first_seed, options.first_seed + (options.interval_seeds or options.seeds)):
             asked += with_known_names(seed)
     done = finished_cases.finish(asked, run, options.cases, options.jobs)
     table = summary(sorted(done, key=lambda case: (case.condition, case.name)))

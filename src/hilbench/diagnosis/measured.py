@@ -248,7 +248,7 @@ def _period_s(t_s: Array, place: str | Path) -> float:
             f"channel t_s: {steps[at]:g} s after t = {t_s[at]:g} s where the others are {period_s:g} s apart"
             f" ({len(odd)} such places), expected even sampling",
         )
-    if not SHORTEST_PERIOD_S <= period_s <= LONGEST_PERIOD_S:
+    if not (1.0 - _UNEVEN) * SHORTEST_PERIOD_S <= period_s <= (1.0 + _UNEVEN) * LONGEST_PERIOD_S:
         raise UnusableInputError(
             place,
             f"channel t_s: samples {period_s:g} s apart, expected {SHORTEST_PERIOD_S:g} to {LONGEST_PERIOD_S:g} s",
