@@ -207,6 +207,9 @@ def run(case: Recorded) -> Recorded:
         return case
     case.seconds = round(time.process_time() - began, 2)
     case.verdict, case.predicted_on = found.verdict, found.predicted_on
+    out_of_sight = {(blind.effect, blind.axis) for blind in found.unobservable}
+    if case.hidden and not found.effects and all((e["effect"], e["axis"]) in out_of_sight for e in case.hidden):
+        case.problem = "and said that these data could hardly show it"
     case.found = [[e.effect, e.axis] for e in found.effects]
     case.tied = [e.tied_with for e in found.effects]
     case.ratio = max(gap.after / gap.noise_floor for gap in found.gaps)

@@ -193,3 +193,13 @@ def test_a_ripple_faster_than_the_rows_is_found_in_its_size_where_the_line_is_sl
     loops = Loops(kp=(0.8, 1.2), ki=(1.2, 0.8), lag_s=(0.002, 0.002))
     found = known(hidden, 5, loops=loops, row_s=0.02, jitter_s=2e-5)
     assert np.max(np.abs(errors(found, hidden))) < 2.0
+
+
+def test_a_ripple_too_fast_for_coarse_rows_is_said_to_be_out_of_sight() -> None:
+    ripple = effect("torque_ripple", 1, amplitude_Nm=0.07, order=2.0, phase_rad=2.98)
+    found = examined("production", hidden=[ripple], row_s=0.02, loops=OTHER_GAINS)
+    assert (found.verdict, found.effects) == ("complete", [])
+    (said,) = (blind for blind in found.unobservable if (blind.effect, blind.axis) == ("torque_ripple", 1))
+    assert said.order is not None
+    assert said.order <= 2.0
+    assert "slower" in said.experiment

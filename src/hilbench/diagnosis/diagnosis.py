@@ -42,6 +42,8 @@ LARGEST_REST: Final = 0.1
 #: How far around a time its interval is looked for at first, s.
 _PROFILE_S: Final = 0.3
 _ROWS_OF_WHERE: Final = 8
+#: Orders, in turns of the motor, of which it is said from which on these data can't show a ripple.
+_ORDERS: Final = (1.0, 2.0, 4.0, 6.0)
 _PROFILES: Final = 4
 _DIGITS: Final = 8
 _LEAST_DIGITS: Final = 5
@@ -120,6 +122,7 @@ class Unobservable:
     smallest_visible: float | None
     unit: str
     experiment: str
+    order: float | None = None  #: of a wave, the lowest of those that were looked at from which on it can't be seen
 
 
 @dataclass(frozen=True)
@@ -244,7 +247,7 @@ def concluded(space: Space, chosen: Choice, data: Measured, selection: Selection
         where=_where(where),
         profiles=_profiles(found, after, floor_of, max(gaps, key=_size).signal),
         unexplained=unexplained,
-        unobservable=_unobservable(selection),
+        unobservable=_unobservable(selection) + _waves_too_fast(space, Proposer(space.model, data), selection),
         missing_channels=data.missing,
         model=extended(space.model, certain),
         names=predictor.names,
@@ -480,4 +483,24 @@ def _unobservable(selection: Selection) -> list[Unobservable]:
             visible = None if smallest is None else rounded(float(smallest))
             unit = effect.parameter(effect.strength[0]).unit
             result.append(Unobservable(effect.id, candidate.axis, visible, unit, effect.shown_by))
+    return result
+
+
+def _waves_too_fast(space: Space, proposer: Proposer, selection: Selection) -> list[Unobservable]:
+    """Effects with an order that these data could show at low orders alone: at their speed others are too fast."""
+    result = []
+    terms, white = selection.fit.terms, selection.candidates.whitening
+    for place, waves in proposer.waves(_ORDERS).items():
+        if any(term.place == place for term in terms) or not space.predictor.exact:
+            continue
+        for wave, response in zip(waves, space.strengths(terms, selection.fit.residual, waves), strict=True):
+            information = float(np.sum(white.apply(response)[0][:, space.predictor.rows] ** 2))
+            smallest = _VISIBLE / float(np.sqrt(information)) if information > 0.0 else float("inf")
+            if smallest <= wave.size:
+                continue
+            effect, order = wave.effect, wave.coordinates()[-1]
+            unit, visible = effect.parameter(effect.strength[0]).unit, rounded(smallest) if information > 0.0 else None
+            advice = f"{effect.shown_by}, for orders from {order:g} on slower than this"
+            result.append(Unobservable(effect.id, wave.axis, visible, unit, advice, float(order)))
+            break
     return result

@@ -171,7 +171,11 @@ def questions_of(found: Diagnosis, sizes: Callable[[int | None], MachineSizes]) 
             instead = [machines.with_effects(model, [*rest, one]) for one in tries]
             yield Question(f"whether it is {effect.effect} or {name}", model, without, instead, _APART, _TIE)
     for blind in found.unobservable:
-        for one in _tries((machines.effect_of(model, blind.effect), blind.axis), model, sizes, None)[:1]:
+        unseen = machines.effect_of(model, blind.effect)
+        like = None
+        if blind.order is not None:
+            like = machines.entry(model, unseen.id, blind.axis, unseen.filled({"order": blind.order}))
+        for one in _tries((unseen, blind.axis), model, sizes, like)[:1]:
             with_it = machines.with_effects(model, [*model.effects, one])
             place = f" of axis {blind.axis}" if blind.axis else ""
             yield Question(f"whether there is {blind.effect}{place}", with_it, model, [], _VISIBLE, 1.0)

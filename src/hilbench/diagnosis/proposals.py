@@ -78,6 +78,15 @@ class Proposer:
         """What is usual on the machine at an axis (None: the first), by its model and how it ran."""
         return machines.sizes(self._model, axis, self._top_m_s, self._torque_Nm, self._data.period_s)
 
+    def waves(self, orders: Sequence[float]) -> dict[tuple[str, int | None], list[Term]]:
+        """Of each effect with an order at each axis whose torque is recorded, that effect at these orders."""
+        return {
+            (effect.id, axis): [self._term(effect, axis, {effect.probe.parameter: order}) for order in orders]
+            for effect in self._over(ProbeOver.MOTOR_ANGLE)
+            for axis in self._axes
+            if axis in self._data.tau_Nm and effect.probe is not None and not effect.probe.by_torque
+        }
+
     def known(self, effect: Effect, axis: int | None, values: Mapping[str, float]) -> Term:
         """An effect that is known to be there, with values to start a fit from: nothing of it is searched for."""
         term = self._term(effect, axis, values)
