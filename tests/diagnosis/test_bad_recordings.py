@@ -116,10 +116,10 @@ def test_no_torque_at_all_is_refused_and_one_missing_is_gone_without(good: Chann
     assert [g.signal for g in found.gaps] == ["tau2_Nm"]
 
 
-def test_a_web_of_three_rollers_and_one_without_drives_are_refused(good: Channels) -> None:
+def test_a_recording_that_lacks_the_rollers_of_its_model_and_a_web_without_drives_are_refused(good: Channels) -> None:
     from tests.plant.models import line_of
 
-    with pytest.raises(UnusableInputError, match="3 rollers"):
+    with pytest.raises(UnusableInputError, match="tau3_Nm missing, expected the commands of all axes"):
         measured_from(Recording(good), line_of(3), "run.csv")
     with pytest.raises(UnusableInputError, match="no 'drives'"):
         measured_from(Recording(good), model(drives=None), "run.csv")

@@ -16,6 +16,7 @@ from hilbench.diagnosis.measured import measured_from
 from hilbench.diagnosis.measured_motion import MotionFilter, OnMeasuredMotion
 from hilbench.diagnosis.rest import uncertainty
 from hilbench.diagnosis.select_measured import MeasuredSearch
+from hilbench.diagnosis.terms import Place
 from hilbench.plant.effects import find_effect
 from hilbench.results.recording import Recording, read_recording
 
@@ -133,7 +134,7 @@ def test_where_no_fit_can_tell_two_effects_apart_they_are_tied() -> None:
     found = MeasuredSearch(axis.space, axis.proposer(*SMOOTH), lambda text, share: None).run()
     (term,) = found.fit.terms
     assert term.effect.id == "viscous_friction"
-    assert ("friction_asymmetry", 1) in found.tied[term.key]
+    assert Place("friction_asymmetry", 1) in found.tied[term.key]
 
 
 def test_a_filter_shifts_nothing_in_time() -> None:

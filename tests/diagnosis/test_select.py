@@ -10,6 +10,7 @@ from tests.diagnosis.analytic import NOISE, Axis
 from tests.plant.models import effect
 
 from hilbench.diagnosis.select import Search, Selection, price
+from hilbench.diagnosis.terms import Place
 
 SMOOTH = ("coulomb_friction", "viscous_friction", "friction_asymmetry", "torque_offset", "inertia_mismatch")
 
@@ -68,7 +69,7 @@ def test_of_explanations_that_are_the_same_the_first_of_the_vocabulary_is_named_
     assert forward.v_m_s.min() > 0.0
     found = searched(forward, "friction_asymmetry", "viscous_friction", "torque_offset")
     assert named(found) == ["viscous_friction"]
-    assert found.tied[found.fit.terms[0].key] == [("friction_asymmetry", 1)]
+    assert found.tied[found.fit.terms[0].key] == [Place("friction_asymmetry", 1)]
     both_ways = searched(Axis(effect("friction_asymmetry", 1, viscous_difference_N_s_per_m=0.4)))
     assert named(both_ways) == ["friction_asymmetry"]
     assert both_ways.tied[both_ways.fit.terms[0].key] == []

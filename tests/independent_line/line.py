@@ -47,11 +47,11 @@ def effect(name: str, axis: int | None = None, **parameters: float) -> Hidden:
 class Loops:
     """The drives' loops: factors on the gains that the model file has, by axis, and what else delays."""
 
-    kp: tuple[float, float] = (1.0, 1.0)
-    ki: tuple[float, float] = (1.0, 1.0)
-    lag_s: tuple[float, float] = (0.001, 0.001)  #: of the current loops
-    sample_s: tuple[float, float] = (0.001, 0.001)
-    late_s: tuple[float, float] = (0.0, 0.0)  #: by which a command is late at a drive
+    kp: tuple[float, ...] = (1.0, 1.0)
+    ki: tuple[float, ...] = (1.0, 1.0)
+    lag_s: tuple[float, ...] = (0.001, 0.001)  #: of the current loops
+    sample_s: tuple[float, ...] = (0.001, 0.001)
+    late_s: tuple[float, ...] = (0.0, 0.0)  #: by which a command is late at a drive
     trapezoidal: bool = False  #: whether they integrate so
 
 
@@ -136,6 +136,11 @@ class Line:
             del channels[name]
         truth = {"F_true_N": out[:, 8].copy(), "strain": out[:, 9].copy(), "E_true_Pa": modulus * self.modulus_Pa}
         return Record(channels, truth)
+
+    @property
+    def rollers(self) -> int:
+        """Driven ones."""
+        return 2
 
     @property
     def _stiffness_N(self) -> float:
@@ -239,7 +244,7 @@ class Line:
         return web
 
     def _axes(self) -> tuple[Array, Array]:
-        axes = np.zeros((2, ph.AXIS))
+        axes = np.zeros((self.rollers, ph.AXIS))
         motor = self.gear_ratio**2 * self.motor_inertia_kg_m2 / self.radius_m**2
         axes[:, ph.RADIUS], axes[:, ph.GEAR], axes[:, ph.MOTOR_MASS] = self.radius_m, self.gear_ratio, motor
         axes[:, ph.MASS] = motor + self.inertia_kg_m2 / self.radius_m**2
@@ -249,7 +254,7 @@ class Line:
         axes[:, ph.LATE_S], axes[:, ph.TRAPEZOID] = self.loops.late_s, float(self.loops.trapezoidal)
         axes[:, ph.LIMIT], axes[:, ph.BRISTLE] = self.limit_Nm, self.bristle_N_per_m
         axes[:, ph.STRIBECK_V], axes[:, ph.PLAY_WIDTH] = 1.0, 0.6
-        ripples: list[list[list[float]]] = [[], []]
+        ripples: list[list[list[float]]] = [[] for _ in range(self.rollers)]
         for item in self.hidden:
             name, values = item["effect"], item["parameters"]
             if name in _AXIS_PARAMETERS:
@@ -262,8 +267,8 @@ class Line:
                 strength = values[_RIPPLES[name]]
                 row = [strength, values["order"], values.get("phase_rad", 0.0), float(name == "torque_ripple_load")]
                 ripples[item["axis"] - 1].append(row)
-        table = np.zeros((2, max(len(ripples[0]), len(ripples[1]), 1), ph.RIPPLE))
-        for k in (0, 1):
+        table = np.zeros((self.rollers, max(1, *map(len, ripples)), ph.RIPPLE))
+        for k in range(self.rollers):
             for n, row in enumerate(ripples[k]):
                 table[k, n] = row
         return axes, table

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from tests.independent_line import PROFILES, STEP_OF_E, Line, Loops, effect
+from tests.independent_line.spans import LineOfSpans
 
 QUIET = Line(noise=0.0)
 
@@ -95,3 +98,27 @@ def test_the_same_line_records_the_same_bits(profile: str) -> None:
 def test_what_it_can_not_hide_it_says() -> None:
     with pytest.raises(ValueError, match="can't hide 'magic'"):
         Line(hidden=[effect("magic", 1)]).record("production", duration_s=2.0)
+
+
+def test_of_one_span_the_line_of_several_is_the_same_machine() -> None:
+    several = LineOfSpans(lengths_m=(1.0,), loops=Loops()).record("production", seed=2, duration_s=5.0)
+    one = replace(QUIET, noise=1.0).record("production", seed=2, duration_s=5.0)
+    assert several.truth["F1_true_N"] == pytest.approx(one.truth["F_true_N"], abs=1e-9)
+
+
+def test_a_splice_passes_the_spans_one_after_the_other_as_a_spring_in_series() -> None:
+    lengths = (2.5, 4.0, 3.0)
+    splice = effect("splice", time_s=8.0, relative_change=1.0, length_m=0.5)
+    with_it, without = (
+        LineOfSpans(lengths_m=lengths, hidden=hidden, noise=0.0).record("production", duration_s=14.0)
+        for hidden in ((splice,), ())
+    )
+    t = with_it.channels["t_s"]
+    came = 8.0
+    for span, length_m in enumerate(lengths, 1):
+        name = f"F{span}_true_N"
+        change = with_it.truth[name] / without.truth[name] - 1.0
+        before, inside = t < came - 0.02, (t > came + 0.25 * length_m / 3.0) & (t < came + 0.5 * length_m / 3.0)
+        assert np.max(np.abs(change[before & (t > 7.0)])) < 0.02 * (span - 1) + 1e-6
+        assert np.max(change[inside]) > 0.2 * 0.5 / length_m
+        came += length_m / 3.0

@@ -156,9 +156,10 @@ def _proposed(diagnosis: Diagnosis, recording: Recording, place: Path) -> NextEx
     if machines.is_lone(diagnosis.model):
         data = measured_from(recording, diagnosis.model, place)
         return axis_next_experiment.propose(diagnosis, axis_next_experiment.AxisReach.of(data))
-    if "v2_cmd_m_s" not in recording:
+    axes = diagnosis.model.axis_count
+    if f"v{axes}_cmd_m_s" not in recording:
         return None
-    return web_next_experiment.propose(diagnosis, web_next_experiment.Reach.of(recording))
+    return web_next_experiment.propose(diagnosis, web_next_experiment.Reach.of(recording, axes))
 
 
 def _against(source: Path, before: Path, model_path: Path | None, progress: ProgressDisplay) -> _Found:
@@ -299,6 +300,7 @@ def as_data(shown: _Found, files: _Files | None, next_experiment: Path | None = 
             {
                 "effect": b.effect,
                 "axis": b.axis,
+                "span": b.span,
                 "smallest_visible": b.smallest_visible,
                 "unit": b.unit,
                 "experiment": b.experiment,
@@ -325,6 +327,7 @@ def _effect(effect: NamedEffect) -> dict[str, Any]:
     return {
         "effect": effect.effect,
         "axis": effect.axis,
+        "span": effect.span,
         "parameters": {
             name: {"value": value.value, "ci95": list(value.ci95), "unit": value.unit}
             | ({} if value.before is None else {"before": value.before})
@@ -361,12 +364,12 @@ def _show(console: Console, found: Diagnosis, against: Path | None) -> None:
     console.print(gaps)
     _show_where(console, found)
     for blind in found.unobservable:
-        place = f" of axis {blind.axis}" if blind.axis else ""
+        place = blind.place.text
         if against is None:
-            console.print(f"these data could hardly show {blind.effect}{place}; next experiment: {blind.experiment}")
+            console.print(f"these data could hardly show {place}; next experiment: {blind.experiment}")
         elif blind.smallest_visible is not None:
             least = f"{blind.smallest_visible:.3g} {blind.unit}"
-            console.print(f"a change of {blind.effect}{place} of less than {least} could not be told", soft_wrap=True)
+            console.print(f"a change of {place} of less than {least} could not be told", soft_wrap=True)
     for repair in found.repairs:
         console.print(f"mended: {repair.text}", soft_wrap=True)
     if found.missing_channels:
@@ -376,7 +379,7 @@ def _show(console: Console, found: Diagnosis, against: Path | None) -> None:
 def _effects_table(found: Diagnosis, *, changes: bool) -> Table:
     shown = Table(title_justify="left")
     value_of = "change" if changes else "value"
-    for column in ("effect", "axis", "parameter", value_of, "95 %", "unit", *(("before",) if changes else ())):
+    for column in ("effect", "place", "parameter", value_of, "95 %", "unit", *(("before",) if changes else ())):
         shown.add_column(
             column,
             justify="right" if column in (value_of, "95 %", "before") else "left",
@@ -384,7 +387,7 @@ def _effects_table(found: Diagnosis, *, changes: bool) -> Table:
         )
     for effect in found.effects:
         for k, (name, value) in enumerate(effect.parameters.items()):
-            first = (effect.effect, str(effect.axis or "")) if k == 0 else ("", "")
+            first = (effect.effect, effect.place.where) if k == 0 else ("", "")
             said, low, high = (f"{each:.{value.digits}g}" for each in (value.value, *value.ci95))
             was = ("" if value.before is None else f"{value.before:.5g}",) if changes else ()
             shown.add_row(*first, name, said, f"{low} to {high}", value.unit, *was)

@@ -24,7 +24,7 @@ from hilbench.diagnosis.select import Search, Selection
 from hilbench.diagnosis.select_measured import MeasuredSearch, uncertainty_of, weights
 from hilbench.diagnosis.space import Space
 from hilbench.diagnosis.sparse_law import SparseLaw, law
-from hilbench.diagnosis.terms import Term, extended, pack_with
+from hilbench.diagnosis.terms import Place, Term, extended, pack_with
 from hilbench.diagnosis.web_line.loop_check import nuisance_of
 from hilbench.plant.effects import Effect, find_effect
 from hilbench.plant.model_file import Machine
@@ -78,6 +78,12 @@ class NamedEffect:
     evidence: dict[str, float]
     tied_with: list[str]
     told_apart_by: str | None
+    span: int | None = None  #: of several; None: in all of them
+
+    @property
+    def place(self) -> Place:
+        """Where it is."""
+        return Place(self.effect, self.axis, self.span)
 
 
 @dataclass(frozen=True)
@@ -122,7 +128,13 @@ class Unobservable:
     smallest_visible: float | None
     unit: str
     experiment: str
+    span: int | None = None
     order: float | None = None  #: of a wave, the lowest of those that were looked at from which on it can't be seen
+
+    @property
+    def place(self) -> Place:
+        """Where it would be."""
+        return Place(self.effect, self.axis, self.span)
 
 
 @dataclass(frozen=True)
@@ -411,21 +423,18 @@ def _named(terms: list[Term], judged: _Judged, selection: Selection) -> list[Nam
             low, high = judged.moments.get((place, parameter.name), (value - half, value + half))
             values[parameter.name] = Value(rounded(value), (rounded(low), rounded(high)), parameter.unit)
         tied = [other for other in selection.tied.get(term.key, []) if other != term.place]
-        names = [
-            f"{effect}" if axis is None or axis == term.axis else f"{effect} (axis {axis})" for effect, axis in tied
-        ]
-        advice = _experiment(term.effect, tied[0][0]) if tied else None
-        result.append(
-            NamedEffect(term.effect.id, term.axis, values, selection.evidence.get(term.key, {}), names, advice)
-        )
+        names = [other.beside(term.place) for other in tied]
+        advice = _experiment(term.effect, tied[0].effect) if tied else None
+        evidence = selection.evidence.get(term.key, {})
+        result.append(NamedEffect(term.effect.id, term.axis, values, evidence, names, advice, term.span))
     return _joined(terms, result)
 
 
 def _joined(terms: list[Term], named: list[NamedEffect]) -> list[NamedEffect]:
     """The parts of one effect, each found as a term of its own, as one, with the evidence of the one found first."""
-    joined: dict[tuple[str, int | None, int], NamedEffect] = {}
+    joined: dict[tuple[Place, int], NamedEffect] = {}
     for term, effect in zip(terms, named, strict=True):
-        place = (term.effect.id, term.axis, term.slot)
+        place = (term.place, term.slot)
         first = joined.get(place)
         if first is None:
             joined[place] = effect
@@ -471,7 +480,7 @@ def _profiles(before: list[Misfit], after: list[Misfit], floors: dict[str, float
 def _unobservable(selection: Selection) -> list[Unobservable]:
     """Effects of which a change of the usual size would drown in the noise of these data."""
     offered, result = selection.candidates, []
-    seen: set[tuple[str, int | None]] = set()
+    seen: set[Place] = set()
     for candidate, response in zip(offered.candidates, offered.responses, strict=True):
         if candidate.multiplicity > 1.0 or candidate.place in seen:
             continue
@@ -482,7 +491,7 @@ def _unobservable(selection: Selection) -> list[Unobservable]:
         if smallest is None or smallest > candidate.size:
             visible = None if smallest is None else rounded(float(smallest))
             unit = effect.parameter(effect.strength[0]).unit
-            result.append(Unobservable(effect.id, candidate.axis, visible, unit, effect.shown_by))
+            result.append(Unobservable(effect.id, candidate.axis, visible, unit, effect.shown_by, candidate.span))
     return result
 
 
@@ -501,6 +510,6 @@ def _waves_too_fast(space: Space, proposer: Proposer, selection: Selection) -> l
             effect, order = wave.effect, wave.coordinates()[-1]
             unit, visible = effect.parameter(effect.strength[0]).unit, rounded(smallest) if information > 0.0 else None
             advice = f"{effect.shown_by}, for orders from {order:g} on slower than this"
-            result.append(Unobservable(effect.id, wave.axis, visible, unit, advice, float(order)))
+            result.append(Unobservable(effect.id, wave.axis, visible, unit, advice, order=float(order)))
             break
     return result

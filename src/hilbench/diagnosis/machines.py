@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.plant.effects import Effect, MachineKind, MachineSizes, find_effect
+from hilbench.plant.effects import Domain, Effect, MachineKind, MachineSizes, find_effect
 from hilbench.plant.model_file import Machine
 from hilbench.plant.parameters import EffectEntry
 from hilbench.plant.servo_axis import layout as shaft_layout
@@ -61,15 +61,25 @@ def pack(model: Machine) -> Array:
 
 
 def write_effect(
-    model: Machine, parameters: Array, effect: Effect, axis: int | None, slot: int, values: dict[str, float]
+    model: Machine,
+    parameters: Array,
+    effect: Effect,
+    axis: int | None,
+    slot: int,
+    values: dict[str, float],
+    *,
+    span: int | None = None,
 ) -> None:
-    """Write an effect's values, by name, into a parameter vector of the machine's kernel; others stay."""
+    """Write an effect's values, by name, into a parameter vector of the machine's kernel; others stay.
+
+    span: None for all of them.
+    """
     if isinstance(model, ServoAxisParameters):
         for number, parameter in enumerate(effect.parameters):
             if parameter.name in values:
                 parameters[shaft_layout.place(effect.id, number, slot)] = values[parameter.name]
         return
-    lay.write_effect(parameters, effect.id, axis, slot, values)
+    lay.write_effect(parameters, effect.id, axis, slot, values, span=span)
 
 
 def with_effects(model: Machine, entries: Sequence[EffectEntry]) -> Machine:
@@ -79,10 +89,37 @@ def with_effects(model: Machine, entries: Sequence[EffectEntry]) -> Machine:
     return type(model).model_validate(data)
 
 
-def entry(model: Machine, effect_id: str, axis: int | None, parameters: Mapping[str, float]) -> EffectEntry:
+def entry(
+    model: Machine, effect_id: str, axis: int | None, parameters: Mapping[str, float], span: int | None = None
+) -> EffectEntry:
     """An effect as it stands in the model's file."""
     made = ShaftEffect if isinstance(model, ServoAxisParameters) else EffectEntry
-    return made(effect=effect_id, axis=axis, parameters=dict(parameters))
+    return made(effect=effect_id, axis=axis, span=span, parameters=dict(parameters))
+
+
+def places(model: Machine, effect: Effect) -> list[tuple[int | None, int | None]]:
+    """Axes and spans at which a model may have an effect.
+
+    What a span has by itself is in each of several; of the web it may as well be in all of them (None), as a property
+    of what runs through. In the only span it has no number.
+    """
+    if effect.per_axis:
+        return [(axis, None) for axis in range(1, model.axis_count + 1)]
+    if not effect.per_section or model.span_count < 2:
+        return [(None, None)]
+    spans: list[tuple[int | None, int | None]] = [(None, span) for span in range(1, model.span_count + 1)]
+    return [*spans, (None, None)] if effect.domain is Domain.ELASTICITY else spans
+
+
+def entries_at(model: Machine, effect: Effect, axis: int | None, span: int | None) -> list[EffectEntry]:
+    """What a model has of an effect at a place, in the order of its slots."""
+    return [
+        one
+        for one in model.effects
+        if one.effect == effect.id
+        and (not effect.per_axis or one.axis == axis)
+        and (span is None or one.section in (None, span))
+    ]
 
 
 def effect_of(model: Machine, effect_id: str) -> Effect:

@@ -139,8 +139,10 @@ def measured_from(recording: Recording, model: Machine, place: str | Path) -> Me
     )
     recording = found.recording
     period_s = _period_s(recording.time_s, place)
-    if web and model.axis_count != 2:
-        raise UnusableInputError(place, f"a model of {model.axis_count} rollers, expected two, or a lone axis")
+    if isinstance(model, ModelParameters) and model.stations is not None:
+        raise UnusableInputError(
+            place, "a model with 'stations', expected a line of driven rollers alone: nothing else can be diagnosed yet"
+        )
     if web and model.drives is None:
         raise UnusableInputError(place, "a model with a web and no 'drives', expected the drives' control loops")
     axes = range(1, model.axis_count + 1)
@@ -153,14 +155,15 @@ def measured_from(recording: Recording, model: Machine, place: str | Path) -> Me
         )
     )
     wanted = [each[axis] for axis in axes for each in (torques, positions, speeds)]
+    tensions: dict[int, str] = {}
     if web:
         wanted += commands
         recording.require(_BOUNDARY, place)
         _check_enough(recording, place, commands)
+        tensions = _tensions(recording, model.span_count)
     else:
         _check_lone(recording, model, place)
-    tensions = [name for name in (_TENSION, "F1_meas_N") if web and name in recording][:1]
-    there = [name for name in wanted if name in recording] + tensions
+    there = [name for name in wanted if name in recording] + list(tensions.values())
     recording.require(there, place)
 
     def channels(names: dict[int, str]) -> dict[int, Array]:
@@ -189,11 +192,29 @@ def measured_from(recording: Recording, model: Machine, place: str | Path) -> Me
         imitated=imitated,
         left_out=found.left_out,
         repairs=found.repairs,
-        F_N=dict.fromkeys((1,), np.asarray(recording[tensions[0]], np.float64)) if tensions else {},
+        F_N=channels(tensions),
         integrated=integrated,
     )
     _check_plausible(measured, model, place)
     return measured
+
+
+def _tensions(recording: Recording, spans: int) -> dict[int, str]:
+    """Channels of measured tensions by span; that of the first is without its number where there is one span."""
+    found: dict[int, str] = {}
+    for span in range(1, spans + 1):
+        names = [name for name in _tension_names(span, spans) if name in recording]
+        if names:
+            found[span] = names[0]
+    return found
+
+
+def _tension_names(span: int, spans: int) -> list[str]:
+    """Channels that may have the measured tension of a span, the usual one first."""
+    numbered = f"F{span}_meas_N"
+    if span > 1:
+        return [numbered]
+    return [_TENSION, numbered] if spans == 1 else [numbered, _TENSION]
 
 
 def _check_lone(recording: Recording, model: Machine, place: str | Path) -> None:
@@ -215,22 +236,25 @@ def _check_lone(recording: Recording, model: Machine, place: str | Path) -> None
 
 
 def _check_enough(recording: Recording, place: str | Path, commands: list[str]) -> None:
-    """A web line needs a torque, and the commands of both axes or how both moved."""
-    if not any(f"tau{axis}_Nm" in recording for axis in (1, 2)):
-        raise UnusableInputError(place, "channels tau1_Nm, tau2_Nm missing, expected at least one torque")
+    """A web line needs a torque, and the commands of all axes or how all moved."""
+    axes = range(1, len(commands) + 1)
+    if not any(f"tau{axis}_Nm" in recording for axis in axes):
+        torques = ", ".join(f"tau{axis}_Nm" for axis in axes)
+        raise UnusableInputError(place, f"channels {torques} missing, expected at least one torque")
     if all(name in recording for name in commands):
         return
     missing = [name for name in commands if name not in recording]
-    if all(f"x{axis}_m" in recording for axis in (1, 2)):
+    if all(f"x{axis}_m" in recording for axis in axes):
         return
-    for name in (f"{letter}{axis}_{unit}" for letter, unit in (("v", "m_s"), ("tau", "Nm")) for axis in (1, 2)):
+    for name in (f"{letter}{axis}_{unit}" for letter, unit in (("v", "m_s"), ("tau", "Nm")) for axis in axes):
         if name not in recording and not (name[0] == "v" and f"x{name[1]}_m" in recording):
             missing.append(name)
+    all_of = "both" if len(axes) == 2 else "all"
     if len(missing) > sum(name in commands for name in missing):
         raise UnusableInputError(
             place,
-            f"channels {', '.join(missing)} missing, expected the commands of both axes, or the positions of both, or"
-            " the speeds and torques of both",
+            f"channels {', '.join(missing)} missing, expected the commands of {all_of} axes, or the positions of"
+            f" {all_of}, or the speeds and torques of {all_of}",
         )
 
 

@@ -19,8 +19,9 @@ from numpy.typing import NDArray
 
 from hilbench.diagnosis import machines
 from hilbench.diagnosis.diagnosis import Diagnosis, NamedEffect
+from hilbench.diagnosis.terms import Place
 from hilbench.files import writing
-from hilbench.plant.effects import EFFECTS, Effect, MachineSizes
+from hilbench.plant.effects import EFFECTS, MachineSizes
 from hilbench.plant.model_file import Machine
 from hilbench.plant.parameters import EffectEntry
 
@@ -155,7 +156,7 @@ def questions_of(found: Diagnosis, sizes: Callable[[int | None], MachineSizes]) 
     """What a diagnosis leaves open; `sizes`: what is usual at an axis of its machine."""
     model = found.model
     for effect in found.effects:
-        entry = next((e for e in model.effects if (e.effect, e.axis) == (effect.effect, effect.axis)), None)
+        entry = next((e for e in model.effects if Place.of(e) == effect.place), None)
         if entry is None:
             continue
         rest: list[EffectEntry] = list(model.effects)
@@ -171,42 +172,44 @@ def questions_of(found: Diagnosis, sizes: Callable[[int | None], MachineSizes]) 
             instead = [machines.with_effects(model, [*rest, one]) for one in tries]
             yield Question(f"whether it is {effect.effect} or {name}", model, without, instead, _APART, _TIE)
     for blind in found.unobservable:
-        unseen = machines.effect_of(model, blind.effect)
-        like = None
+        unseen, like = machines.effect_of(model, blind.effect), None
         if blind.order is not None:
             like = machines.entry(model, unseen.id, blind.axis, unseen.filled({"order": blind.order}))
-        for one in _tries((unseen, blind.axis), model, sizes, like)[:1]:
+        for one in _tries(blind.place, model, sizes, like)[:1]:
             with_it = machines.with_effects(model, [*model.effects, one])
-            place = f" of axis {blind.axis}" if blind.axis else ""
-            yield Question(f"whether there is {blind.effect}{place}", with_it, model, [], _VISIBLE, 1.0)
+            yield Question(f"whether there is {blind.place.text}", with_it, model, [], _VISIBLE, 1.0)
 
 
-def _other(name: str, effect: NamedEffect, model: Machine) -> tuple[Effect, int | None] | None:
-    """Effect and axis of what something is tied with, by what is said of it; None for what is not in the vocabulary."""
-    match = re.fullmatch(r"(\w+)(?: \(axis (\d+)\))?", name)
+def _other(name: str, effect: NamedEffect, model: Machine) -> Place | None:
+    """What something is tied with, by what is said of it; None for what is not in the vocabulary."""
+    match = re.fullmatch(r"(\w+)(?: \((axis|span) (\d+)\))?", name)
     if match is None or match[1] not in {one.id for one in EFFECTS}:
         return None
-    known = machines.effect_of(model, match[1])
-    axis = int(match[2]) if match[2] else (effect.axis or 1)
-    return known, axis if known.per_axis else None
+    known, number = machines.effect_of(model, match[1]), int(match[3]) if match[3] else None
+    if known.per_axis:
+        return Place(known.id, number or effect.axis or 1)
+    return Place(known.id, None, number or (effect.span if known.per_section else None))
 
 
 def _tries(
-    place: tuple[Effect, int | None],
+    place: Place,
     model: Machine,
     sizes: Callable[[int | None], MachineSizes],
     like: EffectEntry | None,
 ) -> list[EffectEntry]:
     """Some of an effect at its usual size; of a wave at two phases; shaped as `like` where that has the same shape."""
-    effect, axis = place
+    effect, axis = machines.effect_of(model, place.effect), place.axis
     values = effect.filled({} if like is None else {k: v for k, v in like.parameters.items() if k.endswith(_SHAPES)})
-    if sum((e.effect, e.axis) == (effect.id, axis) for e in model.effects) >= effect.slots:
+    if len(machines.entries_at(model, effect, axis, place.span)) >= effect.slots:
         return []
     strength = effect.parameter(effect.strength[0])
     # On a rotary axis that a model describes with a radius of 1 m, sizes in m are larger than any roller has.
     values[strength.name] = min(max(strength.size.on(sizes(axis)), strength.lower), strength.upper)
     phases = (0.0, 0.5 * np.pi) if "phase_rad" in values else (None,)
-    return [machines.entry(model, effect.id, axis, values | ({} if p is None else {"phase_rad": p})) for p in phases]
+    return [
+        machines.entry(model, effect.id, axis, values | ({} if p is None else {"phase_rad": p}), place.span)
+        for p in phases
+    ]
 
 
 _SHAPES = ("order", "frequency_Hz", "time_s", "duration_s")

@@ -120,7 +120,7 @@ def _web_choice(model: ModelParameters, data: Measured, imitation: Imitation | N
         if not _is_cycle(data.period_s / imitation.cycle_s):
             return Choice(FreeRun(model, data), commands)
         return Choice(FreeRun(model, data, imitation), commands)
-    if not set(data.x_m) | set(data.v_m_s) >= {1, 2}:
+    if not set(data.x_m) | set(data.v_m_s) >= set(range(1, model.axis_count + 1)):
         return Choice(FreeRun(model, data), commands)
     motion = LineOnMeasuredMotion(model, data)
     loops = motion.loops()
@@ -129,7 +129,7 @@ def _web_choice(model: ModelParameters, data: Measured, imitation: Imitation | N
     if loops and all(loop.is_known for loop in loops):
         return Choice(FreeRun(model, data), commands, loops)
     why = "the drives' loops are not those of the model" if loops else "nothing tells the drives' loops"
-    if motion.knows_strain or len(data.tau_Nm) == 2:
+    if motion.knows_strain or len(data.tau_Nm) == model.axis_count:
         # A torque that is recorded late looks like a lag of its loop; what moves by the model's loops has them.
         only_late = bool(loops) and all(loop.is_known or loop.is_only_late(model) for loop in loops)
         simpler = Choice(FreeRun(model, data), commands) if only_late else None

@@ -14,7 +14,6 @@ from hilbench.diagnosis.measured import Measured
 from hilbench.diagnosis.terms import Term
 from hilbench.plant.effects import Domain, Effect, MachineSizes, ProbeOver, effects_of
 from hilbench.plant.model_file import Machine
-from hilbench.plant.parameters import EffectEntry
 from hilbench.plant.web_line.parameters import ModelParameters
 
 Array = NDArray[np.float64]
@@ -100,8 +99,9 @@ class Proposer:
         slot: int = 0,
         multiplicity: float = 1.0,
         part: str | None = None,
+        span: int | None = None,
     ) -> Term:
-        base, entries = effect.filled({}), self._entries(effect, axis)
+        base, entries = effect.filled({}), machines.entries_at(self._model, effect, axis, span)
         if slot < len(entries):
             base = effect.filled(entries[slot].parameters)
         filled = {**base, **values}
@@ -119,7 +119,7 @@ class Proposer:
                 case ProbeOver.MOTOR_ANGLE:
                     steps[searched] = 0.1 / max(self._turns(axis) * _TURN, 1.0)
                     least[searched] = self._least_order(axis)
-        return Term(effect, axis, slot, filled, base, steps, size, multiplicity, least=least, part=part)
+        return Term(effect, axis, slot, filled, base, steps, size, multiplicity, least=least, part=part, span=span)
 
     def _least_order(self, axis: int | None) -> float:
         """Of a torque ripple: some of its periods are in the recording, and on a machine it comes from what turns."""
@@ -127,10 +127,6 @@ class Proposer:
         if axis is None or machines.is_lone(self._model):
             return least
         return max(least, _LEAST_SHARE_OF_A_TURN / self._model.gear_ratio(axis))
-
-    def _entries(self, effect: Effect, axis: int | None) -> list[EffectEntry]:
-        """What the diagnosed model has of an effect at a place."""
-        return [e for e in self._model.effects if (e.effect, e.axis if effect.per_axis else None) == (effect.id, axis)]
 
     def _turns(self, axis: int | None) -> float:
         if axis is None or axis not in self._data.x_m:
@@ -141,24 +137,24 @@ class Proposer:
         """Every effect that needs no search, at every place it can be."""
         terms = []
         for effect in self._vocabulary:
-            for axis in self._axes if effect.per_axis else (None,):
-                if self._possible(effect, axis):
-                    terms += self._looks(effect, axis)
+            for axis, span in machines.places(self._model, effect):
+                if self._possible(effect, axis) and not self._differs(effect, span):
+                    terms += self._looks(effect, axis, span)
         return terms
 
-    def _looks(self, effect: Effect, axis: int | None) -> list[Term]:
+    def _looks(self, effect: Effect, axis: int | None, span: int | None) -> list[Term]:
         """The terms with which an effect is looked at at one place; none of one that is searched for."""
         probe = effect.probe
         if probe is None:
             parts: list[str | None] = list(effect.strength) if len(effect.strength) > 1 else [None]
-            return [self._term(effect, axis, {}, part=part) for part in parts]
+            return [self._term(effect, axis, {}, part=part, span=span) for part in parts]
         if probe.over in _SEARCHED:
             return []
         count = len(probe.tried)
         if probe.over is ProbeOver.SHARES_OF_TOP_SPEED:
             speeds = [share * self._top_m_s for share in probe.tried]
-            return [self._term(effect, axis, {probe.parameter: v}, multiplicity=count) for v in speeds]
-        plain = self._term(effect, axis, {})
+            return [self._term(effect, axis, {probe.parameter: v}, multiplicity=count, span=span) for v in speeds]
+        plain = self._term(effect, axis, {}, span=span)
         return [replace(plain, probe=times * plain.size, multiplicity=count) for times in probe.tried]
 
     def _possible(self, effect: Effect, axis: int | None) -> bool:
@@ -172,6 +168,14 @@ class Proposer:
         if not effect.needs_gear or axis is None:
             return True
         return machines.turns_apart(self._model, axis)
+
+    def _differs(self, effect: Effect, span: int | None) -> bool:
+        """Whether an effect of all spans is one that the model has in some of them already."""
+        return (
+            effect.per_section
+            and span is None
+            and any(one.effect == effect.id and one.section is not None for one in self._model.effects)
+        )
 
     def _over(self, over: ProbeOver) -> list[Effect]:
         """The effects that are searched for over this."""
@@ -278,11 +282,15 @@ class Proposer:
         """Times at which something may have come, and how far they are apart, s; none where no while stands out.
 
         whitened: residuals (n,) by signal; rows (n,): those that count; every: rows of the recording per row.
-        A while is as long as the web needs through a span; what passes in it has come somewhere in the one before.
+        A while is as long as the web needs through the first span; what passes in it has come in the one before, or as
+        much earlier as the web needs through all spans.
         """
         if not isinstance(self._model, ModelParameters):
             return np.empty(0), 0.0
-        while_s = self._model.span_length_m(1) / max(self._usual_m_s, 1e-3)
+        speed_m_s = max(self._usual_m_s, 1e-3)
+        while_s = self._model.span_length_m(1) / speed_m_s
+        lengths = [self._model.span_length_m(span) for span in range(1, self._model.span_count + 1)]
+        earlier = round(_AROUND_A_BURST * (1.0 + sum(lengths) / lengths[0]))
         window = max(8, round(while_s / (self._data.period_s * every)))
         alike, usable = np.ones(window), np.asarray(rows, np.float64)
         power = np.convolve(sum(values**2 for values in whitened.values()) * usable, alike, "same")
@@ -294,26 +302,29 @@ class Proposer:
             at = int(np.argmax(mean))
             if mean[at] <= usual * (1.0 + _OUTSTANDING * float(np.sqrt(2.0 / (window * len(whitened))))):
                 break
-            times += [self._data.t_s[at * every] + k * step_s for k in range(-2 * _AROUND_A_BURST, 2)]
+            times += [self._data.t_s[at * every] + k * step_s for k in range(-earlier, 2)]
             mean[max(at - 2 * window, 0) : at + 2 * window] = 0.0
         return np.unique([time for time in times if time > 0.0]), step_s
 
-    def onsets(self, effect: Effect, times_s: Array, present: list[Term]) -> list[Term]:
-        """A sudden effect at each of these times (n,), if the model can have another one."""
+    def onsets(self, effect: Effect, times_s: Array, present: list[Term], span: int | None = None) -> list[Term]:
+        """A sudden effect at each of these times (n,), if the model can have another one there."""
         axis = self._axes[0] if effect.per_axis else None  # only a lone axis has one of its own
-        slot = self._slot(effect, axis, present)
+        slot = self._slot(effect, axis, present, span)
         if slot is None or effect.probe is None:
             return []
-        return [self._term(effect, axis, {effect.probe.parameter: float(t)}, slot, _TIMES) for t in times_s]
+        name = effect.probe.parameter
+        return [self._term(effect, axis, {name: float(t)}, slot, _TIMES, span=span) for t in times_s]
 
-    def gradual(self, effect: Effect, time_s: float, duration_s: float, present: list[Term]) -> list[Term]:
-        """What grows over a time into what the sudden `effect` is at once, if the model can have another one."""
+    def gradual(
+        self, effect: Effect, time_s: float, duration_s: float, present: list[Term], span: int | None = None
+    ) -> list[Term]:
+        """What grows over a time into what the sudden `effect` is at once, if the model can have another one there."""
         terms = []
         for other in self._over(ProbeOver.ONSET_AND_DURATION):
-            slot = self._slot(other, None, present)
+            slot = self._slot(other, None, present, span)
             if other.at_once == effect.id and slot is not None and other.probe is not None:
                 values = {other.probe.parameter: time_s, other.probe.duration: duration_s}
-                terms.append(self._term(other, None, values, slot, _TIMES * _COARSE / 2.0))
+                terms.append(self._term(other, None, values, slot, _TIMES * _COARSE / 2.0, span=span))
         return terms
 
     def at_once(self, term: Term, present: list[Term]) -> list[Term]:
@@ -322,12 +333,15 @@ class Proposer:
             return []
         middle_s = np.array([term.time_s + 0.5 * term.duration_s])
         (effect,) = (known for known in self.sudden() if known.id == term.effect.at_once)
-        found = self.onsets(effect, middle_s, present)
+        found = self.onsets(effect, middle_s, present, term.span)
         strength = float(term.coordinates()[0])
         return [sudden.at(np.concatenate([[strength], sudden.coordinates()[1:]])) for sudden in found]
 
-    def _slot(self, effect: Effect, axis: int | None, present: list[Term]) -> int | None:
-        slot = len(self._entries(effect, axis)) + sum(term.place == (effect.id, axis) for term in present)
+    def _slot(self, effect: Effect, axis: int | None, present: list[Term], span: int | None = None) -> int | None:
+        """That of another one at a place; one of all spans takes one of each."""
+        entries = machines.entries_at(self._model, effect, axis, span)
+        there = [term for term in present if (term.effect.id, term.axis) == (effect.id, axis)]
+        slot = len(entries) + sum(span is None or term.span in (None, span) for term in there)
         return slot if slot < effect.slots else None
 
     def _orders(

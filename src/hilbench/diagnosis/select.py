@@ -27,14 +27,11 @@ from hilbench.diagnosis.misfit import largest_ratio
 from hilbench.diagnosis.noise import Whitening
 from hilbench.diagnosis.proposals import Proposer
 from hilbench.diagnosis.space import Linear, Space, finest, noise_model
-from hilbench.diagnosis.terms import Term
+from hilbench.diagnosis.terms import Key, Place, Term
 from hilbench.plant.effects import EFFECTS, Effect
 
 Array = NDArray[np.float64]
 Announce = Callable[[str, float], None]
-#: Effect, axis, slot and part of a term; effect and axis of what is named.
-Key = tuple[str, int | None, int, str | None]
-Place = tuple[str, int | None]
 
 #: Most effects that are named: three that leave more than noise are none of them right, and many small ones together
 #: are a series expansion of something else.
@@ -199,8 +196,7 @@ class Search:
         noise is seen once more, beside all of them.
         """
         space = self._space
-        present = {term.key for term in current.terms}
-        plain = [t for t in self._proposer.plain() if t.key not in present]
+        plain = [t for t in self._proposer.plain() if not any(map(t.overlaps, current.terms))]
         responses = space.strengths(current.terms, current.residual, plain)
         own = space.point(current.terms, current.residual).derivatives
         white = noise_model(space, current.residual, np.concatenate([own, *responses]))
@@ -224,7 +220,12 @@ class Search:
         # What set in before the first row that counts has been there always.
         times = times[(times > counted[0]) & (times < counted[-1])]
         sudden = self._proposer.sudden()
-        return [term for effect in sudden for term in self._changes_by(effect, current, white, times, apart_s)]
+        return [
+            term
+            for effect in sudden
+            for _, span in machines.places(self._space.model, effect)
+            for term in self._changes_by(effect, current, white, times, apart_s, span)
+        ]
 
     def _passages(self, current: Fit, white: Whitening, whitened: dict[str, Array]) -> list[Term]:
         """Of each effect that passes the times at which it would explain most, near where the residual stands out."""
@@ -236,7 +237,9 @@ class Search:
             return []
         return [term for effect in effects for term in self._changes_by(effect, current, white, times, apart_s)]
 
-    def _changes_by(self, effect: Effect, current: Fit, white: Whitening, times: Array, apart_s: float) -> list[Term]:
+    def _changes_by(
+        self, effect: Effect, current: Fit, white: Whitening, times: Array, apart_s: float, span: int | None = None
+    ) -> list[Term]:
         """One sudden effect: a coarse grid of times, then ever closer ones around the best.
 
         What it explains has a narrow peak at the right time. A fit started beside it runs into another minimum, and
@@ -244,19 +247,21 @@ class Search:
         """
         found, gradual = list[Term](), list[Term]()
         for level in range(_TIME_LEVELS):
-            terms = self._proposer.onsets(effect, times, current.terms)
+            terms = self._proposer.onsets(effect, times, current.terms, span)
             if not terms:  # the model can't have one more of it
                 break
             responses = self._observable(white, self._space.strengths(current.terms, current.residual, terms))
             along = responses @ self._observable(white, [current.residual[None]])[0]
             if level == 0:
-                gradual = self._gradual(effect, current, times, responses, along)
+                gradual = self._gradual(effect, current, times, responses, along, span)
             found = _apart(terms, along**2 / np.maximum(np.sum(responses**2, axis=1), 1e-300), _APART * apart_s)
             times = np.concatenate([t.time_s + apart_s * _CLOSER for t in found]) if found else times
             apart_s *= float(_CLOSER[1] - _CLOSER[0])
         return [*found, *gradual]
 
-    def _gradual(self, effect: Effect, current: Fit, times_s: Array, responses: Array, along: Array) -> list[Term]:
+    def _gradual(
+        self, effect: Effect, current: Fit, times_s: Array, responses: Array, along: Array, span: int | None
+    ) -> list[Term]:
         """What grows between two of the times (T,), those that would explain most.
 
         responses (T, signals·n) are those of the sudden effect at each time, along (T,) their products with the
@@ -272,7 +277,7 @@ class Search:
             if gain > best:
                 best, chosen = gain, (first, last)
         begin_s, end_s = times_s[list(chosen)]
-        return self._proposer.gradual(effect, float(begin_s), float(end_s - begin_s), current.terms)
+        return self._proposer.gradual(effect, float(begin_s), float(end_s - begin_s), current.terms, span)
 
     def _observable(self, white: Whitening, responses: list[Array]) -> Array:
         """Whitened responses (1, signals, n) each, zero where rows do not count, as rows of (responses, signals·n)."""
@@ -317,8 +322,7 @@ class Search:
 
     def _carried_over(self, current: Fit, offered: CandidateSet) -> CandidateSet:
         """An older set at another model: responses hardly change, the residual does."""
-        present = {term.key for term in current.terms}
-        kept = [k for k, t in enumerate(offered.candidates) if t.key not in present]
+        kept = [k for k, t in enumerate(offered.candidates) if not any(map(t.overlaps, current.terms))]
         own = self._space.point(current.terms, current.residual).derivatives
         candidates, responses = [offered.candidates[k] for k in kept], [offered.responses[k] for k in kept]
         return CandidateSet(offered.whitening, current.residual, own, candidates, responses)
@@ -585,7 +589,7 @@ class Search:
                 detail = f"{force_N:.4g} N from t = {time_s:.3f} s on explain it better than {term.effect.id}"
                 return Better(lookalike.name, detail)
             if difference < _TIED:
-                tied[term.key].append((lookalike.name, None))
+                tied[term.key].append(Place(lookalike.name))
         return None
 
     def _as_a_force(self, current: Fit, k: int, white: Whitening) -> tuple[float, float, float]:

@@ -28,9 +28,9 @@ from hilbench.diagnosis.fit import Fit, fit
 from hilbench.diagnosis.noise import Whitening, scaling
 from hilbench.diagnosis.proposals import Proposer
 from hilbench.diagnosis.rest import Uncertainty, uncertainty
-from hilbench.diagnosis.select import CandidateSet, Key, Place, Selection
+from hilbench.diagnosis.select import CandidateSet, Selection
 from hilbench.diagnosis.space import Space, noise_model
-from hilbench.diagnosis.terms import Term
+from hilbench.diagnosis.terms import Key, Place, Term
 from hilbench.plant.effects import EFFECTS
 
 Array = NDArray[np.float64]
@@ -245,8 +245,7 @@ class MeasuredSearch:
     def _offered(self, current: Fit) -> CandidateSet:
         """Every candidate with its response; orders and frequencies from the residual's spectrum."""
         space = self._space
-        present = {term.key for term in current.terms}
-        candidates = [t for t in self._proposer.plain() if t.key not in present]
+        candidates = [t for t in self._proposer.plain() if not any(map(t.overlaps, current.terms))]
         responses = space.strengths(current.terms, current.residual, candidates)
         own = space.point(current.terms, current.residual).derivatives
         white = noise_model(space, current.residual, np.concatenate([own, *responses]))

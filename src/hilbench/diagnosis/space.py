@@ -139,7 +139,10 @@ class Space:
         return np.asarray(self.predictor.measured - predicted, np.float64)
 
     def residual_with_force(self, terms: list[Term], force_N: float, time_s: float) -> Array:
-        """The residual with a force against the motion of roller 2 from a time on. Raises TypeError on a lone axis."""
+        """The residual with a force against the motion of the last roller from a time on.
+
+        Raises TypeError on a lone axis.
+        """
         if not isinstance(self.predictor, FreeRun | LineOnMeasuredMotion):
             raise TypeError("the prediction of a lone axis, expected a web")
         self.simulations += 1

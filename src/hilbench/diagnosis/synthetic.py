@@ -26,7 +26,7 @@ _STANDS_S: Final = 1.0
 
 @dataclass(frozen=True)
 class Experiment:
-    """Commands of both axes (n, 2), m/s, and the tension that they ask for."""
+    """Commands of the axes (n, N), m/s, and the tensions (n, K) that they ask for."""
 
     t_s: Array
     commands_m_s: Array
@@ -39,14 +39,20 @@ def experiment(model: ModelParameters, duration_s: float, seed: int, top_m_s: fl
     t = np.asarray(np.arange(round(duration_s / PERIOD_S)) * PERIOD_S, np.float64)
     levels = np.array([0.0, 0.75, 0.75, 1.0, 1.0, 0.375, 0.375, 0.75, 0.75, 0.075, 0.075, 0.75, 0.75, 0.2])
     knots = _STANDS_S + (t[-1] - _STANDS_S) * np.linspace(0.0, 1.0, len(levels))
-    v2 = top_m_s * np.interp(t, knots, levels)
+    v_last = top_m_s * np.interp(t, knots, levels)
     part = np.floor(t / 3.3).astype(int)
-    tension = model.boundary.upstream_tension_N * rng.choice([1.0, 1.0, 1.2, 0.85, 1.1, 0.9], part.max() + 1)[part]
-    wiggle = 0.03 * rng.choice([-1.0, 1.0], int(t[-1] / 0.7) + 2)[np.floor(t / 0.7).astype(int)]
-    wanted = tension / model.boundary.upstream_tension_N - 1.0 + wiggle * (t > 0.6 * t[-1])
-    wanted[t < _STANDS_S] = 0.0
-    v1 = v2 * (1.0 - model.upstream_strain * wanted)
-    return Experiment(t, np.column_stack([v1, v2]), tension)
+    speeds, tensions = [v_last], []
+    strains = [np.full_like(t, model.upstream_strain)]
+    for span in range(1, model.span_count + 1):
+        tension = model.boundary.upstream_tension_N * rng.choice([1.0, 1.0, 1.2, 0.85, 1.1, 0.9], part.max() + 1)[part]
+        wiggle = 0.03 * rng.choice([-1.0, 1.0], int(t[-1] / 0.7) + 2)[np.floor(t / 0.7).astype(int)]
+        wanted = tension / model.boundary.upstream_tension_N - 1.0 + wiggle * (t > 0.6 * t[-1])
+        wanted[t < _STANDS_S] = 0.0
+        strains.append(model.boundary.upstream_tension_N / model.stiffness_N(span) * (1.0 + wanted))
+        tensions.append(tension)
+    for before, behind in zip(reversed(strains[:-1]), reversed(strains[1:]), strict=True):
+        speeds.append(speeds[-1] * (1.0 - (behind - before)))
+    return Experiment(t, np.column_stack(speeds[::-1]), np.column_stack(tensions))
 
 
 Disturbance = Callable[[ModelParameters, Experiment, float, np.random.Generator], tuple[Array, Array]]
@@ -54,14 +60,14 @@ Disturbance = Callable[[ModelParameters, Experiment, float, np.random.Generator]
 
 def _speed_ripple(model: ModelParameters, e: Experiment, size: float, rng: np.random.Generator) -> tuple[Array, Array]:
     """A ripple over the way that grows with the square of the speed, and is no multiple of a turn."""
-    v = e.commands_m_s[:, 1]
+    v = e.commands_m_s[:, -1]
     way = np.cumsum(v) * PERIOD_S
     return np.zeros_like(v), size * (v / np.max(np.abs(v))) ** 2 * np.sin(way * rng.uniform(9.0, 17.0))
 
 
 def _running_in(model: ModelParameters, e: Experiment, size: float, rng: np.random.Generator) -> tuple[Array, Array]:
     """Dry friction that fades as a bearing warms."""
-    v = e.commands_m_s[:, 1]
+    v = e.commands_m_s[:, -1]
     fading = np.exp(-e.t_s / (rng.uniform(0.15, 0.3) * e.t_s[-1]))
     return np.zeros_like(v), -size * fading * np.sign(v) * (np.abs(v) > 0.01)
 
@@ -69,7 +75,8 @@ def _running_in(model: ModelParameters, e: Experiment, size: float, rng: np.rand
 def _relaxation(model: ModelParameters, e: Experiment, size: float, rng: np.random.Generator) -> tuple[Array, Array]:
     """A web behind that gives way to a new tension for seconds: its memory of the tension, and of the speed."""
     decay = np.exp(-PERIOD_S / rng.uniform(1.5, 4.0))
-    changes = np.diff(e.F_ref_N / np.std(e.F_ref_N) + e.commands_m_s[:, 1], prepend=e.F_ref_N[0] / np.std(e.F_ref_N))
+    wanted = e.F_ref_N[:, -1] / np.std(e.F_ref_N[:, -1])
+    changes = np.diff(wanted + e.commands_m_s[:, -1], prepend=wanted[0])
     memory = lfilter([1.0], [1.0, -decay], changes)
     return np.zeros_like(memory), -size * memory
 
@@ -120,14 +127,17 @@ def hidden_recording(
     found = simulate(parameters, start_state(parameters, plant), run.commands_m_s, hidden, PERIOD_S)
     every = round(period_s / PERIOD_S)
     columns: dict[str, Array] = {"t_s": run.t_s}
-    for axis in (0, 1):
+    axes = range(model.axis_count)
+    for axis in axes:
         columns[f"v{axis + 1}_cmd_m_s"] = run.commands_m_s[:, axis]
     for name, values, sd in (
         ("x{}_m", found.x_m, _POSITION_M),
         ("v{}_m_s", found.v_m_s, _SPEED_M_S),
         ("tau{}_Nm", found.tau_Nm, _TORQUE_NM),
     ):
-        for axis in (0, 1):
+        for axis in axes:
             columns[name.format(axis + 1)] = values[:, axis] + noise * sd * rng.standard_normal(n)
-    columns |= {"strain_prev": recorded[:, 0], "F_next_N": recorded[:, 1], "F_ref_N": run.F_ref_N}
+    columns |= {"strain_prev": recorded[:, 0], "F_next_N": recorded[:, 1]}
+    several = model.span_count > 1
+    columns |= {f"F{span + 1 if several else ''}_ref_N": run.F_ref_N[:, span] for span in range(model.span_count)}
     return Recording({name: np.ascontiguousarray(values[::every]) for name, values in columns.items()})

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from math import atan2, cos, hypot, sin
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,12 +24,44 @@ Array = NDArray[np.float64]
 _PHASE = "phase_rad"
 
 
+class Place(NamedTuple):
+    """An effect (by its id), or what it may be mistaken for, at an axis, in a span, or in all of the machine."""
+
+    effect: str
+    axis: int | None = None
+    span: int | None = None
+
+    @classmethod
+    def of(cls, entry: EffectEntry) -> Place:
+        """Of an effect as a model file has it."""
+        return cls(entry.effect, entry.axis, entry.section)
+
+    @property
+    def text(self) -> str:
+        """For a person."""
+        return self.effect + (f" of {self.where}" if self.where else "")
+
+    @property
+    def where(self) -> str:
+        """The part of the machine; "" for all of it."""
+        return f"axis {self.axis}" if self.axis else f"span {self.span}" if self.span else ""
+
+    def beside(self, other: Place) -> str:
+        """As what is tied with another: with its part of the machine where that is not the other's."""
+        return self.effect if self.where in ("", other.where) else f"{self.effect} ({self.where})"
+
+
+#: Place, slot and part of a term.
+Key = tuple[Place, int, str | None]
+
+
 @dataclass(frozen=True)
 class Term:
     """One effect at one place, with values.
 
-    `axis` counts from 1 and is None for the web; `slot` counts what the place has of the effect, from 0. `values` and
-    `base` have every parameter of the effect by name, in its unit.
+    `axis` counts from 1 and is None for the web; `span` as well, and is None for all spans, or the only one; `slot`
+    counts what the place has of the effect, from 0. `values` and `base` have every parameter of the effect by name, in
+    its unit.
     """
 
     effect: Effect
@@ -44,16 +77,17 @@ class Term:
     least: Mapping[str, float] = field(default_factory=dict)  #: below which a shape can't be known from a recording
     part: str | None = None  #: of an effect with several strengths the one that this term is; the others are not its
     held: frozenset[str] = frozenset()  #: shapes that are known and not fitted
+    span: int | None = None
 
     @property
-    def key(self) -> tuple[str, int | None, int, str | None]:
+    def key(self) -> Key:
         """Where it is in the model."""
-        return self.effect.id, self.axis, self.slot, self.part
+        return self.place, self.slot, self.part
 
     @property
-    def place(self) -> tuple[str, int | None]:
-        """Effect and axis: what is named."""
-        return self.effect.id, self.axis
+    def place(self) -> Place:
+        """What is named."""
+        return Place(self.effect.id, self.axis, self.span)
 
     @property
     def is_searched(self) -> bool:
@@ -83,6 +117,11 @@ class Term:
         """How long it takes to grow, s; 0 of what sets in at once."""
         probe = self.effect.probe
         return self.values[probe.duration] if probe is not None and probe.duration else 0.0
+
+    def overlaps(self, other: Term) -> bool:
+        """Whether they write the same values of a model: one of all spans those of each."""
+        (place, *rest), (its, *others) = self.key, other.key
+        return rest == others and place[:2] == its[:2] and (place.span == its.span or None in (place.span, its.span))
 
     def moved_to(self, time_s: float) -> Term:
         """The same from another time on. Raises ValueError for a term without one."""
@@ -177,19 +216,36 @@ class Term:
 def pack_with(model: Machine, terms: list[Term]) -> Array:
     """The kernel's parameter vector of a model with these terms."""
     parameters = machines.pack(model)
-    for term in terms:
-        machines.write_effect(model, parameters, term.effect, term.axis, term.slot, term.own)
+    for term in sorted(terms, key=_of_all_first):
+        machines.write_effect(model, parameters, term.effect, term.axis, term.slot, term.own, span=term.span)
     return parameters
 
 
 def extended(model: Machine, terms: list[Term]) -> Machine:
     """The model with the terms in its effects; a term at a place where the model has the effect replaces its values."""
     entries: list[EffectEntry] = list(model.effects)
-    for term in terms:
-        positions = [k for k, e in enumerate(entries) if (e.effect, e.axis) == term.place]
+    for term in sorted(terms, key=_of_all_first):
+        if term.span is not None:
+            entries = _by_span(entries, term.effect.id, model.span_count)
+        positions = [k for k, e in enumerate(entries) if Place.of(e) == term.place]
         if term.slot < len(positions):
             before = entries[positions[term.slot]]
             entries[positions[term.slot]] = before.model_copy(update={"parameters": before.parameters | term.own})
         else:
-            entries.append(machines.entry(model, term.effect.id, term.axis, term.own))
+            entries.append(machines.entry(model, term.effect.id, term.axis, term.own, term.span))
     return machines.with_effects(model, entries)
+
+
+def _of_all_first(term: Term) -> bool:
+    return term.span is not None
+
+
+def _by_span(entries: list[EffectEntry], effect_id: str, spans: int) -> list[EffectEntry]:
+    """The same with an entry for each span instead of one for all of them."""
+    found: list[EffectEntry] = []
+    for entry in entries:
+        if entry.effect == effect_id and entry.span is None:
+            found += [entry.model_copy(update={"span": span}) for span in range(1, spans + 1)]
+        else:
+            found.append(entry)
+    return found

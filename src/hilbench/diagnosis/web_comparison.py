@@ -19,9 +19,9 @@ from hilbench.diagnosis.measured import Measured
 from hilbench.diagnosis.noise import NORMAL_95
 from hilbench.diagnosis.predictor import Choice, choice
 from hilbench.diagnosis.proposals import Proposer
-from hilbench.diagnosis.select import Key, Search, Selection
+from hilbench.diagnosis.select import Search, Selection
 from hilbench.diagnosis.space import Space
-from hilbench.diagnosis.terms import Term, extended
+from hilbench.diagnosis.terms import Key, Term, extended
 from hilbench.plant.effects import ProbeOver
 from hilbench.plant.model_file import Machine
 
@@ -88,13 +88,13 @@ def _lacked(before: _Side, terms: list[Term]) -> list[NamedEffect]:
     if not places:
         return []
     found = concluded(before.space, before.choice, before.data, before.selection, lambda text, share: None)
-    return [effect for effect in found.effects if (effect.effect, effect.axis) in places]
+    return [effect for effect in found.effects if effect.place in places]
 
 
 def _changed(found: Diagnosis, joint: _Joint, lacked: list[NamedEffect]) -> Diagnosis:
     """The diagnosis of the later recording, with changes for effects; `lacked`: those of the earlier one."""
-    here = {(effect.effect, effect.axis) for effect in found.effects}
-    gone = [effect for effect in lacked if (effect.effect, effect.axis) not in here]
+    here = {effect.place for effect in found.effects}
+    gone = [effect for effect in lacked if effect.place not in here]
     effects = [change for effect in [*found.effects, *gone] if (change := joint.change(effect)) is not None]
     verdict = found.verdict if found.verdict == "unknown" else ("named" if effects else "complete")
     return replace(found, effects=effects, verdict=verdict)
@@ -148,7 +148,7 @@ class _Joint:
 
     def change(self, effect: NamedEffect) -> NamedEffect | None:
         """The effect with the size of the change of its strength; None where the interval includes no change."""
-        key = next(key for key in [*self.after, *self.before] if key[:2] == (effect.effect, effect.axis))
+        key = next(key for key in [*self.after, *self.before] if key[0] == effect.place)
         term = self.after.get(key) or self.before[key]
         here, was = (self._strength(when, key, term) for when in ("after", "before"))
         covariance = self._difference(key, term.linear)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -48,9 +49,9 @@ class Reach:
     tension_N: float | None  #: usual set point; None where none may be set
 
     @classmethod
-    def of(cls, recording: Recording, *, tension: bool = True) -> Reach:
-        """By the commands of a recording of a web machine."""
-        speed, t = np.asarray(recording["v2_cmd_m_s"], np.float64), recording.time_s
+    def of(cls, recording: Recording, axes: int = 2, *, tension: bool = True) -> Reach:
+        """By the commands of a recording of a web machine of some axes; of one span the tension is set as well."""
+        speed, t = np.asarray(recording[f"v{axes}_cmd_m_s"], np.float64), recording.time_s
         apart = max(1, round(STEEP_S / float(np.median(np.diff(t)))))
         steepest = float(np.max(np.abs(speed[apart:] - speed[:-apart]))) / STEEP_S
         wanted = recording["F_ref_N"] if tension and "F_ref_N" in recording else None
@@ -132,16 +133,18 @@ def _as_measured(steps: list[Step], model: ModelParameters, reach: Reach) -> Mea
         speeds.append(what["to"] if kind == "ramp" else speeds[-1])
         tensions.append(tensions[-1])
     t = np.asarray(np.arange(round(times[-1] / _PERIOD_S)) * _PERIOD_S, np.float64)
-    v2 = np.interp(t, times, speeds)
     tension = np.array(tensions)[np.clip(np.searchsorted(times, t, side="right") - 1, 0, len(tensions) - 1)]
-    stiffness = model.stiffness_N(1)
-    v1 = v2 * (1.0 - (tension / stiffness - model.upstream_strain))
+    strains = [np.full_like(t, model.upstream_strain)]
+    strains += [tension / model.stiffness_N(span) for span in range(1, model.span_count + 1)]
+    of_axes = [np.interp(t, times, speeds)]
+    for behind, before in pairwise(reversed(strains)):
+        of_axes.append(of_axes[-1] * (1.0 - (behind - before)))
     n, axes = len(t), range(1, model.axis_count + 1)
     zero = np.zeros(n)
     return Measured(
         t_s=t,
         period_s=_PERIOD_S,
-        commands_m_s=np.column_stack([v1, v2]),
+        commands_m_s=np.column_stack(of_axes[::-1]),
         boundary=np.tile([model.upstream_strain, model.boundary.downstream_tension_N], (n, 1)),
         tau_Nm=dict.fromkeys(axes, zero),
         x_m=dict.fromkeys(axes, zero),

@@ -117,6 +117,13 @@ def _of_twin(recording: Recording) -> Iterator[Quantity]:
             yield Quantity(estimate.quantity, float(values[last]), float(sd), estimate.unit)
 
 
+def _place(effect: Mapping[str, Any]) -> str:
+    """Of an effect as a diagnosis writes it, in the path of a quantity."""
+    if effect["axis"]:
+        return f"axis{effect['axis']}"
+    return f"span{effect['span']}" if effect.get("span") else web_line.PLACE
+
+
 def _of_diagnosis(folder: RunFolder) -> Iterator[Quantity]:
     """The parameters of the effects that were named, from the diagnosis in a run folder."""
     if not folder.diagnosis.is_file():
@@ -124,7 +131,7 @@ def _of_diagnosis(folder: RunFolder) -> Iterator[Quantity]:
     try:
         found = json.loads(folder.diagnosis.read_text(encoding="utf-8"))
         for effect in [*found["effects"], *found["nuisance"]]:
-            place, tied = f"axis{effect['axis']}" if effect["axis"] else web_line.PLACE, ", ".join(effect["tied_with"])
+            place, tied = _place(effect), ", ".join(effect["tied_with"])
             for name, parameter in effect["parameters"].items():
                 low, high = parameter["ci95"]
                 sd, value = (float(high) - float(low)) / (2.0 * _NORMAL_95), float(parameter["value"])

@@ -81,7 +81,7 @@ def write_diagnosis_page(
 
 
 def _place(effect: NamedEffect | Unobservable) -> str:
-    return effect.effect + (f" of axis {effect.axis}" if effect.axis else "")
+    return effect.place.text
 
 
 def _visible(effect: Unobservable) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from copy import copy
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -54,9 +55,9 @@ _STRAIGHT: Final = 0.25
 
 
 class FreeRun:
-    """The closed model run on the recorded commands; positions as mean and difference, whose noise is independent.
+    """The closed model run on the recorded commands; positions as their mean and the differences of neighbours.
 
-    Both encoders share the clock: their common error is not the one of their difference. With an `imitation` the web is
+    All encoders share the clock: their common error is not the one of their differences. With an `imitation` the web is
     the one that a load motor imitates: late, and without the noise of its sensors. With `loops` drives have those
     instead of the model's.
     """
@@ -80,10 +81,12 @@ class FreeRun:
         for axis in sorted(data.tau_Nm):
             names.append(f"tau{axis}_Nm")
             rows.append(data.tau_Nm[axis])
-        self._both = {1, 2} <= set(data.x_m)
+        axes = range(1, model.axis_count + 1)
+        self._all = set(axes) <= set(data.x_m)
         self._positions = sorted(data.x_m)
-        if self._both:
-            names += ["x1_m - x2_m", "(x1_m + x2_m)/2"]
+        if self._all:
+            names += [f"x{axis}_m - x{axis + 1}_m" for axis in axes[:-1]]
+            names.append(f"({' + '.join(f'x{axis}_m' for axis in axes)})/{len(axes)}")
         else:
             names += [f"x{axis}_m" for axis in self._positions]
         self.rows = self._usable(data)
@@ -101,8 +104,8 @@ class FreeRun:
         self._torques = sorted(data.tau_Nm)
         self.names, self.measured = tuple(names), np.array(rows)
         unrounded = imitation is not None and imitation.resolution_m_s is None
-        tolerance_m = (_UNROUNDED_TOLERANCE if unrounded else _TOLERANCE) * _stretch_m(model)
-        self.tolerances = np.array([tolerance_m if "x" in name else 0.0 for name in names])
+        believed = _UNROUNDED_TOLERANCE if unrounded else _TOLERANCE
+        self.tolerances = np.array([believed * self._stretch_m(name) for name in names])
         self.every = 1
         self.exact = True
         self.narrower = None
@@ -115,10 +118,10 @@ class FreeRun:
         self._data = data
 
     def with_force(self, force_N: float, time_s: float) -> FreeRun:
-        """The same with a force against the motion of roller 2 from a time on."""
+        """The same with a force against the motion of the last roller from a time on."""
         other = copy(self)
         share = np.clip((self._data.t_s + self._period_s - time_s) / self._period_s, 0.0, 1.0)
-        against = force_N * share * np.sign(self._data.commands_m_s[:, 1])
+        against = force_N * share * np.sign(self._data.commands_m_s[:, -1])
         other._boundary = self._boundary - np.outer(against, [0.0, 1.0])
         return other
 
@@ -127,17 +130,19 @@ class FreeRun:
         return floor(self.measured[signal])
 
     def conditions(self, parameters: Array) -> list[Condition]:
-        """Time, motion of axis 2, tension and strain rate as simulated, angles."""
+        """Time, motion of the last axis, tensions and strain rates as simulated, angles."""
         data, model = self._data, self._model
         run = self._run(parameters)
-        speed = data.commands_m_s[:, 1]
+        speed, last = data.commands_m_s[:, -1], model.axis_count
         found = [
             Condition("time", "s", data.t_s, spectral=True),
-            Condition("speed of axis 2", "m/s", speed),
-            Condition("acceleration of axis 2", "m/s²", np.gradient(speed, data.period_s)),
-            Condition("tension", "N", run.F_N[:, 0]),
-            Condition("strain rate", "1/s", np.gradient(run.strain[:, 0], data.period_s)),
+            Condition(f"speed of axis {last}", "m/s", speed),
+            Condition(f"acceleration of axis {last}", "m/s²", np.gradient(speed, data.period_s)),
         ]
+        for span in range(1, model.span_count + 1):
+            where, strain = of_span(model, span), run.strain[:, span - 1]
+            found.append(Condition(f"tension{where}", "N", run.F_N[:, span - 1]))
+            found.append(Condition(f"strain rate{where}", "1/s", np.gradient(strain, data.period_s)))
         for axis, x in sorted(data.x_m.items()):
             for what, rad_per_m in (("roller", 1.0 / model.radius_m(axis)), ("motor", model.motor_rad_per_m(axis))):
                 name = f"angle of {what} {axis}"
@@ -155,8 +160,8 @@ class FreeRun:
         usable = ~near if np.mean(near) < _MOSTLY else np.ones(len(slow), bool)
         usable &= data.usable(_MOVING_S)
         if speed > _MOVES_M_S:
-            transports = _TRANSPORTS if data.before is None else 0.0
-            settle_s = transports * self._model.span_length_m(1) / speed + 1.0
+            way_m = remembered_m(self._model, _TRANSPORTS) if data.before is None else 0.0
+            settle_s = way_m / speed + 1.0
             usable[: int(settle_s / data.period_s)] = False
         return usable
 
@@ -166,7 +171,7 @@ class FreeRun:
         layout = lay.Layout.of(parameters)
         y, n = layout.y(state), layout.axes
         moving = abs(float(data.commands_m_s[0].mean())) > _MOVES_M_S
-        for axis in range(1, 3):
+        for axis in range(1, n + 1):
             x = data.x_m.get(axis)
             if x is not None and (moving or abs(x[0]) > 1e-3):
                 y[axis - 1] = y[2 * n + axis - 1] = x[0]
@@ -261,8 +266,8 @@ class FreeRun:
     def _position_rows(self, x_m: dict[int, Array]) -> list[Array]:
         """Without what is slow in them: an encoder's zero, a quantized speed, add up without end."""
         rows = [x_m[axis] for axis in self._positions]
-        if self._both:
-            rows = [x_m[1] - x_m[2], 0.5 * (x_m[1] + x_m[2])]
+        if self._all:
+            rows = [*(a - b for a, b in pairwise(rows)), sum(rows[1:], rows[0]) / len(rows)]
         return [row - self._mean(row * self._weight) / self._mean_weight for row in rows]
 
     def _mean(self, row: Array) -> Array:
@@ -278,6 +283,17 @@ class FreeRun:
                 row = rows[loop.axis - 1]
                 row[[lay.M_KP, lay.M_KI, lay.M_CURRENT_S]] = loop.kp_Nm_s_per_rad, loop.ki_Nm_per_rad, loop.lag_s
         return changed
+
+    def _stretch_m(self, name: str) -> float:
+        """Of a row of positions what the web is usually longer by than it would be at rest, in the span that it is the
+        difference of; 0 of other rows."""
+        if "x" not in name:
+            return 0.0
+        strain = machine_sizes(self._model, 1).strain
+        lengths = [self._model.span_length_m(span) for span in range(1, self._model.span_count + 1)]
+        first = self.names.index("x1_m - x2_m") if self._all else 0
+        span = self.names.index(name) - first
+        return strain * (lengths[span] if self._all and span < len(lengths) else max(lengths))
 
     def _run(self, parameters: Array) -> Simulation:
         """Of one parameter vector, or of (B, P)."""
@@ -304,9 +320,15 @@ class FreeRun:
         return Simulation(**rows, state=run.state)
 
 
-def _stretch_m(model: ModelParameters) -> float:
-    """What the web in the first span is usually longer by than it would be at rest."""
-    return machine_sizes(model, 1).strain * model.span_length_m(1)
+def of_span(model: ModelParameters, span: int) -> str:
+    """What tells a span from others, in a name; "" where there is one."""
+    return f" of span {span}" if model.span_count > 1 else ""
+
+
+def remembered_m(model: ModelParameters, transports: float) -> float:
+    """Way of the web until a strain at the start is forgotten: so many lengths of a span, behind those before it."""
+    lengths = [model.span_length_m(span) for span in range(1, model.span_count + 1)]
+    return sum(lengths) + (transports - 1.0) * max(lengths)
 
 
 def between(rows: Array, whole: int) -> Array:

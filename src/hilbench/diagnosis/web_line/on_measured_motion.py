@@ -8,6 +8,7 @@ an effect changes is worked out on a calmer motion still: noise in a regressor i
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from copy import copy
 from typing import Final
 
@@ -18,6 +19,7 @@ from hilbench.diagnosis.measured import STANDSTILL_M_S, Measured
 from hilbench.diagnosis.misfit import Condition
 from hilbench.diagnosis.noise import floor
 from hilbench.diagnosis.smooth_motion import Thinning, integrated, low_passed, smoothed
+from hilbench.diagnosis.web_line.free_run import of_span, remembered_m
 from hilbench.diagnosis.web_line.loop_check import Loop, Told, loop_of
 from hilbench.plant.parameters import per_item
 from hilbench.plant.web_line import layout as lay
@@ -55,14 +57,14 @@ _READ_S: Final = 0.0005
 
 
 class LineOnMeasuredMotion:
-    """Two driven rollers and the span between them, on measured motion.
+    """Driven rollers and the spans between them, on measured motion.
 
-    Rows are read at one instant for all channels, but not always when they say: what both axes have in common then has
-    the noise of that time, what they differ by has not. So mean motion and difference are smoothed each for itself, the
-    acceleration of the mean from positions or speeds, whichever tell it better.
+    Rows are read at one instant for all channels, but not always when they say: what all axes have in common then has
+    the noise of that time, what they differ by has not. So mean motion and differences from it are smoothed each for
+    itself, the acceleration of the mean from positions or speeds, whichever tell it better.
 
-    Without both positions the strain is not known: a way that is added up from speeds drifts by more than the web is
-    stretched. What is left is the sum of both torques, in which the tension between the rollers is not.
+    Without all positions the strain is not known: a way that is added up from speeds drifts by more than the web is
+    stretched. What is left is the sum of the torques, in which the tensions between the rollers are not.
     """
 
     def __init__(self, model: ModelParameters, data: Measured) -> None:
@@ -71,7 +73,7 @@ class LineOnMeasuredMotion:
         self.exact = True
         self.narrower = None
         self._torques = sorted(data.tau_Nm)
-        self.knows_strain = set(data.x_m) >= {1, 2}
+        self.knows_strain = set(data.x_m) >= set(range(1, model.axis_count + 1))
         self._tensions = sorted(data.F_N) if self.knows_strain else []
         torques = [f"tau{axis}_Nm" for axis in self._torques]
         self._mixed = np.eye(len(torques)) if self.knows_strain else np.ones((1, len(torques)))
@@ -111,7 +113,7 @@ class LineOnMeasuredMotion:
         slow = np.min(np.abs(self._v), axis=1) < STANDSTILL_M_S
         near = np.convolve(slow, np.ones(2 * reach + 1), "same") > 0.5
         way = np.abs(integrated(np.abs(self._v[:, -1]), self._fine_s))
-        forgotten = _TRANSPORTS * self._model.span_length_m(1)
+        forgotten = remembered_m(self._model, _TRANSPORTS)
         if way[-1] > 5.0 * forgotten:
             near |= way < forgotten
         near[:reach] = near[-reach:] = True
@@ -199,10 +201,10 @@ class LineOnMeasuredMotion:
         return found
 
     def with_force(self, force_N: float, time_s: float) -> LineOnMeasuredMotion:
-        """The same with a force against the motion of roller 2 from a time on."""
+        """The same with a force against the motion of the last roller from a time on."""
         other = copy(self)
         t = np.arange(len(self._x)) * self._fine_s
-        against = force_N * np.clip((t + self._fine_s - time_s) / self._fine_s, 0.0, 1.0) * np.sign(self._v[:, 1])
+        against = force_N * np.clip((t + self._fine_s - time_s) / self._fine_s, 0.0, 1.0) * np.sign(self._v[:, -1])
         other._boundary = self._boundary - np.outer(against, [0.0, 1.0])
         return other
 
@@ -211,22 +213,24 @@ class LineOnMeasuredMotion:
         return float(self._floors[signal])
 
     def conditions(self, parameters: Array) -> list[Condition]:
-        """Time, motion of axis 2, tension and strain rate as the motion makes them, angles."""
-        run = self._run(parameters[None])
+        """Time, motion of the last axis, tensions and strain rates as the motion makes them, angles."""
+        run, last = self._run(parameters[None]), self._model.axis_count
         rows = slice(None, None, self._whole * self.every)
-        strain = run.strain[0, :, 0]
+        row_s = self._fine_s * self._whole * self.every
         # What they are looked at against must not have the noise that the residual has.
         band = (self._calm_Hz, 1.5 * self._calm_Hz)
-        _, speed, acceleration = smoothed(self._x[rows, 1], self._fine_s * self._whole * self.every, 1, band, 2)
-        strain, strain_rate = smoothed(strain[rows], self._fine_s * self._whole * self.every, 1, band, 1)
+        _, speed, acceleration = smoothed(self._x[rows, -1], row_s, 1, band, 2)
         found = [
             Condition("time", "s", self._data.t_s[:: self.every], spectral=True),
-            Condition("speed of axis 2", "m/s", speed),
-            Condition("acceleration of axis 2", "m/s²", acceleration),
-            Condition("tension", "N", run.F_N[0, rows, 0]),
-            Condition("strain rate", "1/s", strain_rate),
+            Condition(f"speed of axis {last}", "m/s", speed),
+            Condition(f"acceleration of axis {last}", "m/s²", acceleration),
         ]
-        for k, axis in enumerate(range(1, self._model.axis_count + 1)):
+        for span in range(1, self._model.span_count + 1):
+            where = of_span(self._model, span)
+            _, strain_rate = smoothed(run.strain[0, rows, span - 1], row_s, 1, band, 1)
+            found.append(Condition(f"tension{where}", "N", run.F_N[0, rows, span - 1]))
+            found.append(Condition(f"strain rate{where}", "1/s", strain_rate))
+        for k, axis in enumerate(range(1, last + 1)):
             per_m = ("roller", 1.0 / self._model.radius_m(axis)), ("motor", self._model.motor_rad_per_m(axis))
             for what, rad_per_m in per_m:
                 angle = self._x[rows, k] * rad_per_m
@@ -260,13 +264,14 @@ class _Noise:
     def __init__(self, model: ModelParameters, data: Measured) -> None:
         self._model, self._data = model, data
         self._torque_Nm = {axis: floor(tau) for axis, tau in data.tau_Nm.items()}
-        self._per_acceleration = max(inertia(model, axis) for axis in (1, 2))
+        self._axes = range(1, model.axis_count + 1)
+        self._per_acceleration = max(inertia(model, axis) for axis in self._axes)
         options: dict[bool, float] = {}
-        if set(data.x_m) >= {1, 2}:
-            options[False] = floor(0.5 * (data.x_m[1] + data.x_m[2]))
-        if set(data.v_m_s) >= {1, 2}:
-            options[True] = floor(0.5 * (data.v_m_s[1] + data.v_m_s[2]))
-        if not options:  # one of each
+        if set(data.x_m) >= set(self._axes):
+            options[False] = floor(_mean_of(data.x_m))
+        if set(data.v_m_s) >= set(self._axes):
+            options[True] = floor(_mean_of(data.v_m_s))
+        if not options:  # some of each
             options[False] = max(floor(values) for values in data.x_m.values())
         self._difference_noise, self._difference_by_speed = self._difference()
         ends = {by_speed: self._band_Hz(by_speed, noise) for by_speed, noise in options.items()}
@@ -277,10 +282,10 @@ class _Noise:
         self.calm_ends_Hz = [float(np.clip(end, _CALMEST_HZ, _HIGHEST_HZ)) for end in calm]
 
     def _difference(self) -> tuple[float, bool]:
-        """Of half the difference of the positions, m, or of the speeds, m/s, and whether it is the speeds'."""
+        """Of half the difference of two positions, m, or of the speeds, m/s, and whether it is the speeds'."""
         data = self._data
-        if set(data.x_m) >= {1, 2}:
-            return 0.5 * floor(data.x_m[1] - data.x_m[2]), False
+        if set(data.x_m) >= set(self._axes):
+            return 0.5 * max(floor(data.x_m[axis] - data.x_m[axis + 1]) for axis in self._axes[:-1]), False
         speeds = [floor(values) for axis, values in data.v_m_s.items() if axis not in data.x_m]
         return 0.5 * float(np.linalg.norm(speeds)), True
 
@@ -314,14 +319,22 @@ class _Noise:
         mean = self._mean_noise * np.sqrt(end**power / (power + 1.0))
         power = 2 if self._difference_by_speed else 4
         acceleration = np.hypot(mean, self._difference_noise * np.sqrt(end**power / (power + 1.0)))
-        tension_N = 0.0
+        # Of the tension before the first roller, of each span, and behind the last: N/m of a position's noise.
+        stiffness = np.zeros(len(self._axes) + 1)
         if not self._difference_by_speed and model.web is not None:
-            tension_N = 2.0 * self._difference_noise * model.stiffness_N(1) / model.span_length_m(1)
+            spans = range(1, model.span_count + 1)
+            stiffness[1:-1] = [model.stiffness_N(span) / model.span_length_m(span) for span in spans]
+        position = float(np.sqrt(2.0)) * self._difference_noise
         found = []
         for axis, torque in sorted(self._torque_Nm.items()):
-            web = tension_N / model.motor_rad_per_m(axis)
+            before, behind = stiffness[axis - 1 : axis + 1]
+            web = position * float(np.sqrt(before**2 + behind**2 + (before + behind) ** 2))
+            web /= model.motor_rad_per_m(axis)
             found.append(share * float(np.sqrt(torque**2 + web**2 + (inertia(model, axis) * acceleration) ** 2)))
-        tensions = [share * float(np.hypot(floor(data.F_N[span]), tension_N)) for span in sorted(data.F_N)]
+        tensions = [
+            share * float(np.hypot(floor(data.F_N[span]), np.sqrt(2.0) * position * stiffness[span]))
+            for span in sorted(data.F_N)
+        ]
         return np.array(found), np.array(tensions)
 
 
@@ -348,26 +361,31 @@ def sampling_bias_Nm(model: ModelParameters, axis: int, cycle_s: float) -> float
     return kp * model.motor_rad_per_m(axis) * float(weight @ level - np.mean(level))
 
 
+def _mean_of(values: Mapping[int, Array]) -> Array:
+    """(n,): the mean of what axes have."""
+    return np.asarray(sum(values.values()) / len(values))
+
+
 def _motion(
     data: Measured, whole: int, bands_Hz: tuple[tuple[float, float], tuple[float, float]], mean_by_speed: bool
 ) -> tuple[Array, Array, Array]:
-    """Position, speed and acceleration (n, 2) on the fine grid; without both positions that of both is their mean.
+    """Position, speed and acceleration (n, axes) on the fine grid; without all positions that of all is their mean.
 
-    bands_Hz: of the mean motion and of the difference. What speeds that are added up differ by is a drift, which would
-    be a tension.
+    bands_Hz: of the mean motion and of what each axis differs from it by. What speeds that are added up differ by is a
+    drift, which would be a tension.
     """
     band_Hz, apart_Hz = bands_Hz
-    way = {axis: data.x_m[axis] if axis in data.x_m else integrated(data.v_m_s[axis], data.period_s) for axis in (1, 2)}
-    by_position = smoothed(0.5 * (way[1] + way[2]), data.period_s, whole, band_Hz, 2)
-    x, v, a = by_position
+    axes = sorted({*data.x_m, *data.v_m_s})
+    way = {axis: data.x_m[axis] if axis in data.x_m else integrated(data.v_m_s[axis], data.period_s) for axis in axes}
+    mean = _mean_of(way)
+    x, v, a = smoothed(mean, data.period_s, whole, band_Hz, 2)
     if mean_by_speed:
-        v, a = smoothed(0.5 * (data.v_m_s[1] + data.v_m_s[2]), data.period_s, whole, band_Hz, 1)
-    both_known = set(data.x_m) >= {1, 2}
-    apart = way[1] - way[2] if both_known else np.zeros_like(way[1])
-    dx, dv, da = smoothed(apart, data.period_s, whole, apart_Hz, 2)
-    half = np.array([0.5, -0.5])
+        v, a = smoothed(_mean_of(data.v_m_s), data.period_s, whole, band_Hz, 1)
+    all_known = set(data.x_m) >= set(axes)
+    apart = [way[axis] - mean if all_known else np.zeros_like(mean) for axis in axes]
+    moved = [smoothed(each, data.period_s, whole, apart_Hz, 2) for each in apart]
 
-    def both(mean: Array, difference: Array) -> Array:
-        return mean[:, None] + np.outer(difference, half)
+    def of_all(common: Array, order: int) -> Array:
+        return np.column_stack([common + each[order] for each in moved])
 
-    return both(x, dx), both(v, dv), both(a, da)
+    return of_all(x, 0), of_all(v, 1), of_all(a, 2)

@@ -32,6 +32,30 @@ def _pull_N(p: Vector, w: Vector, tension: int, i: int, n: int, upstream_N: floa
     return (w[tension + i] if i < n - 1 else downstream_N) - before
 
 
+@inlined
+def _parts(n: int) -> tuple[int, int, int, int, int, int]:
+    """Where in the scratch space of a line of n rollers begin: the web's speeds, the tensions, the rates of the
+    unstretched and of the nominal lengths, these lengths, the factors of the steps of E."""
+    k = n - 1
+    return 0, n, n + k, n + 2 * k, n + 3 * k, n + 5 * k
+
+
+@inlined
+def _rates(
+    p: Vector, s: Vector, n: int, t: float, strain_prev: float, next_N: float, w: Vector, way_m: float, blur_m: float
+) -> None:
+    """Tensions and rates of the spans, in the scratch space `w`; `s`: pieces of other web."""
+    speed, tension, rate, length_rate, material, steps = _parts(n)
+    k, first = n - 1, lay.W_SIZE + n * (lay.A_SIZE + lay.M_SIZE)
+    if laws.has_splice(p, s, 0):
+        laws.spliced_span_rates(
+            p, s, 0, first, k, t, strain_prev, next_N, w, steps, speed, material, length_rate, tension, rate, way_m,
+            blur_m,
+        )  # fmt: skip
+    else:
+        laws.span_rates(p, first, k, t, strain_prev, next_N, w, steps, speed, material, length_rate, tension, rate)
+
+
 Required = Callable[[Vector, Vector, Vector, Vector, Vector, Vector, float, Vector, Vector, Vector], None]
 
 
@@ -60,8 +84,9 @@ def _required(sources: int) -> Required:
                 xs[row, i], vs[row, i], accelerations[row, i] = true_motion(
                     p, motor, x_m[row, i], v_m_s[row, i], a_m_s2[row, i]
                 )
-        speed, tension, rate, length_rate, material, steps = 0, n, n + k, n + 2 * k, n + 3 * k, n + 5 * k
+        speed, tension, rate, _, material, steps = _parts(n)
         w, first_span = np.zeros(n + 6 * k), lay.W_SIZE + n * (lay.A_SIZE + lay.M_SIZE)
+        s, blur = np.zeros(lay.PIECES_SIZE), lay.LEAST_BLUR_M
         begin, first = np.zeros(k), np.zeros(k)
         for j in range(k):
             w[material + k + j] = lengths[j]
@@ -73,9 +98,11 @@ def _required(sources: int) -> Required:
             downstream = boundary[row, 1]
             for i in range(n):
                 w[speed + i] = laws.web_speed_m_s(p, lay.W_SIZE + i * lay.A_SIZE, xs[row, i], vs[row, i])
-            laws.span_rates(
-                p, first_span, k, t, strain_prev, downstream, w, steps, speed, material, length_rate, tension, rate
-            )
+            way = xs[row, 0]
+            if laws.has_splice(p, s, 0):
+                blur = max(abs(vs[row, 0]) * period_s, lay.LEAST_BLUR_M)
+                laws.let_splice_in(p, s, 0, t, period_s, way, vs[row, 0], strain_prev)
+            _rates(p, s, n, t, strain_prev, downstream, w, way, blur)
             for j in range(k):
                 F_N[row, j] = w[tension + j]
                 scale = laws.length_factor(p, first_span + j * lay.SP_SIZE)
@@ -97,15 +124,11 @@ def _required(sources: int) -> Required:
                 w[speed + i] = gone / period_s
             for j in range(k):
                 begin[j] = w[material + j]
-            laws.span_rates(
-                p, first_span, k, t, strain_prev, downstream, w, steps, speed, material, length_rate, tension, rate
-            )
+            _rates(p, s, n, t, strain_prev, downstream, w, way, blur)
             for j in range(k):
                 first[j] = w[rate + j]
                 w[material + j] = begin[j] + period_s * first[j]
-            laws.span_rates(
-                p, first_span, k, t, strain_prev, downstream, w, steps, speed, material, length_rate, tension, rate
-            )
+            _rates(p, s, n, t, strain_prev, downstream, w, xs[row + 1, 0], blur)
             for j in range(k):
                 w[material + j] = begin[j] + 0.5 * period_s * (first[j] + w[rate + j])
         rows = x_m.shape[0]
