@@ -582,8 +582,8 @@ class Search:
         """
         for k, term in enumerate(current.terms):
             lookalike = term.effect.lookalike
-            if lookalike is None:
-                continue
+            if lookalike is None or term.span not in (None, self._space.model.span_count):
+                continue  # a force at the last roller acts behind the last span
             difference, force_N, time_s = self._as_a_force(current, k, offered.whitening)
             if difference < -_DECISIVE:
                 detail = f"{force_N:.4g} N from t = {time_s:.3f} s on explain it better than {term.effect.id}"

@@ -518,7 +518,7 @@ EFFECTS: tuple[Effect, ...] = (
         slots=4,
         probe=Probe(ProbeOver.ONSET, "time_s"),
         lookalike=Lookalike(
-            "a step of a force at roller 2 (friction, downstream tension)",
+            "a step of a force at the last roller (friction, downstream tension)",
             "step the tension after the change, and reverse",
         ),
     ),
