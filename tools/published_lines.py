@@ -28,7 +28,7 @@ from hilbench.plant.motor_port import MotorMode, MotorPort
 from hilbench.plant.parameters import per_item
 from hilbench.plant.web_line.line import Line
 from hilbench.plant.web_line.parameters import ModelParameters, load_model
-from hilbench.report.line_drawing import LineNotes, drawing
+from hilbench.report.web_line_drawing import LineNotes, drawing
 from hilbench.topology.quantities import LINE_SPEED
 from hilbench.topology.sample import CycleSample
 from hilbench.topology.web_line_config import TensionControlConfig

@@ -13,8 +13,8 @@ from pathlib import Path
 from hilbench.diagnosis.synchronization import reference_estimate
 from hilbench.report.found import found_pictures
 from hilbench.report.html import marks_of
-from hilbench.report.line_drawing import line_picture
 from hilbench.report.plots import run_pictures, zooms
+from hilbench.report.web_line_drawing import line_picture
 from hilbench.results.recording import read_recording
 from hilbench.results.result import Result
 from hilbench.results.run_folder import RunFolder

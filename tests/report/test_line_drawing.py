@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from hilbench.plant.web_line.parameters import load_model
-from hilbench.report.line_drawing import LineNotes, drawing, line_picture
+from hilbench.report.web_line_drawing import LineNotes, drawing, line_picture
 from hilbench.results.recording import Recording
 from hilbench.runs.config import load_with_overrides
 from hilbench.topology.signals import signals_of

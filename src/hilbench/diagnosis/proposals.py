@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from hilbench.diagnosis import machines
 from hilbench.diagnosis.measured import Measured
-from hilbench.diagnosis.terms import Term
+from hilbench.diagnosis.terms import Place, Term
 from hilbench.plant.effects import Domain, Effect, MachineSizes, ProbeOver, effects_of
 from hilbench.plant.model_file import Machine
 from hilbench.plant.web_line.parameters import ModelParameters
@@ -77,10 +77,10 @@ class Proposer:
         """What is usual on the machine at an axis (None: the first), by its model and how it ran."""
         return machines.sizes(self._model, axis, self._top_m_s, self._torque_Nm, self._data.period_s)
 
-    def waves(self, orders: Sequence[float]) -> dict[tuple[str, int | None], list[Term]]:
+    def waves(self, orders: Sequence[float]) -> dict[Place, list[Term]]:
         """Of each effect with an order at each axis whose torque is recorded, that effect at these orders."""
         return {
-            (effect.id, axis): [self._term(effect, axis, {effect.probe.parameter: order}) for order in orders]
+            Place(effect.id, axis): [self._term(effect, axis, {effect.probe.parameter: order}) for order in orders]
             for effect in self._over(ProbeOver.MOTOR_ANGLE)
             for axis in self._axes
             if axis in self._data.tau_Nm and effect.probe is not None and not effect.probe.by_torque

@@ -8,10 +8,10 @@ from pathlib import Path
 from hilbench.errors import UnusableInputError
 from hilbench.report.chart import Mark
 from hilbench.report.found import COLUMNS, found_pictures, found_rows
-from hilbench.report.line_drawing import line_picture
 from hilbench.report.machines.kinds import pictures_of
 from hilbench.report.page import number, quantity, write_page
 from hilbench.report.plots import draw_histogram, run_pictures, zooms
+from hilbench.report.web_line_drawing import line_picture
 from hilbench.results.provenance import Provenance
 from hilbench.results.recording import Recording, read_recording
 from hilbench.results.result import Environment, EventRecord, Result, StepRecord, Timing

@@ -24,7 +24,7 @@ from hilbench.plant.web_line.sizes import least_way_m
 from hilbench.plant.web_line.span import SpanFollower
 from hilbench.topology.signals import Shape
 from hilbench.twin.machines.machine import Measured, Told
-from hilbench.twin.machines.passage import Passage
+from hilbench.twin.machines.web_passage import Passage
 from hilbench.twin.machines.web_section import WebSection
 
 
