@@ -15,6 +15,7 @@ from hilbench.diagnosis.synthetic import hidden_recording
 from hilbench.diagnosis.terms import Place
 from hilbench.plant.parameters import EffectEntry
 from hilbench.plant.web_line.parameters import ModelParameters
+from hilbench.results.columns import unknown_columns
 from hilbench.results.recording import Recording
 
 #: Loops of four drives that are not the model's.
@@ -89,6 +90,11 @@ def test_a_splice_is_found_with_its_length_and_is_no_step_of_a_span() -> None:
     assert values["time_s"].value == pytest.approx(15.2, abs=0.01)
     assert values["relative_change"].value == pytest.approx(0.3, rel=0.15)
     assert values["length_m"].value == pytest.approx(0.4, rel=0.15)
+
+
+def test_channels_of_a_fourth_axis_are_no_misspelt_ones_of_others() -> None:
+    assert unknown_columns(["t_s", "v1_cmd_m_s", "v4_cmd_m_s", "tau4_Nm", "x4_m"]) == []
+    assert unknown_columns(["t_s", "tau4_N"]) != []
 
 
 def test_nothing_is_named_where_nothing_is_hidden() -> None:

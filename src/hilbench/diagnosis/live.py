@@ -78,24 +78,35 @@ def live_gap(outcome: RunOutcome) -> LiveGap:
 
 
 def _of_a_web(recording: Recording) -> tuple[LiveFigure, ...]:
-    speed = _signal(recording, "v2_cmd_m_s")
-    works = (speed > _WORKS * speed.max()) & (_signal(recording, "loop_closed") > 0.5)
-    if not works.any():
-        works = speed > _WORKS * speed.max()
-    true_N, sim_N = _signal(recording, "F_true_N"), _signal(recording, "F_sim_N")
-    error_N, ratio = (
-        true_N - _signal(recording, "F_ref_N"),
-        _signal(recording, "E_sim_Pa") / _signal(recording, "E_true_Pa"),
-    )
-    residual_Nm = _signal(recording, "tau2_residual_Nm")
-    return (
-        LiveFigure("torque_residual_rms_Nm", "torque residual, rms, N·m", rms(residual_Nm[works])),
-        LiveFigure("tension_error_rms_N", "true tension less set-point, rms, N", rms(error_N[works])),
-        LiveFigure(
-            "tension_deviation_mean_N", "simulated less true tension, mean, N", float(np.mean((sim_N - true_N)[works]))
-        ),
-        LiveFigure("E_bias_pct", "bias of E, %", 100.0 * float(np.mean(ratio[works]) - 1.0)),
-    )
+    """Of the one span, or of each of several by its number."""
+    if "F_true_N" in recording:
+        return _of_a_span(recording, 1, "")
+    spans = [span for span in range(1, len(recording.channels)) if f"F{span}_true_N" in recording]
+    return tuple(figure for span in spans for figure in _of_a_span(recording, span, str(span)))
+
+
+def _of_a_span(recording: Recording, span: int, number: str) -> tuple[LiveFigure, ...]:
+    """`number`: as names have it; "" where there is one span."""
+    behind, where = span + 1, f" of span {number}" if number else ""
+    speed = _signal(recording, f"v{behind}_cmd_m_s")
+    works = speed > _WORKS * speed.max()
+    if f"loop{number}_closed" in recording:
+        closed = works & (_signal(recording, f"loop{number}_closed") > 0.5)
+        works = closed if closed.any() else works
+    true_N, sim_N = _signal(recording, f"F{number}_true_N"), _signal(recording, f"F{number}_sim_N")
+    ratio = _signal(recording, f"E{number}_sim_Pa") / _signal(recording, f"E{number}_true_Pa")
+    residual_Nm = _signal(recording, f"tau{behind}_residual_Nm")
+    behind_it = f" of axis {behind}" if number else ""
+    figures = [(f"torque_residual{number}_rms_Nm", f"torque residual{behind_it}, rms, N·m", rms(residual_Nm[works]))]
+    if f"F{number}_ref_N" in recording:
+        error_N = true_N - _signal(recording, f"F{number}_ref_N")
+        figures.append(
+            (f"tension{number}_error_rms_N", f"true tension less set-point{where}, rms, N", rms(error_N[works]))
+        )
+    deviation_N = float(np.mean((sim_N - true_N)[works]))
+    figures.append((f"tension{number}_deviation_mean_N", f"simulated less true tension{where}, mean, N", deviation_N))
+    figures.append((f"E{number}_bias_pct", f"bias of E{where}, %", 100.0 * float(np.mean(ratio[works]) - 1.0)))
+    return tuple(LiveFigure(*figure) for figure in figures)
 
 
 def _of_a_shaft(recording: Recording) -> tuple[LiveFigure, ...]:

@@ -19,11 +19,13 @@ def unknown_columns(names: Collection[str]) -> list[str]:
     unless it is much like one that is missing. The same name with another number is that of another axis.
     """
     known_names = example_names()
+    numbered = {_without_numbers(known) for known in known_names if _without_numbers(known) != known}
     missing = [known for known in known_names if known not in names]
     said = []
     for name in names:
         meant = closest(name, [known for known in missing if _without_numbers(known) != _without_numbers(name)])
-        if name in known_names or (unit_of(name) and not meant):
+        of_another = _without_numbers(name) != name and _without_numbers(name) in numbered
+        if name in known_names or (unit_of(name) and (of_another or not meant)):
             continue
         said.append(f"'{name}'" + (f" (did you mean {meant[0]}?)" if meant else ""))
     return said
