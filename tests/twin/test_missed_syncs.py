@@ -61,7 +61,9 @@ def test_a_start_at_which_the_bench_leaves_syncs_out_is_no_web_break(
     node = setup.virtual_io
     device = Device(load_eds(node.eds, node.node_id), node.node_id, clock)
     virtual_io = VirtualIo(device, process_data(MachineKind(MODEL.kind), setup.shape), boundary(MODEL))
-    machine = ChangeableMachine(lambda _: new_machine(MODEL, setup.twin, CYCLE_S, virtual_io.told), CYCLE_S)
+    machine = ChangeableMachine(
+        lambda _: new_machine(MODEL, setup.twin, setup.shape, CYCLE_S, virtual_io.told), CYCLE_S
+    )
     application = TwinApplication(setup, machine, [], device, virtual_io)
     listeners = [AxisListener(axis, CYCLE_S) for axis in setup.real_axes]
     now = motion(0.0)

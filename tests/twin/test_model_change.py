@@ -26,7 +26,7 @@ def machine() -> ChangeableMachine:
     told = boundary(MODEL)
 
     def make(effects: str) -> TwinMachine:
-        return new_machine(with_effects(MODEL, effects), CONFIG.twin, CYCLE_S, told.__getitem__)
+        return new_machine(with_effects(MODEL, effects), CONFIG.twin, CONFIG.shape, CYCLE_S, told.__getitem__)
 
     return ChangeableMachine(make, CYCLE_S)
 
