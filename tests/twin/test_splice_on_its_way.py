@@ -70,8 +70,8 @@ def test_in_the_next_span_it_is_expected_and_not_found_anew(change: float) -> No
 
 def test_a_short_piece_is_in_one_span_after_the_other_and_gone() -> None:
     told = passage(-0.3, SHORT_M)
-    assert error(told, 1, 3.5, LEAVES_S[0] - 0.05) < 0.01
-    assert error(told, 2, LEAVES_S[0] + 0.3, LEAVES_S[1] - 0.05) < 0.01
+    assert error(told, 1, 3.5, LEAVES_S[0] - 0.05) < 0.03  # it is told from a change of E late
+    assert error(told, 2, LEAVES_S[0] + 0.3, LEAVES_S[1] - 0.05) < 0.015
     for span, left_s in enumerate(LEAVES_S, 1):
         assert error(told, span, left_s + 0.3, 8.0) < 0.01
 

@@ -15,7 +15,7 @@ with these three, each with every place of the joint that the last blocks can te
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Set
 from dataclasses import dataclass
 from enum import Enum
 from math import exp, inf
@@ -32,9 +32,9 @@ Array = NDArray[np.float64]
 _BLOCK_S, _LOOK_S = 0.02, 0.1
 _MOST, _FEWEST = 400, 40
 #: Blocks that have to lie before a joint and behind it, and how many places are tried.
-_BEFORE, _BEHIND, _PLACES = 15, 10, 48
-#: Twice the logarithm of the likelihood: something has changed; one explanation is better than another.
-_CHANGED, _BETTER = 45.0, 16.0
+_BEFORE, _BEHIND, _PLACES = 15, 2, 60
+#: Twice the logarithm of the likelihood: something has changed; one explanation is better than another; it may have.
+_CHANGED, _BETTER, _SUSPECTED = 45.0, 16.0, 25.0
 #: Way of a joint through the span, in lengths, before which it is not told from a step, and up to which what is known
 #: of it gets better.
 _LEAST_WAY, _THROUGH = 0.12, 1.0
@@ -73,6 +73,10 @@ class _Kind(Enum):
     SHORT = "short"
 
 
+#: Changes of the compliance of the whole span that may be told, softer and stiffer.
+_SHARES = {_Kind.STEP: (2.0, -0.7), _Kind.WEB: (1.0, -0.5), _Kind.SHORT: (0.3, -0.3)}
+
+
 class _Fit(NamedTuple):
     gain: float  #: twice the logarithm of the likelihood over that of no change
     front_m: float
@@ -98,6 +102,7 @@ class SpliceFinder:
         self._blocks_seen = 0
         self._kind: _Kind | None = None
         self._joint: Joint | None = None
+        self.suspects = False  #: something has changed, and it is open yet what
         self._interrupt()
 
     def _interrupt(self) -> None:
@@ -152,10 +157,9 @@ class SpliceFinder:
         # What none of them explains, as a roller that a step has hit, counts as noise.
         total = float(np.sum((compliances - compliances.mean()) ** 2)) / noise**2
         rest = (total - max(fit.gain for fit in fits.values())) / len(compliances)
-        far_in = all(
-            (ways_m[-1] - fits[kind].front_m) > _LEAST_WAY * self._length_m for kind in (_Kind.WEB, _Kind.SHORT)
-        )
-        if not self._decide({kind: fit.gain / max(rest, 1.0) for kind, fit in fits.items()}, far_in=far_in):
+        self.suspects = max(fit.gain for fit in fits.values()) > _SUSPECTED * max(rest, 1.0)
+        told = {kind for kind, fit in fits.items() if self._can_be_told(kind, fit, float(ways_m[-1]))}
+        if not self._decide({kind: fit.gain / max(rest, 1.0) for kind, fit in fits.items()}, told):
             return None
         kind = self._kind
         assert kind is not None, "it was decided"
@@ -167,26 +171,33 @@ class SpliceFinder:
             return Entered(None, relative_change=1.0 / (1.0 + fits[kind].share) - 1.0)
         return self._entered(fits[kind], (float(ways_m[-1]) - fits[kind].front_m) / self._length_m)
 
-    def _decide(self, gains: Mapping[_Kind, float], *, far_in: bool) -> bool:
-        """Which of the explanations it is, by their gains; whether there is something to tell.
+    def _can_be_told(self, kind: _Kind, fit: _Fit, now_m: float) -> bool:
+        """Whether an explanation is one of a web, and its joint so far in that a step would look otherwise."""
+        softer, stiffer = _SHARES[kind]
+        return stiffer < fit.share < softer and now_m - fit.front_m > _LEAST_WAY * self._length_m
+
+    def _decide(self, gains: Mapping[_Kind, float], told: Set[_Kind]) -> bool:
+        """Which of the explanations it is, by their gains, of those that can be told; whether there is something to
+        tell.
 
         A short piece that has just come in is like a step, and what is neither for certain stays what it was.
         """
-        joint, other = sorted((_Kind.WEB, _Kind.SHORT), key=gains.__getitem__, reverse=True)
-        if gains[_Kind.STEP] > max(gains[joint] + _BETTER, _CHANGED):
-            self._kind = _Kind.STEP
-        elif gains[joint] > _CHANGED and (far_in or self._kind is not None):
-            than = [gains[other]] if self._kind is not None else [gains[other], gains[_Kind.STEP]]
-            if gains[joint] > max(than) + _BETTER:
-                self._kind = joint
-        return self._kind is not None
+        best, next_best = sorted(gains, key=gains.__getitem__, reverse=True)[:2]
+        if gains[best] < _CHANGED:
+            return self._kind is not None
+        than = next_best
+        if self._kind is not None and best is not _Kind.STEP:
+            than = self._kind if best is not self._kind else next_best
+        if best in told and gains[best] > gains[than] + _BETTER:
+            self._kind = best
+        return self._kind in told
 
     def _forget_before(self, front_m: float) -> None:
         """What was before a step says nothing any more."""
         kept = [block for block in self._blocks if block[0] > front_m]
         self._blocks.clear()
         self._blocks.extend(kept)
-        self._kind = None
+        self._kind, self.suspects = None, False
 
     def _entered(self, found: _Fit, way: float) -> Entered | None:
         """As it is known now; a joint that is through is known as well as it will be."""

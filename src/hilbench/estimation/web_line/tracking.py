@@ -145,6 +145,7 @@ class Tracking:
         self.residual_Nm = 0.0
         self.used: BalanceSample | None = None  #: what E was found from in this cycle, with what is no tension
         self._spliced = WHOLE
+        self.other_web_suspected = False  #: E may be changing because other web comes in
         self.problem: Problem | None = None
         self.torque_shift_Nm = 0.0  #: what the measured torque has shifted by, and is corrected for
         self.refused = False  #: a measured state was not plausible in this cycle
@@ -252,9 +253,9 @@ class Tracking:
 
     def become(self, relative_change: float) -> None:
         """The web in the span is all of what a piece of it was: what is known of E is known of that."""
-        more_Pa = relative_change * self.estimate.youngs_modulus_Pa
-        self._synchronizer.rebase(more_Pa)
-        self.estimate = replace(self.estimate, youngs_modulus_Pa=self.estimate.youngs_modulus_Pa + more_Pa)
+        known_Pa = (1.0 + relative_change) * self.estimate.youngs_modulus_Pa
+        self.estimate = replace(self.estimate, youngs_modulus_Pa=known_Pa)
+        self.use(self._method)
         if self._errors is not None:
             self._errors.release()
 
@@ -436,7 +437,8 @@ class Tracking:
         errors = self._errors
         if errors is None:
             return
-        if self._spliced is not WHOLE:  # how much of it is in the span, and what else it is, says nothing of the model
+        # How much of other web is in the span, and what else it is, says nothing of the model.
+        if self._spliced is not WHOLE or self.other_web_suspected:
             errors.interrupt()
             return
         errors.update(balance, torque_Nm, x1_m, F_next_N, self.estimate.youngs_modulus_Pa)
