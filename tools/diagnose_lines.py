@@ -147,10 +147,10 @@ def run(case: Case) -> Case:
         return case
     case.seconds = round(time.process_time() - began, 2)
     case.verdict, case.predicted_on = found.verdict, found.predicted_on
-    case.found = [[e.effect, e.axis, e.span, e.tied_with] for e in found.effects]
+    case.found = [[e.effect, e.axis, e.section, e.tied_with] for e in found.effects]
     for e in found.effects:
         for item in case.hidden:
-            if (item["effect"], item["axis"], item["span"]) != (e.effect, e.axis, e.span):
+            if (item["effect"], item["axis"], item["span"]) != (e.effect, e.axis, e.section):
                 continue
             for name, value in e.parameters.items():
                 if value.ci95[0] < value.ci95[1]:

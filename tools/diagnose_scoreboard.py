@@ -28,8 +28,8 @@ import numpy as np
 
 from hilbench.diagnosis.diagnosis import Value, diagnose
 from hilbench.diagnosis.measured import measured_from
-from hilbench.diagnosis.synthetic import UNKNOWNS, hidden_recording
 from hilbench.diagnosis.web_line.free_run import FreeRun
+from hilbench.diagnosis.web_line.synthetic import UNKNOWNS, hidden_recording
 from hilbench.plant.effects import Effect, MachineKind, effects_of, find_effect
 from hilbench.plant.parameters import EffectEntry
 from hilbench.plant.web_line import layout as lay

@@ -10,7 +10,7 @@ from tests.plant.models import model
 
 from hilbench.diagnosis.diagnosis import diagnose
 from hilbench.diagnosis.measured import measured_from
-from hilbench.diagnosis.synthetic import hidden_recording
+from hilbench.diagnosis.web_line.synthetic import hidden_recording
 from hilbench.errors import UnusableInputError
 from hilbench.results.recording import Recording
 

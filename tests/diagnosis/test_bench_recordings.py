@@ -18,7 +18,7 @@ from hilbench.diagnosis.diagnosis import Diagnosis, diagnose
 from hilbench.diagnosis.imitated import imitation_beside, imitation_of
 from hilbench.diagnosis.measured import measured_from
 from hilbench.diagnosis.predictor import predictor_for
-from hilbench.diagnosis.synthetic import hidden_recording
+from hilbench.diagnosis.web_line.synthetic import hidden_recording
 from hilbench.plant.effects import find_effect
 from hilbench.plant.parameters import EffectEntry
 from hilbench.plant.web_line import layout as lay

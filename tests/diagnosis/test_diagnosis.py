@@ -18,7 +18,7 @@ from tests.plant.models import DEMONSTRATOR, effect, model
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.diagnosis import live
 from hilbench.diagnosis.diagnosis import Diagnosis, diagnose
-from hilbench.diagnosis.synthetic import UNKNOWNS, hidden_recording
+from hilbench.diagnosis.web_line.synthetic import UNKNOWNS, hidden_recording
 from hilbench.plant.effects import find_effect
 from hilbench.plant.parameters import EffectEntry
 from hilbench.plant.web_line.parameters import load_model

@@ -15,9 +15,9 @@ from hilbench.diagnosis.misfit import Condition, largest_ratio, located, misfits
 from hilbench.diagnosis.noise import floor, repeats, whitening
 from hilbench.diagnosis.proposals import Proposer, peaks
 from hilbench.diagnosis.space import Linear, Split
-from hilbench.diagnosis.synthetic import hidden_recording
 from hilbench.diagnosis.terms import Term, extended, pack_with
 from hilbench.diagnosis.web_line.free_run import FreeRun, between
+from hilbench.diagnosis.web_line.synthetic import hidden_recording
 from hilbench.plant.effects import MachineKind, effects_of, find_effect
 from hilbench.plant.model_file import write_model
 from hilbench.plant.parameters import EffectEntry

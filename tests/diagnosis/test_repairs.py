@@ -12,7 +12,7 @@ from hilbench.diagnosis.diagnosis import diagnose
 from hilbench.diagnosis.measured import Measured, measured_from
 from hilbench.diagnosis.predictor import predictor_for
 from hilbench.diagnosis.repairs import mended
-from hilbench.diagnosis.synthetic import hidden_recording
+from hilbench.diagnosis.web_line.synthetic import hidden_recording
 from hilbench.errors import UnusableInputError
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.inverse import required_torque_Nm

@@ -24,7 +24,7 @@ from typer.testing import CliRunner
 from hilbench.can.open import BusAddress, open_link
 from hilbench.canopen.listening import present
 from hilbench.cli.main import app
-from hilbench.diagnosis.synthetic import hidden_recording
+from hilbench.diagnosis.web_line.synthetic import hidden_recording
 from hilbench.plant.model_file import write_model
 from hilbench.plant.parameters import EffectEntry
 from hilbench.results.recording import write_recording

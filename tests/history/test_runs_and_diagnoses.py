@@ -11,7 +11,7 @@ import yaml
 from typer.testing import CliRunner
 
 from hilbench.cli.main import app
-from hilbench.diagnosis.synthetic import hidden_recording
+from hilbench.diagnosis.web_line.synthetic import hidden_recording
 from hilbench.history.store import History
 from hilbench.plant.parameters import EffectEntry
 from hilbench.results.recording import read_recording, write_recording

@@ -10,7 +10,8 @@ import pytest
 from tests.report.parsed import EVIL, parsed
 
 from hilbench.diagnosis.diagnosis import Diagnosis, Gap, GapLocation, NamedEffect, Profile, Unobservable, Value
-from hilbench.diagnosis.live import LiveFigure, LiveGap
+from hilbench.diagnosis.live import LiveGap
+from hilbench.diagnosis.live_figure import LiveFigure
 from hilbench.diagnosis.misfit import Misfit
 from hilbench.diagnosis.synchronization import Comparison, MethodResult
 from hilbench.errors import UnusableInputError

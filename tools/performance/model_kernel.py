@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.diagnosis.synthetic import PERIOD_S, experiment
+from hilbench.diagnosis.web_line.synthetic import PERIOD_S, experiment
 from hilbench.plant.parameters import EffectEntry
 from hilbench.plant.sampling import samples_per
 from hilbench.plant.web_line import kernel

@@ -8,7 +8,7 @@ import numpy as np
 
 from hilbench.diagnosis.diagnosis import diagnose
 from hilbench.diagnosis.synchronization import compare_methods, methods_of
-from hilbench.diagnosis.synthetic import hidden_recording
+from hilbench.diagnosis.web_line.synthetic import hidden_recording
 from hilbench.estimation.web_line.synthetic import simulated_measurements
 from hilbench.plant.parameters import EffectEntry
 from hilbench.plant.web_line.parameters import ModelParameters

@@ -300,7 +300,7 @@ def as_data(shown: _Found, files: _Files | None, next_experiment: Path | None = 
             {
                 "effect": b.effect,
                 "axis": b.axis,
-                "span": b.span,
+                "span": b.section,
                 "smallest_visible": b.smallest_visible,
                 "unit": b.unit,
                 "experiment": b.experiment,
@@ -327,7 +327,7 @@ def _effect(effect: NamedEffect) -> dict[str, Any]:
     return {
         "effect": effect.effect,
         "axis": effect.axis,
-        "span": effect.span,
+        "span": effect.section,
         "parameters": {
             name: {"value": value.value, "ci95": list(value.ci95), "unit": value.unit}
             | ({} if value.before is None else {"before": value.before})

@@ -78,12 +78,12 @@ class NamedEffect:
     evidence: dict[str, float]
     tied_with: list[str]
     told_apart_by: str | None
-    span: int | None = None  #: of several; None: in all of them
+    section: int | None = None  #: the span of several; None: in all of them
 
     @property
     def place(self) -> Place:
         """Where it is."""
-        return Place(self.effect, self.axis, self.span)
+        return Place(self.effect, self.axis, self.section)
 
 
 @dataclass(frozen=True)
@@ -128,13 +128,13 @@ class Unobservable:
     smallest_visible: float | None
     unit: str
     experiment: str
-    span: int | None = None
+    section: int | None = None
     order: float | None = None  #: of a wave, the lowest of those that were looked at from which on it can't be seen
 
     @property
     def place(self) -> Place:
         """Where it would be."""
-        return Place(self.effect, self.axis, self.span)
+        return Place(self.effect, self.axis, self.section)
 
 
 @dataclass(frozen=True)
@@ -426,7 +426,7 @@ def _named(terms: list[Term], judged: _Judged, selection: Selection) -> list[Nam
         names = [other.beside(term.place) for other in tied]
         advice = _experiment(term.effect, tied[0].effect) if tied else None
         evidence = selection.evidence.get(term.key, {})
-        result.append(NamedEffect(term.effect.id, term.axis, values, evidence, names, advice, term.span))
+        result.append(NamedEffect(term.effect.id, term.axis, values, evidence, names, advice, term.section))
     return _joined(terms, result)
 
 
@@ -491,7 +491,7 @@ def _unobservable(selection: Selection) -> list[Unobservable]:
         if smallest is None or smallest > candidate.size:
             visible = None if smallest is None else rounded(float(smallest))
             unit = effect.parameter(effect.strength[0]).unit
-            result.append(Unobservable(effect.id, candidate.axis, visible, unit, effect.shown_by, candidate.span))
+            result.append(Unobservable(effect.id, candidate.axis, visible, unit, effect.shown_by, candidate.section))
     return result
 
 

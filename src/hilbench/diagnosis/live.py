@@ -10,24 +10,14 @@ from typing import Any
 import numpy as np
 
 from hilbench.bench.bench import CycleObserver, InterruptedByOperatorError
+from hilbench.diagnosis.live_figure import WORKS, LiveFigure, signal
 from hilbench.diagnosis.noise import rms
+from hilbench.diagnosis.web_line.bench_figures import figures_of_line
 from hilbench.errors import EXIT_BENCH_FAULT, EXIT_INTERRUPTED, BenchFaultError, UnusableInputError
 from hilbench.plant.model_file import Machine
 from hilbench.results.recording import Recording, read_recording
 from hilbench.results.run import RunOutcome, run_experiment
 from hilbench.runs.config import ExperimentConfig, LoadedConfig
-
-#: Share of its highest speed above which a machine counts as working.
-_WORKS = 0.2
-
-
-@dataclass(frozen=True)
-class LiveFigure:
-    """One figure of a run."""
-
-    name: str  #: with its unit, as `--json` prints it
-    text: str  #: with its unit, for a person
-    value: float
 
 
 @dataclass(frozen=True)
@@ -73,49 +63,17 @@ def live_gap(outcome: RunOutcome) -> LiveGap:
     if not outcome.recorded:
         raise UnusableInputError(outcome.folder.path, "the run has no recording, expected steps that take time")
     recording = read_recording(outcome.folder.recording)
-    figures = _of_a_shaft(recording) if "x1_rad" in recording else _of_a_web(recording)
+    figures = _of_a_shaft(recording) if "x1_rad" in recording else figures_of_line(recording)
     return LiveGap(outcome.folder.path, len(recording), figures)
 
 
-def _of_a_web(recording: Recording) -> tuple[LiveFigure, ...]:
-    """Of the one span, or of each of several by its number."""
-    if "F_true_N" in recording:
-        return _of_a_span(recording, 1, "")
-    spans = [span for span in range(1, len(recording.channels)) if f"F{span}_true_N" in recording]
-    return tuple(figure for span in spans for figure in _of_a_span(recording, span, str(span)))
-
-
-def _of_a_span(recording: Recording, span: int, number: str) -> tuple[LiveFigure, ...]:
-    """`number`: as names have it; "" where there is one span."""
-    behind, where = span + 1, f" of span {number}" if number else ""
-    speed = _signal(recording, f"v{behind}_cmd_m_s")
-    works = speed > _WORKS * speed.max()
-    if f"loop{number}_closed" in recording:
-        closed = works & (_signal(recording, f"loop{number}_closed") > 0.5)
-        works = closed if closed.any() else works
-    true_N, sim_N = _signal(recording, f"F{number}_true_N"), _signal(recording, f"F{number}_sim_N")
-    ratio = _signal(recording, f"E{number}_sim_Pa") / _signal(recording, f"E{number}_true_Pa")
-    residual_Nm = _signal(recording, f"tau{behind}_residual_Nm")
-    behind_it = f" of axis {behind}" if number else ""
-    figures = [(f"torque_residual{number}_rms_Nm", f"torque residual{behind_it}, rms, N·m", rms(residual_Nm[works]))]
-    if f"F{number}_ref_N" in recording:
-        error_N = true_N - _signal(recording, f"F{number}_ref_N")
-        figures.append(
-            (f"tension{number}_error_rms_N", f"true tension less set-point{where}, rms, N", rms(error_N[works]))
-        )
-    deviation_N = float(np.mean((sim_N - true_N)[works]))
-    figures.append((f"tension{number}_deviation_mean_N", f"simulated less true tension{where}, mean, N", deviation_N))
-    figures.append((f"E{number}_bias_pct", f"bias of E{where}, %", 100.0 * float(np.mean(ratio[works]) - 1.0)))
-    return tuple(LiveFigure(*figure) for figure in figures)
-
-
 def _of_a_shaft(recording: Recording) -> tuple[LiveFigure, ...]:
-    speed = np.abs(_signal(recording, "v1_cmd_rad_s"))
-    works = speed > _WORKS * speed.max()
-    ratio = _signal(recording, "J_sim_kg_m2") / _signal(recording, "J_true_kg_m2")
-    error_rad_s = _signal(recording, "v1_cmd_rad_s") - _signal(recording, "v1_rad_s")
-    friction_Nm = _signal(recording, "coulomb_sim_Nm") - _signal(recording, "coulomb_true_Nm")
-    residual_Nm = _signal(recording, "tau1_residual_Nm")
+    speed = np.abs(signal(recording, "v1_cmd_rad_s"))
+    works = speed > WORKS * speed.max()
+    ratio = signal(recording, "J_sim_kg_m2") / signal(recording, "J_true_kg_m2")
+    error_rad_s = signal(recording, "v1_cmd_rad_s") - signal(recording, "v1_rad_s")
+    friction_Nm = signal(recording, "coulomb_sim_Nm") - signal(recording, "coulomb_true_Nm")
+    residual_Nm = signal(recording, "tau1_residual_Nm")
     return (
         LiveFigure("torque_residual_rms_Nm", "torque residual, rms, N·m", rms(residual_Nm[works])),
         LiveFigure("speed_error_rms_rad_s", "speed less its command, rms, rad/s", rms(error_rad_s[works])),
@@ -126,7 +84,3 @@ def _of_a_shaft(recording: Recording) -> tuple[LiveFigure, ...]:
         ),
         LiveFigure("J_bias_pct", "bias of the inertia, %", 100.0 * float(np.mean(ratio[works]) - 1.0)),
     )
-
-
-def _signal(recording: Recording, name: str) -> np.ndarray:
-    return np.asarray(recording[name], np.float64)

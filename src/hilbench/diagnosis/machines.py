@@ -68,7 +68,7 @@ def write_effect(
     slot: int,
     values: dict[str, float],
     *,
-    span: int | None = None,
+    section: int | None = None,
 ) -> None:
     """Write an effect's values, by name, into a parameter vector of the machine's kernel; others stay.
 
@@ -79,7 +79,7 @@ def write_effect(
             if parameter.name in values:
                 parameters[shaft_layout.place(effect.id, number, slot)] = values[parameter.name]
         return
-    lay.write_effect(parameters, effect.id, axis, slot, values, span=span)
+    lay.write_effect(parameters, effect.id, axis, slot, values, span=section)
 
 
 def with_effects(model: Machine, entries: Sequence[EffectEntry]) -> Machine:
@@ -90,11 +90,11 @@ def with_effects(model: Machine, entries: Sequence[EffectEntry]) -> Machine:
 
 
 def entry(
-    model: Machine, effect_id: str, axis: int | None, parameters: Mapping[str, float], span: int | None = None
+    model: Machine, effect_id: str, axis: int | None, parameters: Mapping[str, float], section: int | None = None
 ) -> EffectEntry:
     """An effect as it stands in the model's file."""
     made = ShaftEffect if isinstance(model, ServoAxisParameters) else EffectEntry
-    return made(effect=effect_id, axis=axis, span=span, parameters=dict(parameters))
+    return made(effect=effect_id, axis=axis, span=section, parameters=dict(parameters))
 
 
 def places(model: Machine, effect: Effect) -> list[tuple[int | None, int | None]]:
@@ -107,18 +107,18 @@ def places(model: Machine, effect: Effect) -> list[tuple[int | None, int | None]
         return [(axis, None) for axis in range(1, model.axis_count + 1)]
     if not effect.per_section or model.span_count < 2:
         return [(None, None)]
-    spans: list[tuple[int | None, int | None]] = [(None, span) for span in range(1, model.span_count + 1)]
-    return [*spans, (None, None)] if effect.domain is Domain.ELASTICITY else spans
+    single: list[tuple[int | None, int | None]] = [(None, section) for section in range(1, model.span_count + 1)]
+    return [*single, (None, None)] if effect.domain is Domain.ELASTICITY else single
 
 
-def entries_at(model: Machine, effect: Effect, axis: int | None, span: int | None) -> list[EffectEntry]:
+def entries_at(model: Machine, effect: Effect, axis: int | None, section: int | None) -> list[EffectEntry]:
     """What a model has of an effect at a place, in the order of its slots."""
     return [
         one
         for one in model.effects
         if one.effect == effect.id
         and (not effect.per_axis or one.axis == axis)
-        and (span is None or one.section in (None, span))
+        and (section is None or one.section in (None, section))
     ]
 
 

@@ -17,6 +17,7 @@ from hilbench.diagnosis import machines
 from hilbench.diagnosis.noise import floor
 from hilbench.diagnosis.repairs import Repair, mended
 from hilbench.diagnosis.smooth_motion import smoothed
+from hilbench.diagnosis.web_tensions import tension_channels
 from hilbench.errors import UnusableInputError
 from hilbench.plant.model_file import Machine
 from hilbench.plant.web_line.laws import FRICTION_WIDTH_M_S
@@ -73,7 +74,6 @@ _RATIO: Final = 0.03
 _BOUNDARY = ("strain_prev", "F_next_N")
 #: Only a bench has it: who records a web that is there has no load motor.
 _LOAD_MOTOR: Final = re.compile(r"tau_\w+_cmd_Nm")
-_TENSION = "F_meas_N"
 
 
 @dataclass(frozen=True)
@@ -120,10 +120,6 @@ class Measured:
         width = round(around_s / self.period_s)
         return np.asarray(np.convolve(self.left_out, np.ones(2 * width + 1), "same") < 0.5)
 
-    def tension_names(self) -> list[str]:
-        """Channels of the measured tensions, in the order of the spans."""
-        return [_TENSION if span == 1 else f"F{span}_meas_N" for span in sorted(self.F_N)]
-
 
 def measured_from(recording: Recording, model: Machine, place: str | Path) -> Measured:
     """Check and take what is needed. Raises UnusableInputError, one line, for what can't be diagnosed."""
@@ -160,7 +156,7 @@ def measured_from(recording: Recording, model: Machine, place: str | Path) -> Me
         wanted += commands
         recording.require(_BOUNDARY, place)
         _check_enough(recording, place, commands)
-        tensions = _tensions(recording, model.span_count)
+        tensions = tension_channels(recording, model.span_count)
     else:
         _check_lone(recording, model, place)
     there = [name for name in wanted if name in recording] + list(tensions.values())
@@ -197,24 +193,6 @@ def measured_from(recording: Recording, model: Machine, place: str | Path) -> Me
     )
     _check_plausible(measured, model, place)
     return measured
-
-
-def _tensions(recording: Recording, spans: int) -> dict[int, str]:
-    """Channels of measured tensions by span; that of the first is without its number where there is one span."""
-    found: dict[int, str] = {}
-    for span in range(1, spans + 1):
-        names = [name for name in _tension_names(span, spans) if name in recording]
-        if names:
-            found[span] = names[0]
-    return found
-
-
-def _tension_names(span: int, spans: int) -> list[str]:
-    """Channels that may have the measured tension of a span, the usual one first."""
-    numbered = f"F{span}_meas_N"
-    if span > 1:
-        return [numbered]
-    return [_TENSION, numbered] if spans == 1 else [numbered, _TENSION]
 
 
 def _check_lone(recording: Recording, model: Machine, place: str | Path) -> None:
@@ -308,9 +286,9 @@ def _check_plausible(measured: Measured, model: Machine, place: str | Path) -> N
 
 def _way(x: Array, period_s: float) -> float:
     """How far an axis has gone, to and fro; its range where that may be noise."""
-    span = float(np.ptp(x))
-    if span < _OVER_NOISE * floor(x):
-        return span
+    reach = float(np.ptp(x))
+    if reach < _OVER_NOISE * floor(x):
+        return reach
     return float(np.sum(np.abs(np.diff(x[:: max(1, round(_STEP_S / period_s))]))))
 
 

@@ -188,7 +188,7 @@ def _other(name: str, effect: NamedEffect, model: Machine) -> Place | None:
     known, number = machines.effect_of(model, match[1]), int(match[3]) if match[3] else None
     if known.per_axis:
         return Place(known.id, number or effect.axis or 1)
-    return Place(known.id, None, number or (effect.span if known.per_section else None))
+    return Place(known.id, None, number or (effect.section if known.per_section else None))
 
 
 def _tries(
@@ -200,14 +200,14 @@ def _tries(
     """Some of an effect at its usual size; of a wave at two phases; shaped as `like` where that has the same shape."""
     effect, axis = machines.effect_of(model, place.effect), place.axis
     values = effect.filled({} if like is None else {k: v for k, v in like.parameters.items() if k.endswith(_SHAPES)})
-    if len(machines.entries_at(model, effect, axis, place.span)) >= effect.slots:
+    if len(machines.entries_at(model, effect, axis, place.section)) >= effect.slots:
         return []
     strength = effect.parameter(effect.strength[0])
     # On a rotary axis that a model describes with a radius of 1 m, sizes in m are larger than any roller has.
     values[strength.name] = min(max(strength.size.on(sizes(axis)), strength.lower), strength.upper)
     phases = (0.0, 0.5 * np.pi) if "phase_rad" in values else (None,)
     return [
-        machines.entry(model, effect.id, axis, values | ({} if p is None else {"phase_rad": p}), place.span)
+        machines.entry(model, effect.id, axis, values | ({} if p is None else {"phase_rad": p}), place.section)
         for p in phases
     ]
 

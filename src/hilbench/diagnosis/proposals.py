@@ -99,9 +99,9 @@ class Proposer:
         slot: int = 0,
         multiplicity: float = 1.0,
         part: str | None = None,
-        span: int | None = None,
+        section: int | None = None,
     ) -> Term:
-        base, entries = effect.filled({}), machines.entries_at(self._model, effect, axis, span)
+        base, entries = effect.filled({}), machines.entries_at(self._model, effect, axis, section)
         if slot < len(entries):
             base = effect.filled(entries[slot].parameters)
         filled = {**base, **values}
@@ -119,7 +119,9 @@ class Proposer:
                 case ProbeOver.MOTOR_ANGLE:
                     steps[searched] = 0.1 / max(self._turns(axis) * _TURN, 1.0)
                     least[searched] = self._least_order(axis)
-        return Term(effect, axis, slot, filled, base, steps, size, multiplicity, least=least, part=part, span=span)
+        return Term(
+            effect, axis, slot, filled, base, steps, size, multiplicity, least=least, part=part, section=section
+        )
 
     def _least_order(self, axis: int | None) -> float:
         """Of a torque ripple: some of its periods are in the recording, and on a machine it comes from what turns."""
@@ -137,24 +139,24 @@ class Proposer:
         """Every effect that needs no search, at every place it can be."""
         terms = []
         for effect in self._vocabulary:
-            for axis, span in machines.places(self._model, effect):
-                if self._possible(effect, axis) and not self._differs(effect, span):
-                    terms += self._looks(effect, axis, span)
+            for axis, section in machines.places(self._model, effect):
+                if self._possible(effect, axis) and not self._differs(effect, section):
+                    terms += self._looks(effect, axis, section)
         return terms
 
-    def _looks(self, effect: Effect, axis: int | None, span: int | None) -> list[Term]:
+    def _looks(self, effect: Effect, axis: int | None, section: int | None) -> list[Term]:
         """The terms with which an effect is looked at at one place; none of one that is searched for."""
         probe = effect.probe
         if probe is None:
             parts: list[str | None] = list(effect.strength) if len(effect.strength) > 1 else [None]
-            return [self._term(effect, axis, {}, part=part, span=span) for part in parts]
+            return [self._term(effect, axis, {}, part=part, section=section) for part in parts]
         if probe.over in _SEARCHED:
             return []
         count = len(probe.tried)
         if probe.over is ProbeOver.SHARES_OF_TOP_SPEED:
             speeds = [share * self._top_m_s for share in probe.tried]
-            return [self._term(effect, axis, {probe.parameter: v}, multiplicity=count, span=span) for v in speeds]
-        plain = self._term(effect, axis, {}, span=span)
+            return [self._term(effect, axis, {probe.parameter: v}, multiplicity=count, section=section) for v in speeds]
+        plain = self._term(effect, axis, {}, section=section)
         return [replace(plain, probe=times * plain.size, multiplicity=count) for times in probe.tried]
 
     def _possible(self, effect: Effect, axis: int | None) -> bool:
@@ -169,11 +171,11 @@ class Proposer:
             return True
         return machines.turns_apart(self._model, axis)
 
-    def _differs(self, effect: Effect, span: int | None) -> bool:
+    def _differs(self, effect: Effect, section: int | None) -> bool:
         """Whether an effect of all spans is one that the model has in some of them already."""
         return (
             effect.per_section
-            and span is None
+            and section is None
             and any(one.effect == effect.id and one.section is not None for one in self._model.effects)
         )
 
@@ -289,7 +291,7 @@ class Proposer:
             return np.empty(0), 0.0
         speed_m_s = max(self._usual_m_s, 1e-3)
         while_s = self._model.span_length_m(1) / speed_m_s
-        lengths = [self._model.span_length_m(span) for span in range(1, self._model.span_count + 1)]
+        lengths = [self._model.span_length_m(section) for section in range(1, self._model.span_count + 1)]
         earlier = round(_AROUND_A_BURST * (1.0 + sum(lengths) / lengths[0]))
         window = max(8, round(while_s / (self._data.period_s * every)))
         alike, usable = np.ones(window), np.asarray(rows, np.float64)
@@ -306,25 +308,25 @@ class Proposer:
             mean[max(at - 2 * window, 0) : at + 2 * window] = 0.0
         return np.unique([time for time in times if time > 0.0]), step_s
 
-    def onsets(self, effect: Effect, times_s: Array, present: list[Term], span: int | None = None) -> list[Term]:
+    def onsets(self, effect: Effect, times_s: Array, present: list[Term], section: int | None = None) -> list[Term]:
         """A sudden effect at each of these times (n,), if the model can have another one there."""
         axis = self._axes[0] if effect.per_axis else None  # only a lone axis has one of its own
-        slot = self._slot(effect, axis, present, span)
+        slot = self._slot(effect, axis, present, section)
         if slot is None or effect.probe is None:
             return []
         name = effect.probe.parameter
-        return [self._term(effect, axis, {name: float(t)}, slot, _TIMES, span=span) for t in times_s]
+        return [self._term(effect, axis, {name: float(t)}, slot, _TIMES, section=section) for t in times_s]
 
     def gradual(
-        self, effect: Effect, time_s: float, duration_s: float, present: list[Term], span: int | None = None
+        self, effect: Effect, time_s: float, duration_s: float, present: list[Term], section: int | None = None
     ) -> list[Term]:
         """What grows over a time into what the sudden `effect` is at once, if the model can have another one there."""
         terms = []
         for other in self._over(ProbeOver.ONSET_AND_DURATION):
-            slot = self._slot(other, None, present, span)
+            slot = self._slot(other, None, present, section)
             if other.at_once == effect.id and slot is not None and other.probe is not None:
                 values = {other.probe.parameter: time_s, other.probe.duration: duration_s}
-                terms.append(self._term(other, None, values, slot, _TIMES * _COARSE / 2.0, span=span))
+                terms.append(self._term(other, None, values, slot, _TIMES * _COARSE / 2.0, section=section))
         return terms
 
     def at_once(self, term: Term, present: list[Term]) -> list[Term]:
@@ -333,15 +335,15 @@ class Proposer:
             return []
         middle_s = np.array([term.time_s + 0.5 * term.duration_s])
         (effect,) = (known for known in self.sudden() if known.id == term.effect.at_once)
-        found = self.onsets(effect, middle_s, present, term.span)
+        found = self.onsets(effect, middle_s, present, term.section)
         strength = float(term.coordinates()[0])
         return [sudden.at(np.concatenate([[strength], sudden.coordinates()[1:]])) for sudden in found]
 
-    def _slot(self, effect: Effect, axis: int | None, present: list[Term], span: int | None = None) -> int | None:
+    def _slot(self, effect: Effect, axis: int | None, present: list[Term], section: int | None = None) -> int | None:
         """That of another one at a place; one of all spans takes one of each."""
-        entries = machines.entries_at(self._model, effect, axis, span)
+        entries = machines.entries_at(self._model, effect, axis, section)
         there = [term for term in present if (term.effect.id, term.axis) == (effect.id, axis)]
-        slot = len(entries) + sum(span is None or term.span in (None, span) for term in there)
+        slot = len(entries) + sum(section is None or term.section in (None, section) for term in there)
         return slot if slot < effect.slots else None
 
     def _orders(

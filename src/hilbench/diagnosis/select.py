@@ -223,8 +223,8 @@ class Search:
         return [
             term
             for effect in sudden
-            for _, span in machines.places(self._space.model, effect)
-            for term in self._changes_by(effect, current, white, times, apart_s, span)
+            for _, section in machines.places(self._space.model, effect)
+            for term in self._changes_by(effect, current, white, times, apart_s, section)
         ]
 
     def _passages(self, current: Fit, white: Whitening, whitened: dict[str, Array]) -> list[Term]:
@@ -238,7 +238,7 @@ class Search:
         return [term for effect in effects for term in self._changes_by(effect, current, white, times, apart_s)]
 
     def _changes_by(
-        self, effect: Effect, current: Fit, white: Whitening, times: Array, apart_s: float, span: int | None = None
+        self, effect: Effect, current: Fit, white: Whitening, times: Array, apart_s: float, section: int | None = None
     ) -> list[Term]:
         """One sudden effect: a coarse grid of times, then ever closer ones around the best.
 
@@ -247,20 +247,20 @@ class Search:
         """
         found, gradual = list[Term](), list[Term]()
         for level in range(_TIME_LEVELS):
-            terms = self._proposer.onsets(effect, times, current.terms, span)
+            terms = self._proposer.onsets(effect, times, current.terms, section)
             if not terms:  # the model can't have one more of it
                 break
             responses = self._observable(white, self._space.strengths(current.terms, current.residual, terms))
             along = responses @ self._observable(white, [current.residual[None]])[0]
             if level == 0:
-                gradual = self._gradual(effect, current, times, responses, along, span)
+                gradual = self._gradual(effect, current, times, responses, along, section)
             found = _apart(terms, along**2 / np.maximum(np.sum(responses**2, axis=1), 1e-300), _APART * apart_s)
             times = np.concatenate([t.time_s + apart_s * _CLOSER for t in found]) if found else times
             apart_s *= float(_CLOSER[1] - _CLOSER[0])
         return [*found, *gradual]
 
     def _gradual(
-        self, effect: Effect, current: Fit, times_s: Array, responses: Array, along: Array, span: int | None
+        self, effect: Effect, current: Fit, times_s: Array, responses: Array, along: Array, section: int | None
     ) -> list[Term]:
         """What grows between two of the times (T,), those that would explain most.
 
@@ -277,7 +277,7 @@ class Search:
             if gain > best:
                 best, chosen = gain, (first, last)
         begin_s, end_s = times_s[list(chosen)]
-        return self._proposer.gradual(effect, float(begin_s), float(end_s - begin_s), current.terms, span)
+        return self._proposer.gradual(effect, float(begin_s), float(end_s - begin_s), current.terms, section)
 
     def _observable(self, white: Whitening, responses: list[Array]) -> Array:
         """Whitened responses (1, signals, n) each, zero where rows do not count, as rows of (responses, signals·n)."""
@@ -582,7 +582,7 @@ class Search:
         """
         for k, term in enumerate(current.terms):
             lookalike = term.effect.lookalike
-            if lookalike is None or term.span not in (None, self._space.model.span_count):
+            if lookalike is None or term.section not in (None, self._space.model.span_count):
                 continue  # a force at the last roller acts behind the last span
             difference, force_N, time_s = self._as_a_force(current, k, offered.whitening)
             if difference < -_DECISIVE:

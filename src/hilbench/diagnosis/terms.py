@@ -29,7 +29,7 @@ class Place(NamedTuple):
 
     effect: str
     axis: int | None = None
-    span: int | None = None
+    section: int | None = None
 
     @classmethod
     def of(cls, entry: EffectEntry) -> Place:
@@ -44,7 +44,7 @@ class Place(NamedTuple):
     @property
     def where(self) -> str:
         """The part of the machine; "" for all of it."""
-        return f"axis {self.axis}" if self.axis else f"span {self.span}" if self.span else ""
+        return f"axis {self.axis}" if self.axis else f"span {self.section}" if self.section else ""
 
     def beside(self, other: Place) -> str:
         """As what is tied with another: with its part of the machine where that is not the other's."""
@@ -59,9 +59,9 @@ Key = tuple[Place, int, str | None]
 class Term:
     """One effect at one place, with values.
 
-    `axis` counts from 1 and is None for the web; `span` as well, and is None for all spans, or the only one; `slot`
-    counts what the place has of the effect, from 0. `values` and `base` have every parameter of the effect by name, in
-    its unit.
+    `axis` counts from 1 and is None for the web; `section`, the number of a span, as well, and is None for all spans,
+    or the only one; `slot` counts what the place has of the effect, from 0. `values` and `base` have every parameter of
+    the effect by name, in its unit.
     """
 
     effect: Effect
@@ -77,7 +77,7 @@ class Term:
     least: Mapping[str, float] = field(default_factory=dict)  #: below which a shape can't be known from a recording
     part: str | None = None  #: of an effect with several strengths the one that this term is; the others are not its
     held: frozenset[str] = frozenset()  #: shapes that are known and not fitted
-    span: int | None = None
+    section: int | None = None
 
     @property
     def key(self) -> Key:
@@ -87,7 +87,7 @@ class Term:
     @property
     def place(self) -> Place:
         """What is named."""
-        return Place(self.effect.id, self.axis, self.span)
+        return Place(self.effect.id, self.axis, self.section)
 
     @property
     def is_searched(self) -> bool:
@@ -121,7 +121,11 @@ class Term:
     def overlaps(self, other: Term) -> bool:
         """Whether they write the same values of a model: one of all spans those of each."""
         (place, *rest), (its, *others) = self.key, other.key
-        return rest == others and place[:2] == its[:2] and (place.span == its.span or None in (place.span, its.span))
+        return (
+            rest == others
+            and place[:2] == its[:2]
+            and (place.section == its.section or None in (place.section, its.section))
+        )
 
     def moved_to(self, time_s: float) -> Term:
         """The same from another time on. Raises ValueError for a term without one."""
@@ -217,7 +221,7 @@ def pack_with(model: Machine, terms: list[Term]) -> Array:
     """The kernel's parameter vector of a model with these terms."""
     parameters = machines.pack(model)
     for term in sorted(terms, key=_of_all_first):
-        machines.write_effect(model, parameters, term.effect, term.axis, term.slot, term.own, span=term.span)
+        machines.write_effect(model, parameters, term.effect, term.axis, term.slot, term.own, section=term.section)
     return parameters
 
 
@@ -225,27 +229,27 @@ def extended(model: Machine, terms: list[Term]) -> Machine:
     """The model with the terms in its effects; a term at a place where the model has the effect replaces its values."""
     entries: list[EffectEntry] = list(model.effects)
     for term in sorted(terms, key=_of_all_first):
-        if term.span is not None:
-            entries = _by_span(entries, term.effect.id, model.span_count)
+        if term.section is not None:
+            entries = _by_section(entries, term.effect.id, model.span_count)
         positions = [k for k, e in enumerate(entries) if Place.of(e) == term.place]
         if term.slot < len(positions):
             before = entries[positions[term.slot]]
             entries[positions[term.slot]] = before.model_copy(update={"parameters": before.parameters | term.own})
         else:
-            entries.append(machines.entry(model, term.effect.id, term.axis, term.own, term.span))
+            entries.append(machines.entry(model, term.effect.id, term.axis, term.own, term.section))
     return machines.with_effects(model, entries)
 
 
 def _of_all_first(term: Term) -> bool:
-    return term.span is not None
+    return term.section is not None
 
 
-def _by_span(entries: list[EffectEntry], effect_id: str, spans: int) -> list[EffectEntry]:
+def _by_section(entries: list[EffectEntry], effect_id: str, sections: int) -> list[EffectEntry]:
     """The same with an entry for each span instead of one for all of them."""
     found: list[EffectEntry] = []
     for entry in entries:
-        if entry.effect == effect_id and entry.span is None:
-            found += [entry.model_copy(update={"span": span}) for span in range(1, spans + 1)]
+        if entry.effect == effect_id and entry.section is None:
+            found += [entry.model_copy(update={"span": number}) for number in range(1, sections + 1)]
         else:
             found.append(entry)
     return found

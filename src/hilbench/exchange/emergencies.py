@@ -48,7 +48,7 @@ class Emergency:
     register: int
     cleared: int = 0
     shift_Nm: float = 0.0  #: of TORQUE_SHIFT: what the measured torque has shifted by
-    span: int = 0  #: number of the span that the twin speaks of, on a line of several
+    part: int = 0  #: number of the span that the twin speaks of, on a line of several
 
     @classmethod
     def of(cls, node_id: int, node: str, data: bytes) -> Emergency | None:
@@ -63,19 +63,19 @@ class Emergency:
     @property
     def kind(self) -> str:
         """What counts as the same message: the code, or the code that is taken back; of each span by itself."""
-        return f"{self.code:04X}{self.cleared:04X}" + (f" {self.span}" if self.span else "")
+        return f"{self.code:04X}{self.cleared:04X}" + (f" {self.part}" if self.part else "")
 
     @property
     def where(self) -> str:
         """The span, for a message; "" where there is one."""
-        return f" in span {self.span}" if self.span else ""
+        return f" in span {self.part}" if self.part else ""
 
     def __str__(self) -> str:
         if self.code == 0:
             return f"EMCY 0000h: {_meaning(self.cleared)} is over" if self.cleared else "EMCY 0000h: no error any more"
         size = f", {self.shift_Nm:+.3g} N·m" if self.code == TORQUE_SHIFT else ""
         if self.code in (TORQUE_SHIFT, UNDECIDED):
-            return f"EMCY {self.code:04X}h: {_meaning(self.code, self.span)}{size}"
+            return f"EMCY {self.code:04X}h: {_meaning(self.code, self.part)}{size}"
         return f"EMCY {self.code:04X}h: {_meaning(self.code)}{self.where}"
 
 
@@ -107,9 +107,9 @@ class EmergencyInbox:
         return True
 
 
-def _meaning(code: int, span: int = 0) -> str:
-    """`span`: at which it is; its torque is that of the axis behind it."""
+def _meaning(code: int, part: int = 0) -> str:
+    """`part`: span at which it is; its torque is that of the axis behind it."""
     if code in _OF_TWIN:
-        return _OF_TWIN[code].format(axis=span + 1 if span else 2)
+        return _OF_TWIN[code].format(axis=part + 1 if part else 2)
     text = f"{code:04X}"
     return next((name for start, name in _CLASSES.items() if text.startswith(start)), "error")

@@ -121,7 +121,7 @@ def _place(effect: Mapping[str, Any]) -> str:
     """Of an effect as a diagnosis writes it, in the path of a quantity."""
     if effect["axis"]:
         return f"axis{effect['axis']}"
-    return f"span{effect['span']}" if effect.get("span") else web_line.PLACE
+    return web_line.place(effect)
 
 
 def _of_diagnosis(folder: RunFolder) -> Iterator[Quantity]:

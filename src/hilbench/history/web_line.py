@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator
-from typing import Final
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Any, Final
 
 from hilbench.history.estimate import Estimate
 
@@ -20,3 +20,8 @@ def estimates(channels: Iterable[str]) -> Iterator[Estimate]:
             number = match[1] or ""
             place = f"span{number}" if number else PLACE
             yield Estimate(name, f"E{number}_sd_Pa", f"{place}.youngs_modulus_Pa", "Pa")
+
+
+def place(effect: Mapping[str, Any]) -> str:
+    """Of an effect that is of no axis, as a diagnosis writes it."""
+    return f"span{effect['span']}" if effect.get("span") else PLACE

@@ -14,9 +14,9 @@ class Per(StrEnum):
     AXIS = "axis"  #: a driven axis of the machine
     LOAD_MOTOR = "load_motor"
     SPAN = "span"
-    ESTIMATED_SPAN = "estimated_span"  #: a span at which the twin estimates something
-    CONTROLLED_SPAN = "controlled_span"  #: a span whose tension a controller keeps
-    SIMULATED_SPAN = "simulated_span"  #: a span whose tension the twin tells
+    ESTIMATED = "estimated"  #: a span at which the twin estimates something
+    CONTROLLED = "controlled"  #: a span whose tension a controller keeps
+    SIMULATED = "simulated"  #: a span whose tension the twin tells
     CARRIAGE = "carriage"  #: of a dancer or accumulator
     REEL = "reel"
     MEASURED_CARRIAGE = "measured_carriage"  #: one with a sensor of its position
@@ -30,7 +30,7 @@ class Per(StrEnum):
     @property
     def is_of_span(self) -> bool:
         """Whether a part is counted among the spans."""
-        return self in (Per.SPAN, Per.ESTIMATED_SPAN, Per.CONTROLLED_SPAN, Per.SIMULATED_SPAN)
+        return self in (Per.SPAN, Per.ESTIMATED, Per.CONTROLLED, Per.SIMULATED)
 
     @property
     def is_counted(self) -> bool:

@@ -107,9 +107,9 @@ class Shape:
         numbers: Mapping[Per, Iterable[int]] = {
             Per.AXIS: range(1, self.axes + 1),
             Per.SPAN: range(1, self.spans + 1),
-            Per.ESTIMATED_SPAN: self.estimated,
-            Per.CONTROLLED_SPAN: self.controlled,
-            Per.SIMULATED_SPAN: self.simulated,
+            Per.ESTIMATED: self.estimated,
+            Per.CONTROLLED: self.controlled,
+            Per.SIMULATED: self.simulated,
         }
         return map(str, numbers[per])
 
@@ -196,8 +196,8 @@ def shape_of(names: Iterable[str]) -> Shape:
     return Shape(
         axes=max(found[Per.AXIS], default=0),
         spans=max(of_spans, default=0),
-        estimated=tuple(sorted(found[Per.ESTIMATED_SPAN])),
-        controlled=tuple(sorted(found[Per.CONTROLLED_SPAN])),
+        estimated=tuple(sorted(found[Per.ESTIMATED])),
+        controlled=tuple(sorted(found[Per.CONTROLLED])),
     )
 
 

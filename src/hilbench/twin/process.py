@@ -107,7 +107,7 @@ class TwinApplication:
         self._measured = list(self._nothing)
         self._owed = [0] * len(self._listeners)  # SYNCs that the axis has not answered
         self._measured_before: list[Measured] | None = None  # while the machine waits to be released
-        self._alarms = {span: Alarms(setup.cycle_s) for span in machine.problems}
+        self._alarms = {part: Alarms(setup.cycle_s) for part in machine.problems}
         self._reported_shift_Nm, self._reported_undecided = 0.0, False
         self._pending = self._released = False
         self._sync_number = self._behind = 0
@@ -243,12 +243,12 @@ class TwinApplication:
 
     def _report_problem(self) -> None:
         """Say by EMCY why a measurement can't be used, and when it can be again."""
-        for span, found in self._machine.problems.items():
-            begun, ended = self._alarms[span].update(found)
+        for part, found in self._machine.problems.items():
+            begun, ended = self._alarms[part].update(found)
             for problem in ended:
-                self._device.clear_emergency(problem, span)
+                self._device.clear_emergency(problem, part)
             for problem in begun:
-                self._device.emergency(problem, _PROFILE_SPECIFIC, _at(span), span)
+                self._device.emergency(problem, _PROFILE_SPECIFIC, _at(part), part)
 
     def _report_shift(self) -> None:
         """Say by EMCY what the torque is corrected for, and whether something is open."""
@@ -307,9 +307,9 @@ class TwinApplication:
         self._io.publish(self._machine.published())
 
 
-def _at(span: int) -> bytes:
+def _at(part: int) -> bytes:
     """The manufacturer's five bytes of an EMCY message: the number of the span in the last; 0: there is one."""
-    return bytes((0, 0, 0, 0, span))
+    return bytes((0, 0, 0, 0, part))
 
 
 def run_twin(setup: TwinSetup, stop: Callable[[], bool], say: Callable[[str], None]) -> int | None:

@@ -15,6 +15,7 @@ from hilbench.diagnosis.measured import STANDSTILL_M_S, Before, Measured
 from hilbench.diagnosis.misfit import Condition
 from hilbench.diagnosis.noise import floor
 from hilbench.diagnosis.web_line.loop_check import Loop
+from hilbench.diagnosis.web_tensions import tension_names
 from hilbench.estimation.web_line.balance import web_force_N
 from hilbench.plant.web_line import laws
 from hilbench.plant.web_line import layout as lay
@@ -99,7 +100,7 @@ class FreeRun:
         names += [f"v{axis}_m_s" for axis in speeds]
         rows += [data.v_m_s[axis] for axis in speeds]
         self._tensions = sorted(data.F_N)
-        names += data.tension_names()
+        names += tension_names(data.F_N)
         rows += [data.F_N[span] for span in self._tensions]
         self._torques = sorted(data.tau_Nm)
         self.names, self.measured = tuple(names), np.array(rows)

@@ -21,6 +21,7 @@ from hilbench.diagnosis.noise import floor
 from hilbench.diagnosis.smooth_motion import Thinning, integrated, low_passed, smoothed
 from hilbench.diagnosis.web_line.free_run import of_span, remembered_m
 from hilbench.diagnosis.web_line.loop_check import Loop, Told, loop_of
+from hilbench.diagnosis.web_tensions import tension_names
 from hilbench.plant.parameters import per_item
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.line_inverse import RequiredTorques, required_torques
@@ -79,7 +80,7 @@ class LineOnMeasuredMotion:
         self._mixed = np.eye(len(torques)) if self.knows_strain else np.ones((1, len(torques)))
         if not self.knows_strain:
             torques = [" + ".join(torques)]
-        self.names = (*torques, *(data.tension_names() if self.knows_strain else ()))
+        self.names = (*torques, *(tension_names(data.F_N) if self.knows_strain else ()))
         noise = _Noise(model, data)
         thinning = noise.thinning
         self._thinning, self.every = thinning, thinning.every
