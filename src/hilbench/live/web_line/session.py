@@ -208,7 +208,11 @@ class Session:
 
     def _is_noise(self, stretch: Stretch, model: ModelParameters) -> bool:
         """Whether a model leaves nothing but noise of the torques."""
-        predictor, (residual, _) = stretch.predictor, self._fitted(stretch, model)
+        return self._leaves_noise(stretch, model, self._fitted(stretch, model)[0])
+
+    def _leaves_noise(self, stretch: Stretch, model: ModelParameters, residual: Array) -> bool:
+        """The same of what it has left (signals, n)."""
+        predictor = stretch.predictor
         torques = [k for k, name in enumerate(predictor.names) if name.startswith("tau")]
         floors = {k: predictor.floor(k) for k in torques}
         if max(ratios(residual, predictor.rows, floors).values()) > largest_ratio(predictor.rows):
@@ -263,9 +267,11 @@ class Session:
             self._begin_anew()
             return
         before = stretch.residual(packed(models.with_modulus(self._in_use, self._modulus_Pa)))
-        (_, old_cost), (after, new_cost) = (self._fitted(stretch, model) for model in (self._in_use, case.candidate))
+        (left, old_cost), (after, new_cost) = (self._fitted(stretch, model) for model in (self._in_use, case.candidate))
         gain = old_cost - new_cost
-        if gain > _DECISIVE:
+        # A change that many samples make certain may still be one that nobody would see: of an effect that the model
+        # has, a little more or less, put down to another one.
+        if gain > _DECISIVE and not self._leaves_noise(stretch, self._in_use, left):
             self._decide(case, FoundGap(*_gap(torque_gap(stretch, before, after))))
         elif gain < 0.0 or end - first >= _TRIALS * length:
             self._say("ended", case.begun, "on new data the model in use is as good as the changed one: it stays")
