@@ -38,6 +38,7 @@ _MARKS: Final = {
     "twin_back": "twin is back",
     "effect_named": "named: {path}",
     "effect_gone": "gone: {path}",
+    "effect_dismissed": "not confirmed: {path}",
     "model_applied": "in the model: {path}",
     "model_refused": "refused: {path}",
     "model_announced": "announced: {path}",

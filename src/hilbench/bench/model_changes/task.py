@@ -193,6 +193,9 @@ class ModelChanges(CyclicTask):
             self.changes.append(change)
             self._journal("effect_named", change, news.effects)
             self._journal("effect_gone", change, news.gone)
+        elif news.what == "dismissed" and self.changes:
+            change = self.changes.pop()
+            self._journal("effect_dismissed", change)
         elif news.what == "decided" and self.changes:
             change = self.changes[-1]
             change.decided_s, change.gap, change.model = self._state.sample.t_s, news.gap, news.model

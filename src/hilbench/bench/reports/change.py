@@ -15,6 +15,7 @@ What = Literal[
     "gap_seen",
     "effect_named",
     "effect_gone",
+    "effect_dismissed",
     "model_proposed",
     "model_refused",
     "model_applied",
@@ -32,9 +33,9 @@ class Change:
     `value`; ``predicted``: the signal `path` was predicted to go beyond the level
     `value`, with the probability `before`; ``stopping``: the drives are brought to a stop.
     Of the diagnosis that goes on meanwhile: ``gap_seen``: model and measurement part since `value` s; ``effect_named``,
-    ``effect_gone``: by the effect `path`, whose strength has `value`; ``model_proposed``, ``model_refused``: the twin
-    could go on, or is not to go on, with that; ``model_applied``: it does; ``model_announced``: the machine has got
-    `path` on purpose.
+    ``effect_gone``: by the effect `path`, whose strength has `value`; ``effect_dismissed``: new data did not confirm
+    that; ``model_proposed``, ``model_refused``: the twin could go on, or is not to go on, with that; ``model_applied``:
+    it does; ``model_announced``: the machine has got `path` on purpose.
     """
 
     cycle: int

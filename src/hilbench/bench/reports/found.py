@@ -50,13 +50,14 @@ class FoundGap:
 class News:
     """One thing that the diagnosis has to say; `begun_cycle`: since when there has been what it is about.
 
-    ``seen``: model and measurement part; ``named``: by `effects`, or `gone` ones; ``decided``: with `model` (effects as
-    `hilbench.twin.model_change.with_effects` reads them, "" for the configured model) the gap is smaller on data that
-    neither has seen; ``ended``: the gap is not there any more, or is none that the model's structure has to do with;
-    ``unknown``: no effect of the vocabulary explains it.
+    ``seen``: model and measurement part; ``named``: by `effects`, or `gone` ones; ``dismissed``: that was not confirmed
+    by data that neither model has seen; ``decided``: with `model` (effects as `hilbench.twin.model_change.with_effects`
+    reads them, "" for the configured model) the gap is smaller on data that neither has seen; ``ended``: the gap is not
+    there any more, or is none that the model's structure has to do with; ``unknown``: no effect of the vocabulary
+    explains it.
     """
 
-    what: Literal["seen", "named", "decided", "ended", "unknown"]
+    what: Literal["seen", "named", "dismissed", "decided", "ended", "unknown"]
     begun_cycle: int
     text: str
     effects: tuple[FoundEffect, ...] = ()

@@ -274,7 +274,7 @@ class Session:
         if gain > _DECISIVE and not self._leaves_noise(stretch, self._in_use, left):
             self._decide(case, FoundGap(*_gap(torque_gap(stretch, before, after))))
         elif gain < 0.0 or end - first >= _TRIALS * length:
-            self._say("ended", case.begun, "on new data the model in use is as good as the changed one: it stays")
+            self._say("dismissed", case.begun, "on new data the model in use is as good as the changed one: it stays")
             self._begin_anew()
 
     def _fitted(self, stretch: Stretch, model: ModelParameters) -> tuple[Array, float]:
@@ -307,7 +307,7 @@ class Session:
 
     # -- words -----------------------------------------------------------------------------------------------
 
-    def _say(self, what: Literal["seen", "named", "ended", "unknown"], begun: int, text: str) -> None:
+    def _say(self, what: Literal["seen", "named", "dismissed", "ended", "unknown"], begun: int, text: str) -> None:
         case = self._case
         effects, gone = (case.effects, case.gone) if case is not None and what == "named" else ((), ())
         self._news.append(News(what, begun, text, effects, gone))
