@@ -46,6 +46,8 @@ _FLAT, _PILED, _NEXT = 5, 3.0, 0.002
 _AT_LIMIT: Final = 0.01
 #: Rows from which a value that stays is looked at, and the chance up to which it stays by itself.
 _STUCK, _BY_CHANCE = 20, 1e-9
+#: Share of its rows in which a torque with noise is at most what it was in the row before.
+_HARDLY_EVER: Final = 0.1
 #: What a diagnosis reads; other channels may hold what they like.
 _READ: Final = re.compile(r"(x|v|tau)\d+(_cmd)?_(m|m_s|rad|rad_s|Nm)|strain_prev|F_next_N|F\d*_meas_N")
 _MEASURED: Final = re.compile(r"(x|v|tau)\d+_(m|m_s|rad|rad_s|Nm)")
@@ -249,8 +251,10 @@ def _without_stuck_values(table: _Table) -> _Table:
                 stuck[start:end] = end < len(values) and _moved_on(values, start, end, quantum)
             elif np.min(values) < values[start] < np.max(values):  # at an end of its range it may be cut off
                 elsewhere = (np.count_nonzero(again) - (end - start)) / len(values)
-                stuck[start:end] = len(values) * max(elsewhere, 1e-3) ** (end - start) < _BY_CHANCE and any(
-                    _moves(table.channels[x], start, end) for x in positions
+                stuck[start:end] = (
+                    _is_noisy(values, elsewhere, quantum)
+                    and len(values) * max(elsewhere, 1e-3) ** (end - start) < _BY_CHANCE
+                    and any(_moves(table.channels[x], start, end) for x in positions)
                 )
         if np.any(stuck):
             filled = values.copy()
@@ -259,6 +263,15 @@ def _without_stuck_values(table: _Table) -> _Table:
             text = f"channel {name} stays at one value in {count} row(s), the first at t = {at:g} s: rows left out"
             table = table.with_channel(name, filled, Repair("stuck", name, count, text), left_out=stuck)
     return table
+
+
+def _is_noisy(values: Array, repeated: float, quantum: float) -> bool:
+    """Whether a torque changes by more than its counts nearly always: without noise one that stays is no wonder.
+
+    `repeated`: share of the rows, but for those in question, in which it is what it was.
+    """
+    steps = np.abs(np.diff(values))
+    return repeated < _HARDLY_EVER and float(np.median(steps[steps > 0.0])) > _QUANTA * quantum
 
 
 def _moves(x: Array, start: int, end: int) -> bool:

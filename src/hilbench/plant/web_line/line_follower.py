@@ -44,7 +44,8 @@ def _entry_points(sources: int) -> tuple[Resistance, RadiusRatio]:
     def resistance(p: Vector, row: int, x_m: float, v_m_s: float, width_m_s: float) -> float:
         if sources < 0:
             return 0.0
-        return laws.measured_resistance_N(p, lay.W_SIZE + row * lay.A_SIZE, x_m, v_m_s, width_m_s)
+        direction = laws.measured_direction(v_m_s, width_m_s)
+        return laws.measured_resistance_N(p, lay.W_SIZE + row * lay.A_SIZE, x_m, v_m_s, direction)
 
     @entry_point
     def radius_ratio(p: Vector, row: int, x_m: float) -> float:
