@@ -37,3 +37,17 @@ def test_axes_that_stand_may_differ_by_the_least_way() -> None:
         pairing = Pairing(least_way_m)
         pairing.update(0.0, 0.0)
         assert pairing.update(0.0, 5e-5) is alike
+
+
+def test_after_cycles_that_nobody_has_counted_a_position_that_is_a_cycle_old_is_still_told() -> None:
+    pairing = Pairing(1e-4)
+    for cycle in range(3):
+        assert pairing.update(cycle * WAY_M, cycle * WAY_M)
+    assert not pairing.update(7.0 * WAY_M, 8.0 * WAY_M)
+    assert all(pairing.update(cycle * WAY_M, 1.0001 * cycle * WAY_M) for cycle in range(9, 20))
+
+
+def test_a_line_that_speeds_up_from_rest_is_followed() -> None:
+    pairing = Pairing(1e-5)
+    ways = [5.0 * (0.002 * cycle) ** 2 / 2.0 for cycle in range(400)]
+    assert all(pairing.update(way, 1.0005 * way) for way in ways)

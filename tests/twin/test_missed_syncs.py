@@ -52,6 +52,30 @@ def motion(time_s: float) -> list[tuple[float, float]]:
     return [(way_m * MODEL.motor_rad_per_m(k), pulls_N[k - 1] / MODEL.motor_rad_per_m(k)) for k in (1, 2)]
 
 
+def test_after_missed_cycles_positions_of_two_instants_are_told_from_those_of_one() -> None:
+    setup = twin_setup(CONFIG)
+    around = boundary(MODEL)
+    machine = new_machine(MODEL, setup.twin, setup.shape, CYCLE_S, lambda name: around[name])
+    for port in machine.ports:
+        port.mode, port.torque_limit_Nm = MotorMode.VELOCITY, 9.0
+    cycle = 1000  # at 2 m/s
+    machine.release(motion((cycle - 1) * CYCLE_S), motion(cycle * CYCLE_S))
+    for _ in range(10):
+        cycle += 1
+        assert machine.compare(cycle * CYCLE_S, motion(cycle * CYCLE_S))
+    for _ in range(4):
+        cycle += 1
+        machine.miss()
+    cycle += 1
+    late, now = motion((cycle - 1) * CYCLE_S)[0], motion(cycle * CYCLE_S)[1]
+    assert not machine.compare(cycle * CYCLE_S, [late, now])
+    used = []
+    for _ in range(5):
+        cycle += 1
+        used.append(machine.compare(cycle * CYCLE_S, motion(cycle * CYCLE_S)))
+    assert used[-1], "the twin goes on with what is measured"
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_a_start_at_which_the_bench_leaves_syncs_out_is_no_web_break(
     seed: int, monkeypatch: pytest.MonkeyPatch

@@ -10,6 +10,8 @@ from math import isfinite
 
 #: Ways of the rollers that differ by more than this share of a cycle's way are not of one instant.
 _ALIKE = 0.3
+#: A cycle's way is at most so many times that of the cycle before: more was the way of cycles that nobody has counted.
+_LONGER = 1.5
 #: Beyond any acceleration of a line.
 _FASTEST_M_S2 = 100.0
 
@@ -17,7 +19,9 @@ _FASTEST_M_S2 = 100.0
 class Pairing:
     """Compares the ways of all axes since their positions were last of one instant.
 
-    Ways that differ by no more than `least_way` (m, or rad of a rotary machine) are alike.
+    Ways that differ by no more than `least_way` (m, or rad of a rotary machine) are alike. What was once taken for
+    positions of one instant is what all later ones are compared with: if it was not, none will ever be. So after a
+    pause, in which the ways grow long, they may differ by no more than before it.
     """
 
     def __init__(self, least_way: float) -> None:
@@ -29,6 +33,7 @@ class Pairing:
         """The next positions are taken as they are."""
         self._last: tuple[float, ...] | None = None
         self._cycles = 0
+        self._way: float | None = None  # of a cycle
 
     def miss(self) -> None:
         """A cycle without positions of its own."""
@@ -41,9 +46,13 @@ class Pairing:
         if last is not None:
             ways = [abs(now_m - last_m) for now_m, last_m in zip(positions_m, last, strict=True)]
             longest, finite = max(ways), isfinite(sum(ways))
-            if not finite or longest - min(ways) > max(self._least_way, _ALIKE * longest / self._cycles):
+            way = longest / self._cycles
+            if self._way is not None:
+                way = min(way, max(_LONGER * self._way, self._least_way))
+            if not finite or longest - min(ways) > max(self._least_way, _ALIKE * way):
                 self.unpaired += 1
                 return False
+            self._way = way
         self._last, self._cycles = positions_m, 0
         return True
 

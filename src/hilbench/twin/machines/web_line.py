@@ -165,7 +165,7 @@ class WebLineTwin:
         """Let the synchronizers compare; False where the positions are not of one instant."""
         positions_m = self._positions_m(measured)
         if not self._pairing.update(*positions_m) or not self._steady.update(positions_m[self._all[0].span]):
-            self.miss()
+            self._go_without()
             return False
         strain_prev, F_next_N = self._told("strain_prev"), self._told("F_next_N")
         torques_Nm = [torque_Nm for _, torque_Nm in measured]
@@ -230,7 +230,11 @@ class WebLineTwin:
         ]
 
     def miss(self) -> None:
-        """A cycle without measurement."""
+        """A cycle without measurement: what is measured next has come a cycle further."""
+        self._pairing.miss()
+        self._go_without()
+
+    def _go_without(self) -> None:
         for each in self._all:
             each.tracking.miss()
 
