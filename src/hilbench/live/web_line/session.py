@@ -21,7 +21,7 @@ from hilbench.diagnosis.diagnosis import Diagnosis, diagnosed
 from hilbench.diagnosis.misfit import largest_ratio, misfits, ratios
 from hilbench.errors import UnusableInputError
 from hilbench.live.web_line import models
-from hilbench.live.web_line.stretch import Stretch, data_of, packed, quiet_cycle, torque_gap
+from hilbench.live.web_line.stretch import Stretch, data_of, packed, quiet_cycle, shows_in_torque, torque_gap
 from hilbench.live.web_line.watch import ROW, Piece, Watch
 from hilbench.live.window import Window
 from hilbench.plant.web_line.imitation import Imitation
@@ -208,11 +208,7 @@ class Session:
 
     def _is_noise(self, stretch: Stretch, model: ModelParameters) -> bool:
         """Whether a model leaves nothing but noise of the torques."""
-        return self._leaves_noise(stretch, model, self._fitted(stretch, model)[0])
-
-    def _leaves_noise(self, stretch: Stretch, model: ModelParameters, residual: Array) -> bool:
-        """The same of what it has left (signals, n)."""
-        predictor = stretch.predictor
+        predictor, (residual, _) = stretch.predictor, self._fitted(stretch, model)
         torques = [k for k, name in enumerate(predictor.names) if name.startswith("tau")]
         floors = {k: predictor.floor(k) for k in torques}
         if max(ratios(residual, predictor.rows, floors).values()) > largest_ratio(predictor.rows):
@@ -267,11 +263,11 @@ class Session:
             self._begin_anew()
             return
         before = stretch.residual(packed(models.with_modulus(self._in_use, self._modulus_Pa)))
-        (left, old_cost), (after, new_cost) = (self._fitted(stretch, model) for model in (self._in_use, case.candidate))
+        (_, old_cost), (after, new_cost) = (self._fitted(stretch, model) for model in (self._in_use, case.candidate))
         gain = old_cost - new_cost
         # A change that many samples make certain may still be one that nobody would see: of an effect that the model
         # has, a little more or less, put down to another one.
-        if gain > _DECISIVE and not self._leaves_noise(stretch, self._in_use, left):
+        if gain > _DECISIVE and shows_in_torque(stretch, before, after):
             self._decide(case, FoundGap(*_gap(torque_gap(stretch, before, after))))
         elif gain < 0.0 or end - first >= _TRIALS * length:
             self._say("dismissed", case.begun, "on new data the model in use is as good as the changed one: it stays")

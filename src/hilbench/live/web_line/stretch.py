@@ -28,6 +28,8 @@ _QUIET_S, _QUIET_M_S = 0.5, 0.01
 _MOVES_M_S = 0.05
 #: The same of the mean tension, from that time to the one before, N.
 _QUIET_N = 0.5
+#: Share of its noise by which the gap of a torque is smaller, at least, with a changed model.
+_SHOWS = 0.02
 
 
 def quiet_cycle(window: Window, first: int, end: int, cycle_s: float) -> int | None:
@@ -108,6 +110,17 @@ def _smooth_end(x: Array) -> Array:
     rows = x[-min(_SMOOTHED, len(x)) :]
     at = np.arange(len(rows)) - (len(rows) - 1.0)
     return np.array([np.polyfit(at, column - column[-1], 2)[-1] + column[-1] for column in rows.T])
+
+
+def shows_in_torque(stretch: Stretch, before: Array, after: Array) -> bool:
+    """Whether a change of the model takes something off the gap of a torque: of residuals (signals, n) before and after
+    it."""
+    rows, predictor = stretch.predictor.rows, stretch.predictor
+    torques = [k for k, name in enumerate(predictor.names) if name.startswith("tau")]
+    less_Nm = np.sqrt(np.mean(before[torques][:, rows] ** 2, axis=1)) - np.sqrt(
+        np.mean(after[torques][:, rows] ** 2, axis=1)
+    )
+    return bool(np.any(less_Nm > _SHOWS * np.array([predictor.floor(k) for k in torques])))
 
 
 def torque_gap(stretch: Stretch, before: Array, after: Array) -> tuple[str, float, float, float]:
