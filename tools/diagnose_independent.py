@@ -28,6 +28,7 @@ import docs_page
 import finished_cases
 import numpy as np
 from diagnose_scoreboard import Case, holds, right
+from drawn_effects import SINGLES, drawn_values
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))  # the line lies with the tests
@@ -69,21 +70,6 @@ CONDITIONS: dict[str, dict[str, Any]] = {
     "no torque of axis 1": {"without": ["tau1_Nm"]},
     "production run": {"profile": "production"},
 }
-#: Sizes that are usual on this machine; a draw takes half of it to twice.
-SINGLES: dict[str, dict[str, float]] = {
-    "coulomb_friction": {"force_N": 4.0},
-    "viscous_friction": {"coefficient_N_s_per_m": 2.0},
-    "roller_eccentricity": {"amplitude_m": 2e-5, "phase_rad": 0.0},
-    "torque_ripple": {"amplitude_Nm": 0.06, "order": 2.0, "phase_rad": 0.0},
-    "torque_offset": {"offset_Nm": 0.05},
-    "torque_scale": {"relative_change": 0.1},
-    "inertia_mismatch": {"relative_change": 0.15},
-    "elasticity_shift": {"relative_change": 0.1},
-    "elasticity_step": {"time_s": 0.0, "relative_change": 0.1},
-    "elasticity_drift": {"rate_per_s": 2e-3},
-    "web_slip": {"creep_per_N": 2e-6},
-    "upstream_disturbance": {"amplitude_N": 4.0, "frequency_Hz": 0.8, "phase_rad": 0.0},
-}
 OF_THE_WEB = ("elasticity_shift", "elasticity_step", "elasticity_drift", "web_slip", "upstream_disturbance")
 UNKNOWN: tuple[Any, ...] = (
     effect("hysteresis", 2, force_N=8.0),
@@ -112,18 +98,7 @@ def drawn(seed: int) -> list[Recorded]:
 
     def item(names: list[str]) -> dict[str, Any]:
         name = names.pop(int(rng.integers(len(names))))
-        values = {}
-        for parameter, usual in SINGLES[name].items():
-            value = usual * float(np.exp(rng.uniform(-0.7, 0.7)))
-            if parameter in ("offset_Nm", "relative_change", "rate_per_s") and rng.random() < 0.5:
-                value = -value
-            if parameter == "phase_rad":
-                value = float(rng.uniform(-3.0, 3.0))
-            if parameter == "order":
-                value = float(rng.choice([1.0, 2.0, 6.0]))
-            if parameter == "time_s":
-                value = float(rng.uniform(0.35, 0.8) * DURATION_S)
-            values[parameter] = value
+        values = drawn_values(SINGLES[name], rng, DURATION_S)
         return dict(effect(name, None if name in OF_THE_WEB else int(rng.integers(1, 3)), **values))
 
     def conditions() -> dict[str, Any]:

@@ -26,6 +26,7 @@ from typing import Any
 import docs_page
 import finished_cases
 import numpy as np
+from drawn_effects import SINGLES, drawn_values
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))  # the line lies with the tests
@@ -41,23 +42,8 @@ from hilbench.results.recording import Recording  # noqa: E402
 
 SPANS = 3
 DURATION_S = 40.0
-#: Sizes that are usual on this machine; a draw takes half of it to twice.
-SINGLES: dict[str, dict[str, float]] = {
-    "coulomb_friction": {"force_N": 4.0},
-    "viscous_friction": {"coefficient_N_s_per_m": 2.0},
-    "roller_eccentricity": {"amplitude_m": 2e-5, "phase_rad": 0.0},
-    "torque_ripple": {"amplitude_Nm": 0.06, "order": 2.0, "phase_rad": 0.0},
-    "torque_offset": {"offset_Nm": 0.05},
-    "torque_scale": {"relative_change": 0.1},
-    "inertia_mismatch": {"relative_change": 0.15},
-    "elasticity_shift": {"relative_change": 0.1},
-    "elasticity_step": {"time_s": 0.0, "relative_change": 0.1},
-    "elasticity_drift": {"rate_per_s": 2e-3},
-    "web_slip": {"creep_per_N": 2e-6},
-    "upstream_disturbance": {"amplitude_N": 4.0, "frequency_Hz": 0.8, "phase_rad": 0.0},
-    "splice": {"time_s": 0.0, "relative_change": 0.3, "length_m": 0.4},
-}
-_SIGNED = ("offset_Nm", "relative_change", "rate_per_s")
+#: What is hidden, one of each: sizes that are usual on this machine.
+HIDDEN = {**SINGLES, "splice": {"time_s": 0.0, "relative_change": 0.3, "length_m": 0.4}}
 
 
 @dataclass
@@ -105,18 +91,7 @@ def conditions(rng: np.random.Generator) -> dict[str, Any]:
 
 def hidden(name: str, rng: np.random.Generator) -> dict[str, Any]:
     """An effect of a drawn size at a drawn place."""
-    values = {}
-    for parameter, usual in SINGLES[name].items():
-        value = usual * float(np.exp(rng.uniform(-0.7, 0.7)))
-        if parameter in _SIGNED and rng.random() < 0.5:
-            value = -value
-        if parameter == "phase_rad":
-            value = float(rng.uniform(-3.0, 3.0))
-        if parameter == "order":
-            value = float(rng.choice([1.0, 2.0, 6.0]))
-        if parameter == "time_s":
-            value = float(rng.uniform(0.35, 0.8) * DURATION_S)
-        values[parameter] = value
+    values = drawn_values(HIDDEN[name], rng, DURATION_S)
     row = find_effect(name)
     axis = int(rng.integers(1, SPANS + 2)) if row.per_axis else None
     return dict(at_span(effect(name, axis, **values), int(rng.integers(1, SPANS + 1)) if row.per_section else None))
@@ -127,7 +102,7 @@ def asked_for(what: Iterable[str], seeds: range) -> list[Case]:
     made: list[Case] = []
     for seed in seeds:
         rng = np.random.default_rng([31, seed])
-        singles = [Case("single", seed, [hidden(name, rng)], conditions(rng)) for name in SINGLES]
+        singles = [Case("single", seed, [hidden(name, rng)], conditions(rng)) for name in HIDDEN]
         made += singles if "single" in what else []
         nothing = [Case("nothing", 100 * seed + k, [], conditions(rng)) for k in range(5)]
         made += nothing if "nothing" in what else []
@@ -191,7 +166,7 @@ def has_false_name(case: Case) -> bool:
 def summary(done: list[Case]) -> str:
     """Shares by effect, coverage, and what was wrong."""
     lines = ["| hidden | cases | right | false names |", "|---|--:|--:|--:|"]
-    groups = [(name, [c for c in done if c.hidden and c.hidden[0]["effect"] == name]) for name in SINGLES]
+    groups = [(name, [c for c in done if c.hidden and c.hidden[0]["effect"] == name]) for name in HIDDEN]
     groups += [("all", [c for c in done if c.hidden]), ("nothing", [c for c in done if not c.hidden])]
     for name, mine in groups:
         if mine:

@@ -6,13 +6,9 @@ import tempfile
 from math import pi
 from pathlib import Path
 
-from tests.cia402.stand_in import CYCLE_S, FirstOrderMotor, StandingClock
+from tests.cia402.stand_in import CYCLE_S, DriveUnderTest
 
-from hilbench.canopen.device import Device
-from hilbench.canopen.eds import load_eds
-from hilbench.cia402.simulated import SimulatedDrive
 from hilbench.cia402.switches import Switches
-from hilbench.plant.motor_port import MotorPort
 
 INCREMENTS = 10_000  # a turn; velocities in rpm
 TURN_RAD = 2.0 * pi
@@ -67,39 +63,12 @@ def eds_file(folder: Path, *without: int) -> Path:
     return path
 
 
-class EveryMode:
+class EveryMode(DriveUnderTest):
     """The drive; a statement about it is made after some cycles."""
 
-    def __init__(self, switches: Switches | None = None, *, without: tuple[int, ...] = (), slow_s: float = 0.0) -> None:
+    def __init__(self, switches: Switches | None = None, *, without: tuple[int, ...] = ()) -> None:
         with tempfile.TemporaryDirectory() as folder:
-            od = load_eds(eds_file(Path(folder), *without), 1)
-        self.device = Device(od, 1, StandingClock())
-        self.port = MotorPort()
-        self.motor = FirstOrderMotor(self.port)
-        self.drive = SimulatedDrive(self.device, self.port, switches=switches, state_change_s=slow_s)
-        self.device.boot()
-
-    def write(self, index: int, value: int, sub: int = 0) -> None:
-        self.device.cell(index, sub).write(value)
-
-    def read(self, index: int, sub: int = 0) -> int:
-        return int(self.device.cell(index, sub).value)
-
-    def cycle(self, count: int = 1) -> None:
-        for _ in range(count):
-            self.drive.sync(CYCLE_S)
-            self.motor.advance(CYCLE_S)
-            self.drive.publish()
-
-    def controlword(self, value: int, cycles: int = 1) -> int:
-        self.write(0x6040, value)
-        self.cycle(cycles)
-        return self.read(0x6041)
-
-    def enable(self, mode: int) -> None:
-        self.write(0x6060, mode)
-        for value in (0x06, 0x07, 0x0F):
-            self.controlword(value)
+            super().__init__(eds_file(Path(folder), *without), switches=switches)
 
     def seconds(self, duration_s: float) -> int:
         """So much later; the statusword."""

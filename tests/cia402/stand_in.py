@@ -15,6 +15,7 @@ from hilbench.canopen.device import Device
 from hilbench.canopen.eds import load_eds
 from hilbench.canopen.host import Application, DeviceHost
 from hilbench.cia402.simulated import SimulatedDrive
+from hilbench.cia402.switches import Switches
 from hilbench.plant.motor_port import MotorMode, MotorPort
 
 EDS = Path(__file__).parents[2] / "eds" / "hilbench_servo.eds"
@@ -84,11 +85,11 @@ class StandingClock:
 class DriveUnderTest:
     """The simulated drive with its motor; objects are written as by SDO."""
 
-    def __init__(self) -> None:
-        self.device = Device(load_eds(EDS, 1), 1, StandingClock())
+    def __init__(self, eds: Path = EDS, *, switches: Switches | None = None) -> None:
+        self.device = Device(load_eds(eds, 1), 1, StandingClock())
         self.port = MotorPort()
         self.motor = FirstOrderMotor(self.port)
-        self.drive = SimulatedDrive(self.device, self.port)
+        self.drive = SimulatedDrive(self.device, self.port, switches=switches)
         self.device.boot()
         self.device.outbox.clear()
 

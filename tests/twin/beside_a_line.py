@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from tests.plant.models import DEMONSTRATOR
 
 from hilbench.estimation.web_line.config import EstimationConfig
 from hilbench.plant.motor_port import MotorMode
@@ -21,21 +22,11 @@ _TORQUE_NOISE_NM, _POSITION_NOISE_RAD = 0.05, 2e-6
 
 def line_model(*lengths_m: float, **changes: Any) -> ModelParameters:
     """Of driven rollers around spans of these lengths, like the shipped lines."""
-    data: dict[str, Any] = {
-        "web": {"youngs_modulus_Pa": 8.7e9, "width_m": 0.5, "thickness_m": 65e-6, "span_length_m": list(lengths_m)},
-        "rollers": {"radius_m": 0.2, "inertia_kg_m2": 1.167, "gear_ratio": 5.0},
-        "motors": {"inertia_kg_m2": 0.001},
+    of_spans = {
+        "web": {**DEMONSTRATOR["web"], "span_length_m": list(lengths_m)},
         "web_load": [False] + [True] * len(lengths_m),
-        "drives": {
-            "velocity_kp_Nm_s_per_rad": 1.5,
-            "velocity_ki_Nm_per_rad": 30.0,
-            "torque_limit_Nm": 9.0,
-            "current_loop_time_constant_s": 0.001,
-            "sample_time_s": 0.001,
-        },
-        "boundary": {"upstream_tension_N": 80.0, "downstream_tension_N": 70.0},
     }
-    return ModelParameters.model_validate(data | changes)
+    return ModelParameters.model_validate({**DEMONSTRATOR, **of_spans, **changes})
 
 
 class BesideALine:

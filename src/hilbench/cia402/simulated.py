@@ -83,7 +83,7 @@ _TARGETS: Final = {
     OperationMode.CYCLIC_SYNCHRONOUS_TORQUE: (objects.TARGET_TORQUE, 0),
 }
 #: Transitions towards power, which take their time at a slow drive.
-DELAYED: Final = (Transition.T2_SHUTDOWN, Transition.T3_SWITCH_ON, Transition.T4_ENABLE_OPERATION)
+_DELAYED: Final = (Transition.T2_SHUTDOWN, Transition.T3_SWITCH_ON, Transition.T4_ENABLE_OPERATION)
 #: Transitions out of OPERATION ENABLED that an option code (1) puts behind a slow-down ramp.
 _DISABLING: Final = {
     Transition.T5_DISABLE_OPERATION: objects.DISABLE_OPERATION_OPTION_CODE,
@@ -227,7 +227,7 @@ class SimulatedDrive:
     def _controlword_written(self, controlword: int) -> None:
         previous, self._controlword = self._controlword, controlword
         transition = commanded(self._state, controlword, previous)
-        if transition in DELAYED and self._state_change_s > 0.0:
+        if transition in _DELAYED and self._state_change_s > 0.0:
             if self._pending is None or self._pending[0] is not transition:
                 self._pending = transition, self._state_change_s
             return
@@ -243,7 +243,7 @@ class SimulatedDrive:
             self._pending = None
             self._perform(transition)
             following = commanded(self._state, self._controlword, self._controlword)
-            if following in DELAYED:
+            if following in _DELAYED:
                 self._pending = following, self._state_change_s
 
     def _obey(self, transition: Transition | None, controlword: int, previous: int) -> None:

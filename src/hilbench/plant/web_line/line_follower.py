@@ -23,7 +23,7 @@ from hilbench.plant.web_line.line import Line
 from hilbench.plant.web_line.offline import start_state
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.simulated import KIND
-from hilbench.plant.web_line.span import BROKEN, SpanFollower
+from hilbench.plant.web_line.span import BROKEN, SpanFollower, resistance_N
 from hilbench.plant.web_line.stations import Reel
 
 #: Of a driven roller: a pull of 1 kN makes it 1e-9 m/s faster in a second.
@@ -33,19 +33,11 @@ _TORN: Final = 1e-12
 #: Longest integration step where no roller asks for a shorter one, as of a web on driven rollers alone.
 _LONGEST_STEP_S: Final = 0.001
 
-Resistance = Callable[[Vector, int, float, float, float], float]
 RadiusRatio = Callable[[Vector, int, float], float]
 
 
-def _entry_points(sources: int) -> tuple[Resistance, RadiusRatio]:
-    """Compiled functions that are called from Python; `sources` as in the kernel."""
-
-    @entry_point
-    def resistance(p: Vector, row: int, x_m: float, v_m_s: float, width_m_s: float) -> float:
-        if sources < 0:
-            return 0.0
-        direction = laws.measured_direction(v_m_s, width_m_s)
-        return laws.measured_resistance_N(p, lay.W_SIZE + row * lay.A_SIZE, x_m, v_m_s, direction)
+def _entry_point(sources: int) -> RadiusRatio:
+    """Compiled, and called from Python; `sources` as in the kernel."""
 
     @entry_point
     def radius_ratio(p: Vector, row: int, x_m: float) -> float:
@@ -53,10 +45,10 @@ def _entry_points(sources: int) -> tuple[Resistance, RadiusRatio]:
         ratio: float = reels.radius_ratio(p, axis, x_m) if sources >= 0 and reels.is_reel(p, axis) else 1.0
         return ratio
 
-    return resistance, radius_ratio
+    return radius_ratio
 
 
-_resistance, _radius_ratio = _entry_points(kernel.source_number(__file__))
+_radius_ratio = _entry_point(kernel.source_number(__file__))
 
 
 def follower_of(parameters: ModelParameters) -> SpanFollower | LineFollower:
@@ -177,7 +169,7 @@ class LineFollower(Line):
             before = tensions[row - 1] if row else 0.0 if wound else self._upstream_tension_N()
             behind = tensions[row] if row < len(tensions) else 0.0 if wound else self._inputs[lay.U_F_NEXT_N]
             force = float(behind - before) * _radius_ratio(self._p, row, x_m)
-        force -= _resistance(self._p, row, x_m, float(v_m_s), laws.FRICTION_WIDTH_M_S)
+        force -= resistance_N(self._p, row, x_m, float(v_m_s), laws.FRICTION_WIDTH_M_S)
         return float(force / self._rad_per_m[axis - 1])
 
     def _upstream_tension_N(self) -> float:

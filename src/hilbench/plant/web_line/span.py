@@ -175,11 +175,11 @@ def _entry_points(sources: int) -> tuple[FollowCycle, FollowRows, Resistance, Mo
             roll_on(p, s, w, v, boundary[before, 0], boundary[before, 1], duration, _LONGEST_STEP_S, out[row])
 
     @entry_point
-    def resistance(p: Vector, axis: int, x_m: float, v_m_s: float, width_m_s: float) -> float:
+    def resistance(p: Vector, row: int, x_m: float, v_m_s: float, width_m_s: float) -> float:
         if sources < 0:
             return 0.0
         direction = laws.measured_direction(v_m_s, width_m_s)
-        return laws.measured_resistance_N(p, lay.W_SIZE + axis * lay.A_SIZE, x_m, v_m_s, direction)
+        return laws.measured_resistance_N(p, lay.W_SIZE + row * lay.A_SIZE, x_m, v_m_s, direction)
 
     @entry_point
     def modulus(p: Vector, span: int, t: float) -> float:
@@ -191,7 +191,7 @@ def _entry_points(sources: int) -> tuple[FollowCycle, FollowRows, Resistance, Mo
     return follow, follow_rows, resistance, modulus
 
 
-_follow_cycle, _follow_rows, _resistance, _modulus = _entry_points(source_number(__file__))
+_follow_cycle, _follow_rows, resistance_N, _modulus = _entry_points(source_number(__file__))
 
 
 def new_follower_work(layout: Layout) -> Vector:
@@ -312,7 +312,7 @@ class SpanFollower:
             before = tensions[axis - 2] if axis > 1 else self._upstream_tension_N()
             behind = tensions[axis - 1] if axis <= len(tensions) else self._boundary[1]
             force = float(behind - before)
-        force -= _resistance(self._p, axis - 1, self._state.item(axis), float(v_m_s), friction_width_m_s)
+        force -= resistance_N(self._p, axis - 1, self._state.item(axis), float(v_m_s), friction_width_m_s)
         return float(force / self._rad_per_m[axis - 1])
 
     def _upstream_tension_N(self) -> float:
