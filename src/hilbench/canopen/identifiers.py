@@ -19,6 +19,10 @@ SDO_ANSWER: Final = 0x580
 SDO_REQUEST: Final = 0x600
 HEARTBEAT: Final = 0x700
 
+#: Layer setting services (CiA 305): the whole COB-ID, of a master's requests and of the answers.
+LSS_REQUEST: Final = 0x7E5
+LSS_ANSWER: Final = 0x7E4
+
 #: Parts of an 11-bit COB-ID.
 FUNCTION_CODE: Final = 0x780
 NODE_ID: Final = 0x07F

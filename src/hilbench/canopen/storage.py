@@ -16,7 +16,7 @@ _ON_COMMAND = 1
 #: Sub-index → object area it stores: all, communication, application, manufacturer.
 _AREAS = {1: (0x1000, 0x9FFF), 2: (0x1000, 0x1FFF), 3: (0x6000, 0x9FFF), 4: (0x2000, 0x5FFF)}
 #: Not parameters although writable: commands, error history, and set points that must not act after a reset.
-_NEVER = {0x1003, 0x1010, 0x1011, 0x6040, 0x6060, 0x6071, 0x607A, 0x60FF}
+NO_PARAMETERS = {0x1003, 0x1010, 0x1011, 0x6040, 0x6060, 0x6071, 0x607A, 0x60FF}
 
 
 class Storage:
@@ -56,7 +56,7 @@ class Storage:
                 index, sub = cell.variable.index, cell.variable.subindex
                 if (
                     area[0] <= index <= area[1]
-                    and index not in _NEVER
+                    and index not in NO_PARAMETERS
                     and cell.variable.access_type in ("rw", "rww", "rwr")
                 ):
                     self._stored[f"{index:04X}:{sub:02X}"] = cell.encode().hex()

@@ -1,4 +1,4 @@
-"""`hilbench sdo read|write`: one object of one node, by index or name, with its unit."""
+"""`hilbench sdo`: one object of one node, by index or name, with its unit; a whole configuration as a file."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from hilbench.cli import sdo_files
 from hilbench.cli.options import BusOption, ConfigOption, EdsOption, ForceOption, JsonOption, NodeArgument
 from hilbench.errors import BenchFaultError, UnusableInputError
 
@@ -25,7 +26,10 @@ ObjectArgument = Annotated[
     str, typer.Argument(metavar="OBJECT", help="6041, 6041h, 0x1018sub1, 1018:1, or a name: target_velocity")
 ]
 
-app = typer.Typer(help="Read or write one object of a node by SDO.", no_args_is_help=True)
+app = typer.Typer(help="Read or write objects of a node by SDO, one or all of them.", no_args_is_help=True)
+app.command()(sdo_files.dump)
+app.command()(sdo_files.load)
+app.command()(sdo_files.diff)
 
 _HEX_INDEX = re.compile(r"^(?:0x)?([0-9A-Fa-f]{4})h?(?:(?:sub|:)([0-9A-Fa-f]{1,2}))?$")
 _LONGEST_INTEGER = 8  # bytes

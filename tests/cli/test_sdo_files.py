@@ -1,0 +1,117 @@
+"""`hilbench sdo dump|load|diff` on simulated drives, and what independent readers make of the files."""
+
+from __future__ import annotations
+
+import struct
+import subprocess
+import sys
+import uuid
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from canopen.objectdictionary import import_od
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from tests.cli.in_process import hilbench
+
+from hilbench.can.open import BusAddress, open_link
+from hilbench.canopen import concise_dcf
+from hilbench.canopen.concise_dcf import Write
+from hilbench.canopen.listening import present
+
+EDS = Path(__file__).parents[2] / "eds" / "hilbench_servo.eds"
+
+
+@pytest.fixture(scope="module")
+def bus() -> Iterator[str]:
+    """A bus with two drives, nodes 5 and 6."""
+    name = f"embedded:{uuid.uuid4().hex[:12]}"
+    arguments = [str(EDS), "--node", "5", "--count", "2", "--bus", name]
+    running = subprocess.Popen([sys.executable, "-m", "hilbench.cli", "simulate-drive", *arguments])
+    link = open_link(BusAddress.parse(name))
+    assert any(len(present(link, [5, 6], 0.2)) == 2 for _ in range(300)), "the drives do not answer"
+    link.close()
+    yield name
+    running.terminate()
+    running.wait(timeout=20)
+
+
+def sdo(bus: str, command: str, *arguments: object) -> subprocess.CompletedProcess[str]:
+    return hilbench("sdo", command, "--bus", bus, "--eds", str(EDS), *map(str, arguments))
+
+
+@pytest.mark.parametrize("name", ["drive.dcf", "drive.bin"])
+def test_a_changed_setting_is_shown_and_put_back_from_the_file(bus: str, tmp_path: Path, name: str) -> None:
+    file = tmp_path / name
+    assert sdo(bus, "dump", 5, file).returncode == 0
+    assert sdo(bus, "diff", 5, file).returncode == 0
+    assert sdo(bus, "write", 5, "quick_stop_deceleration", 4000).returncode == 0
+    differing = sdo(bus, "diff", 5, file, "--json")
+    assert differing.returncode == 1
+    assert '"key": "6085h:0"' in differing.stdout
+    assert '"first": "4000 (FA0h)"' in differing.stdout
+    loaded = sdo(bus, "load", 5, file, "--store")
+    assert loaded.returncode == 0, loaded.stdout
+    assert sdo(bus, "diff", 5, file).returncode == 0
+
+
+def test_the_dcf_is_read_by_canopen_and_passes_an_independent_checker(bus: str, tmp_path: Path) -> None:
+    file = tmp_path / "drive.dcf"
+    sdo(bus, "write", 5, "target_torque", "--", "-20")
+    assert sdo(bus, "dump", 5, file).returncode == 0
+    read = import_od(str(file))
+    assert read.node_id == 5
+    assert read[0x6071].value == -20
+    assert read[0x1014].value == 0x85
+    checked = subprocess.run(
+        [Path(sys.executable).with_name("dcfchk"), file], capture_output=True, text=True, check=False
+    )
+    assert (checked.returncode, checked.stderr) == (0, "")
+    sdo(bus, "write", 5, "target_torque", "0")
+
+
+def test_the_settings_of_one_node_are_given_to_another(bus: str, tmp_path: Path) -> None:
+    file = tmp_path / "six.dcf"
+    sdo(bus, "write", 6, "quick_stop_deceleration", 5000)
+    assert sdo(bus, "dump", 6, file).returncode == 0
+    loaded = sdo(bus, "load", 5, file)
+    assert "9 COB-IDs of node 6 became those of node 5" in loaded.stdout
+    assert "(185h)" not in sdo(bus, "read", 5, "1800:1").stdout
+    assert "40000185h" in sdo(bus, "read", 5, "1800:1").stdout
+    assert "5000" in sdo(bus, "read", 5, "6085").stdout
+
+
+def test_what_a_device_refuses_is_said_by_object(bus: str, tmp_path: Path) -> None:
+    file = tmp_path / "wrong.bin"
+    file.write_bytes(concise_dcf.encode([Write(0x6041, 0, b"\0\0"), Write(0x6085, 0, struct.pack("<I", 7000))]))
+    loaded = sdo(bus, "load", 5, file, "--store")
+    assert loaded.returncode == 1
+    assert "1 of 2 objects" in loaded.stdout
+    assert "6041h sub 0 Statusword: 00 00 refused: abort 06010002h" in loaded.stdout
+    assert "not stored" in loaded.stdout
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (b"", "0 bytes, expected a number of entries"),
+        (b"\1\0\0\0", "ends in entry 1 of 1"),
+        (b"\1\0\0\0\x40\x60\0\2\0\0\0\0", "ends in entry 1 of 1 (6040h sub 0): 1 bytes are missing"),
+        (b"\0\0\0\0\0", "1 bytes after entry 0"),
+    ],
+)
+def test_a_file_that_is_no_concise_dcf_is_refused_in_one_line(
+    bus: str, tmp_path: Path, content: bytes, said: str
+) -> None:
+    file = tmp_path / "broken.bin"
+    file.write_bytes(content)
+    done = sdo(bus, "load", 5, file)
+    assert done.returncode == 2
+    assert f"{file}: {said}" in done.stderr
+
+
+@settings(derandomize=True)
+@given(st.lists(st.builds(Write, st.integers(0, 0xFFFF), st.integers(0, 0xFF), st.binary(max_size=20))))
+def test_a_concise_dcf_is_read_as_it_was_written(writes: list[Write]) -> None:
+    assert concise_dcf.decode(concise_dcf.encode(writes)) == writes
