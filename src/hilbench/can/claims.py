@@ -202,6 +202,9 @@ def _here() -> str:
 @contextmanager
 def _answered(said: Mapping[socket.socket, bytes]) -> Iterator[None]:
     """Meanwhile everybody who connects is told, by a thread that does nothing else."""
+    if not said:  # nobody can connect, nor wake the thread at the end
+        yield
+        return
 
     def serve() -> None:
         with selectors.DefaultSelector() as waiting:

@@ -10,7 +10,21 @@ from typing import Annotated, Any
 
 import typer
 
-from hilbench.cli import compare, config, convert, drift, drive, history, monitor, replay, scan, sdo, sweep, what_if
+from hilbench.cli import (
+    compare,
+    config,
+    convert,
+    drift,
+    drive,
+    history,
+    lss,
+    monitor,
+    replay,
+    scan,
+    sdo,
+    sweep,
+    what_if,
+)
 from hilbench.cli.commands import Commands
 from hilbench.cli.options import BusOption, ConfigArgument, JsonOption, PacedByOption, PaceOption, SetOption
 from hilbench.ending import ended
@@ -150,7 +164,12 @@ def doctor(
 @app.command("simulate-drive")
 def simulate_drive(
     eds: Annotated[Path, typer.Argument(metavar="EDS", help="EDS or DCF file of a CiA-402 drive")],
-    node: Annotated[int, typer.Option("--node", min=1, max=127, help="node id, of the first of several")] = 1,
+    node: Annotated[
+        int | None,
+        typer.Option(
+            "--node", min=1, max=127, help="node id, of the first of several", show_default="1; with --lss none"
+        ),
+    ] = None,
     bus: Annotated[
         str, typer.Option("--bus", help="embedded:NAME, socketcan:vcan0, or another python-can interface:channel")
     ] = "embedded",
@@ -161,6 +180,19 @@ def simulate_drive(
     behaviour: Annotated[
         Path | None, typer.Option("--behaviour", help="YAML file: switches, units, and what the drive does wrong")
     ] = None,
+    lss: Annotated[
+        bool, typer.Option("--lss", help="node ids can be given by LSS; without --node the drives wait for theirs")
+    ] = False,
+    serial: Annotated[
+        int | None,
+        typer.Option(
+            "--serial",
+            min=0,
+            max=0xFFFF_FFFF,
+            help="serial number (1018h sub 4), of the first of several",
+            show_default="that of the file; with --lss 1",
+        ),
+    ] = None,
 ) -> None:
     """A drive on a bus that is not there: as its EDS file describes it, with CiA 402 behind its objects.
 
@@ -168,7 +200,7 @@ def simulate_drive(
     """
     from hilbench.cli.simulate_drive import simulate_drive_command
 
-    simulate_drive_command(eds, node, bus, count=count, plant=plant, behaviour_file=behaviour)
+    simulate_drive_command(eds, node, bus, count=count, plant=plant, behaviour_file=behaviour, lss=lss, serial=serial)
 
 
 @app.command("simulate-hardware")
@@ -374,6 +406,7 @@ def diagnose(
 
 app.command()(scan.scan)
 app.add_typer(sdo.app, name="sdo")
+app.add_typer(lss.app, name="lss")
 app.add_typer(config.app, name="config")
 app.command()(drive.drive)
 app.command()(replay.replay)

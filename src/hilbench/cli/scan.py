@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from hilbench.cli.lss import unconfigured, words
 from hilbench.cli.options import BusOption, ConfigOption, JsonOption
 from hilbench.errors import EXIT_CRITERION_FAILED, EXIT_PASSED
 
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
     from hilbench.runs.config import ExperimentConfig
 
 _SDO_TIMEOUT_S = 0.3
+_LSS_TIMEOUT_S = 0.1
 
 
 def scan(
@@ -25,6 +27,9 @@ def scan(
     ),
     listen: Annotated[float, typer.Option("--listen", min=0.0, metavar="S", help="how long to listen first")] = 1.0,
     ask: Annotated[bool, typer.Option("--ask/--no-ask", help="ask every node id by SDO, or only listen")] = True,
+    lss: Annotated[
+        bool, typer.Option("--lss", help="look for devices without a node id too (LSS fastscan, 10 s for each)")
+    ] = False,
     json: JsonOption = False,
 ) -> None:
     """Show who is on the bus: node id, NMT state, drive state, identity, firmware, EDS file. Writes nothing.
@@ -35,11 +40,15 @@ def scan(
     Example: hilbench scan --bus socketcan:can0
 
     Example: hilbench scan --config bench_configs/web_section_step.yaml --json
+
+    Example: hilbench scan --bus socketcan:can0 --lss
     """
+    from dataclasses import asdict
     from json import dumps
 
     from hilbench.can.open import open_link, open_python_can
     from hilbench.canopen.eds import load_eds
+    from hilbench.canopen.lss_master import shown as address_of
     from hilbench.canopen.mastery import master_of
     from hilbench.canopen.sdo_client import SdoClient
     from hilbench.cli.attach import MASTER_ID, config_and_bus
@@ -59,11 +68,16 @@ def scan(
             found = scan_bus(link, reader, files, listen, master_id, claimed_by=known, ask=ask)
     finally:
         link.close()
+    nameless = unconfigured(address, _LSS_TIMEOUT_S) if lss and ask and not found.master_at_work else []
     problems = _problems(found, bench) if bench is not None else []
     if json:
-        print(dumps(_as_data(found, bench, problems), indent=2))
+        print(dumps(_as_data(found, bench, problems) | {"without_node_id": list(map(asdict, nameless))}, indent=2))
     else:
         _show(found, bench, problems, str(address))
+        for device in nameless:
+            print(f"no node id: {words(device)}; hilbench lss assign NODE_ID --identity {address_of(device)}")
+        if lss and not nameless and not found.master_at_work:
+            print("no device without a node id answers")
     raise typer.Exit(EXIT_CRITERION_FAILED if problems else EXIT_PASSED)
 
 

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import ExitStack
 from pathlib import Path
+from typing import Final
 
 from hilbench.can.open import BusAddress, open_link
 from hilbench.canopen.host import DeviceHost
 from hilbench.canopen.identifiers import LAST_NODE
 from hilbench.canopen.mastery import nodes_of_ours
 from hilbench.cli.model_option import model_from
+from hilbench.devices import SimulatedDrive
 from hilbench.devices.behaviour import Behaviour, load_behaviour
 from hilbench.devices.node import SimulatedNode
 from hilbench.devices.simulation import hosted, new_clock, simulated_node
@@ -18,25 +22,46 @@ from hilbench.plant.servo_axis.parameters import ServoAxisParameters
 from hilbench.processes import log, stop_request
 from hilbench.real_time import kept_ready
 
+_LOOK_S: Final = 0.05
+
 
 def simulate_drive_command(
-    eds: Path, node_id: int, bus: str, *, count: int, plant: Path | None, behaviour_file: Path | None
+    eds: Path,
+    node: int | None,
+    bus: str,
+    *,
+    count: int,
+    plant: Path | None,
+    behaviour_file: Path | None,
+    lss: bool,
+    serial: int | None,
 ) -> None:
-    """Play `count` drives with the node ids from `node_id` on until SIGINT, SIGTERM or SIGHUP.
+    """Play `count` drives with the node ids from `node` on (with `lss` and no `node`: with none) until SIGINT, SIGTERM
+    or SIGHUP.
 
     Raises UnusableInputError, also when a node with one of the ids is there already.
     """
+    node_id = node or 1
     last = node_id + count - 1
     if last > LAST_NODE:
         raise UnusableInputError("--count", f"{count} drives from node {node_id} on, expected ids up to {LAST_NODE}")
     behaviour = _behaviour(behaviour_file, plant)
     address = BusAddress.parse(bus).as_it_runs() if bus == "embedded" else BusAddress.parse(bus)
     stop, clock = stop_request(), new_clock()
-    node_ids = range(node_id, last + 1)
+    node_ids = range(node_id, last + 1) if node or not lss else ()
     with nodes_of_ours(address, node_ids, "simulated drive", by_bench=False):
-        nodes = [simulated_node(eds, number, clock, behaviour) for number in node_ids]
-        for node in nodes:
-            _introduce(node)
+        if lss:
+            serials = range(serial or 1, (serial or 1) + count)
+            _serve_with_lss(eds, address, list(node_ids) or [None] * count, serials, behaviour, stop)
+            return
+        nodes = [
+            simulated_node(
+                eds, number, clock, behaviour, serial_number=None if serial is None else serial + number - node_id
+            )
+            for number in node_ids
+        ]
+        for simulated in nodes:
+            _introduce(simulated)
         link = open_link(address)
         try:
             time.sleep(behaviour.boot_s)
@@ -44,6 +69,24 @@ def simulate_drive_command(
                 DeviceHost(link, *hosted(nodes, clock)[0]).run(stop)
         finally:
             link.close()
+
+
+def _serve_with_lss(
+    eds: Path,
+    address: BusAddress,
+    node_ids: Sequence[int | None],
+    serials: Iterable[int],
+    behaviour: Behaviour,
+    stop: Callable[[], bool],
+) -> None:
+    """Each drive by itself: its node id can become another one at any time."""
+    with ExitStack() as playing, kept_ready(None, log):
+        for node_id, serial in zip(node_ids, serials, strict=True):
+            playing.enter_context(SimulatedDrive(eds, node_id, str(address), behaviour=behaviour, serial_number=serial))
+            place = "waits for a node id" if node_id is None else f"node {node_id}"
+            print(f"{eds.stem}, serial number {serial}: {place}", flush=True)
+        while not stop():
+            time.sleep(_LOOK_S)
 
 
 def _behaviour(path: Path | None, plant: Path | None) -> Behaviour:

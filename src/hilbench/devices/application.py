@@ -9,6 +9,7 @@ from typing import Final
 
 from hilbench.can.frame import Frame
 from hilbench.devices.behaviour import Event
+from hilbench.devices.lss import NodeIdGiven
 from hilbench.devices.node import SimulatedNode
 from hilbench.hardware.plant_time import ByClock
 from hilbench.hardware.simulation import RigApplication
@@ -24,10 +25,10 @@ class DrivesApplication:
     Other threads act on the drives by `ask`: what they ask for is done between two cycles, by the host's thread.
     """
 
-    listens_to: frozenset[int] = frozenset()
-
     def __init__(self, nodes: Sequence[SimulatedNode], now_ns: Callable[[], int]) -> None:
         self._faulty = [FaultyDrive(node, now_ns) for node in nodes]
+        self.listens_to: frozenset[int] = frozenset()
+        self._lss: NodeIdGiven | None = None
         self._asked: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._rig = RigApplication(
             [node.drive for node in nodes],
@@ -60,8 +61,14 @@ class DrivesApplication:
         self._happen()
         self._rig.tick(duration_s)
 
+    def put_beside(self, lss: NodeIdGiven) -> None:
+        """Let it hear what else comes for the node."""
+        self._lss, self.listens_to = lss, lss.listens_to
+
     def on_frame(self, frame: Frame) -> None:
-        """Frames for others don't concern a drive."""
+        """A frame of LSS, or one for all; others don't concern a drive."""
+        if self._lss is not None:
+            self._lss.on_frame(frame)
 
     def _happen(self) -> None:
         while not self._asked.empty():

@@ -16,14 +16,17 @@ from hilbench.can.link import Link
 from hilbench.can.open import BusAddress, open_link
 from hilbench.can.python_can import can
 from hilbench.canopen.host import DeviceHost
+from hilbench.canopen.lss_slave import UNCONFIGURED, LssSlave
 from hilbench.cia402.objects import OperationMode
 from hilbench.cia402.state_machine import State
 from hilbench.cia402.units import RPM
 from hilbench.devices.behaviour import Behaviour, Emergency, Event, load_behaviour
+from hilbench.devices.lss import NodeIdGiven, await_node_id, lss_address
 from hilbench.devices.simulation import hosted, new_clock, simulated_node
 from hilbench.errors import HilbenchError
 
 _ANSWER_S: Final = 5.0
+_FIRST_NODE: Final = 1
 Result = TypeVar("Result")
 
 
@@ -34,19 +37,26 @@ class SimulatedDrive:
             ...  # your master drives it
             drive.fault(0x8611)
 
-    `bus`: ``interface:channel``, or a `can.BusABC` of its own, which is shut down at the end. `behaviour`: a file, or
-    the object that it is read to. Several drives can be on one bus, each with a link of its own.
+    `node_id`: None for one that has none and waits until a master gives it one by LSS (CiA 305), which can give it
+    another one at any time; `serial_number` takes the place of the file's (1018h sub 4): by it LSS tells drives of one
+    file apart. `bus`: ``interface:channel``, or a `can.BusABC` of its own, which is shut down at the end. `behaviour`:
+    a file, or the object that it is read to. Several drives can be on one bus, each with a link of its own.
     Raises UnusableInputError for a file that is none of a CiA-402 drive.
     """
 
     def __init__(
-        self, eds: str | Path, node_id: int, bus: str | can.BusABC, *, behaviour: str | Path | Behaviour | None = None
+        self,
+        eds: str | Path,
+        node_id: int | None,
+        bus: str | can.BusABC,
+        *,
+        behaviour: str | Path | Behaviour | None = None,
+        serial_number: int | None = None,
     ) -> None:
-        self._bus = bus
-        read = load_behaviour(Path(behaviour)) if isinstance(behaviour, str | Path) else behaviour
-        clock = new_clock()
-        self._node = simulated_node(Path(eds), node_id, clock, read)
-        self._hosted, self._application = hosted([self._node], clock)
+        self._bus, self._eds, self._serial_number = bus, Path(eds), serial_number
+        self._behaviour = load_behaviour(Path(behaviour)) if isinstance(behaviour, str | Path) else behaviour
+        self._make(node_id or _FIRST_NODE)  # one without a node id is the same drive, which is not on the bus yet
+        self._lss = LssSlave(lss_address(self._node.device), node_id or UNCONFIGURED)
         self._stop = threading.Event()
         self._thread: threading.Thread | None = None
         self._error: BaseException | None = None
@@ -71,16 +81,38 @@ class SimulatedDrive:
             return PythonCanLink(self._bus, str(getattr(self._bus, "channel_info", "")))
         return open_link(BusAddress.parse(self._bus))
 
+    def _make(self, node_id: int) -> None:
+        clock = new_clock()
+        self._node = simulated_node(self._eds, node_id, clock, self._behaviour, serial_number=self._serial_number)
+        self._hosted, self._application = hosted([self._node], clock)
+
     def _run(self, link: Link) -> None:
         try:
             time.sleep(self._node.behaviour.boot_s)
-            DeviceHost(link, *self._hosted).run(self._stop.is_set)
+            while not self._stop.is_set():
+                if self._lss.node_id == UNCONFIGURED:
+                    await_node_id(link, self._lss, self._stop.is_set)
+                else:
+                    self._serve(link, self._lss.node_id)
         except HilbenchError as error:  # the bus was lost: who leaves the block learns it
             self._error = error
         finally:
             link.close()
 
+    def _serve(self, link: Link, node_id: int) -> None:
+        """Be the node with this id until the end, or until LSS has given it another one and it was reset."""
+        if node_id != self._node.device.node_id:
+            self._make(node_id)
+        node_id_given = NodeIdGiven(self._lss, self._node.device)
+        self._application.put_beside(node_id_given)
+        DeviceHost(link, *self._hosted).run(lambda: self._stop.is_set() or node_id_given.takes_effect)
+
     # --- what it does -------------------------------------------------------------------------------------------------
+
+    @property
+    def node_id(self) -> int | None:
+        """The node id that it has now."""
+        return None if self._lss.node_id == UNCONFIGURED else self._lss.node_id
 
     @property
     def state(self) -> State:

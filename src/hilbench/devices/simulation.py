@@ -6,9 +6,10 @@ from collections.abc import Sequence
 from math import pi
 from pathlib import Path
 
+from canopen import ObjectDictionary
 from hilbench.canopen.clock import Clock, MonotonicClock
 from hilbench.canopen.device import Device
-from hilbench.canopen.eds import load_eds
+from hilbench.canopen.eds import load_eds, variable
 from hilbench.canopen.host import HostedDevices
 from hilbench.canopen.object_store import SdoAbort, Value
 from hilbench.cia402.assumed import assumed_units
@@ -17,6 +18,7 @@ from hilbench.cia402.simulated import object_reader
 from hilbench.cia402.units import RPM, DriveUnits
 from hilbench.devices.application import CYCLE_S, SAMPLE_S, DrivesApplication
 from hilbench.devices.behaviour import Behaviour, RefusedWrite
+from hilbench.devices.lss import SERIAL_NUMBER
 from hilbench.devices.node import SimulatedNode
 from hilbench.errors import UnusableInputError
 from hilbench.plant.motor_port import MotorPort
@@ -31,10 +33,17 @@ _PEAK_TORQUE = 3.0  # of the rated one
 _LOOP_RAD_S, _POSITION_LOOP_PER_S = 150.0, 40.0
 
 
-def simulated_node(eds: Path, node_id: int, clock: Clock, behaviour: Behaviour | None = None) -> SimulatedNode:
-    """The drive of an EDS or DCF file. Raises UnusableInputError for a file that is none of a CiA-402 drive."""
+def simulated_node(
+    eds: Path, node_id: int, clock: Clock, behaviour: Behaviour | None = None, *, serial_number: int | None = None
+) -> SimulatedNode:
+    """The drive of an EDS or DCF file; `serial_number` in place of the file's (1018h sub 4).
+
+    Raises UnusableInputError for a file that is none of a CiA-402 drive.
+    """
     behaviour = behaviour or Behaviour()
     od = load_eds(eds, node_id)
+    if serial_number is not None:
+        _give_serial_number(eds, od, serial_number)
     try:
         device = Device(od, node_id, clock)
         units, assumptions = assumed_units(object_reader(device), behaviour.units.given(), str(eds))
@@ -49,6 +58,14 @@ def simulated_node(eds: Path, node_id: int, clock: Clock, behaviour: Behaviour |
     rig = _rig(units, behaviour.shaft, port)
     name = od.device_information.product_name or eds.stem
     return SimulatedNode(device, drive, port, rig, units, behaviour, assumptions, name)
+
+
+def _give_serial_number(eds: Path, od: ObjectDictionary, serial_number: int) -> None:
+    try:
+        found = variable(od, *SERIAL_NUMBER)
+    except KeyError:
+        raise UnusableInputError(eds, "it has no serial number (1018h sub 4), expected one to be given") from None
+    found.default = found.value = serial_number
 
 
 def hosted(nodes: Sequence[SimulatedNode], clock: Clock) -> tuple[HostedDevices, DrivesApplication]:
