@@ -11,6 +11,7 @@ from typing import Annotated, Any
 import typer
 
 from hilbench.cli import (
+    boot,
     compare,
     config,
     convert,
@@ -405,6 +406,7 @@ def diagnose(
 
 
 app.command()(scan.scan)
+app.command()(boot.boot)
 app.add_typer(sdo.app, name="sdo")
 app.add_typer(lss.app, name="lss")
 app.add_typer(config.app, name="config")
