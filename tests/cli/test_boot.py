@@ -10,8 +10,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from tests.cli.drives import EDS, bus, sdo
 from tests.cli.in_process import hilbench
-from tests.cli.test_sdo_files import EDS, bus, sdo
 
 __all__ = ["bus"]
 

@@ -9,8 +9,8 @@ import uuid
 from collections.abc import Iterator
 
 import pytest
+from tests.cli.drives import EDS
 from tests.cli.in_process import hilbench
-from tests.cli.test_sdo_files import EDS
 
 
 @pytest.fixture

@@ -5,40 +5,18 @@ from __future__ import annotations
 import struct
 import subprocess
 import sys
-import uuid
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from canopen.objectdictionary import import_od
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from tests.cli.in_process import hilbench
+from tests.cli.drives import bus, sdo
 
-from hilbench.can.open import BusAddress, open_link
 from hilbench.canopen import concise_dcf
 from hilbench.canopen.concise_dcf import Write
-from hilbench.canopen.listening import present
 
-EDS = Path(__file__).parents[2] / "eds" / "hilbench_servo.eds"
-
-
-@pytest.fixture(scope="module")
-def bus() -> Iterator[str]:
-    """A bus with two drives, nodes 5 and 6."""
-    name = f"embedded:{uuid.uuid4().hex[:12]}"
-    arguments = [str(EDS), "--node", "5", "--count", "2", "--bus", name]
-    running = subprocess.Popen([sys.executable, "-m", "hilbench.cli", "simulate-drive", *arguments])
-    link = open_link(BusAddress.parse(name))
-    assert any(len(present(link, [5, 6], 0.2)) == 2 for _ in range(300)), "the drives do not answer"
-    link.close()
-    yield name
-    running.terminate()
-    running.wait(timeout=20)
-
-
-def sdo(bus: str, command: str, *arguments: object) -> subprocess.CompletedProcess[str]:
-    return hilbench("sdo", command, "--bus", bus, "--eds", str(EDS), *map(str, arguments))
+__all__ = ["bus"]
 
 
 @pytest.mark.parametrize("name", ["drive.dcf", "drive.bin"])

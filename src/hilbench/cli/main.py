@@ -17,6 +17,7 @@ from hilbench.cli import (
     convert,
     drift,
     drive,
+    gateway,
     history,
     lss,
     monitor,
@@ -407,6 +408,7 @@ def diagnose(
 
 app.command()(scan.scan)
 app.command()(boot.boot)
+app.command()(gateway.gateway)
 app.add_typer(sdo.app, name="sdo")
 app.add_typer(lss.app, name="lss")
 app.add_typer(config.app, name="config")
