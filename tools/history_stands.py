@@ -12,7 +12,6 @@ import argparse
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
-from importlib import resources
 from pathlib import Path
 from typing import Final
 
@@ -89,7 +88,7 @@ def main() -> None:
     parser.add_argument("--daily", action="store_true", help="look at the stands that stay every day as well (slow)")
     given = parser.parse_args()
     if given.picture is not None:
-        given.picture.write_text(_picture(), encoding="utf-8")
+        given.picture.write_bytes(_picture())
         return
     each = STANDS // len(KINDS)
     print(f"{'kind':20}{'grows: by day 5':>17}{'by day 7':>10}{'stays: day 7':>14}{'day 30':>8}{'ever':>8}")
@@ -101,7 +100,7 @@ def main() -> None:
     _print("all", total, STANDS)
 
 
-def _picture() -> str:
+def _picture() -> bytes:
     """A stand that wears, whose bearing was exchanged after two weeks."""
     shown = stand(3, "temperature 0.5 %", wears=True)
     friction_N = shown.friction_N - 1.1 * (shown.t > 14.0)
@@ -111,11 +110,8 @@ def _picture() -> str:
         Row(str(run), "diagnosis", _BEGAN_S + SECONDS_PER_DAY * t, Quantity(friction, value, stated, "N"))
         for run, (t, value, stated) in enumerate(found)
     ]
-    from report_pictures import standalone  # beside this file
-
     (quantity,) = quantities_of(rows, {friction: 12.0})
-    css = resources.files("hilbench.report").joinpath("page.css").read_text(encoding="utf-8")
-    return standalone(picture("docs", quantity), css)
+    return picture("docs", quantity).as_file("svg")
 
 
 def _judged(kind: str, seeds: Sequence[int], *, daily: bool) -> list[str]:

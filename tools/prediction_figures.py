@@ -14,12 +14,10 @@ import tempfile
 import time
 from collections.abc import Sequence
 from datetime import UTC, datetime
-from importlib import resources
 from pathlib import Path
 
 import docs_page
 import numpy as np
-from report_pictures import standalone
 
 from hilbench.bench.bench import Bench
 from hilbench.bench.lifecycle.participants import Participants
@@ -121,7 +119,7 @@ def cost() -> str:
     return "\n".join(lines)
 
 
-def picture(recording: Recording, outlooks: Sequence[Outlook]) -> str:
+def picture(recording: Recording, outlooks: Sequence[Outlook]) -> bytes:
     """The outlook a second before the first step of E, and what came."""
     outlook = min(outlooks, key=lambda each: abs(each.now_s - 5.0))
     part = (recording.time_s > 3.0) & (recording.time_s < outlook.times_s[-1])
@@ -138,7 +136,7 @@ def picture(recording: Recording, outlooks: Sequence[Outlook]) -> str:
             curves.append(Curve("warning", time_s, np.full(len(time_s), limit), VERMILLION, 1.0, (4.0, 3.0)))
         charts.append(Chart(label, curves, [Band(outlook.times_s, low, high, BLUE, 0.25)]))
     shown = drawn(Picture("prediction", "Prediction and what came", "", charts))
-    return standalone(shown.svg, resources.files("hilbench.report").joinpath("page.css").read_text(encoding="utf-8"))
+    return shown.as_file("svg")
 
 
 def main() -> None:
@@ -154,7 +152,7 @@ def main() -> None:
             docs_page.put(options.write, name, text)
         print(text)
     if options.picture:
-        options.picture.write_text(picture(recording, outlooks), encoding="utf-8")
+        options.picture.write_bytes(picture(recording, outlooks))
 
 
 if __name__ == "__main__":

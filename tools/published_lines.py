@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import dataclass
-from importlib import resources
 from math import copysign, cos, pi
 from pathlib import Path
 
@@ -339,17 +338,15 @@ def table() -> str:
 def main() -> None:
     """Print the table, write it into a page, or draw the lines."""
     import docs_page  # beside this file
-    from report_pictures import standalone
 
     parser = argparse.ArgumentParser(description="published web lines here")
     parser.add_argument("--write", type=Path, metavar="PAGE", help="page into which the table goes")
     parser.add_argument("--pictures", type=Path, metavar="FOLDER", help="draw the lines there instead")
     given = parser.parse_args()
     if given.pictures is not None:
-        page_css = resources.files("hilbench.report").joinpath("page.css").read_text(encoding="utf-8")
         for name in ("koc_2002", "giannoccaro_2016", "kuhm_2012"):
-            svg = drawing(load_model(FOLDER / f"{name}.yaml"), LineNotes()).svg
-            given.pictures.joinpath(f"{name}.svg").write_text(standalone(svg, page_css), encoding="utf-8")
+            line = drawing(load_model(FOLDER / f"{name}.yaml"), LineNotes())
+            given.pictures.joinpath(f"{name}.svg").write_bytes(line.as_file("svg"))
     elif given.write is not None:
         docs_page.put(given.write, "published", table())
     else:

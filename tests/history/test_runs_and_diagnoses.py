@@ -120,7 +120,7 @@ def test_a_page_shows_each_quantity(stand: Path, tmp_path: Path) -> None:
     hilbench("history", "--file", str(stand / "history.sqlite"), "--html", str(page))
     text = page.read_text()
     assert "pilot line" in text
-    assert text.count("<figure>") == 1
+    assert text.count("<figure ") == 1
     assert "<svg" in text
 
 

@@ -16,12 +16,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.cli.in_process import hilbench
 from tests.report.parsed import EVIL, ParsedPage, parsed
 from tests.runs.shafts import recorded_shaft
 
 from hilbench.errors import UnusableInputError
 from hilbench.report import live
-from hilbench.report.chart import BLUE, Chart, Curve
+from hilbench.report.chart import BLUE, Chart, Curve, Mark
 from hilbench.report.html import write_report
 from hilbench.report.plots import Picture, drawn
 from hilbench.results.recording import Recording, write_recording
@@ -32,6 +33,7 @@ from hilbench.runs.events import Changed, Event
 from hilbench.runs.metrics import evaluate_metrics, judge
 from hilbench.topology.signals import SMALLEST, signals_of
 
+CONFIGS = Path(__file__).resolve().parents[2] / "bench_configs"
 E0, E1 = 8.7e9, 10.5e9
 
 
@@ -243,6 +245,50 @@ def test_the_axis_reaches_as_far_as_the_tension_does() -> None:
     assert box is not None
     bottom, top = float(box[1]), float(box[2])
     assert top < min(heights) < top + 0.1 * (bottom - top)  # the peak is inside, near the upper edge
+
+
+def test_what_a_step_does_for_a_few_cycles_is_not_cut_off() -> None:
+    t = np.linspace(0, 40, 20_000)
+    values = 80 + 0.01 * np.sin(t)
+    values[5000:5008] += 60.0
+    curves = [Curve("true", t, values, BLUE)]
+    svg = drawn(Picture("x", "", "", [Chart("y", curves)]), [Mark(float(t[5000]), float(t[5000]), "step", "1")]).svg
+    assert "cut" not in svg
+    assert "cut" in drawn(Picture("x", "", "", [Chart("y", curves)])).svg  # nothing happened there: a glitch
+
+
+def test_the_buttons_that_zoom_stand_above_the_pictures_that_they_zoom(tmp_path: Path) -> None:
+    folder = run_folder(tmp_path, recording())
+    folder.config.write_text(
+        (CONFIGS / "web_section_step.yaml").read_text().replace("../eds/", f"{CONFIGS.parent / 'eds'}/")
+    )
+    text = write_report(folder).read_text()
+    assert 0 < text.index('data-picture="line"') < text.index('class="zooms"') < text.index('data-picture="velocities"')
+
+
+@pytest.mark.parametrize("form", ["svg", "png"])
+def test_each_picture_of_a_report_is_to_be_had_as_a_file_of_its_own(tmp_path: Path, form: str) -> None:
+    folder = run_folder(tmp_path, recording())
+    done = hilbench("report", folder.path, "--pictures", tmp_path / "pictures", "--format", form)
+    assert done.returncode == 0, done.stderr
+    written = [Path(line) for line in done.stdout.splitlines()]
+    assert {"velocities", "torques", "elasticity", "tension", "zoom1", "jitter"} <= {path.stem for path in written}
+    for path in written:
+        content = path.read_bytes()
+        if form == "png":
+            assert content.startswith(b"\x89PNG\r\n")
+        else:
+            assert ET.fromstring(content).tag.endswith("svg")
+            assert b"var(--" not in content  # no page around it that says which colours
+    assert not folder.report.exists()
+
+
+@pytest.mark.parametrize("options", [["--format", "png"], ["--pictures", "there", "--format", "bmp"]])
+def test_a_format_that_pictures_can_not_have_is_unusable_input(tmp_path: Path, options: list[str]) -> None:
+    done = hilbench("report", tmp_path, *options)
+    assert done.returncode == 2
+    assert "--format" in done.stderr
+    assert len(done.stderr.splitlines()) == 1
 
 
 def test_what_is_far_beyond_the_axis_is_marked_with_its_value() -> None:

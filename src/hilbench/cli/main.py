@@ -28,7 +28,15 @@ from hilbench.cli import (
     what_if,
 )
 from hilbench.cli.commands import Commands
-from hilbench.cli.options import BusOption, ConfigArgument, JsonOption, PacedByOption, PaceOption, SetOption
+from hilbench.cli.options import (
+    BusOption,
+    ConfigArgument,
+    JsonOption,
+    PacedByOption,
+    PaceOption,
+    RunArgument,
+    SetOption,
+)
 from hilbench.ending import ended
 from hilbench.errors import UnusableInputError
 
@@ -275,15 +283,33 @@ def recover(
 
 
 @app.command()
-def report(run_folder: Annotated[Path, typer.Argument(metavar="RUN", help="run folder")]) -> None:
-    """Write the report of a run folder anew.
+def report(
+    run_folder: RunArgument,
+    pictures: Annotated[
+        Path | None, typer.Option("--pictures", metavar="DIR", help="write its pictures alone, each as a file in DIR")
+    ] = None,
+    form: Annotated[
+        str | None, typer.Option("--format", metavar="FORMAT", help="of the pictures: svg or png", show_default="svg")
+    ] = None,
+) -> None:
+    """Write the report of a run folder anew, or its pictures one by one.
 
     Example: hilbench report runs/web_section_step-20260101-120000
+
+    Example: hilbench report runs/web_section_step-20260101-120000 --pictures pictures --format png
     """
-    from hilbench.report.html import write_report
+    from hilbench.report.html import write_pictures, write_report
     from hilbench.results.run_folder import RunFolder
 
-    print(write_report(RunFolder.open(run_folder)))
+    if form not in (None, "svg", "png"):
+        raise UnusableInputError("--format", f"'{form}', expected svg or png")
+    if form is not None and pictures is None:
+        raise UnusableInputError("--format", "without --pictures, expected a folder for the pictures")
+    folder = RunFolder.open(run_folder)
+    if pictures is None:
+        print(write_report(folder))
+    else:
+        print(*write_pictures(folder, pictures, "png" if form == "png" else "svg"), sep="\n")
 
 
 @app.command()

@@ -13,7 +13,7 @@ from hilbench.diagnosis.live import LiveGap
 from hilbench.diagnosis.next_experiment import NextExperiment
 from hilbench.report.chart import BLUE, VERMILLION, Chart, Curve, Mark
 from hilbench.report.page import number, write_page
-from hilbench.report.plots import Panel, Picture, drawn, render_picture
+from hilbench.report.plots import Drawing, Panel, Picture, drawn
 from hilbench.report.reduce import moving_average
 
 _SENTENCES = {
@@ -67,7 +67,7 @@ def write_diagnosis_page(
             for g in found.gaps
         ],
         residuals=residuals,
-        profiles=_profiles(found) if found.profiles else "",
+        profiles=_profiles(found) if found.profiles else None,
         live=[
             (each[0].text, *(number(figure.value) for figure in each))
             for each in zip(*(gap.figures for gap in live), strict=True)
@@ -117,7 +117,7 @@ def _held_out(found: Diagnosis) -> list[Mark]:
     return [Mark(float(found.t_s[a]), float(found.t_s[b]), "") for a, b in _stretches(found.held_out)]
 
 
-def _profiles(found: Diagnosis) -> str:
+def _profiles(found: Diagnosis) -> Picture:
     rows = (len(found.profiles) + 1) // 2
 
     def draw(figure: Any) -> list[Panel]:
@@ -132,7 +132,12 @@ def _profiles(found: Diagnosis) -> str:
         grid[0].set_ylabel(f"{found.profiles[0].signal.removesuffix('_Nm')}, N·m")
         return []
 
-    return render_picture(draw, 2.3 * rows, "profiles", "Mean torque residual over states")
+    title = "Mean torque residual over states"
+    caption = (
+        "Mean of measured less simulated torque over the states on which it depended most: blue with the original "
+        "model, orange with the effects that were found."
+    )
+    return Picture("profiles", title, caption, drawing=Drawing(draw, 2.3 * rows, "profiles", title))
 
 
 def _stretches(held_out: Any) -> list[tuple[int, int]]:

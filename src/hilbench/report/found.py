@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from hilbench.plant.effects import find_effect
 from hilbench.report.chart import GREEN, INK, VERMILLION
 from hilbench.report.page import number
-from hilbench.report.plots import Panel, Picture, render_picture
+from hilbench.report.plots import Drawing, Panel, Picture
 from hilbench.results.result import FoundRecord, GapHistory, Result
 
 Array = NDArray[np.float64]
@@ -32,8 +32,8 @@ def found_pictures(result: Result) -> list[Picture]:
     if result.gap_history is None or not result.gap_history.t_s:
         return []
     history, found = result.gap_history, result.found or []
-    svg = render_picture(lambda figure: _draw(figure, history, found), 3.4, "found", _TITLE)
-    return [Picture("found", _TITLE, _CAPTION, svg=svg)]
+    drawing = Drawing(lambda figure: _draw(figure, history, found), 3.4, "found", _TITLE)
+    return [Picture("found", _TITLE, _CAPTION, drawing=drawing)]
 
 
 def found_rows(result: Result) -> list[tuple[str, ...]]:

@@ -12,11 +12,15 @@ from hilbench.history.quantities import SECONDS_PER_DAY, QuantityTrend
 from hilbench.history.told import date, figures, sentences
 from hilbench.report.chart import BLUE, INK, ORANGE, VERMILLION
 from hilbench.report.page import write_page
-from hilbench.report.plots import Panel, render_picture
+from hilbench.report.plots import Drawing, Panel, Picture
 
 _HEIGHT_IN: Final = 2.5
 _TICKS: Final = 6
 _SOURCE_MARKS: Final = {"twin": "o", "diagnosis": "D"}
+_CAPTION: Final = (
+    "Points: runs (round: twin, square: diagnosis) with the 95 % that they state; orange: the mean and its 95 % band, "
+    "beyond the dotted line what is to come; red: a change, the limit."
+)
 COLUMNS: Final = ("Quantity", ">Runs", ">Days", ">Now", "95 %", ">Per day", "95 %", "Unit", "Trend")
 
 
@@ -26,7 +30,7 @@ def write_history_page(stands: Mapping[str, Sequence[QuantityTrend]], path: Path
         (
             stand,
             [row(each) for each in quantities],
-            [(each.name, sentences(each), picture(stand, each)) for each in quantities],
+            [picture(stand, each) for each in quantities],
         )
         for stand, quantities in stands.items()
     ]
@@ -39,8 +43,8 @@ def row(one: QuantityTrend) -> list[str]:
     return [cells[0], *(cell.replace("-", "−") for cell in cells[1:])]
 
 
-def picture(stand: str, one: QuantityTrend) -> str:
-    """SVG text: the runs with what they state, the band of the mean, changes, and the limit."""
+def picture(stand: str, one: QuantityTrend) -> Picture:
+    """The runs with what they state, the band of the mean, changes, and the limit."""
 
     def draw(figure: Any) -> list[Panel]:
         axes = figure.subplots(1, 1)
@@ -72,4 +76,5 @@ def picture(stand: str, one: QuantityTrend) -> str:
         return [panel]
 
     name = f"{stand}-{one.name}".replace(".", "-")
-    return render_picture(draw, _HEIGHT_IN, name, f"{one.name} over days")
+    caption = " ".join(f"{line}." for line in sentences(one)) + f" {_CAPTION}"
+    return Picture(name, one.name, caption.strip(), drawing=Drawing(draw, _HEIGHT_IN, name, f"{one.name} over days"))

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Self
 
 from hilbench.errors import UnusableInputError
+from hilbench.files import make_folder, written_whole
 from hilbench.report.chart import Mark
 from hilbench.report.found import COLUMNS, found_pictures, found_rows
 from hilbench.report.machines.kinds import pictures_of
 from hilbench.report.page import number, quantity, write_page
-from hilbench.report.plots import draw_histogram, run_pictures, zooms
+from hilbench.report.plots import ImageFormat, Picture, draw_histogram, run_pictures, zooms
 from hilbench.report.web_line_drawing import line_picture
 from hilbench.results.provenance import Provenance
 from hilbench.results.recording import Recording, read_recording
@@ -33,23 +37,22 @@ def write_report(run_folder: RunFolder) -> Path:
     """
     recording, result = read_recording(run_folder.recording), Result.read(run_folder.result)
     config = _read_text(run_folder.config)
-    marks = marks_of(result, recording)
-    pictures = run_pictures(recording, marks, pictures_of(recording).reference(run_folder.config, recording))
+    shown = ReportPictures.of(run_folder, recording, result)
     steps, timing = result.steps or [], result.timing
     return write_page(
         run_folder.report,
         "report",
-        pictures,
-        marks,
+        shown.run,
+        shown.marks,
         name=run_folder.name,
         result=result,
         facts=_facts(result, recording),
         summary=_summary(result),
         reason_of=_reason,
         faults=[(number(fault.time_s, 6), fault.source, fault.text) for fault in result.faults],
-        line=line_picture(run_folder.config, recording),
-        pictures=[*pictures, *zooms(pictures, marks)],
-        found_pictures=found_pictures(result),
+        line=shown.line,
+        pictures=[*shown.run, *shown.zooms],
+        found_pictures=shown.found,
         found_columns=COLUMNS,
         found=found_rows(result),
         warnings=_warnings(result),
@@ -64,11 +67,59 @@ def write_report(run_folder: RunFolder) -> Path:
         most_rows=_MOST_ROWS,
         metrics=_metrics(result),
         timing=_timing(timing),
-        histogram=draw_histogram(timing.jitter_histogram) if timing.jitter_histogram else None,
+        histogram=shown.histogram,
         provenance=_provenance(result.provenance),
         versions=_versions(result.environment),
         config=config,
     )
+
+
+@dataclass(frozen=True)
+class ReportPictures:
+    """All pictures of a run's report, by the section in which they stand."""
+
+    line: Sequence[Picture]
+    found: Sequence[Picture]
+    run: Sequence[Picture]
+    zooms: Sequence[Picture]
+    histogram: Picture | None
+    marks: Sequence[Mark]
+
+    @classmethod
+    def of(cls, run_folder: RunFolder, recording: Recording, result: Result) -> Self:
+        """Of what was read from a run folder."""
+        marks = marks_of(result, recording)
+        run = run_pictures(recording, marks, pictures_of(recording).reference(run_folder.config, recording))
+        histogram = result.timing.jitter_histogram
+        return cls(
+            line_picture(run_folder.config, recording),
+            found_pictures(result),
+            run,
+            zooms(run, marks),
+            draw_histogram(histogram) if histogram else None,
+            marks,
+        )
+
+    def drawn(self) -> list[Picture]:
+        """Those whose signals are there."""
+        pictures = [*self.line, *self.found, *self.run, *self.zooms, *([self.histogram] if self.histogram else [])]
+        return [picture for picture in pictures if picture.drawing is not None]
+
+
+def write_pictures(run_folder: RunFolder, into: Path, form: ImageFormat) -> list[Path]:
+    """Write each picture of a run's report as a file of its own into the folder `into`, which is made.
+
+    Returns their paths. Raises UnusableInputError for what is missing in the run folder, or can't be written.
+    """
+    recording, result = read_recording(run_folder.recording), Result.read(run_folder.result)
+    make_folder(into)
+    written = []
+    for picture in ReportPictures.of(run_folder, recording, result).drawn():
+        path = into / f"{picture.name}.{form}"
+        with written_whole(path) as partial:
+            partial.write_bytes(picture.as_file(form))
+        written.append(path)
+    return written
 
 
 def _read_text(path: Path) -> str:

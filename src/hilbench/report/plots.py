@@ -8,11 +8,13 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from html import escape
 from itertools import pairwise
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -91,17 +93,32 @@ _STYLE: Final[dict[str, Any]] = {
     "path.simplify_threshold": 0.2,
 }
 
+#: Formats of a picture that is a file of its own.
+ImageFormat = Literal["svg", "png"]
+
 
 @dataclass(frozen=True)
 class Picture:
-    """One picture: its title, what it shows in words, its axes, and the SVG; `svg` is "" where signals are missing."""
+    """One picture: its title, what it shows in words, its axes, and how it is drawn (None where signals are
+    missing)."""
 
     name: str
     title: str
     caption: str
     charts: Sequence[Chart] = field(default=())
-    svg: str = ""
+    drawing: Drawing | None = None
     zoomed: bool = False  #: shown around each step, too
+
+    @cached_property
+    def svg(self) -> str:
+        """As SVG text for a page; "" where signals are missing."""
+        return "" if self.drawing is None else self.drawing.for_page()
+
+    def as_file(self, form: ImageFormat) -> bytes:
+        """As a file of its own. Raises ValueError where signals are missing."""
+        if self.drawing is None:
+            raise ValueError(f"a picture that can be drawn, {self.name} lacks signals")
+        return self.drawing.as_file(form)
 
 
 @dataclass
@@ -131,13 +148,16 @@ class Panel:
         _, _, high = envelope(band.t_s, band.high, self.columns)
         self.axes.fill_between(x, low, high, color=band.colour, alpha=band.alpha, linewidth=0)
 
-    def limits(self, curves: Iterable[Curve], least: float) -> None:
-        """Show all that the curves do, and at least a height of `least`; what is far out is cut, and marked."""
+    def limits(self, curves: Sequence[Curve], least: float, marks: Sequence[Mark] = ()) -> None:
+        """Show all that the curves do, and at least a height of `least`; what is far out is cut, and marked, but for
+        what they do at a mark: that is what the picture is looked at for."""
         shown = np.concatenate([curve.values[np.isfinite(curve.values)] for curve in curves])
         if not len(shown):
             return
         lowest, highest = float(np.min(shown)), float(np.max(shown))
         low, high = np.percentile(shown, [0.1, 99.9])
+        at_marks = np.concatenate([np.empty(0), *(_values_at(mark, curve) for mark in marks for curve in curves)])
+        low, high = np.min(at_marks, initial=low), np.max(at_marks, initial=high)
         cut = highest - lowest > _CUT_BEYOND * max(high - low, least)
         if not cut:
             low, high = lowest, highest
@@ -173,6 +193,15 @@ class Panel:
             self.axes.text(
                 1.012, place, name, color=colour, transform=self.axes.transAxes, va="center", ha="left", clip_on=False
             )
+
+
+def _values_at(mark: Mark, curve: Curve) -> Array:
+    """What a curve does from a step or event on."""
+    if mark.lasts:
+        return np.empty(0)
+    first, last = np.searchsorted(curve.t_s, (mark.start_s, mark.end_s + ZOOM_AFTER_S))
+    values = curve.values[first:last]
+    return values[np.isfinite(values)]
 
 
 def _apart(places: Sequence[float], gap: float) -> list[float]:
@@ -239,7 +268,7 @@ def draw_histogram(histogram: Histogram) -> Picture:
 
     title = "Lateness of SYNC"
     caption = "Every cycle; logarithmic, so that the rare late one shows."
-    return Picture("jitter", title, caption, svg=render_picture(draw, 2.2, "jitter", title))
+    return Picture("jitter", title, caption, drawing=Drawing(draw, 2.2, "jitter", title))
 
 
 # -- drawing ---------------------------------------------------------------------------------------------------------
@@ -258,24 +287,23 @@ def drawn(picture: Picture, marks: Sequence[Mark] = (), *, side_by_side: bool = 
         else:
             rows = np.atleast_1d(figure.subplots(count, 1, sharex=True))
         columns = _COLUMNS // count if side_by_side else _COLUMNS
-        panels = [_draw_chart(axes, chart, columns) for axes, chart in zip(rows, picture.charts, strict=True)]
+        panels = [_draw_chart(axes, chart, columns, marks) for axes, chart in zip(rows, picture.charts, strict=True)]
         for panel in panels if side_by_side else panels[-1:]:
             panel.axes.set_xlabel("time in s")
         _draw_marks(marks, panels, texts=not side_by_side)
         return panels
 
     height_in = 2.5 if side_by_side else 0.9 + 2.0 * count
-    svg = render_picture(draw, height_in, picture.name, picture.title)
-    return replace(picture, svg=svg)
+    return replace(picture, drawing=Drawing(draw, height_in, picture.name, picture.title))
 
 
-def _draw_chart(axes: Any, chart: Chart, columns: int) -> Panel:
+def _draw_chart(axes: Any, chart: Chart, columns: int, marks: Sequence[Mark]) -> Panel:
     panel = Panel(axes, columns)
     for band in chart.bands:
         panel.band(band)
     for curve in chart.curves:
         panel.line(curve)
-    panel.limits(chart.curves, chart.least)
+    panel.limits(chart.curves, chart.least, marks)
     axes.set_xlim(*chart.extent_s)
     axes.set_ylabel(chart.y_label)
     return panel
@@ -325,24 +353,55 @@ def _write_texts(marks: Sequence[Mark], axes: Any) -> None:
         )
 
 
-def render_picture(draw: Callable[[Any], list[Panel]], height_in: float, name: str, title: str) -> str:
-    """SVG text of what `draw` draws on a figure of page width; `name` keeps its identifiers apart from others'."""
-    import matplotlib
-    from matplotlib.backends.backend_svg import FigureCanvasSVG
-    from matplotlib.figure import Figure
+_DOTS_PER_INCH: Final = 200
 
-    # From matplotlib's own defaults, not the user's matplotlibrc: the same run gives the same picture anywhere.
-    style: Any = {**dict(matplotlib.rcParamsDefault), **_STYLE, "svg.hashsalt": f"hilbench-{name}"}
-    with matplotlib.rc_context(style):
-        figure = Figure(figsize=(7.6, height_in))
-        FigureCanvasSVG(figure)
-        figure.subplots_adjust(left=0.095, right=0.865, top=1 - 0.26 / height_in, bottom=0.46 / height_in, hspace=0.14)
-        panels = draw(figure)
-        for panel in panels:
-            panel.write_names()
-        text = io.StringIO()
-        figure.savefig(text, format="svg", transparent=True, metadata={"Date": None, "Creator": None})
-    return _for_page(text.getvalue(), name, title)
+
+@dataclass(frozen=True)
+class Drawing:
+    """What `draw` draws on a figure of page width, `height_in` inches high; `name` keeps its identifiers apart from
+    others' on a page, `title` says what it is to who can't see it."""
+
+    draw: Callable[[Any], list[Panel]]
+    height_in: float
+    name: str
+    title: str
+
+    def for_page(self) -> str:
+        """SVG text whose colours are those of the page around it."""
+        with self._figure() as figure:
+            text = io.StringIO()
+            figure.savefig(text, format="svg", transparent=True, metadata={"Date": None, "Creator": None})
+        return _for_page(text.getvalue(), self.name, self.title)
+
+    def as_file(self, form: ImageFormat) -> bytes:
+        """The same as a file of its own: on white, its colours in it."""
+        meta = {"svg": {"Date": None, "Creator": None, "Title": self.title}, "png": {"Software": None}}
+        with self._figure() as figure:
+            image = io.BytesIO()
+            figure.savefig(
+                image, format=form, facecolor="white", bbox_inches="tight", dpi=_DOTS_PER_INCH, metadata=meta[form]
+            )
+        return image.getvalue()
+
+    @contextmanager
+    def _figure(self) -> Iterator[Any]:
+        """A figure with the picture on it."""
+        import matplotlib
+        from matplotlib.backends.backend_svg import FigureCanvasSVG
+        from matplotlib.figure import Figure
+
+        # From matplotlib's own defaults, not the user's matplotlibrc: the same run gives the same picture anywhere.
+        style: Any = {**dict(matplotlib.rcParamsDefault), **_STYLE, "svg.hashsalt": f"hilbench-{self.name}"}
+        height_in = self.height_in
+        with matplotlib.rc_context(style):
+            figure = Figure(figsize=(7.6, height_in))
+            FigureCanvasSVG(figure)
+            figure.subplots_adjust(
+                left=0.095, right=0.865, top=1 - 0.26 / height_in, bottom=0.46 / height_in, hspace=0.14
+            )
+            for panel in self.draw(figure):
+                panel.write_names()
+            yield figure
 
 
 _NUMBER = re.compile(r"-?\d+\.\d{3,}")

@@ -20,7 +20,7 @@ from hilbench.errors import UnusableInputError
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.stations import CarriageStation, Dancer, LineRoller, Reel
 from hilbench.report.chart import BLUE, INK, ORANGE, VERMILLION
-from hilbench.report.plots import Panel, Picture, render_picture
+from hilbench.report.plots import Drawing, Panel, Picture
 from hilbench.results.recording import Recording
 from hilbench.runs.config import load_with_overrides
 from hilbench.runs.figures import working_window
@@ -35,6 +35,8 @@ _CAPTION: Final = (
 )
 #: Sizes in units of the drawing, which is as wide as the line is long.
 _DRIVEN, _IDLER, _REEL, _FREE, _HANGS = 0.34, 0.2, 0.62, 2.5, 1.8
+#: A shorter line stands in the middle: its rollers are no larger than those of others.
+_NARROWEST: Final = 9.0
 _MOST_STRANDS: Final = 4
 _MEAN_S: Final = 1.0
 
@@ -63,18 +65,18 @@ class _Circle:
 
 
 def line_picture(config: Path, recording: Recording) -> list[Picture]:
-    """The drawing of a run's line; none for another machine, one span alone, or a config too old to be understood."""
+    """The drawing of a run's line; none for another machine, or a config too old to be understood."""
     try:
         bench = load_with_overrides(config).config
     except UnusableInputError:
         return []
-    if bench.machine.kind != "web_line" or bench.web_line.span_count < 2:
+    if bench.machine.kind != "web_line":
         return []
     return [drawing(bench.web_line, _notes(bench, recording))]
 
 
 def _notes(bench: BenchConfig, recording: Recording) -> LineNotes:
-    names = {span: f"F{span}_true_N" for span in range(1, bench.web_line.span_count + 1)}
+    numbers = {span: bench.shape.numbered(span) for span in range(1, bench.web_line.span_count + 1)}
     command = line_speed(shape_of(recording.channels).axes).signal
     window = working_window(recording.time_s, recording[command]) if command in recording else None
     end = window.stop if window is not None else len(recording)
@@ -82,13 +84,13 @@ def _notes(bench: BenchConfig, recording: Recording) -> LineNotes:
     last = slice(int(np.searchsorted(time_s, time_s[-1] - _MEAN_S)), end) if end else slice(0, 0)
     means = {
         span: float(np.nanmean(np.asarray(recording[name], float)[last]))
-        for span, name in names.items()
-        if end and name in recording and np.any(np.isfinite(np.asarray(recording[name], float)[last]))
+        for span, number in numbers.items()
+        if end and (name := f"F{number}_true_N") in recording and np.any(np.isfinite(recording[name][last]))
     }
     wanted = {
-        span: float(np.asarray(recording[f"F{span}_ref_N"], float)[end - 1])
-        for span in names
-        if end and f"F{span}_ref_N" in recording
+        span: float(recording[name][end - 1])
+        for span, number in numbers.items()
+        if end and (name := f"F{number}_ref_N") in recording
     }
     return LineNotes(tuple(bench.drives), bench.loaded_axes, means, wanted)
 
@@ -97,6 +99,7 @@ def drawing(model: ModelParameters, notes: LineNotes) -> Picture:
     """The picture of a line with a web. Raises ValueError for a model without one."""
     circles = _placed(model)
     width = max(circle.x + circle.r for circle in circles) + 1.0
+    beside = max(_NARROWEST - width, 0.0) / 2.0
     deepest = min(circle.y for circle in circles)
     low, high = deepest - 1.35, 0.6
 
@@ -104,7 +107,7 @@ def drawing(model: ModelParameters, notes: LineNotes) -> Picture:
         axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
         axes.set_axis_off()
         axes.set_aspect("equal")
-        axes.set_xlim(-1.0, width)
+        axes.set_xlim(-1.0 - beside, width + beside)
         axes.set_ylim(low, high)
         points = [point for circle in circles for point in _contact(circle)]
         web = [(-1.0, circles[0].y + circles[0].r), *points, (width, circles[-1].y + circles[-1].r)]
@@ -118,8 +121,8 @@ def drawing(model: ModelParameters, notes: LineNotes) -> Picture:
             _draw_carriage(axes, [c for c in circles if c.hangs and c.roller.station is station])
         return []
 
-    height_in = float(np.clip(7.6 * (high - low) / (width + 1.0), 1.2, 3.2))
-    return Picture("line", _TITLE, _CAPTION, svg=render_picture(draw, height_in, "line", _TITLE))
+    height_in = float(np.clip(7.6 * (high - low) / (width + 1.0 + 2.0 * beside), 1.2, 3.2))
+    return Picture("line", _TITLE, _CAPTION, drawing=Drawing(draw, height_in, "line", _TITLE))
 
 
 def _is_reel(circle: _Circle) -> bool:
