@@ -60,6 +60,9 @@ NOT_RUN = {
     r"hilbench run bench_configs/live_\w+.yaml": "takes minutes: tests/live/test_live_runs.py runs it",
     r"hilbench sweep .*--cluster ": "needs a cluster; tests/scripts/test_sweep.py has one of its own",
     r"hilbench sync bench_configs/synchronizers.yaml": "runs the bench once with each method, which takes minutes",
+    r"hilbench runs (delete|gc --max)": "deletes runs: tests/library/test_runs_command.py has some to delete",
+    r"hilbench runs matrix --reqif": "needs a specification: tests/library/test_requirements.py has one",
+    r"hilbench runs trend .*--over ": "needs runs that differ: tests/library/test_runs_command.py has them",
     r"pytest --hilbench-config ": "the page's test is run by tests/scripts/test_scripts.py",
 }
 #: What a shown line is instead where it is run: no terminal is there, no stand, and no need for all methods.
@@ -121,6 +124,7 @@ def _says_more(words: list[str]) -> bool:
     """Whether inline code is a line to type, not only the name of a command."""
     return len(words) > 2 or words[1] not in (
         "run",
+        "runs",
         "sync",
         "diagnose",
         "twin",

@@ -22,6 +22,7 @@ from hilbench.cli import (
     lss,
     monitor,
     replay,
+    runs,
     scan,
     sdo,
     sweep,
@@ -438,6 +439,7 @@ app.command()(gateway.gateway)
 app.add_typer(sdo.app, name="sdo")
 app.add_typer(lss.app, name="lss")
 app.add_typer(config.app, name="config")
+app.add_typer(runs.app, name="runs")
 app.command()(drive.drive)
 app.command()(replay.replay)
 app.command()(monitor.monitor)

@@ -56,30 +56,51 @@ def interactive(pictures: Sequence[Picture], marks: Sequence[Mark] = ()) -> str:
     shown = [picture for picture in pictures if picture.charts]
     if not shown:
         return ""
-    data = json.dumps(_page_data(shown, marks), separators=(",", ":"), allow_nan=False)
-    inert = data.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
-    code = "".join(f"<script>{text}</script>\n" for text in scripts())
-    return f'<script type="application/json" id="hilbench-data">{inert}</script>\n{code}'
+    return _markup(_page_data(shown, marks), scripts())
+
+
+@dataclass(frozen=True)
+class Program:
+    """A script of our own (a file beside this one), with its data, for a page that is more than pictures."""
+
+    file: str
+    data: Any
+
+    def scripts(self) -> tuple[str, ...]:
+        """uPlot, and the script."""
+        return _read("uplot", "uPlot.iife.min.js"), _read(self.file)
+
+    def markup(self) -> str:
+        """What stands at the end of the page."""
+        return _markup(self.data, self.scripts())
+
+
+def _markup(data: Any, code: Sequence[str]) -> str:
+    text = json.dumps(data, separators=(",", ":"), allow_nan=False)
+    inert = text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
+    programs = "".join(f"<script>{each}</script>\n" for each in code)
+    return f'<script type="application/json" id="hilbench-data">{inert}</script>\n{programs}'
 
 
 @cache
+def _read(*names: str) -> str:
+    return resources.files("hilbench.report").joinpath(*names).read_text(encoding="utf-8")
+
+
 def scripts() -> tuple[str, ...]:
-    """The scripts of a page: uPlot as it was published, and what draws with it."""
-    folder = resources.files("hilbench.report")
-    library = folder.joinpath("uplot", "uPlot.iife.min.js").read_text(encoding="utf-8")
-    return library, folder.joinpath("live.js").read_text(encoding="utf-8")
+    """The scripts of a page of pictures: uPlot as it was published, and what draws with it."""
+    return _read("uplot", "uPlot.iife.min.js"), _read("live.js")
 
 
-@cache
 def style() -> str:
     """uPlot's own style sheet."""
-    return resources.files("hilbench.report").joinpath("uplot", "uPlot.min.css").read_text(encoding="utf-8")
+    return _read("uplot", "uPlot.min.css")
 
 
 @cache
-def policy() -> str:
+def policy(code: tuple[str, ...]) -> str:
     """Content security policy of a page: these scripts run and no others, and nothing is loaded."""
-    hashes = (base64.b64encode(hashlib.sha256(text.encode()).digest()).decode() for text in scripts())
+    hashes = (base64.b64encode(hashlib.sha256(text.encode()).digest()).decode() for text in code)
     allowed = " ".join(f"'sha256-{text}'" for text in hashes)
     return f"default-src 'none'; style-src 'unsafe-inline'; script-src {allowed}"
 

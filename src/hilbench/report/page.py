@@ -16,7 +16,8 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from hilbench.files import written_whole
 from hilbench.report.chart import Mark
-from hilbench.report.live import interactive, policy, style
+from hilbench.report.live import Program, interactive, policy, style
+from hilbench.report.live import scripts as reading_scripts
 from hilbench.report.plots import Picture
 
 #: What stands where there is no number.
@@ -24,12 +25,22 @@ DASH: Final = "–"
 _SUPERSCRIPT: Final = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
-def write_page(path: Path, template: str, zoomable: Sequence[Picture], marks: Sequence[Mark] = (), **data: Any) -> Path:
-    """Fill a template with `data`; the pictures `zoomable`, with their marks, become interactive.
+def write_page(
+    path: Path,
+    template: str,
+    zoomable: Sequence[Picture] = (),
+    marks: Sequence[Mark] = (),
+    *,
+    program: Program | None = None,
+    **data: Any,
+) -> Path:
+    """Fill a template with `data`; the pictures `zoomable`, with their marks, become interactive, and `program` runs.
 
     Returns `path`, where the page appears complete or not at all. Raises UnusableInputError if it cannot be written.
     """
-    text = _templates().get_template(f"{template}.html.j2").render(scripts=interactive(zoomable, marks), **data)
+    scripts = program.markup() if program else interactive(zoomable, marks)
+    rules = policy(program.scripts() if program else reading_scripts())
+    text = _templates().get_template(f"{template}.html.j2").render(scripts=scripts, policy=rules, **data)
     with written_whole(path) as partial:
         partial.write_text(text, encoding="utf-8")
     return path
@@ -45,7 +56,7 @@ def _templates() -> Environment:
         lstrip_blocks=True,
     )
     own = resources.files("hilbench.report").joinpath("page.css").read_text(encoding="utf-8")
-    environment.globals.update(policy=policy(), style=f"{style()}\n{own}", zip=zip)
+    environment.globals.update(style=f"{style()}\n{own}", zip=zip)
     environment.filters.update(number=number, quantity=quantity)
     return environment
 

@@ -29,6 +29,10 @@ def write_junit(result: Result, name: str, started: datetime, path: Path) -> Non
 
 def _add_criterion(suite: ElementTree.Element, name: str, criterion: CriterionResult) -> None:
     case = ElementTree.SubElement(suite, "testcase", classname=name, name=criterion.name)
+    if criterion.verifies:
+        properties = ElementTree.SubElement(case, "properties")
+        for requirement in criterion.verifies:
+            ElementTree.SubElement(properties, "property", name="verifies", value=requirement)
     value = "no value" if criterion.value is None else f"{criterion.value:.6g} {criterion.unit}".strip()
     text = f"{value}, limit {criterion.limit} {criterion.unit}".strip()
     if criterion.verdict == "error":

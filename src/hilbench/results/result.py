@@ -5,6 +5,7 @@ from __future__ import annotations
 import platform
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
+from datetime import datetime
 from importlib import metadata
 from math import isfinite
 from typing import Annotated, Any, ClassVar, Literal, Self
@@ -425,6 +426,7 @@ class Result(_WithOptions, JsonFile):
     described: ClassVar[str] = "a run's result"
 
     passed: bool
+    began: datetime | None = None  #: UTC
     criteria: list[CriterionResult]
     metrics: dict[str, float | None]
     timing: Timing
@@ -453,11 +455,13 @@ class Result(_WithOptions, JsonFile):
         predicted: Sequence[Announcement] | None = None,
         found: Sequence[FoundRecord] | None = None,
         gap_history: GapHistory | None = None,
+        began: datetime | None = None,
     ) -> Self:
         """A result whose `passed` follows from its criteria and faults."""
         passed = all(criterion.passed for criterion in criteria) and not faults
         return cls(
             passed=passed,
+            began=began,
             criteria=list(criteria),
             metrics=metrics,
             timing=timing,

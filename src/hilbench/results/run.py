@@ -231,6 +231,7 @@ class RunRecord:
             None if prediction is None else prediction.announcements.made,
             found,
             history,
+            began=self._started,
         )
         try:
             result.write(folder.result)

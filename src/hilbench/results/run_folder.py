@@ -107,6 +107,11 @@ class RunFolder:
         return self.path / "diagnosis.json"
 
     @property
+    def labels(self) -> Path:
+        """Tags and notes, JSON; only where somebody gave some."""
+        return self.path / "labels.json"
+
+    @property
     def traceback(self) -> Path:
         """The traceback of what nobody foresaw; most runs have none."""
         return self.path / TRACEBACK_FILE
@@ -123,6 +128,7 @@ class RunFolder:
             "junit": self.junit,
             "report": self.report,
             "diagnosis": self.diagnosis,
+            "labels": self.labels,
             "traceback": self.traceback,
         }
         return {name: path for name, path in known.items() if path.exists()}

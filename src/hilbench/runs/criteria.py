@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from math import inf, isfinite
-from typing import Any, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
@@ -33,6 +33,10 @@ class Criterion(Block):
     unit: str | None = Field(default=None, description="must be the metric's own, where given")
     step: int | None = Field(
         default=None, ge=1, description="judge this step of the run only, counted from 1 as the report does"
+    )
+
+    verifies: list[Annotated[str, Field(min_length=1)]] = Field(
+        default=[], description="ids of the requirements that it verifies, as a specification has them"
     )
 
     @model_validator(mode="after")
@@ -102,6 +106,7 @@ class CriterionResult(Strict):
     never: bool = False  #: failed without a value: what was waited for did not come
     step: int | None = None
     reason: str | None = None
+    verifies: list[str] = Field(default_factory=list)  #: ids of requirements
 
     @property
     def verdict(self) -> Verdict:
@@ -113,7 +118,7 @@ class CriterionResult(Strict):
     @model_serializer(mode="wrap")
     def _without_what_says_nothing(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:
         fields: dict[str, Any] = serialize(self)
-        silent = ("reason", "marginal", "never", "step")
+        silent = ("reason", "marginal", "never", "step", "verifies")
         return {name: value for name, value in fields.items() if value or name not in silent}
 
 
@@ -193,4 +198,5 @@ def _result(
         never=never,
         step=step or None,
         reason=reason,
+        verifies=criterion.verifies,
     )

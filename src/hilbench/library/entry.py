@@ -1,0 +1,255 @@
+"""What the library knows of a run: read from its folder, once for as long as the folder does not change."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from math import isfinite
+from pathlib import Path
+from typing import Any, Final, Literal, Self
+
+import yaml
+
+from hilbench.results.run_folder import RunFolder
+
+State = Literal["passed", "failed", "fault", "interrupted", "unfinished", "running"]
+STATES: Final[tuple[State, ...]] = ("passed", "failed", "fault", "interrupted", "unfinished", "running")
+#: Source of the fault of a run that its operator has ended (`results.run`).
+_BY_OPERATOR: Final = "operator"
+_TIME_IN_NAME: Final = re.compile(r"-(\d{8}-\d{6})(?:-\d+)?$")
+_TOP_LEVEL: Final = re.compile(r"^(name|description|stand|seed|pace):.*\n(?:[ \t].*\n)*", re.MULTILINE)
+_LOADER: Final = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Of a criterion, with the requirements that it verifies; `found`: value, unit and limit (not in the index)."""
+
+    criterion: str
+    verdict: str
+    verifies: tuple[str, ...] = ()
+    found: str = ""
+
+
+@dataclass(frozen=True)
+class RunEntry:
+    """A run. `path`: of its folder, from the library's; `began_s`: since 1970, UTC; `size_bytes` of all its files.
+
+    `state`: passed; failed (a criterion); fault; interrupted; unfinished (it was cut off before it had a result), or
+    running. `met` of `criteria` criteria. `settings`: what options gave in place of the config's own values. `problem`:
+    what could not be read.
+    """
+
+    path: str
+    bench: str
+    began_s: float
+    state: State
+    duration_s: float | None = None
+    met: int = 0
+    criteria: int = 0
+    description: str = ""
+    stand: str = ""
+    pace: str = ""
+    seed: int | None = None
+    config: str = ""
+    host: str = ""
+    commit: str = ""
+    fault: str = ""
+    size_bytes: int = 0
+    has_report: bool = False
+    tags: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+    problem: str = ""
+    metrics: Mapping[str, float] = field(default_factory=dict)
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    verdicts: Sequence[Verdict] = ()
+
+    @property
+    def name(self) -> str:
+        """Of its folder."""
+        return self.path.rpartition("/")[2]
+
+    @property
+    def began(self) -> str:
+        """When it began, local time: ``2026-11-22 18:51:05``."""
+        return datetime.fromtimestamp(self.began_s).strftime("%Y-%m-%d %H:%M:%S")
+
+    @property
+    def verifies(self) -> bool:
+        """Whether any of its criteria verifies a requirement."""
+        return any(each.verifies for each in self.verdicts)
+
+    def as_data(self) -> dict[str, Any]:
+        """For a program; times in ISO 8601, UTC."""
+        return {
+            "run": self.path,
+            "bench": self.bench,
+            "began": datetime.fromtimestamp(self.began_s, UTC).isoformat(timespec="seconds"),
+            "result": self.state,
+            "criteria_met": self.met,
+            "criteria": self.criteria,
+            "duration_s": self.duration_s,
+            "description": self.description,
+            "stand": self.stand,
+            "pace": self.pace,
+            "seed": self.seed,
+            "config": self.config,
+            "host": self.host,
+            "commit": self.commit,
+            "fault": self.fault,
+            "size_bytes": self.size_bytes,
+            "report": self.has_report,
+            "tags": list(self.tags),
+            "notes": list(self.notes),
+            "problem": self.problem,
+            "metrics": dict(self.metrics),
+            "settings": dict(self.settings),
+        }
+
+    def as_text(self) -> str:
+        """All but its metrics, for the index."""
+        kept = {name: value for name, value in vars(self).items() if name not in ("metrics", "verdicts")}
+        return json.dumps(
+            kept | {"verdicts": [(each.criterion, each.verdict, each.verifies) for each in self.verdicts]}
+        )
+
+    @classmethod
+    def of_text(cls, text: str, metrics: Mapping[str, float]) -> Self:
+        """What `as_text` wrote."""
+        known = json.loads(text)
+        verdicts = [Verdict(name, verdict, tuple(verifies)) for name, verdict, verifies in known.pop("verdicts")]
+        for name in ("tags", "notes"):
+            known[name] = tuple(known[name])
+        return cls(**known, metrics=metrics, verdicts=verdicts)
+
+
+def read_entry(base: Path, path: str) -> RunEntry:
+    """The run in the folder `base`/`path`. What can't be read is a `problem` of the entry: never raises for it."""
+    folder = RunFolder(base / path)
+    problems: list[str] = []
+    about = _config(folder, problems)
+    result = _json(folder.result, problems)
+    labels = _json(folder.labels, problems)
+    try:
+        known = _of_result(result) if result else {"state": "unfinished"}
+        labelled: dict[str, Any] = {
+            "tags": tuple(map(str, labels.get("tags", ()))),
+            "notes": tuple(f"{note['time']} {note['by']}: {note['text']}" for note in labels.get("notes", ())),
+        }
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        problems.append(f"not understood ({' '.join(str(error).split())})")
+        known, labelled = {"state": "unfinished"}, {}
+    return RunEntry(
+        path=path,
+        bench=str(about.get("name") or folder.path.name),
+        began_s=_began_s(folder, result),
+        description=str(about.get("description") or ""),
+        stand=str(about.get("stand") or about.get("name") or ""),
+        pace=str(about.get("pace") or ""),
+        seed=about["seed"] if isinstance(about.get("seed"), int) else None,
+        size_bytes=_size(folder.path),
+        has_report=folder.report.exists(),
+        problem="; ".join(problems),
+        **known,
+        **labelled,
+    )
+
+
+def _config(folder: RunFolder, problems: list[str]) -> dict[str, Any]:
+    """The few values at the top of a config that tell runs apart: the rest of it takes long to parse."""
+    try:
+        text = folder.config.read_text(encoding="utf-8", errors="replace")
+        found = yaml.load("".join(match[0] for match in _TOP_LEVEL.finditer(text)), _LOADER)
+    except (OSError, yaml.YAMLError) as error:
+        problems.append(f"{folder.config.name}: {' '.join(str(error).split())}")
+        return {}
+    return found if isinstance(found, dict) else {}
+
+
+def _json(path: Path, problems: list[str]) -> dict[str, Any]:
+    try:
+        found = json.loads(path.read_bytes())
+    except FileNotFoundError:
+        return {}
+    except (OSError, ValueError, RecursionError) as error:
+        problems.append(f"{path.name}: {' '.join(str(error).split())}")
+        return {}
+    return found if isinstance(found, dict) else {}
+
+
+def _of_result(result: Mapping[str, Any]) -> dict[str, Any]:
+    criteria, faults = result["criteria"], result["faults"]
+    provenance, timing = result.get("provenance") or {}, result["timing"]
+    verdicts = [
+        Verdict(each["name"], _verdict(each), tuple(each.get("verifies", ())), _found(each)) for each in criteria
+    ]
+    return {
+        "state": _state(result["passed"], faults),
+        "duration_s": timing["cycles"] * timing["cycle_us"] * 1e-6,
+        "met": sum(bool(each["passed"]) for each in criteria),
+        "criteria": len(criteria),
+        "config": str(provenance.get("config") or ""),
+        "host": str(provenance.get("host") or ""),
+        "commit": _commit(provenance.get("git")),
+        "fault": str(faults[0]["text"]) if faults else "",
+        "metrics": {
+            name: float(value) for name, value in result["metrics"].items() if value is not None and isfinite(value)
+        },
+        "settings": {each["key"]: each["value"] for each in provenance.get("overridden", ())},
+        "verdicts": verdicts,
+    }
+
+
+def _verdict(criterion: Mapping[str, Any]) -> str:
+    """As `runs.criteria.CriterionResult.verdict` says it."""
+    if criterion["passed"]:
+        return "marginal" if criterion.get("marginal") else "passed"
+    return "error" if criterion["value"] is None and not criterion.get("never") else "failed"
+
+
+def _found(criterion: Mapping[str, Any]) -> str:
+    value = criterion["value"]
+    known = criterion.get("reason") or "no value" if value is None else f"{value:.5g} {criterion['unit']}".strip()
+    return f"{known} ({criterion['limit']})"
+
+
+def _state(passed: bool, faults: Sequence[Mapping[str, Any]]) -> State:
+    if faults:
+        return "interrupted" if faults[0]["source"] == _BY_OPERATOR else "fault"
+    return "passed" if passed else "failed"
+
+
+def _commit(git: Mapping[str, Any] | None) -> str:
+    return "" if not git else str(git["commit"]) + ("+" if git["changed"] else "")
+
+
+def _began_s(folder: RunFolder, result: Mapping[str, Any]) -> float:
+    """As the result says it; of older runs, and those without one, the time in the name, or of the config's file."""
+    try:
+        return datetime.fromisoformat(result["began"]).timestamp()
+    except (KeyError, TypeError, ValueError):
+        pass
+    found = _TIME_IN_NAME.search(folder.path.name)
+    try:
+        return datetime.strptime(found[1], "%Y%m%d-%H%M%S").timestamp() if found else folder.config.stat().st_mtime
+    except (ValueError, OSError):
+        return 0.0
+
+
+def _size(path: Path) -> int:
+    """Of all files in a folder, bytes."""
+    total = 0
+    try:
+        with os.scandir(path) as entries:
+            for entry in entries:
+                if entry.is_dir(follow_symlinks=False):
+                    total += _size(Path(entry.path))
+                else:
+                    total += entry.stat(follow_symlinks=False).st_size
+    except OSError:  # somebody removes it now
+        pass
+    return total
