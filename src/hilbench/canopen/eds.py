@@ -31,7 +31,7 @@ _KEYS = {
     name.lower(): name
     for name in (
         "ParameterName", "ObjectType", "DataType", "AccessType", "DefaultValue", "ParameterValue", "LowLimit",
-        "HighLimit", "PDOMapping", "CompactSubObj", "VendorNumber", "ProductNumber", "RevisionNumber",
+        "HighLimit", "PDOMapping", "CompactSubObj", "ObjFlags", "VendorNumber", "ProductNumber", "RevisionNumber",
     )
 }  # fmt: skip
 
@@ -68,6 +68,20 @@ def _load(path: Path, node_id: int, as_of: tuple[int, int]) -> bytes:
 @lru_cache(16)  # nodes of one kind share their file
 def _sections(path: Path, _as_of: tuple[int, int]) -> dict[str, _Section]:
     return _read_sections(path)
+
+
+def object_flags(path: Path) -> dict[tuple[int, int], int]:
+    """ObjFlags (CiA 306, 4.6.3.2) by index and sub-index, of the values that have some.
+
+    Raises UnusableInputError as `load_eds` does.
+    """
+    try:
+        status = path.stat()
+    except OSError as error:
+        raise _unreadable(path, error) from error
+    objects = _object_sections(path, _sections(path, (status.st_mtime_ns, status.st_size)))
+    flags = {key: _integer(path, section, "ObjFlags", 0) for key, section in objects.items()}
+    return {(index, sub or 0): value for (index, sub), value in flags.items() if value}
 
 
 def _read(path: Path, node_id: int, sections: dict[str, _Section]) -> canopen.ObjectDictionary:

@@ -19,6 +19,8 @@ from hilbench.plant.motor_port import MotorMode
 
 HOMING_START: Final = 1 << 4  #: controlword bit 4 in homing mode
 
+#: No homing: one that is started fails.
+NO_METHOD: Final = 0
 #: The present position is the home position.
 PRESENT_POSITION: Final = (35, 37)
 #: By the index pulse alone, and in which direction.

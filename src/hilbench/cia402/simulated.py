@@ -20,7 +20,7 @@ from hilbench.canopen.identifiers import NmtState
 from hilbench.cia402 import objects
 from hilbench.cia402.assumed import cell_of
 from hilbench.cia402.firmware import Firmware
-from hilbench.cia402.homing import PRESENT_POSITION, WITH_SWITCHES
+from hilbench.cia402.homing import NO_METHOD, PRESENT_POSITION, WITH_SWITCHES
 from hilbench.cia402.mode import DebouncedCondition
 from hilbench.cia402.modes import MODES
 from hilbench.cia402.objects import OperationMode
@@ -62,14 +62,15 @@ SIMULATED_FAULT: Final = 0x2001
 _FAULT_ON_COMMAND: Final = "Simulated fault"
 _ABORT_VALUE_RANGE: Final = 0x06090030
 
-_OPTION_CODES: Final = (
-    objects.ABORT_CONNECTION_OPTION_CODE,
-    objects.QUICK_STOP_OPTION_CODE,
-    objects.SHUTDOWN_OPTION_CODE,
-    objects.DISABLE_OPERATION_OPTION_CODE,
-    objects.HALT_OPTION_CODE,
-    objects.FAULT_REACTION_OPTION_CODE,
-)
+#: Option codes, and those that the drive knows (a maker's own are negative).
+_OPTION_CODES: Final = {
+    objects.ABORT_CONNECTION_OPTION_CODE: range(4),
+    objects.QUICK_STOP_OPTION_CODE: range(9),
+    objects.SHUTDOWN_OPTION_CODE: range(2),
+    objects.DISABLE_OPERATION_OPTION_CODE: range(2),
+    objects.HALT_OPTION_CODE: range(1, 5),
+    objects.FAULT_REACTION_OPTION_CODE: range(5),
+}
 #: Target object (index, sub-index) of each mode.
 _TARGETS: Final = {
     OperationMode.PROFILE_POSITION: (objects.TARGET_POSITION, 0),
@@ -83,7 +84,12 @@ _TARGETS: Final = {
     OperationMode.CYCLIC_SYNCHRONOUS_TORQUE: (objects.TARGET_TORQUE, 0),
 }
 #: Transitions towards power, which take their time at a slow drive.
-_DELAYED: Final = (Transition.T2_SHUTDOWN, Transition.T3_SWITCH_ON, Transition.T4_ENABLE_OPERATION)
+_DELAYED: Final = (
+    Transition.T2_SHUTDOWN,
+    Transition.T3_SWITCH_ON,
+    Transition.T4_ENABLE_OPERATION,
+    Transition.T16_ENABLE_OPERATION,
+)
 #: Transitions out of OPERATION ENABLED that an option code (1) puts behind a slow-down ramp.
 _DISABLING: Final = {
     Transition.T5_DISABLE_OPERATION: objects.DISABLE_OPERATION_OPTION_CODE,
@@ -123,6 +129,8 @@ class SimulatedDrive:
         self._probes = TouchProbes(device, self._firmware) if probed else None
         self._stop = Stop(self._firmware)
         supported = supported_modes(device)
+        if device.has(objects.SUPPORTED_DRIVE_MODES) and not device.cell(objects.SUPPORTED_DRIVE_MODES).value:
+            device.cell(objects.SUPPORTED_DRIVE_MODES).on_read = lambda: supported
         self._modes = {
             code: kind(self._firmware)
             for code, kind in MODES.items()
@@ -134,6 +142,8 @@ class SimulatedDrive:
         self._mode_request = cell(objects.MODES_OF_OPERATION)
         self._mode_display = cell(objects.MODES_OF_OPERATION_DISPLAY)
         self._options = {index: cell(index) for index in _OPTION_CODES}
+        for index, codes in _OPTION_CODES.items():
+            self._options[index].on_write = partial(_only, codes)
         self._state_change_s = state_change_s
         self._pending: tuple[Transition, float] | None = None
         self._firmware.controlword.on_write = self._controlword_written
@@ -340,7 +350,9 @@ class SimulatedDrive:
         self._mode.enter()
 
     def _homing_method_written(self, method: int) -> None:
-        if method not in (PRESENT_POSITION if self._firmware.switches is None else WITH_SWITCHES):
+        if method != NO_METHOD and method not in (
+            PRESENT_POSITION if self._firmware.switches is None else WITH_SWITCHES
+        ):
             raise SdoAbort(_ABORT_VALUE_RANGE)
 
     # --- faults ------------------------------------------------------------------------------------------------------
@@ -437,6 +449,11 @@ class SimulatedDrive:
         elif option == 3 and self._state is State.OPERATION_ENABLED:
             self._quick_stop()
         self._show_status(0.0)
+
+
+def _only(codes: range, code: int) -> None:
+    if code not in codes:
+        raise SdoAbort(_ABORT_VALUE_RANGE)
 
 
 def supported_modes(device: Device) -> int:

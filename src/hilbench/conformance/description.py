@@ -1,0 +1,119 @@
+"""What the EDS file says of the device: the questions that cases have."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from canopen.objectdictionary import ODVariable
+
+from hilbench.canopen.data_types import data_type
+from hilbench.canopen.eds import all_variables, load_eds, object_flags
+
+#: ObjFlags (CiA 306): refuse write on download, refuse read on scan.
+REFUSE_WRITE, REFUSE_READ = 0x1, 0x2
+_WRITABLE: Final = ("rw", "rwr", "rww")
+_DUMMIES: Final = 0x1000
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One value of the device as its EDS file has it."""
+
+    variable: ODVariable
+    flags: int
+
+    @property
+    def index(self) -> int:
+        return int(self.variable.index)
+
+    @property
+    def sub(self) -> int:
+        return int(self.variable.subindex)
+
+    @property
+    def key(self) -> tuple[int, int]:
+        return self.index, self.sub
+
+    @property
+    def access(self) -> str:
+        """ro, const, wo, rw, rwr or rww."""
+        return str(self.variable.access_type)
+
+    @property
+    def writable(self) -> bool:
+        """It can be read and written."""
+        return self.access in _WRITABLE
+
+    @property
+    def readable(self) -> bool:
+        return self.access != "wo"
+
+    @property
+    def constant(self) -> bool:
+        """Writes are to be refused."""
+        return self.access in ("ro", "const")
+
+    @property
+    def width(self) -> int | None:
+        """Bytes of its SDO data; None: as many as there are."""
+        return data_type(self.variable.data_type or 0).width
+
+    @property
+    def is_integer(self) -> bool:
+        return data_type(self.variable.data_type or 0).is_integer
+
+    @property
+    def default(self) -> bytes | None:
+        """SDO data of its default, or of the value that a DCF gives it; None where the file has neither."""
+        value = self.variable.default if self.variable.value is None else self.variable.value
+        return None if value is None else data_type(self.variable.data_type or 0).encode(value)
+
+    @property
+    def mapping(self) -> int:
+        """Its entry in a PDO mapping."""
+        bits = data_type(self.variable.data_type or 0).pdo_bits or 0
+        return self.index << 16 | self.sub << 8 | bits
+
+    def __str__(self) -> str:
+        return f"{self.index:04X}h:{self.sub} '{self.variable.name}'"
+
+
+class Description:
+    """An EDS file, for the device with this node id. Raises UnusableInputError for a file that can't be used."""
+
+    def __init__(self, path: Path, node_id: int) -> None:
+        self.path = path
+        self.od = load_eds(path, node_id)
+        flags = object_flags(path)
+        found = [Entry(v, flags.get((v.index, v.subindex), 0)) for v in all_variables(self.od)]
+        self._entries = {entry.key: entry for entry in found}
+        self.dummies = [index for index in self.od.indices if index < _DUMMIES]
+
+    def has(self, index: int, sub: int = 0) -> bool:
+        """Whether the file has the value."""
+        return (index, sub) in self._entries
+
+    def entry(self, index: int, sub: int = 0) -> Entry:
+        """Raises KeyError for one that is not in the file."""
+        return self._entries[index, sub]
+
+    def can_write(self, index: int, sub: int = 0) -> bool:
+        """Whether the file has the value, to be read and written."""
+        return self.has(index, sub) and self.entry(index, sub).writable
+
+    def entries(self, first: int = 0x1000, last: int = 0x9FFF) -> Iterator[Entry]:
+        """Those of an area; of each object sub-index 0 last, as a configuration writes them."""
+        found = [entry for entry in self._entries.values() if first <= entry.index <= last]
+        yield from sorted(found, key=lambda entry: (entry.index, entry.sub == 0, entry.sub))
+
+    def pdos(self, communication: int) -> list[int]:
+        """Numbers (from 0) of the PDOs of 1400h or 1800h."""
+        return [number for number in range(512) if self.has(communication + number, 1)]
+
+    @property
+    def is_drive(self) -> bool:
+        """CiA 402: controlword and statusword."""
+        return self.has(0x6040) and self.has(0x6041)

@@ -1,0 +1,96 @@
+"""EMCY cases (CiA 301, 7.2.7): an RPDO that is too short makes the device report 8210h."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Final
+
+from hilbench.canopen.identifiers import EMERGENCY, NmtCommand
+from hilbench.canopen.object_store import NO_DATA
+from hilbench.canopen.sdo_client import Refusal
+from hilbench.conformance.dut import DeviceUnderTest, answer_text
+from hilbench.conformance.process_data import Pdo, receive_pdo, set_up
+from hilbench.conformance.record import NotApplicableError
+
+TOO_SHORT: Final = "10 82"
+_GENERAL_ERROR: Final = 0x08000000
+_SOON_S: Final = 0.1
+
+
+def identifier(dut: DeviceUnderTest) -> None:
+    """1014h has the predefined one."""
+    dut.needs((0x1014, 0))
+    value = (EMERGENCY + dut.node_id).to_bytes(4, "little").hex()
+    dut.ask("read 1014h:0", "40 14 10 00 00000000", f"43 14 10 00 {value}")
+
+
+def error_register(dut: DeviceUnderTest) -> None:
+    """1001h is 0 without an error; with one (1003h:0) it is not."""
+    errors = dut.value(0x1003, 0) if dut.eds.has(0x1003) else 0
+    dut.ask("read 1001h:0", "40 01 10 00 00000000", "4f 01 10 00 00 ??????" if not errors else "4f 01 10 00 ?? ??????")
+    if errors:
+        dut.notes.append(f"1003h:0 tells of {errors} errors")
+
+
+def error_history(dut: DeviceUnderTest) -> None:
+    """Without an error the history has no entry."""
+    dut.needs((0x1003, 0))
+    count = dut.value(0x1003, 0)
+    seen = dut.peek(0x1003, 1)
+    if count:
+        ok = isinstance(seen, bytes) and len(seen) == 4
+        dut.check(f"read 1003h:1, {count} errors", "4 bytes", answer_text(seen), ok)
+    else:
+        ok = isinstance(seen, Refusal) and seen.code in (NO_DATA, _GENERAL_ERROR)
+        dut.check("read 1003h:1, no error", f"abort {NO_DATA:08X}h", answer_text(seen), ok)
+
+
+def forced(dut: DeviceUnderTest) -> Pdo:
+    """The message: error code, 1001h with generic and communication error."""
+    dut.needs((0x1014, 0))
+    pdo = receive_pdo(dut)
+    set_up(dut, pdo, 255)
+    dut.nmt(NmtCommand.START)
+    dut.forget()
+    dut.send(pdo.cob_id)
+    found = dut.hear(_SOON_S)
+    dut.must(dut.frames("an RPDO without data", found, dut.emergency_id, f"{TOO_SHORT} ?? ??????????"))
+    return pdo
+
+
+def force(dut: DeviceUnderTest) -> None:
+    """It comes."""
+    forced(dut)
+
+
+def register_after(dut: DeviceUnderTest) -> None:
+    """1001h says it, until an RPDO of the right length comes; then EMCY 0000h is sent."""
+    pdo = forced(dut)
+    dut.reads_bits("1001h: generic and communication error", 0x1001, 0, 0x11)
+    dut.touched.add(pdo.carries.key)
+    value = 0 if dut.eds.is_drive else dut.value(*pdo.carries.key)
+    dut.send(pdo.cob_id, value.to_bytes(pdo.size, "little"))
+    dut.frames("an RPDO of the right length", dut.hear(_SOON_S), dut.emergency_id, "00 00 ?? ??????????")
+    dut.reads("1001h is 0 again", 0x1001, 0, 0)
+
+
+def history_after(dut: DeviceUnderTest) -> None:
+    """1003h:1 begins with its code."""
+    dut.needs((0x1003, 0), (0x1003, 1))
+    if dut.eds.can_write(0x1003):
+        dut.write(0x1003, 0, 0)
+    else:
+        raise NotApplicableError("1003h:0 can't be written by the EDS file: the history can't be emptied")
+    forced(dut)
+    dut.reads("number of errors", 0x1003, 0, 1)
+    dut.ask("read 1003h:1", "40 03 10 01 00000000", f"43 03 10 01 {TOO_SHORT} ????")
+
+
+CASES: Final[Mapping[str, Callable[[DeviceUnderTest], None]]] = {
+    "EMCY 1": identifier,
+    "EMCY 2": error_register,
+    "EMCY 3": error_history,
+    "EMCY 4": force,
+    "EMCY 5": register_after,
+    "EMCY 6": history_after,
+}

@@ -1,0 +1,148 @@
+"""The whole examination: every case, and the device as it was before.
+
+After each case the parameters that it wrote, and after a reset all that differ, are written back; at the end all of
+them are compared. Where storing is allowed, what the device had at power-on is stored again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping
+from typing import Final
+
+from hilbench.canopen.identifiers import NmtCommand
+from hilbench.cia402.objects import STATUSWORD
+from hilbench.cia402.state_machine import POWERED, decode_statusword
+from hilbench.conformance import (
+    drive_mode_cases,
+    drive_option_cases,
+    drive_state_cases,
+    emcy_cases,
+    heartbeat_cases,
+    nmt_cases,
+    od_cases,
+    pdo_cases,
+    sdo_cases,
+    store_cases,
+    sync_cases,
+)
+from hilbench.conformance.dut import DeviceUnderTest
+from hilbench.conformance.listing import Case, listed_cases
+from hilbench.conformance.record import (
+    CaseEndedError,
+    CaseResult,
+    NotAllowedError,
+    NotApplicableError,
+    Step,
+    Verdict,
+)
+from hilbench.conformance.restore import Values, restore, snapshot
+from hilbench.errors import BenchFaultError, UnusableInputError
+
+CASES: Final[Mapping[str, Callable[[DeviceUnderTest], object]]] = {
+    **sdo_cases.CASES,
+    **pdo_cases.CASES,
+    **od_cases.CASES,
+    **emcy_cases.CASES,
+    **sync_cases.CASES,
+    **heartbeat_cases.CASES,
+    **store_cases.CASES,
+    **nmt_cases.CASES,
+    **drive_state_cases.CASES,
+    **drive_option_cases.CASES,
+    **drive_mode_cases.CASES,
+}
+AFTERWARDS: Final = Case("Afterwards", 1, "Every parameter is what it was before", "")
+
+
+def examine(
+    dut: DeviceUnderTest,
+    groups: Collection[str] = (),
+    tell: Callable[[CaseResult], None] = lambda _result: None,
+) -> list[CaseResult]:
+    """Every case, or those of some groups; `tell` hears of each as it ends.
+
+    Raises BenchFaultError when the device does not answer at the beginning, UnusableInputError for a drive with power.
+    """
+    _check_ready(dut)
+    before = snapshot(dut)
+    power_on = _at_power_on(dut, before) if dut.allowed.store else None
+    results: list[CaseResult] = []
+    lost: list[str] = []
+    try:
+        for case in listed_cases():
+            if groups and case.group not in groups:
+                continue
+            result = _examine(dut, case)
+            lost += [f"after {case.name}: {line}" for line in restore(dut, before)]
+            results.append(result)
+            tell(result)
+    finally:
+        lost += _leave(dut, before, power_on)
+    steps = [Step(line, "", "as it was", line, False) for line in lost] or [
+        Step(f"{len(before)} parameters compared", "", "as they were", "as they were", True)
+    ]
+    results.append(_result(AFTERWARDS, Verdict.FAILED if lost else Verdict.PASSED, "; ".join(lost), steps))
+    tell(results[-1])
+    return results
+
+
+def _check_ready(dut: DeviceUnderTest) -> None:
+    if not isinstance(dut.peek(0x1000, 0), bytes):
+        dut.nmt(NmtCommand.ENTER_PRE_OPERATIONAL)  # one that is STOPPED has no SDO
+        if not isinstance(dut.peek(0x1000, 0), bytes):
+            raise BenchFaultError(f"node {dut.node_id}: no answer to an SDO read of 1000h")
+    if dut.eds.is_drive:
+        statusword = dut.peek(STATUSWORD, 0)
+        state = decode_statusword(int.from_bytes(statusword, "little")) if isinstance(statusword, bytes) else None
+        if state in POWERED:
+            raise UnusableInputError(f"node {dut.node_id}", f"is in {state.label}, expected a drive without power")
+    dut.nmt(NmtCommand.ENTER_PRE_OPERATIONAL)
+
+
+def _at_power_on(dut: DeviceUnderTest, before: Values) -> Values:
+    """What the device has stored: its parameters after a reset."""
+    dut.reset()
+    stored = snapshot(dut)
+    restore(dut, before)
+    return stored
+
+
+def _leave(dut: DeviceUnderTest, before: Values, power_on: Values | None) -> list[str]:
+    """As it was found; and stored as it was."""
+    dut.begin()
+    if power_on is not None and dut.eds.can_write(0x1010, 1):
+        dut.was_reset = True
+        restore(dut, power_on)
+        dut.try_to_write(0x1010, 1, b"save")
+    dut.was_reset = True
+    return restore(dut, before)
+
+
+def _examine(dut: DeviceUnderTest, case: Case) -> CaseResult:
+    dut.begin()
+    verdict, reason = Verdict.PASSED, ""
+    try:
+        dut.nmt(NmtCommand.ENTER_PRE_OPERATIONAL)
+        dut.begin()
+        CASES[case.name](dut)
+    except NotApplicableError as error:
+        verdict, reason = Verdict.NOT_APPLICABLE, str(error)
+    except NotAllowedError as error:
+        verdict, reason = Verdict.NOT_ALLOWED, str(error)
+    except CaseEndedError:
+        verdict, reason = Verdict.FAILED, "the case could not go on"
+    wrong = [step for step in dut.steps if not step.ok]
+    if wrong:
+        first = wrong[0]
+        verdict, reason = Verdict.FAILED, f"{first.what}: expected {first.expected}, seen {first.seen}"
+    elif verdict is Verdict.PASSED and not dut.steps:
+        verdict, reason = Verdict.NOT_APPLICABLE, dut.notes[0] if dut.notes else "nothing to examine"
+    result = _result(case, verdict, reason, dut.steps, dut.notes)
+    dut.begin()
+    return result
+
+
+def _result(
+    case: Case, verdict: Verdict, reason: str, steps: Collection[Step], notes: Collection[str] = ()
+) -> CaseResult:
+    return CaseResult(case.group, case.number, case.title, case.clause, verdict, reason, tuple(steps), tuple(notes))

@@ -1,0 +1,81 @@
+"""What an examination leaves: steps with what was sent, expected and seen, verdicts, the whole."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+
+class Verdict(StrEnum):
+    """Of one case."""
+
+    PASSED = "passed"
+    FAILED = "failed"
+    NOT_APPLICABLE = "not applicable"
+    NOT_ALLOWED = "not allowed"
+
+
+@dataclass(frozen=True)
+class Step:
+    """One expectation: frames as identifier and data in hexadecimal digits."""
+
+    what: str
+    sent: str
+    expected: str
+    seen: str
+    ok: bool
+
+
+@dataclass(frozen=True)
+class CaseResult:
+    """One case that was examined, or why it was not."""
+
+    group: str
+    number: int
+    title: str
+    clause: str
+    verdict: Verdict
+    reason: str
+    steps: Sequence[Step] = ()
+    notes: Sequence[str] = ()
+
+    @property
+    def name(self) -> str:
+        """Group and number: "SDO 5"."""
+        return f"{self.group} {self.number}"
+
+
+@dataclass(frozen=True)
+class Examination:
+    """All cases of one device."""
+
+    device: str
+    node_id: int
+    bus: str
+    eds: str
+    cases: Sequence[CaseResult] = field(default=())
+
+    @property
+    def counts(self) -> dict[Verdict, int]:
+        """How many cases have each verdict."""
+        counted = Counter(case.verdict for case in self.cases)
+        return {verdict: counted[verdict] for verdict in Verdict}
+
+    @property
+    def failed(self) -> list[CaseResult]:
+        """Those that failed."""
+        return [case for case in self.cases if case.verdict is Verdict.FAILED]
+
+
+class CaseEndedError(Exception):
+    """A case can't go on: what it is about has not happened. Its steps say what failed."""
+
+
+class NotApplicableError(Exception):
+    """The device does not have, by its EDS file or by what it says, what the case is about."""
+
+
+class NotAllowedError(Exception):
+    """The case would move or store something, and nobody has allowed it."""

@@ -1,0 +1,77 @@
+"""The bus as a case sees it: frames out, frames in, and time that passes."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final, Protocol
+
+from hilbench.can.frame import Frame
+from hilbench.can.link import Link
+
+#: How far the mean of periods may be from what was asked: below that it may be the listener.
+_SLACK: Final = 0.15
+
+
+@dataclass(frozen=True)
+class Heard:
+    """A frame from the bus; `at_s` (seconds) is for differences only. `can_id` has the flag bits of `Frame`."""
+
+    at_s: float
+    can_id: int
+    data: bytes
+
+
+class Wire(Protocol):
+    """A bus on which a device is examined."""
+
+    def send(self, can_id: int, data: bytes) -> None:
+        """Put a frame on the bus."""
+
+    def listen(self, duration_s: float, until: Callable[[Heard], bool] | None = None) -> list[Heard]:
+        """What comes in this time; up to the first frame for which `until` says so, that one included."""
+
+
+class LinkWire:
+    """A bus of this machine, in real time. Raises BusError when the bus is lost."""
+
+    def __init__(self, link: Link) -> None:
+        self._link = link
+        self._waiting: deque[Heard] = deque()
+
+    def send(self, can_id: int, data: bytes) -> None:
+        """At once."""
+        self._link.send([Frame(can_id, data)])
+
+    def listen(self, duration_s: float, until: Callable[[Heard], bool] | None = None) -> list[Heard]:
+        """Sleeps between frames."""
+        found: list[Heard] = []
+        deadline_s = time.monotonic() + duration_s
+        while True:
+            while self._waiting:
+                found.append(self._waiting.popleft())
+                if until is not None and until(found[-1]):
+                    return found
+            left_s = deadline_s - time.monotonic()
+            if left_s <= 0.0:
+                return found
+            for frame in self._link.receive(left_s):
+                at_s = frame.time_ns * 1e-9 if frame.time_ns else time.monotonic()
+                self._waiting.append(Heard(at_s, frame.can_id, frame.data))
+
+
+def steady(found: list[Heard], period_s: float) -> bool:
+    """Whether the mean of the periods is as it should be"""
+    if len(found) < 2:
+        return False
+    mean_s = (found[-1].at_s - found[0].at_s) / (len(found) - 1)
+    return abs(mean_s - period_s) <= _SLACK * period_s
+
+
+def periods(found: list[Heard]) -> str:
+    """The mean of the periods, for a person."""
+    if len(found) < 2:
+        return ""
+    return f", {1000.0 * (found[-1].at_s - found[0].at_s) / (len(found) - 1):.1f} ms on average"
