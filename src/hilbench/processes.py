@@ -11,7 +11,8 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from types import MappingProxyType
 
@@ -178,3 +179,25 @@ def stop_request() -> Callable[[], bool]:
 
         threading.Thread(target=follow_parent, name="follow-parent", daemon=True).start()
     return requested.is_set
+
+
+@contextmanager
+def interrupted_by_signals() -> Iterator[None]:
+    """Meanwhile the first signal that asks the process to end raises KeyboardInterrupt, so that what `finally` has to
+    put in order is put in order; further ones can't disturb that."""
+    asked = False
+
+    def interrupt(number: int, _frame: object) -> None:
+        nonlocal asked
+        if number == signal.SIGHUP:
+            leave_terminal()
+        if not asked:
+            asked = True
+            raise KeyboardInterrupt
+
+    before = {number: signal.signal(number, interrupt) for number in end_signals()}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

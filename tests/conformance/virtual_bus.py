@@ -37,6 +37,9 @@ class VirtualBus:
         self._collect()
         self._heard.clear()
 
+    def now_s(self) -> float:
+        return self.clock.ns * 1e-9
+
     def send(self, can_id: int, data: bytes) -> None:
         self._step()
         for hear in self.hears:

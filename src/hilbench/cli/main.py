@@ -14,6 +14,7 @@ from hilbench.cli import (
     boot,
     compare,
     config,
+    conformance,
     convert,
     drift,
     drive,
@@ -441,6 +442,7 @@ app.add_typer(lss.app, name="lss")
 app.add_typer(config.app, name="config")
 app.add_typer(runs.app, name="runs")
 app.command()(drive.drive)
+app.command()(conformance.conformance)
 app.command()(replay.replay)
 app.command()(monitor.monitor)
 app.command()(compare.compare)

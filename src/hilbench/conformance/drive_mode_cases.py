@@ -32,6 +32,7 @@ from hilbench.conformance.power import (
     switch_off,
     time_to_rest,
     turn,
+    units,
     wait,
 )
 from hilbench.conformance.record import NotApplicableError
@@ -174,7 +175,8 @@ def homing(dut: DeviceUnderTest) -> None:
     _bit(dut, f"method {method}: no homing error", STATUS_MODE_13, set_=False)
     offset = dut.signed(objects.HOME_OFFSET) if dut.eds.has(objects.HOME_OFFSET) else 0
     found = dut.signed(objects.POSITION_ACTUAL_VALUE)
-    dut.check("position", f"{offset}, the home offset 607Ch", str(found), abs(found - offset) <= 5)
+    near = max(5, round(2.0 * pi / units(dut).position_rad) // 1000)
+    dut.check("position", f"{offset}, the home offset 607Ch, to {near}", str(found), abs(found - offset) <= near)
     switch_off(dut)
 
 

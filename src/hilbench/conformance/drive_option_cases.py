@@ -33,6 +33,7 @@ _RESERVED: Final = 100
 _HALT: Final = Command.ENABLE_OPERATION.value | CONTROLWORD_HALT
 #: How far the time of a ramp may be off: inertia and the drive's own smoothing are the machine's.
 _LONGEST, _SHORTEST = 1.8, 0.45
+_ASKED_S: Final = 0.1  #: a value is read when its answer comes
 
 
 def _codes(dut: DeviceUnderTest, index: int, codes: range) -> Iterator[tuple[int, int]]:
@@ -63,7 +64,7 @@ def _ramp(dut: DeviceUnderTest, what: str, velocity: int, ramp_s: float | None) 
     if ramp_s is None or not _has_ramps(dut):
         dut.check(f"{what}: at rest", "in the end", seen, taken_s is not None)
         return
-    ok = taken_s is not None and _SHORTEST * ramp_s <= taken_s <= _LONGEST * ramp_s
+    ok = taken_s is not None and _SHORTEST * ramp_s <= taken_s <= _LONGEST * ramp_s + _ASKED_S
     dut.check(f"{what}: at rest", f"after {0.9 * ramp_s:.2f} s", seen, ok)
 
 

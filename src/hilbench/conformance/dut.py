@@ -32,6 +32,9 @@ _HEARTBEAT_MS: Final = 100
 _HEARTBEAT_S: Final = 0.35
 _AFTER_BOOT_S: Final = 0.05
 _EMPTY: Final = "nothing"
+_SDO_BYTES: Final = 8
+#: Command specifiers of requests that name an object, and whose answers do: download and upload.
+_NAMES_OBJECT: Final = (1, 2)
 _SYNC_PAUSE_S: Final = 0.02
 
 
@@ -47,7 +50,7 @@ class Allowed:
 class Patience:
     """How long one waits, in seconds: for an SDO answer, and from a reset to the boot-up message."""
 
-    answer_s: float = 0.5
+    answer_s: float = 1.0
     boot_s: float = 10.0
 
 
@@ -179,12 +182,19 @@ class DeviceUnderTest:
     # -- SDO -------------------------------------------------------------------------------------------------
 
     def exchange(self, request: bytes) -> bytes | None:
-        """The answer to an SDO request; None: there is none."""
+        """The answer to an SDO request; None: there is none. An answer that is late is not taken for the next one's."""
         answer_id = SDO_ANSWER + self.node_id
+        names_object = request[0] >> 5 in _NAMES_OBJECT and len(request) == _SDO_BYTES
+        self._heard += [heard for heard in self.wire.listen(0.0) if heard.can_id != answer_id]
+
+        def answers(heard: Heard) -> bool:
+            return heard.can_id == answer_id and (not names_object or heard.data[1:4] == request[1:4])
+
         self.send(SDO_REQUEST + self.node_id, request)
-        found = self.wire.listen(self.patience.answer_s, lambda heard: heard.can_id == answer_id)
+        found = self.wire.listen(self.patience.answer_s, answers)
         self._heard += [heard for heard in found if heard.can_id != answer_id]
-        return next((heard.data for heard in found if heard.can_id == answer_id), None)
+        said = [heard for heard in found if heard.can_id == answer_id]
+        return said[-1].data if said else None
 
     def ask(self, what: str, request: str, *expected: str) -> bytes:
         """A request whose answer is one of the expected ones; what was answered, empty when there is none."""

@@ -35,7 +35,7 @@ from hilbench.conformance.record import (
     Step,
     Verdict,
 )
-from hilbench.conformance.restore import Values, restore, snapshot
+from hilbench.conformance.restore import Lost, Values, restore, snapshot
 from hilbench.errors import BenchFaultError, UnusableInputError
 
 CASES: Final[Mapping[str, Callable[[DeviceUnderTest], object]]] = {
@@ -51,7 +51,7 @@ CASES: Final[Mapping[str, Callable[[DeviceUnderTest], object]]] = {
     **drive_option_cases.CASES,
     **drive_mode_cases.CASES,
 }
-AFTERWARDS: Final = Case("Afterwards", 1, "Every parameter is what it was before", "")
+AFTERWARDS: Final = Case("Afterwards", 1, "Every parameter is what it was before", "no case of a standard")
 
 
 def examine(
@@ -67,23 +67,32 @@ def examine(
     before = snapshot(dut)
     power_on = _at_power_on(dut, before) if dut.allowed.store else None
     results: list[CaseResult] = []
-    lost: list[str] = []
+    lost: list[Step] = []
     try:
         for case in listed_cases():
             if groups and case.group not in groups:
                 continue
             result = _examine(dut, case)
-            lost += [f"after {case.name}: {line}" for line in restore(dut, before)]
+            lost += _as_steps(f"after {case.name}", restore(dut, before))
             results.append(result)
             tell(result)
     finally:
-        lost += _leave(dut, before, power_on)
-    steps = [Step(line, "", "as it was", line, False) for line in lost] or [
-        Step(f"{len(before)} parameters compared", "", "as they were", "as they were", True)
-    ]
-    results.append(_result(AFTERWARDS, Verdict.FAILED if lost else Verdict.PASSED, "; ".join(lost), steps))
+        lost += _as_steps("at the end", _leave(dut, before, power_on))
+    results.append(_afterwards(lost, len(before)))
     tell(results[-1])
     return results
+
+
+def _as_steps(when: str, lost: Collection[Lost]) -> list[Step]:
+    return [Step(f"{when}: {one.name}", "", one.was, one.found, False) for one in lost]
+
+
+def _afterwards(lost: list[Step], compared: int) -> CaseResult:
+    if not lost:
+        whole = Step(f"{compared} parameters compared", "", "as they were", "as they were", True)
+        return _result(AFTERWARDS, Verdict.PASSED, "", [whole])
+    reason = f"{lost[0].what}: was {lost[0].expected}, is {lost[0].seen}"
+    return _result(AFTERWARDS, Verdict.FAILED, reason, lost)
 
 
 def _check_ready(dut: DeviceUnderTest) -> None:
@@ -107,7 +116,7 @@ def _at_power_on(dut: DeviceUnderTest, before: Values) -> Values:
     return stored
 
 
-def _leave(dut: DeviceUnderTest, before: Values, power_on: Values | None) -> list[str]:
+def _leave(dut: DeviceUnderTest, before: Values, power_on: Values | None) -> list[Lost]:
     """As it was found; and stored as it was."""
     dut.begin()
     if power_on is not None and dut.eds.can_write(0x1010, 1):

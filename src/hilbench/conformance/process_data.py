@@ -7,14 +7,13 @@ SWITCH ON); that of its RPDO is the controlword. Of other devices it is a parame
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from typing import Final
 
 from hilbench.canopen.identifiers import COB_ID, INVALID, NO_REMOTE_REQUEST
 from hilbench.canopen.sdo_client import Refusal
 from hilbench.cia402.objects import CONTROLWORD, STATUSWORD
-from hilbench.cia402.state_machine import Command
+from hilbench.cia402.state_machine import POWERED, STATUS_TARGET_REACHED, Command, State, decode_statusword
 from hilbench.conformance.description import Entry
 from hilbench.conformance.dut import DeviceUnderTest
 from hilbench.conformance.record import NotApplicableError
@@ -23,6 +22,7 @@ from hilbench.conformance.record import NotApplicableError
 MAPPING: Final = 0x200
 RPDO, TPDO = 0x1400, 0x1800
 _DEFAULT_IDS: Final = {RPDO: (0x200, 0x300, 0x400, 0x500), TPDO: (0x180, 0x280, 0x380, 0x480)}
+_QUICK_STOP_S, _STEP_S = 3.0, 0.02
 _SHUTDOWN, _DISABLE = Command.SHUTDOWN.value, Command.DISABLE_VOLTAGE.value
 
 
@@ -143,10 +143,29 @@ def change(dut: DeviceUnderTest, pdo: Pdo) -> None:
 
 
 def at_rest(dut: DeviceUnderTest) -> None:
-    """A drive without power, whatever a case has left it in."""
+    """A drive without power, whatever a case has left it in: a quick stop first, if it has some."""
     if not dut.eds.is_drive:
         return
-    with suppress(NotApplicableError):
-        answer = dut.try_to_write(CONTROLWORD, 0, _DISABLE.to_bytes(2, "little"))
+    for word, states in ((Command.QUICK_STOP, POWERED), (Command.DISABLE_VOLTAGE, None)):
+        if states is not None and _state(dut) not in states:
+            continue
+        answer = dut.try_to_write(CONTROLWORD, 0, word.value.to_bytes(2, "little"))
         if isinstance(answer, Refusal):
-            dut.notes.append(f"6040h = 0 was refused, {answer}")
+            dut.notes.append(f"6040h = {word.value} was refused, {answer}")
+        if states is not None:
+            _wait_for_rest(dut)
+
+
+def _state(dut: DeviceUnderTest) -> State | None:
+    found = dut.peek(STATUSWORD, 0)
+    return decode_statusword(int.from_bytes(found, "little")) if isinstance(found, bytes) else None
+
+
+def _wait_for_rest(dut: DeviceUnderTest) -> None:
+    """Until a quick stop is over: target reached, or without power."""
+    for _ in range(round(_QUICK_STOP_S / _STEP_S)):
+        found = dut.peek(STATUSWORD, 0)
+        word = int.from_bytes(found, "little") if isinstance(found, bytes) else 0
+        if decode_statusword(word) not in POWERED or word & STATUS_TARGET_REACHED:
+            return
+        dut.wait(_STEP_S)

@@ -7,6 +7,7 @@ number, parameters, valid). Outputs and commands (process data) are no parameter
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 from typing import Final
 
 from hilbench.canopen.identifiers import INVALID, NmtCommand
@@ -33,13 +34,21 @@ def _parameters(dut: DeviceUnderTest) -> Iterable[Entry]:
     return (entry for entry in dut.eds.entries() if entry.writable and entry.index not in _COMMANDS)
 
 
-def restore(dut: DeviceUnderTest, values: Values) -> list[str]:
-    """Write back what was touched (after a reset: all), in PRE-OPERATIONAL. Returns what could not be, a line each."""
+@dataclass(frozen=True)
+class Lost:
+    """A parameter that is not what it was."""
+
+    name: str
+    was: str
+    found: str
+
+
+def restore(dut: DeviceUnderTest, values: Values) -> list[Lost]:
+    """Write back what was touched (after a reset: all), in PRE-OPERATIONAL. Returns what could not be."""
     dut.nmt(NmtCommand.ENTER_PRE_OPERATIONAL)
     at_rest(dut)
     keys = set(values) if dut.was_reset else {key for key in dut.touched if key in values}
     differing = {key for key in keys if dut.peek(*key) != values[key]}
-    problems = []
     for pdo in sorted({index for key in differing if (index := _pdo_of(key[0])) is not None}):
         _restore_pdo(dut, pdo, values)
     plain = [key for key in differing if _pdo_of(key[0]) is None]
@@ -53,14 +62,14 @@ def restore(dut: DeviceUnderTest, values: Values) -> list[str]:
         answer = dut.try_to_write(*key, values[key])
         if isinstance(answer, Refusal) and answer.code == PRESENT_STATE and key == (0x1014, 0):
             answer = _through_invalid(dut, key, values[key])
-    problems += [
-        f"{index:04X}h:{sub} is {answer_text(found)}, was {values[index, sub].hex(' ')}"
+    lost = [
+        Lost(str(dut.eds.entry(index, sub)), values[index, sub].hex(" "), answer_text(found))
         for index, sub in sorted(differing)
         if (found := dut.peek(index, sub)) != values[index, sub]
     ]
     dut.touched.clear()
     dut.was_reset = False
-    return problems
+    return lost
 
 
 def _through_invalid(dut: DeviceUnderTest, key: tuple[int, int], data: bytes) -> Answer:

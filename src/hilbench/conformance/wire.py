@@ -27,6 +27,9 @@ class Heard:
 class Wire(Protocol):
     """A bus on which a device is examined."""
 
+    def now_s(self) -> float:
+        """Time that passes (seconds), for differences."""
+
     def send(self, can_id: int, data: bytes) -> None:
         """Put a frame on the bus."""
 
@@ -40,6 +43,10 @@ class LinkWire:
     def __init__(self, link: Link) -> None:
         self._link = link
         self._waiting: deque[Heard] = deque()
+
+    def now_s(self) -> float:
+        """The monotonic clock."""
+        return time.monotonic()
 
     def send(self, can_id: int, data: bytes) -> None:
         """At once."""
