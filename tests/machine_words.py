@@ -34,7 +34,7 @@ def is_word(word: str) -> bool:
 
 def words_in(text: str) -> list[str]:
     """``F_simTension_N`` → f, sim, tension, n."""
-    return [part.lower() for part in _PARTS.findall(text)]
+    return [part.lower() for part in _PARTS.findall(text.replace("WebSocket", "Socket"))]  # a protocol's name
 
 
 def found_in(source: str) -> Counter[str]:

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import Final
+from typing import Any, Final
 
 from canopen import SdoAbortedError, SdoCommunicationError
 from hilbench.bench.machines.ranges import OPERATOR_OBJECTS, operator_ranges
@@ -32,7 +32,7 @@ _LIKELY: Final = 0.5
 
 
 class ChangeRequests:
-    """Makes one request after the other, in a thread of its own; `ended` says how each ended.
+    """Makes one request after the other, in a thread of its own; what each returns, and `ended`, says how it ended.
 
     The bus is joined, by `open_client`, with the first request: until then a monitor only listens.
     """
@@ -52,18 +52,22 @@ class ChangeRequests:
             key: quantity for key, quantity in self.changeable.items() if quantity.path in foreseeable(config)
         }
 
-    def ask(self, quantity: MainQuantity, value: float) -> None:
+    def ask(self, quantity: MainQuantity, value: float) -> Future[str]:
         """Ask for a value, in the quantity's unit, as soon as those before it have been answered."""
-        self._requests.append(self._thread.submit(self._change, quantity, value))
+        return self._submit(self._change, quantity, value)
 
-    def tell(self, switch: Switch, on: bool) -> None:
+    def tell(self, switch: Switch, on: bool) -> Future[str]:
         """Say yes or no, as soon as what was asked before has been answered."""
         asked = f"{switch.title}: {'yes' if on else 'no'}"
-        self._requests.append(self._thread.submit(self._write, switch.path, asked, float(on), "0 or 1"))
+        return self._submit(self._write, switch.path, asked, float(on), "0 or 1")
 
-    def look_ahead(self, quantity: MainQuantity, value: float, frames: Sequence[Frame]) -> None:
+    def look_ahead(self, quantity: MainQuantity, value: float, frames: Sequence[Frame]) -> Future[str]:
         """Ask what would come if the quantity went to a value, from the last frames that were heard; nothing moves."""
-        self._requests.append(self._thread.submit(self._looked_ahead, quantity, value, frames))
+        return self._submit(self._looked_ahead, quantity, value, frames)
+
+    def _submit(self, request: Callable[..., str], *values: Any) -> Future[str]:
+        self._requests.append(self._thread.submit(request, *values))
+        return self._requests[-1]
 
     def ended(self) -> list[str]:
         """A line for each request that has ended since the last call."""

@@ -6,8 +6,7 @@ yes or no to what it proposes, and to look ahead a question of its present value
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import suppress
 from functools import partial
 from math import floor, log10
@@ -20,16 +19,14 @@ from textual.css.query import NoMatches
 from textual.screen import ModalScreen
 from textual.widgets import DataTable, Footer, Input, Log, Sparkline, Static
 
-from hilbench.can.frame import Frame
 from hilbench.can.link import Link
 from hilbench.canopen.emergency_stop import send_emergency_stop
-from hilbench.canopen.identifiers import SYNC
 from hilbench.errors import BusError
 from hilbench.monitor.changes import ChangeRequests
 from hilbench.monitor.condition import Condition
 from hilbench.monitor.picture import BusPicture, NodePicture
+from hilbench.monitor.recent import RecentFrames
 from hilbench.monitor.trends import Trend
-from hilbench.results.heard import SYNCS
 from hilbench.topology.main_quantities.quantity import MainQuantity
 
 _READ_S = 0.05
@@ -165,8 +162,7 @@ class Dashboard(App[None]):
         if changes.foreseeable:
             self.bind(_WHAT_IF_KEY, "what_if", description="what if")
         self._noted = 0
-        self._recent: deque[list[Frame]] = deque()  # of about SYNCS cycles
-        self._syncs = 0
+        self._recent = RecentFrames()
 
     def compose(self) -> ComposeResult:
         """The widgets."""
@@ -237,7 +233,7 @@ class Dashboard(App[None]):
 
         def look(value: float | None) -> None:
             if value is not None:
-                self._changes.look_ahead(quantity, value, [frame for heard in self._recent for frame in heard])
+                self._changes.look_ahead(quantity, value, self._recent.frames())
 
         self.push_screen(_NewValue(f"What if {quantity.title} in {quantity.in_unit} went to; Esc leaves it"), look)
 
@@ -257,17 +253,9 @@ class Dashboard(App[None]):
     def _read(self) -> None:
         frames = self._link.receive(0.0)
         self._picture.take(frames)
-        self._keep(frames)
+        self._recent.take(frames)
         for text in self._changes.ended():
             self._say(text)
-
-    def _keep(self, frames: list[Frame]) -> None:
-        """The frames of the last cycles, for who looks ahead."""
-        self._recent.append(frames)
-        self._syncs += _syncs(frames)
-        while self._syncs - (oldest := _syncs(self._recent[0])) > SYNCS:
-            self._recent.popleft()
-            self._syncs -= oldest
 
     def _draw(self) -> None:
         with suppress(NoMatches):  # when the program ends, its widgets go before its timers
@@ -304,10 +292,6 @@ class Dashboard(App[None]):
         else:
             now = (Condition.STALE if picture.condition is Condition.RUNNING else picture.condition).value
         self.query_one(f"#{trend.signal}-value", Static).update(f"{trend.title}: {now}")
-
-
-def _syncs(frames: Sequence[Frame]) -> int:
-    return sum(frame.can_id == SYNC for frame in frames)
 
 
 def _digits(largest: float) -> int:

@@ -53,7 +53,7 @@ class LineNotes:
 
 
 @dataclass(frozen=True)
-class _Circle:
+class DrawnRoller:
     roller: LineRoller
     x: float
     y: float
@@ -97,7 +97,7 @@ def _notes(bench: BenchConfig, recording: Recording) -> LineNotes:
 
 def drawing(model: ModelParameters, notes: LineNotes) -> Picture:
     """The picture of a line with a web. Raises ValueError for a model without one."""
-    circles = _placed(model)
+    circles = placed_rollers(model)
     width = max(circle.x + circle.r for circle in circles) + 1.0
     beside = max(_NARROWEST - width, 0.0) / 2.0
     deepest = min(circle.y for circle in circles)
@@ -109,7 +109,7 @@ def drawing(model: ModelParameters, notes: LineNotes) -> Picture:
         axes.set_aspect("equal")
         axes.set_xlim(-1.0 - beside, width + beside)
         axes.set_ylim(low, high)
-        points = [point for circle in circles for point in _contact(circle)]
+        points = [point for circle in circles for point in contact_points(circle)]
         web = [(-1.0, circles[0].y + circles[0].r), *points, (width, circles[-1].y + circles[-1].r)]
         ends = slice(int(_is_reel(circles[0])), len(web) - int(_is_reel(circles[-1])))
         axes.plot(*np.array(web[ends]).T, color=BLUE, linewidth=1.8)
@@ -125,11 +125,11 @@ def drawing(model: ModelParameters, notes: LineNotes) -> Picture:
     return Picture("line", _TITLE, _CAPTION, drawing=Drawing(draw, height_in, "line", _TITLE))
 
 
-def _is_reel(circle: _Circle) -> bool:
+def _is_reel(circle: DrawnRoller) -> bool:
     return isinstance(circle.roller.station, Reel)
 
 
-def _placed(model: ModelParameters) -> list[_Circle]:
+def placed_rollers(model: ModelParameters) -> list[DrawnRoller]:
     """The rollers that are drawn, in their places."""
     shown: list[tuple[LineRoller, bool, int]] = []
     number_in_station: dict[int, int] = {}
@@ -141,7 +141,7 @@ def _placed(model: ModelParameters) -> list[_Circle]:
                 continue
             hangs = number % 2 == 1
         shown.append((roller, hangs, span))
-    placed: list[_Circle] = []
+    placed: list[DrawnRoller] = []
     x = 0.0
     for number, (roller, hangs, span) in enumerate(shown):
         r = _REEL if isinstance(roller.station, Reel) else _DRIVEN if roller.axis is not None else _IDLER
@@ -150,11 +150,11 @@ def _placed(model: ModelParameters) -> list[_Circle]:
         if placed:
             beside = hangs or before_hangs
             x += placed[-1].r + r + (0.0 if beside else _FREE)
-        placed.append(_Circle(roller, x, -_HANGS if hangs else -r, r, hangs, before_hangs, behind_hangs, span))
+        placed.append(DrawnRoller(roller, x, -_HANGS if hangs else -r, r, hangs, before_hangs, behind_hangs, span))
     return placed
 
 
-def _contact(circle: _Circle) -> list[tuple[float, float]]:
+def contact_points(circle: DrawnRoller) -> list[tuple[float, float]]:
     """Where the web touches it, in its direction."""
     if circle.hangs:
         angles = np.linspace(pi, 2 * pi, 13)
@@ -163,7 +163,7 @@ def _contact(circle: _Circle) -> list[tuple[float, float]]:
     return [(circle.x + circle.r * cos(angle), circle.y + circle.r * sin(angle)) for angle in angles]
 
 
-def _draw_roller(axes: Any, circle: _Circle, notes: LineNotes) -> None:
+def _draw_roller(axes: Any, circle: DrawnRoller, notes: LineNotes) -> None:
     from matplotlib.patches import Circle
 
     centre, axis = (circle.x, circle.y), circle.roller.axis
@@ -181,7 +181,7 @@ def _draw_roller(axes: Any, circle: _Circle, notes: LineNotes) -> None:
     axes.text(circle.x, circle.y - circle.r - 0.12, name, ha="center", va="top", fontsize=8)
 
 
-def _write_span(axes: Any, model: ModelParameters, notes: LineNotes, before: _Circle, behind: _Circle) -> None:
+def _write_span(axes: Any, model: ModelParameters, notes: LineNotes, before: DrawnRoller, behind: DrawnRoller) -> None:
     """Number, length and tension; of strands beside each other at their middle, of those left out nothing."""
     if behind.span != before.span + 1 and not before.hangs:
         return
@@ -205,7 +205,7 @@ def _write_span(axes: Any, model: ModelParameters, notes: LineNotes, before: _Ci
         axes.text(x, -0.75 * _HANGS, text, ha=side, va="center", fontsize=8, color=VERMILLION)
 
 
-def _draw_carriage(axes: Any, hanging: Sequence[_Circle]) -> None:
+def _draw_carriage(axes: Any, hanging: Sequence[DrawnRoller]) -> None:
     """What carries the rollers that hang, its name, and the way which lengthens the web."""
     station = hanging[0].roller.station
     assert isinstance(station, CarriageStation)

@@ -35,7 +35,7 @@ class JournalWriter:
 
     def write(self, change: Change) -> None:
         """Add one change. Raises BenchFaultError (disk full, …)."""
-        line = (json.dumps(asdict(change), separators=(",", ":")) + "\n").encode()
+        line = _line(change)
         try:
             written = os.write(self._file, line)
         except OSError as error:
@@ -58,6 +58,43 @@ class JournalWriter:
         self.close()
 
 
+class JournalReader:
+    """Reads a journal while it is written. Raises UnusableInputError as `read_journal`."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._offset, self._lines, self._rest = 0, 0, b""
+
+    def new(self) -> list[Change]:
+        """The changes since the last call, as far as their lines are whole."""
+        try:
+            with open(self.path, "rb") as file:
+                file.seek(self._offset)
+                text = file.read()
+        except OSError as error:
+            raise UnusableInputError(
+                self.path, f"cannot be read ({error.strerror}), expected a run's journal"
+            ) from error
+        self._offset += len(text)
+        *whole, self._rest = (self._rest + text).split(b"\n")
+        self._lines += len(whole)
+        first = self._lines - len(whole) + 1
+        return [_change(line, f"{self.path}:{number}") for number, line in enumerate(whole, first)]
+
+
+def append_to_journal(path: Path, change: Change) -> None:
+    """Add what somebody else than the bench did to the journal of a run. Raises UnusableInputError."""
+    line = _line(change)
+    try:
+        file = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CLOEXEC)
+        try:
+            os.write(file, line)
+        finally:
+            os.close(file)
+    except OSError as error:
+        raise UnusableInputError(path, f"cannot be written ({error.strerror}), expected a run's journal") from error
+
+
 def read_journal(path: Path) -> list[Change]:
     """All changes in their order; a last line that a crash cut off is left out.
 
@@ -75,6 +112,13 @@ def read_journal(path: Path) -> list[Change]:
     except OSError as error:
         raise UnusableInputError(path, f"cannot be read ({error.strerror}), expected a run's journal") from error
     return changes
+
+
+def _line(change: Change) -> bytes:
+    said = asdict(change)
+    if change.who is None:
+        del said["who"]
+    return (json.dumps(said, separators=(",", ":")) + "\n").encode()
 
 
 def _change(line: bytes, place: str) -> Change:

@@ -10,7 +10,7 @@ were told them, in their units' resolution; all else is exactly what the run had
 from __future__ import annotations
 
 import fcntl
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from math import nan
@@ -47,7 +47,7 @@ _NANOSECOND = 1e-9
 
 
 @dataclass
-class _Cycle:
+class CycleFrames:
     """The frames of one cycle: what the bench sent and received before its SYNC, and what it received after it."""
 
     sent: list[Frame] = field(default_factory=list)
@@ -139,12 +139,11 @@ def replay_frames(
     Raises UnusableInputError, which names the `place`, for frames that show no two cycles.
     """
     nodes = Nodes(config)
-    master_id = config.master.node_id
-    own = {cob_id for cob_id, _ in _own_frames(nodes)} | {HEARTBEAT + master_id, answer_id(master_id)}
-    cycles = _cycles(frames, own, nodes.axes[0].pdos.rpdo.cob_id)
-    configuration = next(cycles, _Cycle())
-    _take_units(nodes, configuration.received)
-    decoder = _Decoder(config, nodes, changes, under_way=under_way)
+    cycles = _cycles(frames, nodes)
+    configuration = next(cycles, CycleFrames())
+    take_units(nodes, configuration.received)
+    rows = RecordingBuilder([signal.name for signal in config.signals])
+    decoder = Decoder(config, nodes, changes, rows.append, under_way=under_way)
     bits, count, missed, last_ns, first_ns = 0, 0, 0, 0, 0
     fault = ""
     for cycle in _complete(cycles, nodes):
@@ -160,39 +159,51 @@ def replay_frames(
             fault = str(error)
             break
     fault = fault or decoder.fault
-    if len(decoder.rows) < LEAST_SAMPLES:
-        found = f"{len(decoder.rows)} cycle(s) with enabled drives"
+    if len(rows) < LEAST_SAMPLES:
+        found = f"{len(rows)} cycle(s) with enabled drives"
         raise UnusableInputError(place, f"{found}, expected at least {LEAST_SAMPLES}")
     started = datetime.fromtimestamp(first_ns * _NANOSECOND, UTC)
-    recording = decoder.rows.build(started, config.description)
+    recording = rows.build(started, config.description)
     return Recovery(recording, started, count, bits, missed, fault, torn=False)
 
 
-def _cycles(frames: Iterable[Frame], own: set[int], first: int) -> Iterator[_Cycle]:
-    """First what came before the cyclic path (its last frames are the first cycle's), then cycle after cycle.
+class CycleSplitter:
+    """Puts frames into cycles: first what came before the cyclic path (its last frames are the first cycle's), then
+    cycle after cycle. `current` is what is not complete yet.
 
-    What the bench sends for a cycle begins with the frame `first`; its other frames have identifiers of `own`.
+    What the bench sends for a cycle begins with the first RPDO of the first axis.
     """
-    current = _Cycle()
-    for frame in frames:
+
+    def __init__(self, nodes: Nodes) -> None:
+        master_id = nodes.config.master.node_id
+        self._own = {cob_id for cob_id, _ in _own_frames(nodes)} | {HEARTBEAT + master_id, answer_id(master_id)}
+        self._first = nodes.axes[0].pdos.rpdo.cob_id
+        self.current = CycleFrames()
+
+    def take(self, frame: Frame) -> CycleFrames | None:
+        """The next frame, in the order in which the bench saw it; the cycle that its SYNC has ended."""
         if frame.can_id != SYNC:
-            current.received.append(frame)
-            continue
-        received = current.received
-        at = next((at for at in reversed(range(len(received))) if received[at].can_id == first), len(received))
-        following = _Cycle(sync=frame)
+            self.current.received.append(frame)
+            return None
+        ended, received = self.current, self.current.received
+        at = next((at for at in reversed(range(len(received))) if received[at].can_id == self._first), len(received))
+        self.current = CycleFrames(sync=frame)
         for before in received[at:]:
-            (following.sent if before.can_id in own else following.late).append(before)
+            (self.current.sent if before.can_id in self._own else self.current.late).append(before)
         del received[at:]
-        yield current
-        current = following
-    yield current
+        return ended
 
 
-def _complete(cycles: Iterator[_Cycle], nodes: Nodes) -> Iterator[_Cycle]:
+def _cycles(frames: Iterable[Frame], nodes: Nodes) -> Iterator[CycleFrames]:
+    splitter = CycleSplitter(nodes)
+    yield from (cycle for frame in frames if (cycle := splitter.take(frame)) is not None)
+    yield splitter.current
+
+
+def _complete(cycles: Iterator[CycleFrames], nodes: Nodes) -> Iterator[CycleFrames]:
     """All cycles but a last one that lacks the drives' answers."""
     needed = {pdo.cob_id for pdo in nodes.expected_pdos() if pdo.every == 1 and pdo.vital}
-    before: _Cycle | None = None
+    before: CycleFrames | None = None
     for cycle in cycles:
         if before is not None:
             yield before
@@ -208,7 +219,7 @@ def _own_frames(nodes: Nodes) -> Iterator[tuple[int, str]]:
         yield nodes.io.boundary.cob_id, nodes.twin_name
 
 
-def _take_units(nodes: Nodes, frames: Iterable[Frame]) -> None:
+def take_units(nodes: Nodes, frames: Iterable[Frame]) -> None:
     """Units as the drives told them by SDO when they were configured (expedited uploads); else by their EDS."""
     told: dict[tuple[int, int, int], bytes] = {}
     for can_id, data, _ in frames:
@@ -227,18 +238,26 @@ def _take_units(nodes: Nodes, frames: Iterable[Frame]) -> None:
         drive.units = DriveUnits.from_objects(read, drive.settings.units, drive.settings.name)
 
 
-class _Decoder:
-    """Takes cycle after cycle; `rows` are the samples of the enabled bench.
+class Decoder:
+    """Takes cycle after cycle; `keep` gets a row of all signals for each sample of the enabled bench.
 
-    Frames are read by the bench's own nodes, and the tasks of the machine run on them as they did on the bench: what
-    they make of the same samples and the same changes is the same again.
+    `changes` may grow meanwhile; `cycles`: how many there were before the first that is taken. Frames are read by the
+    bench's own nodes, and the tasks of the machine run on them as they did on the bench: what they make of the same
+    samples and the same changes is the same again.
     """
 
     def __init__(
-        self, config: BenchConfig, nodes: Nodes, changes: list[Change] | None, *, under_way: bool = False
+        self,
+        config: BenchConfig,
+        nodes: Nodes,
+        changes: Sequence[Change] | None,
+        keep: Callable[[Sequence[float]], None],
+        *,
+        under_way: bool = False,
+        cycles: int = 0,
     ) -> None:
         names = [signal.name for signal in config.signals]
-        self.rows = RecordingBuilder(names)
+        self._keep = keep
         self.fault = ""  #: what a watch of the machine found
         self._row = attrgetter(*names)
         self._cycle_s = config.cycle_time_s
@@ -246,6 +265,7 @@ class _Decoder:
         self._changes = changes
         self._next_change = 0
         self._state = BenchState(config.cycle_time_s, sample_type(config.signals)(), _nobody, _nobody)
+        self._state.sample.cycle = cycles
         self._machine = machine_tasks(config, self._state)
         self._machine.warm_up()
         self._watches = list(self._machine.watches)
@@ -265,7 +285,7 @@ class _Decoder:
         self._first: int | None = None
         self._joins_twin = under_way  # which counts SYNCs from before the first frame
 
-    def take(self, cycle: _Cycle) -> int:
+    def take(self, cycle: CycleFrames) -> int:
         """Decode one cycle; returns the bits on the bus. Raises BenchFaultError as the bench did."""
         state, nodes = self._state, self._nodes
         sample = state.sample
@@ -345,7 +365,7 @@ class _Decoder:
         if self._changes is None:
             for name in self._unknown:
                 setattr(sample, name, nan)
-        self.rows.append(self._row(sample))
+        self._keep(self._row(sample))
 
 
 def _nobody(_: object) -> None:

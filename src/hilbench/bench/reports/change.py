@@ -20,6 +20,7 @@ What = Literal[
     "model_refused",
     "model_applied",
     "model_announced",
+    "asked",
 ]
 
 
@@ -36,6 +37,8 @@ class Change:
     ``effect_gone``: by the effect `path`, whose strength has `value`; ``effect_dismissed``: new data did not confirm
     that; ``model_proposed``, ``model_refused``: the twin could go on, or is not to go on, with that; ``model_applied``:
     it does; ``model_announced``: the machine has got `path` on purpose.
+    ``asked``: somebody (`who`) at a monitor has done what `path` says; such a line is the monitor's, and its cycle the
+    last one that it had heard.
     """
 
     cycle: int
@@ -43,3 +46,4 @@ class Change:
     path: str = ""
     value: float = 0.0
     before: float | None = None
+    who: str | None = None

@@ -1,0 +1,175 @@
+"""What viewers ask of a bench: the same requests, in the same ranges, as the terminal's monitor makes."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Mapping
+from concurrent.futures import Future
+from dataclasses import dataclass
+from typing import Annotated, Any, Final, Literal
+
+from pydantic import Field, FiniteFloat, StringConstraints, TypeAdapter, ValidationError
+
+from hilbench.block import Strict
+from hilbench.canopen.emergency_stop import send_emergency_stop
+from hilbench.errors import HilbenchError
+from hilbench.monitor.changes import ChangeRequests
+from hilbench.pages.live.listener import Listener
+from hilbench.pages.live.seat import Seat
+
+_NAME: Final = r"^[^\x00-\x1f\x7f<>]{1,32}$"
+Name = Annotated[str, StringConstraints(pattern=_NAME, strip_whitespace=True)]
+Key = Annotated[str, Field(max_length=8)]
+
+
+class Stop(Strict):
+    """Emergency stop; anybody who sees the page may."""
+
+    do: Literal["stop"]
+    name: Name
+
+
+class Take(Strict):
+    """Control, or hold it longer."""
+
+    do: Literal["take"]
+    name: Name
+
+
+class Give(Strict):
+    """Control back."""
+
+    do: Literal["give"]
+
+
+class Set(Strict):
+    """Another value of a quantity, in its unit."""
+
+    do: Literal["set"]
+    key: Key
+    value: FiniteFloat
+
+
+class Answer(Strict):
+    """Yes or no to a probe or a proposed model."""
+
+    do: Literal["answer"]
+    key: Key
+    yes: bool
+
+
+class WhatIf(Strict):
+    """What would come of another value; moves nothing."""
+
+    do: Literal["what_if"]
+    key: Key
+    value: FiniteFloat
+
+
+Action = Stop | Take | Give | Set | Answer | WhatIf
+_ACTION: Final[TypeAdapter[Action]] = TypeAdapter(Annotated[Action, Field(discriminator="do")])
+
+
+@dataclass(frozen=True)
+class Viewer:
+    """Who asks: what only that viewer knows, and from where."""
+
+    secret: str
+    address: str
+
+    def named(self, name: str) -> str:
+        """As the journal has him."""
+        return f"{name} ({self.address})"
+
+
+class Controls:
+    """Does what viewers ask for, says what became of it, and who it was into the journal."""
+
+    def __init__(self, listener: Listener, changes: ChangeRequests, seat: Seat | None = None) -> None:
+        self.seat = seat or Seat()
+        self._listener = listener
+        self._changes = changes
+
+    def as_data(self) -> dict[str, Any]:
+        """What can be asked for."""
+        quantities = []
+        for key, quantity in self._changes.changeable.items():
+            low, high = self._changes.range_of(quantity)
+            known = {
+                "key": key,
+                "title": quantity.title,
+                "unit": quantity.in_unit,
+                "signal": quantity.signal,
+                "scale": quantity.si_per_shown,
+            }
+            quantities.append({**known, "low": low, "high": high, "foreseeable": key in self._changes.foreseeable})
+        switches = [vars(switch) for switch in self._changes.switches.values()]
+        return {"quantities": quantities, "switches": switches}
+
+    async def do(self, viewer: Viewer, asked: Mapping[str, Any]) -> tuple[str, bool]:
+        """What became of it, in one line, and whether it was done."""
+        try:
+            action = _ACTION.validate_python(asked)
+        except ValidationError as error:
+            first = error.errors()[0]
+            return f"not understood: {'.'.join(map(str, first['loc']))}: {first['msg']}", False
+        try:
+            return await self._do(viewer, action)
+        except HilbenchError as error:
+            return str(error), False
+
+    async def _do(self, viewer: Viewer, action: Action) -> tuple[str, bool]:
+        if isinstance(action, Stop):
+            return await asyncio.to_thread(self._stop, viewer, action.name)
+        if isinstance(action, WhatIf):
+            return await self._look_ahead(action)
+        if isinstance(action, Take):
+            return self._take(viewer, action.name)
+        if isinstance(action, Give):
+            name = self.seat.name
+            if not self.seat.give_back(viewer.secret):
+                return "control is not yours to give back", False
+            self._listener.note(viewer.named(name), "control given back")
+            return "control given back", True
+        if not self.seat.use(viewer.secret):
+            return f"control is with {self.seat.name}" if self.seat.name else "take control first", False
+        return await self._change(viewer.named(self.seat.name), action)
+
+    def _stop(self, viewer: Viewer, name: str) -> tuple[str, bool]:
+        try:
+            self._listener.send_over(send_emergency_stop)
+        except HilbenchError as error:
+            return f"EMERGENCY STOP NOT SENT: {error}", False
+        self._listener.note(viewer.named(name), "emergency stop")
+        return "emergency stop sent", True
+
+    def _take(self, viewer: Viewer, name: str) -> tuple[str, bool]:
+        held = self.seat.is_of(viewer.secret)
+        if not self.seat.take(viewer.secret, name):
+            return f"control is with {self.seat.name}", False
+        if not held:
+            self._listener.note(viewer.named(name), "control taken")
+        return "you control", True
+
+    async def _change(self, who: str, action: Set | Answer) -> tuple[str, bool]:
+        known = self._changes.changeable if isinstance(action, Set) else self._changes.switches
+        if action.key not in known:
+            return f"'{action.key}', expected one of {', '.join(known)}", False
+        if isinstance(action, Set):
+            future, value = self._changes.ask(self._changes.changeable[action.key], action.value), action.value
+        else:
+            future, value = self._changes.tell(self._changes.switches[action.key], action.yes), float(action.yes)
+        said = await self._ended(future)
+        await asyncio.to_thread(self._listener.note, who, said, value)
+        return said, said.endswith(": set")
+
+    async def _look_ahead(self, action: WhatIf) -> tuple[str, bool]:
+        if action.key not in self._changes.foreseeable:
+            return f"'{action.key}', expected one of {', '.join(self._changes.foreseeable)}", False
+        quantity = self._changes.foreseeable[action.key]
+        return await self._ended(self._changes.look_ahead(quantity, action.value, self._listener.recent_frames())), True
+
+    async def _ended(self, future: Future[str]) -> str:
+        said = await asyncio.wrap_future(future)
+        self._changes.ended()  # each is answered to who has asked
+        return said

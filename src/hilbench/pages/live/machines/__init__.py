@@ -1,0 +1,1 @@
+"""What the page of each kind of machine shows: its plots and its drawing."""

@@ -1,0 +1,163 @@
+"""One viewer's connection: what is new is sent when he has taken what was sent before, and nobody waits for him."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import secrets
+import struct
+from typing import Any, Final
+
+import numpy as np
+from starlette.websockets import WebSocket, WebSocketDisconnect
+
+from hilbench.pages.live.controls import Controls, Viewer
+from hilbench.pages.live.history import LEVELS, Stretches
+from hilbench.pages.live.listener import Listener
+
+#: How often stretches are sent, and the state, s.
+_TICK_S: Final = 0.05
+_STATE_S: Final = 0.2
+_MOST_VIEWERS: Final = 32
+#: Points of a part of the past that is asked for.
+_MOST_POINTS: Final = 4000
+_HEAD: Final = struct.Struct("<4I")
+#: The third of the levels in a message: a part of the past.
+PAST: Final = len(LEVELS)
+
+
+def packed(level: int, generation: int, stretches: Stretches) -> bytes:
+    """A message: level, generation, stretches and signals as uint32, the times as float64, then least and largest
+    values, signal after signal, as float32; little-endian."""
+    head = _HEAD.pack(level, generation, len(stretches), len(stretches.low))
+    values = (np.ascontiguousarray(part, "<f4").tobytes() for part in (stretches.low, stretches.high))
+    return b"".join([head, stretches.t_s.astype("<f8").tobytes(), *values])
+
+
+class Viewers:
+    """All connections to one bench."""
+
+    def __init__(self, listener: Listener, controls: Controls) -> None:
+        self._listener = listener
+        self._controls = controls
+        self._secrets: set[str] = set()  # of viewers that may come back
+        self._present: dict[str, int] = {}
+
+    async def serve(self, socket: WebSocket) -> None:
+        """One connection, until it ends."""
+        await socket.accept()
+        if sum(self._present.values()) >= _MOST_VIEWERS:
+            await socket.close(1013, f"{_MOST_VIEWERS} viewers, expected no more")
+            return
+        try:
+            hello = await socket.receive_json()
+            before = hello.get("viewer") if isinstance(hello, dict) else None
+            secret = before if isinstance(before, str) and before in self._secrets else secrets.token_hex(16)
+        except (WebSocketDisconnect, ValueError, KeyError):
+            return
+        self._secrets.add(secret)
+        self._present[secret] = self._present.get(secret, 0) + 1
+        self._controls.seat.comes(secret)
+        viewer = Viewer(secret, socket.client.host if socket.client else "?")
+        sending = asyncio.create_task(self._send(socket, secret))
+        try:
+            await self._receive(socket, viewer)
+        finally:
+            sending.cancel()
+            self._present[secret] -= 1
+            if not self._present[secret]:
+                del self._present[secret]
+                self._controls.seat.leaves(secret)
+
+    async def _receive(self, socket: WebSocket, viewer: Viewer) -> None:
+        doing: set[asyncio.Task[None]] = set()
+        try:
+            while True:
+                asked = await socket.receive_json()
+                if not isinstance(asked, dict):
+                    return
+                # An answer of the bench takes its time; an emergency stop behind it does not wait for that.
+                task = asyncio.create_task(self._answer(socket, viewer, asked))
+                doing.add(task)
+                task.add_done_callback(doing.discard)
+        except (WebSocketDisconnect, ValueError, KeyError):
+            return
+
+    async def _answer(self, socket: WebSocket, viewer: Viewer, asked: dict[str, Any]) -> None:
+        number = asked.pop("number", None)
+        if asked.get("do") == "past":
+            await self._past(socket, asked)
+            return
+        said, done = await self._controls.do(viewer, asked)
+        answer = {"kind": "said", "number": number, "to": asked.get("do"), "text": said, "done": done}
+        await _sent(socket, json.dumps(answer))
+
+    async def _past(self, socket: WebSocket, asked: dict[str, Any]) -> None:
+        try:
+            from_s, to_s = float(asked["from_s"]), float(asked["to_s"])
+        except (KeyError, TypeError, ValueError):
+            return
+        history = self._listener.history
+        with self._listener.lock:
+            stretches, generation = history.window(from_s, to_s, _MOST_POINTS), history.generation
+        await _sent(socket, packed(PAST, generation, stretches))
+
+    def _layout(self, secret: str) -> dict[str, Any]:
+        listener = self._listener
+        config, panel = listener.config, listener.panel
+        return {
+            "kind": "layout",
+            "viewer": secret,
+            "name": config.name,
+            "description": config.description,
+            "bus": config.bus.address,
+            "cycle_s": config.cycle_time_s,
+            "signals": listener.history.names,
+            "plots": [plot.as_data() for plot in panel.plots],
+            "drawing": panel.drawing,
+            "parts": {
+                part.name: "virtual" if part.is_virtual else "simulated" if part.is_simulated else "real"
+                for part in config.parts
+            },
+            "levels": [length_s for length_s, _ in LEVELS],
+            **self._controls.as_data(),
+        }
+
+    async def _send(self, socket: WebSocket, secret: str) -> None:
+        """What is new, as fast as this viewer takes it."""
+        listener, history = self._listener, self._listener.history
+        if not await _sent(socket, json.dumps(self._layout(secret))):
+            return
+        generation, numbers, events, ticks = -1, [0] * len(LEVELS), 0, 0
+        each = round(_STATE_S / _TICK_S)
+        while True:
+            with listener.lock:
+                if history.generation != generation:
+                    generation, numbers = history.generation, [0] * len(LEVELS)
+                new = [history.since(level, number) for level, number in enumerate(numbers)]
+                happened, count = listener.events.since(events), listener.events.number
+            for level, stretches in enumerate(new):
+                numbers[level] = stretches.first + len(stretches)
+                if len(stretches) and not await _sent(socket, packed(level, generation, stretches)):
+                    return
+            if happened or ticks % each == 0:
+                events = count
+                state = {"kind": "state", "generation": generation, **self._state(secret), "events": happened}
+                if not await _sent(socket, json.dumps(state, allow_nan=False)):
+                    return
+            ticks += 1
+            await asyncio.sleep(_TICK_S)
+
+    def _state(self, secret: str) -> dict[str, Any]:
+        seat = self._controls.seat
+        control = {"name": seat.name, "mine": seat.is_of(secret), "left_s": seat.left_s}
+        return {**self._listener.state(), "control": control, "viewers": len(self._present)}
+
+
+async def _sent(socket: WebSocket, message: str | bytes) -> bool:
+    """Send it; False once the connection is gone."""
+    try:
+        await (socket.send_text(message) if isinstance(message, str) else socket.send_bytes(message))
+    except (WebSocketDisconnect, RuntimeError):  # starlette's word for a connection that was closed meanwhile
+        return False
+    return True

@@ -1,0 +1,96 @@
+"""The server of the pages: a process of its own, which has no part in what a bench does."""
+
+from __future__ import annotations
+
+import socket
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
+from typing import Final
+
+import uvicorn
+
+from hilbench.can.open import open_link, open_python_can
+from hilbench.canopen.sdo_client import SDO_ANSWERS, SdoClient
+from hilbench.errors import UnusableInputError
+from hilbench.monitor.changes import PATIENCE_S, ChangeRequests
+from hilbench.pages import runs as runs_pages
+from hilbench.pages.access import Access
+from hilbench.pages.live.controls import Controls
+from hilbench.pages.live.listener import Listener
+from hilbench.pages.live.viewer import Viewers
+from hilbench.pages.site import site
+from hilbench.topology.config import BenchConfig
+
+LOOPBACK: Final = "127.0.0.1"
+PORT: Final = 8321
+#: Bytes of a message of a viewer, and of the head of a request, at most.
+_LARGEST_MESSAGE, _LARGEST_HEAD = 4096, 16_384
+#: A viewer of whom nothing is heard for so long is gone, s.
+_PING_S: Final = 10.0
+_MOST_CONNECTIONS: Final = 128
+
+
+def serve(config: BenchConfig | None, runs: Path, host: str, port: int, announce: Callable[[str], None]) -> None:
+    """Serve the pages of the runs in a folder and, with a config, of the bench that runs by it, until it is ended.
+
+    `port`: 0 for any that is free. `announce` gets the lines for who has started it: the address with the token.
+    Raises UnusableInputError where it can't listen there, BusError where the bus can't be joined.
+    """
+    with ExitStack() as resources:
+        listening = resources.enter_context(_listening(host, port))
+        access = Access(host, listening.getsockname()[1])
+        viewers = None if config is None else resources.enter_context(_bench(config, runs))
+        app = site(access, runs_pages.routes(runs), viewers)
+        shown = f"[{host}]" if ":" in host else host
+        announce(f"page: http://{shown}:{access.port}/#{access.token}")
+        if host != LOOPBACK:
+            announce(
+                "whoever has this address can stop the machine and change what it does; it is not encrypted: "
+                "expected in a network of your own, or at the end of a tunnel (ssh -L)"
+            )
+        server = uvicorn.Server(
+            uvicorn.Config(
+                app,
+                log_level="warning",
+                lifespan="off",
+                server_header=False,
+                ws="websockets-sansio",
+                ws_max_size=_LARGEST_MESSAGE,
+                ws_ping_interval=_PING_S,
+                ws_ping_timeout=_PING_S,
+                http="h11",
+                h11_max_incomplete_event_size=_LARGEST_HEAD,
+                limit_concurrency=_MOST_CONNECTIONS,
+                timeout_graceful_shutdown=1,
+            )
+        )
+        with suppress(KeyboardInterrupt):  # that is how it is ended
+            server.run(sockets=[listening])
+
+
+@contextmanager
+def _listening(host: str, port: int) -> Iterator[socket.socket]:
+    place = f"--host {host} --port {port}"
+    try:
+        family = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0][0]
+        listening = socket.create_server((host, port), family=family, backlog=64)
+    except OSError as error:
+        raise UnusableInputError(
+            place, f"{error.strerror}, expected an address of this machine and a free port"
+        ) from error
+    with listening:
+        yield listening
+
+
+@contextmanager
+def _bench(config: BenchConfig, runs: Path) -> Iterator[Viewers]:
+    address = config.bus_address.as_it_runs()
+    listener = Listener(config, lambda: open_link(address), runs)
+    changes = ChangeRequests(config, lambda: SdoClient(open_python_can(address, SDO_ANSWERS), PATIENCE_S))
+    listener.start()
+    try:
+        yield Viewers(listener, Controls(listener, changes))
+    finally:
+        changes.close()
+        listener.close()
