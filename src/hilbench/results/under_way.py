@@ -15,6 +15,9 @@ from hilbench.results.run_folder import RunFolder
 _LOOKED_AT: Final = 20
 _LOCKS: Final = Path("/proc/locks")
 _BLOCK: Final = 1 << 20
+_LINE: Final = 200
+#: What is farther apart is not of one clock.
+_NEAR_NS: Final = 2_000_000_000
 
 
 @dataclass(frozen=True)
@@ -34,15 +37,27 @@ class RunUnderWay:
                 return cls(folder, JournalReader(folder.journal))
         return None
 
-    def cycles(self) -> int:
-        """SYNCs in its trace until now."""
-        wanted, count, rest = f" {SYNC:03X}#".encode(), 0, b""
+    def cycles(self, sync_ns: int, cycle_ns: int) -> int:
+        """SYNCs before one that was heard at `sync_ns`, by its trace, which may be a little behind, or ahead."""
+        wanted, count, rest, tail = f" {SYNC:03X}#".encode(), 0, b"", b""
         with open(self.folder.trace, "rb") as file:
             while block := file.read(_BLOCK):
                 text = rest + block
                 count += text.count(wanted)
                 rest = text[-len(wanted) + 1 :]
-        return count
+                tail = tail[-_LINE:] + block
+        last = tail.rfind(wanted)
+        start = tail.rfind(b"(", 0, last)
+        if last < 0 or start < 0:
+            return count
+        last_ns = _nanoseconds(tail[start + 1 : tail.index(b")", start)])
+        ahead = round((sync_ns - last_ns) / cycle_ns)
+        return max(count - 1 + ahead, 0) if abs(ahead) * cycle_ns < _NEAR_NS else count
+
+
+def _nanoseconds(seconds: bytes) -> int:
+    whole, _, part = seconds.partition(b".")
+    return int(whole) * 1_000_000_000 + int(part.ljust(9, b"0"))
 
 
 def is_written(trace: Path) -> bool:

@@ -20,6 +20,7 @@ from hilbench.pages.live.seat import Seat
 _NAME: Final = r"^[^\x00-\x1f\x7f<>]{1,32}$"
 Name = Annotated[str, StringConstraints(pattern=_NAME, strip_whitespace=True)]
 Key = Annotated[str, Field(max_length=8)]
+Number = Annotated[FiniteFloat, Field(strict=True)]
 
 
 class Stop(Strict):
@@ -47,7 +48,7 @@ class Set(Strict):
 
     do: Literal["set"]
     key: Key
-    value: FiniteFloat
+    value: Number
 
 
 class Answer(Strict):
@@ -63,7 +64,7 @@ class WhatIf(Strict):
 
     do: Literal["what_if"]
     key: Key
-    value: FiniteFloat
+    value: Number
 
 
 Action = Stop | Take | Give | Set | Answer | WhatIf

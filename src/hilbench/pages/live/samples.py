@@ -82,7 +82,7 @@ class LiveSamples:
             if frame.can_id == NMT and frame.data == _START_ALL:
                 self._start_anew()
             elif frame.can_id == SYNC and self._decoder is None:
-                self._join()
+                self._join(frame)
             cycle = self._splitter.take(frame)
             if cycle is not None:
                 self._decode(cycle)
@@ -98,14 +98,14 @@ class LiveSamples:
         self._begin(from_start=True)
         self._splitter.current.received = configuration
 
-    def _join(self) -> None:
+    def _join(self, sync: Frame) -> None:
         """The first SYNC that is heard of a run."""
         self._history.clear()
         self.run = RunUnderWay.on(self._runs, self._channel)
         take_units(self._nodes, self._splitter.current.received)
         changes, under_way = None if self.run is None else self._changes, not self._from_start
         if under_way and self.run is not None:
-            self._cycle = self.run.cycles()
+            self._cycle = self.run.cycles(sync.time_ns, self._config.cycle_ns)
         self._read_journal()
         keep = self._rows.append
         self._decoder = Decoder(self._config, self._nodes, changes, keep, under_way=under_way, cycles=self._cycle)

@@ -1,0 +1,105 @@
+"""The pages of the runs in a folder."""
+
+from __future__ import annotations
+
+import fcntl
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from starlette.testclient import TestClient
+
+from hilbench.pages.access import Access
+from hilbench.pages.runs import routes
+from hilbench.pages.site import site
+from hilbench.results.result import Fault, Result, Timing
+from hilbench.results.run_folder import RunFolder
+from hilbench.runs.criteria import CriterionResult
+
+HERE = "http://127.0.0.1:8321"
+TIMING = Timing(
+    pace="lockstep", cycle_us=2000.0, cycles=10, missed=0, jitter_us=None, realtime_factor=None, bus_load_pct=1.0
+)
+
+
+@pytest.fixture
+def base(tmp_path: Path) -> Path:
+    return tmp_path / "runs"
+
+
+@pytest.fixture
+def client(base: Path) -> Iterator[TestClient]:
+    access = Access("127.0.0.1", 8321)
+    with TestClient(site(access, routes(base)), base_url=HERE) as client:
+        client.post("/session", headers={"Authorization": access.token, "Origin": HERE})
+        yield client
+
+
+def run(base: Path, name: str, passed: bool = True, fault: Fault | None = None) -> RunFolder:
+    folder = RunFolder.create(base, name)
+    folder.config.write_text("name: x\n")
+    criterion = CriterionResult(name="<b>tension</b>", value=1.0, limit="<= 2", unit="N", passed=passed)
+    Result.of([criterion], {"E_noise_pct": 0.1}, TIMING, [] if fault is None else [fault]).write(folder.result)
+    return folder
+
+
+def test_every_run_is_listed_with_what_became_of_it(client: TestClient, base: Path) -> None:
+    run(base, "good")
+    run(base, "bad", passed=False)
+    run(base, "stopped", fault=Fault(time_s=1.0, source="operator", text="interrupted"))
+    run(base, "broken", fault=Fault(time_s=1.0, source="bench", text="no answer"))
+    cut = RunFolder.create(base, "cut")
+    cut.config.write_text("name: x\n")
+    text = client.get("/runs").text
+    for word in ("passed", "failed", "interrupted", "fault", "cut off", "no answer"):
+        assert word in text
+    assert client.get(f"/runs/{cut.name}").status_code == 200
+
+
+def test_a_run_that_goes_on_is_said_to_run(client: TestClient, base: Path) -> None:
+    folder = RunFolder.create(base, "now")
+    folder.config.write_text("name: x\n")
+    with open(folder.trace, "w") as trace:
+        fcntl.flock(trace, fcntl.LOCK_EX)
+        assert "running" in client.get("/runs").text
+    assert "running" not in client.get("/runs").text
+
+
+def test_what_stands_in_a_file_is_text(client: TestClient, base: Path) -> None:
+    folder = run(base, "one", passed=False, fault=Fault(time_s=0.0, source="bench", text="<script>alert(1)</script>"))
+    for path in ("/runs", f"/runs/{folder.name}"):
+        text = client.get(path).text
+        assert "<script>alert" not in text
+        assert "&lt;script&gt;" in text
+
+
+def test_a_report_can_not_act_for_who_reads_it(client: TestClient, base: Path) -> None:
+    folder = run(base, "one")
+    assert client.get(f"/runs/{folder.name}/report").status_code == 404
+    folder.report.write_text("<p>report</p>")
+    answer = client.get(f"/runs/{folder.name}/report")
+    assert "report" in answer.text
+    policy = answer.headers["content-security-policy"]
+    assert policy.startswith("sandbox allow-scripts;")
+    assert "allow-same-origin" not in policy
+    assert "connect-src" not in policy.replace("default-src 'none'", "")
+
+
+def test_only_runs_are_opened(client: TestClient, base: Path) -> None:
+    run(base, "one")
+    (base / "no_run").mkdir()
+    (base.parent / "secret").mkdir()
+    (base.parent / "secret" / "config.yaml").write_text("name: x\n")
+    for name in ("no_run", "..%2fsecret", "%2e%2e", "nothing"):
+        assert client.get(f"/runs/{name}").status_code == 404, name
+
+
+def test_a_result_that_can_not_be_read_is_said(client: TestClient, base: Path) -> None:
+    folder = run(base, "one")
+    folder.result.write_text("{")
+    assert "unreadable" in client.get("/runs").text
+    assert client.get(f"/runs/{folder.name}").status_code == 200
+
+
+def test_no_folder_is_an_empty_list(client: TestClient) -> None:
+    assert "No runs" in client.get("/runs").text
