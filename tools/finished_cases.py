@@ -33,6 +33,8 @@ def finish(
     known = {case.name for case in done}
     with ProcessPoolExecutor(jobs) as pool:
         for finished in as_completed([pool.submit(run, case) for case in asked if case.name not in known]):
+            if finished.exception() is not None:  # at once, not after all the others
+                pool.shutdown(wait=False, cancel_futures=True)
             case = finished.result()
             done.append(case)
             if kept is not None:

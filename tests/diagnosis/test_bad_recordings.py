@@ -6,12 +6,15 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from tests.plant.models import model
+from tests.plant.models import effect, lone_axis, model
 
 from hilbench.diagnosis.diagnosis import diagnose
 from hilbench.diagnosis.measured import measured_from
 from hilbench.diagnosis.web_line.synthetic import hidden_recording
 from hilbench.errors import UnusableInputError
+from hilbench.plant.parameters import EffectEntry
+from hilbench.plant.web_line import layout as lay
+from hilbench.plant.web_line.inverse import required_torque_Nm
 from hilbench.results.recording import Recording
 
 Channels = dict[str, np.ndarray]
@@ -28,6 +31,10 @@ def without(name: str) -> Callable[[Channels], Channels]:
 
 def scaled(name: str, factor: float) -> Callable[[Channels], Channels]:
     return lambda c: {**c, name: c[name] * factor}
+
+
+def exchanged(one: str, other: str) -> Callable[[Channels], Channels]:
+    return lambda c: {**c, one: c[other], other: c[one]}
 
 
 def both(one: Callable[[Channels], Channels], other: Callable[[Channels], Channels]) -> Callable[[Channels], Channels]:
@@ -61,6 +68,10 @@ def short(c: Channels) -> Channels:
     return {name: values[:400] for name, values in c.items()}
 
 
+def rows(count: int) -> Callable[[Channels], Channels]:
+    return lambda c: {name: values[:count] for name, values in c.items()}
+
+
 def quiet(c: Channels) -> Channels:
     noise = {name: values - values.mean() for name, values in c.items() if name[0] in "xv" and "cmd" not in name}
     still = {name: np.random.default_rng(0).normal(0.0, 1e-7, len(v)) for name, v in noise.items()}
@@ -80,6 +91,7 @@ def quiet(c: Channels) -> Channels:
         (scaled("x1_m", 1.0 / (2.0 * np.pi)), "x1_m: {column: x1_m, factor: 6.28319}"),
         (scaled("v1_m_s", 3.1), "expected both in the same unit, of the same axis"),
         (short, "expected at least 5 s"),
+        (rows(2499), "4.998 s long, expected at least 5 s"),
         (quiet, "nothing moves"),
         (scaled("t_s", 1000.0), "channel t_s: samples 2 s apart"),
         (scaled("x2_m", 1000.0), "as if x2_m were in mm, expected SI units"),
@@ -95,6 +107,10 @@ def quiet(c: Channels) -> Channels:
         (both(scaled("tau1_Nm", -1.0), scaled("tau2_Nm", -1.0)), "tau1_Nm is -0.989 times the torque"),
         (slow_and_in_per_cent, "times the torque that accelerates axis 2 by the model, expected N·m of the motor"),
         (first_roller_of_another_recording, "channels x1_m and x2_m move"),
+        (both(scaled("tau1_Nm", 1e-3), scaled("tau2_Nm", 1e-3)), "by the model, as if it were in kN·m, expected N·m"),
+        (exchanged("tau1_Nm", "tau2_Nm"), "tau1_Nm is the torque that axis 2 needs by the model and tau2_Nm that of"),
+        (scaled("strain_prev", 100.0), "as if it were in %, expected a strain (1): say so with 'hilbench convert"),
+        (scaled("F_next_N", 1e-3), "channel F_next_N is 0.001 times the 70 of the model, as if it were in kN"),
     ],
 )
 def test_it_is_named(good: Channels, damage: Callable[[Channels], Channels], said: str) -> None:
@@ -123,3 +139,31 @@ def test_a_recording_that_lacks_the_rollers_of_its_model_and_a_web_without_drive
         measured_from(Recording(good), line_of(3), "run.csv")
     with pytest.raises(UnusableInputError, match="no 'drives'"):
         measured_from(Recording(good), model(drives=None), "run.csv")
+
+
+def test_a_recording_of_as_many_rows_as_five_seconds_have_is_long_enough(good: Channels) -> None:
+    assert measured_from(Recording(rows(2500)(good)), model(), "run.csv").duration_s == pytest.approx(4.998)
+
+
+@pytest.mark.parametrize(
+    "hidden", [effect("torque_offset", 1, offset_Nm=0.3), effect("torque_offset", 2, offset_Nm=-0.3)]
+)
+def test_torques_that_an_effect_brings_nearer_to_the_other_axis_are_not_taken_for_exchanged(hidden: dict) -> None:  # type: ignore[type-arg]
+    recording = hidden_recording(model(), [EffectEntry.model_validate(hidden)], duration_s=12.0)
+    assert measured_from(recording, model(), "run.csv").repairs == []
+
+
+def test_of_a_lone_axis_a_torque_in_kN_m_is_taken_and_said(good: Channels) -> None:
+    t = 0.002 * np.arange(5000)
+    v, a = np.sin(1.3 * t), 1.3 * np.cos(1.3 * t)
+    torque = np.empty(len(t))
+    required_torque_Nm(lay.pack(lone_axis()), -np.cos(1.3 * t) / 1.3, v, a, 0.002, torque)
+    torque += 1e-3 * np.random.default_rng(0).standard_normal(len(t))
+    channels = {"t_s": t, "x1_m": -np.cos(1.3 * t) / 1.3, "v1_m_s": v}
+    assert measured_from(Recording({**channels, "tau1_Nm": torque}), lone_axis(), "run.csv").repairs == []
+    (said,) = measured_from(Recording({**channels, "tau1_Nm": 1e-3 * torque}), lone_axis(), "run.csv").repairs
+    assert said.what == "unit"
+    assert (
+        "channel tau1_Nm is 0.001 times the torque that accelerates axis 1 by the model, as if it were in kN·m"
+        in said.text
+    )

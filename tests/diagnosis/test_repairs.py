@@ -14,6 +14,7 @@ from hilbench.diagnosis.predictor import predictor_for
 from hilbench.diagnosis.repairs import mended
 from hilbench.diagnosis.web_line.synthetic import hidden_recording
 from hilbench.errors import UnusableInputError
+from hilbench.plant.parameters import EffectEntry
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.inverse import required_torque_Nm
 from hilbench.results.recording import Recording, read_recording, read_rows, write_recording
@@ -239,3 +240,20 @@ def test_a_torque_that_is_often_the_same_twice_is_taken_as_it_is() -> None:
     coarse = moving()
     coarse["tau1_Nm"] = np.round(coarse["tau1_Nm"] / 0.5) * 0.5
     assert whats(taken(coarse)) == []
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_torque_without_noise_that_stays_while_friction_holds_the_axis_is_taken_as_it_is(seed: int) -> None:
+    friction = [EffectEntry.model_validate(effect("coulomb_friction", 1, force_N=float(seed)))]
+    still = hidden_recording(model(), friction, duration_s=20.0, seed=seed, noise=0.0)
+    assert whats(measured_from(still, model(), "run.csv")) == []
+
+
+def test_an_axis_at_rest_whose_counts_went_through_another_unit_is_not_taken_for_rows_that_repeat() -> None:
+    rests = moving(count_m=2e-3)
+    last = slice(len(rests["t_s"]) - 400, None)
+    rounded = 5e-15 * (np.arange(400) // 4) + np.where(np.arange(400) < 8, 1e-15 * np.arange(400), 0.0)
+    rests["x1_m"][last] = rests["x1_m"][last.start - 1] + rounded
+    rests["tau1_Nm"][last] = rests["tau1_Nm"][last.start - 1]
+    rests["v1_m_s"][last] = 0.0
+    assert whats(taken(rests)) == []

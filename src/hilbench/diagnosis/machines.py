@@ -147,6 +147,13 @@ def turns_apart(model: Machine, axis: int) -> bool:
     return model.motor_mass_kg(axis) > 0.0 and model.roller_mass_kg(axis) > 0.0
 
 
+def Nm_per_acceleration(model: Machine, axis: int) -> float:
+    """Torque at the motor that accelerates an axis with what it drives, per m/s² (rad/s² of a rotary machine)."""
+    if isinstance(model, ServoAxisParameters):
+        return model.inertia_kg_m2
+    return (model.motor_mass_kg(axis) + model.roller_mass_kg(axis)) / model.motor_rad_per_m(axis)
+
+
 def required_Nm(
     model: Machine,
     parameters: Array,

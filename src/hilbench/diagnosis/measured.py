@@ -13,10 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import cumulative_trapezoid
 
-from hilbench.diagnosis import machines
+from hilbench.diagnosis import machines, torque_checks
 from hilbench.diagnosis.noise import floor
 from hilbench.diagnosis.repairs import Repair, mended
-from hilbench.diagnosis.smooth_motion import smoothed
 from hilbench.diagnosis.web_tensions import tension_channels
 from hilbench.errors import UnusableInputError
 from hilbench.plant.model_file import Machine
@@ -61,17 +60,15 @@ _UNITS: Final = (
     (1e-6, "x", "µm", 1e-6),
 )
 _TURN: Final = 2.0 * np.pi
-#: Corner up to which torque and acceleration are compared, Hz, rows of that, how many of them from the ends, and least
-#: number of them.
-_SLOW_HZ, _SLOW_ROW_S, _FROM_ENDS, _LEAST_ROWS = 3.0, 0.05, 10, 40
-#: Deviations by which the torque's share of what accelerates the axis is certain; shares of the inertia from which it
-#: is no effect.
-_CERTAIN, _AGAINST, _MOST_INERTIA = 15.0, 0.3, 5.0
 #: Time over which the ways of the web at two rollers are compared, s.
 _SAME_WAY_S: Final = 0.5
 #: Share by which such a ratio may be missed.
 _RATIO: Final = 0.03
 _BOUNDARY = ("strain_prev", "F_next_N")
+#: How many times as large what enters and leaves is in another unit, which that is, and the right one; and the factor
+#: by which it may differ from the model's all the same.
+_OTHER_UNITS: Final = {"strain_prev": ((100.0, "%", "a strain (1)"),), "F_next_N": ((1e-3, "kN", "N"),)}
+_SAME_SIZE: Final = 2.5
 #: Only a bench has it: who records a web that is there has no load motor.
 _LOAD_MOTOR: Final = re.compile(r"tau_\w+_cmd_Nm")
 
@@ -238,8 +235,8 @@ def _check_enough(recording: Recording, place: str | Path, commands: list[str]) 
 
 def _period_s(t_s: Array, place: str | Path) -> float:
     steps = np.diff(t_s)
-    if len(steps) == 0 or t_s[-1] - t_s[0] < SHORTEST_S:
-        length = t_s[-1] - t_s[0] if len(t_s) else 0.0
+    length = float(t_s[-1] - t_s[0] + np.median(steps)) if len(steps) else 0.0  # the last row is a period long as well
+    if length < (1.0 - 1e-9) * SHORTEST_S:
         raise UnusableInputError(place, f"{length:g} s long, expected at least {SHORTEST_S:g} s")
     period_s = float(np.median(steps))
     odd = np.flatnonzero(np.abs(steps - period_s) > _UNEVEN * period_s)
@@ -274,9 +271,11 @@ def _check_plausible(measured: Measured, model: Machine, place: str | Path) -> N
     strain = float(np.max(np.abs(measured.boundary[:, 0])))
     if strain > _LARGEST_STRAIN:
         raise UnusableInputError(place, f"channel strain_prev reaches {strain:g}, expected a strain (1) below 0.1")
+    if isinstance(model, ModelParameters) and model.span_count:
+        _check_boundary(measured, model, place)
     _check_torques(measured, model, place)
-    if isinstance(model, ModelParameters) and model.span_count and not measured.imitated:
-        _check_direction(measured, model, place)
+    if not measured.imitated:
+        _check_driven(measured, model, place)
     moves = [_way(x, measured.period_s) for x in measured.x_m.values()]
     moves += [float(np.max(np.abs(v))) * measured.duration_s for v in speeds.values()]
     if max(moves, default=0.0) < _NOTHING_MOVES_M_S * measured.duration_s:
@@ -352,36 +351,44 @@ def _check_one_way(measured: Measured, place: str | Path) -> None:
             )
 
 
-def _check_direction(measured: Measured, model: ModelParameters, place: str | Path) -> None:
-    """A torque must accelerate its axis: one that is recorded with the other sign, or in a smaller unit, does not."""
-    step = max(1, round(_SLOW_ROW_S / measured.period_s))
-    band_Hz = (_SLOW_HZ, 2.0 * _SLOW_HZ)
-    for axis, torque in measured.tau_Nm.items():
-        if axis in measured.x_m:
-            _, v, a = smoothed(measured.x_m[axis], measured.period_s, 1, band_Hz, 2)
-        elif axis in measured.v_m_s:
-            v, a = smoothed(measured.v_m_s[axis], measured.period_s, 1, band_Hz, 1)
-        else:
+def _check_boundary(measured: Measured, model: ModelParameters, place: str | Path) -> None:
+    """What enters and leaves must be of the size that the model says: in other units it is a hundred times that."""
+    usual = {"strain_prev": model.upstream_strain, "F_next_N": model.boundary.downstream_tension_N}
+    for (name, known), values in zip(usual.items(), measured.boundary.T, strict=True):
+        ratio = float(np.mean(values)) / known if known > 0.0 else 1.0
+        for factor, unit, right in _OTHER_UNITS[name]:
+            if ratio > 0.0 and abs(np.log(ratio / factor)) < np.log(_SAME_SIZE):
+                raise UnusableInputError(
+                    place,
+                    f"channel {name} is {ratio:.3g} times the {known:.3g} of the model, as if it were in {unit},"
+                    f" expected {right}: say so with 'hilbench convert --columns' and {name}: {{column: {name},"
+                    f" factor: {1.0 / factor:.6g}}}",
+                )
+
+
+def _check_driven(measured: Measured, model: Machine, place: str | Path) -> None:
+    """A torque must accelerate its axis: one with the other sign, in another unit, or of another axis does not."""
+    usable = measured.usable(1.0 / torque_checks.SLOW_HZ)
+    motion = torque_checks.SlowMotion.of(measured.x_m, measured.v_m_s, measured.tau_Nm, measured.period_s, usable)
+    for axis in measured.tau_Nm:
+        share = motion.inertia_share(axis, machines.Nm_per_acceleration(model, axis))
+        if share is None:
             continue
-        (tau,) = smoothed(torque, measured.period_s, 1, band_Hz, 0)
-        rows = np.flatnonzero(measured.usable(1.0 / _SLOW_HZ))[::step]
-        rows = rows[(rows > step * _FROM_ENDS) & (rows < len(tau) - step * _FROM_ENDS)]
-        per_acceleration = model.motor_mass_kg(axis) + model.roller_mass_kg(axis)
-        columns = np.column_stack([per_acceleration / model.motor_rad_per_m(axis) * a, v, np.sign(v), np.ones_like(v)])[
-            rows
-        ]
-        if len(rows) < _LEAST_ROWS:
-            continue
-        theta, *_ = np.linalg.lstsq(columns, tau[rows], rcond=None)
-        share, left = float(theta[0]), tau[rows] - columns @ theta
-        deviation = float(np.std(left) * np.sqrt(np.linalg.pinv(columns.T @ columns)[0, 0]))
-        if abs(share) < _CERTAIN * deviation or -_AGAINST < share < _MOST_INERTIA:
-            continue
-        raise UnusableInputError(
-            place,
-            f"channel tau{axis}_Nm is {share:.3g} times the torque that accelerates axis {axis} by the model, expected"
-            " N·m of the motor, positive where it drives forward",
-        )
+        unit = torque_checks.unit_of(share)
+        as_if = f", as if it were in {unit}" if unit else ""
+        said = f"channel tau{axis}_Nm is {share:.3g} times the torque that accelerates axis {axis} by the model{as_if}"
+        if machines.is_lone(model):  # of which it may be the model that has another inertia
+            if unit is not None:
+                measured.repairs.append(Repair("unit", f"tau{axis}_Nm", 0, f"{said}: taken as N·m all the same"))
+        elif unit is not None or not torque_checks.accelerates(share):
+            raise UnusableInputError(place, f"{said}, expected N·m of the motor, positive where it drives forward")
+    if isinstance(model, ModelParameters) and not machines.is_lone(model):
+        for one, two in torque_checks.exchanged(motion, model, measured.boundary):
+            raise UnusableInputError(
+                place,
+                f"channel tau{one}_Nm is the torque that axis {two} needs by the model and tau{two}_Nm that of axis"
+                f" {one}, as if the two were exchanged, expected each axis' own",
+            )
 
 
 def _check_positions(measured: Measured, model: Machine, place: str | Path) -> None:

@@ -37,6 +37,8 @@ _PARTS: Final = 0.1
 _BESIDE, _WRAP, _LARGEST_STEP = 5, 4.0, 3.0
 #: Rows over which the speed is taken with which a repeated row is compared, and share of a step to spare.
 _AROUND, _SHARE = 10, 0.6
+#: Share of a position's range that is no step of it but what was lost in calculating it (another unit, another grid).
+_ROUNDED: Final = 1e-9
 #: Encoder steps that a position moves by at least while a row stands still.
 _QUANTA: Final = 3.0
 #: Rows at one extreme value in a row, from which a torque is taken for cut off, and how many times as many are at it as
@@ -46,6 +48,8 @@ _FLAT, _PILED, _NEXT = 5, 3.0, 0.002
 _AT_LIMIT: Final = 0.01
 #: Rows from which a value that stays is looked at, and the chance up to which it stays by itself.
 _STUCK, _BY_CHANCE = 20, 1e-9
+#: Share of the usual speed up to which an axis creeps.
+_CREEPS: Final = 0.01
 #: Share of its rows in which a torque with noise is at most what it was in the row before.
 _HARDLY_EVER: Final = 0.1
 #: What a diagnosis reads; other channels may hold what they like.
@@ -59,7 +63,7 @@ _TORQUE: Final = re.compile(r"tau\d+_Nm")
 class Repair:
     """One thing that was mended or left out."""
 
-    what: str  #: order, repeated, gap, uneven, wrap, not_finite, saturated or stretch
+    what: str  #: order, repeated, gap, uneven, wrap, not_finite, stuck, saturated, stretch or unit
     channel: str
     rows: int  #: how many it concerns
     text: str  #: for a person, one line
@@ -275,8 +279,10 @@ def _is_noisy(values: Array, repeated: float, quantum: float) -> bool:
 
 
 def _moves(x: Array, start: int, end: int) -> bool:
-    """Whether a position moves in rows start to end - 1 by more than counts."""
-    return float(np.ptp(x[start:end])) > _QUANTA * _quantum(x)
+    """Whether a position moves in rows start to end - 1 by more than counts, and than an axis creeps that friction
+    holds: there a torque may well stay what it is."""
+    usual = float(np.mean(np.abs(np.diff(x)))) * (end - start)
+    return float(np.ptp(x[start:end])) > max(_QUANTA * _quantum(x), _CREEPS * usual)
 
 
 def _moved_on(x: Array, start: int, end: int, quantum: float) -> bool:
@@ -288,9 +294,9 @@ def _moved_on(x: Array, start: int, end: int, quantum: float) -> bool:
 
 
 def _quantum(x: Array) -> float:
-    """The smallest step of a position, that of its encoder where it has one."""
+    """The smallest step of a position, that of its encoder where it has one: more than numbers are rounded by."""
     steps = np.abs(np.diff(x))
-    return float(np.min(steps[steps > 0.0], initial=np.inf))
+    return float(np.min(steps[steps > _ROUNDED * float(np.ptp(x))], initial=np.inf))
 
 
 def _unwrapped(table: _Table) -> _Table:

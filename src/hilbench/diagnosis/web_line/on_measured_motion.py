@@ -15,6 +15,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from hilbench.diagnosis.machines import Nm_per_acceleration
 from hilbench.diagnosis.measured import STANDSTILL_M_S, Measured
 from hilbench.diagnosis.misfit import Condition
 from hilbench.diagnosis.noise import floor
@@ -137,7 +138,10 @@ class LineOnMeasuredMotion:
     def _in_step(self) -> list[list[Array]]:
         """Of each torque the shapes, in noise floors, that are known only up to a share: it is read in step with the
         drive's cycle (the acceleration), and at some time of a drive's sample (its own rate)."""
-        shapes = [_IN_STEP * inertia(self._model, axis) * self._at_rows(self._a[:, axis - 1]) for axis in self._torques]
+        shapes = [
+            _IN_STEP * Nm_per_acceleration(self._model, axis) * self._at_rows(self._a[:, axis - 1])
+            for axis in self._torques
+        ]
         late = self._read_late(self._run(lay.pack(self._model)[None]))
         mixed = [self._mixed @ np.array(rows) for rows in (shapes, late)]
         found = []
@@ -194,7 +198,7 @@ class LineOnMeasuredMotion:
             beyond = self._thinning.apply(torque) - self._at_rows(needed[:, axis - 1])
             like = np.vstack([moved, np.ones_like(beyond)])[:, self.rows]
             lacking = float(np.linalg.lstsq(like.T, beyond[self.rows], rcond=None)[0][0])
-            of_motion = moved, lacking, inertia(self._model, axis)
+            of_motion = moved, lacking, Nm_per_acceleration(self._model, axis)
             told = Told(axis, command, x, v, torque, self._torque_floors[k], *of_motion)
             row_s = self.every * data.period_s
             loop = loop_of(told, self._model, data.period_s, self._thinning.apply, self.rows, row_s)
@@ -266,7 +270,7 @@ class _Noise:
         self._model, self._data = model, data
         self._torque_Nm = {axis: floor(tau) for axis, tau in data.tau_Nm.items()}
         self._axes = range(1, model.axis_count + 1)
-        self._per_acceleration = max(inertia(model, axis) for axis in self._axes)
+        self._per_acceleration = max(Nm_per_acceleration(model, axis) for axis in self._axes)
         options: dict[bool, float] = {}
         if set(data.x_m) >= set(self._axes):
             options[False] = floor(_mean_of(data.x_m))
@@ -331,17 +335,14 @@ class _Noise:
             before, behind = stiffness[axis - 1 : axis + 1]
             web = position * float(np.sqrt(before**2 + behind**2 + (before + behind) ** 2))
             web /= model.motor_rad_per_m(axis)
-            found.append(share * float(np.sqrt(torque**2 + web**2 + (inertia(model, axis) * acceleration) ** 2)))
+            found.append(
+                share * float(np.sqrt(torque**2 + web**2 + (Nm_per_acceleration(model, axis) * acceleration) ** 2))
+            )
         tensions = [
             share * float(np.hypot(floor(data.F_N[span]), np.sqrt(2.0) * position * stiffness[span]))
             for span in sorted(data.F_N)
         ]
         return np.array(found), np.array(tensions)
-
-
-def inertia(model: ModelParameters, axis: int) -> float:
-    """N·m at the motor per m/s² at the web."""
-    return (model.motor_mass_kg(axis) + model.roller_mass_kg(axis)) / model.motor_rad_per_m(axis)
 
 
 def sampling_bias_Nm(model: ModelParameters, axis: int, cycle_s: float) -> float:
