@@ -249,6 +249,12 @@ def test_a_torque_without_noise_that_stays_while_friction_holds_the_axis_is_take
     assert whats(measured_from(still, model(), "run.csv")) == []
 
 
+def test_a_torque_without_noise_that_stays_while_a_motor_drifts_through_its_play_is_taken_as_it_is() -> None:
+    play = [EffectEntry.model_validate(effect("backlash", 1, gap_rad=0.05))]
+    still = hidden_recording(model(), play, duration_s=20.0, seed=21, noise=0.0)
+    assert whats(measured_from(still, model(), "run.csv")) == []
+
+
 def test_an_axis_at_rest_whose_counts_went_through_another_unit_is_not_taken_for_rows_that_repeat() -> None:
     rests = moving(count_m=2e-3)
     last = slice(len(rests["t_s"]) - 400, None)

@@ -5,11 +5,15 @@ The machine is the independent line, which shares no equation with the model.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import yaml
+from tests.cli.in_process import hilbench
 from tests.independent_line import Line, Loops, effect
 
 from hilbench.diagnosis.diagnosis import Diagnosis, concluded, diagnose
@@ -21,7 +25,7 @@ from hilbench.diagnosis.select import CandidateSet, Selection
 from hilbench.diagnosis.space import Space, noise_model
 from hilbench.plant.effects import find_effect
 from hilbench.plant.web_line.parameters import ModelParameters
-from hilbench.results.recording import Recording
+from hilbench.results.recording import Recording, write_recording
 
 COMMANDS = ("v1_cmd_m_s", "v2_cmd_m_s")
 OTHER_GAINS = Loops(kp=(1.2, 1.2), ki=(0.85, 0.85))
@@ -195,11 +199,15 @@ def test_a_ripple_faster_than_the_rows_is_found_in_its_size_where_the_line_is_sl
     assert np.max(np.abs(errors(found, hidden))) < 2.0
 
 
-def test_a_ripple_too_fast_for_coarse_rows_is_said_to_be_out_of_sight() -> None:
+def test_a_ripple_too_fast_for_coarse_rows_is_said_to_be_out_of_sight_and_from_which_order_on(tmp_path: Path) -> None:
     ripple = effect("torque_ripple", 1, amplitude_Nm=0.07, order=2.0, phase_rad=2.98)
-    found = examined("production", hidden=[ripple], row_s=0.02, loops=OTHER_GAINS)
-    assert (found.verdict, found.effects) == ("complete", [])
-    (said,) = (blind for blind in found.unobservable if (blind.effect, blind.axis) == ("torque_ripple", 1))
-    assert said.order is not None
-    assert said.order <= 2.0
-    assert "slower" in said.experiment
+    line = Line(hidden=[ripple], row_s=0.02, loops=OTHER_GAINS)
+    write_recording(Recording(line.record("production", 5, 30.0).channels), tmp_path / "run.csv")
+    (tmp_path / "model.yaml").write_text(yaml.safe_dump(line.model))
+    done = hilbench("diagnose", tmp_path / "run.csv", "--model", tmp_path / "model.yaml", "--json")
+    found = json.loads(done.stdout)
+    assert (found["verdict"], found["effects"]) == ("complete", [])
+    (said,) = (blind for blind in found["blind_to"] if (blind["effect"], blind["axis"]) == ("torque_ripple", 1))
+    assert said["order"] <= 2.0
+    assert "slower" in said["experiment"]
+    assert {blind["order"] for blind in found["blind_to"] if "ripple" not in blind["effect"]} <= {None}

@@ -301,6 +301,7 @@ def as_data(shown: _Found, files: _Files | None, next_experiment: Path | None = 
                 "effect": b.effect,
                 "axis": b.axis,
                 "span": b.section,
+                "order": b.order,
                 "smallest_visible": b.smallest_visible,
                 "unit": b.unit,
                 "experiment": b.experiment,

@@ -16,6 +16,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from hilbench.diagnosis.noise import floor
 from hilbench.errors import UnusableInputError
 from hilbench.results.recording import LEAST_SAMPLES, Recording
 from hilbench.topology.signal_kinds import TIME
@@ -48,6 +49,8 @@ _FLAT, _PILED, _NEXT = 5, 3.0, 0.002
 _AT_LIMIT: Final = 0.01
 #: Rows from which a value that stays is looked at, and the chance up to which it stays by itself.
 _STUCK, _BY_CHANCE = 20, 1e-9
+#: Share of its usual step that the noise of a torque is at least.
+_ROUGH: Final = 0.1
 #: Share of the usual speed up to which an axis creeps.
 _CREEPS: Final = 0.01
 #: Share of its rows in which a torque with noise is at most what it was in the row before.
@@ -270,12 +273,14 @@ def _without_stuck_values(table: _Table) -> _Table:
 
 
 def _is_noisy(values: Array, repeated: float, quantum: float) -> bool:
-    """Whether a torque changes by more than its counts nearly always: without noise one that stays is no wonder.
+    """Whether a torque changes by more than its counts nearly always, and not smoothly: without noise one that stays is
+    no wonder.
 
     `repeated`: share of the rows, but for those in question, in which it is what it was.
     """
     steps = np.abs(np.diff(values))
-    return repeated < _HARDLY_EVER and float(np.median(steps[steps > 0.0])) > _QUANTA * quantum
+    usual = float(np.median(steps[steps > 0.0]))
+    return repeated < _HARDLY_EVER and usual > _QUANTA * quantum and floor(values) > _ROUGH * usual
 
 
 def _moves(x: Array, start: int, end: int) -> bool:
