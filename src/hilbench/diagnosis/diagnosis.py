@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.diagnosis.fit import STATED, Fit, around, fit, moved_by_doubts, sums, time_profile
+from hilbench.diagnosis.fit_beside_rest import uncertainty_of, weights
 from hilbench.diagnosis.machines import AnyImitation
 from hilbench.diagnosis.measured import Measured, measured_from
 from hilbench.diagnosis.measured_motion import OnMeasuredMotion
@@ -21,7 +22,7 @@ from hilbench.diagnosis.predictor import Choice, choice
 from hilbench.diagnosis.proposals import Proposer
 from hilbench.diagnosis.repairs import Repair
 from hilbench.diagnosis.select import Search, Selection
-from hilbench.diagnosis.select_measured import MeasuredSearch, uncertainty_of, weights
+from hilbench.diagnosis.select_measured import MeasuredSearch
 from hilbench.diagnosis.space import Space
 from hilbench.diagnosis.sparse_law import SparseLaw, law
 from hilbench.diagnosis.terms import Place, Term, extended, pack_with

@@ -1,0 +1,35 @@
+"""Fits of terms where a right model would not leave noise alone, and how sure they are: what is left is the noise."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilbench.diagnosis.fit import Fit, fit
+from hilbench.diagnosis.noise import Whitening, scaling
+from hilbench.diagnosis.rest import Uncertainty, uncertainty
+from hilbench.diagnosis.space import Space
+from hilbench.diagnosis.terms import Term
+
+
+def fitted(space: Space, terms: list[Term]) -> Fit:
+    """The terms fitted to all rows that count, every frequency of the band with the same weight."""
+    return fit(space, weights(space, terms), terms, space.predictor.rows)
+
+
+def weights(space: Space, terms: list[Term]) -> Whitening:
+    """Of each signal: by what a model with the terms leaves of it."""
+    residual = space.residual(terms)[:, space.predictor.rows]
+    return scaling(np.maximum(np.std(residual, axis=-1), 1e-300))
+
+
+def uncertainty_of(space: Space, found: Fit, rows: NDArray[np.bool_] | None = None) -> Uncertainty:
+    """Of a fit's coordinates, with what it leaves as noise; rows (n,) of the fit, by default all that count."""
+    rows = space.predictor.rows if rows is None else rows
+    derivatives = space.point(found.terms, found.residual).derivatives
+    return uncertainty(derivatives[..., rows], found.residual[..., rows])
+
+
+def firsts(terms: list[Term]) -> list[int]:
+    """The first coordinate of each term among those of all."""
+    return [int(first) for first in np.cumsum([0, *(len(term.coordinates()) for term in terms)])[:-1]]

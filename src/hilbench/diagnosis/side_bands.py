@@ -1,0 +1,76 @@
+"""What a wave that is known leaves near its order: a drive's loop answers to it in another phase at every speed."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilbench.diagnosis.fit import Fit
+from hilbench.diagnosis.proposals import Proposer
+from hilbench.diagnosis.space import Space
+from hilbench.diagnosis.terms import Term
+
+Array = NDArray[np.float64]
+
+#: Orders or frequencies from a present one up to which others are its side bands; how many of them on either side.
+NEAR: Final = 0.5
+_MOST_SIDE_BANDS: Final = 20.0
+
+
+def side_bands(space: Space, proposer: Proposer, current: Fit) -> Array:
+    """Waves (J, signals, n) near the orders and frequencies of the present terms.
+
+    A loop answers to an order in another phase at every speed and in each direction. What that leaves of the order
+    is neither an order beside it nor anything else. Where an axis goes there and back each wave has another size
+    and phase either way.
+    """
+    columns = []
+    for term in current.terms:
+        name, angle = proposer.searched_angle_rad(term, space.predictor.every)
+        if name is None:
+            continue
+        turns = float(np.ptp(angle)) / (2.0 * np.pi)
+        step = max(0.5 / turns, NEAR / _MOST_SIDE_BANDS)
+        offsets = step * np.arange(-int(NEAR / step), int(NEAR / step) + 1)
+        waves = np.exp(1j * np.outer(term.values[name] + offsets, angle))
+        both = np.concatenate([waves.real, waves.imag])
+        columns.append(both)
+        forward = np.gradient(angle) > 0.0
+        counted = forward[space.predictor.rows]
+        if term.axis is not None and np.any(counted) and not np.all(counted):
+            columns.append(np.where(forward, both, -both))
+    signals, n = current.residual.shape
+    if not columns:
+        return np.empty((0, signals, n))
+    found = np.concatenate(columns)
+    return np.concatenate([found[:, None, :] * np.eye(signals)[k][None, :, None] for k in range(signals)])
+
+
+def without_side_bands(space: Space, current: Fit, bands: Array) -> Array:
+    """The residual (signals, n) without what side bands explain of it."""
+    rows = space.predictor.rows
+    residual = current.residual.copy()
+    if len(bands):
+        columns = bands[..., rows].reshape(len(bands), -1)
+        theta, *_ = np.linalg.lstsq(columns.T, residual[..., rows].ravel(), rcond=1e-6)
+        residual -= np.tensordot(theta, bands, 1)
+    return residual
+
+
+def is_near_present(space: Space, proposer: Proposer, term: Term, current: Fit) -> bool:
+    """Whether a wave's order is one that is there, or within its side bands."""
+    if not term.has_phase:
+        return False
+    order = order_of(space, proposer, term)
+    waves = (other for other in current.terms if other.has_phase)
+    return any(abs(order_of(space, proposer, other) - order) < NEAR for other in waves)
+
+
+def order_of(space: Space, proposer: Proposer, wave: Term) -> float:
+    """Times a turn of the motor; once a turn of what it drives where the law has no order."""
+    name, _ = proposer.searched_angle_rad(wave, space.predictor.every)
+    if name is not None:
+        return wave.values[name]
+    return 1.0 if wave.axis is None else 1.0 / space.model.gear_ratio(wave.axis)

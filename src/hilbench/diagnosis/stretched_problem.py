@@ -1,0 +1,115 @@
+"""Least squares of a residual by columns in contiguous stretches: what any of them would explain, also unseen."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+#: Contiguous stretches, each of which is predicted from the others.
+STRETCHES: Final = 8
+
+
+@dataclass(frozen=True)
+class StretchedProblem:
+    """Least squares of a residual by columns, from Gram matrices of stretches (G, J, J), (G, J) and (G,)."""
+
+    gram: Array
+    cross: Array
+    square: Array
+    raw: Array  #: (J,) squares of the columns, as they are without all that is beside them
+
+    @classmethod
+    def of(cls, residual: Array, columns: Array, raw: Array | None = None) -> StretchedProblem:
+        """residual (signals, n), columns (J, signals, n), rows that count only; raw: by default their squares."""
+        edges = np.linspace(0, residual.shape[-1], STRETCHES + 1).astype(int)
+        gram, cross, square = [], [], []
+        for low, high in pairwise(edges):
+            c = columns[:, :, low:high].reshape(len(columns), -1)
+            r = residual[:, low:high].ravel()
+            gram.append(c @ c.T)
+            cross.append(c @ r)
+            square.append(float(r @ r))
+        whole = np.sum(columns**2, axis=(1, 2)) if raw is None else raw
+        return cls(np.array(gram), np.array(cross), np.array(square), whole)
+
+    def left(self, chosen: list[int]) -> tuple[float, Array]:
+        """Sum of squares that is left by these columns, and their coordinates."""
+        theta = _solved(self.gram.sum(0), self.cross.sum(0), chosen)
+        return float(self.square.sum() - theta @ self.cross.sum(0)[chosen]), theta
+
+    def left_with(self, chosen: list[int], more: list[int], known: Array) -> float:
+        """Sum of squares that is left by some columns fitted and more of them with known coordinates."""
+        gram, cross = self.gram.sum(0), self.cross.sum(0)
+        square = float(self.square.sum() - 2.0 * known @ cross[more] + known @ gram[np.ix_(more, more)] @ known)
+        beside = cross - gram[:, more] @ known
+        return float(square - _solved(gram, beside, chosen) @ beside[chosen])
+
+    def left_unseen(self, chosen: list[int]) -> float:
+        """The same, each stretch predicted from the others."""
+        gram, cross, total = self.gram.sum(0), self.cross.sum(0), 0.0
+        for g, c, s in zip(self.gram, self.cross, self.square, strict=True):
+            theta = _solved(gram - g, cross - c, chosen)
+            total += float(s - 2.0 * theta @ c[chosen] + theta @ g[np.ix_(chosen, chosen)] @ theta)
+        return total
+
+    def gain_by_stretch(self, mine: list[int], group: list[int]) -> float:
+        """Fall of the sum of squares by more columns with coordinates of their own in every stretch.
+
+        A loop answers in another phase in each direction and at each speed; the order is the same.
+        """
+        _, theta = self.left(mine)
+        gain = 0.0
+        for g, c in zip(self.gram, self.cross, strict=True):
+            along = c - g[:, mine] @ theta
+            gain += float(_solved(g, along, group) @ along[group])
+        return gain
+
+    def gain_unseen_in_phase(self, mine: list[int], group: list[int]) -> float:
+        """The same by a wave's two columns with the amplitude that the other stretches have and a phase of its own:
+        where phase is a state of the machine only the amplitude can be predicted."""
+        gram, cross, gain = self.gram.sum(0), self.cross.sum(0), 0.0
+        for g, c in zip(self.gram, self.cross, strict=True):
+            others = _solved(gram - g, cross - c, [*mine, *group])
+            amplitude = float(np.linalg.norm(others[len(mine) :]))
+            along = c - g[:, mine] @ others[: len(mine)]
+            here = _solved(g, along, group)
+            here *= amplitude / max(float(np.linalg.norm(here)), 1e-300)
+            gain += float(2.0 * here @ along[group] - here @ g[np.ix_(group, group)] @ here)
+        return gain
+
+    def own_share(self, column: int, beside: list[int]) -> float:
+        """Share of a column's square that these others leave of it."""
+        gram = self.gram.sum(0)
+        whole = float(self.raw[column])
+        if whole <= 0.0:
+            return 0.0
+        explained = _solved(gram, gram[column], beside) @ gram[column][beside]
+        return (float(gram[column, column]) - float(explained)) / whole
+
+
+def basis(columns: Array) -> Array:
+    """Orthonormal rows that span the same as these (J, n)."""
+    scaled = columns / np.maximum(np.linalg.norm(columns, axis=1), 1e-300)[:, None]
+    _, sizes, vectors = np.linalg.svd(scaled, full_matrices=False)
+    return np.asarray(vectors[sizes > 1e-6 * float(sizes[0])])
+
+
+def without(columns: Array, basis: Array) -> Array:
+    """Columns (J, signals, n) without what they have of the rows of a basis (B, signals·n)."""
+    flat = columns.reshape(len(columns), -1)
+    return np.asarray((flat - (flat @ basis.T) @ basis).reshape(columns.shape))
+
+
+def _solved(gram: Array, cross: Array, chosen: list[int]) -> Array:
+    if not chosen:
+        return np.empty(0)
+    part = gram[np.ix_(chosen, chosen)]
+    scale = np.sqrt(np.maximum(np.diag(part), 1e-300))
+    normal = part / np.outer(scale, scale) + 1e-9 * np.eye(len(chosen))
+    return np.asarray(np.linalg.solve(normal, cross[chosen] / scale) / scale)
