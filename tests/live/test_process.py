@@ -31,7 +31,7 @@ def test_in_real_time_it_is_ready_before_a_cycle_and_gets_only_what_nobody_else_
         if group.exists():
             assert group.read_text().split()[-1] == "19"
         rows = np.zeros((CHUNK_CYCLES, len(config.signals)))
-        assert process.ask(Samples(CHUNK_CYCLES - 1, rows.tobytes())).result(60.0).cycle == CHUNK_CYCLES - 1
+        assert process.ask(Samples.of(CHUNK_CYCLES - 1, rows)).result(60.0).cycle == CHUNK_CYCLES - 1
     finally:
         process.end()
 

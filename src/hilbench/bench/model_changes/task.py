@@ -75,7 +75,7 @@ class ModelChanges(CyclicTask):
         self._process: LiveProcess | None = process
         names = [signal.name for signal in signals]
         self._row = attrgetter(*names)
-        self._pack = Struct(f"={len(names)}d").pack
+        self._pack = Struct(f"={len(names) + 2}d").pack
         self._apply = apply
         self._lockstep = lockstep
         self._rows: list[bytes] = []
@@ -155,7 +155,8 @@ class ModelChanges(CyclicTask):
     def after(self, sample: CycleSample, inputs: Inputs) -> None:
         """Keep the sample for the next chunk."""
         if self._process is not None:
-            self._rows.append(self._pack(*self._row(sample)))
+            cycle, late = sample.cycle + self._exchange.pacing.missed, any(inputs.ages_cycles())
+            self._rows.append(self._pack(*self._row(sample), cycle, late))
 
     # -- the diagnosis ---------------------------------------------------------------------------------------
 

@@ -1,6 +1,6 @@
 """What the diagnosis beside a running bench finds, and what the two say to each other.
 
-The bench hands over samples, a chunk at a time, and gets one answer to each. Times are cycles as `CycleSample` counts
+The bench hands over samples, a chunk at a time, and gets one answer to each. Times are SYNCs as `CycleSample` counts
 them: in lockstep an answer belongs to a cycle, not to a moment.
 """
 
@@ -9,6 +9,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
 
 #: Cycles of a chunk of samples.
 CHUNK_CYCLES = 250
@@ -86,10 +89,20 @@ class Ready:
 
 @dataclass(frozen=True)
 class Samples:
-    """Bench to diagnosis: rows of all signals as binary64, up to and with a cycle."""
+    """Bench to diagnosis: rows as binary64, up to and with that of a SYNC.
+
+    A row is all signals, then the cycle of the plant by the clock (the number of the SYNC, and of all that the bench
+    was too late to send), and 1.0 where an answer of a drive is one to an earlier SYNC.
+    """
 
     cycle: int
     rows: bytes
+
+    @classmethod
+    def of(cls, cycle: int, signals: NDArray[np.float64]) -> Samples:
+        """Rows (n, signals) of SYNCs none of which was left out, answered in time."""
+        cycles = np.arange(cycle + 1.0 - len(signals), cycle + 1.0)
+        return cls(cycle, np.column_stack([signals, cycles, np.zeros(len(signals))]).tobytes())
 
 
 WhatBecame = Literal["applied", "refused", "announced"]

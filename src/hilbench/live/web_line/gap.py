@@ -20,9 +20,12 @@ from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.span import SpanFollower
 
 Array = NDArray[np.float64]
+Rows = NDArray[np.bool_]
 
 #: Cycles of a mean.
 SHORT = 10
+#: Cycles after one in which the plant was not measured in which what is imitated still catches up.
+_CATCHES_UP = 4
 
 
 class ModelGap:
@@ -42,21 +45,29 @@ class ModelGap:
         self._axis_at = [lay.W_SIZE + k * lay.A_SIZE for k in range(self._axes)]
         self._motor_at = [lay.W_SIZE + self._axes * lay.A_SIZE + k * lay.M_SIZE for k in range(self._axes)]
         self._follower = SpanFollower(model)
+        self.restart()
+
+    def restart(self) -> None:
+        """The next rows are not those that follow the last."""
         self._last: Array | None = None
+        self._last_known = np.empty(0, bool)
 
     def use_modulus(self, youngs_modulus_Pa: float) -> None:
         """E of the web from now on."""
         self._follower.set_parameter("youngs_modulus_Pa", youngs_modulus_Pa)
 
-    def follow(self, channels: Mapping[str, Array]) -> Array:
-        """(n // SHORT, N): of the next rows (n,) of x{k}_m, tau{k}_Nm, strain_prev and F_next_N; n a multiple."""
+    def follow(self, channels: Mapping[str, Array], known: Rows) -> Array:
+        """(n // SHORT, N): of the next rows (n,) of x{k}_m, tau{k}_Nm, strain_prev and F_next_N; n a multiple.
+
+        NaN where a row is not known, or follows one."""
         axes = range(1, self._axes + 1)
         x = np.column_stack([channels[f"x{k}_m"] for k in axes])
         torque = np.column_stack([channels[f"tau{k}_Nm"] for k in axes])
         around = np.column_stack([channels["strain_prev"], channels["F_next_N"]])
         tensions = self._tensions(x, around)
         before = x[:1] if self._last is None else self._last
-        self._last = x[-SHORT - 1 :]
+        known = np.concatenate([np.ones(len(before), bool) if self._last is None else self._last_known, known])
+        self._last, self._last_known = x[-SHORT - 1 :], known[-SHORT - 1 :]
         positions = np.concatenate([before, x])
         lead = len(before)
         count = len(x) // SHORT
@@ -64,6 +75,9 @@ class ModelGap:
         for j in range(count):
             part = slice(j * SHORT, (j + 1) * SHORT)
             end = lead + (j + 1) * SHORT - 1
+            if not np.all(known[max(end - SHORT - _CATCHES_UP, 0) : end + 1]):
+                result[j] = np.nan
+                continue
             result[j] = self._of(positions, end, torque[part].mean(0), tensions[part].mean(0), around[part].mean(0))
         return result
 

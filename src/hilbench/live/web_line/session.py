@@ -21,6 +21,7 @@ from hilbench.diagnosis.diagnosis import Diagnosis, diagnosed
 from hilbench.diagnosis.misfit import largest_ratio, misfits, ratios
 from hilbench.errors import UnusableInputError
 from hilbench.live.web_line import models
+from hilbench.live.web_line.gap import SHORT
 from hilbench.live.web_line.stretch import Stretch, data_of, packed, quiet_cycle, shows_in_torque, torque_gap
 from hilbench.live.web_line.watch import ROW, Piece, Watch
 from hilbench.live.window import Window
@@ -80,7 +81,7 @@ class Session:
         self._imitation = imitation
         self._config = config
         self._cycle_s = cycle_s
-        self._window = Window(names, round(config.memory_s / cycle_s))
+        self._window = Window(names, round(config.memory_s / cycle_s), cycle_s)
         self._usual_Nm = np.array(
             [machine_sizes(model, k).force_N / model.motor_rad_per_m(k) for k in range(1, model.axis_count + 1)]
         )
@@ -90,15 +91,15 @@ class Session:
         self._state: Literal["watching", "naming", "trial", "waiting"] = "watching"
         self._case: _Case | None = None
         self._pieces_calm = 0  # while waiting
+        self._seen_until = 0  # cycle of the plant
         self._news: list[News] = []
 
     # -- what comes from the bench ---------------------------------------------------------------------------
 
     def samples(self, samples: Samples) -> Watched:
         """The next chunk."""
-        rows = self._window.add(samples.cycle, samples.rows)
-        channels = {name: self._window.column(rows, name) for name in _NEEDED}
-        piece, original = (watch.update(samples.cycle, channels) for watch in (self._watch, self._original))
+        self._window.add(samples.cycle, samples.rows)
+        piece, original = self._watched()
         self._news = []
         if self._state == "watching":
             self._look()
@@ -111,6 +112,22 @@ class Session:
             if self._pieces_calm >= ROW:
                 self._begin_anew()
         return Watched(samples.cycle, tuple(self._news), self._gap_rows(samples.cycle, piece, original))
+
+    def _watched(self) -> tuple[Piece | None, Piece | None]:
+        """What has come since the last time, in whole means, as both watches see it."""
+        window, watches = self._window, (self._watch, self._original)
+        if window.first > self._seen_until or not self._seen_until:
+            self._seen_until = window.first
+            for watch in watches:
+                watch.restart()
+        end = self._seen_until + (window.end - self._seen_until) // SHORT * SHORT
+        if end - self._seen_until < SHORT:
+            return None, None
+        rows, known = window.rows(self._seen_until, end), window.known(self._seen_until, end)
+        channels = {name: window.column(rows, name) for name in _NEEDED}
+        self._seen_until = end
+        piece, original = (watch.update(end - 1, channels, known) for watch in watches)
+        return piece, original
 
     def told(self, told: Told) -> None:
         """What became of a change, or was announced."""
@@ -294,7 +311,7 @@ class Session:
             return
         text = models.as_text(case.candidate, self._configured)
         smaller = f"{gap.signal} {gap.before:.3g} → {gap.after:.3g} {gap.unit} on new data, noise {gap.noise_floor:.3g}"
-        news = News("decided", case.begun, f"decided: {smaller}", case.effects, case.gone, text, gap)
+        news = News("decided", self._window.sync(case.begun), f"decided: {smaller}", case.effects, case.gone, text, gap)
         self._news.append(news)
 
     def _begin_anew(self) -> None:
@@ -306,7 +323,7 @@ class Session:
     def _say(self, what: Literal["seen", "named", "dismissed", "ended", "unknown"], begun: int, text: str) -> None:
         case = self._case
         effects, gone = (case.effects, case.gone) if case is not None and what == "named" else ((), ())
-        self._news.append(News(what, begun, text, effects, gone))
+        self._news.append(News(what, self._window.sync(begun), text, effects, gone))
 
     def _cycles(self, duration_s: float) -> int:
         return round(duration_s / self._cycle_s)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from hilbench.diagnosis.measured import Before, Measured, measured_from
 from hilbench.diagnosis.noise import floor
 from hilbench.diagnosis.predictor import Predictor, choice
+from hilbench.errors import UnusableInputError
 from hilbench.live.window import Window
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.imitation import Imitation
@@ -87,7 +88,10 @@ class Stretch:
 def data_of(window: Window, model: ModelParameters, first: int, end: int, cycle_s: float) -> Measured:
     """What a diagnosis takes from these cycles. Raises UnusableInputError for what can't be diagnosed."""
     data = measured_from(window.recording(first, end), model, "the running bench")
-    return replace(data, before=_before(window, model, first, cycle_s))
+    left_out = ~window.known(first, end)
+    if len(left_out) != len(data.t_s):
+        raise UnusableInputError("the running bench", "rows could not be placed in time, expected one each cycle")
+    return replace(data, before=_before(window, model, first, cycle_s), left_out=left_out | data.left_out)
 
 
 def _before(window: Window, model: ModelParameters, cycle: int, cycle_s: float) -> Before:

@@ -52,14 +52,14 @@ def warm_up(
     session = Session(names, model, imitation, config, cycle_s)
     for end in range(CHUNK_CYCLES, (ROW + 1) * CHUNK_CYCLES, CHUNK_CYCLES):
         chunk = np.column_stack([channels[name][end - CHUNK_CYCLES : end] for name in names])
-        session.samples(Samples(end - 1, chunk.tobytes()))
+        session.samples(Samples.of(end - 1, chunk))
     with suppress(UnusableInputError):  # of made-up data nothing has to come
-        stretch = Stretch.of(_window(channels), model, imitation, first, count, cycle_s)
+        stretch = Stretch.of(_window(channels, cycle_s), model, imitation, first, count, cycle_s)
         stretch.residual(packed(model))
 
 
-def _window(channels: Mapping[str, Array]) -> Window:
+def _window(channels: Mapping[str, Array], cycle_s: float) -> Window:
     rows = np.column_stack(list(channels.values()))
-    window = Window(list(channels), len(rows))
-    window.add(len(rows) - 1, rows.tobytes())
+    window = Window(list(channels), len(rows), cycle_s)
+    window.add(len(rows) - 1, Samples.of(len(rows) - 1, rows).rows)
     return window

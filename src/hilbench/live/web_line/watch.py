@@ -14,6 +14,7 @@ from hilbench.live.web_line.gap import SHORT, ModelGap
 from hilbench.plant.web_line.parameters import ModelParameters
 
 Array = NDArray[np.float64]
+Rows = NDArray[np.bool_]
 
 #: Pieces in a row that have to part, so that a passing transient is none; pieces that the noise is learned from.
 ROW, _LEARNED = 3, 40
@@ -23,6 +24,8 @@ _MORE = 1.15
 _TOLERATED = 0.008
 #: Standard deviations of a level, and how many times its usual size the rest, from which a piece parts.
 _LEVELS, _ROUGHER = 6.0, 1.8
+#: Means of a piece that are not left out, at least.
+_LEAST_MEANS = 8
 #: Speed below which friction is not one law but many, m/s.
 _MOVES_M_S = 0.05
 
@@ -59,18 +62,29 @@ class Watch:
         """E of the web from now on."""
         self._gap.use_modulus(youngs_modulus_Pa)
 
-    def update(self, last_cycle: int, channels: Mapping[str, Array]) -> Piece | None:
-        """The next chunk (n,) of each channel; None of one in which the line stands."""
-        values = self._gap.follow(channels)
+    def restart(self) -> None:
+        """The next chunk is not the one that follows the last."""
+        self._gap.restart()
+        self.in_a_row = 0
+
+    def update(self, last_cycle: int, channels: Mapping[str, Array], known: Rows) -> Piece | None:
+        """The next chunk (n,) of each channel; `known`: the rows that are no guess. None of one in which the line
+        stands, or of which too little is known: that says nothing."""
+        values = self._gap.follow(channels, known)
         cycles = len(channels["v2_m_s"])
         slow = min(float(np.min(np.abs(channels[f"v{k}_m_s"]))) for k in (1, 2)) < _MOVES_M_S
-        if slow or not np.all(np.isfinite(values)):
+        if slow:
             self.in_a_row = 0
+            return None
+        values = values[np.all(np.isfinite(values), axis=1)]
+        if len(values) < _LEAST_MEANS:
             return None
         level = np.median(values, axis=0)
         rest = 1.4826 * np.median(np.abs(values - level), axis=0)
         piece = Piece(last_cycle, level, rest)
-        white = np.array([floor(channels[f"tau{k}_Nm"]) for k in range(1, len(level) + 1)]) * _MORE / np.sqrt(SHORT)
+        white = (
+            np.array([floor(channels[f"tau{k}_Nm"][known]) for k in range(1, len(level) + 1)]) * _MORE / np.sqrt(SHORT)
+        )
         if self._parts(piece, len(values), white):
             self.begun_cycle = self.begun_cycle if self.in_a_row else last_cycle + 1 - cycles
             self.in_a_row += 1

@@ -1,0 +1,168 @@
+"""Samples, a row for each SYNC, put onto the even cycles of the plant.
+
+In real time a bench that was late leaves SYNCs out while the plant goes on, and an answer that came late is of an
+earlier SYNC. Rows of such cycles are filled in: what was commanded is held, as the drives hold it, what was measured is
+interpolated. Where that is more than a guess the rows are as good as others; longer gaps are marked.
+
+How many cycles the plant has gone between two rows says the bench, by the clock; where the line runs the way of the
+rollers says it better, as the drives may have taken a SYNC that was late by half a cycle for that of the next one.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import make_interp_spline
+
+from hilbench.topology.signal_kinds import TIME
+
+Array = NDArray[np.float64]
+Rows = NDArray[np.bool_]
+
+#: What the drives measure; all else is said, or told by the twin.
+_MEASURED: Final = re.compile(r"(x|v|tau)(\d+|_\w+?)_(m|m_s|rad|rad_s|Nm)")
+_COMMAND: Final = re.compile(r"\w+_cmd_\w+")
+_POSITION: Final = re.compile(r"x\d+_(m|rad)")
+#: Cycles in a row up to which a smooth curve through the rows around them says what was measured.
+_BRIDGED: Final = 5
+#: Rows of the chunk before that such a curve goes through as well.
+_BEFORE: Final = 4
+#: Rows in a row that fit nowhere, after which the next one begins anew.
+_MOST_ODD: Final = 100
+#: Cycles in which no row came from which on they are not bridged, s.
+_LONGEST_S: Final = 0.5
+#: Share of a cycle's way by which a way may be off, and the acceleration that it may be off by by the
+#: unit of the position: of a web, and of a motor.
+_ALIKE: Final = 0.3
+_FASTEST_PER_S2: Final = {"m": 20.0, "rad": 2e3}
+#: Share of the newest way in the way of a cycle that is expected.
+_NEWEST: Final = 0.3
+
+
+@dataclass(frozen=True)
+class PlantRows:
+    """Rows (n, signals) of the plant's cycles from `first` on, one each.
+
+    `known` (n,): whether the plant was measured in that cycle, or nearly; `syncs` (n,): the last SYNC until then.
+    """
+
+    first: int
+    rows: Array
+    known: Rows
+    syncs: NDArray[np.int64]
+
+    @property
+    def end(self) -> int:
+        """Cycle after the last row."""
+        return self.first + len(self.rows)
+
+
+class OnPlantTime:
+    """Puts the rows of one run onto the plant's cycles. `names`: of the signals of a row."""
+
+    def __init__(self, names: Sequence[str], cycle_s: float) -> None:
+        self._cycle_s = cycle_s
+        self._time = names.index(TIME)
+        self._of_drives = [
+            k for k, name in enumerate(names) if _MEASURED.fullmatch(name) and not _COMMAND.fullmatch(name)
+        ]
+        self._positions = [k for k, name in enumerate(names) if _POSITION.fullmatch(name)]
+        units = [names[k].rsplit("_", 1)[1] for k in self._positions]
+        self._slack = np.array([_FASTEST_PER_S2[unit] * cycle_s**2 for unit in units])
+        self._longest = round(_LONGEST_S / cycle_s)
+        self._width = len(names)
+        self._begin()
+
+    def _begin(self) -> None:
+        """The next row that was in time is taken as it is."""
+        self._kept = np.empty((0, self._width))  # last rows, of these cycles of the plant:
+        self._kept_cycles = np.empty(0, np.int64)
+        self._said: Array | None = None  # last row, whenever it was measured
+        self._more = 0  # cycles that the plant has gone, less those that the bench has counted
+        self._way: Array | None = None  # of a cycle
+        self._odd = 0
+
+    def put(self, rows: Array, cycles: Array, late: Rows, last_sync: int) -> PlantRows | None:
+        """The next rows (n, signals) up to that of SYNC `last_sync`, with the plant's cycle of each as the bench counts
+        it (n,), and whether an answer of a drive was not in time (n,). Returns what is known of the plant's cycles by
+        now, behind that of the call before or after a gap; None: nothing more."""
+        placed: list[tuple[int, int, bool]] = []  # the plant's cycle, row, whether it was measured then
+        last = (int(self._kept_cycles[-1]), self._kept[-1]) if len(self._kept) else None
+        for at, (told, is_late) in enumerate(zip(cycles.astype(int).tolist(), late.tolist(), strict=True)):
+            if last is not None and (told + self._more - last[0] > self._longest or self._odd > _MOST_ODD):
+                self._begin()
+                placed, last = [], None
+            cycle = None if is_late else self._place(rows[at], told + self._more, last)
+            self._odd = 0 if cycle is not None else self._odd + 1
+            placed.append((told + self._more if cycle is None else cycle, at, cycle is not None))
+            if cycle is not None:
+                self._more = cycle - told
+                last = cycle, rows[at]
+        if not any(measured for _, _, measured in placed):
+            return None
+        return self._filled(rows, placed, last_sync + 1 - len(rows))
+
+    def _place(self, row: Array, told: int, last: tuple[int, Array] | None) -> int | None:
+        """The plant's cycle of a row, by the bench that of `told`; None: it is of none that has not been."""
+        if last is None:
+            return told
+        way, expected, gone = (row - last[1])[self._positions], self._way, told - last[0]
+        if expected is None:
+            self._way = way / max(gone, 1)
+            return told
+        longest = int(np.argmax(np.abs(expected)))
+        if abs(expected[longest]) * _ALIKE > self._slack[longest]:
+            gone = round(float(way[longest] / expected[longest]))
+        if gone < 1 or np.any(np.abs(way - gone * expected) > _ALIKE * np.abs(expected) + gone**2 * self._slack):
+            return None
+        self._way = (1.0 - _NEWEST) * expected + _NEWEST * way / gone
+        return last[0] + gone
+
+    def _filled(self, rows: Array, placed: Sequence[tuple[int, int, bool]], first_sync: int) -> PlantRows:
+        """Every cycle from behind those of the call before to the last that was measured."""
+        cycle, at, measured = (np.array(each) for each in zip(*placed, strict=True))
+        begin = int(self._kept_cycles[-1]) + 1 if len(self._kept) else int(cycle[measured][0])
+        cycles = np.arange(begin, int(cycle[measured][-1]) + 1)
+        known = np.zeros(len(cycles), bool)
+        known[cycle[measured] - begin] = True
+        given_cycles = np.concatenate([self._kept_cycles, cycle[measured]])
+        given = np.vstack([self._kept, rows[at[measured]]])
+        said = rows[at]
+        if self._said is not None:
+            said, cycle, at = np.vstack([self._said, said]), np.append(begin - 1, cycle), np.append(-1, at)
+        # What the bench said last, in whichever row.
+        held = np.searchsorted(np.maximum.accumulate(cycle), cycles, side="right") - 1
+        result, syncs = said[held], first_sync + at[held]
+        if not np.all(known):
+            lacking = ~known
+            for column in self._of_drives:
+                result[lacking, column] = _curve(given_cycles.astype(np.float64), given[:, column])(cycles[lacking])
+                result[known, column] = given[len(self._kept) :, column]
+            known = _nearly(known)
+        missed = cycles - syncs
+        if np.any(missed):
+            result[:, self._time] += self._cycle_s * missed
+        self._said = rows[-1].copy()
+        self._kept, self._kept_cycles = given[-_BEFORE:].copy(), given_cycles[-_BEFORE:]
+        return PlantRows(begin, result, known, syncs)
+
+
+def _curve(at: Array, values: Array) -> Callable[[Array], Array]:
+    """Through all values; straight where there are too few."""
+    if len(at) < _BEFORE:
+        return lambda places: np.interp(places, at, values)
+    return make_interp_spline(at, values, k=3)
+
+
+def _nearly(measured: Rows) -> Rows:
+    """With the cycles that are bridged."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], ~measured, [False]]))).reshape(-1, 2)
+    found = measured.copy()
+    for first, end in edges:
+        found[first:end] = end - first <= _BRIDGED
+    return found
