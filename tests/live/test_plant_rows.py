@@ -31,9 +31,11 @@ class Bench:
         self.window = Window(NAMES, 100_000, CYCLE_S)
         self._sync = FIRST
 
-    def hand_over(self, plant_cycles: Sequence[int], told: Sequence[int] | None = None, late: Sequence[int] = ()) -> None:
-        """A chunk with a SYNC at each of these cycles of the plant. `told`: what the bench counts for them; `late`: rows
-        whose positions are still those of the SYNC before."""
+    def hand_over(
+        self, plant_cycles: Sequence[int], told: Sequence[int] | None = None, late: Sequence[int] = ()
+    ) -> None:
+        """A chunk with a SYNC at each of these cycles of the plant. `told`: what the bench counts for them; `late`:
+        rows whose positions are still those of the SYNC before."""
         cycles = np.array(plant_cycles, np.float64)
         rows = plant(cycles)
         rows[:, 0] = np.arange(self._sync - FIRST, self._sync - FIRST + len(rows)) * CYCLE_S

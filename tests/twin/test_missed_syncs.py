@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -76,40 +77,94 @@ def test_after_missed_cycles_positions_of_two_instants_are_told_from_those_of_on
     assert used[-1], "the twin goes on with what is measured"
 
 
+class OnTheBus:
+    """The twin beside the line of `motion`, SYNC by SYNC, with a clock of its own."""
+
+    measured: ClassVar[dict[int, tuple[float, float]]] = {}  #: by COB-ID: what is on the bus is so for all
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.clock = Clock()
+        setup = replace(twin_setup(CONFIG), clock=self.clock)
+        node = setup.virtual_io
+        device = Device(load_eds(node.eds, node.node_id), node.node_id, self.clock)
+        virtual_io = VirtualIo(device, process_data(MachineKind(MODEL.kind), setup.shape), boundary(MODEL))
+        self.machine = ChangeableMachine(
+            lambda _: new_machine(MODEL, setup.twin, setup.shape, CYCLE_S, virtual_io.told), CYCLE_S
+        )
+        self._application = TwinApplication(setup, self.machine, [], device, virtual_io)
+        self._listeners = [AxisListener(axis, CYCLE_S) for axis in setup.real_axes]
+        monkeypatch.setattr(AxisListener, "decode", lambda listener, data: self.measured[listener.cob_id])
+
+    def sync(self, time_s: float, read_at_s: float) -> None:
+        """The SYNC at a time of the line, read at one of the twin's clock."""
+        self.clock.time_ns = round(read_at_s * 1e9)
+        for port in self.machine.ports:
+            port.mode, port.torque_limit_Nm = MotorMode.VELOCITY, 9.0
+            port.setpoint = ACCELERATION_M_S2 * time_s * MODEL.motor_rad_per_m(1)
+        self._application.before_sync(0)
+        self._application.after_sync()
+        for listener, values in zip(self._listeners, motion(time_s), strict=True):
+            self.measured[listener.cob_id] = values
+            self._application.on_frame(Frame(listener.cob_id, bytes(listener.size)))
+
+    @property
+    def shown(self) -> tuple[float, float]:
+        """Simulated position of axis 2 (m at the web) and tension (N)."""
+        return self.machine.ports[1].position_rad / MODEL.motor_rad_per_m(2), self.machine.published()[0]
+
+
+def apart(twin: OnTheBus, other: OnTheBus, time_s: float) -> tuple[float, float]:
+    """By how much two twins of one line are apart, in s of its way and N of tension."""
+    (x_m, tension_N), (other_m, other_N) = twin.shown, other.shown
+    return abs(x_m - other_m) / (ACCELERATION_M_S2 * time_s), abs(tension_N - other_N)
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_a_start_at_which_the_bench_leaves_syncs_out_is_no_web_break(
     seed: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    clock = Clock()
-    setup = replace(twin_setup(CONFIG), clock=clock)
-    node = setup.virtual_io
-    device = Device(load_eds(node.eds, node.node_id), node.node_id, clock)
-    virtual_io = VirtualIo(device, process_data(MachineKind(MODEL.kind), setup.shape), boundary(MODEL))
-    machine = ChangeableMachine(
-        lambda _: new_machine(MODEL, setup.twin, setup.shape, CYCLE_S, virtual_io.told), CYCLE_S
-    )
-    application = TwinApplication(setup, machine, [], device, virtual_io)
-    listeners = [AxisListener(axis, CYCLE_S) for axis in setup.real_axes]
-    now = motion(0.0)
-    measured = {listener.cob_id: now[axis] for axis, listener in enumerate(listeners)}
-    monkeypatch.setattr(AxisListener, "decode", lambda self, data: measured[self.cob_id])
+    twin = OnTheBus(monkeypatch)
     missed = np.random.default_rng(seed).random(400) < 0.1
     problems: set[Problem | None] = set()
     deviations = []
     for cycle in range(400):
-        clock.time_ns = round(cycle * CYCLE_S * 1e9)
         if cycle > 2 and missed[cycle]:
             continue
-        for port in machine.ports:
-            port.mode, port.torque_limit_Nm = MotorMode.VELOCITY, 9.0
-            port.setpoint = ACCELERATION_M_S2 * cycle * CYCLE_S * MODEL.motor_rad_per_m(1)
-        application.before_sync(0)
-        application.after_sync()
-        for listener, values in zip(listeners, motion(cycle * CYCLE_S), strict=True):
-            measured[listener.cob_id] = values
-            application.on_frame(Frame(listener.cob_id, bytes(listener.size)))
-        problems.add(machine.problem)
-        _, modulus_Pa, deviation_Pa, *_ = machine.published()
+        twin.sync(cycle * CYCLE_S, cycle * CYCLE_S)
+        problems.add(twin.machine.problem)
+        _, modulus_Pa, deviation_Pa, *_ = twin.machine.published()
         deviations.append(deviation_Pa / modulus_Pa)
     assert problems == {None}
     assert max(deviations[1:]) < 0.3  # beyond that the tension loop is opened
+
+
+@pytest.mark.parametrize("jump_s", [0.05, -0.05, 0.0513])
+@pytest.mark.parametrize("rate", [1.0002, 0.9998])
+def test_a_twin_whose_own_clock_drifts_and_jumps_stays_in_step_with_the_line(
+    rate: float, jump_s: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    twin, in_step = OnTheBus(monkeypatch), OnTheBus(monkeypatch)
+    found = []
+    for cycle in range(2000):
+        time_s = cycle * CYCLE_S
+        twin.sync(time_s, time_s * rate + (jump_s if cycle >= 1000 else 0.0))
+        in_step.sync(time_s, time_s)
+        if cycle > 500:
+            found.append(apart(twin, in_step, time_s))
+    late_s, off_N = np.max(found, axis=0)
+    assert late_s < 1e-4
+    assert off_N < 0.1
+
+
+def test_cycles_that_the_bench_has_missed_are_made_up_for_by_a_twin_whose_clock_jumps_in_the_same_cycle(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    twin, in_step = OnTheBus(monkeypatch), OnTheBus(monkeypatch)
+    for cycle in range(1500):
+        time_s = cycle * CYCLE_S
+        if not 1000 <= cycle < 1010:
+            twin.sync(time_s, time_s + (0.05 if cycle >= 1010 else 0.0))
+        in_step.sync(time_s, time_s)
+    late_s, off_N = apart(twin, in_step, time_s)
+    assert late_s < 1e-4
+    assert off_N < 0.1

@@ -10,6 +10,8 @@ _PERIOD_GAIN = 1 / 120
 #: So many intervals in a row that differ by no more than this part of them are a period.
 _ALIKE, _ALIKE_WITHIN = 5, 0.25
 _SHORTEST_NS = 100_000
+#: SYNCs in a row that were each one too many: the clock by which they are read was set back.
+_SET_BACK = 3
 #: SYNCs that came one period after the last one, after which the period is known.
 _SETTLED = 8
 
@@ -29,7 +31,7 @@ class SyncTime:
         self._most_jitter_ns = period_ns
         self._heard_ns = 0
         self._intervals: deque[int] = deque(maxlen=_ALIKE)
-        self._regular = 0
+        self._regular = self._too_many = 0
 
     @property
     def settled(self) -> bool:
@@ -58,6 +60,10 @@ class SyncTime:
         self._heard_ns = came_ns
         periods = max(0, 1 + round((came_ns - self.next_ns) / self.period_ns))
         late_ns = came_ns - self.at_ns - periods * self.period_ns
+        self._too_many = self._too_many + 1 if periods == 0 else 0
+        if self._too_many >= _SET_BACK:
+            self.at_ns, self._too_many = came_ns, 0
+            return 1
         if periods == 0:
             return 0
         jitters = abs(late_ns) <= self._most_jitter_ns

@@ -19,10 +19,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 
+from hilbench.plant.pairing import cycles_gone, play
 from hilbench.topology.signal_kinds import TIME
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.bool_]
+Cycles = NDArray[np.int64]
 
 #: What the drives measure; all else is said, or told by the twin.
 _MEASURED: Final = re.compile(r"(x|v|tau)(\d+|_\w+?)_(m|m_s|rad|rad_s|Nm)")
@@ -36,10 +38,6 @@ _BEFORE: Final = 4
 _MOST_ODD: Final = 100
 #: Cycles in which no row came from which on they are not bridged, s.
 _LONGEST_S: Final = 0.5
-#: Share of a cycle's way by which a way may be off, and the acceleration that it may be off by by the
-#: unit of the position: of a web, and of a motor.
-_ALIKE: Final = 0.3
-_FASTEST_PER_S2: Final = {"m": 20.0, "rad": 2e3}
 #: Share of the newest way in the way of a cycle that is expected.
 _NEWEST: Final = 0.3
 
@@ -72,8 +70,7 @@ class OnPlantTime:
             k for k, name in enumerate(names) if _MEASURED.fullmatch(name) and not _COMMAND.fullmatch(name)
         ]
         self._positions = [k for k, name in enumerate(names) if _POSITION.fullmatch(name)]
-        units = [names[k].rsplit("_", 1)[1] for k in self._positions]
-        self._slack = np.array([_FASTEST_PER_S2[unit] * cycle_s**2 for unit in units])
+        self._plays = [play(names[k].rsplit("_", 1)[1], cycle_s) for k in self._positions]
         self._longest = round(_LONGEST_S / cycle_s)
         self._width = len(names)
         self._begin()
@@ -115,11 +112,10 @@ class OnPlantTime:
         if expected is None:
             self._way = way / max(gone, 1)
             return told
-        longest = int(np.argmax(np.abs(expected)))
-        if abs(expected[longest]) * _ALIKE > self._slack[longest]:
-            gone = round(float(way[longest] / expected[longest]))
-        if gone < 1 or np.any(np.abs(way - gone * expected) > _ALIKE * np.abs(expected) + gone**2 * self._slack):
+        found = cycles_gone(way.tolist(), expected.tolist(), self._plays, gone)
+        if found is None or found < 1:
             return None
+        gone = found
         self._way = (1.0 - _NEWEST) * expected + _NEWEST * way / gone
         return last[0] + gone
 
@@ -141,7 +137,9 @@ class OnPlantTime:
         if not np.all(known):
             lacking = ~known
             for column in self._of_drives:
-                result[lacking, column] = _curve(given_cycles.astype(np.float64), given[:, column])(cycles[lacking])
+                result[lacking, column] = _curve(given_cycles.astype(np.float64), given[:, column])(
+                    cycles[lacking].astype(np.float64)
+                )
                 result[known, column] = given[len(self._kept) :, column]
             known = _nearly(known)
         missed = cycles - syncs
@@ -152,11 +150,11 @@ class OnPlantTime:
         return PlantRows(begin, result, known, syncs)
 
 
-def _curve(at: Array, values: Array) -> Callable[[Array], Array]:
+def _curve(at: Cycles, values: Array) -> Callable[[Cycles], Array]:
     """Through all values; straight where there are too few."""
     if len(at) < _BEFORE:
         return lambda places: np.interp(places, at, values)
-    return make_interp_spline(at, values, k=3)
+    return make_interp_spline(at.astype(np.float64), values, k=3)
 
 
 def _nearly(measured: Rows) -> Rows:

@@ -6,6 +6,7 @@ the way of a cycle, which is many times what the web is strained by: 6 mm agains
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import isfinite
 
 #: Ways of the rollers that differ by more than this share of a cycle's way are not of one instant.
@@ -14,6 +15,8 @@ _ALIKE = 0.3
 _LONGER = 1.5
 #: Beyond any acceleration of a line.
 _FASTEST_M_S2 = 100.0
+#: What a machine that goes its way is accelerated by at most, by the unit of its positions (1/s²).
+_ON_ITS_WAY = {"m": 20.0, "rad": 2e3}
 
 
 class Pairing:
@@ -81,3 +84,26 @@ class SteadyWay:
             return True
         self._way_m = x_m - last_m
         return before_m is None or abs(self._way_m - before_m) <= self._most_m + _ALIKE * abs(before_m)
+
+
+def play(position_unit: str, cycle_s: float) -> float:
+    """By how much the way of a cycle may differ from that of the cycle before, in the unit of the position ("m" at the
+    web, "rad" at a motor)."""
+    return _ON_ITS_WAY[position_unit] * cycle_s**2
+
+
+def cycles_gone(ways: Sequence[float], usual: Sequence[float], plays: Sequence[float], told: int) -> int | None:
+    """How many cycles all axes have gone on.
+
+    ways: of each axis since it was last measured; usual: those of one cycle before that; plays: see `play`; told: how
+    many cycles by some clock. Axes that are too slow to say it have gone as many as the clock says. None where they
+    disagree, or have gone a way that is none of whole cycles.
+    """
+    fastest = max(range(len(usual)), key=lambda axis: abs(usual[axis]))
+    gone = told
+    if _ALIKE * abs(usual[fastest]) > plays[fastest]:
+        gone = round(ways[fastest] / usual[fastest])
+    for way, one, play_of in zip(ways, usual, plays, strict=True):
+        if not abs(way - gone * one) <= _ALIKE * abs(one) + gone**2 * play_of:
+            return None
+    return gone

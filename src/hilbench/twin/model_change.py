@@ -49,6 +49,7 @@ class ChangeableMachine:
         self._released = False
         self._synchronized_cycles = self._cycles_over = 0
         self._share = 0.0
+        self._cycles_since = 0  # that the models have gone since something was shown
         self._apart: Sequence[float] = ()  # what is shown, less what the model in use alone would show
         #: Of each shown value the largest step from one cycle to the next that the last change has made; none before.
         self.largest_steps: Sequence[float] = ()
@@ -169,6 +170,7 @@ class ChangeableMachine:
         if candidate is not None and self._released:
             self._pass_set_points(candidate)
             candidate.plant.step(duration_s)
+            self._cycles_since += 1
             self._go_over(candidate)
         if self._current is not self._configured:
             for shown, port in zip(self.ports, self._current.ports, strict=True):
@@ -192,9 +194,10 @@ class ChangeableMachine:
         return [old + more for old, more in zip(shown, apart, strict=True)]
 
     def _note_steps(self, apart: Sequence[float]) -> None:
-        """How much more the shown values change in this cycle than those of the model in use alone."""
-        before = self._apart or [0.0] * len(apart)
-        steps = [abs(now - then) for now, then in zip(apart, before, strict=True)]
+        """How much more the shown values change in a cycle than those of the model in use alone."""
+        before, cycles = self._apart or [0.0] * len(apart), max(self._cycles_since, 1)
+        steps = [abs(now - then) / cycles for now, then in zip(apart, before, strict=True)]
+        self._cycles_since = 0
         self.largest_steps = [max(pair) for pair in zip(steps, self.largest_steps or steps, strict=True)]
         self._apart = apart
 

@@ -21,6 +21,7 @@ from hilbench.cia402.simulated import SimulatedDrive
 from hilbench.estimation.web_line.torque_shift import TORQUE_SHIFT, UNDECIDED
 from hilbench.plant.effects import MachineKind
 from hilbench.plant.motor_port import MotorMode
+from hilbench.plant.pairing import cycles_gone, play
 from hilbench.real_time import ProcessSettings, kept_ready
 from hilbench.topology.config import MachineParameters, TwinConfig
 from hilbench.topology.process_data.of_kind import process_data
@@ -115,7 +116,8 @@ class TwinApplication:
         self._now_ns = setup.clock.now_ns
         # In lockstep one SYNC is one cycle, however long it took.
         self._sync_time = None if isinstance(setup.clock, SyncClock) else SyncTime(round(setup.cycle_s * 1e9))
-        self._ahead = False  # of a SYNC that was counted as missed, and came
+        self._skipped = 0  # cycles that by the clock the axes have gone, less the SYNCs that came
+        self._ways = _Ways(setup)
         virtual_io.on_method(self._use_method)
         virtual_io.on_model(self._use_model, lambda: machine.largest_steps)
         self._publish()
@@ -130,6 +132,7 @@ class TwinApplication:
             alarms.reset()
         self._reported_shift_Nm, self._reported_undecided = 0.0, False
         self._pending = self._released = False
+        self._ways.reset()
         self._time_s = 0.0
         self._publish()
 
@@ -147,25 +150,37 @@ class TwinApplication:
         self._owed = [min(owed + 1, _MOST_OWED) for owed in self._owed]
         self._sync_number += 1
         self._behind = behind
-        self._catch_up(behind)
+        self._look_at_the_clock(behind)
         self._io.publish_status(self._sync_number, behind, self._status())
 
-    def _catch_up(self, behind: int) -> None:
+    def _look_at_the_clock(self, behind: int) -> None:
         """In real time the axes have gone on through the cycles whose SYNC the bench has missed."""
         if self._sync_time is None:
             return
         first = self._sync_time.at_ns is None
         skipped = self._sync_time.heard(self._now_ns(), behind) - 1
-        self._ahead = skipped < 0 and not first
-        if not self._released or not 0 < skipped <= _MOST_SKIPPED:
-            return
-        for _ in range(skipped):
-            self._machine.miss()  # what is measured next is not one cycle after the last
-            self._machine.step(self._cycle_s)
-            self._time_s += self._cycle_s
-        for drive in self._drives:
-            drive.publish()
-        self._publish()
+        self._skipped = 0 if first or not self._released else self._skipped + skipped
+
+    def _catch_up(self) -> bool:
+        """Through the cycles without SYNC that lie before this one; whether this one is a new one.
+
+        How many they are says the clock; but a clock may jump, and where the axes run their ways say it better.
+        """
+        measured = self._complete()
+        skipped, now = self._skipped, None if measured is None else [position for position, _ in measured]
+        if skipped:
+            if now is None:  # the next measurement will tell
+                self._ways.update(None, 1)
+                return True
+            skipped = self._ways.gone(now, 1 + skipped) - 1
+            self._skipped = 0
+        self._ways.update(now, 1 + skipped)
+        if 0 < skipped <= _MOST_SKIPPED:
+            for _ in range(skipped):
+                self._machine.miss()  # what is measured next is not one cycle after the last
+                self._machine.step(self._cycle_s)
+                self._time_s += self._cycle_s
+        return skipped >= 0
 
     def after_sync(self) -> None:
         """The TPDOs are out, the drives have new set points: simulate as soon as the measurements are there."""
@@ -202,14 +217,16 @@ class TwinApplication:
             self._machine.miss()
         elif all(port.mode is not MotorMode.OFF for port in self._ports):
             if self._released or self._release():
+                new = self._sync_time is None or self._catch_up()
                 self._compare()
                 self._machine.listen()
-                if not self._ahead:
+                if new:
                     self._machine.step(self._cycle_s)
                     self._time_s += self._cycle_s
         else:
             self._released = False
             self._measured_before = None
+            self._ways.reset()
         self._measured = list(self._nothing)
         for drive in self._drives:
             drive.publish()
@@ -305,6 +322,39 @@ class TwinApplication:
 
     def _publish(self) -> None:
         self._io.publish(self._machine.published())
+
+
+class _Ways:
+    """How far the axes go in a cycle, of which their ways between two measurements tell how many there were."""
+
+    def __init__(self, setup: TwinSetup) -> None:
+        model = setup.model
+        of_a_cycle = play(model.position_unit, setup.cycle_s)
+        self._plays = [of_a_cycle * model.motor_rad_per_unit(axis) for axis in range(1, len(setup.real_axes) + 1)]
+        self.reset()
+
+    def reset(self) -> None:
+        """The axes are somewhere else."""
+        self._last: Sequence[float] | None = None
+        self._usual: Sequence[float] | None = None
+        self._cycles = 0  # since the last
+
+    def gone(self, positions_rad: Sequence[float], told: int) -> int:
+        """How many cycles up to these, where a clock says `told`."""
+        if self._last is None or self._usual is None:
+            return told
+        ways = [now - last for now, last in zip(positions_rad, self._last, strict=True)]
+        found = cycles_gone(ways, self._usual, self._plays, self._cycles + told)
+        return told if found is None else found - self._cycles
+
+    def update(self, positions_rad: Sequence[float] | None, cycles: int) -> None:
+        """Positions of all axes (N,), so many cycles after those before; None: they are not known."""
+        self._cycles += cycles
+        if positions_rad is None:
+            return
+        if self._last is not None and self._cycles > 0:
+            self._usual = [(now - last) / self._cycles for now, last in zip(positions_rad, self._last, strict=True)]
+        self._last, self._cycles = positions_rad, 0
 
 
 def _at(part: int) -> bytes:
