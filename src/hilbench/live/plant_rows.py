@@ -137,9 +137,9 @@ class OnPlantTime:
         if not np.all(known):
             lacking = ~known
             for column in self._of_drives:
-                result[lacking, column] = _curve(given_cycles.astype(np.float64), given[:, column])(
-                    cycles[lacking].astype(np.float64)
-                )
+                # A curve through the noise of a torque would make more of it.
+                curve = _curve if column in self._positions else _straight
+                result[lacking, column] = curve(given_cycles, given[:, column])(cycles[lacking])
                 result[known, column] = given[len(self._kept) :, column]
             known = _nearly(known)
         missed = cycles - syncs
@@ -150,11 +150,14 @@ class OnPlantTime:
         return PlantRows(begin, result, known, syncs)
 
 
+def _straight(at: Cycles, values: Array) -> Callable[[Cycles], Array]:
+    """From value to value."""
+    return lambda places: np.interp(places, at, values)
+
+
 def _curve(at: Cycles, values: Array) -> Callable[[Cycles], Array]:
-    """Through all values; straight where there are too few."""
-    if len(at) < _BEFORE:
-        return lambda places: np.interp(places, at, values)
-    return make_interp_spline(at.astype(np.float64), values, k=3)
+    """Smoothly through all values where there are enough."""
+    return make_interp_spline(at.astype(np.float64), values, k=3) if len(at) >= _BEFORE else _straight(at, values)
 
 
 def _nearly(measured: Rows) -> Rows:

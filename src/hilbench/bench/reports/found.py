@@ -40,7 +40,8 @@ class FoundEffect:
 
 @dataclass(frozen=True)
 class FoundGap:
-    """Rms of what is measured less what is predicted on data that neither model has seen, before and after."""
+    """Rms of what is measured less what is predicted (means over some cycles, on data that neither model has seen),
+    before and after; `noise_floor`: what it is while nothing is lacking."""
 
     signal: str
     unit: str

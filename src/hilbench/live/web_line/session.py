@@ -19,10 +19,11 @@ from numpy.typing import NDArray
 from hilbench.bench.reports.found import FoundEffect, FoundGap, GapRow, News, Samples, Told, Watched
 from hilbench.diagnosis.diagnosis import Diagnosis, diagnosed
 from hilbench.diagnosis.misfit import largest_ratio, misfits, ratios
+from hilbench.diagnosis.noise import floor, rms
 from hilbench.errors import UnusableInputError
 from hilbench.live.web_line import models
-from hilbench.live.web_line.gap import SHORT
-from hilbench.live.web_line.stretch import Stretch, data_of, packed, quiet_cycle, shows_in_torque, torque_gap
+from hilbench.live.web_line.gap import SHORT, ModelGap
+from hilbench.live.web_line.stretch import Stretch, data_of, packed, quiet_cycle, shows_in_torque
 from hilbench.live.web_line.watch import ROW, Piece, Watch
 from hilbench.live.window import Window
 from hilbench.plant.web_line.imitation import Imitation
@@ -43,6 +44,8 @@ _DECISIVE: Final = 40.0
 _LONGEST, _TRIALS = 4, 3
 #: E that the model goes by is the twin's, as it was between these times before now, s.
 _E_FROM_S, _E_TO_S = 6.0, 2.0
+#: For how long the strain of the web is followed before its gap is looked at, s.
+_FOLLOWED_S: Final = 5.0
 #: How far off it may be from what it was, as a share, while nothing parts.
 _E_DRIFT: Final = 0.01
 #: How well it is known then, as a share, and in which steps its best value is looked for.
@@ -285,7 +288,7 @@ class Session:
         # A change that many samples make certain may still be one that nobody would see: of an effect that the model
         # has, a little more or less, put down to another one.
         if gain > _DECISIVE and shows_in_torque(stretch, before, after):
-            self._decide(case, FoundGap(*_gap(torque_gap(stretch, before, after))))
+            self._decide(case, self._gap(case.candidate, first, end))
         elif gain < 0.0 or end - first >= _TRIALS * length:
             self._say("dismissed", case.begun, "on new data the model in use is as good as the changed one: it stays")
             self._begin_anew()
@@ -302,6 +305,24 @@ class Session:
         best = float(np.clip(best, -0.5, 1.0))
         residual = stretch.residual(packed(models.with_modulus(model, self._modulus_Pa * (1.0 + best))))
         return residual, stretch.misfit(residual) + (best / _E_KNOWN) ** 2
+
+    def _gap(self, candidate: ModelParameters, first: int, end: int) -> FoundGap:
+        """Of the models in use and changed, from cycle `first` to before `end`, as the watch sees it."""
+        lead = self._cycles(_FOLLOWED_S)
+        rows, known = self._window.rows(first - lead, end), self._window.known(first - lead, end)
+        counted = len(rows) // SHORT * SHORT
+        channels = {name: self._window.column(rows, name)[-counted:] for name in _NEEDED}
+        seen = []
+        for model in (self._in_use, candidate):
+            gap = ModelGap(model, self._cycle_s)
+            gap.use_modulus(self._modulus_Pa)
+            seen.append(gap.follow(channels, known[-counted:])[-((end - first) // SHORT) :])
+        before, after = (each[np.all(np.isfinite(each), axis=1)] for each in seen)
+        learned = self._watch.noise_Nm
+        floors = np.array([floor(column) for column in after.T]) if learned is None else learned
+        worst = int(np.argmax(np.sqrt(np.mean(before**2, axis=0)) / floors))
+        size_before, size_after = (rms(each[:, worst]) for each in (before, after))
+        return FoundGap(f"tau{worst + 1}_Nm", "N·m", size_before, size_after, float(floors[worst]))
 
     def _decide(self, case: _Case, gap: FoundGap) -> None:
         assert case.candidate is not None
@@ -332,11 +353,6 @@ class Session:
 def _tied(found: Diagnosis) -> list[str]:
     """Ids of what the data can't tell from what was named."""
     return [name.split(" ")[0] for effect in found.effects for name in effect.tied_with]
-
-
-def _gap(of: tuple[str, float, float, float]) -> tuple[str, str, float, float, float]:
-    signal, before, after, noise = of
-    return signal, "N·m", before, after, noise
 
 
 def _place(effect: FoundEffect) -> str:

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.diagnosis.measured import Before, Measured, measured_from
-from hilbench.diagnosis.noise import floor
 from hilbench.diagnosis.predictor import Predictor, choice
 from hilbench.errors import UnusableInputError
 from hilbench.live.window import Window
@@ -125,20 +124,6 @@ def shows_in_torque(stretch: Stretch, before: Array, after: Array) -> bool:
         np.mean(after[torques][:, rows] ** 2, axis=1)
     )
     return bool(np.any(less_Nm > _SHOWS * np.array([predictor.floor(k) for k in torques])))
-
-
-def torque_gap(stretch: Stretch, before: Array, after: Array) -> tuple[str, float, float, float]:
-    """Of two residuals (signals, n) of one stretch: the torque with the largest gap, its rms before and after, N·m, and
-    its noise floor."""
-    rows, names = stretch.predictor.rows, stretch.predictor.names
-    torques = [k for k, name in enumerate(names) if name.startswith("tau")]
-    floors = {k: min(floor(after[k]), stretch.predictor.floor(k)) for k in torques}
-
-    def rms(residual: Array, k: int) -> float:
-        return float(np.sqrt(np.mean(residual[k, rows] ** 2)))
-
-    worst = max(torques, key=lambda k: rms(before, k) / floors[k])
-    return names[worst], rms(before, worst), rms(after, worst), floors[worst]
 
 
 def packed(model: ModelParameters) -> Array:

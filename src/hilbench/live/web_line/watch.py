@@ -58,6 +58,11 @@ class Watch:
         """The noise is that of the stand: another model's watch knows it."""
         self._rests = other._rests.copy()
 
+    @property
+    def noise_Nm(self) -> Array | None:
+        """(N,): what is about the level of a piece while nothing parts; None before the first."""
+        return np.median(np.array(self._rests), axis=0) if self._rests else None
+
     def use_modulus(self, youngs_modulus_Pa: float) -> None:
         """E of the web from now on."""
         self._gap.use_modulus(youngs_modulus_Pa)
@@ -95,7 +100,8 @@ class Watch:
 
     def _parts(self, piece: Piece, means: int, white: Array) -> bool:
         """`white` (N,): what the noise of the torques alone makes of the rest."""
-        noise = np.median(np.array(self._rests), axis=0) if self._rests else white
+        learned = self.noise_Nm
+        noise = white if learned is None else learned
         of_level = _LEVELS * 1.25 * noise / np.sqrt(means)
         off = np.abs(piece.level) > np.maximum(of_level, _TOLERATED * self._usual_Nm)
         return bool(np.any(off | (piece.rest > _ROUGHER * noise)))
