@@ -24,7 +24,7 @@ _FIGURES: Final[Mapping[str, tuple[str, str]]] = {
     "named_after_s": ("s", "from then until it was named"),
     "applied_after_s": ("s", "from then until the twin had gone over to the changed model"),
     "tension_step_N": ("N", "largest change of a simulated tension from one cycle to the next on the way"),
-    "gap_before_Nm": ("N·m", "rms of measured less predicted torque, means of ten cycles, before, on data of the trial"),
+    "gap_before_Nm": ("N·m", "rms of measured less predicted torque, means over ten cycles, before, in the trial"),
     "gap_after_Nm": ("N·m", "the same after"),
     "gap_over_noise": ("", "the same after, over the noise floor"),
 }
