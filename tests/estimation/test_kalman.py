@@ -21,6 +21,14 @@ def inputs(offset_prior: float) -> np.ndarray:
     return u
 
 
+def two_filters(priors: list[float]) -> tuple[np.ndarray, np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray]]:
+    """Two equal filters beside each other, E within 20 %: means, covariances, places of what they have, scratch."""
+    z, p = np.zeros((kalman.SIZE, 2)), np.zeros((kalman.SIZE, kalman.SIZE, 2))
+    for i in range(2):
+        kalman.new_filter(z, p, i, 0.0, 0.2, np.array(priors))
+    return z, p, kalman.places_of(np.array(priors)), (np.zeros(kalman.SIZE), np.zeros((kalman.SIZE + 4, 2)))
+
+
 def joseph(z: np.ndarray, p: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """One cycle with matrices and Joseph's form; nothing in common with the compiled code but the state's order."""
     k = kalman
@@ -45,20 +53,20 @@ def joseph(z: np.ndarray, p: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.
 
 def test_a_hundred_steps_agree_with_josephs_form() -> None:
     rng = np.random.default_rng(1)
-    z, p = np.zeros((1, kalman.SIZE)), np.zeros((1, kalman.SIZE, kalman.SIZE))
-    kalman.new_filter(z, p, 0, 0.0, 0.2, np.array([0.05, 0.5, 1.0, 0.01]))
-    p[0, kalman.RATE, kalman.RATE] = 1e-4
-    expected = z[0].copy(), p[0].copy()
-    u, row = inputs(0.0), np.zeros(kalman.SIZE)
+    z, p, places, scratch = two_filters([0.05, 0.5, 1.0, 0.01])
+    p[kalman.RATE, kalman.RATE] = 1e-4
+    expected = z[:, 0].copy(), p[:, :, 0].copy()
+    u = inputs(0.0)
     for _ in range(100):
         u[kalman.FORCE_N], u[kalman.WEB_N] = rng.normal(90.0, 5.0), rng.normal(80.0, 5.0)
         u[kalman.SPEED_M_S], u[kalman.ACCELERATION_M_S2] = rng.normal(0.0, 3.0), rng.normal(0.0, 1.0)
         u[kalman.POSITION_M] = rng.normal(0.0, 1e-4)
-        _step(z, p, u, row)
+        _step(z, p, u, places, *scratch)
         expected = joseph(*expected, u)
     scale = np.sqrt(np.diag(expected[1]))
-    assert z[0] == pytest.approx(expected[0], rel=1e-6, abs=1e-9)
-    assert np.max(np.abs(p[0] - expected[1]) / np.outer(scale, scale)) < 1e-6
+    for i in range(2):
+        assert z[:, i] == pytest.approx(expected[0], rel=1e-6, abs=1e-9)
+        assert np.max(np.abs(p[:, :, i] - expected[1]) / np.outer(scale, scale)) < 1e-6
 
 
 def test_offset_and_e_come_out_as_least_squares_says() -> None:
@@ -66,19 +74,18 @@ def test_offset_and_e_come_out_as_least_squares_says() -> None:
     n, prior = 4000, 0.05
     web_N = np.linspace(76.0, 99.0, n)
     force_N = 1.2 * web_N + RATIO * 0.04 + FORCE_SD_N * rng.standard_normal(n)
-    z, p = np.zeros((1, kalman.SIZE)), np.zeros((1, kalman.SIZE, kalman.SIZE))
-    kalman.new_filter(z, p, 0, 0.0, 0.2, np.array([prior, 0.0, 0.0, 0.0]))
-    u, row = inputs(prior), np.zeros(kalman.SIZE)
+    z, p, places, scratch = two_filters([prior, 0.0, 0.0, 0.0])
+    u = inputs(prior)
     u[kalman.E_VARIANCE_PER_S] = 0.0
     for force, web in zip(force_N, web_N, strict=True):
         u[kalman.FORCE_N], u[kalman.WEB_N] = force, web
         u[kalman.POSITION_M] = POSITION_SD_M * rng.standard_normal()
-        _step(z, p, u, row)
+        _step(z, p, u, places, *scratch)
     # The filter sees forces through positions and lets the offset wander a little: it knows a little less.
     rows = np.column_stack([web_N, np.full(n, RATIO)]) / FORCE_SD_N
     covariance = np.linalg.inv(rows.T @ rows + np.diag([1.0 / 0.2**2, 1.0 / prior**2]))
     solution = covariance @ (rows.T @ (force_N / FORCE_SD_N) + np.array([1.0 / 0.2**2, 0.0]))
-    found, deviations = z[0, [kalman.E, kalman.OFFSET]], np.sqrt(np.diag(p[0]))[[kalman.E, kalman.OFFSET]]
+    found, deviations = z[[kalman.E, kalman.OFFSET], 0], np.sqrt(np.diag(p[:, :, 0]))[[kalman.E, kalman.OFFSET]]
     assert deviations == pytest.approx(np.sqrt(np.diag(covariance)), rel=0.15)
     assert np.abs(found - solution) == pytest.approx([0.0, 0.0], abs=0.5 * float(np.max(deviations)))
 

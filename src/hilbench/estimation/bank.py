@@ -10,9 +10,9 @@ soon as the data prefer it. The deviation is that of the mixture: it says so whi
 Three kinds of child are born of the most probable hypothesis: a *jump* of the watched parameter (large and small in
 turn), a *drift* (a rate of it), and, of a drift, its *end*.
 
-Means (H, n) and covariances (H, n, n) of all hypotheses stand in arrays, beside them a record (H, RECORD) of each. What
-kind of filter it is the bank does not know: a cycle is a step of each living filter, whose log likelihood is added to
-its weight, then `compare`, `mix` and `births`.
+Means (n, H) and covariances (n, n, H) of all hypotheses stand beside each other, with a record (H, RECORD) of each.
+What kind of filter it is the bank does not know: a cycle is a step of all filters, whose log likelihoods are added to
+their weights (`weigh`), then `compare`, `mix` and `births`. Filters that have gone are stepped with the others.
 """
 
 from __future__ import annotations
@@ -25,6 +25,8 @@ from numpy.typing import NDArray
 from hilbench.compiled import compiled
 
 Array = NDArray[np.float64]
+#: Places in a filter's state.
+Places = NDArray[np.int64]
 
 _JUMP, _DRIFT, _END = 0, 1, 2
 #: Cycles between two births of a kind, and how long a newborn is kept whatever its weight.
@@ -90,17 +92,17 @@ def _birth(
     i = _free_place(records)
     if i < 0 or i == parent:
         return
-    size = z.shape[1]
+    size = z.shape[0]
     for j in range(size):
-        z[i, j] = z[parent, j]
+        z[j, i] = z[j, parent]
         for k in range(size):
-            p[i, j, k] = p[parent, j, k]
-    z[i, rate] = 0.0
+            p[j, k, i] = p[j, k, parent]
+    z[rate, i] = 0.0
     for j in range(size):
-        p[i, rate, j] = 0.0
-        p[i, j, rate] = 0.0
-    p[i, watched, watched] += variance
-    p[i, rate, rate] = rate_variance
+        p[rate, j, i] = 0.0
+        p[j, rate, i] = 0.0
+    p[watched, watched, i] += variance
+    p[rate, rate, i] = rate_variance
     records[i, WEIGHT] = records[parent, WEIGHT] + log_prior
     records[i, _KIND] = kind
     records[i, _AGE] = 0.0
@@ -118,13 +120,22 @@ def births(z: Array, p: Array, records: Array, settings: Array, watched: int, ra
         _birth(z, p, records, _DRIFT, settings[LOG_DRIFT], watched, rate, 0.0, settings[DRIFT_VARIANCE])
     if cycle % _EVERY[_END] == _EVERY[_END] // 2:
         best = _best(records)
-        if p[best, rate, rate] > 0.0:
+        if p[rate, rate, best] > 0.0:
             _birth(z, p, records, _END, settings[LOG_DRIFT], watched, rate, 0.0, 0.0)
 
 
 @compiled
-def compare(records: Array) -> float:
-    """A cycle older; weights against the best, the hopeless gone. The sum of what is left of them."""
+def weigh(records: Array, likelihoods: Array) -> None:
+    """Add the log likelihoods (H,) of this cycle to the weights."""
+    for i in range(records.shape[0]):
+        if records[i, ALIVE] != 0.0:
+            records[i, WEIGHT] += likelihoods[i]
+
+
+@compiled
+def compare(records: Array, shares: Array) -> None:
+    """A cycle older; weights against the best, the hopeless gone. Into shares (H,) the probabilities of those left, 0
+    of the others."""
     best_weight = -1e300
     for i in range(records.shape[0]):
         if records[i, ALIVE] != 0.0:
@@ -132,44 +143,38 @@ def compare(records: Array) -> float:
             best_weight = max(best_weight, records[i, WEIGHT])
     total = 0.0
     for i in range(records.shape[0]):
+        shares[i] = 0.0
         if records[i, ALIVE] != 0.0:
             records[i, WEIGHT] -= best_weight
             if records[i, WEIGHT] < -_HOPELESS and records[i, _AGE] >= _PROTECTED[int(records[i, _KIND])]:
                 records[i, ALIVE] = 0.0
             else:
-                total += exp(records[i, WEIGHT])
-    return total
+                shares[i] = exp(records[i, WEIGHT])
+                total += shares[i]
+    for i in range(records.shape[0]):
+        shares[i] /= total
 
 
 @compiled
-def covariance(z: Array, p: Array, records: Array, total: float, mean: Array, out: Array) -> None:
-    """Covariance (N, N) of the mixture about its mean into `out`; `total` as of `compare`."""
-    size = z.shape[1]
+def covariance(z: Array, p: Array, shares: Array, mean: Array, out: Array) -> None:
+    """Covariance (n, n) of the mixture about its mean into `out`; shares as of `compare`."""
+    size = z.shape[0]
     out[:] = 0.0
-    for i in range(records.shape[0]):
-        if records[i, ALIVE] != 0.0:
-            share = exp(records[i, WEIGHT]) / total
+    for i in range(len(shares)):
+        if shares[i] != 0.0:
             for j in range(size):
                 for k in range(size):
-                    out[j, k] += share * (p[i, j, k] + (z[i, j] - mean[j]) * (z[i, k] - mean[k]))
+                    out[j, k] += shares[i] * (p[j, k, i] + (z[j, i] - mean[j]) * (z[k, i] - mean[k]))
 
 
 @compiled
-def mix(z: Array, p: Array, records: Array, total: float, out: Array) -> None:
-    """Means and standard deviations of the mixture into the first two rows of `out`; `total` as of `compare`."""
-    size = z.shape[1]
-    for j in range(size):
-        out[0, j] = 0.0
-        out[1, j] = 0.0
-    for i in range(records.shape[0]):
-        if records[i, ALIVE] != 0.0:
-            share = exp(records[i, WEIGHT]) / total
-            for j in range(size):
-                out[0, j] += share * z[i, j]
-    for i in range(records.shape[0]):
-        if records[i, ALIVE] != 0.0:
-            share = exp(records[i, WEIGHT]) / total
-            for j in range(size):
-                out[1, j] += share * (p[i, j, j] + (z[i, j] - out[0, j]) ** 2)
-    for j in range(size):
-        out[1, j] = sqrt(max(out[1, j], 0.0))
+def mix(z: Array, p: Array, shares: Array, places: Places, out: Array) -> None:
+    """Means and standard deviations of the mixture into the first two rows of `out`; shares as of `compare`, places: of
+    the states that the filters have."""
+    for m in range(len(places)):
+        j, mean, variance = places[m], 0.0, 0.0
+        for i in range(len(shares)):
+            mean += shares[i] * z[j, i]
+        for i in range(len(shares)):
+            variance += shares[i] * (p[j, j, i] + (z[j, i] - mean) ** 2)
+        out[0, j], out[1, j] = mean, sqrt(max(variance, 0.0))

@@ -1,29 +1,40 @@
-"""The measurement update of a Kalman filter that observes one of its states: every filter here watches an encoder."""
+"""The measurement update of Kalman filters that observe one of their states: every filter here watches an encoder."""
 
 from __future__ import annotations
 
-from hilbench.compiled import inlined
-from hilbench.estimation.bank import Array
+from hilbench.compiled import compiled
+from hilbench.estimation.bank import Array, Places
 
 
-@inlined
-def correct(
-    z: Array, p: Array, row: Array, i: int, size: int, observed: int, innovation: float, variance: float
-) -> None:
-    """Correct filter `i` by what state `observed` was measured as.
+@compiled
+def correct(z: Array, p: Array, rows: Array, places: Places, observed: int, innovation: Array, variance: Array) -> None:
+    """Correct all filters by what state `observed` was measured as.
 
-    z (H, size), p (H, size, size): means and covariances of all filters, changed in place; row (size,): scratch;
-    `innovation`: measured less predicted, of this `variance` (the prediction's and the measurement's).
+    z (size, H), p (size, size, H): means and covariances of H filters, changed in place; places: of the states that
+    they have, the others are 0; rows (size + 1, H): scratch; innovation (H,): measured less predicted, of this variance
+    (H,), the prediction's and the measurement's. The filters stand beside each other in the last dimension, so that
+    the machine takes several of them at once.
     """
-    for j in range(size):
-        row[j] = p[i, j, observed]
-    for j in range(size):
-        gain = row[j] / variance
-        z[i, j] += gain * innovation
-        for k in range(size):
-            p[i, j, k] -= gain * row[k]
-    for j in range(size):  # rounding must not make it unsymmetric
-        for k in range(j):
-            mean = 0.5 * (p[i, j, k] + p[i, k, j])
-            p[i, j, k] = mean
-            p[i, k, j] = mean
+    count, size = z.shape[1], z.shape[0]
+    for m in range(len(places)):
+        j = places[m]
+        for i in range(count):
+            rows[j, i] = p[j, observed, i]
+    for m in range(len(places)):
+        j = places[m]
+        for i in range(count):
+            rows[size, i] = rows[j, i] / variance[i]
+        for i in range(count):
+            z[j, i] += rows[size, i] * innovation[i]
+        for n in range(len(places)):
+            k = places[n]
+            for i in range(count):
+                p[j, k, i] -= rows[size, i] * rows[k, i]
+    for m in range(len(places)):  # rounding must not make it unsymmetric
+        j = places[m]
+        for n in range(m):
+            k = places[n]
+            for i in range(count):
+                mean = 0.5 * (p[j, k, i] + p[k, j, i])
+                p[j, k, i] = mean
+                p[k, j, i] = mean

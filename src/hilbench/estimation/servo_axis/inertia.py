@@ -10,7 +10,7 @@ import numpy as np
 
 from hilbench.compiled import entry_point, number_of_sources
 from hilbench.estimation import bank, correction
-from hilbench.estimation.bank import Array
+from hilbench.estimation.bank import Array, Places
 from hilbench.estimation.nuisance import Nuisance
 from hilbench.estimation.servo_axis import kalman
 from hilbench.estimation.servo_axis.balance import FilterInputs, ShaftSample
@@ -32,20 +32,26 @@ _FOUND = 0.7
 #: Model's inertia over the one that is found, below which it is none.
 _LEAST_BETA = 0.01
 
-BankStep = Callable[[Array, Array, Array, Array, Array, Array, Array], None]
+BankStep = Callable[[Array, Array, Array, Array, Array, Places, Array, Array], None]
 
 
 def _compiled_step(sources: int) -> BankStep:
     """The function that is called from Python; `sources` as in `number_of_sources`."""
 
     @entry_point
-    def bank_step(z: Array, p: Array, records: Array, settings: Array, u: Array, scratch: Array, out: Array) -> None:
-        """One cycle of all hypotheses. scratch, out (2, SIZE): means and standard deviations of the mixture."""
-        for i in range(records.shape[0] if sources >= 0 else 0):
-            if records[i, bank.ALIVE] != 0.0:
-                records[i, bank.WEIGHT] += kalman.step(z, p, i, u, scratch[0], scratch[1])
-        total = bank.compare(records)
-        bank.mix(z, p, records, total, out)
+    def bank_step(
+        z: Array, p: Array, records: Array, settings: Array, u: Array, places: Places, work: Array, out: Array
+    ) -> None:
+        """One cycle of all hypotheses. places: of all states; work (2·SIZE + 5, H): scratch; out (2, SIZE): means and
+        standard deviations of the mixture."""
+        if sources < 0:
+            return
+        size = z.shape[0]
+        rows, g, likelihoods, shares = work[: size + 3], work[size + 5 :], work[size + 3], work[size + 4]
+        kalman.step(z, p, u, places, g, rows, likelihoods)
+        bank.weigh(records, likelihoods)
+        bank.compare(records, shares)
+        bank.mix(z, p, shares, places, out)
         bank.births(z, p, records, settings, kalman.BETA, kalman.RATE)
 
     return bank_step
@@ -76,13 +82,14 @@ class InertiaEstimator:
         self._of_model[1] = model.shaft.viscous_friction_Nm_s_per_rad
         self._of_model[2] = model.shaft.coulomb_friction_Nm
         self._of_model[0] = kernel.look(p, 0.0)[2]
-        self._z = np.zeros((bank.CAPACITY, kalman.SIZE))
-        self._p = np.zeros((bank.CAPACITY, kalman.SIZE, kalman.SIZE))
+        self._places = np.arange(kalman.SIZE)
+        self._z = np.zeros((kalman.SIZE, bank.CAPACITY))
+        self._p = np.zeros((kalman.SIZE, kalman.SIZE, bank.CAPACITY))
         self._records = np.zeros((bank.CAPACITY, bank.RECORD))
         self._settings = np.zeros(bank.SETTINGS)
         self._settings[bank.JUMP_VARIANCE] = (0.01 * config.jump_pct) ** 2
         self._settings[bank.DRIFT_VARIANCE] = (0.01 * config.drift_pct_per_s) ** 2
-        self._scratch = np.zeros((2, kalman.SIZE))
+        self._work = np.zeros((2 * kalman.SIZE + 5, bank.CAPACITY))
         self._out = np.zeros((2, kalman.SIZE))
         self._begin()
 
@@ -92,8 +99,8 @@ class InertiaEstimator:
         deviation = 0.01 * self._config.initial_deviation_pct
         kalman.new_filter(self._z, self._p, 0, deviation, self._inputs.priors)
         self._records[0, bank.ALIVE] = 1.0
-        self._out[0] = self._z[0]
-        self._out[1] = np.sqrt(np.diag(self._p[0]))
+        self._out[0] = self._z[:, 0]
+        self._out[1] = np.sqrt(np.diag(self._p[:, :, 0]))
         self._lost = True  # the motion, not what is known of the shaft
 
     def update(self, sample: ShaftSample) -> ShaftEstimate:
@@ -108,7 +115,8 @@ class InertiaEstimator:
             c, settings = self._config, self._settings
             settings[bank.CYCLE] += 1.0
             bank.set_priors(settings, c.jumps_per_s, c.drift_onsets_per_s, self._inputs.duration_s)
-            _bank_step(self._z, self._p, self._records, settings, self._inputs.u, self._scratch, self._out)
+            u, work = self._inputs.u, self._work
+            _bank_step(self._z, self._p, self._records, settings, u, self._places, work, self._out)
             # No shaft turns against its torque: what says so (a strong ripple that the model lacks) has misled it.
             if not self._out[0, kalman.BETA] > _LEAST_BETA:
                 self._begin()
@@ -127,7 +135,7 @@ class InertiaEstimator:
     def _less_sure(self, duration_s: float) -> ShaftEstimate:
         self._lost = self._lost or self._inputs.lost
         walk = 0.01 * self._config.hold_growth_pct_per_s
-        self._p[:, kalman.BETA, kalman.BETA] += walk**2 * duration_s
+        self._p[kalman.BETA, kalman.BETA] += walk**2 * duration_s
         self._out[1, kalman.BETA] = sqrt(self._out[1, kalman.BETA] ** 2 + walk**2 * duration_s)
         return self._estimate()
 

@@ -1,4 +1,4 @@
-"""One Kalman filter on the momentum balance of a shaft, compiled; `inertia` runs a bank of them.
+"""Kalman filters on the momentum balance of a shaft, compiled; `inertia` runs a bank of them.
 
     v' = β·(τ − Σ q_k·r_k)/J0,   β = J0/J
 
@@ -23,7 +23,7 @@ from typing import Final
 import numpy as np
 
 from hilbench.compiled import compiled, inlined
-from hilbench.estimation.bank import Array
+from hilbench.estimation.bank import Array, Places
 from hilbench.estimation.correction import correct
 
 X, V, BETA, RATE, Q = range(5)
@@ -62,79 +62,97 @@ def _known_variance(acceleration_rad_s2: float, dt_s: float, position_variance: 
 
 
 @compiled
-def step(z: Array, p: Array, i: int, u: Array, g: Array, row: Array) -> float:
-    """Predict filter `i` over one cycle and take in the position; returns its log likelihood, 0 without acceleration.
+def step(z: Array, p: Array, u: Array, places: Places, g: Array, rows: Array, likelihoods: Array) -> None:
+    """Predict all filters over one cycle and take in the position.
 
-    z (H, SIZE), p (H, SIZE, SIZE); g and row (SIZE,) are scratch: how the acceleration depends on the state, a product.
+    z (SIZE, H), p (SIZE, SIZE, H): means and covariances of H filters; u (INPUTS,); places: of all states; g and rows
+    (SIZE + 3, H) are scratch: how the acceleration depends on the state, products. Into likelihoods (H,) goes the
+    logarithm, 0 without acceleration.
     """
-    dt = u[DURATION_S]
-    beta = max(z[i, BETA], _LEAST_BETA)
-    per_torque = beta / u[INERTIA_KG_M2]
-    # What is not linear in β, as noise: a filter that is 20 % off must not call its first correction exact.
-    curved = u[ACCELERATION_RAD_S2] * p[i, BETA, BETA] / (beta * beta)
-    net = u[TORQUE_NM]
-    for k in range(TERMS):
-        net -= u[REGRESSORS + k] * z[i, Q + k]
-        g[Q + k] = -per_torque * u[REGRESSORS + k]
-    g[BETA] = u[ACCELERATION_RAD_S2] / beta
-    rate = per_torque * net
+    dt, count = u[DURATION_S], z.shape[1]
     half = 0.5 * dt * dt
-    z[i, X] += dt * z[i, V] + half * rate
-    z[i, V] += dt * rate
-    z[i, BETA] += dt * z[i, RATE]
+    curved, per_torque = rows[SIZE + 1], rows[SIZE + 2]
+    for i in range(count):
+        beta = max(z[BETA, i], _LEAST_BETA)
+        per_torque[i] = beta / u[INERTIA_KG_M2]
+        # What is not linear in β, as noise: a filter that is 20 % off must not call its first correction exact.
+        curved[i] = u[ACCELERATION_RAD_S2] * p[BETA, BETA, i] / (beta * beta)
+        net = u[TORQUE_NM]
+        for k in range(TERMS):
+            net -= u[REGRESSORS + k] * z[Q + k, i]
+            g[Q + k, i] = -per_torque[i] * u[REGRESSORS + k]
+        g[BETA, i] = u[ACCELERATION_RAD_S2] / beta
+        rate = per_torque[i] * net
+        z[X, i] += dt * z[V, i] + half * rate
+        z[V, i] += dt * rate
+        z[BETA, i] += dt * z[RATE, i]
     for j in range(SIZE):
-        row[j] = g[BETA] * p[i, BETA, j]
+        for i in range(count):
+            rows[j, i] = g[BETA, i] * p[BETA, j, i]
         for k in range(Q, SIZE):
-            row[j] += g[k] * p[i, k, j]
+            for i in range(count):
+                rows[j, i] += g[k, i] * p[k, j, i]
     for j in range(SIZE):
-        p[i, X, j] += dt * p[i, V, j] + half * row[j]
-        p[i, V, j] += dt * row[j]
-        p[i, BETA, j] += dt * p[i, RATE, j]
+        for i in range(count):
+            p[X, j, i] += dt * p[V, j, i] + half * rows[j, i]
+            p[V, j, i] += dt * rows[j, i]
+            p[BETA, j, i] += dt * p[RATE, j, i]
     for j in range(SIZE):
-        row[j] = g[BETA] * p[i, j, BETA]
+        for i in range(count):
+            rows[j, i] = g[BETA, i] * p[j, BETA, i]
         for k in range(Q, SIZE):
-            row[j] += g[k] * p[i, j, k]
+            for i in range(count):
+                rows[j, i] += g[k, i] * p[j, k, i]
     for j in range(SIZE):
-        p[i, j, X] += dt * p[i, j, V] + half * row[j]
-        p[i, j, V] += dt * row[j]
-        p[i, j, BETA] += dt * p[i, j, RATE]
-    variance = per_torque * per_torque * u[TORQUE_VARIANCE] + 2.0 * curved * curved
-    p[i, X, X] += half * half * variance
-    p[i, X, V] += half * dt * variance
-    p[i, V, X] += half * dt * variance
-    p[i, V, V] += dt * dt * variance
-    p[i, BETA, BETA] += dt * u[BETA_VARIANCE_PER_S]
+        for i in range(count):
+            p[j, X, i] += dt * p[j, V, i] + half * rows[j, i]
+            p[j, V, i] += dt * rows[j, i]
+            p[j, BETA, i] += dt * p[j, RATE, i]
+    for i in range(count):
+        variance = per_torque[i] * per_torque[i] * u[TORQUE_VARIANCE] + 2.0 * curved[i] * curved[i]
+        p[X, X, i] += half * half * variance
+        p[X, V, i] += half * dt * variance
+        p[V, X, i] += half * dt * variance
+        p[V, V, i] += dt * dt * variance
+        p[BETA, BETA, i] += dt * u[BETA_VARIANCE_PER_S]
     # Weak evidence is forgotten again: what the data can't tell goes back to what is believed of it.
     left = 1.0 - dt / u[MEMORY_S]
     for j in range(Q, SIZE):
         prior = u[PRIORS + j - Q]
         if prior > 0.0:
-            z[i, j] *= left
+            for i in range(count):
+                z[j, i] *= left
             for k in range(SIZE):
-                p[i, j, k] *= left
-                p[i, k, j] *= left
-            p[i, j, j] += 2.0 * dt / u[MEMORY_S] * prior * prior
-    innovation = u[POSITION_RAD] - z[i, X]
-    variance = p[i, X, X] + u[POSITION_VARIANCE]
-    correct(z, p, row, i, SIZE, X, innovation, variance)
-    if u[ACCELERATION_RAD_S2] == 0.0:
-        return 0.0
-    known = _known_variance(per_torque * sqrt(u[TORQUE_VARIANCE]), dt, u[POSITION_VARIANCE])
-    likelihood: float = -0.5 * (innovation * innovation / variance + log(variance / known))
-    return likelihood
+                for i in range(count):
+                    p[j, k, i] *= left
+                for i in range(count):
+                    p[k, j, i] *= left
+            for i in range(count):
+                p[j, j, i] += 2.0 * dt / u[MEMORY_S] * prior * prior
+    innovation, variances = rows[SIZE + 1], g[X]
+    for i in range(count):
+        innovation[i] = u[POSITION_RAD] - z[X, i]
+        variances[i] = p[X, X, i] + u[POSITION_VARIANCE]
+    correct(z, p, rows, places, X, innovation, variances)
+    for i in range(count):
+        likelihoods[i] = 0.0
+        if u[ACCELERATION_RAD_S2] != 0.0:
+            known = _known_variance(per_torque[i] * sqrt(u[TORQUE_VARIANCE]), dt, u[POSITION_VARIANCE])
+            variance = variances[i]
+            likelihoods[i] = -0.5 * (innovation[i] * innovation[i] / variance + log(variance / known))
 
 
 def new_filter(z: Array, p: Array, i: int, deviation: float, priors: Array) -> None:
     """Start filter `i` at the model's inertia; `deviation` of β, `priors` (TERMS,) of what is estimated beside it."""
-    z[i] = 0.0
-    z[i, BETA] = 1.0
-    p[i] = np.diag([0.0, 0.0, deviation**2, 0.0, *priors**2])
+    z[:, i] = 0.0
+    z[BETA, i] = 1.0
+    p[:, :, i] = np.diag([0.0, 0.0, deviation**2, 0.0, *priors**2])
 
 
 def place_motion(z: Array, p: Array, position_rad: float, speed_rad_s: float) -> None:
     """Every filter begins here, whatever it has known of the motion; the next step brings the position after this."""
-    z[:, X], z[:, V] = position_rad, speed_rad_s
+    z[X], z[V] = position_rad, speed_rad_s
     for place, variance in ((X, 1e-8), (V, 1.0)):
+        p[place, :, :] = 0.0
         p[:, place, :] = 0.0
-        p[:, :, place] = 0.0
-        p[:, place, place] = variance
+        p[place, place, :] = variance

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from math import exp, hypot, sqrt
+from math import hypot, sqrt
 
 import numpy as np
 
 from hilbench.compiled import entry_point, number_of_sources
 from hilbench.estimation import bank, correction
-from hilbench.estimation.bank import Array
+from hilbench.estimation.bank import Array, Places
 from hilbench.estimation.web_line.config import ChangepointConfig
 from hilbench.estimation.web_line.synchronizers import kalman
 from hilbench.estimation.web_line.synchronizers.base import Estimate, SyncSample
 from hilbench.estimation.web_line.synchronizers.plant import SEPARABLE, FilterInputs, Plant, nuisances
 
-BankStep = Callable[[Array, Array, Array, Array, Array, Array, Array, Array, bool], None]
+BankStep = Callable[[Array, Array, Array, Array, Array, Places, Array, Array, Array, bool], None]
 
 
 def _compiled_step(sources: int) -> BankStep:
@@ -28,28 +28,31 @@ def _compiled_step(sources: int) -> BankStep:
         records: Array,
         settings: Array,
         u: Array,
-        row: Array,
+        places: Places,
+        work: Array,
         out: Array,
         covariance: Array,
         beside: bool,
     ) -> None:
-        """One cycle of all hypotheses. `out` (3, SIZE): means and standard deviations of the mixture, and, of E,
-        the deviation that comes from noise alone; covariance (SIZE, SIZE) of the mixture, if E has something `beside`
-        it."""
-        for i in range(records.shape[0] if sources >= 0 else 0):
-            if records[i, bank.ALIVE] != 0.0:
-                records[i, bank.WEIGHT] += kalman.step(z, p, i, u, row)
-        total = bank.compare(records)
-        bank.mix(z, p, records, total, out)
+        """One cycle of all hypotheses. places: as of `kalman.step`; work (SIZE + 6, H): scratch. `out` (3, SIZE): means
+        and standard deviations of the mixture, and, of E, the deviation that comes from noise alone; covariance
+        (SIZE, SIZE) of the mixture, if E has something `beside` it."""
+        if sources < 0:
+            return
+        size = z.shape[0]
+        g, likelihoods, shares = work[size + 3], work[size + 4], work[size + 5]
+        kalman.step(z, p, u, places, g, work, likelihoods)
+        bank.weigh(records, likelihoods)
+        bank.compare(records, shares)
+        bank.mix(z, p, shares, places, out)
         if beside:
-            bank.covariance(z, p, records, total, out[0], covariance)
-        out[2, kalman.E] = 0.0
-        for i in range(records.shape[0]):
-            if records[i, bank.ALIVE] != 0.0:
-                share = exp(records[i, bank.WEIGHT]) / total
-                apart = z[i, kalman.E] - out[0, kalman.E]
-                out[2, kalman.E] += share * (kalman.spread_of_e(p, i) + apart * apart)
-        out[2, kalman.E] = sqrt(out[2, kalman.E])
+            bank.covariance(z, p, shares, out[0], covariance)
+        variance = 0.0
+        for i in range(len(shares)):
+            if shares[i] != 0.0:
+                apart = z[kalman.E, i] - out[0, kalman.E]
+                variance += shares[i] * (kalman.spread_of_e(p, i) + apart * apart)
+        out[2, kalman.E] = sqrt(variance)
         bank.births(z, p, records, settings, kalman.E, kalman.RATE)
 
     return bank_step
@@ -66,14 +69,15 @@ class ChangepointSynchronizer:
         self._also = tuple(config.also)
         self._reference_Pa = plant.youngs_modulus_Pa
         self._inputs = FilterInputs(plant, config)
-        self._z = np.zeros((bank.CAPACITY, kalman.SIZE))
-        self._p = np.zeros((bank.CAPACITY, kalman.SIZE, kalman.SIZE))
+        self._places = kalman.places_of(self._inputs.priors)
+        self._z = np.zeros((kalman.SIZE, bank.CAPACITY))
+        self._p = np.zeros((kalman.SIZE, kalman.SIZE, bank.CAPACITY))
         self._records = np.zeros((bank.CAPACITY, bank.RECORD))
         self._settings = np.zeros(bank.SETTINGS)
         self._settings[bank.JUMP_VARIANCE] = (0.01 * config.jump_pct) ** 2
         self._settings[bank.DRIFT_VARIANCE] = (0.01 * config.drift_pct_per_s) ** 2
         self._inputs.u[kalman.E_VARIANCE_PER_S] = (0.01 * config.wander_pct_per_sqrt_s) ** 2
-        self._row = np.zeros(kalman.SIZE)
+        self._work = np.zeros((kalman.SIZE + 6, bank.CAPACITY))
         self._out = np.zeros((3, kalman.SIZE))
         # Before the first sample E is what is believed at the start.
         self._out[0, kalman.E], self._out[1, kalman.E] = 1.0, 0.01 * config.initial_deviation_pct
@@ -97,7 +101,8 @@ class ChangepointSynchronizer:
                 self._records,
                 settings,
                 self._inputs.u,
-                self._row,
+                self._places,
+                self._work,
                 self._out,
                 self._covariance,
                 self._beside,
@@ -122,15 +127,15 @@ class ChangepointSynchronizer:
         deviation = 0.01 * c.initial_deviation_pct
         kalman.new_filter(self._z, self._p, 0, sample.balance.x2_m, deviation, self._inputs.priors)
         self._records[0, bank.ALIVE] = 1.0
-        self._out[0] = self._z[0]
-        self._out[1] = np.sqrt(np.diag(self._p[0]))
+        self._out[0] = self._z[:, 0]
+        self._out[1] = np.sqrt(np.diag(self._p[:, :, 0]))
         self._found = self._out.item(0, kalman.E)
         self._started = True
 
     def rebase(self, change_Pa: float) -> None:
         """Move E of every hypothesis."""
         change = change_Pa / self._reference_Pa
-        self._z[:, kalman.E] += change
+        self._z[kalman.E] += change
         self._out[0, kalman.E] += change
         self._found += change
         self._told += change
@@ -139,7 +144,7 @@ class ChangepointSynchronizer:
         """Let E walk in every hypothesis, and find position and velocity anew afterwards."""
         self._inputs.interrupt()
         walk = 0.01 * self._config.hold_growth_pct_per_s
-        self._p[:, kalman.E, kalman.E] += walk**2 * duration_s
+        self._p[kalman.E, kalman.E] += walk**2 * duration_s
         kalman.lose_motion(self._p)
         self._out[1, kalman.E] = sqrt(self._out[1, kalman.E] ** 2 + walk**2 * duration_s)
         return self._estimate()

@@ -15,7 +15,7 @@ import numpy as np
 
 from hilbench.compiled import entry_point, number_of_sources
 from hilbench.estimation import correction
-from hilbench.estimation.bank import Array
+from hilbench.estimation.bank import Array, Places
 from hilbench.estimation.web_line.config import EkfConfig
 from hilbench.estimation.web_line.synchronizers import kalman
 from hilbench.estimation.web_line.synchronizers.base import Estimate, SyncSample
@@ -27,15 +27,17 @@ _MEMORY = 8.0
 _FROM = 20.0
 
 
-Step = Callable[[Array, Array, Array, Array], float]
+Step = Callable[[Array, Array, Array, Places, Array, Array], None]
 
 
 def _compiled_step(sources: int) -> Step:
     """The function that is called from Python; `sources` as in `number_of_sources`."""
 
     @entry_point
-    def single_step(z: Array, p: Array, u: Array, row: Array) -> float:
-        return kalman.step(z, p, 0, u, row) if sources >= 0 else 0.0
+    def single_step(z: Array, p: Array, u: Array, places: Places, g: Array, work: Array) -> None:
+        """g (SIZE,), work (SIZE + 4, 1): scratch, in which innovation and variance are left (`kalman.step`)."""
+        if sources >= 0:
+            kalman.step(z, p, u, places, g, work, work[z.shape[0] + 3])
 
     return single_step
 
@@ -51,9 +53,10 @@ class EkfSynchronizer:
         self._also = tuple(config.also)
         self._reference_Pa = plant.youngs_modulus_Pa
         self._inputs = FilterInputs(plant, config)
-        self._z = np.zeros((1, kalman.SIZE))
-        self._p = np.zeros((1, kalman.SIZE, kalman.SIZE))
-        self._row = np.zeros(kalman.SIZE)
+        self._places = kalman.places_of(self._inputs.priors)
+        self._z = np.zeros((kalman.SIZE, 1))
+        self._p = np.zeros((kalman.SIZE, kalman.SIZE, 1))
+        self._work, self._g = np.zeros((kalman.SIZE + 4, 1)), np.zeros(kalman.SIZE)
         self._started = False
         self._mean = 0.0
         self._nuisances_before: deque[Array] = deque(maxlen=2 * round(_MEMORY))
@@ -69,14 +72,14 @@ class EkfSynchronizer:
             opened = min(max(self._mean**2 * 2.0 * _MEMORY / _FROM - 1.0, 0.0), 1.0)
             walk = 0.01 * (c.drift_pct_per_sqrt_s + opened * c.jump_pct_per_sqrt_s)
             inputs.u[kalman.E_VARIANCE_PER_S] = walk**2
-            _step(self._z, self._p, inputs.u, self._row)
+            _step(self._z, self._p, inputs.u, self._places, self._g, self._work)
             self._keep_beside(opened)
-            normalized = self._row[0] / sqrt(self._row[1])
+            normalized = self._work.item(kalman.SIZE + 1) / sqrt(self._work.item(kalman.SIZE + 2))
             self._mean += (min(max(normalized, -5.0), 5.0) - self._mean) / _MEMORY
         return self._estimate()
 
     def _keep_beside(self, opened: float) -> None:
-        before, beside = self._nuisances_before, self._z[0, kalman.OFFSET :]
+        before, beside = self._nuisances_before, self._z[kalman.OFFSET :, 0]
         if opened > 0.0 and before:
             beside[:] = before[0]
         else:
@@ -84,18 +87,18 @@ class EkfSynchronizer:
 
     def rebase(self, change_Pa: float) -> None:
         """Move E."""
-        self._z[0, kalman.E] += change_Pa / self._reference_Pa
+        self._z[kalman.E, 0] += change_Pa / self._reference_Pa
 
     def hold(self, duration_s: float) -> Estimate:
         """Let E walk, and find position and velocity anew afterwards."""
         self._inputs.interrupt()
         p, walk = self._p, 0.01 * self._config.hold_growth_pct_per_s
-        p[0, kalman.E, kalman.E] += walk**2 * duration_s
+        p[kalman.E, kalman.E, 0] += walk**2 * duration_s
         kalman.lose_motion(p)
         return self._estimate()
 
     def _estimate(self) -> Estimate:
-        z, deviations = self._z[0], np.sqrt(np.diag(self._p[0]))
+        z, deviations = self._z[:, 0], np.sqrt(np.diag(self._p[:, :, 0]))
         return Estimate(
             float(z[kalman.E]) * self._reference_Pa,
             float(deviations[kalman.E]) * self._reference_Pa,

@@ -1,4 +1,4 @@
-"""One Kalman filter on the momentum balance of axis 2, compiled; `ekf` runs one of them, `changepoint` a bank.
+"""Kalman filters on the momentum balance of axis 2, compiled; `ekf` runs one of them, `changepoint` a bank.
 
 State of a filter: position (m) and velocity (m/s) of roller 2; E and its rate over a reference E; torque offset of
 axis 2 (N·m, motor side), viscous (N·s/m) and dry friction (N) at the web, relative error of the moving mass. The
@@ -6,15 +6,17 @@ measured torque is the input, its noise the process noise; the encoder is the me
 differentiated, and a change of E is weighed against the motion that it causes. Joint state and parameters: Boulter,
 IWEB 1999, with E, loss torque and strain.
 
-Vectors as in the web kernel: whole arrays and an index instead of views.
+All filters are stepped together, each in a column of its own.
 """
 
 from __future__ import annotations
 
 from math import log, pi
 
-from hilbench.compiled import compiled
-from hilbench.estimation.bank import Array
+import numpy as np
+
+from hilbench.compiled import compiled, inlined
+from hilbench.estimation.bank import Array, Places
 from hilbench.estimation.correction import correct
 
 X, V, E, RATE, OFFSET, VISCOUS, DRY, MASS = range(8)
@@ -43,81 +45,133 @@ _WANDER_S = 36000.0
 
 
 @compiled
-def step(z: Array, p: Array, i: int, u: Array, row: Array) -> float:
-    """Predict filter `i` over one cycle and take in the position; returns its log likelihood. `row`: SIZE scratch."""
-    dt, mass, speed = u[DURATION_S], u[MASS_KG], u[SPEED_M_S]
+def step(z: Array, p: Array, u: Array, places: Places, g: Array, rows: Array, likelihoods: Array) -> None:
+    """Predict all filters over one cycle and take in the position.
+
+    z (SIZE, H), p (SIZE, SIZE, H): means and covariances of H filters; u (INPUTS,); places: of the states that they
+    have, X to RATE and those of NUISANCES that are estimated, the others are 0; g (SIZE,) and rows (SIZE + 3, H):
+    scratch, in whose last two rows innovations and their variances are left; into likelihoods (H,) goes the logarithm.
+    """
+    dt, mass, speed, count, size = u[DURATION_S], u[MASS_KG], u[SPEED_M_S], z.shape[1], z.shape[0]
     sign = 1.0 if speed > 0.0 else (-1.0 if speed < 0.0 else 0.0)
-    g_e, g_b, g_c, g_d = -u[WEB_N] / mass, -u[FORCE_PER_TORQUE] / mass, -speed / mass, -sign / mass
-    g_m = -u[ACCELERATION_M_S2]
-    rate = u[FORCE_N] / mass + g_e * z[i, E]
-    rate += g_b * z[i, OFFSET] + g_c * z[i, VISCOUS] + g_d * z[i, DRY] + g_m * z[i, MASS]
-    half = 0.5 * dt * dt
-    z[i, X] += dt * z[i, V] + half * rate
-    z[i, V] += dt * rate
-    z[i, E] += dt * z[i, RATE]
-    for j in range(SIZE):
-        row[j] = g_e * p[i, E, j] + g_b * p[i, OFFSET, j] + g_c * p[i, VISCOUS, j]
-        row[j] += g_d * p[i, DRY, j] + g_m * p[i, MASS, j]
-    for j in range(SIZE):
-        p[i, X, j] += dt * p[i, V, j] + half * row[j]
-        p[i, V, j] += dt * row[j]
-        p[i, E, j] += dt * p[i, RATE, j]
-    for j in range(SIZE):
-        row[j] = g_e * p[i, j, E] + g_b * p[i, j, OFFSET] + g_c * p[i, j, VISCOUS]
-        row[j] += g_d * p[i, j, DRY] + g_m * p[i, j, MASS]
-    for j in range(SIZE):
-        p[i, j, X] += dt * p[i, j, V] + half * row[j]
-        p[i, j, V] += dt * row[j]
-        p[i, j, E] += dt * p[i, j, RATE]
+    g[E], g[OFFSET], g[VISCOUS] = -u[WEB_N] / mass, -u[FORCE_PER_TORQUE] / mass, -speed / mass
+    g[DRY], g[MASS] = -sign / mass, -u[ACCELERATION_M_S2]
+    half, own, beside = 0.5 * dt * dt, u[FORCE_N] / mass, rows[size + 1]
+    rate = rows[size + 2]
+    for i in range(count):
+        rate[i] = own + g[E] * z[E, i]
+        beside[i] = 0.0
+    for m in range(OFFSET, len(places)):
+        j = places[m]
+        for i in range(count):
+            beside[i] += g[j] * z[j, i]
+    for i in range(count):
+        rate[i] += beside[i]
+    for i in range(count):
+        z[X, i] += dt * z[V, i] + half * rate[i]
+        z[V, i] += dt * rate[i]
+        z[E, i] += dt * z[RATE, i]
+    for m in range(len(places)):
+        _accelerated(p, g, places, rows, places[m], True)
+    for m in range(len(places)):
+        j = places[m]
+        for i in range(count):
+            p[X, j, i] += dt * p[V, j, i] + half * rows[j, i]
+        for i in range(count):
+            p[V, j, i] += dt * rows[j, i]
+        for i in range(count):
+            p[E, j, i] += dt * p[RATE, j, i]
+    for m in range(len(places)):
+        _accelerated(p, g, places, rows, places[m], False)
+    for m in range(len(places)):
+        j = places[m]
+        for i in range(count):
+            p[j, X, i] += dt * p[j, V, i] + half * rows[j, i]
+        for i in range(count):
+            p[j, V, i] += dt * rows[j, i]
+        for i in range(count):
+            p[j, E, i] += dt * p[j, RATE, i]
     by_x, by_v = half / mass, dt / mass
-    p[i, X, X] += by_x * by_x * u[FORCE_VARIANCE]
-    p[i, X, V] += by_x * by_v * u[FORCE_VARIANCE]
-    p[i, V, X] += by_x * by_v * u[FORCE_VARIANCE]
-    p[i, V, V] += by_v * by_v * u[FORCE_VARIANCE]
-    p[i, E, E] += dt * u[E_VARIANCE_PER_S]
+    for i in range(count):
+        p[X, X, i] += by_x * by_x * u[FORCE_VARIANCE]
+        p[X, V, i] += by_x * by_v * u[FORCE_VARIANCE]
+        p[V, X, i] += by_x * by_v * u[FORCE_VARIANCE]
+        p[V, V, i] += by_v * by_v * u[FORCE_VARIANCE]
+        p[E, E, i] += dt * u[E_VARIANCE_PER_S]
     # What is estimated beside E is believed to wander within its prior: weak evidence is forgotten again, so that
     # what the data can't tell apart keeps its prior deviation, and E with it.
-    for j in range(OFFSET, SIZE):
+    keep = 1.0 - dt / _WANDER_S
+    for m in range(OFFSET, len(places)):
+        j = places[m]
         prior = u[PRIORS + j - OFFSET]
         if prior > 0.0:
-            z[i, j] *= 1.0 - dt / _WANDER_S
-            for k in range(SIZE):
-                p[i, j, k] *= 1.0 - dt / _WANDER_S
-                p[i, k, j] *= 1.0 - dt / _WANDER_S
-            p[i, j, j] += 2.0 * dt / _WANDER_S * prior * prior
-    innovation = u[POSITION_M] - z[i, X]
-    variance = p[i, X, X] + u[POSITION_VARIANCE]
-    correct(z, p, row, i, SIZE, X, innovation, variance)
-    row[0], row[1] = innovation, variance
-    likelihood: float = -0.5 * (innovation * innovation / variance + log(2.0 * pi * variance))
-    return likelihood
+            for i in range(count):
+                z[j, i] *= keep
+            for n in range(len(places)):
+                k = places[n]
+                for i in range(count):
+                    p[j, k, i] *= keep
+                for i in range(count):
+                    p[k, j, i] *= keep
+            for i in range(count):
+                p[j, j, i] += 2.0 * dt / _WANDER_S * prior * prior
+    innovation, variance = rows[size + 1], rows[size + 2]
+    for i in range(count):
+        innovation[i] = u[POSITION_M] - z[X, i]
+        variance[i] = p[X, X, i] + u[POSITION_VARIANCE]
+    correct(z, p, rows, places, X, innovation, variance)
+    for i in range(count):
+        likelihoods[i] = -0.5 * (innovation[i] * innovation[i] / variance[i] + log(2.0 * pi * variance[i]))
+
+
+@inlined
+def _accelerated(p: Array, g: Array, places: Places, rows: Array, j: int, down: bool) -> None:
+    """Into rows[j] what g makes of column j of all covariances, or of row j (not `down`)."""
+    count, size = rows.shape[1], p.shape[0]
+    for i in range(count):
+        rows[j, i] = g[E] * (p[E, j, i] if down else p[j, E, i])
+    second = rows[size]
+    for i in range(count):
+        second[i] = 0.0
+    for m in range(OFFSET, len(places)):
+        k = places[m]
+        to = rows[j] if k < DRY else second
+        for i in range(count):
+            to[i] += g[k] * (p[k, j, i] if down else p[j, k, i])
+    for i in range(count):
+        rows[j, i] += second[i]
 
 
 @compiled
 def spread_of_e(p: Array, i: int) -> float:
     """Variance of E in filter `i` that comes from noise: without what the parameters beside it may be wrong by."""
-    variance = p[i, E, E]
+    variance = p[E, E, i]
     for j in range(OFFSET, SIZE):
-        if p[i, j, j] > 0.0:
-            variance -= p[i, E, j] * p[i, E, j] / p[i, j, j]
+        if p[j, j, i] > 0.0:
+            variance -= p[E, j, i] * p[E, j, i] / p[j, j, i]
     return float(max(variance, 0.0))
+
+
+def places_of(priors: Array) -> Places:
+    """Of the states that a filter has; `priors`: deviations of NUISANCES, 0 of one that is not estimated."""
+    return np.array([X, V, E, RATE, *(np.flatnonzero(priors) + OFFSET)], np.int64)
 
 
 def new_filter(z: Array, p: Array, i: int, position_m: float, modulus_deviation: float, priors: Array) -> None:
     """Start filter `i` at rest at the reference E; `priors`: deviations of NUISANCES."""
-    z[i] = 0.0
-    z[i, X], z[i, E] = position_m, 1.0
-    p[i] = 0.0
-    p[i, X, X] = 1e-8
-    p[i, V, V] = 1.0
-    p[i, E, E] = modulus_deviation**2
+    z[:, i] = 0.0
+    z[X, i], z[E, i] = position_m, 1.0
+    p[:, :, i] = 0.0
+    p[X, X, i] = 1e-8
+    p[V, V, i] = 1.0
+    p[E, E, i] = modulus_deviation**2
     for place, deviation in zip(NUISANCES, priors, strict=True):
-        p[i, place, place] = deviation**2
+        p[place, place, i] = deviation**2
 
 
 def lose_motion(p: Array) -> None:
     """Position and velocity of every filter are unknown from here on."""
     for place in (X, V):
+        p[place, :, :] = 0.0
         p[:, place, :] = 0.0
-        p[:, :, place] = 0.0
-        p[:, place, place] = 1.0
+        p[place, place, :] = 1.0
