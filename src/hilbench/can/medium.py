@@ -137,6 +137,22 @@ class Medium:
         self.counters.frames += len(delivered)
         self.counters.bits += all_bits
 
+    @property
+    def undisturbed(self) -> bool:
+        """Whether nothing is queued or on the wire, no errors are counted, and nothing happens to frames."""
+        return (
+            self.disturber is None
+            and self._sender is None
+            and not self._counting
+            and not any(station.queue for station in self._stations)
+        )
+
+    def account(self, frames: int, bits: int, duration_ns: int) -> None:
+        """So many frames went over the wire while it was undisturbed, one after the other."""
+        self.counters.frames += frames
+        self.counters.bits += bits
+        self.free_ns += duration_ns
+
     def next_event_ns(self) -> int | None:
         """When `run` has something to do next, if nothing more is queued; None: never."""
         if self._sender is not None:

@@ -12,7 +12,7 @@ import os
 import threading
 import time
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from hilbench.can.confinement import ControllerState, bus_off
@@ -30,6 +30,10 @@ from hilbench.errors import BusError
 RECEIVE_LIMIT = 16384
 
 
+def _nobody() -> None:
+    """Nobody works on anybody's behalf."""
+
+
 class MemoryBus:
     """A CAN wire for the links of one process; `bitrate` in bit/s."""
 
@@ -40,9 +44,12 @@ class MemoryBus:
         self._listeners = Listeners(lambda: self._links)
         self._lock = threading.Lock()
         self.waiting = False  #: whether frames wait for the wire
+        #: Told before anybody sends, receives, comes or goes: by who works on the stations' behalf meanwhile.
+        self.before_use: Callable[[], None] = _nobody
 
     def open_link(self) -> MemoryLink:
         """A new station on the bus."""
+        self.before_use()
         with self._lock:
             link = MemoryLink(self)
             self._links.append(link)
@@ -56,15 +63,30 @@ class MemoryBus:
 
     def inject_errors(self, injection: ErrorInjection) -> None:
         """Disturb the frames that are sent from now on."""
+        self.before_use()
         with self._lock:
             self._medium.disturber = Disturber(injection)
 
     @property
     def bits(self) -> int:
         """Bit times the wire was taken so far."""
+        self.before_use()
         with self._lock:
             self._carry()
             return self._medium.counters.bits
+
+    @property
+    def quiet(self) -> bool:
+        """Whether nothing is under way, and nothing happens to frames but that they come."""
+        return not self.waiting and self._medium.undisturbed
+
+    def hear(self, can_id: int) -> list[MemoryLink]:
+        """The links whose filters let an identifier pass."""
+        return self._listeners.of(can_id)
+
+    def account(self, frames: int, bits: int, duration_ns: int) -> None:
+        """So many frames were carried one after the other on a wire that was free, and handed over by somebody else."""
+        self._medium.account(frames, bits, duration_ns)
 
     def _carry(self) -> None:
         """Let the wire carry all that was sent; hand it to the links. The lock is held."""
@@ -97,6 +119,7 @@ class MemoryLink:
         for can_id, data, _ in frames:
             check_frame(can_id, data)
         bus = self._bus
+        bus.before_use()
         with bus._lock:
             self._check_open()
             medium = bus._medium
@@ -116,7 +139,13 @@ class MemoryLink:
             return
         self._received.append(frame)
 
+    @property
+    def holds_frames(self) -> bool:
+        """Whether something waits to be read, or somebody for it."""
+        return bool(self._received) or self._is_awaited() or self._closed
+
     def receive(self, timeout_s: float) -> list[Frame]:
+        self._bus.before_use()
         with self._bus._lock:
             frames = self._waiting()
             if frames or timeout_s <= 0.0:
@@ -150,6 +179,7 @@ class MemoryLink:
             os.eventfd_write(self._event, 1)
 
     def set_filters(self, identifiers: Sequence[tuple[int, int]] | None) -> None:
+        self._bus.before_use()
         with self._bus._lock:
             self._bus._carry()  # what was sent before meets the old filters
             self.filters = identifiers
@@ -161,6 +191,7 @@ class MemoryLink:
         return self.station.state
 
     def fileno(self) -> int:
+        self._bus.before_use()
         with self._bus._lock:
             self._check_open()
             if self._event is None:
@@ -170,6 +201,7 @@ class MemoryLink:
 
     def close(self) -> None:
         bus = self._bus
+        bus.before_use()
         with bus._lock:
             if self._closed:
                 return

@@ -59,12 +59,12 @@ def _crc_bits(crc: int, bits: int, count: int) -> int:
     return crc
 
 
-# _STUFF[state << 8 | byte] = stuff bits << 11 | next state << 8, so that the next look-up needs one "or".
-_STUFF = tuple(
+# STUFF[state << 8 | byte] = stuff bits << 11 | next state << 8, so that the next look-up needs one "or".
+STUFF = tuple(
     stuffed << 11 | following << 8
     for following, stuffed in (_stuff_bits(state, byte, 8) for state in range(_STATES) for byte in range(256))
 )
-_STUFF_LAST_7 = tuple(_stuff_bits(state, bits, 7)[1] for state in range(_STATES) for bits in range(128))
+STUFF_LAST_7 = tuple(_stuff_bits(state, bits, 7)[1] for state in range(_STATES) for bits in range(128))
 _CRC = tuple(_crc_bits(0, byte, 8) for byte in range(256))
 
 
@@ -76,14 +76,13 @@ def _crc_after_zeros(crc: int, count: int) -> int:
 
 
 # The CRC is linear: what each of eight data bytes adds to it at the end, by the byte's place.
-_CRC_0, _CRC_1, _CRC_2, _CRC_3, _CRC_4, _CRC_5, _CRC_6, _CRC_7 = (
-    tuple(_crc_after_zeros(crc, 7 - place) for crc in _CRC) for place in range(8)
-)
+CRC_OF_PLACES = tuple(tuple(_crc_after_zeros(crc, 7 - place) for crc in _CRC) for place in range(8))
+_CRC_0, _CRC_1, _CRC_2, _CRC_3, _CRC_4, _CRC_5, _CRC_6, _CRC_7 = CRC_OF_PLACES
 
 _headers: dict[tuple[int, int], tuple[int, int, int]] = {}
 
 
-def _header(can_id: int, length: int) -> tuple[int, int, int]:
+def header(can_id: int, length: int) -> tuple[int, int, int]:
     """(CRC, stuffing state << 8, bits of the frame without the stuff bits still to come) before the data.
 
     The CRC is that at the end of the frame, were all data zero.
@@ -100,11 +99,11 @@ def _header(can_id: int, length: int) -> tuple[int, int, int]:
     state, stuffed = _stuff_bits(_AFTER_SOF, bits, count)
     # SOF is a 0 and the CRC register begins at 0: it changes nothing.
     crc = _crc_after_zeros(_crc_bits(0, bits, count), 0 if remote else length)
-    header = (crc, state << 8, fixed + stuffed + (0 if remote else 8 * length))
+    found = (crc, state << 8, fixed + stuffed + (0 if remote else 8 * length))
     if len(_headers) >= _HEADER_CACHE_LIMIT:
         _headers.clear()
-    _headers[can_id, length] = header
-    return header
+    _headers[can_id, length] = found
+    return found
 
 
 @lru_cache(128)  # some frames are the same in every cycle, and in one process wire and bench count each
@@ -114,8 +113,8 @@ def bits_on_wire(can_id: int, data: bytes) -> int:
     `can_id` carries the kernel's flag bits; of a remote frame's `data` only the length (its DLC) counts.
     """
     length = len(data)
-    crc, state, bits = _headers.get((can_id, length)) or _header(can_id, length)
-    stuff = _STUFF
+    crc, state, bits = _headers.get((can_id, length)) or header(can_id, length)
+    stuff = STUFF
     if not can_id & REMOTE_FLAG:
         a, b, c, d, e, f, g, h = data if length == 8 else data.rjust(8, b"\0")  # zeros in front add nothing
         crc ^= _CRC_0[a] ^ _CRC_1[b] ^ _CRC_2[c] ^ _CRC_3[d] ^ _CRC_4[e] ^ _CRC_5[f] ^ _CRC_6[g] ^ _CRC_7[h]
@@ -124,7 +123,7 @@ def bits_on_wire(can_id: int, data: bytes) -> int:
             state = entry & 0x700
             bits += entry >> 11
     entry = stuff[state | crc >> 7]
-    return bits + (entry >> 11) + _STUFF_LAST_7[(entry & 0x700) >> 1 | crc & 0x7F]
+    return bits + (entry >> 11) + STUFF_LAST_7[(entry & 0x700) >> 1 | crc & 0x7F]
 
 
 def frame_bits(frame: Frame) -> int:
@@ -171,7 +170,7 @@ def fd_bits_on_wire(can_id: int, data: bytes, bit_rate_switch: bool) -> tuple[in
     state, fast_stuffed = _stuff_bits(state, dlc, 5)  # ESI (dominant: error active), DLC
     state <<= 8
     for byte in data:
-        entry = _STUFF[state | byte]
+        entry = STUFF[state | byte]
         state = entry & 0x700
         fast_stuffed += entry >> 11
     if state in (0x000, 0x400):  # a run of one: perhaps a stuff bit

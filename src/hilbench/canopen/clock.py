@@ -64,6 +64,20 @@ class SyncClock:
         self._time_ns = self.now_ns() + self._cycle_ns
         self._last_sync_ns = time.monotonic_ns()
 
+    @property
+    def next_ns(self) -> int:
+        """What it shows after the next SYNC, unless that stays away."""
+        return self._time_ns + self._cycle_ns
+
+    def runs_until(self, monotonic_ns: int, until_ns: int) -> bool:
+        """Whether SYNC runs by the monotonic clock, and the next one does not lead beyond a time."""
+        return monotonic_ns - self._last_sync_ns <= self._stall_ns and self._time_ns + self._cycle_ns <= until_ns
+
+    def tick_at(self, monotonic_ns: int) -> None:
+        """`tick` for one that was asked what the monotonic clock shows already, and is not stalled."""
+        self._time_ns += self._cycle_ns
+        self._last_sync_ns = monotonic_ns
+
     def expect_sync(self) -> None:
         """Stand still until the first SYNC: what is due by the wall clock must not fall into its cycle by chance."""
         self._time_ns = self.now_ns()

@@ -6,7 +6,7 @@ in `replies` (answers to a request, due at once) and `outbox` (what the device h
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import canopen
@@ -127,6 +127,37 @@ class Device:
         self._emcy.acknowledge(code)
 
     # -- host side ---------------------------------------------------------------------------------------
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether it is OPERATIONAL and has nothing to say but synchronous PDOs and heartbeats."""
+        return (
+            self.nmt_state is NmtState.OPERATIONAL
+            and not (self.silent or self.heartbeat_fails or self.replies or self.outbox or self._event_driven)
+            and not (self._sync_counter is not None and self._sync_counter.value)
+            and not (self._emcy.waits or self._emcy.stands(SYNC_LENGTH))
+            and all(tpdo.is_plain for tpdo in self._synchronous)
+        )
+
+    @property
+    def producer(self) -> HeartbeatProducer:
+        """Its own heartbeat."""
+        return self._producer
+
+    @property
+    def consumer(self) -> HeartbeatConsumer:
+        """Whose heartbeats it watches."""
+        return self._consumer
+
+    @property
+    def receive_pdos(self) -> Mapping[int, Rpdo]:
+        """Those in use, by identifier."""
+        return self._receivers
+
+    @property
+    def synchronous_pdos(self) -> Sequence[Tpdo]:
+        """Those that go out with SYNC, in their order."""
+        return self._synchronous
 
     def boot(self) -> None:
         """Say boot-up and be pre-operational."""

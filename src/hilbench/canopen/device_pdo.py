@@ -189,6 +189,28 @@ class Rpdo(_Pdo):
         else:
             self._act(data)
 
+    @property
+    def idle(self) -> bool:
+        """Whether it has received nothing that acts later, or is supervised."""
+        return self._waiting is None and self._deadline_ns is None
+
+    def is_plain(self, cycle_ns: int) -> bool:
+        """Whether a frame a cycle does no more than to give its objects their values at SYNC."""
+        timer_ns = self._timer_ns(5, 1_000_000) if self._timer_ms is not None else 0
+        return (
+            self.map is not None
+            and self._type.value <= 240
+            and self._waiting is None
+            and self._length_error is None
+            and not self._emcy.stands(RPDO_TIMED_OUT)
+            and (timer_ns == 0 or timer_ns >= cycle_ns)
+        )
+
+    def received_until(self, now_ns: int) -> None:
+        """Somebody else has taken its frames; the last one at `now_ns`."""
+        if self._timer_ms is not None and self._timer_ms.value:
+            self._deadline_ns = now_ns + self._timer_ns(5, 1_000_000)
+
     def sync(self) -> None:
         """SYNC: what was received since the last one acts."""
         if self._waiting is not None:
@@ -251,6 +273,22 @@ class Tpdo(_Pdo):
         self._syncs = 0
         self._sent = None
         self._started = (self._index, 6) not in self._store or not self._store.cell(self._index, 6).value
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether it goes out with every so many SYNCs, and has begun to."""
+        return self._started and 1 <= self._type.value <= 240
+
+    @property
+    def syncs(self) -> int:
+        """SYNCs since it went out."""
+        return self._syncs
+
+    def sent_until(self, syncs: int, data: bytes | None) -> None:
+        """Somebody else has sent it: SYNCs since then, and what was in it; None: nothing new."""
+        self._syncs = syncs
+        if data is not None:
+            self._sent = data
 
     def sync(self, counter: int | None) -> None:
         """SYNC: send if it is this PDO's turn."""

@@ -117,6 +117,15 @@ class EmergencyProducer:
         self._free_ns = None
         self._update_register()
 
+    @property
+    def waits(self) -> bool:
+        """Whether a message is held back."""
+        return bool(self._waiting)
+
+    def stands(self, code: int) -> bool:
+        """Whether an error with this code, of whatever source, is active."""
+        return any(active == code for active, _ in self._active)
+
     def poll(self, now_ns: int) -> None:
         """Send what the inhibit time held back."""
         while self._waiting and self._is_free(now_ns) and self._may_send():

@@ -19,6 +19,20 @@ class HeartbeatProducer:
         self._next_ns = 0
         self._period.on_write = self._restart
 
+    @property
+    def period_ns(self) -> int:
+        """0: none is said."""
+        return int(self._period.value * _MS)
+
+    @property
+    def next_ns(self) -> int:
+        """When the next one is due."""
+        return self._next_ns
+
+    def said_until(self, next_ns: int) -> None:
+        """Heartbeats were said by somebody else; the next one is due then."""
+        self._next_ns = next_ns
+
     def rephase(self) -> None:
         """Count the period from now."""
         self._next_ns = self._now_ns() + self._period.value * _MS
@@ -84,6 +98,11 @@ class HeartbeatConsumer:
             watch = self._watches.get(node_id)
             if watch is not None and watch.deadline_ns is not None:
                 watch.deadline_ns = self._now_ns() + time_ns
+
+    def quiet_until_ns(self) -> int | None:
+        """Until when nothing is to be reported unless a heartbeat comes; None: for ever."""
+        running = [watch.deadline_ns for watch in self._watches.values() if not watch.lost]
+        return min((deadline_ns for deadline_ns in running if deadline_ns is not None), default=None)
 
     def poll(self, now_ns: int) -> None:
         """Report the nodes whose time is over."""

@@ -114,6 +114,21 @@ class DeviceHost:
                 self._nmt_commanded()
         self._time_passes()
 
+    @property
+    def is_plain(self) -> bool:
+        """Whether SYNC is running, by which its clock goes, and no device has more to say than `Device.is_plain`."""
+        return (
+            self._sync_running and self._follows_sync and not self._passive and all(d.is_plain for d in self._devices)
+        )
+
+    def addressees(self, can_id: int) -> Sequence[Device]:
+        """The devices that an identifier means something to."""
+        return self._addressees.get(can_id, ())
+
+    def served_until(self, monotonic_s: float) -> None:
+        """SYNCs were handled by somebody else until then."""
+        self._ticked_s = monotonic_s
+
     def _look_at_controller(self) -> None:
         """Every device says so when too many frames are broken off on its wire (CiA 301, 8120h)."""
         passive = self._link.controller is not ControllerState.ERROR_ACTIVE

@@ -51,6 +51,7 @@ class PdoMap:
         self.variables = tuple(variables)
         self.size = size
         self._layout = struct.Struct("<" + "".join(STRUCT_CODES.get(kind.code, f"{kind.width}s") for kind in kinds))
+        self.kinds = tuple(kinds)
         #: Integers of 24, 40, 48 and 56 bits, which struct does not know: where they stand.
         self._odd = tuple((place, kind) for place, kind in enumerate(kinds) if kind.code not in STRUCT_CODES)
         self.unpack: Callable[[bytes], tuple[Any, ...]] = self._unpack_odd if self._odd else self._layout.unpack

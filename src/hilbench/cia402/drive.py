@@ -139,6 +139,48 @@ class Drive:
         self._advance()
         return self.feedback
 
+    @property
+    def is_plain(self) -> bool:
+        """Whether it is enabled as wanted and follows a velocity or a torque: a cycle changes no more than that and its
+        feedback, as long as its statusword says so."""
+        state = self.feedback.state
+        return (
+            self.goal is DriveGoal.ENABLED
+            and self.reached
+            and not self._failed
+            and state is State.OPERATION_ENABLED
+            and self._waiting_in is state
+            and self.controlword == self._sent_controlword == Command.ENABLE_OPERATION.value
+            and not self._position_mode
+            and self.feedback.fresh
+            and self._counter.value is not None
+            and objects.STATUSWORD in self._raw
+        )
+
+    @property
+    def set_point_unit(self) -> float:
+        """Of one unit of the target object, SI."""
+        return self._setpoint_unit
+
+    @property
+    def most_raw(self) -> int:
+        """Largest size of the target object's value."""
+        return _RAW_LIMIT[self._target]
+
+    @property
+    def tpdo_period_s(self) -> float:
+        """Time between two of its TPDOs."""
+        return self._tpdo_period_s
+
+    @property
+    def counter(self) -> UnwrappingCounter:
+        """Its position in position units."""
+        return self._counter
+
+    def decoded_until(self, raw: Mapping[int, int | float]) -> None:
+        """Somebody else has taken its TPDOs: the last value of each object that they bring."""
+        self._raw.update(raw)
+
     def request(self, goal: DriveGoal) -> None:
         """Head for `goal` from the next `encode` on; asking again starts its time-outs anew.
 

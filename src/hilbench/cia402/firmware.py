@@ -151,6 +151,16 @@ class Firmware:
         self.vl_deceleration_rad_s2 = _ramp_rad_s2(self._vl_deceleration)
         self.port.torque_limit_Nm = self.torque_limit_Nm
 
+    @property
+    def shown_mode(self) -> MotorMode:
+        """Whose demand the objects show."""
+        return self._shown_mode
+
+    @property
+    def shows_vl(self) -> bool:
+        """Whether the device has the actual value of the velocity mode."""
+        return self._shows_vl
+
     def show(self) -> None:
         """Write the port's feedback and demands into the objects, in device units.
 

@@ -15,13 +15,13 @@ from functools import partial
 from math import inf
 from typing import TYPE_CHECKING, Final
 
-from hilbench.canopen.device import SdoAbort
+from hilbench.canopen.device import Cell, SdoAbort
 from hilbench.canopen.identifiers import NmtState
 from hilbench.cia402 import objects
 from hilbench.cia402.assumed import cell_of
 from hilbench.cia402.firmware import Firmware
 from hilbench.cia402.homing import NO_METHOD, PRESENT_POSITION, WITH_SWITCHES
-from hilbench.cia402.mode import DebouncedCondition
+from hilbench.cia402.mode import DebouncedCondition, Mode
 from hilbench.cia402.modes import MODES
 from hilbench.cia402.objects import OperationMode
 from hilbench.cia402.state_machine import (
@@ -83,6 +83,8 @@ _TARGETS: Final = {
     OperationMode.CYCLIC_SYNCHRONOUS_VELOCITY: (objects.TARGET_VELOCITY, 0),
     OperationMode.CYCLIC_SYNCHRONOUS_TORQUE: (objects.TARGET_TORQUE, 0),
 }
+#: Modes in which nothing is remembered from one cycle to the next.
+_FOLLOWING: Final = (OperationMode.CYCLIC_SYNCHRONOUS_VELOCITY, OperationMode.CYCLIC_SYNCHRONOUS_TORQUE)
 #: Transitions towards power, which take their time at a slow drive.
 _DELAYED: Final = (
     Transition.T2_SHUTDOWN,
@@ -181,6 +183,50 @@ class SimulatedDrive:
     def state(self) -> State:
         """The power state."""
         return self._state
+
+    @property
+    def firmware(self) -> Firmware:
+        """Its objects, port, units and settings."""
+        return self._firmware
+
+    @property
+    def statusword(self) -> Cell:
+        """The object 6041h."""
+        return self._statusword
+
+    @property
+    def mode(self) -> Mode:
+        """The mode of operation that acts."""
+        return self._mode
+
+    def follows(self, controlword: int) -> bool:
+        """Whether it is in OPERATION ENABLED by this controlword and follows a cyclic velocity or torque: then nothing
+        but its target and its feedback changes until something is written, or a fault comes."""
+        return (
+            self._state is State.OPERATION_ENABLED
+            and self._controlword == controlword
+            and self._pending is None
+            and not self._stop.active
+            and self._requested_mode is self._mode_code
+            and self._mode_code in _FOLLOWING
+            and self._firmware.port.mode is self._mode.motor_mode is self._firmware.shown_mode
+            and not self._firmware.stale
+            and self._firmware.switches is None
+            and (self._probes is None or self._probes.idle)
+        )
+
+    @property
+    def following_bits(self) -> int:
+        """The statusword of a drive that follows, but for its internal limit."""
+        return self._state_bits | self._mode.status(self._dt_s)
+
+    def published_until(self, encoder_count: int, *, limited: bool) -> None:
+        """Somebody else has shown the feedback until now: the encoder in position units, and whether the set point was
+        cut by a limit."""
+        self._firmware.encoder_count = encoder_count
+        self._mode.limited = limited
+        if self._probes is not None:
+            self._probes.update()
 
     # --- once per cycle ----------------------------------------------------------------------------------------------
 

@@ -39,6 +39,11 @@ class TouchProbes:
         self._position_rad = firmware.port.position_rad
         self._before = 0
 
+    @property
+    def idle(self) -> bool:
+        """Whether neither is in use."""
+        return not self._function.value and not self._status.value
+
     def update(self) -> None:
         """Note the edges that the last cycle has brought."""
         function, status = int(self._function.value), int(self._status.value)

@@ -141,6 +141,15 @@ class UnwrappingCounter:
         self.value: int | None = None
         self._last = 0
 
+    @property
+    def last(self) -> int:
+        """The last reading."""
+        return self._last
+
+    def counted_until(self, value: int, last: int) -> None:
+        """Somebody else has followed it: the unwrapped value, and the last reading."""
+        self.value, self._last = value, last
+
     def update(self, reading: int) -> int:
         """The unwrapped value after a new reading; the first reading is taken as it is."""
         if self.value is None:

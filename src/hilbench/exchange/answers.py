@@ -55,6 +55,28 @@ class Tpdo:
         else:
             self._behind.append(data)
 
+    @property
+    def is_plain(self) -> bool:
+        """Whether one answer to each SYNC that asks for it is all that is to be expected."""
+        return self.supervised and not self._owed and not self.age_cycles
+
+    def answered_until(self, cycles: int, data: bytes | None, since: int) -> None:
+        """Somebody else has taken the answers of some cycles: what was used last (None: nothing since), and how many
+        cycles ago."""
+        self.begin()
+        self._steady = 0
+        if data is not None:
+            self._used = data
+        if self.every == 1:
+            self._since += cycles
+        else:
+            self._since = since if data is not None else self._since + cycles
+
+    @property
+    def since(self) -> int:
+        """Cycles since one was used."""
+        return self._since
+
     def supervise(self, supervised: bool) -> None:
         """Its sender goes away, or is back: nothing is owed from before."""
         self.supervised = supervised

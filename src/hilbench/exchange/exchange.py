@@ -5,7 +5,7 @@ What is above knows set points and measurements; frames, COB-IDs and the objects
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Protocol
 
@@ -42,6 +42,13 @@ class Inputs(Protocol):
         """Put the measurements into a sample; SI, positions and velocities in the machine's unit."""
 
 
+class PlainCycles(Protocol):
+    """Runs cycles in which nothing but set points and feedback changes, in the place of the interpreted ones."""
+
+    def cycle(self, outputs: Mapping[str, float]) -> bool:
+        """Run one, as `Exchange.cycle`; False where it was none, and nothing was done."""
+
+
 class Exchange:
     """The cyclic exchange of one bench whose nodes are operational.
 
@@ -64,6 +71,7 @@ class Exchange:
             heartbeat=(config.master.node_id, config.master.heartbeat_ms),
             tap=tap,
         )
+        self._plain: PlainCycles | None = None
         self.unexpected: Sequence[Unexpected] = ()  #: what came in the last cycle, and is not of the bench or its nodes
         self.timing = sync.timing
         self.pacing = sync.pacing
@@ -77,6 +85,8 @@ class Exchange:
         """Outputs and SYNC onto the bus, then what the nodes answer. `outputs` as in `Nodes.encode`."""
         nodes, sync, own = self._nodes, self._sync, self._own
         self.unexpected = ()
+        if self._plain is not None and self._plain.cycle(outputs):
+            return nodes
         received = sync.exchange([*nodes.encode(outputs), *own.answers()])
         own.handle(received)
         try:
@@ -84,6 +94,10 @@ class Exchange:
         finally:  # a fault of a drive, too, may be a stranger's doing
             self.unexpected = nodes.unexpected
         return nodes
+
+    def use(self, made: Callable[[SyncCycle, OwnNode], PlainCycles | None]) -> None:
+        """Let cycles that are plain be run by what `made` makes."""
+        self._plain = made(self._sync, self._own)
 
     def sync_only(self) -> None:
         """A SYNC that tells nobody anything: simulated time goes on. What comes is in the trace, and nowhere else."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from math import isclose
@@ -159,6 +159,7 @@ class Nodes:
             tuple(Drive(drive_settings(config, part, self._ods[part.name]), self._ods[part.name]) for part in group)
             for group in map(config.parts_of, (Role.AXIS, Role.LOAD_MOTOR, Role.VIRTUAL_AXIS))
         )
+        self._drives = (*self.axes, *self.load_motors)
         self.io = IoMaps.of(config, self._ods["virtual_io"])
         self._boundary_names = tuple(signal.name for signal in self.io.data.told)
         self._said = [
@@ -174,9 +175,13 @@ class Nodes:
         self._known = {part.node.node_id: part.label for part in parts}
         self._master: Master | None = None
         self._twin_values = {name: 0.0 for _, names in self._said for name in names}
-        self._torques = [(self.axes[torque.axis - 1], torque.name, torque.residual) for torque in self.io.data.torques]
+        said_in = {name: pdo.cob_id for pdo, names in self._said for name in names}
+        self._torques = [
+            (self.axes[torque.axis - 1], torque.name, torque.residual, said_in[torque.residual])
+            for torque in self.io.data.torques
+        ]
         self._torques_before_Nm = [0.0] * len(self._torques)
-        self._twin_values |= {name: 0.0 for _, name, _ in self._torques}
+        self._twin_values |= {name: 0.0 for _, name, _, _ in self._torques}
         self._twin_sync, self.twin_status = 0, 0  #: status: bits of `TwinStatus`
         self.twin_reported_cycle = 0  #: cycle, counted by `decode`, in which the twin last reported its status
         self._twin_ids = dict.fromkeys(config.virtual_nodes)  # in the order of the config
@@ -196,6 +201,7 @@ class Nodes:
         self.unexpected: list[Unexpected] = []  #: what came in this cycle and is not of the bench or its nodes
         self._cycle = 0
         self._heartbeat_cycle: dict[int, int] = {}
+        self.supervised = 0  #: how often it has changed whether the twin is counted on
         self._silence_cycles = round(_HEARTBEATS_MISSED * config.master.node_heartbeat_ms * 1e-3 / config.cycle_time_s)
         self._expected_boots: set[int] = set()
 
@@ -233,7 +239,7 @@ class Nodes:
     @property
     def drives(self) -> Sequence[Drive]:
         """The real (or simulated) drives: the axes, then the load motors."""
-        return (*self.axes, *self.load_motors)
+        return self._drives
 
     @property
     def emergencies(self) -> Mapping[Emergency, int]:
@@ -326,23 +332,25 @@ class Nodes:
     def twin_is_away(self) -> None:
         """The twin is not counted on until `twin_is_back`: what it last said is not its state any more."""
         self.twin_status = 0
-        for tpdo in self._twin_tpdos:
-            tpdo.supervise(False)
+        self._supervise_twin(False)
         self._expected_boots = set(self._twin_ids)
         self.twin_problem, self.twin_heard = "", False
 
     def twin_is_not_waited_for(self) -> None:
         """While the drives are stopped nobody waits for the twin: it may answer several SYNCs at once."""
-        for tpdo in self._twin_tpdos:
-            tpdo.supervise(False)
+        self._supervise_twin(False)
 
     def twin_is_back(self) -> None:
         """The twin's nodes were started: they are watched again from their first heartbeat as such."""
         self.twin_problem = ""
-        for tpdo in self._twin_tpdos:
-            tpdo.supervise(True)
+        self._supervise_twin(True)
         for node_id in self._twin_ids:
             self._heartbeat_cycle.pop(node_id, None)
+
+    def _supervise_twin(self, supervised: bool) -> None:
+        self.supervised += 1
+        for tpdo in self._twin_tpdos:
+            tpdo.supervise(supervised)
 
     def read_statusword(self, drive: Drive) -> int:
         """The statusword of a drive by SDO. Raises BenchFaultError when it does not answer."""
@@ -430,22 +438,21 @@ class Nodes:
             self._look_for_silent_nodes()
         for drive in self.drives:
             drive.decode(data)
+        self._take_twin(data)
+
+    def _take_twin(self, data: Mapping[int, bytes]) -> None:
+        """What the twin says, simulates and estimates, by the answers to this SYNC."""
         status = data.get(self.io.status.cob_id)
         if status is not None:
             self._twin_sync, _, self.twin_status = self.io.status.unpack(status)
             self.twin_reported_cycle = self._cycle
-        self._take_twin_values(data)
-
-    def _take_twin_values(self, data: Mapping[int, bytes]) -> None:
-        """What the twin simulates and estimates, by the answers to this SYNC."""
-        values, fresh = self._twin_values, set[str]()
+        values = self._twin_values
         for pdo, names in self._said:
             content = data.get(pdo.cob_id)
             if content is not None:
                 values.update(zip(names, pdo.unpack(content), strict=True))
-                fresh.update(names)
-        for at, (axis, torque, residual) in enumerate(self._torques):
-            if residual in fresh:
+        for at, (axis, torque, residual, cob_id) in enumerate(self._torques):
+            if cob_id in data:
                 # The residual is that of the cycle before: the twin compared after this cycle's TPDO was due.
                 values[torque] = self._torques_before_Nm[at] - values[residual]
             self._torques_before_Nm[at] = axis.feedback.torque_Nm
@@ -487,6 +494,53 @@ class Nodes:
     def twin_started(self, syncs: int) -> int:
         """The SYNC before that which the twin counts as its first, where its last answer was one to SYNC `syncs`."""
         return syncs - self._twin_sync
+
+    # -- cycles that somebody else runs (`hilbench.batch`) -----------------------------------------------
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether all drives are enabled and follow their set points, and all answers come as they are asked for."""
+        return all(drive.is_plain for drive in self.drives) and all(tpdo.is_plain for tpdo in self._tpdos.values())
+
+    @property
+    def set_points(self) -> Sequence[tuple[Drive, str, float]]:
+        """Each drive in the order of its RPDO, by whose name its set point comes, and what it is multiplied with."""
+        return self._set_points
+
+    @property
+    def boundary_names(self) -> Sequence[str]:
+        """What the twin is told, in the order of its RPDO."""
+        return self._boundary_names
+
+    @property
+    def answers(self) -> Mapping[int, Tpdo]:
+        """The TPDOs that answer SYNC."""
+        return self._tpdos
+
+    def begin_plain(self) -> None:
+        """From the next cycle on there is nothing but answers."""
+        self._inbox.clear()
+        self.unexpected = []
+
+    def take_plain(self, feedback: Sequence[float], said: Mapping[int, bytes], heartbeats: Iterable[int]) -> None:
+        """A cycle with nothing but answers: position, velocity, torque (SI) and statusword of each drive; the twin's
+        TPDOs by COB-ID; node ids of heartbeats that came. Raises as `decode`."""
+        self._cycle += 1
+        for node_id in heartbeats:
+            self._heartbeat(node_id, NmtState.OPERATIONAL.heartbeat)
+        if self._cycle % _HEARTBEAT_LOOK_CYCLES == 0:
+            self._look_for_silent_nodes()
+        values = iter(feedback)
+        for drive in self._drives:
+            shown = drive.feedback
+            shown.position_rad, shown.velocity_rad_s = next(values), next(values)
+            shown.torque_Nm, shown.statusword = next(values), int(next(values))
+        self._take_twin(said)
+
+    def end_plain(self, cycles: int) -> None:
+        """So many cycles were plain."""
+        if self._watch is not None:
+            self._watch.pass_over(cycles)
 
     def _heartbeat(self, node_id: int, content: bytes) -> None:
         name = self._known.get(node_id)

@@ -26,6 +26,11 @@ class OwnNode:
             if cob_id == self._request_id:
                 self._server.handle(data)
 
+    @property
+    def has_answers(self) -> bool:
+        """Whether the next cycle brings any."""
+        return bool(self._answers)
+
     def answers(self) -> list[Frame]:
         """What is to be sent with the next cycle."""
         answers, self._answers = self._answers, []

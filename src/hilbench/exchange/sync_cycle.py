@@ -108,7 +108,7 @@ class SyncCycle:
         self._emergency_stop_seen = False
         self._alive_s = 0.0  #: when the last heartbeat was sent, monotonic clock
         self._tap = tap
-        self._lock = threading.Lock()  # who has it uses the link: a cycle, or between two of them `stay_alive`
+        self.lock = threading.Lock()  #: who has it uses the link: a cycle, or between two of them `stay_alive`
         self._came_between: list[Frame] = []
         self._fault_between: Exception | None = None
         self._epoch_ns = 0
@@ -125,7 +125,7 @@ class SyncCycle:
 
         `outgoing` is sent before the SYNC that makes it act.
         """
-        with self._lock:
+        with self.lock:
             return self._exchange(outgoing)
 
     def _exchange(self, outgoing: Sequence[Frame]) -> list[Frame]:
@@ -196,7 +196,7 @@ class SyncCycle:
 
     def discard_waiting(self, timeout_s: float = 0.0) -> None:
         """Put what waits to be read, or comes within `timeout_s`, into the trace only: no answer to the last SYNC."""
-        with self._lock:
+        with self.lock:
             self._discard_waiting(timeout_s)
 
     def _discard_waiting(self, timeout_s: float) -> None:
@@ -217,7 +217,7 @@ class SyncCycle:
 
     def stand_still(self, done: Future[Any], longest_s: float) -> None:
         """Lockstep: no cycle until `done`, or for `longest_s` of wall time: the nodes wait for SYNC meanwhile."""
-        with self._lock:
+        with self.lock:
             trace_fault = self._write_last_answers()
             if trace_fault is not None:
                 raise trace_fault
@@ -236,7 +236,7 @@ class SyncCycle:
         Does nothing while a cycle runs. After an emergency stop the bench says that it is not OPERATIONAL any more.
         What goes wrong is raised by the next cycle.
         """
-        if time.monotonic() - self._alive_s < silence_s or not self._lock.acquire(blocking=False):
+        if time.monotonic() - self._alive_s < silence_s or not self.lock.acquire(blocking=False):
             return
         try:
             if self._fault_between is None:
@@ -250,7 +250,7 @@ class SyncCycle:
         except Exception as fault:
             self._fault_between = fault
         finally:
-            self._lock.release()
+            self.lock.release()
 
     def _say_alive(self) -> None:
         """In lockstep heartbeats come with the cycles; one that lasts is no stalled bench."""
@@ -273,6 +273,59 @@ class SyncCycle:
     def controller(self) -> ControllerState:
         """State of the bench's own CAN controller."""
         return self._link.controller
+
+    # -- cycles that somebody else runs (`hilbench.batch`) ---------------------------------------------------
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether nothing stands from the last cycle: in lockstep, with all that was expected there, in its phase."""
+        return (
+            self._lockstep
+            and self.timing.cycles > 0
+            and self._fault_between is None
+            and not (self._came_between or self.silent or self._out_of_phase or self._emergency_stop_seen)
+            and self._heartbeat.data == _OPERATIONAL
+        )
+
+    @property
+    def due_always(self) -> Mapping[int, ExpectedPdo]:
+        """What answers each SYNC; another object after `expect`."""
+        return self._due_always
+
+    @property
+    def due_at_times(self) -> Sequence[ExpectedPdo]:
+        """What answers only some."""
+        return self._due_at_times
+
+    @property
+    def heartbeat(self) -> tuple[Frame, int]:
+        """The bench's own, and with every how many SYNCs it is said (0: never)."""
+        return self._heartbeat, self._heartbeat_cycles
+
+    @property
+    def next_sync_ns(self) -> int:
+        """When the next SYNC begins, as the trace has it."""
+        return self._next_sync_ns
+
+    def is_slow(self, now_s: float) -> bool:
+        """Whether a heartbeat is due because cycles take so long."""
+        return self._heartbeat_cycles > 0 and now_s - self._alive_s > _SLOW * self._timeout_s
+
+    def write_last_answers(self) -> BenchFaultError | None:
+        """What the last cycle has left for the trace; what the trace has to say against it."""
+        return self._write_last_answers()
+
+    def count(self, bits: int, begun_ns: int, ended_ns: int, *, said_alive: bool) -> None:
+        """A cycle of so many bits was run by somebody else, between these times of the monotonic clock."""
+        timing = self.timing
+        timing.cycles += 1
+        timing.bits += bits
+        timing.wait_ns += ended_ns - begun_ns
+        timing.ended_ns = ended_ns
+        self.last_bits = bits
+        self.before_sync = 0
+        if said_alive:
+            self._alive_s = begun_ns * 1e-9
 
     def _due(self) -> dict[int, ExpectedPdo]:
         cycle, silent = self.timing.cycles, self.silent

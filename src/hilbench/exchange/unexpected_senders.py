@@ -95,6 +95,10 @@ class UnexpectedSenders:
                 found += self._beside(tpdo)
         return found
 
+    def pass_over(self, cycles: int) -> None:
+        """So many cycles were run in which there was nobody else."""
+        self._cycle += cycles
+
     def _look_at(self, can_id: int, data: bytes) -> None:
         """Count it; a flood of ever other content on one identifier is counted as the last that was distinguished."""
         key = can_id, data

@@ -63,6 +63,23 @@ class RigApplication:
         self._sample_s = sample_s
         self._longest_step = round(cycle_s / sample_s)
 
+    @property
+    def drives(self) -> Sequence[SimulatedDrive]:
+        """The simulated ones."""
+        return self._drives
+
+    @property
+    def rig(self) -> Steps:
+        """What the motors turn."""
+        return self._rig
+
+    def plain_step_s(self) -> float | None:
+        """How far the rig goes with each SYNC, in one step; None where that is not known before."""
+        if not self._in_use or not isinstance(self._time, BySync):
+            return None
+        samples = self._time.after_sync()
+        return samples * self._sample_s if 0 < samples <= self._longest_step else None
+
     def before_sync(self, behind: int) -> None:
         """Be at the time of this SYNC: in lockstep, and when it comes in time, the state is there since the last."""
         self._go(self._time.before_sync(behind))

@@ -49,6 +49,7 @@ class TraceWriter:
         self.frames = 0  #: frames handed to the operating system so far
         self._channel = channel
         self._lines: list[str] = []
+        self._waiting = 0  # frames in them
         self._heads: dict[int, str] = {}
         self._failed = False
         self._seconds = -1
@@ -68,17 +69,24 @@ class TraceWriter:
         own: those the bench itself sends.
         """
         add = self._lines.append
-        heads = self._heads
+        heads, before = self._heads, len(self._lines)
         for can_id, data, time_ns in frames:
             seconds, rest_ns = divmod(time_ns or sent_ns, 1_000_000_000)
             if seconds != self._seconds:
                 self._seconds = seconds
                 self._seconds_text = f"({seconds}."
-            head = heads.get(can_id) or self._head(can_id)
+            head = heads.get(can_id) or self.head(can_id)
             body = f"R{len(data)}" if can_id & REMOTE_FLAG else data.hex().upper()
             add(f"{self._seconds_text}{rest_ns // 1000:06d}{head}{body}\n")
+        self._waiting += len(self._lines) - before
 
-    def _head(self, can_id: int) -> str:
+    def write_lines(self, text: str, frames: int) -> None:
+        """Add whole lines of so many frames."""
+        self._lines.append(text)
+        self._waiting += frames
+
+    def head(self, can_id: int) -> str:
+        """What stands between time and data in the lines of an identifier."""
         identifier = (
             f"{can_id & (_EXTENDED_MASK | ERROR_FLAG):08X}" if can_id & _LONG_FLAGS else f"{can_id & 0x7FF:03X}"
         )
@@ -94,9 +102,10 @@ class TraceWriter:
         """
         if not self._lines or self._failed:
             self._lines.clear()
+            self._waiting = 0
             return
         rest = memoryview("".join(self._lines).encode("ascii", "backslashreplace"))
-        count = len(self._lines)
+        count, self._waiting = self._waiting, 0
         self._lines.clear()
         try:
             while rest:

@@ -122,6 +122,11 @@ class TwinApplication:
         virtual_io.on_model(self._use_model, lambda: machine.largest_steps)
         self._publish()
 
+    @property
+    def drives(self) -> Sequence[SimulatedDrive]:
+        """The virtual axes."""
+        return self._drives
+
     def reset(self) -> None:
         """Start anew with what is assumed at the start (reset of the virtual I/O node)."""
         self._machine.reset()

@@ -8,18 +8,27 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Callable
 
 import can
+from hilbench.batch import kernel
+from hilbench.batch.cycles import InOneProcess, PlainCycles, Served
 from hilbench.can.confinement import ControllerState
 from hilbench.can.frame import Frame
-from hilbench.can.memory import MemoryBus, MemoryCanBus, MemoryLink
+from hilbench.can.memory import MemoryBus, MemoryCanBus
+from hilbench.canopen.clock import SyncClock
 from hilbench.canopen.host import DeviceHost
 from hilbench.errors import UnusableInputError
-from hilbench.hardware.simulation import hardware
+from hilbench.exchange.frame_tap import FrameTap
+from hilbench.exchange.nodes import Nodes
+from hilbench.exchange.own_node import OwnNode
+from hilbench.exchange.sync_cycle import SyncCycle
+from hilbench.hardware.simulation import RigApplication, hardware
 from hilbench.topology.config import BenchConfig
-from hilbench.twin.process import twin
+from hilbench.twin.process import TwinApplication, twin
 from hilbench.twin.setup import twin_setup
 
+MakePlainCycles = Callable[[SyncCycle, OwnNode], PlainCycles | None]
 #: While nobody sends anything the devices are served so often: their timers go by the wall clock then.
 _IDLE_S = 0.001
 
@@ -51,9 +60,11 @@ class InProcess:
     def __init__(self, config: BenchConfig) -> None:
         self.bus = MemoryBus(config.bus_address.channel, config.bus.bitrate)
         self._lock = threading.RLock()
-        self._hosts = [
-            DeviceHost(self.bus.open_link(), *hosted) for hosted in (hardware(config), twin(twin_setup(config)))
-        ]
+        kernel.warm_up()
+        self._hosted = hardware(config), twin(twin_setup(config))
+        self._links = [self.bus.open_link() for _ in self._hosted]
+        self._own_hosts = [DeviceHost(link, *hosted) for link, hosted in zip(self._links, self._hosted, strict=True)]
+        self._hosts = list(self._own_hosts)
 
     def boot(self) -> None:
         """Let the devices send boot-up."""
@@ -66,6 +77,23 @@ class InProcess:
         with self._lock:
             for host in self._hosts:
                 host.serve(0.0)
+
+    def plain_cycles(self, link: ServingLink, nodes: Nodes, tap: FrameTap | None) -> MakePlainCycles:
+        """For `Exchange.use`: cycles of the bench that has this link, compiled where they are plain."""
+        rig, machine = (hosted.application for hosted in self._hosted)
+
+        def make(sync: SyncCycle, own: OwnNode) -> PlainCycles | None:
+            served = [
+                Served(host, station, hosted.devices, hosted.clock)
+                for host, station, hosted in zip(self._own_hosts, self._links, self._hosted, strict=True)
+                if isinstance(hosted.clock, SyncClock)
+            ]
+            if len(served) < 2 or not (isinstance(rig, RigApplication) and isinstance(machine, TwinApplication)):
+                return None
+            here = InOneProcess(self.bus, link.station, self._lock, served[0], rig, served[1], machine)
+            return PlainCycles(here, nodes, sync, own, tap)
+
+        return make
 
     def open_link(self) -> ServingLink:
         """The bench's link for the cyclic path."""
@@ -81,7 +109,7 @@ class ServingLink:
 
     def __init__(self, participants: InProcess) -> None:
         self._participants = participants
-        self._link: MemoryLink = participants.bus.open_link()
+        self.station = self._link = participants.bus.open_link()
         self.channel = self._link.channel
         self.send = self._link.send
         self.set_filters = self._link.set_filters

@@ -91,7 +91,8 @@ def bring_up(
         if participants is Participants.PRESENT:
             _check_timing(config)
         here = InProcess(config) if participants is Participants.IN_PROCESS else None
-        link = here.open_link() if here else open_link(config.bus_address)
+        inside = here.open_link() if here else None
+        link = inside or open_link(config.bus_address)
         resources.callback(link.close)
         bus = here.open_python_can() if here else open_python_can(config.bus_address)
         master = Master(bus, config.master.sdo_timeout_s)
@@ -128,6 +129,8 @@ def bring_up(
         warnings: list[str] = []
         resources.enter_context(kept_ready(config.process_settings("bench"), warnings.append))
         exchange = Exchange(nodes, link, objects, tap=tap)
+        if here and inside:
+            exchange.use(here.plain_cycles(inside, nodes, tap))
         resources.callback(_release_nodes, master, exchange)
         yield StartedBench(nodes, exchange, children, supervisor, warnings)
 

@@ -1,0 +1,1 @@
+"""Cycles of a bench in one process in which nothing but set points and feedback changes, run compiled."""

@@ -1,0 +1,581 @@
+"""Plain cycles of a bench with simulated hardware and twin in its own process.
+
+A cycle is *plain* when all drives follow their set points and the wire carries what it carries every time: SYNC, PDOs,
+heartbeats. Then nothing of its course is decided in Python: `kernel` does it on arrays. Whatever else there is (SDO,
+NMT, EMCY, another state, a fault, a timer that runs out, a frame of somebody else) is for the interpreted cycle, which
+is the reference: before it, and before anybody uses the bus, objects get back what the arrays have.
+
+The twin's machine, its virtual drives and what the twin says are objects all the time; of its devices only the PDOs
+are in the arrays.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hilbench.batch import kernel
+from hilbench.batch import layout as lay
+from hilbench.batch.tables import (
+    Frames,
+    NotPlainError,
+    Slots,
+    cell_slots,
+    drive_row,
+    new_slots,
+    seen_row,
+    table,
+)
+from hilbench.can.frame import Frame
+from hilbench.can.memory import MemoryBus, MemoryLink
+from hilbench.canopen.clock import SyncClock
+from hilbench.canopen.device import Device
+from hilbench.canopen.device_pdo import Rpdo, Tpdo
+from hilbench.canopen.host import DeviceHost
+from hilbench.canopen.identifiers import HEARTBEAT, SYNC, NmtState
+from hilbench.cia402.simulated import SimulatedDrive
+from hilbench.cia402.state_machine import Command
+from hilbench.errors import BenchFaultError
+from hilbench.exchange.frame_tap import FrameTap, LineTap
+from hilbench.exchange.nodes import Nodes
+from hilbench.exchange.own_node import OwnNode
+from hilbench.exchange.sync_cycle import ExpectedPdo, SyncCycle
+from hilbench.hardware.simulation import RigApplication
+from hilbench.twin.process import TwinApplication
+
+#: Cycles after which it is looked anew whether cycles are plain, when they were not.
+_LOOK_AGAIN = 8
+_ENABLED = Command.ENABLE_OPERATION.value
+
+
+@dataclass(frozen=True)
+class Served:
+    """The devices of one host, as they are on the bus of a process."""
+
+    host: DeviceHost
+    link: MemoryLink
+    devices: Sequence[Device]
+    clock: SyncClock
+
+
+@dataclass(frozen=True)
+class InOneProcess:
+    """What is on the bus, and who has it: `link` is the bench's."""
+
+    bus: MemoryBus
+    link: MemoryLink
+    lock: threading.RLock
+    hardware: Served
+    rig: RigApplication
+    twin: Served
+    machine: TwinApplication
+
+
+class PlainCycles:
+    """Runs the cycles of a bench that are plain; see `exchange.exchange.PlainCycles`."""
+
+    def __init__(self, here: InOneProcess, nodes: Nodes, sync: SyncCycle, own: OwnNode, tap: FrameTap | None) -> None:
+        self._here = here
+        self._nodes = nodes
+        self._sync = sync
+        self._own = own
+        self._tap = tap
+        self._run: _Run | None = None
+        self._wait = 0  # cycles until it is looked again
+        here.bus.before_use = self.settle
+
+    def cycle(self, outputs: Mapping[str, float]) -> bool:
+        """Run one, as `Exchange.cycle`; False where it was none, and nothing was done."""
+        with self._sync.lock, self._here.lock:
+            run = self._run
+            if run is None:
+                if self._wait:
+                    self._wait -= 1
+                    return False
+                run = self._begin()
+                if run is None:
+                    self._wait = _LOOK_AGAIN
+                    return False
+            if run.cycle(outputs):
+                return True
+            self.settle()
+            return False
+
+    def settle(self) -> None:
+        """Give the objects what the arrays have."""
+        if self._run is None:
+            return
+        with self._here.lock:
+            run, self._run = self._run, None
+            if run is not None:
+                run.end()
+
+    def _begin(self) -> _Run | None:
+        here = self._here
+        quiet = here.bus.quiet and not any(
+            link.holds_frames for link in (here.link, here.hardware.link, here.twin.link)
+        )
+        if not (quiet and self._nodes.is_plain and self._sync.is_plain and not self._own.has_answers):
+            return None
+        if not (here.hardware.host.is_plain and here.twin.host.is_plain):
+            return None
+        try:
+            self._run = _Run(here, self._nodes, self._sync, self._tap)
+        except NotPlainError:
+            return None
+        return self._run
+
+
+class _Run:
+    """Plain cycles one after the other, from objects into arrays and back."""
+
+    def __init__(self, here: InOneProcess, nodes: Nodes, sync: SyncCycle, tap: FrameTap | None) -> None:
+        """Raises NotPlainError where cycles are not plain."""
+        self._here, self._nodes, self._sync, self._tap = here, nodes, sync, tap
+        self._cycles = 0
+        self._over = False  # the hardware's objects know more than the arrays
+        self._slots, self._frames = Slots(), Frames()
+        self._taken: list[tuple[Device, Rpdo, int]] = []
+        self._answering: list[tuple[Device, Tpdo, int]] = []
+        self._heartbeats: list[tuple[Device, int]] = []
+        step_s = here.rig.plain_step_s()
+        if step_s is None:
+            raise NotPlainError
+        self._step_s = step_s
+        drives = (*here.rig.drives, *here.machine.drives)
+        if not all(drive.follows(_ENABLED) for drive in drives):
+            raise NotPlainError
+        self._ports = [drive.firmware.port for drive in here.rig.drives]
+        self._bench_frames()
+        self._check_listeners()
+        for served in (here.hardware, here.twin):
+            for device in served.devices:
+                self._receive(device, drives)
+        for clock, served in enumerate((here.hardware, here.twin)):
+            for device in served.devices:
+                self._answer(device, clock)
+        self._see()
+        self._check_phases()
+        self._arrays()
+        self._deadlines()
+        fault = sync.write_last_answers()
+        self._fault = fault
+        nodes.begin_plain()
+        self._due, self._supervised = sync.due_always, nodes.supervised
+
+    # -- from the objects ------------------------------------------------------------------------------------
+
+    def _bench_frames(self) -> None:
+        """What the bench sends, in its order, and the set points in it."""
+        frames, slots, nodes = self._frames, self._slots, self._nodes
+        self._targets: list[tuple[float, int, int, int, float]] = []
+        for drive, _, _ in nodes.set_points:
+            rpdo = drive.pdos.rpdo
+            controlword, target = new_slots(slots, rpdo)
+            slots.whole[controlword] = drive.controlword
+            frames.add(rpdo.cob_id, lay.BEFORE_SYNC, rpdo, (controlword, target))
+            self._targets.append((drive.set_point_unit, drive.most_raw, target, -1, 1.0))
+            for copy in drive.settings.copies:
+                copied = slots.new(False)
+                frames.add(copy.cob_id, lay.BEFORE_SYNC, rpdo, (controlword, copied))
+                self._targets.append((1.0, drive.most_raw, copied, target, copy.factor))
+        boundary = nodes.io.boundary
+        self._told: list[int] = []
+        if boundary is not None:
+            if not all(kind.is_float for kind in boundary.kinds):
+                raise NotPlainError
+            self._told = new_slots(slots, boundary)
+            frames.add(boundary.cob_id, lay.BEFORE_SYNC, boundary, self._told)
+        heartbeat, every = self._sync.heartbeat
+        self._own_heartbeat = -1
+        if every:
+            count = (self._sync.timing.cycles - 1) % every
+            self._own_heartbeat = frames.add(
+                heartbeat.can_id, lay.BEFORE_SYNC, bytes(heartbeat.data), every=every, count=count
+            )
+        self._behind_sync = 1 + frames.add(SYNC, lay.SYNC, b"")
+
+    def _check_listeners(self) -> None:
+        """What the bench sends is heard by the hosts alone."""
+        hosts = (self._here.hardware, self._here.twin)
+        for cob_id in self._frames.cob_ids:
+            links = self._here.bus.hear(cob_id)
+            if any(link not in (self._here.link, hosts[0].link, hosts[1].link) for link in links):
+                raise NotPlainError
+        if any(device.sync_cob_id != SYNC for served in hosts for device in served.devices):
+            raise NotPlainError
+
+    def _receive(self, device: Device, drives: Sequence[SimulatedDrive]) -> None:
+        """RPDOs of a device. Each value of a drive but its controlword has to be one that just stands there."""
+        cycle_ns = self._nodes.config.cycle_ns
+        controlwords = [drive.firmware.controlword for drive in drives]
+        for cob_id, rpdo in device.receive_pdos.items():
+            if cob_id not in self._frames.cob_ids:
+                if not rpdo.idle:
+                    raise NotPlainError
+                continue
+            if not rpdo.is_plain(cycle_ns) or rpdo.map is None:
+                raise NotPlainError
+            if any(cell.on_write is not None and cell not in controlwords for cell in rpdo.cells):
+                raise NotPlainError
+            row = self._frames.row_of(cob_id)
+            self._frames.take(row, rpdo.map, cell_slots(self._slots, rpdo.map, rpdo.cells))
+            self._taken.append((device, rpdo, row))
+
+    def _answer(self, device: Device, clock: int) -> None:
+        """Heartbeat and TPDOs of a device; nobody but the bench, and the twin's application, hears them."""
+        frames, here, node_id = self._frames, self._here, device.node_id
+        producer = device.producer
+        if producer.period_ns:
+            data = NmtState.OPERATIONAL.heartbeat
+            row = frames.add(
+                HEARTBEAT + node_id,
+                lay.ANSWER,
+                data,
+                period_ns=producer.period_ns,
+                next_ns=producer.next_ns,
+                clock=clock,
+            )
+            self._heartbeats.append((device, row))
+        for tpdo in device.synchronous_pdos:
+            if tpdo.map is None:
+                raise NotPlainError
+            slots = cell_slots(self._slots, tpdo.map, tpdo.cells)
+            row = frames.add(tpdo.cob_id, lay.ANSWER, tpdo.map, slots, every=tpdo.transmission_type, count=tpdo.syncs)
+            self._answering.append((device, tpdo, row))
+        for row in range(self._behind_sync, len(frames.rows)):
+            cob_id = frames.cob_ids[row]
+            links = here.bus.hear(cob_id)
+            known = (here.link, here.hardware.link, here.twin.link)
+            if here.link not in links or any(link not in known for link in links):
+                raise NotPlainError
+            if here.hardware.host.addressees(cob_id) or here.twin.host.addressees(cob_id):
+                raise NotPlainError
+
+    def _see(self) -> None:
+        """What the bench takes from the answers of the drives, and the twin from those of the axes."""
+        frames, slots = self._frames, self._slots
+        self._seen, self._raw = [], []
+        for drive in self._nodes.drives:
+            raw: dict[int, int] = {}
+            for _, pdo, indices in drive.pdos.tpdos:
+                if pdo.period != 1 or any(kind.is_float for kind in pdo.kinds):
+                    raise NotPlainError
+                taken = new_slots(slots, pdo)
+                frames.take(frames.row_of(pdo.cob_id), pdo, taken)
+                raw.update(zip(indices, taken, strict=True))
+            self._seen.append(seen_row(drive, raw))
+            self._raw.append((drive, raw))
+        self._listened = [
+            (cob_id, frames.row_of(cob_id)) for cob_id in frames.cob_ids if cob_id in self._here.machine.listens_to
+        ]
+        if len(self._listened) != len(self._here.machine.listens_to):
+            raise NotPlainError
+        if any(row < self._behind_sync or frames.rows[row][4] != 1 for _, row in self._listened):
+            raise NotPlainError
+
+    def _check_phases(self) -> None:
+        """What the bench expects of the nodes is what they send."""
+        cycles, frames = self._sync.timing.cycles, self._frames
+        sent = {frames.cob_ids[row]: (row, tpdo) for _, tpdo, row in self._answering}
+        expected: list[ExpectedPdo] = [*self._sync.due_always.values(), *self._sync.due_at_times]
+        for pdo in expected:
+            if pdo.cob_id not in sent:
+                raise NotPlainError
+            row, tpdo = sent[pdo.cob_id]
+            if tpdo.transmission_type != pdo.every or pdo.size not in (None, frames.sizes[row]):
+                raise NotPlainError
+            if (cycles + pdo.every - tpdo.syncs - pdo.since) % pdo.every:
+                raise NotPlainError
+        if {pdo.cob_id for pdo in expected} != set(self._nodes.answers):
+            raise NotPlainError
+        for cob_id, answer in self._nodes.answers.items():
+            row, tpdo = sent[cob_id]
+            if answer.size != frames.sizes[row] or answer.every != tpdo.transmission_type:
+                raise NotPlainError
+            if answer.every != 1 and answer.since != tpdo.syncs and answer.since < answer.every:
+                raise NotPlainError
+
+    def _arrays(self) -> None:
+        frames, slots, here = self._frames, self._slots, self._here
+        self._rows = table(frames.rows, lay.FRAME)
+        self._sent = table(frames.sent, lay.FIELD)
+        self._received = table(sorted(frames.received), lay.FIELD)
+        self._target_rows = table(self._targets, lay.TARGET)
+        self._drives = table([drive_row(drive, slots) for drive in here.rig.drives], lay.DRIVE)
+        self._seen_rows = table(self._seen, lay.SEEN)
+        self._of_twin()
+        io = {pdo.cob_id for _, pdo in self._nodes.io.tpdos}
+        self._said_rows = [(cob_id, row) for row, cob_id in enumerate(frames.cob_ids) if cob_id in io]
+        self._whole, self._real = np.array(slots.whole, np.int64), np.array(slots.real, np.float64)
+        self._real = self._real if len(self._real) else np.zeros(1)
+        self._data = np.zeros((len(frames.rows), 8), np.uint8)
+        for row, content in frames.constants.items():
+            self._data[row, : len(content)] = np.frombuffer(content, np.uint8)
+        self._scratch = np.zeros(8, np.uint8)
+        self._single, self._double = self._scratch[:4].view(np.float32), self._scratch.view(np.float64)
+        self._given, self._left = (
+            np.zeros(lay.I_CLOCKS + 2, np.int64),
+            np.zeros(lay.O_SIZE + len(frames.rows), np.int64),
+        )
+        self._feedback = np.zeros(4 * len(self._seen))
+        self._shown = np.zeros(lay.PORT_SIZE * len(self._ports))
+        self._set_points = np.zeros(len(self._targets))
+        self._names = [
+            (at, name, per_unit)
+            for at, (_, name, per_unit) in zip(
+                [at for at, target in enumerate(self._targets) if target[3] < 0], self._nodes.set_points, strict=True
+            )
+        ]
+        self._trace()
+
+    def _trace(self) -> None:
+        """Heads of the trace's lines, and room for its text."""
+        tap, frames = self._tap, self._frames
+        self._lines = tap if isinstance(tap, LineTap) else None
+        heads, self._text = b"", np.zeros(0, np.uint8)
+        if self._lines is not None:
+            for row, cob_id in enumerate(frames.cob_ids):
+                head = self._lines.head(cob_id).encode("ascii", "backslashreplace")
+                self._rows[row]["head"], self._rows[row]["head_end"] = len(heads), len(heads) + len(head)
+                heads += head
+            self._text = np.zeros(len(frames.rows) * lay.LINE + len(heads), np.uint8)
+        self._heads = np.frombuffer(heads or b"\0", np.uint8).copy()
+        self._waiting = ""  # lines of the last cycle: they are handed over with the next one
+        self._waiting_frames = 0
+
+    def _of_twin(self) -> None:
+        """The objects of the twin's devices that its PDOs read and write: they hold their values themselves."""
+        slots, twin = self._slots, self._here.twin.devices
+        known = {id(cell): (cell, slot, is_float) for cell, slot, is_float in slots.cells}
+        read = [known[id(cell)] for device, tpdo, _ in self._answering if device in twin for cell in tpdo.cells]
+        written = [known[id(cell)] for device, rpdo, _ in self._taken if device in twin for cell in rpdo.cells]
+        self._read_real = [(cell, slot) for cell, slot, is_float in read if is_float]
+        self._read_whole = [(cell, slot) for cell, slot, is_float in read if not is_float]
+        self._real_slots = np.array([slot for _, slot in self._read_real], np.intp)
+        self._whole_slots = np.array([slot for _, slot in self._read_whole], np.intp)
+        values = [each for each in written if each[0].on_write is None]  # no controlwords: these stay
+        self._written_real = [(cell, slot) for cell, slot, is_float in values if is_float]
+        self._written_whole = [(cell, slot) for cell, slot, is_float in values if not is_float]
+        of_twin = {id(cell) for cell, _, _ in (*read, *written)}
+        self._hardware_cells = [each for each in slots.cells if id(each[0]) not in of_twin]
+
+    def _deadlines(self) -> None:
+        """Until when, by each host's clock, no device has to notice that a heartbeat stays away."""
+        self._until_ns = []
+        for served in (self._here.hardware, self._here.twin):
+            ends = [device.consumer.quiet_until_ns() for device in served.devices]
+            self._until_ns.append(min((end for end in ends if end is not None), default=1 << 62))
+
+    # -- cycle by cycle --------------------------------------------------------------------------------------
+
+    def cycle(self, outputs: Mapping[str, float]) -> bool:
+        """Run one; False where it is not plain, and nothing was done. Raises as `SyncCycle` and `Nodes.decode`."""
+        here, sync, nodes = self._here, self._sync, self._nodes
+        begun_ns = time.monotonic_ns()
+        if not self._still_plain(begun_ns) or not self._encode(outputs):
+            return False
+        fault, self._fault = self._fault or self._write_waiting(), None
+        here.machine.before_sync(0)
+        self._whole[self._whole_slots] = [cell.value for cell, _ in self._read_whole]
+        said_alive = self._exchange()
+        for clock in (here.hardware.clock, here.twin.clock):
+            clock.tick_at(begun_ns)
+        self._move_hardware()
+        self._move_twin()
+        ended_ns = time.monotonic_ns()
+        left = self._left_now
+        sync.count(left[lay.O_BITS], begun_ns, ended_ns, said_alive=said_alive)
+        self._cycles += 1
+        if fault is not None:
+            raise fault
+        nodes.take_plain(self._feedback.tolist(), self._said(), self._heard() if left[lay.O_TIMED] else ())
+        return True
+
+    def _still_plain(self, now_ns: int) -> bool:
+        here, nodes, sync = self._here, self._nodes, self._sync
+        if self._over or here.bus.waiting or sync.due_always is not self._due or nodes.supervised != self._supervised:
+            return False
+        for drive in nodes.drives:
+            if drive.controlword != _ENABLED or not drive.reached:
+                return False
+        for device in here.twin.devices:
+            if device.outbox:
+                return False
+        for device in here.hardware.devices:
+            if device.outbox:
+                return False
+        for served, until_ns in zip((here.hardware, here.twin), self._until_ns, strict=True):
+            if not served.clock.runs_until(now_ns, until_ns):
+                return False
+        return not sync.is_slow(now_ns * 1e-9)
+
+    def _encode(self, outputs: Mapping[str, float]) -> bool:
+        set_points, real = self._set_points, self._real
+        for at, name, per_unit in self._names:
+            set_points[at] = outputs.get(name, 0.0) * per_unit
+        for slot, name in zip(self._told, self._nodes.boundary_names, strict=True):
+            real[slot] = outputs[name]
+        real[self._real_slots] = [cell.value for cell, _ in self._read_real]
+        return kernel.encode(self._target_rows, self._sent, set_points, self._whole, real, self._single)
+
+    def _exchange(self) -> bool:
+        """The frames of the cycle; whether the bench's heartbeat was among them."""
+        here, given = self._here, self._given
+        given[lay.I_START_NS] = self._sync.next_sync_ns
+        given[lay.I_CLOCKS], given[lay.I_CLOCKS + 1] = here.hardware.clock.next_ns, here.twin.clock.next_ns
+        kernel.exchange(
+            self._rows,
+            self._sent,
+            self._received,
+            self._drives,
+            self._seen_rows,
+            self._whole,
+            self._real,
+            given,
+            self._left,
+            self._data,
+            self._heads,
+            self._text,
+            self._scratch,
+            self._single,
+            self._double,
+            self._feedback,
+            self._nodes.config.bus.bitrate,
+        )
+        self._left_now = left = self._left.tolist()
+        self._bytes = self._data.tobytes()
+        here.bus.account(left[lay.O_FRAMES], left[lay.O_BITS], left[lay.O_DURATION_NS])
+        if self._lines is not None:
+            self._waiting = self._text[: left[lay.O_TEXT]].tobytes().decode("ascii")
+            self._waiting_frames = left[lay.O_FRAMES]
+        elif self._tap is not None:
+            self._tap.write(self._sent_frames())
+            self._tap.end_cycle()
+        if self._own_heartbeat < 0 or not left[lay.O_SIZE + self._own_heartbeat]:
+            return False
+        sender = self._frames.cob_ids[self._own_heartbeat] - HEARTBEAT
+        for served in (here.hardware, here.twin):
+            for device in served.devices:
+                device.consumer.heard(sender)
+        self._deadlines()
+        return True
+
+    def _sent_frames(self) -> list[Frame]:
+        """For a tap that wants frames."""
+        frames, times_ns = self._frames, self._rows["time_ns"].tolist()
+        return [
+            Frame(cob_id, self._content(row), times_ns[row])
+            for row, cob_id in enumerate(frames.cob_ids)
+            if self._left_now[lay.O_SIZE + row]
+        ]
+
+    def _content(self, row: int) -> bytes:
+        return self._bytes[8 * row : 8 * row + self._frames.sizes[row]]
+
+    def _move_hardware(self) -> None:
+        """The drives take their set points, and the rig goes on to the next SYNC."""
+        shown, drives = self._shown, self._drives
+        for port, set_point in zip(self._ports, drives["set_point"].tolist(), strict=True):
+            port.setpoint = set_point
+        self._here.rig.rig.step(self._step_s)
+        values: list[float] = []
+        for port in self._ports:
+            values += (port.position_rad, port.velocity_rad_s, port.torque_Nm, port.reference, port.torque_limited)
+        shown[:] = values
+        if not kernel.publish(drives, shown, self._whole):
+            self._give_hardware()
+            self._over = True
+            for drive in self._here.rig.drives:
+                drive.publish()
+
+    def _move_twin(self) -> None:
+        machine = self._here.machine
+        if self._written_whole:
+            values = self._whole.tolist()
+            for cell, slot in self._written_whole:
+                cell.value = values[slot]
+        if self._written_real:
+            reals = self._real.tolist()
+            for cell, slot in self._written_real:
+                cell.value = reals[slot]
+        machine.after_sync()
+        for cob_id, row in self._listened:
+            machine.on_frame(Frame(cob_id, self._content(row)))
+
+    def _said(self) -> dict[int, bytes]:
+        """The twin's TPDOs of this cycle."""
+        left, of_row = self._left_now, self._said_rows
+        return {cob_id: self._content(row) for cob_id, row in of_row if left[lay.O_SIZE + row]}
+
+    def _heard(self) -> list[int]:
+        return [device.node_id for device, row in self._heartbeats if self._left_now[lay.O_SIZE + row]]
+
+    def _write_waiting(self) -> BenchFaultError | None:
+        """The lines of the last cycle; what the trace has to say against them."""
+        if self._lines is None or not self._waiting:
+            return None
+        try:
+            self._give_lines(self._lines)
+            self._lines.end_cycle()
+        except BenchFaultError as fault:
+            return fault
+        return None
+
+    def _give_lines(self, lines: LineTap) -> None:
+        lines.write_lines(self._waiting, self._waiting_frames)
+        self._waiting = ""
+
+    # -- back to the objects ---------------------------------------------------------------------------------
+
+    def end(self) -> None:
+        """The objects get what the arrays have."""
+        if self._lines is not None and self._waiting:
+            self._give_lines(self._lines)
+        if not self._cycles:
+            return
+        if not self._over:
+            self._give_hardware()
+        self._give_bench()
+        now_s = time.monotonic()
+        for served in (self._here.hardware, self._here.twin):
+            served.host.served_until(now_s)
+
+    def _give_hardware(self) -> None:
+        """Devices get their objects, drives what they remember; the twin's devices what their PDOs remember."""
+        whole, real = self._whole.tolist(), self._real.tolist()
+        for cell, slot, is_float in self._hardware_cells:
+            cell.value = real[slot] if is_float else whole[slot]
+        for drive, row in zip(self._here.rig.drives, self._drives, strict=True):
+            drive.published_until(int(row["count"]), limited=bool(row["limited"]))
+
+    def _give_bench(self) -> None:
+        """What the last PDOs and heartbeats leave behind on both sides."""
+        here, rows, cycles = self._here, self._rows, self._cycles
+        for served in (here.hardware, here.twin):
+            received_ns = served.clock.next_ns - 2 * self._nodes.config.cycle_ns
+            for device, rpdo, _ in self._taken:
+                if device in served.devices:
+                    rpdo.received_until(received_ns)
+        for device, row in self._heartbeats:
+            device.producer.said_until(int(rows[row]["next_ns"]))
+        last: dict[int, tuple[int, bytes | None]] = {}
+        for _, tpdo, row in self._answering:
+            count = int(rows[row]["count"])
+            data = self._data[row].tobytes()[: self._frames.sizes[row]] if count < cycles else None
+            tpdo.sent_until(count, data)
+            last[self._frames.cob_ids[row]] = count, data
+        for cob_id, answer in self._nodes.answers.items():
+            count, data = last[cob_id]
+            answer.answered_until(cycles, data, count)
+        whole = self._whole.tolist()
+        for (drive, raw), seen in zip(self._raw, self._seen_rows, strict=True):
+            drive.counter.counted_until(int(seen["value"]), int(seen["last"]))
+            drive.decoded_until({index: whole[slot] for index, slot in raw.items()})
+        for (drive, _, _), (at, _, _) in zip(self._nodes.set_points, self._names, strict=True):
+            drive.setpoint = float(self._set_points[at])
+        self._nodes.end_plain(cycles)

@@ -1,0 +1,229 @@
+"""Plain cycles (`hilbench.batch`) against the interpreted ones: the same frames, samples, objects and endings, bit by
+bit, whatever comes between."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from operator import attrgetter
+from pathlib import Path
+from typing import Any
+from unittest.mock import patch
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from hilbench.batch.cycles import PlainCycles
+from hilbench.bench.bench import Bench
+from hilbench.bench.lifecycle import in_process
+from hilbench.bench.lifecycle.participants import Participants
+from hilbench.can.frame import Frame
+from hilbench.canopen.host import HostedDevices
+from hilbench.errors import HilbenchError
+from hilbench.results.trace import TraceWriter
+from hilbench.runs.config import load_with_overrides
+from hilbench.topology.sample import CycleSample
+
+CONFIGS = Path(__file__).resolve().parents[2] / "bench_configs"
+#: The time of the first SYNC: traces have the same times.
+EPOCH_NS = 1_700_000_000_123_456_789
+NMT, SDO = 0x000, 0x600
+
+Change = Callable[[Bench], None]
+
+
+@dataclass
+class Left:
+    """What a run left behind."""
+
+    plain: int = 0  #: cycles
+    trace: list[str] = field(default_factory=list)
+    samples: list[bytes] = field(default_factory=list)
+    notices: list[tuple[float, str, str, int]] = field(default_factory=list)
+    objects: list[object] = field(default_factory=list)
+    ending: str = ""
+
+
+class Samples:
+    """Keeps the bits of every sample of a bench."""
+
+    def __init__(self, names: Sequence[str]) -> None:
+        self._row = attrgetter(*names)
+        self.kept: list[bytes] = []
+
+    def sample(self, sample: CycleSample) -> None:
+        self.kept.append(repr(self._row(sample)).encode())
+
+
+def run(folder: Path, loaded: Any, changes: Sequence[tuple[int, Change]], cycles: int, *, compiled: bool) -> Left:
+    """A bench that runs for so many cycles, with what is done in between, by cycle."""
+    left, hosted = Left(), list[HostedDevices]()
+    plain = PlainCycles.cycle
+
+    def counted(self: PlainCycles, outputs: Any) -> bool:
+        done = compiled and plain(self, outputs)
+        left.plain += done
+        return done
+
+    def kept(make: Callable[..., HostedDevices]) -> Callable[..., HostedDevices]:
+        def made(*arguments: Any) -> HostedDevices:
+            hosted.append(make(*arguments))
+            return hosted[-1]
+
+        return made
+
+    samples = Samples([signal.name for signal in loaded.config.signals])
+    trace = folder / f"trace{compiled:d}.log"
+    trace.unlink(missing_ok=True)
+    with (
+        patch.object(PlainCycles, "cycle", counted),
+        patch.object(in_process, "hardware", kept(in_process.hardware)),
+        patch.object(in_process, "twin", kept(in_process.twin)),
+        patch.object(time, "time_ns", lambda: EPOCH_NS),
+        TraceWriter(trace, "can0") as tap,
+    ):
+        bench = Bench(loaded.config, observers=[samples], tap=tap, participants=Participants.IN_PROCESS)
+        try:
+            with bench:
+                for cycle in range(cycles):
+                    for at, change in changes:
+                        if at == cycle:
+                            change(bench)
+                    bench.cycle()
+        except HilbenchError as error:
+            left.ending = f"{type(error).__name__}: {error}"
+    left.samples = samples.kept
+    left.notices = [(each.time_s, each.source, each.text, each.count) for each in bench.notices]
+    left.objects = [
+        (device.node_id, hex(cell.variable.index), cell.variable.subindex, repr(cell.value))
+        for each in hosted
+        for device in each.devices
+        for cell in device._store
+    ]
+    lines = trace.read_text().splitlines()
+    first = next(at for at, line in enumerate(lines) if " 080#" in line)
+    last = max(at for at, line in enumerate(lines) if " 080#" in line)
+    left.trace = lines[first:last]  # before and after SYNC heartbeats go by the wall clock
+    return left
+
+
+def check(folder: Path, loaded: Any, changes: Sequence[tuple[int, Change]], cycles: int = 150, least: int = 60) -> Left:
+    """Both kinds of cycles make the same; `least`: so many of them are plain at least."""
+    one = run(folder, loaded, changes, cycles, compiled=True)
+    other = run(folder, loaded, changes, cycles, compiled=False)
+    assert one.plain >= least
+    assert other.plain == 0
+    assert one.ending == other.ending
+    assert one.samples == other.samples
+    assert one.trace == other.trace
+    assert one.notices == other.notices
+    assert one.objects == other.objects
+    return one
+
+
+# -- what comes between ----------------------------------------------------------------------------------------------
+
+
+def sends(*frames: Frame) -> Change:
+    """Somebody else on the bus sends something; the devices get it with the next SYNC."""
+
+    def change(bench: Bench) -> None:
+        assert bench.exchange is not None
+        link = bench.exchange._sync._link._participants.bus.open_link()  # type: ignore[attr-defined]
+        link.send(frames)
+        link.close()  # one that stays would hear all, and no cycle would be plain
+
+    return change
+
+
+def writes(node_id: int, index: int, value: int, size: int, sub: int = 0) -> Change:
+    head = bytes((0x23 | (4 - size) << 2,)) + index.to_bytes(2, "little") + bytes((sub,))
+    return sends(Frame(SDO + node_id, head + value.to_bytes(4, "little")))
+
+
+def sets(path: str, value: float) -> Change:
+    return lambda bench: bench.set(path, value)
+
+
+def restarts_the_twin(bench: Bench) -> None:
+    bench.restart_twin()
+
+
+def interrupts(bench: Bench) -> None:
+    bench.request_interrupt()
+
+
+LINE = [
+    sets("line_speed_m_s", 0.4),
+    sets("line_speed_m_s", -0.1),
+    sets("tension_control.set_point_N", 90.0),
+    sets("load.web.youngs_modulus_Pa", 10.5e9),
+    sets("hardware.effects.viscous_friction.axis2.viscous_Nm_s_per_rad", 0.01),
+    restarts_the_twin,
+    interrupts,
+    writes(1, 0x2001, 0x7305, 2),  # axis 1 fails
+    writes(18, 0x2001, 0x7305, 2),  # a virtual axis does
+    writes(2, 0x6072, 5, 2),  # hardly any torque
+    writes(2, 0x6080, 1, 4),  # overspeed
+    writes(1, 0x1017, 30, 2),  # heartbeats more often
+    writes(32, 0x1017, 0, 2),  # and none
+    writes(3, 0x60B2, 10, 2),  # torque offset
+    sends(Frame(0x182, bytes(8))),
+    sends(Frame(0x080, b"")),
+    sends(Frame(NMT, bytes((0x80, 1)))),
+    sends(Frame(NMT, bytes((0x82, 17)))),
+    sends(Frame(0x001, b"")),
+    sends(Frame(0x123, b"abc")),
+    sends(Frame(0x67F, bytes((0x40, 0x00, 0x10, 0, 0, 0, 0, 0)))),
+]
+LINE_CHANGES = st.lists(st.tuples(st.integers(5, 140), st.sampled_from(LINE)), max_size=3)
+
+
+@given(
+    changes=LINE_CHANGES,
+    seed=st.integers(0, 99),
+    mirroring=st.sampled_from(["listen", "copy"]),
+    heartbeat_ms=st.sampled_from([0, 37, 100]),
+    virtual_tpdo_every=st.sampled_from([0, 1, 3]),
+)
+@settings(max_examples=12, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_a_line_runs_alike_whatever_comes_between(
+    tmp_path: Path,
+    changes: list[tuple[int, Change]],
+    seed: int,
+    mirroring: str,
+    heartbeat_ms: int,
+    virtual_tpdo_every: int,
+) -> None:
+    settings_ = [
+        f"seed={seed}",
+        f"mirroring={mirroring}",
+        f"master.heartbeat_ms={heartbeat_ms}",
+        f"twin.virtual_tpdo_every={virtual_tpdo_every}",
+    ]
+    loaded = load_with_overrides(CONFIGS / "web_section_step.yaml", changes=settings_)
+    check(tmp_path, loaded, changes, least=0)
+
+
+@pytest.mark.parametrize(
+    ("name", "path"),
+    [
+        ("web_section_step", "line_speed_m_s"),
+        ("line_two_spans", "line_speed_m_s"),
+        ("line_three_spans", "line_speed_m_s"),
+        ("line_with_dancer", "line_speed_m_s"),
+        ("web_section_step_pid", "line_speed_m_s"),
+        ("servo_axis", "speed_rad_s"),
+    ],
+)
+def test_every_kind_of_bench_runs_alike(tmp_path: Path, name: str, path: str) -> None:
+    check(tmp_path, load_with_overrides(CONFIGS / f"{name}.yaml"), [(10, sets(path, 0.05)), (80, sets(path, 0.1))])
+
+
+def test_a_load_motor_that_its_shaft_turns_too_fast_fails_alike(tmp_path: Path) -> None:
+    loaded = load_with_overrides(CONFIGS / "web_section_step.yaml")
+    changes = [(5, writes(3, 0x6080, 100, 4)), (40, sets("line_speed_m_s", 1.0))]  # 6080h: rpm; 1 m/s are 239
+    left = check(tmp_path, loaded, changes, least=40)
+    assert left.ending.startswith("BenchFaultError: load (node 3): is in FAULT")
