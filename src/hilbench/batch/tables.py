@@ -91,8 +91,8 @@ class Frames:
             self.constants[row] = content
         timing = lay.BY_TIME if period_ns else lay.BY_CYCLES
         at_start = wire.header(cob_id, size)
-        span = (first, len(self.sent))
-        self.rows.append((size, part, timing, clock, every, count, period_ns, next_ns, 0, *span, *at_start, 0, 0))
+        sent = (first, len(self.sent))
+        self.rows.append((size, part, timing, clock, every, count, period_ns, next_ns, 0, *sent, *at_start, 0, 0))
         self.cob_ids.append(cob_id)
         self.sizes.append(size)
         return row

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import cumulative_trapezoid
 
-from hilbench.diagnosis import machines, torque_checks
+from hilbench.diagnosis import machines
+from hilbench.diagnosis import web_torque_checks as torque_checks
 from hilbench.diagnosis.noise import floor
 from hilbench.diagnosis.repairs import Repair, mended
 from hilbench.diagnosis.web_tensions import tension_channels

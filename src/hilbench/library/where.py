@@ -37,7 +37,7 @@ _ORDERS: Final[dict[type[ast.cmpop], Callable[[Any, Any], bool]]] = {
     ast.In: lambda item, among: item in among,
     ast.NotIn: lambda item, among: item not in among,
 }
-_EXPECTED: Final = "expected a condition such as E_time_to_1pct_s > 0.2 and bench == 'web_section_step'"
+_EXPECTED: Final = "expected a condition such as E_time_to_1pct_s > 0.2 and bench == 'servo_axis'"
 
 
 @dataclass(frozen=True)
