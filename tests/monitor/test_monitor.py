@@ -141,6 +141,24 @@ PRESSED = [
 ]
 
 
+def test_who_stops_the_machine_is_shown_that_it_is_stopped(bench: BenchConfig, patient: None) -> None:
+    bus = MemoryBus()
+    ours, theirs = bus.open_link(), bus.open_link()
+    dashboard = dashboard_of(bench, bus, ours)
+
+    async def stop() -> str:
+        async with dashboard.run_test(size=(110, 36)) as pilot:
+            theirs.send(cycles(bench, 20, 80.0))
+            await pilot.press("e", "y")
+            while not theirs.receive(0.0):
+                await pilot.pause(0.05)
+            theirs.send([Frame(0x000, b"\x80\x00")])  # and then the bench lets its nodes go
+            await pilot.pause(0.5)
+            return str(dashboard.query_one("#condition", Static).render())
+
+    assert asyncio.run(asyncio.wait_for(stop(), 30.0)).startswith("E-STOP")
+
+
 def test_only_a_confirmed_key_sends(bench: BenchConfig) -> None:
     bus = MemoryBus()
     ours, theirs = bus.open_link(), bus.open_link()

@@ -20,7 +20,7 @@ from textual.screen import ModalScreen
 from textual.widgets import DataTable, Footer, Input, Log, Sparkline, Static
 
 from hilbench.can.link import Link
-from hilbench.canopen.emergency_stop import send_emergency_stop
+from hilbench.canopen.emergency_stop import EMERGENCY_STOP, send_emergency_stop
 from hilbench.errors import BusError
 from hilbench.monitor.changes import ChangeRequests
 from hilbench.monitor.condition import Condition
@@ -241,6 +241,7 @@ class Dashboard(App[None]):
         if yes:
             try:
                 send_emergency_stop(self._link)
+                self._picture.take(EMERGENCY_STOP)  # a link does not hear what it sends
                 self._say("emergency stop sent")
             except BusError as error:
                 self._say(f"EMERGENCY STOP NOT SENT: {error}")

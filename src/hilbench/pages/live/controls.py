@@ -11,7 +11,6 @@ from typing import Annotated, Any, Final, Literal
 from pydantic import Field, FiniteFloat, StringConstraints, TypeAdapter, ValidationError
 
 from hilbench.block import Strict
-from hilbench.canopen.emergency_stop import send_emergency_stop
 from hilbench.errors import HilbenchError
 from hilbench.monitor.changes import ChangeRequests
 from hilbench.pages.live.listener import Listener
@@ -138,7 +137,7 @@ class Controls:
 
     def _stop(self, viewer: Viewer, name: str) -> tuple[str, bool]:
         try:
-            self._listener.send_over(send_emergency_stop)
+            self._listener.stop_everything()
         except HilbenchError as error:
             return f"EMERGENCY STOP NOT SENT: {error}", False
         self._listener.note(viewer.named(name), "emergency stop")

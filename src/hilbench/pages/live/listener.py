@@ -16,6 +16,7 @@ from typing import Any, Final
 from hilbench.bench.reports.change import Change
 from hilbench.can.frame import Frame
 from hilbench.can.link import Link
+from hilbench.canopen.emergency_stop import EMERGENCY_STOP, send_emergency_stop
 from hilbench.canopen.identifiers import SYNC
 from hilbench.errors import BusError, HilbenchError
 from hilbench.monitor.condition import Condition
@@ -169,12 +170,14 @@ class Listener:
                 return
         append_to_journal(folder.journal, Change(cycle, "asked", text, value, who=who))  # and is read there
 
-    def send_over(self, send: Callable[[Link], None]) -> None:
-        """Let something be sent on the link that listens. Raises BusError where there is none."""
+    def stop_everything(self) -> None:
+        """Send the emergency stop on the link that listens. Raises BusError where it can't be sent."""
         link = self._link
         if link is None:
             raise BusError(self._bus_problem or "the bus is not joined")
-        send(link)
+        send_emergency_stop(link)
+        with self.lock:
+            self._picture.take(EMERGENCY_STOP)  # a link does not hear what it sends
 
     def recent_frames(self) -> list[Frame]:
         """Those of the last cycles."""
