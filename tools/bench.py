@@ -16,12 +16,13 @@ from dataclasses import asdict
 from pathlib import Path
 
 import docs_page
-from performance import cyclic_path, model_kernel, real_time, recordings, running
+from performance import cyclic_path, model_kernel, real_time, recordings, running, streams
 from performance.table import Section, machine, markdown
 
 from hilbench.runs.config import load_with_overrides
 
 CONFIG = Path(__file__).parents[1] / "bench_configs" / "web_section_step.yaml"
+PARTS = "kernel, pdo, streams, lockstep, jitter, sync, diagnose, start"
 LENGTHS_S = [12.0, 24.0, 48.0]
 
 
@@ -31,6 +32,7 @@ def parts(config_path: Path, seconds: float) -> dict[str, Callable[[], list[Sect
     return {
         "kernel": lambda: model_kernel.measure(config.web_line),
         "pdo": lambda: [cyclic_path.measure(config)],
+        "streams": lambda: [streams.measure(config)],
         "lockstep": lambda: [running.lockstep(config_path, seconds)],
         "jitter": lambda: real_time.measure(config_path, seconds),
         "sync": lambda: [recordings.synchronizers(config.web_line, LENGTHS_S)],
@@ -43,7 +45,7 @@ def main() -> None:
     """Measure, print, write."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("config", nargs="?", type=Path, default=CONFIG)
-    parser.add_argument("--only", help="parts, by commas: kernel, pdo, lockstep, jitter, sync, diagnose, start")
+    parser.add_argument("--only", help=f"parts, by commas: {PARTS}")
     parser.add_argument("--seconds", type=float, default=60.0, help="of lockstep and of jitter")
     parser.add_argument("--json", type=Path, default=Path("performance.json"), help="where the figures go")
     parser.add_argument("--page", type=Path, help="page whose tables are written anew")

@@ -60,6 +60,7 @@ NOT_RUN = {
     r"hilbench run bench_configs/live_\w+.yaml": "takes minutes: tests/live/test_live_runs.py runs it",
     r"hilbench sweep .*--cluster ": "needs a cluster; tests/scripts/test_sweep.py has one of its own",
     r"hilbench sync bench_configs/synchronizers.yaml": "runs the bench once with each method, which takes minutes",
+    r"hilbench run .*--stream": "writes a file, or wants a viewer: tests/streams/test_streams.py has both",
     r"hilbench runs (delete|gc --max)": "deletes runs: tests/library/test_runs_command.py has some to delete",
     r"hilbench runs matrix --reqif": "needs a specification: tests/library/test_requirements.py has one",
     r"hilbench runs trend .*--over ": "needs runs that differ: tests/library/test_runs_command.py has them",

@@ -14,7 +14,9 @@ from hilbench.files import writing
 
 def convert(
     source: Annotated[Path, typer.Argument(metavar="FROM", help="recording (.mf4, .csv, .parquet) or trace (.log, …)")],
-    target: Annotated[Path, typer.Argument(metavar="TO", help="recording, or trace (.log, .asc, .blf, .trc)")],
+    target: Annotated[
+        Path, typer.Argument(metavar="TO", help="recording (or .mcap), or trace (.log, .asc, .blf, .trc)")
+    ],
     columns: Annotated[
         Path | None,
         typer.Option("--columns", metavar="FILE", help="mapping file (YAML): which column of another machine is what"),
@@ -27,6 +29,8 @@ def convert(
     Example: hilbench convert runs/web_section_step-20260101-120000/recording.mf4 run.parquet
 
     Example: hilbench convert runs/web_section_step-20260101-120000/trace.log trace.asc
+
+    Example: hilbench convert runs/web_section_step-20260101-120000/recording.mf4 run.mcap
 
     Example: hilbench convert machine.csv recording.mf4 --columns columns.yaml
     """
@@ -46,7 +50,12 @@ def convert(
         report_unknown(recording, source)
     else:
         recording = read_foreign(source, columns, lambda text: report(source, text))
-    write_recording(recording, target)
+    if target.suffix.lower() == ".mcap":
+        from hilbench.streams.mcap_file import write_mcap
+
+        write_mcap(recording, target)
+    else:
+        write_recording(recording, target)
     print(f"{target}: {len(recording)} samples of {len(recording.channels)} channels")
 
 

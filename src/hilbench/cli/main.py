@@ -106,6 +106,14 @@ def run(
     force: Annotated[
         bool, typer.Option("--force", help="run although another master is heard on the bus (not beside one of ours)")
     ] = False,
+    stream: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--stream",
+            metavar="TARGET",
+            help="samples as they come: FILE.mcap, foxglove, plotjuggler or mqtt (:HOST:PORT); repeatable",
+        ),
+    ] = None,
 ) -> None:
     """Run a bench and its experiment; leaves a run folder with recording, trace, result and report.
 
@@ -116,6 +124,8 @@ def run(
     Example: hilbench run bench_configs/web_section_step.yaml --set load.web.youngs_modulus_Pa=9e9
 
     Example: hilbench run bench_configs/web_section_step.yaml --in-process --no-report
+
+    Example: hilbench run bench_configs/web_section_step.yaml --stream run.mcap --stream plotjuggler
     """
     from hilbench.bench.lifecycle.participants import Participants
     from hilbench.cli.run import run_command
@@ -124,7 +134,9 @@ def run(
     if in_process and not start:
         raise typer.BadParameter("--in-process and --no-start exclude each other")
     participants = Participants.IN_PROCESS if in_process else Participants.STARTED if start else Participants.PRESENT
-    code = run_command(loaded, out, participants=participants, with_report=report, as_json=json, force=force)
+    code = run_command(
+        loaded, out, participants=participants, with_report=report, as_json=json, force=force, stream=stream or ()
+    )
     raise typer.Exit(code)
 
 

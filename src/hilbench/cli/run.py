@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 from rich.console import Console
@@ -17,7 +19,7 @@ from hilbench.cli.shown.machine import Shown
 from hilbench.errors import UnusableInputError
 from hilbench.history.entries import remember
 from hilbench.results.result import Result, StepRecord, Timing
-from hilbench.results.run import RunOutcome, run_experiment
+from hilbench.results.run import RunOutcome, Streamed, run_experiment
 from hilbench.runs.config import LoadedConfig
 from hilbench.runs.machines.web_line import shape_of_figures
 from hilbench.runs.metrics import kind_of_figures
@@ -38,10 +40,46 @@ def run_command(
     with_report: bool,
     as_json: bool,
     force: bool = False,
+    stream: Sequence[str] = (),
 ) -> int:
-    """Run the experiment, show it, and return the exit code."""
+    """Run the experiment, show it, and return the exit code; `stream`: where its samples go while it runs."""
+    with _streams(stream, loaded.config) as streams:
+        return _run(
+            loaded,
+            out,
+            participants=participants,
+            with_report=with_report,
+            as_json=as_json,
+            force=force,
+            streams=streams,
+        )
+
+
+@contextmanager
+def _streams(targets: Sequence[str], config: BenchConfig) -> Iterator[Sequence[Streamed]]:
+    """None without a target: most runs need not load what streams do."""
+    if not targets:
+        yield []
+        return
+    from hilbench.streams.stream import streams_to
+    from hilbench.streams.target import parse_target
+
+    with streams_to([parse_target(each) for each in targets], config) as streams:
+        yield streams
+
+
+def _run(
+    loaded: LoadedConfig,
+    out: Path,
+    *,
+    participants: Participants,
+    with_report: bool,
+    as_json: bool,
+    force: bool,
+    streams: Sequence[Streamed],
+) -> int:
     if as_json:
-        outcome = run_experiment(loaded, out, participants=participants, force=force)
+        outcome = run_experiment(loaded, out, streams=streams, participants=participants, force=force)
         if outcome.recorded and with_report:
             _write_report(outcome)
         _remember(outcome)
@@ -51,7 +89,13 @@ def run_command(
     console.print(f"[bold]{loaded.config.name}[/bold]  {loaded.config.bus.address}, {loaded.config.pace}")
     with Progress(console, loaded.config) as progress:
         outcome = run_experiment(
-            loaded, out, observers=[progress], participants=participants, announce=progress.announce, force=force
+            loaded,
+            out,
+            observers=[progress],
+            streams=streams,
+            participants=participants,
+            announce=progress.announce,
+            force=force,
         )
         if outcome.recorded and with_report:
             progress.announce("write report")
@@ -157,6 +201,8 @@ def show_outcome(console: Console, outcome: RunOutcome) -> None:
         console.print(f"[yellow]warning[/yellow] {warning}", soft_wrap=True)
     for fault in result.faults:
         console.print(f"[red]fault[/red] {fault.source}: {fault.text}", soft_wrap=True)
+    for stream in result.streams or []:
+        console.print(f"stream to {stream.to}: {stream.samples - stream.dropped} samples", soft_wrap=True, markup=False)
     verdict = "[green]passed[/green]" if result.passed else "[red]not passed[/red]"
     folder = outcome.folder
     left = f"report: {folder.report}" if folder.report.exists() else f"result: {folder.result}"

@@ -166,6 +166,9 @@ def _largest_first(value: object) -> tuple[int, float, str]:
 def _print_table(found: Sequence[RunEntry], metrics: Sequence[str]) -> None:
     from hilbench.library.query import values_of
 
+    if not found:
+        typer.echo("no run is like that", err=True)
+        return
     settings = any(run.settings for run in found)
     headings = ["run", "began", "result", "criteria", "duration", *metrics, "tags", *(["set"] if settings else [])]
     rows = []

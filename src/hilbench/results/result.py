@@ -379,6 +379,20 @@ class FoundRecord(Strict):
         )
 
 
+class StreamRecord(Strict):
+    """A stream of the run's samples: to what, how many, and how many of them were dropped."""
+
+    to: str
+    samples: Count
+    dropped: Count
+
+    def warnings(self) -> list[str]:
+        """What is to be said of it."""
+        share = 100.0 * self.dropped / max(self.samples, 1)
+        lost = f"stream to {self.to}: {self.dropped} of {self.samples} samples were dropped ({share:.1f} %)"
+        return [lost] if self.dropped else []
+
+
 class GapHistory(Strict):
     """Size of the gap between a measured signal and what models say of it, without what is noise (None: at rest).
 
@@ -440,6 +454,7 @@ class Result(_WithOptions, JsonFile):
     predicted: list[PredictedLimit] | None = None
     found: list[FoundRecord] | None = None
     gap_history: GapHistory | None = None
+    streams: list[StreamRecord] | None = None
 
     @classmethod
     def of(
@@ -456,6 +471,7 @@ class Result(_WithOptions, JsonFile):
         found: Sequence[FoundRecord] | None = None,
         gap_history: GapHistory | None = None,
         began: datetime | None = None,
+        streams: Sequence[StreamRecord] = (),
     ) -> Self:
         """A result whose `passed` follows from its criteria and faults."""
         passed = all(criterion.passed for criterion in criteria) and not faults
@@ -475,8 +491,10 @@ class Result(_WithOptions, JsonFile):
             predicted=None if predicted is None else [PredictedLimit.of(made) for made in predicted[:MOST_EVENTS]],
             found=None if found is None else list(found),
             gap_history=gap_history,
+            streams=list(streams) or None,
         )
 
     def all_warnings(self) -> list[str]:
         """One line for each: losses of frames, then what the bench noted, in the order of time."""
-        return [*self.timing.warnings(), *(warning.line() for warning in self.warnings or [])]
+        lost = [line for stream in self.streams or [] for line in stream.warnings()]
+        return [*self.timing.warnings(), *lost, *(warning.line() for warning in self.warnings or [])]

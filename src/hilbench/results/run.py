@@ -12,7 +12,7 @@ from datetime import UTC, datetime
 from operator import attrgetter
 from pathlib import Path
 from types import FrameType
-from typing import Any, Literal
+from typing import Any, Literal, Protocol
 
 import numpy as np
 
@@ -38,7 +38,18 @@ from hilbench.results.journal import JournalWriter
 from hilbench.results.junit import write_junit
 from hilbench.results.provenance import Provenance
 from hilbench.results.recording import LEAST_SAMPLES, Recording, RecordingBuilder, write_recording
-from hilbench.results.result import Environment, Fault, FoundRecord, GapHistory, Late, Result, Timing, Warned, jitter
+from hilbench.results.result import (
+    Environment,
+    Fault,
+    FoundRecord,
+    GapHistory,
+    Late,
+    Result,
+    StreamRecord,
+    Timing,
+    Warned,
+    jitter,
+)
 from hilbench.results.run_folder import RunFolder
 from hilbench.results.trace import TraceWriter
 from hilbench.runs import config as config_files
@@ -94,6 +105,13 @@ class RunOutcome:
         return self.folder.recording.exists()
 
 
+class Streamed(CycleObserver, Protocol):
+    """An observer that hands the samples on, and says how many."""
+
+    def record(self) -> StreamRecord:
+        """Until now."""
+
+
 class Recorder:
     """Cycle observer that keeps every sample, of a bench with these signals, in memory."""
 
@@ -116,6 +134,7 @@ def run_experiment(
     out: Path,
     *,
     observers: Sequence[CycleObserver] = (),
+    streams: Sequence[Streamed] = (),
     participants: Participants = Participants.STARTED,
     announce: Callable[[str], None] = lambda text: None,
     force: bool = False,
@@ -137,7 +156,7 @@ def run_experiment(
         record = RunRecord(loaded, out, participants, announce=announce)
         bench = Bench(
             config,
-            observers=[record.recorder, *observers],
+            observers=[record.recorder, *observers, *streams],
             tap=record.trace,
             work_folder=record.folder.path,
             participants=participants,
@@ -152,7 +171,7 @@ def run_experiment(
             for number, step in enumerate(config.steps):
                 bench.foresee(foresight.plan(number, bench.time_s))
                 step.run(bench, record.verdicts)
-    return record.finish(bench, config.criteria)
+    return record.finish(bench, config.criteria, streams)
 
 
 class RunRecord:
@@ -192,7 +211,7 @@ class RunRecord:
         self.journal.write(change)
         self._happened.add(change)
 
-    def finish(self, bench: Bench, criteria: Sequence[Criterion]) -> RunOutcome:
+    def finish(self, bench: Bench, criteria: Sequence[Criterion], streams: Sequence[Streamed] = ()) -> RunOutcome:
         """Write recording and result of a bench that has been left. Raises BenchFaultError when it can't be done."""
         config, folder, ending = self.config, self.folder, self.ending
         ending.faults += [Fault(time_s=None, source="safe state", text=text) for text in bench.safe_state_problems]
@@ -232,6 +251,7 @@ class RunRecord:
             found,
             history,
             began=self._started,
+            streams=[stream.record() for stream in streams],
         )
         try:
             result.write(folder.result)
