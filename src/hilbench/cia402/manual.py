@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from math import isnan
 from typing import Final
 
 from hilbench.canopen.master import Master
@@ -14,6 +15,7 @@ from hilbench.cia402.configuration import CONSUMER_HEARTBEAT
 from hilbench.cia402.objects import OperationMode
 from hilbench.cia402.state_machine import (
     CONTROLWORD_FAULT_RESET,
+    POWERED,
     STATUS_INTERNAL_LIMIT,
     STATUS_REMOTE,
     STATUS_TARGET_REACHED,
@@ -36,6 +38,12 @@ _FLAGS: Final = {
     STATUS_TARGET_REACHED: "target reached",
     STATUS_INTERNAL_LIMIT: "internal limit active",
 }
+_ACTUAL: Final = (objects.POSITION_ACTUAL_VALUE, objects.VELOCITY_ACTUAL_VALUE, objects.TORQUE_ACTUAL_VALUE)
+#: Targets that are 0 before a mode begins to act.
+_RESTING_TARGETS: Final = {
+    OperationMode.PROFILE_VELOCITY: objects.TARGET_VELOCITY,
+    OperationMode.TORQUE: objects.TARGET_TORQUE,
+}
 _STOPPED_RAD_S: Final = 0.05
 _ABORT_BY_QUICK_STOP: Final = 3
 
@@ -52,43 +60,85 @@ class DriveStatus:
     position_rad: float | None
     velocity_rad_s: float | None
     torque_Nm: float | None
+    #: The same as the drive says it: 6064h, 606Ch, 6077h.
+    position_units: int | None
+    velocity_units: int | None
+    torque_units: int | None
 
 
 class ManualDrive:
     """A drive on the bus, by its node id; raises BenchFaultError when it does not answer or hangs in a state.
 
-    `units` are needed for motion and for values in SI only.
+    `units` are needed for motion and for values in SI only; `alive` is called while it waits (a heartbeat, say).
     """
 
-    def __init__(self, master: Master, node_id: int, name: str, units: DriveUnits | None, time_out_s: float) -> None:
+    def __init__(
+        self,
+        master: Master,
+        node_id: int,
+        name: str,
+        units: DriveUnits | None,
+        time_out_s: float,
+        alive: Callable[[], None] = lambda: None,
+    ) -> None:
         self._master = master
         self._node_id = node_id
-        self._name = name
+        #: For messages.
+        self.name = f"{name} (node {node_id})"
         self._units = units
         self._time_out_s = time_out_s
+        self.alive = alive
 
     def status(self) -> DriveStatus:
         """Read it."""
         statusword = self._statusword()
         state, units = decode_statusword(statusword), self._units
+        position, velocity, torque = (self._read(index) for index in _ACTUAL)
         return DriveStatus(
             statusword,
             state.label if state is not None else "unknown",
             [text for bit, text in _FLAGS.items() if statusword & bit],
             self._read(objects.MODES_OF_OPERATION_DISPLAY),
             self._read(objects.ERROR_CODE),
-            _scaled(self._read(objects.POSITION_ACTUAL_VALUE), units.position_rad if units else None),
-            _scaled(self._read(objects.VELOCITY_ACTUAL_VALUE), units.velocity_rad_s if units else None),
-            _scaled(self._read(objects.TORQUE_ACTUAL_VALUE), units.torque_Nm if units else None),
+            _scaled(position, units.position_rad if units else None),
+            _scaled(velocity, units.velocity_rad_s if units else None),
+            _scaled(torque, units.torque_Nm if units else None),
+            *(position, velocity, torque),
         )
 
-    def enable(self) -> None:
-        """To OPERATION ENABLED in profile velocity mode, at velocity 0. A fault is not reset on the way."""
+    def has(self, index: int, sub: int = 0) -> bool:
+        """Whether its EDS file has an object."""
+        return self._master.has(self._node_id, index, sub)
+
+    def read(self, index: int, sub: int = 0) -> int:
+        """A whole number that the drive has."""
+        return int(self._master.sdo_read(self._node_id, index, sub))
+
+    def write(self, index: int, value: int, sub: int = 0) -> None:
+        """Write one."""
+        self._master.sdo_write(self._node_id, index, value, sub)
+
+    def enable(self, mode: OperationMode = OperationMode.PROFILE_VELOCITY) -> None:
+        """To OPERATION ENABLED in a profile mode, where it stands still. A fault is not reset on the way."""
         if self._state() is State.FAULT:
             raise self._fault("is in FAULT, expected a drive without one: reset it first")
-        self._master.sdo_write(self._node_id, objects.TARGET_VELOCITY, 0)
-        self._master.sdo_write(self._node_id, objects.MODES_OF_OPERATION, int(OperationMode.PROFILE_VELOCITY))
+        if mode in _RESTING_TARGETS:
+            self.write(_RESTING_TARGETS[mode], 0)
+        elif mode is OperationMode.PROFILE_POSITION:
+            self.write(objects.TARGET_POSITION, self.read(objects.POSITION_ACTUAL_VALUE))
+        self.write(objects.MODES_OF_OPERATION, int(mode))
         self._go(controlword_towards_enabled, State.OPERATION_ENABLED)
+
+    def quick_stop(self) -> None:
+        """Bring it to rest as 605Ah and 6085h say, whatever it does; then it is without power (unless in FAULT)."""
+        if self._state() in POWERED:
+            self.write(objects.CONTROLWORD, Command.QUICK_STOP.value)
+            deadline_s = time.monotonic() + self._time_out_s
+            while self._state() in POWERED and time.monotonic() < deadline_s:
+                if self._statusword() & STATUS_TARGET_REACHED and self._state() is State.QUICK_STOP_ACTIVE:
+                    break
+                self._pause()
+        self.write(objects.CONTROLWORD, Command.DISABLE_VOLTAGE.value)
 
     def disable(self) -> None:
         """To SWITCH ON DISABLED, with the drive's ramp (605Ch). A drive in FAULT stays there, without power."""
@@ -121,7 +171,7 @@ class ManualDrive:
             for (index, sub), value in before.items():
                 self._master.sdo_write(self._node_id, index, value, sub)
 
-    def move(self, velocity_rad_s: float) -> None:
+    def turn(self, velocity_rad_s: float) -> None:
         """Ramp to a velocity of the motor (6083h, 6084h). Raises BenchFaultError when its units are not known."""
         if self._units is None:
             raise self._fault("does not tell its velocity unit (60A9h), expected it: give units in --config")
@@ -133,10 +183,10 @@ class ManualDrive:
 
     def stop(self) -> None:
         """Velocity 0, and wait until it stands still or the time is out."""
-        self.move(0.0)
+        self.turn(0.0)
         deadline_s = time.monotonic() + self._time_out_s
         while abs(self.status().velocity_rad_s or 0.0) > _STOPPED_RAD_S and time.monotonic() < deadline_s:
-            time.sleep(_STEP_S)
+            self._pause()
 
     def _go(self, controlword: Callable[[State], int], goal: State) -> None:
         deadline_s = time.monotonic() + self._time_out_s
@@ -144,7 +194,11 @@ class ManualDrive:
             if time.monotonic() > deadline_s:
                 raise self._fault(f"hung in {state.label} for {self._time_out_s:g} s, wanted {goal.label}")
             self._master.sdo_write(self._node_id, objects.CONTROLWORD, controlword(state))
-            time.sleep(_STEP_S)
+            self._pause()
+
+    def _pause(self) -> None:
+        self.alive()
+        time.sleep(_STEP_S)
 
     def _statusword(self) -> int:
         return int(self._master.sdo_read(self._node_id, objects.STATUSWORD))
@@ -160,11 +214,11 @@ class ManualDrive:
         return int(self._master.sdo_read(self._node_id, index)) if self._master.has(self._node_id, index) else None
 
     def _fault(self, problem: str) -> BenchFaultError:
-        return BenchFaultError(f"{self._name} (node {self._node_id}): {problem}")
+        return BenchFaultError(f"{self.name}: {problem}")
 
 
 def _scaled(value: int | None, factor: float | None) -> float | None:
-    return None if value is None or factor is None else value * factor
+    return None if value is None or factor is None or isnan(factor) else value * factor
 
 
 @dataclass

@@ -1,12 +1,15 @@
-"""`hilbench drive NODE enable|disable|jog|reset|status`: one drive by hand."""
+"""`hilbench drive NODE enable|disable|move|home|jog|velocity|torque|reset|status`: one drive by hand."""
 
 from __future__ import annotations
 
+import re
 import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from enum import StrEnum
+from math import inf, nan, pi
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -17,12 +20,19 @@ from hilbench.cli.options import BusOption, ConfigOption, EdsOption, ForceOption
 from hilbench.errors import UnusableInputError
 
 if TYPE_CHECKING:
+    from canopen import ObjectDictionary
+    from hilbench.canopen.master import Master
     from hilbench.cia402.manual import DriveStatus, ManualDrive
+    from hilbench.cia402.set_up import Limits, SetUpDrive
+    from hilbench.cia402.units import DriveUnits
+    from hilbench.runs.config import ExperimentConfig
 
 _HEARTBEAT_S = 0.1
 _HEARTBEAT_TIME_OUT_MS = 500
 _STEP_S = 0.02
 _FORWARD, _BACKWARD, _QUIT = "f", "b", ("q", "\x1b", "\x03", "")
+_QUANTITY = re.compile(r"^\s*([-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?)\s*(\D*?)\s*$")
+_TURN_RAD = 2.0 * pi
 
 
 class Action(StrEnum):
@@ -30,56 +40,129 @@ class Action(StrEnum):
 
     ENABLE = "enable"
     DISABLE = "disable"
+    MOVE = "move"
+    HOME = "home"
     JOG = "jog"
+    VELOCITY = "velocity"
+    TORQUE = "torque"
     RESET = "reset"
     STATUS = "status"
 
 
+#: In N·m, rad and rad/s, motor side; "units" are the drive's own.
+_UNITS = {
+    Action.MOVE: {"rad": 1.0, "deg": pi / 180.0, "°": pi / 180.0, "turns": _TURN_RAD, "turn": _TURN_RAD},
+    Action.VELOCITY: {"rad/s": 1.0, "rpm": _TURN_RAD / 60.0},
+    Action.TORQUE: {"N·m": 1.0, "Nm": 1.0},
+}
+_EXAMPLES = {Action.MOVE: "1.5 turns", Action.VELOCITY: "10 rad/s", Action.TORQUE: "0.2 N·m"}
+
+
 def drive(
     node: NodeArgument,
-    action: Annotated[Action, typer.Argument(metavar="ACTION", help="enable, disable, jog, reset or status")],
+    action: Annotated[Action, typer.Argument(metavar="ACTION", help=", ".join(Action))],
+    value: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="[VALUE]",
+            help="move: rad, deg, turns; velocity: rad/s, rpm; torque: N·m; all: units (the drive's); home: its method",
+        ),
+    ] = None,
     config: ConfigOption = None,
     bus: BusOption = None,
     eds: EdsOption = Path("eds"),
-    speed: Annotated[float, typer.Option("--speed", metavar="RAD/S", min=0.0, help="jog: velocity of the motor")] = 5.0,
+    speed: Annotated[
+        float,
+        typer.Option("--speed", metavar="RAD/S", min=0.0, help="jog, move: velocity of the motor; torque: its limit"),
+    ] = 5.0,
+    relative: Annotated[bool, typer.Option("--relative", help="move: from where it is")] = False,
+    duration: Annotated[
+        float | None,
+        typer.Option("--for", metavar="S", min=0.0, help="velocity, torque: so long", show_default="until Ctrl-C"),
+    ] = None,
     timeout: Annotated[float, typer.Option("--timeout", metavar="S", min=0.1, help="longest way to a state")] = 5.0,
     force: ForceOption = False,
     json: JsonOption = False,
 ) -> None:
-    """Enable, disable, reset or jog one drive by SDO (profile velocity mode), or show its decoded status.
+    """Set up one drive by SDO: move, home, jog, hold a velocity or torque, enable, disable, reset, or show its status.
 
-    enable leaves the drive at velocity 0 with its power stage on when the command has ended; disable takes it away.
+    move, home, jog, velocity and torque take a profile mode of the drive, stay within its limits (607Dh, 607Fh, 6080h,
+    6072h) and those of the config, and leave it without power. Ctrl-C, or an end by any signal, is a quick stop; the
+    drive watches this program's heartbeat (1016h) and stops without it. enable leaves it at velocity 0 with its power
+    stage on. status says which of these it can't do, and which object is missing for it.
 
     jog: hold f (forward) or b (backward): the key is the dead-man switch, let go and the drive stops; any other key
-    stops it too, q ends. The drive watches this program's heartbeat (1016h) and stops without it. Nothing but status
-    is done while another master is at work on the bus.
+    stops it too, q ends. Nothing but status is done while another master is at work on the bus.
 
     Example: hilbench drive 1 status --bus socketcan:can0
 
+    Example: hilbench drive 1 move "90 deg" --relative --speed 3 --bus socketcan:can0
+
+    Example: hilbench drive 1 home 35 --bus socketcan:can0
+
+    Example: hilbench drive axis1 velocity "60 rpm" --for 0.5 --config bench_configs/web_section_step.yaml
+
     Example: hilbench drive axis1 jog --speed 10 --config bench_configs/web_section_step.yaml
+
+    A negative value follows "--": hilbench drive 1 move --relative -- "-1 turn"
     """
-    with _drive(node, config, bus, eds, timeout, action, force=force) as (manual, heartbeat):
+    if value is not None and action not in (*_UNITS, Action.HOME):
+        raise UnusableInputError("VALUE", f"'{value}' with {action}, expected none")
+    with _drive(node, config, bus, eds, timeout, action, force=force) as by_hand:
+        manual = by_hand.drive
         if action is Action.ENABLE:
             manual.enable()
         elif action is Action.DISABLE:
             manual.disable()
         elif action is Action.RESET:
             manual.reset()
-        elif action is Action.JOG:
-            _jog(manual, heartbeat, speed)
-        _print(manual.status(), as_json=json)
+        elif action is not Action.STATUS:
+            _set_in_motion(by_hand, _Wanted(action, value, speed, relative, duration))
+        _print(by_hand, as_json=json)
+
+
+@dataclass(frozen=True)
+class _Wanted:
+    """A motion as it was asked for."""
+
+    action: Action
+    value: str | None
+    speed_rad_s: float
+    relative: bool
+    duration_s: float | None
+
+    def quantity(self, own_unit: float) -> float:
+        """VALUE in SI; `own_unit`: what one unit of the drive is. Raises UnusableInputError."""
+        known = {**_UNITS[self.action], "units": own_unit}
+        match = _QUANTITY.match(self.value or "")
+        if match is None or match[2] not in known:
+            found = "missing" if self.value is None else f"'{self.value}'"
+            raise UnusableInputError(
+                "VALUE", f'{found}, expected a number with {", ".join(known)}, e.g. "{_EXAMPLES[self.action]}"'
+            )
+        return float(match[1]) * known[match[2]]
+
+    @property
+    def method(self) -> int | None:
+        """VALUE as a homing method. Raises UnusableInputError."""
+        if self.value is None:
+            return None
+        try:
+            return int(self.value, 0)
+        except ValueError:
+            raise UnusableInputError("VALUE", f"'{self.value}', expected a homing method (6098h), e.g. 35") from None
 
 
 @contextmanager
 def _drive(
     node: str, config: Path | None, bus: str | None, eds: Path, time_out_s: float, action: Action, *, force: bool
-) -> Iterator[tuple[ManualDrive, Callable[[], None]]]:
-    from contextlib import ExitStack, suppress
+) -> Iterator[SetUpDrive]:
+    from contextlib import ExitStack
 
     from hilbench.can.frame import Frame
     from hilbench.can.open import open_link
-    from hilbench.cia402.configuration import read_units
     from hilbench.cia402.manual import ManualDrive
+    from hilbench.cia402.set_up import SetUpDrive
     from hilbench.cli.attach import MASTER_ID, config_and_bus, known_to_master, node_on_bus, only_master
 
     bench, address = config_and_bus(config, bus)
@@ -93,41 +176,115 @@ def _drive(
         link.set_filters([(NMT, COB_ID)])  # nothing is received here: NMT commands are for the devices
         master = known_to_master(address, node_id, od, name)
         resources.callback(master.close)
-        units = None
-        with suppress(UnusableInputError):  # state and statusword are there without units
-            units = read_units(master, node_id, od, {} if bench is None else bench.units_of(node_id), name)
-        yield (
-            ManualDrive(master, node_id, name, units, time_out_s),
-            lambda: link.send([Frame(HEARTBEAT + MASTER_ID, NmtState.OPERATIONAL.heartbeat)]),
-        )
+        units = _units(master, node_id, od, bench, name)
+
+        def heartbeat() -> None:
+            link.send([Frame(HEARTBEAT + MASTER_ID, NmtState.OPERATIONAL.heartbeat)])
+
+        file = eds.name if bench is None and eds.is_file() else "its EDS file"
+        manual = ManualDrive(master, node_id, name, units, time_out_s, _Alive(heartbeat))
+        yield SetUpDrive(manual, file, units, _allowed(bench), time_out_s=time_out_s)
 
 
-def _jog(manual: ManualDrive, heartbeat: Callable[[], None], speed_rad_s: float) -> None:
-    """Hold-to-run until q; the drive is disabled when it ends, however it ends."""
+class _Alive:
+    """Sends this program's heartbeat when it is due; called often."""
+
+    def __init__(self, heartbeat: Callable[[], None]) -> None:
+        self._heartbeat = heartbeat
+        self._next_s = 0.0
+
+    def __call__(self) -> None:
+        """Send it, if it is due."""
+        if time.monotonic() >= self._next_s:
+            self._next_s = time.monotonic() + _HEARTBEAT_S
+            self._heartbeat()
+
+
+def _units(
+    master: Master, node_id: int, od: ObjectDictionary, bench: ExperimentConfig | None, name: str
+) -> DriveUnits | None:
+    """As far as they are told: without a rated torque (6076h) a torque is no number."""
+    from contextlib import suppress
+
+    from hilbench.cia402.configuration import read_units
+
+    given = {} if bench is None else bench.units_of(node_id)
+    for known in (given, {"rated_torque_Nm": nan, **given}):
+        with suppress(UnusableInputError):
+            return read_units(master, node_id, od, known, name)
+    return None
+
+
+def _allowed(bench: ExperimentConfig | None) -> Limits:
+    """The trip levels of a config that are a motor's."""
+    from hilbench.cia402.set_up import Limits
+
+    if bench is None:
+        return Limits()
+    limits = bench.safety.limits
+    speed = limits.speed_rad_s.trip if bench.machine.kind == "servo_axis" else None
+    torque = limits.torque_Nm.trip
+    return Limits(
+        speed_rad_s=inf if speed is None else speed,
+        torque_Nm=inf if torque is None else torque,
+        speed_by="safety: limits: speed_rad_s",
+        torque_by="safety: limits: torque_Nm",
+    )
+
+
+def _set_in_motion(by_hand: SetUpDrive, wanted: _Wanted) -> None:
+    """Until it is done; the drive is without power afterwards, by a quick stop if something ended it early."""
+    from hilbench.cia402.objects import OperationMode
     from hilbench.cli.attach import MASTER_ID
+    from hilbench.processes import interrupted_by_signals
 
-    # The drive watches from the first heartbeat on: from before the first key until the power stage is off.
-    with _keys() as key_pressed, manual.watching(MASTER_ID, _HEARTBEAT_TIME_OUT_MS):
+    modes = {Action.MOVE: OperationMode.PROFILE_POSITION, Action.HOME: OperationMode.HOMING}
+    modes[Action.TORQUE] = OperationMode.TORQUE
+    units = by_hand.needs(modes.get(wanted.action, OperationMode.PROFILE_VELOCITY))
+    duration_s = inf if wanted.duration_s is None else wanted.duration_s
+    motion: Callable[[], object]
+    if wanted.action is Action.MOVE:
+        target = wanted.quantity(units.position_rad)
+        motion = lambda: by_hand.move(target, wanted.speed_rad_s, relative=wanted.relative)  # noqa: E731
+    elif wanted.action is Action.HOME:
+        method = wanted.method
+        motion = lambda: by_hand.home(method)  # noqa: E731
+    elif wanted.action is Action.VELOCITY:
+        velocity = wanted.quantity(units.velocity_rad_s)
+        motion = lambda: by_hand.turn(velocity, duration_s)  # noqa: E731
+    elif wanted.action is Action.TORQUE:
+        torque = wanted.quantity(units.torque_Nm)
+        motion = lambda: by_hand.push(torque, duration_s, wanted.speed_rad_s)  # noqa: E731
+    else:
+        motion = lambda: _jog(by_hand.drive, wanted.speed_rad_s)  # noqa: E731
+    manual = by_hand.drive
+
+    # The drive watches from the first heartbeat on: from before the first motion until the power stage is off.
+    with interrupted_by_signals(), manual.watching(MASTER_ID, _HEARTBEAT_TIME_OUT_MS):
         try:
-            manual.enable()
-            print(f"hold {_FORWARD} (forward) or {_BACKWARD} (backward), q ends", file=sys.stderr, flush=True)
-            _follow_keys(manual, key_pressed, heartbeat, speed_rad_s)
-            manual.stop()
-        finally:
-            manual.disable()
+            motion()
+        except BaseException:
+            manual.quick_stop()
+            raise
+        manual.disable()
 
 
-def _follow_keys(
-    manual: ManualDrive, key_pressed: Callable[[float], str | None], heartbeat: Callable[[], None], speed_rad_s: float
-) -> None:
+def _jog(manual: ManualDrive, speed_rad_s: float) -> None:
+    """Hold-to-run until q."""
+    with _keys() as key_pressed:
+        manual.enable()
+        print(f"hold {_FORWARD} (forward) or {_BACKWARD} (backward), q ends", file=sys.stderr, flush=True)
+        _follow_keys(manual, key_pressed, speed_rad_s)
+        manual.stop()
+
+
+def _follow_keys(manual: ManualDrive, key_pressed: Callable[[float], str | None], speed_rad_s: float) -> None:
     from hilbench.cia402.manual import DeadManKey
 
-    key, commanded, next_heartbeat_s = DeadManKey(), 0, 0.0
+    key, commanded = DeadManKey(), 0
+
     while True:
-        now_s = time.monotonic()
-        if now_s >= next_heartbeat_s:
-            next_heartbeat_s = now_s + _HEARTBEAT_S
-            heartbeat()
+        manual.alive()
         pressed = key_pressed(_STEP_S)
         if pressed in _QUIT:
             return
@@ -136,7 +293,7 @@ def _follow_keys(
         wanted = key.held(time.monotonic())
         if wanted != commanded:
             commanded = wanted
-            manual.move(wanted * speed_rad_s)
+            manual.turn(wanted * speed_rad_s)
 
 
 @contextmanager
@@ -164,19 +321,36 @@ def _keys() -> Iterator[Callable[[float], str | None]]:
         termios.tcsetattr(terminal, termios.TCSADRAIN, before)
 
 
-def _print(status: DriveStatus, *, as_json: bool) -> None:
+def _print(by_hand: SetUpDrive, *, as_json: bool) -> None:
     from dataclasses import asdict
     from json import dumps
 
+    from hilbench.cia402.set_up import mode_name, usable
+
+    status, modes = by_hand.drive.status(), usable(by_hand)
     if as_json:
-        print(dumps(asdict(status), indent=2))
+        lacking = {mode_name(mode): list(missing) for mode, missing in modes.items()}
+        print(dumps({**asdict(status), "lacking": lacking}, indent=2))
         return
     print(f"{status.state}  (statusword {status.statusword:04X}h: {', '.join(status.flags) or 'no flags'})")
     print(
         f"mode {_or_dash(status.mode)}, error code {'-' if status.error_code is None else f'{status.error_code:04X}h'}"
     )
-    parts = ((status.position_rad, "rad"), (status.velocity_rad_s, "rad/s"), (status.torque_Nm, "N·m"))
-    print(", ".join(f"{value:.5g} {unit}" for value, unit in parts if value is not None) or "units are not known")
+    print(", ".join(text for text in _actual_values(status) if text) or "neither position, velocity nor torque")
+    for mode, missing in modes.items():
+        if missing:
+            print(f"{mode_name(mode)} can't be used: {', '.join(missing)}")
+
+
+def _actual_values(status: DriveStatus) -> Iterator[str]:
+    """In SI, and as the drive says them."""
+    for value, units, name in (
+        (status.position_rad, status.position_units, "rad"),
+        (status.velocity_rad_s, status.velocity_units, "rad/s"),
+        (status.torque_Nm, status.torque_units, "N·m"),
+    ):
+        if units is not None:
+            yield f"{units} units" if value is None else f"{value:.5g} {name} ({units} units)"
 
 
 def _or_dash(value: int | None) -> str:
