@@ -104,15 +104,30 @@ def _locked(wanted: bool | None, report: Callable[[str], None]) -> Iterator[None
             libc.munlockall()
 
 
-def give_way(taken: Collection[int] = ()) -> None:
-    """For a process that may wait: from here on it gets what nobody else wants, of one core, if there is one on none of
-    those that are `taken`."""
-    os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
-    # A process that has a session of its own is in a group of its own, which is as good as any other.
-    with suppress(OSError):
-        _AUTOGROUP.write_text(str(_LOWEST), encoding="ascii")
+def give_way(taken: Collection[int] = (), *, before: int | None = None) -> None:
+    """For a process that may wait, of one core, if there is one on none of those that are `taken`: from here on it gets
+    what nobody else wants.
+
+    before: SCHED_FIFO priority of those that it gives way to. Where they have it they come first in any case, and it
+    has its share of what they leave, as others have: on a machine with other work what nobody wants may be nothing.
+    """
+    if before is None or not _may_have(before):
+        os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
+        # A process that has a session of its own is in a group of its own, which is as good as any other.
+        with suppress(OSError):
+            _AUTOGROUP.write_text(str(_LOWEST), encoding="ascii")
     permitted = os.sched_getaffinity(0)
     os.sched_setaffinity(0, {max(permitted - set(taken) or permitted)})
+
+
+def _may_have(priority: int) -> bool:
+    """Whether SCHED_FIFO with this priority is permitted."""
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+    except OSError:
+        return False
+    os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+    return True
 
 
 def leave_the_cycle() -> None:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -34,6 +36,24 @@ def test_in_real_time_it_is_ready_before_a_cycle_and_gets_only_what_nobody_else_
         assert process.ask(Samples.of(CHUNK_CYCLES - 1, rows)).result(60.0).cycle == CHUNK_CYCLES - 1
     finally:
         process.end()
+
+
+def test_beside_cycles_that_come_first_in_any_case_it_has_a_share_of_what_they_leave(tmp_path: Path) -> None:
+    if not priority_is_permitted():
+        pytest.skip("SCHED_FIFO is not permitted here")
+    config = load_with_overrides(CONFIG, changes=["pace=realtime", "realtime.priority=20"]).config
+    process = LiveProcess(config, tmp_path)
+    try:
+        process.wait_until_ready()
+        assert os.sched_getscheduler(process.pid) == os.SCHED_OTHER
+    finally:
+        process.end()
+
+
+def priority_is_permitted() -> bool:
+    """Asked in a process of its own: this one stays what it is."""
+    asked = "import os; os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(20))"
+    return subprocess.run([sys.executable, "-c", asked], capture_output=True, check=False).returncode == 0
 
 
 def test_a_bench_boots_its_nodes_only_when_the_diagnosis_is_ready(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -40,7 +40,8 @@ def answer(connection: Connection, config: BenchConfig) -> None:
     session = Session(names, model, imitation, live, config.cycle_time_s)
     if config.pace == "realtime":
         cores = config.realtime.cores
-        give_way({core for core in (cores.bench, cores.hardware, cores.twin) if core is not None})
+        taken = {core for core in (cores.bench, cores.hardware, cores.twin) if core is not None}
+        give_way(taken, before=config.realtime.priority)
     connection.send(Ready())
     while True:
         try:

@@ -49,7 +49,8 @@ class ChangeableMachine:
         self._released = False
         self._synchronized_cycles = self._cycles_over = 0
         self._share = 0.0
-        self._cycles_since = 0  # that the models have gone since something was shown
+        self._fresh = True  # whether what is shown is of a cycle with measurement
+        self._cycles_since = 0  # that the models have gone since the last one
         self._apart: Sequence[float] = ()  # what is shown, less what the model in use alone would show
         #: Of each shown value the largest step from one cycle to the next that the last change has made; none before.
         self.largest_steps: Sequence[float] = ()
@@ -143,7 +144,8 @@ class ChangeableMachine:
                 candidate.release(self._before, measured)
                 self._released = True
             self._before = measured
-        return self._current.compare(time_s, measured)
+        self._fresh = self._current.compare(time_s, measured)
+        return self._fresh
 
     def miss(self) -> None:
         """A cycle without measurement."""
@@ -151,6 +153,7 @@ class ChangeableMachine:
             if self._released:
                 self._candidate.miss()
             self._before = None
+        self._fresh = False
         self._current.miss()
 
     def listen(self) -> None:
@@ -194,7 +197,12 @@ class ChangeableMachine:
         return [old + more for old, more in zip(shown, apart, strict=True)]
 
     def _note_steps(self, apart: Sequence[float]) -> None:
-        """How much more the shown values change in a cycle than those of the model in use alone."""
+        """How much more the shown values change in a cycle than those of the model in use alone.
+
+        What is shown after cycles without measurement has the changes of all of them.
+        """
+        if not self._fresh:
+            return
         before, cycles = self._apart or [0.0] * len(apart), max(self._cycles_since, 1)
         steps = [abs(now - then) / cycles for now, then in zip(apart, before, strict=True)]
         self._cycles_since = 0
