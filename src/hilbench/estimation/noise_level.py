@@ -1,13 +1,14 @@
-"""How noisy a signal is, from its fourth differences: smooth motion and steps hardly count."""
+"""How noisy a signal is, from its fourth differences: smooth motion and steps hardly count; compiled."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from math import isfinite, sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hilbench.compiled import entry_point
+from hilbench.compiled import compiled, entry_point, inlined, number_of_sources
+from hilbench.estimation.bank import Array
 
 #: Sum of the squares of the binomials 1 4 6 4 1: variance of a fourth difference of white noise.
 _GAIN = 70.0
@@ -16,22 +17,59 @@ _DIFFERENCES = 4
 _LIMIT = 9.0
 #: Samples that are all believed before steps are told from noise.
 _SETTLE = 30
+# State: the last samples, the newest first (4 places); samples whose differences reach over a gap.
+_PAST, _VARIANCE, _COUNT, _APART, _SHARE, _FLOOR, _EXPECTED = 0, 4, 5, 6, 7, 8, 9
+_SIZE = 10
 
 
-@entry_point
-def _update(s: NDArray[np.float64], value: float, count: int, share: float, floor: float) -> None:
+@compiled
+def take(s: Array, value: float) -> None:
+    """Take one sample; what is not finite is passed over. s: state of a `NoiseLevel`."""
+    if not isfinite(value):
+        return
     difference = value - 4.0 * s[0] + 6.0 * s[1] - 4.0 * s[2] + s[3]
     for i in range(3, 0, -1):
         s[i] = s[i - 1]
     s[0] = value
-    if count < 4:
+    if s[_APART] > 0.0:
+        s[_APART] -= 1.0
+        return
+    count = s[_COUNT]
+    s[_COUNT] = count + 1.0
+    if count < _DIFFERENCES:
         return
     square = difference * difference / _GAIN
-    n = count - 3
-    weight = max(1.0 / n, share)
+    n = count - 3.0
+    weight = max(1.0 / n, s[_SHARE])
     if n >= _SETTLE:
-        square = min(square, _LIMIT * s[4])
-    s[4] = max(s[4] + weight * (square - s[4]), floor * floor)
+        square = min(square, _LIMIT * s[_VARIANCE])
+    s[_VARIANCE] = max(s[_VARIANCE] + weight * (square - s[_VARIANCE]), s[_FLOOR] * s[_FLOOR])
+
+
+@inlined
+def variance(s: Array) -> float:
+    """Variance of the noise, unit of the signal squared; what is expected until it is measured."""
+    return float(s[_VARIANCE] if s[_COUNT] > _SETTLE else s[_EXPECTED])
+
+
+@inlined
+def interrupt(s: Array) -> None:
+    """The next sample is not one cycle after the last: no difference is formed across the gap."""
+    s[_APART] = _DIFFERENCES
+
+
+def _compiled_take(sources: int) -> Callable[[Array, float], None]:
+    """The function that is called from Python; `sources` as in `number_of_sources`."""
+
+    @entry_point
+    def take_one(s: Array, value: float) -> None:
+        if sources >= 0:
+            take(s, value)
+
+    return take_one
+
+
+_take = _compiled_take(number_of_sources(__file__))
 
 
 class NoiseLevel:
@@ -42,39 +80,27 @@ class NoiseLevel:
     """
 
     def __init__(self, expected: float, floor: float, memory: int = 500) -> None:
-        self._state = np.zeros(5)
-        self._state[4] = expected**2
-        self._expected = expected**2
-        self._floor = floor
-        self._share = 1.0 / memory
-        self._count = 0
-        self._apart = 0  # samples whose differences reach over a gap
+        self.state = np.zeros(_SIZE)
+        self.state[_VARIANCE] = self.state[_EXPECTED] = expected**2
+        self.state[_SHARE], self.state[_FLOOR] = 1.0 / memory, floor
 
     def interrupt(self) -> None:
         """The next sample is not one cycle after the last: no difference is formed across the gap."""
-        self._apart = _DIFFERENCES
+        self.state[_APART] = _DIFFERENCES
 
     def update(self, value: float) -> None:
         """Take one sample; what is not finite is passed over."""
-        if not isfinite(value):
-            return
-        if self._apart:
-            self._apart -= 1
-            self._state[1:4] = self._state[:3]
-            self._state[0] = value
-        else:
-            _update(self._state, value, self._count, self._share, self._floor)
-            self._count += 1
+        _take(self.state, value)
 
     @property
     def known(self) -> bool:
         """Whether it is measured, and not only believed."""
-        return self._count > _SETTLE
+        return self.state.item(_COUNT) > _SETTLE
 
     @property
     def variance(self) -> float:
         """Variance of the noise, unit of the signal squared."""
-        return float(self._state[4]) if self.known else self._expected
+        return self.state.item(_VARIANCE) if self.known else self.state.item(_EXPECTED)
 
     @property
     def deviation(self) -> float:

@@ -2,8 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from enum import IntEnum
 from math import isfinite
+
+import numpy as np
+
+from hilbench.compiled import compiled, entry_point, inlined, number_of_sources
+from hilbench.estimation.bank import Array
 
 #: Cycles with exactly the same torque after which a noisy measurement counts as frozen.
 _FROZEN_CYCLES = 20
@@ -28,44 +34,73 @@ class Problem(IntEnum):
     SLIP = 0xFF16  #: roller 2 slips: the encoders do not show the web's strain
 
 
+#: Problems by their numbers; 0: none.
+PROBLEMS: dict[int, Problem | None] = {0: None} | {int(problem): problem for problem in Problem}
+
+# State. Limits of the torque, in N·m; web_per_Pa up to which the web is slack; cycles until the torque counts as free.
+_LIMIT_NM, _FREE_CYCLES, _LIMITED, _DRY, _SLACK_PER_PA, _LAST_NM, _SAME, _HAS_CHANGED = range(8)
+_SIZE = 8
+_INVALID, _FROZEN, _SATURATED_NOW = int(Problem.INVALID), int(Problem.FROZEN), int(Problem.SATURATED)
+_SLACK_NOW, _STANDING = int(Problem.SLACK), int(Problem.STANDSTILL)
+
+
+@compiled
+def find_problem(s: Array, torque_Nm: float, web_per_Pa: float, velocity_m_s: float) -> int:
+    """What is wrong with this cycle's torque, as a `Problem`; 0: nothing. s: state of a `Plausibility`."""
+    if not (isfinite(torque_Nm) and isfinite(web_per_Pa) and isfinite(velocity_m_s)):
+        return _INVALID
+    if torque_Nm == s[_LAST_NM]:
+        s[_SAME] += 1.0
+    else:
+        if isfinite(s[_LAST_NM]):
+            s[_HAS_CHANGED] = 1.0
+        s[_SAME] = 0.0
+    s[_LAST_NM] = torque_Nm
+    # A torque at its limit repeats itself too.
+    if _is_limited(s, abs(torque_Nm)):
+        return _SATURATED_NOW
+    # A noiseless simulation at rest does as well, but it has not moved before.
+    if s[_SAME] >= _FROZEN_CYCLES and s[_HAS_CHANGED] != 0.0:
+        return _FROZEN
+    if web_per_Pa <= s[_SLACK_PER_PA]:
+        return _SLACK_NOW
+    if s[_DRY] != 0.0 and abs(velocity_m_s) < _STANDSTILL_M_S:
+        return _STANDING
+    return 0
+
+
+@inlined
+def _is_limited(s: Array, size_Nm: float) -> bool:
+    limit_Nm = s[_LIMIT_NM]
+    if size_Nm >= _SATURATED * limit_Nm or (s[_LIMITED] != 0.0 and size_Nm >= _FREE * limit_Nm):
+        s[_LIMITED] = s[_FREE_CYCLES]
+    elif s[_LIMITED] != 0.0:
+        s[_LIMITED] -= 1.0
+    return bool(s[_LIMITED] > 0.0)
+
+
+def _compiled_look(sources: int) -> Callable[[Array, float, float, float], int]:
+    """The function that is called from Python; `sources` as in `number_of_sources`."""
+
+    @entry_point
+    def look(s: Array, torque_Nm: float, web_per_Pa: float, velocity_m_s: float) -> int:
+        return find_problem(s, torque_Nm, web_per_Pa, velocity_m_s) if sources >= 0 else 0
+
+    return look
+
+
+_look = _compiled_look(number_of_sources(__file__))
+
+
 class Plausibility:
     """Looks at each cycle's measurement of axis 2; `torque_limit_Nm` and `dry_friction_N` as the model has them."""
 
     def __init__(self, torque_limit_Nm: float, dry_friction_N: float, slack_per_Pa: float, cycle_s: float) -> None:
-        self._limit_Nm = torque_limit_Nm
-        self._free_cycles = round(_FREE_S / cycle_s)
-        self._limited = 0  #: cycles until the torque counts as free again
-        self._dry_friction = dry_friction_N > 0.0
-        self._slack_per_Pa = _SLACK * slack_per_Pa
-        self._last_Nm = float("nan")
-        self._same = 0
-        self._has_changed = False
+        self.state = np.zeros(_SIZE)
+        self.state[_LIMIT_NM], self.state[_FREE_CYCLES] = torque_limit_Nm, round(_FREE_S / cycle_s)
+        self.state[_DRY], self.state[_SLACK_PER_PA] = float(dry_friction_N > 0.0), _SLACK * slack_per_Pa
+        self.state[_LAST_NM] = np.nan
 
     def problem(self, torque_Nm: float, web_per_Pa: float, velocity_m_s: float) -> Problem | None:
         """What is wrong with this cycle's torque, if anything."""
-        if not (isfinite(torque_Nm) and isfinite(web_per_Pa) and isfinite(velocity_m_s)):
-            return Problem.INVALID
-        if torque_Nm == self._last_Nm:
-            self._same += 1
-        else:
-            self._has_changed = self._has_changed or isfinite(self._last_Nm)
-            self._same = 0
-        self._last_Nm = torque_Nm
-        # A torque at its limit repeats itself too.
-        if self._is_limited(abs(torque_Nm)):
-            return Problem.SATURATED
-        # A noiseless simulation at rest does as well, but it has not moved before.
-        if self._same >= _FROZEN_CYCLES and self._has_changed:
-            return Problem.FROZEN
-        if web_per_Pa <= self._slack_per_Pa:
-            return Problem.SLACK
-        if self._dry_friction and abs(velocity_m_s) < _STANDSTILL_M_S:
-            return Problem.STANDSTILL
-        return None
-
-    def _is_limited(self, size_Nm: float) -> bool:
-        if size_Nm >= _SATURATED * self._limit_Nm or (self._limited and size_Nm >= _FREE * self._limit_Nm):
-            self._limited = self._free_cycles
-        elif self._limited:
-            self._limited -= 1
-        return self._limited > 0
+        return PROBLEMS[_look(self.state, torque_Nm, web_per_Pa, velocity_m_s)]

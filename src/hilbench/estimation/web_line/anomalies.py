@@ -9,15 +9,19 @@ the model's E, over a short window (the mean of the momentum balance; what the r
   A tension upstream that swings builds up as well, but to both sides: what goes no farther than it swung just before
   is no slip.
 
-Nothing is judged while the measurement can't be used, as with a torque at its limit, nor across such a gap.
+Nothing is judged while the measurement can't be used, as with a torque at its limit, nor across such a gap. Compiled.
 """
 
 from __future__ import annotations
 
-from collections import deque
 from math import isfinite
 
-from hilbench.estimation.web_line.balance import BalanceSample
+import numpy as np
+
+from hilbench.compiled import compiled, inlined
+from hilbench.estimation import ring
+from hilbench.estimation.bank import Array
+from hilbench.estimation.plausibility import Problem
 
 #: Window of the mean tension.
 _WINDOW_S = 0.04
@@ -41,116 +45,180 @@ _AT_ONCE = 0.7
 _NOTED_EVERY = 0.02
 
 
-class Anomalies:
-    """Looks at each cycle's balance of axis 2. `model_modulus_Pa`: what the ratio is formed with."""
+_WEB_BREAK, _SLIP = int(Problem.WEB_BREAK), int(Problem.SLIP)
+#: No change is under way.
+_NONE = -1.0
+# State; behind it four rings: force (N), web (N/Pa) and speed (m/s) of the window, ratios before; and ratios as noted.
+(
+    _MODULUS_PA,  # what the ratio is formed with
+    _MASS_KG,
+    _SPAN_M,
+    _CYCLE_S,
+    _CYCLES,
+    _FORCE_SUM_N,
+    _WEB_SUM,
+    _AFTER_GAP,
+    _USUAL_N,
+    _SINCE_CHANGE_M,  # what has gone through since a change that is not judged yet
+    _QUIET_M,
+    _RATIO_BEFORE,
+    _RATIO_AT_ONCE,
+    _SINCE_NOTED_M,
+    _LEAST,
+    _SETTLING,
+    _BROKEN_NOW,
+    _SLIPPING,
+    _FORCES,  # where the rings begin
+    _WEBS,
+    _SPEEDS,
+    _RATIOS,
+    _SWUNG,
+) = range(23)
+_SIZE = 23
 
-    def __init__(self, model_modulus_Pa: float, mass_kg: float, span_length_m: float, cycle_s: float) -> None:
-        self._modulus_Pa = model_modulus_Pa
-        self._mass_kg = mass_kg
-        self._span_length_m = span_length_m
-        self._cycle_s = cycle_s
-        self._cycles = round(_WINDOW_S / cycle_s)
-        self.reset()
 
-    def reset(self) -> None:
-        """The web is another one, or was at rest."""
-        self._window: deque[tuple[float, float, float]] = deque(maxlen=self._cycles + 1)
-        self._ratios: deque[float] = deque(maxlen=_BEFORE_WINDOWS * self._cycles)
-        self._force_sum_N = self._web_sum = 0.0
-        self._after_gap = False
-        self._usual_N = 0.0
-        self._since_change_m: float | None = None
-        self._quiet_m = _QUIET * self._span_length_m
-        self._ratio_before = self._ratio_at_once = 0.0
-        self._swung: deque[float] = deque(maxlen=round(_QUIET / _NOTED_EVERY))
-        self._since_noted_m = 0.0
-        self._least = 0.0
-        self.broken = False
-        self.slipping = False
+@compiled
+def reset(s: Array) -> None:
+    """The web is another one, or was at rest. s: state of `Anomalies`."""
+    _clear_window(s)
+    ring.clear(s, int(s[_RATIOS]))
+    ring.clear(s, int(s[_SWUNG]))
+    for place in (_AFTER_GAP, _USUAL_N, _RATIO_BEFORE, _RATIO_AT_ONCE, _SINCE_NOTED_M, _LEAST, _BROKEN_NOW, _SLIPPING):
+        s[place] = 0.0
+    s[_SINCE_CHANGE_M] = _NONE
+    s[_QUIET_M] = _QUIET * s[_SPAN_M]
 
-    def suspend(self) -> None:
-        """The measurement can't be used: a change that is under way, and what was before, say nothing any more."""
-        self.interrupt()
-        self._since_change_m = None
-        self._ratios.clear()
 
-    def interrupt(self) -> None:
-        """A cycle is missing: what is measured next is not one cycle after the last, and no mean goes across."""
-        self._window.clear()
-        self._force_sum_N = self._web_sum = 0.0
-        self._after_gap = True
+@inlined
+def _clear_window(s: Array) -> None:
+    ring.clear(s, int(s[_FORCES]))
+    ring.clear(s, int(s[_WEBS]))
+    ring.clear(s, int(s[_SPEEDS]))
+    s[_FORCE_SUM_N] = 0.0
+    s[_WEB_SUM] = 0.0
 
-    @property
-    def judging(self) -> bool:
-        """Whether something has changed that may yet be a slip."""
-        return self._since_change_m is not None
 
-    def update(self, now: BalanceSample) -> None:
-        """Take the balance of this cycle; sets `broken` and `slipping`."""
-        if not (isfinite(now.force_N) and isfinite(now.web_per_Pa)):
-            self.reset()
-            return
-        if self._after_gap:
-            self._after_gap = False
-            return
-        window = self._window
-        if len(window) == window.maxlen:
-            force_N, web, _ = window[0]
-            self._force_sum_N -= force_N
-            self._web_sum -= web
-        window.append((now.force_N, now.web_per_Pa, now.velocity_m_s))
-        self._force_sum_N += now.force_N
-        self._web_sum += now.web_per_Pa
-        if len(window) < (window.maxlen or 0):
-            return
-        count = len(window)
-        promised_N = self._modulus_Pa * self._web_sum / count
-        if promised_N < _LEAST_N:
-            self._since_change_m = None
-            self._quiet_m = _QUIET * self._span_length_m
-            return
-        accelerating_N = self._mass_kg * (now.velocity_m_s - window[0][2]) / ((count - 1) * self._cycle_s)
-        tension_N = self._force_sum_N / count - accelerating_N
-        ratio, threshold = tension_N / promised_N, _WHOLE if self.broken else _BROKEN
-        self.broken = ratio < threshold and tension_N < threshold * self._usual_N
-        if not self.broken:
-            self._usual_N += self._cycle_s / _USUAL_S * (tension_N - self._usual_N)
-        self._look_for_slip(ratio, now.velocity_m_s)
+@compiled
+def interrupt(s: Array) -> None:
+    """A cycle is missing: what is measured next is not one cycle after the last, and no mean goes across."""
+    _clear_window(s)
+    s[_AFTER_GAP] = 1.0
 
-    def _look_for_slip(self, ratio: float, velocity_m_s: float) -> None:
-        ratios = self._ratios
-        self._since_noted_m += abs(velocity_m_s) * self._cycle_s
-        if self._since_change_m is not None:
-            self._judge(ratio, abs(velocity_m_s) * self._cycle_s)
-        elif self._quiet_m > 0.0:
-            self._quiet_m -= abs(velocity_m_s) * self._cycle_s
-            ratios.clear()
-        elif len(ratios) == ratios.maxlen and abs(ratio / ratios[0] - 1.0) > _CHANGED:
-            self._since_change_m = 0.0
-            self._ratio_before, self._ratio_at_once = ratios[0], 0.0
-            low, high = min(self._swung, default=ratios[0]), max(self._swung, default=ratios[0])
-            self._least = low - (high - low)
-            self._settling = self._cycles
-            ratios.clear()
-        else:
-            ratios.append(ratio)
-        if self._since_change_m is None and self._since_noted_m > _NOTED_EVERY * self._span_length_m:
-            self._since_noted_m = 0.0
-            self._swung.append(ratio)
 
-    def _judge(self, ratio: float, moved_m: float) -> None:
-        """A change is under way: what it was one window after it was seen, and what it has become."""
-        assert self._since_change_m is not None, "a change was seen"
-        self._since_change_m += moved_m
-        self._settling -= 1
-        if self._settling == 0:
-            self._ratio_at_once = ratio
-        if self._settling > 0 or self._since_change_m < _JUDGED_AFTER * self._span_length_m:
-            return
-        change, at_once = ratio / self._ratio_before - 1.0, self._ratio_at_once / self._ratio_before - 1.0
-        self._since_change_m = None
-        self._quiet_m = _QUIET * self._span_length_m
-        if abs(change) <= _CHANGED:  # it has gone again
-            self.slipping = False
-        elif not self.broken:
-            self.slipping = change < 0.0 and at_once / change < _AT_ONCE and ratio < self._least
+@compiled
+def suspend(s: Array) -> None:
+    """The measurement can't be used: a change that is under way, and what was before, say nothing any more."""
+    interrupt(s)
+    s[_SINCE_CHANGE_M] = _NONE
+    ring.clear(s, int(s[_RATIOS]))
+
+
+@inlined
+def is_judging(s: Array) -> bool:
+    """Whether something has changed that may yet be a slip."""
+    return bool(s[_SINCE_CHANGE_M] >= 0.0)
+
+
+@compiled
+def look(s: Array, force_N: float, web_per_Pa: float, velocity_m_s: float) -> int:
+    """Take the balance of this cycle; whether the web is broken or slips, as a `Problem`, 0: neither."""
+    if not (isfinite(force_N) and isfinite(web_per_Pa)):
+        reset(s)
+        return 0
+    if s[_AFTER_GAP] != 0.0:
+        s[_AFTER_GAP] = 0.0
+        return _found(s)
+    forces, webs, speeds = int(s[_FORCES]), int(s[_WEBS]), int(s[_SPEEDS])
+    if ring.is_full(s, forces):
+        s[_FORCE_SUM_N] -= ring.value(s, forces, 0)
+        s[_WEB_SUM] -= ring.value(s, webs, 0)
+    ring.push(s, forces, force_N)
+    ring.push(s, webs, web_per_Pa)
+    ring.push(s, speeds, velocity_m_s)
+    s[_FORCE_SUM_N] += force_N
+    s[_WEB_SUM] += web_per_Pa
+    if not ring.is_full(s, forces):
+        return _found(s)
+    count = ring.count(s, forces)
+    promised_N = s[_MODULUS_PA] * s[_WEB_SUM] / count
+    if promised_N < _LEAST_N:
+        s[_SINCE_CHANGE_M] = _NONE
+        s[_QUIET_M] = _QUIET * s[_SPAN_M]
+        return _found(s)
+    accelerating_N = s[_MASS_KG] * (velocity_m_s - ring.value(s, speeds, 0)) / ((count - 1) * s[_CYCLE_S])
+    tension_N = s[_FORCE_SUM_N] / count - accelerating_N
+    ratio, threshold = tension_N / promised_N, _WHOLE if s[_BROKEN_NOW] != 0.0 else _BROKEN
+    broken = ratio < threshold and tension_N < threshold * s[_USUAL_N]
+    s[_BROKEN_NOW] = 1.0 if broken else 0.0
+    if not broken:
+        s[_USUAL_N] += s[_CYCLE_S] / _USUAL_S * (tension_N - s[_USUAL_N])
+    _look_for_slip(s, ratio, velocity_m_s)
+    return _found(s)
+
+
+@inlined
+def _found(s: Array) -> int:
+    if s[_BROKEN_NOW] != 0.0:
+        return _WEB_BREAK
+    return _SLIP if s[_SLIPPING] != 0.0 else 0
+
+
+@compiled
+def _look_for_slip(s: Array, ratio: float, velocity_m_s: float) -> None:
+    ratios, swung, moved_m = int(s[_RATIOS]), int(s[_SWUNG]), abs(velocity_m_s) * s[_CYCLE_S]
+    s[_SINCE_NOTED_M] += moved_m
+    if is_judging(s):
+        _judge(s, ratio, moved_m)
+    elif s[_QUIET_M] > 0.0:
+        s[_QUIET_M] -= moved_m
+        ring.clear(s, ratios)
+    elif ring.is_full(s, ratios) and abs(ratio / ring.value(s, ratios, 0) - 1.0) > _CHANGED:
+        before = ring.value(s, ratios, 0)
+        s[_SINCE_CHANGE_M] = 0.0
+        s[_RATIO_BEFORE] = before
+        s[_RATIO_AT_ONCE] = 0.0
+        low = high = ring.value(s, swung, 0) if ring.count(s, swung) else before
+        for i in range(ring.count(s, swung)):
+            low = min(low, ring.value(s, swung, i))
+            high = max(high, ring.value(s, swung, i))
+        s[_LEAST] = low - (high - low)
+        s[_SETTLING] = s[_CYCLES]
+        ring.clear(s, ratios)
+    else:
+        ring.push(s, ratios, ratio)
+    if not is_judging(s) and s[_SINCE_NOTED_M] > _NOTED_EVERY * s[_SPAN_M]:
+        s[_SINCE_NOTED_M] = 0.0
+        ring.push(s, swung, ratio)
+
+
+@compiled
+def _judge(s: Array, ratio: float, moved_m: float) -> None:
+    """A change is under way: what it was one window after it was seen, and what it has become."""
+    s[_SINCE_CHANGE_M] += moved_m
+    s[_SETTLING] -= 1.0
+    if s[_SETTLING] == 0.0:
+        s[_RATIO_AT_ONCE] = ratio
+    if s[_SETTLING] > 0.0 or s[_SINCE_CHANGE_M] < _JUDGED_AFTER * s[_SPAN_M]:
+        return
+    change, at_once = ratio / s[_RATIO_BEFORE] - 1.0, s[_RATIO_AT_ONCE] / s[_RATIO_BEFORE] - 1.0
+    s[_SINCE_CHANGE_M] = _NONE
+    s[_QUIET_M] = _QUIET * s[_SPAN_M]
+    if abs(change) <= _CHANGED:  # it has gone again
+        s[_SLIPPING] = 0.0
+    elif s[_BROKEN_NOW] == 0.0:
+        s[_SLIPPING] = 1.0 if change < 0.0 and at_once / change < _AT_ONCE and ratio < s[_LEAST] else 0.0
+
+
+def new_state(model_modulus_Pa: float, mass_kg: float, span_length_m: float, cycle_s: float) -> Array:
+    """State of what looks at each cycle's balance of axis 2. `model_modulus_Pa`: what the ratio is formed with."""
+    cycles = round(_WINDOW_S / cycle_s)
+    capacities = {_FORCES: cycles + 1, _WEBS: cycles + 1, _SPEEDS: cycles + 1}
+    capacities |= {_RATIOS: _BEFORE_WINDOWS * cycles, _SWUNG: round(_QUIET / _NOTED_EVERY)}
+    s = np.zeros(_SIZE + sum(map(ring.size, capacities.values())))
+    s[_MODULUS_PA], s[_MASS_KG], s[_SPAN_M], s[_CYCLE_S] = model_modulus_Pa, mass_kg, span_length_m, cycle_s
+    s[_CYCLES] = cycles
+    at = _SIZE
+    for place, capacity in capacities.items():
+        s[place] = at
+        at = ring.put(s, at, capacity)
+    return s

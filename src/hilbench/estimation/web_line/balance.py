@@ -10,13 +10,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
-from hilbench.compiled import entry_point
-from hilbench.plant.web_line import kernel, laws
+import numpy as np
+
+from hilbench.compiled import compiled, entry_point
+from hilbench.plant.web_line import kernel, laws, span
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.layout import Layout, Vector
 from hilbench.plant.web_line.parameters import ModelParameters
-from hilbench.plant.web_line.span import SpanFollower
+from hilbench.plant.web_line.span import SpanFollower, SpanVectors, follow_to, modulus_place, put_boundary
 
 _AXIS = 1  #: index of axis 2
 #: Relative change of E from which the follower is told: creep and damping depend on it.
@@ -33,32 +36,105 @@ class BalanceSample:
     velocity_m_s: float  #: of roller 2, from two positions
 
 
-MeasuredForce = Callable[[Vector, float, float, float, float], float]
+class BalanceVectors(NamedTuple):
+    """What a `MeasuredBalance` consists of, for compiled callers."""
+
+    p: Vector  #: parameters of the two rollers
+    web: SpanVectors
+    s: Vector  #: state: STARTED, BEFORE_M, and the last `BalanceSample`
 
 
-def _measured_force(sources: int) -> MeasuredForce:
-    """The function that is called from Python; `sources` as in `number_of_sources`."""
+# State of a balance: whether there was a position before (_BEGUN: the web was put there in this cycle), and which; then
+# the fields of a `BalanceSample`.
+STARTED, _BEFORE_M, X2_M, FORCE_N, WEB_PER_PA, VELOCITY_M_S = range(6)
+_SIZE = 6
+_NOT_STARTED, _BEGUN, _FOLLOWS = 0.0, 1.0, 2.0
+
+
+@compiled
+def measured_force_N(p: Vector, torque_Nm: float, x_m: float, v_m_s: float, f_next_N: float) -> float:
+    """Force of the web on roller 2 (N, less `f_next_N`'s pull) by the parameters of a line, the torque that is measured
+    there (N·m), place and speed of the roller at the web (m, m/s), and the tension behind it (N)."""
+    n = int(p[lay.W_AXES])
+    axis = lay.W_SIZE + _AXIS * lay.A_SIZE
+    motor = lay.W_SIZE + n * lay.A_SIZE + _AXIS * lay.M_SIZE
+    ratio = p[motor + lay.M_RAD_PER_M]
+    torque = laws.shaft_torque_Nm(p, motor, laws.true_torque_Nm(p, motor, torque_Nm), x_m * ratio)
+    direction = laws.measured_direction(v_m_s, laws.FRICTION_WIDTH_M_S)
+    resistance = laws.measured_resistance_N(p, axis, x_m, v_m_s, direction)
+    return float(laws.passed_on_N(p, axis, ratio * torque, direction) + f_next_N - resistance)
+
+
+@compiled
+def use_modulus(balance: BalanceVectors, youngs_modulus_Pa: float) -> None:
+    """E that the web's creep and damping go by."""
+    at = modulus_place(balance.web.p)
+    if abs(youngs_modulus_Pa / balance.web.p[at] - 1.0) > _WORTH_TELLING:
+        balance.web.p[at] = youngs_modulus_Pa
+
+
+@compiled
+def weigh(
+    balance: BalanceVectors,
+    x1_m: float,
+    x2_m: float,
+    torque_Nm: float,
+    strain_prev: float,
+    F_next_N: float,
+    duration_s: float,
+) -> None:
+    """The balance at this SYNC into the state, `duration_s` after the last; see `MeasuredBalance.update`."""
+    s, velocity_m_s = balance.s, 0.0
+    if s[STARTED] == _FOLLOWS:
+        follow_to(balance.web, x1_m, x2_m, duration_s)
+        velocity_m_s = (x2_m - s[_BEFORE_M]) / duration_s
+    put_boundary(balance.web, strain_prev, F_next_N)
+    s[STARTED] = _FOLLOWS
+    s[_BEFORE_M] = x2_m
+    s[X2_M] = x2_m
+    s[FORCE_N] = measured_force_N(balance.p, torque_Nm, x2_m, velocity_m_s, F_next_N)
+    s[WEB_PER_PA] = balance.web.tension[0] / balance.web.p[modulus_place(balance.web.p)]
+    s[VELOCITY_M_S] = velocity_m_s
+
+
+WebForce = Callable[[Vector, float, float, float, float], float]
+Weigh = Callable[
+    [Vector, Vector, Vector, Vector, Vector, Vector, Vector, Vector, float, float, float, float, float, float], None
+]
+
+
+def _entry_points(sources: int) -> tuple[WebForce, Weigh]:
+    """Compiled functions that are called from Python; `sources` as in the kernel."""
 
     @entry_point
-    def measured_force(p: Vector, torque_Nm: float, x_m: float, v_m_s: float, f_next_N: float) -> float:
-        if sources < 0:
-            return 0.0
-        n = int(p[lay.W_AXES])
-        axis = lay.W_SIZE + _AXIS * lay.A_SIZE
-        motor = lay.W_SIZE + n * lay.A_SIZE + _AXIS * lay.M_SIZE
-        ratio = p[motor + lay.M_RAD_PER_M]
-        torque = laws.shaft_torque_Nm(p, motor, laws.true_torque_Nm(p, motor, torque_Nm), x_m * ratio)
-        direction = laws.measured_direction(v_m_s, laws.FRICTION_WIDTH_M_S)
-        resistance = laws.measured_resistance_N(p, axis, x_m, v_m_s, direction)
-        force: float = laws.passed_on_N(p, axis, ratio * torque, direction) + f_next_N - resistance
-        return force
+    def force_N(p: Vector, torque_Nm: float, x_m: float, v_m_s: float, f_next_N: float) -> float:
+        return measured_force_N(p, torque_Nm, x_m, v_m_s, f_next_N) if sources >= 0 else 0.0
 
-    return measured_force
+    @entry_point
+    def weigh_once(
+        p: Vector,
+        web_p: Vector,
+        web_s: Vector,
+        web_w: Vector,
+        web_v: Vector,
+        boundary: Vector,
+        tension: Vector,
+        s: Vector,
+        x1_m: float,
+        x2_m: float,
+        torque_Nm: float,
+        strain_prev: float,
+        F_next_N: float,
+        duration_s: float,
+    ) -> None:
+        if sources >= 0:
+            web = SpanVectors(web_p, web_s, web_w, web_v, boundary, tension)
+            weigh(BalanceVectors(p, web, s), x1_m, x2_m, torque_Nm, strain_prev, F_next_N, duration_s)
+
+    return force_N, weigh_once
 
 
-#: Force of the web on roller 2 (N, less `f_next_N`'s pull) by the parameters of a line, the torque that is measured
-#: there (N·m), place and speed of the roller at the web (m, m/s), and the tension behind it (N).
-web_force_N = _measured_force(kernel.source_number(__file__))
+web_force_N, _weigh = _entry_points(kernel.source_number(span.__file__, __file__))
 
 
 def mass_at_web_kg(p: Vector) -> float:
@@ -88,30 +164,33 @@ class MeasuredBalance:
         self.dry_friction_N = float(
             axis[lay.place("coulomb_friction", "force_N")] + axis[lay.place("stribeck_friction", "force_N")]
         )
-        self._before: tuple[float, float] | None = None
+        self.state = np.zeros(_SIZE)
+
+    @property
+    def vectors(self) -> BalanceVectors:
+        """What it consists of, for compiled callers."""
+        return BalanceVectors(self._p, self.web.vectors, self.state)
+
+    @property
+    def sample(self) -> BalanceSample:
+        """The last one."""
+        return BalanceSample(*self.state[X2_M:].tolist())
 
     def reset(self) -> None:
         """The next update starts anew, with the web strained as upstream."""
-        self._before = None
+        self.state[STARTED] = _NOT_STARTED
 
-    def use_modulus(self, youngs_modulus_Pa: float) -> None:
-        """E that the web's creep and damping go by."""
-        if abs(youngs_modulus_Pa / self.web.parameter("youngs_modulus_Pa") - 1.0) > _WORTH_TELLING:
-            self.web.set_parameter("youngs_modulus_Pa", youngs_modulus_Pa)
+    def begin(self, x1_m: float, x2_m: float, strain_prev: float) -> None:
+        """Put the web where the rollers are, unless it is followed already; to be called before `weigh`."""
+        if self.state[STARTED] == _NOT_STARTED:
+            self.web.reset((x1_m, x2_m), strain=[strain_prev])
+            self.state[STARTED] = _BEGUN
 
     def update(
         self, x1_m: float, x2_m: float, torque_Nm: float, strain_prev: float, F_next_N: float, duration_s: float
     ) -> BalanceSample:
         """The balance at this SYNC, `duration_s` after the last; positions at the web, torque at the motor."""
-        web = self.web
-        if self._before is None:
-            web.reset((x1_m, x2_m), strain=[strain_prev])
-            velocity_m_s = 0.0
-        else:
-            web.follow((x1_m, x2_m), duration_s)
-            velocity_m_s = (x2_m - self._before[1]) / duration_s
-        web.set_input("strain_prev", strain_prev)
-        web.set_input("F_next_N", F_next_N)
-        self._before = (x1_m, x2_m)
-        force_N = float(web_force_N(self._p, torque_Nm, x2_m, velocity_m_s, F_next_N))
-        return BalanceSample(x2_m, force_N, float(web.tension_N[0]) / web.parameter("youngs_modulus_Pa"), velocity_m_s)
+        self.begin(x1_m, x2_m, strain_prev)
+        p, web, s = self.vectors
+        _weigh(p, *web, s, x1_m, x2_m, torque_Nm, strain_prev, F_next_N, duration_s)
+        return self.sample

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections import deque
+from collections.abc import Callable
 from math import exp, floor
 
 import numpy as np
 
-from hilbench.estimation.web_line.balance import BalanceSample
+from hilbench.compiled import compiled, entry_point, inlined, number_of_sources
+from hilbench.estimation import ring
+from hilbench.estimation.bank import Array
 
 #: Longest delay that is looked for.
 LONGEST_S = 0.05
@@ -20,6 +22,132 @@ _STEP, _HYSTERESIS = 0.25, 0.4
 _EVIDENCE = 25.0
 
 
+# State of a finder; behind it the simulated torques and the measured ones, the newest first, and of each delay the
+# averaged square (N·m)².
+_CYCLE_S, _DELAYS, _LAG, _NOISE, _KEEP, _SEEN, DELAY_S = range(7)
+_SIZE = 7
+# State of a line; behind it four rings: position (m), the rest of the force (N), web (N/Pa), speed (m/s).
+_OF_CYCLE_S, _POSITIONS, _RESTS, _WEBS, _SPEEDS = range(5)
+_LINE_SIZE = 5
+
+
+@compiled
+def find(s: Array, torque_real_Nm: float, torque_sim_Nm: float) -> float:
+    """Take one cycle; returns the delay in s that is believed now. s: state of a `DelayFinder`."""
+    delays, lag = int(s[_DELAYS]), int(s[_LAG])
+    length = delays + lag + 1
+    simulated, real, errors = _SIZE, _SIZE + length, _SIZE + length + lag + 1
+    for i in range(length - 1, 0, -1):
+        s[simulated + i] = s[simulated + i - 1]
+    for i in range(lag, 0, -1):
+        s[real + i] = s[real + i - 1]
+    s[simulated] = torque_sim_Nm
+    s[real] = torque_real_Nm
+    s[_SEEN] += 1.0
+    if s[_SEEN] < length:
+        return float(s[DELAY_S])
+    change_real = s[real] - s[real + lag]
+    for i in range(delays):
+        apart = change_real - (s[simulated + i] - s[simulated + lag + i])
+        s[errors + i] = s[_KEEP] * s[errors + i] + apart * apart
+    s[_NOISE] = s[_KEEP] * s[_NOISE] + 1.0
+    best_s = _best_s(s, errors, delays)
+    if abs(best_s - s[DELAY_S]) > _HYSTERESIS * s[_CYCLE_S]:
+        step_s = _STEP * s[_CYCLE_S]
+        s[DELAY_S] = step_s * round(best_s / step_s)
+    return float(s[DELAY_S])
+
+
+@compiled
+def _best_s(s: Array, errors: int, delays: int) -> float:
+    best = 0
+    for i in range(delays):
+        if s[errors + i] < s[errors + best]:
+            best = i
+    floor_Nm2 = s[errors + best] / max(s[_NOISE], 1.0)
+    if s[errors] - s[errors + best] <= _EVIDENCE * 2.0 * floor_Nm2 and s[DELAY_S] == 0.0:
+        return 0.0
+    shift = 0.0
+    if 0 < best < delays - 1:
+        before, at, after = s[errors + best - 1], s[errors + best], s[errors + best + 1]
+        bend = before - 2.0 * at + after
+        shift = 0.5 * (before - after) / bend if bend > 0.0 else 0.0
+    return float((best + shift) * s[_CYCLE_S])
+
+
+@compiled
+def forget(s: Array) -> None:
+    """Forget the past. s: state of a line (`new_line`)."""
+    ring.clear(s, int(s[_POSITIONS]))
+    ring.clear(s, int(s[_RESTS]))
+    ring.clear(s, int(s[_WEBS]))
+    ring.clear(s, int(s[_SPEEDS]))
+
+
+@compiled
+def pair(
+    s: Array, x2_m: float, force_N: float, web_per_Pa: float, velocity_m_s: float, torque_force_N: float, delay_s: float
+) -> tuple[bool, float, float, float, float]:
+    """The balance at the time the torque belongs to: position, force, web, speed; False until the past reaches back so
+    far. s: state of a line (`new_line`).
+
+    `torque_force_N` is the part of `force_N` that comes from the torque, the late one.
+    """
+    positions, rests, webs, speeds = int(s[_POSITIONS]), int(s[_RESTS]), int(s[_WEBS]), int(s[_SPEEDS])
+    ring.push(s, positions, x2_m)
+    ring.push(s, rests, force_N - torque_force_N)
+    ring.push(s, webs, web_per_Pa)
+    ring.push(s, speeds, velocity_m_s)
+    if delay_s == 0.0:
+        return True, x2_m, force_N, web_per_Pa, velocity_m_s
+    cycles = delay_s / s[_OF_CYCLE_S]
+    whole = floor(cycles)
+    newest = ring.count(s, positions) - 1
+    if whole + 1 > newest:
+        return False, x2_m, force_N, web_per_Pa, velocity_m_s
+    share, at = cycles - whole, newest - whole
+    rest_N = _between(s, rests, at, share)
+    return (
+        True,
+        _between(s, positions, at, share),
+        rest_N + torque_force_N,
+        _between(s, webs, at, share),
+        _between(s, speeds, at, share),
+    )
+
+
+@inlined
+def _between(s: Array, values: int, at: int, share: float) -> float:
+    """Of a ring the value `at`, by `share` that of the cycle before it."""
+    newer, older = ring.value(s, values, at), ring.value(s, values, at - 1)
+    return newer + (older - newer) * share
+
+
+def new_line(cycle_s: float) -> Array:
+    """State of past balances, to be paired with a torque that is late."""
+    capacity = round(LONGEST_S / cycle_s) + 3
+    s = np.zeros(_LINE_SIZE + 4 * ring.size(capacity))
+    s[_OF_CYCLE_S] = cycle_s
+    at = _LINE_SIZE
+    for place in (_POSITIONS, _RESTS, _WEBS, _SPEEDS):
+        s[place] = at
+        at = ring.put(s, at, capacity)
+    return s
+
+
+def _compiled_find(sources: int) -> Callable[[Array, float, float], float]:
+    """The function that is called from Python; `sources` as in `number_of_sources`."""
+
+    @entry_point
+    def find_once(s: Array, torque_real_Nm: float, torque_sim_Nm: float) -> float:
+        return find(s, torque_real_Nm, torque_sim_Nm) if sources >= 0 else 0.0
+
+    return find_once
+
+
+_find = _compiled_find(number_of_sources(__file__))
+
+
 class DelayFinder:
     """Compares the changes of the measured torque with those of the simulated one, some cycles ago.
 
@@ -29,75 +157,12 @@ class DelayFinder:
     """
 
     def __init__(self, cycle_s: float) -> None:
-        self._cycle_s = cycle_s
-        self._count = max(2, round(LONGEST_S / cycle_s)) + 1
-        self._lag = max(2, round(0.03 / cycle_s))
-        length = self._count + self._lag + 1
-        self._simulated = np.zeros(length)
-        self._real = np.zeros(self._lag + 1)
-        self._errors = np.zeros(self._count)
-        self._noise = 0.0
-        self._keep = exp(-cycle_s / _MEMORY_S)
-        self._seen = 0
-        self.delay_s = 0.0
+        delays = max(2, round(LONGEST_S / cycle_s)) + 1
+        lag = max(2, round(0.03 / cycle_s))
+        self.state = np.zeros(_SIZE + (delays + lag + 1) + (lag + 1) + delays)
+        self.state[_CYCLE_S], self.state[_DELAYS], self.state[_LAG] = cycle_s, delays, lag
+        self.state[_KEEP] = exp(-cycle_s / _MEMORY_S)
 
     def update(self, torque_real_Nm: float, torque_sim_Nm: float) -> float:
         """Take one cycle; returns the delay in s that is believed now."""
-        self._simulated = np.roll(self._simulated, 1)
-        self._real = np.roll(self._real, 1)
-        self._simulated[0], self._real[0] = torque_sim_Nm, torque_real_Nm
-        self._seen += 1
-        if self._seen < len(self._simulated):
-            return self.delay_s
-        change_real = self._real[0] - self._real[-1]
-        change_sim = self._simulated[: self._count] - self._simulated[self._lag : self._lag + self._count]
-        self._errors = self._keep * self._errors + (change_real - change_sim) ** 2
-        self._noise = self._keep * self._noise + 1.0
-        best_s = self._best_s()
-        if abs(best_s - self.delay_s) > _HYSTERESIS * self._cycle_s:
-            step_s = _STEP * self._cycle_s
-            self.delay_s = step_s * round(best_s / step_s)
-        return self.delay_s
-
-    def _best_s(self) -> float:
-        errors = self._errors
-        best = int(np.argmin(errors))
-        floor_Nm2 = errors[best] / max(self._noise, 1.0)
-        if errors[0] - errors[best] <= _EVIDENCE * 2.0 * floor_Nm2 and self.delay_s == 0.0:
-            return 0.0
-        if 0 < best < self._count - 1:
-            before, at, after = errors[best - 1 : best + 2]
-            bend = before - 2.0 * at + after
-            shift = 0.5 * (before - after) / bend if bend > 0.0 else 0.0
-            return float((best + shift) * self._cycle_s)
-        return best * self._cycle_s
-
-
-class DelayLine:
-    """Past balance samples, to be paired with a torque that is late."""
-
-    def __init__(self, cycle_s: float) -> None:
-        self._cycle_s = cycle_s
-        self._past: deque[tuple[float, float, float, float]] = deque(maxlen=round(LONGEST_S / cycle_s) + 3)
-
-    def reset(self) -> None:
-        """Forget the past."""
-        self._past.clear()
-
-    def pair(self, sample: BalanceSample, torque_force_N: float, delay_s: float) -> BalanceSample | None:
-        """The balance at the time the torque belongs to; None until the past reaches back so far.
-
-        `torque_force_N` is the part of `sample.force_N` that comes from the torque, the late one.
-        """
-        rest_N = sample.force_N - torque_force_N
-        self._past.appendleft((sample.x2_m, rest_N, sample.web_per_Pa, sample.velocity_m_s))
-        if delay_s == 0.0:
-            return sample
-        cycles = delay_s / self._cycle_s
-        whole = floor(cycles)
-        if whole + 1 >= len(self._past):
-            return None
-        share = cycles - whole
-        newer, older = self._past[whole], self._past[whole + 1]
-        x2, rest, web, speed = (a + (b - a) * share for a, b in zip(newer, older, strict=True))
-        return BalanceSample(x2, rest + torque_force_N, web, speed)
+        return float(_find(self.state, torque_real_Nm, torque_sim_Nm))

@@ -8,13 +8,16 @@ means another E (`rebased_N`).
 
 from __future__ import annotations
 
-from collections import deque
+from collections.abc import Callable
 from itertools import product
 from math import hypot, log, sqrt
+from typing import NamedTuple
 
 import numpy as np
 
-from hilbench.estimation.bank import Array
+from hilbench.compiled import compiled, entry_point, inlined, noinline, number_of_sources
+from hilbench.estimation import noise_level, ring
+from hilbench.estimation.bank import Array, Places
 from hilbench.estimation.noise_level import NoiseLevel
 from hilbench.estimation.nuisance import Nuisance
 from hilbench.estimation.web_line import model_errors_filter as filters
@@ -95,6 +98,174 @@ def prior_deviations(config: ModelErrorsConfig, model: ModelParameters, force_pe
     return priors
 
 
+class ErrorVectors(NamedTuple):
+    """What `ModelErrors` consist of, for compiled callers; K filters of N states."""
+
+    u: Array  #: as all to `kept`: what `model_errors_filter.cycle` takes
+    s: Array
+    z: Array
+    p: Array
+    places: Places
+    weights: Array
+    process: Array
+    work: Array
+    theta: Array
+    priors: Array
+    orders: Array
+    kept: Array
+    torque: Array  #: state of the torque's `NoiseLevel`
+    position: Array  #: the same of the position's
+    k: Array  #: sizes, and how far E goes to and fro
+    first_z: Array  #: as before the first measurement, like the next two
+    first_p: Array
+    first_weights: Array
+
+
+# Of ErrorVectors.k; behind it a ring of the E that was told, a value a block.
+(
+    _REFERENCE_PA,
+    _FORCE_PER_TORQUE,
+    _RADIUS_1_M,
+    _RADIUS_2_M,
+    _PER_TORQUE2,  # variance of the force per variance of the torque
+    _PER_POSITION2,  # the same per variance of the position
+    _BLOCKS_S,
+    _LEAST_REST_N2,
+    _REST_N2,
+    _TOLD,
+) = range(10)
+
+
+@compiled
+def interrupt(e: ErrorVectors) -> None:
+    """A cycle is missing, or can't be used: no mean goes across."""
+    e.s[filters.COUNT] = 0.0
+    ring.clear(e.k, _TOLD)
+    ripples.interrupt(e.kept)
+
+
+@inlined
+def likely_deviation_N(e: ErrorVectors) -> float:
+    """What the correction may be wrong by (standard deviation), by what is likely: mostly the model lacks nothing."""
+    return float(e.s[filters.SPREAD_N] * sqrt(e.s[filters.LACKING]))
+
+
+@compiled
+def take(
+    e: ErrorVectors,
+    x1_m: float,
+    x2_m: float,
+    torque_Nm: float,
+    force_N: float,
+    web_per_Pa: float,
+    velocity_m_s: float,
+    next_N: float,
+    told_Pa: float,
+) -> None:
+    """Take the balance of this cycle; see `ModelErrors.update`."""
+    u, k = e.u, e.k
+    noise_level.take(e.torque, torque_Nm)
+    noise_level.take(e.position, x2_m)
+    u[filters.FORCE_N] = force_N
+    u[filters.WEB_N] = web_per_Pa * k[_REFERENCE_PA]
+    u[filters.SPEED_M_S] = velocity_m_s
+    u[filters.TOLD] = told_Pa / k[_REFERENCE_PA]
+    u[filters.RESISTANCE_N] = torque_Nm * k[_FORCE_PER_TORQUE] + next_N - force_N
+    u[filters.NEXT_N] = next_N
+    u[filters.ANGLE_1] = x1_m / k[_RADIUS_1_M]
+    u[filters.ANGLE_2] = x2_m / k[_RADIUS_2_M]
+    u[filters.MOTOR_ANGLE] = x2_m * k[_FORCE_PER_TORQUE]
+    position_m2 = noise_level.variance(e.position)
+    u[filters.POSITION_M2] = position_m2
+    u[filters.VARIANCE_N2] = k[_PER_TORQUE2] * noise_level.variance(e.torque) + k[_PER_POSITION2] * position_m2
+    if filters.cycle(u, e.s, e.z, e.p, e.places, e.weights, e.process, e.work, e.theta, e.priors, e.orders, e.kept):
+        _look_at_unrest(e, told_Pa, web_per_Pa)
+    if e.s[filters.RIPPLES_CHANGED] != 0.0:
+        _forget(e)
+
+
+@compiled
+def _look_at_unrest(e: ErrorVectors, told_Pa: float, web_per_Pa: float) -> None:
+    """How far E as it is told goes to and fro: what no error of a constant size explains comes and goes."""
+    k = e.k
+    ring.push(k, _TOLD, told_Pa)
+    if not ring.is_full(k, _TOLD):
+        return
+    apart_N = _REST_SHARE * (told_Pa - ring.value(k, _TOLD, 0)) * web_per_Pa
+    more_N2 = min(apart_N * apart_N, _MOST_APART * k[_REST_N2]) - k[_REST_N2]
+    k[_REST_N2] = max(k[_REST_N2] + k[_BLOCKS_S] / _USUAL_S * more_N2, k[_LEAST_REST_N2])
+    e.u[filters.REST_N] = sqrt(k[_REST_N2])
+
+
+@compiled
+def _forget(e: ErrorVectors) -> None:
+    """What has been learned with a ripple in the torque that was not known of is worth nothing; E stays."""
+    noinline()
+    filter_count, size = e.z.shape
+    for k in range(filter_count):
+        for i in range(size):
+            if i != filters.E:
+                e.z[k, i] = e.first_z[k, i]
+            for j in range(size):
+                e.p[k, i, j] = e.first_p[k, i, j]
+        e.weights[k] = e.first_weights[k]
+    for place in (filters.EXCESS, filters.LEANING, filters.SURPRISED, filters.COUNT):
+        e.s[place] = 0.0
+
+
+_INTERRUPT, _UPDATE = range(2)
+
+
+def _compiled_entry(sources: int) -> Callable[..., None]:
+    """The function that is called from Python; `sources` as in `number_of_sources`."""
+
+    @entry_point
+    def act(
+        what: int,
+        u: Array,
+        s: Array,
+        z: Array,
+        p: Array,
+        places: Places,
+        weights: Array,
+        process: Array,
+        work: Array,
+        theta: Array,
+        priors: Array,
+        orders: Array,
+        kept: Array,
+        torque: Array,
+        position: Array,
+        k: Array,
+        first_z: Array,
+        first_p: Array,
+        first_weights: Array,
+        x1_m: float,
+        x2_m: float,
+        torque_Nm: float,
+        force_N: float,
+        web_per_Pa: float,
+        velocity_m_s: float,
+        next_N: float,
+        told_Pa: float,
+    ) -> None:
+        if sources < 0:
+            return
+        filter_bank = (u, s, z, p, places, weights, process, work, theta, priors, orders, kept)
+        e = ErrorVectors(*filter_bank, torque, position, k, first_z, first_p, first_weights)
+        if what == _INTERRUPT:
+            interrupt(e)
+        else:
+            take(e, x1_m, x2_m, torque_Nm, force_N, web_per_Pa, velocity_m_s, next_N, told_Pa)
+
+    return act
+
+
+_act = _compiled_entry(
+    number_of_sources(noise_level.__file__, ring.__file__, ripples.__file__, filters.__file__, __file__)
+)
+
+
 class ModelErrors:
     """Friction, offset, scale, mass, creep, unbalance and eccentricity beyond the model's, of the roller behind the
     first span."""
@@ -108,9 +279,8 @@ class ModelErrors:
         cycle_s: float,
     ) -> None:
         f = filters
-        self._reference_Pa = youngs_modulus_Pa
         self._force_per_torque = balance.force_per_torque_per_m
-        self._radius_m = model.radius_m(1), model.radius_m(2)
+        self._radius_m = model.radius_m(2)
         self._priors = prior_deviations(config, model, self._force_per_torque)
         tension_N = max(model.boundary.upstream_tension_N, model.boundary.downstream_tension_N)
         u = self._u = np.zeros(f.INPUTS)
@@ -128,9 +298,15 @@ class ModelErrors:
         self._torque = NoiseLevel(_TORQUE_NOISE_NM, _TORQUE_FLOOR_NM)
         self._position = NoiseLevel(_POSITION_NOISE_M, _POSITION_FLOOR_M)
         self._s = np.zeros(f.KEPT)
-        self._block_s = block * cycle_s
-        self._told: deque[float] = deque(maxlen=round(_APART_S / self._block_s) + 1)
-        self._least_rest_N2 = self._rest_N2 = u.item(f.REST_N) ** 2
+        blocks = round(_APART_S / (block * cycle_s)) + 1
+        k = self._k = np.zeros(_TOLD + ring.size(blocks))
+        ring.put(k, _TOLD, blocks)
+        k[_REFERENCE_PA], k[_FORCE_PER_TORQUE] = youngs_modulus_Pa, self._force_per_torque
+        k[_RADIUS_1_M], k[_RADIUS_2_M] = model.radius_m(1), model.radius_m(2)
+        k[_PER_TORQUE2] = self._force_per_torque**2
+        k[_PER_POSITION2] = 2.0 * (u.item(f.STIFFNESS_N) / u.item(f.SPAN_M)) ** 2
+        k[_BLOCKS_S] = block * cycle_s
+        k[_LEAST_REST_N2] = k[_REST_N2] = u.item(f.REST_N) ** 2
         self._start()
 
     def _start(self) -> None:
@@ -152,26 +328,37 @@ class ModelErrors:
                 self._p[k, place, place] = self._priors[place] ** 2
             self._p[k, f.E, f.E] = _INITIAL_E**2
             self._p[k, f.REST, f.REST] = self._u[f.REST_N] ** 2
-        self._first, self._first_weights = (self._z.copy(), self._p.copy()), self._weights.copy()
+        self._first = self._z.copy(), self._p.copy(), self._weights.copy()
         self._theta = np.zeros(size)
         self._work = np.zeros((4, size + 1))
         self._orders, self._kept_of_orders = ripples.new_table()
         self._s[f.SPREAD_N] = hypot(self._priors[f.OFFSET], self._priors[f.DRY])
 
-    def _forget(self) -> None:
-        """What has been learned with a ripple in the torque that was not known of is worth nothing."""
-        f = filters
-        modulus = self._z[:, f.E].copy()
-        self._z[:], self._p[:] = self._first
-        self._z[:, f.E] = modulus
-        self._weights[:] = self._first_weights
-        self._s[f.EXCESS] = self._s[f.LEANING] = self._s[f.SURPRISED] = self._s[f.COUNT] = 0.0
+    @property
+    def vectors(self) -> ErrorVectors:
+        """What they consist of, for compiled callers."""
+        return ErrorVectors(
+            self._u,
+            self._s,
+            self._z,
+            self._p,
+            self._places,
+            self._weights,
+            self._process,
+            self._work,
+            self._theta,
+            self._priors,
+            self._orders,
+            self._kept_of_orders,
+            self._torque.state,
+            self._position.state,
+            self._k,
+            *self._first,
+        )
 
     def interrupt(self) -> None:
         """A cycle is missing, or can't be used: no mean goes across."""
-        self._s[filters.COUNT] = 0.0
-        self._told.clear()
-        ripples.interrupt(self._kept_of_orders)
+        _act(_INTERRUPT, *self.vectors, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
     def hold(self, duration_s: float) -> None:
         """Nothing can be measured: what is known gets less."""
@@ -201,56 +388,11 @@ class ModelErrors:
         """What the correction may be wrong by, standard deviation."""
         return self._s.item(filters.SPREAD_N)
 
-    @property
-    def likely_deviation_N(self) -> float:
-        """The same by what is likely: as a rule the model lacks nothing."""
-        return self.deviation_N * sqrt(self._s.item(filters.LACKING))
-
     def update(self, now: BalanceSample, torque_Nm: float, x1_m: float, next_N: float, told_Pa: float) -> float:
         """Take the balance of this cycle; returns what of its force is no tension."""
-        f, u = filters, self._u
-        self._torque.update(torque_Nm)
-        self._position.update(now.x2_m)
-        u[f.FORCE_N], u[f.WEB_N], u[f.SPEED_M_S] = now.force_N, now.web_per_Pa * self._reference_Pa, now.velocity_m_s
-        u[f.TOLD] = told_Pa / self._reference_Pa
-        u[f.RESISTANCE_N], u[f.NEXT_N] = torque_Nm * self._force_per_torque + next_N - now.force_N, next_N
-        u[f.ANGLE_1], u[f.ANGLE_2] = x1_m / self._radius_m[0], now.x2_m / self._radius_m[1]
-        u[f.MOTOR_ANGLE] = now.x2_m * self._force_per_torque
-        position_m2 = self._position.variance
-        u[f.POSITION_M2] = position_m2
-        u[f.VARIANCE_N2] = (
-            self._force_per_torque**2 * self._torque.variance
-            + 2.0 * (u[f.STIFFNESS_N] / u[f.SPAN_M]) ** 2 * position_m2
-        )
-        if f.cycle(
-            u,
-            self._s,
-            self._z,
-            self._p,
-            self._places,
-            self._weights,
-            self._process,
-            self._work,
-            self._theta,
-            self._priors,
-            self._orders,
-            self._kept_of_orders,
-        ):
-            self._look_at_unrest(told_Pa, now.web_per_Pa)
-        if self._s[f.RIPPLES_CHANGED]:
-            self._forget()
+        balance = (now.force_N, now.web_per_Pa, now.velocity_m_s)
+        _act(_UPDATE, *self.vectors, x1_m, now.x2_m, torque_Nm, *balance, next_N, told_Pa)
         return self.correction_N
-
-    def _look_at_unrest(self, told_Pa: float, web_per_Pa: float) -> None:
-        """How far E as it is told goes to and fro: what no error of a constant size explains comes and goes."""
-        told = self._told
-        told.append(told_Pa)
-        if len(told) < (told.maxlen or 0):
-            return
-        apart_N = _REST_SHARE * (told[-1] - told[0]) * web_per_Pa
-        more_N2 = min(apart_N * apart_N, _MOST_APART * self._rest_N2) - self._rest_N2
-        self._rest_N2 = max(self._rest_N2 + self._block_s / _USUAL_S * more_N2, self._least_rest_N2)
-        self._u[filters.REST_N] = sqrt(self._rest_N2)
 
     def found(self) -> tuple[Nuisance, ...]:
         """What is estimated beside E by now, by the filter that allows for all of it; of an eccentricity (of roller 2,
@@ -264,7 +406,7 @@ class ModelErrors:
         wobble = slice(filters.COS2, filters.COS2 + 2)
         deviation = float(np.hypot(*deviations[wobble]))
         separable = deviation < _SEPARABLE * float(np.hypot(*self._priors[wobble]))
-        radius_m = self._radius_m[1]
+        radius_m = self._radius_m
         rows.append(
             Nuisance("eccentricity_m", float(np.hypot(*mean[wobble])) * radius_m, deviation * radius_m, separable)
         )

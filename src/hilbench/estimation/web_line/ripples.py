@@ -67,6 +67,7 @@ def _look(table: Array, s: Array, residual: float, cycle_s: float) -> bool:
     return changed
 
 
+@compiled
 def interrupt(s: Array) -> None:
     """A cycle is missing: no acceleration is formed across it."""
     s[COUNT] = 0.0

@@ -13,11 +13,15 @@ was something else.
 
 from __future__ import annotations
 
-from collections import deque
-from dataclasses import dataclass, field
-from math import inf
+from collections.abc import Callable
+from math import inf, sqrt
 from typing import NamedTuple
 
+import numpy as np
+
+from hilbench.compiled import compiled, entry_point, inlined, number_of_sources
+from hilbench.estimation import ring
+from hilbench.estimation.bank import Array
 from hilbench.estimation.web_line.balance import BalanceSample
 
 #: EMCY error codes (CiA 301: FFxxh, device specific): a shift, its N·m as REAL32 in the manufacturer's field; a change
@@ -46,16 +50,6 @@ _SETTLED, _LEANS, _LEANS_NO_MORE = 8.0, 5.0, 2.5
 _LEAST, _LONG, _LONGEST = 15, 150, 3000
 
 
-class Block(NamedTuple):
-    """Means over a block: tension by the torque in N, and what it is per Pa of E by the strain; at its end the speed
-    and the E that is told."""
-
-    force_N: float
-    web_per_Pa: float
-    velocity_m_s: float
-    told_Pa: float
-
-
 class TorqueShift(NamedTuple):
     """What has shifted: force at the web that the torque shows and the web does not pull; E is what was told before."""
 
@@ -63,100 +57,228 @@ class TorqueShift(NamedTuple):
     youngs_modulus_Pa: float
 
 
-@dataclass
-class _Sums:
-    """Of force f and web h over blocks, for lines through them."""
-
-    count: int = 0
-    f: float = 0.0
-    h: float = 0.0
-    ff: float = 0.0
-    fh: float = 0.0
-    hh: float = 0.0
-
-    def add(self, block: Block) -> None:
-        f, h = block.force_N, block.web_per_Pa
-        self.count += 1
-        self.f += f
-        self.h += h
-        self.ff += f * f
-        self.fh += f * h
-        self.hh += h * h
-
-    def of_modulus(self, precision: float) -> float:
-        """Squared residuals of f = E'·h + c with c known to be small, `precision`: variance of the noise over that of
-        c; infinite: f = E'·h."""
-        through_origin = self.ff - self.fh * self.fh / self.hh
-        if precision == inf:
-            return through_origin
-        # Least squares for c beside E', with c² weighed by its precision.
-        across = self.f - self.fh * self.h / self.hh
-        return through_origin - across * across / (self.count - self.h * self.h / self.hh + precision)
-
-    def of_shift(self, modulus_Pa: float, web_before_per_Pa: float, precision: float) -> tuple[float, float]:
-        """d of f = E·h + d, and the squared residuals. E was c/h smaller before: c as in `of_modulus`."""
-        s_fh = self.fh - self.f * self.h / self.count
-        s_hh = max(self.hh - self.h * self.h / self.count, 0.0)
-        s_ff = self.ff - self.f * self.f / self.count
-        least = modulus_Pa
-        if precision < inf:
-            held = precision * web_before_per_Pa * web_before_per_Pa
-            least = (s_fh + held * modulus_Pa) / (s_hh + held)
-        d = (self.f - least * self.h) / self.count
-        squares = s_ff - 2.0 * least * s_fh + least * least * s_hh
-        if precision < inf:
-            squares += held * (least - modulus_Pa) ** 2
-        # What there was before is in E as it is told: the shift is what there is beyond that.
-        return d - (modulus_Pa - least) * web_before_per_Pa, squares
-
-    def free(self) -> float:
-        """Squared residuals of f = E'·h + d'."""
-        s_ff = self.ff - self.f * self.f / self.count
-        s_fh = self.fh - self.f * self.h / self.count
-        s_hh = self.hh - self.h * self.h / self.count
-        return s_ff - s_fh * s_fh / s_hh if s_hh > 0.0 else s_ff
+# State. The block that is collected; of a change what there was before (E of the line through the blocks before: beside
+# E whatever else was told then is in it) and sums over the blocks since, of force f and web h; what was found. Behind
+# it four rings, of the blocks before: force (N), web (N/Pa), at its end speed (m/s) and the E that was told (Pa).
+(
+    _MASS_KG,
+    _CYCLE_S,
+    _CYCLES,
+    _COLLECTED,
+    _FORCE_SUM_N,
+    _WEB_SUM,
+    _BEGAN_M_S,
+    _OPEN,
+    _MODULUS_PA,
+    _TOLD_PA,
+    _WEB_PER_PA,
+    _VARIANCE_N2,
+    _HITS,
+    _LEANS_TO_MODULUS,
+    _COUNT,
+    _F,
+    _H,
+    _FF,
+    _FH,
+    _HH,
+    FOUND_N,
+    FOUND_PA,
+    _FORCES,
+    _WEBS,
+    _SPEEDS,
+    _TOLD,
+) = range(26)
+_SIZE = 26
 
 
-@dataclass
-class _Change:
-    """What there was before a change, and what there is since. `modulus_Pa` is that of the line through the blocks
-    before: beside E whatever else was told then is in it."""
+@compiled
+def reset(s: Array) -> None:
+    """The web is another one, was at rest, or what is measured says something else."""
+    s[_OPEN] = 0.0
+    ring.clear(s, int(s[_FORCES]))
+    ring.clear(s, int(s[_WEBS]))
+    ring.clear(s, int(s[_SPEEDS]))
+    ring.clear(s, int(s[_TOLD]))
+    interrupt(s)
 
-    modulus_Pa: float
-    told_Pa: float
-    web_per_Pa: float
-    variance_N2: float
-    hit: int = _HIT
-    leans_to_modulus: bool = False
-    since: _Sums = field(default_factory=_Sums)
+
+@inlined
+def interrupt(s: Array) -> None:
+    """A cycle is missing: no mean goes across."""
+    s[_COLLECTED] = 0.0
+    s[_FORCE_SUM_N] = 0.0
+    s[_WEB_SUM] = 0.0
+    s[_BEGAN_M_S] = 0.0
+
+
+@compiled
+def look(
+    s: Array,
+    force_N: float,
+    web_per_Pa: float,
+    velocity_m_s: float,
+    told_Pa: float,
+    may_decide: bool,
+    deviation_N: float,
+) -> bool:
+    """Take the balance of this cycle; whether a shift is sure, FOUND_N and FOUND_PA then (see `TorqueShiftFinder`)."""
+    if s[_COLLECTED] == 0.0:
+        s[_BEGAN_M_S] = velocity_m_s
+    s[_COLLECTED] += 1.0
+    s[_FORCE_SUM_N] += force_N
+    s[_WEB_SUM] += web_per_Pa
+    if s[_COLLECTED] < s[_CYCLES]:
+        return False
+    count = s[_COLLECTED]
+    accelerating_N = s[_MASS_KG] * (velocity_m_s - s[_BEGAN_M_S]) / ((count - 1.0) * s[_CYCLE_S])
+    block_N, block_per_Pa = s[_FORCE_SUM_N] / count - accelerating_N, s[_WEB_SUM] / count
+    interrupt(s)
+    before = int(s[_SPEEDS])
+    changed_speed = False
+    if ring.count(s, before) > 0:
+        first_m_s = ring.value(s, before, 0)
+        changed_speed = not abs(velocity_m_s - first_m_s) <= _SAME_SPEED * abs(first_m_s)
+    if block_per_Pa <= 0.0 or changed_speed:
+        reset(s)
+    elif s[_OPEN] != 0.0:
+        return _explain(s, block_N, block_per_Pa, may_decide, deviation_N)
+    elif ring.count(s, before) < _ENOUGH or not _is_noticed(s, block_N, block_per_Pa):
+        ring.push(s, int(s[_FORCES]), block_N)
+        ring.push(s, int(s[_WEBS]), block_per_Pa)
+        ring.push(s, before, velocity_m_s)
+        ring.push(s, int(s[_TOLD]), told_Pa)
+    return False
+
+
+@compiled
+def _is_noticed(s: Array, block_N: float, block_per_Pa: float) -> bool:
+    """Whether the block is no more of what was before. The block itself has some of both, and belongs to neither."""
+    forces, webs, force_N, web_per_Pa, squares = int(s[_FORCES]), int(s[_WEBS]), 0.0, 0.0, 0.0
+    count = ring.count(s, forces)
+    for i in range(count):
+        force_N += ring.value(s, forces, i)
+        web_per_Pa += ring.value(s, webs, i)
+    modulus_Pa = force_N / web_per_Pa
+    tension_N = abs(modulus_Pa * block_per_Pa)
+    for i in range(count):
+        squares += (ring.value(s, forces, i) - modulus_Pa * ring.value(s, webs, i)) ** 2
+    variance_N2 = max(squares / (count - 1), (_NOISE_FLOOR * tension_N) ** 2)
+    difference_N = abs(block_N - modulus_Pa * block_per_Pa)
+    if difference_N < max(_CHANGED_NOISES * sqrt(variance_N2), _CHANGED * tension_N):
+        return False
+    s[_OPEN], s[_MODULUS_PA], s[_WEB_PER_PA], s[_VARIANCE_N2] = 1.0, modulus_Pa, web_per_Pa / count, variance_N2
+    s[_TOLD_PA] = ring.value(s, int(s[_TOLD]), count - 1)
+    s[_HITS], s[_LEANS_TO_MODULUS] = _HIT, 0.0
+    for place in (_COUNT, _F, _H, _FF, _FH, _HH):
+        s[place] = 0.0
+    return True
+
+
+@compiled
+def _explain(s: Array, f: float, h: float, may_decide: bool, deviation_N: float) -> bool:
+    if s[_HITS] > 0.0:
+        s[_HITS] -= 1.0
+        return False
+    s[_COUNT] += 1.0
+    s[_F] += f
+    s[_H] += h
+    s[_FF] += f * f
+    s[_FH] += f * h
+    s[_HH] += h * h
+    count = s[_COUNT]
+    if count < _LEAST or not may_decide:
+        return False
+    free = _free(s)
+    # What a shaft that was hit swings through goes on neither line: it counts as noise.
+    variance = max(s[_VARIANCE_N2], free / (count - 2.0))
+    precision = variance / (deviation_N * deviation_N) if deviation_N != 0.0 else inf
+    shift_N, of_shift = _of_shift(s, precision)
+    of_shift, of_modulus = (of_shift - free) / variance, (_of_modulus(s, precision) - free) / variance
+    if of_modulus - of_shift > _DECIDED and of_shift < _ACCEPTED:
+        s[FOUND_N], s[FOUND_PA] = shift_N, s[_TOLD_PA]
+        reset(s)
+        return True
+    better = of_shift - of_modulus
+    s[_LEANS_TO_MODULUS] = 1.0 if better > (_LEANS_NO_MORE if s[_LEANS_TO_MODULUS] != 0.0 else _LEANS) else 0.0
+    enough = _SETTLED if count >= _LONG else _DECIDED
+    settled = better > enough or min(of_shift, of_modulus) > _DECIDED
+    if settled or count >= _LONGEST:
+        reset(s)
+    return False
+
+
+@compiled
+def _of_modulus(s: Array, precision: float) -> float:
+    """Squared residuals of f = E'·h + c with c known to be small, `precision`: variance of the noise over that of c;
+    infinite: f = E'·h."""
+    through_origin = s[_FF] - s[_FH] * s[_FH] / s[_HH]
+    if precision == inf:
+        return float(through_origin)
+    # Least squares for c beside E', with c² weighed by its precision.
+    across = s[_F] - s[_FH] * s[_H] / s[_HH]
+    return float(through_origin - across * across / (s[_COUNT] - s[_H] * s[_H] / s[_HH] + precision))
+
+
+@compiled
+def _of_shift(s: Array, precision: float) -> tuple[float, float]:
+    """d of f = E·h + d, and the squared residuals. E was c/h smaller before: c as in `_of_modulus`."""
+    modulus_Pa, web_before_per_Pa = s[_MODULUS_PA], s[_WEB_PER_PA]
+    s_fh = s[_FH] - s[_F] * s[_H] / s[_COUNT]
+    s_hh = max(s[_HH] - s[_H] * s[_H] / s[_COUNT], 0.0)
+    s_ff = s[_FF] - s[_F] * s[_F] / s[_COUNT]
+    least, held = modulus_Pa, 0.0
+    if precision < inf:
+        held = precision * web_before_per_Pa * web_before_per_Pa
+        least = (s_fh + held * modulus_Pa) / (s_hh + held)
+    d = (s[_F] - least * s[_H]) / s[_COUNT]
+    squares = s_ff - 2.0 * least * s_fh + least * least * s_hh
+    if precision < inf:
+        squares += held * (least - modulus_Pa) ** 2
+    # What there was before is in E as it is told: the shift is what there is beyond that.
+    return d - (modulus_Pa - least) * web_before_per_Pa, squares
+
+
+@compiled
+def _free(s: Array) -> float:
+    """Squared residuals of f = E'·h + d'."""
+    s_ff = s[_FF] - s[_F] * s[_F] / s[_COUNT]
+    s_fh = s[_FH] - s[_F] * s[_H] / s[_COUNT]
+    s_hh = s[_HH] - s[_H] * s[_H] / s[_COUNT]
+    return float(s_ff - s_fh * s_fh / s_hh if s_hh > 0.0 else s_ff)
+
+
+def _compiled_look(sources: int) -> Callable[[Array, float, float, float, float, bool, float], bool]:
+    """The function that is called from Python; `sources` as in `number_of_sources`."""
+
+    @entry_point
+    def look_once(
+        s: Array, force_N: float, web_per_Pa: float, velocity_m_s: float, told_Pa: float, may: bool, deviation_N: float
+    ) -> bool:
+        return look(s, force_N, web_per_Pa, velocity_m_s, told_Pa, may, deviation_N) if sources >= 0 else False
+
+    return look_once
+
+
+_look = _compiled_look(number_of_sources(ring.__file__, __file__))
 
 
 class TorqueShiftFinder:
     """Looks at each cycle's balance of axis 2. `mass_kg`: of roller and motor, at the web."""
 
     def __init__(self, mass_kg: float, cycle_s: float) -> None:
-        self._mass_kg = mass_kg
-        self._cycle_s = cycle_s
-        self._cycles = max(2, round(_BLOCK_S / cycle_s))
-        self.reset()
-
-    def reset(self) -> None:
-        """The web is another one, was at rest, or what is measured says something else."""
-        self._before: deque[Block] = deque(maxlen=_BEFORE)
-        self._change: _Change | None = None
-        self.interrupt()
+        size = ring.size(_BEFORE)
+        self.state = np.zeros(_SIZE + 4 * size)
+        self.state[_MASS_KG], self.state[_CYCLE_S] = mass_kg, cycle_s
+        self.state[_CYCLES] = max(2, round(_BLOCK_S / cycle_s))
+        for number, place in enumerate((_FORCES, _WEBS, _SPEEDS, _TOLD)):
+            self.state[place] = _SIZE + number * size
+            ring.put(self.state, _SIZE + number * size, _BEFORE)
 
     @property
     def undecided(self) -> bool:
         """Whether a change has been open for long, and may as well be the one as the other."""
-        change = self._change
-        return change is not None and change.since.count >= _LONG and not change.leans_to_modulus
-
-    def interrupt(self) -> None:
-        """A cycle is missing: no mean goes across."""
-        self._count = 0
-        self._force_sum_N = self._web_sum = 0.0
-        self._began_m_s = 0.0
+        is_open, leans, count = (self.state.item(place) for place in (_OPEN, _LEANS_TO_MODULUS, _COUNT))
+        return is_open != 0.0 and count >= _LONG and leans == 0.0
 
     def update(
         self, now: BalanceSample, told_Pa: float, *, may_decide: bool = True, deviation_N: float = 0.0
@@ -166,71 +288,11 @@ class TorqueShiftFinder:
         Without `may_decide` what is sure is not said yet: it may be something else. `deviation_N`: what the balance may
         have been off by all the time.
         """
-        if self._count == 0:
-            self._began_m_s = now.velocity_m_s
-        self._count += 1
-        self._force_sum_N += now.force_N
-        self._web_sum += now.web_per_Pa
-        if self._count < self._cycles:
-            return None
-        count = self._count
-        accelerating_N = self._mass_kg * (now.velocity_m_s - self._began_m_s) / ((count - 1) * self._cycle_s)
-        block = Block(self._force_sum_N / count - accelerating_N, self._web_sum / count, now.velocity_m_s, told_Pa)
-        self.interrupt()
-        return self._take(block, may_decide, deviation_N)
-
-    def _take(self, block: Block, may_decide: bool, deviation_N: float) -> TorqueShift | None:
-        before = self._before
-        if block.web_per_Pa <= 0.0 or (before and not _same_speed(block, before[0])):
-            self.reset()
-        elif self._change is not None:
-            return self._explain(self._change, block, may_decide, deviation_N)
-        elif len(before) < _ENOUGH:
-            before.append(block)
-        else:
-            self._change = _noticed(before, block)
-            if self._change is None:
-                before.append(block)
+        if _look(self.state, now.force_N, now.web_per_Pa, now.velocity_m_s, told_Pa, may_decide, deviation_N):
+            return self.found
         return None
 
-    def _explain(self, change: _Change, block: Block, may_decide: bool, deviation_N: float) -> TorqueShift | None:
-        if change.hit > 0:
-            change.hit -= 1
-            return None
-        change.since.add(block)
-        since = change.since
-        if since.count < _LEAST or not may_decide:
-            return None
-        free = since.free()
-        # What a shaft that was hit swings through goes on neither line: it counts as noise.
-        variance = max(change.variance_N2, free / (since.count - 2))
-        precision = variance / deviation_N**2 if deviation_N else inf
-        shift_N, of_shift = since.of_shift(change.modulus_Pa, change.web_per_Pa, precision)
-        of_shift, of_modulus = (of_shift - free) / variance, (since.of_modulus(precision) - free) / variance
-        if of_modulus - of_shift > _DECIDED and of_shift < _ACCEPTED:
-            self.reset()
-            return TorqueShift(shift_N, change.told_Pa)
-        better = of_shift - of_modulus
-        change.leans_to_modulus = better > (_LEANS_NO_MORE if change.leans_to_modulus else _LEANS)
-        enough = _SETTLED if since.count >= _LONG else _DECIDED
-        settled = better > enough or min(of_shift, of_modulus) > _DECIDED
-        if settled or since.count >= _LONGEST:
-            self.reset()
-        return None
-
-
-def _same_speed(one: Block, other: Block) -> bool:
-    return abs(one.velocity_m_s - other.velocity_m_s) <= _SAME_SPEED * abs(other.velocity_m_s)
-
-
-def _noticed(before: deque[Block], block: Block) -> _Change | None:
-    """What there was, when the block is no more of it. The block itself has some of both, and belongs to neither."""
-    modulus_Pa = sum(past.force_N for past in before) / sum(past.web_per_Pa for past in before)
-    tension_N = abs(modulus_Pa * block.web_per_Pa)
-    squares = sum((past.force_N - modulus_Pa * past.web_per_Pa) ** 2 for past in before)
-    variance_N2 = max(squares / (len(before) - 1), (_NOISE_FLOOR * tension_N) ** 2)
-    difference_N = abs(block.force_N - modulus_Pa * block.web_per_Pa)
-    if difference_N < max(_CHANGED_NOISES * variance_N2**0.5, _CHANGED * tension_N):
-        return None
-    web_per_Pa = sum(past.web_per_Pa for past in before) / len(before)
-    return _Change(modulus_Pa, before[-1].told_Pa, web_per_Pa, variance_N2)
+    @property
+    def found(self) -> TorqueShift:
+        """The last shift that was sure."""
+        return TorqueShift(self.state.item(FOUND_N), self.state.item(FOUND_PA))

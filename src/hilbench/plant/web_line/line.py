@@ -16,6 +16,7 @@ from hilbench.plant.sampling import samples_per
 from hilbench.plant.web_line import laws, motion, reels
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.layout import Vector
+from hilbench.plant.web_line.line_vectors import LineVectors
 from hilbench.plant.web_line.modes import needed_substeps
 from hilbench.plant.web_line.offline import start_state
 from hilbench.plant.web_line.parameters import ModelParameters
@@ -68,12 +69,38 @@ class Line(SimulatedLine):
         self._elastic = any(_acts_on_elasticity(entry.effect) for entry in parameters.effects)
         self._observe()
 
+    first_axis = 0  #: of the rollers around its first span, from 0
+
+    @property
+    def vectors(self) -> LineVectors:
+        """What it consists of, for compiled callers; `show` after they have changed it."""
+        return LineVectors(self._p, self._state, self._inputs, self._work, self._out)
+
+    @property
+    def moduli(self) -> Vector:
+        """(2, K): where E of each span stands in the parameters, and 1 for each."""
+        layout = self._layout
+        places = layout.first_span + lay.SP_SIZE * np.arange(layout.spans) + lay.SP_MODULUS_PA
+        return np.array([places, np.ones(layout.spans)])
+
+    def set_boundary(self, strain_prev: float, F_next_N: float) -> None:
+        """What the neighbouring sections do from now on: the inputs of these names."""
+        self._inputs[lay.U_STRAIN_PREV], self._inputs[lay.U_F_NEXT_N] = strain_prev, F_next_N
+
+    def show(self) -> None:
+        """Bring the ports up to what was changed in the vectors, which is in their `out`."""
+        self._write_ports()
+
+    def parameter(self, name: str) -> float:
+        """Present value of a parameter. Raises ValueError for an unknown name."""
+        modulus_Pa = self._moduli.get(name)
+        return super().parameter(name) if modulus_Pa is None else float(modulus_Pa.item(0))
+
     def set_parameter(self, name: str, value: float) -> None:
         """Give a parameter a value from now on. Raises ValueError for an unknown name or an impossible value."""
         modulus_Pa = self._moduli.get(name)
         if modulus_Pa is not None:  # in every cycle of a twin
             modulus_Pa[:] = checked_positive(name, value, "Pa")
-            self._parameters |= {known: view.item(0) for known, view in self._moduli.items()}
             return
         checked_name("parameter", name, self._description.parameters)
         axis = list(self._parameters).index(name) + 1  # the inertias come first

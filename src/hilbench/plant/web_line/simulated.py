@@ -242,6 +242,9 @@ class SimulatedLine:
     def _observe(self) -> None:
         """Bring `_out` up to the state, and the feedback to the ports."""
         self._refresh()
+        self._write_ports()
+
+    def _write_ports(self) -> None:
         write_ports(self._layout, self._motors, self._p, self._ports, self._state, self._out)
 
     def _refresh(self) -> None:

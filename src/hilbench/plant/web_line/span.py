@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -191,7 +192,63 @@ def _entry_points(sources: int) -> tuple[FollowCycle, FollowRows, Resistance, Mo
     return follow, follow_rows, resistance, modulus
 
 
-_follow_cycle, _follow_rows, resistance_N, _modulus = _entry_points(source_number(__file__))
+follow_cycle, _follow_rows, resistance_N, _modulus = _entry_points(source_number(__file__))
+
+
+class SpanVectors(NamedTuple):
+    """What a `SpanFollower` consists of, for compiled callers."""
+
+    p: Vector  #: parameters of the line
+    s: Vector  #: state, as of `roll_on`
+    w: Vector  #: scratch space
+    v: Vector  #: speeds of the rollers over the last cycle (N,), m/s
+    boundary: Vector  #: strain of the web that enters, tension behind the line in N
+    tension: Vector  #: of each span (K,), N
+
+
+@compiled
+def follow_to(web: SpanVectors, x1_m: float, x2_m: float, duration_s: float) -> None:
+    """The web of two rollers, which are now at these positions, `duration_s` after the last call."""
+    web.v[0] = (x1_m - web.s[_TIME]) / duration_s
+    web.v[1] = (x2_m - web.s[_TIME + 1]) / duration_s
+    follow_cycle(web.p, web.s, web.w, web.v, web.boundary[0], web.boundary[1], duration_s, web.tension)
+    web.s[_TIME] = x1_m  # exactly: no drift from adding up
+    web.s[_TIME + 1] = x2_m
+
+
+@compiled
+def put_boundary(web: SpanVectors, strain_prev: float, f_next_N: float) -> None:
+    """What the neighbouring sections do from now on; tensions are those that come with it."""
+    if web.boundary[0] != strain_prev or web.boundary[1] != f_next_N:
+        web.boundary[0] = strain_prev
+        web.boundary[1] = f_next_N
+        follow_cycle(web.p, web.s, web.w, web.v, strain_prev, f_next_N, 0.0, web.tension)
+
+
+@inlined
+def modulus_place(p: Vector) -> int:
+    """Where E of the first span stands in the parameters."""
+    return _first_span(p) + lay.SP_MODULUS_PA
+
+
+@inlined
+def first_strain(web: SpanVectors) -> float:
+    """Strain of the first span, of two rollers."""
+    unstretched_m, length_m = web.s[_TIME + 2], web.s[_TIME + 3]
+    return float(length_m * laws.length_factor(web.p, _first_span(web.p)) / unstretched_m - 1.0)
+
+
+@compiled
+def first_spliced(web: SpanVectors) -> tuple[bool, float, float]:
+    """Whether there are pieces of other web; what they make of the first span, of two rollers (`SplicedSpan`)."""
+    pieces = len(web.s) - lay.PIECES_SIZE
+    if not web.s[pieces + lay.PIECES_COUNT] > 0.0:
+        return False, 1.0, 1.0
+    stretch = 1.0 + laws.upstream_strain(web.p, web.boundary[0], web.s[0])
+    way_m, unstretched_m = web.s[_TIME], web.s[_TIME + 2]
+    factor = laws.series_factor(web.s, pieces, way_m, 0.0, unstretched_m, stretch)
+    at_end = 1.0 + laws.change_at(web.s, pieces, way_m, unstretched_m, stretch, lay.LEAST_BLUR_M)
+    return True, factor, at_end
 
 
 def new_follower_work(layout: Layout) -> Vector:
@@ -231,13 +288,24 @@ class SpanFollower:
         self._work = new_follower_work(self._layout)
         self._state = np.zeros(follower_size(self._layout))
         self._v = np.zeros(n)
-        self._boundary = (parameters.upstream_strain, parameters.boundary.downstream_tension_N)
+        self._boundary = np.array([parameters.upstream_strain, parameters.boundary.downstream_tension_N])
         self._tension = np.zeros(k)
         self._stale = False  # tensions are not those of state, boundary and parameters
         self._broken = False
         self._rad_per_m = [parameters.motor_rad_per_m(axis) for axis in range(1, n + 1)]
         self._description = _description(parameters)
         self.reset(x_m, strain)
+
+    @property
+    def vectors(self) -> SpanVectors:
+        """What it consists of, for compiled callers: those that move it leave tensions that are up to date."""
+        self._stale = False
+        return SpanVectors(self._p, self._state, self._work, self._v, self._boundary, self._tension)
+
+    @property
+    def _around(self) -> tuple[float, float]:
+        """Strain of the web that enters, tension behind the line."""
+        return self._boundary.item(0), self._boundary.item(1)
 
     def describe(self) -> PlantDescription:
         """What it is; see `hilbench.plant.interface.Machine`."""
@@ -254,7 +322,7 @@ class SpanFollower:
         self._evaluate()
 
     def _evaluate(self) -> None:
-        _follow_cycle(self._p, self._state, self._work, self._v, *self._boundary, 0.0, self._tension)
+        follow_cycle(self._p, self._state, self._work, self._v, *self._around, 0.0, self._tension)
         self._stale = False
 
     def follow(self, positions: Sequence[float] | Vector, duration_s: float) -> None:
@@ -266,8 +334,8 @@ class SpanFollower:
             raise ValueError(f"duration {duration_s!r} s, expected more than 0")
         n = self._layout.axes
         x = np.asarray(positions, dtype=np.float64)
-        self._v = (x - self._state[_TIME : _TIME + n]) / duration_s
-        _follow_cycle(self._p, self._state, self._work, self._v, *self._boundary, duration_s, self._tension)
+        self._v[:] = (x - self._state[_TIME : _TIME + n]) / duration_s
+        follow_cycle(self._p, self._state, self._work, self._v, *self._around, duration_s, self._tension)
         self._state[_TIME : _TIME + n] = x  # exactly: no drift from adding up
         self._stale = False
 
@@ -278,7 +346,7 @@ class SpanFollower:
         """
         state, tension = self._state.copy(), np.empty_like(self._tension)
         if not self._broken:
-            _follow_cycle(self._p, state, self._work, self._v, *self._boundary, lead_s, tension)
+            follow_cycle(self._p, state, self._work, self._v, *self._around, lead_s, tension)
         else:
             tension[:] = 0.0
         return tension
@@ -401,7 +469,7 @@ class SpanFollower:
             if not isinstance(memory, _Memory) or len(memory.state) != self._state.nbytes:
                 raise ValueError(f"a state of another machine, expected one of a web on {self._layout.axes} rollers")
             self._state[:] = np.frombuffer(memory.state)
-            self._v = np.frombuffer(memory.speeds).copy()
+            self._v[:] = np.frombuffer(memory.speeds)
         else:
             self._transfer(state)
         self._evaluate()
@@ -447,10 +515,9 @@ class SpanFollower:
     def set_input(self, name: str, value: float) -> None:
         """What the neighbouring sections do from now on. Raises ValueError for an unknown name."""
         checked_name("input", name, self._description.inputs)
-        strain_prev, f_next_N = self._boundary
-        boundary = (float(value), f_next_N) if name == "strain_prev" else (strain_prev, float(value))
-        if boundary != self._boundary:  # every cycle, and mostly what it was
-            self._boundary, self._stale = boundary, True
+        place = 0 if name == "strain_prev" else 1
+        if value != self._boundary.item(place):  # every cycle, and mostly what it was
+            self._boundary[place], self._stale = value, True
 
     def set_effect(
         self, effect_id: str, axis: int | None = None, *, section: int | None = None, slot: int = 0, **parameters: float

@@ -115,7 +115,7 @@ class WebLineTwin:
     @property
     def separable(self) -> bool:
         """Whether the data tell everything that is estimated from E."""
-        return all(nuisance.separable for each in self._all for nuisance in each.tracking.estimate.nuisances)
+        return all(each.tracking.separable for each in self._all)
 
     @property
     def torque_shift_Nm(self) -> float:
@@ -241,8 +241,7 @@ class WebLineTwin:
     def listen(self) -> None:
         """Take over what is around the web now."""
         first = self._all[0].tracking
-        self.plant.set_input("strain_prev", first.upstream_strain(self._told("strain_prev")))
-        self.plant.set_input("F_next_N", self._told("F_next_N"))
+        self.plant.set_boundary(first.upstream_strain(self._told("strain_prev")), self._told("F_next_N"))
 
     def use_method(self, number: int) -> None:
         """Go on with another synchronizer, by its number in the vocabulary, from the present E."""
@@ -263,15 +262,10 @@ class WebLineTwin:
             values.append(tension_N)
             each = self._estimated.get(span)
             if each is not None:
-                found = each.tracking.estimate
+                modulus_Pa, deviation_Pa = each.tracking.modulus_and_deviation_Pa
                 # The E that acts is told, as of a web that is measured.
                 factor = line.elasticity_factor(span) * each.tracking.series_factor
-                values += (
-                    factor * found.youngs_modulus_Pa,
-                    factor * found.deviation_Pa,
-                    self.ports[span].torque_Nm,
-                    each.residual_Nm,
-                )
+                values += (factor * modulus_Pa, factor * deviation_Pa, self.ports[span].torque_Nm, each.residual_Nm)
         return tuple(values)
 
 

@@ -6,12 +6,15 @@ That one has the mass of all, at their centre of mass, and a motor with the torq
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
+
+import numpy as np
 
 from hilbench.estimation.web_line.rollers import Rollers, two_rollers
 from hilbench.plant.motor_port import MotorPort
 from hilbench.plant.web_line.layout import Vector
 from hilbench.plant.web_line.line import Line
+from hilbench.plant.web_line.line_vectors import LineVectors
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.simulated import YOUNGS_MODULUS
 
@@ -44,7 +47,7 @@ class WebSection:
         self._several = model.span_count > 1
         own_Pa = model.youngs_modulus_Pa(span)
         #: E of the spans that go along over that of the section, by the model.
-        self._moduli = {f"span{k}.youngs_modulus_Pa": model.youngs_modulus_Pa(k) / own_Pa for k in (span, *along)}
+        self._ratios = {k: model.youngs_modulus_Pa(k) / own_Pa for k in (span, *along)}
         self.model = two_rollers(model, span, rollers.masses_behind_kg(span + 1))
 
     def measured_torque_Nm(self, torques_Nm: Sequence[float]) -> float:
@@ -70,30 +73,32 @@ class WebSection:
     def set_parameter(self, name: str, value: float) -> None:
         """Of the line; E is that of the section's span, and that of the spans along goes with it."""
         if name == YOUNGS_MODULUS.name and self._several:
-            for of_span, ratio in self._moduli.items():
-                self._line.set_parameter(of_span, ratio * value)
+            for of_span, ratio in self._ratios.items():
+                self._line.set_parameter(f"span{of_span}.youngs_modulus_Pa", ratio * value)
         else:
             self._line.set_parameter(name, value)
 
-    def set_state(self, state: Mapping[str, float]) -> None:
-        """States of the section, by the names that they have in a line of two rollers."""
-        names = {"strain1": f"strain{self._span}"}
-        for part in (1, 2):
-            axis = self._span + part - 1
-            names |= {f"x{part}_m": f"x{axis}_m", f"v{part}_m_s": f"v{axis}_m_s"}
-        self._line.set_state({names[name]: value for name, value in state.items()})
+    @property
+    def vectors(self) -> LineVectors:
+        """Of the line."""
+        return self._line.vectors
+
+    @property
+    def first_axis(self) -> int:
+        """The roller before the span, from 0."""
+        return self._span - 1
+
+    @property
+    def moduli(self) -> Vector:
+        """(2, S): where E of the section's span, and of those along, stands in the line's parameters, and its ratio."""
+        spans = [span - 1 for span in self._ratios]
+        return np.array([self._line.moduli[0, spans], list(self._ratios.values())])
+
+    def show(self) -> None:
+        """Bring the motors up to a state that was changed in the vectors."""
+        self._line.show()
 
     @property
     def strain(self) -> Vector:
         """Of the span (1,)."""
         return self._line.strain[self._span - 1 : self._span]
-
-    @property
-    def x_m(self) -> Vector:
-        """Of the rollers around the span (2,)."""
-        return self._line.x_m[self._span - 1 : self._span + 1]
-
-    @property
-    def v_m_s(self) -> Vector:
-        """Of the rollers around the span (2,)."""
-        return self._line.v_m_s[self._span - 1 : self._span + 1]

@@ -4,72 +4,162 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from math import hypot, sqrt
+from typing import NamedTuple
 
 import numpy as np
 
-from hilbench.compiled import entry_point, number_of_sources
-from hilbench.estimation import bank, correction
+from hilbench.compiled import compiled, entry_point, number_of_sources
+from hilbench.estimation import bank, correction, noise_level
 from hilbench.estimation.bank import Array, Places
+from hilbench.estimation.nuisance import Nuisance
 from hilbench.estimation.web_line.config import ChangepointConfig
-from hilbench.estimation.web_line.synchronizers import kalman
+from hilbench.estimation.web_line.synchronizers import kalman, plant
 from hilbench.estimation.web_line.synchronizers.base import Estimate, SyncSample
-from hilbench.estimation.web_line.synchronizers.plant import SEPARABLE, FilterInputs, Plant, nuisances
+from hilbench.estimation.web_line.synchronizers.plant import (
+    SEPARABLE,
+    FilterInputs,
+    InputVectors,
+    Plant,
+    fill,
+    nuisances,
+)
 
-BankStep = Callable[[Array, Array, Array, Array, Array, Places, Array, Array, Array, bool], None]
+
+class BankVectors(NamedTuple):
+    """What a `ChangepointSynchronizer` consists of, for compiled callers."""
+
+    inputs: InputVectors
+    z: Array  #: means (SIZE, H) of the hypotheses
+    p: Array  #: covariances (SIZE, SIZE, H)
+    records: Array  #: as `bank` has them (H, RECORD)
+    settings: Array
+    places: Places  #: as of `kalman.step`
+    work: Array  #: scratch (SIZE + 6, H)
+    #: (3, SIZE): means and standard deviations of the mixture, and, of E, the deviation that comes from noise alone.
+    out: Array
+    covariance: Array  #: (SIZE, SIZE) of the mixture, if E has something beside it that the data may not tell from it
+    s: Array  #: what is told, what was found, both over the reference E; reference E, Pa; deviation to be cautious at
 
 
-def _compiled_step(sources: int) -> BankStep:
+_TOLD, _FOUND, _REFERENCE_PA, _CAUTIOUS, _BESIDE = range(5)
+
+
+@compiled
+def follow(
+    b: BankVectors,
+    cycle_s: float,
+    torque_Nm: float,
+    x2_m: float,
+    force_N: float,
+    web_per_Pa: float,
+    velocity_m_s: float,
+) -> bool:
+    """One cycle of all hypotheses, and the births of the next; False for the first of a row of cycles."""
+    if not fill(b.inputs, cycle_s, torque_Nm, x2_m, force_N, web_per_Pa, velocity_m_s):
+        return False
+    z, p, records, out, size = b.z, b.p, b.records, b.out, b.z.shape[0]
+    b.settings[bank.CYCLE] += 1.0
+    g, likelihoods, shares = b.work[size + 3], b.work[size + 4], b.work[size + 5]
+    kalman.step(z, p, b.inputs.u, b.places, g, b.work, likelihoods)
+    bank.weigh(records, likelihoods)
+    bank.compare(records, shares)
+    bank.mix(z, p, shares, b.places, out)
+    if b.s[_BESIDE] != 0.0:
+        bank.covariance(z, p, shares, out[0], b.covariance)
+    variance = 0.0
+    for i in range(len(shares)):
+        if shares[i] != 0.0:
+            apart = z[kalman.E, i] - out[0, kalman.E]
+            variance += shares[i] * (kalman.spread_of_e(p, i) + apart * apart)
+    out[2, kalman.E] = sqrt(variance)
+    bank.births(z, p, records, b.settings, kalman.E, kalman.RATE)
+    return True
+
+
+@compiled
+def tell(b: BankVectors, of_what_is_held: float) -> None:
+    """What E is told as after a cycle; `of_what_is_held`: what it has of parameters that count as 0."""
+    s, out = b.s, b.out
+    s[_FOUND] = out[0, kalman.E] - of_what_is_held
+    # A few samples after a jump the mixture still has the noise of a few samples.
+    share = min(1.0, (s[_CAUTIOUS] / out[2, kalman.E]) ** 2)
+    s[_TOLD] += share * (s[_FOUND] - s[_TOLD])
+
+
+@compiled
+def told(b: BankVectors) -> tuple[float, float]:
+    """E and its deviation, Pa."""
+    apart, deviation = b.s[_FOUND] - b.s[_TOLD], b.out[1, kalman.E]
+    reference_Pa = b.s[_REFERENCE_PA]
+    return b.s[_TOLD] * reference_Pa, hypot(deviation, apart) * reference_Pa
+
+
+@compiled
+def rebase(b: BankVectors, change_Pa: float) -> None:
+    """Move E of every hypothesis."""
+    change = change_Pa / b.s[_REFERENCE_PA]
+    for i in range(b.z.shape[1]):
+        b.z[kalman.E, i] += change
+    b.out[0, kalman.E] += change
+    b.s[_FOUND] += change
+    b.s[_TOLD] += change
+
+
+_NOTHING, _STEP, _TELL, _REBASE = range(4)
+
+
+def _compiled_entry(sources: int) -> Callable[..., tuple[bool, float, float]]:
     """The function that is called from Python; `sources` as in `number_of_sources`."""
 
     @entry_point
-    def bank_step(
+    def act(
+        what: int,
+        u: Array,
+        inputs: Array,
+        torque: Array,
+        position: Array,
         z: Array,
         p: Array,
         records: Array,
         settings: Array,
-        u: Array,
         places: Places,
         work: Array,
         out: Array,
         covariance: Array,
-        beside: bool,
-    ) -> None:
-        """One cycle of all hypotheses. places: as of `kalman.step`; work (SIZE + 6, H): scratch. `out` (3, SIZE): means
-        and standard deviations of the mixture, and, of E, the deviation that comes from noise alone; covariance
-        (SIZE, SIZE) of the mixture, if E has something `beside` it."""
-        if sources < 0:
-            return
-        size = z.shape[0]
-        g, likelihoods, shares = work[size + 3], work[size + 4], work[size + 5]
-        kalman.step(z, p, u, places, g, work, likelihoods)
-        bank.weigh(records, likelihoods)
-        bank.compare(records, shares)
-        bank.mix(z, p, shares, places, out)
-        if beside:
-            bank.covariance(z, p, shares, out[0], covariance)
-        variance = 0.0
-        for i in range(len(shares)):
-            if shares[i] != 0.0:
-                apart = z[kalman.E, i] - out[0, kalman.E]
-                variance += shares[i] * (kalman.spread_of_e(p, i) + apart * apart)
-        out[2, kalman.E] = sqrt(variance)
-        bank.births(z, p, records, settings, kalman.E, kalman.RATE)
+        s: Array,
+        values: tuple[float, float, float, float, float, float],
+    ) -> tuple[bool, float, float]:
+        """Whether a step was taken; E and its deviation then."""
+        done, of_filters = sources >= 0, InputVectors(u, inputs, torque, position)
+        b = BankVectors(of_filters, z, p, records, settings, places, work, out, covariance, s)
+        if what == _STEP:
+            done = follow(b, values[0], values[1], values[2], values[3], values[4], values[5])
+        elif what == _TELL:
+            tell(b, values[0])
+        elif what == _REBASE:
+            rebase(b, values[0])
+        modulus_Pa, deviation_Pa = told(b)
+        return done, modulus_Pa, deviation_Pa
 
-    return bank_step
+    return act
 
 
-_bank_step = _compiled_step(number_of_sources(kalman.__file__, correction.__file__, bank.__file__, __file__))
+_act = _compiled_entry(
+    number_of_sources(
+        noise_level.__file__, plant.__file__, kalman.__file__, correction.__file__, bank.__file__, __file__
+    )
+)
 
 
 class ChangepointSynchronizer:
     """The bank."""
 
-    def __init__(self, config: ChangepointConfig, plant: Plant) -> None:
+    def __init__(self, config: ChangepointConfig, of: Plant) -> None:
         self._config = config
         self._also = tuple(config.also)
-        self._reference_Pa = plant.youngs_modulus_Pa
-        self._inputs = FilterInputs(plant, config)
+        self._inputs = FilterInputs(of, config)
         self._places = kalman.places_of(self._inputs.priors)
+        self._beside_it = self._places[kalman.OFFSET :].tolist()
         self._z = np.zeros((kalman.SIZE, bank.CAPACITY))
         self._p = np.zeros((kalman.SIZE, kalman.SIZE, bank.CAPACITY))
         self._records = np.zeros((bank.CAPACITY, bank.RECORD))
@@ -83,35 +173,45 @@ class ChangepointSynchronizer:
         self._out[0, kalman.E], self._out[1, kalman.E] = 1.0, 0.01 * config.initial_deviation_pct
         self._covariance = np.zeros((kalman.SIZE, kalman.SIZE))
         self._beside = bool(self._inputs.priors[:-1].any())
-        self._told = 1.0
-        self._found = 1.0
+        self._s = np.array([1.0, 1.0, of.youngs_modulus_Pa, 0.01 * config.cautious_pct, float(self._beside)])
         self._started = False
+
+    @property
+    def vectors(self) -> BankVectors:
+        """What it consists of, for compiled callers."""
+        return BankVectors(
+            self._inputs.vectors,
+            self._z,
+            self._p,
+            self._records,
+            self._settings,
+            self._places,
+            self._work,
+            self._out,
+            self._covariance,
+            self._s,
+        )
+
+    @property
+    def is_compiled(self) -> bool:
+        """Whether `follow` and `tell` are all of an update: it has started, and nothing is held beside E."""
+        return self._started and not self._beside
 
     def update(self, sample: SyncSample) -> Estimate:
         """One cycle of every hypothesis, and the births of the next."""
         if not self._started:
             self._start(sample)
-        if self._inputs.update(sample):
-            c, settings = self._config, self._settings
-            settings[bank.CYCLE] += 1.0
-            bank.set_priors(settings, c.jumps_per_s, c.drift_onsets_per_s, sample.cycle_s)
-            _bank_step(
-                self._z,
-                self._p,
-                self._records,
-                settings,
-                self._inputs.u,
-                self._places,
-                self._work,
-                self._out,
-                self._covariance,
-                self._beside,
-            )
-            self._found = self._out.item(0, kalman.E) - (self._of_what_is_held() if self._beside else 0.0)
-            # A few samples after a jump the mixture still has the noise of a few samples.
-            share = min(1.0, (0.01 * c.cautious_pct / self._out.item(2, kalman.E)) ** 2)
-            self._told += share * (self._found - self._told)
-        return self._estimate()
+        balance = sample.balance
+        now = (balance.x2_m, balance.force_N, balance.web_per_Pa, balance.velocity_m_s)
+        if self._act(_STEP, sample.cycle_s, sample.torque_real_Nm, *now):
+            self._act(_TELL, self._of_what_is_held() if self._beside else 0.0)
+        return self.estimate
+
+    def _act(self, what: int, *values: float) -> bool:
+        inputs, *own = self.vectors
+        padded = (*map(float, values), *(0.0,) * (6 - len(values)))
+        done, self._modulus_Pa, self._deviation_Pa = _act(what, *inputs, *own, padded)
+        return done
 
     def _of_what_is_held(self) -> float:
         """What E has of the parameters beside it that the data don't tell from it: those count as 0, their prior."""
@@ -124,21 +224,18 @@ class ChangepointSynchronizer:
 
     def _start(self, sample: SyncSample) -> None:
         c = self._config
+        bank.set_priors(self._settings, c.jumps_per_s, c.drift_onsets_per_s, sample.cycle_s)
         deviation = 0.01 * c.initial_deviation_pct
         kalman.new_filter(self._z, self._p, 0, sample.balance.x2_m, deviation, self._inputs.priors)
         self._records[0, bank.ALIVE] = 1.0
         self._out[0] = self._z[:, 0]
         self._out[1] = np.sqrt(np.diag(self._p[:, :, 0]))
-        self._found = self._out.item(0, kalman.E)
+        self._s[_FOUND] = self._out.item(0, kalman.E)
         self._started = True
 
     def rebase(self, change_Pa: float) -> None:
         """Move E of every hypothesis."""
-        change = change_Pa / self._reference_Pa
-        self._z[kalman.E] += change
-        self._out[0, kalman.E] += change
-        self._found += change
-        self._told += change
+        self._act(_REBASE, change_Pa)
 
     def hold(self, duration_s: float) -> Estimate:
         """Let E walk in every hypothesis, and find position and velocity anew afterwards."""
@@ -147,12 +244,22 @@ class ChangepointSynchronizer:
         self._p[kalman.E, kalman.E] += walk**2 * duration_s
         kalman.lose_motion(self._p)
         self._out[1, kalman.E] = sqrt(self._out[1, kalman.E] ** 2 + walk**2 * duration_s)
-        return self._estimate()
+        return self.estimate
 
-    def _estimate(self) -> Estimate:
+    @property
+    def estimate(self) -> Estimate:
+        """As of the last cycle."""
+        self._act(_NOTHING)
+        return Estimate(self._modulus_Pa, self._deviation_Pa, self.nuisances)
+
+    @property
+    def nuisances(self) -> tuple[Nuisance, ...]:
+        """What is estimated beside E."""
         mean, deviation, _ = self._out.tolist()
-        return Estimate(
-            self._told * self._reference_Pa,
-            hypot(deviation[kalman.E], self._found - self._told) * self._reference_Pa,
-            nuisances(self._also, mean[kalman.OFFSET :], deviation[kalman.OFFSET :]),
-        )
+        return nuisances(self._also, mean[kalman.OFFSET :], deviation[kalman.OFFSET :])
+
+    @property
+    def separable(self) -> bool:
+        """Whether the data tell all of that from E."""
+        out, priors = self._out, self._inputs.priors
+        return all(out.item(1, place) < SEPARABLE * priors.item(place - kalman.OFFSET) for place in self._beside_it)

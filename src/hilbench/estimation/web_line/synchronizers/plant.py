@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
+from hilbench.compiled import compiled, entry_point, number_of_sources
+from hilbench.estimation import noise_level
+from hilbench.estimation.bank import Array
 from hilbench.estimation.noise_level import NoiseLevel
 from hilbench.estimation.nuisance import Nuisance
 from hilbench.estimation.web_line.balance import MeasuredBalance
@@ -52,6 +56,105 @@ class Plant:
         )
 
 
+class InputVectors(NamedTuple):
+    """What `FilterInputs` consist of, for compiled callers."""
+
+    u: Array  #: inputs of `kalman.step`
+    s: Array  #: sizes of the plant, and what is kept from cycle to cycle
+    torque: Array  #: state of the torque's `NoiseLevel`
+    position: Array  #: the same of the position's
+
+
+# Of InputVectors.s: whether there is a cycle before, its force and web; smoothed speed and tension; sizes.
+(
+    _HAS_BEFORE,
+    _BEFORE_N,
+    _BEFORE_PER_PA,
+    _SMOOTHED_M_S,
+    _SMOOTHED_WEB_N,
+    _MODULUS_PA,
+    _MASS_KG,
+    _PER_TORQUE2,  # variance of the force per variance of the torque
+    _PER_POSITION2,  # the same per variance of the position
+    _SLOWLY,  # whether something is looked for that the tension tells from E
+) = range(10)
+_SIZE = 10
+
+
+@compiled
+def fill(
+    inputs: InputVectors,
+    cycle_s: float,
+    torque_Nm: float,
+    x2_m: float,
+    force_N: float,
+    web_per_Pa: float,
+    velocity_m_s: float,
+) -> bool:
+    """Fill `u` by the balance of this cycle; False for the first of a row, which has no cycle before it."""
+    u, s = inputs.u, inputs.s
+    noise_level.take(inputs.torque, torque_Nm)
+    noise_level.take(inputs.position, x2_m)
+    has_before, before_N, before_per_Pa = s[_HAS_BEFORE], s[_BEFORE_N], s[_BEFORE_PER_PA]
+    s[_HAS_BEFORE] = 1.0
+    s[_BEFORE_N] = force_N
+    s[_BEFORE_PER_PA] = web_per_Pa
+    if has_before == 0.0:
+        s[_SMOOTHED_M_S] = velocity_m_s
+        s[_SMOOTHED_WEB_N] = web_per_Pa * s[_MODULUS_PA]
+        u[kalman.ACCELERATION_M_S2] = 0.0
+        return False
+    slope = (velocity_m_s - s[_SMOOTHED_M_S]) / (_ACCELERATION_S + cycle_s)
+    s[_SMOOTHED_M_S] += slope * cycle_s
+    u[kalman.ACCELERATION_M_S2] = slope
+    position_variance = noise_level.variance(inputs.position)
+    u[kalman.DURATION_S] = cycle_s
+    u[kalman.FORCE_N] = 0.5 * (force_N + before_N)
+    u[kalman.WEB_N] = 0.5 * (web_per_Pa + before_per_Pa) * s[_MODULUS_PA]
+    u[kalman.SPEED_M_S] = velocity_m_s
+    # The strain is a difference of two positions, so their noise is noise of the tension.
+    u[kalman.FORCE_VARIANCE] = (
+        s[_PER_TORQUE2] * noise_level.variance(inputs.torque)
+        + s[_PER_POSITION2] * position_variance
+        + (_SHAKING * s[_MASS_KG] * slope) ** 2
+    )
+    if s[_SLOWLY] != 0.0:
+        web_N_per_s = (u[kalman.WEB_N] - s[_SMOOTHED_WEB_N]) / (_QUICK_SMOOTHING_S + cycle_s)
+        s[_SMOOTHED_WEB_N] += web_N_per_s * cycle_s
+        u[kalman.FORCE_VARIANCE] += (_QUICK_S * web_N_per_s) ** 2
+    u[kalman.POSITION_M] = x2_m
+    u[kalman.POSITION_VARIANCE] = position_variance
+    return True
+
+
+Fill = Callable[[Array, Array, Array, Array, float, float, float, float, float, float], bool]
+
+
+def _compiled_fill(sources: int) -> Fill:
+    """The function that is called from Python; `sources` as in `number_of_sources`."""
+
+    @entry_point
+    def fill_once(
+        u: Array,
+        s: Array,
+        torque: Array,
+        position: Array,
+        cycle_s: float,
+        torque_Nm: float,
+        x2_m: float,
+        force_N: float,
+        web_per_Pa: float,
+        velocity_m_s: float,
+    ) -> bool:
+        inputs = InputVectors(u, s, torque, position)
+        return sources >= 0 and fill(inputs, cycle_s, torque_Nm, x2_m, force_N, web_per_Pa, velocity_m_s)
+
+    return fill_once
+
+
+_fill = _compiled_fill(number_of_sources(noise_level.__file__, kalman.__file__, __file__))
+
+
 class FilterInputs:
     """Turns samples into the inputs of `kalman.step`: means over the cycle, and how noisy they are."""
 
@@ -61,52 +164,35 @@ class FilterInputs:
         self.u[kalman.PRIORS :] = self.priors
         self.u[kalman.MASS_KG] = plant.mass_kg
         self.u[kalman.FORCE_PER_TORQUE] = plant.force_per_torque_per_m
-        self._plant = plant
-        self._stiffness_per_m = plant.youngs_modulus_Pa * plant.section_m2 / plant.span_length_m
+        stiffness_per_m = plant.youngs_modulus_Pa * plant.section_m2 / plant.span_length_m
+        self._s = np.zeros(_SIZE)
+        self._s[_MODULUS_PA], self._s[_MASS_KG] = plant.youngs_modulus_Pa, plant.mass_kg
+        self._s[_PER_TORQUE2], self._s[_PER_POSITION2] = plant.force_per_torque_per_m**2, 2.0 * stiffness_per_m**2
+        self._s[_SLOWLY] = float(self.priors[:-1].any())
         self._torque = NoiseLevel(config.torque_noise_Nm, _TORQUE_FLOOR_NM)
         self._position = NoiseLevel(_POSITION_NOISE_M, _POSITION_FLOOR_M)
-        self._before: tuple[float, float] | None = None
-        self._speed_m_s = 0.0
-        self._slowly = bool(self.priors[:-1].any())
-        self._web_N = self._web_N_per_s = 0.0
+
+    @property
+    def vectors(self) -> InputVectors:
+        """What they consist of, for compiled callers."""
+        return InputVectors(self.u, self._s, self._torque.state, self._position.state)
 
     def interrupt(self) -> None:
         """A cycle is missing: no mean is formed across it."""
-        self._before = None
+        self._s[_HAS_BEFORE] = 0.0
 
     def update(self, sample: SyncSample) -> bool:
         """Fill `u`; False for the first sample of a row, which has no cycle before it."""
-        balance, u = sample.balance, self.u
-        self._torque.update(sample.torque_real_Nm)
-        self._position.update(balance.x2_m)
-        now = (balance.force_N, balance.web_per_Pa)
-        before, self._before = self._before, now
-        if before is None:
-            self._speed_m_s = balance.velocity_m_s
-            self._web_N = balance.web_per_Pa * self._plant.youngs_modulus_Pa
-            u[kalman.ACCELERATION_M_S2] = 0.0
-            return False
-        slope = (balance.velocity_m_s - self._speed_m_s) / (_ACCELERATION_S + sample.cycle_s)
-        self._speed_m_s += slope * sample.cycle_s
-        u[kalman.ACCELERATION_M_S2] = slope
-        position_variance = self._position.variance
-        u[kalman.DURATION_S] = sample.cycle_s
-        u[kalman.FORCE_N] = 0.5 * (now[0] + before[0])
-        u[kalman.WEB_N] = 0.5 * (now[1] + before[1]) * self._plant.youngs_modulus_Pa
-        u[kalman.SPEED_M_S] = balance.velocity_m_s
-        # The strain is a difference of two positions, so their noise is noise of the tension.
-        u[kalman.FORCE_VARIANCE] = (
-            self._plant.force_per_torque_per_m**2 * self._torque.variance
-            + 2.0 * self._stiffness_per_m**2 * position_variance
-            + (_SHAKING * self._plant.mass_kg * slope) ** 2
+        balance = sample.balance
+        return _fill(
+            *self.vectors,
+            sample.cycle_s,
+            sample.torque_real_Nm,
+            balance.x2_m,
+            balance.force_N,
+            balance.web_per_Pa,
+            balance.velocity_m_s,
         )
-        if self._slowly:
-            self._web_N_per_s = (u[kalman.WEB_N] - self._web_N) / (_QUICK_SMOOTHING_S + sample.cycle_s)
-            self._web_N += self._web_N_per_s * sample.cycle_s
-            u[kalman.FORCE_VARIANCE] += (_QUICK_S * self._web_N_per_s) ** 2
-        u[kalman.POSITION_M] = balance.x2_m
-        u[kalman.POSITION_VARIANCE] = position_variance
-        return True
 
 
 def prior_deviations(also: AlsoEstimated) -> np.ndarray:

@@ -1,0 +1,517 @@
+"""The compiled cycle of `tracking`: compare, estimate by the bank of filters, transfer.
+
+It goes by stages, so that what happens rarely is Python's: `run` returns where Python has to do something, and is
+called again from the stage behind it. All it works on are the vectors of `TrackingVectors`, which belong to one span of
+one twin; it may be called from other compiled functions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from math import exp, hypot, inf, isfinite, isnan
+from typing import NamedTuple
+
+from hilbench.compiled import compiled, entry_point, inlined
+from hilbench.estimation import bank, correction, noise_level, plausibility, ring
+from hilbench.estimation.bank import Array, Places
+from hilbench.estimation.web_line import (
+    anomalies,
+    balance,
+    delay,
+    model_errors,
+    model_errors_filter,
+    ripples,
+    torque_shift,
+)
+from hilbench.estimation.web_line.balance import BalanceVectors
+from hilbench.estimation.web_line.model_errors import ErrorVectors
+from hilbench.estimation.web_line.synchronizers import changepoint, kalman, plant
+from hilbench.estimation.web_line.synchronizers.changepoint import BankVectors
+from hilbench.estimation.web_line.synchronizers.plant import InputVectors
+from hilbench.plant.web_line import kernel, line_vectors, span
+from hilbench.plant.web_line.layout import Vector
+from hilbench.plant.web_line.line_vectors import LineVectors
+from hilbench.plant.web_line.span import SpanVectors
+
+#: Relative uncertainty of the strain below which the web in the span counts as known.
+_KNOWN_STRAIN = 0.003
+#: Share of the tension by which more may become known to be none without a fresh look at what happens to the web.
+_ALL_AT_ONCE = 0.002
+#: Largest strain, either way, of a measured state that is taken over: no web has more.
+_LARGEST_STRAIN = 0.5
+
+# Stages of a cycle; what `run` returns is the stage at which Python has to do something, or DONE.
+COMPARE, HOLD, FOUND_WEB, UPDATE, LOOK_FOR_SHIFT, SHIFT, TRANSFER, DONE = range(8)
+
+# State of a tracking, SI; yes is 1, no 0. What follows from model and config:
+(
+    CYCLE_S,
+    FORCE_PER_TORQUE,
+    SECTION_M2,
+    SPAN_M,
+    SPAN,  # of the line, from 0
+    HAS_ERRORS,  # what the model lacks is looked for
+    BANK,  # the method is the bank of filters
+    BLACK_BOX,  # E of the line stays
+    COMPENSATES,  # shifts of the torque are looked for
+    FINDS_DELAY,
+    DELAYED,  # there may be a delay
+    TRANSFERS_STRAIN,
+    TRANSFERS_AXES,
+    STRAIN_LIMIT,
+    POSITION_LIMIT_M,
+    VELOCITY_LIMIT_M_S,
+    # What is known:
+    MODULUS_PA,
+    DEVIATION_PA,
+    OWN_DEVIATION_PA,  # without what the model may lack
+    UNMODELLED_N,
+    SHIFT_NM,
+    DELAY_S,
+    STRAIN_UNCERTAINTY,
+    WEB_PER_PA,
+    OTHER_WEB,  # E may be changing because other web comes in
+    # Of the present cycle:
+    MISSED_S,  # since the last measurement
+    RUNS,  # the line has been simulated since the release
+    TORQUE_NM,  # measured, less the shift
+    TORQUE_SIM_NM,
+    POSITION_1_M,
+    POSITION_2_M,
+    RESIDUAL_NM,
+    PROBLEM,
+    REFUSED,
+    SPLICED,
+    SERIES_FACTOR,
+    END_FACTOR,
+    NOW_N,  # force of the balance without what is known to be no tension
+    MEASURED,  # there is a balance
+    USED,  # E was found from the next four: the balance at the time of the torque, with what is no tension
+    USED_M,
+    USED_N,
+    USED_PER_PA,
+    USED_M_S,
+    CORRECTED_N,  # the same force without that
+    REBASED_PA,  # by which E is another one, as more is known to be no tension
+    MOVED,  # what the motors show is another one
+) = range(47)
+SIZE = 47
+
+
+class TrackingVectors(NamedTuple):
+    """All that a tracking and the line that it moves consist of."""
+
+    t: Vector
+    plausibility: Vector
+    anomalies: Vector
+    shift: Vector
+    delay_line: Vector
+    delay_finder: Vector
+    moduli: Vector  #: (2, S): where E of the spans that go with it stands in the line's parameters, and its ratio
+    balance: BalanceVectors
+    errors: ErrorVectors
+    bank: BankVectors
+    line: LineVectors
+
+
+@compiled
+def state_modulus(t: Vector, errors: Vector, modulus_Pa: float, deviation_Pa: float) -> None:
+    """What a method says of E, with what the data can't tell from it: no method sees it in its data. `errors`: state of
+    what the model may lack."""
+    t[OWN_DEVIATION_PA] = deviation_Pa
+    if 0.0 < modulus_Pa < inf:
+        t[MODULUS_PA] = modulus_Pa
+    else:  # torque of somebody else's web, say: no material has such an E
+        t[OWN_DEVIATION_PA] = inf
+    force_N = t[UNMODELLED_N] if t[HAS_ERRORS] == 0.0 else errors[model_errors_filter.SPREAD_N]
+    unmodelled_Pa = 0.0
+    if force_N != 0.0:  # a web without strain says nothing of E
+        unmodelled_Pa = force_N / t[WEB_PER_PA] if t[WEB_PER_PA] != 0.0 else inf
+    t[DEVIATION_PA] = hypot(t[OWN_DEVIATION_PA], unmodelled_Pa)
+
+
+@compiled
+def compare(
+    v: TrackingVectors,
+    x1_m: float,
+    x2_m: float,
+    torque_Nm: float,
+    torque_sim_Nm: float,
+    strain_prev: float,
+    F_next_N: float,
+    centre_m: float,
+) -> int:
+    """Take what was measured at the instant that the line has been simulated to; the stage that is next: HOLD,
+    FOUND_WEB or UPDATE.
+
+    `torque_Nm`, `torque_sim_Nm`: measured and simulated; `centre_m`: of the centre of mass, where roller 2 stands for
+    several, else NaN.
+    """
+    t, now = v.t, v.balance.s
+    torque_Nm -= t[SHIFT_NM]
+    balance.use_modulus(v.balance, t[MODULUS_PA])
+    balance.weigh(v.balance, x1_m, x2_m, torque_Nm, strain_prev, F_next_N, t[CYCLE_S] + t[MISSED_S])
+    if not isnan(centre_m):
+        now[balance.X2_M] = centre_m
+    force_N, web_per_Pa, velocity_m_s = now[balance.FORCE_N], now[balance.WEB_PER_PA], now[balance.VELOCITY_M_S]
+    t[MISSED_S] = 0.0
+    t[TORQUE_NM] = torque_Nm
+    t[TORQUE_SIM_NM] = torque_sim_Nm
+    t[POSITION_1_M] = x1_m
+    t[POSITION_2_M] = x2_m
+    t[MEASURED] = 1.0
+    t[USED] = 0.0
+    t[REBASED_PA] = 0.0
+    spliced, t[SERIES_FACTOR], t[END_FACTOR] = span.first_spliced(v.balance.web)
+    t[SPLICED] = 1.0 if spliced else 0.0
+    t[NOW_N] = _without_errors(v, force_N)
+    t[RESIDUAL_NM] = torque_Nm - torque_sim_Nm
+    problem = plausibility.find_problem(v.plausibility, torque_Nm, web_per_Pa, velocity_m_s)
+    if problem != 0:
+        anomalies.suspend(v.anomalies)
+    elif not t[STRAIN_UNCERTAINTY] > 0.0:  # one that is found under way says nothing yet
+        problem = anomalies.look(v.anomalies, t[NOW_N], web_per_Pa, velocity_m_s)
+    t[PROBLEM] = problem
+    moved = _find_delay(v, torque_Nm, torque_sim_Nm)
+    paired = isfinite(force_N)
+    t[USED_M], t[USED_N], t[USED_PER_PA], t[USED_M_S] = now[balance.X2_M], force_N, web_per_Pa, velocity_m_s
+    if t[DELAYED] != 0.0:
+        if paired:
+            paired, t[USED_M], t[USED_N], t[USED_PER_PA], t[USED_M_S] = delay.pair(
+                v.delay_line,
+                now[balance.X2_M],
+                force_N,
+                web_per_Pa,
+                velocity_m_s,
+                torque_Nm * t[FORCE_PER_TORQUE],
+                t[DELAY_S],
+            )
+        else:
+            delay.forget(v.delay_line)
+    usable = paired and problem == 0 and not moved
+    if t[STRAIN_UNCERTAINTY] > 0.0:
+        _transport_out(t, velocity_m_s)
+    if t[STRAIN_UNCERTAINTY] > 0.0:
+        t[USED] = 1.0 if usable else 0.0
+        return FOUND_WEB
+    if not usable:
+        return HOLD
+    t[USED] = 1.0
+    _look_for_errors(v, F_next_N)
+    t[CORRECTED_N] = _without_errors(v, t[USED_N])
+    return UPDATE
+
+
+@inlined
+def _without_errors(v: TrackingVectors, force_N: float) -> float:
+    """The force without what is known to be no tension."""
+    if v.t[HAS_ERRORS] == 0.0:
+        return force_N
+    return float(force_N - v.errors.s[model_errors_filter.CORRECTION_N])
+
+
+@inlined
+def _find_delay(v: TrackingVectors, torque_Nm: float, torque_sim_Nm: float) -> bool:
+    """Whether the delay is another one from this cycle on."""
+    if v.t[FINDS_DELAY] == 0.0 or v.t[PROBLEM] != 0.0:
+        return False
+    before_s = v.t[DELAY_S]
+    v.t[DELAY_S] = delay.find(v.delay_finder, torque_Nm, torque_sim_Nm)
+    return bool(v.t[DELAY_S] != before_s)
+
+
+@inlined
+def _transport_out(t: Array, velocity_m_s: float) -> None:
+    """What is not known of the strain leaves with the web: it decays by exp(-v·t/L)."""
+    t[STRAIN_UNCERTAINTY] *= exp(-abs(velocity_m_s) * t[CYCLE_S] / t[SPAN_M])
+    if t[STRAIN_UNCERTAINTY] < _KNOWN_STRAIN:
+        t[STRAIN_UNCERTAINTY] = 0.0
+
+
+@compiled
+def _look_for_errors(v: TrackingVectors, F_next_N: float) -> None:
+    """What is known to be no tension from now on; when that is more than before, the past means another E."""
+    t, errors = v.t, v.errors
+    if t[HAS_ERRORS] == 0.0:
+        return
+    # How much of other web is in the span, and what else it is, says nothing of the model.
+    if t[SPLICED] != 0.0 or t[OTHER_WEB] != 0.0:
+        model_errors.interrupt(errors)
+        return
+    web_per_Pa = t[USED_PER_PA]
+    model_errors.take(
+        errors,
+        t[POSITION_1_M],
+        t[USED_M],
+        t[TORQUE_NM],
+        t[USED_N],
+        web_per_Pa,
+        t[USED_M_S],
+        F_next_N,
+        t[MODULUS_PA],
+    )
+    rebased_N = errors.s[model_errors_filter.REBASED_N]
+    if rebased_N != 0.0 and web_per_Pa > 0.0:
+        t[REBASED_PA] = -rebased_N / web_per_Pa
+        # What has become known all at once is nothing that has happened to the web.
+        if abs(rebased_N) > _ALL_AT_ONCE * t[MODULUS_PA] * web_per_Pa:
+            anomalies.suspend(v.anomalies)
+            torque_shift.reset(v.shift)
+
+
+@compiled
+def update(v: TrackingVectors) -> None:
+    """The bank's part of the stage UPDATE."""
+    t = v.t
+    if t[REBASED_PA] != 0.0:
+        changepoint.rebase(v.bank, t[REBASED_PA])
+    t[WEB_PER_PA] = t[USED_PER_PA]
+    used = (t[USED_M], t[CORRECTED_N], t[USED_PER_PA], t[USED_M_S])
+    if changepoint.follow(v.bank, t[CYCLE_S], t[TORQUE_NM], used[0], used[1], used[2], used[3]):
+        changepoint.tell(v.bank, 0.0)
+    modulus_Pa, deviation_Pa = changepoint.told(v.bank)
+    state_modulus(t, v.errors.s, modulus_Pa, deviation_Pa)
+
+
+@compiled
+def look_for_shift(v: TrackingVectors) -> int:
+    """The stage that is next: SHIFT where one is sure, else TRANSFER."""
+    t, now = v.t, v.balance.s
+    if t[COMPENSATES] == 0.0:
+        return TRANSFER
+    if t[PROBLEM] != 0.0 or t[STRAIN_UNCERTAINTY] > 0.0:
+        torque_shift.reset(v.shift)
+        return TRANSFER
+    found = torque_shift.look(
+        v.shift,
+        t[NOW_N],
+        now[balance.WEB_PER_PA],
+        now[balance.VELOCITY_M_S],
+        t[MODULUS_PA],
+        not anomalies.is_judging(v.anomalies),
+        model_errors.likely_deviation_N(v.errors) if t[HAS_ERRORS] != 0.0 else 0.0,
+    )
+    return SHIFT if found else TRANSFER
+
+
+@compiled
+def transfer(v: TrackingVectors) -> None:
+    """Give the line its E, and put measured states in the place of simulated ones, unless they are too far off to be
+    believed."""
+    t, line, web = v.t, v.line, v.balance.web
+    t[MOVED] = 0.0
+    if t[BLACK_BOX] == 0.0:
+        for i in range(v.moduli.shape[1]):
+            line.p[int(v.moduli[0, i])] = v.moduli[1, i] * (t[SERIES_FACTOR] * t[MODULUS_PA])
+    if t[RUNS] == 0.0:
+        t[RUNS] = 1.0
+        return
+    at, changed = int(t[SPAN]), False
+    t[REFUSED] = 0.0
+    if t[TRANSFERS_STRAIN] != 0.0 and t[BLACK_BOX] == 0.0:
+        measured = span.first_strain(web)
+        # Beyond any web: speeds that are no line's bring encoders there, and -1 would be a web of no length.
+        believable = abs(measured) <= _LARGEST_STRAIN
+        if believable and abs(measured - line_vectors.strain(line, at)) <= t[STRAIN_LIMIT]:
+            line_vectors.put_strain(line, at, measured)
+            changed = True
+        else:
+            t[REFUSED] = 1.0
+    if t[TRANSFERS_AXES] != 0.0 or t[BLACK_BOX] != 0.0:
+        if line_vectors.is_near(line, at, t[POSITION_1_M], t[POSITION_2_M], t[POSITION_LIMIT_M]) and (
+            line_vectors.is_as_fast(line, at, web.v[0], web.v[1], t[VELOCITY_LIMIT_M_S])
+        ):
+            line_vectors.put_motion(line, at, t[POSITION_1_M], web.v[0])
+            line_vectors.put_motion(line, at + 1, t[POSITION_2_M], web.v[1])
+            changed = True
+            t[MOVED] = 1.0
+        else:
+            t[REFUSED] = 1.0
+    if changed:
+        line_vectors.show(line)
+        if line_vectors.reports(line):
+            t[MOVED] = 1.0
+
+
+@compiled
+def run(
+    v: TrackingVectors,
+    stage: int,
+    x1_m: float,
+    x2_m: float,
+    torque_Nm: float,
+    torque_sim_Nm: float,
+    strain_prev: float,
+    F_next_N: float,
+    centre_m: float,
+) -> int:
+    """A cycle from `stage` on; arguments as of `compare`, which are read there alone. The stage at which Python has
+    to do something (HOLD, FOUND_WEB, UPDATE of another method than the bank, SHIFT), or DONE."""
+    if stage == COMPARE:
+        stage = compare(v, x1_m, x2_m, torque_Nm, torque_sim_Nm, strain_prev, F_next_N, centre_m)
+        if stage == UPDATE and v.t[BANK] != 0.0:
+            update(v)
+            stage = LOOK_FOR_SHIFT
+    if stage == LOOK_FOR_SHIFT:
+        stage = look_for_shift(v)
+    if stage == TRANSFER:
+        transfer(v)
+        stage = DONE
+    return stage
+
+
+# What the past means no more: a cycle is missing; the web is the same, but more is known of it; it is another one.
+INTERRUPT, SUSPEND, NEW_WEB = range(3)
+
+
+def _entry_points(sources: int) -> tuple[Callable[..., int], Callable[..., None], Callable[..., None]]:
+    """Compiled functions that are called from Python; `sources` as in the kernel."""
+
+    @entry_point
+    def run_vectors(
+        stage: int,
+        values: tuple[float, float, float, float, float, float, float],
+        t: Vector,
+        of_plausibility: Vector,
+        of_anomalies: Vector,
+        shift: Vector,
+        delay_line: Vector,
+        delay_finder: Vector,
+        moduli: Vector,
+        balance_p: Vector,
+        web_p: Vector,
+        web_s: Vector,
+        web_w: Vector,
+        web_v: Vector,
+        boundary: Vector,
+        tension: Vector,
+        balance_s: Vector,
+        u: Array,
+        s: Array,
+        z: Array,
+        p: Array,
+        places: Places,
+        weights: Array,
+        process: Array,
+        work: Array,
+        theta: Array,
+        priors: Array,
+        orders: Array,
+        kept: Array,
+        torque: Array,
+        position: Array,
+        k: Array,
+        first_z: Array,
+        first_p: Array,
+        first_weights: Array,
+        inputs_u: Array,
+        inputs_s: Array,
+        inputs_torque: Array,
+        inputs_position: Array,
+        bank_z: Array,
+        bank_p: Array,
+        records: Array,
+        settings: Array,
+        bank_places: Places,
+        bank_work: Array,
+        out: Array,
+        covariance: Array,
+        told: Array,
+        line_p: Vector,
+        line_s: Vector,
+        line_u: Vector,
+        line_w: Vector,
+        line_out: Vector,
+    ) -> int:
+        if sources < 0:
+            return DONE
+        web = SpanVectors(web_p, web_s, web_w, web_v, boundary, tension)
+        errors = ErrorVectors(
+            u,
+            s,
+            z,
+            p,
+            places,
+            weights,
+            process,
+            work,
+            theta,
+            priors,
+            orders,
+            kept,
+            torque,
+            position,
+            k,
+            first_z,
+            first_p,
+            first_weights,
+        )
+        inputs = InputVectors(inputs_u, inputs_s, inputs_torque, inputs_position)
+        hypotheses = BankVectors(
+            inputs, bank_z, bank_p, records, settings, bank_places, bank_work, out, covariance, told
+        )
+        v = TrackingVectors(
+            t,
+            of_plausibility,
+            of_anomalies,
+            shift,
+            delay_line,
+            delay_finder,
+            moduli,
+            BalanceVectors(balance_p, web, balance_s),
+            errors,
+            hypotheses,
+            LineVectors(line_p, line_s, line_u, line_w, line_out),
+        )
+        return run(v, stage, values[0], values[1], values[2], values[3], values[4], values[5], values[6])
+
+    @entry_point
+    def forget(what: int, of_anomalies: Vector, shift: Vector, delay_line: Vector) -> None:
+        if sources < 0:
+            return
+        if what == INTERRUPT:
+            anomalies.interrupt(of_anomalies)
+            torque_shift.interrupt(shift)
+        elif what == SUSPEND:
+            anomalies.suspend(of_anomalies)
+            torque_shift.reset(shift)
+        else:
+            anomalies.reset(of_anomalies)
+            torque_shift.reset(shift)
+            delay.forget(delay_line)
+
+    @entry_point
+    def state(t: Vector, errors: Vector, modulus_Pa: float, deviation_Pa: float) -> None:
+        if sources >= 0:
+            state_modulus(t, errors, modulus_Pa, deviation_Pa)
+
+    return run_vectors, forget, state
+
+
+run_vectors, forget, state = _entry_points(
+    kernel.source_number(
+        *(
+            str(module.__file__)
+            for module in (
+                anomalies,
+                balance,
+                bank,
+                changepoint,
+                correction,
+                delay,
+                kalman,
+                line_vectors,
+                model_errors,
+                model_errors_filter,
+                noise_level,
+                plant,
+                plausibility,
+                ring,
+                ripples,
+                span,
+                torque_shift,
+            )
+        ),
+        __file__,
+    )
+)
