@@ -195,6 +195,7 @@ class Nodes:
             for _, pdo, _ in drive.pdos.tpdos
         }
         self._tpdos_of = [[self._tpdos[pdo.cob_id] for _, pdo, _ in drive.pdos.tpdos] for drive in self.drives]
+        self._in_time = self._ages_cycles = (0,) * len(self._tpdos_of)
         self._twin_tpdos = [Tpdo(pdo.cob_id, pdo.size, pdo.period, self.twin_name) for _, pdo in self.io.tpdos]
         self._tpdos |= {pdo.cob_id: pdo for pdo in self._twin_tpdos}
         self._watch: UnexpectedSenders | None = None  # from when the master is known
@@ -468,18 +469,19 @@ class Nodes:
                 tpdos[can_id].add(content, before_sync=at < before_sync)
             elif can_id == SYNC:
                 foreign_syncs += 1
-        data = {}
+        data: dict[int, bytes] = {}
         for cob_id, tpdo in tpdos.items():
             tpdo.end(foreign_syncs)
             self.malformed += tpdo.wrong_size
             if tpdo.data is not None:
                 data[cob_id] = tpdo.data
+        self._ages_cycles = tuple(max(tpdo.age_cycles for tpdo in of_drive) for of_drive in self._tpdos_of)
         self.unexpected = self._watch.look(frames, tpdos.values()) if self._watch else []
         return data
 
     def ages_cycles(self) -> tuple[int, ...]:
         """How many cycles old the samples in use are, of each drive; 0 where it has answered this SYNC in time."""
-        return tuple(max(tpdo.age_cycles for tpdo in tpdos) for tpdos in self._tpdos_of)
+        return self._ages_cycles
 
     @property
     def axes_late(self) -> bool:
@@ -521,6 +523,7 @@ class Nodes:
         """From the next cycle on there is nothing but answers."""
         self._inbox.clear()
         self.unexpected = []
+        self._ages_cycles = self._in_time
 
     def take_plain(self, feedback: Sequence[float], said: Mapping[int, bytes], heartbeats: Iterable[int]) -> None:
         """A cycle with nothing but answers: position, velocity, torque (SI) and statusword of each drive; the twin's

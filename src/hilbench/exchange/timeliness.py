@@ -30,10 +30,14 @@ class Timeliness:
         self.cycles = 0
         self.of = {name: Lateness() for name in names}
         self._weight = min(1.0, cycle_s / _WINDOW_S)
+        self._late_lately = False  # anybody: most runs have nothing to count
 
     def update(self, ages_cycles: tuple[int, ...]) -> None:
         """A cycle in which the answers in use were so old, in the order of the names; 0: in time."""
         self.cycles += 1
+        if not self._late_lately and not any(ages_cycles):
+            return
+        self._late_lately = True
         for lateness, age in zip(self.of.values(), ages_cycles, strict=True):
             if age:
                 lateness.late += 1
@@ -43,5 +47,7 @@ class Timeliness:
 
     def trouble(self) -> str:
         """Who is late so often that it may be why something else goes wrong; "" for nobody."""
+        if not self._late_lately:
+            return ""
         late = [(name, each.lately) for name, each in self.of.items() if each.lately > TROUBLE]
         return ", ".join(f"{100 * share:.0f} % late samples of {name}" for name, share in late)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from hilbench.block import Block
@@ -26,37 +25,40 @@ class Gaussian:
     def __init__(self, generator: np.random.Generator, block: int = 1024):
         self._generator = generator
         self._block = block
-        self._numbers: NDArray[np.float64] = np.empty(0)
+        self._numbers: list[float] = []
         self._next = 0
 
     def next(self) -> float:
         """The next number of the stream; the stream does not depend on the block size."""
-        if self._next == len(self._numbers):
-            self._numbers = self._generator.standard_normal(self._block)
-            self._next = 0
-        value = float(self._numbers[self._next])
-        self._next += 1
-        return value
+        at = self._next
+        if at == len(self._numbers):
+            self._numbers = self._generator.standard_normal(self._block).tolist()
+            at = 0
+        self._next = at + 1
+        return self._numbers[at]
 
 
 class Sensors:
     """Torque, velocity and position as one motor's sensors show them. Every quantity has its own stream."""
 
     def __init__(self, parameters: SensorParameters, seed: np.random.SeedSequence, block: int = 1024):
-        self._parameters = parameters
+        self._torque_noise_Nm = parameters.torque_noise_Nm
+        self._velocity_noise_rad_s = parameters.velocity_noise_rad_s
+        self._position_noise_rad = parameters.position_noise_rad
+        self._rad_per_count = parameters.encoder_rad_per_count
         streams = [Gaussian(np.random.default_rng(child), block) for child in seed.spawn(3)]
         self._torque, self._velocity, self._position = streams
 
     def torque_Nm(self, true: float) -> float:
         """Measured torque."""
-        return true + self._parameters.torque_noise_Nm * self._torque.next()
+        return true + self._torque_noise_Nm * self._torque.next()
 
     def velocity_rad_s(self, true: float) -> float:
         """Measured velocity."""
-        return true + self._parameters.velocity_noise_rad_s * self._velocity.next()
+        return true + self._velocity_noise_rad_s * self._velocity.next()
 
     def position_rad(self, true: float) -> float:
         """Measured position: noise, then whole counts."""
-        position = true + self._parameters.position_noise_rad * self._position.next()
-        count = self._parameters.encoder_rad_per_count
+        position = true + self._position_noise_rad * self._position.next()
+        count = self._rad_per_count
         return round(position / count) * count if count > 0.0 else position

@@ -88,7 +88,9 @@ class InProcess:
                 for host, station, hosted in zip(self._own_hosts, self._links, self._hosted, strict=True)
                 if isinstance(hosted.clock, SyncClock)
             ]
-            if len(served) < 2 or not (isinstance(rig, RigApplication) and isinstance(machine, TwinApplication)):
+            if len(served) < 2 or type(link) is not ServingLink:  # one of another kind has to see its frames
+                return None
+            if not (isinstance(rig, RigApplication) and isinstance(machine, TwinApplication)):
                 return None
             here = InOneProcess(self.bus, link.station, self._lock, served[0], rig, served[1], machine)
             return PlainCycles(here, nodes, sync, own, tap)

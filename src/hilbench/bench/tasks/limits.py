@@ -29,6 +29,11 @@ class Levels:
     def __init__(self) -> None:
         self._warned: set[str] = set()
 
+    @property
+    def quiet(self) -> bool:
+        """Whether none is on."""
+        return not self._warned
+
     def check(self, t_s: float, quantities: Iterable[Watched]) -> list[tuple[str, str]]:
         """The warnings that begin in this cycle, each after its quantity.
 
@@ -47,6 +52,12 @@ class Levels:
                 text = f"{name} is {value:.4g}{unit}, beyond its warning level {limit.warning:g}{unit}"
                 warnings.append((name, text))
         return warnings
+
+
+def least_told(limit: Limit) -> float:
+    """The least size of a quantity at which `Levels.check` has anything to do, while no warning is on."""
+    levels = (limit.trip, None if limit.warning is None else _RELEASE * limit.warning)
+    return min((level for level in levels if level is not None), default=inf)
 
 
 def apart(estimate: float, model: float) -> float:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from math import inf
 from operator import attrgetter
 
-from hilbench.bench.tasks.limits import Levels, Watched, apart, is_synchronized, load_motor_labels
+from hilbench.bench.tasks.limits import Levels, Watched, apart, is_synchronized, least_told, load_motor_labels
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.topology.safety import Limit, LimitsConfig
 from hilbench.topology.sample import CycleSample
@@ -52,22 +53,41 @@ class LimitWatch:
         self._limits = limits
         self._levels = Levels()
         spans = range(1, shape.spans + 1)
-        self._limited = [(each.name, each.signal, f" {each.unit}", each.limit) for each in limited(limits, shape)]
+        watched = limited(limits, shape)
+        self._limited = [(each.name, each.signal, f" {each.unit}", each.limit) for each in watched]
+        self._sizes = attrgetter("t_s", *(each.signal for each in watched))  # with the time there are always several
+        self._told_from = [inf, *(least_told(each.limit) for each in watched)]
+        self._apart_told_from_m = least_told(limits.position_difference_m)
+        self._ratio_told_from = least_told(limits.estimate_ratio)
         self._tensions = {f"F{shape.numbered(span)}_true_N" for span in spans}
         self._differences = [_PositionDifference(axis, shape, cycle_s) for axis in range(1, shape.axes)]
         self._moduli = [(f"E{shape.numbered(span)}_sim_Pa", model.youngs_modulus_Pa(span)) for span in shape.estimated]
 
     def update(self, sample: CycleSample) -> list[tuple[str, str]]:
         """The warnings that begin in this cycle, each after its quantity. Raises LimitTripError."""
-        return self._levels.check(sample.t_s, self._quantities(sample))
+        apart_m = [difference.update(sample) for difference in self._differences]
+        if self._levels.quiet and self._is_quiet(sample, apart_m):
+            return []
+        return self._levels.check(sample.t_s, self._quantities(sample, apart_m))
 
-    def _quantities(self, sample: CycleSample) -> Iterator[Watched]:
+    def _is_quiet(self, sample: CycleSample, apart_m: Sequence[float]) -> bool:
+        """Whether everything is so small that there is nothing to say, as in nearly every cycle."""
+        for size, told_from in zip(self._sizes(sample), self._told_from, strict=True):
+            if not -told_from < size < told_from:
+                return False
+        if not max(apart_m) < self._apart_told_from_m:
+            return False
+        if not is_synchronized(sample):
+            return True
+        return all(apart(getattr(sample, name), modulus) < self._ratio_told_from for name, modulus in self._moduli)
+
+    def _quantities(self, sample: CycleSample, apart_m: Sequence[float]) -> Iterator[Watched]:
         limits = self._limits
         for name, signal, unit, limit in self._limited:
             value = getattr(sample, signal)
             yield name, value if signal in self._tensions else abs(value), unit, limit
-        for difference in self._differences:
-            yield difference.name, difference.update(sample), " m", limits.position_difference_m
+        for difference, difference_m in zip(self._differences, apart_m, strict=True):
+            yield difference.name, difference_m, " m", limits.position_difference_m
         if is_synchronized(sample):
             for signal, modulus_Pa in self._moduli:
                 ratio = apart(getattr(sample, signal), modulus_Pa)

@@ -18,7 +18,7 @@ def read_ports(
     """
     for motor, port in zip(motors, ports, strict=False):
         at = lay.U_MOTORS + motor * lay.UM_SIZE
-        inputs[at : at + lay.UM_SIZE] = (port.mode, port.setpoint, port.slope, port.torque_limit_Nm)
+        inputs[at : at + lay.UM_SIZE] = port.mode, port.setpoint, port.slope, port.torque_limit_Nm
     first = _first_motor_state(layout) + lay.SM_LIMITED
     state[first : first + layout.motors * lay.SM_SIZE : lay.SM_SIZE] = 0.0
 
