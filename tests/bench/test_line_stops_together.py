@@ -43,15 +43,23 @@ class Stand:
         def new_rig(*given: Any) -> Any:
             rig = make(*given)
             self.motion.clear()  # the last one that is made is the stand
-            step = rig.step
+            step, step_in_modes = rig.step, rig.step_in_modes
 
-            def recorded(duration_s: float) -> None:
-                step(duration_s)
+            def record(duration_s: float) -> None:
                 outputs: Mapping[str, float] = rig.outputs()
                 axes = rig.describe().axes
                 self.motion.append((duration_s, [outputs[f"x{axis}_rad"] for axis in range(1, axes + 1)]))
 
+            def recorded(duration_s: float) -> None:
+                step(duration_s)
+                record(duration_s)
+
+            def recorded_in_modes(set_points: Any, duration_s: float, shown: Any) -> None:
+                step_in_modes(set_points, duration_s, shown)
+                record(duration_s)
+
             monkeypatch.setattr(rig, "step", recorded)
+            monkeypatch.setattr(rig, "step_in_modes", recorded_in_modes)
             return rig
 
         def booted(participants: in_process.InProcess) -> None:

@@ -44,7 +44,7 @@ from hilbench.exchange.frame_tap import FrameTap, LineTap
 from hilbench.exchange.nodes import Nodes
 from hilbench.exchange.own_node import OwnNode
 from hilbench.exchange.sync_cycle import ExpectedPdo, SyncCycle
-from hilbench.hardware.simulation import RigApplication
+from hilbench.hardware.simulation import RigApplication, StepsInModes
 from hilbench.twin.process import TwinApplication
 
 #: Cycles after which it is looked anew whether cycles are plain, when they were not.
@@ -150,6 +150,8 @@ class _Run:
         if not all(drive.follows(_ENABLED) for drive in drives):
             raise NotPlainError
         self._ports = [drive.firmware.port for drive in here.rig.drives]
+        all_there = len(self._ports) == len(here.rig.ports)
+        self._direct = here.rig.rig if all_there and isinstance(here.rig.rig, StepsInModes) else None
         self._bench_frames()
         self._check_listeners()
         for served in (here.hardware, here.twin):
@@ -323,6 +325,7 @@ class _Run:
             np.zeros(lay.O_SIZE + len(frames.rows), np.int64),
         )
         self._feedback = np.zeros(4 * len(self._seen))
+        self._asked = np.zeros(len(self._ports))
         self._shown = np.zeros(lay.PORT_SIZE * len(self._ports))
         self._set_points = np.zeros(len(self._targets))
         self._names = [
@@ -354,13 +357,15 @@ class _Run:
         known = {id(cell): (cell, slot, is_float) for cell, slot, is_float in slots.cells}
         read = [known[id(cell)] for device, tpdo, _ in self._answering if device in twin for cell in tpdo.cells]
         written = [known[id(cell)] for device, rpdo, _ in self._taken if device in twin for cell in rpdo.cells]
-        self._read_real = [(cell, slot) for cell, slot, is_float in read if is_float]
-        self._read_whole = [(cell, slot) for cell, slot, is_float in read if not is_float]
-        self._real_slots = np.array([slot for _, slot in self._read_real], np.intp)
-        self._whole_slots = np.array([slot for _, slot in self._read_whole], np.intp)
+        self._read_real = [cell for cell, _, is_float in read if is_float]
+        self._real_slots = np.array([slot for _, slot, is_float in read if is_float], np.intp)
+        self._read_whole = [cell for cell, _, is_float in read if not is_float]
+        self._whole_slots = np.array([slot for _, slot, is_float in read if not is_float], np.intp)
         values = [each for each in written if each[0].on_write is None]  # no controlwords: these stay
-        self._written_real = [(cell, slot) for cell, slot, is_float in values if is_float]
-        self._written_whole = [(cell, slot) for cell, slot, is_float in values if not is_float]
+        self._written_real = [cell for cell, _, is_float in values if is_float]
+        self._written_real_slots = np.array([slot for _, slot, is_float in values if is_float], np.intp)
+        self._written_whole = [cell for cell, _, is_float in values if not is_float]
+        self._written_whole_slots = np.array([slot for _, slot, is_float in values if not is_float], np.intp)
         of_twin = {id(cell) for cell, _, _ in (*read, *written)}
         self._hardware_cells = [each for each in slots.cells if id(each[0]) not in of_twin]
 
@@ -381,7 +386,7 @@ class _Run:
             return False
         fault, self._fault = self._fault or self._write_waiting(), None
         here.machine.before_sync(0)
-        self._whole[self._whole_slots] = [cell.value for cell, _ in self._read_whole]
+        self._whole[self._whole_slots] = [cell.value for cell in self._read_whole]
         said_alive = self._exchange()
         for clock in (here.hardware.clock, here.twin.clock):
             clock.tick_at(begun_ns)
@@ -420,7 +425,7 @@ class _Run:
             set_points[at] = outputs.get(name, 0.0) * per_unit
         for slot, name in zip(self._told, self._nodes.boundary_names, strict=True):
             real[slot] = outputs[name]
-        real[self._real_slots] = [cell.value for cell, _ in self._read_real]
+        real[self._real_slots] = [cell.value for cell in self._read_real]
         return kernel.encode(self._target_rows, self._sent, set_points, self._whole, real, self._single)
 
     def _exchange(self) -> bool:
@@ -480,29 +485,34 @@ class _Run:
     def _move_hardware(self) -> None:
         """The drives take their set points, and the rig goes on to the next SYNC."""
         shown, drives = self._shown, self._drives
-        for port, set_point in zip(self._ports, drives["set_point"].tolist(), strict=True):
-            port.setpoint = set_point
-        self._here.rig.rig.step(self._step_s)
-        values: list[float] = []
-        for port in self._ports:
-            values += (port.position_rad, port.velocity_rad_s, port.torque_Nm, port.reference, port.torque_limited)
-        shown[:] = values
+        if self._direct is not None:
+            self._asked[:] = drives["set_point"]
+            self._direct.step_in_modes(self._asked, self._step_s, shown)
+        else:
+            self._give_set_points()
+            self._here.rig.rig.step(self._step_s)
+            values: list[float] = []
+            for port in self._ports:
+                values += (port.position_rad, port.velocity_rad_s, port.torque_Nm, port.reference, port.torque_limited)
+            shown[:] = values
         if not kernel.publish(drives, shown, self._whole):
             self._give_hardware()
             self._over = True
             for drive in self._here.rig.drives:
                 drive.publish()
 
+    def _give_set_points(self) -> None:
+        for port, set_point in zip(self._ports, self._drives["set_point"].tolist(), strict=True):
+            port.setpoint = set_point
+
     def _move_twin(self) -> None:
         machine = self._here.machine
-        if self._written_whole:
-            values = self._whole.tolist()
-            for cell, slot in self._written_whole:
-                cell.value = values[slot]
-        if self._written_real:
-            reals = self._real.tolist()
-            for cell, slot in self._written_real:
-                cell.value = reals[slot]
+        for cells, slots, values in (
+            (self._written_whole, self._written_whole_slots, self._whole),
+            (self._written_real, self._written_real_slots, self._real),
+        ):
+            for cell, value in zip(cells, values[slots].tolist(), strict=True):
+                cell.value = value
         machine.after_sync()
         for cob_id, row in self._listened:
             machine.on_frame(Frame(cob_id, self._content(row)))
@@ -547,6 +557,12 @@ class _Run:
 
     def _give_hardware(self) -> None:
         """Devices get their objects, drives what they remember; the twin's devices what their PDOs remember."""
+        self._give_set_points()
+        if self._direct is not None:
+            for port, at in zip(self._ports, range(0, len(self._shown), lay.PORT_SIZE), strict=True):
+                position, velocity, torque, reference, limited = self._shown[at : at + lay.PORT_SIZE].tolist()
+                port.position_rad, port.velocity_rad_s, port.torque_Nm = position, velocity, torque
+                port.reference, port.torque_limited = reference, limited != 0.0
         whole, real = self._whole.tolist(), self._real.tolist()
         for cell, slot, is_float in self._hardware_cells:
             cell.value = real[slot] if is_float else whole[slot]

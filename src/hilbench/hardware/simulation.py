@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Protocol
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
 
 from hilbench.can.frame import Frame
 from hilbench.can.open import open_link
@@ -37,6 +40,14 @@ class Steps(Protocol):
         """Go on for so long with the set points that the motors have."""
 
 
+@runtime_checkable
+class StepsInModes(Protocol):
+    """The same without ports, while no motor changes its mode."""
+
+    def step_in_modes(self, set_points: NDArray[np.float64], duration_s: float, shown: NDArray[np.float64]) -> None:
+        """Go on with set points (M,); `shown`, (5 M,): position, velocity, torque, reference, torque limited."""
+
+
 class RigApplication:
     """What the hardware does at a SYNC: the drives take their set points, then the rig moves on.
 
@@ -67,6 +78,11 @@ class RigApplication:
     def drives(self) -> Sequence[SimulatedDrive]:
         """The simulated ones."""
         return self._drives
+
+    @property
+    def ports(self) -> Sequence[MotorPort]:
+        """Those of all motors, simulated drive or not."""
+        return self._ports
 
     @property
     def rig(self) -> Steps:
@@ -155,6 +171,14 @@ def hardware(config: BenchConfig) -> HostedDevices:
             bind_effect_objects(device, _effect_setter(rig, part.axis), config.machine_kind)
     sample_s = config.drive_parameters.sample_time_s
     return HostedDevices(devices, clock, RigApplication(drives, ports, rig, time, config.cycle_time_s, sample_s))
+
+
+def warm_up_in_modes(config: BenchConfig) -> None:
+    """Compile, or load, what a rig does in the place of `Steps.step`, before the devices boot."""
+    ports = [MotorPort() for _ in (*config.parts_of(Role.AXIS), *config.parts_of(Role.LOAD_MOTOR))]
+    rig = new_rig(config, ports)
+    if isinstance(rig, StepsInModes):
+        rig.step_in_modes(np.zeros(len(ports)), config.cycle_time_s, np.zeros(5 * len(ports)))
 
 
 def _time_base(config: BenchConfig) -> tuple[Clock, PlantTime]:

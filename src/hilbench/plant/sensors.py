@@ -49,6 +49,15 @@ class Sensors:
         streams = [Gaussian(np.random.default_rng(child), block) for child in seed.spawn(3)]
         self._torque, self._velocity, self._position = streams
 
+    @property
+    def figures(self) -> tuple[float, float, float, float]:
+        """Standard deviations of position, velocity and torque, and what the encoder counts (0: nothing), in rad."""
+        return self._position_noise_rad, self._velocity_noise_rad_s, self._torque_noise_Nm, self._rad_per_count
+
+    def noise(self) -> tuple[float, float, float]:
+        """The next normal numbers of position, velocity and torque, for who adds them to the truth."""
+        return self._position.next(), self._velocity.next(), self._torque.next()
+
     def torque_Nm(self, true: float) -> float:
         """Measured torque."""
         return true + self._torque_noise_Nm * self._torque.next()

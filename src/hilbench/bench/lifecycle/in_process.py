@@ -23,7 +23,7 @@ from hilbench.exchange.frame_tap import FrameTap
 from hilbench.exchange.nodes import Nodes
 from hilbench.exchange.own_node import OwnNode
 from hilbench.exchange.sync_cycle import SyncCycle
-from hilbench.hardware.simulation import RigApplication, hardware
+from hilbench.hardware.simulation import RigApplication, hardware, warm_up_in_modes
 from hilbench.topology.config import BenchConfig
 from hilbench.twin.process import TwinApplication, twin
 from hilbench.twin.setup import twin_setup
@@ -61,6 +61,7 @@ class InProcess:
         self.bus = MemoryBus(config.bus_address.channel, config.bus.bitrate)
         self._lock = threading.RLock()
         kernel.warm_up()
+        warm_up_in_modes(config)
         self._hosted = hardware(config), twin(twin_setup(config))
         self._links = [self.bus.open_link() for _ in self._hosted]
         self._own_hosts = [DeviceHost(link, *hosted) for link, hosted in zip(self._links, self._hosted, strict=True)]

@@ -1,0 +1,66 @@
+"""A step of a rig whose motors stay in their modes, compiled: set points in, what the sensors show out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilbench.compiled import entry_point
+from hilbench.plant.web_line import kernel
+from hilbench.plant.web_line import layout as lay
+from hilbench.plant.web_line.kernel import advance, observe
+from hilbench.plant.web_line.layout import Vector
+
+Step = Callable[[Vector, Vector, Vector, Vector, Vector, NDArray[np.int64], Vector, int, Vector, Vector, Vector], None]
+#: What a motor shows, in the order of `hilbench.plant.motor_port.MotorPort`: position, velocity, torque, reference,
+#: whether the torque was limited (1) or not (0).
+SHOWN = 5
+#: Of each motor: standard deviations of position, velocity and torque, and what the encoder counts.
+SENSOR = 4
+
+
+def _entry_point(sources: int) -> Step:
+    @entry_point
+    def step(
+        p: Vector,
+        s: Vector,
+        u: Vector,
+        work: Vector,
+        out: Vector,
+        motors: NDArray[np.int64],
+        set_points: Vector,
+        samples: int,
+        sensors: Vector,
+        noise: Vector,
+        shown: Vector,
+    ) -> None:
+        if sources < 0:
+            return
+        axes, count, spans = int(p[lay.W_AXES]), int(p[lay.W_MOTORS]), int(p[lay.W_SPANS])
+        rows = lay.W_SIZE + axes * lay.A_SIZE
+        states = lay.S_Y + 4 * axes + 2 * spans + axes * lay.SA_SIZE
+        for k in range(len(motors)):
+            u[lay.U_MOTORS + motors[k] * lay.UM_SIZE + lay.UM_SETPOINT] = set_points[k]
+        for j in range(count):
+            s[states + j * lay.SM_SIZE + lay.SM_LIMITED] = 0.0
+        advance(p, s, u, work, samples)
+        observe(p, s, u, work, out)
+        for k in range(len(motors)):
+            j, at, of = motors[k], k * SHOWN, k * SENSOR
+            rad_per_m, state = p[rows + j * lay.M_SIZE + lay.M_RAD_PER_M], states + j * lay.SM_SIZE
+            position = out[j] * rad_per_m + sensors[of] * noise[3 * k]
+            counts = sensors[of + 3]
+            shown[at] = np.rint(position / counts) * counts if counts > 0.0 else position
+            shown[at + 1] = out[count + j] * rad_per_m + sensors[of + 1] * noise[3 * k + 1]
+            shown[at + 2] = out[2 * count + j] + sensors[of + 2] * noise[3 * k + 2]
+            shown[at + 3] = s[state + lay.SM_REFERENCE]
+            shown[at + 4] = s[state + lay.SM_LIMITED] != 0.0
+
+    return step
+
+
+#: step(parameters, state, inputs, work, out, motors (M,), set points (M,), samples, sensors (M · SENSOR,), normal
+#: numbers (3 · M,), shown (M · SHOWN,)): `read_ports`, `kernel.advance`, `kernel.observe`, `write_ports` and `Sensors`.
+step = _entry_point(kernel.source_number(__file__))
