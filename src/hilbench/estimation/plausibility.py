@@ -37,7 +37,7 @@ class Problem(IntEnum):
 #: Problems by their numbers; 0: none.
 PROBLEMS: dict[int, Problem | None] = {0: None} | {int(problem): problem for problem in Problem}
 
-# State. Limits of the torque, in N·m; web_per_Pa up to which the web is slack; cycles until the torque counts as free.
+# State. Limits of the torque, in N·m; pull_per_Pa up to which the web is slack; cycles until the torque counts as free.
 _LIMIT_NM, _FREE_CYCLES, _LIMITED, _DRY, _SLACK_PER_PA, _LAST_NM, _SAME, _HAS_CHANGED = range(8)
 _SIZE = 8
 _INVALID, _FROZEN, _SATURATED_NOW = int(Problem.INVALID), int(Problem.FROZEN), int(Problem.SATURATED)
@@ -45,9 +45,9 @@ _SLACK_NOW, _STANDING = int(Problem.SLACK), int(Problem.STANDSTILL)
 
 
 @compiled
-def find_problem(s: Array, torque_Nm: float, web_per_Pa: float, velocity_m_s: float) -> int:
+def find_problem(s: Array, torque_Nm: float, pull_per_Pa: float, velocity_m_s: float) -> int:
     """What is wrong with this cycle's torque, as a `Problem`; 0: nothing. s: state of a `Plausibility`."""
-    if not (isfinite(torque_Nm) and isfinite(web_per_Pa) and isfinite(velocity_m_s)):
+    if not (isfinite(torque_Nm) and isfinite(pull_per_Pa) and isfinite(velocity_m_s)):
         return _INVALID
     if torque_Nm == s[_LAST_NM]:
         s[_SAME] += 1.0
@@ -62,7 +62,7 @@ def find_problem(s: Array, torque_Nm: float, web_per_Pa: float, velocity_m_s: fl
     # A noiseless simulation at rest does as well, but it has not moved before.
     if s[_SAME] >= _FROZEN_CYCLES and s[_HAS_CHANGED] != 0.0:
         return _FROZEN
-    if web_per_Pa <= s[_SLACK_PER_PA]:
+    if pull_per_Pa <= s[_SLACK_PER_PA]:
         return _SLACK_NOW
     if s[_DRY] != 0.0 and abs(velocity_m_s) < _STANDSTILL_M_S:
         return _STANDING
@@ -83,8 +83,8 @@ def _compiled_look(sources: int) -> Callable[[Array, float, float, float], int]:
     """The function that is called from Python; `sources` as in `number_of_sources`."""
 
     @entry_point
-    def look(s: Array, torque_Nm: float, web_per_Pa: float, velocity_m_s: float) -> int:
-        return find_problem(s, torque_Nm, web_per_Pa, velocity_m_s) if sources >= 0 else 0
+    def look(s: Array, torque_Nm: float, pull_per_Pa: float, velocity_m_s: float) -> int:
+        return find_problem(s, torque_Nm, pull_per_Pa, velocity_m_s) if sources >= 0 else 0
 
     return look
 
@@ -101,6 +101,6 @@ class Plausibility:
         self.state[_DRY], self.state[_SLACK_PER_PA] = float(dry_friction_N > 0.0), _SLACK * slack_per_Pa
         self.state[_LAST_NM] = np.nan
 
-    def problem(self, torque_Nm: float, web_per_Pa: float, velocity_m_s: float) -> Problem | None:
+    def problem(self, torque_Nm: float, pull_per_Pa: float, velocity_m_s: float) -> Problem | None:
         """What is wrong with this cycle's torque, if anything."""
-        return PROBLEMS[_look(self.state, torque_Nm, web_per_Pa, velocity_m_s)]
+        return PROBLEMS[_look(self.state, torque_Nm, pull_per_Pa, velocity_m_s)]
