@@ -46,6 +46,7 @@ NOT_RUN = {
     r"(sudo|ip|echo) ": "changes the machine, or asks an interface: the guest of `make test-vcan` has one",
     r"candump ": "needs a CAN interface: the guest of `make test-vcan` has one, and a candump as witness",
     r"hilbench --install-completion": "writes into the start-up files of the user's shell",
+    r"hilbench monitor \S+ .*--browser": "serves until it is ended; tests/pages/test_in_browser.py opens it",
     r"hilbench simulate-drive ": "runs until it is ended; tests/cli/test_simulate_drive.py drives what it plays",
     r"hilbench sdo (dump|load|diff) ": "needs drives: tests/cli/test_sdo_files.py has two",
     r"hilbench (scan .*--lss|lss )": "needs devices without a node id: tests/cli/test_lss.py has two",

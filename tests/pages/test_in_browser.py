@@ -106,6 +106,9 @@ def test_a_run_is_watched_changed_and_stopped_by_two(browser: Browser, tmp_path:
     until(ben, f"{now}.startsWith('1.5')")
 
     ben.fill("#who", "ben")
+    anna.click("#set-v")
+    assert anna.locator("#stop-there").is_visible()  # a dialogue does not take the button away
+    anna.click("#no")
     ben.click("#stop")
     assert run.poll() is None  # once is not enough
     ben.click("#yes")

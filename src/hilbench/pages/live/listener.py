@@ -126,7 +126,7 @@ class Listener:
         self._note_journal(self._samples.log)
         for t_s, change in self._samples.told():
             self.events.add(told(change, t_s))
-        if self._samples.problem:
+        if self._samples.problem and self._picture.condition is Condition.RUNNING:  # else a consequence of its end
             problem = Entry(self._now_s(), "bench", self._samples.problem, "fault")
             self.events.put(("problem", self._generation, problem.text), problem)
         self._look_at_folder()
@@ -197,7 +197,7 @@ class Listener:
                 "values": self.history.latest(),
                 "dropped": None if link is None else link.dropped,
                 "bus_problem": self._bus_problem,
-                "sync_age_ms": (time.time_ns() - self._newest_ns) / 1e6 if heard else None,
+                "sync_s": self._newest_ns * 1e-9 if heard else None,
                 "run": None if self._folder is None else self._folder.name,
                 "ended": self._ended,
             }

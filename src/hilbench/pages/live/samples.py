@@ -49,6 +49,7 @@ class LiveSamples:
         self._truth = [at for at, name in enumerate(history.names) if name in truths]
         self._rows: list[Sequence[float]] = []
         self._begin(from_start=False)
+        Decoder(config, self._nodes, None, self._rows.append)  # compiles, or loads, what each cycle runs
 
     def _begin(self, *, from_start: bool) -> None:
         self.run: RunUnderWay | None = None  #: the folder of the run that is heard

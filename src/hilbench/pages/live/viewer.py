@@ -17,7 +17,7 @@ from hilbench.pages.live.listener import Listener
 
 #: How often stretches are sent, and the state, s.
 _TICK_S: Final = 0.05
-_STATE_S: Final = 0.2
+_STATE_S: Final = 0.1
 _MOST_VIEWERS: Final = 32
 #: Points of a part of the past that is asked for.
 _MOST_POINTS: Final = 4000

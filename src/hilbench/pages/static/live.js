@@ -15,6 +15,7 @@ window.session.then((known) => {
     return size >= 1000 ? 0 : size >= 100 ? 1 : size >= 10 ? 2 : Math.min(least, 3);
   };
   const number = (value) => (value === null || value === undefined || !Number.isFinite(value) ? "–" : minus(value.toFixed(digits(value))));
+  const rounded = (value) => minus(String(Number(value.toPrecision(4))));
   const seconds = (t) => (t === null || t === undefined ? "" : minus(t.toFixed(t >= 100 ? 1 : 2)) + " s");
 
   // -- what has come ---------------------------------------------------------------------------------------
@@ -59,7 +60,7 @@ window.session.then((known) => {
   // -- plots -----------------------------------------------------------------------------------------------
 
   const WINDOWS = [[10, "10 s"], [30, "30 s"], [120, "2 min"], [600, "10 min"], [3600, "1 h"]];
-  const FINE_S = 110, PLOT_PX = 190, AXIS_PX = 62;
+  const FINE_S = 110, LEAST_S = 5, PLOT_PX = 190, AXIS_PX = 62;
   let windowS = 30, held = null; // [from, to] while paused
   let plots = [], drawnAt = 0;
 
@@ -70,8 +71,10 @@ window.session.then((known) => {
   };
   const shown = () => {
     if (held) return held;
-    const t = levels.length && levels[0].t.length ? levels[0].t[levels[0].t.length - 1] : 0;
-    return [t - windowS, t];
+    const t = levels.length ? levels[0].t : [], last = t.length ? t[t.length - 1] : 0;
+    const first = levels.length && levels[1].t.length ? Math.min(levels[1].t[0], t[0] ?? 0) : t[0] ?? 0;
+    const from = Math.max(last - windowS, first); // of a run that has just begun what there is
+    return [from, Math.max(last, from + Math.min(windowS, LEAST_S))];
   };
   const storeFor = (from, to) => {
     if (held && past && past.t.length > 1) return past;
@@ -135,7 +138,7 @@ window.session.then((known) => {
     ctx.textAlign = "left";
     const [from, to] = shown();
     let free = -Infinity;
-    for (const event of [...happened.values()].filter((e) => e.t_s >= from && e.t_s <= to && e.t_s !== null).sort((a, b) => a.t_s - b.t_s)) {
+    for (const event of [...happened.values()].filter((e) => e.t_s !== null && e.t_s >= from && e.t_s <= to && e.weight !== "operator").sort((a, b) => a.t_s - b.t_s)) {
       const x = u.valToPos(event.t_s, "x", true);
       ctx.strokeStyle = ctx.fillStyle = colour(event.weight === "fault" ? "--bad" : event.weight === "warning" ? "--close" : "--purple");
       ctx.lineWidth = ratio;
@@ -252,7 +255,9 @@ window.session.then((known) => {
     $("name").title = layout.description;
     document.title = `${layout.name} – hilbench`;
     const svg = new DOMParser().parseFromString(layout.drawing, "image/svg+xml").documentElement;
-    $("drawing").replaceChildren(document.importNode(svg, true));
+    const drawing = document.importNode(svg, true);
+    drawing.style.minWidth = `${0.55 * Number(svg.getAttribute("width"))}px`; // smaller nobody could read it
+    $("drawing").replaceChildren(drawing);
     values = [...$("drawing").querySelectorAll("[data-signal]")];
     parts = new Map([...$("drawing").querySelectorAll("[data-part]")].map((g) => [g.dataset.part, g]));
     for (const [name, g] of parts) g.dataset.kind = layout.parts[name];
@@ -282,7 +287,7 @@ window.session.then((known) => {
     }
   };
 
-  const driveState = (node) => (node.stale ? "stale" : !node.drive_state ? "" : /FAULT/.test(node.drive_state) ? "bad" : node.drive_state === "OPERATION ENABLED" ? "on" : "");
+  const driveState = (node) => (!state.running ? "" : node.stale ? "stale" : !node.drive_state ? "" : /FAULT/.test(node.drive_state) ? "bad" : node.drive_state === "OPERATION ENABLED" ? "on" : "");
   const showMachine = () => {
     const limits = {};
     for (const plot of layout.plots) for (const trace of plot.traces) limits[trace.signal] = plot.limits.warning * plot.scale;
@@ -323,8 +328,8 @@ window.session.then((known) => {
       if (state.model !== "as configured") found.push(figure(`twin: ${state.model}`));
     }
     if (state.dropped) found.push(figure(`${state.dropped} frames lost here`, true));
-    found.push(figure(`cycle ${state.cycles}`), figure(`${layout.bus}`), figure(state.run ?? ""));
-    $("figures").replaceChildren(...found.flatMap((each) => [each, " \u00a0 "]));
+    for (const words of [`cycle ${state.cycles}`, layout.bus, state.run ?? ""]) found.push(make("span", words, "minor"));
+    $("figures").replaceChildren(...found);
   };
   const showEnd = () => {
     const end = state.ended;
@@ -370,7 +375,7 @@ window.session.then((known) => {
       set.dataset.needs = "control";
       set.id = `set-${quantity.key}`;
       what.append(make("span", quantity.title), make("span", "–", "now"));
-      row.append(what, make("span", `${number(quantity.low)} to ${number(quantity.high)} ${quantity.unit}`, "range"), field, preview, set);
+      row.append(what, make("span", `${rounded(quantity.low)} to ${rounded(quantity.high)} ${quantity.unit}`, "range"), field, preview, set);
       const value = () => {
         if (field.value !== "" && Number.isFinite(field.valueAsNumber)) return field.valueAsNumber;
         told(`${quantity.title}: expected a number`, false);
@@ -420,10 +425,14 @@ window.session.then((known) => {
     }
   };
   const who = () => $("who").value.trim() || "somebody";
+  const SAID_MS = 8000;
+  let fading = 0;
   const told = (text, done) => {
     $("said").hidden = false;
     $("said").className = done ? "" : "bad";
     setText($("said"), text);
+    clearTimeout(fading);
+    if (done) fading = setTimeout(() => { $("said").hidden = true; }, SAID_MS);
   };
 
   let asking = null;
@@ -449,6 +458,7 @@ window.session.then((known) => {
   const isStopping = () => $("ask").open && $("ask").className === "stop";
 
   $("stop").addEventListener("click", stop);
+  $("stop-there").addEventListener("click", stop); // a dialogue covers the other one
   $("yes").addEventListener("click", () => answer(true));
   $("no").addEventListener("click", () => answer(false));
   $("ask").addEventListener("cancel", () => { asking = null; });
