@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 from tests.cli.in_process import hilbench
 from tests.library.made_runs import criterion, made_run
+from tests.report.test_html import recording, run_folder
 
 from hilbench.results.run_folder import RunFolder
 
@@ -163,3 +164,25 @@ def test_a_tag_in_the_labels_of_somebody_else_s_hand_is_no_terminal_command(runs
         printed = hilbench("runs", *words, "--runs", runs).stdout
         assert "gone" in printed
         assert not {"\x07", "\r"} & set(printed)
+
+
+def test_a_run_is_meant_by_its_path_wherever_it_lies(runs: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
+    elsewhere = made_run(tmp_path_factory.mktemp("elsewhere"), "axis", number=1)
+    shown = hilbench("runs", "show", elsewhere.path, "--runs", runs / "nowhere")
+    assert shown.returncode == 0, shown.stderr
+    assert "axis" in shown.stdout
+
+
+def test_a_trend_of_a_single_run_is_a_point(tmp_path: Path, recwarn: pytest.WarningsRecorder) -> None:
+    made_run(tmp_path, number=1)
+    done = hilbench("runs", "trend", "E_noise_pct", "--runs", tmp_path, "--out", tmp_path / "trend.png")
+    assert "1 run over began: level" in done.stdout
+    assert [str(each.message) for each in recwarn if "Locator" in str(each.message)] == []
+
+
+def test_runs_are_compared_by_their_names(tmp_path: Path) -> None:
+    one, other = (run_folder(tmp_path, recording(), metrics={"E_noise_pct": noise}) for noise in (0.1, 0.3))
+    done = hilbench("compare", one.name, other.name, "--runs", tmp_path, "--json")
+    assert done.returncode == 0, done.stderr
+    (row,) = json.loads(done.stdout)["metrics"]
+    assert row["differences"] == [pytest.approx(0.2)]

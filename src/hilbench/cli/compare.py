@@ -11,8 +11,9 @@ from hilbench.cli.options import JsonOption
 
 
 def compare(
-    runs: Annotated[list[Path], typer.Argument(metavar="RUN RUN...", help="run folders")],
+    given: Annotated[list[str], typer.Argument(metavar="RUN RUN...", help="run folders, names in --runs, or last")],
     out: Annotated[Path | None, typer.Option("--out", help="page with the signals in one picture each (HTML)")] = None,
+    runs: Annotated[Path, typer.Option("--runs", metavar="DIR", help="folder with the run folders")] = Path("runs"),
     json: JsonOption = False,
 ) -> None:
     """Compare runs: how their metrics differ from the first one's, and their signals in one picture.
@@ -22,9 +23,10 @@ def compare(
     from dataclasses import asdict
     from json import dumps
 
+    from hilbench.library.query import find_run
     from hilbench.report.compare_page import labels, metric_rows, read_runs, write_compare_page
 
-    found = read_runs(runs)
+    found = read_runs([find_run(each, runs).path for each in given])
     rows = metric_rows(found)
     if out is not None:
         write_compare_page(found, out)

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from hilbench.library.entry import RunEntry
     from hilbench.library.matrix import Matrix
     from hilbench.library.query import Library, Query
+    from hilbench.results.run_folder import RunFolder
 
 app = typer.Typer(no_args_is_help=True, help="The runs in a folder: list, show, tag, note, trend, matrix, delete, gc.")
 
@@ -54,10 +55,20 @@ _COLOURS = {
 }
 
 
+def _folder(run: str, runs: Path) -> RunFolder:
+    from hilbench.library.query import find_run
+
+    return find_run(run, runs, _announce)
+
+
+def _announce(text: str) -> None:
+    typer.echo(text, err=True)
+
+
 def _library(folder: Path) -> Library:
     from hilbench.library.query import Library
 
-    return Library(folder, lambda text: typer.echo(text, err=True))
+    return Library(folder, _announce)
 
 
 def _query(
@@ -217,9 +228,10 @@ def show(
 
     Example: hilbench runs show last
     """
-    library = _library(runs)
-    folder = library.find(run)
-    entry = library.entry(folder)
+    from hilbench.library.query import entry_of
+
+    folder = _folder(run, runs)
+    entry = entry_of(folder)
     files = {name: str(path) for name, path in folder.files().items()}
     if json:
         from json import dumps
@@ -333,8 +345,7 @@ def tag_runs(
 
     if not add and not remove:
         raise UnusableInputError("--add", "missing, expected a tag to add, or --remove with one to take away")
-    library = _library(runs)
-    for folder in [library.find(each) for each in run]:
+    for folder in [_folder(each, runs) for each in run]:
         print(f"{folder.name}: {', '.join(tag(folder, add or (), remove or ()).tags) or 'no tags'}")
 
 
@@ -350,7 +361,7 @@ def note_run(
     """
     from hilbench.library.labels import note
 
-    folder = _library(runs).find(run)
+    folder = _folder(run, runs)
     print(f"{folder.name}: {len(note(folder, text).notes)} notes")
 
 
@@ -394,7 +405,7 @@ def delete(
 def _given(library: Library, run: str) -> Path:
     """A path is taken as it is, so that what is no run folder is told as such."""
     path = Path(run)
-    return path if path.exists() else library.find(run).path
+    return path if path.exists() or path.is_symlink() else library.find(run).path
 
 
 def _delete(given: Sequence[tuple[Path, str]], *, yes: bool) -> None:

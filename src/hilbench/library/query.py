@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from hilbench.errors import UnusableInputError
-from hilbench.library.entry import STATES, RunEntry
+from hilbench.library.entry import STATES, RunEntry, read_entry
 from hilbench.library.index import Index
 from hilbench.library.under_way import goes_on
 from hilbench.library.where import Condition, parse_condition
@@ -104,6 +104,20 @@ class Query:
         )
 
 
+def find_run(run: str, base: Path, announce: Callable[[str], None] = lambda text: None) -> RunFolder:
+    """The folder of a run, by its path, or as `Library.find` has it. Raises UnusableInputError."""
+    path = Path(run)
+    if path.is_dir() or not base.is_dir():
+        return RunFolder.open(path)
+    return Library(base, announce).find(run)
+
+
+def entry_of(folder: RunFolder) -> RunEntry:
+    """What is known of one run, with all its metrics."""
+    path = folder.path.resolve()
+    return _as_it_is(path.parent, read_entry(path.parent, path.name))
+
+
 def values_of(run: RunEntry, names: Iterable[str]) -> dict[str, Any]:
     """What is known of a run under these names."""
     found = {}
@@ -159,13 +173,13 @@ class Library:
         return [run for run in runs if query.finds(run)]
 
     def find(self, run: str) -> RunFolder:
-        """The folder of a run: a path, its name in the library, or the only one that begins so; ``last``: the newest.
+        """The folder of a run: its name in the library, or the only one that begins so; ``last``: the newest.
 
         Raises UnusableInputError for one that is not there.
         """
-        for path in (Path(run), self.base / run):
-            if (path / "config.yaml").is_file():
-                return RunFolder.open(path)
+        path = self.base / run
+        if (path / "config.yaml").is_file():
+            return RunFolder.open(path)
         runs = self.index.runs((), self._announce)
         if run == "last" and runs:
             return RunFolder.open(self.base / runs[0].path)
@@ -178,13 +192,6 @@ class Library:
             )
         known = did_you_mean(run, [each.path for each in runs])
         raise UnusableInputError(run, f"no run of that name in {self.base}, expected a run folder or its name{known}")
-
-    def entry(self, folder: RunFolder) -> RunEntry:
-        """What is known of one run, with all its metrics."""
-        from hilbench.library.entry import read_entry
-
-        path = folder.path.resolve()
-        return _as_it_is(path.parent, read_entry(path.parent, path.name))
 
     def known_names(self, runs: Iterable[RunEntry] = ()) -> set[str]:
         """What a condition may ask for."""

@@ -11,7 +11,7 @@ import numpy as np
 from hilbench.history.quantities import SECONDS_PER_DAY, QuantityTrend
 from hilbench.history.told import date, figures, sentences
 from hilbench.report.chart import BLUE, INK, ORANGE, VERMILLION
-from hilbench.report.page import write_page
+from hilbench.report.page import typeset, write_page
 from hilbench.report.plots import Drawing, Panel, Picture
 
 _HEIGHT_IN: Final = 2.5
@@ -40,7 +40,7 @@ def write_history_page(stands: Mapping[str, Sequence[QuantityTrend]], path: Path
 def row(one: QuantityTrend) -> list[str]:
     """The table's text."""
     cells = [one.name, str(len(one.rows)), str(one.days), *figures(one)]
-    return [cells[0], *(cell.replace("-", "−") for cell in cells[1:])]
+    return [cells[0], *(typeset(cell) for cell in cells[1:])]
 
 
 def picture(stand: str, one: QuantityTrend) -> Picture:

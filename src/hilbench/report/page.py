@@ -6,6 +6,7 @@ policy lets no other script run than those that make its pictures interactive.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from functools import cache
 from importlib import resources
@@ -22,6 +23,7 @@ from hilbench.report.plots import Picture
 
 #: What stands where there is no number.
 DASH: Final = "–"
+_POWER: Final = re.compile(r"(?<=\d)e([+-]\d+)")
 _SUPERSCRIPT: Final = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
@@ -73,8 +75,10 @@ def number(value: float | None, significant: int = 4) -> str:
     if value == 0:
         return "0"
     whole = len(str(int(abs(value))))
-    text = f"{value:.{max(significant, whole)}g}"
-    if "e" in text:
-        mantissa, exponent = text.split("e")
-        text = f"{mantissa}·10{str(int(exponent)).translate(_SUPERSCRIPT)}"
-    return text.replace("-", "−")
+    return typeset(f"{value:.{max(significant, whole)}g}")
+
+
+def typeset(text: str) -> str:
+    """Numbers in a text as one prints them: powers of ten and a minus sign."""
+    powers = _POWER.sub(lambda found: f"·10{str(int(found[1])).translate(_SUPERSCRIPT)}", text)
+    return powers.replace("-", "−")

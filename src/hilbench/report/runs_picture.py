@@ -79,6 +79,8 @@ def draw_runs(points: Sequence[Point], metric: str, over: str = BEGAN) -> Drawin
             from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
 
             where = AutoDateLocator(maxticks=8)
+            if points[0].x == points[-1].x:
+                axes.set_xlim(*(datetime.fromtimestamp(points[0].x + beside_s) for beside_s in (-3600.0, 3600.0)))
             axes.xaxis.set_major_locator(where)
             axes.xaxis.set_major_formatter(ConciseDateFormatter(where))
         return [panel]

@@ -114,7 +114,9 @@ def _result(config: ExperimentConfig, found: Recovery, changes: list[Change]) ->
     ended = "the run was cut off; recovered from trace.log" + (f"; {found.fault}" if found.fault else "")
     fault = Fault(time_s=float(found.recording.time_s[-1]), source="bench", text=ended)
     criteria = evaluate(config.criteria, metrics, judged)
-    return Result.of(criteria, metrics, timing, [fault], Environment.here(config.seed), judged=judged)
+    return Result.of(
+        criteria, metrics, timing, [fault], Environment.here(config.seed), judged=judged, began=found.started
+    )
 
 
 def replay(config: BenchConfig, folder: RunFolder) -> Recovery:
