@@ -1,73 +1,60 @@
-"""Run the conformance cases and write their table: ``python tools/conformance_table.py --write docs/conformance.md``.
+"""Examine the simulated drive and write the table: ``python tools/conformance_table.py --write docs/conformance.md``.
 
-The list of cases is ``tests/canopen/conformance/cases.yaml``; the tests beside it name theirs by ``@case("SDO 5")``.
-Nothing is written when a test fails.
+The drive is that of ``eds/hilbench_servo.eds``, examined in one thread with time that is counted. It has no write-only
+object: SDO 4 and OD 4 are examined on a test device with the same runtime. Nothing is written when a case fails.
 """
 
 from __future__ import annotations
 
 import argparse
-import ast
 import sys
-from collections.abc import Collection, Iterator
-from dataclasses import dataclass
+import tempfile
+from collections.abc import Sequence
 from itertools import groupby
 from pathlib import Path
 
-import pytest
-import yaml
+from hilbench.conformance.examine import AFTERWARDS, examine
+from hilbench.conformance.record import CaseResult, Verdict
 
 ROOT = Path(__file__).resolve().parent.parent
-FOLDER = ROOT / "tests" / "canopen" / "conformance"
+sys.path.insert(0, str(ROOT))  # the tests' helpers are imported from there
+
+from tests.canopen.device_under_test import SECTIONS, eds_text  # noqa: E402
+from tests.conformance.virtual_bus import VirtualBus, under_test  # noqa: E402
+
 BEGIN, END = "<!-- table: tools/conformance_table.py -->\n", "<!-- end of table -->\n"
+_ON_THE_TEST_DEVICE = ("SDO 4", "OD 4")
 
 
-@dataclass(frozen=True)
-class Case:
-    """One case; `why` says why it does not apply, None when it does."""
-
-    group: str
-    number: int
-    title: str
-    why: str | None
-
-    @property
-    def name(self) -> str:
-        """As tests name it."""
-        return f"{self.group} {self.number}"
-
-
-def listed_cases() -> list[Case]:
-    """The list of cases in its order."""
-    groups = yaml.safe_load((FOLDER / "cases.yaml").read_text(encoding="utf-8"))
+def examined() -> list[CaseResult]:
+    """Every case of the servo drive."""
+    with tempfile.TemporaryDirectory() as folder:
+        eds = Path(folder) / "device.eds"
+        eds.write_text(eds_text(SECTIONS), encoding="ascii")
+        others = {result.name: result for result in examine(under_test(VirtualBus(eds), eds), ["SDO", "OD"])}
+    results = examine(under_test(VirtualBus(), motion=True, store=True))
     return [
-        Case(group, number, entry["title"], entry.get("why"))
-        for group, entries in groups.items()
-        for number, entry in entries.items()
+        others[result.name] if result.name in _ON_THE_TEST_DEVICE else result
+        for result in results
+        if result.group != AFTERWARDS.group
     ]
 
 
-def cases_under_test() -> Iterator[str]:
-    """The case of each test function, as its decorator names it."""
-    for file in sorted(FOLDER.glob("test_*.py")):
-        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
-            for decorator in node.decorator_list if isinstance(node, ast.FunctionDef) else ():
-                if isinstance(decorator, ast.Call) and ast.unparse(decorator.func) in ("case", "pytest.mark.case"):
-                    yield ast.literal_eval(decorator.args[0])
-
-
-def table(cases: Collection[Case]) -> str:
-    """What stands between the marker lines when the tests of all cases that apply have passed."""
-    applied = sum(case.why is None for case in cases)
-    lines = [f"{len(cases)} cases: {applied} passed, {len(cases) - applied} not applicable.\n"]
-    for group, members in groupby(cases, key=lambda case: case.group):
-        lines += [f"\n### {group}\n", "\n| | case | result |\n", "|---|---|---|\n"]
-        lines += [f"| {case.number} | {case.title} | {_result(case)} |\n" for case in members]
+def table(results: Sequence[CaseResult]) -> str:
+    """What stands between the marker lines. Raises ValueError when a case has failed."""
+    failed = [result.name for result in results if result.verdict not in (Verdict.PASSED, Verdict.NOT_APPLICABLE)]
+    if failed:
+        raise ValueError(f"{', '.join(failed)}: expected all to pass")
+    passed = sum(result.verdict is Verdict.PASSED for result in results)
+    lines = [f"{len(results)} cases: {passed} passed, {len(results) - passed} not applicable.\n"]
+    for group, members in groupby(results, key=lambda result: result.group):
+        lines += [f"\n### {group}\n", "\n| | case | clause | result |\n", "|---|---|---|---|\n"]
+        lines += [f"| {one.number} | {one.title} | {one.clause} | {_result(one)} |\n" for one in members]
     return "".join(lines)
 
 
-def _result(case: Case) -> str:
-    return "passed" if case.why is None else f"not applicable: {case.why}"
+def _result(one: CaseResult) -> str:
+    return one.verdict if one.verdict is Verdict.PASSED else f"{one.verdict}: {one.reason}"
 
 
 def with_table(page: str, text: str) -> str:
@@ -80,14 +67,11 @@ def with_table(page: str, text: str) -> str:
 
 
 def main() -> int:
-    """Exit code: 0, or pytest's."""
+    """Exit code 0."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0] if __doc__ else None)
     parser.add_argument("--write", type=Path, metavar="PAGE", help="bring the table of this page up to date")
     arguments = parser.parse_args()
-    result = pytest.main(["-q", "-m", "case", "--rootdir", str(ROOT), str(FOLDER)])
-    if result:
-        return int(result)
-    text = table(listed_cases())
+    text = table(examined())
     if arguments.write is None:
         print(text, end="")
     else:
@@ -96,5 +80,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.path.insert(0, str(ROOT))  # the tests import their helpers from there
     sys.exit(main())

@@ -117,6 +117,9 @@ class HandClock:
     def tick(self) -> None:
         pass
 
+    def expect_sync(self) -> None:
+        pass
+
     def stalled_ns(self) -> int:
         return 0
 

@@ -52,6 +52,8 @@ NOT_RUN = {
     r"hilbench (scan .*--lss|lss )": "needs devices without a node id: tests/cli/test_lss.py has two",
     r"hilbench boot ": "needs a network: tests/cli/test_boot.py has some",
     r"hilbench gateway": "runs until it is ended; tests/gateway/test_gateway.py talks to it",
+    r"hilbench conformance ": "resets a node, and takes minutes: tests/cli/test_drive_and_conformance.py examines one",
+    r"hilbench drive \S+ move ": "needs a drive with that mode: tests/cli/test_drive_and_conformance.py has one",
     r"hilbench drive \S+ jog ": "its key is held by hand; tests/cli/test_attach.py holds it",
     r"hilbench sdo write bench ": "needs a running bench; tests/bench/test_beside_a_bench.py writes to one",
     r"hilbench run bench_configs/predicted_limit.yaml": "tests/bench/test_prediction.py runs it",

@@ -6,10 +6,10 @@ from collections.abc import Iterable
 from itertools import groupby
 from pathlib import Path
 
-from hilbench.conformance.record import Examination, Verdict
+from hilbench.conformance.record import CaseResult, Examination, Step, Verdict
 from hilbench.report.page import write_page
 
-#: Of how many steps that are as expected a case shows the bytes.
+#: Of how many steps that are as expected, and of how many that are not, a case shows the bytes.
 _STEPS_SHOWN = 40
 
 
@@ -25,8 +25,19 @@ def write_conformance_page(examination: Examination, path: Path) -> Path:
         groups=[(group, counted(case.verdict for case in cases), cases) for group, cases in groups],
         counted=counted(case.verdict for case in examination.cases),
         Verdict=Verdict,
-        most=_STEPS_SHOWN,
+        shown=shown,
     )
+
+
+def shown(case: CaseResult) -> tuple[list[Step], int]:
+    """The steps of a case that the page shows, in their order, and how many it leaves out."""
+    left = {True: _STEPS_SHOWN, False: _STEPS_SHOWN}
+    found = []
+    for step in case.steps:
+        left[step.ok] -= 1
+        if left[step.ok] >= 0:
+            found.append(step)
+    return found, len(case.steps) - len(found)
 
 
 def counted(verdicts: Iterable[Verdict]) -> str:
