@@ -27,7 +27,7 @@ from hilbench.bench.state import BenchState
 from hilbench.bench.tasks.hardware_effects import HardwareEffects
 from hilbench.bench.tasks.twin_connection import TwinConnection
 from hilbench.bench.tasks.watches import ControllerWatch, EmergencyWatch, LatenessWatch, SupervisorWatch
-from hilbench.errors import UnusableValueError
+from hilbench.errors import NoAnswerError, UnusableValueError
 from hilbench.estimation.web_line.synchronizers.create import METHODS
 from hilbench.exchange.exchange import Exchange
 from hilbench.exchange.frame_tap import FrameTap
@@ -246,6 +246,10 @@ class Bench:
             self._leave()
 
     def _safe_stop(self, reason: BaseException | None) -> None:
+        if isinstance(reason, NoAnswerError):  # of a process that is gone its last words say why
+            for child in self.children:
+                if child.ended:
+                    reason.add_cause(f"{child.name} ended by itself: {child.last_words()}")
         self._state.end(reason)
         if self._drives is not None:
             self._drives.stop(reason)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from math import isclose
 
 from hilbench.bench.bus_options import BusOption, bus_options
+from hilbench.bench.fmu_check import fmu_findings
 from hilbench.bench.web_line_check import check_web_line
 from hilbench.can.load import BusLoad, cycle_load
 from hilbench.cia402.configuration import lacking
@@ -27,6 +28,7 @@ class CheckedBench:
     frames_per_cycle: float
     notes: list[str]  #: what can be run, and will not be good
     options: tuple[BusOption, ...]  #: what the PDO set takes on one wire, and on two
+    fmus: list[str]  #: what was found in FMUs
 
 
 def check_bench(config: BenchConfig, document: Document) -> CheckedBench:
@@ -79,7 +81,7 @@ def check_bench(config: BenchConfig, document: Document) -> CheckedBench:
         check_imitated_inertia(config, document, config.imitated_shaft().inertia_kg_m2, place)
     else:
         notes += check_web_line(config, document, nodes)
-    return CheckedBench(load, sum(frame.per_cycle for frame in frames), notes, options)
+    return CheckedBench(load, sum(frame.per_cycle for frame in frames), notes, options, fmu_findings(config))
 
 
 def imitable_inertias_kg_m2(config: BenchConfig) -> tuple[float, float]:

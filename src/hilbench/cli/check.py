@@ -30,6 +30,8 @@ def check_command(loaded: LoadedConfig, *, as_json: bool) -> None:
     )
     for option in bench.options:
         print(_fits(option, config.bus.bitrate))
+    for line in bench.fmus:
+        print(line)
     if checked.stiffness_reserve is not None:
         print(
             f"load motor: by itself stable up to {checked.stiffness_reserve:.1f} times the stiffness of the stiffest "
@@ -91,6 +93,7 @@ def _summary(config: ExperimentConfig, checked: CheckedExperiment) -> dict[str, 
             }
             for option in checked.bench.options
         ],
+        "fmus": checked.bench.fmus,
         "stiffness_reserve": checked.stiffness_reserve,
         "stiffness_reserves": dict(checked.stiffness_reserves),
         "inertia_reserve": checked.inertia_reserve,

@@ -18,6 +18,7 @@ from hilbench.cli import (
     convert,
     drift,
     drive,
+    fmu,
     gateway,
     history,
     lss,
@@ -453,6 +454,7 @@ app.add_typer(sdo.app, name="sdo")
 app.add_typer(lss.app, name="lss")
 app.add_typer(config.app, name="config")
 app.add_typer(runs.app, name="runs")
+app.add_typer(fmu.app, name="fmu")
 app.command()(drive.drive)
 app.command()(conformance.conformance)
 app.command()(replay.replay)

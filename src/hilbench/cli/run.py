@@ -125,7 +125,7 @@ class Progress:
 
     def __init__(self, console: Console, config: BenchConfig) -> None:
         cycle_s, bitrate = config.cycle_time_s, config.bus.bitrate
-        self._shown = _shown(config.machine.kind, config.shape)
+        self._shown = _shown(config.machine_kind, config.shape)
         self._console = console
         self._cycle_s = cycle_s
         self._bits_per_cycle = bitrate * cycle_s

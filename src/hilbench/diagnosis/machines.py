@@ -37,7 +37,7 @@ def is_lone(model: Machine) -> bool:
 
 def kind_of(model: Machine) -> MachineKind:
     """By whose rows its effects are."""
-    return MachineKind(model.kind)
+    return model.machine_kind
 
 
 def position_channel(model: Machine, axis: int) -> str:

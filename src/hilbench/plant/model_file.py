@@ -12,6 +12,7 @@ from hilbench import strict_yaml
 from hilbench.errors import UnusableInputError
 from hilbench.files import writing
 from hilbench.plant.effects import MachineKind
+from hilbench.plant.fmu.axis import FmuAxisParameters
 from hilbench.plant.servo_axis.parameters import ServoAxisParameters
 from hilbench.plant.web_line.parameters import ModelParameters, load_model
 from hilbench.suggest import did_you_mean
@@ -38,6 +39,8 @@ def load_machine(path: str | Path) -> Machine:
 
 def write_model(path: str | Path, parameters: Machine) -> None:
     """Write a model file that `load_machine` reads back to an equal model. Raises UnusableInputError."""
+    if isinstance(parameters, FmuAxisParameters):
+        parameters = parameters.as_servo_axis()  # what was found is beside the FMU, which no file can change
     data: dict[str, Any] = parameters.model_dump(mode="json", exclude_none=True, exclude_unset=True)
     if isinstance(parameters, ServoAxisParameters):  # a file without `kind` is a web line's
         data = {"kind": parameters.kind, **data}

@@ -124,7 +124,7 @@ def _check_predictions(loaded: LoadedConfig) -> None:
 def _check_criteria(loaded: LoadedConfig) -> None:
     """Every metric that a criterion bounds is one that a run of this machine may have."""
     config = loaded.config
-    known = {**metrics_of(config.machine.kind, config.shape).metrics, **OF_RUNS}
+    known = {**metrics_of(config.machine_kind, config.shape).metrics, **OF_RUNS}
     for number, criterion in enumerate(config.criteria):
         if find_found_metric(criterion.metric) is not None:
             if config.twin.live_diagnosis is None:

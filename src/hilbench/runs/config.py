@@ -109,6 +109,10 @@ def _named_files(data: Mapping[str, Any]) -> Iterator[tuple[tuple[str | int, ...
     twin, steps = data.get("twin"), data.get("steps")
     if isinstance(twin, Mapping):
         blocks.append((("twin", "node"), twin.get("node"), "eds"))
+    blocks.append((("machine",), data.get("machine"), "file"))
+    load = data.get("load")
+    if isinstance(load, Mapping):
+        blocks.append((("load", "fmu"), load.get("fmu"), "file"))
     if isinstance(steps, list):
         blocks += [
             (("steps", number, kind), action, "file")

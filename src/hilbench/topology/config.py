@@ -17,6 +17,8 @@ from hilbench.errors import UnusableInputError
 from hilbench.estimation.servo_axis.config import InertiaConfig
 from hilbench.estimation.web_line.config import EstimationConfig
 from hilbench.plant.effects import EffectPlace, MachineKind, effect_problem, find_effect
+from hilbench.plant.fmu.axis import FmuAxisParameters
+from hilbench.plant.fmu.config import FmuLoadConfig
 from hilbench.plant.parameters import DriveParameters, EffectEntry, NotNegative, Positive, per_item
 from hilbench.plant.sampling import samples_per
 from hilbench.plant.sensors import SensorParameters
@@ -47,13 +49,15 @@ Pace = Literal["lockstep", "realtime"]
 Mirroring = Literal["listen", "copy"]
 #: The machine, by its `kind`; without one it is a web line.
 MachineParameters = Annotated[
-    Annotated[ModelParameters, Tag("web_line")] | Annotated[ServoAxisParameters, Tag("servo_axis")],
+    Annotated[ModelParameters, Tag("web_line")]
+    | Annotated[ServoAxisParameters, Tag("servo_axis")]
+    | Annotated[FmuAxisParameters, Tag("fmu")],
     Discriminator(
         lambda value: (
             value.get("kind", "web_line") if isinstance(value, Mapping) else getattr(value, "kind", "web_line")
         ),
         custom_error_type="kind",
-        custom_error_message="kind: web_line or servo_axis",
+        custom_error_message="kind: web_line, servo_axis or fmu",
     ),
 ]
 
@@ -154,6 +158,9 @@ class LoadConfig(Block):
     web: LoadWebConfig = LoadWebConfig()
     shaft: LoadShaftConfig = LoadShaftConfig()
     effects: list[HiddenEffect] = Field(default=[], description="hidden in the imitated mechanics")
+    fmu: FmuLoadConfig | None = Field(
+        default=None, description="an FMU that the load motors imitate, in the place of what `machine:` describes"
+    )
     measured: list[str] = Field(
         default=[],
         description="dancers and accumulators, by their names, with a sensor of their position, reels with one of "
@@ -210,7 +217,7 @@ _SERVO = "no 'load.measured' on a servo axis, whose encoder is measured anyway"
 def _misfits(key: str, value: Any, machine: Any, loaded: Collection[int] | None) -> Iterator[str]:
     """Why the value of a key can't be that of a bench with this machine, and load motors on the shafts of the axes
     `loaded` (None: that is not known)."""
-    kind = MachineKind(machine.kind)
+    kind: MachineKind = machine.machine_kind
     of_servo = kind is MachineKind.SERVO_AXIS
     if key == "load_motors" and of_servo and len(value) != 1:
         yield "one load motor: a servo axis has one shaft"
@@ -224,6 +231,8 @@ def _misfits(key: str, value: Any, machine: Any, loaded: Collection[int] | None)
     for name, of_sections in value.web if key == "load" and not of_servo else ():
         if isinstance(of_sections, list) and len(of_sections) != sections:
             yield f"'web.{name}' as one number or {sections}"
+    if key == "load" and value.fmu is not None:
+        yield from _fmu_misfits(value, machine, None if loaded is None else len(loaded))
     if key == "load" and value.web != LoadWebConfig() and of_servo:
         yield "'shaft:' for a servo axis"
     if not of_servo and ((key == "load" and value.shaft != LoadShaftConfig()) or (key == "hardware" and value.shaft)):
@@ -233,6 +242,8 @@ def _misfits(key: str, value: Any, machine: Any, loaded: Collection[int] | None)
         for name in sorted(names - _OF_THE_SHAFT if of_servo else _OF_THE_SHAFT):
             if getattr(value, name) != getattr(default, name):
                 yield f"no '{name}:', which is of a twin of another kind of machine (this one is a {kind})"
+    if key == "hardware" and isinstance(machine, FmuAxisParameters) and value.effects:
+        yield "no 'effects:': what an FMU does is in its own equations"
     if key in ("hardware", "load"):
         for entry in value.effects:
             place = effect_problem(
@@ -240,6 +251,16 @@ def _misfits(key: str, value: Any, machine: Any, loaded: Collection[int] | None)
                 section=entry.section, sections=sections,
             )  # fmt: skip
             yield from filter(None, [_effect_problem(entry, kind), place])
+
+
+def _fmu_misfits(load: LoadConfig, machine: Any, load_motors: int | None) -> Iterator[str]:
+    """Why load motors can't imitate an FMU in the place of a machine."""
+    assert load.fmu is not None
+    plain = LoadConfig(fmu=load.fmu)
+    for name in ("web", "shaft", "effects", "measured"):
+        if getattr(load, name) != getattr(plain, name):
+            yield f"no '{name}:' beside 'fmu:', which says by itself what is imitated"
+    yield from load.fmu.problems(machine.axis_count, load_motors, machine.position_unit)
 
 
 def _loaded(drives: Mapping[str, DriveConfig], motors: Mapping[str, LoadMotorConfig]) -> tuple[int, ...]:
@@ -381,7 +402,7 @@ class BenchConfig(Block):
     @property
     def machine_kind(self) -> MachineKind:
         """What kind of machine it is."""
-        return MachineKind(self.machine.kind)
+        return self.machine.machine_kind
 
     @property
     def web_line(self) -> ModelParameters:
@@ -511,7 +532,7 @@ class BenchConfig(Block):
     @property
     def signals(self) -> tuple[Signal, ...]:
         """What a sample of this bench has, in recording order."""
-        return signals_of(self.machine.kind, self.shape)
+        return signals_of(self.machine_kind, self.shape)
 
     @property
     def loaded_axes(self) -> tuple[int, ...]:

@@ -19,7 +19,6 @@ from hilbench.canopen.identifiers import NmtState
 from hilbench.canopen.sync_time import SyncTime
 from hilbench.cia402.simulated import SimulatedDrive
 from hilbench.estimation.web_line.torque_shift import TORQUE_SHIFT, UNDECIDED
-from hilbench.plant.effects import MachineKind
 from hilbench.plant.motor_port import MotorMode
 from hilbench.plant.pairing import cycles_gone, play
 from hilbench.real_time import ProcessSettings, kept_ready
@@ -389,7 +388,7 @@ def twin(setup: TwinSetup) -> HostedDevices:
     devices = [Device(load_eds(node.eds, node.node_id), node.node_id, setup.clock) for node in setup.virtual_axes]
     io_node = setup.virtual_io
     io_device = Device(load_eds(io_node.eds, io_node.node_id), io_node.node_id, setup.clock)
-    virtual_io = VirtualIo(io_device, process_data(MachineKind(model.kind), setup.shape), boundary(model))
+    virtual_io = VirtualIo(io_device, process_data(model.machine_kind, setup.shape), boundary(model))
 
     def make(effects: str) -> TwinMachine:
         return new_machine(with_effects(model, effects), setup.twin, setup.shape, setup.cycle_s, virtual_io.told)

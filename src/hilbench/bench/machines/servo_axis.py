@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+from math import nan
 
 from hilbench.bench.machines.machine import MachineTasks
 from hilbench.bench.state import BenchState
@@ -14,6 +16,8 @@ from hilbench.bench.tasks.saturation import SaturationWatch
 from hilbench.bench.tasks.task import CyclicTask, Outputs
 from hilbench.bench.tasks.watches import Watch
 from hilbench.exchange.exchange import Inputs
+from hilbench.plant.fmu.follower import FmuFollower
+from hilbench.plant.interface import Follower
 from hilbench.plant.sampled_shaft import imitation_delay_s
 from hilbench.plant.servo_axis.imitation import ImitatedShaft
 from hilbench.plant.servo_axis.stability import sampled_shaft
@@ -27,10 +31,16 @@ _TWIN_AGE_LIMIT_CYCLES = 10
 _LEAST_WAY_RAD = 1e-4
 
 
-def shaft_load_model(config: BenchConfig) -> LoadModel:
-    """The load model of a config's servo axis; what is hidden in the stand is not known to it."""
+def shaft_load_model(config: BenchConfig, report: Callable[[str], None] = print) -> LoadModel:
+    """The load model of a config's servo axis; what is hidden in the stand is not known to it.
+
+    `report` gets what an FMU in it logs.
+    """
     real, cycle_s = config.servo_rig_parameters(effects=()), config.cycle_time_s
-    machine = ImitatedShaft(config.imitated_shaft(), real, cycle_s)
+    machine: Follower = ImitatedShaft(config.imitated_shaft(), real, cycle_s)
+    if config.load.fmu is not None:
+        truths = [quantity.name for quantity in machine.describe().outputs]
+        machine = FmuFollower(config.load.fmu, config.machine_kind, "rad", 1, cycle_s, truths, report)
     return LoadModel(
         machine, [1], cycle_s, imitation_delay_s(sampled_shaft(real, cycle_s)), _LEAST_WAY_RAD, config.load.effects
     )
@@ -41,7 +51,7 @@ def tasks(config: BenchConfig, state: BenchState) -> MachineTasks:
     (drive,) = config.drives
     (motor,) = config.load_motors
     speed = Reference(SPEED, config.quick_stop_per_s2 * config.cycle_time_s)
-    load = ShaftLoadTask([motor], shaft_load_model(config))
+    load = ShaftLoadTask([motor], shaft_load_model(config, partial(state.reports.note, "load model")))
     return MachineTasks(
         reference=speed,
         quantities=(speed, load),
@@ -70,12 +80,17 @@ class SpeedTask(CyclicTask):
 class ShaftLoadTask(LoadTask):
     """The load motor acts on the shaft as what is not there would."""
 
+    def __init__(self, motors: Sequence[str], model: LoadModel) -> None:
+        super().__init__(motors, model)
+        known = {quantity.name for quantity in model.machine.describe().parameters}
+        self._has_inertia, self._has_friction = "inertia_kg_m2" in known, "coulomb_friction_Nm" in known
+
     def after(self, sample: CycleSample, inputs: Inputs) -> None:
         """Let the imitated shaft follow the measured motion; the truth of the run is recorded."""
         self.follow(sample, (sample.x1_rad,), (sample.v1_rad_s,), late=inputs.axes_late)
         machine = self.model.machine
-        sample.J_true_kg_m2 = machine.parameter("inertia_kg_m2")
-        sample.coulomb_true_Nm = machine.parameter("coulomb_friction_Nm")
+        sample.J_true_kg_m2 = machine.parameter("inertia_kg_m2") if self._has_inertia else nan
+        sample.coulomb_true_Nm = machine.parameter("coulomb_friction_Nm") if self._has_friction else nan
 
 
 class ShaftLimitWatch:

@@ -3,7 +3,8 @@ tension of the span between kept where there is a controller; load motors imitat
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from math import inf
 from operator import attrgetter
 
@@ -65,7 +66,7 @@ def tasks(config: BenchConfig, state: BenchState) -> MachineTasks:
         axes.append(loops[axis])
     probing = _probing(config, state, {loop.span: loop for loop in loops.values()}, line_speed)
     boundary = BoundaryTask(model.upstream_strain, model.boundary.downstream_tension_N)
-    load = WebLoadTask(config)
+    load = WebLoadTask(config, partial(reports.note, "load model"))
     limit_watch = LimitWatch(limits, model, cycle_s, config.shape)
     return MachineTasks(
         reference=line_speed,
@@ -213,8 +214,8 @@ class FollowingAxis(CyclicTask):
 class WebLoadTask(LoadTask):
     """The load motors pull at the shafts of their axes as the imitated web would."""
 
-    def __init__(self, config: BenchConfig) -> None:
-        super().__init__(list(config.load_motors), web_load_model(config))
+    def __init__(self, config: BenchConfig, report: Callable[[str], None]) -> None:
+        super().__init__(list(config.load_motors), web_load_model(config, report))
         shape = config.shape
         axes = range(1, shape.axes + 1)
         self._positions = attrgetter(*(f"x{k}_m" for k in axes))

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from hilbench.bench.tasks.load_model import LoadModel
+from hilbench.plant.fmu.follower import FmuFollower
+from hilbench.plant.interface import Follower
 from hilbench.plant.web_line.imitation import lead_s
 from hilbench.plant.web_line.line_follower import follower_of
 from hilbench.plant.web_line.parameters import ModelParameters
@@ -23,9 +27,14 @@ def imitated_web(model: ModelParameters, load: LoadConfig) -> ModelParameters:
     return ModelParameters.model_validate(data)
 
 
-def web_load_model(config: BenchConfig) -> LoadModel:
-    """The load model of a config's web line and load motors."""
-    model, cycle_s = config.web_line, config.cycle_time_s
-    machine = follower_of(imitated_web(model, config.load))
-    load_axes = config.loaded_axes
+def web_load_model(config: BenchConfig, report: Callable[[str], None] = print) -> LoadModel:
+    """The load model of a config's web line and load motors; `report` gets what an FMU in it logs."""
+    model, cycle_s, load_axes = config.web_line, config.cycle_time_s, config.loaded_axes
+    machine: Follower
+    if config.load.fmu is None:
+        machine = follower_of(imitated_web(model, config.load))
+    else:
+        truths = [quantity.name for quantity in follower_of(model).describe().outputs]
+        kind, unit = config.machine_kind, model.position_unit
+        machine = FmuFollower(config.load.fmu, kind, unit, model.axis_count, cycle_s, truths, report)
     return LoadModel(machine, load_axes, cycle_s, lead_s(model, cycle_s), least_way_m(model), config.load.effects)

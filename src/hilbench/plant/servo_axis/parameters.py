@@ -12,6 +12,7 @@ from typing import Annotated, ClassVar, Literal, Self
 from pydantic import Field, FiniteFloat, field_validator, model_validator
 
 from hilbench.block import Block
+from hilbench.plant.effects import MachineKind
 from hilbench.plant.parameters import NOTHING_IS_NO_EFFECT, DriveParameters, GearRatio, NotNegative
 from hilbench.plant.servo_axis.effects import ShaftEffect, effects_problem
 
@@ -42,6 +43,8 @@ class ServoAxisParameters(Block):
 
     #: Of its axis' position; speeds are per second.
     position_unit: ClassVar[Literal["m", "rad"]] = "rad"
+    #: By whose effects, signals and metrics it goes.
+    machine_kind: ClassVar[MachineKind] = MachineKind.SERVO_AXIS
 
     kind: Literal["servo_axis"] = Field(default="servo_axis", description="what machine this is")
     shaft: ShaftParameters

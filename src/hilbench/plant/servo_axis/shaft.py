@@ -119,8 +119,11 @@ class Shaft:
         ):
             row[:] = port.mode, port.setpoint, port.slope, port.torque_limit_Nm
             state[loops.LIMITED] = 0.0
-        kernel.advance(self._p, self._state, self._inputs, samples)
+        self._go(samples)
         self._observe()
+
+    def _go(self, samples: int) -> None:
+        kernel.advance(self._p, self._state, self._inputs, samples)
 
     def _observe(self) -> None:
         kernel.observe(self._p, self._state, self._out)

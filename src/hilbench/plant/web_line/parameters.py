@@ -17,7 +17,7 @@ from pydantic import BaseModel, Field, FiniteFloat, ValidationInfo, field_valida
 from hilbench import strict_yaml
 from hilbench.block import Block
 from hilbench.errors import UnusableInputError
-from hilbench.plant.effects import Effect, find_effect
+from hilbench.plant.effects import Effect, MachineKind, find_effect
 from hilbench.plant.parameters import (
     NOTHING_IS_NO_EFFECT,
     DriveParameters,
@@ -99,6 +99,8 @@ class ModelParameters(Block):
 
     #: Of its axes' positions; speeds are per second.
     position_unit: ClassVar[Literal["m", "rad"]] = "m"
+    #: By whose effects, signals and metrics it goes.
+    machine_kind: ClassVar[MachineKind] = MachineKind.WEB_LINE
 
     kind: Literal["web_line"] = Field(default="web_line", description="what machine this is")
     web: WebParameters | None = None

@@ -33,7 +33,7 @@ from hilbench.plant.web_line.splices import WHOLE, Piece, SplicedSpan, has_piece
 from hilbench.plant.web_line.stations import ONLY_DRIVEN
 
 #: Longest integration step; the error of a step is of order (v·h/L)^5/120, below rounding on the demonstrator.
-_LONGEST_STEP_S = 0.001
+LONGEST_STEP_S = 0.001
 
 BROKEN = Quantity("broken", "1", "1: the web has torn and pulls no more; 0: it is whole")
 
@@ -105,7 +105,7 @@ def roll_on(
     (K,), N, with steps of E spread over the next `spread_s` (`laws.step_factor`).
     """
     n, k = int(p[lay.W_AXES]), int(p[lay.W_SPANS])
-    count = max(int(np.ceil(duration / _LONGEST_STEP_S - 1e-9)), 1)
+    count = max(int(np.ceil(duration / LONGEST_STEP_S - 1e-9)), 1)
     h, size = duration / count, 2 * k
     now = 3 * n + 2 * k
     stage, slopes = now + size, now + 2 * size
@@ -114,7 +114,7 @@ def roll_on(
     for j in range(size):
         w[now + j] = s[1 + n + j]
     t0, pieces, first, steps = s[0], _TIME + n + size, _first_span(p), now + 6 * size
-    blur = max(abs(v[0]) * (h if duration > 0.0 else _LONGEST_STEP_S), lay.LEAST_BLUR_M)
+    blur = max(abs(v[0]) * (h if duration > 0.0 else LONGEST_STEP_S), lay.LEAST_BLUR_M)
     if laws.has_splice(p, s, pieces):
         strain = laws.upstream_strain(p, strain_prev, t0)
         laws.let_splice_in(p, s, pieces, t0, duration, s[1], v[0], strain)
@@ -162,7 +162,7 @@ def _entry_points(sources: int) -> tuple[FollowCycle, FollowRows, Resistance, Mo
         p: Vector, s: Vector, w: Vector, v: Vector, strain_prev: float, f_next: float, duration: float, out: Vector
     ) -> None:
         if sources >= 0:
-            roll_on(p, s, w, v, strain_prev, f_next, duration, _LONGEST_STEP_S, out)
+            roll_on(p, s, w, v, strain_prev, f_next, duration, LONGEST_STEP_S, out)
 
     @entry_point
     def follow_rows(
@@ -173,7 +173,7 @@ def _entry_points(sources: int) -> tuple[FollowCycle, FollowRows, Resistance, Mo
                 v[i] = (x[row, i] - s[1 + i]) / dt if row > 0 else 0.0
             before = max(row - 1, 0)
             duration = dt if row > 0 else 0.0
-            roll_on(p, s, w, v, boundary[before, 0], boundary[before, 1], duration, _LONGEST_STEP_S, out[row])
+            roll_on(p, s, w, v, boundary[before, 0], boundary[before, 1], duration, LONGEST_STEP_S, out[row])
 
     @entry_point
     def resistance(p: Vector, row: int, x_m: float, v_m_s: float, width_m_s: float) -> float:
@@ -185,7 +185,7 @@ def _entry_points(sources: int) -> tuple[FollowCycle, FollowRows, Resistance, Mo
     @entry_point
     def modulus(p: Vector, span: int, t: float) -> float:
         row = _first_span(p) + span * lay.SP_SIZE
-        factor = laws.step_factor(p, row, t, _LONGEST_STEP_S) if sources >= 0 else 1.0
+        factor = laws.step_factor(p, row, t, LONGEST_STEP_S) if sources >= 0 else 1.0
         acting: float = laws.stiffness_N(p, row, t, factor) / p[row + lay.SP_SECTION_M2]
         return acting
 

@@ -8,10 +8,13 @@ from math import inf
 from hilbench.estimation.plausibility import Plausibility, Problem
 from hilbench.estimation.servo_axis.balance import ShaftSample
 from hilbench.estimation.servo_axis.inertia import InertiaEstimator, ShaftEstimate
+from hilbench.plant.fmu.axis import FmuAxisParameters
+from hilbench.plant.fmu.shaft import FmuAxis
 from hilbench.plant.motor_port import MotorPort
 from hilbench.plant.parameters import per_item
 from hilbench.plant.servo_axis.axis import ServoAxis
 from hilbench.plant.servo_axis.parameters import ServoAxisParameters
+from hilbench.processes import log
 from hilbench.topology.config import TwinConfig
 from hilbench.twin.machines.machine import Measured, Told
 
@@ -29,7 +32,9 @@ class ServoAxisTwin:
 
     def __init__(self, model: ServoAxisParameters, config: TwinConfig, cycle_s: float, told: Told) -> None:
         self.ports = (MotorPort(),)
-        self.plant = ServoAxis(model, self.ports)
+        self.plant: ServoAxis = (
+            FmuAxis(model, self.ports, log) if isinstance(model, FmuAxisParameters) else ServoAxis(model, self.ports)
+        )
         self._model = model
         self._config = config
         self._cycle_s = cycle_s

@@ -1,0 +1,133 @@
+"""What a config says of an FMU: its file, which of its variables is what, and how it is stepped."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Annotated, Final
+
+from pydantic import Field
+
+from hilbench.block import Block
+from hilbench.errors import UnusableInputError
+from hilbench.plant.fmu.description import FmuDescription, Variable, read_fmu
+from hilbench.plant.parameters import Positive
+
+VariableName = Annotated[str, Field(min_length=1, max_length=200)]
+
+#: Units by how the names of outputs and parameters end.
+_SUFFIXES: Final = (
+    ("_Nm_s_per_rad", "N·m·s/rad"),
+    ("_kg_m2", "kg·m²"),
+    ("_rad_s", "rad/s"),
+    ("_m_s", "m/s"),
+    ("_rad", "rad"),
+    ("_Nm", "N·m"),
+    ("_Pa", "Pa"),
+    ("_N", "N"),
+    ("_m", "m"),
+)
+
+
+def unit_of_name(name: str) -> str:
+    """The SI unit that a name of ours ends with; "1" for one without."""
+    return next((unit for suffix, unit in _SUFFIXES if name.endswith(suffix)), "1")
+
+
+class FmuBlock(Block):
+    """What every use of an FMU has in common."""
+
+    file: Path = Field(description="the FMU (FMI 2 or 3, co-simulation); a relative path is from the config's folder")
+    step_s: Positive | None = Field(
+        default=None,
+        description="communication step; else what time has to go by, or of an FMU that takes no other steps, the one "
+        "it asks for",
+    )
+    timeout_s: Annotated[Positive, Field(le=60.0)] = Field(
+        default=2.0, description="how long it may take to answer before that is a fault"
+    )
+
+    def description(self) -> FmuDescription:
+        """What the file says of itself. Raises ValueError for one that can't be used."""
+        try:
+            return read_fmu(self.file)
+        except UnusableInputError as error:
+            raise ValueError(f"{error.problem} ({self.file})") from None
+
+    def communication_step_s(self, natural_s: float) -> float | None:
+        """The one step that the FMU is taken through time by; None: each may be as long as it has to be.
+
+        `natural_s`: that of who steps it.
+        """
+        if self.step_s is not None:
+            return self.step_s
+        description = self.description()
+        return None if description.any_step else description.step_s or natural_s
+
+
+class FmuLoadConfig(FmuBlock):
+    """`load: fmu:`, an FMU that load motors imitate: motion of the driven axes goes in, torques come out."""
+
+    positions: list[VariableName] = Field(
+        default=[], description="inputs: measured position of each driven axis, in the machine's unit (m or rad)"
+    )
+    speeds: list[VariableName] = Field(
+        default=[], description="inputs: speed of each driven axis over the last cycle, by its positions"
+    )
+    torques: list[VariableName] = Field(
+        min_length=1, description="outputs: torque at the shaft of each load motor, N·m, as it has to act there"
+    )
+    outputs: dict[str, VariableName] = Field(
+        default={}, description="outputs by the names of the machine's, {OURS: THEIRS}: what is recorded as the truth"
+    )
+    parameters: dict[str, VariableName] = Field(
+        default={}, description="parameters by the names of the machine's, {OURS: THEIRS}: can be set by path"
+    )
+
+    def problems(self, axes: int, load_motors: int | None, unit: str) -> Iterator[str]:
+        """Why an FMU can't be imitated so, on a machine with so many axes and load motors, with positions in `unit`."""
+        if not self.positions and not self.speeds:
+            yield "'fmu.positions' or 'fmu.speeds': the inputs that take the motion"
+        for key, names in (("positions", self.positions), ("speeds", self.speeds)):
+            if names and len(names) != axes:
+                yield f"'fmu.{key}' of {axes} axes, not of {len(names)}"
+        if load_motors is not None and len(self.torques) != load_motors:
+            yield f"'fmu.torques' of {load_motors} load motors, not of {len(self.torques)}"
+        try:
+            self.variables(unit)
+        except ValueError as error:
+            yield str(error)
+
+    def variables(self, unit: str) -> LoadVariables:
+        """The variables that are named, in SI units. Raises ValueError for one that isn't there, or in other units."""
+        found = self.description()
+
+        def named(key: str, names: Mapping[str, str]) -> dict[str, Variable]:
+            return {ours: _find(found, name, key, unit_of_name(ours)) for ours, name in names.items()}
+
+        return LoadVariables(
+            [_find(found, name, "input", unit) for name in self.positions],
+            [_find(found, name, "input", f"{unit}/s") for name in self.speeds],
+            [_find(found, name, "output", "N·m") for name in self.torques],
+            named("output", self.outputs),
+            named("parameter", self.parameters),
+        )
+
+
+def _find(description: FmuDescription, name: str, causality: str, unit: str) -> Variable:
+    return description.find(name, causality, unit)
+
+
+class LoadVariables:
+    """The variables of an FMU that load motors imitate."""
+
+    def __init__(
+        self,
+        positions: list[Variable],
+        speeds: list[Variable],
+        torques: list[Variable],
+        outputs: dict[str, Variable],
+        parameters: dict[str, Variable],
+    ) -> None:
+        self.positions, self.speeds, self.torques = positions, speeds, torques
+        self.outputs, self.parameters = outputs, parameters

@@ -1,0 +1,93 @@
+"""What of a machine goes into an FMU: its vectors at the start, and which variable stands where in them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilbench.plant.interface import Quantity
+
+Vector = NDArray[np.float64]
+
+P, S, U, OUT = "P", "S", "U", "OUT"
+#: A place in the state that is set to 0 before each step: what is noted of a limit there is of the step.
+FORGOTTEN: Final = "NONE"
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """A number in a vector; divided by `scale` it is the value of a variable in its SI unit."""
+
+    vector: str
+    index: int
+    scale: float = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class ExportedVariable:
+    """A variable of the FMU: an ``input``, ``output`` or ``parameter``, at one place or several."""
+
+    quantity: Quantity
+    causality: str
+    places: tuple[Place, ...]
+
+
+@dataclass(frozen=True)
+class Kernel:
+    """What an exported FMU calls for a step, a function to be compiled: ``go(p, s, u, w, out, samples, duration)``.
+
+    Parameters, state, inputs, scratch space and what is observed then; of a machine with drives `samples` of their
+    sample times, else `duration` in s; 0 only observes. No array is counted or allocated in it (`hilbench.compiled`),
+    so that it needs nothing of Python when it runs.
+    """
+
+    name: str
+    function: Callable[..., None]
+    sources: int  #: a number that changes with its source
+
+
+@dataclass(frozen=True)
+class ExportedMachine:
+    """A machine as an FMU has it. `sample_s`: communication steps are multiples of it; 0: of any length."""
+
+    name: str
+    description: str
+    kernel: Kernel
+    p: Vector
+    s: Vector
+    u: Vector
+    work: int
+    out: int
+    variables: tuple[ExportedVariable, ...]
+    forgotten: tuple[Place, ...]
+    sample_s: float
+    time: tuple[int, float]  #: where the time stands in the state, and that per second
+
+    def start(self, variable: ExportedVariable) -> float:
+        """Its value at the start, of an input or parameter."""
+        place = variable.places[0]
+        vector = {P: self.p, S: self.s, U: self.u}[place.vector]
+        return float(vector[place.index] / place.scale)
+
+
+def output(quantity: Quantity, column: int) -> ExportedVariable:
+    """In a column of what is observed."""
+    return ExportedVariable(quantity, "output", (Place(OUT, column),))
+
+
+def parameter(quantity: Quantity, *places: Place) -> ExportedVariable:
+    """Tunable, at these places."""
+    return ExportedVariable(quantity, "parameter", places)
+
+
+def asked(axis: int, unit: str, place: Place, *, drives: bool) -> ExportedVariable:
+    """What a motor is asked for: with its drive's loops a speed, else a torque; positions are in `unit`."""
+    if drives:
+        quantity = Quantity(f"v{axis}_cmd_{unit}_s", f"{unit}/s", f"velocity command of axis {axis}")
+    else:
+        quantity = Quantity(f"tau{axis}_cmd_Nm", "N·m", f"torque of the motor of axis {axis}, forward")
+    return ExportedVariable(quantity, "input", (place,))

@@ -1,0 +1,185 @@
+"""A web line as an FMU: the line with or without its drives, and its web as load motors imitate it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import inf
+
+import numpy as np
+
+from hilbench.plant.fmu.export.machine import (
+    FORGOTTEN,
+    ExportedMachine,
+    ExportedVariable,
+    Kernel,
+    P,
+    Place,
+    U,
+    asked,
+    output,
+    parameter,
+)
+from hilbench.plant.interface import Quantity
+from hilbench.plant.motor_port import MotorMode
+from hilbench.plant.web_line import kernel, laws, places, span
+from hilbench.plant.web_line import layout as lay
+from hilbench.plant.web_line.layout import Layout, Vector
+from hilbench.plant.web_line.line import Line
+from hilbench.plant.web_line.parameters import ModelParameters
+from hilbench.plant.web_line.simulated import modulus_names
+
+
+def _go_line(p: Vector, s: Vector, u: Vector, w: Vector, out: Vector, samples: int, duration: float) -> None:
+    """A web line with its drives; `out` as the columns of `web_line.layout.Layout`."""
+    if samples > 0:
+        kernel.enter(p, s, u, w)
+        kernel.go_on(p, s, u, w, samples)
+        kernel.leave(s, w, places.block(int(p[lay.W_AXES]), int(p[lay.W_SPANS]), 1))
+    kernel.enter(p, s, u, w)
+    kernel.report(p, s, u, w, out, 0)
+
+
+def _go_web(p: Vector, s: Vector, u: Vector, w: Vector, out: Vector, samples: int, duration: float) -> None:
+    """The web of driven rollers on their measured motion: state `s` as `web_line.span.roll_on` has it.
+
+    `u`: speeds of the N rollers, strain of the web that enters, tension behind the line. `out`: tension, strain and E
+    of the K spans, then the torque at each motor that imitates web and resistance (see `SpanFollower.web_torque_Nm`).
+    """
+    n, k = int(p[lay.W_AXES]), int(p[lay.W_SPANS])
+    strain_prev, f_next = u[n], u[n + 1]
+    span.roll_on(p, s, w, u, strain_prev, f_next, duration, span.LONGEST_STEP_S, out)
+    first = places.first_span(n, int(p[lay.W_MOTORS]))
+    for j in range(k):
+        row = first + j * lay.SP_SIZE
+        factor = laws.step_factor(p, row, s[0], span.LONGEST_STEP_S)
+        out[k + j] = s[1 + n + k + j] * laws.length_factor(p, row) / s[1 + n + j] - 1.0
+        out[2 * k + j] = laws.stiffness_N(p, row, s[0], factor) / p[row + lay.SP_SECTION_M2]
+    upstream = laws.upstream_strain(p, strain_prev, s[0]) * p[lay.W_UPSTREAM_STIFFNESS_N]
+    for i in range(n):
+        place, force = lay.W_SIZE + i * lay.A_SIZE, 0.0
+        if p[place + lay.A_WEB_LOAD] != 0.0:
+            before = out[i - 1] if i > 0 else upstream
+            behind = out[i] if i < k else f_next
+            force = behind - before
+        direction = laws.measured_direction(u[i], laws.FRICTION_WIDTH_M_S)
+        force -= laws.measured_resistance_N(p, place, s[1 + i], u[i], direction)
+        out[3 * k + i] = force / p[places.motor(n, i) + lay.M_RAD_PER_M]
+
+
+_SOURCES = kernel.source_number(__file__, span.__file__)
+_LINE, _WEB = Kernel("line", _go_line, _SOURCES), Kernel("web", _go_web, _SOURCES)
+
+
+def exported_line(model: ModelParameters, *, drives: bool) -> ExportedMachine:
+    """A web line. With its drives' loops speeds are asked for, without torques of the motors act.
+
+    Raises ValueError for a line that has no drives, or an FMU can't have (stations).
+    """
+    if model.stations is not None:
+        raise ValueError("a line of driven rollers alone; one with stations can't be exported yet")
+    if drives and model.drives is None:
+        raise ValueError("'drives:' in the machine for an FMU with its drives")
+    machine = Line(model)
+    p, layout = machine._p.copy(), machine._layout
+    u = machine._inputs.copy()
+    rows, inputs, n, k = layout.motor_rows(p), layout.motor_inputs(u), layout.axes, layout.spans
+    inputs[:, lay.UM_MODE] = MotorMode.VELOCITY if drives else MotorMode.TORQUE
+    if not drives:
+        rows[:, lay.M_LIMIT_NM], rows[:, lay.M_CURRENT_S] = inf, 0.0
+    columns, described = layout.columns, machine.describe()
+    outputs = [quantity for quantity in described.outputs if not quantity.name.startswith("length")]
+    starts = {"x": columns["x_m"], "v": columns["v_m_s"], "tau": columns["tau_Nm"], "F": columns["F_N"]}
+    starts["strain"] = columns["strain"]
+    variables = [
+        output(quantity, starts[symbol].start + number)
+        for quantity, (symbol, number) in ((each, _numbered(each.name)) for each in outputs)
+    ]
+    for axis in range(n):
+        at, per_m = lay.U_MOTORS + axis * lay.UM_SIZE + lay.UM_SETPOINT, float(rows[axis, lay.M_RAD_PER_M])
+        variables.append(asked(axis + 1, "m", Place(U, at, per_m if drives else 1.0), drives=drives))
+    variables += _boundary()
+    variables += _moduli(model, layout)
+    variables += [
+        parameter(
+            Quantity(f"roller_inertia{axis}_kg_m2", "kg·m²", f"of roller {axis} about its own shaft"),
+            Place(P, lay.W_SIZE + (axis - 1) * lay.A_SIZE + lay.A_ROLLER_MASS_KG, model.radius_m(axis) ** -2),
+        )
+        for axis in range(1, n + 1)
+    ]
+    state = machine._state.copy()
+    return ExportedMachine(
+        name="web_line" if drives else "web_line_mechanics",
+        description=f"web line of {n} driven rollers and {k} spans" + (" with its drives" if drives else ""),
+        kernel=_LINE, p=p, s=state, u=u, work=len(layout.new_work()), out=layout.output_size,
+        variables=tuple(variables),
+        forgotten=tuple(Place(FORGOTTEN, at) for at in _limited(layout)),
+        sample_s=float(p[lay.W_SAMPLE_TIME_S]),
+        time=(lay.S_COUNT, 1.0 / float(p[lay.W_SAMPLE_TIME_S])),
+    )  # fmt: skip
+
+
+def exported_web(model: ModelParameters) -> ExportedMachine:
+    """The web of a line on the motion of its rollers: speeds in, tensions and the torques that imitate it out.
+
+    Raises ValueError for a model without a web, or with stations.
+    """
+    follower = span.SpanFollower(model)
+    p, layout = follower._p.copy(), follower._layout
+    n, k = layout.axes, layout.spans
+    u = [0.0] * n + [model.upstream_strain, model.boundary.downstream_tension_N]
+    variables = [
+        ExportedVariable(
+            Quantity(f"v{axis}_m_s", "m/s", f"speed of roller {axis} in the step"), "input", (Place(U, axis - 1),)
+        )
+        for axis in range(1, n + 1)
+    ]
+    variables += _boundary(n)
+    for place, (symbol, unit, what) in enumerate(
+        (("F", "N", "tension"), ("strain", "1", "strain"), ("E", "Pa", "Young's modulus as it acts"))
+    ):
+        for number in range(1, k + 1):
+            name = f"{symbol}{number}" + (f"_{unit}" if unit != "1" else "")
+            variables.append(
+                output(Quantity(name, unit, f"{what} of the web in span {number}"), place * k + number - 1)
+            )
+    for axis in range(1, n + 1):
+        what = f"at the motor of axis {axis}: imitates the web and the roller's resistance"
+        variables.append(output(Quantity(f"tau_load{axis}_Nm", "N·m", what), 3 * k + axis - 1))
+    variables += _moduli(model, layout)
+    return ExportedMachine(
+        name="web",
+        description=f"web of a line of {n} driven rollers on their motion, for load motors",
+        kernel=_WEB, p=p, s=follower._state.copy(), u=np.array(u), work=len(span.new_follower_work(layout)),
+        out=3 * k + n, variables=tuple(variables), forgotten=(), sample_s=0.0, time=(0, 1.0),
+    )  # fmt: skip
+
+
+def _numbered(name: str) -> tuple[str, int]:
+    """``F2_N`` as its symbol and its number from 0."""
+    symbol = name.rstrip("_NmradsPg")  # what a unit is written with
+    digits = symbol[len(symbol.rstrip("0123456789")) :]
+    return symbol.removesuffix(digits), int(digits) - 1
+
+
+def _boundary(first: int = lay.U_STRAIN_PREV) -> list[ExportedVariable]:
+    quantities: Sequence[Quantity] = (
+        Quantity("strain_prev", "1", "strain of the web that enters"),
+        Quantity("F_next_N", "N", "tension behind the last roller"),
+    )
+    return [ExportedVariable(each, "input", (Place(U, first + at),)) for at, each in enumerate(quantities)]
+
+
+def _moduli(model: ModelParameters, layout: Layout) -> list[ExportedVariable]:
+    """E of the web in each span, by the names that the machine has for it."""
+    if model.web is None:
+        return []
+    places = [Place(P, layout.first_span + j * lay.SP_SIZE + lay.SP_MODULUS_PA) for j in range(layout.spans)]
+    return [
+        parameter(quantity, at)
+        for quantity, at in zip(modulus_names(layout.spans)[-layout.spans :], places, strict=True)
+    ]
+
+
+def _limited(layout: Layout) -> list[int]:
+    first = lay.S_Y + layout.y_size + layout.axes * lay.SA_SIZE + lay.SM_LIMITED
+    return [first + motor * lay.SM_SIZE for motor in range(layout.motors)]
