@@ -354,6 +354,7 @@ def virtual_io(kind: MachineKind) -> DeviceDescription:
         1: Entry("Effects as JSON, empty as configured", "STRING", "rw"),
         2: Entry("Largest step of a tension in the last change [N]", "REAL32", "ro", 0.0),
     }
+    found = {1: Entry("Errors of the model that were found, as JSON", "STRING", "ro")}
     outputs = {signal.sub: Entry(signal.text, "REAL32", "rww", 0.0, True) for signal in smallest.told}
     file_name, description = VIRTUAL_IO_FILES[kind]
     return DeviceDescription(
@@ -371,6 +372,7 @@ def virtual_io(kind: MachineKind) -> DeviceDescription:
             compound(0x2100, "Twin status", RECORD, status),
             compound(0x2101, "Synchronizer", RECORD, synchronizer),
             compound(0x2102, "Model", RECORD, model),
+            compound(0x2103, "Found", RECORD, found),
             compound(0x6403, "Read analogue input floating point", ARRAY, inputs),
             *([compound(0x6413, "Write analogue output floating point", ARRAY, outputs)] if outputs else []),
         ),

@@ -55,6 +55,10 @@ def of_recording(recording: Recording) -> Checksums:
     return found
 
 
+#: Request and answer, by which the twin is asked what it has found once all has stopped.
+ASKED_AT_THE_END = ("620", "5A0")
+
+
 def of_trace(trace: Path) -> Checksums:
     """Per identifier: its frames of each cycle, from the first SYNC to the last but one, whatever their order.
 
@@ -70,6 +74,7 @@ def of_trace(trace: Path) -> Checksums:
     return {
         f"frames {identifier}h": checksums([b"".join(sorted(by_cycle[number])) for number in range(cycle)])
         for identifier, by_cycle in sorted(frames.items())
+        if min(by_cycle) < cycle or identifier not in ASKED_AT_THE_END
     }
 
 

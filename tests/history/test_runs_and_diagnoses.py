@@ -12,12 +12,13 @@ from typer.testing import CliRunner
 
 from hilbench.cli.main import app
 from hilbench.diagnosis.web_line.synthetic import hidden_recording
-from hilbench.history.store import History
+from hilbench.history.store import History, Row
 from hilbench.plant.parameters import EffectEntry
 from hilbench.results.recording import read_recording, write_recording
 from hilbench.runs.config import load
 
 CONFIG = Path(__file__).resolve().parents[2] / "bench_configs" / "web_section_step.yaml"
+VISCOUS = "axis2.viscous_friction.coefficient_N_s_per_m"
 STEPS = [
     {"ramp": {"path": "line_speed_m_s", "to": 2.0, "duration_s": 0.6}},
     {"hold": {"duration_s": 1.0}},
@@ -50,13 +51,53 @@ def stand(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_run_adds_what_its_twin_estimated_under_the_name_of_the_stand(stand: Path) -> None:
     history = History(stand / "history.sqlite")
     assert history.stands() == ["pilot line"]
-    (row,) = history.rows("pilot line")
+    row = named(history)["web.youngs_modulus_Pa"]
     recording = read_recording(next(stand.glob("runs/*/recording.mf4")))
     assert (row.source, row.quantity.name, row.quantity.unit) == ("twin", "web.youngs_modulus_Pa", "Pa")
     assert row.quantity.value in recording["E_sim_Pa"]
     assert row.quantity.value == pytest.approx(8.7e9, rel=0.02)
     assert row.quantity.sd in recording["E_sd_Pa"]
     assert abs(row.time_s - next(stand.glob("runs/*/result.json")).stat().st_mtime) < 600.0
+
+
+def named(history: History) -> dict[str, Row]:
+    """What the twin of the one run has found, by its name."""
+    return {row.quantity.name: row for row in history.rows("pilot line")}
+
+
+def test_a_run_adds_errors_of_the_model_that_its_twin_could_tell(stand: Path) -> None:
+    result = json.loads(next(stand.glob("runs/*/result.json")).read_text())
+    told = {
+        f"{each['place']}.{each['effect']}.{each['parameter']}": each
+        for each in result["estimated"]
+        if each["separable"]
+    }
+    rows = named(History(stand / "history.sqlite"))
+    friction, row = told[VISCOUS], rows[VISCOUS]
+    assert row.quantity.value == friction["value"]
+    assert row.quantity.sd == pytest.approx((friction["ci95"][1] - friction["ci95"][0]) / 3.92, rel=1e-3)
+    assert not any("torque_scale" in name or "inertia" in name for name in rows), "they are taken for each other"
+
+
+def test_friction_that_is_there_is_in_the_history_of_a_plain_run(tmp_path: Path) -> None:
+    friction = {"path": "load.effects.viscous_friction.axis2.coefficient_N_s_per_m", "to": 3.0}
+    steps = [
+        {"hold": {"duration_s": 0.2}},
+        {"step": friction},
+        {"ramp": {"path": "line_speed_m_s", "to": 3.0, "duration_s": 2.0}},
+        {"hold": {"duration_s": 3.0}},
+        {"ramp": {"path": "line_speed_m_s", "to": 1.0, "duration_s": 1.0}},
+        {"hold": {"duration_s": 3.0}},
+        {"ramp": {"path": "line_speed_m_s", "to": 0.0, "duration_s": 1.0}},
+    ]
+    path = bench(tmp_path, stand="pilot line", steps=steps)
+    hilbench("run", str(path), "--in-process", "--out", str(tmp_path / "runs"))
+    found = named(History(tmp_path / "history.sqlite"))[VISCOUS].quantity
+    assert abs(found.value - 3.0) < 1.96 * found.sd
+    assert found.sd < 0.5
+    page = next(tmp_path.glob("runs/*/report.html")).read_text(encoding="utf-8")
+    assert "What the twin found of its model" in page
+    assert "coefficient_N_s_per_m" in page
 
 
 def test_what_no_twin_has_found_does_not_enter(tmp_path: Path) -> None:
@@ -69,7 +110,8 @@ def test_the_history_is_shown_with_the_stand_and_the_limits_of_a_config(stand: P
     file = ("--file", str(stand / "history.sqlite"))
     shown = json.loads(hilbench("history", str(stand / "line.yaml"), "--json", *file))
     assert [each["stand"] for each in shown["stands"]] == ["pilot line"]
-    (quantity,) = shown["stands"][0]["quantities"]
+    quantities = {each["quantity"]: each for each in shown["stands"][0]["quantities"]}
+    quantity = quantities["web.youngs_modulus_Pa"]
     assert (quantity["quantity"], quantity["runs"], quantity["trend"]) == ("web.youngs_modulus_Pa", 1, None)
     assert quantity["limit"] == {"value": 9e9, "reached": None}
     assert shown["notes"] == ["wear_limits: no run has found 'axis2.creep' yet"]
@@ -120,7 +162,7 @@ def test_a_page_shows_each_quantity(stand: Path, tmp_path: Path) -> None:
     hilbench("history", "--file", str(stand / "history.sqlite"), "--html", str(page))
     text = page.read_text()
     assert "pilot line" in text
-    assert text.count("<figure ") == 1
+    assert text.count("<figure ") == len(named(History(stand / "history.sqlite")))
     assert "<svg" in text
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Generator, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -27,7 +27,7 @@ from hilbench.bench.state import BenchState
 from hilbench.bench.tasks.hardware_effects import HardwareEffects
 from hilbench.bench.tasks.twin_connection import TwinConnection
 from hilbench.bench.tasks.watches import ControllerWatch, EmergencyWatch, LatenessWatch, SupervisorWatch
-from hilbench.errors import NoAnswerError, UnusableValueError
+from hilbench.errors import BenchFaultError, NoAnswerError, UnusableValueError
 from hilbench.estimation.web_line.synchronizers.create import METHODS
 from hilbench.exchange.exchange import Exchange
 from hilbench.exchange.frame_tap import FrameTap
@@ -40,6 +40,7 @@ from hilbench.suggest import did_you_mean
 from hilbench.topology import quantities
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.sample import CycleSample, sample_type
+from hilbench.twin.found import FoundBeside, read_text
 from hilbench.unexpected import TRACEBACK_FILE, unexpected
 
 __all__ = ["Bench", "CycleObserver", "InterruptedByOperatorError", "StepEvent"]
@@ -111,6 +112,8 @@ class Bench:
         self._live: LiveProcess | None = None
         self._twin: TwinConnection
         self._cycle: BenchCycle
+        #: What the twin has found of errors of its model, once the drives were disabled.
+        self.found_beside: Sequence[FoundBeside] = ()
         self._drives: Drives | None = None  # before the nodes are operational
 
     # -- start and end -----------------------------------------------------------------------------------
@@ -234,6 +237,7 @@ class Bench:
                     self._announce("disable drives")
                     if self._drives is not None:
                         self._drives.disable(self._operator)
+                        self._ask_the_twin()
                 except BaseException as failure:
                     self._safe_stop(failure)
                     raise
@@ -244,6 +248,13 @@ class Bench:
                     self._safe_stop(error)
         finally:
             self._leave()
+
+    def _ask_the_twin(self) -> None:
+        """What it has found of errors of its model; a twin that is gone, or does not say, has found nothing."""
+        if self._state.twin.away:
+            return
+        with suppress(BenchFaultError, ValueError):
+            self.found_beside = read_text(self.nodes.twin_found())
 
     def _safe_stop(self, reason: BaseException | None) -> None:
         if isinstance(reason, NoAnswerError):  # of a process that is gone its last words say why

@@ -40,6 +40,8 @@ _ABORT_BY_QUICK_STOP = 3
 _QUICK_STOP_RAMP = 2
 #: Effects of the twin's model, and what their change did: index and sub-index at the virtual I/O.
 _TWIN_EFFECTS, _TWIN_STEP = (0x2102, 1), (0x2102, 2)
+#: What it has found of errors of its model: index and sub-index at the virtual I/O.
+_TWIN_FOUND = (0x2103, 1)
 #: Controlwords that lead from SWITCH ON DISABLED to OPERATION ENABLED: shutdown, switch on, enable operation.
 _ENABLE = (0x06, 0x07, 0x0F)
 
@@ -609,6 +611,12 @@ class Nodes:
     def twin_step_N(self) -> float:
         """Largest step of a simulated tension that the last change of the twin's effects has made, N."""
         return float(self._sdo().sdo_read(self.config.twin.node.node_id, *_TWIN_STEP))
+
+    def twin_found(self) -> str:
+        """Errors of its model that the twin has found (JSON, `hilbench.twin.found`); "" of one that tells nothing."""
+        if _TWIN_FOUND[0] not in self._ods["virtual_io"]:
+            return ""
+        return str(self._sdo().sdo_read(self.config.twin.node.node_id, *_TWIN_FOUND))
 
     def _effect_node(self, path: EffectPath) -> int:
         assert path.axis is not None, "effects of the hardware are effects of an axis"

@@ -20,6 +20,7 @@ from hilbench.files import written_whole
 from hilbench.history import servo_axis, web_line
 from hilbench.history.store import Entry, History, Quantity
 from hilbench.results.recording import Recording, read_recording
+from hilbench.results.result import Result
 from hilbench.results.run_folder import RunFolder
 from hilbench.runs.config import load
 from hilbench.topology.config import BenchConfig
@@ -30,6 +31,8 @@ FILE: Final = "history.sqlite"
 TWIN: Final = "twin"
 DIAGNOSIS: Final = "diagnosis"
 _NORMAL_95: Final = 1.959964
+#: What production runs do not tell apart well enough: too little torque for the acceleration, or too much mass.
+_TAKEN_FOR_EACH_OTHER: Final = ("torque_scale", "inertia_mismatch")
 #: Parameters that say when or where in a turn, and not how much.
 _PLACES: Final = ("phase_rad", "time_s", "duration_s")
 
@@ -81,7 +84,9 @@ def entries_of(folder: RunFolder, config: BenchConfig) -> Iterator[Entry]:
     """What is known from a run: one entry for each source that found something. Raises UnusableInputError."""
     recording = read_recording(folder.recording)
     began = recording.start_time or datetime.fromtimestamp(folder.config.stat().st_mtime, UTC)
-    sources = {TWIN: list(_of_twin(recording)), DIAGNOSIS: list(_of_diagnosis(folder))}
+    followed = list(_of_twin(recording))
+    # Of a twin that has never been in step with its machine nothing is believed.
+    sources = {TWIN: [*followed, *(_beside(folder) if followed else ())], DIAGNOSIS: list(_of_diagnosis(folder))}
     for source, quantities in sources.items():
         if quantities:
             yield Entry(config.stand_name, folder.name, source, began, folder.path.resolve(), quantities)
@@ -115,6 +120,16 @@ def _of_twin(recording: Recording) -> Iterator[Quantity]:
         sd = np.asarray(recording[estimate.deviation], np.float64)[last] if estimate.deviation else 0.0
         if np.isfinite(values[last]) and np.isfinite(sd) and np.ptp(values[good]) > 0.0:
             yield Quantity(estimate.quantity, float(values[last]), float(sd), estimate.unit)
+
+
+def _beside(folder: RunFolder) -> Iterator[Quantity]:
+    """Errors of its model that the twin has found and could tell, from the result of a run."""
+    if not folder.result.is_file():
+        return
+    for each in Result.read(folder.result).estimated or ():
+        if each.separable and each.effect not in _TAKEN_FOR_EACH_OTHER:
+            sd = (each.ci95[1] - each.ci95[0]) / (2.0 * _NORMAL_95)
+            yield Quantity(f"{each.place}.{each.effect}.{each.parameter}", each.value, sd, each.unit)
 
 
 def _place(effect: Mapping[str, Any]) -> str:

@@ -27,6 +27,26 @@ _CAPTION: Final = (
 COLUMNS: Final = (">Since, s", "What", "Where", "Size", ">Named after, s", ">In the model after, s", ">Gap, N·m", "")
 
 
+#: Columns of the table of what the twin found of errors of its model.
+ESTIMATED_COLUMNS: Final = ("Effect", "Where", "Parameter", ">Value", ">95 %", "Unit")
+
+
+def estimated_rows(result: Result) -> list[tuple[str, ...]]:
+    """A row for each parameter that the data tell, as `ESTIMATED_COLUMNS`."""
+    return [
+        (
+            each.effect.replace("_", " "),
+            each.place,
+            each.parameter,
+            f"{each.value:.3g}",
+            f"{each.ci95[0]:.3g} to {each.ci95[1]:.3g}",
+            each.unit,
+        )
+        for each in result.estimated or []
+        if each.separable
+    ]
+
+
 def found_pictures(result: Result) -> list[Picture]:
     """The picture, where something looked for effects while the bench ran."""
     if result.gap_history is None or not result.gap_history.t_s:

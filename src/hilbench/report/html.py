@@ -11,7 +11,7 @@ from typing import Self
 from hilbench.errors import UnusableInputError
 from hilbench.files import make_folder, written_whole
 from hilbench.report.chart import Mark
-from hilbench.report.found import COLUMNS, found_pictures, found_rows
+from hilbench.report.found import COLUMNS, ESTIMATED_COLUMNS, estimated_rows, found_pictures, found_rows
 from hilbench.report.machines.kinds import pictures_of
 from hilbench.report.page import number, quantity, write_page
 from hilbench.report.plots import ImageFormat, Picture, draw_histogram, run_pictures, zooms
@@ -55,6 +55,8 @@ def write_report(run_folder: RunFolder) -> Path:
         found_pictures=shown.found,
         found_columns=COLUMNS,
         found=found_rows(result),
+        estimated_columns=ESTIMATED_COLUMNS,
+        estimated=estimated_rows(result),
         warnings=_warnings(result),
         reasons_of=_reasons,
         step_columns=("Metric", *(f">{_step_name(step)}" for step in steps[:_MOST_COLUMNS]), "Unit"),

@@ -23,10 +23,12 @@ from hilbench.bench.prediction.announcements import Announcement
 from hilbench.bench.reports.found import FoundEffect, GapRow, ModelChange
 from hilbench.block import Strict
 from hilbench.json_file import JsonFile
+from hilbench.plant.effects import find_effect
 from hilbench.results.provenance import Provenance
 from hilbench.runs.criteria import CriterionResult
 from hilbench.runs.events import Event
 from hilbench.runs.metrics import Judgement, StepFigures
+from hilbench.twin.found import FoundBeside
 
 Count = Annotated[int, Field(ge=0)]
 
@@ -35,6 +37,8 @@ LIBRARIES = ("numpy", "numba", "scipy", "canopen", "python-can", "asammdf", "pyd
 _HISTOGRAM_BINS = 60
 #: Steps and events that a result holds, of a run with more the first.
 MOST_EVENTS = 500
+#: Standard deviations on either side of which 95 % of a normal variable lies.
+_NORMAL_95 = 1.959964
 #: Pieces of the history of the gap that it holds.
 MOST_GAPS = 2000
 
@@ -320,6 +324,35 @@ class FoundParameter(Strict):
     unit: str
 
 
+class EstimatedRecord(Strict):
+    """A parameter of an effect as the twin found it while the machine ran, with its 95 % interval, and where.
+
+    Not `separable`: the data of the run don't tell it; the interval is what was assumed before.
+    """
+
+    effect: str
+    place: str
+    parameter: str
+    value: float
+    ci95: tuple[float, float]
+    unit: str
+    separable: bool
+
+    @classmethod
+    def of(cls, found: FoundBeside) -> Self:
+        """As it stands in the file."""
+        half = _NORMAL_95 * found.deviation
+        return cls(
+            effect=found.effect,
+            place=found.place,
+            parameter=found.parameter,
+            value=found.value,
+            ci95=(found.value - half, found.value + half),
+            unit=find_effect(found.effect).parameter(found.parameter).unit,
+            separable=found.separable,
+        )
+
+
 class GapRecord(Strict):
     """Rms of what was measured less what was predicted, before and after, on data that neither model had seen."""
 
@@ -432,6 +465,7 @@ class Result(_WithOptions, JsonFile):
     `not_judged`: why a metric has no value; `steps`: every step of the run with its figures; `events`: these and all
     else that happened, the first `MOST_EVENTS` of each.
     `found`: what the diagnosis beside the run found, where there was one, and how the gap went (`gap_history`).
+    `estimated`: errors of its model that the twin found while the machine ran.
     `warnings`: what did not stop the run (a limit's warning level, an EMCY message, a tension loop that opened), each
     kind once with its count.
     `predicted`: crossings of limits that were announced, where the config asks for predictions.
@@ -455,6 +489,7 @@ class Result(_WithOptions, JsonFile):
     found: list[FoundRecord] | None = None
     gap_history: GapHistory | None = None
     streams: list[StreamRecord] | None = None
+    estimated: list[EstimatedRecord] | None = None
 
     @classmethod
     def of(
@@ -470,6 +505,7 @@ class Result(_WithOptions, JsonFile):
         predicted: Sequence[Announcement] | None = None,
         found: Sequence[FoundRecord] | None = None,
         gap_history: GapHistory | None = None,
+        estimated: Sequence[FoundBeside] = (),
         began: datetime | None = None,
         streams: Sequence[StreamRecord] = (),
     ) -> Self:
@@ -492,6 +528,7 @@ class Result(_WithOptions, JsonFile):
             found=None if found is None else list(found),
             gap_history=gap_history,
             streams=list(streams) or None,
+            estimated=[EstimatedRecord.of(each) for each in estimated] or None,
         )
 
     def all_warnings(self) -> list[str]:

@@ -250,6 +250,7 @@ class RunRecord:
             None if prediction is None else prediction.announcements.made,
             found,
             history,
+            bench.found_beside,
             began=self._started,
             streams=[stream.record() for stream in streams],
         )

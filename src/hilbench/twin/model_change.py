@@ -14,6 +14,7 @@ from collections.abc import Callable, Mapping, Sequence
 from hilbench.estimation.plausibility import Problem
 from hilbench.plant.motor_port import MotorPort
 from hilbench.topology.config import MachineParameters
+from hilbench.twin.found import FoundBeside
 from hilbench.twin.machines.machine import Measured, TwinMachine
 
 #: Time over which what is shown goes from one model to the other, and for which the changed one must have been
@@ -186,6 +187,10 @@ class ChangeableMachine:
         self._current.use_method(number)
         if self._candidate is not None:
             self._candidate.use_method(number)
+
+    def found(self) -> Sequence[FoundBeside]:
+        """What is known by now of errors of the model in use."""
+        return self._current.found()
 
     def published(self) -> Sequence[float]:
         """What the virtual I/O shows now: of both models where one is being taken over."""

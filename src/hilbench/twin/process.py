@@ -27,6 +27,7 @@ from hilbench.topology.process_data.of_kind import process_data
 from hilbench.topology.signals import Shape
 from hilbench.twin.alarms import Alarms
 from hilbench.twin.axis_listener import AxisListener, RealAxis, TwinNode
+from hilbench.twin.found import as_text
 from hilbench.twin.machines.kinds import boundary, new_machine, warm_up
 from hilbench.twin.machines.machine import Measured, TwinMachine
 from hilbench.twin.model_change import ChangeableMachine, with_effects
@@ -118,6 +119,7 @@ class TwinApplication:
         self._skipped = 0  # cycles that by the clock the axes have gone, less the SYNCs that came
         self._ways = _Ways(setup)
         virtual_io.on_method(self._use_method)
+        virtual_io.on_found(lambda: as_text(machine.found()))
         virtual_io.on_model(self._use_model, lambda: machine.largest_steps)
         self._publish()
 

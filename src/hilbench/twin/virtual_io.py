@@ -10,6 +10,7 @@ from hilbench.topology.process_data.table import ProcessData
 
 _STATUS = 0x2100  #: manufacturer specific: of which SYNC the process data are, and whether they can be trusted
 _SYNCHRONIZER = 0x2101
+_FOUND = 0x2103  #: errors of the model, as JSON
 _MODEL = 0x2102  #: effects in the place of those that the model was configured with
 
 
@@ -41,6 +42,7 @@ class VirtualIo:
         self._method = device.cell(_SYNCHRONIZER, 1)
         self._effects = device.cell(_MODEL, 1) if device.has(_MODEL, 1) else None
         self._step = device.cell(_MODEL, 2) if device.has(_MODEL, 2) else None
+        self._found = device.cell(_FOUND, 1) if device.has(_FOUND, 1) else None
         self._names = [signal.name for signal in data.published]
         for name, value in boundary.items():
             self._told[name].value = value
@@ -68,6 +70,11 @@ class VirtualIo:
         self._effects.on_write = act
         tensions = [place for place, name in enumerate(self._names) if name.startswith("F")]
         self._step.on_read = lambda: max((steps()[place] for place in tensions if steps()), default=0.0)
+
+    def on_found(self, say: Callable[[], str]) -> None:
+        """What is read as that which was found of the machine beside what is followed (2103h)."""
+        if self._found is not None:
+            self._found.on_read = say
 
     def told(self, name: str) -> float:
         """A signal of the boundary, as the bench last said."""

@@ -389,6 +389,11 @@ class Tracking:
         if self._errors is not None:
             self._errors.release()
 
+    @property
+    def errors(self) -> tuple[Nuisance, ...]:
+        """What is known of the model's errors by now; nothing where none are looked for."""
+        return () if self._errors is None else self._errors.found()
+
     def known(self) -> Known:
         """What is known now, to come back to."""
         return Known(self.estimate.youngs_modulus_Pa, self.torque_shift_Nm, deepcopy(self._errors))

@@ -8,6 +8,7 @@ from typing import Protocol
 from hilbench.estimation.plausibility import Problem
 from hilbench.plant.interface import Plant
 from hilbench.plant.motor_port import MotorPort
+from hilbench.twin.found import FoundBeside
 
 #: Position in rad and torque in N·m of one axis, at the motor.
 Measured = tuple[float, float]
@@ -81,6 +82,9 @@ class TwinMachine(Protocol):
 
         Raises ValueError for a number that there is not.
         """
+
+    def found(self) -> Sequence[FoundBeside]:
+        """What is known by now of errors of the model."""
 
     def published(self) -> Sequence[float]:
         """What the virtual I/O shows now: one value for each signal of 6403h (`ProcessData.published`)."""

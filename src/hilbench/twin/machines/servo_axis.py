@@ -16,6 +16,7 @@ from hilbench.plant.servo_axis.axis import ServoAxis
 from hilbench.plant.servo_axis.parameters import ServoAxisParameters
 from hilbench.processes import log
 from hilbench.topology.config import TwinConfig
+from hilbench.twin.found import FoundBeside
 from hilbench.twin.machines.machine import Measured, Told
 
 #: Above this speed the plant runs already when the twin joins.
@@ -125,6 +126,10 @@ class ServoAxisTwin:
 
     def listen(self) -> None:
         """There is nothing around the shaft."""
+
+    def found(self) -> Sequence[FoundBeside]:
+        """No errors of the model are looked for."""
+        return ()
 
     def use_method(self, number: int) -> None:
         """There is one method."""

@@ -23,7 +23,9 @@ from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.sizes import least_way_m
 from hilbench.plant.web_line.span import SpanFollower
 from hilbench.topology.signals import Shape
+from hilbench.twin.found import FoundBeside
 from hilbench.twin.machines.machine import Measured, Told
+from hilbench.twin.machines.web_line_errors import as_effects
 from hilbench.twin.machines.web_passage import Passage
 from hilbench.twin.machines.web_section import WebSection
 
@@ -55,6 +57,7 @@ class WebLineTwin:
     def __init__(self, model: ModelParameters, config: EstimationConfig, cycle_s: float, told: Told) -> None:
         axes, spans = range(1, model.axis_count + 1), range(1, model.span_count + 1)
         self.ports = tuple(MotorPort() for _ in axes)
+        self._model = model
         self.plant = Line(model, self.ports)
         self._transfer = config.transfer
         methods = config.by_span(model.span_count)
@@ -242,6 +245,10 @@ class WebLineTwin:
         """Take over what is around the web now."""
         first = self._all[0].tracking
         self.plant.set_boundary(first.upstream_strain(self._told("strain_prev")), self._told("F_next_N"))
+
+    def found(self) -> Sequence[FoundBeside]:
+        """What the methods of all spans know of errors of the model."""
+        return [found for each in self._all for found in as_effects(each.tracking.errors, self._model, each.span)]
 
     def use_method(self, number: int) -> None:
         """Go on with another synchronizer, by its number in the vocabulary, from the present E."""

@@ -18,6 +18,7 @@ from hilbench.plant.web_line.line_follower import LineFollower
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.sizes import least_way_m
 from hilbench.topology.signals import Shape
+from hilbench.twin.found import FoundBeside
 from hilbench.twin.machines.machine import Measured, Told
 
 _OF_AN_AXIS = (("x", "m"), ("v", "m_s"), ("tau", "Nm"))
@@ -112,6 +113,10 @@ class LineWithStationsTwin:
         """Take over what is around the web now."""
         self.plant.set_input("strain_prev", self._told("strain_prev"))
         self.plant.set_input("F_next_N", self._told("F_next_N"))
+
+    def found(self) -> Sequence[FoundBeside]:
+        """No errors of the model are looked for."""
+        return ()
 
     def use_method(self, number: int) -> None:
         """There is none to choose. Raises ValueError."""

@@ -1,0 +1,43 @@
+"""Errors of a web line's model that its twin has found, as effects of the vocabulary."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Final
+
+from hilbench.estimation.nuisance import Nuisance
+from hilbench.plant.effects import find_effect
+from hilbench.plant.web_line.parameters import ModelParameters
+from hilbench.twin.found import FoundBeside
+
+#: Effect and parameter of each error, by the name that the estimator gives it.
+_EFFECTS: Final = {
+    "torque_offset_Nm": ("torque_offset", "offset_Nm"),
+    "dry_friction_N": ("coulomb_friction", "force_N"),
+    "viscous_friction_N_s_per_m": ("viscous_friction", "coefficient_N_s_per_m"),
+    "torque_scale": ("torque_scale", "relative_change"),
+    "inertia_share": ("inertia_mismatch", "relative_change"),
+    "creep_per_N": ("web_slip", "creep_per_N"),
+    "eccentricity_m": ("roller_eccentricity", "amplitude_m"),
+}
+_SCALE: Final = "torque_scale"
+
+
+def as_effects(errors: Sequence[Nuisance], model: ModelParameters, span: int) -> Iterator[FoundBeside]:
+    """What was found at a span; the model's own comes on top.
+
+    Of a line with one span the errors are those of axis 2; behind one of several they are of all rollers together.
+    """
+    alone = model.span_count == 1
+    for error in errors:
+        effect, parameter = _EFFECTS[error.name]
+        of_axis = alone and find_effect(effect).per_axis
+        axis = span + 1 if of_axis else None
+        own = next((entry for entry in model.effects if entry.effect == effect and entry.axis == axis), None)
+        if own is not None and error.name == "eccentricity_m":
+            continue  # two that are at different angles do not add up
+        # The torque of the shaft as a share of that which the drive knows; what is found is a share of the former.
+        value = -error.value / (1.0 + error.value) if error.name == _SCALE else error.value
+        value += 0.0 if own is None else own.parameters.get(parameter, 0.0)
+        place = f"axis{axis}" if of_axis else ("web" if alone else f"span{span}")
+        yield FoundBeside(effect, parameter, place, value, error.deviation, error.separable)
