@@ -114,7 +114,7 @@ def test_there_is_no_listing_and_no_way_out_of_the_folders(known: TestClient, pa
 
 
 def test_a_browser_is_told_to_be_strict(known: TestClient) -> None:
-    for path in ("/", "/runs", "/static/live.css", "/nothing"):
+    for path in ("/", "/session", "/static/live.css", "/nothing"):
         headers = known.get(path).headers
         policy = headers["content-security-policy"]
         assert "default-src 'none'" in policy
@@ -124,13 +124,12 @@ def test_a_browser_is_told_to_be_strict(known: TestClient) -> None:
         assert headers["cache-control"] == "no-store"
 
 
-def test_pages_hold_no_script_and_no_style_of_their_own(known: TestClient) -> None:
-    for path in ("/", "/runs"):
-        text = known.get(path).text
-        assert "<style" not in text
-        assert " style=" not in text
-        assert "onclick" not in text
-        assert text.count("<script") == text.count("<script defer src=")
+def test_the_page_holds_no_script_and_no_style_of_its_own(known: TestClient) -> None:
+    text = known.get("/").text
+    assert "<style" not in text
+    assert " style=" not in text
+    assert "onclick" not in text
+    assert text.count("<script") == text.count("<script defer src=")
 
 
 def test_sessions_are_bounded_and_the_oldest_goes(access: Access) -> None:

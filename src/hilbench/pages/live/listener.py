@@ -19,6 +19,8 @@ from hilbench.can.link import Link
 from hilbench.canopen.emergency_stop import EMERGENCY_STOP, send_emergency_stop
 from hilbench.canopen.identifiers import SYNC
 from hilbench.errors import BusError, HilbenchError
+from hilbench.library.entry import read_entry
+from hilbench.library.under_way import goes_on
 from hilbench.monitor.condition import Condition
 from hilbench.monitor.picture import BusPicture
 from hilbench.monitor.recent import RecentFrames
@@ -26,11 +28,9 @@ from hilbench.pages.live.events import Entry, Events, Weight
 from hilbench.pages.live.history import History
 from hilbench.pages.live.machines.kinds import panel_of
 from hilbench.pages.live.samples import LiveSamples
-from hilbench.pages.runs import verdict_of
 from hilbench.results.journal import append_to_journal
 from hilbench.results.result import Result
 from hilbench.results.run_folder import RunFolder
-from hilbench.results.under_way import is_written
 from hilbench.runs.events import EventLog
 from hilbench.topology.config import BenchConfig
 
@@ -152,7 +152,7 @@ class Listener:
         if self._folder is None or self._ended is not None or now_s < self._look_again_s:
             return
         self._look_again_s = now_s + _AGAIN_S
-        if self._folder.result.exists() and not is_written(self._folder.trace):
+        if self._folder.result.exists() and not goes_on(self._folder):
             with suppress(HilbenchError):  # it is being written just now
                 result = Result.read(self._folder.result)
                 self._ended = ended(self._folder, result)
@@ -219,7 +219,7 @@ def told(change: Change, t_s: float) -> Entry:
 def ended(folder: RunFolder, result: Result) -> dict[str, Any]:
     """What a page says of a run that is over."""
     return {
-        "verdict": verdict_of(result),
+        "verdict": read_entry(folder.path.parent, folder.name).state,
         "faults": [fault.text for fault in result.faults],
         "criteria": [
             {"name": each.name, "passed": each.passed, "value": each.value, "unit": each.unit, "limit": each.limit}

@@ -19,8 +19,8 @@ from hilbench.errors import BenchFaultError, UnusableInputError
 from hilbench.exchange.nodes import Nodes
 from hilbench.pages.live.history import Array, History
 from hilbench.pages.live.machines.kinds import settled
+from hilbench.pages.live.run_under_way import RunUnderWay
 from hilbench.results.recover import CycleFrames, CycleSplitter, Decoder, take_units
-from hilbench.results.under_way import RunUnderWay
 from hilbench.runs.events import EventLog
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.signal_kinds import TIME

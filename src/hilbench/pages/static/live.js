@@ -340,6 +340,8 @@ window.session.then((known) => {
     if (end.report) {
       const link = make("a", "report");
       link.href = end.report;
+      link.target = "_blank";
+      link.rel = "noopener";
       words.push(link);
     }
     const list = make("ul"), passed = end.criteria.filter((each) => each.passed).length;

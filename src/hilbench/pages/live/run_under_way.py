@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import Final, Self
 
 from hilbench.canopen.identifiers import SYNC
+from hilbench.library.under_way import goes_on
 from hilbench.results.journal import JournalReader
 from hilbench.results.run_folder import RunFolder
 
 #: Of so many folders, the newest, each is looked at.
 _LOOKED_AT: Final = 20
-_LOCKS: Final = Path("/proc/locks")
 _BLOCK: Final = 1 << 20
 _LINE: Final = 200
 #: What is farther apart is not of one clock.
@@ -33,7 +33,7 @@ class RunUnderWay:
         newest = sorted(_folders(runs), key=lambda entry: entry[0], reverse=True)[:_LOOKED_AT]
         for _, path in newest:
             folder = RunFolder(path)
-            if is_written(folder.trace) and _channel(folder.trace) == channel and folder.journal.exists():
+            if goes_on(folder) and _channel(folder.trace) == channel and folder.journal.exists():
                 return cls(folder, JournalReader(folder.journal))
         return None
 
@@ -58,16 +58,6 @@ class RunUnderWay:
 def _nanoseconds(seconds: bytes) -> int:
     whole, _, part = seconds.partition(b".")
     return int(whole) * 1_000_000_000 + int(part.ljust(9, b"0"))
-
-
-def is_written(trace: Path) -> bool:
-    """Whether a process has the trace open for writing; it is asked of the kernel, no lock is tried."""
-    try:
-        found = trace.stat()
-        inode = f"{os.major(found.st_dev):02x}:{os.minor(found.st_dev):02x}:{found.st_ino}"
-        return any(inode in line.split() for line in _LOCKS.read_text(encoding="ascii").splitlines())
-    except OSError:
-        return False
 
 
 def _folders(runs: Path) -> list[tuple[float, Path]]:
