@@ -182,22 +182,18 @@ def stop_request() -> Callable[[], bool]:
 
 
 @contextmanager
-def interrupted_by_signals() -> Iterator[None]:
-    """Meanwhile the first signal that asks the process to end raises KeyboardInterrupt, so that what `finally` has to
-    put in order is put in order; further ones can't disturb that."""
-    asked = False
+def end_requests() -> Iterator[Callable[[], bool]]:
+    """Meanwhile the signals that ask the process to end only leave word: a function says whether one has come."""
+    asked = threading.Event()
 
-    def interrupt(number: int, _frame: object) -> None:
-        nonlocal asked
+    def ask(number: int, _frame: object) -> None:
         if number == signal.SIGHUP:
             leave_terminal()
-        if not asked:
-            asked = True
-            raise KeyboardInterrupt
+        asked.set()
 
-    before = {number: signal.signal(number, interrupt) for number in end_signals()}
+    before = {number: signal.signal(number, ask) for number in end_signals()}
     try:
-        yield
+        yield asked.is_set
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)

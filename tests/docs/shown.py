@@ -136,6 +136,7 @@ def _says_more(words: list[str]) -> bool:
         "twin",
         "simulate-hardware",
         "drive",
+        "conformance",
         "drift",
         "check",
     )

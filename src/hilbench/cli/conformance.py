@@ -97,7 +97,7 @@ def _examined(
     from hilbench.conformance.listing import listed_cases
     from hilbench.conformance.record import Examination
     from hilbench.conformance.wire import LinkWire
-    from hilbench.processes import interrupted_by_signals
+    from hilbench.processes import end_requests
 
     groups = list(dict.fromkeys(case.group for case in listed_cases()))
     unknown = [name for name in only if name not in groups]
@@ -109,8 +109,9 @@ def _examined(
     with only_master(address, None, f"conformance of node {node}", force=force):
         link = open_link(address)
         try:
-            dut = DeviceUnderTest(LinkWire(link), node, description, Allowed(motion, store), Patience(boot_s=boot_s))
-            with interrupted_by_signals():
+            with end_requests() as asked:
+                wire = LinkWire(link, asked)
+                dut = DeviceUnderTest(wire, node, description, Allowed(motion, store), Patience(boot_s=boot_s))
                 cases = examine(dut, only, display.tell)
         finally:
             link.close()

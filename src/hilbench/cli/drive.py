@@ -164,6 +164,7 @@ def _drive(
     from hilbench.cia402.manual import ManualDrive
     from hilbench.cia402.set_up import SetUpDrive
     from hilbench.cli.attach import MASTER_ID, config_and_bus, known_to_master, node_on_bus, only_master
+    from hilbench.processes import end_requests
 
     bench, address = config_and_bus(config, bus)
     with ExitStack() as resources:
@@ -182,19 +183,26 @@ def _drive(
             link.send([Frame(HEARTBEAT + MASTER_ID, NmtState.OPERATIONAL.heartbeat)])
 
         file = eds.name if bench is None and eds.is_file() else "its EDS file"
-        manual = ManualDrive(master, node_id, name, units, time_out_s, _Alive(heartbeat))
+        alive = _Alive(heartbeat, resources.enter_context(end_requests()))
+        manual = ManualDrive(master, node_id, name, units, time_out_s, alive)
         yield SetUpDrive(manual, file, units, _allowed(bench), time_out_s=time_out_s)
 
 
 class _Alive:
-    """Sends this program's heartbeat when it is due; called often."""
+    """Sends this program's heartbeat when it is due; called often, and never within an SDO transfer."""
 
-    def __init__(self, heartbeat: Callable[[], None]) -> None:
+    def __init__(self, heartbeat: Callable[[], None], asked_to_end: Callable[[], bool]) -> None:
         self._heartbeat = heartbeat
+        self._asked_to_end = asked_to_end
+        self._interrupted = False
         self._next_s = 0.0
 
     def __call__(self) -> None:
-        """Send it, if it is due."""
+        """Send it, if it is due. The first time that the program is asked to end it raises KeyboardInterrupt."""
+        if self._asked_to_end() and not self._interrupted:
+            self._interrupted = True
+            raise KeyboardInterrupt
+
         if time.monotonic() >= self._next_s:
             self._next_s = time.monotonic() + _HEARTBEAT_S
             self._heartbeat()
@@ -236,7 +244,6 @@ def _set_in_motion(by_hand: SetUpDrive, wanted: _Wanted) -> None:
     """Until it is done; the drive is without power afterwards, by a quick stop if something ended it early."""
     from hilbench.cia402.objects import OperationMode
     from hilbench.cli.attach import MASTER_ID
-    from hilbench.processes import interrupted_by_signals
 
     modes = {Action.MOVE: OperationMode.PROFILE_POSITION, Action.HOME: OperationMode.HOMING}
     modes[Action.TORQUE] = OperationMode.TORQUE
@@ -260,7 +267,7 @@ def _set_in_motion(by_hand: SetUpDrive, wanted: _Wanted) -> None:
     manual = by_hand.drive
 
     # The drive watches from the first heartbeat on: from before the first motion until the power stage is off.
-    with interrupted_by_signals(), manual.watching(MASTER_ID, _HEARTBEAT_TIME_OUT_MS):
+    with manual.watching(MASTER_ID, _HEARTBEAT_TIME_OUT_MS):
         try:
             motion()
         except BaseException:

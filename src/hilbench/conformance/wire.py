@@ -13,6 +13,8 @@ from hilbench.can.link import Link
 
 #: How far the mean of periods may be from what was asked: below that it may be the listener.
 _SLACK: Final = 0.15
+#: Between two looks at whether to end.
+_LONGEST_WAIT_S: Final = 0.1
 
 
 @dataclass(frozen=True)
@@ -38,10 +40,16 @@ class Wire(Protocol):
 
 
 class LinkWire:
-    """A bus of this machine, in real time. Raises BusError when the bus is lost."""
+    """A bus of this machine, in real time. Raises BusError when the bus is lost.
 
-    def __init__(self, link: Link) -> None:
+    `asked_to_end` is looked at while frames are waited for; the first time that it says so, KeyboardInterrupt is
+    raised, so that what has to be put in order then is put in order undisturbed.
+    """
+
+    def __init__(self, link: Link, asked_to_end: Callable[[], bool] = lambda: False) -> None:
         self._link = link
+        self._asked_to_end = asked_to_end
+        self._interrupted = False
         self._waiting: deque[Heard] = deque()
 
     def now_s(self) -> float:
@@ -53,24 +61,29 @@ class LinkWire:
         self._link.send([Frame(can_id, data)])
 
     def listen(self, duration_s: float, until: Callable[[Heard], bool] | None = None) -> list[Heard]:
-        """Sleeps between frames."""
+        """Sleeps between frames. With no time it is what waits already."""
         found: list[Heard] = []
         deadline_s = time.monotonic() + duration_s
+        looked = False
         while True:
             while self._waiting:
                 found.append(self._waiting.popleft())
                 if until is not None and until(found[-1]):
                     return found
-            left_s = deadline_s - time.monotonic()
-            if left_s <= 0.0:
+            left_s = max(0.0, deadline_s - time.monotonic())
+            if looked and left_s == 0.0:
                 return found
-            for frame in self._link.receive(left_s):
+            if self._asked_to_end() and not self._interrupted:
+                self._interrupted = True
+                raise KeyboardInterrupt
+            looked = True
+            for frame in self._link.receive(min(left_s, _LONGEST_WAIT_S)):
                 at_s = frame.time_ns * 1e-9 if frame.time_ns else time.monotonic()
                 self._waiting.append(Heard(at_s, frame.can_id, frame.data))
 
 
 def steady(found: list[Heard], period_s: float) -> bool:
-    """Whether the mean of the periods is as it should be"""
+    """Whether the mean of the periods is as it should be."""
     if len(found) < 2:
         return False
     mean_s = (found[-1].at_s - found[0].at_s) / (len(found) - 1)
