@@ -16,6 +16,7 @@ from hilbench.diagnosis.measured import measured_from
 from hilbench.diagnosis.measured_motion import MotionFilter, OnMeasuredMotion
 from hilbench.diagnosis.rest import uncertainty
 from hilbench.diagnosis.select_measured import MeasuredSearch
+from hilbench.diagnosis.space import Space
 from hilbench.diagnosis.terms import Place
 from hilbench.plant.effects import find_effect
 from hilbench.results.recording import Recording, read_recording
@@ -54,6 +55,20 @@ def neutral_in_an_interval(found: Diagnosis) -> list[str]:
             if low <= row.parameter(name).neutral <= high:
                 inside.append(item.effect)
     return inside
+
+
+def test_of_a_short_run_there_and_back_fits_see_a_good_part_of_each_direction() -> None:
+    t = 0.001 * np.arange(5500)
+    v = np.interp(t, [0.0, 3.5, 5.5], [45.0, -60.0, 0.0])  # forward for a second and a half, then back
+    torque = 0.03 * np.sign(v) + 1e-3 * np.random.default_rng(4).standard_normal(len(t))
+    model = axis_model(1e-4)
+    data = measured_from(Recording({"t_s": t, "x1_m": np.cumsum(v) * 0.001, "tau1_Nm": torque}), model, "short")
+    predictor = OnMeasuredMotion(model, data)
+    split = Space(model, predictor, data.period_s).split
+    for forward in (True, False):
+        way = ((v > 0.0) == forward)[:: predictor.every] & predictor.rows
+        assert np.count_nonzero(split.train & way) > 0.4 * np.count_nonzero(way)
+        assert np.count_nonzero(split.test & way) > 0.1 * np.count_nonzero(way)
 
 
 @pytest.mark.parametrize("known_inertia_kg_m2", [1e-4, 1.66e-4])

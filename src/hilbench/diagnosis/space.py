@@ -27,9 +27,11 @@ BLOCKS: Final = 12
 _HELD_OUT_OF: Final = 3
 _FIRST_HELD_OUT: Final = (1, 2, 0)
 _MOST_HELD_OUT: Final = 0.6
-#: Shortest block, s, and what is cut off both ends of a held-out one (about three web transports at 3 m/s), s.
+#: Shortest block, s, and what is cut off both ends of a held-out one (about three web transports at 3 m/s), s. A lone
+#: axis on its measured motion remembers no web, and may go for a second or two in each direction: its least blocks.
 _SHORTEST_BLOCK_S: Final = 1.5
 _EMBARGO_S: Final = 1.0
+_LEAST_BLOCKS_OF_ONE_AXIS: Final = 6
 
 
 @dataclass(frozen=True)
@@ -40,14 +42,22 @@ class Split:
     held_out: NDArray[np.bool_]
 
     @classmethod
-    def of(cls, rows: NDArray[np.bool_], period_s: float, first: int = 1, *, counted: bool = False) -> Split:
+    def of(
+        cls,
+        rows: NDArray[np.bool_],
+        period_s: float,
+        first: int = 1,
+        *,
+        counted: bool = False,
+        shortest_s: float = _SHORTEST_BLOCK_S,
+    ) -> Split:
         """Contiguous blocks, equally long, or with `counted` of equally many rows that count.
 
         first: the first that is held out.
         """
         n = len(rows)
         length_s = (np.count_nonzero(rows) if counted else n) * period_s
-        count = int(np.clip(length_s / _SHORTEST_BLOCK_S, 3, BLOCKS))
+        count = int(np.clip(length_s / shortest_s, 3, BLOCKS))
         edges = np.linspace(0, n, count + 1).astype(int)
         if counted:
             so_far = np.cumsum(rows)
@@ -66,17 +76,19 @@ class Split:
         return cls(block, held_out)
 
     @classmethod
-    def balanced(cls, measured: Array, rows: NDArray[np.bool_], period_s: float) -> Split:
+    def balanced(
+        cls, measured: Array, rows: NDArray[np.bool_], period_s: float, shortest_s: float = _SHORTEST_BLOCK_S
+    ) -> Split:
         """The same, with blocks held out that do not have most of what changes in the signals (signals, n): a fit can't
         see the one ramp of a production run where that is held out.
 
         Where equally long blocks leave no rows to one side (an axis that moves for a short while) each has as many.
         """
         change = np.sum(_shares(measured, rows), axis=0)
-        splits = [cls.of(rows, period_s, first) for first in _FIRST_HELD_OUT]
+        splits = [cls.of(rows, period_s, first, shortest_s=shortest_s) for first in _FIRST_HELD_OUT]
         usable = [split for split in splits if np.any(split.test) and np.any(split.train)]
         if not usable:
-            return cls.of(rows, period_s, counted=True)
+            return cls.of(rows, period_s, counted=True, shortest_s=shortest_s)
         held_out = [np.sum(change[split.test]) / max(np.sum(change[split.block >= 0]), 1e-300) for split in usable]
         enough = [k for k, share in enumerate(held_out) if share < _MOST_HELD_OUT]
         return usable[enough[0] if enough else int(np.argmin(held_out))]
@@ -118,7 +130,11 @@ class Space:
     simulations: int = 0
 
     def __post_init__(self) -> None:
-        self.split = Split.balanced(self.predictor.measured, self.predictor.rows, self.period_s * self.predictor.every)
+        shortest_s = _SHORTEST_BLOCK_S
+        if not self.predictor.exact:
+            shortest_s = min(shortest_s, self.duration_s / _LEAST_BLOCKS_OF_ONE_AXIS)
+        row_s = self.period_s * self.predictor.every
+        self.split = Split.balanced(self.predictor.measured, self.predictor.rows, row_s, shortest_s)
 
     @property
     def duration_s(self) -> float:
