@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from hashlib import sha256
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numba
+import numpy as np
 from numba import types
 from numba.extending import intrinsic
+from numpy.typing import NDArray
 
 from hilbench.hidden import hidden
 
@@ -17,6 +19,7 @@ from hilbench.hidden import hidden
 # than to load the machine code, in each process of a bench. They can: scipy is installed, and imported where one is.
 with hidden("scipy.linalg"):
     from numba.np import arraymath
+    from numba.np.arrayobj import make_array, populate_array
 arraymath._HAVE_BLAS = True
 
 Function = TypeVar("Function", bound=Callable[..., object])
@@ -42,6 +45,15 @@ if TYPE_CHECKING:
         """Called from Python: machine code kept on disk, and other threads run meanwhile. It may allocate."""
         return function
 
+    def floats(table: NDArray[np.int64], row: int, dimensions: tuple[int, ...]) -> NDArray[np.float64]:
+        """In the body of an entry point: the array of a row of a `table_of`, which has so many `dimensions` (each named
+        by its number: (1,), (1, 2), (1, 2, 3)). It is the caller's who made the table to keep the array alive."""
+        raise NotImplementedError
+
+    def integers(table: NDArray[np.int64], row: int, dimensions: tuple[int, ...]) -> NDArray[np.int64]:
+        """The same of int64."""
+        raise NotImplementedError
+
 else:
     # Division as in numpy and C (no check for zero); no fastmath: equal results on every machine.
     # Without NRT, numba's runtime, there are no reference counts: with them a step of the model takes ten times as
@@ -59,6 +71,53 @@ else:
             return context.get_dummy_value()
 
         return types.void(), generate
+
+    def _array_of(dtype):
+        @intrinsic
+        def array(typingcontext, table, row, dimensions):
+            result = types.Array(dtype, len(dimensions), "C")
+
+            def generate(context, builder, signature, arguments):
+                rows = make_array(signature.args[0])(context, builder, arguments[0])
+                first = builder.mul(arguments[1], context.get_constant(types.intp, TABLE_WIDTH))
+
+                def cell(column):
+                    place = builder.add(first, context.get_constant(types.intp, column))
+                    return builder.load(builder.gep(rows.data, [place]))
+
+                found = make_array(result)(context, builder)
+                shape = [cell(1 + place) for place in range(result.ndim)]
+                step = context.get_constant(types.intp, 8)
+                strides = [step]
+                for size in reversed(shape[1:]):
+                    strides.insert(0, builder.mul(strides[0], size))
+                data = builder.inttoptr(cell(0), found.data.type)
+                populate_array(found, data, shape, strides, step, None)
+                return found._getvalue()
+
+            return result(table, types.intp, dimensions), generate
+
+        return array
+
+    floats, integers = _array_of(types.float64), _array_of(types.int64)
+
+
+#: Columns of a `table_of`: address, and up to three lengths.
+TABLE_WIDTH = 4
+
+
+def table_of(arrays: Sequence[NDArray[Any]]) -> NDArray[np.int64]:
+    """Where arrays stand and how long they are, a row each: for an entry point with more arrays than a call from Python
+    should hand over one by one (70 ns each). Who calls with it keeps the arrays.
+
+    Raises ValueError for an array that is not of float64 or int64, in one piece, with one to three dimensions.
+    """
+    table = np.zeros((len(arrays), TABLE_WIDTH), np.int64)
+    for row, array in zip(table, arrays, strict=True):
+        if array.dtype not in (np.float64, np.int64) or not array.flags.c_contiguous or not 1 <= array.ndim <= 3:
+            raise ValueError(f"an array of {array.dtype} {array.shape}, expected float64 or int64 in one piece")
+        row[: 1 + array.ndim] = (array.ctypes.data, *array.shape)
+    return table
 
 
 def number_of_sources(*files: str) -> int:

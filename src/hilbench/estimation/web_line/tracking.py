@@ -13,6 +13,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
+from hilbench.compiled import table_of
 from hilbench.estimation.nuisance import Nuisance
 from hilbench.estimation.plausibility import PROBLEMS, Plausibility, Problem
 from hilbench.estimation.web_line import anomalies, delay
@@ -166,7 +167,7 @@ class Tracking:
         return ChangepointSynchronizer(config, Plant.of(self._balance, self._initial_Pa))
 
     def _gather(self) -> None:
-        """The vectors of what there is now, one behind the other as `run_vectors` takes them."""
+        """The vectors of what there is now, and where they stand."""
         errors, bank = self._errors or self._spare_errors, self._spare_bank
         if isinstance(self._synchronizer, ChangepointSynchronizer):
             bank = self._synchronizer
@@ -184,10 +185,7 @@ class Tracking:
             bank.vectors,
             self._line.vectors,
         )
-        v = self._vectors
-        balance_p, web, balance_s = v.balance
-        inputs, *hypotheses = v.bank
-        self._flat = (*v[:7], balance_p, *web, balance_s, *v.errors, *inputs, *hypotheses, *v.line)
+        self._table = table_of(cycle.flat(self._vectors))
 
     @property
     def vectors(self) -> cycle.TrackingVectors:
@@ -440,7 +438,7 @@ class Tracking:
         self._balance.begin(x1_m, x2_m, strain_prev)
         centre_m = nan if centre_m is None else centre_m
         values = (x1_m, x2_m, torque_Nm, self._axis2.torque_Nm, strain_prev, F_next_N, centre_m)
-        stage = cycle.run_vectors(cycle.COMPARE, tuple(map(float, values)), *self._flat)
+        stage = cycle.run_vectors(cycle.COMPARE, tuple(map(float, values)), self._table)
         if stage != cycle.DONE:
             self._go_on(stage, time_s, strain_prev)
         elif self._t[cycle.BANK]:
@@ -461,10 +459,10 @@ class Tracking:
         elif t[c.BANK]:
             self._nuisances = None
         if stage != c.SHIFT:
-            stage = c.run_vectors(c.LOOK_FOR_SHIFT, _NOTHING_MEASURED, *self._flat)
+            stage = c.run_vectors(c.LOOK_FOR_SHIFT, _NOTHING_MEASURED, self._table)
         if stage == c.SHIFT:
             self._take_out_shift()
-            c.run_vectors(c.TRANSFER, _NOTHING_MEASURED, *self._flat)
+            c.run_vectors(c.TRANSFER, _NOTHING_MEASURED, self._table)
 
     def _sample(self, time_s: float, strain_prev: float, force_N: float) -> SyncSample:
         """Of this cycle, with this force in the balance."""

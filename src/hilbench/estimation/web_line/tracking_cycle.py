@@ -11,7 +11,7 @@ from collections.abc import Callable
 from math import exp, hypot, inf, isfinite, isnan
 from typing import NamedTuple
 
-from hilbench.compiled import compiled, entry_point, inlined
+from hilbench.compiled import compiled, entry_point, floats, inlined, integers
 from hilbench.estimation import bank, correction, noise_level, plausibility, ring
 from hilbench.estimation.bank import Array, Places
 from hilbench.estimation.web_line import (
@@ -360,6 +360,12 @@ def run(
     return stage
 
 
+def flat(v: TrackingVectors) -> tuple[Array | Places, ...]:
+    """The vectors one behind the other, as `run_vectors` takes them in a table."""
+    balance_p, web, balance_s = v.balance
+    return (*v[:7], balance_p, *web, balance_s, *v.errors, *v.bank[0], *v.bank[1:], *v.line)
+
+
 # What the past means no more: a cycle is missing; the web is the same, but more is known of it; it is another one.
 INTERRUPT, SUSPEND, NEW_WEB = range(3)
 
@@ -368,100 +374,72 @@ def _entry_points(sources: int) -> tuple[Callable[..., int], Callable[..., None]
     """Compiled functions that are called from Python; `sources` as in the kernel."""
 
     @entry_point
-    def run_vectors(
-        stage: int,
-        values: tuple[float, float, float, float, float, float, float],
-        t: Vector,
-        of_plausibility: Vector,
-        of_anomalies: Vector,
-        shift: Vector,
-        delay_line: Vector,
-        delay_finder: Vector,
-        moduli: Vector,
-        balance_p: Vector,
-        web_p: Vector,
-        web_s: Vector,
-        web_w: Vector,
-        web_v: Vector,
-        boundary: Vector,
-        tension: Vector,
-        balance_s: Vector,
-        u: Array,
-        s: Array,
-        z: Array,
-        p: Array,
-        places: Places,
-        weights: Array,
-        process: Array,
-        work: Array,
-        theta: Array,
-        priors: Array,
-        orders: Array,
-        kept: Array,
-        torque: Array,
-        position: Array,
-        k: Array,
-        first_z: Array,
-        first_p: Array,
-        first_weights: Array,
-        inputs_u: Array,
-        inputs_s: Array,
-        inputs_torque: Array,
-        inputs_position: Array,
-        bank_z: Array,
-        bank_p: Array,
-        records: Array,
-        settings: Array,
-        bank_places: Places,
-        bank_work: Array,
-        out: Array,
-        covariance: Array,
-        told: Array,
-        line_p: Vector,
-        line_s: Vector,
-        line_u: Vector,
-        line_w: Vector,
-        line_out: Vector,
-    ) -> int:
+    def run_vectors(stage: int, values: tuple[float, float, float, float, float, float, float], table: Places) -> int:
+        """`run` with the vectors of a `table_of` what `flat` gives."""
         if sources < 0:
             return DONE
-        web = SpanVectors(web_p, web_s, web_w, web_v, boundary, tension)
-        errors = ErrorVectors(
-            u,
-            s,
-            z,
-            p,
-            places,
-            weights,
-            process,
-            work,
-            theta,
-            priors,
-            orders,
-            kept,
-            torque,
-            position,
-            k,
-            first_z,
-            first_p,
-            first_weights,
+        web = SpanVectors(
+            floats(table, 8, (1,)),
+            floats(table, 9, (1,)),
+            floats(table, 10, (1,)),
+            floats(table, 11, (1,)),
+            floats(table, 12, (1,)),
+            floats(table, 13, (1,)),
         )
-        inputs = InputVectors(inputs_u, inputs_s, inputs_torque, inputs_position)
+        errors = ErrorVectors(
+            floats(table, 15, (1,)),
+            floats(table, 16, (1,)),
+            floats(table, 17, (1, 2)),
+            floats(table, 18, (1, 2, 3)),
+            integers(table, 19, (1, 2)),
+            floats(table, 20, (1,)),
+            floats(table, 21, (1,)),
+            floats(table, 22, (1, 2)),
+            floats(table, 23, (1,)),
+            floats(table, 24, (1,)),
+            floats(table, 25, (1, 2)),
+            floats(table, 26, (1,)),
+            floats(table, 27, (1,)),
+            floats(table, 28, (1,)),
+            floats(table, 29, (1,)),
+            floats(table, 30, (1, 2)),
+            floats(table, 31, (1, 2, 3)),
+            floats(table, 32, (1,)),
+        )
+        inputs = InputVectors(
+            floats(table, 33, (1,)), floats(table, 34, (1,)), floats(table, 35, (1,)), floats(table, 36, (1,))
+        )
         hypotheses = BankVectors(
-            inputs, bank_z, bank_p, records, settings, bank_places, bank_work, out, covariance, told
+            inputs,
+            floats(table, 37, (1, 2)),
+            floats(table, 38, (1, 2, 3)),
+            floats(table, 39, (1, 2)),
+            floats(table, 40, (1,)),
+            integers(table, 41, (1,)),
+            floats(table, 42, (1, 2)),
+            floats(table, 43, (1, 2)),
+            floats(table, 44, (1, 2)),
+            floats(table, 45, (1,)),
+        )
+        line = LineVectors(
+            floats(table, 46, (1,)),
+            floats(table, 47, (1,)),
+            floats(table, 48, (1,)),
+            floats(table, 49, (1,)),
+            floats(table, 50, (1,)),
         )
         v = TrackingVectors(
-            t,
-            of_plausibility,
-            of_anomalies,
-            shift,
-            delay_line,
-            delay_finder,
-            moduli,
-            BalanceVectors(balance_p, web, balance_s),
+            floats(table, 0, (1,)),
+            floats(table, 1, (1,)),
+            floats(table, 2, (1,)),
+            floats(table, 3, (1,)),
+            floats(table, 4, (1,)),
+            floats(table, 5, (1,)),
+            floats(table, 6, (1, 2)),
+            BalanceVectors(floats(table, 7, (1,)), web, floats(table, 14, (1,))),
             errors,
             hypotheses,
-            LineVectors(line_p, line_s, line_u, line_w, line_out),
+            line,
         )
         return run(v, stage, values[0], values[1], values[2], values[3], values[4], values[5], values[6])
 
