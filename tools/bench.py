@@ -16,13 +16,13 @@ from dataclasses import asdict
 from pathlib import Path
 
 import docs_page
-from performance import cyclic_path, model_kernel, real_time, recordings, running, streams
+from performance import cyclic_path, model_kernel, real_time, recordings, running, streams, twin
 from performance.table import Section, machine, markdown
 
 from hilbench.runs.config import load_with_overrides
 
 CONFIG = Path(__file__).parents[1] / "bench_configs" / "web_section_step.yaml"
-PARTS = "kernel, pdo, streams, lockstep, jitter, sync, diagnose, start"
+PARTS = "kernel, pdo, streams, twin, lockstep, jitter, sync, diagnose, start"
 LENGTHS_S = [12.0, 24.0, 48.0]
 
 
@@ -33,6 +33,7 @@ def parts(config_path: Path, seconds: float) -> dict[str, Callable[[], list[Sect
         "kernel": lambda: model_kernel.measure(config.web_line),
         "pdo": lambda: [cyclic_path.measure(config)],
         "streams": lambda: [streams.measure(config)],
+        "twin": lambda: [twin.measure(config.web_line)],
         "lockstep": lambda: [running.lockstep(config_path, seconds)],
         "jitter": lambda: real_time.measure(config_path, seconds),
         "sync": lambda: [recordings.synchronizers(config.web_line, LENGTHS_S)],
