@@ -16,6 +16,7 @@ from hilbench.can.frame import Frame
 from hilbench.can.memory import MemoryBus, MemoryLink
 from hilbench.canopen.emergency_stop import EMERGENCY_STOP
 from hilbench.canopen.sdo_client import SdoClient
+from hilbench.errors import BusError
 from hilbench.exchange.nodes import Nodes
 from hilbench.monitor.changes import ChangeRequests
 from hilbench.pages.access import Access
@@ -296,3 +297,17 @@ def test_the_past_can_be_looked_at_closely(place: Place) -> None:
         assert np.diff(t_s) == pytest.approx(0.002)
         assert t_s[0] <= 0.1
         assert t_s[-1] >= 0.2
+
+
+def test_a_bus_that_is_just_being_made_is_joined_a_moment_later(tmp_path: Path) -> None:
+    bus, refused = MemoryBus(), [BusError("timing is virtual on the bus that runs, asked for real")]
+
+    def join() -> MemoryLink:
+        if refused:
+            raise refused.pop()
+        return bus.open_link()
+
+    listener = Listener(load_with_overrides(SHIPPED, pace="realtime").config, join, tmp_path)
+    listener.start()
+    assert listener.state()["bus_problem"] == ""
+    listener.close()

@@ -85,9 +85,9 @@ def _listening(host: str, port: int) -> Iterator[socket.socket]:
 
 @contextmanager
 def _bench(config: BenchConfig, runs: Path) -> Iterator[Viewers]:
-    address = config.bus_address.as_it_runs()
-    listener = Listener(config, lambda: open_link(address), runs)
-    changes = ChangeRequests(config, lambda: SdoClient(open_python_can(address, SDO_ANSWERS), PATIENCE_S))
+    address = config.bus_address.as_it_runs  # asked each time: another run may have made the bus anew
+    listener = Listener(config, lambda: open_link(address()), runs)
+    changes = ChangeRequests(config, lambda: SdoClient(open_python_can(address(), SDO_ANSWERS), PATIENCE_S))
     listener.start()
     try:
         yield Viewers(listener, Controls(listener, changes))

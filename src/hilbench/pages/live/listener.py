@@ -69,8 +69,13 @@ class Listener:
         self._thread = threading.Thread(target=self._listen, name="listener", daemon=True)
 
     def start(self) -> None:
-        """Join the bus. Raises BusError where it can't be joined at first."""
-        self._join()
+        """Join the bus. Raises BusError where it can't be joined at first, nor a moment later: a bus that is just being
+        made says of its timing what it does not keep to."""
+        try:
+            self._join()
+        except BusError:
+            self._closing.wait(_AGAIN_S)
+            self._join()
         self._thread.start()
 
     def close(self) -> None:
