@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from hilbench.plant.fmu.export import servo_axis, web_line
+from hilbench.plant.fmu.export import servo_axis
+from hilbench.plant.fmu.export import web_line as line
 from hilbench.plant.fmu.export.machine import ExportedMachine
 from hilbench.plant.servo_axis.parameters import ServoAxisParameters
 from hilbench.plant.web_line.parameters import ModelParameters
@@ -17,4 +18,4 @@ def exported(machine: ModelParameters | ServoAxisParameters, *, drives: bool, lo
         if load:
             raise ValueError("another kind for --load: what load motors imitate of a shaft is no machine by itself")
         return servo_axis.exported_axis(machine, drives=drives)
-    return web_line.exported_web(machine) if load else web_line.exported_line(machine, drives=drives)
+    return line.exported_load(machine) if load else line.exported_line(machine, drives=drives)

@@ -118,7 +118,7 @@ def exported_line(model: ModelParameters, *, drives: bool) -> ExportedMachine:
     )  # fmt: skip
 
 
-def exported_web(model: ModelParameters) -> ExportedMachine:
+def exported_load(model: ModelParameters) -> ExportedMachine:
     """The web of a line on the motion of its rollers: speeds in, tensions and the torques that imitate it out.
 
     Raises ValueError for a model without a web, or with stations.
