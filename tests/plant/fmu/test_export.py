@@ -82,7 +82,7 @@ def test_an_exported_servo_axis_steps_as_the_kernel_does(tmp_path: Path, fmi: ar
 @pytest.mark.parametrize("fmi", [2, 3])
 def test_an_exported_web_pulls_as_the_load_model_does(tmp_path: Path, fmi: archive.Fmi) -> None:
     path = tmp_path / "web.fmu"
-    archive.write_fmu(web_line.exported_web(MODEL), fmi, path)
+    archive.write_fmu(web_line.exported_load(MODEL), fmi, path)
     ours = SpanFollower(MODEL)
     names = ("F1_N", "strain1", "E1_Pa")
     config = FmuLoadConfig.model_validate(
