@@ -186,7 +186,7 @@ def test_check_refuses_an_inertia_that_the_load_motor_can_not_imitate_at_the_ste
 
 
 def test_check_refuses_what_belongs_to_another_kind_of_machine() -> None:
-    refused(["machine.kind=lathe"], "kind: web_line or servo_axis")
+    refused(["machine.kind=lathe"], "kind: web_line, servo_axis or fmu")
     refused(["machine.shaft.radius_m=1"], "unknown key 'machine.shaft.radius_m'")
     refused(["load.web.youngs_modulus_Pa=1e9"], "'shaft:' for a servo axis")
     refused(["controllers.tension_control.set_point_N=80"], "none: a servo axis follows its reference")

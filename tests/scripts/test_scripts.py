@@ -79,7 +79,7 @@ def test_each_bench_leaves_its_run_folder_and_a_failure_names_it(pytester: pytes
         f"--hilbench-config={CONFIG}", "-p", "no:cacheprovider", "--hilbench-out=left", "--junit-xml=junit.xml"
     )
     result.assert_outcomes(passed=1, failed=1, errors=1)
-    folders = {path.name.rpartition("-2")[0]: path for path in sorted((pytester.path / "left").iterdir())}
+    folders = {re.sub(r"-\d{8}-\d{6}.*", "", path.name): path for path in sorted((pytester.path / "left").iterdir())}
     failed, broken, passed = (
         folders[name] for name in ("test_that_fails", "test_that_cannot_start", "test_that_passes")
     )
