@@ -69,7 +69,7 @@ def line_of(model: ModelParameters, spans: int) -> ModelParameters:
 def _recording(model: ModelParameters) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Commands (n, N) and boundary of an experiment; every axis of a line as axis 2 of a single span."""
     e = experiment(model, _DURATION_S, 1)
-    commands = np.repeat(e.commands_m_s[:, 1:], model.axis_count, axis=1)
+    commands = np.repeat(e.commands_m_s[:, 1:2], model.axis_count, axis=1)
     commands[:, 0] = e.commands_m_s[:, 0]
     boundary = np.tile([model.upstream_strain, model.boundary.downstream_tension_N], (len(commands), 1))
     return np.ascontiguousarray(commands), boundary
