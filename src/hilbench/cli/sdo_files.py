@@ -75,7 +75,7 @@ def load(
         with _progress(f"node {node_id}") as progress:
             failed = write_device(master, node_id, writes, progress)
         if store and not failed:
-            master.download(node_id, 0x1010, 1, _SAVE.to_bytes(4, "little"))
+            master.sdo_write(node_id, 0x1010, _SAVE, 1)
     objects = len({write.key for write in writes})
     print(f"node {node_id}: {objects - len(failed)} of {objects} objects as in {file}")
     if renamed:

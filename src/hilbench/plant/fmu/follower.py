@@ -7,13 +7,12 @@ from math import isfinite, nan
 from typing import Literal
 
 from hilbench.plant.fmu.config import FmuLoadConfig, unit_of_name
+from hilbench.plant.fmu.effects import WithoutEffects
 from hilbench.plant.fmu.model import FmuModel, FmuState
 from hilbench.plant.interface import PlantDescription, PlantState, Quantity, checked_name
 
-_NO_EFFECTS = "an effect in an FMU, expected none: what it does is in its own equations"
 
-
-class FmuFollower:
+class FmuFollower(WithoutEffects):
     """Measured positions of the driven axes in, torques of the load motors out (`hilbench.plant.interface.Follower`).
 
     The motion of a cycle, and its mean speed, are held over it. Torques are those `lead_s` later where the FMU's state
@@ -115,18 +114,6 @@ class FmuFollower:
     def set_input(self, name: str, value: float) -> None:
         """It has none. Raises ValueError."""
         checked_name("input", name, ())
-
-    def set_effect(
-        self, effect_id: str, axis: int | None = None, *, section: int | None = None, slot: int = 0, **parameters: float
-    ) -> None:
-        """It can have none. Raises ValueError."""
-        raise ValueError(f"'{effect_id}' is {_NO_EFFECTS}")
-
-    def clear_effect(
-        self, effect_id: str, axis: int | None = None, *, section: int | None = None, slot: int = 0
-    ) -> None:
-        """It can have none. Raises ValueError."""
-        raise ValueError(f"'{effect_id}' is {_NO_EFFECTS}")
 
 
 def _quantity(name: str, what: str) -> Quantity:

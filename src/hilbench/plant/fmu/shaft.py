@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 from hilbench.plant.fmu import drives
 from hilbench.plant.fmu.axis import FmuAxisParameters
+from hilbench.plant.fmu.effects import WithoutEffects
 from hilbench.plant.fmu.model import FmuModel, FmuState
 from hilbench.plant.interface import PlantState
 from hilbench.plant.motor_port import MotorPort
@@ -18,10 +19,8 @@ from hilbench.plant.servo_axis.axis import ServoAxis
 from hilbench.plant.servo_axis.rig import ServoRig, ServoRigParameters
 from hilbench.plant.servo_axis.shaft import PARAMETERS, Shaft
 
-_NO_EFFECTS = "an effect of an FMU, expected none: what it does is in its own equations"
 
-
-class FmuMechanics(Shaft):
+class FmuMechanics(WithoutEffects, Shaft):
     """What both have in common. Parameters that the FMU does not have are kept, and move nothing."""
 
     _model: FmuModel
@@ -89,18 +88,6 @@ class FmuMechanics(Shaft):
                 self._offset_rad = offset_rad
             case _:
                 raise ValueError("a state of another machine, expected one of this FMU")
-
-    def set_effect(
-        self, effect_id: str, axis: int | None = None, *, section: int | None = None, slot: int = 0, **parameters: float
-    ) -> None:
-        """It can have none. Raises ValueError."""
-        raise ValueError(f"'{effect_id}' is {_NO_EFFECTS}")
-
-    def clear_effect(
-        self, effect_id: str, axis: int | None = None, *, section: int | None = None, slot: int = 0
-    ) -> None:
-        """It can have none. Raises ValueError."""
-        raise ValueError(f"'{effect_id}' is {_NO_EFFECTS}")
 
 
 class FmuAxis(FmuMechanics, ServoAxis):
