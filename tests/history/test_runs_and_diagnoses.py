@@ -76,7 +76,9 @@ def test_a_run_adds_errors_of_the_model_that_its_twin_could_tell(stand: Path) ->
     friction, row = told[VISCOUS], rows[VISCOUS]
     assert row.quantity.value == friction["value"]
     assert row.quantity.sd == pytest.approx((friction["ci95"][1] - friction["ci95"][0]) / 3.92, rel=1e-3)
-    assert not any("torque_scale" in name or "inertia" in name for name in rows), "they are taken for each other"
+    assert not {"torque_scale", "inertia_mismatch"} & {each["effect"] for each in result["estimated"]}, (
+        "they are taken for each other"
+    )
 
 
 def test_friction_that_is_there_is_in_the_history_of_a_plain_run(tmp_path: Path) -> None:
@@ -96,7 +98,7 @@ def test_friction_that_is_there_is_in_the_history_of_a_plain_run(tmp_path: Path)
     assert abs(found.value - 3.0) < 1.96 * found.sd
     assert found.sd < 0.5
     page = next(tmp_path.glob("runs/*/report.html")).read_text(encoding="utf-8")
-    assert "What the twin found of its model" in page
+    assert "What the twin estimates of its model" in page
     assert "coefficient_N_s_per_m" in page
 
 

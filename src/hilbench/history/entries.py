@@ -31,8 +31,6 @@ FILE: Final = "history.sqlite"
 TWIN: Final = "twin"
 DIAGNOSIS: Final = "diagnosis"
 _NORMAL_95: Final = 1.959964
-#: What production runs do not tell apart well enough: too little torque for the acceleration, or too much mass.
-_TAKEN_FOR_EACH_OTHER: Final = ("torque_scale", "inertia_mismatch")
 #: Parameters that say when or where in a turn, and not how much.
 _PLACES: Final = ("phase_rad", "time_s", "duration_s")
 
@@ -127,7 +125,7 @@ def _beside(folder: RunFolder) -> Iterator[Quantity]:
     if not folder.result.is_file():
         return
     for each in Result.read(folder.result).estimated or ():
-        if each.separable and each.effect not in _TAKEN_FOR_EACH_OTHER:
+        if each.separable:
             sd = (each.ci95[1] - each.ci95[0]) / (2.0 * _NORMAL_95)
             yield Quantity(f"{each.place}.{each.effect}.{each.parameter}", each.value, sd, each.unit)
 

@@ -10,17 +10,16 @@ from hilbench.plant.effects import find_effect
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.twin.found import FoundBeside
 
-#: Effect and parameter of each error, by the name that the estimator gives it.
+#: Effect and parameter of each error that is handed out, by the name that the estimator gives it. Scale of the torque
+#: and inertia are not: a run tells them apart only while it accelerates, and their intervals leave out the neutral
+#: value on a machine that has neither.
 _EFFECTS: Final = {
     "torque_offset_Nm": ("torque_offset", "offset_Nm"),
     "dry_friction_N": ("coulomb_friction", "force_N"),
     "viscous_friction_N_s_per_m": ("viscous_friction", "coefficient_N_s_per_m"),
-    "torque_scale": ("torque_scale", "relative_change"),
-    "inertia_share": ("inertia_mismatch", "relative_change"),
     "creep_per_N": ("web_slip", "creep_per_N"),
     "eccentricity_m": ("roller_eccentricity", "amplitude_m"),
 }
-_SCALE: Final = "torque_scale"
 
 
 def as_effects(errors: Sequence[Nuisance], model: ModelParameters, span: int) -> Iterator[FoundBeside]:
@@ -30,14 +29,14 @@ def as_effects(errors: Sequence[Nuisance], model: ModelParameters, span: int) ->
     """
     alone = model.span_count == 1
     for error in errors:
+        if error.name not in _EFFECTS:
+            continue
         effect, parameter = _EFFECTS[error.name]
         of_axis = alone and find_effect(effect).per_axis
         axis = span + 1 if of_axis else None
         own = next((entry for entry in model.effects if entry.effect == effect and entry.axis == axis), None)
         if own is not None and error.name == "eccentricity_m":
             continue  # two that are at different angles do not add up
-        # The torque of the shaft as a share of that which the drive knows; what is found is a share of the former.
-        value = -error.value / (1.0 + error.value) if error.name == _SCALE else error.value
-        value += 0.0 if own is None else own.parameters.get(parameter, 0.0)
+        value = error.value + (0.0 if own is None else own.parameters.get(parameter, 0.0))
         place = f"axis{axis}" if of_axis else ("web" if alone else f"span{span}")
         yield FoundBeside(effect, parameter, place, value, error.deviation, error.separable)
