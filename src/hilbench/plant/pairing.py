@@ -74,16 +74,21 @@ class SteadyWay:
     def reset(self) -> None:
         """The next positions are taken as they are."""
         self._last_m: float | None = None
-        self._way_m: float | None = None
+        self._way_m: float | None = None  # of a cycle
+        self._cycles = 0
+
+    def miss(self) -> None:
+        """A cycle without a position of its own."""
+        self._cycles += 1
 
     def update(self, x_m: float) -> bool:
-        """Whether this cycle's position, in m at the web, is one cycle after the last."""
-        last_m, before_m = self._last_m, self._way_m
-        self._last_m = x_m
+        """Whether this cycle's position, in m at the web, is one cycle after the last, and after those missed since."""
+        last_m, before_m, cycles = self._last_m, self._way_m, self._cycles + 1
+        self._last_m, self._cycles = x_m, 0
         if last_m is None:
             return True
-        self._way_m = x_m - last_m
-        return before_m is None or abs(self._way_m - before_m) <= self._most_m + _ALIKE * abs(before_m)
+        self._way_m = (x_m - last_m) / cycles
+        return before_m is None or abs(self._way_m - before_m) <= self._most_m * cycles + _ALIKE * abs(before_m)
 
 
 def play(position_unit: str, cycle_s: float) -> float:
@@ -96,14 +101,16 @@ def cycles_gone(ways: Sequence[float], usual: Sequence[float], plays: Sequence[f
     """How many cycles all axes have gone on.
 
     ways: of each axis since it was last measured; usual: those of one cycle before that; plays: see `play`; told: how
-    many cycles by some clock. Axes that are too slow to say it have gone as many as the clock says. None where they
-    disagree, or have gone a way that is none of whole cycles.
+    many cycles by some clock. Axes that are too slow to say it have gone as many as the clock says, unless they can't
+    have come so far in that time. None where they disagree, or have gone a way that is none of whole cycles.
     """
     fastest = max(range(len(usual)), key=lambda axis: abs(usual[axis]))
-    gone = told
-    if _ALIKE * abs(usual[fastest]) > plays[fastest]:
-        gone = round(ways[fastest] / usual[fastest])
-    for way, one, play_of in zip(ways, usual, plays, strict=True):
-        if not abs(way - gone * one) <= _ALIKE * abs(one) + gone**2 * play_of:
-            return None
-    return gone
+    by_way = round(ways[fastest] / usual[fastest]) if usual[fastest] else told
+    tells = _ALIKE * abs(usual[fastest]) > plays[fastest]
+    for gone in (by_way,) if tells else (told, by_way):
+        if all(
+            abs(way - gone * one) <= _ALIKE * abs(one) + gone**2 * play_of
+            for way, one, play_of in zip(ways, usual, plays, strict=True)
+        ):
+            return gone
+    return None

@@ -224,7 +224,8 @@ class TwinApplication:
         elif all(port.mode is not MotorMode.OFF for port in self._ports):
             if self._released or self._release():
                 new = self._sync_time is None or self._catch_up()
-                self._compare()
+                if new:  # else the axes stand where they were measured before, and no time has passed since
+                    self._compare()
                 self._machine.listen()
                 if new:
                     self._machine.step(self._cycle_s)

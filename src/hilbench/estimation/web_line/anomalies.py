@@ -9,7 +9,8 @@ the model's E, over a short window (the mean of the momentum balance; what the r
   A tension upstream that swings builds up as well, but to both sides: what goes no farther than it swung just before
   is no slip.
 
-Nothing is judged while the measurement can't be used, as with a torque at its limit, nor across such a gap. Compiled.
+Nothing is judged while the measurement can't be used, as with a torque at its limit, nor across such a gap. Single
+cycles that are missing do no harm: the window goes on over them, as long as it is mostly measured. Compiled.
 """
 
 from __future__ import annotations
@@ -27,6 +28,8 @@ from hilbench.estimation.plausibility import Problem
 _WINDOW_S = 0.04
 #: Ratio below which the web is broken, and above which it is whole again.
 _BROKEN, _WHOLE = 0.15, 0.3
+#: So many times as long it may last with the cycles that are missing in it.
+_LONGEST = 3.0
 #: Smoothing of the tension that is usual: a web that breaks loses that, strange positions alone don't take it away.
 _USUAL_S = 0.3
 #: Least tension that the strain must promise for a ratio to mean anything, N.
@@ -48,13 +51,15 @@ _NOTED_EVERY = 0.02
 _WEB_BREAK, _SLIP = int(Problem.WEB_BREAK), int(Problem.SLIP)
 #: No change is under way.
 _NONE = -1.0
-# State; behind it four rings: force (N), web (N/Pa) and speed (m/s) of the window, ratios before; and ratios as noted.
+# State; behind it rings: force (N), web (N/Pa), speed (m/s) and number of the cycles of the window, ratios before, and
+# ratios as noted.
 (
     _MODULUS_PA,  # what the ratio is formed with
     _MASS_KG,
     _SPAN_M,
     _CYCLE_S,
     _CYCLES,
+    _CYCLE,  # number of this one
     _FORCE_SUM_N,
     _WEB_SUM,
     _AFTER_GAP,
@@ -71,10 +76,11 @@ _NONE = -1.0
     _FORCES,  # where the rings begin
     _WEBS,
     _SPEEDS,
+    _NUMBERS,
     _RATIOS,
     _SWUNG,
-) = range(23)
-_SIZE = 23
+) = range(25)
+_SIZE = 25
 
 
 @compiled
@@ -94,14 +100,15 @@ def _clear_window(s: Array) -> None:
     ring.clear(s, int(s[_FORCES]))
     ring.clear(s, int(s[_WEBS]))
     ring.clear(s, int(s[_SPEEDS]))
+    ring.clear(s, int(s[_NUMBERS]))
     s[_FORCE_SUM_N] = 0.0
     s[_WEB_SUM] = 0.0
 
 
 @compiled
 def interrupt(s: Array) -> None:
-    """A cycle is missing: what is measured next is not one cycle after the last, and no mean goes across."""
-    _clear_window(s)
+    """A cycle is missing: what is measured next is not one cycle after the last."""
+    s[_CYCLE] += 1.0
     s[_AFTER_GAP] = 1.0
 
 
@@ -109,6 +116,7 @@ def interrupt(s: Array) -> None:
 def suspend(s: Array) -> None:
     """The measurement can't be used: a change that is under way, and what was before, say nothing any more."""
     interrupt(s)
+    _clear_window(s)
     s[_SINCE_CHANGE_M] = _NONE
     ring.clear(s, int(s[_RATIOS]))
 
@@ -125,16 +133,20 @@ def look(s: Array, force_N: float, web_per_Pa: float, velocity_m_s: float) -> in
     if not (isfinite(force_N) and isfinite(web_per_Pa)):
         reset(s)
         return 0
+    s[_CYCLE] += 1.0
     if s[_AFTER_GAP] != 0.0:
         s[_AFTER_GAP] = 0.0
         return _found(s)
-    forces, webs, speeds = int(s[_FORCES]), int(s[_WEBS]), int(s[_SPEEDS])
+    forces, webs, speeds, numbers = int(s[_FORCES]), int(s[_WEBS]), int(s[_SPEEDS]), int(s[_NUMBERS])
+    if ring.count(s, numbers) and s[_CYCLE] - ring.value(s, numbers, 0) > _LONGEST * s[_CYCLES]:
+        _clear_window(s)
     if ring.is_full(s, forces):
         s[_FORCE_SUM_N] -= ring.value(s, forces, 0)
         s[_WEB_SUM] -= ring.value(s, webs, 0)
     ring.push(s, forces, force_N)
     ring.push(s, webs, web_per_Pa)
     ring.push(s, speeds, velocity_m_s)
+    ring.push(s, numbers, s[_CYCLE])
     s[_FORCE_SUM_N] += force_N
     s[_WEB_SUM] += web_per_Pa
     if not ring.is_full(s, forces):
@@ -145,7 +157,13 @@ def look(s: Array, force_N: float, web_per_Pa: float, velocity_m_s: float) -> in
         s[_SINCE_CHANGE_M] = _NONE
         s[_QUIET_M] = _QUIET * s[_SPAN_M]
         return _found(s)
-    accelerating_N = s[_MASS_KG] * (velocity_m_s - ring.value(s, speeds, 0)) / ((count - 1) * s[_CYCLE_S])
+    if count > 3:
+        gained_m_s = _speed(s, count - 3) - _speed(s, 0)
+        cycles = ring.value(s, numbers, count - 2) - ring.value(s, numbers, 1)
+    else:
+        gained_m_s = velocity_m_s - ring.value(s, speeds, 0)
+        cycles = s[_CYCLE] - ring.value(s, numbers, 0)
+    accelerating_N = s[_MASS_KG] * gained_m_s / (cycles * s[_CYCLE_S])
     tension_N = s[_FORCE_SUM_N] / count - accelerating_N
     ratio, threshold = tension_N / promised_N, _WHOLE if s[_BROKEN_NOW] != 0.0 else _BROKEN
     broken = ratio < threshold and tension_N < threshold * s[_USUAL_N]
@@ -154,6 +172,15 @@ def look(s: Array, force_N: float, web_per_Pa: float, velocity_m_s: float) -> in
         s[_USUAL_N] += s[_CYCLE_S] / _USUAL_S * (tension_N - s[_USUAL_N])
     _look_for_slip(s, ratio, velocity_m_s)
     return _found(s)
+
+
+@inlined
+def _speed(s: Array, first: int) -> float:
+    """The middle one of three speeds in a row: of a position that is of another instant one is too fast, and the next
+    too slow."""
+    speeds = int(s[_SPEEDS])
+    a, b, c = ring.value(s, speeds, first), ring.value(s, speeds, first + 1), ring.value(s, speeds, first + 2)
+    return max(min(a, b), min(max(a, b), c))
 
 
 @inlined
@@ -212,7 +239,7 @@ def _judge(s: Array, ratio: float, moved_m: float) -> None:
 def new_state(model_modulus_Pa: float, mass_kg: float, span_length_m: float, cycle_s: float) -> Array:
     """State of what looks at each cycle's balance of axis 2. `model_modulus_Pa`: what the ratio is formed with."""
     cycles = round(_WINDOW_S / cycle_s)
-    capacities = {_FORCES: cycles + 1, _WEBS: cycles + 1, _SPEEDS: cycles + 1}
+    capacities = dict.fromkeys((_FORCES, _WEBS, _SPEEDS, _NUMBERS), cycles + 1)
     capacities |= {_RATIOS: _BEFORE_WINDOWS * cycles, _SWUNG: round(_QUIET / _NOTED_EVERY)}
     s = np.zeros(_SIZE + sum(map(ring.size, capacities.values())))
     s[_MODULUS_PA], s[_MASS_KG], s[_SPAN_M], s[_CYCLE_S] = model_modulus_Pa, mass_kg, span_length_m, cycle_s

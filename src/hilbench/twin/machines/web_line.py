@@ -167,7 +167,11 @@ class WebLineTwin:
     def compare(self, time_s: float, measured: Sequence[Measured]) -> bool:
         """Let the synchronizers compare; False where the positions are not of one instant."""
         positions_m = self._positions_m(measured)
-        if not self._pairing.update(*positions_m) or not self._steady.update(positions_m[self._all[0].span]):
+        if not self._pairing.update(*positions_m):
+            self._steady.miss()
+            self._go_without()
+            return False
+        if not self._steady.update(positions_m[self._all[0].span]):
             self._go_without()
             return False
         strain_prev, F_next_N = self._told("strain_prev"), self._told("F_next_N")
@@ -235,6 +239,7 @@ class WebLineTwin:
     def miss(self) -> None:
         """A cycle without measurement: what is measured next has come a cycle further."""
         self._pairing.miss()
+        self._steady.miss()
         self._go_without()
 
     def _go_without(self) -> None:
