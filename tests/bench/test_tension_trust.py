@@ -90,3 +90,9 @@ def test_a_twin_that_was_lost_is_not_trusted_until_it_is_synchronized_again() ->
     trust.forget("the twin is reset")
     assert not trust.update(sample(twin_status=int(TwinStatus.RUNNING)))
     assert trust.doubt == "the twin is reset"
+
+
+def test_a_deviation_that_swings_about_its_limit_opens_the_loop_once_until_it_is_well_below() -> None:
+    trust = trusting()
+    closed = [trust.update(sample(E_sd_Pa=share * 8.7e9)) for share in (0.29, 0.31, 0.29, 0.31, 0.25, 0.31, 0.23, 0.29)]
+    assert closed == [True, False, False, False, False, False, True, True]
