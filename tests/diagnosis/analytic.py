@@ -94,16 +94,45 @@ class Axis:
 class Ringing:
     """A web whose tension jumps with E at a time and rings at 20 Hz after it: a sum of squares with many minima."""
 
-    def __init__(self, time_s: float, change: float) -> None:
+    def __init__(self, time_s: float, change: float, within_s: float = 0.0, ringing: float = 10.0) -> None:
+        """`within_s`: how long E takes for the change; `ringing`: what a step of 1 makes at first, N·m."""
+        self._ringing_Nm = ringing
         self.model = model()
         self.t_s = np.arange(round(SECONDS / PERIOD_S)) * PERIOD_S
         truth = lay.pack(self.model)
-        lay.write_effect(truth, "elasticity_step", None, 0, {"time_s": time_s, "relative_change": change})
+        values = {"time_s": time_s, "relative_change": change}
+        if within_s > 0.0:
+            lay.write_effect(truth, "elasticity_ramp", None, 0, {**values, "duration_s": within_s})
+        else:
+            lay.write_effect(truth, "elasticity_step", None, 0, values)
         self.space = Space(self.model, Analytic(self._torque_Nm, truth), PERIOD_S)  # type: ignore[arg-type]
+
+    def proposer(self) -> Proposer:
+        """Of steps and ramps of E."""
+        data = Measured(
+            t_s=self.t_s,
+            period_s=PERIOD_S,
+            commands_m_s=np.ones((len(self.t_s), 2)),
+            boundary=np.zeros((len(self.t_s), 2)),
+            tau_Nm={1: self.space.predictor.measured[0]},
+            x_m={1: self.t_s, 2: self.t_s},
+            v_m_s={},
+        )
+        return Proposer(self.model, data, [find_effect("elasticity_step"), find_effect("elasticity_ramp")])
 
     def _torque_Nm(self, parameters: Array) -> Array:
         (span,) = lay.Layout.of(parameters).span_rows(parameters)
         since = self.t_s - span[lay.place("elasticity_step", "time_s")]
         size = span[lay.place("elasticity_step", "relative_change")]
         ringing = np.exp(-np.maximum(since, 0.0) / 0.3) * np.cos(2.0 * np.pi * 20.0 * since)
-        return np.where(since >= 0.0, size * (0.1 + 10.0 * ringing), 0.0)
+        sudden = np.where(since >= 0.0, size * (0.1 + self._ringing_Nm * ringing), 0.0)
+        first, within, change = (
+            span[lay.place("elasticity_ramp", name)] for name in ("time_s", "duration_s", "relative_change")
+        )
+        begun, ended = np.maximum(self.t_s - first, 0.0), np.maximum(self.t_s - first - within, 0.0)
+        return sudden + change * (self._so_far(begun) - self._so_far(ended)) / max(within, PERIOD_S)
+
+    def _so_far(self, since_s: Array) -> Array:
+        """The integral of what a step of 1 makes, up to so long after it."""
+        pole = -1.0 / 0.3 + 2.0j * np.pi * 20.0
+        return 0.1 * since_s + self._ringing_Nm * np.real(np.expm1(pole * since_s) / pole)

@@ -146,6 +146,19 @@ def test_the_stretch_in_which_a_signal_changes_is_not_held_out() -> None:
         assert np.sum(signal[0, split.train]) > np.sum(signal[0, split.test])
 
 
+@pytest.mark.parametrize("first", range(100, 5900, 450))
+def test_where_alone_the_model_disagrees_is_not_held_out(first: int) -> None:
+    rng = np.random.default_rng(first)
+    rows, steady = np.ones(6000, bool), np.sin(0.05 * np.arange(6000))[None]
+    residual = rng.standard_normal((2, 6000))
+    residual[1, first : first + 90] *= 4.0
+    split = Split.balanced(steady, rows, 0.01, residual=residual)
+    assert np.count_nonzero(split.train[first : first + 90]) > 45
+    usual = Split.balanced(steady, rows, 0.01)
+    noise_alone = Split.balanced(steady, rows, 0.01, residual=rng.standard_normal((2, 6000)))
+    assert np.array_equal(noise_alone.block, usual.block)
+
+
 def test_an_axis_that_moves_for_a_short_while_has_rows_on_both_sides() -> None:
     rows = np.zeros(60000, bool)
     rows[1000:5000] = True

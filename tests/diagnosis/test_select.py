@@ -6,7 +6,7 @@ from itertools import permutations
 
 import numpy as np
 import pytest
-from tests.diagnosis.analytic import NOISE, Axis
+from tests.diagnosis.analytic import NOISE, Axis, Ringing
 from tests.plant.models import effect
 
 from hilbench.diagnosis.select import Search, Selection, price
@@ -103,3 +103,14 @@ def test_every_parameter_and_every_variant_that_was_searched_has_its_price() -> 
     assert price([friction, friction], 1000.0) == pytest.approx(2.0 * one)
     assert price(stribeck[:1], 1000.0) == pytest.approx(one + np.log(1000.0) + 2.0 * np.log(3.0))
     assert price([], 1000.0) == 0.0
+
+
+@pytest.mark.parametrize(("time_s", "within_s"), [(9.1, 1.5), (6.3, 3.0)])
+def test_what_grows_over_a_while_is_found_though_a_step_of_it_would_ring(time_s: float, within_s: float) -> None:
+    web = Ringing(time_s, 9.0, within_s, ringing=0.5)
+    found = Search(web.space, web.proposer(), lambda text, share: None).run()
+    assert named(found) == ["elasticity_ramp"]
+    values = found.fit.terms[0].values
+    assert values["time_s"] == pytest.approx(time_s, abs=0.11)  # two periods of the ringing
+    assert values["duration_s"] == pytest.approx(within_s, abs=0.2)
+    assert values["relative_change"] == pytest.approx(9.0, rel=0.02)

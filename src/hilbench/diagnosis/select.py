@@ -67,6 +67,9 @@ _MARGIN: Final = 60.0
 _TIME_LEVELS: Final = 3
 _CLOSER: Final = np.linspace(-0.75, 0.75, 7)
 _STEP_PEAKS, _APART = 2, 2.5
+#: How often the ends of what grows over a while are looked for more closely, and among how many times. The mean of
+#: steps stands for a ramp where they are close to each other beside the web's ringing.
+_RAMP_LEVELS, _RAMP_TIMES = 2, 24
 #: Share of a usual force with which its response is looked at; how far from a step's time, and in which steps, it is
 #: looked for, s.
 _FORCE_SHARE: Final = 0.05
@@ -122,6 +125,21 @@ def _apart(terms: list[Term], gains: Array, least_s: float) -> list[Term]:
         if all(abs(terms[k].time_s - other.time_s) > least_s for other in found):
             found.append(terms[k])
     return found[:_STEP_PEAKS]
+
+
+def _best_while(times_s: Array, responses: Array, along: Array) -> tuple[float, float, float]:
+    """Begin and end, s, among the times (T,) between which the mean of the responses (T, …) would explain most, and how
+    much of the sum of squares; along (T,): products of the responses with the residual."""
+    gram = responses @ responses.T
+    best, chosen = 0.0, (0, 1)
+    for first, last in combinations(range(len(times_s)), 2):
+        weights = np.zeros(len(times_s))
+        weights[first : last + 1] = 1.0
+        weights[[first, last]] = 0.5
+        gain = float(weights @ along) ** 2 / max(float(weights @ gram @ weights), 1e-300)
+        if gain > best:
+            best, chosen = gain, (first, last)
+    return float(times_s[chosen[0]]), float(times_s[chosen[1]]), best
 
 
 class Search:
@@ -250,34 +268,44 @@ class Search:
             terms = self._proposer.onsets(effect, times, current.terms, section)
             if not terms:  # the model can't have one more of it
                 break
-            responses = self._observable(white, self._space.strengths(current.terms, current.residual, terms))
-            along = responses @ self._observable(white, [current.residual[None]])[0]
-            if level == 0:
-                gradual = self._gradual(effect, current, times, responses, along, section)
+            responses, along = self._seen(current, white, terms)
+            if level == 0 and self._proposer.gradual(effect, 0.0, 1.0, current.terms, section):
+                gradual = self._gradual(effect, current, white, times, responses, along, section)
             found = _apart(terms, along**2 / np.maximum(np.sum(responses**2, axis=1), 1e-300), _APART * apart_s)
             times = np.concatenate([t.time_s + apart_s * _CLOSER for t in found]) if found else times
             apart_s *= float(_CLOSER[1] - _CLOSER[0])
         return [*found, *gradual]
 
+    def _seen(self, current: Fit, white: Whitening, terms: list[Term]) -> tuple[Array, Array]:
+        """Whitened responses of the terms (T, signals·n), and their products (T,) with the residual."""
+        responses = self._observable(white, self._space.strengths(current.terms, current.residual, terms))
+        return responses, responses @ self._observable(white, [current.residual[None]])[0]
+
     def _gradual(
-        self, effect: Effect, current: Fit, times_s: Array, responses: Array, along: Array, section: int | None
+        self,
+        effect: Effect,
+        current: Fit,
+        white: Whitening,
+        times_s: Array,
+        responses: Array,
+        along: Array,
+        section: int | None,
     ) -> list[Term]:
-        """What grows between two of the times (T,), those that would explain most.
+        """What grows between two of the times (T,), those that would explain most; then between closer ones.
 
         responses (T, signals·n) are those of the sudden effect at each time, along (T,) their products with the
         residual. The response of a ramp is the mean of those of the steps within it, so no ramp need be simulated.
         """
-        gram = responses @ responses.T
-        best, chosen = 0.0, (0, 1)
-        for first, last in combinations(range(len(times_s)), 2):
-            weights = np.zeros(len(times_s))
-            weights[first : last + 1] = 1.0
-            weights[[first, last]] = 0.5
-            gain = float(weights @ along) ** 2 / max(float(weights @ gram @ weights), 1e-300)
-            if gain > best:
-                best, chosen = gain, (first, last)
-        begin_s, end_s = times_s[list(chosen)]
-        return self._proposer.gradual(effect, float(begin_s), float(end_s - begin_s), current.terms, section)
+        first_s, last_s = float(times_s[0]), float(times_s[-1])
+        begin_s, end_s, gain = _best_while(times_s, responses, along)
+        for _ in range(_RAMP_LEVELS):
+            if gain < float(np.log(self._samples)):  # nothing that could be named
+                break
+            apart_s = float(times_s[1] - times_s[0])
+            times_s = np.linspace(max(begin_s - apart_s, first_s), min(end_s + apart_s, last_s), _RAMP_TIMES)
+            terms = self._proposer.onsets(effect, times_s, current.terms, section)
+            begin_s, end_s, gain = _best_while(times_s, *self._seen(current, white, terms))
+        return self._proposer.gradual(effect, begin_s, end_s - begin_s, current.terms, section)
 
     def _observable(self, white: Whitening, responses: list[Array]) -> Array:
         """Whitened responses (1, signals, n) each, zero where rows do not count, as rows of (responses, signals·n)."""

@@ -22,11 +22,15 @@ Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
 
 #: Blocks a recording is cut into; every third is held out, so that each regime is on both sides. Which thirds are
-#: tried, and how much of what changes in the recording (of its variance about the median) may be in those held out.
+#: tried, and how much of what changes in the recording (of its variance about the median) may be in those held out, as
+#: how much of what the model does not explain may be where no fit sees it.
 BLOCKS: Final = 12
 _HELD_OUT_OF: Final = 3
 _FIRST_HELD_OUT: Final = (1, 2, 0)
 _MOST_HELD_OUT: Final = 0.6
+#: Windows a block is cut into to see where the model disagrees, and the deviations of a mean square that are noise.
+_WINDOWS: Final = 4
+_CALM: Final = 4.0
 #: Shortest block, s, and what is cut off both ends of a held-out one (about three web transports at 3 m/s), s. A lone
 #: axis on its measured motion remembers no web, and may go for a second or two in each direction: its least blocks.
 _SHORTEST_BLOCK_S: Final = 1.5
@@ -77,21 +81,31 @@ class Split:
 
     @classmethod
     def balanced(
-        cls, measured: Array, rows: NDArray[np.bool_], period_s: float, shortest_s: float = _SHORTEST_BLOCK_S
+        cls,
+        measured: Array,
+        rows: NDArray[np.bool_],
+        period_s: float,
+        shortest_s: float = _SHORTEST_BLOCK_S,
+        residual: Array | None = None,
     ) -> Split:
         """The same, with blocks held out that do not have most of what changes in the signals (signals, n): a fit can't
         see the one ramp of a production run where that is held out.
 
+        residual: measured less predicted (signals, n), in units of its noise: what comes once and goes (a splice) is
+        not kept from the fit that shall find it either.
         Where equally long blocks leave no rows to one side (an axis that moves for a short while) each has as many.
         """
         change = np.sum(_shares(measured, rows), axis=0)
+        excess = np.zeros(len(rows)) if residual is None else _excess(residual, rows)
         splits = [cls.of(rows, period_s, first, shortest_s=shortest_s) for first in _FIRST_HELD_OUT]
         usable = [split for split in splits if np.any(split.test) and np.any(split.train)]
         if not usable:
             return cls.of(rows, period_s, counted=True, shortest_s=shortest_s)
         held_out = [np.sum(change[split.test]) / max(np.sum(change[split.block >= 0]), 1e-300) for split in usable]
-        enough = [k for k, share in enumerate(held_out) if share < _MOST_HELD_OUT]
-        return usable[enough[0] if enough else int(np.argmin(held_out))]
+        unseen = [np.sum(excess[~split.train]) / max(np.sum(excess), 1e-300) for split in usable]
+        worse = np.maximum(held_out, unseen)
+        enough = np.flatnonzero(worse < _MOST_HELD_OUT)
+        return usable[int(enough[0]) if len(enough) else int(np.argmin(worse))]
 
     @property
     def train(self) -> NDArray[np.bool_]:
@@ -108,6 +122,20 @@ def _shares(measured: Array, rows: NDArray[np.bool_]) -> Array:
     """(signals, n): what each row has of a signal's variance about its median, on the rows that count."""
     square = (measured - np.median(measured[:, rows], axis=1, keepdims=True)) ** 2 * rows
     return np.asarray(square / np.maximum(np.sum(square, axis=1, keepdims=True), 1e-300))
+
+
+def _excess(residual: Array, rows: NDArray[np.bool_]) -> Array:
+    """(n,): by how much the squares of residuals (signals, n) of unit noise stand above what they are at other times,
+    as the mean over a while; zero where that may be noise."""
+    found = np.zeros(len(rows))
+    for square in residual**2:
+        windows = [part[rows[part]] for part in np.array_split(np.arange(len(rows)), BLOCKS * _WINDOWS)]
+        windows = [part for part in windows if len(part)]
+        mean = np.array([np.mean(square[part]) for part in windows])
+        usual = min(float(np.median(mean)), 1.0)
+        for part, value in zip(windows, mean, strict=True):
+            found[part] += value - usual if value > usual * (1.0 + _CALM * (2.0 / len(part)) ** 0.5) else 0.0
+    return found
 
 
 @dataclass(frozen=True)
@@ -134,7 +162,8 @@ class Space:
         if not self.predictor.exact:
             shortest_s = min(shortest_s, self.duration_s / _LEAST_BLOCKS_OF_ONE_AXIS)
         row_s = self.period_s * self.predictor.every
-        self.split = Split.balanced(self.predictor.measured, self.predictor.rows, row_s, shortest_s)
+        residual = _noise_of_right_model(self.predictor).apply(self.residual([])) if self.predictor.exact else None
+        self.split = Split.balanced(self.predictor.measured, self.predictor.rows, row_s, shortest_s, residual)
 
     @property
     def duration_s(self) -> float:
@@ -266,11 +295,13 @@ class Linear:
 
 def finest(space: Space) -> Whitening | None:
     """With a quarter of the tolerances, to choose between good explanations; None where nothing is tolerated."""
-    predictor = space.predictor
-    if not predictor.exact:
-        return None
+    return _noise_of_right_model(space.predictor, 0.25) if space.predictor.exact else None
+
+
+def _noise_of_right_model(predictor: Predictor, tolerated: float = 1.0) -> Whitening:
+    """What makes what a right model leaves white: its floor, and what is tolerated beside it, or a share of that."""
     floors = np.array([predictor.floor(k) for k in range(len(predictor.names))])
-    return scaling(np.hypot(floors, 0.25 * predictor.tolerances))
+    return scaling(np.hypot(floors, tolerated * predictor.tolerances))
 
 
 def noise_model(space: Space, residual: Array, columns: Array) -> Whitening:
@@ -282,8 +313,7 @@ def noise_model(space: Space, residual: Array, columns: Array) -> Whitening:
     """
     predictor = space.predictor
     if predictor.exact:
-        floors = np.array([predictor.floor(k) for k in range(len(predictor.names))])
-        return scaling(np.hypot(floors, predictor.tolerances))
+        return _noise_of_right_model(predictor)
     rows = predictor.rows
     scale = np.maximum(np.std(np.diff(residual[:, rows], axis=-1), axis=-1), 1e-300)
     r = (residual / scale[:, None])[:, rows].reshape(-1)
