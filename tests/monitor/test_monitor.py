@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import asyncio
+import getpass
 import struct
 import time
 from pathlib import Path
+from threading import Event
 from typing import cast
 
 import pytest
@@ -22,13 +24,16 @@ from hilbench.errors import BusError
 from hilbench.exchange.nodes import Nodes
 from hilbench.monitor import condition
 from hilbench.monitor import picture as picture_of
-from hilbench.monitor.changes import ChangeRequests
+from hilbench.monitor.changes import ChangeRequests, Foreseen
 from hilbench.monitor.dashboard import Dashboard
+from hilbench.monitor.deeds import Deeds
 from hilbench.monitor.picture import BusPicture
 from hilbench.monitor.trends import trends_of
 from hilbench.plant.effects import MachineKind
+from hilbench.results.journal import read_journal
 from hilbench.results.run import run_experiment
-from hilbench.results.trace import TraceReader
+from hilbench.results.run_folder import RunFolder
+from hilbench.results.trace import TraceReader, TraceWriter
 from hilbench.runs.config import load, load_with_overrides
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.signals import SMALLEST, Shape
@@ -92,9 +97,11 @@ def patient(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(module, "SILENCE_S", 1e9)
 
 
-def dashboard_of(bench: BenchConfig, bus: MemoryBus, link: MemoryLink | None = None) -> Dashboard:
+def dashboard_of(
+    bench: BenchConfig, bus: MemoryBus, link: MemoryLink | None = None, deeds: Deeds | None = None
+) -> Dashboard:
     changes = ChangeRequests(bench, lambda: SdoClient(bus.open_python_can(), 30.0))
-    return Dashboard(BusPicture(bench), link or bus.open_link(), changes)
+    return Dashboard(BusPicture(bench), link or bus.open_link(), changes, deeds or Deeds(Path("none"), "memory", 1))
 
 
 def test_the_dashboard_shows_it_and_sends_nothing(bench: BenchConfig, patient: None) -> None:
@@ -225,6 +232,40 @@ def test_a_probe_and_a_proposed_model_are_allowed_or_refused_by_two_keys() -> No
     asyncio.run(asyncio.wait_for(press(), 60.0))
 
 
+def test_what_somebody_does_at_the_terminal_stands_in_the_journal_with_who_it_was(
+    bench: BenchConfig, tmp_path: Path
+) -> None:
+    bus = MemoryBus()
+    ours, theirs = bus.open_link(), bus.open_link()
+    folder = RunFolder.create(tmp_path, "run")
+    folder.journal.touch()
+    dashboard = dashboard_of(bench, bus, ours, Deeds(tmp_path, ours.channel, bench.cycle_ns))
+
+    async def act() -> None:
+        async with dashboard.run_test(size=(110, 36)) as pilot:
+            await pilot.press("t", "9", "5", "enter", "y")
+            while not theirs.receive(0.0):
+                await pilot.pause(0.05)
+            theirs.send([Frame(0x5FF, bytes.fromhex("6000220200000000"))])
+            while not folder.journal.read_bytes():
+                await pilot.pause(0.05)
+            await pilot.press("e", "e")
+            while len(read_journal(folder.journal)) < 2:
+                await pilot.pause(0.05)
+
+    with TraceWriter(folder.trace, ours.channel) as trace:  # whoever writes it: the run goes on
+        trace.write(cycles(bench, 7, 80.0))
+        trace.end_cycle()
+        asyncio.run(asyncio.wait_for(act(), 60.0))
+    who = f"{getpass.getuser()} (terminal)"
+    assert [
+        (change.cycle, change.what, change.path, change.value, change.who) for change in read_journal(folder.journal)
+    ] == [
+        (7, "asked", "tension set-point 95 N: set", 95.0, who),
+        (7, "asked", "emergency stop", 0.0, who),
+    ]
+
+
 def test_keys_of_what_a_bench_has_not_do_not_exist(bench: BenchConfig) -> None:
     dashboard = dashboard_of(bench, MemoryBus())
     keys = set(dashboard._bindings.key_to_bindings)
@@ -256,6 +297,28 @@ def test_what_would_come_is_said_from_what_the_monitor_has_heard(tmp_path: Path)
     assert "tension of the web" in said
     # From 2 to 8 m/s at the 3 m/s² at which the bench moves the speed.
     assert "speed of axis 2 beyond its warning level 8 m/s in 2.0 s, probability 100 %" in said, said
+
+
+def test_a_change_does_not_wait_until_somebody_has_looked_ahead(bench: BenchConfig) -> None:
+    read, told = Event(), Event()
+
+    class Slow(Node):
+        def download(self, node_id: int, index: int, sub: int, data: bytes) -> None:
+            told.set()
+
+    class Looking(ChangeRequests):
+        def _looked_ahead(self, *asked: object) -> Foreseen:
+            read.set()
+            assert told.wait(30.0)
+            return Foreseen("seen")
+
+    requests = Looking(bench, lambda: cast("SdoClient", Slow()))
+    seen = requests.look_ahead(requests.foreseeable["t"], 90.0, [])
+    assert read.wait(30.0)
+    assert requests.ask(requests.changeable["t"], 90.0).result(30.0) == "tension set-point 90 N: set"
+    assert str(seen.result(30.0)) == "seen"
+    assert requests.ended() == ["seen", "tension set-point 90 N: set"]
+    requests.close()
 
 
 def test_nothing_is_foreseen_of_a_bench_that_is_not_heard(bench: BenchConfig) -> None:

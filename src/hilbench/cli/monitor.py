@@ -49,7 +49,7 @@ def monitor(
     ] = None,
     runs: Annotated[
         Path | None,
-        typer.Option("--runs", help="--browser: folder in which the runs are", show_default="runs"),
+        typer.Option("--runs", help="folder in which the runs are", show_default="runs"),
     ] = None,
 ) -> None:
     """Watch a running bench as a listener on its bus: the twin's values, drive states, bus load, jitter, faults.
@@ -59,8 +59,9 @@ def monitor(
     for each quantity of the machine that can be changed (of a web line v line speed, t tension set-point, m E of the
     imitated web; of a servo axis v speed, m inertia, f friction). Where the bench has it, p makes, allows or refuses a
     probe, and c a proposed change of the twin's model. w shows what would come if the speed, the set-point or E went to
-    another value. With --json it listens for a while and prints what
-    it heard as one object.
+    another value. What somebody does stands in the journal of the run, with who it was.
+
+    With --json it listens for a while and prints what it heard as one object.
 
     With --browser it prints the address of a page instead, which shows the same with plots of the last minutes, to any
     number of viewers of whom one controls, until Ctrl+C ends it; the bench does not notice.
@@ -77,7 +78,7 @@ def monitor(
     if browser:
         _serve(config, bus, pace, runs, host, port)
         return
-    _refuse_without_browser({"--host": host, "--port": port, "--runs": runs})
+    _refuse_without_browser({"--host": host, "--port": port})
     if not json and not sys.stdout.isatty():
         raise UnusableInputError("standard output", "no terminal, expected one for the dashboard, or --json")
     loaded = load_with_overrides(config, bus=bus, pace=pace).config
@@ -91,10 +92,12 @@ def monitor(
         from hilbench.canopen.sdo_client import SDO_ANSWERS, SdoClient
         from hilbench.monitor.changes import PATIENCE_S, ChangeRequests
         from hilbench.monitor.dashboard import Dashboard
+        from hilbench.monitor.deeds import Deeds
 
+        deeds = Deeds(runs or Path("runs"), link.channel, loaded.cycle_ns)
         changes = ChangeRequests(loaded, lambda: SdoClient(open_python_can(address, SDO_ANSWERS), PATIENCE_S))
         resources.callback(changes.close)
-        Dashboard(picture, link, changes).run()
+        Dashboard(picture, link, changes, deeds).run()
 
 
 def _serve(

@@ -3,10 +3,11 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import Any, Final
+from dataclasses import dataclass
+from threading import Lock
+from typing import Any, Final, TypeVar
 
 from canopen import SdoAbortedError, SdoCommunicationError
 from hilbench.bench.machines.ranges import OPERATOR_OBJECTS, operator_ranges
@@ -29,20 +30,37 @@ from hilbench.topology.main_quantities.quantity import MainQuantity
 PATIENCE_S: Final = 3.0
 #: Probability from which a crossing to come is told.
 _LIKELY: Final = 0.5
+#: Of all that is foreseen, tensions and torques are shown.
+SHOWN_UNITS: Final = ("N", "N·m")
+
+Answered = TypeVar("Answered", str, "Foreseen")
+
+
+@dataclass(frozen=True)
+class Foreseen:
+    """What would come of a change: in a line, and its futures where it can be foreseen."""
+
+    text: str
+    outlook: Outlook | None = None
+
+    def __str__(self) -> str:
+        return self.text
 
 
 class ChangeRequests:
     """Makes one request after the other, in a thread of its own; what each returns, and `ended`, says how it ended.
 
-    The bus is joined, by `open_client`, with the first request: until then a monitor only listens.
+    Looking ahead takes a moment, and is done in another thread: no change waits for it. The bus is joined, by
+    `open_client`, with the first request: until then a monitor only listens.
     """
 
     def __init__(self, config: BenchConfig, open_client: Callable[[], SdoClient]) -> None:
         self._config = config
         self._open_client = open_client
         self._client: SdoClient | None = None
-        self._thread = ThreadPoolExecutor(1, "changes")
-        self._requests: deque[Future[str]] = deque()
+        self._thread, self._ahead = ThreadPoolExecutor(1, "changes"), ThreadPoolExecutor(1, "ahead")
+        self._on_bus = Lock()  # one transfer at a time: both threads have the same channel to the bench
+        self._requests: list[Future[Any]] = []
         self._ranges = operator_ranges(config)
         known = map(find_quantity, self._ranges)
         self.changeable = {quantity.key: quantity for quantity in known if quantity is not None}  #: by key
@@ -54,27 +72,27 @@ class ChangeRequests:
 
     def ask(self, quantity: MainQuantity, value: float) -> Future[str]:
         """Ask for a value, in the quantity's unit, as soon as those before it have been answered."""
-        return self._submit(self._change, quantity, value)
+        return self._submit(self._thread, self._change, quantity, value)
 
     def tell(self, switch: Switch, on: bool) -> Future[str]:
         """Say yes or no, as soon as what was asked before has been answered."""
         asked = f"{switch.title}: {'yes' if on else 'no'}"
-        return self._submit(self._write, switch.path, asked, float(on), "0 or 1")
+        return self._submit(self._thread, self._write, switch.path, asked, float(on), "0 or 1")
 
-    def look_ahead(self, quantity: MainQuantity, value: float, frames: Sequence[Frame]) -> Future[str]:
+    def look_ahead(self, quantity: MainQuantity, value: float, frames: Sequence[Frame]) -> Future[Foreseen]:
         """Ask what would come if the quantity went to a value, from the last frames that were heard; nothing moves."""
-        return self._submit(self._looked_ahead, quantity, value, frames)
+        return self._submit(self._ahead, self._looked_ahead, quantity, value, frames)
 
-    def _submit(self, request: Callable[..., str], *values: Any) -> Future[str]:
-        self._requests.append(self._thread.submit(request, *values))
-        return self._requests[-1]
+    def _submit(self, thread: ThreadPoolExecutor, request: Callable[..., Answered], *values: Any) -> Future[Answered]:
+        future = thread.submit(request, *values)
+        self._requests.append(future)
+        return future
 
     def ended(self) -> list[str]:
         """A line for each request that has ended since the last call."""
-        lines = []
-        while self._requests and self._requests[0].done():
-            lines.append(self._requests.popleft().result())
-        return lines
+        done = [request for request in self._requests if request.done()]
+        self._requests = [request for request in self._requests if request not in done]
+        return [str(request.result()) for request in done]
 
     def range_of(self, quantity: MainQuantity) -> tuple[float, float]:
         """What the bench accepts by its config, in the quantity's unit."""
@@ -83,7 +101,8 @@ class ChangeRequests:
 
     def close(self) -> None:
         """Leave the bus; what was not asked yet is not asked any more."""
-        self._thread.shutdown(cancel_futures=True)
+        for thread in (self._thread, self._ahead):
+            thread.shutdown(cancel_futures=True)
         if self._client is not None:
             self._client.close()
 
@@ -96,7 +115,8 @@ class ChangeRequests:
         """SI; `asked` and `expected`: how the value and what may be asked for are called."""
         node_id, data = self._config.master.node_id, data_type(REAL32).encode(value)
         try:
-            self._joined().download(node_id, INDEX, OPERATOR_OBJECTS[path][0], data)
+            with self._on_bus:
+                self._joined().download(node_id, INDEX, OPERATOR_OBJECTS[path][0], data)
         except SdoAbortedError as error:
             return f"{asked}: refused, {_reason(error.code, expected)} (abort {error.code:08X}h)"
         except SdoCommunicationError:
@@ -105,14 +125,20 @@ class ChangeRequests:
             return f"{asked}: NOT SENT: {error}"
         return f"{asked}: set"
 
-    def _looked_ahead(self, quantity: MainQuantity, value: float, frames: Sequence[Frame]) -> str:
+    def _looked_ahead(self, quantity: MainQuantity, value: float, frames: Sequence[Frame]) -> Foreseen:
         asked = f"what if {quantity.title} {value:g} {quantity.in_unit}"
         question = Question({quantity.path: value * quantity.si_per_shown})
         try:
-            recording = from_frames(self._config, frames, self._joined())
-            return f"{asked}: {said(what_if(self._config, recording, question, 'now').outlook)}"
+            recording = from_frames(self._config, frames, self)
+            outlook = what_if(self._config, recording, question, "now").outlook
         except HilbenchError as error:
-            return f"{asked}: {error}"
+            return Foreseen(f"{asked}: {error}")
+        return Foreseen(f"{asked}: {said(outlook)}", outlook)
+
+    def upload(self, node_id: int, index: int, sub: int) -> bytes:
+        """The content of an object (`hilbench.results.heard.Reader`)."""
+        with self._on_bus:
+            return self._joined().upload(node_id, index, sub)
 
     def _joined(self) -> SdoClient:
         if self._client is None:
@@ -125,7 +151,7 @@ def said(outlook: Outlook) -> str:
     seconds = outlook.times_s[-1] - outlook.now_s
     parts = []
     for place, watched in enumerate(outlook.watched):
-        if watched.unit in ("N", "N·m"):
+        if watched.unit in SHOWN_UNITS:
             low, _, high = outlook.band(place)
             parts.append(f"{watched.name} {low.min():.3g} to {high.max():.3g} {watched.unit}")
     for crossing in outlook.crossings(_LIKELY):

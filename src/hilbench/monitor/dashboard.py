@@ -7,6 +7,7 @@ yes or no to what it proposes, and to look ahead a question of its present value
 from __future__ import annotations
 
 from collections.abc import Mapping
+from concurrent.futures import Future
 from contextlib import suppress
 from functools import partial
 from math import floor, log10
@@ -21,9 +22,10 @@ from textual.widgets import DataTable, Footer, Input, Log, Sparkline, Static
 
 from hilbench.can.link import Link
 from hilbench.canopen.emergency_stop import EMERGENCY_STOP, send_emergency_stop
-from hilbench.errors import BusError
+from hilbench.errors import BusError, UnusableInputError
 from hilbench.monitor.changes import ChangeRequests
 from hilbench.monitor.condition import Condition
+from hilbench.monitor.deeds import Deeds
 from hilbench.monitor.picture import BusPicture, NodePicture
 from hilbench.monitor.recent import RecentFrames
 from hilbench.monitor.trends import Trend
@@ -150,8 +152,9 @@ class Dashboard(App[None]):
         ("q", "quit", "quit"),
     ]
 
-    def __init__(self, picture: BusPicture, link: Link, changes: ChangeRequests) -> None:
+    def __init__(self, picture: BusPicture, link: Link, changes: ChangeRequests, deeds: Deeds) -> None:
         super().__init__()
+        self._deeds = deeds
         self._picture = picture
         self._link = link
         self._changes = changes
@@ -208,7 +211,7 @@ class Dashboard(App[None]):
 
         def ask(yes: bool | None) -> None:
             if yes:
-                self._changes.ask(quantity, value)
+                self._noted_when_answered(self._changes.ask(quantity, value), value)
 
         self.push_screen(_Question(f"Set {quantity.title} to {value:g} {quantity.in_unit}?"), ask)
 
@@ -218,7 +221,7 @@ class Dashboard(App[None]):
 
         def tell(on: bool | None) -> None:
             if on is not None:
-                self._changes.tell(switch, on)
+                self._noted_when_answered(self._changes.tell(switch, on), float(on))
 
         self.push_screen(_YesOrNo(switch.title, switch.yes, switch.no), tell)
 
@@ -245,6 +248,22 @@ class Dashboard(App[None]):
                 self._say("emergency stop sent")
             except BusError as error:
                 self._say(f"EMERGENCY STOP NOT SENT: {error}")
+                return
+            self.run_worker(partial(self._note, "emergency stop"), thread=True)
+
+    def _noted_when_answered(self, asked: Future[str], value: float) -> None:
+        def note(answered: Future[str]) -> None:
+            if not answered.cancelled():
+                self._note(answered.result(), value)
+
+        asked.add_done_callback(note)
+
+    def _note(self, text: str, value: float = 0.0) -> None:
+        """Into the journal; not in the dashboard's own thread, a trace may be long."""
+        try:
+            self._deeds.note(text, value)
+        except UnusableInputError as error:
+            self.call_from_thread(self._say, str(error))
 
     def _say(self, text: str) -> None:
         self.query_one("#faults", Log).write_line(f"cycle {self._picture.cycles}  monitor: {text}")

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Any, Final, Literal, NamedTuple
 
 from pydantic import Field, FiniteFloat, StringConstraints, TypeAdapter, ValidationError
 
 from hilbench.block import Strict
 from hilbench.errors import HilbenchError
-from hilbench.monitor.changes import ChangeRequests
+from hilbench.monitor.changes import Answered, ChangeRequests
+from hilbench.pages.live.courses import courses
 from hilbench.pages.live.listener import Listener
 from hilbench.pages.live.seat import Seat
 
@@ -82,6 +83,14 @@ class Viewer:
         return f"{name} ({self.address})"
 
 
+class Said(NamedTuple):
+    """What became of something that was asked: in a line, whether it was done, and courses to come."""
+
+    text: str
+    done: bool
+    courses: Sequence[dict[str, Any]] = ()
+
+
 class Controls:
     """Does what viewers ask for, says what became of it, and who it was into the journal."""
 
@@ -106,19 +115,19 @@ class Controls:
         switches = [vars(switch) for switch in self._changes.switches.values()]
         return {"quantities": quantities, "switches": switches}
 
-    async def do(self, viewer: Viewer, asked: Mapping[str, Any]) -> tuple[str, bool]:
-        """What became of it, in one line, and whether it was done."""
+    async def do(self, viewer: Viewer, asked: Mapping[str, Any]) -> Said:
+        """What became of it."""
         try:
             action = _ACTION.validate_python(asked)
         except ValidationError as error:
             first = error.errors()[0]
-            return f"not understood: {'.'.join(map(str, first['loc']))}: {first['msg']}", False
+            return Said(f"not understood: {'.'.join(map(str, first['loc']))}: {first['msg']}", False)
         try:
             return await self._do(viewer, action)
         except HilbenchError as error:
-            return str(error), False
+            return Said(str(error), False)
 
-    async def _do(self, viewer: Viewer, action: Action) -> tuple[str, bool]:
+    async def _do(self, viewer: Viewer, action: Action) -> Said:
         if isinstance(action, Stop):
             return await asyncio.to_thread(self._stop, viewer, action.name)
         if isinstance(action, WhatIf):
@@ -128,48 +137,50 @@ class Controls:
         if isinstance(action, Give):
             name = self.seat.name
             if not self.seat.give_back(viewer.secret):
-                return "control is not yours to give back", False
+                return Said("control is not yours to give back", False)
             self._listener.note(viewer.named(name), "control given back")
-            return "control given back", True
+            return Said("control given back", True)
         if not self.seat.use(viewer.secret):
-            return f"control is with {self.seat.name}" if self.seat.name else "take control first", False
+            return Said(f"control is with {self.seat.name}" if self.seat.name else "take control first", False)
         return await self._change(viewer.named(self.seat.name), action)
 
-    def _stop(self, viewer: Viewer, name: str) -> tuple[str, bool]:
+    def _stop(self, viewer: Viewer, name: str) -> Said:
         try:
             self._listener.stop_everything()
         except HilbenchError as error:
-            return f"EMERGENCY STOP NOT SENT: {error}", False
+            return Said(f"EMERGENCY STOP NOT SENT: {error}", False)
         self._listener.note(viewer.named(name), "emergency stop")
-        return "emergency stop sent", True
+        return Said("emergency stop sent", True)
 
-    def _take(self, viewer: Viewer, name: str) -> tuple[str, bool]:
+    def _take(self, viewer: Viewer, name: str) -> Said:
         held = self.seat.is_of(viewer.secret)
         if not self.seat.take(viewer.secret, name):
-            return f"control is with {self.seat.name}", False
+            return Said(f"control is with {self.seat.name}", False)
         if not held:
             self._listener.note(viewer.named(name), "control taken")
-        return "you control", True
+        return Said("you control", True)
 
-    async def _change(self, who: str, action: Set | Answer) -> tuple[str, bool]:
+    async def _change(self, who: str, action: Set | Answer) -> Said:
         known = self._changes.changeable if isinstance(action, Set) else self._changes.switches
         if action.key not in known:
-            return f"'{action.key}', expected one of {', '.join(known)}", False
+            return Said(f"'{action.key}', expected one of {', '.join(known)}", False)
         if isinstance(action, Set):
             future, value = self._changes.ask(self._changes.changeable[action.key], action.value), action.value
         else:
             future, value = self._changes.tell(self._changes.switches[action.key], action.yes), float(action.yes)
         said = await self._ended(future)
         await asyncio.to_thread(self._listener.note, who, said, value)
-        return said, said.endswith(": set")
+        return Said(said, said.endswith(": set"))
 
-    async def _look_ahead(self, action: WhatIf) -> tuple[str, bool]:
+    async def _look_ahead(self, action: WhatIf) -> Said:
         if action.key not in self._changes.foreseeable:
-            return f"'{action.key}', expected one of {', '.join(self._changes.foreseeable)}", False
+            return Said(f"'{action.key}', expected one of {', '.join(self._changes.foreseeable)}", False)
         quantity = self._changes.foreseeable[action.key]
-        return await self._ended(self._changes.look_ahead(quantity, action.value, self._listener.recent_frames())), True
+        asked = self._changes.look_ahead(quantity, action.value, self._listener.recent_frames())
+        foreseen = await self._ended(asked)
+        return Said(foreseen.text, True, () if foreseen.outlook is None else courses(foreseen.outlook))
 
-    async def _ended(self, future: Future[str]) -> str:
+    async def _ended(self, future: Future[Answered]) -> Answered:
         said = await asyncio.wrap_future(future)
         self._changes.ended()  # each is answered to who has asked
         return said

@@ -17,9 +17,9 @@ from hilbench.can.frame import Frame
 from hilbench.canopen.identifiers import NMT, SYNC, NmtCommand
 from hilbench.errors import BenchFaultError, UnusableInputError
 from hilbench.exchange.nodes import Nodes
+from hilbench.library.heard_run import RunUnderWay
 from hilbench.pages.live.history import Array, History
 from hilbench.pages.live.machines.kinds import settled
-from hilbench.pages.live.run_under_way import RunUnderWay
 from hilbench.results.recover import CycleFrames, CycleSplitter, Decoder, take_units
 from hilbench.runs.events import EventLog
 from hilbench.topology.config import BenchConfig

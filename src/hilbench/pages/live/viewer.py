@@ -88,8 +88,8 @@ class Viewers:
         if asked.get("do") == "past":
             await self._past(socket, asked)
             return
-        said, done = await self._controls.do(viewer, asked)
-        answer = {"kind": "said", "number": number, "to": asked.get("do"), "text": said, "done": done}
+        said = await self._controls.do(viewer, asked)
+        answer = {"kind": "said", "number": number, "to": asked.get("do"), **said._asdict()}
         await _sent(socket, json.dumps(answer))
 
     async def _past(self, socket: WebSocket, asked: dict[str, Any]) -> None:

@@ -115,13 +115,10 @@ window.session.then((known) => {
     return y;
   };
 
-  const marks = (u) => {
+  const markLevels = (u, levels) => {
     const { ctx, bbox } = u, ratio = devicePixelRatio;
-    ctx.save();
-    ctx.beginPath();
-    ctx.rect(bbox.left, bbox.top, bbox.width, bbox.height);
-    ctx.clip();
-    for (const [name, level] of Object.entries(u.plot.limits)) {
+    for (const [name, level] of Object.entries(levels)) {
+      if (level === null) continue;
       for (const at of [level, -level]) {
         const y = u.valToPos(at, "y", true);
         ctx.strokeStyle = colour(name === "trip" ? "--bad" : "--close");
@@ -133,6 +130,14 @@ window.session.then((known) => {
         ctx.stroke();
       }
     }
+  };
+  const marks = (u) => {
+    const { ctx, bbox } = u, ratio = devicePixelRatio;
+    ctx.save();
+    ctx.beginPath();
+    ctx.rect(bbox.left, bbox.top, bbox.width, bbox.height);
+    ctx.clip();
+    markLevels(u, u.plot.limits);
     ctx.font = `${11 * ratio}px system-ui, sans-serif`;
     ctx.textBaseline = "top";
     ctx.textAlign = "left";
@@ -155,14 +160,26 @@ window.session.then((known) => {
     }
     ctx.restore();
   };
+  // A band is shown whole, unless it is so much wider than the curves that these could not be read: of an estimate that
+  // has just begun, say.
+  const WIDER = 2;
   const range = (least) => (u, low, high) => {
     if (low === null || high === null || !Number.isFinite(low)) return [0, 1];
+    const room = WIDER * Math.max(high - low, least), [bottom, top] = u.extent ?? [low, high];
+    low = Math.max(Math.min(low, bottom), low - room);
+    high = Math.min(Math.max(high, top), high + room);
     const half = Math.max((high - low) / 2, least / 2, Math.abs(high) * 1e-6, 1e-9) * 1.08, middle = (low + high) / 2;
     return [middle - half, middle + half];
+  };
+  const extent = (columns) => {
+    let bottom = Infinity, top = -Infinity;
+    for (const column of columns) for (const value of column) if (value !== null) { bottom = Math.min(bottom, value); top = Math.max(top, value); }
+    return bottom <= top ? [bottom, top] : null;
   };
   const decimals = (step) => Math.max(0, Math.min(9, Math.ceil(-Math.log10(step) - 1e-6)));
   const ticks = (u, values, axis, space, step) => values.map((v) => (v === null ? "" : minus(v.toFixed(decimals(step)))));
 
+  const axisOf = () => ({ stroke: () => colour("--ink"), grid: { stroke: () => colour("--rule"), width: 1 }, ticks: { stroke: () => colour("--rule"), width: 1 }, font: "11px system-ui, sans-serif", values: ticks });
   const makePlot = (plot) => {
     const figure = make("figure");
     figure.append(make("h3", `${plot.title} in ${plot.unit}`));
@@ -180,7 +197,7 @@ window.session.then((known) => {
         label: trace.name, width: trace.width, dash: trace.dash.length ? trace.dash : undefined, stroke: () => colour(trace.colour),
         points: { show: false }, value: (u, v) => (v === null || v === undefined ? "–" : number(v) + " " + plot.unit),
       });
-    const axis = { stroke: () => colour("--ink"), grid: { stroke: () => colour("--rule"), width: 1 }, ticks: { stroke: () => colour("--rule"), width: 1 }, font: "11px system-ui, sans-serif", values: ticks };
+    const axis = axisOf();
     const u = new uPlot({
       width: Math.max(at.clientWidth, 200), height: PLOT_PX, series, bands, padding: [8, 8, 0, 0],
       scales: { x: { time: false, range: () => shown() }, y: { range: range(plot.least) } },
@@ -214,6 +231,7 @@ window.session.then((known) => {
       const data = [x];
       for (const spread of u.plot.spreads)
         for (const side of [1, -1]) data.push(curve(store, first, last, at(spread.signal), u.plot.scale, at(spread.deviation), side));
+      u.extent = extent(data.slice(1));
       for (const trace of u.plot.traces) data.push(curve(store, first, last, at(trace.signal), u.plot.scale));
       u.setData(data, true);
       if (x.length && (u.cursor.left === undefined || u.cursor.left < 0)) u.setLegend({ idx: x.length - 1 }, false);
@@ -384,15 +402,22 @@ window.session.then((known) => {
         field.focus();
         return null;
       };
-      preview.addEventListener("click", () => { if (value() !== null) request({ do: "what_if", key: quantity.key, value: value() }); });
+      const foresee = (wanted) => {
+        const shown = asking;
+        $("preview").textContent = "looking ahead …";
+        const sent = request({ do: "what_if", key: quantity.key, value: wanted }, (message) => { if (asking === shown) showFutures(message); });
+        if (!sent) $("preview").textContent = "";
+      };
+      preview.addEventListener("click", () => {
+        if (value() === null) return;
+        ask(`What if ${quantity.title} went to ${value()} ${quantity.unit}?`, "", () => {});
+        foresee(value());
+      });
       const change = () => {
         if (value() === null) return;
         const wanted = value();
         ask(`Set ${quantity.title} to ${wanted} ${quantity.unit}? It is ${row.querySelector(".now").textContent}.`, "Set", () => request({ do: "set", key: quantity.key, value: wanted }));
-        if (quantity.foreseeable) {
-          $("preview").textContent = "looking ahead …";
-          request({ do: "what_if", key: quantity.key, value: wanted }, (text) => { if (asking) $("preview").textContent = text; });
-        }
+        if (quantity.foreseeable) foresee(wanted);
       };
       set.addEventListener("click", change);
       field.addEventListener("keydown", (event) => { if (event.key === "Enter" && !set.disabled) change(); });
@@ -443,7 +468,10 @@ window.session.then((known) => {
     asking = meant;
     $("question").textContent = question;
     $("preview").textContent = "";
+    showCourses([]);
     $("yes").textContent = yes;
+    $("yes").hidden = !yes;
+    $("no").textContent = yes ? "No" : "Close";
     $("ask").className = stop ? "stop" : "";
     $("ask").showModal();
     $(stop ? "yes" : "no").focus();
@@ -452,7 +480,36 @@ window.session.then((known) => {
     const meant = asking;
     asking = null;
     $("ask").close();
+    showCourses([]);
     if (yes && meant) meant();
+  };
+  // What is to come of a change: nine futures in ten lie in the band, half of them on either side of the line.
+  let futures = [];
+  const FUTURE_PX = [330, 140], FUTURE_LEAST = { N: 4, "N·m": 0.5 };
+  const showFutures = (message) => {
+    $("preview").textContent = message.text;
+    showCourses(message.courses);
+  };
+  const showCourses = (courses) => {
+    for (const u of futures) u.destroy();
+    $("futures").replaceChildren();
+    $("futures").hidden = !courses.length;
+    futures = courses.map((course) => {
+      const figure = make("figure"), at = make("div", "", "plot");
+      figure.dataset.course = course.name;
+      figure.append(make("h3", `${course.name} in ${course.unit}`), at);
+      $("futures").append(figure);
+      const edge = { width: 0, points: { show: false } }, axis = axisOf();
+      const u = new uPlot({
+        width: FUTURE_PX[0], height: FUTURE_PX[1], padding: [8, 8, 0, 0], legend: { show: false }, cursor: { show: false },
+        series: [{}, edge, edge, { width: 1.5, stroke: () => colour("--vermillion"), points: { show: false } }],
+        bands: [{ series: [1, 2], fill: () => colour("--vermillion", 0.2) }],
+        scales: { x: { time: false }, y: { range: range(FUTURE_LEAST[course.unit]) } },
+        axes: [{ ...axis, size: 26, values: (u, values) => values.map((v) => `+${v} s`) }, { ...axis, size: AXIS_PX }],
+        hooks: { draw: [(u) => { u.ctx.save(); u.ctx.beginPath(); u.ctx.rect(u.bbox.left, u.bbox.top, u.bbox.width, u.bbox.height); u.ctx.clip(); markLevels(u, course.levels); u.ctx.restore(); }] },
+      }, [course.t_s, course.high, course.low, course.median], at);
+      return u;
+    });
   };
   const stop = () => ask("Stop every device on the bus?", "STOP", () => {
     if (!request({ do: "stop", name: who() })) told("EMERGENCY STOP NOT SENT: no connection to the server of this page. Stop at the machine, or with hilbench estop.", false);
@@ -515,7 +572,7 @@ window.session.then((known) => {
       const known = waiting.get(message.number);
       clearTimeout(known?.late);
       waiting.delete(message.number);
-      if (known?.then) known.then(message.text); else told(message.text, message.done);
+      if (known?.then) known.then(message); else told(message.text, message.done);
     } else if (message.kind === "state") {
       state = message;
       if (message.generation !== generation && generation >= 0) $("ended").dataset.of = "";

@@ -37,6 +37,11 @@ class RunUnderWay:
                 return cls(folder, JournalReader(folder.journal))
         return None
 
+    @property
+    def goes_on(self) -> bool:
+        """Whether it still does."""
+        return goes_on(self.folder)
+
     def cycles(self, sync_ns: int, cycle_ns: int) -> int:
         """SYNCs before one that was heard at `sync_ns`, by its trace, which may be a little behind, or ahead."""
         wanted, count, rest, tail = f" {SYNC:03X}#".encode(), 0, b"", b""
