@@ -1,4 +1,5 @@
-"""Pictures of the page in the browser for the docs: beside a run, after an emergency stop, on a narrow screen.
+"""Pictures of the page in the browser for the docs: beside a run, before a change, after an emergency stop, of an ended
+run, and on a narrow screen.
 
     python tools/page_pictures.py [--out docs/images]
 
@@ -57,6 +58,12 @@ def main() -> None:
         page.click("#take")
         until(page, f"parseFloat(document.querySelector('#clock').textContent.slice(4)) > {_AT_S}")
         page.screenshot(path=out / "page_running.png")
+        page.fill("#field-v", "5")
+        page.click("#set-v")
+        until(page, "!document.querySelector('#futures').hidden")
+        page.wait_for_timeout(500)
+        page.locator("#ask").screenshot(path=out / "page_before_a_change.png")
+        page.click("#no")
         page.set_viewport_size({"width": 390, "height": 844})
         page.wait_for_timeout(500)
         page.screenshot(path=out / "page_narrow.png")
@@ -66,6 +73,15 @@ def main() -> None:
         run.wait(_PATIENCE_S)
         until(page, "!document.querySelector('#ended').hidden")
         page.screenshot(path=out / "page_stopped.png")
+        played = [*hilbench, "monitor", str(runs), "--browser", "--port", "0"]
+        library = stack.enter_context(ended(subprocess.Popen(played, stdout=subprocess.PIPE, text=True)))
+        assert library.stdout is not None
+        page.goto(library.stdout.readline().removeprefix("page: ").strip())
+        page.click("text=play again")
+        until(page, "!document.querySelector('#paces').hidden")
+        page.click("text=fast")
+        until(page, f"parseFloat(document.querySelector('#clock').textContent.slice(4)) > {_AT_S}")
+        page.screenshot(path=out / "page_replay.png")
         browser.close()
 
 

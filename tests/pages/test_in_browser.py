@@ -117,6 +117,7 @@ def test_a_run_is_watched_changed_and_stopped_by_two(browser: Browser, tmp_path:
         until(page, "document.body.dataset.condition === 'E-STOP'")
         until(page, "document.querySelector('#ended').textContent.includes('fault')")
         assert "emergency stop" in text(page, "#events")
+        until(page, "document.querySelector('#ended a') !== null")  # the report is written a moment later
     assert anna.locator("#set-v").is_disabled()
     folder = RunFolder(run_folders(path)[0])
     assert "emergency stop" in Result.read(folder.result).faults[0].text

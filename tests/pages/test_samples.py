@@ -6,12 +6,14 @@ import fcntl
 import shutil
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from hilbench.can.frame import Frame
+from hilbench.library.heard_run import RunUnderWay
 from hilbench.pages.live.history import History
 from hilbench.pages.live.machines.kinds import panel_of
 from hilbench.pages.live.samples import LiveSamples
@@ -58,7 +60,7 @@ def going_on(ran: Ran, tmp_path: Path) -> Iterator[GoingOn]:
     channel = lines[0].split()[1].decode()
     (folder / "trace.log").write_bytes(lines[0])
     history = History(panel_of(loaded.config).signals, loaded.config.cycle_time_s)
-    samples = LiveSamples(loaded.config, history, tmp_path / "runs", channel)
+    samples = LiveSamples(loaded.config, history, partial(RunUnderWay.on, tmp_path / "runs"), channel)
     with open(folder / "trace.log", "ab") as trace:
         fcntl.flock(trace, fcntl.LOCK_EX)  # as a bench holds it
         yield GoingOn(folder, frames, lines, channel, samples, history)

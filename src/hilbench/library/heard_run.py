@@ -22,10 +22,11 @@ _NEAR_NS: Final = 2_000_000_000
 
 @dataclass(frozen=True)
 class RunUnderWay:
-    """A run that its bench still writes."""
+    """A run that its bench still writes, or that is played as if it did."""
 
     folder: RunFolder
     journal: JournalReader
+    is_played: bool = False  #: it has ended, and is heard again from its trace
 
     @classmethod
     def on(cls, runs: Path, channel: str) -> Self | None:

@@ -11,7 +11,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.responses import FileResponse, HTMLResponse, PlainTextResponse, Response
-from starlette.routing import Route
+from starlette.routing import BaseRoute, Route
 
 from hilbench.errors import UnusableInputError
 from hilbench.library.entry import RunEntry
@@ -26,15 +26,15 @@ _REPORT_POLICY: Final = "sandbox allow-scripts; frame-ancestors 'none'; img-src 
 _LIST_POLICY: Final = "frame-ancestors 'none'; base-uri 'none'; form-action 'none'; "
 
 
-def routes(base: Path) -> list[Route]:
-    """The pages of the runs in a folder."""
+def routes(base: Path, *, replays: bool = False) -> list[BaseRoute]:
+    """The pages of the runs in a folder; `replays`: each can be played again (`hilbench.pages.replay`)."""
 
     def all_runs() -> Response:
         try:
             runs = Library(base).runs(metrics=None)
         except UnusableInputError as error:
             return PlainTextResponse(f"No runs: {error}", 404)
-        program = Program("runs.js", page_data(runs, _report))
+        program = Program("runs.js", page_data(runs, _report, _replay if replays else None))
         policies = {"Content-Security-Policy": _LIST_POLICY + policy(program.scripts())}
         return HTMLResponse(_text(base, runs, program), headers=policies)
 
@@ -61,6 +61,10 @@ def routes(base: Path) -> list[Route]:
 
 def _report(run: RunEntry) -> str:
     return f"/runs/{quote(run.path)}/report"
+
+
+def _replay(run: RunEntry) -> str:
+    return f"/replay/{quote(run.path)}"
 
 
 def _text(base: Path, runs: list[RunEntry], program: Program) -> str:

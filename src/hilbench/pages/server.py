@@ -5,6 +5,7 @@ from __future__ import annotations
 import socket
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
+from functools import partial
 from pathlib import Path
 from typing import Final
 
@@ -13,7 +14,9 @@ import uvicorn
 from hilbench.can.open import open_link, open_python_can
 from hilbench.canopen.sdo_client import SDO_ANSWERS, SdoClient
 from hilbench.errors import UnusableInputError
+from hilbench.library.heard_run import RunUnderWay
 from hilbench.monitor.changes import PATIENCE_S, ChangeRequests
+from hilbench.pages import replay
 from hilbench.pages import runs as runs_pages
 from hilbench.pages.access import Access
 from hilbench.pages.live.controls import Controls
@@ -41,7 +44,11 @@ def serve(config: BenchConfig | None, runs: Path, host: str, port: int, announce
         listening = resources.enter_context(_listening(host, port))
         access = Access(host, listening.getsockname()[1])
         viewers = None if config is None else resources.enter_context(_bench(config, runs))
-        app = site(access, runs_pages.routes(runs), viewers)
+        # Beside a bench nothing is played: it would take the processor from it, and could be taken for it.
+        rooms = (
+            runs_pages.routes(runs, replays=True) + replay.routes(runs) if config is None else runs_pages.routes(runs)
+        )
+        app = site(access, rooms, viewers)
         shown = f"[{host}]" if ":" in host else host
         announce(f"page: http://{shown}:{access.port}/#{access.token}")
         if host != LOOPBACK:
@@ -86,7 +93,7 @@ def _listening(host: str, port: int) -> Iterator[socket.socket]:
 @contextmanager
 def _bench(config: BenchConfig, runs: Path) -> Iterator[Viewers]:
     address = config.bus_address.as_it_runs  # asked each time: another run may have made the bus anew
-    listener = Listener(config, lambda: open_link(address()), runs)
+    listener = Listener(config, lambda: open_link(address()), partial(RunUnderWay.on, runs))
     changes = ChangeRequests(config, lambda: SdoClient(open_python_can(address(), SDO_ANSWERS), PATIENCE_S))
     listener.start()
     try:

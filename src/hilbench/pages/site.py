@@ -38,7 +38,7 @@ def site(access: Access, rooms: Sequence[BaseRoute], viewers: Viewers | None = N
     }
 
     async def front(request: Request) -> Response:
-        return page("front.html.j2", live=viewers is not None)
+        return page("front.html.j2", live=viewers is not None, replay=False)
 
     async def file(request: Request) -> Response:
         if request.path_params["name"] not in files:

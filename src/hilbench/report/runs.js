@@ -50,6 +50,7 @@
       const cell = made("td");
       if (run.link) cell.append(Object.assign(made("a", run.path), { href: run.link }));
       else cell.append(made("span", run.path));
+      if (run.replay) cell.append(" ", Object.assign(made("a", "play again", "tag"), { href: run.replay }));
       for (const tag of run.tags) cell.append(" ", made("span", tag, "tag"));
       for (const note of [run.fault, ...run.notes].filter(Boolean)) cell.append(made("span", note, "reason"));
       return cell;

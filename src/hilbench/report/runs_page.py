@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Final
 from urllib.parse import quote
@@ -14,6 +14,10 @@ from hilbench.report.page import write_page
 
 #: Rows for paper, and for a browser that runs no script.
 _STATIC_ROWS: Final = 200
+#: Results of runs that can't be played again (yet).
+_NOT_PLAYED: Final = frozenset({"running"})
+#: Address of something of a run.
+Link = Callable[[RunEntry], str]
 COLUMNS: Final = ("Run", "Began", "Result", ">Criteria", ">Lasted, s", "Tags")
 
 
@@ -47,8 +51,9 @@ def row(run: RunEntry) -> tuple[str, ...]:
     )
 
 
-def page_data(runs: Sequence[RunEntry], link: Any) -> dict[str, Any]:
-    """What the page's script knows: runs, and each metric as a list over them. `link`: address of a run's report."""
+def page_data(runs: Sequence[RunEntry], link: Link, replay: Link | None = None) -> dict[str, Any]:
+    """What the page's script knows: runs, and each metric as a list over them. `link`: address of a run's report,
+    `replay`: where it is played again."""
     names = dict.fromkeys(name for run in runs for name in run.metrics)
     return {
         "runs": [
@@ -66,6 +71,7 @@ def page_data(runs: Sequence[RunEntry], link: Any) -> dict[str, Any]:
                 "set": ", ".join(f"{key}={value}" for key, value in run.settings.items()),
                 "fault": run.fault,
                 "link": link(run) if run.has_report else None,
+                "replay": replay(run) if replay is not None and run.state not in _NOT_PLAYED else None,
             }
             for run in runs
         ],

@@ -10,7 +10,6 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from math import isfinite
-from pathlib import Path
 from typing import Any, Final
 
 from hilbench.bench.reports.change import Change
@@ -27,7 +26,7 @@ from hilbench.monitor.recent import RecentFrames
 from hilbench.pages.live.events import Entry, Events, Weight
 from hilbench.pages.live.history import History
 from hilbench.pages.live.machines.kinds import panel_of
-from hilbench.pages.live.samples import LiveSamples
+from hilbench.pages.live.samples import FindRun, LiveSamples
 from hilbench.results.journal import append_to_journal
 from hilbench.results.result import Result
 from hilbench.results.run_folder import RunFolder
@@ -44,17 +43,25 @@ _AGAIN_S: Final = 1.0
 class Listener:
     """What is heard of a bench. Everything but `start` and `close` may be called from any thread.
 
-    `open_link` joins the bus; `runs`: the folder in which the runs of this machine are.
+    `open_link` joins the bus; `find_run` has the run on a bus of that name, where its folder is on this machine;
+    `clock_s`: the clock by which a bus is silent.
     """
 
-    def __init__(self, config: BenchConfig, open_link: Callable[[], Link], runs: Path) -> None:
+    def __init__(
+        self,
+        config: BenchConfig,
+        open_link: Callable[[], Link],
+        find_run: FindRun,
+        clock_s: Callable[[], float] = time.monotonic,
+    ) -> None:
         self.config = config
         self.panel = panel_of(config)
         self.history = History(self.panel.signals, config.cycle_time_s)
         self.events = Events()
         self.lock = threading.Lock()  #: of all that changes here
         self._open_link = open_link
-        self._runs = runs
+        self._find_run = find_run
+        self._clock_s = clock_s
         self._picture = BusPicture(config)
         self._recent = RecentFrames()
         self._link: Link | None = None
@@ -90,7 +97,7 @@ class Listener:
 
     def _join(self) -> None:
         self._link = self._open_link()
-        self._samples = LiveSamples(self.config, self.history, self._runs, self._link.channel)
+        self._samples = LiveSamples(self.config, self.history, self._find_run, self._link.channel)
 
     def _listen(self) -> None:
         while not self._closing.is_set():
@@ -112,7 +119,7 @@ class Listener:
     def _lose(self, problem: str) -> None:
         with self.lock:
             self._bus_problem = problem
-            self._picture.take([])
+            self._picture.take([], self._clock_s())
         if self._link is not None:
             with suppress(BusError):
                 self._link.close()
@@ -121,7 +128,7 @@ class Listener:
 
     def _take(self, frames: list[Frame]) -> None:
         assert self._samples is not None
-        self._picture.take(frames)
+        self._picture.take(frames, self._clock_s())
         self._recent.take(frames)
         self._samples.take(frames)
         self._newest_ns = next((frame.time_ns for frame in reversed(frames) if frame.can_id == SYNC), self._newest_ns)
@@ -155,17 +162,24 @@ class Listener:
             key = (self._generation, event.start_s, event.changes[0].path if event.changes else event.text)
             self.events.put(key, Entry(event.start_s, "bench", str(event)))
 
+    @property
+    def _has_report(self) -> bool:
+        """Whether all is known of the end: the report is written after the result."""
+        return self._ended is not None and self._ended["report"] is not None
+
     def _look_at_folder(self) -> None:
         """What became of a run that has ended."""
         now_s = time.monotonic()
-        if self._folder is None or self._ended is not None or now_s < self._look_again_s:
+        if self._folder is None or self._has_report or now_s < self._look_again_s:
+            return
+        if self._picture.condition is Condition.RUNNING:
             return
         self._look_again_s = now_s + _AGAIN_S
         if self._folder.result.exists() and not goes_on(self._folder):
             with suppress(HilbenchError):  # it is being written just now
                 result = Result.read(self._folder.result)
-                self._ended = ended(self._folder, result)
-                for fault in result.faults:
+                known, self._ended = self._ended, ended(self._folder, result)
+                for fault in result.faults if known is None else ():
                     self.events.add(Entry(fault.time_s, fault.source, fault.text, "fault"))
 
     # -- for others --------------------------------------------------------------------------------------

@@ -6,8 +6,8 @@ set-points and what is imitated, is in the journal of the run, where its folder 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from pathlib import Path
+import math
+from collections.abc import Callable, Iterable, Sequence
 from typing import Final
 
 import numpy as np
@@ -32,16 +32,20 @@ TOLD: Final = frozenset({"enabled", "stopping", "predicted", "gap_seen", "model_
 _START_ALL: Final = bytes((NmtCommand.START, 0))
 
 
+#: The run on the bus of a name, if it is known.
+FindRun = Callable[[str], RunUnderWay | None]
+
+
 class LiveSamples:
     """Puts the samples of one bench into a history.
 
-    `runs`: the folder in which its run may be; `channel`: the bus as a trace names it.
+    `find_run` has the run on a bus, where its folder is here; `channel`: the bus as a trace names it.
     """
 
-    def __init__(self, config: BenchConfig, history: History, runs: Path, channel: str) -> None:
+    def __init__(self, config: BenchConfig, history: History, find_run: FindRun, channel: str) -> None:
         self._config = config
         self._history = history
-        self._runs, self._channel = runs, channel
+        self._find_run, self._channel = find_run, channel
         self._names = [signal.name for signal in config.signals]
         self._time = self._names.index(TIME)
         self._shown = [self._names.index(name) for name in history.names]
@@ -56,6 +60,7 @@ class LiveSamples:
         self.log = EventLog(self._config.cycle_time_s)  #: what its journal says
         self.problem = ""  #: why there are no samples any more
         self._changes: list[Change] = []
+        self._to_tell: list[Change] = []
         self._told: list[Change] = []
         self._first_cycle = 0
         self._nodes = Nodes(self._config)
@@ -102,7 +107,7 @@ class LiveSamples:
     def _join(self, sync: Frame) -> None:
         """The first SYNC that is heard of a run."""
         self._history.clear()
-        self.run = RunUnderWay.on(self._runs, self._channel)
+        self.run = self._find_run(self._channel)
         take_units(self._nodes, self._splitter.current.received)
         changes, under_way = None if self.run is None else self._changes, not self._from_start
         if under_way and self.run is not None:
@@ -130,7 +135,13 @@ class LiveSamples:
             self.problem = str(error)
             return
         self._changes += [change for change in new if change.what != "asked"]
-        for change in new:
+        self._to_tell += new
+        self._tell(math.inf if not self.run.is_played else self._cycle)
+
+    def _tell(self, until: float) -> None:
+        """What the journal says of the cycles so far: of a run that is played again it knows those to come."""
+        while self._to_tell and self._to_tell[0].cycle <= until:
+            change = self._to_tell.pop(0)
             self.log.add(change)
             if change.what == "enabled":
                 self._first_cycle = change.cycle

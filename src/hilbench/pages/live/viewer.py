@@ -6,14 +6,16 @@ import asyncio
 import json
 import secrets
 import struct
-from typing import Any, Final
+from collections.abc import Mapping
+from typing import Any, Final, Protocol
 
 import numpy as np
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from hilbench.pages.live.controls import Controls, Viewer
+from hilbench.pages.live.controls import Said, Viewer
 from hilbench.pages.live.history import LEVELS, Stretches
 from hilbench.pages.live.listener import Listener
+from hilbench.pages.live.seat import Seat
 
 #: How often stretches are sent, and the state, s.
 _TICK_S: Final = 0.05
@@ -34,10 +36,22 @@ def packed(level: int, generation: int, stretches: Stretches) -> bytes:
     return b"".join([head, stretches.t_s.astype("<f8").tobytes(), *values])
 
 
+class Asked(Protocol):
+    """Who does what viewers ask for."""
+
+    seat: Seat
+
+    def as_data(self) -> dict[str, Any]:
+        """What can be asked for."""
+
+    async def do(self, viewer: Viewer, asked: Mapping[str, Any]) -> Said:
+        """What became of it."""
+
+
 class Viewers:
     """All connections to one bench."""
 
-    def __init__(self, listener: Listener, controls: Controls) -> None:
+    def __init__(self, listener: Listener, controls: Asked) -> None:
         self._listener = listener
         self._controls = controls
         self._secrets: set[str] = set()  # of viewers that may come back

@@ -18,6 +18,8 @@ window.session.then((known) => {
   const rounded = (value) => minus(String(Number(value.toPrecision(4))));
   const seconds = (t) => (t === null || t === undefined ? "" : minus(t.toFixed(t >= 100 ? 1 : 2)) + " s");
 
+  const isReplay = "replay" in document.body.dataset;
+
   // -- what has come ---------------------------------------------------------------------------------------
 
   const KEPT = [6000, 18000]; // stretches of each length
@@ -271,7 +273,8 @@ window.session.then((known) => {
   const build = () => {
     $("name").textContent = layout.name;
     $("name").title = layout.description;
-    document.title = `${layout.name} – hilbench`;
+    document.title = `${layout.replay ? `replay of ${layout.replay}` : layout.name} – hilbench`;
+    if (isReplay) buildPaces();
     const svg = new DOMParser().parseFromString(layout.drawing, "image/svg+xml").documentElement;
     const drawing = document.importNode(svg, true);
     drawing.style.minWidth = `${0.55 * Number(svg.getAttribute("width"))}px`; // smaller nobody could read it
@@ -297,6 +300,21 @@ window.session.then((known) => {
     levels = KEPT.map(empty);
     $("all").hidden = false;
     resize();
+  };
+  // A run that is played again: how fast, times the time in which it was run.
+  const PACES = [[0, "stand still"], [0.2, "⅕ ×"], [1, "1 ×"], [4, "4 ×"], [null, "fast"]];
+  const buildPaces = () => {
+    $("paces").hidden = false;
+    const again = make("button", "From the start");
+    again.addEventListener("click", () => location.reload());
+    $("paces").replaceChildren("Played", ...PACES.map(([pace, words]) => {
+      const button = make("button", words);
+      button.setAttribute("aria-pressed", String(pace === 1));
+      button.addEventListener("click", () => {
+        request({ do: "pace", pace }, () => { for (const each of $("paces").querySelectorAll("button")) each.setAttribute("aria-pressed", String(each === button)); });
+      });
+      return button;
+    }), again);
   };
   const resize = () => {
     for (const u of plots) {
@@ -331,7 +349,8 @@ window.session.then((known) => {
   const figure = (words, bad) => make("span", words, bad ? "bad" : "");
   const showFigures = () => {
     const badge = $("condition");
-    setText(badge, state.bus_problem ? "NO BUS" : state.condition.toUpperCase());
+    const condition = state.bus_problem ? "NO BUS" : state.condition.toUpperCase();
+    setText(badge, isReplay ? `REPLAY: ${state.running ? "the bench ran" : condition}` : condition);
     badge.className = "badge" + (state.running ? " running" : ["ENDED", "not heard"].includes(state.condition) ? "" : " over");
     setText($("clock"), state.t_s === null ? "" : `t = ${minus(state.t_s.toFixed(2))} s`);
     const why = state.bus_problem || (state.running || state.condition === "ENDED" ? "" : state.condition_text);
@@ -352,8 +371,8 @@ window.session.then((known) => {
   const showEnd = () => {
     const end = state.ended;
     $("ended").hidden = !end;
-    if (!end || $("ended").dataset.of === state.run) return;
-    $("ended").dataset.of = state.run;
+    if (!end || $("ended").dataset.of === `${state.run} ${end.report}`) return;
+    $("ended").dataset.of = `${state.run} ${end.report}`;
     const words = [make("span", end.verdict, `verdict ${end.verdict}`), make("span", `${state.run}  `)];
     if (end.report) {
       const link = make("a", "report");
@@ -511,7 +530,7 @@ window.session.then((known) => {
       return u;
     });
   };
-  const stop = () => ask("Stop every device on the bus?", "STOP", () => {
+  const stop = () => !isReplay && ask("Stop every device on the bus?", "STOP", () => {
     if (!request({ do: "stop", name: who() })) told("EMERGENCY STOP NOT SENT: no connection to the server of this page. Stop at the machine, or with hilbench estop.", false);
   }, true);
   const isStopping = () => $("ask").open && $("ask").className === "stop";
@@ -547,6 +566,7 @@ window.session.then((known) => {
   const ANSWER_MS = 8000, STOP_ANSWER_MS = 1500, SILENCE_MS = 2000;
   let socket = null, again_ms = 250, numbers = 0, heardAt = 0;
   const waiting = new Map();
+  const name = location.pathname.slice(isReplay ? "/replay/".length : 0), source = isReplay ? `played/${name}` : "live";
   const say = (message) => {
     if (!socket || socket.readyState !== WebSocket.OPEN) return false;
     socket.send(JSON.stringify(message));
@@ -590,7 +610,7 @@ window.session.then((known) => {
     document.body.dataset.connection = is ? "open" : "lost";
   };
   const connect = () => {
-    socket = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/live`);
+    socket = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/${source}`);
     socket.binaryType = "arraybuffer";
     socket.addEventListener("open", () => {
       again_ms = 250;
@@ -601,8 +621,13 @@ window.session.then((known) => {
       connected(true);
       if (typeof event.data === "string") take(JSON.parse(event.data)); else if (layout) takeStretches(event.data);
     });
-    socket.addEventListener("close", async () => {
+    socket.addEventListener("close", async (event) => {
       connected(false);
+      if (event.reason) {
+        $("refused").hidden = false;
+        $("refused").textContent = event.reason;
+        return;
+      }
       // A server that was started anew has another token, and prints another address.
       const known = await fetch("/session").catch(() => null);
       $("refused").hidden = known === null || known.ok;
