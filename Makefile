@@ -11,6 +11,10 @@ SUITE := .cache/python-can
 STATION := .cache/node-canopen
 STATION_FILES := $(addprefix tests/foreign/,package.json package-lock.json .npmrc crc)
 
+# Foxglove's own readers of what is streamed (tests/streams), likewise.
+READERS := .cache/stream-readers
+READERS_FILES := $(addprefix tests/streams/readers/,package.json package-lock.json .npmrc)
+
 # Where it is set, each of the many processes of runs and tests would compile what it imports anew.
 unexport PYTHONDONTWRITEBYTECODE
 
@@ -41,11 +45,18 @@ $(STATION)/.installed: $(STATION_FILES) $(wildcard tests/foreign/crc/*)
 	cd $(STATION) && npm ci --loglevel=error
 	touch $@
 
+$(READERS)/.installed: $(READERS_FILES)
+	rm -rf $(READERS)
+	mkdir -p $(READERS)
+	cp $(READERS_FILES) $(READERS)
+	cd $(READERS) && npm ci --loglevel=error
+	touch $@
+
 demo: setup
 	$(BIN)/hilbench run bench_configs/web_section_step.yaml
 
 # Without Node.js the tests that need it are skipped.
-test: setup $(SUITE)/.extracted $(if $(shell command -v npm),$(STATION)/.installed)
+test: setup $(SUITE)/.extracted $(if $(shell command -v npm),$(STATION)/.installed $(READERS)/.installed)
 	$(BIN)/python -m pytest -q -n 2 --dist worksteal
 
 # On a vcan of this machine, or in a guest whose kernel has CAN (made on first use, kept in .cache/vcan-guest).

@@ -59,7 +59,7 @@ class FoxgloveSink:
         from foxglove import Channel
 
         self._context = context  # its channels close with it
-        self._end, self._began_s, self._time = end, began_s, time_place(signals)
+        self._end, self._began_ns, self._time = end, round(began_s * _NANOSECONDS), time_place(signals)
         self._channels = [
             (group, Channel(group.topic, schema=_schema(group), message_encoding="json", context=context))
             for group in groups_of(signals)
@@ -104,7 +104,7 @@ class FoxgloveSink:
     def take(self, row: Sequence[float]) -> None:
         """One message a channel."""
         t_s = row[self._time]
-        time_ns = round((self._began_s + t_s) * _NANOSECONDS)
+        time_ns = self._began_ns + round(t_s * _NANOSECONDS)
         for group, channel in self._channels:
             channel.log(group.text(row, t_s), log_time=time_ns)
 
