@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import configparser
 import json
 import os
 import re
@@ -9,6 +10,7 @@ import subprocess
 import threading
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from io import StringIO
 from itertools import count
 from pathlib import Path
 from typing import Any
@@ -19,13 +21,27 @@ from hilbench.can.link import Link
 SCRIPT = Path(__file__).with_name("station.js")
 PACKAGES = Path(__file__).parents[2] / ".cache" / "node-canopen" / "node_modules"
 OWN_NODE = 0x7E
+OF_VALUES = ("DataType", "AccessType", "DefaultValue", "PDOMapping")
 _PATIENCE_S = 30.0
 _POLL_S = 0.05
 
 
 def with_node_id(eds: str, node: int) -> str:
-    """The EDS with its COB-IDs as numbers: npm's canopen knows no $NODEID."""
-    return re.sub(r"\$NODEID\+(0x[0-9A-Fa-f]+)", lambda match: hex(int(match[1], 0) + node), eds)
+    """The EDS as npm's canopen reads it: COB-IDs as numbers (it knows no $NODEID), a DCF's values as the defaults, and
+    nothing of a value in records and arrays.
+    """
+    file = configparser.ConfigParser(interpolation=None, strict=False, comment_prefixes=(";", "#"))
+    file.optionxform = str  # type: ignore[assignment, method-assign]
+    file.read_string(re.sub(r"(?i)\$NODEID *\+ *(0x[0-9a-f]+)", lambda match: hex(int(match[1], 0) + node), eds))
+    for section in file.values():
+        if section.get("ParameterValue"):
+            section["DefaultValue"] = section.pop("ParameterValue")
+        if int(section.get("ObjectType", "7"), 0) in (8, 9):
+            for name in OF_VALUES:
+                section.pop(name, None)
+    with StringIO() as text:
+        file.write(text, space_around_delimiters=False)
+        return text.getvalue()
 
 
 class Refused(Exception):  # noqa: N818 - an answer
@@ -39,8 +55,8 @@ class Refused(Exception):  # noqa: N818 - an answer
 class ForeignStation:
     """Requests to the station and what it has heard."""
 
-    def __init__(self, process: subprocess.Popen[str], link: Link) -> None:
-        self._process = process
+    def __init__(self, process: subprocess.Popen[str], link: Link, node: int) -> None:
+        self._process, self._node = process, node
         self._link = link
         self._numbers = count(1)
         self._news = threading.Condition()
@@ -74,8 +90,23 @@ class ForeignStation:
         self._ask("sync_every", period_us=1000 * period_ms)
 
     def command(self, controlword: int, target_velocity: int = 0) -> None:
-        """Send RPDO1."""
-        self._ask("command", controlword=controlword, target_velocity=target_velocity)
+        """Send RPDO1 of our servo drive."""
+        self.write_pdo(0x200 + self._node, {"6040": controlword, "60ff": target_velocity})
+
+    def write_pdo(self, cob_id: int, values: Mapping[str, int]) -> None:
+        """Send an RPDO of the node, with these values of objects (hexadecimal digits) from now on."""
+        self._ask("pdo", cob_id=cob_id, values=values)
+
+    def find(self, vendor_id: int, product_code: int, revision_number: int) -> Mapping[str, int] | None:
+        """Who of this kind has no node id, by LSS fastscan; it is selected then."""
+        found: Mapping[str, int] | None = self._ask(
+            "find", vendorId=vendor_id, productCode=product_code, revisionNumber=revision_number
+        )
+        return found
+
+    def give_node_id(self, node_id: int) -> None:
+        """Give it to the selected device (LSS), which stores it."""
+        self._ask("give_node_id", node_id=node_id)
 
     def event(self, name: str, **content: object) -> Mapping[str, Any]:
         """The next event of this name whose entries are these; it and those before it are taken."""
@@ -149,7 +180,7 @@ def foreign_station(link: Link, node: int, eds: Path) -> Iterator[ForeignStation
         text=True,
         env=os.environ | {"NODE_PATH": str(PACKAGES)},
     )
-    station = ForeignStation(process, link)
+    station = ForeignStation(process, link, node)
     stop = threading.Event()
     threads = [threading.Thread(target=station.read), threading.Thread(target=station.forward, args=(stop,))]
     for thread in threads:

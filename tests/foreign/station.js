@@ -9,34 +9,42 @@
 
 const { once } = require('events');
 const readline = require('readline');
-const { DataType, Device, Eds, NmtState } = require('canopen');
+const { Device, Eds, LssMode, NmtState } = require('canopen');
 
 const OWN_NODE = 0x7E;
 const HEARTBEAT_TIMEOUT_MS = 60_000;
 const SDO_TIMEOUT_MS = 20_000;
-const CONTROLWORD = 0x3000, TARGET_VELOCITY = 0x3001;
+const OF_RPDOS = 0x3000;
+const LSS_TIMEOUT_MS = 60;
 
 const node = Number(process.argv[2]);
-const rpdo1 = 0x200 + node;
+const outputs = new Map();
 
 const say = (line) => process.stdout.write(line + '\n');
 const event = (name, content) => say(JSON.stringify({ event: name, ...content }));
 
+/** The station's own object for one of the node that an RPDO carries there. */
+function output(own, { key, parameterName, dataType }) {
+    const name = key.toLowerCase(), index = outputs.get(name) ?? OF_RPDOS + outputs.size;
+    if (!outputs.has(name)) {
+        outputs.set(name, index);
+        own.addEntry(index, { parameterName, dataType });
+    }
+    return own.getEntry(index);
+}
+
 function stationFor(eds) {
     const own = new Eds();
-    own.addEntry(CONTROLWORD, { parameterName: 'Controlword', dataType: DataType.UNSIGNED16 });
-    own.addEntry(TARGET_VELOCITY, { parameterName: 'Target velocity', dataType: DataType.INTEGER32 });
-    own.addTransmitPdo({
-        cobId: rpdo1,
-        transmissionType: 255,
-        dataObjects: [own.getEntry(CONTROLWORD), own.getEntry(TARGET_VELOCITY)],
-    });
+    for (const { cobId, dataObjects } of eds.getReceivePdos())
+        if (dataObjects.length)
+            own.addTransmitPdo({ cobId, transmissionType: 255, dataObjects: dataObjects.map((object) => output(own, object)) });
     own.setSyncCobId(0x80);
     own.setSyncGenerationEnable(true);
     own.addHeartbeatConsumer(node, HEARTBEAT_TIMEOUT_MS);
 
-    const station = new Device({ id: OWN_NODE, eds: own });
-    station.mapRemoteNode({ id: node, eds, dataStart: 0x4000 });
+    const station = new Device({ id: OWN_NODE, eds: own, enableLss: true });
+    station.mapRemoteNode({ id: node, eds, dataStart: 0x4000, skipNmt: true, skipSdo: true });
+    own.addSdoClientParameter(node, 0x600 + node, 0x580 + node);
     station.on('message', ({ id, data }) => say(id.toString(16).padStart(3, '0') + '#' + data.toString('hex')));
     station.nmt.on('heartbeat', ({ deviceId, state }) => event('heartbeat', { node: deviceId, state }));
     station.emcy.on('emergency', ({ cobId, em }) =>
@@ -86,10 +94,20 @@ const requests = {
         station.eds.setSyncCyclePeriod(period_us);
     },
 
-    async command({ controlword, target_velocity }) {
-        station.setValue(CONTROLWORD, controlword);
-        station.setValue(TARGET_VELOCITY, target_velocity);
-        station.pdo.write(rpdo1);
+    async pdo({ cob_id, values }) {
+        for (const [key, value] of Object.entries(values))
+            station.setValue(outputs.get(key), value);
+        station.pdo.write(cob_id);
+    },
+
+    async find({ vendorId, productCode, revisionNumber }) {
+        return await station.lss.fastscan({ vendorId, productCode, revisionNumber, timeout: LSS_TIMEOUT_MS });
+    },
+
+    async give_node_id({ node_id }) {
+        await station.lss.configureNodeId(node_id, SDO_TIMEOUT_MS);
+        await station.lss.storeConfiguration(SDO_TIMEOUT_MS);
+        station.lss.switchModeGlobal(LssMode.OPERATION);
     },
 };
 
