@@ -67,9 +67,13 @@ class Entry:
 
     @property
     def default(self) -> bytes | None:
-        """SDO data of its default, or of the value that a DCF gives it; None where the file has neither."""
+        """SDO data of its default, or of the value that a DCF gives it; None where the file has neither, or one that
+        its data type can't have (letters beyond ASCII in a VISIBLE_STRING)."""
         value = self.variable.default if self.variable.value is None else self.variable.value
-        return None if value is None else data_type(self.variable.data_type or 0).encode(value)
+        try:
+            return None if value is None else data_type(self.variable.data_type or 0).encode(value)
+        except ValueError:
+            return None
 
     @property
     def mapping(self) -> int:

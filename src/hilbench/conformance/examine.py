@@ -61,9 +61,19 @@ def examine(
 ) -> list[CaseResult]:
     """Every case, or those of some groups; `tell` hears of each as it ends.
 
-    Raises BenchFaultError when the device does not answer at the beginning, UnusableInputError for a drive with power.
+    Raises BenchFaultError when the device does not answer at the beginning, or is gone between two cases;
+    UnusableInputError for a drive with power.
     """
     _check_ready(dut)
+    try:
+        return _examine_all(dut, groups, tell)
+    except CaseEndedError as error:
+        last = dut.steps[-1]
+        said = f"{last.what}: expected {last.expected}, seen {last.seen}"
+        raise BenchFaultError(f"node {dut.node_id} can't be examined: {said}") from error
+
+
+def _examine_all(dut: DeviceUnderTest, groups: Collection[str], tell: Callable[[CaseResult], None]) -> list[CaseResult]:
     before = snapshot(dut)
     power_on = _at_power_on(dut, before) if dut.allowed.store else None
     results: list[CaseResult] = []

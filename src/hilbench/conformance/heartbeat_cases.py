@@ -208,12 +208,14 @@ def guarding_alone(dut: DeviceUnderTest) -> None:
 
 
 def heartbeat_alone(dut: DeviceUnderTest) -> None:
-    """Four in 2 s at 500 ms."""
+    """Four in 2 s at 500 ms, and one at once from a device whose period begins with a heartbeat."""
     dut.produce_heartbeats(500)
-    found = _produced(dut, 2.1)
-    dut.check(
-        "heartbeats of 500 ms", "4 in 2.1 s", f"{len(found)}{periods(found)}", len(found) == 4 and steady(found, 0.5)
-    )
+    _expect_beats(dut, "heartbeats of 500 ms", _produced(dut, 2.1))
+
+
+def _expect_beats(dut: DeviceUnderTest, what: str, found: list[Heard]) -> None:
+    ok = len(found) in (4, 5) and steady(found, 0.5)
+    dut.check(what, "4 or 5 heartbeats in 2.1 s", f"{len(found)}{periods(found)}", ok)
 
 
 def not_disturbed(dut: DeviceUnderTest) -> None:
@@ -230,12 +232,7 @@ def _beats_beside_requests(dut: DeviceUnderTest) -> None:
     for _ in range(7):
         dut.send(REMOTE_FLAG | HEARTBEAT + dut.node_id, b"\0")
         found += dut.hear_of(HEARTBEAT + dut.node_id, 0.3)
-    dut.check(
-        "requests every 300 ms",
-        "4 heartbeats in 2.1 s",
-        f"{len(found)}{periods(found)}",
-        len(found) == 4 and steady(found, 0.5),
-    )
+    _expect_beats(dut, "requests every 300 ms", found)
 
 
 def heartbeat_wins(dut: DeviceUnderTest) -> None:

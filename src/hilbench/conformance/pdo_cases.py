@@ -70,11 +70,14 @@ def _any_data(pdo: Pdo) -> str:
 def remote_request(dut: DeviceUnderTest, state: NmtCommand) -> None:
     """A remote frame brings the TPDO in OPERATIONAL alone."""
     pdo = transmit_pdo(dut)
+    forbidden = bool(dut.value(pdo.index, 1) & NO_REMOTE_REQUEST)
     set_up(dut, pdo, 1, remote=True)
     dut.nmt(state)
     dut.forget()
     dut.send(REMOTE_FLAG | pdo.cob_id, bytes(pdo.size))
     found = [each for each in dut.hear(_SOON_S) if not each.can_id & REMOTE_FLAG]
+    if forbidden and not found and state is NmtCommand.START:
+        raise NotApplicableError(f"{pdo.index:04X}h:1 forbids remote requests; allowed by hand, none is answered")
     wanted = [_any_data(pdo)] if state is NmtCommand.START else []
     dut.frames("remote request", found, pdo.cob_id, *wanted)
 
@@ -131,12 +134,13 @@ def event_timer(dut: DeviceUnderTest, state: NmtCommand) -> None:
 
 
 def cyclic(dut: DeviceUnderTest, state: NmtCommand) -> None:
-    """Every third SYNC."""
+    """Every third SYNC, whichever the device counts from: CiA 301 leaves that open without a SYNC counter."""
     pdo = transmit_pdo(dut)
     set_up(dut, pdo, 3)
     dut.nmt(state)
     came = [bool([each for each in dut.sync() if each.can_id == pdo.cob_id]) for _ in range(6)]
-    wanted = [False, False, True] * 2 if state is NmtCommand.START else [False] * 6
+    first = came.index(True) if any(came[:3]) else 2
+    wanted = [number % 3 == first for number in range(6)] if state is NmtCommand.START else [False] * 6
     dut.check("six SYNCs, type 3", _marks(wanted), _marks(came), came == wanted)
 
 

@@ -9,6 +9,7 @@ from typing import Final
 from hilbench.canopen.identifiers import SDO_ANSWER, SDO_REQUEST, NmtCommand
 from hilbench.canopen.object_store import (
     BLOCK_SIZE,
+    GENERAL_ERROR,
     INVALID_VALUE,
     NO_OBJECT,
     NO_SUB_INDEX,
@@ -297,7 +298,8 @@ def wrong_sequence_number(dut: DeviceUnderTest) -> None:
     _begin_block_upload(dut, 0x1000, _NO_CRC)
     dut.send(SDO_REQUEST + dut.node_id, bytes((0xA3, *bytes(7))))
     dut.segments(1)
-    dut.ask("128 acknowledged", "a2 80 14 0000000000", aborted(0x1000, 0, SEQUENCE_NUMBER))
+    codes = (SEQUENCE_NUMBER, UNKNOWN_COMMAND, GENERAL_ERROR)
+    dut.ask("128 acknowledged", "a2 80 14 0000000000", *(aborted(0x1000, 0, code) for code in codes))
 
 
 # -- servers and clients ---------------------------------------------------------------------------------------

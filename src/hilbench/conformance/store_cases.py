@@ -7,13 +7,20 @@ from functools import partial
 from typing import Final
 
 from hilbench.canopen.identifiers import COB_ID, INVALID, is_restricted
-from hilbench.canopen.object_store import CANNOT_STORE, INVALID_VALUE, PRESENT_STATE, VALUE_TOO_HIGH, VALUE_TOO_LOW
+from hilbench.canopen.object_store import (
+    CANNOT_STORE,
+    GENERAL_ERROR,
+    INVALID_VALUE,
+    PRESENT_STATE,
+    VALUE_TOO_HIGH,
+    VALUE_TOO_LOW,
+)
 from hilbench.canopen.sdo_client import Refusal
 from hilbench.conformance.dut import DeviceUnderTest
 from hilbench.conformance.record import CaseEndedError, NotApplicableError
 
 _SAVE, _LOAD, _WRONG = b"save", b"load", b"nowr"
-_DENIED: Final = (CANNOT_STORE, 0x08000000, PRESENT_STATE, INVALID_VALUE)
+_DENIED: Final = (CANNOT_STORE, GENERAL_ERROR, PRESENT_STATE, INVALID_VALUE)
 #: Parameters that may have another value for a while, and one that they don't have by default.
 _CHANGES: Final = {(0x1017, 0): 20_000, (0x1015, 0): 1000, (0x1016, 1): 0x7D2710}
 STORE, RESTORE = 0x1010, 0x1011

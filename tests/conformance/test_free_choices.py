@@ -1,0 +1,134 @@
+"""What a device may do in one way or another passes; CANopenNode's demo device does each of these."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from tests.canopen.device_under_test import SECTIONS, eds_text, var
+from tests.conformance.virtual_bus import SERVO_EDS, VirtualBus, under_test
+
+from hilbench.can.frame import REMOTE_FLAG, Frame
+from hilbench.canopen.object_store import SEQUENCE_NUMBER, UNKNOWN_COMMAND
+from hilbench.conformance.examine import examine
+from hilbench.conformance.record import Verdict
+from hilbench.errors import BenchFaultError
+
+NODE, REQUEST, ANSWER, HEARTBEAT = 5, 0x605, 0x585, 0x705
+REAL32, VISIBLE_STRING = 8, 9
+
+
+def counts_from_another_sync(bus: VirtualBus) -> None:
+    def hear(frame: Frame) -> Frame:
+        if (frame.can_id, frame.data) == (0, bytes((1, NODE))):
+            bus.device.handle(frame)
+            for _ in range(2):
+                bus.device.sync(b"")
+        return frame
+
+    bus.hears.append(hear)
+
+
+def begins_with_a_heartbeat(bus: VirtualBus) -> None:
+    """Soon after 1017h is written, not a period later."""
+
+    def hear(frame: Frame) -> Frame:
+        if frame.data[:4] == b"\x2b\x17\x10\x00" and any(frame.data[4:6]):
+            bus.device.handle(frame)
+            bus.device._producer.said_until(bus.clock.ns + 20_000_000)
+            return Frame(0x7FF, b"")
+        return frame
+
+    bus.hears.append(hear)
+
+
+def tells_an_error_once(bus: VirtualBus) -> None:
+    """It has had a short RPDO before the examination, and tells of the next one after a right one only."""
+    told = [True]
+
+    def hear(frame: Frame) -> Frame:
+        if frame.can_id == 0x205 and len(frame.data) == 2:
+            told[0] = False
+        return frame
+
+    def say(frame: Frame) -> Frame | None:
+        if frame.can_id != 0x85 or frame.data[:2] != b"\x10\x82":
+            return frame
+        again, told[0] = told[0], True
+        return None if again else frame
+
+    bus.hears.append(hear)
+    bus.says.append(say)
+
+
+def ends_a_block_that_it_does_not_understand(bus: VirtualBus) -> None:
+    wrong, other = (code.to_bytes(4, "little") for code in (SEQUENCE_NUMBER, UNKNOWN_COMMAND))
+    bus.says.append(
+        lambda frame: Frame(ANSWER, frame.data[:4] + other) if frame.data[4:] == wrong else frame,
+    )
+
+
+def has_no_error_that_lasts(bus: VirtualBus) -> None:
+    """A short RPDO is told, and nothing is wrong afterwards."""
+
+    def say(frame: Frame) -> Frame | None:
+        if frame.can_id == 0x85:
+            return None if frame.data[:2] == bytes(2) else Frame(0x85, frame.data[:2] + b"\0" + frame.data[3:])
+        return Frame(ANSWER, b"\x4f\x01\x10" + bytes(5)) if frame.data[:4] == b"\x4f\x01\x10\x00" else frame
+
+    bus.says.append(say)
+
+
+CHOICES: list[tuple[Callable[[VirtualBus], None], set[str]]] = [
+    (counts_from_another_sync, {"PDO 6", "SYNC 3"}),
+    (begins_with_a_heartbeat, {"Heartbeat and guarding 4", "Heartbeat and guarding 5"}),
+    (tells_an_error_once, {"EMCY 4", "EMCY 5", "EMCY 6"}),
+    (has_no_error_that_lasts, {"EMCY 4", "EMCY 5"}),
+    (ends_a_block_that_it_does_not_understand, {"SDO 27"}),
+]
+
+
+@pytest.mark.parametrize(("choice", "cases"), CHOICES, ids=lambda value: getattr(value, "__name__", ""))
+def test_what_a_device_is_free_to_do_passes(choice: Callable[[VirtualBus], None], cases: set[str]) -> None:
+    bus = VirtualBus()
+    choice(bus)
+    results = examine(under_test(bus), sorted({case.rpartition(" ")[0] for case in cases}))
+    verdicts = {result.name: result.verdict for result in results}
+    assert {case: verdicts[case] for case in cases} == dict.fromkeys(cases, Verdict.PASSED)
+
+
+def test_a_device_that_forbids_remote_requests_and_answers_none_lacks_them() -> None:
+    bus = VirtualBus()
+    assert bus.device.cell(0x1800, 1).value & 0x40000000
+    bus.hears.append(lambda frame: Frame(0x7FF, b"") if frame.can_id & REMOTE_FLAG else frame)
+    [case] = [result for result in examine(under_test(bus), ["PDO"]) if result.name == "PDO 3"]
+    assert case.verdict is Verdict.NOT_APPLICABLE
+    assert "1800h:1 forbids remote requests" in case.reason
+
+
+def test_a_device_that_allows_remote_requests_and_answers_none_fails() -> None:
+    bus = VirtualBus()
+    bus.device.cell(0x1800, 1).value &= ~0x40000000
+    bus.hears.append(lambda frame: Frame(0x7FF, b"") if frame.can_id & REMOTE_FLAG else frame)
+    [case] = [result for result in examine(under_test(bus), ["PDO"]) if result.name == "PDO 3"]
+    assert case.verdict is Verdict.FAILED
+
+
+def test_a_file_with_real_numbers_and_letters_beyond_ascii_is_examined(tmp_path: Path) -> None:
+    eds = tmp_path / "device.eds"
+    more = {"2100": var("Text", VISIBLE_STRING, "rw", "a '€'"), "2101": var("Number", REAL32, "rw", "12.345")}
+    eds.write_text(eds_text({**SECTIONS, **more}), encoding="utf-8")
+    results = {result.name: result for result in examine(under_test(VirtualBus(SERVO_EDS), eds), ["EDS", "OD"])}
+    assert results["OD 7"].steps
+    assert not any("2101" in step.seen for step in results["EDS 1"].steps)
+    assert any("2101" in note for note in results["EDS 1"].notes)
+
+
+def test_a_device_that_does_not_come_back_from_its_reset_is_told_in_one_line() -> None:
+    bus = VirtualBus()
+    bus.says.append(lambda frame: None if frame.can_id == HEARTBEAT else frame)
+    with pytest.raises(
+        BenchFaultError, match=r"node 5 can't be examined: boot-up message: expected 705 00, seen no 705"
+    ):
+        examine(under_test(bus, store=True), ["EMCY"])
