@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+import threading
 from collections.abc import Callable
 
 import pytest
@@ -10,8 +11,12 @@ from canopen.lss import LssMaster
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from hilbench.can.frame import Frame
+from hilbench.can.python_can import can
 from hilbench.canopen.identifiers import LSS_ANSWER
+from hilbench.canopen.lss_master import LssMaster as OurMaster
 from hilbench.canopen.lss_slave import UNCONFIGURED, LssSettings, LssSlave, LssState
+from hilbench.canopen.master import Identity
 
 NUMBER = st.integers(0, 0xFFFF_FFFF)
 ADDRESS = st.tuples(NUMBER, NUMBER, NUMBER, NUMBER)
@@ -140,3 +145,38 @@ def test_no_frame_brings_it_out_of_order(frames: list[bytes]) -> None:
         slave.handle(frame)
     assert slave.node_id == 20
     assert slave.pending.node_id == UNCONFIGURED or 1 <= slave.pending.node_id <= 127
+
+
+class AnswersAgain(LssSlave):
+    """As CANopenNode does: who was found by a fastscan takes part in the next one."""
+
+    def handle(self, data: bytes) -> Frame | None:
+        if data[0] == 0x51 and data[5] == 0x80:
+            self.state = LssState.WAITING
+        return super().handle(data)
+
+
+def test_a_device_that_answers_each_scan_is_found_once_and_takes_its_node_id() -> None:
+    slave = AnswersAgain(IDENTITY, UNCONFIGURED)
+    stop = threading.Event()
+    with can.Bus(interface="virtual", channel="lss-again") as theirs:
+
+        def serve() -> None:
+            while not stop.is_set():
+                message = theirs.recv(0.02)
+                frame = None if message is None else slave.handle(bytes(message.data))
+                if frame is not None:
+                    theirs.send(can.Message(arbitration_id=frame.can_id, data=frame.data, is_extended_id=False))
+
+        thread = threading.Thread(target=serve)
+        thread.start()
+        try:
+            with OurMaster(can.Bus(interface="virtual", channel="lss-again"), timeout_s=0.2) as lss:
+                assert lss.find_unconfigured() == [Identity(*IDENTITY)]
+                lss.select(Identity(*IDENTITY))
+                lss.give_node_id(5)
+                lss.store()
+        finally:
+            stop.set()
+            thread.join()
+    assert slave.stored == LssSettings(5)

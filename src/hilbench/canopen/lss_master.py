@@ -41,7 +41,11 @@ class LssMaster:
         self._network.connect()
 
     def find_unconfigured(self) -> list[Identity]:
-        """All devices without a node id, lowest LSS address first, by fastscan; nothing of them is changed."""
+        """All devices without a node id, lowest LSS address first, by fastscan; nothing of them is changed.
+
+        Some (CANopenNode, npm's canopen) answer a fastscan again after they were found: then it is the last that is
+        found, and those behind it are once it has its node id.
+        """
         found: list[Identity] = []
         with self._talking("scanning for devices without a node id"):
             self._leave_configuration()
@@ -49,7 +53,10 @@ class LssMaster:
                 there, numbers = self._network.lss.fast_scan()
                 if not there:
                     break
-                found.append(Identity(*numbers))  # who was found waits no more, and takes no part in the next scan
+                identity = Identity(*numbers)
+                if identity in found:
+                    break
+                found.append(identity)  # who was found waits no more, and takes no part in the next scan
             self._leave_configuration()
         return found
 
