@@ -46,6 +46,7 @@ def test_known_answers() -> None:
     assert found["tension_recovery_s"] == pytest.approx(4 * np.log(16), abs=0.011)
     assert found["tension_rms_error_N"] == pytest.approx(16 * np.sqrt(4 / 2 / 35), rel=0.002)
     assert found["tension_peak_error_N"] == pytest.approx(16)
+    assert found["tension_disturbance_pct"] == pytest.approx(20)
     assert found["tension_sim_deviation_N"] == pytest.approx(0.25, rel=1e-4)
     assert found["v1_final_m_s"] == pytest.approx(3.000145, abs=1e-6)
     assert found["v1_expected_m_s"] == pytest.approx(3.000145, abs=1e-6)

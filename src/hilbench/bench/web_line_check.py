@@ -37,7 +37,8 @@ def check_web_line(config: BenchConfig, document: Document, nodes: Nodes) -> lis
 def _check_set_point(config: BenchConfig, document: Document) -> None:
     """A set-point that no run can reach."""
     trip_N = config.safety.limits.tension_N.trip
-    for name, control in config.controllers.items():
+    for span, control in config.tension_controls.items():
+        name = config.controller_of(span)
         if trip_N is not None and control.set_point_N > trip_N:
             raise UnusableInputError(
                 document.place(("controllers", name, "set_point_N")),
@@ -124,7 +125,8 @@ def check_stability(config: BenchConfig, document: Document, point: OperatingPoi
             f"heavier axis {' or '.join(map(str, config.loaded_axes))}, or a softer or longer web",
         )
     if not TensionLoop(config, point).stable:
-        name, fastest = max(config.controllers.items(), key=lambda entry: entry[1].bandwidth_rad_per_s)
+        span, fastest = max(config.tension_controls.items(), key=lambda entry: entry[1].bandwidth_rad_per_s)
+        name = config.controller_of(span)
         raise UnusableInputError(
             document.place(("controllers", name, "bandwidth_rad_per_s")),
             f"the tension loop is unstable with {fastest.bandwidth_rad_per_s:g} rad/s over {cycle} at "

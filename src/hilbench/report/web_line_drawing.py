@@ -77,7 +77,7 @@ def line_picture(config: Path, recording: Recording) -> list[Picture]:
 
 def _notes(bench: BenchConfig, recording: Recording) -> LineNotes:
     numbers = {span: bench.shape.numbered(span) for span in range(1, bench.web_line.span_count + 1)}
-    command = line_speed(shape_of(recording.channels).axes).signal
+    command = line_speed(shape_of(recording.channels)).signal
     window = working_window(recording.time_s, recording[command]) if command in recording else None
     end = window.stop if window is not None else len(recording)
     time_s = recording.time_s[:end]

@@ -68,6 +68,11 @@ class Stretch:
             raise UnknownFigureError(f"{name} is no number at t = {self.t_s[bad[0]]:g} s")
         return values
 
+    def before(self, name: str) -> float:
+        """The last value of a signal before the stretch, or its first where nothing is recorded before it."""
+        first = self._part.start or 0
+        return float(self._all[name][first - 1]) if first and name in self._all else float(self.get(name)[0])
+
     def error(self, name: str, goal: str) -> Array:
         """A signal less another."""
         return self.get(name) - self.get(goal)

@@ -36,12 +36,17 @@ from hilbench.topology.safety import SafetyConfig, TimeOut
 from hilbench.topology.signal_kinds import Signal
 from hilbench.topology.signals import Shape, signals_of
 from hilbench.topology.web_line_config import (
+    ControllerConfig,
     LoadWebConfig,
+    PositionControlConfig,
     TensionControlConfig,
+    controller_misfits,
     estimate_misfits,
+    loops_misfit,
     measured_misfit,
-    span_misfits,
+    position_loops,
     stations_misfit,
+    tension_loops,
 )
 from hilbench.topology.web_line_shape import web_line_shape
 
@@ -224,7 +229,7 @@ def _misfits(key: str, value: Any, machine: Any, loaded: Collection[int] | None)
     if key == "controllers" and bool(value) is of_servo:
         yield "none: a servo axis follows its reference" if of_servo else "at least one"
     if key == "controllers" and not of_servo:
-        yield from span_misfits([control.span for control in value.values()], machine.span_count)
+        yield from controller_misfits(value.values(), machine.span_count)
     if key == "twin" and not of_servo:
         yield from estimate_misfits(value, machine)
     sections = 0 if of_servo else machine.span_count
@@ -273,7 +278,7 @@ def _of_shaft(entries: Sequence[EffectEntry]) -> list[ShaftEffect]:
     return [ShaftEffect.model_validate(entry.model_dump()) for entry in entries]
 
 
-def _default_controllers(machine: Any) -> dict[str, TensionControlConfig]:
+def _default_controllers(machine: Any) -> dict[str, ControllerConfig]:
     return {"tension_control": TensionControlConfig()} if isinstance(machine, ModelParameters) else {}
 
 
@@ -304,10 +309,10 @@ class BenchConfig(Block):
     hardware: HardwareConfig = HardwareConfig()
     load: LoadConfig = LoadConfig()
     twin: TwinConfig
-    controllers: dict[PartName, TensionControlConfig] = Field(
+    controllers: dict[PartName, ControllerConfig] = Field(
         default_factory=lambda given: _default_controllers(given.get("machine")),
-        description="what keeps a quantity of the machine at its set-point, by the names they get; of a web line one, "
-        "of a servo axis none",
+        description="what keeps a quantity of the machine at its set-point, by the names they get: of a web line the "
+        "tension of a span, or the position of a dancer or accumulator; of a servo axis none",
     )
     safety: SafetyConfig = SafetyConfig()
     realtime: RealtimeConfig = RealtimeConfig()
@@ -364,11 +369,15 @@ class BenchConfig(Block):
         if isinstance(machine, ModelParameters) and machine.stations is not None:
             ahead = [key for key in ("prediction", "live_diagnosis") if getattr(self.twin, key) is not None]
             names = {*self.drives, *self.load_motors}
-            problem = stations_misfit(machine, list(self.controllers.values()), "".join(ahead[:1]), names)
+            problem = stations_misfit(machine, self.controllers.values(), "".join(ahead[:1]), names)
             if problem:
                 raise ValueError(problem)
         if isinstance(machine, ModelParameters) or self.load.measured:
             problem = measured_misfit(self.load.measured, machine) if isinstance(machine, ModelParameters) else _SERVO
+            if problem:
+                raise ValueError(problem)
+        if isinstance(machine, ModelParameters):
+            problem = loops_misfit(machine, self.controllers.values(), self.load.measured)
             if problem:
                 raise ValueError(problem)
         if machine.axis_count != len(self.drives):
@@ -545,8 +554,14 @@ class BenchConfig(Block):
 
     @property
     def tension_controls(self) -> dict[int, TensionControlConfig]:
-        """The controllers of a web line by the span whose tension they keep, in the order of the spans."""
-        return {control.span: control for control in sorted(self.controllers.values(), key=lambda each: each.span)}
+        """The controllers of tensions by the span whose tension they keep, in the order of the spans."""
+        found = tension_loops(self.controllers.values())
+        return {control.span: control for control in sorted(found, key=lambda each: each.span)}
+
+    @property
+    def position_controls(self) -> dict[str, PositionControlConfig]:
+        """The controllers of dancers and accumulators by the name of the station."""
+        return {control.station: control for control in position_loops(self.controllers.values())}
 
     @property
     def plain_paths(self) -> tuple[str, ...]:
@@ -562,7 +577,8 @@ class BenchConfig(Block):
 
     def controller_of(self, span: int) -> str:
         """The name of the controller that keeps the tension of a span. Raises KeyError for none."""
-        return {control.span: name for name, control in self.controllers.items()}[span]
+        wanted = self.tension_controls[span]
+        return next(name for name, control in self.controllers.items() if control is wanted)
 
     @field_validator("cycle_time_s")
     @classmethod

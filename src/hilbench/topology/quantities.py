@@ -7,8 +7,10 @@ it, 0: do not), and any parameter of any effect, hidden in the imitated mechanic
 `load.effects.elasticity_drift.rate_per_s`, `hardware.effects.coulomb_friction.axis1.force_N`. On a line of several
 spans a set-point has the number of its span: `tension_control.span2.set_point_N`; E and the effects of a span are
 those of all spans, or with its number of one: `load.web.span2.youngs_modulus_Pa`,
-`load.effects.elasticity_drift.span2.rate_per_s`. Of a servo axis: `speed_rad_s`,
-`load.shaft.inertia_kg_m2`, `load.shaft.coulomb_friction_Nm`, `load.shaft.viscous_friction_Nm_s_per_rad`.
+`load.effects.elasticity_drift.span2.rate_per_s`. A dancer or accumulator with a loop of its position has
+`position_control.NAME.set_point_m` and `position_control.NAME.feed` (1: the axis before it feeds the line, 0: it
+stands). Of a servo axis: `speed_rad_s`, `load.shaft.inertia_kg_m2`, `load.shaft.coulomb_friction_Nm`,
+`load.shaft.viscous_friction_Nm_s_per_rad`.
 
 The ranges here are those of values with a meaning, whatever the config. What an operator may ask for of a running
 bench is less (`hilbench.bench.operator.operator_objects`), and `safety: limits` end a run before that.
@@ -30,6 +32,7 @@ from hilbench.plant.web_line.parameters import LARGEST_MODULUS_Pa, LEAST_MODULUS
 from hilbench.suggest import did_you_mean
 from hilbench.topology import web_line_quantities as numbered
 from hilbench.topology.signals import Shape
+from hilbench.topology.web_line_positions import FEED, SET_POINT, position_quantity, positions
 
 LINE_SPEED = "line_speed_m_s"
 TENSION_SET_POINT = "tension_control.set_point_N"
@@ -100,6 +103,10 @@ _PLAIN_OF = {
 _PLAIN = {path: values for of_kind in _PLAIN_OF.values() for path, values in of_kind.items()}
 PLAIN_PATHS = tuple(_PLAIN)
 _NUMBERED_SET_POINT = re.compile(r"tension_control\.span([1-9]\d{0,3})\.set_point_N")
+_OF_POSITIONS = {
+    SET_POINT: Permitted(-100.0, 100.0, "m"),
+    FEED: Permitted(0.0, 1.0, "1", only_ends=True),
+}
 _PART = re.compile(r"([a-z]+)([1-9]\d{0,3})")
 
 #: Axes of the smallest machine of each kind, and those on whose shaft a load motor is.
@@ -119,7 +126,9 @@ def span_of_set_point(path: str) -> str | None:
 
 def is_plain(path: str) -> bool:
     """Whether a quantity is none of an effect, whatever the machine."""
-    return path in _PLAIN or _NUMBERED_SET_POINT.fullmatch(path) is not None or numbered.is_modulus(path)
+    if path in _PLAIN or _NUMBERED_SET_POINT.fullmatch(path) is not None:
+        return True
+    return numbered.is_modulus(path) or position_quantity(path) != ""
 
 
 @dataclass(frozen=True)
@@ -189,7 +198,8 @@ def plain_paths(kind: MachineKind, shape: Shape) -> tuple[str, ...]:
         TENSION_SET_POINT: [tension_set_point(shape.numbered(span)) for span in shape.controlled],
         numbered.YOUNGS_MODULUS: [numbered.YOUNGS_MODULUS, *numbered.moduli(shape)],
     }
-    return tuple(path for known in _PLAIN_OF[kind] for path in several.get(known, [known]))
+    plain = [path for known in _PLAIN_OF[kind] for path in several.get(known, [known])]
+    return (*plain, *positions(shape.positioned))
 
 
 def path_problem(path: str, kind: MachineKind, shape: Shape, loaded: Collection[int]) -> str | None:
@@ -242,6 +252,8 @@ def rampable_path(text: str) -> str:
 def permitted(path: str) -> Permitted:
     """What values a quantity may have. Raises ValueError for an unknown path."""
     if is_plain(path):
+        if position := position_quantity(path):
+            return _OF_POSITIONS[position]
         return _PLAIN.get(path, _PLAIN[numbered.YOUNGS_MODULUS if numbered.is_modulus(path) else TENSION_SET_POINT])
     of = parse_effect_path(path)
     parameter = find_effect(of.effect, of.kind).parameter(of.parameter)

@@ -21,11 +21,13 @@ class Per(StrEnum):
     REEL = "reel"
     MEASURED_CARRIAGE = "measured_carriage"  #: one with a sensor of its position
     MEASURED_REEL = "measured_reel"  #: one with a sensor of its radius
+    POSITIONED_CARRIAGE = "positioned_carriage"  #: one with a loop of its position
+    WINDER = "winder"  #: a reel as the last axis of a line
 
     @property
     def placeholder(self) -> str:
         """What stands in the name of a declaration for the number or name of the part."""
-        return "span" if self.is_of_span else self.removeprefix("measured_")
+        return "span" if self.is_of_span else self.removeprefix("measured_").removeprefix("positioned_")
 
     @property
     def is_of_span(self) -> bool:

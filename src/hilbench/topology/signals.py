@@ -24,7 +24,7 @@ from hilbench.topology.signal_kinds import (
     axes_signals,
     load_motor_signals,
 )
-from hilbench.topology.web_line_signals import WEB_LINE
+from hilbench.topology.web_line_signals import LINE_SPEED_SIGNAL, WEB_LINE
 
 _SERVO_AXIS: Final = (
     *TIME_SIGNALS,
@@ -57,7 +57,8 @@ class Shape:
     controlled, by their numbers from 1.
 
     Of a line with more than driven rollers: the number of the driven axis before each span, the spans whose tension the
-    twin tells, dancers, accumulators and reels by name, and which of these have a sensor of their position or radius.
+    twin tells, dancers, accumulators and reels by name, which of these have a sensor of their position or radius, which
+    carriages have a loop of their position, and whether the last axis is a reel, whose speed is not that of the line.
     """
 
     axes: int
@@ -70,6 +71,8 @@ class Shape:
     carriages: tuple[str, ...] = ()
     reels: tuple[str, ...] = ()
     measured: tuple[str, ...] = ()
+    positioned: tuple[str, ...] = ()
+    winds: bool = False
 
     @property
     def has_stations(self) -> bool:
@@ -101,6 +104,8 @@ class Shape:
             Per.REEL: self.reels,
             Per.MEASURED_CARRIAGE: [name for name in self.carriages if name in self.measured],
             Per.MEASURED_REEL: [name for name in self.reels if name in self.measured],
+            Per.POSITIONED_CARRIAGE: self.positioned,
+            Per.WINDER: [""] if self.winds else [],
         }
         if per in named:
             return named[per]
@@ -198,6 +203,7 @@ def shape_of(names: Iterable[str]) -> Shape:
         spans=max(of_spans, default=0),
         estimated=tuple(sorted(found[Per.ESTIMATED])),
         controlled=tuple(sorted(found[Per.CONTROLLED])),
+        winds=LINE_SPEED_SIGNAL in given,
     )
 
 

@@ -1,17 +1,22 @@
-"""What a bench config has of a web line beside its machine: the imitated web, the tension loops, what is estimated."""
+"""What a bench config has of a web line beside its machine: the imitated web, the loops of tensions and positions, what
+is estimated."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Sequence
-from typing import Literal
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from math import inf
+from typing import Annotated, Literal
 
-from pydantic import Field, PositiveFloat
+from pydantic import Discriminator, Field, FiniteFloat, PositiveFloat, Tag
 
 from hilbench.block import Block
 from hilbench.estimation.web_line.config import EstimationConfig, InputConfig
 from hilbench.plant.web_line.parameters import Length, ModelParameters, Modulus
 from hilbench.plant.web_line.sections import axes_before_spans
-from hilbench.plant.web_line.stations import ONLY_DRIVEN, Reel, reel_name
+from hilbench.plant.web_line.stations import ONLY_DRIVEN, Reel, StationName, reel_name
+
+#: What is expected where an axis has two things to keep.
+ONE_CONTROLLER = "one controller between two driven rollers: one axis can keep one tension, or one position"
 
 
 class LoadWebConfig(Block):
@@ -81,9 +86,54 @@ class TensionControlConfig(Block):
         return ProbingConfig(mode=self.probing) if isinstance(self.probing, str) else self.probing
 
 
-def span_misfits(spans: Sequence[int], count: int) -> Iterator[str]:
-    """Why these can't be the spans of controllers of a line that has so many."""
-    yield from _each_once(spans, count, "one axis can keep one tension")
+class PositionControlConfig(Block):
+    """The position loop of a dancer or accumulator: how the driven roller or reel before it keeps its carriage."""
+
+    kind: Literal["position"] = Field(description="of a dancer or accumulator; without a kind: of a tension")
+    station: StationName = Field(description="the dancer or accumulator, one with a sensor (load: measured)")
+    set_point_m: FiniteFloat | None = Field(
+        default=None, description="where its carriage is to stand; where it stands at the start unless given"
+    )
+    bandwidth_rad_per_s: PositiveFloat = Field(default=2.0, le=100.0, description="of the closed position loop")
+    correction_limit_m_s: PositiveFloat = Field(
+        default=0.2,
+        description="most by which the speed before the carriage differs from that behind it, as an accumulator is "
+        "filled again; it is come to within half of the loop's time constant",
+    )
+    feed_ramp_s: PositiveFloat = Field(
+        default=2.0,
+        le=600.0,
+        description="time in which the axis before it comes to a stand, or to speed again, with a bounded jerk, when "
+        "its feed is switched off or on (position_control.NAME.feed: a reel change)",
+    )
+
+
+ControllerConfig = Annotated[
+    Annotated[TensionControlConfig, Tag("tension")] | Annotated[PositionControlConfig, Tag("position")],
+    Discriminator(
+        lambda value: value.get("kind", "tension") if isinstance(value, Mapping) else getattr(value, "kind", "tension"),
+        custom_error_type="kind",
+        custom_error_message="kind: tension or position",
+    ),
+]
+
+
+def tension_loops(controllers: Iterable[ControllerConfig]) -> list[TensionControlConfig]:
+    """Those of them that keep tensions."""
+    return [each for each in controllers if isinstance(each, TensionControlConfig)]
+
+
+def position_loops(controllers: Iterable[ControllerConfig]) -> list[PositionControlConfig]:
+    """Those of them that keep positions."""
+    return [each for each in controllers if isinstance(each, PositionControlConfig)]
+
+
+def controller_misfits(controllers: Collection[ControllerConfig], count: int) -> Iterator[str]:
+    """Why these can't be the controllers of a line of so many spans."""
+    tensions = tension_loops(controllers)
+    if controllers and not tensions:
+        yield "at least one of a tension (kind: tension)"
+    yield from _each_once([control.span for control in tensions], count, "one axis can keep one tension")
 
 
 def _each_once(spans: Sequence[int], count: int, why: str) -> Iterator[str]:
@@ -114,22 +164,53 @@ def estimate_misfits(twin: EstimationConfig, machine: ModelParameters) -> Iterat
         )
 
 
+def loops_misfit(
+    machine: ModelParameters, controllers: Iterable[ControllerConfig], measured: Collection[str]
+) -> str | None:
+    """Why positions and tensions of a line can't be kept by these, in one line, or None; `measured`: what stations have
+    a sensor."""
+    given = list(controllers)
+    carriages = {carriage.station.name: carriage for carriage in machine.carriages}
+    before, tensions = axes_before_spans(machine), tension_loops(given)
+    sections = [before[control.span - 1] for control in tensions]
+    for control in position_loops(given):
+        carriage = carriages.get(control.station)
+        if carriage is None:
+            known = ", ".join(carriages) or "none here"
+            return f"the position of a dancer or accumulator ({known}), '{control.station}' is none"
+        if control.station not in measured:
+            return f"'load: {{measured: [{control.station}]}}' for the loop of its position"
+        station = carriage.station
+        lowest_m = -inf if station.lower_stop_m is None else station.lower_stop_m
+        highest_m = inf if station.upper_stop_m is None else station.upper_stop_m
+        if control.set_point_m is not None and not lowest_m < control.set_point_m < highest_m:
+            ends = f"{lowest_m:g} to {highest_m:g} m"
+            return f"a set-point between the stops of '{control.station}', {ends}, not {control.set_point_m:g} m"
+        sections.append(before[carriage.first_span - 1])
+    if len(set(sections)) < len(sections):
+        return ONE_CONTROLLER
+    kept = {before[control.span - 1] for control in tensions}
+    for roller in machine.line_rollers:
+        if isinstance(roller.station, Reel) and kept & {roller.axis, (roller.axis or 0) - 1}:
+            name = reel_name(roller.station)
+            if name not in measured:
+                return f"'load: {{measured: [{name}]}}' for the loop of the tension beside it: its radius changes"
+    return None
+
+
 def stations_misfit(
-    machine: ModelParameters, controls: Iterable[TensionControlConfig], ahead: str, names: Collection[str]
+    machine: ModelParameters, controllers: Iterable[ControllerConfig], ahead: str, names: Collection[str]
 ) -> str | None:
     """Why a bench can't have the stations of its machine, in one line, or None.
 
     `ahead`: key of the twin's that is given and needs driven rollers alone, "" for none; `names`: of other parts.
     """
-    rollers, before = machine.line_rollers, axes_before_spans(machine)
+    rollers = machine.line_rollers
     if rollers[0].axis is None or rollers[-1].axis is None:
         return "'stations' that begin and end with a driven roller or reel"
-    sections = [before[control.span - 1] for control in controls]
-    if len(set(sections)) < len(sections):
-        return "one controller between two driven rollers: one axis can keep one tension"
     if ahead:
         return f"no '{ahead}' on a line with 'stations:', or {ONLY_DRIVEN}"
-    if any(control.probes.mode != "off" for control in controls):
+    if any(control.probes.mode != "off" for control in tension_loops(controllers)):
         return f"no 'probing' on a line with 'stations:', or {ONLY_DRIVEN}"
     twice = [name for name in station_names(machine) if name in names]
     return f"names that differ: a station and another part are both named {twice[0]}" if twice else None

@@ -9,26 +9,32 @@ from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.sections import axes_before_spans, first_spans
 from hilbench.plant.web_line.stations import Reel, reel_name
 from hilbench.topology.signals import Shape
-from hilbench.topology.web_line_config import TensionControlConfig
+from hilbench.topology.web_line_config import ControllerConfig, position_loops, tension_loops
 
 
 def web_line_shape(
     machine: ModelParameters,
     load_motors: tuple[str, ...],
     twin: EstimationConfig,
-    controllers: Iterable[TensionControlConfig],
+    controllers: Iterable[ControllerConfig],
     measured: Sequence[str],
 ) -> Shape:
     """Of a line with these load motors, this twin, these controllers, and sensors of these stations."""
-    controlled = tuple(sorted(control.span for control in controllers))
+    given = tuple(controllers)
+    controlled = tuple(sorted(each.span for each in tension_loops(given)))
     if machine.stations is None:
         spans = machine.span_count
         return Shape(machine.axis_count, load_motors, spans, tuple(twin.by_span(spans)), controlled)
-    return _with_stations(machine, load_motors, controlled, measured)
+    positioned = tuple(each.station for each in position_loops(given))
+    return _with_stations(machine, load_motors, controlled, positioned, measured)
 
 
 def _with_stations(
-    machine: ModelParameters, load_motors: tuple[str, ...], controlled: tuple[int, ...], measured: Sequence[str]
+    machine: ModelParameters,
+    load_motors: tuple[str, ...],
+    controlled: tuple[int, ...],
+    positioned: tuple[str, ...],
+    measured: Sequence[str],
 ) -> Shape:
     """Of a line with more than driven rollers: the twin tells the tension of each section once, and where there is a
     controller."""
@@ -46,4 +52,6 @@ def _with_stations(
         carriages=tuple(carriage.station.name for carriage in machine.carriages),
         reels=tuple(reel_name(roller.station) for roller in rollers if isinstance(roller.station, Reel)),
         measured=tuple(measured),
+        positioned=positioned,
+        winds=isinstance(rollers[-1].station, Reel),
     )

@@ -14,12 +14,19 @@ from hilbench.topology.signal_kinds import (
     load_motor_signals,
 )
 
+#: The speed of a line whose last axis is a reel: that of all others the last axis has.
+LINE_SPEED_SIGNAL: Final = "line_speed_cmd_m_s"
+
 WEB_LINE: Final = (
     *TIME_SIGNALS,
+    SignalKind(LINE_SPEED_SIGNAL, "m/s", "speed of the web that the rewinder is told", "command", Per.WINDER),
     *axes_signals("m", ", at the web", "roller {axis}: encoder times nominal radius"),
     SignalKind("strain_prev", "", "strain of the web upstream of roller 1", "boundary"),
     SignalKind("F_next_N", "N", "web tension downstream of the last roller", "boundary"),
     SignalKind("F{span}_ref_N", "N", "tension set-point", "command", Per.CONTROLLED),
+    SignalKind(
+        "x_{carriage}_ref_m", "m", "set-point of the position of {carriage}", "command", Per.POSITIONED_CARRIAGE
+    ),
     *load_motor_signals("m", "encoder times nominal radius"),
     SignalKind("F{span}_sim_N", "N", "web tension simulated by the twin (virtual sensor)", "twin", Per.SIMULATED),
     SignalKind("E{span}_sim_Pa", "Pa", "Young's modulus estimated by the twin", "twin", Per.ESTIMATED),

@@ -23,15 +23,20 @@ from hilbench.bench.tasks.tension_task import EnteringStrain, FeedForward, Leade
 from hilbench.bench.tasks.tension_trust import TwinTrust
 from hilbench.bench.tasks.watches import Watch
 from hilbench.bench.tasks.web_limits import LimitWatch
+from hilbench.bench.tasks.web_positions import PositionTask
+from hilbench.bench.tasks.web_reels import MeasuredReel, ReelSpeeds, ReelWay
+from hilbench.bench.tasks.web_winding_control import DancerPosition
 from hilbench.errors import BenchFaultError
 from hilbench.estimation.plausibility import Problem
 from hilbench.exchange.exchange import Inputs
 from hilbench.plant.web_line.sections import section_model
+from hilbench.plant.web_line.stations import LineCarriage, Reel, reel_name
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.quantities import LINE_SPEED
 from hilbench.topology.sample import CycleSample
 from hilbench.topology.signals import Shape
 from hilbench.topology.web_line_config import ProbingConfig, TensionControlConfig
+from hilbench.topology.web_line_signals import LINE_SPEED_SIGNAL
 
 
 def tasks(config: BenchConfig, state: BenchState) -> MachineTasks:
@@ -41,6 +46,11 @@ def tasks(config: BenchConfig, state: BenchState) -> MachineTasks:
     line_speed = Reference(LINE_SPEED, config.quick_stop_per_s2 * cycle_s)
     drives = list(config.drives)
     by_axis = {config.shape.axis_before(span): control for span, control in controls.items()}
+    positioned = {
+        config.shape.axis_before(carriage.first_span): carriage
+        for carriage in model.carriages
+        if carriage.station.name in config.position_controls
+    }
     sections = section_model(model)
     ways = {
         axis: StrainWay(control.set_point_rise_s, cycle_s, sections.span_length_m(axis), sections.section_m2(axis))
@@ -50,10 +60,14 @@ def tasks(config: BenchConfig, state: BenchState) -> MachineTasks:
     loops: dict[int, TensionTask] = {}
     plan = FeedForwardTask(sections, cycle_s, line_speed, loops, ways) if ways else None
     leading = LeadingAxis(drives[-1], len(drives), line_speed)
-    axes: list[LeadingAxis | FollowingAxis | TensionTask] = [leading]
+    axes: list[LeadingAxis | FollowingAxis | TensionTask | PositionTask] = [leading]
     trusts: list[TwinTrust] = []
     for axis in range(model.axis_count - 1, 0, -1):
         control = by_axis.get(axis)
+        carriage = positioned.get(axis)
+        if carriage is not None:
+            axes.append(_position_task(config, axis, carriage, axes[-1]))
+            continue
         if control is None:
             axes.append(FollowingAxis(drives[axis - 1], axis, axes[-1], plan))
             continue
@@ -70,8 +84,14 @@ def tasks(config: BenchConfig, state: BenchState) -> MachineTasks:
     limit_watch = LimitWatch(limits, model, cycle_s, config.shape)
     return MachineTasks(
         reference=line_speed,
-        quantities=(line_speed, *loops.values(), load, probing),
-        control=(boundary, probing, *([plan] if plan else []), *axes, load),
+        quantities=(
+            line_speed,
+            *loops.values(),
+            *(axis for axis in axes if isinstance(axis, PositionTask)),
+            load,
+            probing,
+        ),
+        control=(boundary, probing, *([plan] if plan else []), *axes, *_reel_speeds(config, leading), load),
         watches=(
             WebAlarms(trusts, state.twin, stop_on_break=config.safety.on_web_break == "stop"),
             Watch("limits", limit_watch.update, reports),
@@ -118,7 +138,44 @@ def _tension_task(
         cycle_s,
         model.youngs_modulus_Pa(section),
         ahead,
+        _ways(config, section),
     )
+
+
+def _ways(config: BenchConfig, section: int) -> Callable[[CycleSample], tuple[float, float]] | None:
+    """Of the web at the ends of a section with a reel there whose radius is measured; None without."""
+    reels = {reel.axis: reel for reel in _measured_reels(config)}
+    if not reels.keys() & {section, section + 1}:
+        return None
+    before, behind = (
+        ReelWay(reels[axis]) if axis in reels else attrgetter(f"x{axis}_m") for axis in (section, section + 1)
+    )
+    return lambda sample: (before(sample), behind(sample))
+
+
+def _position_task(config: BenchConfig, axis: int, carriage: LineCarriage, leader: Leader) -> PositionTask:
+    """The axis before a carriage that has a loop of its position."""
+    station, drive = carriage.station, list(config.drives)[axis - 1]
+    control = config.position_controls[station.name]
+    loop = DancerPosition(station, control.bandwidth_rad_per_s, control.correction_limit_m_s)
+    set_point_m = station.position_m if control.set_point_m is None else control.set_point_m
+    return PositionTask(drive, axis, control, loop, leader, set_point_m, config.cycle_time_s)
+
+
+def _measured_reels(config: BenchConfig) -> list[MeasuredReel]:
+    """The reels whose radius has a sensor."""
+    model, drives, found = config.web_line, list(config.drives), list[MeasuredReel]()
+    for roller in model.line_rollers:
+        if roller.axis and isinstance(roller.station, Reel) and reel_name(roller.station) in config.load.measured:
+            signal = f"r_{reel_name(roller.station)}_meas_m"
+            found.append(MeasuredReel(drives[roller.axis - 1], roller.axis, signal, model.radius_m(roller.axis)))
+    return found
+
+
+def _reel_speeds(config: BenchConfig, leader: Leader) -> list[ReelSpeeds]:
+    """What makes the reels of a line turn as their radius asks; nothing for a line without any."""
+    reels, line_speed = _measured_reels(config), LINE_SPEED_SIGNAL if config.shape.winds else ""
+    return [ReelSpeeds(reels, leader, line_speed)] if reels or line_speed else []
 
 
 def entering_strain(config: BenchConfig, twin: TwinState, axis: int) -> EnteringStrain:

@@ -3,7 +3,9 @@ speeds else."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from operator import attrgetter
 from typing import Protocol
 
 from hilbench.bench.state import Reports, TwinState
@@ -88,7 +90,8 @@ class TensionTask(CyclicTask):
     """Velocity of the axis before a span from the simulated tension, with the damping of the swing added.
 
     `set_point_N` is settable under way; `leader`: the axis behind the span; `modulus_Pa`: E until the loop was closed
-    (for `feed_forward`).
+    (for `feed_forward`); `ways`: of the web at the axes before and behind the span, m, where that is not what the
+    encoders tell.
     """
 
     def __init__(
@@ -104,7 +107,9 @@ class TensionTask(CyclicTask):
         cycle_s: float,
         modulus_Pa: float = 0.0,
         feed_forward: FeedForward | None = None,
+        ways: Callable[[CycleSample], tuple[float, float]] | None = None,
     ) -> None:
+        self._ways = ways or attrgetter(names.before, names.behind)
         self._names = names
         self._leader = leader
         self._set_point_N = set_point_N
@@ -195,9 +200,8 @@ class TensionTask(CyclicTask):
             velocity_m_s = self._controller.hold(speed_m_s, set_point_N, self._cycle_s, around_m_s=around_m_s)
         self._speed_m_s = velocity_m_s
         planned_m_s = ahead.way.shown_m_s if ahead is not None else 0.0
-        velocity_m_s += self._damping.velocity(
-            getattr(sample, names.before), getattr(sample, names.behind), planned_m_s
-        )
+        before_m, behind_m = self._ways(sample)
+        velocity_m_s += self._damping.velocity(before_m, behind_m, planned_m_s)
         self._damped_m_s = velocity_m_s
         if ahead is not None:
             velocity_m_s += ahead.leads.lead_m_s(names.axis)

@@ -96,7 +96,9 @@ class DancerPosition:
     """Speed of the roller before a dancer or accumulator that keeps its carriage at a position.
 
     The carriage goes by half the difference of the speeds for a dancer, the n-th part for n strands; PI on the position
-    with two equal poles at `bandwidth_rad_per_s`, around the speed behind and what the wanted motion asks for.
+    with two equal poles at `bandwidth_rad_per_s`, around the speed behind and what the wanted motion asks for. The
+    correction is at most `limit_m_s`, and comes to that within half of 1/`bandwidth_rad_per_s`: what turns without a
+    motor takes the torque for its acceleration out of the web.
     """
 
     def __init__(self, station: Dancer | Accumulator, bandwidth_rad_per_s: float, limit_m_s: float) -> None:
@@ -106,8 +108,8 @@ class DancerPosition:
         self.reset()
 
     def reset(self) -> None:
-        """Forget the integral."""
-        self._integral_m_s = 0.0
+        """Forget the integral, and what was corrected."""
+        self._integral_m_s = self._corrected_m_s = 0.0
 
     def velocity(
         self, behind_m_s: float, wanted_m: float, wanted_m_s: float, position_m: float, cycle_s: float
@@ -115,12 +117,21 @@ class DancerPosition:
         """One cycle: what goes in is what goes out and what the strands take up."""
         error_m, gain = wanted_m - position_m, self._strands * self._bandwidth
         integral_m_s = self._integral_m_s + 0.25 * gain * self._bandwidth * error_m * cycle_s
-        correction_m_s = gain * error_m + integral_m_s
-        if abs(correction_m_s) > self._limit_m_s:
-            correction_m_s = copysign(self._limit_m_s, correction_m_s)
-        else:
+        asked_m_s = gain * error_m + integral_m_s
+        if self._correct(asked_m_s, cycle_s) == asked_m_s:
             self._integral_m_s = integral_m_s
-        return behind_m_s + self._strands * wanted_m_s + correction_m_s
+        return behind_m_s + self._strands * wanted_m_s + self._corrected_m_s
+
+    def let_go(self, behind_m_s: float, cycle_s: float) -> float:
+        """One cycle while the position is nobody's: the correction goes back to none."""
+        return behind_m_s + self._correct(0.0, cycle_s)
+
+    def _correct(self, asked_m_s: float, cycle_s: float) -> float:
+        step_m_s = 2.0 * self._bandwidth * self._limit_m_s * cycle_s
+        least_m_s = max(self._corrected_m_s - step_m_s, -self._limit_m_s)
+        largest_m_s = min(self._corrected_m_s + step_m_s, self._limit_m_s)
+        self._corrected_m_s = min(max(asked_m_s, least_m_s), largest_m_s)
+        return self._corrected_m_s
 
 
 class CarriageForce:

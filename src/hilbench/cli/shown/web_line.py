@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from hilbench.cli.shown.machine import LiveRow, Shown
 from hilbench.topology.signals import Shape
+from hilbench.topology.web_line_signals import LINE_SPEED_SIGNAL
 
 
 def shown(shape: Shape) -> Shown:
     """Of a line with so many spans; a row a span where there are several."""
-    live = [LiveRow("line speed", (f"v{shape.axes}_m_s",), "m/s", ".3f")]
+    speed = LINE_SPEED_SIGNAL if shape.winds else f"v{shape.axes}_m_s"
+    live = [LiveRow("line speed", (speed,), "m/s", ".3f")]
     for span in shape.simulated:
         k = shape.numbered(span)
         controlled = span in shape.controlled

@@ -36,7 +36,7 @@ from hilbench.topology.signals import Shape, shape_of
 
 
 def _command(run: ShownRun) -> str:
-    return line_speed(shape_of(run.recording.channels).axes).signal
+    return line_speed(shape_of(run.recording.channels)).signal
 
 
 def _beyond_the_line(run: ShownRun) -> Chart:

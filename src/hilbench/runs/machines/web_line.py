@@ -22,6 +22,7 @@ Number = TypeVar("Number", float, NDArray[np.float64])
 TENSION_BAND_N: Final = 1.0
 
 _OF_SPAN: Final = re.compile(r"(E|tension|v)(\d*)_")
+_DISTURBANCE: Final = "_disturbance_pct"
 _NOTHING: Final = nothing_to_judge("line")
 
 
@@ -72,9 +73,23 @@ def _tension(number: str) -> dict[str, Metric]:
     }
 
 
+def _disturbance(number: str) -> dict[str, Metric]:
+    """Of the span of that number."""
+    true = f"F{number}_true_N"
+
+    def largest_pct(stretch: Stretch) -> Figure:
+        tension_N, before_N = stretch.get(true), stretch.before(true)
+        if not before_N > 0.0:
+            raise UnknownFigureError(f"{true} is not above 0 before the step")
+        return Figure(float(np.max(np.abs(tension_N / before_N - 1.0)) * 100.0))
+
+    what = "largest change of the true tension since the step, of what it was right before it"
+    return {f"tension{number}{_DISTURBANCE}": Metric("%", what, _NOTHING, largest_pct)}
+
+
 def _mass(span: int, shape: Shape) -> dict[str, Metric]:
     """What mass conservation in a span asks of the roller before it."""
-    command = line_speed(shape.axes).signal
+    command = line_speed(shape).signal
     entering = "strain_prev" if span == 1 else f"strain{shape.numbered(span - 1)}_true"
     signals = (f"x{span}_m", f"x{span + 1}_m", entering, f"strain{shape.numbered(span)}_true")
 
@@ -122,25 +137,28 @@ def metrics_of(shape: Shape) -> MachineMetrics:
     """
     if shape.spans < 2:
         shape = SMALLEST["web_line"]
-    speed, metrics, together = line_speed(shape.axes), dict[str, Metric](), list[tuple[str, ...]]()
+    speed, metrics, together = line_speed(shape), dict[str, Metric](), list[tuple[str, ...]]()
     for span in shape.estimated:
         metrics |= Estimate(modulus(shape.numbered(span)), "line").metrics()
     for span in shape.controlled:
         metrics |= _tension(shape.numbered(span))
+    for span in range(1, shape.spans + 1):
+        metrics |= _disturbance(shape.numbered(span))
     for span in range(1, shape.spans + 1) if not shape.has_stations else ():
         of_mass = _mass(span, shape)
         metrics |= of_mass
         together.append(tuple(of_mass))
-    metrics |= speed_metrics(speed, f"v{shape.axes}", f"v{shape.axes}_m_s")
+    if not shape.winds:
+        metrics |= speed_metrics(speed, f"v{shape.axes}", f"v{shape.axes}_m_s")
     return MachineMetrics(speed, metrics, tuple(together))
 
 
 def shape_of_figures(names: Iterable[str]) -> Shape:
     """The line whose steps have metrics with these names; a span is estimated or controlled that has them for it."""
-    numbers: dict[str, set[int]] = {"E": set(), "tension": set(), "v": set()}
+    numbers: dict[str, set[int]] = {"E": set(), "tension": set(), "v": set(), _DISTURBANCE: set()}
     for name in names:
         found = _OF_SPAN.match(name)
         if found is not None:
-            numbers[found[1]].add(int(found[2] or 1))
-    spans = max(numbers["v"], default=0)
+            numbers[_DISTURBANCE if name.endswith(_DISTURBANCE) else found[1]].add(int(found[2] or 1))
+    spans = max(numbers[_DISTURBANCE], default=0)
     return Shape(spans + 1, (), spans, tuple(sorted(numbers["E"])), tuple(sorted(numbers["tension"])))

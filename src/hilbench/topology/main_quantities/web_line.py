@@ -6,13 +6,15 @@ from typing import Final
 
 from hilbench.topology.main_quantities.quantity import MainQuantity
 from hilbench.topology.quantities import LINE_SPEED, span_of_set_point, tension_set_point
-from hilbench.topology.signals import Shape
+from hilbench.topology.signals import SMALLEST, Shape
 from hilbench.topology.web_line_quantities import YOUNGS_MODULUS, modulus_of_span, span_of_modulus
+from hilbench.topology.web_line_signals import LINE_SPEED_SIGNAL
 
 
-def line_speed(axes: int) -> MainQuantity:
-    """Of a line of so many axes: the last one leads."""
-    return MainQuantity(LINE_SPEED, "line speed", "line speed", "m/s", f"v{axes}_cmd_m_s", "v")
+def line_speed(shape: Shape) -> MainQuantity:
+    """Of a line: the last axis leads, by the radius of the web on it where that is a reel."""
+    signal = LINE_SPEED_SIGNAL if shape.winds else f"v{shape.axes}_cmd_m_s"
+    return MainQuantity(LINE_SPEED, "line speed", "line speed", "m/s", signal, "v")
 
 
 def set_point(number: str = "") -> MainQuantity:
@@ -61,10 +63,10 @@ def quantities(shape: Shape) -> tuple[MainQuantity, ...]:
     return (
         *(modulus(shape.numbered(span)) for span in shape.estimated or (1,)),
         *(set_point(shape.numbered(span)) for span in shape.controlled),
-        line_speed(shape.axes),
+        line_speed(shape),
     )
 
 
 MODULUS: Final = modulus()
 SET_POINT: Final = set_point()
-SPEED: Final = line_speed(2)
+SPEED: Final = line_speed(SMALLEST["web_line"])

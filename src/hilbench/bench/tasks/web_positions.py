@@ -1,0 +1,98 @@
+"""Positions of dancers and accumulators: the driven roller or reel before one keeps its carriage."""
+
+from __future__ import annotations
+
+from math import pi, sin
+
+from hilbench.bench.tasks.task import CyclicTask, Outputs
+from hilbench.bench.tasks.tension_task import Leader
+from hilbench.bench.tasks.web_winding_control import DancerPosition
+from hilbench.exchange.exchange import Inputs
+from hilbench.topology.sample import CycleSample
+from hilbench.topology.web_line_config import PositionControlConfig
+from hilbench.topology.web_line_positions import FEED, SET_POINT, position_path
+
+
+class PositionTask(CyclicTask):
+    """Velocity of the axis before a carriage from the position that its sensor tells, around the speed of the axis
+    behind it.
+
+    Settable are the set-point, m, and whether the axis feeds: told not to, it comes to a stand within the control's
+    `feed_ramp_s`, and the carriage goes by what is missing; told to, it comes to speed again, and the carriage comes
+    back by no more than the loop's correction. `set_point_m`: the first.
+    """
+
+    def __init__(
+        self,
+        drive: str,
+        axis: int,
+        control: PositionControlConfig,
+        loop: DancerPosition,
+        leader: Leader,
+        set_point_m: float,
+        cycle_s: float,
+    ) -> None:
+        station = control.station
+        self._drive = drive
+        self._loop = loop
+        self._leader = leader
+        self._cycle_s = cycle_s
+        self._ramp_s = control.feed_ramp_s
+        self._command = f"v{axis}_cmd_m_s"
+        self._measured, self._shown = f"x_{station}_meas_m", f"x_{station}_ref_m"
+        self._set_point = position_path(station, SET_POINT)
+        self._feed = position_path(station, FEED)
+        self._values = {self._set_point: set_point_m, self._feed: 1.0}
+        self._ramped = 1.0  # of the way from standing to feeding
+        self._speed_m_s = 0.0
+        self._moved = False  # until then the sensor has told nothing
+
+    @property
+    def speed_m_s(self) -> float:
+        """What the axis is to turn at, at the web."""
+        return self._speed_m_s
+
+    @property
+    def damped_m_s(self) -> float:
+        """The same: nothing is damped through a carriage."""
+        return self._speed_m_s
+
+    def owns(self, path: str) -> bool:
+        """Whether it is the set-point, or whether the axis feeds."""
+        return path in self._values
+
+    def value(self, path: str) -> float:
+        """Present value."""
+        return self._values[path]
+
+    def set(self, path: str, value: float) -> None:
+        """Another one."""
+        self._values[path] = value
+
+    def before(self, sample: CycleSample, outputs: Outputs) -> None:
+        """Velocity of the axis, m/s at the web."""
+        behind_m_s, share = self._leader.speed_m_s, self._share()
+        if share < 1.0 or not self._moved:
+            velocity_m_s = self._loop.let_go(behind_m_s, self._cycle_s)
+        else:
+            wanted_m, position_m = self._values[self._set_point], getattr(sample, self._measured)
+            velocity_m_s = self._loop.velocity(behind_m_s, wanted_m, 0.0, position_m, self._cycle_s)
+        self._speed_m_s = outputs[self._drive] = share * velocity_m_s
+        setattr(sample, self._command, self._speed_m_s)
+
+    def _share(self) -> float:
+        """Of its speed, at which the axis feeds now: from one end to the other with a bounded jerk."""
+        step = self._cycle_s / self._ramp_s
+        self._ramped += min(max(self._values[self._feed] - self._ramped, -step), step)
+        return self._ramped - sin(2.0 * pi * self._ramped) / (2.0 * pi) if 0.0 < self._ramped < 1.0 else self._ramped
+
+    def after(self, sample: CycleSample, inputs: Inputs) -> None:
+        """Record the set-point."""
+        self._moved = True
+        setattr(sample, self._shown, self._values[self._set_point])
+
+    def rest(self, sample: CycleSample, outputs: Outputs) -> None:
+        """The carriage is as at the start when the drives are enabled again."""
+        self._moved = False
+        self._loop.reset()
+        setattr(sample, self._shown, self._values[self._set_point])

@@ -1,0 +1,64 @@
+"""Reels whose radius is measured: they turn as the web on them asks, from turn to turn another way."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from hilbench.bench.tasks.task import CyclicTask, Outputs
+from hilbench.bench.tasks.tension_task import Leader
+from hilbench.topology.sample import CycleSample
+
+
+@dataclass(frozen=True, slots=True)
+class MeasuredReel:
+    """A reel with a sensor of its radius: its drive, its axis, the sensor's signal, and the radius in m by which its
+    position and speed are counted, that at the start."""
+
+    drive: str
+    axis: int
+    signal: str
+    counted_m: float
+
+    def ratio(self, sample: CycleSample) -> float:
+        """Radius over that by which it is counted; 1 while the sensor has told nothing."""
+        radius_m: float = getattr(sample, self.signal)
+        return radius_m / self.counted_m if radius_m > 0.0 else 1.0
+
+
+class ReelSpeeds(CyclicTask):
+    """Reels turn so fast that the web on them has the speed that was put into the outputs.
+
+    `line_speed`: signal of the speed of the leading axis at the web, "" where none is needed beside its command.
+    """
+
+    def __init__(self, reels: Sequence[MeasuredReel], leader: Leader, line_speed: str) -> None:
+        self._reels = [(reel, f"v{reel.axis}_cmd_m_s") for reel in reels]
+        self._leader = leader
+        self._line_speed = line_speed
+
+    def before(self, sample: CycleSample, outputs: Outputs) -> None:
+        """What the reels are told, m/s at the radius that they had at the start."""
+        if self._line_speed:
+            setattr(sample, self._line_speed, self._leader.speed_m_s)
+        for reel, command in self._reels:
+            outputs[reel.drive] /= reel.ratio(sample)
+            setattr(sample, command, outputs[reel.drive])
+
+
+class ReelWay:
+    """Way of the web at a reel, m, from cycle to cycle by its radius."""
+
+    def __init__(self, reel: MeasuredReel) -> None:
+        self._reel = reel
+        self._position = f"x{reel.axis}_m"
+        self._at_m: float | None = None
+        self._way_m = 0.0
+
+    def __call__(self, sample: CycleSample) -> float:
+        """Up to the last sample."""
+        position_m: float = getattr(sample, self._position)
+        if self._at_m is not None:
+            self._way_m += (position_m - self._at_m) * self._reel.ratio(sample)
+        self._at_m = position_m
+        return self._way_m
