@@ -7,8 +7,9 @@ presliding friction, quantized encoders. A seed draws a line of three spans, and
 an axis or a span that is drawn, in a size from half the usual one to twice that; `nothing` hides nothing, five
 times a seed. Loops are the model's in a third of the cases, else off by up to 30 %, with lags of 0 to 4 ms; rows
 come every 1 to 20 ms, with jitter; commands or speeds may be missing. Prints shares by effect, the coverage of the
-intervals, and what was wrong. `--cases` keeps each finished case in a line of that file and takes those that are
-there as done; `--docs` writes the table into the page.
+intervals, and what was wrong; counted by itself is where nothing is named and the diagnosis says that these data can't
+show the effect at its place in its size. `--cases` keeps each finished case in a line of that file and takes those that
+are there as done; `--docs` writes the table into the page.
 """
 
 from __future__ import annotations
@@ -57,6 +58,7 @@ class Case:
     verdict: str = ""
     found: list[list[Any]] = field(default_factory=list)  #: effect, axis, span, and what is tied with it
     covered: list[bool] = field(default_factory=list)
+    hardly: list[list[Any]] = field(default_factory=list)  #: effect, axis, span, size, order
     predicted_on: str = ""
     problem: str = ""
     seconds: float = 0.0
@@ -122,6 +124,7 @@ def run(case: Case) -> Case:
         return case
     case.seconds = round(time.process_time() - began, 2)
     case.verdict, case.predicted_on = found.verdict, found.predicted_on
+    case.hardly = [[u.effect, u.axis, u.section, u.smallest_visible, u.order] for u in found.unobservable]
     case.found = [[e.effect, e.axis, e.section, e.tied_with] for e in found.effects]
     for e in found.effects:
         for item in case.hidden:
@@ -157,6 +160,20 @@ def _options(found: list[Any]) -> set[tuple[str, int | None, int | None]]:
     return options
 
 
+def is_said_to_be_hidden(case: Case) -> bool:
+    """Whether nothing is named, and what is hidden is among what these data could hardly show in its size."""
+    return case.verdict == "complete" and all(any(_below(item, row) for row in case.hardly) for item in case.hidden)
+
+
+def _below(item: dict[str, Any], row: list[Any]) -> bool:
+    """Whether an effect is smaller than the smallest of its kind that shows there, and of an order that does not."""
+    name, axis, span, smallest, order = row
+    if (item["effect"], item["axis"], item["span"]) != (name, axis, span):
+        return False
+    size = abs(item["parameters"][find_effect(name).strength[0]])
+    return (smallest is None or size < smallest) and (order is None or item["parameters"]["order"] >= order)
+
+
 def has_false_name(case: Case) -> bool:
     """Whether something is named that is neither hidden nor tied with what is."""
     places = {(item["effect"], item["axis"], item["span"]) for item in case.hidden}
@@ -165,20 +182,21 @@ def has_false_name(case: Case) -> bool:
 
 def summary(done: list[Case]) -> str:
     """Shares by effect, coverage, and what was wrong."""
-    lines = ["| hidden | cases | right | false names |", "|---|--:|--:|--:|"]
+    lines = ["| hidden | cases | right | said not to show | false names |", "|---|--:|--:|--:|--:|"]
     groups = [(name, [c for c in done if c.hidden and c.hidden[0]["effect"] == name]) for name in HIDDEN]
     groups += [("all", [c for c in done if c.hidden]), ("nothing", [c for c in done if not c.hidden])]
     for name, mine in groups:
         if mine:
             false = sum(map(has_false_name, mine))
-            lines.append(f"| {name} | {len(mine)} | {sum(map(is_right, mine))} | {false} |")
+            unseen = sum(map(is_said_to_be_hidden, (case for case in mine if case.hidden)))
+            lines.append(f"| {name} | {len(mine)} | {sum(map(is_right, mine))} | {unseen} | {false} |")
     covered = [each for case in done if is_right(case) for each in case.covered]
     if covered:
         lines += ["", f"95 % intervals hold the true value in {100.0 * np.mean(covered):.1f} % of {len(covered)}"]
     if done:
         lines.append(f"CPU time of a diagnosis, median: {np.median([case.seconds for case in done]):.0f} s")
     for case in done:
-        if not is_right(case):
+        if not is_right(case) and not is_said_to_be_hidden(case):
             what = [(i["effect"], i["axis"] or i["span"], *i["parameters"].values()) for i in case.hidden]
             rows = f"rows {1e3 * case.line['row_s']:g} ms"
             lines += ["", f"{what} ({rows}) → {case.verdict} {case.found} {case.problem}"]

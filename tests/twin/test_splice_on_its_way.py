@@ -19,12 +19,17 @@ ENDLESS_M, SHORT_M = 1e4, 0.3
 
 
 @cache
-def passage(change: float, length_m: float, step_in_span_2: float = 0.0) -> dict[str, Array]:
-    """What was true, and what the twin told."""
+def passage(
+    change: float, length_m: float, step_in_span_2: float = 0.0, then_m_s: float = SPEED_M_S
+) -> dict[str, Array]:
+    """What was true, and what the twin told; soon after the joint has come in the speed changes within a second."""
     both = BesideALine(line_model(*LENGTHS_M))
     both.go(1.0, SPEED_M_S)
     both.go(ENTERS_S)
     both.line.set_effect("splice", time_s=ENTERS_S, relative_change=change, length_m=length_m)
+    if then_m_s != SPEED_M_S:
+        both.go(ENTERS_S + 0.2)
+        both.go(ENTERS_S + 1.2, then_m_s)
     both.go(5.0)
     if step_in_span_2:
         both.line.set_parameter("span2.youngs_modulus_Pa", (1.0 + step_in_span_2) * OLD_PA)
@@ -66,6 +71,31 @@ def test_in_the_next_span_it_is_expected_and_not_found_anew(change: float) -> No
         np.polyfit(told["t_s"][coming], told[f"E2_{what}_Pa"][coming], 1)[0] for what in ("sim", "true")
     )
     assert slope == pytest.approx(slope_true, rel=0.15)
+
+
+@pytest.mark.parametrize("then_m_s", [1.4, 2.5])
+@pytest.mark.parametrize("change", [0.12, -0.15])
+def test_it_is_followed_and_expected_while_the_speed_changes(change: float, then_m_s: float) -> None:
+    told = passage(change, ENDLESS_M, then_m_s=then_m_s)
+    assert error(told, 1, ENTERS_S + 1.0, 8.0) < 0.015
+    assert error(told, 2, ENTERS_S, 8.0) < 0.016
+    late = told["t_s"] > ENTERS_S + 1.0
+    for span in (1, 2):
+        assert np.max(np.abs(told[f"F{span}_sim_N"] - told[f"F{span}_true_N"])[late]) < 1.0
+
+
+@pytest.mark.parametrize(
+    ("effect", "values"),
+    [("viscous_friction", {"coefficient_N_s_per_m": 5.0}), ("inertia_mismatch", {"relative_change": 0.05})],
+)
+def test_an_axis_that_is_not_the_models_lets_no_other_web_be_expected_when_the_speed_changes(
+    effect: str, values: dict[str, float]
+) -> None:
+    both = BesideALine(line_model(*LENGTHS_M))
+    both.line.set_effect(effect, 2, section=None, slot=0, **values)
+    for until_s, speed_m_s in ((1.0, 2.0), (3.0, 2.0), (3.6, 1.4), (5.0, 1.4), (6.0, 2.5), (8.0, 2.5)):
+        both.go(until_s, speed_m_s)
+    assert error(both.table(), 2, 1.0, 8.0) < 0.005
 
 
 def test_a_short_piece_is_in_one_span_after_the_other_and_gone() -> None:

@@ -9,7 +9,9 @@ the web that leaves were like the rest: of the compliance that they seem to show
     E of the web that is in the span:       a step
 
 to the first order in the change, and within 0.2 % of the compliance for one by 20 %. Means over blocks are compared
-with these three, each with every place of the joint that the last blocks can tell.
+with these three, each with every place of the joint that the last blocks can tell. Where the speed has changed,
+friction and inertia that are not quite the model's show as a compliance that goes with speed or acceleration: what may
+be that is no joint.
 """
 
 from __future__ import annotations
@@ -38,7 +40,7 @@ _CHANGED, _BETTER, _SUSPECTED = 45.0, 16.0, 25.0
 #: Way of a joint through the span, in lengths, before which it is not told from a step, and up to which what is known
 #: of it gets better.
 _LEAST_WAY, _THROUGH = 0.12, 1.0
-#: Relative change of the speed from which on the web's share in the torque is not all that changes.
+#: Relative change of the speed from which on the web's share in the torque is not all that may change.
 _SAME_SPEED = 0.02
 #: A short piece is taken to be so long, m, and no softer or stiffer than this share of the span allows.
 _SHORT_M, _LEAST_SHARE = 0.3, 0.5
@@ -96,13 +98,14 @@ class SpliceFinder:
 
     def reset(self) -> None:
         """The web is another one, or what is measured has no past."""
-        #: Of each block: position of the roller before the span, m, and seeming strain times section over tension.
-        self._blocks: deque[tuple[float, float]] = deque(maxlen=_MOST)
-        self._speeds: deque[float] = deque(maxlen=self._every)
+        #: Of each block: position of the roller before the span, m, seeming strain times section over tension, speed of
+        #: the roller behind, m/s, and force that accelerates it over the tension.
+        self._blocks: deque[tuple[float, float, float, float]] = deque(maxlen=_MOST)
         self._blocks_seen = 0
+        self._since_m = -inf  # position of the roller before the span from which on blocks are looked at
         self._kind: _Kind | None = None
         self._joint: Joint | None = None
-        self.suspects = False  #: something has changed, and it is open yet what
+        self.suspects = False  #: something has changed that may be inside, and it is open yet what
         self._interrupt()
 
     def _interrupt(self) -> None:
@@ -127,24 +130,21 @@ class SpliceFinder:
         count = self._count
         gained_N = self._mass_kg * (now.velocity_m_s - self._first_m_s) / ((count - 1) * self._block_s / count)
         tension_N = self._force_N / count - gained_N
-        block = (self._way_m / count, self._web / count / tension_N) if tension_N > 0.0 else None
+        way_m, web = self._way_m / count, self._web / count
         self._interrupt()
-        if block is None or not self._is_steady(now.velocity_m_s):
+        if not tension_N > 0.0:
             self._blocks.clear()
             return None
-        self._blocks.append(block)
+        self._blocks.append((way_m, web / tension_N, now.velocity_m_s, gained_N / tension_N))
         self._blocks_seen += 1
         if self._blocks_seen % self._every or len(self._blocks) < _FEWEST:
             return None
         return self._look()
 
-    def _is_steady(self, velocity_m_s: float) -> bool:
-        speeds = self._speeds
-        speeds.append(velocity_m_s)
-        return abs(velocity_m_s - speeds[0]) <= _SAME_SPEED * abs(velocity_m_s)
-
     def _look(self) -> Entered | None:
-        ways_m, compliances = np.array(self._blocks).T
+        blocks = np.array(self._blocks)
+        self._choose_since(blocks)
+        ways_m, compliances, speeds_m_s, accelerating = blocks[blocks[:, 0] > self._since_m].T
         noise = 1.4826 * float(np.median(np.abs(np.diff(compliances)))) / 2.0**0.5
         if not noise > 0.0:
             return None
@@ -153,11 +153,13 @@ class SpliceFinder:
         into = (ways_m - fronts_m[:, None]) / self._length_m
         inside, left = into > 0.0, np.exp(-np.maximum(into, 0.0))
         shapes = {_Kind.STEP: inside.astype(float), _Kind.WEB: 1.0 - left, _Kind.SHORT: np.where(inside, left, 0.0)}
-        fits = {kind: _best(compliances, shape, fronts_m, noise) for kind, shape in shapes.items()}
+        motion = _known_ways(speeds_m_s, accelerating)
+        fits = {kind: _best(compliances, shape, fronts_m, noise, motion) for kind, shape in shapes.items()}
         # What none of them explains, as a roller that a step has hit, counts as noise.
-        total = float(np.sum((compliances - compliances.mean()) ** 2)) / noise**2
+        total = float(np.sum(_without(compliances, motion) ** 2)) / noise**2
         rest = (total - max(fit.gain for fit in fits.values())) / len(compliances)
-        self.suspects = max(fit.gain for fit in fits.values()) > _SUSPECTED * max(rest, 1.0)
+        inside_yet = [fit.gain for fit in fits.values() if ways_m[-1] - fit.front_m < _THROUGH * self._length_m]
+        self.suspects = max(inside_yet, default=0.0) > _SUSPECTED * max(rest, 1.0)
         told = {kind for kind, fit in fits.items() if self._can_be_told(kind, fit, float(ways_m[-1]))}
         if not self._decide({kind: fit.gain / max(rest, 1.0) for kind, fit in fits.items()}, told):
             return None
@@ -199,6 +201,18 @@ class SpliceFinder:
         self._blocks.extend(kept)
         self._kind, self.suspects = None, False
 
+    def _choose_since(self, blocks: Array) -> None:
+        """Look back beyond the last change of speed only while web is in the span that came in before it: then others
+        before that say what is of the motion."""
+        speeds_m_s, now_m = blocks[:, 2], blocks[-1, 0]
+        others = np.flatnonzero(np.abs(speeds_m_s - speeds_m_s[-1]) > _SAME_SPEED * abs(speeds_m_s[-1]))
+        last = int(others[-1]) if len(others) else -1
+        changed_m = blocks[last, 0] if last >= 0 else -inf
+        if now_m - changed_m < _THROUGH * self._length_m or len(blocks) - last <= _FEWEST:
+            self._since_m = -inf
+        elif self._joint is None and not self.suspects:
+            self._since_m = changed_m
+
     def _entered(self, found: _Fit, way: float) -> Entered | None:
         """As it is known now; a joint that is through is known as well as it will be."""
         if self._joint is not None and way > _THROUGH:
@@ -214,11 +228,25 @@ class SpliceFinder:
         return Entered(self._joint, (1.0 + acts) / (1.0 + seems))
 
 
-def _best(values: Array, shapes: Array, fronts_m: Array, noise: float) -> _Fit:
-    """The best of straight lines a + b·shape, by least squares: values (n,), shapes (m, n), fronts (m,), m."""
-    centred = shapes - shapes.mean(axis=1, keepdims=True)
+def _known_ways(speeds_m_s: Array, accelerating: Array) -> Array:
+    """Orthonormal columns (n, 1 to 3) of what a compliance may do by itself: be constant, and go with the motion."""
+    ways = [np.ones(len(speeds_m_s))]
+    if np.ptp(speeds_m_s) > _SAME_SPEED * np.max(np.abs(speeds_m_s)):
+        ways += [speeds_m_s, accelerating]
+    return np.linalg.qr(np.stack(ways, axis=1))[0]
+
+
+def _without(values: Array, ways: Array) -> Array:
+    """Values (..., n) less what orthonormal columns (n, k) explain of them."""
+    return np.asarray(values - (values @ ways) @ ways.T)
+
+
+def _best(values: Array, shapes: Array, fronts_m: Array, noise: float, ways: Array) -> _Fit:
+    """The best of a + b·shape + what else may be, by least squares: values (n,), shapes (m, n), fronts (m,), m, and
+    orthonormal columns (n, k) of what else may be, a among them."""
+    centred = _without(shapes, ways)
     squares = np.maximum(np.einsum("mn,mn->m", centred, centred), 1e-12)
-    slopes = centred @ (values - values.mean()) / squares
+    slopes = centred @ values / squares
     at = int(np.argmax(slopes * slopes * squares))
     before = float(values.mean() - slopes[at] * shapes[at].mean())
     slope = float(slopes[at])
