@@ -202,6 +202,7 @@ def test_a_line_runs_alike_whatever_comes_between(
         f"mirroring={mirroring}",
         f"master.heartbeat_ms={heartbeat_ms}",
         f"twin.virtual_tpdo_every={virtual_tpdo_every}",
+        "safety.cycle_timeout_s=2",  # less than the time after which devices go by the wall clock
     ]
     loaded = load_with_overrides(CONFIGS / "web_section_step.yaml", changes=settings_)
     check(tmp_path, loaded, changes, least=0)

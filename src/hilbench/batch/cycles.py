@@ -5,8 +5,7 @@ heartbeats. Then nothing of its course is decided in Python: `kernel` does it on
 NMT, EMCY, another state, a fault, a timer that runs out, a frame of somebody else) is for the interpreted cycle, which
 is the reference: before it, and before anybody uses the bus, objects get back what the arrays have.
 
-The twin's machine, its virtual drives and what the twin says are objects all the time; of its devices only the PDOs
-are in the arrays.
+The twin's machine and what the twin says are objects all the time; of its virtual I/O only the PDOs are in the arrays.
 """
 
 from __future__ import annotations
@@ -15,17 +14,20 @@ import threading
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from hilbench.batch import kernel
 from hilbench.batch import layout as lay
+from hilbench.batch.motors import Motors
 from hilbench.batch.tables import (
     Frames,
     NotPlainError,
     Slots,
     cell_slots,
     drive_row,
+    heard_row,
     new_slots,
     seen_row,
     table,
@@ -44,7 +46,7 @@ from hilbench.exchange.frame_tap import FrameTap, LineTap
 from hilbench.exchange.nodes import Nodes
 from hilbench.exchange.own_node import OwnNode
 from hilbench.exchange.sync_cycle import ExpectedPdo, SyncCycle
-from hilbench.hardware.simulation import RigApplication, StepsInModes
+from hilbench.hardware.simulation import RigApplication
 from hilbench.twin.process import TwinApplication
 
 #: Cycles after which it is looked anew whether cycles are plain, when they were not.
@@ -137,7 +139,6 @@ class _Run:
         """Raises NotPlainError where cycles are not plain."""
         self._here, self._nodes, self._sync, self._tap = here, nodes, sync, tap
         self._cycles = 0
-        self._over = False  # the hardware's objects know more than the arrays
         self._slots, self._frames = Slots(), Frames()
         self._taken: list[tuple[Device, Rpdo, int]] = []
         self._answering: list[tuple[Device, Tpdo, int]] = []
@@ -147,19 +148,16 @@ class _Run:
             raise NotPlainError
         self._step_s = step_s
         drives = (*here.rig.drives, *here.machine.drives)
-        if not all(drive.follows(_ENABLED) for drive in drives):
+        if not all(drive.follows(_ENABLED) for drive in drives) or not here.machine.is_plain:
             raise NotPlainError
-        self._ports = [drive.firmware.port for drive in here.rig.drives]
-        all_there = len(self._ports) == len(here.rig.ports)
-        self._direct = here.rig.rig if all_there and isinstance(here.rig.rig, StepsInModes) else None
         self._bench_frames()
         self._check_listeners()
-        for served in (here.hardware, here.twin):
+        for self._slots.side, served in enumerate((here.hardware, here.twin)):
             for device in served.devices:
                 self._receive(device, drives)
-        for clock, served in enumerate((here.hardware, here.twin)):
+        for self._slots.side, served in enumerate((here.hardware, here.twin)):
             for device in served.devices:
-                self._answer(device, clock)
+                self._answer(device, self._slots.side)
         self._see()
         self._check_phases()
         self._arrays()
@@ -272,13 +270,14 @@ class _Run:
                 raw.update(zip(indices, taken, strict=True))
             self._seen.append(seen_row(drive, raw))
             self._raw.append((drive, raw))
-        self._listened = [
-            (cob_id, frames.row_of(cob_id)) for cob_id in frames.cob_ids if cob_id in self._here.machine.listens_to
-        ]
-        if len(self._listened) != len(self._here.machine.listens_to):
-            raise NotPlainError
-        if any(row < self._behind_sync or frames.rows[row][4] != 1 for _, row in self._listened):
-            raise NotPlainError
+        self._heard_axes: list[int] = []  # where their feedback is
+        for listener in self._here.machine.listeners:
+            row, taken = frames.row_of(listener.cob_id), new_slots(slots, listener.pdo)
+            if row < self._behind_sync or frames.rows[row][4] != 1:
+                raise NotPlainError
+            frames.take(row, listener.pdo, taken)
+            self._heard_axes.append(4 * len(self._seen))
+            self._seen.append(heard_row(listener, taken))
 
     def _check_phases(self) -> None:
         """What the bench expects of the nodes is what they send."""
@@ -308,7 +307,10 @@ class _Run:
         self._sent = table(frames.sent, lay.FIELD)
         self._received = table(sorted(frames.received), lay.FIELD)
         self._target_rows = table(self._targets, lay.TARGET)
-        self._drives = table([drive_row(drive, slots) for drive in here.rig.drives], lay.DRIVE)
+        drives: list[tuple[Any, ...]] = []
+        for slots.side, of_side in enumerate((here.rig.drives, here.machine.drives)):
+            drives += [drive_row(drive, slots) for drive in of_side]
+        self._drives = table(drives, lay.DRIVE)
         self._seen_rows = table(self._seen, lay.SEEN)
         self._of_twin()
         io = {pdo.cob_id for _, pdo in self._nodes.io.tpdos}
@@ -325,8 +327,6 @@ class _Run:
             np.zeros(lay.O_SIZE + len(frames.rows), np.int64),
         )
         self._feedback = np.zeros(4 * len(self._seen))
-        self._asked = np.zeros(len(self._ports))
-        self._shown = np.zeros(lay.PORT_SIZE * len(self._ports))
         self._set_points = np.zeros(len(self._targets))
         self._names = [
             (at, name, per_unit)
@@ -334,7 +334,31 @@ class _Run:
                 [at for at, target in enumerate(self._targets) if target[3] < 0], self._nodes.set_points, strict=True
             )
         ]
+        self._join_motors()
         self._trace()
+
+    def _join_motors(self) -> None:
+        """The drives on both sides, with what they turn."""
+        here, vectors, count = self._here, (self._whole, self._real), len(self._here.rig.drives)
+        of_hardware, of_twin = self._slots.cells
+        self._hardware = Motors(
+            here.rig.drives,
+            self._drives[:count],
+            *vectors,
+            here.rig.rig,
+            of_hardware,
+            alone=count == len(here.rig.ports),
+            shows_ports=False,
+        )
+        self._twin = Motors(
+            here.machine.drives,
+            self._drives[count:],
+            *vectors,
+            here.machine.turned,
+            [each for each in of_twin if id(each[0]) not in self._of_io],
+            alone=True,
+            shows_ports=True,
+        )
 
     def _trace(self) -> None:
         """Heads of the trace's lines, and room for its text."""
@@ -352,22 +376,20 @@ class _Run:
         self._waiting_frames = 0
 
     def _of_twin(self) -> None:
-        """The objects of the twin's devices that its PDOs read and write: they hold their values themselves."""
-        slots, twin = self._slots, self._here.twin.devices
-        known = {id(cell): (cell, slot, is_float) for cell, slot, is_float in slots.cells}
-        read = [known[id(cell)] for device, tpdo, _ in self._answering if device in twin for cell in tpdo.cells]
-        written = [known[id(cell)] for device, rpdo, _ in self._taken if device in twin for cell in rpdo.cells]
+        """The objects of the virtual I/O that its PDOs read and write: they hold their values themselves."""
+        slots, io = self._slots, self._here.machine.device
+        known = {id(cell): (cell, slot, is_float) for cell, slot, is_float in slots.cells[1]}
+        read = [known[id(cell)] for device, tpdo, _ in self._answering if device is io for cell in tpdo.cells]
+        written = [known[id(cell)] for device, rpdo, _ in self._taken if device is io for cell in rpdo.cells]
         self._read_real = [cell for cell, _, is_float in read if is_float]
         self._real_slots = np.array([slot for _, slot, is_float in read if is_float], np.intp)
         self._read_whole = [cell for cell, _, is_float in read if not is_float]
         self._whole_slots = np.array([slot for _, slot, is_float in read if not is_float], np.intp)
-        values = [each for each in written if each[0].on_write is None]  # no controlwords: these stay
-        self._written_real = [cell for cell, _, is_float in values if is_float]
-        self._written_real_slots = np.array([slot for _, slot, is_float in values if is_float], np.intp)
-        self._written_whole = [cell for cell, _, is_float in values if not is_float]
-        self._written_whole_slots = np.array([slot for _, slot, is_float in values if not is_float], np.intp)
-        of_twin = {id(cell) for cell, _, _ in (*read, *written)}
-        self._hardware_cells = [each for each in slots.cells if id(each[0]) not in of_twin]
+        if not all(is_float for _, _, is_float in written):
+            raise NotPlainError
+        self._written = [cell for cell, _, _ in written]
+        self._written_slots = np.array([slot for _, slot, _ in written], np.intp)
+        self._of_io = {id(cell) for cell, _, _ in (*read, *written)}
 
     def _deadlines(self) -> None:
         """Until when, by each host's clock, no device has to notice that a heartbeat stays away."""
@@ -390,7 +412,7 @@ class _Run:
         said_alive = self._exchange()
         for clock in (here.hardware.clock, here.twin.clock):
             clock.tick_at(begun_ns)
-        self._move_hardware()
+        self._hardware.move(self._step_s)
         self._move_twin()
         ended_ns = time.monotonic_ns()
         left = self._left_now
@@ -398,12 +420,14 @@ class _Run:
         self._cycles += 1
         if fault is not None:
             raise fault
-        nodes.take_plain(self._feedback.tolist(), self._said(), self._heard() if left[lay.O_TIMED] else ())
+        nodes.take_plain(self._feedback_now, self._said(), self._heard() if left[lay.O_TIMED] else ())
         return True
 
     def _still_plain(self, now_ns: int) -> bool:
         here, nodes, sync = self._here, self._nodes, self._sync
-        if self._over or here.bus.waiting or sync.due_always is not self._due or nodes.supervised != self._supervised:
+        if self._hardware.over or self._twin.over or here.bus.waiting:
+            return False
+        if sync.due_always is not self._due or nodes.supervised != self._supervised:
             return False
         for drive in nodes.drives:
             if drive.controlword != _ENABLED or not drive.reached:
@@ -452,7 +476,7 @@ class _Run:
             self._feedback,
             self._nodes.config.bus.bitrate,
         )
-        self._left_now = left = self._left.tolist()
+        self._left_now, self._feedback_now = left, _ = self._left.tolist(), self._feedback.tolist()
         self._bytes = self._data.tobytes()
         here.bus.account(left[lay.O_FRAMES], left[lay.O_BITS], left[lay.O_DURATION_NS])
         if self._lines is not None:
@@ -482,40 +506,12 @@ class _Run:
     def _content(self, row: int) -> bytes:
         return self._bytes[8 * row : 8 * row + self._frames.sizes[row]]
 
-    def _move_hardware(self) -> None:
-        """The drives take their set points, and the rig goes on to the next SYNC."""
-        shown, drives = self._shown, self._drives
-        if self._direct is not None:
-            self._asked[:] = drives["set_point"]
-            self._direct.step_in_modes(self._asked, self._step_s, shown)
-        else:
-            self._give_set_points()
-            self._here.rig.rig.step(self._step_s)
-            values: list[float] = []
-            for port in self._ports:
-                values += (port.position_rad, port.velocity_rad_s, port.torque_Nm, port.reference, port.torque_limited)
-            shown[:] = values
-        if not kernel.publish(drives, shown, self._whole):
-            self._give_hardware()
-            self._over = True
-            for drive in self._here.rig.drives:
-                drive.publish()
-
-    def _give_set_points(self) -> None:
-        for port, set_point in zip(self._ports, self._drives["set_point"].tolist(), strict=True):
-            port.setpoint = set_point
-
     def _move_twin(self) -> None:
-        machine = self._here.machine
-        for cells, slots, values in (
-            (self._written_whole, self._written_whole_slots, self._whole),
-            (self._written_real, self._written_real_slots, self._real),
-        ):
-            for cell, value in zip(cells, values[slots].tolist(), strict=True):
-                cell.value = value
-        machine.after_sync()
-        for cob_id, row in self._listened:
-            machine.on_frame(Frame(cob_id, self._content(row)))
+        for cell, value in zip(self._written, self._real[self._written_slots].tolist(), strict=True):
+            cell.value = value
+        feedback = self._feedback_now
+        measured = [(feedback[at], feedback[at + 2]) for at in self._heard_axes]
+        self._here.machine.go_on(measured, self._twin.move)
 
     def _said(self) -> dict[int, bytes]:
         """The twin's TPDOs of this cycle."""
@@ -548,26 +544,12 @@ class _Run:
             self._give_lines(self._lines)
         if not self._cycles:
             return
-        if not self._over:
-            self._give_hardware()
+        self._hardware.give()
+        self._twin.give()
         self._give_bench()
         now_s = time.monotonic()
         for served in (self._here.hardware, self._here.twin):
             served.host.served_until(now_s)
-
-    def _give_hardware(self) -> None:
-        """Devices get their objects, drives what they remember; the twin's devices what their PDOs remember."""
-        self._give_set_points()
-        if self._direct is not None:
-            for port, at in zip(self._ports, range(0, len(self._shown), lay.PORT_SIZE), strict=True):
-                position, velocity, torque, reference, limited = self._shown[at : at + lay.PORT_SIZE].tolist()
-                port.position_rad, port.velocity_rad_s, port.torque_Nm = position, velocity, torque
-                port.reference, port.torque_limited = reference, limited != 0.0
-        whole, real = self._whole.tolist(), self._real.tolist()
-        for cell, slot, is_float in self._hardware_cells:
-            cell.value = real[slot] if is_float else whole[slot]
-        for drive, row in zip(self._here.rig.drives, self._drives, strict=True):
-            drive.published_until(int(row["count"]), limited=bool(row["limited"]))
 
     def _give_bench(self) -> None:
         """What the last PDOs and heartbeats leave behind on both sides."""
@@ -589,7 +571,10 @@ class _Run:
             count, data = last[cob_id]
             answer.answered_until(cycles, data, count)
         whole = self._whole.tolist()
-        for (drive, raw), seen in zip(self._raw, self._seen_rows, strict=True):
+        listeners = self._here.machine.listeners
+        for listener, seen in zip(listeners, self._seen_rows[len(self._raw) :], strict=True):
+            listener.counter.counted_until(int(seen["value"]), int(seen["last"]))
+        for (drive, raw), seen in zip(self._raw, self._seen_rows[: len(self._raw)], strict=True):
             drive.counter.counted_until(int(seen["value"]), int(seen["last"]))
             drive.decoded_until({index: whole[slot] for index, slot in raw.items()})
         for (drive, _, _), (at, _, _) in zip(self._nodes.set_points, self._names, strict=True):

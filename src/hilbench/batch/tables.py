@@ -17,6 +17,7 @@ from hilbench.cia402.drive import Drive
 from hilbench.cia402.simulated import SimulatedDrive
 from hilbench.cia402.units import RPM
 from hilbench.plant.motor_port import MotorMode
+from hilbench.twin.axis_listener import AxisListener
 
 NO_SLOT = -1
 
@@ -32,7 +33,9 @@ class Slots:
     whole: list[int] = field(default_factory=list)
     real: list[float] = field(default_factory=list)
     of_cells: dict[int, int] = field(default_factory=dict)  #: by id of the cell
-    cells: list[tuple[Cell, int, bool]] = field(default_factory=list)  #: with its slot, and whether that is a real one
+    #: With its slot, and whether that is a real one: of the hardware, and of the twin.
+    cells: tuple[list[tuple[Cell, int, bool]], ...] = field(default_factory=lambda: ([], []))
+    side: int = 0  #: whose cells are told now: place among these
 
     def new(self, is_float: bool) -> int:
         """One that is no object's."""
@@ -53,7 +56,7 @@ class Slots:
         else:
             self.whole[slot] = int(cell.value)
         self.of_cells[id(cell)] = slot
-        self.cells.append((cell, slot, is_float))
+        self.cells[self.side].append((cell, slot, is_float))
         return slot
 
 
@@ -185,6 +188,19 @@ def seen_row(drive: Drive, raw: dict[int, int]) -> tuple[Any, ...]:
         feedback.position_rad,
         drive.tpdo_period_s,
         int(not drive.settings.has_velocity),
+    )
+
+
+def heard_row(listener: AxisListener, taken: Sequence[int]) -> tuple[Any, ...]:
+    """An axis as the twin hears it; `taken`: slots of what its PDO brings. Raises NotPlainError."""
+    counter, units = listener.counter, listener.units
+    if counter.value is None:
+        raise NotPlainError
+    position, torque = taken[listener.position], taken[listener.torque]
+    return (
+        *(position, NO_SLOT, torque, position),  # a state is not looked for
+        *(counter.value, counter.last, units.position_rad, 0.0, units.torque_Nm),
+        *(0.0, 1.0, 0),
     )
 
 

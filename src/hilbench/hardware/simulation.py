@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Protocol, runtime_checkable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hilbench.can.frame import Frame
 from hilbench.can.open import open_link
@@ -22,7 +20,7 @@ from hilbench.exchange.effect_objects import bind_effect_objects
 from hilbench.exchange.nodes import declared_units
 from hilbench.hardware.plant_time import ByClock, BySync, PlantTime
 from hilbench.hardware.rigs import new_rig
-from hilbench.plant.interface import Plant
+from hilbench.plant.interface import Plant, Steps, StepsInModes
 from hilbench.plant.motor_port import MotorMode, MotorPort
 from hilbench.processes import log, started_by_bench, stop_request
 from hilbench.real_time import kept_ready
@@ -31,21 +29,6 @@ from hilbench.topology.parts import Role
 
 #: In real time the rig goes on without a SYNC that is late by so many cycles after the last one.
 _OVERDUE = 1.5
-
-
-class Steps(Protocol):
-    """What the motors of a rig turn."""
-
-    def step(self, duration_s: float) -> None:
-        """Go on for so long with the set points that the motors have."""
-
-
-@runtime_checkable
-class StepsInModes(Protocol):
-    """The same without ports, while no motor changes its mode."""
-
-    def step_in_modes(self, set_points: NDArray[np.float64], duration_s: float, shown: NDArray[np.float64]) -> None:
-        """Go on with set points (M,); `shown`, (5 M,): position, velocity, torque, reference, torque limited."""
 
 
 class RigApplication:

@@ -15,6 +15,9 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, Protocol, runtime_checkable
 
+import numpy as np
+from numpy.typing import NDArray
+
 from hilbench.plant.motor_port import MotorPort
 from hilbench.suggest import did_you_mean
 
@@ -113,6 +116,21 @@ class Machine(Protocol):
 
 
 @runtime_checkable
+class Steps(Protocol):
+    """What motors turn."""
+
+    def step(self, duration_s: float) -> None:
+        """Go on for so long with the set points that the motors have."""
+
+
+@runtime_checkable
+class StepsInModes(Protocol):
+    """The same without ports, while no motor changes its mode."""
+
+    def step_in_modes(self, set_points: NDArray[np.float64], duration_s: float, shown: NDArray[np.float64]) -> None:
+        """Go on with set points (M,); `shown`, (5 M,): position, velocity, torque, reference, torque limited."""
+
+
 class Plant(Machine, Protocol):
     """A machine that turns with the set points of its motor ports: a closed model, or simulated hardware."""
 

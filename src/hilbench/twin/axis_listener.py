@@ -36,14 +36,14 @@ class AxisListener:
         _, pdo, indices = drive_pdos(settings, od).tpdos[0]
         self.cob_id = pdo.cob_id
         self.size = pdo.size  #: bytes of the frame's data
-        self._unpack = pdo.unpack
-        self._position = indices.index(objects.POSITION_ACTUAL_VALUE)
-        self._torque = indices.index(objects.TORQUE_ACTUAL_VALUE)
-        self._units = axis.units
-        self._counter = UnwrappingCounter()
+        self.pdo = pdo
+        self.position = indices.index(objects.POSITION_ACTUAL_VALUE)  #: place in the PDO, as the next
+        self.torque = indices.index(objects.TORQUE_ACTUAL_VALUE)
+        self.units = axis.units
+        self.counter = UnwrappingCounter()
 
     def decode(self, data: bytes) -> tuple[float, float]:
         """Position in rad, unwrapped, and torque in N·m; `data` of `size` bytes."""
-        values = self._unpack(data)
-        position = self._counter.update(int(values[self._position])) * self._units.position_rad
-        return position, float(values[self._torque]) * self._units.torque_Nm
+        values = self.pdo.unpack(data)
+        position = self.counter.update(int(values[self.position])) * self.units.position_rad
+        return position, float(values[self.torque]) * self.units.torque_Nm

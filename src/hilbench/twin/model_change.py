@@ -12,6 +12,7 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 
 from hilbench.estimation.plausibility import Problem
+from hilbench.plant.interface import Plant
 from hilbench.plant.motor_port import MotorPort
 from hilbench.topology.config import MachineParameters
 from hilbench.twin.found import FoundBeside
@@ -78,6 +79,12 @@ class ChangeableMachine:
     def changed(self) -> bool:
         """Whether the model in use is another than the configured one."""
         return self._effects != ""
+
+    @property
+    def only_plant(self) -> Plant | None:
+        """The configured model where no other is in use or tried; it then moves the ports by itself."""
+        alone = self._candidate is None and self._current is self._configured
+        return self._configured.plant if alone else None
 
     # -- a TwinMachine -----------------------------------------------------------------------------------
 
@@ -165,8 +172,9 @@ class ChangeableMachine:
 
     def step(self, duration_s: float) -> None:
         """Go on with the set points of the ports."""
-        if self._candidate is None and self._current is self._configured:
-            self._current.plant.step(duration_s)
+        plant = self.only_plant
+        if plant is not None:
+            plant.step(duration_s)
             return
         self._pass_set_points(self._current)
         self._current.plant.step(duration_s)

@@ -19,6 +19,7 @@ from hilbench.canopen.identifiers import NmtState
 from hilbench.canopen.sync_time import SyncTime
 from hilbench.cia402.simulated import SimulatedDrive
 from hilbench.estimation.web_line.torque_shift import TORQUE_SHIFT, UNDECIDED
+from hilbench.plant.interface import Steps
 from hilbench.plant.motor_port import MotorMode
 from hilbench.plant.pairing import cycles_gone, play
 from hilbench.real_time import ProcessSettings, kept_ready
@@ -211,6 +212,39 @@ class TwinApplication:
                     self._advance()
                 return
 
+    # -- cycles that somebody else runs (`hilbench.batch`) -----------------------------------------------
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether the machine goes on with every SYNC, by what the axes measure at it."""
+        powered = all(port.mode is not MotorMode.OFF for port in self._ports)
+        return powered and self._sync_time is None and self._released and not self._pending and self._time_s > 0.0
+
+    @property
+    def listeners(self) -> Sequence[AxisListener]:
+        """Who hears the real axes."""
+        return self._listeners
+
+    @property
+    def device(self) -> Device:
+        """The virtual I/O."""
+        return self._device
+
+    @property
+    def turned(self) -> Steps:
+        """What the motors of the virtual axes turn: the model itself, while no other is tried or in use."""
+        return self._machine.only_plant or self._machine
+
+    def go_on(self, measured: list[Measured], move: Callable[[float], None]) -> None:
+        """After `before_sync`: what the axes (N,) have measured at SYNC, all of it in time. `move`: what lets the
+        virtual axes go on with what they turn, in the place of their `sync`, the machine's `step` and `publish`."""
+        self._owed = [owed - 1 for owed in self._owed]
+        self._compare(measured)
+        self._machine.listen()
+        move(self._cycle_s)
+        self._time_s += self._cycle_s
+        self._publish()
+
     def tick(self, duration_s: float) -> None:
         """Without SYNC the virtual drives still follow their state machines."""
         for drive in self._drives:
@@ -225,7 +259,7 @@ class TwinApplication:
             if self._released or self._release():
                 new = self._sync_time is None or self._catch_up()
                 if new:  # else the axes stand where they were measured before, and no time has passed since
-                    self._compare()
+                    self._compare(self._complete())
                 self._machine.listen()
                 if new:
                     self._machine.step(self._cycle_s)
@@ -257,8 +291,7 @@ class TwinApplication:
         self._time_s = 0.0
         return True
 
-    def _compare(self) -> None:
-        measured = self._complete()
+    def _compare(self, measured: list[Measured] | None) -> None:
         if measured is None:
             self._machine.miss()
         elif self._machine.compare(self._time_s, measured):

@@ -18,10 +18,8 @@ from hilbench.plant.effects import EffectPlace, effect_problem, effects_of
 from hilbench.plant.interface import Quantity, checked_name
 from hilbench.plant.motor_port import MotorPort
 from hilbench.plant.parameters import DriveParameters, EffectEntry, LoadMotorParameters, per_item
-from hilbench.plant.sampling import samples_per
 from hilbench.plant.sensors import SensorParameters, Sensors
 from hilbench.plant.web_line import layout as lay
-from hilbench.plant.web_line import rig_cycle
 from hilbench.plant.web_line.layout import Layout, Vector
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.ports import write_ports
@@ -189,8 +187,6 @@ class TestRig(SimulatedLine):
         kinds = [parameters.sensors] * n + [parameters.load_sensors] * (m - n)
         self._sensors = [Sensors(kind, child) for kind, child in zip(kinds, seeds, strict=True)]
         self._figures = np.array([figure for sensors in self._sensors for figure in sensors.figures])
-        self._noise = np.zeros(3 * m)
-        self._places_of_motors = np.array(self._motors, np.int64)
         self._observe()
 
     def _observe(self) -> None:
@@ -202,17 +198,9 @@ class TestRig(SimulatedLine):
             port.torque_Nm = sensors.torque_Nm(port.torque_Nm)
 
     def step_in_modes(self, set_points: Vector, duration_s: float, shown: Vector) -> None:
-        """`step` with set points (M,) in place of those of the ports, whose modes and limits stay what they are; what
-        the ports would show goes into `shown`, (5 M,): position, velocity, torque, reference, torque limited.
-
-        The ports do not learn of it. Raises ValueError as `step`.
-        """
-        samples = samples_per(duration_s, self._p.item(lay.W_SAMPLE_TIME_S))
+        """See `SimulatedLine`."""
         self._noise[:] = [number for sensors in self._sensors for number in sensors.noise()]
-        rig_cycle.step(
-            *(self._p, self._state, self._inputs, self._work, self._out, self._places_of_motors),
-            *(set_points, samples, self._figures, self._noise, shown),
-        )
+        super().step_in_modes(set_points, duration_s, shown)
 
     def set_parameter(self, name: str, value: float) -> None:
         """Give a flywheel another inertia from now on. Raises ValueError for an unknown name or impossible value."""

@@ -19,7 +19,7 @@ from hilbench.plant.interface import Motor, PlantDescription, PlantState, Quanti
 from hilbench.plant.motor_port import MotorPort
 from hilbench.plant.sampling import samples_per
 from hilbench.plant.sensors import Sensors
-from hilbench.plant.web_line import kernel
+from hilbench.plant.web_line import kernel, rig_cycle
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.layout import Layout, Vector
 from hilbench.plant.web_line.ports import read_ports, write_ports
@@ -176,6 +176,9 @@ class SimulatedLine:
         n = len(self._driven)
         rows = layout.motor_rows(p)
         shown = [rows[motor] for motor in self._motors]
+        self._places_of_motors = np.array(self._motors, np.int64)
+        self._figures = np.zeros(rig_cycle.SENSOR * len(shown))  # of sensors that add nothing:
+        self._noise = np.full(3 * len(shown), -0.0)  # what -0.0 is added to keeps its sign
         axis_of = {row: number for number, row in enumerate(self._driven, 1)}
         self._per_m = [1.0 if unit == "m" else float(rows[row, lay.M_RAD_PER_M]) for row in self._driven]
         axes, spans = axis_names(n, unit), span_names(k)
@@ -238,6 +241,18 @@ class SimulatedLine:
         read_ports(self._layout, self._motors, self._ports, self._state, self._inputs)
         kernel.advance(self._p, self._state, self._inputs, self._work, samples)
         self._observe()
+
+    def step_in_modes(self, set_points: Vector, duration_s: float, shown: Vector) -> None:
+        """`step` with set points (M,) in place of those of the ports, whose modes and limits stay what they are; what
+        the ports would show goes into `shown`, (5 M,): position, velocity, torque, reference, torque limited.
+
+        The ports do not learn of it. Raises ValueError as `step`.
+        """
+        samples = samples_per(duration_s, self._p.item(lay.W_SAMPLE_TIME_S))
+        rig_cycle.step(
+            *(self._p, self._state, self._inputs, self._work, self._out, self._places_of_motors),
+            *(set_points, samples, self._figures, self._noise, shown),
+        )
 
     def _observe(self) -> None:
         """Bring `_out` up to the state, and the feedback to the ports."""
