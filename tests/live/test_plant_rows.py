@@ -147,3 +147,16 @@ def test_a_line_that_was_stopped_at_once_is_followed_again() -> None:
     assert window.end == 1550
     assert window.first > 1250
     assert np.array_equal(window.column(window.rows(window.first, 1550), "x1_m"), stands[: 1550 - window.first, 1])
+
+
+def test_after_missed_cycles_one_roller_that_is_a_cycle_further_is_not_of_the_same_instant_as_the_other() -> None:
+    bench = Bench()
+    cycles = [*range(1000, 1100), *range(1111, 1361)]
+    rows = plant(np.array(cycles, np.float64))
+    rows[100, 1] = rows[101, 1]  # roller 1 has answered the SYNC after it
+    told = np.array(cycles, np.float64)
+    bench.window.add(FIRST + len(rows) - 1, np.column_stack([rows, told, np.zeros(len(rows))]).tobytes())
+    apart_m = bench.off("x1_m") - bench.off("x2_m")
+    assert bench.window.end == 1361
+    assert np.max(np.abs(apart_m[112:])) < 1e-7
+    assert np.max(np.abs(apart_m)) < 1e-5

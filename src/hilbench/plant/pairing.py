@@ -15,6 +15,8 @@ _ALIKE = 0.3
 _LONGER = 1.5
 #: Beyond any acceleration of a line.
 _FASTEST_M_S2 = 100.0
+#: How much more the axes of one machine may go apart in a cycle than in the one before, in those plays.
+_APART = 0.5
 #: What a machine that goes its way is accelerated by at most, by the unit of its positions (1/s²).
 _ON_ITS_WAY = {"m": 20.0, "rad": 2e3}
 
@@ -105,12 +107,25 @@ def cycles_gone(ways: Sequence[float], usual: Sequence[float], plays: Sequence[f
     have come so far in that time. None where they disagree, or have gone a way that is none of whole cycles.
     """
     fastest = max(range(len(usual)), key=lambda axis: abs(usual[axis]))
-    by_way = round(ways[fastest] / usual[fastest]) if usual[fastest] else told
+    by_way = max(round(ways[fastest] / usual[fastest]), 0) if usual[fastest] else told
     tells = _ALIKE * abs(usual[fastest]) > plays[fastest]
     for gone in (by_way,) if tells else (told, by_way):
-        if all(
-            abs(way - gone * one) <= _ALIKE * abs(one) + gone**2 * play_of
-            for way, one, play_of in zip(ways, usual, plays, strict=True)
-        ):
+        if _fit(ways, usual, plays, gone) and _agree(ways, usual, plays, gone, fastest):
             return gone
     return None
+
+
+def _fit(ways: Sequence[float], usual: Sequence[float], plays: Sequence[float], gone: int) -> bool:
+    """Whether these are ways of so many cycles, at any acceleration of a machine."""
+    each = zip(ways, usual, plays, strict=True)
+    return all(abs(way - gone * one) <= _ALIKE * abs(one) + gone**2 * play_of for way, one, play_of in each)
+
+
+def _agree(ways: Sequence[float], usual: Sequence[float], plays: Sequence[float], gone: int, fastest: int) -> bool:
+    """Whether all axes have gone as far as the fastest, which tells how all were accelerated: after many cycles one
+    that is a cycle further would else pass for one that was accelerated more."""
+    if not usual[fastest]:
+        return True
+    cycles, spare = ways[fastest] / usual[fastest], _APART * gone
+    each = zip(ways, usual, plays, strict=True)
+    return all(abs(way - cycles * one) <= _ALIKE * abs(one) + max(spare, 1.0) * play_of for way, one, play_of in each)

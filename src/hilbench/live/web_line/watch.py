@@ -16,8 +16,9 @@ from hilbench.plant.web_line.parameters import ModelParameters
 Array = NDArray[np.float64]
 Rows = NDArray[np.bool_]
 
-#: Pieces in a row that have to part, so that a passing transient is none; pieces that the noise is learned from.
-ROW, _LEARNED = 3, 40
+#: Pieces in a row that have to part, so that a passing transient is none; pieces that the noise is learned from, and
+#: how many make it known: one of 25 means is off by a fifth, and up to half, and what parts is not learned from.
+ROW, _LEARNED, _KNOWN = 3, 40, 8
 #: Share by which the rest is more than the noise of the torque alone where nothing is wrong.
 _MORE = 1.15
 #: Share of a usual torque by which a level may be off where nothing is wrong: acceleration, imitation, drives.
@@ -102,6 +103,8 @@ class Watch:
         """`white` (N,): what the noise of the torques alone makes of the rest."""
         learned = self.noise_Nm
         noise = white if learned is None else learned
+        if len(self._rests) < _KNOWN:
+            noise = np.maximum(noise, white)
         of_level = _LEVELS * 1.25 * noise / np.sqrt(means)
         off = np.abs(piece.level) > np.maximum(of_level, _TOLERATED * self._usual_Nm)
         return bool(np.any(off | (piece.rest > _ROUGHER * noise)))
