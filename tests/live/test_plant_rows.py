@@ -160,3 +160,19 @@ def test_after_missed_cycles_one_roller_that_is_a_cycle_further_is_not_of_the_sa
     assert bench.window.end == 1361
     assert np.max(np.abs(apart_m[112:])) < 1e-7
     assert np.max(np.abs(apart_m)) < 1e-5
+
+
+def test_what_was_commanded_with_a_sync_that_the_drives_were_ahead_of_acts_from_there() -> None:
+    bench = Bench()
+    plant_cycles = [
+        *range(1000, 1100),
+        1101,
+        *range(1101, 1250),
+    ]  # SYNC 100 is taken for the next, which brings nothing
+    rows = plant(np.array(plant_cycles, np.float64))
+    commands = 1.0 + 1e-3 * np.arange(len(rows))
+    rows[:, NAMES.index("v1_cmd_m_s")] = commands
+    told = np.arange(1000.0, 1250.0)
+    bench.window.add(FIRST + len(rows) - 1, np.column_stack([rows, told, np.zeros(len(rows))]).tobytes())
+    found = bench.window.column(bench.window.rows(1000, 1250), "v1_cmd_m_s")
+    assert found[99:104] == pytest.approx(commands[[99, 99, 101, 102, 103]])

@@ -95,17 +95,20 @@ class OnPlantTime:
                 self._begin()
                 placed, last = [], None
             cycle = None if is_late else self._place(rows[at], told + self._more, last)
-            self._odd = 0 if cycle is not None else self._odd + 1
-            placed.append((told + self._more if cycle is None else cycle, at, cycle is not None))
+            # At a SYNC that the drives were ahead of nothing is measured; what was commanded with it acts from then.
+            new = cycle is not None and (last is None or cycle > last[0])
+            self._odd = 0 if new else self._odd + 1
+            placed.append((told + self._more if cycle is None else cycle, at, new))
             if cycle is not None:
                 self._more = cycle - told
+            if cycle is not None and new:
                 last = cycle, rows[at]
         if not any(measured for _, _, measured in placed):
             return None
         return self._filled(rows, placed, last_sync + 1 - len(rows))
 
     def _place(self, row: Array, told: int, last: tuple[int, Array] | None) -> int | None:
-        """The plant's cycle of a row, by the bench that of `told`; None: it is of none that has not been."""
+        """The plant's cycle of a row, by the bench that of `told`: behind the last, or that again; None: of neither."""
         if last is None:
             return told
         way, expected, gone = (row - last[1])[self._positions], self._way, told - last[0]
@@ -113,11 +116,11 @@ class OnPlantTime:
             self._way = way / max(gone, 1)
             return told
         found = cycles_gone(way.tolist(), expected.tolist(), self._plays, gone)
-        if found is None or found < 1:
+        if found is None or found < 0:
             return None
-        gone = found
-        self._way = (1.0 - _NEWEST) * expected + _NEWEST * way / gone
-        return last[0] + gone
+        if found:
+            self._way = (1.0 - _NEWEST) * expected + _NEWEST * way / found
+        return last[0] + found
 
     def _filled(self, rows: Array, placed: Sequence[tuple[int, int, bool]], first_sync: int) -> PlantRows:
         """Every cycle from behind those of the call before to the last that was measured."""
