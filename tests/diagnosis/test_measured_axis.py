@@ -152,6 +152,16 @@ def test_where_no_fit_can_tell_two_effects_apart_they_are_tied() -> None:
     assert Place("friction_asymmetry", 1) in found.tied[term.key]
 
 
+def test_in_one_direction_an_offset_either_way_is_tied_with_dry_friction() -> None:
+    """More friction may be fed forward than there is, so that its sign says nothing."""
+    for offset_Nm in (0.5, -0.5):
+        axis = Axis(effect("torque_offset", 1, offset_Nm=offset_Nm), forward=True, exact=False)
+        found = MeasuredSearch(axis.space, axis.proposer(*SMOOTH), lambda text, share: None).run()
+        (term,) = found.fit.terms
+        both = {term.effect.id, *(place.effect for place in found.tied[term.key])}
+        assert {"torque_offset", "coulomb_friction"} <= both
+
+
 def test_a_filter_shifts_nothing_in_time() -> None:
     recording = repeats()[0]
     predictor = OnMeasuredMotion(axis_model(2e-4), measured_from(recording, axis_model(2e-4), "blind"))
@@ -168,3 +178,15 @@ def test_a_real_servo_axis_has_its_friction_in_every_repeat(kind: str, repeat: i
     assert names(found) == SERVO[kind]
     assert neutral_in_an_interval(found) == []
     assert found.verdict == ("unknown" if kind == "Fs" else "named")
+
+
+@pytest.mark.parametrize("kind", ["Bm", "Fc"])
+def test_a_torque_that_is_recorded_late_moves_no_ripple_to_an_order_beside_its_own(kind: str) -> None:
+    path = independent.real(f"servo/{kind}_01")
+    recording, rows = read_recording(path), 2
+    late = {name: np.asarray(values)[rows:] for name, values in recording.channels.items()}
+    late["tau1_Nm"] = np.asarray(recording["tau1_Nm"])[:-rows]
+    found = diagnose(Recording(late), axis_model(1.6588e-4), path)
+    assert SERVO[kind] - {"torque_ripple"} <= names(found) <= SERVO[kind]
+    orders = [item.parameters["order"].value for item in found.effects if "order" in item.parameters]
+    assert all(order == round(order) for order in orders)

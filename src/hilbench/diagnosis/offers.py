@@ -66,11 +66,14 @@ def _is_preferred(other: Offer, offer: Offer) -> bool:
     return RANK[other.term.effect.id] < RANK[offer.term.effect.id]
 
 
-def is_beside_a_whole_order(offer: Offer, offers: list[Offer]) -> bool:
-    """Whether a whole order explains nearly as much as one that is not."""
+def is_beside_a_whole_order(offer: Offer, whole: list[tuple[Term, float]]) -> bool:
+    """Whether a whole order explains nearly as much as one that is not.
+
+    whole: terms of whole orders, and what each explains with a phase of its own in every stretch, whether or not it
+    explains enough with one phase to be offered: an order beside it is none either.
+    """
     return not offer.term.held and any(
-        other.term.held and other.term.key == offer.term.key and other.in_stretches >= WHOLE * offer.in_stretches
-        for other in offers
+        other.key == offer.term.key and explained >= WHOLE * offer.in_stretches for other, explained in whole
     )
 
 

@@ -186,6 +186,11 @@ class MeasuredSearch:
             for term, group in zip(offered.candidates, groups, strict=True)
             if term.has_phase
         ]
+        whole = [
+            (term, problem.gain_by_stretch(mine, group))
+            for term, group in zip(offered.candidates, groups, strict=True)
+            if term.held
+        ]
         offers = []
         for term, group in zip(offered.candidates, groups, strict=True):
             started = self._started(problem, mine, term, group)
@@ -204,7 +209,7 @@ class MeasuredSearch:
                     continue
             free = problem.gain_by_stretch(mine, group) if term.has_phase else 0.0
             offers.append(Offer(started[1], started[0], problem.own_share(group[0], mine), free))
-        offers = [offer for offer in offers if not is_beside_a_whole_order(offer, offers)]
+        offers = [offer for offer in offers if not is_beside_a_whole_order(offer, whole)]
         for offer in in_order(offers)[:_CONTENDERS]:
             found = self._fitted([*current.terms, offer.term])
             if self._left_beside(found, current) < (1.0 - least_share(offer.term)) * before:
@@ -249,6 +254,13 @@ class MeasuredSearch:
                 return None
             left, strength = problem.left_with(mine, group, bounded - here[: term.linear]), bounded
         return left, term.at(np.concatenate([strength, here[term.linear :]]))
+
+    @staticmethod
+    def _left_whatever_its_sign(problem: StretchedProblem, mine: list[int], group: list[int]) -> float:
+        """What a candidate would leave though no bound allowed its sign; all where it says nothing of its own."""
+        if min(problem.own_share(column, mine) for column in group) < _OWN_SHARE:
+            return float("inf")
+        return problem.left([*mine, *group])[0]
 
     def _chances(self, found: Fit) -> list[float]:
         """Of each term that it is neutral and was found all the same."""
@@ -313,8 +325,12 @@ class MeasuredSearch:
             for other, group in zip(offered.candidates, groups, strict=True):
                 if other.place in {term.place, *wandering, *tied[term.key]}:
                     continue
-                started = self._started(without, mine, other, group)
-                if started is not None and started[0] < (1.0 + TIED) * here:
+                if term.effect.removable or other.effect.removable:
+                    started = self._started(without, mine, other, group)
+                    left = float("inf") if started is None else started[0]
+                else:  # more of it may be fed forward than there is: its sign says nothing
+                    left = self._left_whatever_its_sign(without, mine, group)
+                if left < (1.0 + TIED) * here:
                     tied[term.key].append(other.place)
             tied[term.key] += self._alike(current, term, here, offered, {*wandering, *tied[term.key]})
         return tied
