@@ -12,11 +12,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hilbench.can.frame import Frame
+from hilbench.can.memory import MemoryBus
 from hilbench.can.python_can import can
-from hilbench.canopen.identifiers import LSS_ANSWER
+from hilbench.canopen.identifiers import LSS_ANSWER, NMT
 from hilbench.canopen.lss_master import LssMaster as OurMaster
 from hilbench.canopen.lss_slave import UNCONFIGURED, LssSettings, LssSlave, LssState
 from hilbench.canopen.master import Identity
+from hilbench.errors import BusError
 
 NUMBER = st.integers(0, 0xFFFF_FFFF)
 ADDRESS = st.tuples(NUMBER, NUMBER, NUMBER, NUMBER)
@@ -180,3 +182,17 @@ def test_a_device_that_answers_each_scan_is_found_once_and_takes_its_node_id() -
             stop.set()
             thread.join()
     assert slave.stored == LssSettings(5)
+
+
+def test_a_bus_that_is_lost_while_a_device_is_reset_is_said_as_such(monkeypatch: pytest.MonkeyPatch) -> None:
+    bus = MemoryBus().open_python_can()
+    send = bus.send
+
+    def lose(message: can.Message, timeout: float | None = None) -> None:
+        if message.arbitration_id == NMT:
+            raise can.CanOperationError("the cable is out")
+        send(message, timeout)
+
+    monkeypatch.setattr(bus, "send", lose)
+    with OurMaster(bus, 0.01) as ours, pytest.raises(BusError, match="the cable is out"):
+        ours.boots(5, old_id=4, timeout_s=0.0)

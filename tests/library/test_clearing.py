@@ -10,7 +10,7 @@ from tests.library.made_runs import FIRST, made_run
 
 from hilbench.errors import UnusableInputError
 from hilbench.library.clearing import Keep, delete, to_clear
-from hilbench.library.labels import tag
+from hilbench.library.labels import note, tag
 from hilbench.library.query import Library
 from hilbench.results.run_folder import RunFolder
 
@@ -35,12 +35,13 @@ def test_the_oldest_go_until_the_rest_fits(tmp_path: Path, ten: list[RunFolder])
     assert cleared(tmp_path, Keep(size_bytes=450_000)) == [each.name for each in ten[:6]]
 
 
-def test_the_newest_of_each_bench_stay_and_what_has_a_tag(tmp_path: Path, ten: list[RunFolder]) -> None:
+def test_the_newest_of_each_bench_stay_and_what_has_a_tag_or_a_note(tmp_path: Path, ten: list[RunFolder]) -> None:
     tag(ten[0], add=["golden"])
+    note(ten[4], "the belt slipped")
     axis = [made_run(tmp_path, "axis", number=number) for number in (0, 1)]
     keep = Keep(younger_than_s=0.0, last=1)
-    assert set(cleared(tmp_path, keep)) == {*(each.name for each in ten[1:9]), axis[0].name}
-    assert ten[0].name in cleared(tmp_path, Keep(younger_than_s=0.0, last=1, tagged=False))
+    assert set(cleared(tmp_path, keep)) == {*(each.name for each in (*ten[1:4], *ten[5:9])), axis[0].name}
+    assert {ten[0].name, ten[4].name} <= set(cleared(tmp_path, Keep(younger_than_s=0.0, last=1, labelled=False)))
 
 
 def test_a_run_that_goes_on_stays(tmp_path: Path) -> None:

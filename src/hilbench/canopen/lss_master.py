@@ -111,7 +111,8 @@ class LssMaster:
         self._network.subscribe(HEARTBEAT + node_id, lambda can_id, _data, _time: seen.append(can_id))
         self.release()
         if old_id is not None:
-            self._network.send_message(NMT, NmtCommand.RESET_COMMUNICATION.to(old_id))
+            with self._talking(f"resetting node {old_id}"):
+                self._network.send_message(NMT, NmtCommand.RESET_COMMUNICATION.to(old_id))
         deadline_s = time.monotonic() + timeout_s
         while not seen and time.monotonic() < deadline_s:
             time.sleep(0.01)

@@ -439,12 +439,14 @@ def gc(
         str | None, typer.Option("--max-size", metavar="SIZE", help="the oldest go until all take at most, e.g. 20GB")
     ] = None,
     keep_last: Annotated[int, typer.Option("--keep-last", min=0, help="the newest of each bench stay, so many")] = 0,
-    keep_tagged: Annotated[bool, typer.Option("--keep-tagged/--no-keep-tagged", help="runs with a tag stay")] = True,
+    keep_labelled: Annotated[
+        bool, typer.Option("--keep-labelled/--no-keep-labelled", help="runs with a tag or a note stay")
+    ] = True,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="only say what would go")] = False,
     yes: Annotated[bool, typer.Option("--yes", help="don't ask")] = False,
     json: JsonOption = False,
 ) -> None:
-    """Clear old runs away, by age or by the size of all; runs with a tag, and those that go on, stay.
+    """Clear old runs away, by age or by the size of all; runs with a tag or a note, and those that go on, stay.
 
     Example: hilbench runs gc --older-than 90d --keep-last 5 --dry-run
 
@@ -462,7 +464,7 @@ def gc(
         None if older_than is None else seconds_of("--older-than", older_than),
         None if max_size is None else _bytes(max_size),
         keep_last,
-        keep_tagged,
+        keep_labelled,
     )
     known = _library(runs).runs()
     goes = to_clear(known, keep, time.time())

@@ -21,13 +21,13 @@ class Keep:
 
     A run goes when it is older than `younger_than_s`, or when all younger runs together have filled `size_bytes`
     already. It stays whatever these say when it is among the `last` of its bench, has one of the reasons to be kept
-    (`tagged`: any tag), or goes on.
+    (`labelled`: any tag or note), or goes on.
     """
 
     younger_than_s: float | None = None
     size_bytes: int | None = None
     last: int = 0
-    tagged: bool = True
+    labelled: bool = True
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ def to_clear(runs: Sequence[RunEntry], keep: Keep, now_s: float) -> list[Goes]:
     for run in newest_first:
         of_bench[run.bench] = number = of_bench.get(run.bench, 0) + 1
         why = _why(run, keep, now_s, kept_bytes)
-        stays = number <= keep.last or (keep.tagged and run.tags) or run.state == "running"
+        stays = number <= keep.last or (keep.labelled and (run.tags or run.notes)) or run.state == "running"
         if why and not stays:
             goes.append(Goes(run, why))
         else:

@@ -63,6 +63,7 @@ def serve(config: BenchConfig | None, runs: Path, host: str, port: int, announce
                 lifespan="off",
                 server_header=False,
                 ws="websockets-sansio",
+                ws_per_message_deflate=False,  # a few kB a second, and most of what each viewer would cost
                 ws_max_size=_LARGEST_MESSAGE,
                 ws_ping_interval=_PING_S,
                 ws_ping_timeout=_PING_S,

@@ -164,7 +164,7 @@ window.session.then((known) => {
   };
   // A band is shown whole, unless it is so much wider than the curves that these could not be read: of an estimate that
   // has just begun, say.
-  const WIDER = 2;
+  const WIDER = 25;
   const range = (least) => (u, low, high) => {
     if (low === null || high === null || !Number.isFinite(low)) return [0, 1];
     const room = WIDER * Math.max(high - low, least), [bottom, top] = u.extent ?? [low, high];
