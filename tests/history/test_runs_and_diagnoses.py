@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -165,7 +166,9 @@ def test_a_page_shows_each_quantity(stand: Path, tmp_path: Path) -> None:
     text = page.read_text()
     assert "pilot line" in text
     assert text.count("<figure ") == len(named(History(stand / "history.sqlite")))
-    assert "<svg" in text
+    for picture in re.findall(r"<svg.*?</svg>", text, re.DOTALL):
+        dates = re.findall(r"\d{4}-\d\d-\d\d", picture)
+        assert 0 < len(dates) == len(set(dates))
 
 
 @pytest.mark.parametrize(

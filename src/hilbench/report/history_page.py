@@ -70,8 +70,9 @@ def picture(stand: str, one: QuantityTrend) -> Picture:
             axes.axhline(one.limit, color=VERMILLION, linewidth=1.0)
             panel.names.append(("limit", VERMILLION, one.limit))
         ticks = [tick for tick in axes.get_xticks() if axes.get_xlim()[0] <= tick <= axes.get_xlim()[1]]
-        shown = ticks[:: max(1, len(ticks) // _TICKS)]
-        axes.set_xticks(shown, [date(one.time_s(tick)) for tick in shown])
+        first = {date(one.time_s(tick)): tick for tick in reversed(ticks)}  # of several ticks in a day
+        dates = sorted(first)[:: max(1, len(first) // _TICKS)]
+        axes.set_xticks([first[day] for day in dates], dates)
         axes.set_ylabel(one.unit or "1")
         return [panel]
 
