@@ -17,7 +17,8 @@ from hilbench.bench.tasks.limits import LimitTripError
 from hilbench.can.frame import Frame
 from hilbench.canopen.emergency_stop import EMERGENCY_STOP_COB_ID
 from hilbench.errors import BenchFaultError, EmergencyStopError
-from hilbench.exchange.nodes import Nodes, drive_settings
+from hilbench.exchange.addressing import drive_settings
+from hilbench.exchange.nodes import Nodes
 from hilbench.hardware import simulation
 from hilbench.plant.web_line.span import SpanFollower
 from hilbench.runs.check import check_experiment

@@ -11,7 +11,8 @@ from hilbench.bench.web_line_check import check_web_line
 from hilbench.can.load import BusLoad, cycle_load
 from hilbench.cia402.configuration import lacking
 from hilbench.errors import UnusableInputError
-from hilbench.exchange.nodes import Nodes, declared_units, drive_settings
+from hilbench.exchange.addressing import declared_units, drive_settings
+from hilbench.exchange.nodes import Nodes
 from hilbench.plant.effects import MachineKind
 from hilbench.plant.servo_axis.stability import imitable_inertia_kg_m2
 from hilbench.plant.servo_axis.stability import sampled_shaft as shaft_on_bus

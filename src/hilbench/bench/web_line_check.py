@@ -10,7 +10,8 @@ import numpy as np
 from hilbench.bench.tasks.imitated_web import imitated_web
 from hilbench.bench.tasks.tension_loop import Moduli, OperatingPoint, TensionLoop
 from hilbench.errors import UnusableInputError
-from hilbench.exchange.nodes import Nodes, declared_units
+from hilbench.exchange.addressing import declared_units
+from hilbench.exchange.nodes import Nodes
 from hilbench.plant.sampled_shaft import imitation_delay_s
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.stability import largest_stiffness_Nm_per_rad, sampled_shaft

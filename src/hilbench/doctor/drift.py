@@ -19,8 +19,8 @@ from hilbench.canopen.eds import load_eds
 from hilbench.cia402.units import DriveUnits
 from hilbench.doctor.eds_match import EdsFile
 from hilbench.errors import UnusableInputError
+from hilbench.exchange.addressing import declared_units
 from hilbench.exchange.node_data import UNITS, EdsObject, Key, StandData, drives_of, eds_objects, name_of, text_of
-from hilbench.exchange.nodes import declared_units
 from hilbench.runs.config import ExperimentConfig
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.parts import Part, parse_object

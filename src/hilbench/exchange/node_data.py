@@ -21,7 +21,7 @@ from hilbench.canopen.data_types import data_type
 from hilbench.canopen.eds import load_eds
 from hilbench.canopen.sdo_client import Refusal, SdoClient
 from hilbench.cia402 import configuration, objects
-from hilbench.exchange.nodes import drive_settings
+from hilbench.exchange.addressing import drive_settings
 from hilbench.json_file import JsonFile
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.parts import Part, Role

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from functools import partial
 from math import isclose
 
@@ -11,16 +10,14 @@ import canopen
 from hilbench.can.frame import Frame
 from hilbench.can.load import CyclicFrame
 from hilbench.canopen.eds import load_eds
-from hilbench.canopen.identifiers import EMERGENCY, HEARTBEAT, LAST_NODE, RPDOS, SYNC, TPDOS, NmtCommand, NmtState
+from hilbench.canopen.identifiers import EMERGENCY, HEARTBEAT, LAST_NODE, SYNC, NmtCommand, NmtState
 from hilbench.canopen.master import Master
 from hilbench.canopen.pdo import PdoMap
 from hilbench.cia402 import objects
-from hilbench.cia402.configuration import DriveSettings, RpdoCopy, default_reader
 from hilbench.cia402.drive import Drive
-from hilbench.cia402.objects import OperationMode
 from hilbench.cia402.state_machine import State, decode_statusword
-from hilbench.cia402.units import DriveUnits
 from hilbench.errors import BenchFaultError
+from hilbench.exchange.addressing import IoMaps, declared_units, drive_settings
 from hilbench.exchange.answers import Tpdo
 from hilbench.exchange.effect_objects import effect_object
 from hilbench.exchange.emergencies import Emergency, EmergencyInbox
@@ -28,126 +25,18 @@ from hilbench.exchange.sync_cycle import ExpectedPdo
 from hilbench.exchange.unexpected_senders import Owned, Unexpected, UnexpectedSenders
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.parts import Part, Role
-from hilbench.topology.process_data.of_kind import process_data
-from hilbench.topology.process_data.table import STATUS_TPDO, IoPdo, ProcessData
 from hilbench.topology.quantities import EffectPath
 from hilbench.topology.sample import CycleSample
 
 #: Heartbeats that may stay away before a node counts as lost (lost frames are no lost node).
 _HEARTBEATS_MISSED = 4
 _HEARTBEAT_LOOK_CYCLES = 16
-_ABORT_BY_QUICK_STOP = 3
-_QUICK_STOP_RAMP = 2
 #: Effects of the twin's model, and what their change did: index and sub-index at the virtual I/O.
 _TWIN_EFFECTS, _TWIN_STEP = (0x2102, 1), (0x2102, 2)
 #: What it has found of errors of its model: index and sub-index at the virtual I/O.
 _TWIN_FOUND = (0x2103, 1)
 #: Controlwords that lead from SWITCH ON DISABLED to OPERATION ENABLED: shutdown, switch on, enable operation.
 _ENABLE = (0x06, 0x07, 0x0F)
-
-
-@dataclass(frozen=True)
-class IoMaps:
-    """PDOs of the virtual I/O; which signals are in them says `hilbench.topology.process_data`."""
-
-    data: ProcessData
-    sent: tuple[PdoMap, ...]  #: what is simulated and estimated, and how sure that is, in the order of `data.sent`
-    status: PdoMap  #: TPDO3: SYNC that the data are of, age, status bits
-    boundary: PdoMap | None  #: RPDO1: what the twin is told; None for a machine with nothing around it
-
-    @classmethod
-    def of(cls, config: BenchConfig, od: canopen.ObjectDictionary) -> IoMaps:
-        """The maps by the EDS of the virtual I/O. Raises KeyError or ValueError for what it lacks."""
-        data = process_data(config.machine_kind, config.shape)
-
-        def pdo_map(cob_id: int, pdo: IoPdo) -> PdoMap:
-            names = [f"0x{signal.index:04X}sub{signal.sub:X}" for signal in pdo.signals]
-            return PdoMap.from_names(od, cob_id, pdo.every, names)
-
-        boundary, node_id = data.boundary, config.twin.node.node_id
-        for pdo in data.sent:
-            if 0x1800 + pdo.number - 1 not in od:
-                raise KeyError(f"the virtual I/O has no TPDO{pdo.number} (object {0x1800 + pdo.number - 1:04X}h)")
-        return cls(
-            data,
-            tuple(pdo_map(_tpdo_id(config, pdo.number), pdo) for pdo in data.sent),
-            PdoMap.from_names(od, _tpdo_id(config, STATUS_TPDO), 1, [f"0x2100sub{n}" for n in (1, 2, 3)]),
-            pdo_map(RPDOS[0] + node_id, boundary) if boundary is not None else None,
-        )
-
-    @property
-    def tpdos(self) -> list[tuple[int, PdoMap]]:
-        """Every TPDO with its number."""
-        sent = [(pdo.number, found) for pdo, found in zip(self.data.sent, self.sent, strict=True)]
-        return sorted([*sent, (STATUS_TPDO, self.status)], key=lambda entry: entry[0])
-
-    @property
-    def all(self) -> list[PdoMap]:
-        """Every one that there is."""
-        tpdos = [pdo for _, pdo in self.tpdos]
-        return tpdos if self.boundary is None else [*tpdos, self.boundary]
-
-
-def _tpdo_id(config: BenchConfig, number: int) -> int:
-    """COB-ID of a TPDO of the virtual I/O.
-
-    The predefined connection set gives a node four (CiA 301, 7.3.5). Further ones have the identifiers of the fourth
-    TPDOs of the virtual axes, then of their third: the same process plays these, and sends nothing under them.
-    """
-    if number <= len(TPDOS):
-        return TPDOS[number - 1] + config.twin.node.node_id
-    axes = config.parts_of(Role.VIRTUAL_AXIS)
-    function, axis = divmod(number - len(TPDOS) - 1, len(axes))
-    return TPDOS[3 - function] + axes[axis].node.node_id
-
-
-def drive_settings(config: BenchConfig, part: Part, od: canopen.ObjectDictionary) -> DriveSettings:
-    """How a drive, real or virtual, of a bench is configured."""
-    assert part.axis is not None, "the virtual I/O is no drive"
-    node, virtual, load = part.node, part.role is Role.VIRTUAL_AXIS, part.role is Role.LOAD_MOTOR
-    rad_per_unit = config.machine.motor_rad_per_unit(part.axis)
-    units = declared_units(part, od)
-    deceleration = round(config.quick_stop_per_s2 * rad_per_unit / units.acceleration_rad_s2)
-    parameters = {
-        (objects.QUICK_STOP_DECELERATION, 0): deceleration,
-        (objects.QUICK_STOP_OPTION_CODE, 0): _QUICK_STOP_RAMP,
-        (objects.ABORT_CONNECTION_OPTION_CODE, 0): _ABORT_BY_QUICK_STOP,
-    }
-    real = config.parts_of(Role.AXIS)[part.axis - 1].node
-    copied = config.mirroring == "copy" and not virtual and not load
-    return DriveSettings(
-        name=part.label,
-        node_id=node.node_id,
-        mode=OperationMode.CYCLIC_SYNCHRONOUS_TORQUE if load else OperationMode.CYCLIC_SYNCHRONOUS_VELOCITY,
-        cycle_s=config.cycle_time_s,
-        has_velocity=not load,
-        units=node.unit_overrides,
-        parameters={**node.writes, **{key: value for key, value in parameters.items() if key[0] in od}},
-        heartbeat_ms=config.master.node_heartbeat_ms,
-        master_heartbeat=_master_heartbeat(config, virtual),
-        listens_to=RPDOS[0] + real.node_id if virtual and config.mirroring == "listen" else None,
-        copies=(_copy_for(config.parts_of(Role.VIRTUAL_AXIS)[part.axis - 1], units),) if copied else (),
-        tpdo_type=(config.twin.virtual_tpdo_every or None) if virtual else 1,
-        time_out_s=config.safety.drive_timeout_s,
-    )
-
-
-def _copy_for(virtual: Part, units: DriveUnits) -> RpdoCopy:
-    """The copy of an axis' RPDO for its virtual axis, whose units may be others."""
-    node_id = virtual.node.node_id
-    theirs = declared_units(virtual, load_eds(virtual.node.eds, node_id))
-    return RpdoCopy(RPDOS[0] + node_id, units.velocity_rad_s / theirs.velocity_rad_s)
-
-
-def declared_units(part: Part, od: canopen.ObjectDictionary) -> DriveUnits:
-    """A drive's units as its EDS file and the config have them; the device itself is asked when it is configured."""
-    return DriveUnits.from_objects(default_reader(od, part.node.writes), part.node.unit_overrides, part.name)
-
-
-def _master_heartbeat(config: BenchConfig, virtual: bool) -> tuple[int, int] | None:
-    """What a real drive expects of the bench: its heartbeat, three periods late at most."""
-    period_ms = config.master.heartbeat_ms
-    return (config.master.node_id, 3 * period_ms) if period_ms and not virtual else None
 
 
 class Nodes:

@@ -9,7 +9,8 @@ from hilbench.canopen.identifiers import FUNCTION_CODE, RPDOS, TPDOS
 from hilbench.canopen.pdo import PdoMap
 from hilbench.cia402.object_units import si_unit
 from hilbench.cia402.units import DriveUnits
-from hilbench.exchange.nodes import Nodes, declared_units
+from hilbench.exchange.addressing import declared_units
+from hilbench.exchange.nodes import Nodes
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.parts import Role
 from hilbench.topology.process_data.of_kind import process_data

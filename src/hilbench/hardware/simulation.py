@@ -15,9 +15,9 @@ from hilbench.canopen.host import DeviceHost, HostedDevices
 from hilbench.canopen.mastery import nodes_of_ours
 from hilbench.canopen.object_store import INVALID_VALUE, SdoAbort
 from hilbench.cia402.simulated import SimulatedDrive
+from hilbench.exchange.addressing import declared_units
 from hilbench.exchange.device_clock import device_clock
 from hilbench.exchange.effect_objects import bind_effect_objects
-from hilbench.exchange.nodes import declared_units
 from hilbench.hardware.plant_time import ByClock, BySync, PlantTime
 from hilbench.hardware.rigs import new_rig
 from hilbench.plant.interface import Plant, Steps, StepsInModes

@@ -22,7 +22,8 @@ from hilbench.cia402.object_units import si_unit
 from hilbench.cia402.state_machine import State, decode_statusword
 from hilbench.cia402.units import DriveUnits
 from hilbench.doctor.scan import nmt_states
-from hilbench.exchange.nodes import Nodes, declared_units
+from hilbench.exchange.addressing import declared_units
+from hilbench.exchange.nodes import Nodes
 from hilbench.exchange.timeliness import Timeliness
 from hilbench.monitor.condition import SILENCE_S, BenchWatch, Condition
 from hilbench.monitor.trends import trends_of
