@@ -63,6 +63,8 @@ NOT_RUN = {
     r"hilbench run bench_configs/probing.yaml": "tests/bench/test_probing.py runs it",
     r"hilbench run bench_configs/live_\w+.yaml": "takes minutes: tests/live/test_live_runs.py runs it",
     r"hilbench fmu ": "needs a C compiler: tests/bench/test_fmu.py and tests/plant/fmu run it where there is one",
+    r"python -m zipfile -c sliding_mass\.fmu|hilbench run sliding_mass\.yaml": "needs a C compiler: tests/bench/"
+    "test_sliding_mass.py does both where there is one",
     r"python -m hilbench\.plant\.fmu$": "who uses an FMU holds the other end: tests/plant/fmu/test_fmu.py",
     r"hilbench sweep .*--cluster ": "needs a cluster; tests/scripts/test_sweep.py has one of its own",
     r"hilbench sync bench_configs/synchronizers.yaml": "runs the bench once with each method, which takes minutes",
