@@ -67,6 +67,28 @@ class TestProfilePosition:
         drive.seconds(1.0)
         assert drive.turns == pytest.approx(1.25, abs=0.01)
 
+    def test_a_target_is_passed_with_the_end_velocity_until_another_comes(self, drive: EveryMode) -> None:
+        drive.write(0x6082, 120)
+        set_point(drive, 3.0)
+        drive.seconds(0.6)
+        assert drive.turns > 3.0
+        assert drive.read(0x606C) == pytest.approx(120, abs=2)
+        before = drive.turns
+        assert drive.seconds(0.5) & REACHED
+        assert drive.turns - before == pytest.approx(2.0 * 0.5, abs=0.01)
+        drive.write(0x6082, 0)
+        set_point(drive, 0.0, AT_ONCE)
+        assert drive.seconds(2.0) & REACHED
+        assert drive.turns == pytest.approx(0.0, abs=0.01)
+
+    def test_an_end_velocity_ends_at_the_software_limit(self, drive: EveryMode) -> None:
+        drive.write(0x607D, -5 * INCREMENTS, sub=1)
+        drive.write(0x607D, 4 * INCREMENTS, sub=2)
+        drive.write(0x6082, 300)
+        set_point(drive, 3.0)
+        assert drive.seconds(2.0) & LIMITED
+        assert drive.turns == pytest.approx(4.0, abs=0.01)
+
     def test_with_bit_9_the_first_of_two_is_gone_through_without_a_stop(self) -> None:
         slowest = {}
         for bits in (0, THROUGH):

@@ -75,6 +75,7 @@ _OBJECTS: Final[dict[tuple[int, int], tuple[int, _Value]]] = {
     (objects.MAX_PROFILE_VELOCITY, 0): (_U32, 0),
     (objects.MAX_MOTOR_SPEED, 0): (_U32, 0),
     (objects.PROFILE_VELOCITY, 0): (_U32, _rpm(500.0)),
+    (objects.END_VELOCITY, 0): (_U32, 0),
     (objects.PROFILE_ACCELERATION, 0): (_U32, _rpm(5_000.0)),
     (objects.PROFILE_DECELERATION, 0): (_U32, _rpm(5_000.0)),
     (objects.QUICK_STOP_DECELERATION, 0): (_U32, _rpm(10_000.0)),

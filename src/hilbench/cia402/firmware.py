@@ -62,6 +62,7 @@ class Firmware:
         self._max_motor_speed = cell(objects.MAX_MOTOR_SPEED)
         self._max_profile_velocity = cell(objects.MAX_PROFILE_VELOCITY)
         self._profile_velocity = cell(objects.PROFILE_VELOCITY)
+        self._end_velocity = cell(objects.END_VELOCITY)
         self._acceleration = cell(objects.PROFILE_ACCELERATION)
         self._deceleration = cell(objects.PROFILE_DECELERATION)
         self._quick_stop_deceleration = cell(objects.QUICK_STOP_DECELERATION)
@@ -84,7 +85,7 @@ class Firmware:
         self._vl_deceleration = [cell(objects.VL_VELOCITY_DECELERATION, sub) for sub in (1, 2)]
         for parameter in (
             *(self._max_torque, self._max_motor_speed, self._max_profile_velocity),
-            self._profile_velocity,
+            *(self._profile_velocity, self._end_velocity),
             *(self._acceleration, self._deceleration, self._quick_stop_deceleration, self._torque_slope),
             *(self._following_window, self._following_time, self._position_window, self._position_window_time),
             *(self._velocity_window, self._velocity_window_time),
@@ -124,6 +125,7 @@ class Firmware:
         self.overspeed_rad_s = self.motor_speed_limit_rad_s * OVERSPEED_RATIO
         self.torque_limit_Nm = int(self._max_torque.value) * units.torque_Nm
         self.profile_velocity_rad_s = int(self._profile_velocity.value) * units.velocity_rad_s
+        self.end_velocity_rad_s = int(self._end_velocity.value) * units.velocity_rad_s
         self.acceleration_rad_s2 = int(self._acceleration.value) * units.acceleration_rad_s2
         self.deceleration_rad_s2 = int(self._deceleration.value) * units.acceleration_rad_s2
         self.quick_stop_deceleration_rad_s2 = int(self._quick_stop_deceleration.value) * units.acceleration_rad_s2

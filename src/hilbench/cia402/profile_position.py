@@ -24,6 +24,8 @@ _AT_ONCE_RAD_S2: Final = 1e9
 class _SetPoint(NamedTuple):
     target_rad: float
     limits: ProfileLimits
+    #: Speed with which it is arrived at, and gone on from.
+    end_velocity_rad_s: float
     #: It is gone through with the speed of its motion, not stopped at, when another one follows.
     passes_on: bool
 
@@ -33,7 +35,8 @@ class ProfilePosition(Mode):
 
     With bit 5 it is taken at once; else it waits until the one before it is reached (one can wait). Bit 12 of the
     statusword acknowledges it, and falls when bit 4 has fallen and there is room for another. With bit 9 the one before
-    is gone through without a stop. Profiles are trapezoidal (6086h = 0), end velocities (6082h) 0.
+    is gone through without a stop. Profiles are trapezoidal (6086h = 0). A target is arrived at with the end velocity
+    (6082h) where the way is long enough, else at rest; the motor goes on with it, to the limits of 607Dh at most.
     """
 
     motor_mode = MotorMode.POSITION
@@ -89,6 +92,8 @@ class ProfilePosition(Mode):
 
     def _set_point(self, controlword: int) -> _SetPoint:
         firmware = self._firmware
+        if firmware.stale:  # what has come with the controlword, or just before it, counts
+            firmware.refresh()
         asked = int(firmware.target_position.value)
         if controlword & RELATIVE:
             last = self._waiting or self._current
@@ -101,31 +106,34 @@ class ProfilePosition(Mode):
             firmware.acceleration_rad_s2 or _AT_ONCE_RAD_S2,
             firmware.deceleration_rad_s2 or _AT_ONCE_RAD_S2,
         )
-        return _SetPoint(self._within_limits(target_rad), limits, bool(controlword & CHANGE_ON_SET_POINT))
+        end = min(firmware.end_velocity_rad_s, limits.velocity)
+        target = self._within_limits(target_rad)
+        return _SetPoint(target, limits, end, bool(controlword & CHANGE_ON_SET_POINT))
 
-    def _within_limits(self, target_rad: float) -> float:
+    def _within_limits(self, position_rad: float) -> float:
         """Not beyond 607Dh, which bounds the actual position."""
         firmware = self._firmware
         self.limited = False
         if firmware.software_limits is None:
-            return target_rad
+            return position_rad
         unit_rad = firmware.units.position_rad
         low, high = ((limit - firmware.position_origin) * unit_rad for limit in firmware.software_limits)
-        self.limited = not low <= target_rad <= high
-        return max(low, min(high, target_rad))
+        self.limited = not low <= position_rad <= high
+        return max(low, min(high, position_rad))
 
     def _go(self, new: _SetPoint, *, through: bool = False) -> None:
         velocity = self._speed_rad_s
-        end = new.limits.velocity if through else 0.0
+        end = new.limits.velocity if through else new.end_velocity_rad_s
         self._profile = Trapezoid(self._here_rad, velocity, new.target_rad, new.limits, end)
         self._current, self._time_s = new, 0.0
         self._in_window = DebouncedCondition()
 
     @property
     def _here_rad(self) -> float:
-        """Where the motion has come to."""
+        """Where the motion has come to, or gone on to with its end velocity."""
         if self._profile is not None:
-            return self._profile.at(self._time_s)[0]
+            position_rad, velocity_rad_s = self._profile.at(self._time_s)
+            return position_rad + velocity_rad_s * max(self._time_s - self._profile.duration_s, 0.0)
         if self._hold_rad is None:
             port = self._firmware.port
             self._hold_rad = port.reference if port.mode is MotorMode.POSITION else port.position_rad
@@ -151,6 +159,8 @@ class ProfilePosition(Mode):
             self._acknowledged = self._asked
             self._go(following)
         port, wanted = self._firmware.port, self._here_rad
+        if self._arrived and self._speed_rad_s:
+            wanted = self._within_limits(wanted)
         before = port.reference if port.mode is MotorMode.POSITION else port.position_rad
         self._set(wanted, abs(wanted - before) / dt_s if dt_s > 0.0 else inf)
 
