@@ -15,11 +15,13 @@ import yaml
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.bench.web_line_check import start_point, stiffness_reserves
 from hilbench.errors import UnusableInputError
+from hilbench.report.machines.web_line import pictures_of
 from hilbench.results.recording import Recording, read_recording
 from hilbench.results.recover import recover_run
 from hilbench.results.run import RunOutcome, run_experiment
 from hilbench.runs.check import check_experiment
 from hilbench.runs.config import LoadedConfig, load_with_overrides
+from hilbench.topology.signals import shape_of
 
 CONFIG = Path(__file__).resolve().parents[2] / "bench_configs" / "line_with_dancer.yaml"
 WINDING = CONFIG.with_name("winding_line.yaml")
@@ -232,6 +234,14 @@ def test_the_web_on_a_reel_has_the_speed_of_the_line_whatever_its_radius() -> No
         assert np.mean((found["v3_m_s"] * turns_faster)[part]) == pytest.approx(1.2, rel=2e-3)
         assert np.mean(found["line_speed_cmd_m_s"][part]) == pytest.approx(1.2)
         assert np.mean(found["v2_m_s"][part]) == pytest.approx(1.2, rel=2e-3)
+
+
+def test_the_report_shows_where_carriages_are_and_how_large_reels_are() -> None:
+    shape = shape_of(channels(wound()))
+    assert (shape.carriages, shape.reels) == (("store",), ("unwinder", "rewinder"))
+    titles = [picture.title for picture in pictures_of(shape).pictures]
+    assert titles[-2:] == ["Positions of the carriages", "Radii of the reels"]
+    assert [title for title in titles if title.startswith("Torque")] == ["Torque of axis 3"]
 
 
 def test_frames_recover_a_line_with_reels(tmp_path: Path) -> None:

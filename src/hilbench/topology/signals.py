@@ -189,20 +189,33 @@ def example_names() -> list[str]:
 def shape_of(names: Iterable[str]) -> Shape:
     """The bench whose recording has signals with these names, without its load motors.
 
-    A name without the number of a span is that of the only one.
+    A name without the number of a span is that of the only one. Of a line with more than driven rollers the axis before
+    a span is known where something is estimated, else 0.
     """
     given = list(names)
     found: dict[Per, set[int]] = {per: set() for per in Per}
+    named: dict[Per, dict[str, None]] = {per: {} for per in Per}
+    before: set[int] = set()  # axes before what is estimated
     for kind in DECLARATIONS[kind_of(given)]:
-        if kind.per.is_counted:
-            matches = (_pattern(kind).fullmatch(name) for name in given)
-            found[kind.per] |= {int(_part(kind, match)) for match in matches if match is not None}
-    of_spans = [number for per in Per if per.is_of_span for number in found[per]]
+        parts = [_part(kind, match) for match in map(_pattern(kind).fullmatch, given) if match is not None]
+        if not kind.per.is_counted:
+            named[kind.per] |= dict.fromkeys(parts)
+        elif "{next}" in kind.name:
+            before |= set(map(int, parts))
+        else:
+            found[kind.per] |= set(map(int, parts))
+    estimated = sorted(found[Per.ESTIMATED] or before)
+    count = max([*estimated, *(number for per in Per if per.is_of_span for number in found[per])], default=0)
+    beyond = len(before) == len(estimated) and sorted(before) != estimated  # more than driven rollers
+    axes = dict(zip(estimated, sorted(before), strict=False))
     return Shape(
         axes=max(found[Per.AXIS], default=0),
-        spans=max(of_spans, default=0),
-        estimated=tuple(sorted(found[Per.ESTIMATED])),
+        spans=count,
+        estimated=tuple(estimated),
         controlled=tuple(sorted(found[Per.CONTROLLED])),
+        axes_before=tuple(axes.get(number, 0) for number in range(1, count + 1)) if beyond else (),
+        carriages=tuple(named[Per.CARRIAGE]),
+        reels=tuple(named[Per.REEL]),
         winds=LINE_SPEED_SIGNAL in given,
     )
 

@@ -176,20 +176,41 @@ def _tension(number: str) -> RunPicture:
     )
 
 
+def _stations(shape: Shape) -> list[RunPicture]:
+    """Carriages and reels, of a line that has any."""
+    found = []
+    for key, title, label, symbol, names in (
+        ("positions", "Positions of the carriages", "position in m", "x", shape.carriages),
+        ("radii", "Radii of the reels", "radius in m", "r", shape.reels),
+    ):
+        true = [
+            Line(f"{symbol}_{name}_true_m", name, colour) for name, colour in zip(names, cycle(_COLOURS), strict=False)
+        ]
+        wanted = [Line(f"{symbol}_{name}_ref_m", "set-point", INK, 0.9, (4.0, 2.0)) for name in names]
+        text = (
+            f"{title} of the imitated line{', and set-points where a controller keeps them' if symbol == 'x' else ''}."
+        )
+        if names:
+            found.append(RunPicture(key, title, text, (lines(label, *true, *wanted, least=0.01),)))
+    return found
+
+
 @cache
 def pictures_of(shape: Shape) -> MachinePictures:
     """The pictures of a line, one of the tension a span. Of a recording in which nothing is estimated, or no span is
     named, as of the smallest line."""
     axes = max(shape.axes, 2)
     estimated = [(span, shape.numbered(span)) for span in shape.estimated or (1,)]
+    behind_estimated = [shape.axis_before(span) + 1 for span, _ in estimated]
     numbers = [shape.numbered(span) for span in range(1, max(shape.spans, 1) + 1)]
     shape = replace(shape, axes=axes)
     return MachinePictures(
         (
             _velocities(shape),
-            *(_torques(span + 1) for span, _ in estimated),
+            *(_torques(behind) for behind in behind_estimated),
             *(_elasticity(number) for _, number in estimated),
             *map(_tension, numbers),
+            *_stations(shape),
         ),
         compared=(
             *(
@@ -214,12 +235,12 @@ def pictures_of(shape: Shape) -> MachinePictures:
             *(
                 ComparedSignal(
                     "torque",
-                    f"Torque of axis {span + 1}, averaged",
+                    f"Torque of axis {behind}, averaged",
                     "torque in N·m",
-                    (f"tau{span + 1}_Nm",),
+                    (f"tau{behind}_Nm",),
                     values=AVERAGED,
                 )
-                for span, _ in estimated
+                for behind in behind_estimated
             ),
             *(
                 ComparedSignal(
