@@ -20,6 +20,7 @@ from hilbench.errors import BenchFaultError, EmergencyStopError
 from hilbench.exchange.addressing import drive_settings
 from hilbench.exchange.nodes import Nodes
 from hilbench.hardware import simulation
+from hilbench.plant.web_line.line_follower import LineFollower
 from hilbench.plant.web_line.span import SpanFollower
 from hilbench.runs.check import check_experiment
 from hilbench.runs.config import LoadedConfig, load_with_overrides
@@ -39,6 +40,7 @@ class Stand:
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.motion: list[tuple[float, list[float]]] = []  # duration, angles of the axes' motors
         self.bus: in_process.InProcess | None = None
+        self.began = 0  # steps of the motion before what happens
         make, boot = simulation.new_rig, in_process.InProcess.boot
 
         def new_rig(*given: Any) -> Any:
@@ -179,3 +181,37 @@ def test_one_span_is_stopped_by_its_drives(tmp_path: Path) -> None:
     demonstrator = load_with_overrides(CONFIGS / "web_section_step.yaml").config
     assert not demonstrator.stops_together
     assert demonstrator.quick_stop_per_s2 == demonstrator.safety.quick_stop_m_s2
+
+
+def test_reels_and_an_accumulator_are_brought_to_rest_together_in_the_middle_of_a_reel_change(
+    tmp_path: Path, stand: Stand
+) -> None:
+    given = load_with_overrides(CONFIGS / "winding_line.yaml", bus=f"embedded:{tmp_path.name}")
+    bench = Bench(given.config, participants=Participants.IN_PROCESS)
+
+    def reel_change() -> None:
+        with bench:
+            bench.ramp("line_speed_m_s", 1.2, duration_s=2.0)
+            bench.run(1.0)
+            bench.set("position_control.store.feed", 0.0)
+            bench.run(2.0)  # the unwinder runs at less than half its speed now
+            stand.began = len(stand.motion)
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        reel_change()
+    model = given.config.web_line
+    per_m = np.array([model.motor_rad_per_m(axis) for axis in range(1, model.axis_count + 1)])
+    follower, tensions, ways = LineFollower(imitated_web(model, given.config.load)), [], []
+    for duration_s, angles in stand.motion:
+        follower.follow(np.array(angles) / per_m, duration_s)
+        tensions.append(follower.tension_N)
+        ways.append(np.array(angles) / per_m)
+    since = stand.began
+    speeds_m_s = np.diff(np.array(ways[since:]), axis=0) / stand.motion[-1][0]
+    at_rest = int(np.flatnonzero(np.abs(speeds_m_s).max(axis=1) < 0.01)[0])
+    stopping_N = np.array(tensions[since : since + at_rest])
+    assert np.abs(stopping_N - stopping_N[0]).max() < MOST_OFF_N
+    assert speeds_m_s[0, 0] < 0.5 * speeds_m_s[0, 1]
+    ratios = speeds_m_s[: at_rest // 2] / speeds_m_s[: at_rest // 2, 1:2]
+    assert np.ptp(ratios, axis=0).max() < 0.05
