@@ -100,6 +100,24 @@ def test_processes_record_the_bits_of_one_process_and_frames_recover_them(tmp_pa
     assert set(different) <= commands
 
 
+def test_a_web_that_tears_lets_the_dancer_go_to_its_stop_and_ends_the_run(tmp_path: Path) -> None:
+    torn = "steps.2.step={path: load.web.broken, to: 1.0}"
+    outcome = run(dancer(tmp_path, *SHORTER, torn), tmp_path)
+    assert outcome.exit_code == 3
+    (fault,) = outcome.result.faults
+    assert "the carriage of dancer is at its stop, 0.2 m: the web has torn, or more comes in" in str(fault)
+    assert "in spans 1 to 2" in str(fault)
+    # Pushed by 160 N against 400 N·s/m it goes 0.2 m with 0.4 m/s, behind the 10 kg that it has to speed up.
+    assert channels(outcome)["t_s"][-1] == pytest.approx(2.0 + 0.2 / 0.4 + 10.0 / 400.0, abs=0.02)
+
+
+def test_an_accumulator_that_runs_empty_ends_the_run(tmp_path: Path) -> None:
+    changes = ("machine.stations.1.lower_stop_m=0.5", "steps.1.hold.until_s=3.5", "criteria=[]")
+    outcome = run(load_with_overrides(WINDING, bus=f"embedded:{tmp_path.name}", changes=changes), tmp_path)
+    (fault,) = outcome.result.faults
+    assert "the carriage of store is at its stop, 0.5 m: there is no web left for it in spans 1 to 4" in str(fault)
+
+
 def reels(folder: Path, **changes: Any) -> LoadedConfig:
     """Unwinder, accumulator of four strands, press, rewinder; a thick web that is soon wound."""
     rolls = {"radius_m": [0.2, 0.1, 0.12], "inertia_kg_m2": [0.5, 0.3, 0.2], "gear_ratio": 5.0}

@@ -23,7 +23,7 @@ from hilbench.bench.tasks.tension_task import EnteringStrain, FeedForward, Leade
 from hilbench.bench.tasks.tension_trust import TwinTrust
 from hilbench.bench.tasks.watches import Watch
 from hilbench.bench.tasks.web_limits import LimitWatch
-from hilbench.bench.tasks.web_positions import PositionTask
+from hilbench.bench.tasks.web_positions import CarriageStops, PositionTask
 from hilbench.bench.tasks.web_reels import MeasuredReel, ReelSpeeds, ReelWay
 from hilbench.bench.tasks.web_winding_control import DancerPosition
 from hilbench.errors import BenchFaultError
@@ -94,6 +94,7 @@ def tasks(config: BenchConfig, state: BenchState) -> MachineTasks:
         control=(boundary, probing, *([plan] if plan else []), *axes, *_reel_speeds(config, leading), load),
         watches=(
             WebAlarms(trusts, state.twin, stop_on_break=config.safety.on_web_break == "stop"),
+            *(CarriageStops(each) for each in model.carriages if each.station.name in config.load.measured),
             Watch("limits", limit_watch.update, reports),
             Watch("saturation", SaturationWatch(config).update, reports),
         ),

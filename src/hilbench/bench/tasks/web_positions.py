@@ -7,10 +7,15 @@ from math import pi, sin
 from hilbench.bench.tasks.task import CyclicTask, Outputs
 from hilbench.bench.tasks.tension_task import Leader
 from hilbench.bench.tasks.web_winding_control import DancerPosition
+from hilbench.errors import BenchFaultError
 from hilbench.exchange.exchange import Inputs
+from hilbench.plant.web_line.stations import LineCarriage
 from hilbench.topology.sample import CycleSample
 from hilbench.topology.web_line_config import PositionControlConfig
 from hilbench.topology.web_line_positions import FEED, SET_POINT, position_path
+
+#: So near to a stop a carriage is at it.
+_AT_STOP_M = 5e-4
 
 
 class PositionTask(CyclicTask):
@@ -96,3 +101,32 @@ class PositionTask(CyclicTask):
         self._moved = False
         self._loop.reset()
         setattr(sample, self._shown, self._values[self._set_point])
+
+
+class CarriageStops(CyclicTask):
+    """A carriage that comes to its stop keeps no tension any more: that is a fault, as at the limit switches of a
+    dancer. Where it is pushed the way that lengthens the web, at the upper stop no web holds it."""
+
+    def __init__(self, carriage: LineCarriage) -> None:
+        station = carriage.station
+        self._measured = f"x_{station.name}_meas_m"
+        spans = f"spans {carriage.first_span} to {carriage.last_span}"
+        self._about = f"the carriage of {station.name} is at its stop"
+        self._stops = [
+            (stop_m, f"{why} in {spans}")
+            for stop_m, why in (
+                (station.lower_stop_m, "there is no web left for it"),
+                (station.upper_stop_m, "the web has torn, or more comes in than goes out,"),
+            )
+            if stop_m is not None
+        ]
+        self._was_away = False
+
+    def after(self, sample: CycleSample, inputs: Inputs) -> None:
+        """Raises BenchFaultError when it has come to a stop."""
+        position_m = getattr(sample, self._measured)
+        at = [(stop_m, why) for stop_m, why in self._stops if abs(position_m - stop_m) < _AT_STOP_M]
+        if at and self._was_away:
+            stop_m, why = at[0]
+            raise BenchFaultError(f"t = {sample.t_s:.3f} s: {self._about}, {stop_m:g} m: {why}")
+        self._was_away = not at
