@@ -80,7 +80,10 @@ class BesideALine:
             self.twin.listen()
             self.twin.plant.step(CYCLE_S)
         spans = range(1, self.model.span_count + 1)
-        true = (self.line.parameter(f"span{k}.youngs_modulus_Pa") * self.line.elasticity_factor(k) for k in spans)
+        of_span = "span{}." if len(spans) > 1 else ""
+        true = (
+            self.line.parameter(f"{of_span.format(k)}youngs_modulus_Pa") * self.line.elasticity_factor(k) for k in spans
+        )
         self._rows.append((self.time_s, *true, *self.line.tension_N, *self.twin.published()))
         self.line.step(CYCLE_S)
         self.time_s += CYCLE_S

@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
 from tests.plant.models import model
 from tests.twin.beside_a_line import Array, BesideALine, line_model
 
+from hilbench.errors import UnusableInputError
+from hilbench.estimation.web_line.config import EstimationConfig
 from hilbench.plant.web_line.span import SpanFollower
+from hilbench.runs.config import load_with_overrides
+
+CONFIG = Path(__file__).resolve().parents[2] / "bench_configs" / "web_section_step.yaml"
 
 OLD_PA, SPEED_M_S, ENTERS_S = 8.7e9, 2.0, 3.0
 LENGTHS_M = (2.5, 4.0)
@@ -20,10 +26,14 @@ ENDLESS_M, SHORT_M = 1e4, 0.3
 
 @cache
 def passage(
-    change: float, length_m: float, step_in_span_2: float = 0.0, then_m_s: float = SPEED_M_S
+    change: float,
+    length_m: float,
+    step_in_span_2: float = 0.0,
+    then_m_s: float = SPEED_M_S,
+    lengths_m: tuple[float, ...] = LENGTHS_M,
 ) -> dict[str, Array]:
     """What was true, and what the twin told; soon after the joint has come in the speed changes within a second."""
-    both = BesideALine(line_model(*LENGTHS_M))
+    both = BesideALine(line_model(*lengths_m), EstimationConfig(splices=True))
     both.go(1.0, SPEED_M_S)
     both.go(ENTERS_S)
     both.line.set_effect("splice", time_s=ENTERS_S, relative_change=change, length_m=length_m)
@@ -77,11 +87,26 @@ def test_in_the_next_span_it_is_expected_and_not_found_anew(change: float) -> No
 @pytest.mark.parametrize("change", [0.12, -0.15])
 def test_it_is_followed_and_expected_while_the_speed_changes(change: float, then_m_s: float) -> None:
     told = passage(change, ENDLESS_M, then_m_s=then_m_s)
-    assert error(told, 1, ENTERS_S + 1.0, 8.0) < 0.015
+    assert error(told, 1, ENTERS_S + 1.0, 8.0) < 0.016
     assert error(told, 2, ENTERS_S, 8.0) < 0.016
     late = told["t_s"] > ENTERS_S + 1.0
     for span in (1, 2):
         assert np.max(np.abs(told[f"F{span}_sim_N"] - told[f"F{span}_true_N"])[late]) < 1.0
+
+
+@pytest.mark.parametrize("then_m_s", [SPEED_M_S, 1.4])
+@pytest.mark.parametrize("change", [0.12, -0.15])
+def test_a_line_of_one_span_follows_it_where_it_is_told_to_look(change: float, then_m_s: float) -> None:
+    told = passage(change, ENDLESS_M, then_m_s=then_m_s, lengths_m=LENGTHS_M[:1])
+    assert error(told, 1, ENTERS_S + 1.0, 8.0) < 0.016
+    late = told["t_s"] > ENTERS_S + 1.0
+    assert np.max(np.abs(told["F1_sim_N"] - told["F1_true_N"])[late]) < 1.0
+
+
+def test_a_method_that_corrects_no_e_looks_for_no_other_web() -> None:
+    changes = ["twin.splices=true", "twin.estimate=[{method: input}]", "criteria=[]"]
+    with pytest.raises(UnusableInputError, match="another method than 'input' where 'splices' are looked for"):
+        load_with_overrides(CONFIG, changes=changes)
 
 
 @pytest.mark.parametrize(

@@ -367,7 +367,7 @@ class BenchConfig(Block):
             needs = "'web:' and 'drives:'" if isinstance(machine, ModelParameters) else "'drives:'"
             raise ValueError(f"a machine with {needs}")
         if isinstance(machine, ModelParameters) and machine.stations is not None:
-            ahead = [key for key in ("prediction", "live_diagnosis") if getattr(self.twin, key) is not None]
+            ahead = [key for key in ("prediction", "live_diagnosis", "splices") if getattr(self.twin, key)]
             names = {*self.drives, *self.load_motors}
             problem = stations_misfit(machine, self.controllers.values(), "".join(ahead[:1]), names)
             if problem:

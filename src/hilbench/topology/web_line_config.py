@@ -150,10 +150,15 @@ def estimate_misfits(twin: EstimationConfig, machine: ModelParameters) -> Iterat
     if len(twin.estimate) > len(given) and len(twin.estimate) > 1:
         yield "'estimate' with a span in every entry, or one entry without a span for all of them"
     yield from _each_once(given, machine.span_count, "E of a span is found in one way")
-    if machine.span_count < 2 or machine.stations is not None:
+    if machine.stations is not None:
         return
     methods = twin.by_span(machine.span_count)
-    if any(isinstance(estimate, InputConfig) for estimate in methods.values()):
+    corrects_input = any(isinstance(estimate, InputConfig) for estimate in methods.values())
+    if corrects_input and twin.splices:
+        yield "another method than 'input' where 'splices' are looked for: it corrects no E"
+    if machine.span_count < 2:
+        return
+    if corrects_input:
         yield "another method than 'input', which is for a line of one span"
     first = min(methods)
     unloaded = [axis for axis in range(first + 1, machine.axis_count + 1) if not machine.carries_web_load(axis)]

@@ -211,6 +211,11 @@ class EstimationConfig(Block):
         description="a shift of friction or of the torque's offset that is told from a change of E: taken out of the "
         "measured torque, or booked as E",
     )
+    splices: bool | None = Field(
+        default=None,
+        description="look for other web that comes in, follow it and expect it in the next span; while there may be "
+        "some the model's errors are not learned; null: on a line of several spans",
+    )
     known_change: KnownChangeConfig | None = Field(
         default=None,
         description="E from changes of the tension at steady speed, from which friction and offsets cancel; not given: "

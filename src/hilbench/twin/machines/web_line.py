@@ -77,7 +77,8 @@ class WebLineTwin:
             if span not in self._estimated:
                 break
             joined.append(self._estimated[span].tracking)
-        self._passage = Passage(joined, cycle_s) if self._several else None
+        looks = self._several if config.splices is None else config.splices
+        self._passage = Passage(joined, cycle_s) if looks else None
         others = [span for span in spans if span not in methods]
         self._others = _OtherSpans(model, others, config.transfer.strain_limit) if others else None
         self._told = told
