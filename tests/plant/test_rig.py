@@ -11,6 +11,8 @@ from scipy.integrate import solve_ivp
 
 from hilbench.plant.motor_port import MotorMode, MotorPort
 from hilbench.plant.parameters import EffectEntry, LoadMotorParameters
+from hilbench.plant.sensors import SensorParameters
+from hilbench.plant.web_line.line import Line
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.rig import CoupledMotor, RigParameters, TestRig
 
@@ -140,3 +142,35 @@ def test_rigs_that_cannot_be_are_refused_in_one_line() -> None:
     given = RigParameters.matching(line_of(3), TWO).model_dump()
     with pytest.raises(ValidationError, match="radius_m has 2 values, expected one or 3"):
         RigParameters.model_validate({**given, "radius_m": [0.2, 0.2]})
+
+
+@pytest.mark.parametrize("kind", ["rig", "line"])
+def test_a_machine_goes_on_alike_with_its_ports_and_by_set_points_alone(kind: str) -> None:
+    """Signs of zeros, limits and sensors, too: bit by bit."""
+    shown: list[list[tuple[float, ...]]] = [[], []]
+    for way, kept in enumerate(shown):
+        machine: TestRig | Line
+        if kind == "rig":
+            parameters = RigParameters.matching(line_of(3), TWO)
+            noisy = SensorParameters(torque_noise_Nm=0.1, position_noise_rad=1e-4, encoder_rad_per_count=1e-5)
+            ports = [MotorPort(mode=MotorMode.TORQUE, torque_limit_Nm=1.5) for _ in range(5)]
+            machine = TestRig(parameters.model_copy(update={"sensors": noisy}), ports, seed=3)
+        else:
+            ports = [MotorPort(mode=MotorMode.VELOCITY, torque_limit_Nm=1.5) for _ in range(3)]
+            machine = Line(line_of(3), ports)
+        set_points, numbers = np.zeros(len(ports)), np.zeros(5 * len(ports))
+        machine.step(CYCLE_S)  # the modes are known from here on
+        for row in range(60):
+            set_points[:] = 0.0 if row < 5 else [0.04 * row * (-1) ** at for at in range(len(ports))]
+            for port, value in zip(ports, set_points.tolist(), strict=True):
+                port.setpoint = value
+            if way:
+                machine.step_in_modes(set_points, CYCLE_S, numbers)
+                kept += [tuple(numbers[at : at + 5]) for at in range(0, len(numbers), 5)]
+            else:
+                machine.step(CYCLE_S)
+                kept += [(p.position_rad, p.velocity_rad_s, p.torque_Nm, p.reference, p.torque_limited) for p in ports]
+    by_ports, in_modes = (np.array(kept, float) for kept in shown)
+    assert by_ports.tobytes() == in_modes.tobytes()
+    assert by_ports[:, 4].any()
+    assert not by_ports[:, 4].all()

@@ -51,6 +51,8 @@ from hilbench.twin.process import TwinApplication
 
 #: Cycles after which it is looked anew whether cycles are plain, when they were not.
 _LOOK_AGAIN = 8
+#: Cycles whose lines of the trace are handed over together: some milliseconds of a run's own time.
+_TRACED_TOGETHER = 32
 _ENABLED = Command.ENABLE_OPERATION.value
 
 
@@ -139,6 +141,7 @@ class _Run:
         """Raises NotPlainError where cycles are not plain."""
         self._here, self._nodes, self._sync, self._tap = here, nodes, sync, tap
         self._cycles = 0
+        self._devices = (*here.hardware.devices, *here.twin.devices)
         self._slots, self._frames = Slots(), Frames()
         self._taken: list[tuple[Device, Rpdo, int]] = []
         self._answering: list[tuple[Device, Tpdo, int]] = []
@@ -372,7 +375,7 @@ class _Run:
                 heads += head
             self._text = np.zeros(len(frames.rows) * lay.LINE + len(heads), np.uint8)
         self._heads = np.frombuffer(heads or b"\0", np.uint8).copy()
-        self._waiting = ""  # lines of the last cycle: they are handed over with the next one
+        self._waiting: list[bytes] = []  # lines of the last cycles, which are handed over together
         self._waiting_frames = 0
 
     def _of_twin(self) -> None:
@@ -432,10 +435,7 @@ class _Run:
         for drive in nodes.drives:
             if drive.controlword != _ENABLED or not drive.reached:
                 return False
-        for device in here.twin.devices:
-            if device.outbox:
-                return False
-        for device in here.hardware.devices:
+        for device in self._devices:
             if device.outbox:
                 return False
         for served, until_ns in zip((here.hardware, here.twin), self._until_ns, strict=True):
@@ -480,8 +480,8 @@ class _Run:
         self._bytes = self._data.tobytes()
         here.bus.account(left[lay.O_FRAMES], left[lay.O_BITS], left[lay.O_DURATION_NS])
         if self._lines is not None:
-            self._waiting = self._text[: left[lay.O_TEXT]].tobytes().decode("ascii")
-            self._waiting_frames = left[lay.O_FRAMES]
+            self._waiting.append(self._text[: left[lay.O_TEXT]].tobytes())
+            self._waiting_frames += left[lay.O_FRAMES]
         elif self._tap is not None:
             self._tap.write(self._sent_frames())
             self._tap.end_cycle()
@@ -522,8 +522,8 @@ class _Run:
         return [device.node_id for device, row in self._heartbeats if self._left_now[lay.O_SIZE + row]]
 
     def _write_waiting(self) -> BenchFaultError | None:
-        """The lines of the last cycle; what the trace has to say against them."""
-        if self._lines is None or not self._waiting:
+        """The lines of the last cycles; what the trace has to say against them."""
+        if self._lines is None or len(self._waiting) < _TRACED_TOGETHER:
             return None
         try:
             self._give_lines(self._lines)
@@ -533,8 +533,9 @@ class _Run:
         return None
 
     def _give_lines(self, lines: LineTap) -> None:
-        lines.write_lines(self._waiting, self._waiting_frames)
-        self._waiting = ""
+        lines.write_lines(b"".join(self._waiting).decode("ascii"), self._waiting_frames)
+        self._waiting.clear()
+        self._waiting_frames = 0
 
     # -- back to the objects ---------------------------------------------------------------------------------
 

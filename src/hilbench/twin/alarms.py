@@ -19,6 +19,11 @@ class Alarms:
         """Forget what was on."""
         self._left.clear()
 
+    @property
+    def idle(self) -> bool:
+        """Whether none is on."""
+        return not self._left
+
     def update(self, problem: Problem | None) -> tuple[list[Problem], list[Problem]]:
         """Take what is wrong in this cycle; the alarms that begin and those that end with it."""
         begun = [problem] if problem is not None and problem not in self._left else []

@@ -41,20 +41,11 @@ _VALUE_TOO_HIGH, _INVALID_VALUE, _PRESENT_STATE = 0x06090031, 0x06090030, 0x0800
 _MOST_OWED = 100
 #: Missed SYNCs in a row that the simulation makes up for; after more a twin has to find the plant anew.
 _MOST_SKIPPED = 100
-#: In the order in which `TwinApplication` puts them together.
-_STATUS_BITS = tuple(
-    int(bit)
-    for bit in (
-        TwinStatus.RUNNING,
-        TwinStatus.SYNCHRONIZED,
-        TwinStatus.HOLDING,
-        TwinStatus.LATE,
-        TwinStatus.TRANSFER_REFUSED,
-        TwinStatus.NOT_SEPARABLE,
-        TwinStatus.MODEL_CHANGING,
-        TwinStatus.MODEL_CHANGED,
-    )
+_RUNNING, _SYNCHRONIZED, _HOLDING, _LATE = (
+    int(bit) for bit in (TwinStatus.RUNNING, TwinStatus.SYNCHRONIZED, TwinStatus.HOLDING, TwinStatus.LATE)
 )
+_TRANSFER_REFUSED, _NOT_SEPARABLE = int(TwinStatus.TRANSFER_REFUSED), int(TwinStatus.NOT_SEPARABLE)
+_MODEL_CHANGING, _MODEL_CHANGED = int(TwinStatus.MODEL_CHANGING), int(TwinStatus.MODEL_CHANGED)
 
 
 @dataclass(frozen=True)
@@ -110,6 +101,7 @@ class TwinApplication:
         self._owed = [0] * len(self._listeners)  # SYNCs that the axis has not answered
         self._measured_before: list[Measured] | None = None  # while the machine waits to be released
         self._alarms = {part: Alarms(setup.cycle_s) for part in machine.problems}
+        self._quiet = True  # no alarm is on
         self._reported_shift_Nm, self._reported_undecided = 0.0, False
         self._pending = self._released = False
         self._sync_number = self._behind = 0
@@ -137,6 +129,7 @@ class TwinApplication:
         self._measured_before = None
         for alarms in self._alarms.values():
             alarms.reset()
+        self._quiet = True
         self._reported_shift_Nm, self._reported_undecided = 0.0, False
         self._pending = self._released = False
         self._ways.reset()
@@ -300,12 +293,15 @@ class TwinApplication:
 
     def _report_problem(self) -> None:
         """Say by EMCY why a measurement can't be used, and when it can be again."""
+        if self._quiet and self._machine.problem is None:
+            return
         for part, found in self._machine.problems.items():
             begun, ended = self._alarms[part].update(found)
             for problem in ended:
                 self._device.clear_emergency(problem, part)
             for problem in begun:
                 self._device.emergency(problem, _PROFILE_SPECIFIC, _at(part), part)
+        self._quiet = all(alarms.idle for alarms in self._alarms.values())
 
     def _report_shift(self) -> None:
         """Say by EMCY what the torque is corrected for, and whether something is open."""
@@ -342,22 +338,22 @@ class TwinApplication:
     def _status(self) -> int:
         """Bits of `TwinStatus`, as a plain number: flags of the enum take microseconds to put together."""
         machine, status = self._machine, 0
-        for bit, holds in zip(
-            _STATUS_BITS,
-            (
-                self._released,
-                self._released and machine.synchronized,
-                machine.problem is not None,
-                self._behind > 0,
-                machine.refused,
-                not machine.separable,
-                machine.changing,
-                machine.changed,
-            ),
-            strict=True,
-        ):
-            if holds:
-                status |= bit
+        if self._released:
+            status |= _RUNNING
+            if machine.synchronized:
+                status |= _SYNCHRONIZED
+        if machine.problem is not None:
+            status |= _HOLDING
+        if self._behind > 0:
+            status |= _LATE
+        if machine.refused:
+            status |= _TRANSFER_REFUSED
+        if not machine.separable:
+            status |= _NOT_SEPARABLE
+        if machine.changing:
+            status |= _MODEL_CHANGING
+        if machine.changed:
+            status |= _MODEL_CHANGED
         return status
 
     def _publish(self) -> None:

@@ -277,8 +277,8 @@ class TorqueShiftFinder:
     @property
     def undecided(self) -> bool:
         """Whether a change has been open for long, and may as well be the one as the other."""
-        is_open, leans, count = (self.state.item(place) for place in (_OPEN, _LEANS_TO_MODULUS, _COUNT))
-        return is_open != 0.0 and count >= _LONG and leans == 0.0
+        s = self.state
+        return s.item(_OPEN) != 0.0 and s.item(_COUNT) >= _LONG and s.item(_LEANS_TO_MODULUS) == 0.0
 
     def update(
         self, now: BalanceSample, told_Pa: float, *, may_decide: bool = True, deviation_N: float = 0.0

@@ -52,7 +52,8 @@ def _entry_point(sources: int) -> Step:
             rad_per_m, state = p[rows + j * lay.M_SIZE + lay.M_RAD_PER_M], states + j * lay.SM_SIZE
             position = out[j] * rad_per_m + sensors[of] * noise[3 * k]
             counts = sensors[of + 3]
-            shown[at] = np.rint(position / counts) * counts if counts > 0.0 else position
+            # A count is a whole number, which has no -0.0.
+            shown[at] = (np.rint(position / counts) + 0.0) * counts if counts > 0.0 else position
             shown[at + 1] = out[count + j] * rad_per_m + sensors[of + 1] * noise[3 * k + 1]
             shown[at + 2] = out[2 * count + j] + sensors[of + 2] * noise[3 * k + 2]
             shown[at + 3] = s[state + lay.SM_REFERENCE]

@@ -149,13 +149,90 @@ def roll_on(
 
 
 FollowCycle = Callable[[Vector, Vector, Vector, Vector, float, float, float, Vector], None]
+FollowTo = Callable[[Vector, Vector, Vector, Vector, Vector, Vector, float, Vector], None]
+Pull = Callable[[Vector, Vector, Vector, Vector, Vector, Vector, float, Vector, Vector, Vector, Vector], None]
+Show = Callable[[Vector, Vector, Vector, Vector, Vector], None]
 FollowRows = Callable[[Vector, Vector, Vector, Vector, Vector, float, Vector, Vector], None]
 Resistance = Callable[[Vector, int, float, float, float], float]
 Modulus = Callable[[Vector, int, float], float]
 
 
-def _entry_points(sources: int) -> tuple[FollowCycle, FollowRows, Resistance, Modulus]:
+@inlined
+def _tension_around_N(p: Vector, t: float, boundary: Vector, tension: Vector, span: int) -> float:
+    """Of a span, counted from 0; before the first that upstream of the line, behind the last that downstream of it."""
+    if span < 0:
+        return float(laws.upstream_strain(p, boundary[0], t) * p[lay.W_UPSTREAM_STIFFNESS_N])
+    return float(tension[span] if span < len(tension) else boundary[1])
+
+
+@compiled
+def _web_torque_Nm(p: Vector, s: Vector, boundary: Vector, tension: Vector, load: Vector, v: float) -> float:
+    """See `SpanFollower.web_torque_Nm`; `load`: roller from 0, rad per m at its motor, whether it carries the web."""
+    roller, force = int(load[0]), 0.0
+    if load[2] != 0.0:
+        behind = _tension_around_N(p, s[0], boundary, tension, roller)
+        force = behind - _tension_around_N(p, s[0], boundary, tension, roller - 1)
+    direction = laws.measured_direction(v, laws.FRICTION_WIDTH_M_S)
+    force -= laws.measured_resistance_N(p, lay.W_SIZE + roller * lay.A_SIZE, s[_TIME + roller], v, direction)
+    return float(force / load[1])
+
+
+@inlined
+def _modulus_Pa(p: Vector, span: int, t: float) -> float:
+    row = _first_span(p) + span * lay.SP_SIZE
+    factor = laws.step_factor(p, row, t, LONGEST_STEP_S)
+    return float(laws.stiffness_N(p, row, t, factor) / p[row + lay.SP_SECTION_M2])
+
+
+def _entry_points(
+    sources: int,
+) -> tuple[FollowCycle, FollowTo, FollowRows, Pull, Show, Resistance, Modulus]:
     """Compiled functions that are called from Python; `sources` as in the kernel."""
+
+    @entry_point
+    def follow_on(
+        p: Vector, s: Vector, w: Vector, v: Vector, boundary: Vector, x: Vector, duration: float, out: Vector
+    ) -> None:
+        n = len(x) if sources >= 0 else 0
+        for i in range(n):
+            v[i] = (x[i] - s[_TIME + i]) / duration
+        roll_on(p, s, w, v, boundary[0], boundary[1], duration, LONGEST_STEP_S, out)
+        for i in range(n):
+            s[_TIME + i] = x[i]  # exactly: no drift from adding up
+
+    @entry_point
+    def pull(
+        p: Vector,
+        s: Vector,
+        ahead: Vector,
+        w: Vector,
+        v: Vector,
+        boundary: Vector,
+        lead: float,
+        tension: Vector,
+        loads: Vector,
+        speeds: Vector,
+        torques: Vector,
+    ) -> None:
+        if lead >= 0.0:
+            for i in range(len(s) if sources >= 0 else 0):
+                ahead[i] = s[i]
+            roll_on(p, ahead, w, v, boundary[0], boundary[1], lead, LONGEST_STEP_S, tension)
+        for k in range(len(loads)):
+            torques[k] = _web_torque_Nm(p, s, boundary, tension, loads[k], speeds[int(loads[k, 0])])
+
+    @entry_point
+    def show(p: Vector, s: Vector, v: Vector, tension: Vector, out: Vector) -> None:
+        n, k = len(v) if sources >= 0 else 0, len(tension)
+        first = _first_span(p)
+        for i in range(n):
+            out[i] = s[_TIME + i]
+            out[n + i] = v[i]
+        for j in range(k):
+            unstretched, length = s[_TIME + n + j], s[_TIME + n + k + j]
+            out[2 * n + j] = tension[j]
+            out[2 * n + k + j] = length * laws.length_factor(p, first + j * lay.SP_SIZE) / unstretched - 1.0
+            out[2 * n + 2 * k + j] = _modulus_Pa(p, j, s[0])
 
     @entry_point
     def follow(
@@ -184,15 +261,12 @@ def _entry_points(sources: int) -> tuple[FollowCycle, FollowRows, Resistance, Mo
 
     @entry_point
     def modulus(p: Vector, span: int, t: float) -> float:
-        row = _first_span(p) + span * lay.SP_SIZE
-        factor = laws.step_factor(p, row, t, LONGEST_STEP_S) if sources >= 0 else 1.0
-        acting: float = laws.stiffness_N(p, row, t, factor) / p[row + lay.SP_SECTION_M2]
-        return acting
+        return _modulus_Pa(p, span, t) if sources >= 0 else 0.0
 
-    return follow, follow_rows, resistance, modulus
+    return follow, follow_on, follow_rows, pull, show, resistance, modulus
 
 
-follow_cycle, _follow_rows, resistance_N, _modulus = _entry_points(source_number(__file__))
+follow_cycle, _follow_on, _follow_rows, _pull, _show, resistance_N, _modulus = _entry_points(source_number(__file__))
 
 
 class SpanVectors(NamedTuple):
@@ -287,13 +361,18 @@ class SpanFollower:
         n, k = self._layout.axes, self._layout.spans
         self._work = new_follower_work(self._layout)
         self._state = np.zeros(follower_size(self._layout))
-        self._v = np.zeros(n)
+        self._v, self._x = np.zeros(n), np.zeros(n)
+        self._ahead, self._tension_ahead = np.zeros_like(self._state), np.zeros(k)  # of the web ahead
+        self._pulled: Sequence[int] = ()  # axes whose load motors are in the next three
+        self._loads, self._torques, self._speeds = np.zeros((0, 3)), np.zeros(0), np.zeros(n)
+        self._shown = np.zeros(2 * n + 3 * k)
         self._boundary = np.array([parameters.upstream_strain, parameters.boundary.downstream_tension_N])
         self._tension = np.zeros(k)
         self._stale = False  # tensions are not those of state, boundary and parameters
         self._broken = False
         self._rad_per_m = [parameters.motor_rad_per_m(axis) for axis in range(1, n + 1)]
         self._description = _description(parameters)
+        self._names = [quantity.name for quantity in self._description.outputs]
         self.reset(x_m, strain)
 
     @property
@@ -332,11 +411,11 @@ class SpanFollower:
         """
         if not duration_s > 0.0:
             raise ValueError(f"duration {duration_s!r} s, expected more than 0")
-        n = self._layout.axes
-        x = np.asarray(positions, dtype=np.float64)
-        self._v[:] = (x - self._state[_TIME : _TIME + n]) / duration_s
-        follow_cycle(self._p, self._state, self._work, self._v, *self._around, duration_s, self._tension)
-        self._state[_TIME : _TIME + n] = x  # exactly: no drift from adding up
+        self._x[:] = positions
+        _follow_on(
+            *(self._p, self._state, self._work, self._v, self._boundary, self._x),
+            *(duration_s, self._tension),
+        )
         self._stale = False
 
     def predicted_tension_N(self, lead_s: float) -> Vector:
@@ -344,48 +423,42 @@ class SpanFollower:
 
         Makes good the delay between measuring the motion and the load motor's torque.
         """
-        state, tension = self._state.copy(), np.empty_like(self._tension)
-        if not self._broken:
-            follow_cycle(self._p, state, self._work, self._v, *self._around, lead_s, tension)
-        else:
-            tension[:] = 0.0
-        return tension
+        self._pull((), lead_s)
+        return self._tension_ahead.copy()
 
     def load_torques_Nm(self, axes: Sequence[int], speeds: Sequence[float], lead_s: float) -> list[float]:
         """Torques at the shafts of load motors on `axes`, of the web `lead_s` ahead; `speeds` (N,) of all rollers, m/s.
 
         A load motor turns as fast as the axis' motor.
         """
-        tension = self.predicted_tension_N(lead_s)
-        return [self.web_torque_Nm(axis, speeds[axis - 1], tension_N=tension) for axis in axes]
+        self._speeds[:] = speeds
+        return self._pull(axes, lead_s)
 
-    def web_torque_Nm(
-        self,
-        axis: int,
-        v_m_s: float,
-        *,
-        tension_N: ArrayLike | None = None,
-        friction_width_m_s: float = laws.FRICTION_WIDTH_M_S,
-    ) -> float:
+    def web_torque_Nm(self, axis: int, v_m_s: float) -> float:
         """Torque at the motor of `axis` that imitates the web and the roller's resistance: (r/i)·(F_next - F - R(v)).
 
         F is the tension of the span before roller `axis` (of the first: the upstream one), F_next that of the span
-        behind it (of the last: the downstream one). `tension_N` (K,): tensions to use, default the present ones;
-        `v_m_s`: speed of the roller. Dry friction turns over linearly within ±`friction_width_m_s`: imitated by a
-        torque it must not flip with the noise of v. Inertia and gear effects can't be imitated by it.
+        behind it (of the last: the downstream one), as they are now; `v_m_s`: speed of the roller. Dry friction turns
+        over linearly within ±`laws.FRICTION_WIDTH_M_S`: imitated by a torque it must not flip with the noise of v.
+        Inertia and gear effects can't be imitated by it.
         """
-        tensions = self.tension_N if tension_N is None else np.asarray(tension_N, dtype=float)
-        force = 0.0
-        if self.parameters.carries_web_load(axis):
-            before = tensions[axis - 2] if axis > 1 else self._upstream_tension_N()
-            behind = tensions[axis - 1] if axis <= len(tensions) else self._boundary[1]
-            force = float(behind - before)
-        force -= resistance_N(self._p, axis - 1, self._state.item(axis), float(v_m_s), friction_width_m_s)
-        return float(force / self._rad_per_m[axis - 1])
+        self._speeds[axis - 1] = v_m_s
+        return self._pull((axis,), None)[0]
 
-    def _upstream_tension_N(self) -> float:
-        strain = float(laws.upstream_strain(self._p, self._boundary[0], self._state[0]))
-        return strain * float(self._p[lay.W_UPSTREAM_STIFFNESS_N])
+    def _pull(self, axes: Sequence[int], lead_s: float | None) -> list[float]:
+        """Torques on these axes of the web ahead, whose tensions are in `_tension_ahead` then; None: of that of now."""
+        if self._pulled != axes:
+            pulled = [(axis - 1, self._rad_per_m[axis - 1], self.parameters.carries_web_load(axis)) for axis in axes]
+            self._pulled, self._loads = axes, np.array(pulled, float).reshape(-1, 3)
+            self._torques = np.zeros(len(axes))
+        if self._broken or lead_s is None:
+            self._tension_ahead[:] = self.tension_N
+            lead_s = -1.0
+        _pull(
+            *(self._p, self._state, self._ahead, self._work, self._v, self._boundary, lead_s, self._tension_ahead),
+            *(self._loads, self._speeds, self._torques),
+        )
+        return self._torques.tolist()
 
     @property
     def time_s(self) -> float:
@@ -441,15 +514,15 @@ class SpanFollower:
 
     def outputs(self) -> dict[str, float]:
         """Motion of the rollers, tension and strain of the spans, and E as it acts."""
-        n = self._layout.axes
-        values = [
-            *self._state[_TIME : _TIME + n].tolist(),
-            *self._v.tolist(),
-            *self.tension_N.tolist(),
-            *self.strain.tolist(),
-            *self.effective_moduli_Pa.tolist(),
-        ]
-        return {quantity.name: value for quantity, value in zip(self._description.outputs, values, strict=True)}
+        n, k, shown = self._layout.axes, self._layout.spans, self._shown
+        if self._stale:
+            self._evaluate()
+        _show(self._p, self._state, self._v, self._tension, shown)
+        if self._broken:
+            shown[2 * n : 2 * n + 2 * k] = 0.0
+        if has_pieces(self._state):
+            shown[2 * n + 2 * k :] = self.effective_moduli_Pa
+        return dict(zip(self._names, shown.tolist(), strict=True))
 
     def get_state(self) -> PlantState:
         """The state now; an equal follower goes on from it bit for bit."""

@@ -72,6 +72,8 @@ class WebLineTwin:
             tracking = Tracking(section.model, config.of_span(method), section, section, cycle_s)
             self._estimated[span] = _Estimated(span, section, tracking)
         self._all = tuple(self._estimated.values())
+        #: What is asked for in every cycle is asked of it without a loop.
+        self._only = self._all[0] if len(self._all) == 1 else None
         first, joined = self._all[0].span, list[Tracking]()
         for span in range(first, len(spans) + 1):
             if span not in self._estimated:
@@ -90,7 +92,11 @@ class WebLineTwin:
     @property
     def problem(self) -> Problem | None:
         """Why the last measurement could not be used; of several spans at the first that has a problem."""
-        return next((each.tracking.problem for each in self._all if each.tracking.problem is not None), None)
+        for each in self._all:
+            problem = each.tracking.problem
+            if problem is not None:
+                return problem
+        return None
 
     @property
     def problems(self) -> Mapping[int, Problem | None]:
@@ -108,27 +114,37 @@ class WebLineTwin:
     @property
     def refused(self) -> bool:
         """Whether a measured state was not plausible and was not taken over in the last cycle."""
-        refused = any(each.tracking.refused for each in self._all)
-        return refused or (self._others is not None and self._others.refused)
+        for each in self._all:
+            if each.tracking.refused:
+                return True
+        return self._others is not None and self._others.refused
 
     @property
     def synchronized(self) -> bool:
         """Whether E of each span is known as well as the config asks for, and the web is the one that was measured."""
+        if self._only is not None:
+            return self._only.tracking.synchronized and not self._only.waiting
         return all(each.tracking.synchronized and not each.waiting for each in self._all)
 
     @property
     def separable(self) -> bool:
         """Whether the data tell everything that is estimated from E."""
+        if self._only is not None:
+            return self._only.tracking.separable
         return all(each.tracking.separable for each in self._all)
 
     @property
     def torque_shift_Nm(self) -> float:
         """What the measured torque has shifted by, and is corrected for; of several spans the largest."""
+        if self._only is not None:
+            return self._only.tracking.torque_shift_Nm
         return max((each.tracking.torque_shift_Nm for each in self._all), key=abs)
 
     @property
     def torque_undecided(self) -> bool:
         """Whether the torque has changed, and nothing tells yet whether that was E or a shift."""
+        if self._only is not None:
+            return self._only.tracking.torque_undecided
         return any(each.tracking.torque_undecided for each in self._all)
 
     def reset(self) -> None:

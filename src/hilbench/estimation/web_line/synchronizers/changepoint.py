@@ -261,5 +261,7 @@ class ChangepointSynchronizer:
     @property
     def separable(self) -> bool:
         """Whether the data tell all of that from E."""
+        if not self._beside_it:
+            return True
         out, priors = self._out, self._inputs.priors
         return all(out.item(1, place) < SEPARABLE * priors.item(place - kalman.OFFSET) for place in self._beside_it)
