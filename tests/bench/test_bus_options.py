@@ -8,6 +8,8 @@ import pytest
 from tests.cli.in_process import hilbench
 
 from hilbench.bench.bus_options import bus_options
+from hilbench.bench.schedule import schedule
+from hilbench.can.load import CyclicFrame
 from hilbench.errors import UnusableInputError
 from hilbench.exchange.nodes import Nodes
 from hilbench.runs.check import check_experiment
@@ -50,3 +52,23 @@ def test_the_command_shows_both() -> None:
     assert "on one wire of 1000000 bit/s: at worst" in said
     assert "fits cycles from 3 ms in lockstep" in said
     assert "on two wires (a bench can't use them yet): at worst" in said
+
+
+def test_the_check_says_when_each_frame_of_a_cycle_is_over_at_worst() -> None:
+    frames = [CyclicFrame("SYNC", 0x080, 0), CyclicFrame("low", 0x382, 8, 0.2), CyclicFrame("high", 0x181, 8)]
+    frames += [CyclicFrame("told", 0x201, 4), CyclicFrame("heartbeats", 0x701, 1, 0.1)]
+    slots = {slot.name: slot for slot in schedule(frames, 0.001, 1_000_000)}
+    assert list(slots) == ["SYNC", "high", "low", "told"]
+    # Every possible stuff bit: 0, 1, 4 and 8 bytes are 55, 65, 95 and 135 bit times. A heartbeat may have begun.
+    assert slots["SYNC"].ends_s == pytest.approx((65 + 55) * 1e-6)
+    assert slots["high"].ends_s == pytest.approx((135 + 55 + 135) * 1e-6)  # the other one may have begun
+    assert slots["low"].ends_s == pytest.approx((65 + 55 + 135 + 135) * 1e-6)
+    assert slots["told"].ends_s == pytest.approx((65 + 95) * 1e-6)
+    assert [slot.is_set_point for slot in slots.values()] == [False, False, False, True]
+
+
+def test_the_command_names_the_frames_that_come_too_late_in_real_time() -> None:
+    fits, late = hilbench("check", CONFIGS / "web_section_step.yaml").stdout, hilbench("check", LINE).stdout
+    assert "a cycle at worst: answers are over after 1.0" in fits
+    assert "too late" not in fits
+    assert "in real time too late: virtual io TPDO6 (492h" in late

@@ -7,6 +7,7 @@ from math import isclose
 
 from hilbench.bench.bus_options import BusOption, bus_options
 from hilbench.bench.fmu_check import fmu_findings
+from hilbench.bench.schedule import Slot, schedule
 from hilbench.bench.web_line_check import check_web_line
 from hilbench.can.load import BusLoad, cycle_load
 from hilbench.cia402.configuration import lacking
@@ -30,6 +31,7 @@ class CheckedBench:
     notes: list[str]  #: what can be run, and will not be good
     options: tuple[BusOption, ...]  #: what the PDO set takes on one wire, and on two
     fmus: list[str]  #: what was found in FMUs
+    schedule: list[Slot]  #: who sends when in a cycle, at worst
 
 
 def check_bench(config: BenchConfig, document: Document) -> CheckedBench:
@@ -82,7 +84,8 @@ def check_bench(config: BenchConfig, document: Document) -> CheckedBench:
         check_imitated_inertia(config, document, config.imitated_shaft().inertia_kg_m2, place)
     else:
         notes += check_web_line(config, document, nodes)
-    return CheckedBench(load, sum(frame.per_cycle for frame in frames), notes, options, fmu_findings(config))
+    slots = schedule(frames, config.cycle_time_s, config.bus.bitrate)
+    return CheckedBench(load, sum(frame.per_cycle for frame in frames), notes, options, fmu_findings(config), slots)
 
 
 def imitable_inertias_kg_m2(config: BenchConfig) -> tuple[float, float]:

@@ -6,6 +6,7 @@ import json
 from math import isfinite
 
 from hilbench.bench.bus_options import BusOption
+from hilbench.bench.schedule import Slot
 from hilbench.can.open import open_link
 from hilbench.errors import BusError, UnusableInputError
 from hilbench.runs.check import CheckedExperiment, check_experiment
@@ -30,6 +31,7 @@ def check_command(loaded: LoadedConfig, *, as_json: bool) -> None:
     )
     for option in bench.options:
         print(_fits(option, config.bus.bitrate))
+    print(_over(bench.schedule))
     for line in bench.fmus:
         print(line)
     if checked.stiffness_reserve is not None:
@@ -59,6 +61,18 @@ def _fits(option: BusOption, bitrate: int) -> str:
         f"{where}: at worst {loads} bit times; fits cycles from {option.least_lockstep_s * 1e3:g} ms in lockstep, "
         f"{option.least_realtime_s * 1e3:g} ms in real time"
     )
+
+
+def _over(slots: list[Slot]) -> str:
+    """When answers and set points of a cycle are over, and which would be late in real time, as a line."""
+    parts = []
+    for is_set_point, what in ((False, "answers"), (True, "set points")):
+        which = [slot for slot in slots if slot.is_set_point == is_set_point]
+        if which:
+            last = max(which, key=lambda slot: slot.ends_s)
+            parts.append(f"{what} are over after {last.ends_s * 1e3:.2f} of {last.due_s * 1e3:.2f} ms")
+    late = [f"{slot.name} ({slot.can_id:03X}h, {slot.ends_s * 1e3:.2f} ms)" for slot in slots if not slot.fits]
+    return f"a cycle at worst: {', '.join(parts)}" + (f"; in real time too late: {', '.join(late)}" if late else "")
 
 
 def _check_bus(loaded: LoadedConfig) -> None:
@@ -92,6 +106,10 @@ def _summary(config: ExperimentConfig, checked: CheckedExperiment) -> dict[str, 
                 "least_realtime_s": option.least_realtime_s,
             }
             for option in checked.bench.options
+        ],
+        "schedule": [
+            {"name": slot.name, "cob_id": slot.can_id, "ends_s": slot.ends_s, "due_s": slot.due_s}
+            for slot in checked.bench.schedule
         ],
         "fmus": checked.bench.fmus,
         "stiffness_reserve": checked.stiffness_reserve,
