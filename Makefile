@@ -27,6 +27,7 @@ $(STAMP): requirements.lock pyproject.toml
 	$(BIN)/python -m pip install --quiet --require-hashes -r requirements.lock
 	$(BIN)/python -m pip install --quiet --no-deps --no-build-isolation --editable .
 	$(BIN)/python -m compileall -q src
+	$(BIN)/hilbench compile
 	touch $@
 
 $(SUITE)/.extracted: requirements.lock $(STAMP)
@@ -57,6 +58,7 @@ demo: setup
 
 # Without Node.js the tests that need it are skipped.
 test: setup $(SUITE)/.extracted $(if $(shell command -v npm),$(STATION)/.installed $(READERS)/.installed)
+	$(BIN)/hilbench compile  # what has changed since: once, not in each worker
 	$(BIN)/python -m pytest -q -n 2 --dist worksteal
 
 # On a vcan of this machine, or in a guest whose kernel has CAN (made on first use, kept in .cache/vcan-guest).

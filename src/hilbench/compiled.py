@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import os
+import sys
 from collections.abc import Callable, Sequence
 from hashlib import sha256
 from pathlib import Path
+from types import FunctionType, ModuleType
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numba
 import numpy as np
 from numba import types
+from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile, InTreeCacheLocator
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
@@ -23,6 +27,67 @@ with hidden("scipy.linalg"):
 arraymath._HAVE_BLAS = True
 
 Function = TypeVar("Function", bound=Callable[..., object])
+
+#: Types of arguments of an entry point: a float, an int, a bool; arrays of float64 with one to three dimensions and of
+#: int64 with one and two, in one piece; bytes, eight bytes a frame, float32; tuples of so many floats.
+REAL, COUNT, FLAG = types.float64, types.int64, types.boolean
+VECTOR, MATRIX, CUBE = (types.Array(types.float64, dimensions, "C") for dimensions in (1, 2, 3))
+INDICES, TABLE = (types.Array(types.int64, dimensions, "C") for dimensions in (1, 2))
+OCTETS, FRAME_DATA = (types.Array(types.uint8, dimensions, "C") for dimensions in (1, 2))
+SINGLES = types.Array(types.float32, 1, "C")
+
+
+def reals(count: int) -> Any:
+    """Type of a tuple of so many floats."""
+    return types.UniTuple(types.float64, count)
+
+
+class _Installed(InTreeCacheLocator):
+    """The package's own folder, where it can't be written."""
+
+    def ensure_cache_path(self) -> None:
+        pass
+
+
+class _Places(CompileResultCacheImpl):
+    """As numba's; where neither the package's folder nor the user's can be written, hilbench can still be used."""
+
+    _locator_classes = [*CompileResultCacheImpl._locator_classes, _Installed]  # noqa: RUF012  # as numba has it
+
+
+class KeptCode(FunctionCache):
+    """Machine code on disk as numba keeps it, and beside that what was compiled when hilbench was installed.
+
+    numba has one place, the first that can be written: the package's own folder, else the user's cache. Who may only
+    read the package would compile all of it anew.
+    """
+
+    _impl_class = _Places
+
+    def __init__(self, function: Callable[..., object]) -> None:
+        super().__init__(function)
+        folder = str(Path(function.__code__.co_filename).parent / "__pycache__")
+        stamp = self._impl.locator.get_source_stamp()
+        self._installed = IndexDataCacheFile(folder, self._impl.filename_base, stamp)
+        self._is_all = folder == self.cache_path or bool(os.environ.get("NUMBA_CACHE_DIR"))
+
+    def _load_overload(self, signature: Any, target: Any) -> Any:
+        found = super()._load_overload(signature, target)
+        if found is None and not self._is_all:
+            data = self._installed.load(self._index_key(signature, target.codegen()))
+            found = None if data is None else self._impl.rebuild(target, data)
+        return found
+
+    def holds(self, signature: Any, target: Any) -> bool:
+        """Whether the machine code for these arguments is on disk."""
+        key = self._index_key(signature, target.codegen())
+        files = [self._cache_file] if self._is_all else [self._cache_file, self._installed]
+        return any(key in each._load_index() for each in files)
+
+    def _save_overload(self, signature: Any, data: Any) -> None:
+        if not isinstance(self._impl.locator, _Installed):
+            super()._save_overload(signature, data)
+
 
 if TYPE_CHECKING:
 
@@ -41,9 +106,16 @@ if TYPE_CHECKING:
     def noinline() -> None:
         """In the body of a compiled function that is called rarely: it stays a call, and its callers stay short."""
 
-    def entry_point(function: Function) -> Function:
-        """Called from Python: machine code kept on disk, and other threads run meanwhile. It may allocate."""
-        return function
+    def entry_point(*arguments: Any) -> Callable[[Function], Function]:
+        """Called from Python: machine code kept on disk, and other threads run meanwhile. It may allocate.
+
+        `arguments`: types of the arguments (VECTOR, REAL, … below), for which `hilbench compile` compiles it. Called
+        with others it is compiled for them as well, there and then, as is one that does not say them.
+        """
+        return lambda function: function
+
+    def of_records(dtype: np.dtype[Any]) -> Any:
+        """Type of a vector of such records."""
 
     def floats(table: NDArray[np.int64], row: int, dimensions: tuple[int, ...]) -> NDArray[np.float64]:
         """In the body of an entry point: the array of a row of a `table_of`, which has so many `dimensions` (each named
@@ -59,10 +131,24 @@ else:
     # Without NRT, numba's runtime, there are no reference counts: with them a step of the model takes ten times as
     # long, because numba counts an array at every call. What allocates does not compile then.
     # A callee would take over its caller's `forceinline` unless it says otherwise.
-    compiled = numba.njit(error_model="numpy", _nrt=False, forceinline=False)
-    inlined = numba.njit(error_model="numpy", _nrt=False, forceinline=True)
-    merged = numba.njit(error_model="numpy", _nrt=False, inline="always")
-    entry_point = numba.njit(error_model="numpy", cache=True, nogil=True)
+    # Nobody calls them by a C function's address: the wrapper for that would be compiled for nothing.
+    compiled = numba.njit(error_model="numpy", _nrt=False, forceinline=False, no_cfunc_wrapper=True)
+    inlined = numba.njit(error_model="numpy", _nrt=False, forceinline=True, no_cfunc_wrapper=True)
+    merged = numba.njit(error_model="numpy", _nrt=False, inline="always", no_cfunc_wrapper=True)
+
+    def entry_point(*arguments):
+        def decorate(function, arguments=arguments):
+            dispatcher = numba.njit(error_model="numpy", nogil=True, no_cfunc_wrapper=True)(function)
+            dispatcher._cache = KeptCode(function)
+            dispatcher.arguments = arguments
+            return dispatcher
+
+        if len(arguments) == 1 and isinstance(arguments[0], FunctionType):
+            return decorate(arguments[0], None)
+        return decorate
+
+    def of_records(dtype):
+        return numba.typeof(np.zeros(0, dtype))
 
     @intrinsic
     def noinline(typing_context):
@@ -128,3 +214,22 @@ def number_of_sources(*files: str) -> int:
     """
     text = b"".join(Path(name).read_bytes() for name in files)
     return int.from_bytes(sha256(text).digest()[:7], "big")
+
+
+def entry_points(module: ModuleType) -> list[Any]:
+    """The entry points that a module defines: numba's dispatchers, with the types of their `arguments`."""
+    return [
+        each
+        for each in vars(module).values()
+        if hasattr(each, "arguments") and getattr(each, "__module__", "") == module.__name__
+    ]
+
+
+def all_compiled() -> bool:
+    """Whether the machine code of all that is imported of hilbench is on disk, for this processor and these sources."""
+    modules = [module for name, module in sys.modules.copy().items() if name.startswith("hilbench.")]
+    return all(
+        each.overloads or each.arguments is None or each._cache.holds(each.arguments, each.targetctx)
+        for module in modules
+        for each in entry_points(module)
+    )

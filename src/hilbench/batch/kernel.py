@@ -12,7 +12,18 @@ from hilbench.batch.layout import Bytes, Real, Row, Rows, Single, Whole
 from hilbench.can import compiled_wire, wire
 from hilbench.can.compiled_wire import bits_on_wire
 from hilbench.cia402.state_machine import STATUS_INTERNAL_LIMIT
-from hilbench.compiled import compiled, entry_point, number_of_sources
+from hilbench.compiled import (
+    COUNT,
+    FRAME_DATA,
+    INDICES,
+    OCTETS,
+    SINGLES,
+    VECTOR,
+    compiled,
+    entry_point,
+    number_of_sources,
+    of_records,
+)
 
 _SIGNED, _FLOAT = lay.SIGNED, lay.FLOAT
 _BEFORE_SYNC, _SYNC, _BY_TIME = lay.BEFORE_SYNC, lay.SYNC, lay.BY_TIME
@@ -27,6 +38,9 @@ _LARGEST = 2.0**53  # whole numbers up to here are exact
 _SECOND_NS = 1_000_000_000
 _DIGITS = np.frombuffer(b"0123456789ABCDEF", np.uint8).copy()
 
+FRAMES, FIELDS, TARGETS, DRIVES, SEEN = (
+    of_records(kind) for kind in (lay.FRAME, lay.FIELD, lay.TARGET, lay.DRIVE, lay.SEEN)
+)
 Encode = Callable[[Rows, Rows, Real, Whole, Real, Single], bool]
 Exchange = Callable[
     [Rows, Rows, Rows, Rows, Rows, Whole, Real, Whole, Whole, Bytes, Bytes, Bytes, Bytes, Single, Real, Real, int], None
@@ -189,7 +203,7 @@ def _follow(drive: Row, whole: Whole) -> None:
 def _entry_points(sources: int) -> tuple[Encode, Exchange, Publish]:
     """The compiled functions that Python calls; `sources` as in `compiled.number_of_sources`."""
 
-    @entry_point
+    @entry_point(TARGETS, FIELDS, VECTOR, INDICES, VECTOR, SINGLES)
     def encode(targets: Rows, sent: Rows, set_points: Real, whole: Whole, real: Real, single: Single) -> bool:
         if sources < 0:
             return False
@@ -207,7 +221,23 @@ def _entry_points(sources: int) -> tuple[Encode, Exchange, Publish]:
             whole[target.slot] = int(number)
         return _all_fit(sent, whole, real, single)
 
-    @entry_point
+    @entry_point(
+        FRAMES,
+        FIELDS,
+        FIELDS,
+        DRIVES,
+        SEEN,
+        INDICES,
+        VECTOR,
+        INDICES,
+        INDICES,
+        FRAME_DATA,
+        *[OCTETS] * 3,
+        SINGLES,
+        VECTOR,
+        VECTOR,
+        COUNT,
+    )
     def exchange(
         frames: Rows,
         sent: Rows,
@@ -260,7 +290,7 @@ def _entry_points(sources: int) -> tuple[Encode, Exchange, Publish]:
                     at = _line(frames[k], heads, data[k], text, at)
             left[_O_TEXT] = at
 
-    @entry_point
+    @entry_point(DRIVES, VECTOR, INDICES)
     def publish(drives: Rows, ports: Real, whole: Whole) -> bool:
         if sources < 0:
             return False

@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hilbench.canopen.identifiers import COB_ID, HEARTBEAT, NMT, NmtState
 from hilbench.cli.options import BusOption, ConfigOption, EdsOption, ForceOption, JsonOption, NodeArgument
 from hilbench.errors import UnusableInputError
 
@@ -161,6 +160,7 @@ def _drive(
 
     from hilbench.can.frame import Frame
     from hilbench.can.open import open_link
+    from hilbench.canopen.identifiers import COB_ID, HEARTBEAT, NMT, NmtState
     from hilbench.cia402.manual import ManualDrive
     from hilbench.cia402.set_up import SetUpDrive
     from hilbench.cli.attach import MASTER_ID, config_and_bus, known_to_master, node_on_bus, only_master

@@ -13,6 +13,7 @@ import typer
 from hilbench.cli import (
     boot,
     compare,
+    compile,
     config,
     conformance,
     convert,
@@ -465,6 +466,7 @@ app.command("what-if")(what_if.what_if)
 app.command()(drift.drift)
 app.command()(sweep.sweep)
 app.command()(convert.convert)
+app.command("compile")(compile.compile_entry_points)
 app.command()(convert.dbc)
 
 

@@ -109,7 +109,7 @@ def _furthest(way: float, factor: float, fits: Callable[[float], bool]) -> float
 
 def _direction(x: Array, way: float, play: float) -> Array:
     out = np.empty(len(x))
-    friction_directions(x, 0.5 * play, way, out)
+    friction_directions(np.ascontiguousarray(x), 0.5 * play, way, out)
     return out
 
 

@@ -7,7 +7,7 @@ from math import isfinite, sqrt
 
 import numpy as np
 
-from hilbench.compiled import compiled, entry_point, inlined, number_of_sources
+from hilbench.compiled import REAL, VECTOR, compiled, entry_point, inlined, number_of_sources
 from hilbench.estimation.bank import Array
 
 #: Sum of the squares of the binomials 1 4 6 4 1: variance of a fourth difference of white noise.
@@ -61,7 +61,7 @@ def interrupt(s: Array) -> None:
 def _compiled_take(sources: int) -> Callable[[Array, float], None]:
     """The function that is called from Python; `sources` as in `number_of_sources`."""
 
-    @entry_point
+    @entry_point(VECTOR, REAL)
     def take_one(s: Array, value: float) -> None:
         if sources >= 0:
             take(s, value)

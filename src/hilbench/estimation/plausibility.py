@@ -8,7 +8,7 @@ from math import isfinite
 
 import numpy as np
 
-from hilbench.compiled import compiled, entry_point, inlined, number_of_sources
+from hilbench.compiled import REAL, VECTOR, compiled, entry_point, inlined, number_of_sources
 from hilbench.estimation.bank import Array
 
 #: Cycles with exactly the same torque after which a noisy measurement counts as frozen.
@@ -82,7 +82,7 @@ def _is_limited(s: Array, size_Nm: float) -> bool:
 def _compiled_look(sources: int) -> Callable[[Array, float, float, float], int]:
     """The function that is called from Python; `sources` as in `number_of_sources`."""
 
-    @entry_point
+    @entry_point(VECTOR, REAL, REAL, REAL)
     def look(s: Array, torque_Nm: float, pull_per_Pa: float, velocity_m_s: float) -> int:
         return find_problem(s, torque_Nm, pull_per_Pa, velocity_m_s) if sources >= 0 else 0
 

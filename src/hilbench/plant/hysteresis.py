@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.compiled import entry_point, inlined, number_of_sources
+from hilbench.compiled import REAL, VECTOR, entry_point, inlined, number_of_sources
 
 Vector = NDArray[np.float64]
 
@@ -42,7 +42,7 @@ Directions = Callable[[Vector, float, float, Vector], None]
 def _entry_point(sources: int) -> Directions:
     """The function that is called from Python; `sources` as in `number_of_sources`."""
 
-    @entry_point
+    @entry_point(VECTOR, REAL, REAL, VECTOR)
     def directions(x: Vector, half_play: float, presliding: float, out: Vector) -> None:
         deflection = 0.0
         for k in range(len(x)):

@@ -21,6 +21,7 @@ from hilbench.canopen.master import Master
 from hilbench.canopen.mastery import mastery
 from hilbench.canopen.object_store import ObjectStore
 from hilbench.canopen.sdo_client import SentFrames
+from hilbench.compiled import all_compiled
 from hilbench.errors import BusError, EmergencyStopError, UnusableInputError
 from hilbench.exchange.exchange import Exchange
 from hilbench.exchange.frame_tap import FrameTap
@@ -178,8 +179,9 @@ def _release_nodes(master: Master, exchange: Exchange) -> None:
 
 def start_children(config: BenchConfig, folder: Path) -> list[ChildProcess]:
     """Start the simulated hardware, where a node is simulated, and the twin; their logs go to `folder`."""
-    # Once, into the cache on disk: compiling takes longer than a process has to show itself on the bus.
-    warm_up(config.machine, config.twin, config.shape, config.cycle_time_s)
+    if not all_compiled():
+        # Once, into the cache on disk: compiling takes longer than a process has to show itself on the bus.
+        warm_up(config.machine, config.twin, config.shape, config.cycle_time_s)
     path = folder / "config.yaml"
     write_resolved(config, path)
     arguments = [str(path), "--pace", config.pace]

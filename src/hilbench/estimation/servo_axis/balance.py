@@ -8,7 +8,7 @@ from math import exp, inf, nan
 
 import numpy as np
 
-from hilbench.compiled import entry_point
+from hilbench.compiled import REAL, VECTOR, entry_point
 from hilbench.estimation.bank import Array
 from hilbench.estimation.noise_level import NoiseLevel
 from hilbench.estimation.servo_axis import kalman
@@ -69,7 +69,7 @@ Known = Callable[[Array, float, float, float], float]
 def _compiled_known(sources: int) -> Known:
     """The function that is called from Python; `sources` as in the kernel."""
 
-    @entry_point
+    @entry_point(VECTOR, REAL, REAL, REAL)
     def known_torque(p: Array, measured_Nm: float, x: float, v: float) -> float:
         """Torque on the shaft by the model: from the reported one, without offset, friction and unbalance."""
         motor = laws.shaft_torque_Nm(p, measured_Nm - laws.reported_offset_Nm(p), x) if sources >= 0 else 0.0

@@ -8,7 +8,7 @@ from math import hypot, sqrt
 
 import numpy as np
 
-from hilbench.compiled import entry_point, number_of_sources
+from hilbench.compiled import CUBE, INDICES, MATRIX, VECTOR, entry_point, number_of_sources
 from hilbench.estimation import bank, correction
 from hilbench.estimation.bank import Array, Places
 from hilbench.estimation.nuisance import Nuisance
@@ -38,7 +38,7 @@ BankStep = Callable[[Array, Array, Array, Array, Array, Places, Array, Array], N
 def _compiled_step(sources: int) -> BankStep:
     """The function that is called from Python; `sources` as in `number_of_sources`."""
 
-    @entry_point
+    @entry_point(MATRIX, CUBE, MATRIX, VECTOR, VECTOR, INDICES, MATRIX, MATRIX)
     def bank_step(
         z: Array, p: Array, records: Array, settings: Array, u: Array, places: Places, work: Array, out: Array
     ) -> None:

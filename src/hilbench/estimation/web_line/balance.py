@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hilbench.compiled import compiled, entry_point
+from hilbench.compiled import REAL, VECTOR, compiled, entry_point
 from hilbench.plant.web_line import kernel, laws, span
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.layout import Layout, Vector
@@ -106,11 +106,11 @@ Weigh = Callable[
 def _entry_points(sources: int) -> tuple[WebForce, Weigh]:
     """Compiled functions that are called from Python; `sources` as in the kernel."""
 
-    @entry_point
+    @entry_point(VECTOR, REAL, REAL, REAL, REAL)
     def force_N(p: Vector, torque_Nm: float, x_m: float, v_m_s: float, f_next_N: float) -> float:
         return measured_force_N(p, torque_Nm, x_m, v_m_s, f_next_N) if sources >= 0 else 0.0
 
-    @entry_point
+    @entry_point(VECTOR, VECTOR, VECTOR, VECTOR, VECTOR, VECTOR, VECTOR, VECTOR, REAL, REAL, REAL, REAL, REAL, REAL)
     def weigh_once(
         p: Vector,
         web_p: Vector,

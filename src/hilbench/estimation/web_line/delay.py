@@ -7,7 +7,7 @@ from math import exp, floor
 
 import numpy as np
 
-from hilbench.compiled import compiled, entry_point, inlined, number_of_sources
+from hilbench.compiled import REAL, VECTOR, compiled, entry_point, inlined, number_of_sources
 from hilbench.estimation import ring
 from hilbench.estimation.bank import Array
 
@@ -138,7 +138,7 @@ def new_line(cycle_s: float) -> Array:
 def _compiled_find(sources: int) -> Callable[[Array, float, float], float]:
     """The function that is called from Python; `sources` as in `number_of_sources`."""
 
-    @entry_point
+    @entry_point(VECTOR, REAL, REAL)
     def find_once(s: Array, torque_real_Nm: float, torque_sim_Nm: float) -> float:
         return find(s, torque_real_Nm, torque_sim_Nm) if sources >= 0 else 0.0
 

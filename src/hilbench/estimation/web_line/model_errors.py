@@ -15,7 +15,19 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hilbench.compiled import compiled, entry_point, inlined, noinline, number_of_sources
+from hilbench.compiled import (
+    COUNT,
+    CUBE,
+    MATRIX,
+    REAL,
+    TABLE,
+    VECTOR,
+    compiled,
+    entry_point,
+    inlined,
+    noinline,
+    number_of_sources,
+)
 from hilbench.estimation import noise_level, ring
 from hilbench.estimation.bank import Array, Places
 from hilbench.estimation.noise_level import NoiseLevel
@@ -219,7 +231,25 @@ _INTERRUPT, _UPDATE = range(2)
 def _compiled_entry(sources: int) -> Callable[..., None]:
     """The function that is called from Python; `sources` as in `number_of_sources`."""
 
-    @entry_point
+    @entry_point(
+        COUNT,
+        VECTOR,
+        VECTOR,
+        MATRIX,
+        CUBE,
+        TABLE,
+        VECTOR,
+        VECTOR,
+        MATRIX,
+        VECTOR,
+        VECTOR,
+        MATRIX,
+        *[VECTOR] * 4,
+        MATRIX,
+        CUBE,
+        VECTOR,
+        *[REAL] * 8,
+    )
     def act(
         what: int,
         u: Array,

@@ -21,7 +21,7 @@ from math import cos, exp, log, pi, sin, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.compiled import compiled, entry_point, number_of_sources
+from hilbench.compiled import CUBE, MATRIX, TABLE, VECTOR, compiled, entry_point, number_of_sources
 from hilbench.estimation.bank import Array
 from hilbench.estimation.web_line import ripples
 
@@ -365,7 +365,7 @@ def _block(
 def _compiled_cycle(sources: int) -> Callable[..., bool]:
     """The function that is called from Python; `sources` as in `number_of_sources`."""
 
-    @entry_point
+    @entry_point(VECTOR, VECTOR, MATRIX, CUBE, TABLE, VECTOR, VECTOR, MATRIX, VECTOR, VECTOR, MATRIX, VECTOR)
     def cycle(
         u: Array,
         s: Array,

@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hilbench.compiled import compiled, entry_point, inlined, number_of_sources
+from hilbench.compiled import FLAG, REAL, VECTOR, compiled, entry_point, inlined, number_of_sources
 from hilbench.estimation import ring
 from hilbench.estimation.bank import Array
 from hilbench.estimation.web_line.balance import BalanceSample
@@ -250,7 +250,7 @@ def _free(s: Array) -> float:
 def _compiled_look(sources: int) -> Callable[[Array, float, float, float, float, bool, float], bool]:
     """The function that is called from Python; `sources` as in `number_of_sources`."""
 
-    @entry_point
+    @entry_point(VECTOR, REAL, REAL, REAL, REAL, FLAG, REAL)
     def look_once(
         s: Array, force_N: float, web_per_Pa: float, velocity_m_s: float, told_Pa: float, may: bool, deviation_N: float
     ) -> bool:

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from math import exp, hypot, inf, isfinite, isnan
 from typing import NamedTuple
 
-from hilbench.compiled import compiled, entry_point, floats, inlined, integers
+from hilbench.compiled import COUNT, REAL, TABLE, VECTOR, compiled, entry_point, floats, inlined, integers, reals
 from hilbench.estimation import bank, correction, noise_level, plausibility, ring
 from hilbench.estimation.bank import Array, Places
 from hilbench.estimation.web_line import (
@@ -373,7 +373,7 @@ INTERRUPT, SUSPEND, NEW_WEB = range(3)
 def _entry_points(sources: int) -> tuple[Callable[..., int], Callable[..., None], Callable[..., None]]:
     """Compiled functions that are called from Python; `sources` as in the kernel."""
 
-    @entry_point
+    @entry_point(COUNT, reals(7), TABLE)
     def run_vectors(stage: int, values: tuple[float, float, float, float, float, float, float], table: Places) -> int:
         """`run` with the vectors of a `table_of` what `flat` gives."""
         if sources < 0:
@@ -443,7 +443,7 @@ def _entry_points(sources: int) -> tuple[Callable[..., int], Callable[..., None]
         )
         return run(v, stage, values[0], values[1], values[2], values[3], values[4], values[5], values[6])
 
-    @entry_point
+    @entry_point(COUNT, VECTOR, VECTOR, VECTOR)
     def forget(what: int, of_anomalies: Vector, shift: Vector, delay_line: Vector) -> None:
         if sources < 0:
             return
@@ -458,7 +458,7 @@ def _entry_points(sources: int) -> tuple[Callable[..., int], Callable[..., None]
             torque_shift.reset(shift)
             delay.forget(delay_line)
 
-    @entry_point
+    @entry_point(VECTOR, VECTOR, REAL, REAL)
     def state(t: Vector, errors: Vector, modulus_Pa: float, deviation_Pa: float) -> None:
         if sources >= 0:
             state_modulus(t, errors, modulus_Pa, deviation_Pa)

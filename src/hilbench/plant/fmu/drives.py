@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from hilbench.compiled import entry_point
+from hilbench.compiled import VECTOR, entry_point
 from hilbench.plant import drive_loops as loops
 from hilbench.plant.servo_axis import kernel
 from hilbench.plant.servo_axis import layout as lay
@@ -16,7 +16,7 @@ Sample = Callable[[Vector, Vector, Vector], float]
 def _entry_point(sources: int) -> Sample:
     """The compiled function; `sources` as in the kernel."""
 
-    @entry_point
+    @entry_point(VECTOR, VECTOR, VECTOR)
     def sample(p: Vector, s: Vector, u: Vector) -> float:
         period, total = p[lay.P_SAMPLE_TIME_S], u[lay.U_TORQUE_NM]
         for j in range(int(p[lay.P_MOTORS]) if sources >= 0 else 0):

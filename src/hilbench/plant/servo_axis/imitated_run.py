@@ -14,7 +14,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.compiled import entry_point
+from hilbench.compiled import COUNT, CUBE, MATRIX, REAL, VECTOR, entry_point
 from hilbench.plant import drive_loops as loops
 from hilbench.plant.motor_port import MotorMode
 from hilbench.plant.sampled_shaft import imitation_delay_s
@@ -59,7 +59,7 @@ Rows = Callable[..., None]
 def _compiled_rows(sources: int) -> Rows:
     """The compiled function; `sources` as in the kernel."""
 
-    @entry_point
+    @entry_point(MATRIX, MATRIX, VECTOR, MATRIX, VECTOR, VECTOR, COUNT, REAL, MATRIX, VECTOR, MATRIX, *[REAL] * 3, CUBE)
     def rows(
         p: Vector,
         imitated: Vector,

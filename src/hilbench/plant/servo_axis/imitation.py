@@ -14,7 +14,7 @@ from math import inf
 
 import numpy as np
 
-from hilbench.compiled import entry_point, inlined
+from hilbench.compiled import REAL, VECTOR, entry_point, inlined
 from hilbench.plant.interface import PlantDescription, PlantState, Quantity, checked_name
 from hilbench.plant.parameters import per_item
 from hilbench.plant.servo_axis import kernel, laws
@@ -55,7 +55,7 @@ def load_torque_Nm(
 def _compiled_torque(sources: int) -> Torque:
     """The function that is called from Python; `sources` as in the kernel."""
 
-    @entry_point
+    @entry_point(VECTOR, VECTOR, REAL, REAL, REAL, REAL, REAL)
     def torque_Nm(
         imitated: Vector, real: Vector, time_s: float, x: float, v: float, a: float, steepest: float
     ) -> float:

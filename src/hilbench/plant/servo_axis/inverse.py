@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from hilbench.compiled import entry_point, inlined
+import numpy as np
+
+from hilbench.compiled import REAL, VECTOR, entry_point, inlined
 from hilbench.plant import hysteresis
 from hilbench.plant.hysteresis import friction_direction, wound
 from hilbench.plant.servo_axis import kernel, laws
@@ -32,7 +34,7 @@ def reported_torque_Nm(p: Vector, time_s: float, x: float, v: float, a: float, d
 def _required_torque(sources: int) -> RequiredTorque:
     """The function that is called from Python; `sources` as in the kernel."""
 
-    @entry_point
+    @entry_point(VECTOR, VECTOR, VECTOR, VECTOR, REAL, VECTOR, REAL)
     def required(
         p: Vector,
         x_rad: Vector,
@@ -78,4 +80,5 @@ def required_torque_Nm(
 
     presliding_rad: way over which dry friction turns over after a reversal; 0: with the sign of the speed.
     """
-    _required_torque_Nm(p, x_rad, v_rad_s, a_rad_s2, period_s, out_Nm, presliding_rad)
+    x, v, a = (np.ascontiguousarray(column) for column in (x_rad, v_rad_s, a_rad_s2))
+    _required_torque_Nm(p, x, v, a, period_s, out_Nm, presliding_rad)

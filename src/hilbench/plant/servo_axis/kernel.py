@@ -16,7 +16,18 @@ from collections.abc import Callable
 from pathlib import Path
 
 from hilbench import compiled as decorators
-from hilbench.compiled import compiled, entry_point, inlined, noinline, number_of_sources
+from hilbench.compiled import (
+    COUNT,
+    CUBE,
+    MATRIX,
+    REAL,
+    VECTOR,
+    compiled,
+    entry_point,
+    inlined,
+    noinline,
+    number_of_sources,
+)
 from hilbench.plant import drive_loops as loops
 from hilbench.plant.servo_axis import laws
 from hilbench.plant.servo_axis import layout as lay
@@ -254,17 +265,17 @@ def source_number(*further: str) -> int:
 def _entry_points(sources: int) -> tuple[Advance, Observe, Simulate, Look]:
     """The compiled functions others call; `sources` as in `number_of_sources`."""
 
-    @entry_point
+    @entry_point(VECTOR, VECTOR, VECTOR, COUNT)
     def advance(p: Vector, s: Vector, u: Vector, samples: int) -> None:
         if sources >= 0:
             go_on(p, s, u, samples)
 
-    @entry_point
+    @entry_point(VECTOR, VECTOR, VECTOR)
     def observe(p: Vector, s: Vector, out: Vector) -> None:
         if sources >= 0:
             report(p, s, out, 0)
 
-    @entry_point
+    @entry_point(MATRIX, MATRIX, VECTOR, MATRIX, VECTOR, COUNT, CUBE)
     def simulate(p: Vector, s: Vector, u: Vector, commands: Vector, torques: Vector, samples: int, out: Vector) -> None:
         flat, rows, columns = out.reshape(-1), out.shape[1], out.shape[2]
         for b in range(p.shape[0] if sources >= 0 else 0):
@@ -275,7 +286,7 @@ def _entry_points(sources: int) -> tuple[Advance, Observe, Simulate, Look]:
                 report(p[b], s[b], flat, (b * rows + row) * columns)
                 go_on(p[b], s[b], u, samples)
 
-    @entry_point
+    @entry_point(VECTOR, REAL)
     def look(p: Vector, time_s: float) -> tuple[float, float, float]:
         if sources >= 0:
             return laws.inertia_factor(p, time_s), laws.breakaway_Nm(p), laws.reported_offset_Nm(p)

@@ -46,7 +46,8 @@ def simulate(
     if rows.ndim != 1 or lay.motor_count(many[0]) != 1 or np.ndim(external_torque_Nm) > 1:
         raise ValueError(f"commands {rows.shape} for {lay.motor_count(many[0])} motors, expected (n,) for one")
     outside = np.array(np.broadcast_to(np.asarray(external_torque_Nm, dtype=np.float64), rows.shape))
-    states = np.array(np.broadcast_to(np.atleast_2d(state), (len(many), len(lay.new_state(many[0])))))
+    shape = (len(many), len(lay.new_state(many[0])))
+    states = np.array(np.broadcast_to(np.atleast_2d(state), shape), order="C")
     inputs = lay.new_inputs(many[0])
     lay.motor_inputs(inputs)[:, loops.IN_MODE] = mode
     samples = samples_per(dt_s, many.item(lay.P_SAMPLE_TIME_S))

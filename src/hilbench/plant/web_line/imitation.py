@@ -14,7 +14,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.compiled import compiled, entry_point, inlined
+from hilbench.compiled import COUNT, CUBE, MATRIX, REAL, VECTOR, compiled, entry_point, inlined
 from hilbench.plant.motor_port import MotorMode
 from hilbench.plant.sampled_shaft import imitation_delay_s
 from hilbench.plant.sampling import on_all_cores, samples_per
@@ -132,7 +132,7 @@ SimulateImitated = Callable[..., None]
 def _entry_point(sources: int) -> SimulateImitated:
     """The compiled function; `sources` as in the kernel."""
 
-    @entry_point
+    @entry_point(MATRIX, MATRIX, VECTOR, VECTOR, MATRIX, MATRIX, VECTOR, MATRIX, MATRIX, COUNT, REAL, REAL, CUBE)
     def rows(
         p: Vector,
         s: Vector,

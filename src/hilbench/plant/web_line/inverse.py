@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from hilbench.compiled import entry_point, inlined
+import numpy as np
+
+from hilbench.compiled import REAL, VECTOR, entry_point, inlined
 from hilbench.plant import hysteresis
 from hilbench.plant.hysteresis import LEAST_PRESLIDING, friction_direction, wound
 from hilbench.plant.web_line import kernel, laws
@@ -55,7 +57,7 @@ def reported_torque_Nm(
 def _required_torque(sources: int) -> RequiredTorque:
     """The function that is called from Python; `sources` as in `number_of_sources`."""
 
-    @entry_point
+    @entry_point(VECTOR, VECTOR, VECTOR, VECTOR, REAL, VECTOR, REAL)
     def required(
         p: Vector,
         x_m: Vector,
@@ -108,4 +110,5 @@ def required_torque_Nm(
 
     presliding_m: way over which dry friction turns over after a reversal; 0: with the sign of the speed.
     """
-    _required_torque_Nm(p, x_m, v_m_s, a_m_s2, period_s, out_Nm, presliding_m)
+    x, v, a = (np.ascontiguousarray(column) for column in (x_m, v_m_s, a_m_s2))
+    _required_torque_Nm(p, x, v, a, period_s, out_Nm, presliding_m)

@@ -23,7 +23,18 @@ from collections.abc import Callable
 from pathlib import Path
 
 from hilbench import compiled as decorators
-from hilbench.compiled import compiled, entry_point, inlined, merged, noinline, number_of_sources
+from hilbench.compiled import (
+    COUNT,
+    CUBE,
+    MATRIX,
+    VECTOR,
+    compiled,
+    entry_point,
+    inlined,
+    merged,
+    noinline,
+    number_of_sources,
+)
 from hilbench.plant import drive_loops as loops
 from hilbench.plant.web_line import carriages, events, laws, motion, places, reels
 from hilbench.plant.web_line import layout as lay
@@ -336,20 +347,20 @@ def source_number(*further: str) -> int:
 def _entry_points(sources: int) -> tuple[Advance, Observe, Simulate]:
     """The compiled functions others call; `sources` as in `number_of_sources`."""
 
-    @entry_point
+    @entry_point(VECTOR, VECTOR, VECTOR, VECTOR, COUNT)
     def advance(p: Vector, s: Vector, u: Vector, work: Vector, samples: int) -> None:
         if sources >= 0:
             enter(p, s, u, work)
             go_on(p, s, u, work, samples)
             leave(s, work, places.block(int(p[lay.W_AXES]), int(p[lay.W_SPANS]), 1))
 
-    @entry_point
+    @entry_point(VECTOR, VECTOR, VECTOR, VECTOR, VECTOR)
     def observe(p: Vector, s: Vector, u: Vector, work: Vector, out: Vector) -> None:
         if sources >= 0:
             enter(p, s, u, work)
             report(p, s, u, work, out, 0)
 
-    @entry_point
+    @entry_point(MATRIX, MATRIX, VECTOR, VECTOR, MATRIX, MATRIX, COUNT, CUBE)
     def simulate(
         p: Vector, s: Vector, u: Vector, work: Vector, commands: Vector, boundary: Vector, samples: int, out: Vector
     ) -> None:

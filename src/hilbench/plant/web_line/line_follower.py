@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hilbench.compiled import entry_point
+from hilbench.compiled import COUNT, REAL, VECTOR, entry_point
 from hilbench.plant.effects import EffectPlace, effects_of
 from hilbench.plant.interface import PlantDescription, Quantity, checked_name
 from hilbench.plant.web_line import kernel, laws, reels
@@ -39,7 +39,7 @@ RadiusRatio = Callable[[Vector, int, float], float]
 def _entry_point(sources: int) -> RadiusRatio:
     """Compiled, and called from Python; `sources` as in the kernel."""
 
-    @entry_point
+    @entry_point(VECTOR, COUNT, REAL)
     def radius_ratio(p: Vector, row: int, x_m: float) -> float:
         axis = lay.W_SIZE + row * lay.A_SIZE
         ratio: float = reels.radius_ratio(p, axis, x_m) if sources >= 0 and reels.is_reel(p, axis) else 1.0

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.compiled import entry_point, inlined
+from hilbench.compiled import MATRIX, REAL, VECTOR, entry_point, inlined
 from hilbench.plant.sampling import on_all_cores
 from hilbench.plant.web_line import inverse, kernel, laws
 from hilbench.plant.web_line import layout as lay
@@ -62,7 +62,7 @@ Required = Callable[[Vector, Vector, Vector, Vector, Vector, Vector, float, Vect
 def _required(sources: int) -> Required:
     """The function that is called from Python; `sources` as in `number_of_sources`."""
 
-    @entry_point
+    @entry_point(VECTOR, VECTOR, MATRIX, MATRIX, MATRIX, MATRIX, REAL, MATRIX, MATRIX, MATRIX)
     def required(
         p: Vector,
         lengths: Vector,

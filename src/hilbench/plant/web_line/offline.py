@@ -72,7 +72,7 @@ def simulate(
         )
     if mode != MotorMode.TORQUE:
         rows = rows * layout.motor_rows(many[0])[:, lay.M_RAD_PER_M]
-    states = np.array(np.broadcast_to(np.atleast_2d(state), (len(many), layout.state_size)))
+    states = np.array(np.broadcast_to(np.atleast_2d(state), (len(many), layout.state_size)), order="C")
     inputs = layout.new_inputs()
     layout.length_rates(inputs)[:] = length_rates_m_s
     layout.motor_inputs(inputs)[:, lay.UM_MODE] = mode

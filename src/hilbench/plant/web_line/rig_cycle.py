@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.compiled import entry_point
+from hilbench.compiled import COUNT, INDICES, VECTOR, entry_point
 from hilbench.plant.web_line import kernel
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.kernel import advance, observe
@@ -22,7 +22,7 @@ SENSOR = 4
 
 
 def _entry_point(sources: int) -> Step:
-    @entry_point
+    @entry_point(VECTOR, VECTOR, VECTOR, VECTOR, VECTOR, INDICES, VECTOR, COUNT, VECTOR, VECTOR, VECTOR)
     def step(
         p: Vector,
         s: Vector,

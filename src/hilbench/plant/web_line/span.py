@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hilbench.compiled import compiled, entry_point, inlined
+from hilbench.compiled import COUNT, MATRIX, REAL, VECTOR, compiled, entry_point, inlined
 from hilbench.plant.effects import EffectPlace, effects_of
 from hilbench.plant.interface import PlantDescription, PlantState, Quantity, checked_name
 from hilbench.plant.web_line import laws
@@ -189,7 +189,7 @@ def _entry_points(
 ) -> tuple[FollowCycle, FollowTo, FollowRows, Pull, Show, Resistance, Modulus]:
     """Compiled functions that are called from Python; `sources` as in the kernel."""
 
-    @entry_point
+    @entry_point(VECTOR, VECTOR, VECTOR, VECTOR, VECTOR, VECTOR, REAL, VECTOR)
     def follow_on(
         p: Vector, s: Vector, w: Vector, v: Vector, boundary: Vector, x: Vector, duration: float, out: Vector
     ) -> None:
@@ -200,7 +200,7 @@ def _entry_points(
         for i in range(n):
             s[_TIME + i] = x[i]  # exactly: no drift from adding up
 
-    @entry_point
+    @entry_point(VECTOR, VECTOR, VECTOR, VECTOR, VECTOR, VECTOR, REAL, VECTOR, MATRIX, VECTOR, VECTOR)
     def pull(
         p: Vector,
         s: Vector,
@@ -221,7 +221,7 @@ def _entry_points(
         for k in range(len(loads)):
             torques[k] = _web_torque_Nm(p, s, boundary, tension, loads[k], speeds[int(loads[k, 0])])
 
-    @entry_point
+    @entry_point(VECTOR, VECTOR, VECTOR, VECTOR, VECTOR)
     def show(p: Vector, s: Vector, v: Vector, tension: Vector, out: Vector) -> None:
         n, k = len(v) if sources >= 0 else 0, len(tension)
         first = _first_span(p)
@@ -234,14 +234,14 @@ def _entry_points(
             out[2 * n + k + j] = length * laws.length_factor(p, first + j * lay.SP_SIZE) / unstretched - 1.0
             out[2 * n + 2 * k + j] = _modulus_Pa(p, j, s[0])
 
-    @entry_point
+    @entry_point(VECTOR, VECTOR, VECTOR, VECTOR, REAL, REAL, REAL, VECTOR)
     def follow(
         p: Vector, s: Vector, w: Vector, v: Vector, strain_prev: float, f_next: float, duration: float, out: Vector
     ) -> None:
         if sources >= 0:
             roll_on(p, s, w, v, strain_prev, f_next, duration, LONGEST_STEP_S, out)
 
-    @entry_point
+    @entry_point(VECTOR, VECTOR, VECTOR, MATRIX, MATRIX, REAL, VECTOR, MATRIX)
     def follow_rows(
         p: Vector, s: Vector, w: Vector, x: Vector, boundary: Vector, dt: float, v: Vector, out: Vector
     ) -> None:
@@ -252,14 +252,14 @@ def _entry_points(
             duration = dt if row > 0 else 0.0
             roll_on(p, s, w, v, boundary[before, 0], boundary[before, 1], duration, LONGEST_STEP_S, out[row])
 
-    @entry_point
+    @entry_point(VECTOR, COUNT, REAL, REAL, REAL)
     def resistance(p: Vector, row: int, x_m: float, v_m_s: float, width_m_s: float) -> float:
         if sources < 0:
             return 0.0
         direction = laws.measured_direction(v_m_s, width_m_s)
         return laws.measured_resistance_N(p, lay.W_SIZE + row * lay.A_SIZE, x_m, v_m_s, direction)
 
-    @entry_point
+    @entry_point(VECTOR, COUNT, REAL)
     def modulus(p: Vector, span: int, t: float) -> float:
         return _modulus_Pa(p, span, t) if sources >= 0 else 0.0
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hilbench.compiled import entry_point, number_of_sources
+from hilbench.compiled import REAL, VECTOR, entry_point, number_of_sources
 from hilbench.plant.web_line import laws
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.layout import Vector
@@ -38,7 +38,7 @@ _PutFactors = Callable[[Vector, float, float, Vector, Vector], None]
 def _compiled_factors(sources: int) -> _PutFactors:
     """The function that is called from Python; `sources` as in `number_of_sources`."""
 
-    @entry_point
+    @entry_point(VECTOR, REAL, REAL, VECTOR, VECTOR)
     def put_factors(s: Vector, x_m: float, stretch: float, unstretched_m: Vector, out: Vector) -> None:
         """Into `out` (2·K,) factor and factor at the end of each span. s: pieces alone; x_m: way of the web at roller
         1, m; stretch: 1 + strain of what enters; unstretched_m (K,): web in the spans."""

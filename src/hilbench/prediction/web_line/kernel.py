@@ -18,7 +18,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.compiled import compiled, entry_point, inlined
+from hilbench.compiled import COUNT, CUBE, INDICES, MATRIX, REAL, TABLE, VECTOR, compiled, entry_point, inlined
 from hilbench.plant import drive_loops as loops
 from hilbench.plant.web_line import kernel, laws, places
 from hilbench.plant.web_line import layout as lay
@@ -226,7 +226,25 @@ Run = Callable[..., None]
 
 
 def _entry_point(sources: int) -> Run:
-    @entry_point
+    @entry_point(
+        VECTOR,
+        MATRIX,
+        *[VECTOR] * 5,
+        MATRIX,
+        *[VECTOR] * 3,
+        *[MATRIX] * 4,
+        INDICES,
+        INDICES,
+        MATRIX,
+        VECTOR,
+        MATRIX,
+        REAL,
+        COUNT,
+        MATRIX,
+        TABLE,
+        MATRIX,
+        CUBE,
+    )
     def futures(
         p: Vector,
         start: Matrix,

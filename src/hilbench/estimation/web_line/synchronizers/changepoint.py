@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hilbench.compiled import compiled, entry_point, number_of_sources
+from hilbench.compiled import COUNT, CUBE, INDICES, MATRIX, VECTOR, compiled, entry_point, number_of_sources, reals
 from hilbench.estimation import bank, correction, noise_level
 from hilbench.estimation.bank import Array, Places
 from hilbench.estimation.nuisance import Nuisance
@@ -111,7 +111,7 @@ _NOTHING, _STEP, _TELL, _REBASE = range(4)
 def _compiled_entry(sources: int) -> Callable[..., tuple[bool, float, float]]:
     """The function that is called from Python; `sources` as in `number_of_sources`."""
 
-    @entry_point
+    @entry_point(COUNT, *[VECTOR] * 4, MATRIX, CUBE, MATRIX, VECTOR, INDICES, *[MATRIX] * 3, VECTOR, reals(6))
     def act(
         what: int,
         u: Array,

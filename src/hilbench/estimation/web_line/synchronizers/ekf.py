@@ -13,7 +13,7 @@ from math import sqrt
 
 import numpy as np
 
-from hilbench.compiled import entry_point, number_of_sources
+from hilbench.compiled import CUBE, INDICES, MATRIX, VECTOR, entry_point, number_of_sources
 from hilbench.estimation import correction
 from hilbench.estimation.bank import Array, Places
 from hilbench.estimation.web_line.config import EkfConfig
@@ -33,7 +33,7 @@ Step = Callable[[Array, Array, Array, Places, Array, Array], None]
 def _compiled_step(sources: int) -> Step:
     """The function that is called from Python; `sources` as in `number_of_sources`."""
 
-    @entry_point
+    @entry_point(MATRIX, CUBE, VECTOR, INDICES, VECTOR, MATRIX)
     def single_step(z: Array, p: Array, u: Array, places: Places, g: Array, work: Array) -> None:
         """g (SIZE,), work (SIZE + 4, 1): scratch, in which innovation and variance are left (`kalman.step`)."""
         if sources >= 0:

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hilbench.compiled import compiled, entry_point, number_of_sources
+from hilbench.compiled import REAL, VECTOR, compiled, entry_point, number_of_sources
 from hilbench.estimation import noise_level
 from hilbench.estimation.bank import Array
 from hilbench.estimation.noise_level import NoiseLevel
@@ -133,7 +133,7 @@ Fill = Callable[[Array, Array, Array, Array, float, float, float, float, float, 
 def _compiled_fill(sources: int) -> Fill:
     """The function that is called from Python; `sources` as in `number_of_sources`."""
 
-    @entry_point
+    @entry_point(VECTOR, VECTOR, VECTOR, VECTOR, REAL, REAL, REAL, REAL, REAL, REAL)
     def fill_once(
         u: Array,
         s: Array,

@@ -13,7 +13,7 @@ from math import exp
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.compiled import entry_point
+from hilbench.compiled import MATRIX, REAL, VECTOR, entry_point
 from hilbench.estimation.web_line.synchronizers.base import SyncSample
 from hilbench.estimation.web_line.synchronizers.plant import Plant
 
@@ -28,7 +28,7 @@ _INPUTS = 6
 _SETTLED = 12.0
 
 
-@entry_point
+@entry_point(MATRIX, VECTOR, REAL, REAL, REAL, VECTOR)
 def _filter(state: Array, inputs: Array, decay: float, mass: float, cycle_s: float, row: Array) -> None:
     """Two low passes in series, y = (1-d)·u + d·y', of [x − x0, force, web, speed, sign, 1]; state (2, inputs).
 

@@ -1,0 +1,69 @@
+"""What `hilbench compile` leaves is found by everybody who runs hilbench, also by those who may only read it."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from importlib import import_module
+from inspect import signature
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hilbench.cli.compile import modules_by_room
+from hilbench.compiled import KeptCode, entry_points
+from hilbench.plant.web_line import kernel
+from hilbench.plant.web_line import layout as lay
+from hilbench.plant.web_line.offline import simulate, start_state
+from hilbench.plant.web_line.parameters import ModelParameters
+
+_MODULES = [name for modules in modules_by_room() for name in modules]
+_USE = """if True:
+    import sys
+    import numpy as np
+    from numba.core.caching import InTreeCacheLocator, UserWideCacheLocator
+    def refuse(self):
+        raise PermissionError(13, "read-only")
+    for each in {refusing}:
+        each.ensure_cache_path = refuse
+    from hilbench.estimation import noise_level
+    noise_level._take(np.zeros(8), 1.0)
+    print(sum(noise_level._take.stats.cache_misses.values()))
+"""
+
+
+def _misses(refusing: str, home: Path) -> str:
+    """How often a process compiles a function that was compiled before, where these places can't be written."""
+    environment = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"}
+    environment |= {"HOME": str(home), "XDG_CACHE_HOME": str(home)}
+    command = [sys.executable, "-c", _USE.format(refusing=refusing)]
+    ended = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300, check=True)
+    return ended.stdout.strip()
+
+
+@pytest.mark.parametrize("module", _MODULES)
+def test_setup_compiles_each_function_that_python_calls_for_the_arguments_that_it_takes(module: str) -> None:
+    found = entry_points(import_module(module))
+    assert found
+    for each in found:
+        assert isinstance(each._cache, KeptCode)
+        assert each.arguments is not None, f"{each}: expected @entry_point(VECTOR, REAL, …), the types of its arguments"
+        assert len(each.arguments) == len(signature(each.py_func).parameters), each
+
+
+@pytest.mark.parametrize("refusing", ["()", "[InTreeCacheLocator]", "[InTreeCacheLocator, UserWideCacheLocator]"])
+def test_who_may_only_read_hilbench_runs_what_was_compiled_when_it_was_installed(tmp_path: Path, refusing: str) -> None:
+    _misses("()", tmp_path)
+    assert _misses(refusing, tmp_path) == "0"
+    assert not list(tmp_path.rglob("*.nbc"))
+
+
+def test_variants_from_one_start_run_what_was_compiled_for_one() -> None:
+    web = {"youngs_modulus_Pa": 9e9, "width_m": 0.5, "thickness_m": 65e-6, "span_length_m": 1.0}
+    model = ModelParameters.model_validate({"web": web, "rollers": {"radius_m": 0.04, "inertia_kg_m2": 1e-3}})
+    p = lay.pack(model)
+    before = set(kernel.simulate.overloads)  # type: ignore[attr-defined]
+    simulate(np.stack([p, p]), start_state(p, model), np.zeros((4, 2)), np.zeros((4, 2)), 0.002)
+    assert set(kernel.simulate.overloads) - before <= {kernel.simulate.arguments}  # type: ignore[attr-defined]
