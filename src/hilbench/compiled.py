@@ -14,6 +14,7 @@ import numba
 import numpy as np
 from numba import types
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile, InTreeCacheLocator
+from numba.core.dispatcher import Dispatcher
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
@@ -221,7 +222,7 @@ def entry_points(module: ModuleType) -> list[Any]:
     return [
         each
         for each in vars(module).values()
-        if hasattr(each, "arguments") and getattr(each, "__module__", "") == module.__name__
+        if isinstance(each, Dispatcher) and hasattr(each, "arguments") and each.__module__ == module.__name__
     ]
 
 
