@@ -79,6 +79,12 @@ class Shape:
         """Whether there is more than driven rollers."""
         return self.spans > max(self.axes - 1, 0)
 
+    @property
+    def modulus_in_twin(self) -> str:
+        """What the E that the twin tells is, as a legend says it: beside dancers, accumulators and reels it estimates
+        none."""
+        return "of the model" if self.has_stations else "estimated"
+
     def axis_before(self, number: int) -> int:
         """Number of the driven axis before the span of that number; the one behind it is the next."""
         return self.axes_before[number - 1] if self.axes_before else number

@@ -109,9 +109,10 @@ def lines(label: str, *shown: Line, si_per_unit: float = 1.0, least: float = 0.0
     return make
 
 
-def estimate(quantity: MainQuantity, deviation: str = "") -> MakeChart:
+def estimate(quantity: MainQuantity, deviation: str = "", in_twin: str = "estimated") -> MakeChart:
     """Axes with what the twin estimates of a quantity of the imitated machine, its truth with the band that a criterion
-    goes by, and two standard deviations where the twin states one."""
+    goes by, and two standard deviations where the twin states one; at least as high as that band. `in_twin`: what the
+    twin tells, for the legend."""
     scale, signal = quantity.si_per_shown, quantity.twin_signal
 
     def make(run: ShownRun) -> Chart | None:
@@ -128,8 +129,9 @@ def estimate(quantity: MainQuantity, deviation: str = "") -> MakeChart:
             bands.append(Band(run.t_s, estimated - 2 * spread, estimated + 2 * spread, VERMILLION, 0.25))
         if run.reference is not None:
             curves.append(Curve("PID", run.t_s, run.reference / scale, SKY))
-        curves.append(Curve("estimated", run.t_s, estimated, VERMILLION))
-        return Chart(f"{quantity.short} in {quantity.in_unit}", curves, bands)
+        curves.append(Curve(in_twin, run.t_s, estimated, VERMILLION))
+        least = 2 * ESTIMATE_BAND * float(np.max(np.abs(estimated), initial=0.0, where=np.isfinite(estimated)))
+        return Chart(f"{quantity.short} in {quantity.in_unit}", curves, bands, least=least)
 
     return make
 

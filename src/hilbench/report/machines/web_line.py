@@ -143,14 +143,14 @@ def _torques(axis: int) -> RunPicture:
     )
 
 
-def _elasticity(number: str) -> RunPicture:
-    """`number`: of the span at which E is estimated, as names have it."""
+def _elasticity(number: str, in_twin: str) -> RunPicture:
+    """`number`: of the span whose E the twin tells, as names have it; `in_twin`: see `Shape.modulus_in_twin`."""
     return RunPicture(
         f"elasticity{number}",
         f"Young’s modulus in span {number}" if number else "Young’s modulus",
-        f"Young’s modulus of the imitated web with a band of ±{100 * ESTIMATE_BAND:g} % (grey), and the twin’s "
-        "estimate with a band of ±2 standard deviations where the twin states one.",
-        (estimate(modulus(number), f"E{number}_sd_Pa"),),
+        f"Young’s modulus of the imitated web with a band of ±{100 * ESTIMATE_BAND:g} % (grey), and the "
+        f"twin’s, {in_twin}, with a band of ±2 standard deviations where the twin states one.",
+        (estimate(modulus(number), f"E{number}_sd_Pa", in_twin),),
         with_reference="PID: what the published tracking simulation makes of the same measurements.",
         zoomed=True,
     )
@@ -208,7 +208,7 @@ def pictures_of(shape: Shape) -> MachinePictures:
         (
             _velocities(shape),
             *(_torques(behind) for behind in behind_estimated),
-            *(_elasticity(number) for _, number in estimated),
+            *(_elasticity(number, shape.modulus_in_twin) for _, number in estimated),
             *map(_tension, numbers),
             *_stations(shape),
         ),
@@ -216,7 +216,7 @@ def pictures_of(shape: Shape) -> MachinePictures:
             *(
                 ComparedSignal(
                     f"elasticity{number}",
-                    f"Young’s modulus in span {number}, estimated" if number else "Young’s modulus, estimated",
+                    f"Young’s modulus{f' in span {number}' if number else ''}, {shape.modulus_in_twin}",
                     "E in N/mm²",
                     (f"E{number}_sim_Pa",),
                     1e6,
