@@ -62,6 +62,8 @@ _DECISIVE: Final = 20.0
 _RANK: Final = {effect.id: place for place, effect in enumerate(EFFECTS)}
 #: Fall of the training rows' sum of squares that a fit must promise short of, to be finished and judged on all rows.
 _MARGIN: Final = 60.0
+#: Share of what one term does that another has to do as well to be started where both do the same.
+_ACTS_ALIKE: Final = 0.98
 #: How often, and at which shares of their distance, the best times of a step are looked at more closely; how many are
 #: proposed, and how many of the distances they are apart.
 _TIME_LEVELS: Final = 3
@@ -585,7 +587,8 @@ class Search:
             tied[term.key] = []
             # What was proposed beside a gradual change says nothing of a sudden one in its middle.
             sudden = [[other] for other in self._proposer.at_once(term, rest)]
-            for terms in sudden + others:
+            alike = [self._acting_alike(offered, current.terms, k, terms) for terms in others]
+            for terms in sudden + alike:
                 if len(terms) > 1 or terms[0].place == term.place:
                     continue
                 cost = price([*rest, *terms], self._samples) - price(current.terms, self._samples)
@@ -610,6 +613,8 @@ class Search:
         """
         for k, term in enumerate(current.terms):
             lookalike = term.effect.lookalike
+            if term.duration_s > 2.0 * _FORCE_SEARCH[0]:
+                continue  # no sudden force, nor anything like one
             if lookalike is None or term.section not in (None, self._space.model.span_count):
                 continue  # a force at the last roller acts behind the last span
             difference, force_N, time_s = self._as_a_force(current, k, offered.whitening)
@@ -632,7 +637,7 @@ class Search:
         residual = white.apply(point.residual)[:, rows].ravel()
         probe_N = _FORCE_SHARE * self._proposer.sizes(None).force_N
         best = (float("inf"), 0.0, 0.0)
-        for time_s in around(term.time_s, *_FORCE_SEARCH):
+        for time_s in around(term.time_s + 0.5 * term.duration_s, *_FORCE_SEARCH):
             pushed = space.residual_with_force(rest, probe_N, float(time_s))
             response = white.apply(point.residual - pushed)[:, rows].ravel() / probe_N
             columns = np.array([*own, response])
@@ -641,6 +646,24 @@ class Search:
             best = min(best, (square, float(theta[-1]), float(time_s)))
         close = sum(sums(space, white, current.residual))
         return best[0] - close, best[1], best[2]
+
+    def _acting_alike(self, offered: CandidateSet, terms: list[Term], k: int, others: list[Term]) -> list[Term]:
+        """What is tried in the place of term k, started where it acts as that does if the two act alike at all.
+
+        Where play makes the machine's response rough, what is left without the term promises another strength, from
+        which the fit does not come back.
+        """
+        term, other = terms[k], others[0]
+        if len(others) > 1 or len(term.coordinates()) > 1 or len(other.coordinates()) > 1:
+            return others
+        response = next(r for c, r in zip(offered.candidates, offered.responses, strict=True) if c.key == other.key)
+        mine = sum(len(before.coordinates()) for before in terms[:k])
+        columns = self._trained(offered.whitening.apply(np.stack([offered.own[mine], response[0]])))
+        (own, across), (_, its) = np.tensordot(columns, columns, ((1, 2), (1, 2)))
+        if across**2 < _ACTS_ALIKE * own * its:
+            return others
+        strength = other.neutral().coordinates() + across / its * (term.coordinates() - term.neutral().coordinates())
+        return [other.at(strength)] if other.allowed(float(strength[0])) else others
 
     @staticmethod
     def _own_without(offered: CandidateSet, terms: list[Term], k: int) -> Array:

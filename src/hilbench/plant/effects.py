@@ -317,6 +317,12 @@ _MOTOR_TORQUE = Size(1.0 / 64.0, force=1, radius=1, gear=-1)
 #: Of the highest speed, at which a law with a speed of its own is looked at.
 _SHARES = (0.01, 0.04, 0.15)
 
+#: What looks like a web of another E that comes at once.
+_FORCE_STEP = Lookalike(
+    "a step of a force at the last roller (friction, downstream tension)",
+    "step the tension after the change, and reverse",
+)
+
 #: Among explanations that a recording can't tell apart the one that stands first here is named.
 EFFECTS: tuple[Effect, ...] = (
     Effect(
@@ -517,10 +523,7 @@ EFFECTS: tuple[Effect, ...] = (
         shown_by="record longer before and after the change",
         slots=4,
         probe=Probe(ProbeOver.ONSET, "time_s"),
-        lookalike=Lookalike(
-            "a step of a force at the last roller (friction, downstream tension)",
-            "step the tension after the change, and reverse",
-        ),
+        lookalike=_FORCE_STEP,
     ),
     Effect(
         id="elasticity_drift",
@@ -607,6 +610,7 @@ EFFECTS: tuple[Effect, ...] = (
         slots=2,
         probe=Probe(ProbeOver.ONSET_AND_DURATION, "time_s", "duration_s"),
         at_once="elasticity_step",
+        lookalike=_FORCE_STEP,
     ),
     Effect(
         id="unbalance",

@@ -28,7 +28,16 @@ def json_schema() -> dict[str, Any]:
     complete = {"required": schema.pop("required")}
     for block in schema["$defs"].values():
         block.pop("required", None)  # what a file includes may give it: `hilbench check` says what is missing
-    return {**schema, "if": {"not": {"required": ["include"]}}, "then": complete}
+    return {**_any_of(schema), "if": {"not": {"required": ["include"]}}, "then": complete}
+
+
+def _any_of(node: Any) -> Any:
+    """The same with `anyOf` for `oneOf`: where nothing is required a block may be one of several kinds."""
+    if isinstance(node, list):
+        return [_any_of(each) for each in node]
+    if isinstance(node, dict):
+        return {"anyOf" if key == "oneOf" else key: _any_of(each) for key, each in node.items()}
+    return node
 
 
 def commented_yaml(config: ExperimentConfig, folder: Path) -> str:
