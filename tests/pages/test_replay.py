@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from starlette.testclient import TestClient, WebSocketTestSession
 from starlette.websockets import WebSocketDisconnect
+from tests.pages.told_samples import keep
 
 from hilbench.canopen.identifiers import SYNC
 from hilbench.pages import replay
@@ -58,7 +59,7 @@ class Seen:
         while time.monotonic() < until_s:
             message = self._socket.receive()
             if message.get("bytes") is not None:
-                self._keep(message["bytes"])
+                keep(self.samples, self.layout["signals"], message["bytes"])
                 continue
             told: dict[str, Any] = json.loads(message["text"])
             if told["kind"] == "state":
@@ -72,13 +73,6 @@ class Seen:
     def ask(self, **action: Any) -> dict[str, Any]:
         self._socket.send_json({"number": 1, **action})
         return self.until(lambda told: told["kind"] == "said")
-
-    def _keep(self, data: bytes) -> None:
-        level, _, count, columns = np.frombuffer(data, "<u4", 4)
-        values = np.frombuffer(data, "<f4", offset=16 + 8 * int(count)).reshape(2, columns, count)
-        if level == 0:
-            for name, row in zip(self.layout["signals"], values[1], strict=True):
-                self.samples.setdefault(name, []).extend(row)
 
 
 def test_an_ended_run_is_played_again_with_what_happened_when_it_did(client: TestClient, ran: Ran) -> None:

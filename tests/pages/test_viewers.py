@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from starlette.testclient import TestClient, WebSocketTestSession
 from starlette.websockets import WebSocketDisconnect
+from tests.pages.told_samples import keep
 
 from hilbench.can.frame import Frame
 from hilbench.can.memory import MemoryBus, MemoryLink
@@ -83,7 +84,7 @@ class Viewer:
     def take(self) -> dict[str, Any]:
         message = self._socket.receive()
         if message.get("bytes") is not None:
-            self._keep(message["bytes"])
+            keep(self.samples, self.layout["signals"], message["bytes"])
             return {"kind": "samples"}
         if message["type"] != "websocket.send":
             raise WebSocketDisconnect(message.get("code", 0))
@@ -94,13 +95,6 @@ class Viewer:
             self.state = told
             self.events += [f"{event['source']}: {event['text']}" for event in told["events"]]
         return told
-
-    def _keep(self, data: bytes) -> None:
-        level, _, count, columns = np.frombuffer(data, "<u4", 4)
-        values = np.frombuffer(data, "<f4", offset=16 + 8 * int(count)).reshape(2, columns, count)
-        if level == 0:
-            for name, row in zip(self.layout["signals"], values[1], strict=True):
-                self.samples.setdefault(name, []).extend(row)
 
     def until(self, holds: Any) -> dict[str, Any]:
         until_s = time.monotonic() + PATIENCE_S
