@@ -17,6 +17,7 @@ from hilbench.estimation.web_line.config import EstimationConfig
 from hilbench.estimation.web_line.tracking import Tracking
 from hilbench.plant.motor_port import MotorMode, MotorPort
 from hilbench.plant.web_line.line import Line
+from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.results.trace import TraceReader
 from hilbench.runs.config import load_with_overrides
 from hilbench.twin.alarms import Alarms
@@ -49,12 +50,19 @@ def test_a_web_break_is_told_within_200_ms_and_stops_the_line(tmp_path: Path) ->
     assert emergencies(folder)[0] == Problem.WEB_BREAK
 
 
-def slipping(modulus_Pa: Array, slip: Array) -> set[float]:
-    """When (s) the twin said slip, of a web of modulus E (n,) whose roller 2 is faster than it by a share (n,)."""
-    data = measured(modulus_Pa)
+def slipping(
+    modulus_Pa: Array, slip: Array, plant: ModelParameters | None = None, known: bool = False, **options: float
+) -> set[float]:
+    """When (s) the twin said slip, of a web of modulus E (n,) whose roller 2 is faster than it by a share (n,).
+
+    `known`: the twin takes all but E for known.
+    """
+    plant = plant or model()
+    data = measured(modulus_Pa, plant=plant, **options)
     data.x_m[:, 1] += np.cumsum(slip * 3.0) * CYCLE_S
     ports = (MotorPort(mode=MotorMode.VELOCITY), MotorPort(mode=MotorMode.VELOCITY))
-    tracking = Tracking(model(), EstimationConfig(), Line(model(), ports), ports[1], CYCLE_S)
+    estimation = EstimationConfig(unmodelled_torque_Nm=0.0 if known else None)
+    tracking = Tracking(plant, estimation, Line(plant, ports), ports[1], CYCLE_S)
     told = set()
     for row, t_s in enumerate(data.t_s):
         x1, x2 = data.x_m[row]
@@ -73,6 +81,14 @@ def test_slip_is_told_and_changes_of_e_are_not_taken_for_it() -> None:
     slips = np.where(t_s >= STEP_S, 0.3 * model().upstream_strain, 0.0)
     told = slipping(OLD_PA + 0.0 * t_s, slips)
     # It takes a span's length of web to tell a slip from a change of E: 0.33 s.
+    assert STEP_S + 0.33 < min(told) < STEP_S + 0.6
+
+
+def test_what_is_told_of_a_web_under_little_tension_is_told_as_of_any_other() -> None:
+    light = model(boundary={"upstream_tension_N": 8.0, "downstream_tension_N": 7.0})
+    t_s = times(6.0)
+    slips = np.where(t_s >= STEP_S, 0.3 * light.upstream_strain, 0.0)
+    told = slipping(OLD_PA + 0.0 * t_s, slips, light, known=True, torque_noise_Nm=0.005)
     assert STEP_S + 0.33 < min(told) < STEP_S + 0.6
 
 

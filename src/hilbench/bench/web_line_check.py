@@ -14,13 +14,14 @@ from hilbench.exchange.addressing import declared_units
 from hilbench.exchange.nodes import Nodes
 from hilbench.plant.sampled_shaft import imitation_delay_s
 from hilbench.plant.web_line.parameters import ModelParameters
+from hilbench.plant.web_line.sizes import machine_sizes
 from hilbench.plant.web_line.stability import largest_stiffness_Nm_per_rad, sampled_shaft
 from hilbench.strict_yaml import Document, Location
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.parts import Role
 
-#: Web tension that one unit of a drive may stand for without a note, N.
-_COARSE_N = 1.0
+#: Share of the usual tension that one unit of a drive may stand for without a note.
+_COARSE = 0.0125
 #: Relative difference of E that is none.
 SAME_MODULUS = 0.01
 
@@ -83,20 +84,20 @@ def _unmatched_loads(config: BenchConfig) -> list[str]:
 
 
 def _coarse_units(config: BenchConfig, nodes: Nodes) -> list[str]:
-    """What one unit of an axis' position or velocity is in web tension, where that is more than 1 N."""
+    """What one unit of an axis' position or velocity is in web tension, where that is coarse beside the usual one."""
     model, notes = config.web_line, []
     for part in config.parts_of(Role.AXIS):
         axis = part.axis or 1
         units = declared_units(part, nodes.dictionary(part.name))
         rad_per_m = model.motor_rad_per_m(axis)
-        beside = spans_beside(model, axis)
+        beside, coarse_N = spans_beside(model, axis), _COARSE * machine_sizes(model, axis).force_N
         stiffest_N_per_m = max(model.stiffness_N(span) / model.span_length_m(span) for span in beside)
         position_N = stiffest_N_per_m * units.position_rad / rad_per_m
-        if position_N > _COARSE_N:
+        if position_N > coarse_N:
             notes.append(f"{part.name}: one unit of position (6064h) stands for {position_N:.3g} N of web tension")
         # Steady tension changes by E·S·Δv/v; the slowest that the line is meant to run at would be worse than 1 m/s.
         velocity_N = max(map(model.stiffness_N, beside)) * units.velocity_rad_s / rad_per_m
-        if velocity_N > _COARSE_N:
+        if velocity_N > coarse_N:
             notes.append(
                 f"{part.name}: one unit of velocity (60FFh) moves the web tension by {velocity_N:.3g} N at 1 m/s"
             )

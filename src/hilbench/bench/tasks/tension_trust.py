@@ -17,8 +17,8 @@ from hilbench.topology.web_line_config import TensionControlConfig
 from hilbench.twin.virtual_io import TwinStatus
 
 _SYNCHRONIZED = int(TwinStatus.SYNCHRONIZED)
-#: A simulated tension may be as far below zero, N: rounding of REAL32.
-_BELOW_ZERO_N = 1.0
+#: Share of the set-point by which a simulated tension may be below zero: rounding of REAL32.
+_BELOW_ZERO = 0.0125
 #: Share of the deviation at which a loop opens that it closes at.
 _CLOSES_AT = 0.8
 
@@ -66,7 +66,7 @@ class TwinTrust:
         tension_N, modulus_Pa, deviation_Pa = self._values(sample)
         if not (isfinite(tension_N) and LEAST_MODULUS_Pa <= modulus_Pa <= LARGEST_MODULUS_Pa):
             return f"the twin's data are no web's: tension {tension_N:g} N, E {modulus_Pa:g} Pa"
-        if not -_BELOW_ZERO_N <= tension_N <= self._highest_tension_N:
+        if not -_BELOW_ZERO * config.set_point_N <= tension_N <= self._highest_tension_N:
             return f"simulated tension {tension_N:.1f} N is outside 0 to {self._highest_tension_N:g} N"
         # An infinite deviation is that of a method which has none.
         limit_pct = config.twin_deviation_limit_pct * (1.0 if self._synchronized else _CLOSES_AT)

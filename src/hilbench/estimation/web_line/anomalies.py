@@ -32,8 +32,8 @@ _BROKEN, _WHOLE = 0.15, 0.3
 _LONGEST = 3.0
 #: Smoothing of the tension that is usual: a web that breaks loses that, strange positions alone don't take it away.
 _USUAL_S = 0.3
-#: Least tension that the strain must promise for a ratio to mean anything, N.
-_LEAST_N = 10.0
+#: Least tension that the strain must promise for a ratio to mean anything, as a share of the machine's usual one.
+_LEAST_SHARE = 0.125
 #: Change of the ratio against what it was before from which something has happened.
 _CHANGED = 0.05
 #: Transported length, in spans, from a change to its judgement; what "before" means, in windows.
@@ -59,6 +59,7 @@ _NONE = -1.0
     _SPAN_M,
     _CYCLE_S,
     _CYCLES,
+    _LEAST_N,  # tension that the strain must promise
     _CYCLE,  # number of this one
     _FORCE_SUM_N,
     _WEB_SUM,
@@ -79,8 +80,8 @@ _NONE = -1.0
     _NUMBERS,
     _RATIOS,
     _SWUNG,
-) = range(25)
-_SIZE = 25
+) = range(26)
+_SIZE = 26
 
 
 @compiled
@@ -153,7 +154,7 @@ def look(s: Array, force_N: float, web_per_Pa: float, velocity_m_s: float) -> in
         return _found(s)
     count = ring.count(s, forces)
     promised_N = s[_MODULUS_PA] * s[_WEB_SUM] / count
-    if promised_N < _LEAST_N:
+    if promised_N < s[_LEAST_N]:
         s[_SINCE_CHANGE_M] = _NONE
         s[_QUIET_M] = _QUIET * s[_SPAN_M]
         return _found(s)
@@ -236,14 +237,20 @@ def _judge(s: Array, ratio: float, moved_m: float) -> None:
         s[_SLIPPING] = 1.0 if change < 0.0 and at_once / change < _AT_ONCE and ratio < s[_LEAST] else 0.0
 
 
-def new_state(model_modulus_Pa: float, mass_kg: float, span_length_m: float, cycle_s: float) -> Array:
-    """State of what looks at each cycle's balance of axis 2. `model_modulus_Pa`: what the ratio is formed with."""
+def new_state(
+    model_modulus_Pa: float, usual_tension_N: float, mass_kg: float, span_length_m: float, cycle_s: float
+) -> Array:
+    """State of what looks at each cycle's balance of axis 2.
+
+    `model_modulus_Pa`: what the ratio is formed with; `mass_kg`: at the web, of what is behind the span.
+    """
     cycles = round(_WINDOW_S / cycle_s)
     capacities = dict.fromkeys((_FORCES, _WEBS, _SPEEDS, _NUMBERS), cycles + 1)
     capacities |= {_RATIOS: _BEFORE_WINDOWS * cycles, _SWUNG: round(_QUIET / _NOTED_EVERY)}
     s = np.zeros(_SIZE + sum(map(ring.size, capacities.values())))
     s[_MODULUS_PA], s[_MASS_KG], s[_SPAN_M], s[_CYCLE_S] = model_modulus_Pa, mass_kg, span_length_m, cycle_s
     s[_CYCLES] = cycles
+    s[_LEAST_N] = _LEAST_SHARE * usual_tension_N
     at = _SIZE
     for place, capacity in capacities.items():
         s[place] = at

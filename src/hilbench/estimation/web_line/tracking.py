@@ -39,6 +39,7 @@ from hilbench.plant.parameters import per_item
 from hilbench.plant.web_line.layout import Vector
 from hilbench.plant.web_line.line_vectors import LineVectors
 from hilbench.plant.web_line.parameters import ModelParameters
+from hilbench.plant.web_line.sizes import machine_sizes
 from hilbench.plant.web_line.splices import Piece
 
 #: Above this speed of an axis the plant runs already when the twin joins.
@@ -128,7 +129,11 @@ class Tracking:
             (e.parameters.get("delay_s", 0.0) for e in model.effects if (e.effect, e.axis) == ("torque_delay", 2)), 0.0
         )
         self._anomalies = anomalies.new_state(
-            model.youngs_modulus_Pa(1), balance.mass_kg, model.span_length_m(1), cycle_s
+            model.youngs_modulus_Pa(1),
+            machine_sizes(model, 2).force_N,
+            balance.mass_kg,
+            model.span_length_m(1),
+            cycle_s,
         )
         self._shift_finder = TorqueShiftFinder(balance.mass_kg, cycle_s)
         self._delay_line = delay.new_line(cycle_s)

@@ -26,8 +26,8 @@ _SMOOTHED = 40
 _QUIET_S, _QUIET_M_S = 0.5, 0.01
 #: Speed from which a line runs, m/s.
 _MOVES_M_S = 0.05
-#: The same of the mean tension, from that time to the one before, N.
-_QUIET_N = 0.5
+#: The same of the mean tension, from that time to the one before, as a share of it.
+_QUIET_SHARE = 0.006
 #: Share of its noise by which the gap of a torque is smaller, at least, with a changed model.
 _SHOWS = 0.02
 
@@ -42,8 +42,9 @@ def quiet_cycle(window: Window, first: int, end: int, cycle_s: float) -> int | N
     speeds = np.column_stack([window.column(rows, name) for name in ("v1_cmd_m_s", "v2_cmd_m_s")])[before:]
     moved = np.abs(speeds[before:] - speeds[:-before]).max(axis=1)
     total = np.cumsum(window.column(rows, "F_sim_N"))
-    pulled = np.abs(total[2 * before :] - 2.0 * total[before:-before] + total[: -2 * before]) / before
-    quiet = np.flatnonzero((moved < _QUIET_M_S) & (np.abs(speeds[before:, 1]) > _MOVES_M_S) & (pulled < _QUIET_N))
+    pulls = (total[before:] - total[:-before]) / before
+    steady = np.abs(pulls[before:] - pulls[:-before]) < _QUIET_SHARE * np.abs(pulls[:-before])
+    quiet = np.flatnonzero((moved < _QUIET_M_S) & (np.abs(speeds[before:, 1]) > _MOVES_M_S) & steady)
     return None if len(quiet) == 0 else end - len(moved) + int(quiet[0])
 
 
