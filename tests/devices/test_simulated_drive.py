@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -12,6 +13,7 @@ import pytest
 from canopen.profiles.p402 import BaseNode402
 from canopen.sdo import SdoAbortedError
 from tests.cia402.every_mode import INCREMENTS, eds_file
+from tests.cia402.stand_in import EDS as OWN
 
 from canopen import Network
 from hilbench.can.python_can import can
@@ -185,6 +187,18 @@ def test_a_file_of_no_drive_is_refused_in_one_line(tmp_path: Path) -> None:
 def test_a_pdo_without_its_mapping_is_refused_in_one_line(tmp_path: Path) -> None:
     with pytest.raises(UnusableInputError, match=r"every_mode.eds: object 1600h is missing, a PDO with 1400h needs it"):
         SimulatedDrive(eds_file(tmp_path, 0x1600), 5, "virtual:x")
+
+
+def test_identity_is_the_headers_where_its_objects_have_no_value(tmp_path: Path) -> None:
+    text = OWN.read_text()
+    for key, value in {"VendorNumber": "0xFB", "ProductNumber": "0x6150", "RevisionNumber": "0x170"}.items():
+        text = re.sub(rf"(?m)^{key}=.*$", f"{key}={value}", text)
+    for sub in (1, 3):  # the product code keeps its own
+        text = re.sub(rf"(\[1018sub{sub}\][^\[]*?)DefaultValue=[^\n]*\n", r"\1", text)
+    file = tmp_path / "drive.eds"
+    file.write_text(text)
+    with driven(file) as (_, node):
+        assert [node.sdo[0x1018][sub].raw for sub in (1, 2, 3)] == [0xFB, 0x402, 0x170]
 
 
 def test_several_drives_on_one_bus(eds: Path) -> None:

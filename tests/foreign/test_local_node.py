@@ -46,3 +46,10 @@ def test_it_is_found_read_written_and_configured(node: LocalNode, tmp_path: Path
     assert "6085h" in differs.stdout
     loaded = hilbench("sdo", "load", "5", kept, *there)
     assert (loaded.returncode, node.sdo[0x6085].raw) == (0, 4000), loaded.stdout + loaded.stderr
+    # Kept, a device is described by its DCF: no EDS file of it is needed any more.
+    nowhere = tmp_path / "nowhere"
+    nowhere.mkdir()
+    assert hilbench("sdo", "diff", "5", kept, "--bus", BUS, "--eds", nowhere).returncode == 0
+    node.sdo[0x6085].raw = 1
+    assert hilbench("sdo", "load", "5", kept, "--bus", BUS, "--eds", nowhere).returncode == 0
+    assert node.sdo[0x6085].raw == 4000

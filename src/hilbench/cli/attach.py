@@ -46,13 +46,17 @@ def only_master(
 
 
 def node_on_bus(
-    node: str, config: ExperimentConfig | None, bus: BusAddress, eds: Path
+    node: str, config: ExperimentConfig | None, bus: BusAddress, eds: Path, dcf: Path | None = None
 ) -> tuple[int, str, canopen.ObjectDictionary]:
     """Node id, name for messages and object dictionary; a config names its nodes and their EDS files.
+
+    `dcf` describes the device where there is no EDS file of it.
 
     Raises UnusableInputError for a node or a file that is none, BenchFaultError when the node does not answer.
     """
     node_id, name, od = node_and_eds(node, config, bus, eds)
+    if od is None and dcf is not None:
+        od = load_eds(dcf, node_id)
     if od is None:
         raise UnusableInputError(
             eds, f"no EDS file with the identity of node {node_id}, expected one; or give --eds FILE"

@@ -65,11 +65,8 @@ def load(
     """
     from hilbench.canopen.device_configuration import moved, node_of_file, write_device, writes_of_file
 
-    with _device(node, config, bus, eds, f"sdo load to node {node}", writes=True, force=force) as (
-        master,
-        node_id,
-        known,
-    ):
+    what, dcf = f"sdo load to node {node}", _description(file)
+    with _device(node, config, bus, eds, what, dcf, writes=True, force=force) as (master, node_id, known):
         made_for = node_of_file(file)
         writes, renamed = moved(writes_of_file(file, known.od), made_for or node_id, node_id)
         with _progress(f"node {node_id}") as progress:
@@ -130,10 +127,11 @@ def _both(
 
     sides: dict[str, Configuration] = {}
     files = [name for name in (first, second) if Path(name).suffix.lower() in _FILES]
+    dcf = next((found for name in files if (found := _description(Path(name)))), None)
     for name in (first, second):
         if name in files:
             continue
-        with _device(name, config, bus, eds, "sdo diff") as (master, node_id, known):
+        with _device(name, config, bus, eds, "sdo diff", dcf) as (master, node_id, known):
             sides[name] = _read(master, node_id, known)
     for name in sorted(files, key=lambda name: is_concise(Path(name))):
         if sides:
@@ -146,6 +144,13 @@ def _both(
     return sides[first], sides[second]
 
 
+def _description(file: Path) -> Path | None:
+    """The file, if it says what objects there are; a concise DCF has values alone."""
+    from hilbench.canopen.device_configuration import is_concise
+
+    return None if is_concise(file) or not file.is_file() else file
+
+
 @contextmanager
 def _device(
     node: str,
@@ -153,6 +158,7 @@ def _device(
     bus: str | None,
     eds: Path,
     what: str,
+    dcf: Path | None = None,
     *,
     writes: bool = False,
     force: bool = False,
@@ -164,7 +170,7 @@ def _device(
     with ExitStack() as resources:
         if writes:
             resources.enter_context(only_master(address, bench, what, force=force))
-        node_id, name, od = node_on_bus(node, bench, address, eds)
+        node_id, name, od = node_on_bus(node, bench, address, eds, dcf)
         master = known_to_master(address, node_id, od, name)
         resources.callback(master.close)
         yield master, node_id, Configuration(od)

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from math import pi
 from pathlib import Path
+from typing import Any
 
 from canopen import ObjectDictionary
 from hilbench.canopen.clock import Clock, MonotonicClock
@@ -13,6 +15,7 @@ from hilbench.canopen.eds import load_eds, variable
 from hilbench.canopen.host import HostedDevices
 from hilbench.canopen.object_store import SdoAbort, Value
 from hilbench.cia402.assumed import assumed_units
+from hilbench.cia402.configuration import IDENTITY
 from hilbench.cia402.simulated import SimulatedDrive as Cia402Drive
 from hilbench.cia402.simulated import object_reader
 from hilbench.cia402.units import RPM, DriveUnits
@@ -27,6 +30,8 @@ from hilbench.plant.sensors import SensorParameters
 from hilbench.plant.servo_axis.parameters import MotorParameters, ServoAxisParameters, ShaftParameters
 from hilbench.plant.servo_axis.rig import ServoRig, ServoRigParameters
 
+#: Name of the device as it says it itself (CiA 301).
+_DEVICE_NAME = 0x1008
 #: The motor that is behind a drive unless its behaviour says otherwise: rated torque brings it to 1000 rpm in 0.1 s.
 _RUN_UP_RAD_S, _RUN_UP_S = 1000.0 * RPM, 0.1
 _PEAK_TORQUE = 3.0  # of the rated one
@@ -42,6 +47,7 @@ def simulated_node(
     """
     behaviour = behaviour or Behaviour()
     od = load_eds(eds, node_id)
+    _give_what_the_header_says(od)
     if serial_number is not None:
         _give_serial_number(eds, od, serial_number)
     try:
@@ -58,6 +64,22 @@ def simulated_node(
     rig = _rig(units, behaviour.shaft, port)
     name = od.device_information.product_name or eds.stem
     return SimulatedNode(device, drive, port, rig, units, behaviour, assumptions, name)
+
+
+def _give_what_the_header_says(od: ObjectDictionary) -> None:
+    """Identity and name of the device where their objects have no value: makers leave them to [DeviceInfo]."""
+    header = od.device_information
+    said: dict[tuple[int, int], Any] = {
+        (IDENTITY, 1): header.vendor_number,
+        (IDENTITY, 2): header.product_number,
+        (IDENTITY, 3): header.revision_number,
+        (_DEVICE_NAME, 0): header.product_name,
+    }
+    for (index, sub), value in said.items():
+        with suppress(KeyError):
+            found = variable(od, index, sub)
+            if value and found.default is None and found.value is None:
+                found.default = value
 
 
 def _give_serial_number(eds: Path, od: ObjectDictionary, serial_number: int) -> None:
