@@ -30,6 +30,17 @@ def counts_from_another_sync(bus: VirtualBus) -> None:
     bus.hears.append(hear)
 
 
+def answers_the_second_of_two_syncs(bus: VirtualBus) -> None:
+    """From its SYNC start value on: that is the first of two."""
+
+    def hear(frame: Frame) -> Frame:
+        if frame.can_id == 0x80 and len(frame.data) == 1:
+            return Frame(0x80, bytes((frame.data[0] - 1 or 10,)))
+        return frame
+
+    bus.hears.append(hear)
+
+
 def begins_with_a_heartbeat(bus: VirtualBus) -> None:
     """Soon after 1017h is written, not a period later."""
 
@@ -82,6 +93,7 @@ def has_no_error_that_lasts(bus: VirtualBus) -> None:
 
 CHOICES: list[tuple[Callable[[VirtualBus], None], set[str]]] = [
     (counts_from_another_sync, {"PDO 6", "SYNC 3"}),
+    (answers_the_second_of_two_syncs, {"PDO 8"}),
     (begins_with_a_heartbeat, {"Heartbeat and guarding 4", "Heartbeat and guarding 5"}),
     (tells_an_error_once, {"EMCY 4", "EMCY 5", "EMCY 6"}),
     (has_no_error_that_lasts, {"EMCY 4", "EMCY 5"}),
