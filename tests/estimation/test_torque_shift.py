@@ -11,6 +11,7 @@ import pytest
 from hilbench.bench.bench import Bench
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.estimation.web_line.balance import BalanceSample
+from hilbench.estimation.web_line.blocks import Blocks
 from hilbench.estimation.web_line.torque_shift import TorqueShift, TorqueShiftFinder
 from hilbench.runs.config import load_with_overrides
 from hilbench.topology.sample import CycleSample
@@ -41,7 +42,7 @@ class Found:
         """`modulus`: factor on E; `follows`: share of the way that the tension loop goes to bring the simulated tension
         back; `later_tension` and `later_speed_m_s`: set points from 6 s on."""
         rng = np.random.default_rng(seed)
-        finder = TorqueShiftFinder(mass_kg=30.0, cycle_s=CYCLE_S)
+        blocks, finder = Blocks(mass_kg=30.0, cycle_s=CYCLE_S), TorqueShiftFinder()
         self.at_s: float | None = None
         self.shift: TorqueShift | None = None
         self.undecided_s = 0.0
@@ -56,7 +57,8 @@ class Found:
             h = strain * SECTION_M2
             v_m_s = later_speed_m_s if t_s >= 6.0 else speed_m_s
             force_N = acting_Pa * h + d_N + rng.normal(0.0, NOISE_N)
-            told = finder.update(BalanceSample(v_m_s * t_s, force_N, h, v_m_s), E_PA)
+            block = blocks.update(BalanceSample(v_m_s * t_s, force_N, h, v_m_s))
+            told = None if block is None else finder.update(block, E_PA)
             self.undecided_s += CYCLE_S * finder.undecided
             if told is not None:
                 assert self.shift is None
@@ -96,14 +98,15 @@ def test_nothing_is_said_of_a_torque_that_changes_with_the_speed() -> None:
 
 
 def test_a_finder_that_may_not_decide_keeps_it_to_itself() -> None:
-    finder = TorqueShiftFinder(mass_kg=30.0, cycle_s=CYCLE_S)
+    blocks, finder = Blocks(mass_kg=30.0, cycle_s=CYCLE_S), TorqueShiftFinder()
     h = TENSION_N / E_PA
     said = []
     for k in range(5000):
         shift = 20.0 if k >= 1000 else 0.0
         moved = 0.8 if k >= 1200 else 1.0
         sample = BalanceSample(0.006 * k, E_PA * h * moved + shift, h * moved, 3.0)
-        said.append(finder.update(sample, E_PA, may_decide=k >= 3000))
+        block = blocks.update(sample)
+        said.append(None if block is None else finder.update(block, E_PA, may_decide=k >= 3000))
     decided = [k for k, one in enumerate(said) if one is not None]
     assert len(decided) == 1
     assert decided[0] >= 3000

@@ -7,8 +7,8 @@ one that was there before, F = E·h + d, and the two are weighed by their square
 fit, the change stays open: the next change of tension decides. What the balance may have been off by all the time (c)
 is in both: F = E'·h + c, and F = (E - c/h)·h + c + d.
 
-A shift is not looked for while the speed changes (an error of the inertia looks like one). When neither line fits it
-was something else.
+Both are looked for in the means of blocks (`blocks`). A shift is not looked for while the speed changes (an error of
+the inertia looks like one). When neither line fits it was something else.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hilbench.compiled import FLAG, REAL, VECTOR, compiled, entry_point, inlined, number_of_sources
+from hilbench.compiled import FLAG, REAL, VECTOR, compiled, entry_point, number_of_sources
 from hilbench.estimation import ring
 from hilbench.estimation.bank import Array
 from hilbench.estimation.web_line.balance import BalanceSample
@@ -28,8 +28,6 @@ from hilbench.estimation.web_line.balance import BalanceSample
 #: that is one or the other.
 TORQUE_SHIFT, UNDECIDED = 0xFF17, 0xFF18
 
-#: Length of a block, whose means are what is compared: short against the way of the strain to its new value.
-_BLOCK_S = 0.02
 #: Blocks that say what was before, and how many are enough.
 _BEFORE, _ENOUGH = 60, 24
 #: Blocks after that of the change that are left out: a shaft that was hit is on no line, nor is a load motor that
@@ -57,17 +55,10 @@ class TorqueShift(NamedTuple):
     youngs_modulus_Pa: float
 
 
-# State. The block that is collected; of a change what there was before (E of the line through the blocks before: beside
+# State. Of a change what there was before (E of the line through the blocks before: beside
 # E whatever else was told then is in it) and sums over the blocks since, of force f and web h; what was found. Behind
 # it four rings, of the blocks before: force (N), web (N/Pa), at its end speed (m/s) and the E that was told (Pa).
 (
-    _MASS_KG,
-    _CYCLE_S,
-    _CYCLES,
-    _COLLECTED,
-    _FORCE_SUM_N,
-    _WEB_SUM,
-    _BEGAN_M_S,
     _OPEN,
     _MODULUS_PA,
     _TOLD_PA,
@@ -87,8 +78,8 @@ class TorqueShift(NamedTuple):
     _WEBS,
     _SPEEDS,
     _TOLD,
-) = range(26)
-_SIZE = 26
+) = range(19)
+_SIZE = 19
 
 
 @compiled
@@ -99,40 +90,19 @@ def reset(s: Array) -> None:
     ring.clear(s, int(s[_WEBS]))
     ring.clear(s, int(s[_SPEEDS]))
     ring.clear(s, int(s[_TOLD]))
-    interrupt(s)
-
-
-@inlined
-def interrupt(s: Array) -> None:
-    """A cycle is missing: no mean goes across."""
-    s[_COLLECTED] = 0.0
-    s[_FORCE_SUM_N] = 0.0
-    s[_WEB_SUM] = 0.0
-    s[_BEGAN_M_S] = 0.0
 
 
 @compiled
 def look(
     s: Array,
-    force_N: float,
-    web_per_Pa: float,
+    block_N: float,
+    block_per_Pa: float,
     velocity_m_s: float,
     told_Pa: float,
     may_decide: bool,
     deviation_N: float,
 ) -> bool:
-    """Take the balance of this cycle; whether a shift is sure, FOUND_N and FOUND_PA then (see `TorqueShiftFinder`)."""
-    if s[_COLLECTED] == 0.0:
-        s[_BEGAN_M_S] = velocity_m_s
-    s[_COLLECTED] += 1.0
-    s[_FORCE_SUM_N] += force_N
-    s[_WEB_SUM] += web_per_Pa
-    if s[_COLLECTED] < s[_CYCLES]:
-        return False
-    count = s[_COLLECTED]
-    accelerating_N = s[_MASS_KG] * (velocity_m_s - s[_BEGAN_M_S]) / ((count - 1.0) * s[_CYCLE_S])
-    block_N, block_per_Pa = s[_FORCE_SUM_N] / count - accelerating_N, s[_WEB_SUM] / count
-    interrupt(s)
+    """Take a block that is complete; whether a shift is sure, FOUND_N and FOUND_PA then (see `TorqueShiftFinder`)."""
     before = int(s[_SPEEDS])
     changed_speed = False
     if ring.count(s, before) > 0:
@@ -263,13 +233,11 @@ _look = _compiled_look(number_of_sources(ring.__file__, __file__))
 
 
 class TorqueShiftFinder:
-    """Looks at each cycle's balance of axis 2. `mass_kg`: of roller and motor, at the web."""
+    """Looks at the blocks of axis 2."""
 
-    def __init__(self, mass_kg: float, cycle_s: float) -> None:
+    def __init__(self) -> None:
         size = ring.size(_BEFORE)
         self.state = np.zeros(_SIZE + 4 * size)
-        self.state[_MASS_KG], self.state[_CYCLE_S] = mass_kg, cycle_s
-        self.state[_CYCLES] = max(2, round(_BLOCK_S / cycle_s))
         for number, place in enumerate((_FORCES, _WEBS, _SPEEDS, _TOLD)):
             self.state[place] = _SIZE + number * size
             ring.put(self.state, _SIZE + number * size, _BEFORE)
@@ -281,14 +249,14 @@ class TorqueShiftFinder:
         return s.item(_OPEN) != 0.0 and s.item(_COUNT) >= _LONG and s.item(_LEANS_TO_MODULUS) == 0.0
 
     def update(
-        self, now: BalanceSample, told_Pa: float, *, may_decide: bool = True, deviation_N: float = 0.0
+        self, block: BalanceSample, told_Pa: float, *, may_decide: bool = True, deviation_N: float = 0.0
     ) -> TorqueShift | None:
-        """Take the balance of this cycle and the E that is told; a shift once it is sure.
+        """Take the means of a block and the E that is told; a shift once it is sure.
 
         Without `may_decide` what is sure is not said yet: it may be something else. `deviation_N`: what the balance may
         have been off by all the time.
         """
-        if _look(self.state, now.force_N, now.web_per_Pa, now.velocity_m_s, told_Pa, may_decide, deviation_N):
+        if _look(self.state, block.force_N, block.web_per_Pa, block.velocity_m_s, told_Pa, may_decide, deviation_N):
             return self.found
         return None
 

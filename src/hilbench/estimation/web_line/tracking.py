@@ -19,6 +19,7 @@ from hilbench.estimation.plausibility import PROBLEMS, Plausibility, Problem
 from hilbench.estimation.web_line import anomalies, delay
 from hilbench.estimation.web_line import tracking_cycle as cycle
 from hilbench.estimation.web_line.balance import BalanceSample, MeasuredBalance
+from hilbench.estimation.web_line.blocks import Blocks
 from hilbench.estimation.web_line.config import (
     ChangepointConfig,
     EstimationConfig,
@@ -131,11 +132,10 @@ class Tracking:
         self._anomalies = anomalies.new_state(
             model.youngs_modulus_Pa(1),
             machine_sizes(model, 2).force_N,
-            balance.mass_kg,
             model.span_length_m(1),
-            cycle_s,
         )
-        self._shift_finder = TorqueShiftFinder(balance.mass_kg, cycle_s)
+        self._blocks = Blocks(balance.mass_kg, cycle_s)
+        self._shift_finder = TorqueShiftFinder()
         self._delay_line = delay.new_line(cycle_s)
         self._known_change = _known_change(model, config, balance.mass_kg, cycle_s)
         self._model = model
@@ -189,6 +189,7 @@ class Tracking:
             errors.vectors,
             bank.vectors,
             self._line.vectors,
+            self._blocks.state,
         )
         self._table = table_of(cycle.flat(self._vectors))
 
@@ -237,7 +238,7 @@ class Tracking:
             self._found = FoundRunning(plant, self._strain_prev)
 
     def _forget(self, what: int) -> None:
-        cycle.forget(what, self._anomalies, self._shift_finder.state, self._delay_line)
+        cycle.forget(what, self._blocks.state, self._anomalies, self._shift_finder.state, self._delay_line)
 
     def use(self, synchronizer: SynchronizerConfig | None) -> None:
         """Go on with another method (None: the configured one) from the present E, without a jump."""

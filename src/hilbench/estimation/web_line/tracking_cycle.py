@@ -17,6 +17,7 @@ from hilbench.estimation.bank import Array, Places
 from hilbench.estimation.web_line import (
     anomalies,
     balance,
+    blocks,
     delay,
     model_errors,
     model_errors_filter,
@@ -112,6 +113,7 @@ class TrackingVectors(NamedTuple):
     errors: ErrorVectors
     bank: BankVectors
     line: LineVectors
+    blocks: Vector
 
 
 @compiled
@@ -168,9 +170,9 @@ def compare(
     t[RESIDUAL_NM] = torque_Nm - torque_sim_Nm
     problem = plausibility.find_problem(v.plausibility, torque_Nm, web_per_Pa, velocity_m_s)
     if problem != 0:
-        anomalies.suspend(v.anomalies)
+        _see_no_change_across(v)
     elif not t[STRAIN_UNCERTAINTY] > 0.0:  # one that is found under way says nothing yet
-        problem = anomalies.look(v.anomalies, t[NOW_N], web_per_Pa, velocity_m_s)
+        problem = _look_at_web(v, web_per_Pa, velocity_m_s)
     t[PROBLEM] = problem
     moved = _find_delay(v, torque_Nm, torque_sim_Nm)
     paired = isfinite(force_N)
@@ -200,6 +202,26 @@ def compare(
     _look_for_errors(v, F_next_N)
     t[CORRECTED_N] = _without_errors(v, t[USED_N])
     return UPDATE
+
+
+@compiled
+def _see_no_change_across(v: TrackingVectors) -> None:
+    """What is measured from now on says nothing of a change against what was before."""
+    blocks.begin(v.blocks)
+    blocks.miss(v.blocks)
+    anomalies.suspend(v.anomalies)
+
+
+@compiled
+def _look_at_web(v: TrackingVectors, web_per_Pa: float, velocity_m_s: float) -> int:
+    """Whether the web is broken or slips, as a `Problem`; 0: neither."""
+    if not (isfinite(v.t[NOW_N]) and isfinite(web_per_Pa)):
+        blocks.begin(v.blocks)
+        anomalies.reset(v.anomalies)
+        return 0
+    if blocks.take(v.blocks, v.t[NOW_N], web_per_Pa, velocity_m_s):
+        anomalies.look(v.anomalies, v.blocks)
+    return anomalies.found(v.anomalies)
 
 
 @inlined
@@ -255,7 +277,7 @@ def _look_for_errors(v: TrackingVectors, F_next_N: float) -> None:
         t[REBASED_PA] = -rebased_N / web_per_Pa
         # What has become known all at once is nothing that has happened to the web.
         if abs(rebased_N) > _ALL_AT_ONCE * t[MODULUS_PA] * web_per_Pa:
-            anomalies.suspend(v.anomalies)
+            _see_no_change_across(v)
             torque_shift.reset(v.shift)
 
 
@@ -276,17 +298,19 @@ def update(v: TrackingVectors) -> None:
 @compiled
 def look_for_shift(v: TrackingVectors) -> int:
     """The stage that is next: SHIFT where one is sure, else TRANSFER."""
-    t, now = v.t, v.balance.s
+    t, block = v.t, v.blocks
     if t[COMPENSATES] == 0.0:
         return TRANSFER
     if t[PROBLEM] != 0.0 or t[STRAIN_UNCERTAINTY] > 0.0:
         torque_shift.reset(v.shift)
         return TRANSFER
+    if block[blocks.READY] == 0.0:
+        return TRANSFER
     found = torque_shift.look(
         v.shift,
-        t[NOW_N],
-        now[balance.WEB_PER_PA],
-        now[balance.VELOCITY_M_S],
+        block[blocks.FORCE_N],
+        block[blocks.WEB_PER_PA],
+        block[blocks.VELOCITY_M_S],
         t[MODULUS_PA],
         not anomalies.is_judging(v.anomalies),
         model_errors.likely_deviation_N(v.errors) if t[HAS_ERRORS] != 0.0 else 0.0,
@@ -363,7 +387,7 @@ def run(
 def flat(v: TrackingVectors) -> tuple[Array | Places, ...]:
     """The vectors one behind the other, as `run_vectors` takes them in a table."""
     balance_p, web, balance_s = v.balance
-    return (*v[:7], balance_p, *web, balance_s, *v.errors, *v.bank[0], *v.bank[1:], *v.line)
+    return (*v[:7], balance_p, *web, balance_s, *v.errors, *v.bank[0], *v.bank[1:], *v.line, v.blocks)
 
 
 # What the past means no more: a cycle is missing; the web is the same, but more is known of it; it is another one.
@@ -440,22 +464,24 @@ def _entry_points(sources: int) -> tuple[Callable[..., int], Callable[..., None]
             errors,
             hypotheses,
             line,
+            floats(table, 51, (1,)),
         )
         return run(v, stage, values[0], values[1], values[2], values[3], values[4], values[5], values[6])
 
-    @entry_point(COUNT, VECTOR, VECTOR, VECTOR)
-    def forget(what: int, of_anomalies: Vector, shift: Vector, delay_line: Vector) -> None:
+    @entry_point(COUNT, VECTOR, VECTOR, VECTOR, VECTOR)
+    def forget(what: int, block: Vector, of_anomalies: Vector, shift: Vector, delay_line: Vector) -> None:
         if sources < 0:
             return
+        if what != NEW_WEB:
+            blocks.miss(block)
         if what == INTERRUPT:
-            anomalies.interrupt(of_anomalies)
-            torque_shift.interrupt(shift)
-        elif what == SUSPEND:
+            return
+        blocks.begin(block)
+        torque_shift.reset(shift)
+        if what == SUSPEND:
             anomalies.suspend(of_anomalies)
-            torque_shift.reset(shift)
         else:
             anomalies.reset(of_anomalies)
-            torque_shift.reset(shift)
             delay.forget(delay_line)
 
     @entry_point(VECTOR, VECTOR, REAL, REAL)
@@ -474,6 +500,7 @@ run_vectors, forget, state = _entry_points(
                 anomalies,
                 balance,
                 bank,
+                blocks,
                 changepoint,
                 correction,
                 delay,

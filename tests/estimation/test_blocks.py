@@ -1,0 +1,45 @@
+"""Means of the balance over blocks, against the motion that made them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hilbench.estimation.web_line.balance import BalanceSample
+from hilbench.estimation.web_line.blocks import Blocks
+
+MASS_KG, CYCLE_S, WEB = 30.0, 0.002, 2.8e-8
+
+
+def blocks_of(accel_m_s2: float, tension_N: float, strange: int | None = None) -> list[BalanceSample]:
+    """Of a roller that accelerates evenly for 50 cycles; position `strange` is of an instant half a cycle later."""
+    t_s = CYCLE_S * np.arange(50)
+    x_m = 3.0 * t_s + 0.5 * accel_m_s2 * t_s**2
+    if strange is not None:
+        x_m[strange] += 0.5 * CYCLE_S * 3.0
+    v_m_s = np.diff(x_m, prepend=2.0 * x_m[0] - x_m[1]) / CYCLE_S
+    finder, found = Blocks(MASS_KG, CYCLE_S), []
+    for x, v in zip(x_m, v_m_s, strict=True):
+        block = finder.update(BalanceSample(x, tension_N + MASS_KG * accel_m_s2, WEB, v))
+        if block is not None:
+            found.append(block)
+    return found
+
+
+@settings(derandomize=True, deadline=None)
+@given(accel=st.floats(-3.0, 3.0), tension=st.floats(-100.0, 500.0))
+def test_a_block_is_the_force_without_what_accelerates_the_roller(accel: float, tension: float) -> None:
+    found = blocks_of(accel, tension)
+    assert len(found) == 5
+    # The first speed is of no position before it.
+    for block in found[1:]:
+        assert block.force_N == pytest.approx(tension, abs=1e-6)
+        assert block.web_per_Pa == pytest.approx(WEB)
+
+
+@pytest.mark.parametrize("strange", range(20, 30))
+def test_a_position_of_another_instant_hardly_shows(strange: int) -> None:
+    forces = [block.force_N for block in blocks_of(0.0, 80.0, strange)]
+    assert forces == pytest.approx([80.0] * 5, abs=1e-6)
