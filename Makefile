@@ -1,4 +1,4 @@
-# The two commands of the README are `make demo` and `make test`; both call `make setup`.
+# The commands of the README are `make demo`, `make test` and `make test-slow`; all call `make setup`.
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
@@ -18,7 +18,7 @@ READERS_FILES := $(addprefix tests/streams/readers/,package.json package-lock.js
 # Where it is set, each of the many processes of runs and tests would compile what it imports anew.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: setup demo test test-vcan docs bench lint lock clean
+.PHONY: setup demo test test-slow test-vcan docs bench lint lock clean
 
 setup: $(STAMP)
 
@@ -56,10 +56,11 @@ $(READERS)/.installed: $(READERS_FILES)
 demo: setup
 	$(BIN)/hilbench run bench_configs/web_section_step.yaml
 
-# Without Node.js the tests that need it are skipped.
-test: setup $(SUITE)/.extracted $(if $(shell command -v npm),$(STATION)/.installed $(READERS)/.installed)
+# Without `-m` those that pyproject.toml deselects are left out. Without Node.js the tests that need it are skipped.
+test-slow: TIER := -m "slow and not vcan and not docs"
+test test-slow: setup $(SUITE)/.extracted $(if $(shell command -v npm),$(STATION)/.installed $(READERS)/.installed)
 	$(BIN)/hilbench compile  # what has changed since: once, not in each worker
-	$(BIN)/python -m pytest -q -n 2 --dist worksteal
+	$(BIN)/python -m pytest -q -n 2 --dist worksteal $(TIER)
 
 # On a vcan of this machine, or in a guest whose kernel has CAN (made on first use, kept in .cache/vcan-guest).
 test-vcan: setup $(if $(shell command -v npm),$(STATION)/.installed)
