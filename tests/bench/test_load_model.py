@@ -6,7 +6,7 @@ import pytest
 from tests.bench.bench_nodes import shipped
 
 from hilbench.bench.tasks.imitated_web import web_load_model
-from hilbench.topology.config import LoadConfig
+from hilbench.topology.blocks import LoadConfig
 from hilbench.topology.quantities import WEB_BROKEN
 from hilbench.topology.web_line_quantities import YOUNGS_MODULUS
 

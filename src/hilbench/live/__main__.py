@@ -13,7 +13,8 @@ from hilbench.live.web_line.session import Session
 from hilbench.live.web_line.warm_up import warm_up
 from hilbench.plant.web_line.imitation import Imitation
 from hilbench.real_time import give_way
-from hilbench.topology.config import BenchConfig, Pace
+from hilbench.topology.blocks import Pace
+from hilbench.topology.config import BenchConfig
 from hilbench.topology.resolved import read_resolved
 
 

@@ -5,267 +5,52 @@ The experiment and its criteria stand in the same file; `hilbench.runs.config` a
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
-from pydantic import Discriminator, Field, FiniteFloat, Tag, ValidationInfo, field_validator, model_validator
+from pydantic import Field, FiniteFloat, ValidationInfo, field_validator, model_validator
 
 from hilbench.block import Block
 from hilbench.can.open import BusAddress
 from hilbench.errors import UnusableInputError
-from hilbench.estimation.servo_axis.config import InertiaConfig
-from hilbench.estimation.web_line.config import EstimationConfig
-from hilbench.plant.effects import EffectPlace, MachineKind, effect_problem, find_effect
-from hilbench.plant.fmu.axis import FmuAxisParameters
-from hilbench.plant.fmu.config import FmuLoadConfig
-from hilbench.plant.parameters import DriveParameters, EffectEntry, NotNegative, Positive, per_item
+from hilbench.plant.effects import MachineKind
+from hilbench.plant.parameters import DriveParameters, EffectEntry, per_item
 from hilbench.plant.sampling import samples_per
-from hilbench.plant.sensors import SensorParameters
 from hilbench.plant.servo_axis.effects import ShaftEffect
-from hilbench.plant.servo_axis.parameters import ServoAxisParameters, ShaftParameters
+from hilbench.plant.servo_axis.parameters import ServoAxisParameters
 from hilbench.plant.servo_axis.rig import ServoRigParameters
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.rig import CoupledMotor, RigParameters
-from hilbench.prediction.config import PredictionConfig
 from hilbench.real_time import ProcessSettings
-from hilbench.topology.live_config import LiveDiagnosisConfig
-from hilbench.topology.parts import DriveConfig, LoadMotorConfig, NodeConfig, Part, PartName, Role
+from hilbench.topology.blocks import (
+    BusConfig,
+    HardwareConfig,
+    LoadConfig,
+    MachineParameters,
+    MasterConfig,
+    Mirroring,
+    Pace,
+    RealtimeConfig,
+    TwinConfig,
+)
+from hilbench.topology.misfits import misfits, whole_misfits
+from hilbench.topology.parts import DriveConfig, LoadMotorConfig, Part, PartName, Role
 from hilbench.topology.quantities import MODEL_CHANGE, path_problem, plain_paths
-from hilbench.topology.safety import SafetyConfig, TimeOut
+from hilbench.topology.safety import SafetyConfig
 from hilbench.topology.signal_kinds import Signal
 from hilbench.topology.signals import Shape, signals_of
 from hilbench.topology.web_line_config import (
     ControllerConfig,
-    LoadWebConfig,
     PositionControlConfig,
     TensionControlConfig,
-    controller_misfits,
-    estimate_misfits,
-    loops_misfit,
-    measured_misfit,
     position_loops,
-    stations_misfit,
     tension_loops,
 )
 from hilbench.topology.web_line_shape import web_line_shape
 
-Pace = Literal["lockstep", "realtime"]
-Mirroring = Literal["listen", "copy"]
-#: The machine, by its `kind`; without one it is a web line.
-MachineParameters = Annotated[
-    Annotated[ModelParameters, Tag("web_line")]
-    | Annotated[ServoAxisParameters, Tag("servo_axis")]
-    | Annotated[FmuAxisParameters, Tag("fmu")],
-    Discriminator(
-        lambda value: (
-            value.get("kind", "web_line") if isinstance(value, Mapping) else getattr(value, "kind", "web_line")
-        ),
-        custom_error_type="kind",
-        custom_error_message="kind: web_line, servo_axis or fmu",
-    ),
-]
-
-
-class BusConfig(Block):
-    """Which bus: `embedded`, or any python-can interface and channel such as `socketcan:vcan0`."""
-
-    address: str = Field(
-        default="embedded",
-        description="embedded: the bus of the config's folder; embedded:NAME; or a python-can interface and channel: "
-        "socketcan:vcan0",
-    )
-    bitrate: int = Field(default=1_000_000, ge=10_000, le=1_000_000, description="bit/s")
-
-    @field_validator("address")
-    @classmethod
-    def _parses(cls, value: str) -> str:
-        try:
-            BusAddress.parse(value)
-        except UnusableInputError as error:  # the place is this key's, which pydantic tells
-            raise ValueError(error.problem.partition("expected ")[2] or error.problem) from error
-        return value
-
-
-class MasterConfig(Block):
-    """The bench's own part on the bus."""
-
-    node_id: int = Field(default=127, ge=1, le=127, description="the bench's own, for its heartbeat")
-    heartbeat_ms: int = Field(default=100, ge=0, le=32767, description="the bench's own heartbeat; 0: none")
-    node_heartbeat_ms: int = Field(default=100, ge=0, le=32767, description="heartbeat that the nodes produce")
-    boot_timeout_s: TimeOut = Field(default=20.0, description="how long nodes may take to show themselves on the bus")
-    sdo_timeout_s: TimeOut = Field(default=1.0, description="how long a node may take to answer an SDO request")
-
-
-class HiddenEffect(EffectEntry):
-    """An effect as any kind of machine has it: which one's it has to be says the whole config."""
-
-    @model_validator(mode="after")
-    def _known(self) -> HiddenEffect:
-        problems = [_effect_problem(self, kind) for kind in MachineKind]
-        if all(problems):
-            raise ValueError(problems[0])
-        return self
-
-
-def _effect_problem(entry: EffectEntry, kind: MachineKind) -> str | None:
-    try:
-        effect = find_effect(entry.effect, kind)
-    except KeyError as error:
-        return str(error.args[0])
-    return effect.axis_problem(entry.axis) or effect.section_problem(entry.section) or effect.problem(entry.parameters)
-
-
-def _place_problem(entry: EffectEntry, place: EffectPlace, kind: MachineKind) -> str | None:
-    return effect_problem(entry.effect, entry.axis, place, None, None, kind, section=entry.section)
-
-
-def _possible_effects(entries: list[HiddenEffect], place: EffectPlace) -> list[HiddenEffect]:
-    """The entries, if there is a kind of machine that can have each of them: which it is the whole config says."""
-    for entry in entries:
-        problems = [_place_problem(entry, place, kind) for kind in MachineKind]
-        if all(problems):
-            raise ValueError(problems[0])
-    return entries
-
-
-class HardwareConfig(Block):
-    """The simulated hardware: the machine's axes as motors with flywheels, and the load motors on their shafts."""
-
-    shaft: ShaftParameters | None = Field(
-        default=None,
-        description="of a servo axis: the shaft that is really there, with its motor and the load motor beside it; "
-        "the machine's unless given",
-    )
-    sensors: SensorParameters = SensorParameters(torque_noise_Nm=0.05, velocity_noise_rad_s=0.002)
-    effects: list[HiddenEffect] = Field(default=[], description="hidden in the simulated axes")
-
-    @field_validator("effects")
-    @classmethod
-    def _of_axes(cls, entries: list[HiddenEffect]) -> list[HiddenEffect]:
-        return _possible_effects(entries, EffectPlace.HARDWARE)
-
-
-class LoadShaftConfig(Block):
-    """Where the imitated shaft differs from the model; what is not given is as in `machine:`."""
-
-    inertia_kg_m2: Positive | None = Field(default=None, description="of all that turns, the motor's rotor included")
-    coulomb_friction_Nm: NotNegative | None = Field(default=None, description="dry friction")
-    viscous_friction_Nm_s_per_rad: NotNegative | None = Field(
-        default=None, description="friction in proportion to the speed"
-    )
-    unbalance_Nm: NotNegative | None = Field(default=None, description="amplitude of the torque of what is unbalanced")
-
-
-class LoadConfig(Block):
-    """The load-model task: the machine that the load motor imitates."""
-
-    web: LoadWebConfig = LoadWebConfig()
-    shaft: LoadShaftConfig = LoadShaftConfig()
-    effects: list[HiddenEffect] = Field(default=[], description="hidden in the imitated mechanics")
-    fmu: FmuLoadConfig | None = Field(
-        default=None, description="an FMU that the load motors imitate, in the place of what `machine:` describes"
-    )
-    measured: list[str] = Field(
-        default=[],
-        description="dancers and accumulators, by their names, with a sensor of their position, reels with one of "
-        "their radius: imitated as the machine is, its value is the signal x_NAME_meas_m or r_NAME_meas_m",
-    )
-
-    @field_validator("effects")
-    @classmethod
-    def _imitable(cls, entries: list[HiddenEffect]) -> list[HiddenEffect]:
-        return _possible_effects(entries, EffectPlace.LOAD)
-
-
-class CoresConfig(Block):
-    """Which core each process is pinned to; null: none."""
-
-    bench: int | None = Field(default=None, ge=0, le=4095, description="the bench's cyclic loop")
-    hardware: int | None = Field(default=None, ge=0, le=4095, description="the simulated hardware")
-    twin: int | None = Field(default=None, ge=0, le=4095, description="the twin")
-
-
-class RealtimeConfig(Block):
-    """What the processes ask of the operating system at pace `realtime`; what is not permitted is a warning."""
-
-    priority: int | None = Field(
-        default=None, ge=2, le=99, description="SCHED_FIFO priority of the bench, simulated hardware and twin one below"
-    )
-    lock_memory: bool | None = Field(
-        default=None, description="keep memory from being paged out; null: where permitted"
-    )
-    cores: CoresConfig = CoresConfig()
-
-
-class TwinConfig(EstimationConfig):
-    """The twin: its virtual I/O, what it assumes and how it keeps in step with the bench."""
-
-    node: NodeConfig = Field(description="the virtual I/O: what the twin is told and what it tells")
-    inertia: InertiaConfig = InertiaConfig()
-    prediction: PredictionConfig | None = Field(
-        default=None, description="look ahead while the bench runs; null: it does not"
-    )
-    live_diagnosis: LiveDiagnosisConfig | None = Field(
-        default=None, description="name what the model lacks while the bench runs; without it nothing is looked for"
-    )
-
-
-#: Keys of `twin:` that every kind of machine has; the others say how one kind finds what it estimates.
-_OF_EVERY_TWIN = {"node", "synchronized_pct", "behind", "virtual_tpdo_every"}
-_OF_THE_SHAFT = {"inertia"}
 #: Share of a drive's torque limit that a quick stop may take: the rest is for friction and the pull of the web.
 _STOPPING_SHARE = 0.8
-_SERVO = "no 'load.measured' on a servo axis, whose encoder is measured anyway"
-
-
-def _misfits(key: str, value: Any, machine: Any, loaded: Collection[int] | None) -> Iterator[str]:
-    """Why the value of a key can't be that of a bench with this machine, and load motors on the shafts of the axes
-    `loaded` (None: that is not known)."""
-    kind: MachineKind = machine.machine_kind
-    of_servo = kind is MachineKind.SERVO_AXIS
-    if key == "load_motors" and of_servo and len(value) != 1:
-        yield "one load motor: a servo axis has one shaft"
-    if key == "controllers" and bool(value) is of_servo:
-        yield "none: a servo axis follows its reference" if of_servo else "at least one"
-    if key == "controllers" and not of_servo:
-        yield from controller_misfits(value.values(), machine.span_count)
-    if key == "twin" and not of_servo:
-        yield from estimate_misfits(value, machine)
-    sections = 0 if of_servo else machine.span_count
-    for name, of_sections in value.web if key == "load" and not of_servo else ():
-        if isinstance(of_sections, list) and len(of_sections) != sections:
-            yield f"'web.{name}' as one number or {sections}"
-    if key == "load" and value.fmu is not None:
-        yield from _fmu_misfits(value, machine, None if loaded is None else len(loaded))
-    if key == "load" and value.web != LoadWebConfig() and of_servo:
-        yield "'shaft:' for a servo axis"
-    if not of_servo and ((key == "load" and value.shaft != LoadShaftConfig()) or (key == "hardware" and value.shaft)):
-        yield "no 'shaft:', which is of a servo axis (machine: {kind: servo_axis})"
-    if key == "twin":
-        default, names = TwinConfig(node=value.node), set(TwinConfig.model_fields) - _OF_EVERY_TWIN
-        for name in sorted(names - _OF_THE_SHAFT if of_servo else _OF_THE_SHAFT):
-            if getattr(value, name) != getattr(default, name):
-                yield f"no '{name}:', which is of a twin of another kind of machine (this one is a {kind})"
-    if key == "hardware" and isinstance(machine, FmuAxisParameters) and value.effects:
-        yield "no 'effects:': what an FMU does is in its own equations"
-    if key in ("hardware", "load"):
-        for entry in value.effects:
-            place = effect_problem(
-                entry.effect, entry.axis, EffectPlace(key), machine.axis_count, loaded, kind,
-                section=entry.section, sections=sections,
-            )  # fmt: skip
-            yield from filter(None, [_effect_problem(entry, kind), place])
-
-
-def _fmu_misfits(load: LoadConfig, machine: Any, load_motors: int | None) -> Iterator[str]:
-    """Why load motors can't imitate an FMU in the place of a machine."""
-    assert load.fmu is not None
-    plain = LoadConfig(fmu=load.fmu)
-    for name in ("web", "shaft", "effects", "measured"):
-        if getattr(load, name) != getattr(plain, name):
-            yield f"no '{name}:' beside 'fmu:', which says by itself what is imitated"
-    yield from load.fmu.problems(machine.axis_count, load_motors, machine.position_unit)
 
 
 def _loaded(drives: Mapping[str, DriveConfig], motors: Mapping[str, LoadMotorConfig]) -> tuple[int, ...]:
@@ -340,7 +125,7 @@ class BenchConfig(Block):
         machine, drives, motors = (info.data.get(key) for key in ("machine", "drives", "load_motors"))
         if machine is not None:  # else the machine's own error is the one to report
             loaded = None if drives is None or motors is None else _loaded(drives, motors)
-            problem = next(_misfits(str(info.field_name), value, machine, loaded), None)
+            problem = next(misfits(str(info.field_name), value, machine, loaded), None)
             if problem:
                 raise ValueError(problem)
         return value
@@ -362,43 +147,16 @@ class BenchConfig(Block):
 
     @model_validator(mode="after")
     def _fits_the_machine(self) -> BenchConfig:
-        machine = self.machine
-        if machine.drives is None or (isinstance(machine, ModelParameters) and machine.web is None):
-            needs = "'web:' and 'drives:'" if isinstance(machine, ModelParameters) else "'drives:'"
-            raise ValueError(f"a machine with {needs}")
-        if isinstance(machine, ModelParameters) and machine.stations is not None:
-            ahead = [key for key in ("prediction", "live_diagnosis", "splices") if getattr(self.twin, key)]
-            names = {*self.drives, *self.load_motors}
-            problem = stations_misfit(machine, self.controllers.values(), "".join(ahead[:1]), names)
-            if problem:
-                raise ValueError(problem)
-        if isinstance(machine, ModelParameters) or self.load.measured:
-            problem = measured_misfit(self.load.measured, machine) if isinstance(machine, ModelParameters) else _SERVO
-            if problem:
-                raise ValueError(problem)
-        if isinstance(machine, ModelParameters):
-            problem = loops_misfit(machine, self.controllers.values(), self.load.measured)
-            if problem:
-                raise ValueError(problem)
-        if machine.axis_count != len(self.drives):
-            axes = "driven rollers" if machine.position_unit == "m" else "axes"
-            raise ValueError(
-                f"as many drives as the machine has {axes}: {len(self.drives)} under 'drives:', "
-                f"{machine.axis_count} {axes.rpartition(' ')[2]}"
-            )
-        for name, motor in self.load_motors.items():
-            if motor.shaft not in self.drives:
-                raise ValueError(
-                    f"the drive on whose shaft '{name}' sits: {', '.join(self.drives)}; '{motor.shaft}' is none"
-                )
-        shafts = [motor.shaft for motor in self.load_motors.values()]
-        if len(set(shafts)) < len(shafts):
-            raise ValueError(f"one load motor on a shaft: {', '.join(self.load_motors)} are on {', '.join(shafts)}")
+        machine, controllers = self.machine, self.controllers.values()
+        found = whole_misfits(machine, self.drives, self.load_motors, controllers, self.load, self.twin)
+        problem = next(found, None)
+        if problem:
+            raise ValueError(problem)
         if isinstance(machine, ModelParameters):
             self.rig_parameters()  # raises ValueError for a load motor that is too heavy
         else:
             self.servo_rig_parameters(), self.imitated_shaft()  # raise ValueError for what can't be built
-        samples_per(self.cycle_time_s, machine.drives.sample_time_s)  # raises ValueError for what is no multiple
+        samples_per(self.cycle_time_s, self.drive_parameters.sample_time_s)  # raises ValueError for what is no multiple
         return self
 
     @property

@@ -9,7 +9,8 @@ from typing import get_args
 import yaml
 
 from hilbench import strict_yaml
-from hilbench.topology.config import BenchConfig, Pace
+from hilbench.topology.blocks import Pace
+from hilbench.topology.config import BenchConfig
 
 
 def write_resolved(config: BenchConfig, path: Path) -> None:

@@ -27,6 +27,12 @@ class LoadWebConfig(Block):
     )
     span_length_m: Length | list[Length] | None = Field(default=None, description="free web between two driven rollers")
 
+    def misfits(self, count: int) -> Iterator[str]:
+        """Why it can't be the web of a line of so many spans."""
+        for name, of_spans in self:
+            if isinstance(of_spans, list) and len(of_spans) != count:
+                yield f"'web.{name}' as one number or {count}"
+
 
 ProbingMode = Literal["off", "ask", "on"]
 
@@ -169,7 +175,26 @@ def estimate_misfits(twin: EstimationConfig, machine: ModelParameters) -> Iterat
         )
 
 
-def loops_misfit(
+def line_misfits(
+    machine: ModelParameters,
+    controllers: Collection[ControllerConfig],
+    measured: Sequence[str],
+    ahead: str,
+    names: Collection[str],
+) -> Iterator[str]:
+    """Why a line can't be the machine of a bench with these controllers, and sensors of the stations `measured`.
+
+    `ahead`: key of the twin's that is given and needs driven rollers alone, "" for none; `names`: of other parts.
+    """
+    if machine.drives is None or machine.web is None:
+        yield "a machine with 'web:' and 'drives:'"
+    of_stations = None if machine.stations is None else _stations_misfit(machine, controllers, ahead, names)
+    yield from filter(None, [of_stations])
+    yield from filter(None, [_measured_misfit(measured, machine)])
+    yield from filter(None, [_loops_misfit(machine, controllers, measured)])
+
+
+def _loops_misfit(
     machine: ModelParameters, controllers: Iterable[ControllerConfig], measured: Collection[str]
 ) -> str | None:
     """Why positions and tensions of a line can't be kept by these, in one line, or None; `measured`: what stations have
@@ -203,13 +228,10 @@ def loops_misfit(
     return None
 
 
-def stations_misfit(
+def _stations_misfit(
     machine: ModelParameters, controllers: Iterable[ControllerConfig], ahead: str, names: Collection[str]
 ) -> str | None:
-    """Why a bench can't have the stations of its machine, in one line, or None.
-
-    `ahead`: key of the twin's that is given and needs driven rollers alone, "" for none; `names`: of other parts.
-    """
+    """Why a bench can't have the stations of its machine, in one line, or None; see `line_misfits`."""
     rollers = machine.line_rollers
     if rollers[0].axis is None or rollers[-1].axis is None:
         return "'stations' that begin and end with a driven roller or reel"
@@ -230,7 +252,7 @@ def station_names(machine: ModelParameters) -> tuple[str, ...]:
     )
 
 
-def measured_misfit(measured: Sequence[str], machine: ModelParameters) -> str | None:
+def _measured_misfit(measured: Sequence[str], machine: ModelParameters) -> str | None:
     """Why a line can't have sensors of these stations, or None."""
     known = station_names(machine)
     unknown = [name for name in measured if name not in known]

@@ -14,7 +14,7 @@ from collections.abc import Callable, Mapping, Sequence
 from hilbench.estimation.plausibility import Problem
 from hilbench.plant.interface import Plant
 from hilbench.plant.motor_port import MotorPort
-from hilbench.topology.config import MachineParameters
+from hilbench.topology.blocks import MachineParameters
 from hilbench.twin.found import FoundBeside
 from hilbench.twin.machines.machine import Measured, TwinMachine
 

@@ -23,7 +23,7 @@ from hilbench.plant.interface import Steps
 from hilbench.plant.motor_port import MotorMode
 from hilbench.plant.pairing import cycles_gone, play
 from hilbench.real_time import ProcessSettings, kept_ready
-from hilbench.topology.config import MachineParameters, TwinConfig
+from hilbench.topology.blocks import MachineParameters, TwinConfig
 from hilbench.topology.process_data.of_kind import process_data
 from hilbench.topology.signals import Shape
 from hilbench.twin.alarms import Alarms

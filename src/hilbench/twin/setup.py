@@ -6,7 +6,8 @@ from hilbench.canopen.eds import load_eds
 from hilbench.estimation.web_line.config import KnownChangeConfig
 from hilbench.exchange.addressing import declared_units
 from hilbench.exchange.device_clock import device_clock
-from hilbench.topology.config import BenchConfig, TwinConfig
+from hilbench.topology.blocks import TwinConfig
+from hilbench.topology.config import BenchConfig
 from hilbench.topology.parts import Part, Role
 from hilbench.twin.axis_listener import RealAxis, TwinNode
 from hilbench.twin.process import TwinSetup

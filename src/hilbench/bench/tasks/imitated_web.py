@@ -11,7 +11,8 @@ from hilbench.plant.web_line.imitation import lead_s
 from hilbench.plant.web_line.line_follower import follower_of
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.sizes import least_way_m
-from hilbench.topology.config import BenchConfig, LoadConfig
+from hilbench.topology.blocks import LoadConfig
+from hilbench.topology.config import BenchConfig
 
 
 def imitated_web(model: ModelParameters, load: LoadConfig) -> ModelParameters:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from hilbench.plant.servo_axis.parameters import ServoAxisParameters
-from hilbench.topology.config import MachineParameters, TwinConfig
+from hilbench.topology.blocks import MachineParameters, TwinConfig
 from hilbench.topology.signals import Shape
 from hilbench.twin.machines import web_line
 from hilbench.twin.machines.machine import Told, TwinMachine

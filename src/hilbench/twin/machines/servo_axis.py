@@ -15,7 +15,7 @@ from hilbench.plant.parameters import per_item
 from hilbench.plant.servo_axis.axis import ServoAxis
 from hilbench.plant.servo_axis.parameters import ServoAxisParameters
 from hilbench.processes import log
-from hilbench.topology.config import TwinConfig
+from hilbench.topology.blocks import TwinConfig
 from hilbench.twin.found import FoundBeside
 from hilbench.twin.machines.machine import Measured, Told
 

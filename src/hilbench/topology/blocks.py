@@ -1,0 +1,186 @@
+"""The blocks of a bench config: bus, machine, hardware, load, twin, and what each process asks of the system."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated, Literal
+
+from pydantic import Discriminator, Field, Tag, field_validator, model_validator
+
+from hilbench.block import Block
+from hilbench.can.open import BusAddress
+from hilbench.errors import UnusableInputError
+from hilbench.estimation.servo_axis.config import InertiaConfig
+from hilbench.estimation.web_line.config import EstimationConfig
+from hilbench.plant.effects import EffectPlace, MachineKind, effect_problem, find_effect
+from hilbench.plant.fmu.axis import FmuAxisParameters
+from hilbench.plant.fmu.config import FmuLoadConfig
+from hilbench.plant.parameters import EffectEntry, NotNegative, Positive
+from hilbench.plant.sensors import SensorParameters
+from hilbench.plant.servo_axis.parameters import ServoAxisParameters, ShaftParameters
+from hilbench.plant.web_line.parameters import ModelParameters
+from hilbench.prediction.config import PredictionConfig
+from hilbench.topology.live_config import LiveDiagnosisConfig
+from hilbench.topology.parts import NodeConfig
+from hilbench.topology.safety import TimeOut
+from hilbench.topology.web_line_config import LoadWebConfig
+
+Pace = Literal["lockstep", "realtime"]
+Mirroring = Literal["listen", "copy"]
+#: The machine, by its `kind`; without one it is a web line.
+MachineParameters = Annotated[
+    Annotated[ModelParameters, Tag("web_line")]
+    | Annotated[ServoAxisParameters, Tag("servo_axis")]
+    | Annotated[FmuAxisParameters, Tag("fmu")],
+    Discriminator(
+        lambda value: (
+            value.get("kind", "web_line") if isinstance(value, Mapping) else getattr(value, "kind", "web_line")
+        ),
+        custom_error_type="kind",
+        custom_error_message="kind: web_line, servo_axis or fmu",
+    ),
+]
+
+
+class BusConfig(Block):
+    """Which bus: `embedded`, or any python-can interface and channel such as `socketcan:vcan0`."""
+
+    address: str = Field(
+        default="embedded",
+        description="embedded: the bus of the config's folder; embedded:NAME; or a python-can interface and channel: "
+        "socketcan:vcan0",
+    )
+    bitrate: int = Field(default=1_000_000, ge=10_000, le=1_000_000, description="bit/s")
+
+    @field_validator("address")
+    @classmethod
+    def _parses(cls, value: str) -> str:
+        try:
+            BusAddress.parse(value)
+        except UnusableInputError as error:  # the place is this key's, which pydantic tells
+            raise ValueError(error.problem.partition("expected ")[2] or error.problem) from error
+        return value
+
+
+class MasterConfig(Block):
+    """The bench's own part on the bus."""
+
+    node_id: int = Field(default=127, ge=1, le=127, description="the bench's own, for its heartbeat")
+    heartbeat_ms: int = Field(default=100, ge=0, le=32767, description="the bench's own heartbeat; 0: none")
+    node_heartbeat_ms: int = Field(default=100, ge=0, le=32767, description="heartbeat that the nodes produce")
+    boot_timeout_s: TimeOut = Field(default=20.0, description="how long nodes may take to show themselves on the bus")
+    sdo_timeout_s: TimeOut = Field(default=1.0, description="how long a node may take to answer an SDO request")
+
+
+class HiddenEffect(EffectEntry):
+    """An effect as any kind of machine has it: which one's it has to be says the whole config."""
+
+    @model_validator(mode="after")
+    def _known(self) -> HiddenEffect:
+        problems = [self.problem(kind) for kind in MachineKind]
+        if all(problems):
+            raise ValueError(problems[0])
+        return self
+
+    def problem(self, kind: MachineKind) -> str | None:
+        """Why this kind of machine has no such effect, in one line, or None."""
+        try:
+            effect = find_effect(self.effect, kind)
+        except KeyError as error:
+            return str(error.args[0])
+        return effect.axis_problem(self.axis) or effect.section_problem(self.section) or effect.problem(self.parameters)
+
+
+def _place_problem(entry: EffectEntry, place: EffectPlace, kind: MachineKind) -> str | None:
+    return effect_problem(entry.effect, entry.axis, place, None, None, kind, section=entry.section)
+
+
+def _possible_effects(entries: list[HiddenEffect], place: EffectPlace) -> list[HiddenEffect]:
+    """The entries, if there is a kind of machine that can have each of them: which it is the whole config says."""
+    for entry in entries:
+        problems = [_place_problem(entry, place, kind) for kind in MachineKind]
+        if all(problems):
+            raise ValueError(problems[0])
+    return entries
+
+
+class HardwareConfig(Block):
+    """The simulated hardware: the machine's axes as motors with flywheels, and the load motors on their shafts."""
+
+    shaft: ShaftParameters | None = Field(
+        default=None,
+        description="of a servo axis: the shaft that is really there, with its motor and the load motor beside it; "
+        "the machine's unless given",
+    )
+    sensors: SensorParameters = SensorParameters(torque_noise_Nm=0.05, velocity_noise_rad_s=0.002)
+    effects: list[HiddenEffect] = Field(default=[], description="hidden in the simulated axes")
+
+    @field_validator("effects")
+    @classmethod
+    def _of_axes(cls, entries: list[HiddenEffect]) -> list[HiddenEffect]:
+        return _possible_effects(entries, EffectPlace.HARDWARE)
+
+
+class LoadShaftConfig(Block):
+    """Where the imitated shaft differs from the model; what is not given is as in `machine:`."""
+
+    inertia_kg_m2: Positive | None = Field(default=None, description="of all that turns, the motor's rotor included")
+    coulomb_friction_Nm: NotNegative | None = Field(default=None, description="dry friction")
+    viscous_friction_Nm_s_per_rad: NotNegative | None = Field(
+        default=None, description="friction in proportion to the speed"
+    )
+    unbalance_Nm: NotNegative | None = Field(default=None, description="amplitude of the torque of what is unbalanced")
+
+
+class LoadConfig(Block):
+    """The load-model task: the machine that the load motor imitates."""
+
+    web: LoadWebConfig = LoadWebConfig()
+    shaft: LoadShaftConfig = LoadShaftConfig()
+    effects: list[HiddenEffect] = Field(default=[], description="hidden in the imitated mechanics")
+    fmu: FmuLoadConfig | None = Field(
+        default=None, description="an FMU that the load motors imitate, in the place of what `machine:` describes"
+    )
+    measured: list[str] = Field(
+        default=[],
+        description="dancers and accumulators, by their names, with a sensor of their position, reels with one of "
+        "their radius: imitated as the machine is, its value is the signal x_NAME_meas_m or r_NAME_meas_m",
+    )
+
+    @field_validator("effects")
+    @classmethod
+    def _imitable(cls, entries: list[HiddenEffect]) -> list[HiddenEffect]:
+        return _possible_effects(entries, EffectPlace.LOAD)
+
+
+class CoresConfig(Block):
+    """Which core each process is pinned to; null: none."""
+
+    bench: int | None = Field(default=None, ge=0, le=4095, description="the bench's cyclic loop")
+    hardware: int | None = Field(default=None, ge=0, le=4095, description="the simulated hardware")
+    twin: int | None = Field(default=None, ge=0, le=4095, description="the twin")
+
+
+class RealtimeConfig(Block):
+    """What the processes ask of the operating system at pace `realtime`; what is not permitted is a warning."""
+
+    priority: int | None = Field(
+        default=None, ge=2, le=99, description="SCHED_FIFO priority of the bench, simulated hardware and twin one below"
+    )
+    lock_memory: bool | None = Field(
+        default=None, description="keep memory from being paged out; null: where permitted"
+    )
+    cores: CoresConfig = CoresConfig()
+
+
+class TwinConfig(EstimationConfig):
+    """The twin: its virtual I/O, what it assumes and how it keeps in step with the bench."""
+
+    node: NodeConfig = Field(description="the virtual I/O: what the twin is told and what it tells")
+    inertia: InertiaConfig = InertiaConfig()
+    prediction: PredictionConfig | None = Field(
+        default=None, description="look ahead while the bench runs; null: it does not"
+    )
+    live_diagnosis: LiveDiagnosisConfig | None = Field(
+        default=None, description="name what the model lacks while the bench runs; without it nothing is looked for"
+    )

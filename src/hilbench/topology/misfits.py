@@ -1,0 +1,102 @@
+"""What of a bench config does not fit its machine: each line says what is expected in its place."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping
+from typing import Any
+
+from hilbench.plant.effects import EffectPlace, MachineKind, effect_problem
+from hilbench.plant.fmu.axis import FmuAxisParameters
+from hilbench.plant.web_line.parameters import ModelParameters
+from hilbench.topology.blocks import LoadConfig, LoadShaftConfig, MachineParameters, TwinConfig
+from hilbench.topology.parts import LoadMotorConfig
+from hilbench.topology.web_line_config import (
+    ControllerConfig,
+    LoadWebConfig,
+    controller_misfits,
+    estimate_misfits,
+    line_misfits,
+)
+
+#: Keys of `twin:` that every kind of machine has; the others say how one kind finds what it estimates.
+_OF_EVERY_TWIN = {"node", "synchronized_pct", "behind", "virtual_tpdo_every"}
+_OF_THE_SHAFT = {"inertia"}
+
+
+def misfits(key: str, value: Any, machine: Any, loaded: Collection[int] | None) -> Iterator[str]:
+    """Why the value of a key can't be that of a bench with this machine, and load motors on the shafts of the axes
+    `loaded` (None: that is not known)."""
+    kind: MachineKind = machine.machine_kind
+    of_servo = kind is MachineKind.SERVO_AXIS
+    if key == "load_motors" and of_servo and len(value) != 1:
+        yield "one load motor: a servo axis has one shaft"
+    if key == "controllers" and bool(value) is of_servo:
+        yield "none: a servo axis follows its reference" if of_servo else "at least one"
+    if key == "controllers" and not of_servo:
+        yield from controller_misfits(value.values(), machine.span_count)
+    if key == "twin" and not of_servo:
+        yield from estimate_misfits(value, machine)
+    sections = 0 if of_servo else machine.span_count
+    if key == "load" and not of_servo:
+        yield from value.web.misfits(sections)
+    if key == "load" and value.fmu is not None:
+        yield from _fmu_misfits(value, machine, None if loaded is None else len(loaded))
+    if key == "load" and value.web != LoadWebConfig() and of_servo:
+        yield "'shaft:' for a servo axis"
+    if not of_servo and ((key == "load" and value.shaft != LoadShaftConfig()) or (key == "hardware" and value.shaft)):
+        yield "no 'shaft:', which is of a servo axis (machine: {kind: servo_axis})"
+    if key == "twin":
+        default, names = TwinConfig(node=value.node), set(TwinConfig.model_fields) - _OF_EVERY_TWIN
+        for name in sorted(names - _OF_THE_SHAFT if of_servo else _OF_THE_SHAFT):
+            if getattr(value, name) != getattr(default, name):
+                yield f"no '{name}:', which is of a twin of another kind of machine (this one is a {kind})"
+    if key == "hardware" and isinstance(machine, FmuAxisParameters) and value.effects:
+        yield "no 'effects:': what an FMU does is in its own equations"
+    if key in ("hardware", "load"):
+        for entry in value.effects:
+            place = effect_problem(
+                entry.effect, entry.axis, EffectPlace(key), machine.axis_count, loaded, kind,
+                section=entry.section, sections=sections,
+            )  # fmt: skip
+            yield from filter(None, [entry.problem(kind), place])
+
+
+def whole_misfits(
+    machine: MachineParameters,
+    drives: Collection[str],
+    load_motors: Mapping[str, LoadMotorConfig],
+    controllers: Collection[ControllerConfig],
+    load: LoadConfig,
+    twin: TwinConfig,
+) -> Iterator[str]:
+    """Why a machine can't have all these together: `drives` by their names, load motors by theirs."""
+    if isinstance(machine, ModelParameters):
+        ahead = [key for key in ("prediction", "live_diagnosis", "splices") if getattr(twin, key)]
+        names = {*drives, *load_motors}
+        yield from line_misfits(machine, controllers, load.measured, "".join(ahead[:1]), names)
+    elif machine.drives is None:
+        yield "a machine with 'drives:'"
+    elif load.measured:
+        yield "no 'load.measured' on a servo axis, whose encoder is measured anyway"
+    if machine.axis_count != len(drives):
+        axes = "driven rollers" if machine.position_unit == "m" else "axes"
+        yield (
+            f"as many drives as the machine has {axes}: {len(drives)} under 'drives:', "
+            f"{machine.axis_count} {axes.rpartition(' ')[2]}"
+        )
+    for name, motor in load_motors.items():
+        if motor.shaft not in drives:
+            yield f"the drive on whose shaft '{name}' sits: {', '.join(drives)}; '{motor.shaft}' is none"
+    shafts = [motor.shaft for motor in load_motors.values()]
+    if len(set(shafts)) < len(shafts):
+        yield f"one load motor on a shaft: {', '.join(load_motors)} are on {', '.join(shafts)}"
+
+
+def _fmu_misfits(load: LoadConfig, machine: Any, load_motors: int | None) -> Iterator[str]:
+    """Why load motors can't imitate an FMU in the place of a machine."""
+    assert load.fmu is not None
+    plain = LoadConfig(fmu=load.fmu)
+    for name in ("web", "shaft", "effects", "measured"):
+        if getattr(load, name) != getattr(plain, name):
+            yield f"no '{name}:' beside 'fmu:', which says by itself what is imitated"
+    yield from load.fmu.problems(machine.axis_count, load_motors, machine.position_unit)
