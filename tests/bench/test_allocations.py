@@ -6,6 +6,7 @@ import gc
 import tracemalloc
 from pathlib import Path
 
+import pytest
 from tests.bench.whole_runs import config
 
 from hilbench.bench.bench import Bench
@@ -15,6 +16,7 @@ from hilbench.runs.config import load_with_overrides
 _CYCLES = 400
 
 
+@pytest.mark.slow
 def test_cycles_leave_neither_memory_nor_garbage_behind(tmp_path: Path) -> None:
     loaded = load_with_overrides(config(tmp_path))
     with Bench(loaded.config, participants=Participants.IN_PROCESS):

@@ -39,6 +39,7 @@ def largest_error_N(found: dict[str, np.ndarray], span: int, start_s: float, end
     return float(np.max(np.abs(found[f"F{span}_true_N"] - found[f"F{span}_ref_N"])[part]))
 
 
+@pytest.mark.slow
 def test_a_step_of_a_span_does_not_disturb_the_span_behind_it_which_it_does_without_feed_forward() -> None:
     assert largest_error_N(steps_of_span_1("twin"), 2, 3.0, 6.0) < 1.0
     assert largest_error_N(steps_of_span_1("none"), 2, 3.0, 6.0) > 2.0

@@ -38,6 +38,7 @@ def spring(folder: Path, **more: Any) -> Path:
     return config(folder, SERVO, load={"fmu": {"file": "mass.fmu", **SPRING, **more}}, steps=steps, criteria=[])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fmi", [2, 3])
 def test_the_web_as_an_fmu_gives_the_demonstrators_recording(tmp_path: Path, fmi: int) -> None:
     made = hilbench("fmu", "export", "--machine", WEB, "--load", "--fmi", fmi, "--output", tmp_path / "web.fmu")
@@ -155,6 +156,7 @@ def carriage(folder: Path, fmi: int = 2, machine: dict[str, Any] | None = None, 
     return path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fmi", [2, 3])
 def test_the_twin_finds_the_inertia_of_a_carriage_that_is_an_fmu(tmp_path: Path, fmi: int) -> None:
     ended = hilbench("run", carriage(tmp_path, fmi), "--in-process", "--no-report", "--out", tmp_path / "runs")
@@ -187,6 +189,7 @@ def test_a_machine_that_does_not_fit_its_fmu_is_one_line(tmp_path: Path, change:
     assert re.search(told, ended.stderr), ended.stderr
 
 
+@pytest.mark.slow
 def test_a_stand_whose_fmu_crashes_ends_in_the_safe_state(tmp_path: Path) -> None:
     path = carriage(tmp_path)
     build_fmu(tmp_path / "mass.fmu", 2, fails=1.0)

@@ -53,7 +53,11 @@ DOUBLED_E = Frame(0x1A0, np.array([80.0, 17.4e9], "<f4").tobytes())
 
 
 @pytest.mark.parametrize(
-    ("frame", "who"), [(VELOCITY_0, "axis2 (node 2)"), (DOUBLED_E, "virtual io (node 32)")], ids=["drive", "twin"]
+    ("frame", "who"),
+    [
+        pytest.param(VELOCITY_0, "axis2 (node 2)", id="drive"),
+        pytest.param(DOUBLED_E, "virtual io (node 32)", id="twin", marks=pytest.mark.slow),
+    ],
 )
 def test_a_second_sender_of_a_tpdo_is_told_and_what_comes_first_is_used(tmp_path: Path, frame: Frame, who: str) -> None:
     _, alone, true = run(tmp_path / "alone")
@@ -162,6 +166,7 @@ def test_a_fault_names_the_foreign_frames_that_came_before_it(tmp_path: Path) ->
     assert cause.startswith("from t = 0.3")
 
 
+@pytest.mark.slow
 def test_a_flood_of_writes_is_counted_and_bounded(tmp_path: Path) -> None:
     flood = [download(1, 0x2000 + number % 200, number, 4) for number in range(1000)]
     _, result, _ = run(tmp_path, from_sync(200, *flood, until=220))
@@ -170,6 +175,7 @@ def test_a_flood_of_writes_is_counted_and_bounded(tmp_path: Path) -> None:
     assert sum(count for _, _, count in found) == 20 * len(flood)
 
 
+@pytest.mark.slow
 def test_a_stranger_beside_a_run_of_real_processes_is_in_its_result(tmp_path: Path) -> None:
     path = config(tmp_path, steps=ENDLESS)
     process = start(path)

@@ -34,6 +34,7 @@ def run(folder: Path, **changes: object) -> RunOutcome:
     return run_experiment(loaded, folder / "runs", participants=Participants.IN_PROCESS)
 
 
+@pytest.mark.slow
 def test_late_samples_are_counted_by_participant_and_told(tmp_path: Path) -> None:
     with late(0.18, AXIS2, from_cycle=150):
         outcome = run(tmp_path)

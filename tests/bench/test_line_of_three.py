@@ -149,6 +149,7 @@ def test_its_run_is_recovered_from_the_frames_as_it_was() -> None:
             assert np.array_equal(np.asarray(before[name]), np.asarray(again[name])), name
 
 
+@pytest.mark.slow
 def test_report_and_monitor_show_both_spans() -> None:
     given, outcome = whole()
     page = write_report(outcome.folder).read_text(encoding="utf-8")
@@ -165,6 +166,7 @@ def test_report_and_monitor_show_both_spans() -> None:
         assert value == pytest.approx(float(np.asarray(found[name])[-1]), rel=0.1)
 
 
+@pytest.mark.slow
 def test_e_is_found_from_the_torques_behind_the_first_span_as_well(tmp_path: Path) -> None:
     given = loaded(tmp_path, "twin.estimate.0.span=1", steps=STEPS[:1] + STEPS[6:8], criteria=[])
     outcome = run_experiment(given, tmp_path / "runs", participants=Participants.IN_PROCESS)
@@ -172,6 +174,7 @@ def test_e_is_found_from_the_torques_behind_the_first_span_as_well(tmp_path: Pat
     assert float(np.asarray(found["E1_sim_Pa"])[-100:].mean()) == pytest.approx(9.5e9, rel=0.01)
 
 
+@pytest.mark.slow
 def test_e_of_one_span_steps_and_is_found_while_the_other_stays(tmp_path: Path) -> None:
     steps = [
         *STEPS[:1],

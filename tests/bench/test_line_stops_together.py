@@ -136,6 +136,7 @@ def test_a_limit_that_trips_stops_all_rollers_in_ratio(tmp_path: Path, stand: St
     assert np.ptp(speeds[moving], axis=1).max() < 0.03
 
 
+@pytest.mark.slow
 def test_a_load_motor_that_is_lost_stops_all_rollers_in_ratio(tmp_path: Path, stand: Stand) -> None:
     given = line(tmp_path)
     run_until(given, BenchFaultError, lambda: stand.send(0x000, bytes((0x81, 6))))  # NMT: reset node 6
@@ -143,6 +144,7 @@ def test_a_load_motor_that_is_lost_stops_all_rollers_in_ratio(tmp_path: Path, st
     assert np.abs(tensions - tensions[0]).max() < MOST_OFF_N
 
 
+@pytest.mark.slow
 def test_an_operator_who_interrupts_stops_all_rollers_in_ratio(tmp_path: Path, stand: Stand) -> None:
     given = line(tmp_path)
 
@@ -154,6 +156,7 @@ def test_an_operator_who_interrupts_stops_all_rollers_in_ratio(tmp_path: Path, s
     assert np.abs(tensions - tensions[0]).max() < MOST_OFF_N
 
 
+@pytest.mark.slow
 def test_after_an_emergency_stop_the_drives_ramps_keep_the_web_whole(tmp_path: Path, stand: Stand) -> None:
     given = line(tmp_path)
     run_until(given, EmergencyStopError, lambda: stand.send(EMERGENCY_STOP_COB_ID, b""))
@@ -183,6 +186,7 @@ def test_one_span_is_stopped_by_its_drives(tmp_path: Path) -> None:
     assert demonstrator.quick_stop_per_s2 == demonstrator.safety.quick_stop_m_s2
 
 
+@pytest.mark.slow
 def test_reels_and_an_accumulator_are_brought_to_rest_together_in_the_middle_of_a_reel_change(
     tmp_path: Path, stand: Stand
 ) -> None:

@@ -45,6 +45,7 @@ def recording() -> Recording:
     return read_recording(shipped().folder.recording)
 
 
+@pytest.mark.slow
 def test_it_passes_all_its_criteria() -> None:
     result = shipped().result
     assert result.faults == []
@@ -77,6 +78,7 @@ def test_the_twin_tells_what_is_at_its_third_span() -> None:
     assert float(np.asarray(found["E3_sim_Pa"])[-1000:].mean()) == pytest.approx(10.5e9, rel=0.01)
 
 
+@pytest.mark.slow
 def test_processes_record_the_bits_of_one_process(tmp_path: Path) -> None:
     given = load_with_overrides(CONFIG, bus=f"embedded:{tmp_path.name}", changes=SHORTER)
     apart, together = (

@@ -49,6 +49,7 @@ def channels(outcome: RunOutcome) -> dict[str, np.ndarray]:
     return {name: np.asarray(values) for name, values in found.channels.items()}
 
 
+@pytest.mark.slow
 def test_the_shipped_dancer_passes_its_criteria() -> None:
     result = shipped().result
     assert result.faults == []
@@ -85,6 +86,7 @@ def test_each_load_motor_pulls_by_the_spans_beside_its_roller() -> None:
         assert mean[f"tau_load_{motor}_cmd_Nm"] == pytest.approx(pull_N * 0.2 / 5.0, abs=0.02)
 
 
+@pytest.mark.slow
 def test_processes_record_the_bits_of_one_process_and_frames_recover_them(tmp_path: Path) -> None:
     given = dancer(tmp_path, *SHORTER)
     folder = run(given, tmp_path, Participants.STARTED).folder
@@ -100,6 +102,7 @@ def test_processes_record_the_bits_of_one_process_and_frames_recover_them(tmp_pa
     assert set(different) <= commands
 
 
+@pytest.mark.slow
 def test_a_web_that_tears_lets_the_dancer_go_to_its_stop_and_ends_the_run(tmp_path: Path) -> None:
     torn = "steps.2.step={path: load.web.broken, to: 1.0}"
     outcome = run(dancer(tmp_path, *SHORTER, torn), tmp_path)
@@ -111,6 +114,7 @@ def test_a_web_that_tears_lets_the_dancer_go_to_its_stop_and_ends_the_run(tmp_pa
     assert channels(outcome)["t_s"][-1] == pytest.approx(2.0 + 0.2 / 0.4 + 10.0 / 400.0, abs=0.02)
 
 
+@pytest.mark.slow
 def test_an_accumulator_that_runs_empty_ends_the_run(tmp_path: Path) -> None:
     changes = ("machine.stations.1.lower_stop_m=0.5", "steps.1.hold.until_s=3.5", "criteria=[]")
     outcome = run(load_with_overrides(WINDING, bus=f"embedded:{tmp_path.name}", changes=changes), tmp_path)
@@ -226,6 +230,7 @@ def wound() -> RunOutcome:
     return run(load_with_overrides(WINDING, bus=f"embedded:{folder.name}"), folder)
 
 
+@pytest.mark.slow
 def test_a_reel_change_at_full_speed_leaves_all_tensions_within_3_percent() -> None:
     result, found = wound().result, channels(wound())
     assert result.faults == []
@@ -262,6 +267,7 @@ def test_the_report_shows_where_carriages_are_and_how_large_reels_are() -> None:
     assert [title for title in titles if title.startswith("Torque")] == ["Torque of axis 3"]
 
 
+@pytest.mark.slow
 def test_frames_recover_a_line_with_reels(tmp_path: Path) -> None:
     changes = ("steps.0.ramp.duration_s=1.0", "steps.1.hold.until_s=1.5", *_ONLY_THESE)
     given = load_with_overrides(WINDING, bus=f"embedded:{tmp_path.name}", changes=changes)

@@ -49,6 +49,7 @@ class LosingLink:
         return LOST if self._syncs >= LOST_IN_CYCLE else 0
 
 
+@pytest.mark.slow
 def test_a_run_that_lost_frames_says_so_everywhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(startup, "open_link", lambda bus: LosingLink(open_link(bus)))
     criterion = {"name": "no frame lost", "metric": "lost_frames", "max": 0}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import random
 from pathlib import Path
 
+import pytest
 from tests.bench.bench_nodes import nodes
 from tests.bench.strangers import STEPS, from_sync, on_the_bus
 from tests.bench.whole_runs import config
@@ -48,6 +49,7 @@ def test_a_flood_of_one_alarm_is_one_warning_with_its_count_and_a_few_lines(tmp_
     )
 
 
+@pytest.mark.slow
 def test_a_flood_of_ever_other_alarms_hides_no_web_break(tmp_path: Path) -> None:
     draw = random.Random(3)
     noise = [Frame(0x0A0, draw.randbytes(8)) for _ in range(2000)]

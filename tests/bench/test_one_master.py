@@ -33,6 +33,7 @@ EDS = Path(__file__).resolve().parents[2] / "eds" / "hilbench_servo.eds"
 BRIEF = [{"hold": {"duration_s": 0.2}}]
 
 
+@pytest.mark.slow
 def test_of_two_runs_that_start_in_the_same_moment_one_runs_and_one_is_refused(tmp_path: Path) -> None:
     path = config(tmp_path, steps=BRIEF)
     both = [start(path, "--no-report") for _ in range(2)]
@@ -146,6 +147,7 @@ def test_a_private_embedded_bus_is_not_listened_to(tmp_path: Path, monkeypatch: 
         pass
 
 
+@pytest.mark.slow
 def test_a_bench_that_was_killed_can_be_started_again_at_once(tmp_path: Path) -> None:
     path = config(tmp_path, steps=ENDLESS)
     first = start(path)
@@ -188,6 +190,7 @@ def terminal() -> Iterator[int]:
         os.close(ours)
 
 
+@pytest.mark.slow
 def test_a_terminal_that_closes_stops_the_drives_as_sigterm_does(tmp_path: Path) -> None:
     path = config(tmp_path, steps=ENDLESS)
     command = [sys.executable, "-m", "hilbench.cli", "run", str(path), "--out", str(tmp_path / "runs"), "--no-report"]

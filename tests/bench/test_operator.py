@@ -7,6 +7,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+import pytest
 from tests.bench.whole_runs import SHORT, config, recover, start, wait_for_frames
 from tests.cli.in_process import hilbench
 
@@ -33,6 +34,7 @@ def answered(requests: ChangeRequests, count: int) -> list[str]:
     return said
 
 
+@pytest.mark.slow
 def test_changes_of_a_running_bench_are_recovered_with_the_run(tmp_path: Path) -> None:
     path = config(tmp_path, steps=[SHORT[0], {"hold": {"duration_s": 1000.0}}])
     bench = load(path)[0]

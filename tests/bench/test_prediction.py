@@ -50,6 +50,7 @@ def run(
     return run_experiment(loaded, folder, participants=Participants.IN_PROCESS)
 
 
+@pytest.mark.slow
 def test_the_shipped_experiment_knows_its_crossings_seconds_before(tmp_path: Path) -> None:
     outcome = run(tmp_path, shorter=())
     assert outcome.exit_code == EXIT_PASSED, outcome.result.criteria
@@ -67,6 +68,7 @@ def test_the_shipped_experiment_knows_its_crossings_seconds_before(tmp_path: Pat
     assert any(notice.source == "prediction" for notice in outcome.result.warnings or ())
 
 
+@pytest.mark.slow
 def test_the_same_seed_predicts_the_same_and_leaves_the_run_as_it_is(tmp_path: Path) -> None:
     first, second = run(tmp_path / "a"), run(tmp_path / "b")
     without = run(tmp_path / "c", "twin.prediction=null")
@@ -91,6 +93,7 @@ def test_a_bench_that_is_to_stop_does_so_before_the_limit_is_crossed(tmp_path: P
     assert outcome.result.metrics["limits_predicted_in_vain"] == 0.0
 
 
+@pytest.mark.slow
 def test_a_bench_that_is_to_slow_down_keeps_below_the_limit_of_the_speed(tmp_path: Path) -> None:
     limit = ("safety.limits.speed_m_s={trip: 2.5}", "safety.limits.tension_N={}")
     tripped = run(tmp_path / "a", *limit)
@@ -118,12 +121,14 @@ def test_a_step_that_would_trip_a_limit_is_refused_before_it_is_done(tmp_path: P
     assert tension.max() < 85.0
 
 
+@pytest.mark.slow
 def test_a_step_that_keeps_within_the_limits_is_done(tmp_path: Path) -> None:
     outcome = run(tmp_path, "safety.limits.tension_N={trip: 120.0}", STEP_CHECKED, "criteria=[]")
     assert outcome.exit_code == EXIT_PASSED, outcome.result.faults
     assert read_recording(outcome.folder.recording)["E_true_Pa"].max() == pytest.approx(13.0e9)
 
 
+@pytest.mark.slow
 def test_a_ramp_that_the_drives_cannot_follow_within_their_limit_is_refused(tmp_path: Path) -> None:
     checked = "steps.8.ramp={path: line_speed_m_s, to: 0.0, duration_s: 0.5, check: predicted}"
     outcome = run(tmp_path, "safety.limits.torque_Nm={trip: 6.0}", "safety.limits.tension_N={}", checked)
@@ -144,6 +149,7 @@ def test_a_step_before_the_twin_knows_the_machine_cannot_be_checked(tmp_path: Pa
     assert "can't be checked: the twin is not synchronized" in outcome.result.faults[0].text
 
 
+@pytest.mark.slow
 def test_on_a_line_of_two_spans_each_tension_is_foreseen_by_its_name(tmp_path: Path) -> None:
     steps = """steps=[
       {ramp: {path: line_speed_m_s, to: 2.0, duration_s: 1.0}}, {hold: {until_s: 2.5}},

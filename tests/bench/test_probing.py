@@ -53,12 +53,13 @@ def error_at(recording: Recording, t_s: float) -> float:
     return float(recording["E_sim_Pa"][row] / recording["E_true_Pa"][row] - 1.0)
 
 
+@pytest.mark.slow
 def test_the_shipped_experiment_finds_E_beside_ten_newtons_of_friction(tmp_path: Path) -> None:
     outcome = run_experiment(load_with_overrides(SHIPPED, changes=()), tmp_path, participants=Participants.IN_PROCESS)
     assert outcome.exit_code == EXIT_PASSED, [each for each in outcome.result.criteria if not each.passed]
 
 
-@pytest.mark.parametrize("friction_N", [5.0, 20.0])
+@pytest.mark.parametrize("friction_N", [pytest.param(5.0, marks=pytest.mark.slow), 20.0])
 def test_a_probe_tells_E_from_hidden_friction_within_five_seconds(tmp_path: Path, friction_N: float) -> None:
     recording, journal, said = ran(tmp_path, [RAMP, hold(8.5)], "on", friction_N)
     probe = shifted(recording)
@@ -71,6 +72,7 @@ def test_a_probe_tells_E_from_hidden_friction_within_five_seconds(tmp_path: Path
     assert "tension set-point ±1.6 N for 5 s" in said
 
 
+@pytest.mark.slow
 def test_off_is_off(tmp_path: Path) -> None:
     recording, journal, said = ran(tmp_path, [RAMP, hold(2.5), WANTED, hold(1.0)], "off")
     assert len(shifted(recording)) == 0
@@ -78,6 +80,7 @@ def test_off_is_off(tmp_path: Path) -> None:
     assert "'probing' is off in the config" in said
 
 
+@pytest.mark.slow
 def test_an_operator_is_asked_and_allows_it(tmp_path: Path) -> None:
     recording, journal, said = ran(tmp_path, [RAMP, hold(4.0), WANTED, hold(4.0)], "ask")
     assert "wanted" in said

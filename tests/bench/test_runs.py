@@ -32,22 +32,25 @@ from hilbench.results.run import run_experiment
 from hilbench.runs.config import load_with_overrides
 
 
-def test_one_seed_gives_one_recording_and_the_same_frames_in_every_cycle(tmp_path):
+@pytest.mark.parametrize(
+    "again",
+    [
+        pytest.param(run_here, id="in one process"),
+        pytest.param(run, id="in processes", marks=pytest.mark.slow),
+    ],
+)
+def test_one_seed_gives_one_recording_and_the_same_frames_in_every_cycle(tmp_path, again):
     path = config(tmp_path)
-    assert [run(path)[0], run(path, "--no-report")[0], run_here(path, "--no-report")[0]] == [0, 0, 0]
-    first, second, in_process = run_folders(path)
-    one = read_recording(first / "recording.mf4")
-    for folder in (second, in_process):
-        other = read_recording(folder / "recording.mf4")
-        assert list(one.channels) == list(other.channels)
-        for name in one.channels:
-            assert np.array_equal(one[name], other[name]), name
+    assert [run(path, "--no-report")[0], again(path, "--no-report")[0]] == [0, 0]
+    first, second = run_folders(path)
+    one, other = (read_recording(folder / "recording.mf4") for folder in (first, second))
+    assert list(one.channels) == list(other.channels)
+    for name in one.channels:
+        assert np.array_equal(one[name], other[name]), name
     assert len(one) > 1000
     assert np.ptp(np.asarray(one["E_true_Pa"])) > 1e9
     # The last SYNC's frames end with the run; after it the nodes are told to leave OPERATIONAL.
-    frames = frames_by_cycle(first / "trace.log")[:-1]
-    assert frames == frames_by_cycle(second / "trace.log")[:-1]
-    assert frames == frames_by_cycle(in_process / "trace.log")[:-1]
+    assert frames_by_cycle(first / "trace.log")[:-1] == frames_by_cycle(second / "trace.log")[:-1]
     assert gone(path)
 
 
@@ -65,6 +68,7 @@ def test_what_cannot_run_in_process_is_said_before_anything_is_made(tmp_path, ch
     assert not (tmp_path / "runs").exists()
 
 
+@pytest.mark.slow
 def test_listening_and_copying_give_the_same_estimate_and_another_seed_another(tmp_path):
     curves = []
     for number, changes in enumerate(({}, {"mirroring": "copy"}, {"seed": 2})):
@@ -87,6 +91,7 @@ def test_a_failed_criterion_is_exit_1_and_json_is_one_object(tmp_path):
     assert [row["name"] for row in result["criteria"]] == ["impossible"]
 
 
+@pytest.mark.slow
 def test_an_effect_hidden_by_a_step_in_the_hardware_shows_in_the_torque(tmp_path):
     steps = [
         {"ramp": {"path": "line_speed_m_s", "to": 1.0, "duration_s": 0.4}},
@@ -147,6 +152,7 @@ def test_an_eds_without_a_mapped_object_is_named_with_its_line(tmp_path):
     assert "bench.yaml:" in err
 
 
+@pytest.mark.slow
 def test_a_silent_node_is_named_with_what_was_tried(tmp_path):
     path = config(tmp_path, master={"boot_timeout_s": 2.0})
     data = yaml.safe_load(path.read_text())
@@ -159,6 +165,7 @@ def test_a_silent_node_is_named_with_what_was_tried(tmp_path):
     assert gone(path)
 
 
+@pytest.mark.slow
 def test_ctrl_c_stops_the_drives_and_keeps_the_recording(tmp_path):
     path = config(tmp_path, steps=ENDLESS)
     process = start(path)
