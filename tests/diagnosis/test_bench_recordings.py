@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from tests.cli.in_process import hilbench
 from tests.plant.models import effect, model
+from tests.tiers import slow
 
 from hilbench.bench.bench import Bench
 from hilbench.bench.lifecycle.participants import Participants
@@ -76,9 +77,11 @@ def acted_s(recording: Recording) -> float:
     ("change_pct", "steps"),
     [
         (20.69, [speed(3.0), hold(2.0), elasticity(20.69), hold(2.5)]),
-        (-2.0, [speed(-3.0), hold(2.0), elasticity(-2.0), hold(3.0)]),
-        (5.0, [speed(3.0), hold(2.0), speed(2.5), elasticity(5.0), speed(1.5, 2.0), hold(1.0)]),
-        (-40.0, [speed(0.5, 0.5), hold(2.0), elasticity(-40.0), hold(3.0)]),
+        *slow(
+            (-2.0, [speed(-3.0), hold(2.0), elasticity(-2.0), hold(3.0)]),
+            (5.0, [speed(3.0), hold(2.0), speed(2.5), elasticity(5.0), speed(1.5, 2.0), hold(1.0)]),
+            (-40.0, [speed(0.5, 0.5), hold(2.0), elasticity(-40.0), hold(3.0)]),
+        ),
     ],
     ids=["demo", "small-in-reverse", "in-a-ramp", "large-and-slow"],
 )
@@ -93,6 +96,7 @@ def test_a_step_of_E_on_the_bench_is_named_with_time_and_size_and_nothing_else(c
     assert time_s.ci95[1] - time_s.ci95[0] >= 0.002  # no recording tells when within a cycle
 
 
+@pytest.mark.slow
 def test_a_ramp_of_E_is_no_ripple_and_no_step() -> None:
     ramp = {"ramp": {"path": "load.web.youngs_modulus_Pa", "to": 1.1 * E_PA, "duration_s": 2.0}}
     config, recording = bench([hold(0.3), speed(3.0), hold(1.7), ramp, hold(2.5)])
@@ -104,6 +108,7 @@ def test_a_ramp_of_E_is_no_ripple_and_no_step() -> None:
     assert values["relative_change"] == pytest.approx(0.1, abs=0.003)
 
 
+@pytest.mark.slow
 def test_dry_friction_that_sets_in_is_not_sold_as_a_step_of_E() -> None:
     friction = {"step": {"path": "hardware.effects.coulomb_friction.axis2.force_N", "to": 6.0}}
     config, recording = bench([hold(0.3), speed(3.0), hold(2.0), friction, hold(2.5), speed(1.0), hold(0.5)])
@@ -127,6 +132,7 @@ def test_a_bench_without_noise_is_predicted_to_the_resolution_of_its_drives() ->
         assert float(np.std(residual)) < (0.006 if name.startswith("tau") else 1e-6), name
 
 
+@pytest.mark.slow
 def test_a_web_that_is_there_is_not_predicted_as_an_imitated_one() -> None:
     item = EffectEntry.model_validate(effect("elasticity_step", time_s=6.1, relative_change=0.1))
     recording = hidden_recording(model(), [item], duration_s=12.0, seed=3)
@@ -148,6 +154,7 @@ def test_the_run_folder_says_how_the_web_was_imitated(tmp_path: Path) -> None:
     assert found.resolution_m_s == pytest.approx((4.19e-7, 4.19e-7), rel=1e-2)
 
 
+@pytest.mark.slow
 def test_the_command_of_the_readme_names_the_step_of_the_demo(tmp_path: Path) -> None:
     _, recording = bench([hold(0.3), speed(3.0), hold(2.0), elasticity(20.69), hold(2.5)])
     write_recording(recording, tmp_path / "recording.csv.gz")

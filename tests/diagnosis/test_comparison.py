@@ -96,6 +96,7 @@ def test_a_sensor_that_reads_more_is_one_change_and_not_one_of_each_force() -> N
     assert found.effects[0].parameters["relative_change"].value == pytest.approx(1.0 / 1.2 - 1.0, abs=0.01)
 
 
+@pytest.mark.slow
 def test_intervals_of_a_change_hold_over_repeats() -> None:
     inside = []
     for seed in range(6):
@@ -133,6 +134,7 @@ def worn() -> Recording:
     return hidden_recording(model(), entry(friction), duration_s=24.0, seed=1)
 
 
+@pytest.mark.slow
 def test_of_a_web_machine_only_what_came_is_named_and_what_both_have_is_not(worn: Recording) -> None:
     friction, slip = effect("coulomb_friction", 2, force_N=4.2), effect("web_slip", 2, creep_per_N=3e-6)
     after = hidden_recording(model(), entry(friction, slip), duration_s=24.0, seed=2)
@@ -143,6 +145,7 @@ def test_of_a_web_machine_only_what_came_is_named_and_what_both_have_is_not(worn
     assert {one.effect for one in found.model.effects} == {"coulomb_friction", "web_slip"}
 
 
+@pytest.mark.slow
 def test_of_a_web_machine_what_went_is_named_with_what_it_was(worn: Recording) -> None:
     after = hidden_recording(model(), [], duration_s=24.0, seed=3)
     found = compared(Run(after, "after.csv"), Run(worn, "before.csv"), model())
@@ -152,6 +155,7 @@ def test_of_a_web_machine_what_went_is_named_with_what_it_was(worn: Recording) -
     assert value.before == pytest.approx(4.2, rel=0.02)
 
 
+@pytest.mark.slow
 def test_two_repeats_of_a_web_machine_differ_in_nothing(worn: Recording) -> None:
     friction = effect("coulomb_friction", 2, force_N=4.2)
     after = hidden_recording(model(), entry(friction), duration_s=24.0, seed=4)

@@ -14,6 +14,7 @@ import yaml
 from tests import independent
 from tests.cli.in_process import hilbench
 from tests.plant.models import DEMONSTRATOR, effect, model
+from tests.tiers import slow
 
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.diagnosis import live
@@ -39,7 +40,7 @@ def places(found: Diagnosis) -> list[tuple[str, int | None]]:
     return sorted(((e.effect, e.axis) for e in found.effects), key=str)
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, *slow(1, 2)])
 def test_nothing_is_named_where_nothing_is_missing(seed: int) -> None:
     found = hidden(seed=seed)
     assert found.verdict == "complete"
@@ -51,21 +52,23 @@ def test_nothing_is_named_where_nothing_is_missing(seed: int) -> None:
     "item",
     [
         effect("viscous_friction", 1, coefficient_N_s_per_m=1.5),
-        effect("roller_eccentricity", 1, amplitude_m=2e-5, phase_rad=1.0),
-        effect("torque_offset", 2, offset_Nm=-0.04),
-        effect("inertia_mismatch", 2, relative_change=-0.1),
-        effect("elasticity_drift", rate_per_s=-2e-3),
-        effect("upstream_disturbance", amplitude_N=2.0, frequency_Hz=0.8, phase_rad=0.5),
-        effect("elasticity_step", time_s=11.3, relative_change=0.08),
-        effect("torque_ripple", 2, amplitude_Nm=0.1, order=2.0, phase_rad=-1.0),
-        effect("backlash", 1, gap_rad=0.01),
-        effect("unbalance", 2, amplitude_Nm=0.5, phase_rad=-1.0),
-        effect("load_dependent_friction", 2, share=0.1),
-        effect("quadratic_drag", 2, coefficient_N_s2_per_m2=0.5),
-        effect("torque_ripple_load", 1, relative_amplitude=0.2, order=2.0, phase_rad=0.8),
-        effect("feed_forward", 2, inertia_share=0.3),
-        effect("encoder_error", 1, amplitude_rad=2e-3, phase_rad=1.0),
-        effect("splice", time_s=11.3, relative_change=0.5, length_m=0.4),
+        *slow(
+            effect("roller_eccentricity", 1, amplitude_m=2e-5, phase_rad=1.0),
+            effect("torque_offset", 2, offset_Nm=-0.04),
+            effect("inertia_mismatch", 2, relative_change=-0.1),
+            effect("elasticity_drift", rate_per_s=-2e-3),
+            effect("upstream_disturbance", amplitude_N=2.0, frequency_Hz=0.8, phase_rad=0.5),
+            effect("elasticity_step", time_s=11.3, relative_change=0.08),
+            effect("torque_ripple", 2, amplitude_Nm=0.1, order=2.0, phase_rad=-1.0),
+            effect("backlash", 1, gap_rad=0.01),
+            effect("unbalance", 2, amplitude_Nm=0.5, phase_rad=-1.0),
+            effect("load_dependent_friction", 2, share=0.1),
+            effect("quadratic_drag", 2, coefficient_N_s2_per_m2=0.5),
+            effect("torque_ripple_load", 1, relative_amplitude=0.2, order=2.0, phase_rad=0.8),
+            effect("feed_forward", 2, inertia_share=0.3),
+            effect("encoder_error", 1, amplitude_rad=2e-3, phase_rad=1.0),
+            effect("splice", time_s=11.3, relative_change=0.5, length_m=0.4),
+        ),
     ],
     ids=lambda item: f"{item['effect']}-{item['axis']}",
 )
@@ -81,6 +84,7 @@ def test_what_is_hidden_is_named_with_its_axis_and_values(item: dict[str, Any]) 
         assert gap.after <= 1.05 * gap.noise_floor
 
 
+@pytest.mark.slow
 def test_a_pair_is_told_apart_and_the_extended_model_closes_the_gap(tmp_path: Path) -> None:
     pair = effect("coulomb_friction", 2, force_N=4.0), effect("elasticity_shift", relative_change=-0.1)
     found = hidden(*pair, seed=4)
@@ -93,6 +97,7 @@ def test_a_pair_is_told_apart_and_the_extended_model_closes_the_gap(tmp_path: Pa
     assert again.verdict == "complete"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", UNKNOWNS)
 def test_what_no_effect_explains_is_called_unknown(name: str) -> None:
     found = hidden(seed=2, unknown=(name, UNKNOWNS[name][1][2]), duration_s=12.0)
@@ -102,6 +107,7 @@ def test_what_no_effect_explains_is_called_unknown(name: str) -> None:
     assert found.model.effects == ()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("period_s", [0.004, 0.01, 0.02])
 def test_a_coarser_recording_is_as_good(period_s: float) -> None:
     assert hidden(seed=1, period_s=period_s).verdict == "complete"
@@ -110,6 +116,7 @@ def test_a_coarser_recording_is_as_good(period_s: float) -> None:
     assert found.effects[0].parameters["coefficient_N_s_per_m"].value == pytest.approx(2.0, rel=0.05)
 
 
+@pytest.mark.slow
 def test_the_same_recording_gives_the_same_answer() -> None:
     one, two = (hidden(effect("torque_offset", 1, offset_Nm=0.05), seed=3) for _ in range(2))
     assert one.effects == two.effects
@@ -118,7 +125,7 @@ def test_the_same_recording_gives_the_same_answer() -> None:
 
 @pytest.mark.parametrize(
     "name",
-    ["web_slip", "nominal", "elasticity_shift", "coulomb_friction", "roller_eccentricity", "inertia_and_step"],
+    ["web_slip", *slow("nominal", "elasticity_shift", "coulomb_friction", "roller_eccentricity", "inertia_and_step")],
 )
 def test_recordings_of_an_independent_simulator(name: str) -> None:
     path, labels = independent.recording(name), independent.hidden_in(name)
@@ -154,6 +161,7 @@ def command(*arguments: object) -> subprocess.CompletedProcess[str]:
     return hilbench("diagnose", *arguments)
 
 
+@pytest.mark.slow
 def test_the_command_prints_the_agreed_object_and_writes_page_and_model(tmp_path: Path) -> None:
     item = effect("viscous_friction", 2, coefficient_N_s_per_m=3.0)
     recording = hidden_recording(model(), [EffectEntry.model_validate(item)], duration_s=12.0)
@@ -190,6 +198,7 @@ def test_unusable_input_is_one_line_and_exit_2(arguments: tuple[str, ...], said:
     assert len(done.stderr.splitlines()) == 1
 
 
+@pytest.mark.slow
 def test_a_bench_is_run_diagnosed_and_run_again_with_what_was_found(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

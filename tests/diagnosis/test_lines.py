@@ -9,6 +9,7 @@ import pytest
 from tests.independent_line import effect
 from tests.independent_line.spans import LineOfSpans, at_span, of_drives
 from tests.plant.models import line_of
+from tests.tiers import slow
 
 from hilbench.diagnosis.diagnosis import Diagnosis, diagnose
 from hilbench.diagnosis.terms import Place
@@ -45,8 +46,10 @@ def places(found: Diagnosis) -> list[Place]:
     "item",
     [
         effect("coulomb_friction", 2, force_N=4.0),
-        at_span(effect("elasticity_shift", relative_change=0.1), 1),
-        at_span(effect("elasticity_step", time_s=17.3, relative_change=0.1), 2),
+        *slow(
+            at_span(effect("elasticity_shift", relative_change=0.1), 1),
+            at_span(effect("elasticity_step", time_s=17.3, relative_change=0.1), 2),
+        ),
     ],
     ids=lambda item: item["effect"],
 )
@@ -61,12 +64,14 @@ def test_an_effect_of_a_line_is_named_at_its_axis_or_span(item: dict[str, Any]) 
         assert low - 0.5 * (high - low) < item["parameters"][name] < high + 0.5 * (high - low)
 
 
+@pytest.mark.slow
 def test_another_web_in_all_spans_is_one_effect_without_a_span() -> None:
     found = of_model(3, effect("elasticity_shift", relative_change=0.1))
     assert found.verdict == "named"
     assert places(found) == [Place("elasticity_shift")]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "item",
     [
@@ -82,6 +87,7 @@ def test_on_a_stand_whose_loops_are_not_the_models_as_well(item: dict[str, Any])
     assert places(found) == [Place(item["effect"], item.get("axis"), item.get("span"))]
 
 
+@pytest.mark.slow
 def test_a_splice_is_found_with_its_length_and_is_no_step_of_a_span() -> None:
     found = of_other_equations(effect("splice", time_s=15.2, relative_change=0.3, length_m=0.4))
     assert found.verdict == "named"
@@ -97,6 +103,7 @@ def test_channels_of_a_fourth_axis_are_no_misspelt_ones_of_others() -> None:
     assert unknown_columns(["t_s", "tau4_N"]) != []
 
 
+@pytest.mark.slow
 def test_nothing_is_named_where_nothing_is_hidden() -> None:
     assert of_other_equations(loops=UNEQUAL).verdict == "complete"
     assert of_model(3).verdict == "complete"

@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 from tests.independent_line import Line, Loops
 from tests.plant.models import effect, model
+from tests.tiers import slow
 
 from hilbench.diagnosis.measured import measured_from
 from hilbench.diagnosis.predictor import choice
@@ -24,7 +25,7 @@ def loops_of(line: Line, duration_s: float = 30.0) -> dict[int, Loop]:
     return {loop.axis: loop for loop in LineOnMeasuredMotion(plain, measured_from(recording, plain, "stand")).loops()}
 
 
-@pytest.mark.parametrize(("kp", "ki", "lag_s"), [(1.3, 0.8, 0.001), (0.7, 1.3, 0.0), (1.0, 1.0, 0.004)])
+@pytest.mark.parametrize(("kp", "ki", "lag_s"), [(1.3, 0.8, 0.001), *slow((0.7, 1.3, 0.0), (1.0, 1.0, 0.004))])
 def test_gains_and_lag_of_a_drive_are_found(kp: float, ki: float, lag_s: float) -> None:
     line = Line(loops=Loops(kp=(1.0, kp), ki=(1.0, ki), lag_s=(0.001, lag_s)))
     of = loops_of(line)
@@ -39,10 +40,12 @@ def test_gains_and_lag_of_a_drive_are_found(kp: float, ki: float, lag_s: float) 
     "item",
     [
         effect("coulomb_friction", 2, force_N=8.0),
-        effect("inertia_mismatch", 2, relative_change=0.4),
-        effect("torque_offset", 2, offset_Nm=0.1),
-        effect("roller_eccentricity", 2, amplitude_m=4e-5, phase_rad=0.0),
-        effect("elasticity_shift", relative_change=-0.3),
+        *slow(
+            effect("inertia_mismatch", 2, relative_change=0.4),
+            effect("torque_offset", 2, offset_Nm=0.1),
+            effect("roller_eccentricity", 2, amplitude_m=4e-5, phase_rad=0.0),
+            effect("elasticity_shift", relative_change=-0.3),
+        ),
     ],
     ids=lambda item: item["effect"],
 )

@@ -10,6 +10,7 @@ from tests import independent
 from tests.diagnosis.analytic import Axis
 from tests.diagnosis.axis_rig import Rig, axis_model
 from tests.plant.models import effect
+from tests.tiers import slow
 
 from hilbench.diagnosis.diagnosis import Diagnosis, diagnose
 from hilbench.diagnosis.measured import measured_from
@@ -71,7 +72,7 @@ def test_of_a_short_run_there_and_back_fits_see_a_good_part_of_each_direction() 
         assert np.count_nonzero(split.test & way) > 0.1 * np.count_nonzero(way)
 
 
-@pytest.mark.parametrize("known_inertia_kg_m2", [1e-4, 1.66e-4])
+@pytest.mark.parametrize("known_inertia_kg_m2", [1e-4, *slow(1.66e-4)])
 def test_repeats_of_one_motion_of_an_axis_have_the_same_names_and_values(known_inertia_kg_m2: float) -> None:
     rig = Rig()
     for recording in repeats():
@@ -110,6 +111,7 @@ def test_the_noise_of_an_encoder_does_not_make_an_inertia_smaller() -> None:
     assert corners[1] < 0.6 * corners[0]
 
 
+@pytest.mark.slow
 def test_intervals_hold_with_a_rest_of_any_colour() -> None:
     """Least squares with red, white and narrow-band noise: 95 % intervals hold the truth in about 95 %."""
     rng = np.random.default_rng(5)
@@ -171,7 +173,7 @@ def test_a_filter_shifts_nothing_in_time() -> None:
     assert int(np.argmax(MotionFilter(20.0, 0.001).smooth(pulse))) == 1000
 
 
-@pytest.mark.parametrize(("kind", "repeat"), [("Jm", 1), ("Jm", 3), ("Bm", 2), ("Fc", 1), ("Fs", 2)])
+@pytest.mark.parametrize(("kind", "repeat"), [("Jm", 1), *slow(("Jm", 3), ("Bm", 2), ("Fc", 1), ("Fs", 2))])
 def test_a_real_servo_axis_has_its_friction_in_every_repeat(kind: str, repeat: int) -> None:
     path = independent.real(f"servo/{kind}_{repeat:02d}")
     found = diagnose(read_recording(path), axis_model(1.6588e-4), path)
@@ -180,7 +182,7 @@ def test_a_real_servo_axis_has_its_friction_in_every_repeat(kind: str, repeat: i
     assert found.verdict == ("unknown" if kind == "Fs" else "named")
 
 
-@pytest.mark.parametrize("kind", ["Bm", "Fc"])
+@pytest.mark.parametrize("kind", ["Bm", *slow("Fc")])
 def test_a_torque_that_is_recorded_late_moves_no_ripple_to_an_order_beside_its_own(kind: str) -> None:
     path = independent.real(f"servo/{kind}_01")
     recording, rows = read_recording(path), 2

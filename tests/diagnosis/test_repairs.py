@@ -195,6 +195,7 @@ def test_a_gap_is_on_no_row_that_counts_for_either_way_to_predict() -> None:
     assert not predictor_for(model(), web).rows[2900:3120].any()
 
 
+@pytest.mark.slow
 def test_a_recording_with_everything_wrong_gives_the_same_names_as_the_good_one() -> None:
     """Rows shuffled, repeated, missing; NaN: what is hidden is found all the same, with the repairs beside it."""
     from hilbench.plant.parameters import EffectEntry

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from tests.diagnosis.axis_rig import axis_model
+from tests.tiers import slow
 
 from hilbench.diagnosis.diagnosis import Diagnosis, diagnose
 from hilbench.diagnosis.measured import measured_from
@@ -49,8 +50,9 @@ def damper(way: float, play: float, *, seconds: float = 16.0) -> tuple[Array, Ar
     return x, force + 300.0
 
 
-@pytest.mark.parametrize("every", [1, 4])
-@pytest.mark.parametrize(("way", "play"), [(0.001, 0.003), (0.0015, 0.005)])
+@pytest.mark.parametrize(
+    ("way", "play", "every"), [(0.001, 0.003, 4), *slow((0.001, 0.003, 1), (0.0015, 0.005, 1), (0.0015, 0.005, 4))]
+)
 def test_a_play_behind_which_friction_holds_is_named_with_its_size(way: float, play: float, every: int) -> None:
     x, force = damper(way, play)
     found = diagnose(recording(x, force, noise=20.0, every=every), axis_model(1e-3), "damper")

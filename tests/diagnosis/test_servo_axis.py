@@ -10,6 +10,7 @@ import pytest
 from tests.cli.in_process import hilbench
 from tests.diagnosis.axis_rig import Rig
 from tests.diagnosis.servo_bench import HIDDEN, SHIPPED, diagnosed, hiding
+from tests.tiers import slow
 
 from hilbench.diagnosis.diagnosis import Diagnosis, NamedEffect, diagnose
 from hilbench.errors import UnusableInputError
@@ -27,11 +28,13 @@ def only(found: Diagnosis) -> NamedEffect:
     ("effect", "parameters"),
     [
         ("coulomb_friction", {"torque_Nm": 0.05}),
-        ("viscous_friction", {"coefficient_Nm_s_per_rad": 0.006}),
-        ("unbalance", {"amplitude_Nm": 0.1, "phase_rad": 0.5}),
-        ("torque_ripple", {"amplitude_Nm": 0.1, "order": 12.0, "phase_rad": 1.0}),  # misleads the twin's estimate
-        ("torque_offset", {"offset_Nm": -0.05}),
-        ("inertia_mismatch", {"relative_change": 0.1}),
+        *slow(
+            ("viscous_friction", {"coefficient_Nm_s_per_rad": 0.006}),
+            ("unbalance", {"amplitude_Nm": 0.1, "phase_rad": 0.5}),
+            ("torque_ripple", {"amplitude_Nm": 0.1, "order": 12.0, "phase_rad": 1.0}),  # misleads the twin's estimate
+            ("torque_offset", {"offset_Nm": -0.05}),
+            ("inertia_mismatch", {"relative_change": 0.1}),
+        ),
     ],
 )
 def test_an_effect_hidden_in_the_servo_bench_is_named_with_its_size_in_rad_and_Nm(
@@ -59,6 +62,7 @@ def test_nothing_is_named_on_a_servo_bench_that_hides_nothing() -> None:
     assert (found.verdict, found.effects) == ("complete", [])
 
 
+@pytest.mark.slow
 def test_the_step_of_the_shipped_experiment_is_named_beside_what_is_hidden() -> None:
     found = diagnosed(hiding(SHIPPED, ("viscous_friction", {"coefficient_Nm_s_per_rad": 0.006})))
     assert found.verdict == "named"
@@ -135,6 +139,7 @@ def test_a_position_in_metres_is_refused_for_a_shaft() -> None:
         diagnose(recording, shaft(1.66e-4), "blind")
 
 
+@pytest.mark.slow
 def test_the_command_names_what_a_servo_bench_hides_and_shows_the_gap_close(tmp_path: Path) -> None:
     done = hilbench("diagnose", HIDDEN, "--out", tmp_path)
     assert done.returncode == 0, done.stderr

@@ -15,6 +15,7 @@ import pytest
 import yaml
 from tests.cli.in_process import hilbench
 from tests.independent_line import Line, Loops, effect
+from tests.tiers import slow
 
 from hilbench.diagnosis.diagnosis import Diagnosis, concluded, diagnose
 from hilbench.diagnosis.fit import fit
@@ -64,13 +65,18 @@ def assert_only(found: Diagnosis, item: Mapping[str, Any]) -> None:
     ("condition", "item"),
     [
         ({"loops": OTHER_GAINS}, effect("coulomb_friction", 2, force_N=4.2)),
-        ({"loops": Loops(lag_s=(0.003, 0.003))}, effect("roller_eccentricity", 2, amplitude_m=2.5e-5, phase_rad=0.3)),
-        ({"without": COMMANDS}, effect("elasticity_shift", relative_change=0.15)),
-        ({"row_s": 0.01}, effect("viscous_friction", 1, coefficient_N_s_per_m=2.0)),
-        ({"row_s": 0.02}, effect("inertia_mismatch", 2, relative_change=0.15)),
-        ({"without": ("x1_m", "x2_m")}, effect("web_slip", creep_per_N=2.2e-6)),
-        ({"without": ("tau1_Nm",)}, effect("torque_offset", 2, offset_Nm=0.04)),
-        ({"profile": "production"}, effect("coulomb_friction", 2, force_N=4.2)),
+        *slow(
+            (
+                {"loops": Loops(lag_s=(0.003, 0.003))},
+                effect("roller_eccentricity", 2, amplitude_m=2.5e-5, phase_rad=0.3),
+            ),
+            ({"without": COMMANDS}, effect("elasticity_shift", relative_change=0.15)),
+            ({"row_s": 0.01}, effect("viscous_friction", 1, coefficient_N_s_per_m=2.0)),
+            ({"row_s": 0.02}, effect("inertia_mismatch", 2, relative_change=0.15)),
+            ({"without": ("x1_m", "x2_m")}, effect("web_slip", creep_per_N=2.2e-6)),
+            ({"without": ("tau1_Nm",)}, effect("torque_offset", 2, offset_Nm=0.04)),
+            ({"profile": "production"}, effect("coulomb_friction", 2, force_N=4.2)),
+        ),
     ],
     ids=["gains", "lag", "no commands", "10 ms", "20 ms", "speeds", "a torque", "production"],
 )
@@ -78,12 +84,14 @@ def test_what_is_hidden_is_named_and_nothing_else(condition: dict[str, Any], ite
     assert_only(examined(hidden=[item], **condition), item)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("condition", [{"loops": OTHER_GAINS}, {"without": COMMANDS}], ids=["gains", "no commands"])
 def test_nothing_is_named_where_nothing_is_missing_but_the_loops(condition: dict[str, Any]) -> None:
     found = examined(**condition)
     assert (found.verdict, found.effects) == ("complete", [])
 
 
+@pytest.mark.slow
 def test_what_the_drives_differ_by_is_said_beside_the_effects() -> None:
     found = examined(loops=Loops(kp=(1.2, 1.0), ki=(0.85, 1.0), lag_s=(0.001, 0.003)))
     of = {(e.effect, e.axis): e.parameters for e in found.nuisance}
@@ -95,12 +103,14 @@ def test_what_the_drives_differ_by_is_said_beside_the_effects() -> None:
     assert examined().nuisance == []
 
 
+@pytest.mark.slow
 def test_two_effects_are_told_apart_without_commands_on_a_machine_with_other_loops() -> None:
     pair = [effect("coulomb_friction", 2, force_N=4.0), effect("elasticity_shift", relative_change=-0.1)]
     found = examined(hidden=pair, without=COMMANDS, loops=OTHER_GAINS, row_s=0.004)
     assert sorted(e.effect for e in found.effects) == ["coulomb_friction", "elasticity_shift"]
 
 
+@pytest.mark.slow
 def test_a_measured_tension_is_used() -> None:
     """With torques as noisy as these, a change of E is known from the tension alone."""
     item = effect("elasticity_shift", relative_change=0.1)
@@ -109,6 +119,7 @@ def test_a_measured_tension_is_used() -> None:
     assert_only(examined(**hidden, measured_tension_N=0.5), item)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("profile", "line"),
     [
@@ -122,6 +133,7 @@ def test_the_noise_of_a_coarse_motion_is_not_named_as_a_delay(profile: str, line
     assert (found.verdict, found.effects) == ("complete", [])
 
 
+@pytest.mark.slow
 def test_what_only_the_one_ramp_of_a_production_run_shows_is_found() -> None:
     """A third of the recording is held out; the ramp must not be in it alone."""
     pair = [effect("torque_scale", 1, relative_change=0.19), effect("web_slip", creep_per_N=1.8e-6)]
@@ -131,6 +143,7 @@ def test_what_only_the_one_ramp_of_a_production_run_shows_is_found() -> None:
     assert any(("web_slip", None) in options for options in named(found))
 
 
+@pytest.mark.slow
 def test_a_step_that_was_held_out_gets_its_time_beside_what_is_found_later() -> None:
     pair = [
         effect("elasticity_step", time_s=25.12207, relative_change=0.15074),
@@ -143,6 +156,7 @@ def test_a_step_that_was_held_out_gets_its_time_beside_what_is_found_later() -> 
     assert found.effects[0].parameters["time_s"].value == pytest.approx(25.122, abs=0.02)
 
 
+@pytest.mark.slow
 def test_a_sudden_change_beside_another_is_no_short_ramp() -> None:
     pair = [
         effect("elasticity_step", time_s=27.11849, relative_change=0.07851),
@@ -181,6 +195,7 @@ def errors(found: Diagnosis, hidden: Sequence[Mapping[str, Any]]) -> list[float]
     return result
 
 
+@pytest.mark.slow
 def test_intervals_hold_though_torques_are_read_at_any_time_of_a_drives_sample() -> None:
     hidden = [
         effect("torque_ripple", 2, amplitude_Nm=0.06, order=2.0, phase_rad=0.7),
@@ -192,6 +207,7 @@ def test_intervals_hold_though_torques_are_read_at_any_time_of_a_drives_sample()
     assert np.max(np.abs(found)) < 2.0
 
 
+@pytest.mark.slow
 def test_a_ripple_faster_than_the_rows_is_found_in_its_size_where_the_line_is_slow() -> None:
     hidden = [effect("torque_ripple", 1, amplitude_Nm=0.08, order=6.0, phase_rad=-0.3)]
     loops = Loops(kp=(0.8, 1.2), ki=(1.2, 0.8), lag_s=(0.002, 0.002))
@@ -199,6 +215,7 @@ def test_a_ripple_faster_than_the_rows_is_found_in_its_size_where_the_line_is_sl
     assert np.max(np.abs(errors(found, hidden))) < 2.0
 
 
+@pytest.mark.slow
 def test_a_ripple_too_fast_for_coarse_rows_is_said_to_be_out_of_sight_and_from_which_order_on(tmp_path: Path) -> None:
     ripple = effect("torque_ripple", 1, amplitude_Nm=0.07, order=2.0, phase_rad=2.98)
     line = Line(hidden=[ripple], row_s=0.02, loops=OTHER_GAINS)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.signal import StateSpace, lsim
+from tests.tiers import slow
 
 from hilbench.diagnosis.web_line.winding import LineRecording, fit_line, held_lag, held_lags, lag, vaf_percent
 
@@ -64,7 +65,7 @@ def halves() -> tuple[slice, slice]:
     return slice(10, ROWS // 2), slice(ROWS // 2, None)
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", [1, *slow(2, 3)])
 def test_gains_and_lags_of_a_simulated_line_are_found(seed: int) -> None:
     fit = fit_line(simulated(seed, 0.05), *halves())
     found = {p.name: p for p in fit.parameters}

@@ -36,10 +36,12 @@ def friction(tmp_path_factory: pytest.TempPathFactory) -> RunOutcome:
     return run("live_friction", tmp_path_factory.mktemp("runs"))
 
 
+@pytest.mark.slow
 def test_friction_that_comes_and_goes_is_in_the_model_and_out_of_it_again(friction: RunOutcome) -> None:
     assert friction.exit_code == EXIT_PASSED, [each for each in friction.result.criteria if not each.passed]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["live_eccentricity", "live_slip"])
 def test_what_comes_while_the_line_produces_is_in_the_model_within_a_minute(name: str, tmp_path: Path) -> None:
     outcome = run(name, tmp_path)
@@ -50,6 +52,7 @@ def test_what_comes_while_the_line_produces_is_in_the_model_within_a_minute(name
 MISSED, LATE = 0.005, 0.018
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "effect"),
     [
@@ -92,6 +95,7 @@ def _until(steps: list[dict[str, Any]], end_s: float) -> list[dict[str, Any]]:
     return found
 
 
+@pytest.mark.slow
 def test_the_report_shows_the_gap_before_at_and_after(friction: RunOutcome) -> None:
     page = write_report(friction.folder).read_text(encoding="utf-8")
     assert "Gap between measurement and model" in page
@@ -110,6 +114,7 @@ def test_the_report_shows_the_gap_before_at_and_after(friction: RunOutcome) -> N
     assert largest(history.configured, with_it_s, 49.0) > 0.15
 
 
+@pytest.mark.slow
 def test_a_proposal_waits_for_the_operator_who_refuses_it(tmp_path: Path) -> None:
     loaded = load_with_overrides(CONFIGS / "live_friction.yaml", changes=["twin.live_diagnosis.model_changes=propose"])
     data = loaded.config.model_dump()
@@ -128,6 +133,7 @@ def test_a_proposal_waits_for_the_operator_who_refuses_it(tmp_path: Path) -> Non
     assert told == ["model_proposed", "model_refused"]
 
 
+@pytest.mark.slow
 def test_a_change_that_is_announced_is_no_anomaly(tmp_path: Path) -> None:
     loaded = load_with_overrides(CONFIGS / "live_friction.yaml")
     data = loaded.config.model_dump()
@@ -172,6 +178,7 @@ def test_a_twin_that_is_reset_gets_the_changed_model_once_more(tmp_path: Path) -
     assert abs(off_N[recording.time_s > recording.time_s[-1] - 2.0].mean()) < 0.3
 
 
+@pytest.mark.slow
 def test_the_result_says_what_was_found_and_when(friction: RunOutcome) -> None:
     came, went = friction.result.found or []
     assert (came.effect, came.axis, came.span, came.gone) == ("coulomb_friction", 2, None, False)
@@ -186,6 +193,7 @@ def test_the_result_says_what_was_found_and_when(friction: RunOutcome) -> None:
     assert abs(went.t_s - 50.0) < 1.0
 
 
+@pytest.mark.slow
 def test_the_journal_says_it_too(friction: RunOutcome) -> None:
     changes = [(change.what, change.path) for change in read_journal(friction.folder.journal) if change.what != "set"]
     told = [change for change in changes if change[0] in ("effect_named", "effect_gone", "model_applied")]
@@ -198,6 +206,7 @@ def test_the_journal_says_it_too(friction: RunOutcome) -> None:
     ]
 
 
+@pytest.mark.slow
 def test_the_true_tension_is_held_with_the_friction_in_the_model(friction: RunOutcome) -> None:
     recording = read_recording(friction.folder.recording)
     time_s, off_N = recording.time_s, np.asarray(recording["F_true_N"]) - np.asarray(recording["F_sim_N"])

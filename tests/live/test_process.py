@@ -80,6 +80,7 @@ def test_a_bench_whose_diagnosis_can_not_start_says_why_before_anything_moves(
         pass
 
 
+@pytest.mark.slow
 def test_beside_processes_of_their_own_the_same_is_seen_as_in_one(tmp_path: Path) -> None:
     def run(participants: Participants) -> RunOutcome:
         loaded = load_with_overrides(CONFIG, changes=[f"bus.address=embedded:live-{os.getpid()}"])

@@ -9,6 +9,7 @@ import pytest
 from tests.bench.whole_runs import config, result_of, run_folders, run_here
 from tests.estimation.runs import CYCLE_S, OLD_PA, STEP_S, Array, measured, stepped, times
 from tests.plant.models import model
+from tests.tiers import slow
 
 from hilbench.bench.bench import Bench
 from hilbench.bench.lifecycle.participants import Participants
@@ -92,7 +93,7 @@ def test_what_is_told_of_a_web_under_little_tension_is_told_as_of_any_other() ->
     assert STEP_S + 0.33 < min(told) < STEP_S + 0.6
 
 
-@pytest.mark.parametrize("frequency_Hz", [0.5, 1.0, 2.0])
+@pytest.mark.parametrize("frequency_Hz", [0.5, *slow(1.0, 2.0)])
 def test_a_tension_upstream_that_swings_is_no_slip(frequency_Hz: float) -> None:
     config = load_with_overrides(CONFIG).config
     with Bench(config, participants=Participants.IN_PROCESS) as bench:

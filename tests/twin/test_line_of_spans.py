@@ -93,6 +93,7 @@ def test_the_deviation_of_each_holds_its_error(span: int) -> None:
     assert np.median(values[f"E{span}_sd_Pa"][moving]) < 0.15 * 8.7e9
 
 
+@pytest.mark.slow
 def test_metrics_and_report_tell_of_each_span() -> None:
     metrics = three_spans().result.metrics
     for span in SPANS:

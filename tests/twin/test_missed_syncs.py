@@ -8,6 +8,7 @@ from typing import ClassVar
 
 import numpy as np
 import pytest
+from tests.tiers import slow
 
 from hilbench.can.frame import Frame
 from hilbench.canopen.clock import MonotonicClock
@@ -163,8 +164,8 @@ def test_drives_that_take_a_sync_for_the_next_one_at_low_speed_make_no_web_break
     assert min(told, default=150) <= 150 + 100  # 200 ms
 
 
-@pytest.mark.parametrize("jump_s", [0.05, -0.05, 0.0513])
-@pytest.mark.parametrize("rate", [1.0002, 0.9998])
+@pytest.mark.parametrize("jump_s", [0.05, *slow(-0.05, 0.0513)])
+@pytest.mark.parametrize("rate", [1.0002, *slow(0.9998)])
 def test_a_twin_whose_own_clock_drifts_and_jumps_stays_in_step_with_the_line(
     rate: float, jump_s: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -181,6 +182,7 @@ def test_a_twin_whose_own_clock_drifts_and_jumps_stays_in_step_with_the_line(
     assert off_N < 0.1
 
 
+@pytest.mark.slow
 def test_cycles_that_the_bench_has_missed_are_made_up_for_by_a_twin_whose_clock_jumps_in_the_same_cycle(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -58,6 +58,7 @@ def test_a_twin_joins_a_running_plant_and_only_then_the_loop_closes(tmp_path: Pa
     assert np.max(np.abs(np.diff(v1[again - 3 : again + 4]))) < 1e-3
 
 
+@pytest.mark.slow
 def test_methods_change_places_under_way(tmp_path: Path) -> None:
     steps: list[dict[str, object]] = [{"ramp": {"path": "line_speed_m_s", "to": 1.0, "duration_s": 0.5}}]
     methods = ("ekf", "lm", "global", "rls", "pid", "input", "changepoint")
