@@ -7,7 +7,7 @@ import sys
 from collections.abc import Callable, Sequence
 from hashlib import sha256
 from pathlib import Path
-from types import FunctionType, ModuleType
+from types import ModuleType
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numba
@@ -111,7 +111,7 @@ if TYPE_CHECKING:
         """Called from Python: machine code kept on disk, and other threads run meanwhile. It may allocate.
 
         `arguments`: types of the arguments (VECTOR, REAL, … below), for which `hilbench compile` compiles it. Called
-        with others it is compiled for them as well, there and then, as is one that does not say them.
+        with others it is compiled for them as well, there and then.
         """
         return lambda function: function
 
@@ -138,14 +138,12 @@ else:
     merged = numba.njit(error_model="numpy", _nrt=False, inline="always", no_cfunc_wrapper=True)
 
     def entry_point(*arguments):
-        def decorate(function, arguments=arguments):
+        def decorate(function):
             dispatcher = numba.njit(error_model="numpy", nogil=True, no_cfunc_wrapper=True)(function)
             dispatcher._cache = KeptCode(function)
             dispatcher.arguments = arguments
             return dispatcher
 
-        if len(arguments) == 1 and isinstance(arguments[0], FunctionType):
-            return decorate(arguments[0], None)
         return decorate
 
     def of_records(dtype):
@@ -230,7 +228,7 @@ def all_compiled() -> bool:
     """Whether the machine code of all that is imported of hilbench is on disk, for this processor and these sources."""
     modules = [module for name, module in sys.modules.copy().items() if name.startswith("hilbench.")]
     return all(
-        each.overloads or each.arguments is None or each._cache.holds(each.arguments, each.targetctx)
+        each.overloads or each._cache.holds(each.arguments, each.targetctx)
         for module in modules
         for each in entry_points(module)
     )

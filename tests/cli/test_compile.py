@@ -49,7 +49,7 @@ def test_setup_compiles_each_function_that_python_calls_for_the_arguments_that_i
     assert found
     for each in found:
         assert isinstance(each._cache, KeptCode)
-        assert each.arguments is not None, f"{each}: expected @entry_point(VECTOR, REAL, …), the types of its arguments"
+        assert each.arguments, f"{each}: expected @entry_point(VECTOR, REAL, …), the types of its arguments"
         assert len(each.arguments) == len(signature(each.py_func).parameters), each
 
 

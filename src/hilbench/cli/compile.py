@@ -58,7 +58,6 @@ def _compile_modules(modules: list[str]) -> list[int]:
     compiled = []
     for module in modules:
         for each in entry_points(import_module(module)):
-            if each.arguments is not None:
-                each.compile(each.arguments)
+            each.compile(each.arguments)
             compiled.append(sum(each.stats.cache_misses.values()))
     return compiled

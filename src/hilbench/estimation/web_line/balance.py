@@ -15,11 +15,12 @@ from typing import NamedTuple
 import numpy as np
 
 from hilbench.compiled import REAL, VECTOR, compiled, entry_point
-from hilbench.plant.web_line import kernel, laws, span
+from hilbench.plant.web_line import kernel, laws, span_kernel
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.layout import Layout, Vector
 from hilbench.plant.web_line.parameters import ModelParameters
-from hilbench.plant.web_line.span import SpanFollower, SpanVectors, follow_to, modulus_place, put_boundary
+from hilbench.plant.web_line.span import SpanFollower
+from hilbench.plant.web_line.span_kernel import SpanVectors, follow_to, modulus_place, put_boundary
 
 _AXIS = 1  #: index of axis 2
 #: Relative change of E from which the follower is told: creep and damping depend on it.
@@ -134,7 +135,7 @@ def _entry_points(sources: int) -> tuple[WebForce, Weigh]:
     return force_N, weigh_once
 
 
-web_force_N, _weigh = _entry_points(kernel.source_number(span.__file__, __file__))
+web_force_N, _weigh = _entry_points(kernel.source_number(span_kernel.__file__, __file__))
 
 
 def mass_at_web_kg(p: Vector) -> float:

@@ -29,10 +29,10 @@ from hilbench.estimation.web_line.model_errors import ErrorVectors
 from hilbench.estimation.web_line.synchronizers import changepoint, kalman, plant
 from hilbench.estimation.web_line.synchronizers.changepoint import BankVectors
 from hilbench.estimation.web_line.synchronizers.plant import InputVectors
-from hilbench.plant.web_line import kernel, line_vectors, span
+from hilbench.plant.web_line import kernel, line_vectors, span_kernel
 from hilbench.plant.web_line.layout import Vector
 from hilbench.plant.web_line.line_vectors import LineVectors
-from hilbench.plant.web_line.span import SpanVectors
+from hilbench.plant.web_line.span_kernel import SpanVectors
 
 #: Relative uncertainty of the strain below which the web in the span counts as known.
 _KNOWN_STRAIN = 0.003
@@ -164,7 +164,7 @@ def compare(
     t[MEASURED] = 1.0
     t[USED] = 0.0
     t[REBASED_PA] = 0.0
-    spliced, t[SERIES_FACTOR], t[END_FACTOR] = span.first_spliced(v.balance.web)
+    spliced, t[SERIES_FACTOR], t[END_FACTOR] = span_kernel.first_spliced(v.balance.web)
     t[SPLICED] = 1.0 if spliced else 0.0
     t[NOW_N] = _without_errors(v, force_N)
     t[RESIDUAL_NM] = torque_Nm - torque_sim_Nm
@@ -333,7 +333,7 @@ def transfer(v: TrackingVectors) -> None:
     at, changed = int(t[SPAN]), False
     t[REFUSED] = 0.0
     if t[TRANSFERS_STRAIN] != 0.0 and t[BLACK_BOX] == 0.0:
-        measured = span.first_strain(web)
+        measured = span_kernel.first_strain(web)
         # Beyond any web: speeds that are no line's bring encoders there, and -1 would be a web of no length.
         believable = abs(measured) <= _LARGEST_STRAIN
         if believable and abs(measured - line_vectors.strain(line, at)) <= t[STRAIN_LIMIT]:
@@ -513,7 +513,7 @@ run_vectors, forget, state = _entry_points(
                 plausibility,
                 ring,
                 ripples,
-                span,
+                span_kernel,
                 torque_shift,
             )
         ),

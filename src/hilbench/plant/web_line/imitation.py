@@ -20,7 +20,7 @@ from hilbench.plant.sampled_shaft import imitation_delay_s
 from hilbench.plant.sampling import on_all_cores, samples_per
 from hilbench.plant.web_line import kernel, laws
 from hilbench.plant.web_line import layout as lay
-from hilbench.plant.web_line import span as spans
+from hilbench.plant.web_line import span_kernel as spans
 from hilbench.plant.web_line.layout import Layout, Vector
 from hilbench.plant.web_line.offline import Simulation
 from hilbench.plant.web_line.parameters import ModelParameters
@@ -86,8 +86,8 @@ def _rows(
     """Row by row observe the rig, follow the web on it, and advance.
 
     The rig of N axes and M motors: parameters `p` (P,), state `s` (S,), inputs `u`, scratch space `w`. The web of K
-    spans on it: parameters `web` of the whole line, `follower` as `span.roll_on` has it, its `scratch` space; room for
-    `guess` (as `follower`), speeds `v` (N,), `tension` (K,) and the load motors' `torques` (M - N,),
+    spans on it: parameters `web` of the whole line, `follower` as `span_kernel.roll_on` has it, its `scratch` space;
+    room for `guess` (as `follower`), speeds `v` (N,), `tension` (K,) and the load motors' `torques` (M - N,),
     which come in as those that act in the first row. `commands` (n, N) rad/s at the motors, `boundary` (n, 2) upstream
     strain and downstream tension (N), a row of `samples` drive samples each. Rows of 3·M + 2·K columns go into `out`
     from place `at` on.
@@ -239,7 +239,7 @@ def _stands(imitation: Imitation, model: ModelParameters, many: Vector) -> Vecto
 
 
 def _start(layout: Layout, stands: Vector, many: Vector, states: Vector, boundary: Vector) -> tuple[Vector, Vector]:
-    """States (B, S) of the rigs and of the webs (as `span.roll_on` has them), for states of the models.
+    """States (B, S) of the rigs and of the webs (as `span_kernel.roll_on` has them), for states of the models.
 
     `boundary` (2,): upstream strain and downstream tension (N) at the start.
     """

@@ -23,7 +23,8 @@ from hilbench.plant.web_line.line import Line
 from hilbench.plant.web_line.offline import start_state
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.simulated import KIND
-from hilbench.plant.web_line.span import BROKEN, SpanFollower, resistance_N
+from hilbench.plant.web_line.span import BROKEN, SpanFollower
+from hilbench.plant.web_line.span_kernel import resistance_N
 from hilbench.plant.web_line.stations import Reel
 
 #: Of a driven roller: a pull of 1 kN makes it 1e-9 m/s faster in a second.

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hilbench.compiled import COUNT, MATRIX, REAL, VECTOR, compiled, entry_point, inlined
 from hilbench.plant.effects import EffectPlace, effects_of
 from hilbench.plant.interface import PlantDescription, PlantState, Quantity, checked_name
-from hilbench.plant.web_line import laws
+from hilbench.plant.web_line import laws, span_kernel
 from hilbench.plant.web_line import layout as lay
-from hilbench.plant.web_line.kernel import source_number
 from hilbench.plant.web_line.layout import Layout, Vector
 from hilbench.plant.web_line.offline import start_state
 from hilbench.plant.web_line.parameters import ModelParameters
@@ -29,310 +26,11 @@ from hilbench.plant.web_line.simulated import (
     set_effect,
     span_names,
 )
+from hilbench.plant.web_line.span_kernel import POSITIONS, SpanVectors
 from hilbench.plant.web_line.splices import WHOLE, Piece, SplicedSpan, has_pieces, put_pieces, spliced_spans
 from hilbench.plant.web_line.stations import ONLY_DRIVEN
 
-#: Longest integration step; the error of a step is of order (v·h/L)^5/120, below rounding on the demonstrator.
-LONGEST_STEP_S = 0.001
-
 BROKEN = Quantity("broken", "1", "1: the web has torn and pulls no more; 0: it is whole")
-
-
-#: So many states in front of the positions: time.
-_TIME = 1
-
-
-@inlined
-def _first_span(p: Vector) -> int:
-    """Where the span rows begin in the parameters."""
-    return lay.W_SIZE + int(p[lay.W_AXES]) * lay.A_SIZE + int(p[lay.W_MOTORS]) * lay.M_SIZE
-
-
-@compiled
-def _span_rates(
-    p: Vector,
-    s: Vector,
-    w: Vector,
-    n: int,
-    k: int,
-    at: int,
-    rate: int,
-    t: float,
-    steps: int,
-    strain_prev: float,
-    f_next: float,
-    blur_m: float,
-) -> None:
-    """Rates (2·K,), m/s, to place `rate` of `w`, of the unstretched and then the nominal lengths (2·K,), m, at `at`.
-
-    p (P,): parameters of the line. s: state of `roll_on`, for the pieces of other web. w: positions (n,), m, and speeds
-    (n,), m/s, at its start; behind them room for the web's speeds (n,), then rates of the nominal lengths (k,), and the
-    tensions (k,), N, that come with it; factors (k,) of the steps of E at `steps`. t: s since the start. strain_prev:
-    of the web that enters; f_next: tension behind the line, N; blur_m: way in a step (`laws.spliced_span_rates`).
-    """
-    speed, length_rate, tension = 2 * n, 3 * n, 3 * n + k
-    first, pieces = _first_span(p), _TIME + n + 2 * k
-    for i in range(n):
-        axis = lay.W_SIZE + i * lay.A_SIZE
-        w[speed + i] = laws.web_speed_m_s(p, axis, w[i], w[n + i])
-    strain = laws.upstream_strain(p, strain_prev, t)
-    if laws.has_splice(p, s, pieces):
-        laws.spliced_span_rates(
-            p, s, pieces, first, k, t, strain, f_next, w, steps, speed, at, length_rate, tension, rate, w[0], blur_m
-        )
-    else:
-        laws.span_rates(p, first, k, t, strain, f_next, w, steps, speed, at, length_rate, tension, rate)
-    for j in range(k):
-        w[rate + k + j] = w[length_rate + j]
-
-
-@compiled
-def roll_on(
-    p: Vector,
-    s: Vector,
-    w: Vector,
-    v: Vector,
-    strain_prev: float,
-    f_next: float,
-    duration: float,
-    spread_s: float,
-    out: Vector,
-) -> None:
-    """Advance s = [t, positions (N,), unstretched lengths (K,), lengths (K,), pieces], s and m, at constant speeds.
-
-    p (P,): parameters of the line; w: scratch space of `new_follower_work`; v (N,): speeds, m/s; strain_prev: of the
-    web that enters; f_next: tension behind the line, N; duration: s, 0 for the tensions alone. Tensions into `out`
-    (K,), N, with steps of E spread over the next `spread_s` (`laws.step_factor`).
-    """
-    n, k = int(p[lay.W_AXES]), int(p[lay.W_SPANS])
-    count = max(int(np.ceil(duration / LONGEST_STEP_S - 1e-9)), 1)
-    h, size = duration / count, 2 * k
-    now = 3 * n + 2 * k
-    stage, slopes = now + size, now + 2 * size
-    for i in range(n):
-        w[n + i] = v[i]
-    for j in range(size):
-        w[now + j] = s[1 + n + j]
-    t0, pieces, first, steps = s[0], _TIME + n + size, _first_span(p), now + 6 * size
-    blur = max(abs(v[0]) * (h if duration > 0.0 else LONGEST_STEP_S), lay.LEAST_BLUR_M)
-    if laws.has_splice(p, s, pieces):
-        strain = laws.upstream_strain(p, strain_prev, t0)
-        laws.let_splice_in(p, s, pieces, t0, duration, s[1], v[0], strain)
-        web_m = 0.0
-        for j in range(k):
-            web_m += s[1 + n + j]
-        laws.forget_passed(s, pieces, s[1], strain, web_m)
-    for step in range(count if duration > 0.0 else 0):
-        t = t0 + step * h
-        laws.put_step_factors(p, first, k, t, h, w, steps)
-        for part in range(4):
-            ahead = 0.0 if part == 0 else (h if part == 3 else 0.5 * h)
-            for i in range(n):
-                w[i] = s[1 + i] + v[i] * (step * h + ahead)
-            for j in range(size):
-                slope = w[slopes + (part - 1) * size + j] if part > 0 else 0.0
-                w[stage + j] = w[now + j] + ahead * slope
-            _span_rates(p, s, w, n, k, stage, slopes + part * size, t + ahead, steps, strain_prev, f_next, blur)
-        for j in range(size):
-            total = w[slopes + j] + 2.0 * (w[slopes + size + j] + w[slopes + 2 * size + j]) + w[slopes + 3 * size + j]
-            w[now + j] += h / 6.0 * total
-    s[0] = t0 + duration
-    for i in range(n):
-        s[1 + i] += v[i] * duration
-        w[i] = s[1 + i]
-    for j in range(size):
-        s[1 + n + j] = w[now + j]
-    laws.put_step_factors(p, first, k, s[0], spread_s, w, steps)
-    _span_rates(p, s, w, n, k, now, slopes, s[0], steps, strain_prev, f_next, blur)
-    for j in range(k):
-        out[j] = w[3 * n + k + j]
-
-
-FollowCycle = Callable[[Vector, Vector, Vector, Vector, float, float, float, Vector], None]
-FollowTo = Callable[[Vector, Vector, Vector, Vector, Vector, Vector, float, Vector], None]
-Pull = Callable[[Vector, Vector, Vector, Vector, Vector, Vector, float, Vector, Vector, Vector, Vector], None]
-Show = Callable[[Vector, Vector, Vector, Vector, Vector], None]
-FollowRows = Callable[[Vector, Vector, Vector, Vector, Vector, float, Vector, Vector], None]
-Resistance = Callable[[Vector, int, float, float, float], float]
-Modulus = Callable[[Vector, int, float], float]
-
-
-@inlined
-def _tension_around_N(p: Vector, t: float, boundary: Vector, tension: Vector, span: int) -> float:
-    """Of a span, counted from 0; before the first that upstream of the line, behind the last that downstream of it."""
-    if span < 0:
-        return float(laws.upstream_strain(p, boundary[0], t) * p[lay.W_UPSTREAM_STIFFNESS_N])
-    return float(tension[span] if span < len(tension) else boundary[1])
-
-
-@compiled
-def _web_torque_Nm(p: Vector, s: Vector, boundary: Vector, tension: Vector, load: Vector, v: float) -> float:
-    """See `SpanFollower.web_torque_Nm`; `load`: roller from 0, rad per m at its motor, whether it carries the web."""
-    roller, force = int(load[0]), 0.0
-    if load[2] != 0.0:
-        behind = _tension_around_N(p, s[0], boundary, tension, roller)
-        force = behind - _tension_around_N(p, s[0], boundary, tension, roller - 1)
-    direction = laws.measured_direction(v, laws.FRICTION_WIDTH_M_S)
-    force -= laws.measured_resistance_N(p, lay.W_SIZE + roller * lay.A_SIZE, s[_TIME + roller], v, direction)
-    return float(force / load[1])
-
-
-@inlined
-def _modulus_Pa(p: Vector, span: int, t: float) -> float:
-    row = _first_span(p) + span * lay.SP_SIZE
-    factor = laws.step_factor(p, row, t, LONGEST_STEP_S)
-    return float(laws.stiffness_N(p, row, t, factor) / p[row + lay.SP_SECTION_M2])
-
-
-def _entry_points(
-    sources: int,
-) -> tuple[FollowCycle, FollowTo, FollowRows, Pull, Show, Resistance, Modulus]:
-    """Compiled functions that are called from Python; `sources` as in the kernel."""
-
-    @entry_point(VECTOR, VECTOR, VECTOR, VECTOR, VECTOR, VECTOR, REAL, VECTOR)
-    def follow_on(
-        p: Vector, s: Vector, w: Vector, v: Vector, boundary: Vector, x: Vector, duration: float, out: Vector
-    ) -> None:
-        n = len(x) if sources >= 0 else 0
-        for i in range(n):
-            v[i] = (x[i] - s[_TIME + i]) / duration
-        roll_on(p, s, w, v, boundary[0], boundary[1], duration, LONGEST_STEP_S, out)
-        for i in range(n):
-            s[_TIME + i] = x[i]  # exactly: no drift from adding up
-
-    @entry_point(VECTOR, VECTOR, VECTOR, VECTOR, VECTOR, VECTOR, REAL, VECTOR, MATRIX, VECTOR, VECTOR)
-    def pull(
-        p: Vector,
-        s: Vector,
-        ahead: Vector,
-        w: Vector,
-        v: Vector,
-        boundary: Vector,
-        lead: float,
-        tension: Vector,
-        loads: Vector,
-        speeds: Vector,
-        torques: Vector,
-    ) -> None:
-        if lead >= 0.0:
-            for i in range(len(s) if sources >= 0 else 0):
-                ahead[i] = s[i]
-            roll_on(p, ahead, w, v, boundary[0], boundary[1], lead, LONGEST_STEP_S, tension)
-        for k in range(len(loads)):
-            torques[k] = _web_torque_Nm(p, s, boundary, tension, loads[k], speeds[int(loads[k, 0])])
-
-    @entry_point(VECTOR, VECTOR, VECTOR, VECTOR, VECTOR)
-    def show(p: Vector, s: Vector, v: Vector, tension: Vector, out: Vector) -> None:
-        n, k = len(v) if sources >= 0 else 0, len(tension)
-        first = _first_span(p)
-        for i in range(n):
-            out[i] = s[_TIME + i]
-            out[n + i] = v[i]
-        for j in range(k):
-            unstretched, length = s[_TIME + n + j], s[_TIME + n + k + j]
-            out[2 * n + j] = tension[j]
-            out[2 * n + k + j] = length * laws.length_factor(p, first + j * lay.SP_SIZE) / unstretched - 1.0
-            out[2 * n + 2 * k + j] = _modulus_Pa(p, j, s[0])
-
-    @entry_point(VECTOR, VECTOR, VECTOR, VECTOR, REAL, REAL, REAL, VECTOR)
-    def follow(
-        p: Vector, s: Vector, w: Vector, v: Vector, strain_prev: float, f_next: float, duration: float, out: Vector
-    ) -> None:
-        if sources >= 0:
-            roll_on(p, s, w, v, strain_prev, f_next, duration, LONGEST_STEP_S, out)
-
-    @entry_point(VECTOR, VECTOR, VECTOR, MATRIX, MATRIX, REAL, VECTOR, MATRIX)
-    def follow_rows(
-        p: Vector, s: Vector, w: Vector, x: Vector, boundary: Vector, dt: float, v: Vector, out: Vector
-    ) -> None:
-        for row in range(x.shape[0] if sources >= 0 else 0):
-            for i in range(x.shape[1]):
-                v[i] = (x[row, i] - s[1 + i]) / dt if row > 0 else 0.0
-            before = max(row - 1, 0)
-            duration = dt if row > 0 else 0.0
-            roll_on(p, s, w, v, boundary[before, 0], boundary[before, 1], duration, LONGEST_STEP_S, out[row])
-
-    @entry_point(VECTOR, COUNT, REAL, REAL, REAL)
-    def resistance(p: Vector, row: int, x_m: float, v_m_s: float, width_m_s: float) -> float:
-        if sources < 0:
-            return 0.0
-        direction = laws.measured_direction(v_m_s, width_m_s)
-        return laws.measured_resistance_N(p, lay.W_SIZE + row * lay.A_SIZE, x_m, v_m_s, direction)
-
-    @entry_point(VECTOR, COUNT, REAL)
-    def modulus(p: Vector, span: int, t: float) -> float:
-        return _modulus_Pa(p, span, t) if sources >= 0 else 0.0
-
-    return follow, follow_on, follow_rows, pull, show, resistance, modulus
-
-
-follow_cycle, _follow_on, _follow_rows, _pull, _show, resistance_N, _modulus = _entry_points(source_number(__file__))
-
-
-class SpanVectors(NamedTuple):
-    """What a `SpanFollower` consists of, for compiled callers."""
-
-    p: Vector  #: parameters of the line
-    s: Vector  #: state, as of `roll_on`
-    w: Vector  #: scratch space
-    v: Vector  #: speeds of the rollers over the last cycle (N,), m/s
-    boundary: Vector  #: strain of the web that enters, tension behind the line in N
-    tension: Vector  #: of each span (K,), N
-
-
-@compiled
-def follow_to(web: SpanVectors, x1_m: float, x2_m: float, duration_s: float) -> None:
-    """The web of two rollers, which are now at these positions, `duration_s` after the last call."""
-    web.v[0] = (x1_m - web.s[_TIME]) / duration_s
-    web.v[1] = (x2_m - web.s[_TIME + 1]) / duration_s
-    follow_cycle(web.p, web.s, web.w, web.v, web.boundary[0], web.boundary[1], duration_s, web.tension)
-    web.s[_TIME] = x1_m  # exactly: no drift from adding up
-    web.s[_TIME + 1] = x2_m
-
-
-@compiled
-def put_boundary(web: SpanVectors, strain_prev: float, f_next_N: float) -> None:
-    """What the neighbouring sections do from now on; tensions are those that come with it."""
-    if web.boundary[0] != strain_prev or web.boundary[1] != f_next_N:
-        web.boundary[0] = strain_prev
-        web.boundary[1] = f_next_N
-        follow_cycle(web.p, web.s, web.w, web.v, strain_prev, f_next_N, 0.0, web.tension)
-
-
-@inlined
-def modulus_place(p: Vector) -> int:
-    """Where E of the first span stands in the parameters."""
-    return _first_span(p) + lay.SP_MODULUS_PA
-
-
-@inlined
-def first_strain(web: SpanVectors) -> float:
-    """Strain of the first span, of two rollers."""
-    unstretched_m, length_m = web.s[_TIME + 2], web.s[_TIME + 3]
-    return float(length_m * laws.length_factor(web.p, _first_span(web.p)) / unstretched_m - 1.0)
-
-
-@compiled
-def first_spliced(web: SpanVectors) -> tuple[bool, float, float]:
-    """Whether there are pieces of other web; what they make of the first span, of two rollers (`SplicedSpan`)."""
-    pieces = len(web.s) - lay.PIECES_SIZE
-    if not web.s[pieces + lay.PIECES_COUNT] > 0.0:
-        return False, 1.0, 1.0
-    stretch = 1.0 + laws.upstream_strain(web.p, web.boundary[0], web.s[0])
-    way_m, unstretched_m = web.s[_TIME], web.s[_TIME + 2]
-    factor = laws.series_factor(web.s, pieces, way_m, 0.0, unstretched_m, stretch)
-    at_end = 1.0 + laws.change_at(web.s, pieces, way_m, unstretched_m, stretch, lay.LEAST_BLUR_M)
-    return True, factor, at_end
-
-
-def new_follower_work(layout: Layout) -> Vector:
-    """Scratch space of `roll_on`."""
-    return np.zeros(3 * layout.axes + 15 * layout.spans)
-
-
-def follower_size(layout: Layout) -> int:
-    """Length of the state of `roll_on`."""
-    return _TIME + layout.axes + 2 * layout.spans + lay.PIECES_SIZE
 
 
 @dataclass(frozen=True, slots=True)
@@ -359,8 +57,8 @@ class SpanFollower:
         self._layout = Layout.of(self._p)
         self._moduli = moduli_by_name(self._p)
         n, k = self._layout.axes, self._layout.spans
-        self._work = new_follower_work(self._layout)
-        self._state = np.zeros(follower_size(self._layout))
+        self._work = span_kernel.new_follower_work(self._layout)
+        self._state = np.zeros(span_kernel.follower_size(self._layout))
         self._v, self._x = np.zeros(n), np.zeros(n)
         self._ahead, self._tension_ahead = np.zeros_like(self._state), np.zeros(k)  # of the web ahead
         self._pulled: Sequence[int] = ()  # axes whose load motors are in the next three
@@ -381,11 +79,6 @@ class SpanFollower:
         self._stale = False
         return SpanVectors(self._p, self._state, self._work, self._v, self._boundary, self._tension)
 
-    @property
-    def _around(self) -> tuple[float, float]:
-        """Strain of the web that enters, tension behind the line."""
-        return self._boundary.item(0), self._boundary.item(1)
-
     def describe(self) -> PlantDescription:
         """What it is; see `hilbench.plant.interface.Machine`."""
         return self._description
@@ -394,15 +87,14 @@ class SpanFollower:
         """Start again at these positions (N,) and strains (K,), at rest; time goes on."""
         n = self._layout.axes
         start = start_state(self._p, self.parameters, strain)
-        self._state[_TIME : _TIME + n] = positions
-        self._state[_TIME + n : _TIME + n + 2 * self._layout.spans] = self._layout.y(start)[4 * n :]
+        self._state[POSITIONS : POSITIONS + n] = positions
+        self._state[POSITIONS + n : POSITIONS + n + 2 * self._layout.spans] = self._layout.y(start)[4 * n :]
         lay.forget_pieces(self._state)
         self._v[:] = 0.0
         self._evaluate()
 
     def _evaluate(self) -> None:
-        follow_cycle(self._p, self._state, self._work, self._v, *self._around, 0.0, self._tension)
-        self._stale = False
+        self._go_on(0.0)
 
     def follow(self, positions: Sequence[float] | Vector, duration_s: float) -> None:
         """The rollers are now at `positions` (N,), `duration_s` after the last call.
@@ -412,7 +104,11 @@ class SpanFollower:
         if not duration_s > 0.0:
             raise ValueError(f"duration {duration_s!r} s, expected more than 0")
         self._x[:] = positions
-        _follow_on(
+        self._go_on(duration_s)
+
+    def _go_on(self, duration_s: float) -> None:
+        """To the positions `_x`; of no time only the tensions, as they are where the rollers stand."""
+        span_kernel.follow(
             *(self._p, self._state, self._work, self._v, self._boundary, self._x),
             *(duration_s, self._tension),
         )
@@ -454,7 +150,7 @@ class SpanFollower:
         if self._broken or lead_s is None:
             self._tension_ahead[:] = self.tension_N
             lead_s = -1.0
-        _pull(
+        span_kernel.pull(
             *(self._p, self._state, self._ahead, self._work, self._v, self._boundary, lead_s, self._tension_ahead),
             *(self._loads, self._speeds, self._torques),
         )
@@ -485,7 +181,7 @@ class SpanFollower:
     def _strain_of_lengths(self) -> list[float]:
         n, k = self._layout.axes, self._layout.spans
         # In plain Python: of one span, every cycle, a third of numpy's time.
-        lengths = self._state[_TIME + n : _TIME + n + 2 * k].tolist()
+        lengths = self._state[POSITIONS + n : POSITIONS + n + 2 * k].tolist()
         return [lengths[k + j] * self._length_factor(j + 1) / lengths[j] - 1.0 for j in range(k)]
 
     def _length_factor(self, span: int) -> float:
@@ -494,7 +190,7 @@ class SpanFollower:
     @property
     def effective_moduli_Pa(self) -> Vector:
         """E as it acts now in each span (K,), with the effects on it; of web with a splice in it that of the whole."""
-        moduli = np.array([_modulus(self._p, span, self._state[0]) for span in range(self._layout.spans)])
+        moduli = np.array([span_kernel.modulus_Pa(self._p, span, self._state[0]) for span in range(self._layout.spans)])
         return moduli * [span.factor for span in self.spliced_spans] if has_pieces(self._state) else moduli
 
     @property
@@ -504,8 +200,8 @@ class SpanFollower:
         if not has_pieces(self._state):
             return [WHOLE] * k
         stretch = 1.0 + float(laws.upstream_strain(self._p, self._boundary[0], self._state[0]))
-        unstretched_m = self._state[_TIME + n : _TIME + n + k].tolist()
-        return spliced_spans(self._state, self._state.item(_TIME), stretch, unstretched_m)
+        unstretched_m = self._state[POSITIONS + n : POSITIONS + n + k].tolist()
+        return spliced_spans(self._state, self._state.item(POSITIONS), stretch, unstretched_m)
 
     def put_pieces(self, pieces: Sequence[Piece]) -> None:
         """Let these be the pieces of other web in it, in the order in which they came in; the strains stay."""
@@ -517,7 +213,7 @@ class SpanFollower:
         n, k, shown = self._layout.axes, self._layout.spans, self._shown
         if self._stale:
             self._evaluate()
-        _show(self._p, self._state, self._v, self._tension, shown)
+        span_kernel.show(self._p, self._state, self._v, self._tension, shown)
         if self._broken:
             shown[2 * n : 2 * n + 2 * k] = 0.0
         if has_pieces(self._state):
@@ -553,14 +249,14 @@ class SpanFollower:
         places = [names.index(checked_name("state", name, self._description.states)) for name in values]
         for place, value in zip(places, values.values(), strict=True):
             if place < n:
-                self._state[_TIME + place] = value
+                self._state[POSITIONS + place] = value
             elif place < 2 * n:
                 self._v[place - n] = value
             else:
                 self._set_strain(place - 2 * n, value, k)
 
     def _set_strain(self, span: int, strain: float, spans: int) -> None:
-        material = _TIME + self._layout.axes + span
+        material = POSITIONS + self._layout.axes + span
         self._state[material] = self._state[material + spans] * self._length_factor(span + 1) / (1.0 + strain)
 
     def parameter(self, name: str) -> float:
@@ -646,7 +342,7 @@ def follow(parameters: ModelParameters, x_m: NDArray[np.float64], boundary: NDAr
         raise ValueError(f"positions {x_m.shape}, boundary {boundary.shape}, expected (n, {n}) and (n, 2)")
     out = np.empty((len(x_m), k))
     x, limits = np.ascontiguousarray(x_m, dtype=float), np.ascontiguousarray(boundary, dtype=float)
-    _follow_rows(start._p, start._state, start._work, x, limits, dt_s, start._v, out)
+    span_kernel.follow_rows(start._p, start._state, start._work, x, limits, dt_s, start._v, out)
     return out
 
 
@@ -665,5 +361,5 @@ def follow_on(
     web.reset(x_m[0], np.full(web._layout.spans, strain))
     out = np.empty((len(x_m), web._layout.spans))
     x, limits = np.ascontiguousarray(x_m, dtype=float), np.ascontiguousarray(boundary, dtype=float)
-    _follow_rows(web._p, web._state, web._work, x, limits, dt_s, web._v, out)
+    span_kernel.follow_rows(web._p, web._state, web._work, x, limits, dt_s, web._v, out)
     return out, web.strain

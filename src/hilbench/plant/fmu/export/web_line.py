@@ -21,12 +21,13 @@ from hilbench.plant.fmu.export.machine import (
 )
 from hilbench.plant.interface import Quantity
 from hilbench.plant.motor_port import MotorMode
-from hilbench.plant.web_line import kernel, laws, places, span
+from hilbench.plant.web_line import kernel, laws, places, span_kernel
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.layout import Layout, Vector
 from hilbench.plant.web_line.line import Line
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.simulated import modulus_names
+from hilbench.plant.web_line.span import SpanFollower
 
 
 def _go_line(p: Vector, s: Vector, u: Vector, w: Vector, out: Vector, samples: int, duration: float) -> None:
@@ -40,18 +41,18 @@ def _go_line(p: Vector, s: Vector, u: Vector, w: Vector, out: Vector, samples: i
 
 
 def _go_web(p: Vector, s: Vector, u: Vector, w: Vector, out: Vector, samples: int, duration: float) -> None:
-    """The web of driven rollers on their measured motion: state `s` as `web_line.span.roll_on` has it.
+    """The web of driven rollers on their measured motion: state `s` as `web_line.span_kernel.roll_on` has it.
 
     `u`: speeds of the N rollers, strain of the web that enters, tension behind the line. `out`: tension, strain and E
     of the K spans, then the torque at each motor that imitates web and resistance (see `SpanFollower.web_torque_Nm`).
     """
     n, k = int(p[lay.W_AXES]), int(p[lay.W_SPANS])
     strain_prev, f_next = u[n], u[n + 1]
-    span.roll_on(p, s, w, u, strain_prev, f_next, duration, span.LONGEST_STEP_S, out)
+    span_kernel.roll_on(p, s, w, u, strain_prev, f_next, duration, span_kernel.LONGEST_STEP_S, out)
     first = places.first_span(n, int(p[lay.W_MOTORS]))
     for j in range(k):
         row = first + j * lay.SP_SIZE
-        factor = laws.step_factor(p, row, s[0], span.LONGEST_STEP_S)
+        factor = laws.step_factor(p, row, s[0], span_kernel.LONGEST_STEP_S)
         out[k + j] = s[1 + n + k + j] * laws.length_factor(p, row) / s[1 + n + j] - 1.0
         out[2 * k + j] = laws.stiffness_N(p, row, s[0], factor) / p[row + lay.SP_SECTION_M2]
     upstream = laws.upstream_strain(p, strain_prev, s[0]) * p[lay.W_UPSTREAM_STIFFNESS_N]
@@ -66,7 +67,7 @@ def _go_web(p: Vector, s: Vector, u: Vector, w: Vector, out: Vector, samples: in
         out[3 * k + i] = force / p[places.motor(n, i) + lay.M_RAD_PER_M]
 
 
-_SOURCES = kernel.source_number(__file__, span.__file__)
+_SOURCES = kernel.source_number(__file__, span_kernel.__file__)
 _LINE, _WEB = Kernel("line", _go_line, _SOURCES), Kernel("web", _go_web, _SOURCES)
 
 
@@ -123,7 +124,7 @@ def exported_load(model: ModelParameters) -> ExportedMachine:
 
     Raises ValueError for a model without a web, or with stations.
     """
-    follower = span.SpanFollower(model)
+    follower = SpanFollower(model)
     p, layout = follower._p.copy(), follower._layout
     n, k = layout.axes, layout.spans
     u = [0.0] * n + [model.upstream_strain, model.boundary.downstream_tension_N]
@@ -149,7 +150,7 @@ def exported_load(model: ModelParameters) -> ExportedMachine:
     return ExportedMachine(
         name="web",
         description=f"web of a line of {n} driven rollers on their motion, for load motors",
-        kernel=_WEB, p=p, s=follower._state.copy(), u=np.array(u), work=len(span.new_follower_work(layout)),
+        kernel=_WEB, p=p, s=follower._state.copy(), u=np.array(u), work=len(span_kernel.new_follower_work(layout)),
         out=3 * k + n, variables=tuple(variables), forgotten=(), sample_s=0.0, time=(0, 1.0),
     )  # fmt: skip
 

@@ -1,0 +1,317 @@
+"""The web on measured motion, compiled: driven rollers at constant speed within a cycle, the spans between them.
+
+Vectors as in `hilbench.plant.web_line.layout`; N rollers, K spans.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilbench.compiled import COUNT, MATRIX, REAL, VECTOR, compiled, entry_point, inlined
+from hilbench.plant.web_line import laws
+from hilbench.plant.web_line import layout as lay
+from hilbench.plant.web_line.kernel import source_number
+from hilbench.plant.web_line.layout import Layout, Vector
+
+Matrix = NDArray[np.float64]
+
+#: Longest integration step; the error of a step is of order (v·h/L)^5/120, below rounding on the demonstrator.
+LONGEST_STEP_S = 0.001
+
+#: Where the positions begin in the state of `roll_on`: behind the time.
+POSITIONS = 1
+
+
+@inlined
+def _first_span(p: Vector) -> int:
+    """Where the span rows begin in the parameters."""
+    return lay.W_SIZE + int(p[lay.W_AXES]) * lay.A_SIZE + int(p[lay.W_MOTORS]) * lay.M_SIZE
+
+
+@compiled
+def _span_rates(
+    p: Vector,
+    s: Vector,
+    w: Vector,
+    n: int,
+    k: int,
+    at: int,
+    rate: int,
+    t: float,
+    steps: int,
+    strain_prev: float,
+    f_next: float,
+    blur_m: float,
+) -> None:
+    """Rates (2·K,), m/s, to place `rate` of `w`, of the unstretched and then the nominal lengths (2·K,), m, at `at`.
+
+    p (P,): parameters of the line. s: state of `roll_on`, for the pieces of other web. w: positions (n,), m, and speeds
+    (n,), m/s, at its start; behind them room for the web's speeds (n,), then rates of the nominal lengths (k,), and the
+    tensions (k,), N, that come with it; factors (k,) of the steps of E at `steps`. t: s since the start. strain_prev:
+    of the web that enters; f_next: tension behind the line, N; blur_m: way in a step (`laws.spliced_span_rates`).
+    """
+    speed, length_rate, tension = 2 * n, 3 * n, 3 * n + k
+    first, pieces = _first_span(p), POSITIONS + n + 2 * k
+    for i in range(n):
+        axis = lay.W_SIZE + i * lay.A_SIZE
+        w[speed + i] = laws.web_speed_m_s(p, axis, w[i], w[n + i])
+    strain = laws.upstream_strain(p, strain_prev, t)
+    if laws.has_splice(p, s, pieces):
+        laws.spliced_span_rates(
+            p, s, pieces, first, k, t, strain, f_next, w, steps, speed, at, length_rate, tension, rate, w[0], blur_m
+        )
+    else:
+        laws.span_rates(p, first, k, t, strain, f_next, w, steps, speed, at, length_rate, tension, rate)
+    for j in range(k):
+        w[rate + k + j] = w[length_rate + j]
+
+
+@compiled
+def roll_on(
+    p: Vector,
+    s: Vector,
+    w: Vector,
+    v: Vector,
+    strain_prev: float,
+    f_next: float,
+    duration: float,
+    spread_s: float,
+    out: Vector,
+) -> None:
+    """Advance s = [t, positions (N,), unstretched lengths (K,), lengths (K,), pieces], s and m, at constant speeds.
+
+    p (P,): parameters of the line; w: scratch space of `new_follower_work`; v (N,): speeds, m/s; strain_prev: of the
+    web that enters; f_next: tension behind the line, N; duration: s, 0 for the tensions alone. Tensions into `out`
+    (K,), N, with steps of E spread over the next `spread_s` (`laws.step_factor`).
+    """
+    n, k = int(p[lay.W_AXES]), int(p[lay.W_SPANS])
+    count = max(int(np.ceil(duration / LONGEST_STEP_S - 1e-9)), 1)
+    h, size = duration / count, 2 * k
+    now = 3 * n + 2 * k
+    stage, slopes = now + size, now + 2 * size
+    for i in range(n):
+        w[n + i] = v[i]
+    for j in range(size):
+        w[now + j] = s[1 + n + j]
+    t0, pieces, first, steps = s[0], POSITIONS + n + size, _first_span(p), now + 6 * size
+    blur = max(abs(v[0]) * (h if duration > 0.0 else LONGEST_STEP_S), lay.LEAST_BLUR_M)
+    if laws.has_splice(p, s, pieces):
+        strain = laws.upstream_strain(p, strain_prev, t0)
+        laws.let_splice_in(p, s, pieces, t0, duration, s[1], v[0], strain)
+        web_m = 0.0
+        for j in range(k):
+            web_m += s[1 + n + j]
+        laws.forget_passed(s, pieces, s[1], strain, web_m)
+    for step in range(count if duration > 0.0 else 0):
+        t = t0 + step * h
+        laws.put_step_factors(p, first, k, t, h, w, steps)
+        for part in range(4):
+            ahead = 0.0 if part == 0 else (h if part == 3 else 0.5 * h)
+            for i in range(n):
+                w[i] = s[1 + i] + v[i] * (step * h + ahead)
+            for j in range(size):
+                slope = w[slopes + (part - 1) * size + j] if part > 0 else 0.0
+                w[stage + j] = w[now + j] + ahead * slope
+            _span_rates(p, s, w, n, k, stage, slopes + part * size, t + ahead, steps, strain_prev, f_next, blur)
+        for j in range(size):
+            total = w[slopes + j] + 2.0 * (w[slopes + size + j] + w[slopes + 2 * size + j]) + w[slopes + 3 * size + j]
+            w[now + j] += h / 6.0 * total
+    s[0] = t0 + duration
+    for i in range(n):
+        s[1 + i] += v[i] * duration
+        w[i] = s[1 + i]
+    for j in range(size):
+        s[1 + n + j] = w[now + j]
+    laws.put_step_factors(p, first, k, s[0], spread_s, w, steps)
+    _span_rates(p, s, w, n, k, now, slopes, s[0], steps, strain_prev, f_next, blur)
+    for j in range(k):
+        out[j] = w[3 * n + k + j]
+
+
+Follow = Callable[[Vector, Vector, Vector, Vector, Vector, Vector, float, Vector], None]
+Pull = Callable[[Vector, Vector, Vector, Vector, Vector, Vector, float, Vector, Matrix, Vector, Vector], None]
+Show = Callable[[Vector, Vector, Vector, Vector, Vector], None]
+FollowRows = Callable[[Vector, Vector, Vector, Matrix, Matrix, float, Vector, Matrix], None]
+Resistance = Callable[[Vector, int, float, float, float], float]
+Modulus = Callable[[Vector, int, float], float]
+
+
+@inlined
+def _tension_around_N(p: Vector, t: float, boundary: Vector, tension: Vector, span: int) -> float:
+    """Of a span, counted from 0; before the first that upstream of the line, behind the last that downstream of it."""
+    if span < 0:
+        return float(laws.upstream_strain(p, boundary[0], t) * p[lay.W_UPSTREAM_STIFFNESS_N])
+    return float(tension[span] if span < len(tension) else boundary[1])
+
+
+@compiled
+def _web_torque_Nm(p: Vector, s: Vector, boundary: Vector, tension: Vector, load: Vector, v: float) -> float:
+    """See `SpanFollower.web_torque_Nm`; `load`: roller from 0, rad per m at its motor, whether it carries the web."""
+    roller, force = int(load[0]), 0.0
+    if load[2] != 0.0:
+        behind = _tension_around_N(p, s[0], boundary, tension, roller)
+        force = behind - _tension_around_N(p, s[0], boundary, tension, roller - 1)
+    direction = laws.measured_direction(v, laws.FRICTION_WIDTH_M_S)
+    force -= laws.measured_resistance_N(p, lay.W_SIZE + roller * lay.A_SIZE, s[POSITIONS + roller], v, direction)
+    return float(force / load[1])
+
+
+@inlined
+def _modulus_Pa(p: Vector, span: int, t: float) -> float:
+    row = _first_span(p) + span * lay.SP_SIZE
+    factor = laws.step_factor(p, row, t, LONGEST_STEP_S)
+    return float(laws.stiffness_N(p, row, t, factor) / p[row + lay.SP_SECTION_M2])
+
+
+def _entry_points(sources: int) -> tuple[Follow, FollowRows, Pull, Show, Resistance, Modulus]:
+    """Compiled functions that are called from Python; `sources` as in the kernel.
+
+    `follow`: the rollers are at x (N,), m, `duration` later; of no time the tensions alone. `follow_rows`: the same of
+    the rows of x (n, N), tensions into `out` (n, K). `pull`: torques, N·m, at the motors of `loads` (L, 3; rows as in
+    `_web_torque_Nm`) of the web `lead` s ahead, of which `ahead` becomes the state and `tension` (K,) the tensions; of
+    `tension` as given where `lead` is negative. `show`: positions, speeds, tensions, strains and E into `out`.
+    `resistance`: of a roller from 0, N. `modulus`: E of a span from 0, Pa.
+    """
+
+    @entry_point(VECTOR, VECTOR, VECTOR, VECTOR, VECTOR, VECTOR, REAL, VECTOR)
+    def follow(
+        p: Vector, s: Vector, w: Vector, v: Vector, boundary: Vector, x: Vector, duration: float, out: Vector
+    ) -> None:
+        n = len(x) if sources >= 0 and duration > 0.0 else 0
+        for i in range(n):
+            v[i] = (x[i] - s[POSITIONS + i]) / duration
+        roll_on(p, s, w, v, boundary[0], boundary[1], duration, LONGEST_STEP_S, out)
+        for i in range(n):
+            s[POSITIONS + i] = x[i]  # exactly: no drift from adding up
+
+    @entry_point(VECTOR, VECTOR, VECTOR, VECTOR, VECTOR, VECTOR, REAL, VECTOR, MATRIX, VECTOR, VECTOR)
+    def pull(
+        p: Vector,
+        s: Vector,
+        ahead: Vector,
+        w: Vector,
+        v: Vector,
+        boundary: Vector,
+        lead: float,
+        tension: Vector,
+        loads: Matrix,
+        speeds: Vector,
+        torques: Vector,
+    ) -> None:
+        if lead >= 0.0:
+            for i in range(len(s) if sources >= 0 else 0):
+                ahead[i] = s[i]
+            roll_on(p, ahead, w, v, boundary[0], boundary[1], lead, LONGEST_STEP_S, tension)
+        for k in range(len(loads)):
+            torques[k] = _web_torque_Nm(p, s, boundary, tension, loads[k], speeds[int(loads[k, 0])])
+
+    @entry_point(VECTOR, VECTOR, VECTOR, VECTOR, VECTOR)
+    def show(p: Vector, s: Vector, v: Vector, tension: Vector, out: Vector) -> None:
+        n, k = len(v) if sources >= 0 else 0, len(tension)
+        first = _first_span(p)
+        for i in range(n):
+            out[i] = s[POSITIONS + i]
+            out[n + i] = v[i]
+        for j in range(k):
+            unstretched, length = s[POSITIONS + n + j], s[POSITIONS + n + k + j]
+            out[2 * n + j] = tension[j]
+            out[2 * n + k + j] = length * laws.length_factor(p, first + j * lay.SP_SIZE) / unstretched - 1.0
+            out[2 * n + 2 * k + j] = _modulus_Pa(p, j, s[0])
+
+    @entry_point(VECTOR, VECTOR, VECTOR, MATRIX, MATRIX, REAL, VECTOR, MATRIX)
+    def follow_rows(
+        p: Vector, s: Vector, w: Vector, x: Matrix, boundary: Matrix, dt: float, v: Vector, out: Matrix
+    ) -> None:
+        for row in range(x.shape[0] if sources >= 0 else 0):
+            for i in range(x.shape[1]):
+                v[i] = (x[row, i] - s[1 + i]) / dt if row > 0 else 0.0
+            before = max(row - 1, 0)
+            duration = dt if row > 0 else 0.0
+            roll_on(p, s, w, v, boundary[before, 0], boundary[before, 1], duration, LONGEST_STEP_S, out[row])
+
+    @entry_point(VECTOR, COUNT, REAL, REAL, REAL)
+    def resistance(p: Vector, row: int, x_m: float, v_m_s: float, width_m_s: float) -> float:
+        if sources < 0:
+            return 0.0
+        direction = laws.measured_direction(v_m_s, width_m_s)
+        return laws.measured_resistance_N(p, lay.W_SIZE + row * lay.A_SIZE, x_m, v_m_s, direction)
+
+    @entry_point(VECTOR, COUNT, REAL)
+    def modulus(p: Vector, span: int, t: float) -> float:
+        return _modulus_Pa(p, span, t) if sources >= 0 else 0.0
+
+    return follow, follow_rows, pull, show, resistance, modulus
+
+
+follow, follow_rows, pull, show, resistance_N, modulus_Pa = _entry_points(source_number(__file__))
+
+
+class SpanVectors(NamedTuple):
+    """What a `SpanFollower` consists of, for compiled callers."""
+
+    p: Vector  #: parameters of the line
+    s: Vector  #: state, as of `roll_on`
+    w: Vector  #: scratch space
+    v: Vector  #: speeds of the rollers over the last cycle (N,), m/s
+    boundary: Vector  #: strain of the web that enters, tension behind the line in N
+    tension: Vector  #: of each span (K,), N
+
+
+@compiled
+def follow_to(web: SpanVectors, x1_m: float, x2_m: float, duration_s: float) -> None:
+    """The web of two rollers, which are now at these positions, `duration_s` after the last call."""
+    web.v[0] = (x1_m - web.s[POSITIONS]) / duration_s
+    web.v[1] = (x2_m - web.s[POSITIONS + 1]) / duration_s
+    strain_prev, f_next_N = web.boundary[0], web.boundary[1]
+    roll_on(web.p, web.s, web.w, web.v, strain_prev, f_next_N, duration_s, LONGEST_STEP_S, web.tension)
+    web.s[POSITIONS] = x1_m  # exactly: no drift from adding up
+    web.s[POSITIONS + 1] = x2_m
+
+
+@compiled
+def put_boundary(web: SpanVectors, strain_prev: float, f_next_N: float) -> None:
+    """What the neighbouring sections do from now on; tensions are those that come with it."""
+    if web.boundary[0] != strain_prev or web.boundary[1] != f_next_N:
+        web.boundary[0] = strain_prev
+        web.boundary[1] = f_next_N
+        roll_on(web.p, web.s, web.w, web.v, strain_prev, f_next_N, 0.0, LONGEST_STEP_S, web.tension)
+
+
+@inlined
+def modulus_place(p: Vector) -> int:
+    """Where E of the first span stands in the parameters."""
+    return _first_span(p) + lay.SP_MODULUS_PA
+
+
+@inlined
+def first_strain(web: SpanVectors) -> float:
+    """Strain of the first span, of two rollers."""
+    unstretched_m, length_m = web.s[POSITIONS + 2], web.s[POSITIONS + 3]
+    return float(length_m * laws.length_factor(web.p, _first_span(web.p)) / unstretched_m - 1.0)
+
+
+@compiled
+def first_spliced(web: SpanVectors) -> tuple[bool, float, float]:
+    """Whether there are pieces of other web; what they make of the first span, of two rollers (`SplicedSpan`)."""
+    pieces = len(web.s) - lay.PIECES_SIZE
+    if not web.s[pieces + lay.PIECES_COUNT] > 0.0:
+        return False, 1.0, 1.0
+    stretch = 1.0 + laws.upstream_strain(web.p, web.boundary[0], web.s[0])
+    way_m, unstretched_m = web.s[POSITIONS], web.s[POSITIONS + 2]
+    factor = laws.series_factor(web.s, pieces, way_m, 0.0, unstretched_m, stretch)
+    at_end = 1.0 + laws.change_at(web.s, pieces, way_m, unstretched_m, stretch, lay.LEAST_BLUR_M)
+    return True, factor, at_end
+
+
+def new_follower_work(layout: Layout) -> Vector:
+    """Scratch space of `roll_on`."""
+    return np.zeros(3 * layout.axes + 15 * layout.spans)
+
+
+def follower_size(layout: Layout) -> int:
+    """Length of the state of `roll_on`."""
+    return POSITIONS + layout.axes + 2 * layout.spans + lay.PIECES_SIZE
