@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from decimal import Decimal
 from fractions import Fraction
 from pathlib import Path
@@ -21,7 +22,9 @@ from hilbench.runs.scenario import read_scenario
 from hilbench.scripts.bench import Bench
 from hilbench.topology.quantities import (
     LONGEST_S,
+    PLAIN_PATHS,
     all_paths,
+    checked_path,
     checked_value,
     permitted,
     plain_paths,
@@ -147,6 +150,26 @@ def test_a_step_to_a_value_that_can_not_be_is_refused_with_its_line_before_the_r
         return
     assert said.startswith(f"hilbench: {file}:{line + 1}: ")
     assert f"expected: {permitted(path)} for {path}" in said
+
+
+@pytest.mark.parametrize(
+    ("misspelt", "meant"),
+    [
+        ("line_sped_m_s", "line_speed_m_s"),
+        ("position_control.store.setpoint_m", "position_control.store.set_point_m"),
+        ("load.effects.coulomb_friction", "load.effects.coulomb_friction.axis2.force_N"),
+    ],
+)
+def test_of_a_misspelt_quantity_those_are_told_that_are_like_it_the_nearest_first(misspelt: str, meant: str) -> None:
+    with pytest.raises(UnusableValueError, match=rf"expected one of {re.escape(meant)}\b.*, did you mean '{meant}'\?$"):
+        checked_path(misspelt)
+
+
+def test_where_nothing_is_alike_all_that_can_be_set_is_told() -> None:
+    with pytest.raises(UnusableValueError) as refused:
+        checked_path("xyz")
+    loops = ("position_control.NAME.set_point_m", "position_control.NAME.feed", "load|hardware.effects.ID")
+    assert all(path in str(refused.value) for path in (*PLAIN_PATHS, *loops))
 
 
 @pytest.mark.parametrize("key", ["duration_s", "rate_per_s"])

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 
 from hilbench.plant.fmu.axis import FmuAxisParameters
-from hilbench.plant.fmu.config import FmuBlock, FmuLoadConfig, unit_of_name
+from hilbench.plant.fmu.config import FmuBlock, FmuLoadConfig
 from hilbench.plant.fmu.description import Variable
+from hilbench.plant.unit_names import unit_of_name
 from hilbench.topology.config import BenchConfig
 
 #: What a servo axis' twin finds.

@@ -29,7 +29,7 @@ from numbers import Real
 from hilbench.errors import UnusableValueError
 from hilbench.plant.effects import EffectPlace, MachineKind, effect_problem, effects_of, find_effect
 from hilbench.plant.web_line.parameters import LARGEST_MODULUS_Pa, LEAST_MODULUS_Pa
-from hilbench.suggest import did_you_mean
+from hilbench.suggest import closest, did_you_mean
 from hilbench.topology import web_line_quantities as numbered
 from hilbench.topology.signals import Shape
 from hilbench.topology.web_line_positions import FEED, SET_POINT, position_quantity, positions
@@ -107,6 +107,8 @@ _OF_POSITIONS = {
     SET_POINT: Permitted(-100.0, 100.0, "m"),
     FEED: Permitted(0.0, 1.0, "1", only_ends=True),
 }
+#: So many quantities are told that are like a misspelt one.
+_MOST_NEAR = 3
 _PART = re.compile(r"([a-z]+)([1-9]\d{0,3})")
 
 #: Axes of the smallest machine of each kind, and those on whose shaft a load motor is.
@@ -164,10 +166,7 @@ def parse_effect_path(text: str, kind: MachineKind | None = None) -> EffectPath:
 def _parsed(text: str, kind: MachineKind) -> EffectPath:
     parts = text.split(".")
     if len(parts) not in (4, 5) or parts[0] not in list(EffectPlace) or parts[1] != "effects":
-        known = ", ".join(PLAIN_PATHS)
-        raise ValueError(
-            f"one of {known}, or load|hardware.effects.ID[.axisN|.spanN].PARAMETER{did_you_mean(text, all_paths())}"
-        )
+        raise ValueError(_expected(text))
     place, _, name, *part, parameter = parts
     try:
         effect = find_effect(name, kind)
@@ -190,6 +189,17 @@ def _parsed(text: str, kind: MachineKind) -> EffectPath:
     if problem:
         raise ValueError(problem)
     return EffectPath(place, name, axis, parameter, kind, section)
+
+
+def _expected(text: str) -> str:
+    """What is expected in the place of a text that is no path: what is nearest to it, else all that there is."""
+    station = text.split(".")[1] if re.fullmatch(r"position_control\.[A-Za-z]\w*(\..*)?", text) else "NAME"
+    further = positions((station,))
+    near = closest(text, [*PLAIN_PATHS, *further, *all_paths()], _MOST_NEAR)
+    if near:
+        return f"one of {', '.join(near)}, …, did you mean '{near[0]}'?"
+    known = ", ".join([*PLAIN_PATHS, *further])
+    return f"one of {known}, or load|hardware.effects.ID[.axisN|.spanN].PARAMETER"
 
 
 def plain_paths(kind: MachineKind, shape: Shape) -> tuple[str, ...]:

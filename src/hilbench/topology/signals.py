@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Final
 
+from hilbench.plant.unit_names import unit_of_name
 from hilbench.topology.signal_kinds import (
     BUS_SIGNALS,
     TIME_SIGNALS,
@@ -237,22 +238,10 @@ def _has(kind: str, name: str) -> bool:
     return any(_pattern(each).fullmatch(name) for each in DECLARATIONS[kind])
 
 
-_UNIT_SUFFIXES: Final = (
-    ("_kg_m2", "kg·m²"),
-    ("_rad_s", "rad/s"),
-    ("_m_s", "m/s"),
-    ("_rad", "rad"),
-    ("_Nm", "N·m"),
-    ("_Pa", "Pa"),
-    ("_N", "N"),
-    ("_m", "m"),
-    ("_s", "s"),
-)
-
-
 def unit_of(name: str) -> str:
     """SI unit of a channel: as declared, or, for a channel that no part has, from the suffix of its name."""
     signal = find_signal(name)
     if signal is not None:
         return signal.unit
-    return next((unit for suffix, unit in _UNIT_SUFFIXES if name.endswith(suffix)), "")
+    unit = unit_of_name(name)
+    return "" if unit == "1" else unit

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Annotated, Final
+from typing import Annotated
 
 from pydantic import Field
 
@@ -12,26 +12,9 @@ from hilbench.block import Block
 from hilbench.errors import UnusableInputError
 from hilbench.plant.fmu.description import FmuDescription, Variable, read_fmu
 from hilbench.plant.parameters import Positive
+from hilbench.plant.unit_names import unit_of_name
 
 VariableName = Annotated[str, Field(min_length=1, max_length=200)]
-
-#: Units by how the names of outputs and parameters end.
-_SUFFIXES: Final = (
-    ("_Nm_s_per_rad", "N·m·s/rad"),
-    ("_kg_m2", "kg·m²"),
-    ("_rad_s", "rad/s"),
-    ("_m_s", "m/s"),
-    ("_rad", "rad"),
-    ("_Nm", "N·m"),
-    ("_Pa", "Pa"),
-    ("_N", "N"),
-    ("_m", "m"),
-)
-
-
-def unit_of_name(name: str) -> str:
-    """The SI unit that a name of ours ends with; "1" for one without."""
-    return next((unit for suffix, unit in _SUFFIXES if name.endswith(suffix)), "1")
 
 
 class FmuBlock(Block):

@@ -6,10 +6,11 @@ from collections.abc import Callable, Mapping, Sequence
 from math import isfinite, nan
 from typing import Literal
 
-from hilbench.plant.fmu.config import FmuLoadConfig, unit_of_name
+from hilbench.plant.fmu.config import FmuLoadConfig
 from hilbench.plant.fmu.effects import WithoutEffects
 from hilbench.plant.fmu.model import FmuModel, FmuState
 from hilbench.plant.interface import PlantDescription, PlantState, Quantity, checked_name
+from hilbench.plant.unit_names import unit_of_name
 
 
 class FmuFollower(WithoutEffects):
