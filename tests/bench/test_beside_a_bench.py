@@ -15,6 +15,8 @@ from tests.cli.in_process import hilbench
 from hilbench.results.result import Result
 from hilbench.scripts.bench import Bench
 
+pytestmark = pytest.mark.slow
+
 EDS = Path(__file__).resolve().parents[2] / "eds" / "hilbench_servo.eds"
 
 

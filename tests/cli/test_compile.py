@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.tiers import slow
 
 from hilbench.cli.compile import modules_by_room
 from hilbench.compiled import KeptCode, entry_points
@@ -53,7 +54,9 @@ def test_setup_compiles_each_function_that_python_calls_for_the_arguments_that_i
         assert len(each.arguments) == len(signature(each.py_func).parameters), each
 
 
-@pytest.mark.parametrize("refusing", ["()", "[InTreeCacheLocator]", "[InTreeCacheLocator, UserWideCacheLocator]"])
+@pytest.mark.parametrize(
+    "refusing", ["()", *slow("[InTreeCacheLocator]", "[InTreeCacheLocator, UserWideCacheLocator]")]
+)
 def test_who_may_only_read_hilbench_runs_what_was_compiled_when_it_was_installed(tmp_path: Path, refusing: str) -> None:
     _misses("()", tmp_path)
     assert _misses(refusing, tmp_path) == "0"

@@ -65,6 +65,7 @@ def the_run(path: Path) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_ctrl_c_while_the_bench_runs_stops_the_drives_and_diagnoses_nothing(tmp_path):
     path = config(tmp_path, steps=[{"hold": {"duration_s": 1000.0}}])
     process = start(path)
@@ -83,6 +84,7 @@ def test_ctrl_c_while_the_bench_runs_stops_the_drives_and_diagnoses_nothing(tmp_
     assert gone(path)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("phase", ["start simulated hardware", "simulate the model"])
 def test_ctrl_c_before_or_after_the_run_ends_it_as_well(tmp_path, phase):
     path = config(tmp_path, steps=STEPS, hardware=FRICTION)
@@ -107,6 +109,7 @@ def test_a_run_that_faults_is_exit_3_with_the_reason_and_no_verdict(tmp_path, in
     assert not (tmp_path / "diagnosis.html").exists()
 
 
+@pytest.mark.slow
 def test_the_extended_bench_that_faults_is_shown_as_not_compared_and_is_exit_3(tmp_path, in_one_process):
     wait = {"wait_until": {"condition": "E_sim_Pa > 9e9", "timeout_s": 0.5}}
     path = config(tmp_path, steps=[*STEPS, wait], hardware=FRICTION)
@@ -120,6 +123,7 @@ def test_the_extended_bench_that_faults_is_shown_as_not_compared_and_is_exit_3(t
     assert "Not compared" in (tmp_path / "found" / "diagnosis.html").read_text()
 
 
+@pytest.mark.slow
 def test_runs_of_different_length_are_not_compared(tmp_path, in_one_process):
     (tmp_path / "steps.py").write_text(AS_LONG_AS_E_IS_RIGHT)
     path = config(tmp_path, steps=[*STEPS, {"python": {"file": "steps.py"}}], hardware=FRICTION)
@@ -139,6 +143,7 @@ def found(tmp_path: Path, in_one_process: None) -> Path:
     return tmp_path / "a" / "found"
 
 
+@pytest.mark.slow
 def test_the_extended_config_and_an_include_of_the_extended_model_are_benches_with_what_was_found(found, tmp_path):
     page = (found / "diagnosis.html").read_text()
     assert f"hilbench run {found / 'config_extended.yaml'}" in page

@@ -35,6 +35,7 @@ def may_have_a_namespace() -> bool:
         return False
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not may_have_a_namespace(), reason="no network namespace of its own is permitted here")
 def test_every_bench_of_the_machine_stops_whatever_session_it_is_in(tmp_path: Path) -> None:
     paths = []

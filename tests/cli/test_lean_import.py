@@ -7,6 +7,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 _PROGRAM = """if True:
     import sys
     import hilbench.bench.lifecycle.supervisor, hilbench.hardware.simulation, hilbench.twin.run, hilbench.cli.run
@@ -22,6 +24,7 @@ def test_a_bench_starts_without_the_libraries_of_recordings_and_of_its_check() -
     assert ended.returncode == 0, ended.stderr
 
 
+@pytest.mark.slow
 def test_the_first_compiled_call_does_not_import_scipy_and_a_product_of_matrices_can_still_be_compiled() -> None:
     program = """if True:
         import sys
@@ -56,6 +59,7 @@ def test_a_python_can_that_cannot_be_imported_leaves_the_libraries_of_recordings
     assert ended.returncode == 0, ended.stderr
 
 
+@pytest.mark.slow
 def test_a_diagnosis_calculates_with_one_thread_a_product_unless_told_otherwise() -> None:
     """The library reads it once, when it is imported: nothing may have imported it before."""
     program = """if True:

@@ -34,6 +34,7 @@ def identity(serial: int) -> str:
     return f"0:402h:0x10000:{serial}"
 
 
+@pytest.mark.slow
 def test_drives_without_a_node_id_are_found_named_and_named_anew(bus: str) -> None:
     scanned = hilbench("scan", "--lss", "--json", "--listen", "0.1", "--bus", bus)
     assert [device["serial_number"] for device in json.loads(scanned.stdout)["without_node_id"]] == [7, 8]

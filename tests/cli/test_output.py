@@ -14,6 +14,7 @@ from unittest.mock import patch
 
 import pytest
 from tests.bench.whole_runs import config, run_folders
+from tests.tiers import slow
 from typer.main import get_command
 
 from hilbench.cli.main import app, main
@@ -90,7 +91,7 @@ def usual(tmp_path_factory: pytest.TempPathFactory, run_folder: Path) -> list[tu
 
 
 @pytest.mark.parametrize("words", commands(), ids=" ".join)
-@pytest.mark.parametrize("encoding", ["ascii", "latin-1"])
+@pytest.mark.parametrize("encoding", ["ascii", *slow("latin-1")])
 def test_help_is_readable_on_a_terminal_without_utf_8(tmp_path: Path, words: list[str], encoding: str) -> None:
     code, said = hilbench(*words, "--help", encoding=encoding, out=tmp_path / "out")
     text = (tmp_path / "out").read_text(encoding=encoding)
@@ -99,7 +100,7 @@ def test_help_is_readable_on_a_terminal_without_utf_8(tmp_path: Path, words: lis
     assert not re.search(r"\\u[0-9a-f]{4}", text), "a character without a way to type it"
 
 
-@pytest.mark.parametrize("encoding", ["ascii", "latin-1"])
+@pytest.mark.parametrize("encoding", ["ascii", *slow("latin-1")])
 def test_commands_say_the_same_on_a_terminal_without_utf_8(
     tmp_path: Path, usual: list[tuple[list[object], int, str]], encoding: str
 ) -> None:
@@ -115,8 +116,8 @@ def test_commands_say_the_same_on_a_terminal_without_utf_8(
             assert json.loads(text)
 
 
-@pytest.mark.parametrize("encoding", ["ascii", "latin-1"])
-@pytest.mark.parametrize("options", [[], ["--json"]])
+@pytest.mark.parametrize("encoding", ["ascii", *slow("latin-1")])
+@pytest.mark.parametrize("options", [[], *slow(["--json"])])
 def test_a_run_passes_on_a_terminal_without_utf_8(tmp_path: Path, encoding: str, options: list[str]) -> None:
     path = config(tmp_path, steps=SHORT, description="Grüße ≥ 3 µ")
     out = tmp_path / "runs"
@@ -144,6 +145,7 @@ def test_standard_output_on_a_full_disk_is_one_line_and_exit_code_3(
         assert code in (expected or 3, 3), words
 
 
+@pytest.mark.slow
 def test_a_run_whose_output_fails_on_the_way_stops_its_drives_and_writes_its_result(tmp_path: Path) -> None:
     path = config(tmp_path, steps=[SHORT[0], {"hold": {"duration_s": 600.0}}])
     command = [sys.executable, "-m", "hilbench.cli", "run", str(path), "--in-process", "--out", str(tmp_path / "runs")]
@@ -163,7 +165,7 @@ def test_a_run_whose_output_fails_on_the_way_stops_its_drives_and_writes_its_res
     assert (folder / "recording.mf4").exists()
 
 
-@pytest.mark.parametrize("closed", ["<&-", ">&-", "2>&-", "<&- >&- 2>&-"])
+@pytest.mark.parametrize("closed", ["<&- >&- 2>&-", *slow("<&-", ">&-", "2>&-")])
 def test_a_command_with_a_standard_stream_closed_does_its_work(tmp_path: Path, closed: str) -> None:
     path = config(tmp_path, steps=SHORT)
     line = f"{sys.executable} -m hilbench.cli run {path} --in-process --no-report --out {tmp_path}/runs {closed}"
@@ -181,6 +183,7 @@ def test_a_file_name_that_is_no_text_is_told_all_the_same(tmp_path: Path) -> Non
     assert "bench-\\udcff.yaml" in said
 
 
+@pytest.mark.slow
 def test_a_command_in_a_locale_that_knows_ascii_only(tmp_path: Path) -> None:
     path = config(tmp_path, steps=SHORT, description="Grüße ≥ 3 µ")
     environment = {**os.environ, "LC_ALL": "C", "PYTHONCOERCECLOCALE": "0", "PYTHONUTF8": "0"}

@@ -20,6 +20,8 @@ from hilbench.monitor.picture import BusPicture
 from hilbench.results.recording import read_recording
 from hilbench.runs.config import load
 
+pytestmark = pytest.mark.slow
+
 SHIPPED = Path(__file__).resolve().parents[2] / "bench_configs"
 #: The shipped scenario on the shipped bench with an axis of other units; expectation and assertion that do not hold.
 CONFIG = f"""

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from tests.bench.whole_runs import config, run_folders
 from tests.cli.in_process import hilbench
+from tests.tiers import slow
 
 from hilbench.results.recording import Recording, read_recording, write_recording
 
@@ -31,8 +32,8 @@ def cut(run: Path, rows: int, path: Path) -> Path:
     return path
 
 
-@pytest.mark.parametrize("rows", [0, 1, 2, 3, 4, 5, 50, 500])
-@pytest.mark.parametrize("suffix", ["csv", "mf4"])
+@pytest.mark.parametrize("rows", [0, 50, *slow(1, 2, 3, 4, 5, 500)])
+@pytest.mark.parametrize("suffix", ["csv", *slow("mf4")])
 def test_a_short_recording_is_used_or_refused_in_one_line(tmp_path: Path, run: Path, rows: int, suffix: str) -> None:
     recording, model = cut(run, rows, tmp_path / f"short.{suffix}"), run / "config.yaml"
     folder = tmp_path / "short_run"

@@ -40,6 +40,7 @@ def error(track: Track, true_Pa: float = OLD_PA) -> float:
     return float(track.E_Pa[-1] / true_Pa - 1.0)
 
 
+@pytest.mark.slow
 def test_friction_and_offset_do_not_count() -> None:
     """Of twelve machines: E is right on average, and of each as right as is said."""
     errors, draws = [], np.random.default_rng(5)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from tests.estimation.hidden_beside_a_step import outcome
 from tests.estimation.runs import measured, stepped, tracked
+from tests.tiers import slow
 
 from hilbench.estimation.web_line.config import ChangepointConfig
 
@@ -17,10 +18,7 @@ DURATION_S = 30.0
     "case",
     [
         "torque offset 0.05 N·m",
-        "dry friction 20 N",
-        "viscous friction 3 N·s/m",
-        "creep 3e-6 per N",
-        "upstream tension ±3 N, 0.3 Hz",
+        *slow("dry friction 20 N", "viscous friction 3 N·s/m", "creep 3e-6 per N", "upstream tension ±3 N, 0.3 Hz"),
     ],
 )
 def test_e_is_right_or_as_uncertain_as_is_said_when_the_model_lacks_something(case: str) -> None:
@@ -30,7 +28,8 @@ def test_e_is_right_or_as_uncertain_as_is_said_when_the_model_lacks_something(ca
 
 
 @pytest.mark.parametrize(
-    "case", ["eccentric roller 1, 20 µm", "eccentric roller 2, 20 µm", "unbalance 0.8 N·m", "torque ripple 0.1 N·m"]
+    "case",
+    ["eccentric roller 1, 20 µm", *slow("eccentric roller 2, 20 µm", "unbalance 0.8 N·m", "torque ripple 0.1 N·m")],
 )
 def test_what_goes_round_with_a_roller_or_its_motor_is_found_and_taken_out(case: str) -> None:
     found = outcome(case, ChangepointConfig(), duration_s=DURATION_S)

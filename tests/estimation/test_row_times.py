@@ -134,6 +134,7 @@ def test_a_splice_is_not_told_before_reality_has_it(in_step: tuple[Measurements,
     assert held.mean() > 0.2  # 0.75 ms in a cycle of 1 ms: one row in four is in the cycle of the one before
 
 
+@pytest.mark.slow
 @settings(max_examples=60, deadline=None, derandomize=True)
 @given(
     drift_ppm=st.floats(-300.0, 300.0),

@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from tests.tiers import slow
 
 from hilbench.estimation.servo_axis.balance import ShaftSample
 from hilbench.estimation.servo_axis.config import BesideInertia, InertiaConfig
@@ -87,6 +88,7 @@ def exact() -> InertiaConfig:
     return InertiaConfig(unmodelled_pct=0.0, friction_memory_s=1e5, wander_pct_per_sqrt_s=0.0)
 
 
+@pytest.mark.slow
 def test_estimates_over_seeds_are_unbiased_and_their_intervals_hold_the_truth() -> None:
     scores: dict[str, list[float]] = {}
     for seed in range(40):
@@ -112,7 +114,7 @@ def test_estimates_over_seeds_are_unbiased_and_their_intervals_hold_the_truth() 
         assert np.mean(np.abs(score) < 1.96) >= 0.82, name
 
 
-@pytest.mark.parametrize("commands", [sine, trapezoids])
+@pytest.mark.parametrize("commands", [sine, *slow(trapezoids)])
 def test_a_step_of_the_inertia_by_25_percent_is_found_within_1_percent(
     commands: Callable[[float], np.ndarray],
 ) -> None:

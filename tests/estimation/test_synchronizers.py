@@ -101,6 +101,7 @@ def test_the_published_method_stays_slow() -> None:
     assert 0.2 < gap[-1] < 0.9  # 5 s after the step; it takes about 20 s
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("config", [RlsConfig(), EkfConfig(), METHODS["lm"](), ChangepointConfig()])
 def test_the_stated_deviation_covers_the_truth_where_there_is_only_noise(config: SynchronizerConfig) -> None:
     true, inside = stepped(5.5), []
@@ -133,6 +134,7 @@ def retensioned() -> Array:
     return np.column_stack([v2 * (1.0 - share * strain), v2])
 
 
+@pytest.mark.slow
 def test_an_offset_is_found_beside_e_where_the_tension_changes() -> None:
     commands = retensioned()
     true = np.full(len(commands), NEW_PA)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.tiers import slow
 
 from hilbench.bench.bench import Bench
 from hilbench.bench.lifecycle.participants import Participants
@@ -127,7 +128,7 @@ def at_speed_then(path: str, value: float, *changes: str) -> tuple[list[str], Cy
     ("path", "value", "shift"),
     [
         ("hardware.effects.coulomb_friction.axis2.force_N", 16.0, "+0.6"),
-        ("hardware.effects.torque_offset.axis2.offset_Nm", -0.5, "-0.5"),
+        *slow(("hardware.effects.torque_offset.axis2.offset_Nm", -0.5, "-0.5")),
     ],
 )
 def test_on_the_bench_a_shift_is_reported_and_not_booked_as_e(path: str, value: float, shift: str) -> None:
@@ -138,6 +139,7 @@ def test_on_the_bench_a_shift_is_reported_and_not_booked_as_e(path: str, value: 
     assert last.F_true_N == pytest.approx(TENSION_N, abs=1.0)
 
 
+@pytest.mark.slow
 def test_the_method_that_is_in_use_goes_on_after_a_shift() -> None:
     config = load_with_overrides(CONFIG).config
     with Bench(config, participants=Participants.IN_PROCESS) as bench:
@@ -155,6 +157,7 @@ def test_the_method_that_is_in_use_goes_on_after_a_shift() -> None:
         assert bench.last.E_sim_Pa < 9.6e9
 
 
+@pytest.mark.slow
 def test_on_the_bench_a_change_of_e_is_none_and_a_shift_may_be_ignored() -> None:
     notes, last = at_speed_then("load.web.youngs_modulus_Pa", 10.5e9)
     assert not any("FF17h" in note for note in notes)
