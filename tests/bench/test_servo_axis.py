@@ -137,12 +137,14 @@ def test_process_data_of_the_shaft_are_its_own_signals_and_nothing_is_sent_of_a_
     assert Nodes(load_with_overrides(WEB).config).io.boundary is not None
 
 
+@pytest.mark.slow
 def test_the_shipped_experiment_passes_with_processes_of_its_own(tmp_path: Path) -> None:
     done = hilbench("run", CONFIG, "--bus", "embedded:test-servo-axis", "--no-report", "--out", tmp_path)
     assert done.returncode == 0, done.stdout + done.stderr
     assert "inertia true / estimated" in done.stdout
 
 
+@pytest.mark.slow
 def test_in_real_time_the_run_comes_to_its_end_whatever_the_machine_does_beside_it(tmp_path: Path) -> None:
     """How late samples are is up to the computer; that the imitation bears it is up to the bench."""
     experiment = tmp_path / "realtime.yaml"
@@ -224,6 +226,7 @@ def test_check_says_how_much_inertia_is_left_and_which_ramp_is_too_steep() -> No
     assert "expected a longer ramp" in done.stdout
 
 
+@pytest.mark.slow
 def test_a_run_that_was_killed_is_recovered_and_its_twin_can_be_run_again(tmp_path: Path) -> None:
     """What recovery makes of the frames alone is what a whole run records; the estimator finds the same from it."""
     experiment = tmp_path / "short.yaml"

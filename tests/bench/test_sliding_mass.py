@@ -81,6 +81,7 @@ def test_a_load_that_does_not_bounce_is_pushed_along(fmu: Path) -> None:
     assert (after - before) / 0.001 == pytest.approx(0.5 / (0.0395 + 0.0008), rel=1e-6)
 
 
+@pytest.mark.slow
 def test_its_bench_passes_its_criteria(fmu: Path) -> None:
     root = FOLDER.parents[1]
     text = (FOLDER / "sliding_mass.yaml").read_text(encoding="utf-8")

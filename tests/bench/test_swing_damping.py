@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from tests.tiers import slow
 
 from hilbench import Bench
 from hilbench.bench.lifecycle.participants import Participants
@@ -158,7 +159,8 @@ def swing_N(deviation_N: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 @pytest.mark.parametrize(
-    ("share", "speed_m_s"), [(0.207, 3.0), (0.4, 0.5), (0.4, 8.0), (-0.4, 0.5), (-0.4, 3.0), (-0.207, 8.0), (0.02, 3.0)]
+    ("share", "speed_m_s"),
+    [(0.207, 3.0), *slow((0.4, 0.5), (0.4, 8.0), (-0.4, 0.5), (-0.4, 3.0), (-0.207, 8.0), (0.02, 3.0))],
 )
 def test_the_tension_does_not_ring_after_a_step_of_e(share, speed_m_s):
     time_s, deviation_N, _ = step_of_e(share, speed_m_s)

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from tests.bench.strangers import Plan, from_sync, on_the_bus
 from tests.bench.whole_runs import config
+from tests.tiers import slow
 
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.can.frame import Frame
@@ -47,7 +48,7 @@ def run(folder: Path, *plans: Plan, **changes: object) -> tuple[int, Result, Rec
 
 @pytest.mark.parametrize(
     ("numbers", "node_id"),
-    [([STOP], 32), ([STOP], 17), ([RESET], 32), ([RESET], 18), ([STOP, START], 32)],
+    [([STOP], 32), *slow(([STOP], 17), ([RESET], 32), ([RESET], 18), ([STOP, START], 32))],
     ids=["stop io", "stop axis", "reset io", "reset axis", "stop and start io"],
 )
 def test_a_twin_whose_nodes_somebody_commands_is_taken_back(tmp_path: Path, numbers: list[int], node_id: int) -> None:
@@ -60,6 +61,7 @@ def test_a_twin_whose_nodes_somebody_commands_is_taken_back(tmp_path: Path, numb
     assert np.max(np.abs(np.asarray(found["F_true_N"]) - 80.0)) < 30.0
 
 
+@pytest.mark.slow
 def test_a_twin_that_never_comes_back_holds_up_no_cycle(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     stops: list[float] = []
     before = [time.monotonic()]
