@@ -183,6 +183,7 @@ def test_ctrl_c_stops_the_drives_and_keeps_the_recording(tmp_path):
     assert gone(path)
 
 
+@pytest.mark.slow
 def test_hardware_that_is_killed_ends_the_run_with_exit_3(tmp_path):
     path = config(tmp_path, steps=ENDLESS, safety={"cycle_timeout_s": 1.0})
     process = start(path)

@@ -123,6 +123,7 @@ def failed(bus: VirtualBus, *groups: str) -> set[str]:
     return {result.name for result in results if result.verdict is Verdict.FAILED}
 
 
+@pytest.mark.slow
 def test_the_sound_drive_has_none() -> None:
     assert failed(VirtualBus()) == set()
 

@@ -62,6 +62,7 @@ def test_a_simulated_bench_is_started_asked_and_ended(tmp_path: Path) -> None:
     assert gone(path)
 
 
+@pytest.mark.slow
 def test_a_real_drive_that_is_silent_and_one_that_its_eds_does_not_fit(tmp_path: Path) -> None:
     path = config(tmp_path, master={"boot_timeout_s": 20.0, "sdo_timeout_s": 0.3})
     eds = tmp_path / "other.eds"
@@ -110,6 +111,7 @@ def wait_for_node(path: Path) -> None:
         link.close()
 
 
+@pytest.mark.slow
 def test_a_running_bench_is_left_alone(tmp_path: Path) -> None:
     path = config(tmp_path, steps=[SHORT[0], {"hold": {"duration_s": 1000.0}}])
     bench = start(path)

@@ -198,6 +198,7 @@ def test_small_and_the_same_every_time(tmp_path: Path) -> None:
     ]
 
 
+@pytest.mark.slow
 def test_a_long_run_with_many_steps_stays_a_small_file(tmp_path: Path) -> None:
     channels = dict(recording(400_000).channels)
     t = channels["t_s"]
@@ -217,6 +218,7 @@ def plotted(page: ParsedPage, name: str) -> tuple[list[float], list[float]]:
     return np.frombuffer(x, "<f8").tolist(), np.frombuffer(y, "<f4").tolist()
 
 
+@pytest.mark.slow
 def test_a_spike_of_a_single_cycle_is_in_the_pictures_whatever_the_length(tmp_path: Path) -> None:
     recorded = recording(400_000)
     recorded["F_true_N"][333_333] = 143.0

@@ -43,6 +43,7 @@ def test_the_script_of_the_page_finds_the_step_and_its_recording_is_a_data_frame
     assert (data["E_sim_Pa"].attrs["units"], data["t_s"].attrs["units"]) == ("Pa", "s")
 
 
+@pytest.mark.slow
 def test_the_test_of_the_page_passes_and_its_bench_can_be_changed(pytester: pytest.Pytester):
     mark = "import pytest\n\n@pytest.mark.hilbench_set('controllers.tension_control.set_point_N=90')\n"
     pytester.makepyfile(f"{mark}{TEST}    assert response.recording['F_ref_N'][-1] == 90.0\n")
@@ -73,6 +74,7 @@ def test_that_passes(bench):
 """
 
 
+@pytest.mark.slow
 def test_each_bench_leaves_its_run_folder_and_a_failure_names_it(pytester: pytest.Pytester):
     pytester.makepyfile(FAILING)
     result = pytester.runpytest_subprocess(

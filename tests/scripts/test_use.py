@@ -58,6 +58,7 @@ def step(bench: Bench) -> Recording:
 # -- pauses ----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_pause_between_two_cells_of_a_notebook_changes_nothing() -> None:
     with here() as bench:
         ramp(bench)
@@ -112,6 +113,7 @@ class Paused:
         return self.process.communicate("\n", timeout=60)[1]
 
 
+@pytest.mark.slow
 def test_a_process_that_is_stopped_in_a_pause_has_its_drives_stopped() -> None:
     paused = Paused()
     assert paused.hear(0x77F).data == b"\x05"
