@@ -228,3 +228,29 @@ def test_a_load_motor_that_its_shaft_turns_too_fast_fails_alike(tmp_path: Path) 
     changes = [(5, writes(3, 0x6080, 100, 4)), (40, sets("line_speed_m_s", 1.0))]  # 6080h: rpm; 1 m/s are 239
     left = check(tmp_path, loaded, changes, least=40)
     assert left.ending.startswith("BenchFaultError: load (node 3): is in FAULT")
+
+
+def test_who_reads_and_finds_nothing_ends_no_plain_cycles(tmp_path: Path) -> None:
+    settled, readers = list[bool](), list[Any]()
+    settle = PlainCycles.settle
+
+    def counted(self: PlainCycles) -> None:
+        settled.append(self._run is not None)
+        settle(self)
+
+    def opens(bench: Bench) -> None:
+        assert bench.exchange is not None
+        link = bench.exchange._sync._link._participants.bus.open_link()  # type: ignore[attr-defined]
+        link.set_filters([(0x123, 0x7FF)])
+        readers.append(link)
+
+    def reads(bench: Bench) -> None:
+        settled.clear()
+        assert readers[0].receive(0.0) == []
+        assert settled == []
+
+    loaded = load_with_overrides(CONFIGS / "web_section_step.yaml")
+    with patch.object(PlainCycles, "settle", counted):
+        left = run(tmp_path, loaded, [(20, opens), (60, reads)], 80, compiled=True)
+    assert left.plain >= 40
+    assert left.ending == ""

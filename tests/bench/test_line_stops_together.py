@@ -46,7 +46,7 @@ class Stand:
         def new_rig(*given: Any) -> Any:
             rig = make(*given)
             self.motion.clear()  # the last one that is made is the stand
-            step, step_in_modes = rig.step, rig.step_in_modes
+            step, steps_in_modes = rig.step, rig.steps_in_modes
 
             def record(duration_s: float) -> None:
                 outputs: Mapping[str, float] = rig.outputs()
@@ -57,12 +57,17 @@ class Stand:
                 step(duration_s)
                 record(duration_s)
 
-            def recorded_in_modes(set_points: Any, duration_s: float, shown: Any) -> None:
-                step_in_modes(set_points, duration_s, shown)
-                record(duration_s)
+            def recorded_in_modes(set_points: Any, duration_s: float, shown: Any) -> Any:
+                step = steps_in_modes(set_points, duration_s, shown)
+
+                def stepped() -> None:
+                    step()
+                    record(duration_s)
+
+                return stepped
 
             monkeypatch.setattr(rig, "step", recorded)
-            monkeypatch.setattr(rig, "step_in_modes", recorded_in_modes)
+            monkeypatch.setattr(rig, "steps_in_modes", recorded_in_modes)
             return rig
 
         def booted(participants: in_process.InProcess) -> None:

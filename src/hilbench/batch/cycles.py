@@ -14,6 +14,7 @@ import threading
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -39,6 +40,7 @@ from hilbench.canopen.device import Device
 from hilbench.canopen.device_pdo import Rpdo, Tpdo
 from hilbench.canopen.host import DeviceHost
 from hilbench.canopen.identifiers import HEARTBEAT, SYNC, NmtState
+from hilbench.canopen.pdo import PdoMap
 from hilbench.cia402.simulated import SimulatedDrive
 from hilbench.cia402.state_machine import Command
 from hilbench.errors import BenchFaultError
@@ -273,6 +275,7 @@ class _Run:
                 raw.update(zip(indices, taken, strict=True))
             self._seen.append(seen_row(drive, raw))
             self._raw.append((drive, raw))
+        self._said_rows = [self._hear_of(pdo) for _, pdo in self._nodes.io.tpdos]
         self._heard_axes: list[int] = []  # where their feedback is
         for listener in self._here.machine.listeners:
             row, taken = frames.row_of(listener.cob_id), new_slots(slots, listener.pdo)
@@ -281,6 +284,15 @@ class _Run:
             frames.take(row, listener.pdo, taken)
             self._heard_axes.append(4 * len(self._seen))
             self._seen.append(heard_row(listener, taken))
+
+    def _hear_of(self, pdo: PdoMap) -> tuple[int, int, int, int, bool]:
+        """What the bench takes from a TPDO of the virtual I/O: identifier, row, slots, and whether they are real."""
+        real, row = pdo.kinds[0].is_float, self._frames.row_of(pdo.cob_id)
+        if any(kind.is_float is not real for kind in pdo.kinds):
+            raise NotPlainError
+        taken = new_slots(self._slots, pdo)
+        self._frames.take(row, pdo, taken)
+        return pdo.cob_id, row, taken[0], taken[-1] + 1, real
 
     def _check_phases(self) -> None:
         """What the bench expects of the nodes is what they send."""
@@ -316,21 +328,23 @@ class _Run:
         self._drives = table(drives, lay.DRIVE)
         self._seen_rows = table(self._seen, lay.SEEN)
         self._of_twin()
-        io = {pdo.cob_id for _, pdo in self._nodes.io.tpdos}
-        self._said_rows = [(cob_id, row) for row, cob_id in enumerate(frames.cob_ids) if cob_id in io]
         self._whole, self._real = np.array(slots.whole, np.int64), np.array(slots.real, np.float64)
         self._real = self._real if len(self._real) else np.zeros(1)
+        # One value goes faster through these than through the array.
+        self._whole_at, self._real_at = self._whole.data, _reals(self._real)
         self._data = np.zeros((len(frames.rows), 8), np.uint8)
         for row, content in frames.constants.items():
             self._data[row, : len(content)] = np.frombuffer(content, np.uint8)
         self._scratch = np.zeros(8, np.uint8)
         self._single, self._double = self._scratch[:4].view(np.float32), self._scratch.view(np.float64)
         self._given, self._left = (
-            np.zeros(lay.I_CLOCKS + 2, np.int64),
+            np.zeros(lay.I_SIZE, np.int64),
             np.zeros(lay.O_SIZE + len(frames.rows), np.int64),
         )
+        self._given_at = self._given.data
         self._feedback = np.zeros(4 * len(self._seen))
         self._set_points = np.zeros(len(self._targets))
+        self._set_points_at = _reals(self._set_points)
         self._names = [
             (at, name, per_unit)
             for at, (_, name, per_unit) in zip(
@@ -339,6 +353,16 @@ class _Run:
         ]
         self._join_motors()
         self._trace()
+        vectors = self._whole, self._real
+        self._encode_all = partial(
+            kernel.encode, self._target_rows, self._sent, self._set_points, *vectors, self._single
+        )
+        self._exchange_all = partial(
+            kernel.exchange,
+            *(self._rows, self._sent, self._received, self._drives, self._seen_rows, *vectors),
+            *(self._given, self._left, self._data, self._heads, self._text, self._scratch),
+            *(self._single, self._double, self._feedback, self._nodes.config.bus.bitrate),
+        )
 
     def _join_motors(self) -> None:
         """The drives on both sides, with what they turn."""
@@ -349,6 +373,7 @@ class _Run:
             self._drives[:count],
             *vectors,
             here.rig.rig,
+            self._step_s,
             of_hardware,
             alone=count == len(here.rig.ports),
             shows_ports=False,
@@ -358,6 +383,7 @@ class _Run:
             self._drives[count:],
             *vectors,
             here.machine.turned,
+            here.machine.cycle_s,
             [each for each in of_twin if id(each[0]) not in self._of_io],
             alone=True,
             shows_ports=True,
@@ -373,10 +399,9 @@ class _Run:
                 head = self._lines.head(cob_id).encode("ascii", "backslashreplace")
                 self._rows[row]["head"], self._rows[row]["head_end"] = len(heads), len(heads) + len(head)
                 heads += head
-            self._text = np.zeros(len(frames.rows) * lay.LINE + len(heads), np.uint8)
+            self._text = np.zeros(_TRACED_TOGETHER * (len(frames.rows) * lay.LINE + len(heads)), np.uint8)
         self._heads = np.frombuffer(heads or b"\0", np.uint8).copy()
-        self._waiting: list[bytes] = []  # lines of the last cycles, which are handed over together
-        self._waiting_frames = 0
+        self._waiting = self._waiting_frames = 0  # cycles and frames whose lines are in the text
 
     def _of_twin(self) -> None:
         """The objects of the virtual I/O that its PDOs read and write: they hold their values themselves."""
@@ -384,14 +409,11 @@ class _Run:
         known = {id(cell): (cell, slot, is_float) for cell, slot, is_float in slots.cells[1]}
         read = [known[id(cell)] for device, tpdo, _ in self._answering if device is io for cell in tpdo.cells]
         written = [known[id(cell)] for device, rpdo, _ in self._taken if device is io for cell in rpdo.cells]
-        self._read_real = [cell for cell, _, is_float in read if is_float]
-        self._real_slots = np.array([slot for _, slot, is_float in read if is_float], np.intp)
-        self._read_whole = [cell for cell, _, is_float in read if not is_float]
-        self._whole_slots = np.array([slot for _, slot, is_float in read if not is_float], np.intp)
+        self._read_real = [(cell, slot) for cell, slot, is_float in read if is_float]
+        self._read_whole = [(cell, slot) for cell, slot, is_float in read if not is_float]
         if not all(is_float for _, _, is_float in written):
             raise NotPlainError
-        self._written = [cell for cell, _, _ in written]
-        self._written_slots = np.array([slot for _, slot, _ in written], np.intp)
+        self._written = [(cell, slot) for cell, slot, _ in written]
         self._of_io = {id(cell) for cell, _, _ in (*read, *written)}
 
     def _deadlines(self) -> None:
@@ -411,15 +433,13 @@ class _Run:
             return False
         fault, self._fault = self._fault or self._write_waiting(), None
         here.machine.before_sync(0)
-        self._whole[self._whole_slots] = [cell.value for cell in self._read_whole]
         said_alive = self._exchange()
-        for clock in (here.hardware.clock, here.twin.clock):
-            clock.tick_at(begun_ns)
-        self._hardware.move(self._step_s)
+        here.hardware.clock.tick_at(begun_ns)
+        here.twin.clock.tick_at(begun_ns)
+        self._hardware.move()
         self._move_twin()
-        ended_ns = time.monotonic_ns()
         left = self._left_now
-        sync.count(left[lay.O_BITS], begun_ns, ended_ns, said_alive=said_alive)
+        sync.count(left[lay.O_BITS], begun_ns, time.monotonic_ns(), said_alive=said_alive)
         self._cycles += 1
         if fault is not None:
             raise fault
@@ -444,43 +464,29 @@ class _Run:
         return not sync.is_slow(now_ns * 1e-9)
 
     def _encode(self, outputs: Mapping[str, float]) -> bool:
-        set_points, real = self._set_points, self._real
+        set_points, real = self._set_points_at, self._real_at
         for at, name, per_unit in self._names:
             set_points[at] = outputs.get(name, 0.0) * per_unit
         for slot, name in zip(self._told, self._nodes.boundary_names, strict=True):
             real[slot] = outputs[name]
-        real[self._real_slots] = [cell.value for cell in self._read_real]
-        return kernel.encode(self._target_rows, self._sent, set_points, self._whole, real, self._single)
+        for cell, slot in self._read_real:
+            real[slot] = cell.value
+        return self._encode_all()
 
     def _exchange(self) -> bool:
         """The frames of the cycle; whether the bench's heartbeat was among them."""
-        here, given = self._here, self._given
+        here, given, whole = self._here, self._given_at, self._whole_at
+        for cell, slot in self._read_whole:
+            whole[slot] = cell.value
         given[lay.I_START_NS] = self._sync.next_sync_ns
         given[lay.I_CLOCKS], given[lay.I_CLOCKS + 1] = here.hardware.clock.next_ns, here.twin.clock.next_ns
-        kernel.exchange(
-            self._rows,
-            self._sent,
-            self._received,
-            self._drives,
-            self._seen_rows,
-            self._whole,
-            self._real,
-            given,
-            self._left,
-            self._data,
-            self._heads,
-            self._text,
-            self._scratch,
-            self._single,
-            self._double,
-            self._feedback,
-            self._nodes.config.bus.bitrate,
-        )
-        self._left_now, self._feedback_now = left, _ = self._left.tolist(), self._feedback.tolist()
-        self._bytes = self._data.tobytes()
+        self._exchange_all()
+        self._left_now = left = self._left.tolist()
+        self._feedback_now = self._feedback.tolist()
         here.bus.account(left[lay.O_FRAMES], left[lay.O_BITS], left[lay.O_DURATION_NS])
         if self._lines is not None:
-            self._waiting.append(self._text[: left[lay.O_TEXT]].tobytes())
+            given[lay.I_TEXT] = left[lay.O_TEXT]
+            self._waiting += 1
             self._waiting_frames += left[lay.O_FRAMES]
         elif self._tap is not None:
             self._tap.write(self._sent_frames())
@@ -497,33 +503,35 @@ class _Run:
     def _sent_frames(self) -> list[Frame]:
         """For a tap that wants frames."""
         frames, times_ns = self._frames, self._rows["time_ns"].tolist()
+        data = self._data.tobytes()
         return [
-            Frame(cob_id, self._content(row), times_ns[row])
-            for row, cob_id in enumerate(frames.cob_ids)
+            Frame(cob_id, data[8 * row : 8 * row + size], times_ns[row])
+            for row, (cob_id, size) in enumerate(zip(frames.cob_ids, frames.sizes, strict=True))
             if self._left_now[lay.O_SIZE + row]
         ]
 
-    def _content(self, row: int) -> bytes:
-        return self._bytes[8 * row : 8 * row + self._frames.sizes[row]]
-
     def _move_twin(self) -> None:
-        for cell, value in zip(self._written, self._real[self._written_slots].tolist(), strict=True):
-            cell.value = value
-        feedback = self._feedback_now
+        real, feedback = self._real_at, self._feedback_now
+        for cell, slot in self._written:
+            cell.value = real[slot]
         measured = [(feedback[at], feedback[at + 2]) for at in self._heard_axes]
         self._here.machine.go_on(measured, self._twin.move)
 
-    def _said(self) -> dict[int, bytes]:
-        """The twin's TPDOs of this cycle."""
-        left, of_row = self._left_now, self._said_rows
-        return {cob_id: self._content(row) for cob_id, row in of_row if left[lay.O_SIZE + row]}
+    def _said(self) -> dict[int, Sequence[float]]:
+        """What the twin's TPDOs of this cycle bring."""
+        left, values = self._left_now, self._real.tolist()
+        return {
+            cob_id: values[first:last] if real else self._whole[first:last].tolist()
+            for cob_id, row, first, last, real in self._said_rows
+            if left[lay.O_SIZE + row]
+        }
 
     def _heard(self) -> list[int]:
         return [device.node_id for device, row in self._heartbeats if self._left_now[lay.O_SIZE + row]]
 
     def _write_waiting(self) -> BenchFaultError | None:
         """The lines of the last cycles; what the trace has to say against them."""
-        if self._lines is None or len(self._waiting) < _TRACED_TOGETHER:
+        if self._lines is None or self._waiting < _TRACED_TOGETHER:
             return None
         try:
             self._give_lines(self._lines)
@@ -533,9 +541,9 @@ class _Run:
         return None
 
     def _give_lines(self, lines: LineTap) -> None:
-        lines.write_lines(b"".join(self._waiting).decode("ascii"), self._waiting_frames)
-        self._waiting.clear()
-        self._waiting_frames = 0
+        text = self._text[: self._given_at[lay.I_TEXT]]
+        lines.write_lines(text.tobytes().decode("ascii"), self._waiting_frames)
+        self._waiting = self._waiting_frames = self._given_at[lay.I_TEXT] = 0
 
     # -- back to the objects ---------------------------------------------------------------------------------
 
@@ -581,3 +589,7 @@ class _Run:
         for (drive, _, _), (at, _, _) in zip(self._nodes.set_points, self._names, strict=True):
             drive.setpoint = float(self._set_points[at])
         self._nodes.end_plain(cycles)
+
+
+def _reals(vector: lay.Real) -> memoryview[float]:
+    return vector.data.cast("B").cast("d")

@@ -27,7 +27,7 @@ from hilbench.compiled import (
 
 _SIGNED, _FLOAT = lay.SIGNED, lay.FLOAT
 _BEFORE_SYNC, _SYNC, _BY_TIME = lay.BEFORE_SYNC, lay.SYNC, lay.BY_TIME
-_I_START_NS, _I_CLOCKS = lay.I_START_NS, lay.I_CLOCKS
+_I_START_NS, _I_CLOCKS, _I_TEXT = lay.I_START_NS, lay.I_CLOCKS, lay.I_TEXT
 _O_FRAMES, _O_BITS, _O_DURATION_NS, _O_TEXT = lay.O_FRAMES, lay.O_BITS, lay.O_DURATION_NS, lay.O_TEXT
 _O_TIMED, _O_SIZE = lay.O_TIMED, lay.O_SIZE
 _PORT_SIZE = lay.PORT_SIZE
@@ -284,7 +284,7 @@ def _entry_points(sources: int) -> tuple[Encode, Exchange, Publish]:
             _see(seen[k], whole, feedback[4 * k : 4 * k + 4])
         _set_times(frames, bits_of, given[_I_START_NS], 1e9 / bitrate)
         if len(text) > 0:
-            at = 0
+            at = given[_I_TEXT]
             for k in range(len(frames)):
                 if bits_of[k]:
                     at = _line(frames[k], heads, data[k], text, at)

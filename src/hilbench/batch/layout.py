@@ -98,9 +98,10 @@ SEEN = np.dtype(
 )
 #: What a port has beside its mode: position, velocity, torque, reference, whether the torque was limited.
 PORT_SIZE = 5
-#: Whole numbers that a cycle takes: start in ns, then the time after SYNC by the clock of each host, in ns.
-I_START_NS, I_CLOCKS = 0, 1
-#: Whole numbers that a cycle leaves: frames, bit times of all, their time on the wire in ns, characters of the trace,
+#: Whole numbers that a cycle takes: start in ns, then the time after SYNC by the clock of each host, in ns; where its
+#: text begins in that of the trace.
+I_START_NS, I_CLOCKS, I_TEXT, I_SIZE = 0, 1, 3, 4
+#: Whole numbers that a cycle leaves: frames, bit times of all, their time on the wire in ns, where its text ends,
 #: frames that go by time; then of each frame its bit times, 0 where it was not sent.
 O_FRAMES, O_BITS, O_DURATION_NS, O_TEXT, O_TIMED, O_SIZE = 0, 1, 2, 3, 4, 5
 #: Longest line of a trace but for the channel: time, identifier, eight bytes.

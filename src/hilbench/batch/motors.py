@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -16,8 +16,9 @@ from hilbench.plant.interface import Steps, StepsInModes
 class Motors:
     """Drives by their rows (D,) of `layout.DRIVE`, whose objects are in the slots of `whole` and `real`.
 
-    `turned`: what their motors turn; `alone`: it has no other motors; `cells`: the drives' objects, each with its slot
-    and whether that is a real one; `shows_ports`: somebody looks at the ports in every cycle.
+    `turned`: what their motors turn, so far with each cycle (`step_s`); `alone`: it has no other motors; `cells`: the
+    drives' objects, each with its slot and whether that is a real one; `shows_ports`: somebody looks at the ports in
+    every cycle.
     """
 
     def __init__(
@@ -27,6 +28,7 @@ class Motors:
         whole: lay.Whole,
         real: lay.Real,
         turned: Steps,
+        step_s: float,
         cells: Sequence[tuple[Cell, int, bool]],
         *,
         alone: bool,
@@ -36,50 +38,53 @@ class Motors:
         self._drives, self._rows, self._cells = drives, rows, cells
         self._whole, self._real = whole, real
         self._turned = turned
-        self._direct = turned if alone and isinstance(turned, StepsInModes) else None
+        self._step_s = step_s
         self._ports = [drive.firmware.port for drive in drives]
         self._shows_ports = shows_ports
         self._set_points = rows["set_point"]
         self._asked = np.zeros(len(drives))
         self._shown = np.zeros(lay.PORT_SIZE * len(drives))
+        self._step: Callable[[], None] | None = None
+        if alone and isinstance(turned, StepsInModes):
+            self._step = turned.steps_in_modes(self._asked, step_s, self._shown)
 
-    def move(self, step_s: float) -> None:
-        """Take the set points, go on for so long, and show the feedback."""
-        shown = self._shown
-        if self._direct is not None:
+    def move(self) -> None:
+        """Take the set points, go on, and show the feedback."""
+        if self._step is not None:
             self._asked[:] = self._set_points
-            self._direct.step_in_modes(self._asked, step_s, shown)
+            self._step()
             if self._shows_ports:
                 self._give_ports()
         else:
-            self._give_set_points()
-            self._turned.step(step_s)
-            values: list[float] = []
-            for port in self._ports:
-                values += (port.position_rad, port.velocity_rad_s, port.torque_Nm, port.reference, port.torque_limited)
-            shown[:] = values
-        if not kernel.publish(self._rows, shown, self._whole):
+            self._move_by_ports()
+        if not kernel.publish(self._rows, self._shown, self._whole):
             self.give()
             self.over = True
             for drive in self._drives:
                 drive.publish()
 
-    def _give_set_points(self) -> None:
+    def _move_by_ports(self) -> None:
         for port, set_point in zip(self._ports, self._set_points.tolist(), strict=True):
             port.setpoint = set_point
+        self._turned.step(self._step_s)
+        values: list[float] = []
+        for port in self._ports:
+            values += (port.position_rad, port.velocity_rad_s, port.torque_Nm, port.reference, port.torque_limited)
+        self._shown[:] = values
 
     def _give_ports(self) -> None:
-        values = iter(self._shown.tolist())
-        for port, set_point in zip(self._ports, self._asked.tolist(), strict=True):
+        values = self._shown.tolist()
+        for at, (port, set_point) in enumerate(zip(self._ports, self._asked.tolist(), strict=True)):
             port.setpoint = set_point
-            port.position_rad, port.velocity_rad_s, port.torque_Nm = next(values), next(values), next(values)
-            port.reference, port.torque_limited = next(values), next(values) != 0.0
+            shown = values[lay.PORT_SIZE * at : lay.PORT_SIZE * (at + 1)]
+            port.position_rad, port.velocity_rad_s, port.torque_Nm, port.reference, limited = shown
+            port.torque_limited = limited != 0.0
 
     def give(self) -> None:
         """The objects, the drives and their ports get what the arrays have."""
         if self.over:
             return
-        if self._direct is not None:
+        if self._step is not None:
             self._asked[:] = self._set_points
             self._give_ports()
         whole, real = self._whole.tolist(), self._real.tolist()

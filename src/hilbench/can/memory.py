@@ -145,7 +145,7 @@ class MemoryLink:
         return bool(self._received) or self._is_awaited() or self._closed
 
     def receive(self, timeout_s: float) -> list[Frame]:
-        self._bus.before_use()
+        # Who only reads does not use the bus: what was sent by others has said so.
         with self._bus._lock:
             frames = self._waiting()
             if frames or timeout_s <= 0.0:

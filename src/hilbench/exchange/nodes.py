@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
 from math import isclose
+from typing import Any
 
 import canopen
 from hilbench.can.frame import Frame
@@ -330,19 +331,19 @@ class Nodes:
             self._look_for_silent_nodes()
         for drive in self.drives:
             drive.decode(data)
-        self._take_twin(data)
+        self._take_twin({pdo.cob_id: pdo.unpack(data[pdo.cob_id]) for _, pdo in self.io.tpdos if pdo.cob_id in data})
 
-    def _take_twin(self, data: Mapping[int, bytes]) -> None:
-        """What the twin says, simulates and estimates, by the answers to this SYNC."""
+    def _take_twin(self, data: Mapping[int, Sequence[Any]]) -> None:
+        """What the twin says, simulates and estimates, by the values of its answers to this SYNC."""
         status = data.get(self.io.status.cob_id)
         if status is not None:
-            self._twin_sync, _, self.twin_status = self.io.status.unpack(status)
+            self._twin_sync, _, self.twin_status = status
             self.twin_reported_cycle = self._cycle
         values = self._twin_values
         for pdo, names in self._said:
             content = data.get(pdo.cob_id)
             if content is not None:
-                values.update(zip(names, pdo.unpack(content), strict=True))
+                values.update(zip(names, content, strict=True))
         for at, (axis, torque, residual, cob_id) in enumerate(self._torques):
             if cob_id in data:
                 # The residual is that of the cycle before: the twin compared after this cycle's TPDO was due.
@@ -416,19 +417,21 @@ class Nodes:
         self.unexpected = []
         self._ages_cycles = self._in_time
 
-    def take_plain(self, feedback: Sequence[float], said: Mapping[int, bytes], heartbeats: Iterable[int]) -> None:
-        """A cycle with nothing but answers: position, velocity, torque (SI) and statusword of each drive; the twin's
-        TPDOs by COB-ID; node ids of heartbeats that came. Raises as `decode`."""
+    def take_plain(
+        self, feedback: Sequence[float], said: Mapping[int, Sequence[Any]], heartbeats: Iterable[int]
+    ) -> None:
+        """A cycle with nothing but answers: position, velocity, torque (SI) and statusword of each drive; values of the
+        twin's TPDOs by COB-ID; node ids of heartbeats that came. Raises as `decode`."""
         self._cycle += 1
         for node_id in heartbeats:
             self._heartbeat(node_id, NmtState.OPERATIONAL.heartbeat)
         if self._cycle % _HEARTBEAT_LOOK_CYCLES == 0:
             self._look_for_silent_nodes()
-        values = iter(feedback)
-        for drive in self._drives:
+        for at, drive in enumerate(self._drives):
             shown = drive.feedback
-            shown.position_rad, shown.velocity_rad_s = next(values), next(values)
-            shown.torque_Nm, shown.statusword = next(values), int(next(values))
+            of_drive = feedback[4 * at : 4 * at + 4]
+            shown.position_rad, shown.velocity_rad_s, shown.torque_Nm, statusword = of_drive
+            shown.statusword = int(statusword)
         self._take_twin(said)
 
     def end_plain(self, cycles: int) -> None:

@@ -11,7 +11,7 @@ a rotary machine has `x1_rad`, `v1_rad_s`. A ratio has the unit "1".
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, Protocol, runtime_checkable
 
@@ -127,8 +127,11 @@ class Steps(Protocol):
 class StepsInModes(Protocol):
     """The same without ports, while no motor changes its mode."""
 
-    def step_in_modes(self, set_points: NDArray[np.float64], duration_s: float, shown: NDArray[np.float64]) -> None:
-        """Go on with set points (M,); `shown`, (5 M,): position, velocity, torque, reference, torque limited."""
+    def steps_in_modes(
+        self, set_points: NDArray[np.float64], duration_s: float, shown: NDArray[np.float64]
+    ) -> Callable[[], None]:
+        """What lets it go on with set points (M,); `shown`, (5 M,): position, velocity, torque, reference, torque
+        limited."""
 
 
 class Plant(Machine, Protocol):

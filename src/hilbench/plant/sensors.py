@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 from hilbench.block import Block
+from hilbench.plant.motor_port import MotorPort
 
 
 class SensorParameters(Block):
@@ -19,55 +23,62 @@ class SensorParameters(Block):
     encoder_rad_per_count: float = Field(default=0.0, ge=0.0, description="resolution of the encoder")
 
 
-class Gaussian:
-    """Standard normal numbers, drawn in blocks from a generator of its own."""
+class SensorNoise:
+    """Standard normal numbers of the sensors of M motors, a row (3 M,) a step: position, velocity, torque of each.
 
-    def __init__(self, generator: np.random.Generator, block: int = 1024):
-        self._generator = generator
+    Every quantity has its own stream, which does not depend on the `block` of steps that is drawn at once.
+    """
+
+    def __init__(self, seeds: Sequence[np.random.SeedSequence], block: int = 256) -> None:
+        self._generators = [np.random.default_rng(child) for seed in seeds for child in seed.spawn(3)]
         self._block = block
-        self._numbers: list[float] = []
+        self._rows = np.zeros((0, len(self._generators)))
         self._next = 0
 
-    def next(self) -> float:
-        """The next number of the stream; the stream does not depend on the block size."""
+    def row(self) -> NDArray[np.float64]:
+        """The numbers of the next step."""
         at = self._next
-        if at == len(self._numbers):
-            self._numbers = self._generator.standard_normal(self._block).tolist()
+        if at == len(self._rows):
+            self._rows = np.stack([one.standard_normal(self._block) for one in self._generators], axis=1)
             at = 0
         self._next = at + 1
-        return self._numbers[at]
+        row: NDArray[np.float64] = self._rows[at]
+        return row
 
 
 class Sensors:
-    """Torque, velocity and position as one motor's sensors show them. Every quantity has its own stream."""
+    """Torque, velocity and position as one motor's sensors show them, each with a standard normal number."""
 
-    def __init__(self, parameters: SensorParameters, seed: np.random.SeedSequence, block: int = 1024):
+    def __init__(self, parameters: SensorParameters) -> None:
         self._torque_noise_Nm = parameters.torque_noise_Nm
         self._velocity_noise_rad_s = parameters.velocity_noise_rad_s
         self._position_noise_rad = parameters.position_noise_rad
         self._rad_per_count = parameters.encoder_rad_per_count
-        streams = [Gaussian(np.random.default_rng(child), block) for child in seed.spawn(3)]
-        self._torque, self._velocity, self._position = streams
 
     @property
     def figures(self) -> tuple[float, float, float, float]:
         """Standard deviations of position, velocity and torque, and what the encoder counts (0: nothing), in rad."""
         return self._position_noise_rad, self._velocity_noise_rad_s, self._torque_noise_Nm, self._rad_per_count
 
-    def noise(self) -> tuple[float, float, float]:
-        """The next normal numbers of position, velocity and torque, for who adds them to the truth."""
-        return self._position.next(), self._velocity.next(), self._torque.next()
-
-    def torque_Nm(self, true: float) -> float:
+    def torque_Nm(self, true: float, number: float) -> float:
         """Measured torque."""
-        return true + self._torque_noise_Nm * self._torque.next()
+        return true + self._torque_noise_Nm * number
 
-    def velocity_rad_s(self, true: float) -> float:
+    def velocity_rad_s(self, true: float, number: float) -> float:
         """Measured velocity."""
-        return true + self._velocity_noise_rad_s * self._velocity.next()
+        return true + self._velocity_noise_rad_s * number
 
-    def position_rad(self, true: float) -> float:
+    def position_rad(self, true: float, number: float) -> float:
         """Measured position: noise, then whole counts."""
-        position = true + self._position_noise_rad * self._position.next()
+        position = true + self._position_noise_rad * number
         count = self._rad_per_count
         return round(position / count) * count if count > 0.0 else position
+
+
+def show(ports: Sequence[MotorPort], sensors: Sequence[Sensors], noise: SensorNoise) -> None:
+    """What the sensors make of what each port has, exact, at this step."""
+    numbers = iter(noise.row().tolist())
+    for port, shown in zip(ports, sensors, strict=True):
+        port.position_rad = shown.position_rad(port.position_rad, next(numbers))
+        port.velocity_rad_s = shown.velocity_rad_s(port.velocity_rad_s, next(numbers))
+        port.torque_Nm = shown.torque_Nm(port.torque_Nm, next(numbers))

@@ -228,13 +228,18 @@ class TwinApplication:
         """What the motors of the virtual axes turn: the model itself, while no other is tried or in use."""
         return self._machine.only_plant or self._machine
 
-    def go_on(self, measured: list[Measured], move: Callable[[float], None]) -> None:
+    @property
+    def cycle_s(self) -> float:
+        """How far the machine goes with each SYNC."""
+        return self._cycle_s
+
+    def go_on(self, measured: list[Measured], move: Callable[[], None]) -> None:
         """After `before_sync`: what the axes (N,) have measured at SYNC, all of it in time. `move`: what lets the
         virtual axes go on with what they turn, in the place of their `sync`, the machine's `step` and `publish`."""
         self._owed = [owed - 1 for owed in self._owed]
         self._compare(measured)
         self._machine.listen()
-        move(self._cycle_s)
+        move()
         self._time_s += self._cycle_s
         self._publish()
 

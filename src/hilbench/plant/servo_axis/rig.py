@@ -13,7 +13,7 @@ import numpy as np
 from hilbench.block import Block
 from hilbench.plant.motor_port import MotorPort
 from hilbench.plant.parameters import LoadMotorParameters
-from hilbench.plant.sensors import SensorParameters, Sensors
+from hilbench.plant.sensors import SensorNoise, SensorParameters, Sensors, show
 from hilbench.plant.servo_axis.effects import ShaftEffect
 from hilbench.plant.servo_axis.parameters import ServoAxisParameters, ShaftParameters
 from hilbench.plant.servo_axis.shaft import Shaft
@@ -78,29 +78,25 @@ class ServoRig(Shaft):
     ) -> None:
         if len(ports) != 2 or parameters.axis.drives is None:
             raise ValueError(f"{len(ports)} ports, expected those of the axis and the load motor, and drives")
-        seeds = np.random.SeedSequence(seed).spawn(len(ports))
-        kinds = (parameters.sensors, parameters.load_sensors)
-        self._sensors = [Sensors(kind, child) for kind, child in zip(kinds, seeds, strict=True)]
+        self._noise = SensorNoise(np.random.SeedSequence(seed).spawn(len(ports)))
+        self._sensors = [Sensors(kind) for kind in (parameters.sensors, parameters.load_sensors)]
         super().__init__(parameters.axis, parameters.load_motor, ports, substeps)
 
     def _observe(self) -> None:
         super()._observe()
-        for port, sensors in zip(self._ports, self._sensors, strict=True):
-            port.position_rad = sensors.position_rad(port.position_rad)
-            port.velocity_rad_s = sensors.velocity_rad_s(port.velocity_rad_s)
-            port.torque_Nm = sensors.torque_Nm(port.torque_Nm)
+        show(self._ports, self._sensors, self._noise)
 
     def _memory(self) -> object:
         shown = [(port.position_rad, port.velocity_rad_s, port.torque_Nm) for port in self._ports]
-        return super()._memory(), deepcopy(self._sensors), shown
+        return super()._memory(), deepcopy(self._noise), shown
 
     def _restore(self, memory: object) -> None:
         match memory:
-            case (state, list() as sensors, list() as shown):
+            case (state, SensorNoise() as noise, list() as shown):
                 super()._restore(state)
             case _:
                 raise ValueError("a state of another machine, expected one of an equal simulated servo axis")
         # What the sensors showed then, and will show from there on: to look once more would draw other noise.
-        self._sensors = deepcopy(sensors)
+        self._noise = deepcopy(noise)
         for port, (position, velocity, torque) in zip(self._ports, shown, strict=True):
             port.position_rad, port.velocity_rad_s, port.torque_Nm = position, velocity, torque

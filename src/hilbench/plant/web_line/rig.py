@@ -18,7 +18,7 @@ from hilbench.plant.effects import EffectPlace, effect_problem, effects_of
 from hilbench.plant.interface import Quantity, checked_name
 from hilbench.plant.motor_port import MotorPort
 from hilbench.plant.parameters import DriveParameters, EffectEntry, LoadMotorParameters, per_item
-from hilbench.plant.sensors import SensorParameters, Sensors
+from hilbench.plant.sensors import SensorNoise, SensorParameters, Sensors, show
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.layout import Layout, Vector
 from hilbench.plant.web_line.parameters import ModelParameters
@@ -183,24 +183,16 @@ class TestRig(SimulatedLine):
         effects = [effect.id for effect in effects_of(KIND) if effect.enters(EffectPlace.HARDWARE)]
         super().__init__(p, np.zeros(Layout.of(p).state_size), ports, "rad", effects, _values(parameters))
         self._rig = parameters
-        seeds = np.random.SeedSequence(seed).spawn(m)
-        kinds = [parameters.sensors] * n + [parameters.load_sensors] * (m - n)
-        self._sensors = [Sensors(kind, child) for kind, child in zip(kinds, seeds, strict=True)]
+        self._noise = SensorNoise(np.random.SeedSequence(seed).spawn(m))
+        self._sensors = [Sensors(kind) for kind in [parameters.sensors] * n + [parameters.load_sensors] * (m - n)]
         self._figures = np.array([figure for sensors in self._sensors for figure in sensors.figures])
         self._observe()
 
     def _observe(self) -> None:
         self._refresh()
         write_ports(self._layout, self._motors, self._p, self._ports, self._state, self._out)
-        for port, sensors in zip(self._ports, self._sensors, strict=True):
-            port.position_rad = sensors.position_rad(port.position_rad)
-            port.velocity_rad_s = sensors.velocity_rad_s(port.velocity_rad_s)
-            port.torque_Nm = sensors.torque_Nm(port.torque_Nm)
-
-    def step_in_modes(self, set_points: Vector, duration_s: float, shown: Vector) -> None:
-        """See `SimulatedLine`."""
-        self._noise[:] = [number for sensors in self._sensors for number in sensors.noise()]
-        super().step_in_modes(set_points, duration_s, shown)
+        assert self._noise is not None, "it has sensors"
+        show(self._ports, self._sensors, self._noise)
 
     def set_parameter(self, name: str, value: float) -> None:
         """Give a flywheel another inertia from now on. Raises ValueError for an unknown name or impossible value."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass
+from functools import partial
 from types import MappingProxyType
 from typing import Literal
 
@@ -18,7 +19,7 @@ from hilbench.plant.effects import Effect, MachineKind, find_effect
 from hilbench.plant.interface import Motor, PlantDescription, PlantState, Quantity, checked_name
 from hilbench.plant.motor_port import MotorPort
 from hilbench.plant.sampling import samples_per
-from hilbench.plant.sensors import Sensors
+from hilbench.plant.sensors import SensorNoise
 from hilbench.plant.web_line import kernel, rig_cycle
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.layout import Layout, Vector
@@ -34,7 +35,7 @@ class _Memory:
 
     state: bytes
     feedback: tuple[tuple[float, float, float, float, bool], ...]
-    sensors: list[Sensors]
+    noise: SensorNoise | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,7 +166,7 @@ class SimulatedLine:
         self._p, self._state = p, state
         self._layout = layout = Layout.of(p)
         self._ports = tuple(ports)
-        self._sensors: list[Sensors] = []
+        self._noise: SensorNoise | None = None  # of one with sensors
         self._inputs, self._work = layout.new_inputs(), layout.new_work()
         self._out = np.zeros(layout.output_size)
         self._parameters = {quantity.name: value for quantity, value in parameters.items()}
@@ -178,7 +179,7 @@ class SimulatedLine:
         shown = [rows[motor] for motor in self._motors]
         self._places_of_motors = np.array(self._motors, np.int64)
         self._figures = np.zeros(rig_cycle.SENSOR * len(shown))  # of sensors that add nothing:
-        self._noise = np.full(3 * len(shown), -0.0)  # what -0.0 is added to keeps its sign
+        self._silence = np.full(3 * len(shown), -0.0)  # what -0.0 is added to keeps its sign
         axis_of = {row: number for number, row in enumerate(self._driven, 1)}
         self._per_m = [1.0 if unit == "m" else float(rows[row, lay.M_RAD_PER_M]) for row in self._driven]
         axes, spans = axis_names(n, unit), span_names(k)
@@ -242,17 +243,18 @@ class SimulatedLine:
         kernel.advance(self._p, self._state, self._inputs, self._work, samples)
         self._observe()
 
-    def step_in_modes(self, set_points: Vector, duration_s: float, shown: Vector) -> None:
+    def steps_in_modes(self, set_points: Vector, duration_s: float, shown: Vector) -> Callable[[], None]:
         """`step` with set points (M,) in place of those of the ports, whose modes and limits stay what they are; what
         the ports would show goes into `shown`, (5 M,): position, velocity, torque, reference, torque limited.
 
         The ports do not learn of it. Raises ValueError as `step`.
         """
         samples = samples_per(duration_s, self._p.item(lay.W_SAMPLE_TIME_S))
-        rig_cycle.step(
-            *(self._p, self._state, self._inputs, self._work, self._out, self._places_of_motors),
-            *(set_points, samples, self._figures, self._noise, shown),
-        )
+        vectors = self._p, self._state, self._inputs, self._work, self._out, self._places_of_motors
+        step = partial(rig_cycle.step, *vectors, set_points, samples, self._figures)
+        if self._noise is None:
+            return partial(step, self._silence, shown)
+        return lambda: step(self._noise.row(), shown)  # type: ignore[union-attr]  # one with sensors has them always
 
     def _observe(self) -> None:
         """Bring `_out` up to the state, and the feedback to the ports."""
@@ -288,7 +290,7 @@ class SimulatedLine:
         )
         return PlantState(
             values=dict(zip(self._places, map(float, values), strict=True)),
-            memory=_Memory(self._state.tobytes(), feedback, deepcopy(self._sensors)),
+            memory=_Memory(self._state.tobytes(), feedback, deepcopy(self._noise)),
         )
 
     def set_state(self, state: PlantState | Mapping[str, float]) -> None:
@@ -307,7 +309,7 @@ class SimulatedLine:
         self._refresh()
         for port, shown in zip(self._ports, memory.feedback, strict=True):
             port.position_rad, port.velocity_rad_s, port.torque_Nm, port.reference, port.torque_limited = shown
-        self._sensors = deepcopy(memory.sensors)
+        self._noise = deepcopy(memory.noise)
 
     def _transfer(self, values: Mapping[str, float]) -> None:
         n, k, state = self._layout.axes, self._layout.spans, self._state
