@@ -432,7 +432,7 @@ class _Run:
         if not self._still_plain(begun_ns) or not self._encode(outputs):
             return False
         fault, self._fault = self._fault or self._write_waiting(), None
-        here.machine.before_sync(0)
+        here.machine.begin_plain()
         said_alive = self._exchange()
         here.hardware.clock.tick_at(begun_ns)
         here.twin.clock.tick_at(begun_ns)

@@ -7,7 +7,7 @@ the way of a cycle, which is many times what the web is strained by: 6 mm agains
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import inf, isfinite
+from math import isfinite
 
 #: Ways of the rollers that differ by more than this share of a cycle's way are not of one instant.
 _ALIKE = 0.3
@@ -49,18 +49,12 @@ class Pairing:
         self._cycles += 1
         last = self._last
         if last is not None:
-            longest, shortest, total = 0.0, inf, 0.0
-            for now_m, last_m in zip(positions_m, last, strict=True):
-                way_m = abs(now_m - last_m)
-                total += way_m
-                if way_m > longest:
-                    longest = way_m
-                if way_m < shortest:
-                    shortest = way_m
+            ways_m = [abs(now_m - last_m) for now_m, last_m in zip(positions_m, last, strict=True)]
+            longest, shortest, least_way = max(ways_m), min(ways_m), self._least_way
             way = longest / self._cycles
             if self._way is not None:
-                way = min(way, max(_LONGER * self._way, self._least_way))
-            if not isfinite(total) or longest - shortest > max(self._least_way, _ALIKE * way):
+                way = min(way, max(_LONGER * self._way, least_way))
+            if not isfinite(sum(ways_m)) or longest - shortest > max(least_way, _ALIKE * way):
                 self.unpaired += 1
                 return False
             self._way = way

@@ -30,7 +30,8 @@ class SensorNoise:
     """
 
     def __init__(self, seeds: Sequence[np.random.SeedSequence], block: int = 256) -> None:
-        self._generators = [np.random.default_rng(child) for seed in seeds for child in seed.spawn(3)]
+        # Of each motor the first stream is the torque's, the last the position's.
+        self._generators = [np.random.default_rng(child) for seed in seeds for child in reversed(seed.spawn(3))]
         self._block = block
         self._rows = np.zeros((0, len(self._generators)))
         self._next = 0

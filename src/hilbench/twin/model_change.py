@@ -86,6 +86,11 @@ class ChangeableMachine:
         alone = self._candidate is None and self._current is self._configured
         return self._configured.plant if alone else None
 
+    @property
+    def in_use(self) -> TwinMachine:
+        """The machine whose model is in use."""
+        return self._current
+
     # -- a TwinMachine -----------------------------------------------------------------------------------
 
     @property

@@ -210,7 +210,7 @@ class TwinApplication:
     @property
     def is_plain(self) -> bool:
         """Whether the machine goes on with every SYNC, by what the axes measure at it."""
-        powered = all(port.mode is not MotorMode.OFF for port in self._ports)
+        powered = all(port.mode is not MotorMode.OFF for port in self._ports) and max(self._owed) < _MOST_OWED
         return powered and self._sync_time is None and self._released and not self._pending and self._time_s > 0.0
 
     @property
@@ -233,10 +233,15 @@ class TwinApplication:
         """How far the machine goes with each SYNC."""
         return self._cycle_s
 
+    def begin_plain(self) -> None:
+        """`before_sync` of a cycle in which all that is asked for comes in time: nothing is owed behind it."""
+        self._sync_number += 1
+        self._behind = 0
+        self._io.publish_status(self._sync_number, 0, self._status())
+
     def go_on(self, measured: list[Measured], move: Callable[[], None]) -> None:
-        """After `before_sync`: what the axes (N,) have measured at SYNC, all of it in time. `move`: what lets the
-        virtual axes go on with what they turn, in the place of their `sync`, the machine's `step` and `publish`."""
-        self._owed = [owed - 1 for owed in self._owed]
+        """After `begin_plain`: what the axes (N,) have measured at SYNC. `move`: what lets the virtual axes go on with
+        what they turn, in the place of their `sync`, the machine's `step` and `publish`."""
         self._compare(measured)
         self._machine.listen()
         move()
@@ -298,7 +303,7 @@ class TwinApplication:
 
     def _report_problem(self) -> None:
         """Say by EMCY why a measurement can't be used, and when it can be again."""
-        if self._quiet and self._machine.problem is None:
+        if self._quiet and self._machine.in_use.problem is None:
             return
         for part, found in self._machine.problems.items():
             begun, ended = self._alarms[part].update(found)
@@ -310,7 +315,8 @@ class TwinApplication:
 
     def _report_shift(self) -> None:
         """Say by EMCY what the torque is corrected for, and whether something is open."""
-        shift_Nm, undecided = self._machine.torque_shift_Nm, self._machine.torque_undecided
+        machine = self._machine.in_use
+        shift_Nm, undecided = machine.torque_shift_Nm, machine.torque_undecided
         if shift_Nm != self._reported_shift_Nm:
             self._device.clear_emergency(TORQUE_SHIFT)
             if shift_Nm != 0.0:
@@ -342,7 +348,7 @@ class TwinApplication:
 
     def _status(self) -> int:
         """Bits of `TwinStatus`, as a plain number: flags of the enum take microseconds to put together."""
-        machine, status = self._machine, 0
+        machine, status = self._machine.in_use, 0
         if self._released:
             status |= _RUNNING
             if machine.synchronized:
@@ -355,9 +361,9 @@ class TwinApplication:
             status |= _TRANSFER_REFUSED
         if not machine.separable:
             status |= _NOT_SEPARABLE
-        if machine.changing:
+        if self._machine.changing:
             status |= _MODEL_CHANGING
-        if machine.changed:
+        if self._machine.changed:
             status |= _MODEL_CHANGED
         return status
 

@@ -6,6 +6,7 @@ The drive reports it (statusword 6041h bit 11, internal limit active), or its to
 from __future__ import annotations
 
 from dataclasses import dataclass
+from operator import attrgetter
 
 from hilbench.bench.tasks.limits import load_motor_labels
 from hilbench.cia402.state_machine import STATUS_INTERNAL_LIMIT
@@ -42,9 +43,14 @@ class SaturationWatch:
         self._signals = [(f"axis {k}", f"tau{k}_Nm", f"statusword{k}") for k in range(1, len(axes) + 1)]
         self._signals += [(label, f"tau_{name}_Nm", f"statusword_{name}") for name, label in labels.items()]
         self._limited: dict[str, _Limited] = {}
+        self._torques = attrgetter(*(torque for _, torque, _ in self._signals))
+        self._statuswords = attrgetter(*(status for _, _, status in self._signals))
+        self._at_limit_Nm = [_AT_LIMIT * self._limits_Nm[drive] for drive, _, _ in self._signals]
 
     def update(self, sample: CycleSample) -> list[tuple[str, str]]:
         """What begins or ends in this cycle, as text for the operator, with the kind of notice that it is."""
+        if not self._limited and self._is_quiet(sample):
+            return []
         found = []
         for drive, torque, status in self._signals:
             torque_Nm, statusword = getattr(sample, torque), getattr(sample, status)
@@ -66,3 +72,11 @@ class SaturationWatch:
                 text = f"{drive} has left its limit: at it for {known.total_s:.3g} s within {lasted_s:.3g} s"
                 found.append((f"{drive} left", text))
         return found
+
+    def _is_quiet(self, sample: CycleSample) -> bool:
+        """Whether no drive is at its limit, as in nearly every cycle."""
+        torques, statuswords = self._torques(sample), self._statuswords(sample)
+        for torque_Nm, statusword, at_limit_Nm in zip(torques, statuswords, self._at_limit_Nm, strict=True):
+            if abs(torque_Nm) >= at_limit_Nm or statusword & STATUS_INTERNAL_LIMIT:
+                return False
+        return True

@@ -352,7 +352,7 @@ class Tracking:
     @property
     def measured_strain(self) -> float:
         """Of the web in the span, as the encoders show it."""
-        return float(self._balance.web.strain[0])
+        return self._balance.web.first_strain
 
     @property
     def series_factor(self) -> float:

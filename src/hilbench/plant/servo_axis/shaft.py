@@ -60,28 +60,13 @@ class Shaft:
         self._state = lay.new_state(self._p)
         self._inputs = lay.new_inputs(self._p)
         self._out = np.zeros(lay.output_size(self._p))
+        self._description = _description(lay.motor_count(self._p))
+        self._output_names = [quantity.name for quantity in self._description.outputs]
         self._observe()
 
     def describe(self) -> PlantDescription:
         """One axis in rad; motor 2 is the load motor, where there is one."""
-        motors = lay.motor_count(self._p)
-        motion = (
-            Quantity("x1_rad", "rad", "position of the motor shaft"),
-            Quantity("v1_rad_s", "rad/s", "speed of the motor shaft"),
-        )
-        mean = Quantity("tau1_mean_Nm", "N·m", "mean torque of motor 1 in the last step")
-        torques = tuple(Quantity(f"tau{k}_Nm", "N·m", f"torque of motor {k}") for k in range(1, motors + 1))
-        return PlantDescription(
-            kind=KIND,
-            position_unit="rad",
-            axes=1,
-            motors=(Motor(axis=1, rad_per_unit=1.0),) * motors,
-            states=motion + torques,
-            inputs=(_TORQUE,),
-            outputs=(*motion, mean, *torques),
-            parameters=tuple(quantity for quantity, _ in PARAMETERS.values()),
-            effects=IDS,
-        )
+        return self._description
 
     @property
     def packed(self) -> Vector:
@@ -137,7 +122,7 @@ class Shaft:
 
     def outputs(self) -> dict[str, float]:
         """Motion of the shaft and the motors' torques as their drives report them, without sensors."""
-        return dict(zip((q.name for q in self.describe().outputs), self._out.tolist(), strict=True))
+        return dict(zip(self._output_names, self._out.tolist(), strict=True))
 
     def get_state(self) -> PlantState:
         """The state now: motion and torques by name, the drives' loops beside them."""
@@ -217,6 +202,26 @@ class Shaft:
         _refuse_section(effect_id, section)
         lay.write_effect(self._p, effect_id, slot, find(effect_id).filled({}).values())
         self._refresh_direction()
+
+
+def _description(motors: int) -> PlantDescription:
+    motion = (
+        Quantity("x1_rad", "rad", "position of the motor shaft"),
+        Quantity("v1_rad_s", "rad/s", "speed of the motor shaft"),
+    )
+    mean = Quantity("tau1_mean_Nm", "N·m", "mean torque of motor 1 in the last step")
+    torques = tuple(Quantity(f"tau{k}_Nm", "N·m", f"torque of motor {k}") for k in range(1, motors + 1))
+    return PlantDescription(
+        kind=KIND,
+        position_unit="rad",
+        axes=1,
+        motors=(Motor(axis=1, rad_per_unit=1.0),) * motors,
+        states=motion + torques,
+        inputs=(_TORQUE,),
+        outputs=(*motion, mean, *torques),
+        parameters=tuple(quantity for quantity, _ in PARAMETERS.values()),
+        effects=IDS,
+    )
 
 
 def _refuse_section(effect_id: str, section: int | None) -> None:

@@ -24,6 +24,7 @@ def transition(duration_s: float) -> Vector:
     return np.array([[duration_s ** (j - i) / factorial(j - i) if j >= i else 0.0 for j in rows] for i in rows])
 
 
+@lru_cache(64)
 def gains(duration_s: float, filter_s: float) -> Vector:
     """(4,): how much of the deviation of a position goes into the motion.
 

@@ -66,6 +66,7 @@ class Line(SimulatedLine):
         self._inputs[lay.U_STRAIN_PREV] = parameters.upstream_strain
         self._inputs[lay.U_F_NEXT_N] = parameters.boundary.downstream_tension_N
         self._over: dict[int, tuple[NDArray[np.int64], Vector]] = {}  # times over which torques are compared
+        self._driven_rows = np.array(self._driven)[:, None]
         self._elastic = any(_acts_on_elasticity(entry.effect) for entry in parameters.effects)
         self._observe()
 
@@ -135,6 +136,12 @@ class Line(SimulatedLine):
         return self._out[self._layout.columns["F_N"]].copy()
 
     @property
+    def shown_tensions_N(self) -> list[float]:
+        """The same (K,) as it was when the motors' feedback was last written, after a step or a change of the state."""
+        tensions_N: list[float] = self._out[self._layout.columns["F_N"]].tolist()
+        return tensions_N
+
+    @property
     def strain(self) -> Vector:
         """Strain of each span (K,)."""
         return self._out[self._layout.columns["strain"]].copy()
@@ -153,7 +160,7 @@ class Line(SimulatedLine):
         back, weights = self._over[samples]
         places = (int(self._state.item(lay.S_COUNT)) + back) % lay.RING
         past = self._layout.past_torques(self._state)
-        return np.asarray(past[np.array(self._driven)[:, None], places] @ weights, np.float64)
+        return np.asarray(past[self._driven_rows, places] @ weights, np.float64)
 
     @property
     def x_m(self) -> Vector:

@@ -178,6 +178,11 @@ class SpanFollower:
         """Strain of each span (K,); of a web that has torn none."""
         return np.zeros(self._layout.spans) if self._broken else np.array(self._strain_of_lengths())
 
+    @property
+    def first_strain(self) -> float:
+        """Of the first span."""
+        return 0.0 if self._broken else self._strain_of_lengths()[0]
+
     def _strain_of_lengths(self) -> list[float]:
         n, k = self._layout.axes, self._layout.spans
         # In plain Python: of one span, every cycle, a third of numpy's time.

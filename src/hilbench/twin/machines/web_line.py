@@ -92,11 +92,9 @@ class WebLineTwin:
     @property
     def problem(self) -> Problem | None:
         """Why the last measurement could not be used; of several spans at the first that has a problem."""
-        for each in self._all:
-            problem = each.tracking.problem
-            if problem is not None:
-                return problem
-        return None
+        if self._only is not None:
+            return self._only.tracking.problem
+        return next((problem for each in self._all if (problem := each.tracking.problem) is not None), None)
 
     @property
     def problems(self) -> Mapping[int, Problem | None]:
@@ -287,7 +285,7 @@ class WebLineTwin:
         """Of each span its tension; where E is found E, its deviation, and of the torque of the axis behind it what is
         simulated, and the residual."""
         line, values = self.plant, list[float]()
-        for span, tension_N in enumerate(line.tension_N.tolist(), 1):
+        for span, tension_N in enumerate(line.shown_tensions_N, 1):
             values.append(tension_N)
             each = self._estimated.get(span)
             if each is not None:
