@@ -6,8 +6,15 @@ the way of a cycle, which is many times what the web is strained by: 6 mm agains
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from math import isfinite
+from collections.abc import Callable, Sequence
+from struct import pack_into
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilbench.compiled import REAL, VECTOR, compiled, entry_point, number_of_sources
+
+Vector = NDArray[np.float64]
 
 #: Ways of the rollers that differ by more than this share of a cycle's way are not of one instant.
 _ALIKE = 0.3
@@ -21,6 +28,58 @@ _APART = 0.5
 _ON_ITS_WAY = {"m": 20.0, "rad": 2e3}
 
 
+#: What `paired` remembers (4 + N,): cycles since the positions were last of one instant, the way of a cycle (below 0:
+#: not known), cycles whose positions were not, whether there are any; then the positions.
+_CYCLES, _WAY, _UNPAIRED, _STARTED, _LAST = range(5)
+
+
+def pairing_state(rollers: int) -> Vector:
+    """What `paired` remembers of so many rollers: nothing yet."""
+    state: Vector = np.zeros(_LAST + rollers)
+    state[_WAY] = -1.0
+    return state
+
+
+@compiled
+def paired(state: Vector, positions: Vector, least_way: float) -> bool:
+    """Whether positions (N,) are of one instant; see `Pairing`."""
+    state[_CYCLES] += 1.0
+    count = len(positions)
+    if state[_STARTED] != 0.0:
+        longest, shortest, total = 0.0, np.inf, 0.0
+        for k in range(count):
+            way = abs(positions[k] - state[_LAST + k])
+            total += way
+            if way > longest:
+                longest = way
+            if way < shortest:
+                shortest = way
+        way = longest / state[_CYCLES]
+        if state[_WAY] >= 0.0:
+            way = min(way, max(_LONGER * state[_WAY], least_way))
+        if not np.isfinite(total) or longest - shortest > max(least_way, _ALIKE * way):
+            state[_UNPAIRED] += 1.0
+            return False
+        state[_WAY] = way
+    for k in range(count):
+        state[_LAST + k] = positions[k]
+    state[_STARTED], state[_CYCLES] = 1.0, 0.0
+    return True
+
+
+def _entry_point(sources: int) -> Callable[[Vector, Vector, float], bool]:
+    """For Python; `sources` as in `compiled.number_of_sources`."""
+
+    @entry_point(VECTOR, VECTOR, REAL)
+    def paired_once(state: Vector, positions: Vector, least_way: float) -> bool:
+        return paired(state, positions, least_way) if sources >= 0 else False
+
+    return paired_once
+
+
+_paired = _entry_point(number_of_sources(__file__))
+
+
 class Pairing:
     """Compares the ways of all axes since their positions were last of one instant.
 
@@ -31,35 +90,28 @@ class Pairing:
 
     def __init__(self, least_way: float) -> None:
         self._least_way = least_way
-        self.unpaired = 0  #: cycles whose positions were not of one instant
-        self.reset()
+        self._format, self._state, self._positions = "", pairing_state(0), np.zeros(0)
+
+    @property
+    def unpaired(self) -> int:
+        """Cycles whose positions were not of one instant."""
+        return int(self._state[_UNPAIRED])
 
     def reset(self) -> None:
         """The next positions are taken as they are."""
-        self._last: tuple[float, ...] | None = None
-        self._cycles = 0
-        self._way: float | None = None  # of a cycle
+        self._state[_CYCLES], self._state[_WAY], self._state[_STARTED] = 0.0, -1.0, 0.0
 
     def miss(self) -> None:
         """A cycle without positions of its own."""
-        self._cycles += 1
+        self._state[_CYCLES] += 1.0
 
     def update(self, *positions_m: float) -> bool:
         """Whether this cycle's positions of all rollers, in m at the web, are of one instant."""
-        self._cycles += 1
-        last = self._last
-        if last is not None:
-            ways_m = [abs(now_m - last_m) for now_m, last_m in zip(positions_m, last, strict=True)]
-            longest, shortest, least_way = max(ways_m), min(ways_m), self._least_way
-            way = longest / self._cycles
-            if self._way is not None:
-                way = min(way, max(_LONGER * self._way, least_way))
-            if not isfinite(sum(ways_m)) or longest - shortest > max(least_way, _ALIKE * way):
-                self.unpaired += 1
-                return False
-            self._way = way
-        self._last, self._cycles = positions_m, 0
-        return True
+        if len(positions_m) != len(self._positions):
+            self._format = f"={len(positions_m)}d"
+            self._state, self._positions = pairing_state(len(positions_m)), np.zeros(len(positions_m))
+        pack_into(self._format, self._positions.data, 0, *positions_m)
+        return _paired(self._state, self._positions, self._least_way)
 
 
 class SteadyWay:

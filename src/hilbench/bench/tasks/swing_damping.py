@@ -20,14 +20,22 @@ off. Below a fourth of ω the elongation is let go: there the tension loop is at
 
 from __future__ import annotations
 
-from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
 from math import cos, exp, inf, sin, sqrt
+from struct import Struct
 
-from hilbench.plant.pairing import Pairing
+import numpy as np
+from numpy.typing import NDArray
+
+from hilbench.compiled import REAL, VECTOR, compiled, entry_point, number_of_sources
+from hilbench.plant import pairing
+from hilbench.plant.pairing import paired, pairing_state
 from hilbench.plant.parameters import per_item
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.sizes import least_way_m
+
+Vector = NDArray[np.float64]
 
 #: Corner of the elongation's high-pass, as a share of the swing's angular frequency.
 _WASHOUT = 0.25
@@ -135,6 +143,74 @@ def _under_way(plant: SwingPlant) -> list[float]:
     return shares
 
 
+#: Of the vectors of `damp`. Plant: span, strain upstream, limit of the command, cycle, by how much ways may differ.
+_LENGTH_M, _UPSTREAM, _LIMIT_M_S, _CYCLE_S, _LEAST_WAY_M = range(5)
+#: Gains: those of `DampingGains`, then how many are pending, and these.
+_RATE, _ELONGATION, _FADES, _PENDING, _GAINS = range(5)
+#: State: cycles since the last positions that were taken, whether there are any, they, the web in the span unstretched,
+#: its strain, the elongation; then the last commands.
+_CYCLES, _STARTED, _X1_M, _X2_M, _UNSTRETCHED_M, _STRAIN, _ELONGATION_M, _COMMANDS = range(8)
+
+
+@compiled
+def _elongated_m(plant: Vector, s: Vector, way1_m: float, way2_m: float) -> float:
+    """How much longer the span's web has become, ΔL = L·Δε, by what came in and went out unstretched.
+
+    Forward the balance forgets an error of the strain within L/v. In reverse the same error would grow as fast: so
+    there the strain that is believed goes the other way, and what lasts longer than L/v is forgotten as well.
+    """
+    strain = s[_STRAIN]
+    direction = 1.0 if way2_m >= 0.0 else -1.0
+    came_in_m = way1_m / (1.0 + plant[_UPSTREAM]) - way2_m / (1.0 + strain)
+    s[_UNSTRETCHED_M] += direction * came_in_m
+    s[_STRAIN] = plant[_LENGTH_M] / s[_UNSTRETCHED_M] - 1.0
+    return float(direction * plant[_LENGTH_M] * (s[_STRAIN] - strain))
+
+
+@compiled
+def damp(plant: Vector, gains: Vector, ways: Vector, s: Vector, positions_m: Vector, planned_m_s: float) -> float:
+    """`SwingDamping.velocity` on its vectors (`ways`: of `paired`); positions (2,)."""
+    s[_CYCLES] += 1.0
+    if not paired(ways, positions_m, plant[_LEAST_WAY_M]):
+        return float(s[_COMMANDS])
+    way1_m, way2_m, cycles = positions_m[0] - s[_X1_M], positions_m[1] - s[_X2_M], s[_CYCLES]
+    started = s[_STARTED] != 0.0
+    s[_X1_M], s[_X2_M], s[_CYCLES], s[_STARTED] = positions_m[0], positions_m[1], 0.0, 1.0
+    if not started:
+        return 0.0
+    rate_m_s = _elongated_m(plant, s, way1_m, way2_m) / (cycles * plant[_CYCLE_S])
+    rate_m_s -= planned_m_s
+    s[_ELONGATION_M] *= exp(-gains[_FADES] * cycles * plant[_CYCLE_S])
+    s[_ELONGATION_M] += rate_m_s * cycles * plant[_CYCLE_S]
+    command = gains[_RATE] * rate_m_s + gains[_ELONGATION] * s[_ELONGATION_M]
+    for k in range(int(gains[_PENDING])):
+        command += gains[_GAINS + k] * s[_COMMANDS + k]
+    if -plant[_LIMIT_M_S] > command:
+        command = -plant[_LIMIT_M_S]
+    if plant[_LIMIT_M_S] < command:
+        command = plant[_LIMIT_M_S]
+    for k in range(len(s) - 1, _COMMANDS, -1):
+        s[k] = s[k - 1]
+    s[_COMMANDS] = command
+    return float(command)
+
+
+def _entry_point(sources: int) -> Callable[[Vector, Vector, Vector, Vector, Vector, float], float]:
+    """For Python; `sources` as in `compiled.number_of_sources`."""
+
+    @entry_point(VECTOR, VECTOR, VECTOR, VECTOR, VECTOR, REAL)
+    def damp_once(
+        plant: Vector, gains: Vector, ways: Vector, s: Vector, positions_m: Vector, planned_m_s: float
+    ) -> float:
+        return damp(plant, gains, ways, s, positions_m, planned_m_s) if sources >= 0 else 0.0
+
+    return damp_once
+
+
+_damp = _entry_point(number_of_sources(pairing.__file__, __file__))
+_POSITIONS = Struct("=2d")
+
+
 class SwingDamping:
     """What axis 1's velocity command gets added, cycle by cycle; m/s at the web.
 
@@ -144,29 +220,34 @@ class SwingDamping:
     def __init__(self, plant: SwingPlant, damping_ratio: float, modulus_Pa: float) -> None:
         self._plant = plant
         self._ratio = damping_ratio
-        self._limit_m_s = plant.limit_m_s
-        self._modulus_Pa = modulus_Pa
-        self._gains = damping_gains(plant, damping_ratio, modulus_Pa)
-        self._pairing = Pairing(plant.least_way_m)
-        self._commands: deque[float] = deque(maxlen=len(_under_way(plant)))
+        self._sent = len(_under_way(plant))
+        self._figures = np.array(
+            [plant.span_length_m, plant.upstream_strain, plant.limit_m_s, plant.cycle_s, plant.least_way_m]
+        )
+        self._gains = np.zeros(_GAINS + self._sent)
+        self._state = np.zeros(_COMMANDS + self._sent)
+        self._ways, self._positions_m = pairing_state(2), np.zeros(2)
+        self._use(modulus_Pa)
+        self.velocity(0.0, 0.0)  # compiled, or loaded, before anybody waits for a cycle
         self.reset()
 
     def reset(self) -> None:
         """The web is strained as upstream, and at rest (drives off)."""
-        self._pairing.reset()
-        self._before: tuple[float, float] | None = None
-        self._unstretched_m = self._plant.span_length_m / (1.0 + self._plant.upstream_strain)
-        self._strain = self._plant.upstream_strain
-        self._elongation_m = 0.0
-        self._cycles = 0
-        self._commands.clear()
-        self._commands.extend([0.0] * len(_under_way(self._plant)))
+        self._ways[:] = pairing_state(2)
+        self._state[:] = 0.0
+        self._state[_UNSTRETCHED_M] = self._plant.span_length_m / (1.0 + self._plant.upstream_strain)
+        self._state[_STRAIN] = self._plant.upstream_strain
 
     def use_modulus(self, modulus_Pa: float) -> None:
         """E that the gains follow from now on."""
         if abs(modulus_Pa / self._modulus_Pa - 1.0) > _WORTH_CHANGING:
-            self._modulus_Pa = modulus_Pa
-            self._gains = damping_gains(self._plant, self._ratio, modulus_Pa)
+            self._use(modulus_Pa)
+
+    def _use(self, modulus_Pa: float) -> None:
+        self._modulus_Pa = modulus_Pa
+        gains = damping_gains(self._plant, self._ratio, modulus_Pa)
+        self._gains[:_GAINS] = gains.rate, gains.elongation_per_s, gains.washout_per_s, len(gains.pending)
+        self._gains[_GAINS : _GAINS + len(gains.pending)] = gains.pending
 
     def velocity(self, x1_m: float, x2_m: float, planned_m_s: float = 0.0) -> float:
         """To be added to the velocity of axis 1, from the encoder positions at the web; `planned_m_s`: what they are
@@ -174,34 +255,5 @@ class SwingDamping:
 
         While they are not of one instant it stays what it was.
         """
-        self._cycles += 1
-        if not self._pairing.update(x1_m, x2_m):
-            return self._commands[0]
-        before, cycles = self._before, self._cycles
-        self._before, self._cycles = (x1_m, x2_m), 0
-        if before is None:
-            return 0.0
-        rate_m_s = self._elongated_m(x1_m - before[0], x2_m - before[1]) / (cycles * self._plant.cycle_s)
-        rate_m_s -= planned_m_s
-        gains = self._gains
-        self._elongation_m *= exp(-gains.washout_per_s * cycles * self._plant.cycle_s)
-        self._elongation_m += rate_m_s * cycles * self._plant.cycle_s
-        command = gains.rate * rate_m_s + gains.elongation_per_s * self._elongation_m
-        for gain, sent in zip(gains.pending, self._commands, strict=False):
-            command += gain * sent
-        command = min(max(command, -self._limit_m_s), self._limit_m_s)
-        self._commands.appendleft(command)
-        return command
-
-    def _elongated_m(self, way1_m: float, way2_m: float) -> float:
-        """How much longer the span's web has become, ΔL = L·Δε, by what came in and went out unstretched.
-
-        Forward the balance forgets an error of the strain within L/v. In reverse the same error would grow as fast: so
-        there the strain that is believed goes the other way, and what lasts longer than L/v is forgotten as well.
-        """
-        plant, strain = self._plant, self._strain
-        direction = 1.0 if way2_m >= 0.0 else -1.0
-        came_in_m = way1_m / (1.0 + plant.upstream_strain) - way2_m / (1.0 + strain)
-        self._unstretched_m += direction * came_in_m
-        self._strain = plant.span_length_m / self._unstretched_m - 1.0
-        return direction * plant.span_length_m * (self._strain - strain)
+        _POSITIONS.pack_into(self._positions_m.data, 0, x1_m, x2_m)
+        return _damp(self._figures, self._gains, self._ways, self._state, self._positions_m, planned_m_s)
