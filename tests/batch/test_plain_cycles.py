@@ -181,6 +181,7 @@ LINE = [
 LINE_CHANGES = st.lists(st.tuples(st.integers(5, 140), st.sampled_from(LINE)), max_size=3)
 
 
+@pytest.mark.slow
 @given(
     changes=LINE_CHANGES,
     seed=st.integers(0, 99),

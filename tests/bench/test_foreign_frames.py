@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from tests.bench.strangers import STEPS, Plan, from_sync, on_the_bus
 from tests.bench.whole_runs import ENDLESS, config, start, wait_for_frames
+from tests.tiers import slow
 
 from hilbench.bench.bench import Bench
 from hilbench.bench.lifecycle.participants import Participants
@@ -81,7 +82,7 @@ WRITES = {
 }
 
 
-@pytest.mark.parametrize("text", WRITES)
+@pytest.mark.parametrize("text", ["1016h sub 1", *slow(*(text for text in WRITES if text != "1016h sub 1"))])
 def test_a_parameter_of_a_drive_that_a_stranger_writes_is_told_with_node_object_and_value(
     tmp_path: Path, text: str
 ) -> None:
@@ -103,7 +104,9 @@ ONLY_OURS = {
 }
 
 
-@pytest.mark.parametrize("text", ONLY_OURS)
+@pytest.mark.parametrize(
+    "text", ["SYNC (COB-ID 080h)", *slow(*(text for text in ONLY_OURS if not text.startswith("SYNC")))]
+)
 def test_what_only_the_bench_or_a_node_sends_is_told_when_somebody_else_does(tmp_path: Path, text: str) -> None:
     about, frame = ONLY_OURS[text]
     _, result, _ = run(tmp_path, from_sync(250, frame, until=251))
@@ -136,7 +139,7 @@ HARMLESS = {
 }
 
 
-@pytest.mark.parametrize("name", HARMLESS)
+@pytest.mark.parametrize("name", ["read by SDO", *slow(*(name for name in HARMLESS if name != "read by SDO"))])
 def test_what_does_no_harm_is_not_told_and_does_not_stop(tmp_path: Path, name: str) -> None:
     code, result, _ = run(tmp_path, from_sync(200, HARMLESS[name]), safety={"on_foreign_frames": "stop"})
     assert told(result) == []

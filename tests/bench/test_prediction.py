@@ -109,6 +109,7 @@ def test_a_bench_that_is_to_slow_down_keeps_below_the_limit_of_the_speed(tmp_pat
 STEP_CHECKED = "steps.2.step={path: load.web.youngs_modulus_Pa, to: 10.5e+9, check: predicted}"
 
 
+@pytest.mark.slow
 def test_a_step_that_would_trip_a_limit_is_refused_before_it_is_done(tmp_path: Path) -> None:
     outcome = run(tmp_path, *TRIPS, STEP_CHECKED)
     assert outcome.exit_code == EXIT_BENCH_FAULT

@@ -10,6 +10,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+import pytest
 from tests.bench.whole_runs import (
     ENDLESS,
     config,
@@ -41,6 +42,7 @@ def settled(recording: Recording, name: str) -> np.ndarray:
     return np.asarray(recording[name])
 
 
+@pytest.mark.slow
 def test_emergency_stop_from_another_terminal(tmp_path: Path) -> None:
     path = config(tmp_path, steps=ENDLESS)
     process = start(path)
@@ -90,6 +92,7 @@ def test_a_trip_stops_with_bounded_deceleration_and_says_why(tmp_path: Path) -> 
     assert abs(speed[-1]) < 0.03
 
 
+@pytest.mark.slow
 def test_a_twin_that_is_killed_is_started_again_while_the_loop_holds(tmp_path: Path) -> None:
     # The line waits for what the twin needs: a loop that is closed again.
     steps = [

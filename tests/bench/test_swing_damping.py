@@ -169,6 +169,7 @@ def test_the_tension_does_not_ring_after_a_step_of_e(share, speed_m_s):
     assert np.max(np.abs(swing_N(deviation_N)[time_s[25:-25] >= 0.15])) < 0.5
 
 
+@pytest.mark.slow
 def test_without_damping_it_rings_and_with_it_the_steady_tension_is_no_noisier():
     time_s, ringing_N, noise_N = step_of_e(0.207, 3.0, "controllers.tension_control.swing_damping_ratio=0")
     assert np.max(-ringing_N) > 5.0

@@ -97,6 +97,7 @@ def test_giannoccaro_s_line_keeps_its_tensions_within_3_percent_at_a_ramp_of_the
         assert found.deviation_pct(span, 14.0, published.SETTLED_S) < 3.0
 
 
+@pytest.mark.slow
 def test_a_reel_change_at_full_speed_leaves_the_tension_behind_the_accumulator_within_3_percent() -> None:
     found = published.reel_change()
     assert found.speeds_m_s[:, 0].min() == pytest.approx(0.0, abs=1e-3)

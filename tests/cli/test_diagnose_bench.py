@@ -165,6 +165,7 @@ def test_the_extended_config_and_an_include_of_the_extended_model_are_benches_wi
     assert json.loads(again.stdout)["verdict"] == "complete"
 
 
+@pytest.mark.slow
 def test_off_a_terminal_each_new_thing_is_a_line_on_standard_error(tmp_path, in_one_process):
     path = config(tmp_path, steps=[*STEPS, {"hold": {"duration_s": 1.0}}])
     done = hilbench("diagnose", path, "--out", tmp_path / "found")

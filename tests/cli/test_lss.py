@@ -53,6 +53,7 @@ def test_drives_without_a_node_id_are_found_named_and_named_anew(bus: str) -> No
     assert hilbench("sdo", "read", "5", "1018:4", "--eds", str(EDS), "--bus", bus).returncode == 3
 
 
+@pytest.mark.slow
 def test_what_cannot_be_assigned_is_said_in_one_line(bus: str) -> None:
     nobody = hilbench("lss", "assign", "5", "--identity", identity(44), "--bus", bus)
     assert nobody.returncode == 3

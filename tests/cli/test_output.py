@@ -100,6 +100,7 @@ def test_help_is_readable_on_a_terminal_without_utf_8(tmp_path: Path, words: lis
     assert not re.search(r"\\u[0-9a-f]{4}", text), "a character without a way to type it"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("encoding", ["ascii", *slow("latin-1")])
 def test_commands_say_the_same_on_a_terminal_without_utf_8(
     tmp_path: Path, usual: list[tuple[list[object], int, str]], encoding: str

@@ -89,6 +89,7 @@ def test_a_file_that_is_no_concise_dcf_is_refused_in_one_line(
     assert f"{file}: {said}" in done.stderr
 
 
+@pytest.mark.slow
 @settings(derandomize=True)
 @given(st.lists(st.builds(Write, st.integers(0, 0xFFFF), st.integers(0, 0xFF), st.binary(max_size=20))))
 def test_a_concise_dcf_is_read_as_it_was_written(writes: list[Write]) -> None:

@@ -129,6 +129,7 @@ def test_a_config_says_where_its_history_lies(tmp_path: Path) -> None:
     assert not (tmp_path / "history.sqlite").exists()
 
 
+@pytest.mark.slow
 def test_a_diagnosis_of_a_run_adds_its_effects_and_stays_in_the_run_folder(tmp_path: Path) -> None:
     config, _ = load(CONFIG)
     run = tmp_path / "runs" / "line-20260304-120000"

@@ -25,7 +25,10 @@ if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
-pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no chromium on PATH: Debian's package of that name has it")
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(CHROMIUM is None, reason="no chromium on PATH: Debian's package of that name has it"),
+]
 
 #: A loaded machine starts a bench and a browser slowly; nothing waits so long that does not have to.
 PATIENCE_MS = 60_000

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pytest
 from tools.prediction_calibration import Case, brier, reliability, run
 
 
@@ -18,6 +19,7 @@ def test_a_forecast_is_scored_by_how_far_it_was_from_what_came() -> None:
     ]
 
 
+@pytest.mark.slow
 def test_over_seeded_runs_the_probabilities_are_those_of_what_comes() -> None:
     cases = [run(seed) for seed in range(40, 46)]
     assert brier(cases) <= 0.05, cases

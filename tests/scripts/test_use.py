@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 from tests.bench.whole_runs import config as bench_config
 from tests.cli.in_process import hilbench
+from tests.tiers import slow
 
 from hilbench.bench import bench as library
 from hilbench.bench.lifecycle.participants import Participants
@@ -130,6 +131,7 @@ def test_a_process_that_is_killed_in_a_pause_has_its_drives_stopped() -> None:
     paused.end()
 
 
+@pytest.mark.slow
 def test_an_emergency_stop_in_a_pause_stops_the_bench_at_its_next_cycle() -> None:
     paused = Paused()
     stopped = hilbench("estop", "--bus", paused.bus)
@@ -181,6 +183,7 @@ def test_a_cycle_that_hangs_says_nothing_and_a_pause_does(tmp_path: Path) -> Non
 # -- several benches -------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_two_benches_at_a_time_in_one_process_don_t_meet() -> None:
     with here() as bench:
         ramp(bench)
@@ -258,7 +261,9 @@ if len(sys.argv) > 4:
 """
 
 
-@pytest.mark.parametrize(("participants", "words"), [("STARTED", ["fails"]), ("IN_PROCESS", [])], ids=["fails", "ends"])
+@pytest.mark.parametrize(
+    ("participants", "words"), [*slow(("STARTED", ["fails"])), ("IN_PROCESS", [])], ids=["fails", "ends"]
+)
 def test_a_bench_that_is_never_left_is_stopped_and_said_in_a_line(participants: str, words: list[str]) -> None:
     name = bus()
     command = [sys.executable, "-c", FORGETFUL_SCRIPT, str(CONFIG), name, participants, *words]

@@ -151,6 +151,7 @@ def test_a_span_without_an_estimate_goes_with_the_nearest_that_has_one() -> None
     )
 
 
+@pytest.mark.slow
 def test_a_twin_that_joins_a_running_line_finds_web_and_e_of_one_span_after_the_other() -> None:
     """It is told the strain upstream, not that in the spans: the line has drawn those tighter meanwhile."""
     both = BesideALine(line_model(1.0, 1.5))

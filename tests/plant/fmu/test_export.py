@@ -10,6 +10,7 @@ import pytest
 from tests.cli.in_process import hilbench
 from tests.plant.fmu.mass import needs_compiler
 from tests.plant.models import model
+from tests.tiers import slow
 
 from hilbench.plant.fmu.config import FmuLoadConfig
 from hilbench.plant.fmu.description import read_fmu
@@ -59,8 +60,8 @@ def opened(path: Path, inputs: dict[str, str], outputs: dict[str, str]) -> FmuMo
     return model
 
 
-@pytest.mark.parametrize("fmi", [2, 3])
-@pytest.mark.parametrize("drives", [True, False])
+@pytest.mark.parametrize("fmi", [2, *slow(3)])
+@pytest.mark.parametrize("drives", [True, *slow(False)])
 def test_an_exported_servo_axis_steps_as_the_kernel_does(tmp_path: Path, fmi: archive.Fmi, drives: bool) -> None:
     path = tmp_path / "axis.fmu"
     exported = servo_axis.exported_axis(AXIS, drives=drives)
