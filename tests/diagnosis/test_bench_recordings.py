@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from tests.cli.in_process import hilbench
 from tests.plant.models import effect, model
-from tests.tiers import slow
 
 from hilbench.bench.bench import Bench
 from hilbench.bench.lifecycle.participants import Participants
@@ -73,15 +72,14 @@ def acted_s(recording: Recording) -> float:
     return float(recording.time_s[int(np.argmax(np.diff(recording["E_true_Pa"]) != 0.0)) + 1])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("change_pct", "steps"),
     [
         (20.69, [speed(3.0), hold(2.0), elasticity(20.69), hold(2.5)]),
-        *slow(
-            (-2.0, [speed(-3.0), hold(2.0), elasticity(-2.0), hold(3.0)]),
-            (5.0, [speed(3.0), hold(2.0), speed(2.5), elasticity(5.0), speed(1.5, 2.0), hold(1.0)]),
-            (-40.0, [speed(0.5, 0.5), hold(2.0), elasticity(-40.0), hold(3.0)]),
-        ),
+        (-2.0, [speed(-3.0), hold(2.0), elasticity(-2.0), hold(3.0)]),
+        (5.0, [speed(3.0), hold(2.0), speed(2.5), elasticity(5.0), speed(1.5, 2.0), hold(1.0)]),
+        (-40.0, [speed(0.5, 0.5), hold(2.0), elasticity(-40.0), hold(3.0)]),
     ],
     ids=["demo", "small-in-reverse", "in-a-ramp", "large-and-slow"],
 )

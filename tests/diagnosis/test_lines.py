@@ -9,7 +9,6 @@ import pytest
 from tests.independent_line import effect
 from tests.independent_line.spans import LineOfSpans, at_span, of_drives
 from tests.plant.models import line_of
-from tests.tiers import slow
 
 from hilbench.diagnosis.diagnosis import Diagnosis, diagnose
 from hilbench.diagnosis.terms import Place
@@ -42,14 +41,13 @@ def places(found: Diagnosis) -> list[Place]:
     return [effect.place for effect in found.effects]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "item",
     [
         effect("coulomb_friction", 2, force_N=4.0),
-        *slow(
-            at_span(effect("elasticity_shift", relative_change=0.1), 1),
-            at_span(effect("elasticity_step", time_s=17.3, relative_change=0.1), 2),
-        ),
+        at_span(effect("elasticity_shift", relative_change=0.1), 1),
+        at_span(effect("elasticity_step", time_s=17.3, relative_change=0.1), 2),
     ],
     ids=lambda item: item["effect"],
 )

@@ -72,7 +72,8 @@ def test_of_a_short_run_there_and_back_fits_see_a_good_part_of_each_direction() 
         assert np.count_nonzero(split.test & way) > 0.1 * np.count_nonzero(way)
 
 
-@pytest.mark.parametrize("known_inertia_kg_m2", [1e-4, *slow(1.66e-4)])
+@pytest.mark.slow
+@pytest.mark.parametrize("known_inertia_kg_m2", [1e-4, 1.66e-4])
 def test_repeats_of_one_motion_of_an_axis_have_the_same_names_and_values(known_inertia_kg_m2: float) -> None:
     rig = Rig()
     for recording in repeats():
@@ -90,6 +91,7 @@ def test_repeats_of_one_motion_of_an_axis_have_the_same_names_and_values(known_i
         assert ripple.parameters["order"].value == 5.0
 
 
+@pytest.mark.slow
 def test_what_is_certain_is_listed_beside_a_rest_that_no_effect_explains() -> None:
     (recording,) = Rig(spring_Nm=1e-3).recordings(1)
     found = diagnose(recording, axis_model(1.66e-4), "blind")
@@ -100,6 +102,7 @@ def test_what_is_certain_is_listed_beside_a_rest_that_no_effect_explains() -> No
     assert found.unexplained
 
 
+@pytest.mark.slow
 def test_the_noise_of_an_encoder_does_not_make_an_inertia_smaller() -> None:
     """A coarse encoder takes a narrower filter; a fixed one would let its counts into the acceleration."""
     fine, coarse = (Rig(counts_per_turn=counts).recordings(1, seed=3)[0] for counts in (100_000, 2_000))

@@ -57,6 +57,7 @@ def test_an_effect_hidden_in_the_servo_bench_is_named_with_its_size_in_rad_and_N
     assert found.gap.after < min(1.05 * found.gap.noise_floor, found.gap.before)
 
 
+@pytest.mark.slow
 def test_nothing_is_named_on_a_servo_bench_that_hides_nothing() -> None:
     found = diagnosed(hiding(HIDDEN))
     assert (found.verdict, found.effects) == ("complete", [])
@@ -97,6 +98,7 @@ def shaft(inertia_kg_m2: float) -> ServoAxisParameters:
     return ServoAxisParameters(shaft=ShaftParameters(inertia_kg_m2=inertia_kg_m2))
 
 
+@pytest.mark.slow
 def test_a_recording_of_a_rotary_rig_is_diagnosed_with_a_servo_axis() -> None:
     rig = Rig()
     found = diagnose(rotary(), shaft(1.66e-4), "blind")

@@ -110,6 +110,7 @@ def _list(folder: Path, count: int) -> int:
     return min(len(Library(folder).runs()) for _ in range(count))
 
 
+@pytest.mark.slow
 def test_several_processes_list_while_runs_come(tmp_path: Path) -> None:
     for number in range(30):
         made_run(tmp_path, number=number)

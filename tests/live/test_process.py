@@ -22,6 +22,7 @@ from hilbench.runs.config import LoadedConfig, load_with_overrides
 CONFIG = Path(__file__).resolve().parents[2] / "bench_configs" / "live_friction.yaml"
 
 
+@pytest.mark.slow
 def test_in_real_time_it_is_ready_before_a_cycle_and_gets_only_what_nobody_else_wants(tmp_path: Path) -> None:
     config = load_with_overrides(CONFIG, changes=["pace=realtime"]).config
     process = LiveProcess(config, tmp_path)
@@ -38,6 +39,7 @@ def test_in_real_time_it_is_ready_before_a_cycle_and_gets_only_what_nobody_else_
         process.end()
 
 
+@pytest.mark.slow
 def test_beside_cycles_that_come_first_in_any_case_it_has_a_share_of_what_they_leave(tmp_path: Path) -> None:
     if not priority_is_permitted():
         pytest.skip("SCHED_FIFO is not permitted here")

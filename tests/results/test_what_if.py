@@ -79,6 +79,7 @@ def test_a_run_that_still_goes_on_is_read_from_its_trace(run: Path, tmp_path: Pa
         )
 
 
+@pytest.mark.slow
 def test_a_bench_that_runs_is_asked_on_its_bus(tmp_path: Path) -> None:
     address = f"embedded:what-if-{os.getpid()}"
     config = load_with_overrides(CONFIG, bus=address).config
