@@ -55,10 +55,8 @@ DOUBLED_E = Frame(0x1A0, np.array([80.0, 17.4e9], "<f4").tobytes())
 
 @pytest.mark.parametrize(
     ("frame", "who"),
-    [
-        pytest.param(VELOCITY_0, "axis2 (node 2)", id="drive"),
-        pytest.param(DOUBLED_E, "virtual io (node 32)", id="twin", marks=pytest.mark.slow),
-    ],
+    [(VELOCITY_0, "axis2 (node 2)"), *slow((DOUBLED_E, "virtual io (node 32)"))],
+    ids=["drive", "twin"],
 )
 def test_a_second_sender_of_a_tpdo_is_told_and_what_comes_first_is_used(tmp_path: Path, frame: Frame, who: str) -> None:
     _, alone, true = run(tmp_path / "alone")

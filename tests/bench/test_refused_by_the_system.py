@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 from tests.bench.whole_runs import SHORT, config, run_folders
+from tests.tiers import slow
 
 from hilbench.results.result import Result
 
@@ -33,7 +34,7 @@ def run(path: Path, runtime: Path, *options: str, files: int | None = None) -> s
     )
 
 
-@pytest.mark.parametrize("files", [8, *(pytest.param(each, marks=pytest.mark.slow) for each in (12, 14, 16))])
+@pytest.mark.parametrize("files", [8, *slow(12, 14, 16)])
 def test_a_run_with_few_file_handles_is_a_fault_that_says_so(tmp_path: Path, files: int) -> None:
     path = config(tmp_path, steps=[SHORT[0]])
     ended = run(path, tmp_path / "run", files=files)
@@ -53,9 +54,7 @@ def test_a_run_with_hardly_any_file_handle_is_one_line(tmp_path: Path) -> None:
     assert "Too many open files" in ended.stderr
 
 
-@pytest.mark.parametrize(
-    "name", ["{channel}.sock", *(pytest.param(each, marks=pytest.mark.slow) for each in (".lock", "{channel}.log"))]
-)
+@pytest.mark.parametrize("name", ["{channel}.sock", *slow(".lock", "{channel}.log")])
 def test_a_directory_where_a_file_of_the_bus_should_be_is_named(tmp_path: Path, name: str) -> None:
     path = config(tmp_path, bus={"address": "embedded:values-taken"})
     taken = tmp_path / "run" / "hilbench" / name.format(channel="values-taken")
