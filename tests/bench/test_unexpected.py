@@ -95,7 +95,7 @@ def ended(path: Path, folder: Path) -> tuple[Result, str, str]:
     return Result.read(run / "result.json"), kept.read_text() if kept.exists() else "", ran.stdout
 
 
-@pytest.mark.parametrize("for_good", [False, True])
+@pytest.mark.parametrize("for_good", [True, *slow(False)])
 @pytest.mark.parametrize(
     ("owner", "name"),
     [

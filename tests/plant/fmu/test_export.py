@@ -113,6 +113,7 @@ def test_an_exported_web_pulls_as_the_load_model_does(tmp_path: Path, fmi: archi
         np.testing.assert_allclose(theirs.load_torques_Nm([1, 2], speeds, 0.0041), expected_Nm, rtol=1e-12, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_an_exported_line_with_its_drives_steps_as_the_kernel_does(tmp_path: Path) -> None:
     path = tmp_path / "line.fmu"
     archive.write_fmu(web_line.exported_line(MODEL, drives=True), 3, path)
