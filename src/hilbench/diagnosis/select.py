@@ -2,11 +2,8 @@
 
 Stepwise, earlier choices tested again, judged on stretches that no fit has seen.
 
-At each step every candidate's response is simulated once; the Gram matrix then says what any one or two of them would
-explain. The best few are fitted in full, jointly with what is there. A term stays when the criterion (sum of squares of
-whitened residuals plus a price for every parameter and every variant that was searched) falls, and the held-out
-stretches agree. Then each earlier term must show that the model is worse without it, and that no other explains
-the same as well: such others are tied with it.
+Terms are added while that pays (`steps`). Then each must show that the model is worse without it, and that no other
+explains the same as well (`alternatives`).
 
 How often that is right: tools/diagnose_scoreboard.py, docs/diagnosis.md.
 """
@@ -14,97 +11,21 @@ How often that is right: tools/diagnose_scoreboard.py, docs/diagnosis.md.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
-from itertools import combinations
+from dataclasses import dataclass, field
 from typing import Final
 
-import numpy as np
-from numpy.typing import NDArray
-
-from hilbench.diagnosis import machines
-from hilbench.diagnosis.fit import Fit, around, fit, sums, with_best_time
-from hilbench.diagnosis.misfit import largest_ratio
-from hilbench.diagnosis.noise import Whitening
+from hilbench.diagnosis.alternatives import Alternatives, Better
+from hilbench.diagnosis.fit import Fit
 from hilbench.diagnosis.proposals import Proposer
-from hilbench.diagnosis.space import Linear, Space, finest, noise_model
-from hilbench.diagnosis.terms import Key, Place, Term
-from hilbench.plant.effects import EFFECTS, Effect
+from hilbench.diagnosis.space import Space
+from hilbench.diagnosis.steps import CandidateSet, Steps
+from hilbench.diagnosis.terms import Key, Place
 
-Array = NDArray[np.float64]
 Announce = Callable[[str, float], None]
 
 #: Most effects that are named: three that leave more than noise are none of them right, and many small ones together
 #: are a series expansion of something else.
 _MOST_TERMS: Final = 3
-#: Candidates (and pairs of them) that are fitted in full at a step.
-_CONTENDERS, _PAIRS = 4, 2
-#: What is fitted in the place of a term, and by how much the promises of two candidates differ that are not the same.
-_ALTERNATIVES, _SAME_PROMISE = 7, 0.5
-#: Singles from which pairs are made.
-_PAIRED_FROM: Final = 14
-#: Price of a term beyond the one for its parameters: 2·ln of the number of places it was chosen from.
-_PLACES: Final = 60.0
-#: Fall of the held-out sum of squares from which it speaks for a term: 1.5 standard errors of its own size.
-_HELD_OUT_ERRORS: Final = 1.5
-#: Ratio to the rms that noise alone may make from which the right model was certainly not found.
-_ROUGH: Final = 1.05
-#: Sum of squares of an addition's response on the held-out rows from which they can confirm or refute it.
-_OBSERVABLE: Final = 30.0
-#: Factor up to which a response to a probe speaks for other strengths of a law that is far from linear.
-_TRUSTED: Final = 1.8
-#: Standard deviations of its mean square from which a whitened signal is more than noise.
-_CALM: Final = 5.0
-#: Difference of the criterion up to which two explanations are tied, as for BIC.
-_TIED: Final = 6.0
-#: The same up to which a step of E is not given up for what the vocabulary does not have.
-_DECISIVE: Final = 20.0
-#: Among tied explanations the one that stands first in the vocabulary is named.
-_RANK: Final = {effect.id: place for place, effect in enumerate(EFFECTS)}
-#: Fall of the training rows' sum of squares that a fit must promise short of, to be finished and judged on all rows.
-_MARGIN: Final = 60.0
-#: Share of what one term does that another has to do as well to be started where both do the same.
-_ACTS_ALIKE: Final = 0.98
-#: How often, and at which shares of their distance, the best times of a step are looked at more closely; how many are
-#: proposed, and how many of the distances they are apart.
-_TIME_LEVELS: Final = 3
-_CLOSER: Final = np.linspace(-0.75, 0.75, 7)
-_STEP_PEAKS, _APART = 2, 2.5
-#: How often the ends of what grows over a while are looked for more closely, and among how many times. The mean of
-#: steps stands for a ramp where they are close to each other beside the web's ringing.
-_RAMP_LEVELS, _RAMP_TIMES = 2, 24
-#: Share of a usual force with which its response is looked at; how far from a step's time, and in which steps, it is
-#: looked for, s.
-_FORCE_SHARE: Final = 0.05
-_FORCE_SEARCH: Final = (0.02, 0.002)
-#: Information on a strength below which these data say nothing of it.
-_LEAST_INFORMATION: Final = 1e-6
-#: Share of a response that the rest leaves of it, below which two effects added together are one for these data.
-_OWN_SHARE: Final = 0.005
-
-
-def price(terms: list[Term], samples: float) -> float:
-    """What the terms' parameters and their search cost, in units of the sum of squares."""
-    parameters = sum(len(term.coordinates()) for term in terms)
-    return parameters * float(np.log(samples)) + sum(2.0 * float(np.log(_PLACES * t.multiplicity)) for t in terms)
-
-
-@dataclass
-class CandidateSet:
-    """The candidates at a model, and their raw responses."""
-
-    whitening: Whitening
-    residual: Array  #: raw
-    own: Array  #: raw columns of the terms that are there
-    candidates: list[Term]
-    responses: list[Array]  #: raw, (1 or 2, signals, n) each
-
-
-@dataclass(frozen=True)
-class Better:
-    """What the vocabulary does not have, and explains better than a term."""
-
-    name: str
-    detail: str  #: size and time, for a person
 
 
 @dataclass
@@ -120,555 +41,41 @@ class Selection:
     better: Better | None = None
 
 
-def _apart(terms: list[Term], gains: Array, least_s: float) -> list[Term]:
-    """Those of most gain, at least `least_s` apart."""
-    found: list[Term] = []
-    for k in np.argsort(-gains):
-        if all(abs(terms[k].time_s - other.time_s) > least_s for other in found):
-            found.append(terms[k])
-    return found[:_STEP_PEAKS]
-
-
-def _best_while(times_s: Array, responses: Array, along: Array) -> tuple[float, float, float]:
-    """Begin and end, s, among the times (T,) between which the mean of the responses (T, …) would explain most, and how
-    much of the sum of squares; along (T,): products of the responses with the residual."""
-    gram = responses @ responses.T
-    best, chosen = 0.0, (0, 1)
-    for first, last in combinations(range(len(times_s)), 2):
-        weights = np.zeros(len(times_s))
-        weights[first : last + 1] = 1.0
-        weights[[first, last]] = 0.5
-        gain = float(weights @ along) ** 2 / max(float(weights @ gram @ weights), 1e-300)
-        if gain > best:
-            best, chosen = gain, (first, last)
-    return float(times_s[chosen[0]]), float(times_s[chosen[1]]), best
-
-
 class Search:
     """The search over one space."""
 
     def __init__(self, space: Space, proposer: Proposer, announce: Announce, every: int = 1) -> None:
-        self._space, self._proposer, self._announce, self._every = space, proposer, announce, every
-        self._samples = float(np.count_nonzero(space.split.train) * len(space.predictor.names))
+        self._steps, self._announce = Steps(space, proposer, every), announce
 
     def run(self) -> Selection:
         """Add terms while that pays, then test again what is there.
 
         It ends early where nothing is left that a candidate promises to explain, and nothing that none can.
         """
-        current = self._fit_of([])
-        offered = self._candidates(current)
+        steps = self._steps
+        current = steps.fit_of([])
+        offered = steps.candidates(current)
         for depth in range(_MOST_TERMS):
             self._announce(f"step {depth + 1}: {len(offered.candidates)} candidates", 0.1 + 0.7 * depth / _MOST_TERMS)
-            best = self._best_addition(current, offered)
+            best = steps.best_addition(current, offered)
             if best is None:
                 break
             # An early term may have stood for two others that came later: it goes before the next is looked for.
-            pruned = self._pruned(best, offered.whitening)
+            pruned = steps.pruned(best, offered.whitening)
             if len(pruned.terms) > _MOST_TERMS:
-                return Selection(current, offered, self._samples, exhausted=True)
+                return Selection(current, offered, steps.samples, exhausted=True)
             current = pruned
             # Responses hardly change by a term more. Only where they promise something are they simulated anew.
-            offered = self._carried_over(current, offered)
-            if not self._promises(offered):
+            offered = steps.carried_over(current, offered)
+            if not steps.promises(offered):
                 break
-            current = self._again(current, offered.whitening)
-            offered = self._candidates(current)
+            current = steps.again(current, offered.whitening)
+            offered = steps.candidates(current)
         # What is not explained would be spread over the alternatives of every term: they would all seem tied.
-        if self._is_rough(current):
-            return Selection(current, offered, self._samples)
+        if steps.is_rough(current):
+            return Selection(current, offered, steps.samples)
         self._announce("what else could explain it", 0.85)
-        current, tied, evidence = self._alternatives_tested(current, offered)
-        better = self._against_forces(current, offered, tied)
-        return Selection(current, offered, self._samples, tied, evidence, better=better)
-
-    # -- candidates ------------------------------------------------------------------------------------------
-
-    def _fit_of(self, terms: list[Term]) -> Fit:
-        residual = self._space.residual(terms)
-        return Fit(terms, residual, float("nan"), float("nan"), np.empty((0, 0)))
-
-    def _again(self, current: Fit, white: Whitening) -> Fit:
-        """The same terms fitted again, weighted by the noise as it is seen now.
-
-        What sets in at once is put to the time that is best beside the others; what has grown so fast that it might as
-        well have set in at once does.
-        """
-        found = fit(self._space, white, current.terms)
-        for k, term in enumerate(current.terms):
-            rest = [*found.terms[:k], *found.terms[k + 1 :]]
-            sudden = [found.terms[k]] if term.is_sudden and rest else self._proposer.at_once(found.terms[k], rest)
-            for other in sudden:
-                terms = with_best_time(self._space, white, [*found.terms[:k], other, *found.terms[k + 1 :]], k)
-                aimed = fit(self._space, white, terms)
-                if self._criterion(aimed) < self._criterion(found):
-                    found = aimed
-        return found
-
-    def _criterion(self, found: Fit) -> float:
-        """Of a fit on all rows."""
-        return found.train + found.test + price(found.terms, self._samples)
-
-    def _candidates(self, current: Fit) -> CandidateSet:
-        """All candidates at a model, each with its response.
-
-        Searched ones need to know the noise first, which is seen when every plain candidate has had its say; then the
-        noise is seen once more, beside all of them.
-        """
-        space = self._space
-        plain = [t for t in self._proposer.plain() if not any(map(t.overlaps, current.terms))]
-        responses = space.strengths(current.terms, current.residual, plain)
-        own = space.point(current.terms, current.residual).derivatives
-        white = noise_model(space, current.residual, np.concatenate([own, *responses]))
-        whitened = self._counted(white.apply(current.residual))
-        named = dict(zip(space.predictor.names, whitened, strict=True))
-        searched = self._proposer.searched(named, current.terms, self._every)
-        searched += self._changes(current, white)
-        searched += self._passages(current, white, named)
-        more = space.strengths(current.terms, current.residual, searched)
-        responses = responses + self._tune(current, white, searched, more)
-        whole = self._at_whole_orders(searched)
-        searched = searched + whole
-        responses = responses + space.strengths(current.terms, current.residual, whole)
-        white = noise_model(space, current.residual, np.concatenate([own, *responses]))
-        return CandidateSet(white, current.residual, own, plain + searched, responses)
-
-    def _changes(self, current: Fit, white: Whitening) -> list[Term]:
-        """Of each sudden effect the times at which it would explain most, and what grows into it over a while."""
-        times, apart_s = self._proposer.onset_times_s()
-        counted = np.flatnonzero(self._space.split.block >= 0) * self._space.period_s * self._every
-        # What set in before the first row that counts has been there always.
-        times = times[(times > counted[0]) & (times < counted[-1])]
-        sudden = self._proposer.sudden()
-        return [
-            term
-            for effect in sudden
-            for _, section in machines.places(self._space.model, effect)
-            for term in self._changes_by(effect, current, white, times, apart_s, section)
-        ]
-
-    def _passages(self, current: Fit, white: Whitening, whitened: dict[str, Array]) -> list[Term]:
-        """Of each effect that passes the times at which it would explain most, near where the residual stands out."""
-        effects = self._proposer.passing()
-        if not effects or not self._space.predictor.exact:
-            return []
-        times, apart_s = self._proposer.passage_times_s(whitened, self._space.split.block >= 0, self._every)
-        if not len(times):
-            return []
-        return [term for effect in effects for term in self._changes_by(effect, current, white, times, apart_s)]
-
-    def _changes_by(
-        self, effect: Effect, current: Fit, white: Whitening, times: Array, apart_s: float, section: int | None = None
-    ) -> list[Term]:
-        """One sudden effect: a coarse grid of times, then ever closer ones around the best.
-
-        What it explains has a narrow peak at the right time. A fit started beside it runs into another minimum, and
-        simulating every time would cost thousands of runs.
-        """
-        found, gradual = list[Term](), list[Term]()
-        for level in range(_TIME_LEVELS):
-            terms = self._proposer.onsets(effect, times, current.terms, section)
-            if not terms:  # the model can't have one more of it
-                break
-            responses, along = self._seen(current, white, terms)
-            if level == 0 and self._proposer.gradual(effect, 0.0, 1.0, current.terms, section):
-                gradual = self._gradual(effect, current, white, times, responses, along, section)
-            found = _apart(terms, along**2 / np.maximum(np.sum(responses**2, axis=1), 1e-300), _APART * apart_s)
-            times = np.concatenate([t.time_s + apart_s * _CLOSER for t in found]) if found else times
-            apart_s *= float(_CLOSER[1] - _CLOSER[0])
-        return [*found, *gradual]
-
-    def _seen(self, current: Fit, white: Whitening, terms: list[Term]) -> tuple[Array, Array]:
-        """Whitened responses of the terms (T, signals·n), and their products (T,) with the residual."""
-        responses = self._observable(white, self._space.strengths(current.terms, current.residual, terms))
-        return responses, responses @ self._observable(white, [current.residual[None]])[0]
-
-    def _gradual(
-        self,
-        effect: Effect,
-        current: Fit,
-        white: Whitening,
-        times_s: Array,
-        responses: Array,
-        along: Array,
-        section: int | None,
-    ) -> list[Term]:
-        """What grows between two of the times (T,), those that would explain most; then between closer ones.
-
-        responses (T, signals·n) are those of the sudden effect at each time, along (T,) their products with the
-        residual. The response of a ramp is the mean of those of the steps within it, so no ramp need be simulated.
-        """
-        first_s, last_s = float(times_s[0]), float(times_s[-1])
-        begin_s, end_s, gain = _best_while(times_s, responses, along)
-        for _ in range(_RAMP_LEVELS):
-            if gain < float(np.log(self._samples)):  # nothing that could be named
-                break
-            apart_s = float(times_s[1] - times_s[0])
-            times_s = np.linspace(max(begin_s - apart_s, first_s), min(end_s + apart_s, last_s), _RAMP_TIMES)
-            terms = self._proposer.onsets(effect, times_s, current.terms, section)
-            begin_s, end_s, gain = _best_while(times_s, *self._seen(current, white, terms))
-        return self._proposer.gradual(effect, begin_s, end_s - begin_s, current.terms, section)
-
-    def _observable(self, white: Whitening, responses: list[Array]) -> Array:
-        """Whitened responses (1, signals, n) each, zero where rows do not count, as rows of (responses, signals·n)."""
-        return np.array([self._counted(white.apply(response)).ravel() for response in responses])
-
-    def _tune(self, current: Fit, white: Whitening, searched: list[Term], responses: list[Array]) -> list[Array]:
-        """Put orders and frequencies where responses fit best, and simulate those anew that moved.
-
-        responses: raw, (1 or 2, signals, n) each. The peak of a spectrum is beside the right order where the machine
-        answers more strongly at another speed; a fit started there ends in a minimum beside it.
-        """
-        residual = self._trained(white.apply(current.residual))
-        moved = []
-        for k, response in enumerate(responses):
-            tuned = self._proposer.tuned(searched[k], residual, self._trained(white.apply(response)), self._every)
-            if tuned != searched[k]:
-                searched[k] = tuned
-                moved.append(k)
-        anew = self._space.strengths(current.terms, current.residual, [searched[k] for k in moved])
-        for k, response in zip(moved, anew, strict=True):
-            responses[k] = response
-        return responses
-
-    def _at_whole_orders(self, searched: list[Term]) -> list[Term]:
-        """Of a lone axis the searched orders at the nearest whole ones as well, from where a fit may go on.
-
-        An axis that goes to and fro over the same turns shows an order with side peaks, and its loop answers in another
-        phase at every speed: neither the spectrum nor one response says which of them it is.
-        """
-        if not machines.is_lone(self._space.model):
-            return []
-        found: dict[tuple[Key, float], Term] = {}
-        for term in searched:
-            for whole in self._proposer.at_whole_orders(term):
-                (name,) = whole.held
-                found.setdefault((whole.key, whole.values[name]), replace(whole, held=frozenset()))
-        return list(found.values())
-
-    def _trained(self, values: Array) -> Array:
-        """Values (…, n) with zeros in the rows that fits do not see."""
-        return np.where(self._space.split.train, values, 0.0)
-
-    def _carried_over(self, current: Fit, offered: CandidateSet) -> CandidateSet:
-        """An older set at another model: responses hardly change, the residual does."""
-        kept = [k for k, t in enumerate(offered.candidates) if not any(map(t.overlaps, current.terms))]
-        own = self._space.point(current.terms, current.residual).derivatives
-        candidates, responses = [offered.candidates[k] for k in kept], [offered.responses[k] for k in kept]
-        return CandidateSet(offered.whitening, current.residual, own, candidates, responses)
-
-    def _is_rough(self, current: Fit) -> bool:
-        """Whether far more than noise is left, so that the right model was not found."""
-        space, rows = self._space, self._space.split.block >= 0
-        torques = [k for k, name in enumerate(space.predictor.names) if name.startswith("tau")]
-        rms = np.sqrt(np.mean(current.residual[torques][:, rows] ** 2, axis=1))
-        return bool(np.any(rms > _ROUGH * largest_ratio(rows) * np.array([space.predictor.floor(k) for k in torques])))
-
-    def _promises(self, offered: CandidateSet) -> bool:
-        """Whether anything is left that a candidate could explain, or that none can."""
-        if self._ranked(offered, offered.residual, offered.own):
-            return True
-        whitened = self._counted(offered.whitening.apply(offered.residual))
-        counted = float(np.count_nonzero(self._space.split.block >= 0))
-        excess = (whitened**2).sum(1) / counted - 1.0
-        return bool(np.max(excess) > _CALM * np.sqrt(2.0 / counted))
-
-    def _counted(self, values: Array) -> Array:
-        """Values (…, n) with zeros in the rows that do not count."""
-        return np.where(self._space.split.block >= 0, values, 0.0)
-
-    def _linear(self, offered: CandidateSet, residual: Array, own: Array) -> tuple[Linear, list[list[int]]]:
-        """The linear problem of a raw residual (signals, n) in the terms' own columns (J, signals, n) and those of the
-        candidates; of each candidate which columns are its own."""
-        columns = offered.whitening.apply(np.concatenate([own, *offered.responses]))
-        problem = Linear(offered.whitening.apply(residual), columns, self._space.split)
-        groups, at = [], len(own)
-        for response in offered.responses:
-            groups.append(list(range(at, at + len(response))))
-            at += len(response)
-        return problem, groups
-
-    # -- additions ---------------------------------------------------------------------------------------
-
-    def _best_addition(self, current: Fit, offered: CandidateSet) -> Fit | None:
-        return self._best_of(current, offered, self._ranked(offered, offered.residual, offered.own))
-
-    def _best_of(self, current: Fit, offered: CandidateSet, additions: list[list[Term]]) -> Fit | None:
-        """The best full fit with one of the additions that lowers the criterion and that the held-out rows confirm.
-
-        Each fit has to promise to beat the best so far, or it is left unfinished.
-        """
-        train, test = sums(self._space, offered.whitening, current.residual)
-        before = train + price(current.terms, self._samples)
-        fits = []
-        least = before
-        for chosen in additions:
-            terms = [*current.terms, *chosen]
-            cost = price(terms, self._samples)
-            found = fit(self._space, offered.whitening, terms, worth=least + _MARGIN - cost)
-            fits.append(found)
-            least = min(least, found.train + cost)
-        # Among those that the training rows speak for all rows decide: a time may lie in a stretch that was held out.
-        for found in sorted(fits, key=self._criterion):
-            better = found.train + price(found.terms, self._samples) < before
-            if better and self._is_confirmed(offered.whitening, current, test, found):
-                return found
-        return None
-
-    def _is_confirmed(self, white: Whitening, current: Fit, test: float, found: Fit) -> bool:
-        """Whether rows that no fit has seen speak for an addition, too.
-
-        Where it hardly shows on the held-out rows (creep speed that came once, say) they can't tell. Then what was
-        found in either half of the rows on which it shows has to hold in the other half.
-        """
-        rows = self._space.split
-        change = white.apply(current.residual - found.residual)
-        if float(np.sum(change[:, rows.test] ** 2)) > _OBSERVABLE:
-            return self._held_out_agrees(test, found.test)
-        change, residual = change[:, rows.train], white.apply(current.residual)[:, rows.train]
-        along, square = np.sum(change * residual, axis=0), np.sum(change**2, axis=0)
-        middle = int(np.searchsorted(np.cumsum(square), 0.5 * np.sum(square)))
-        early, late = slice(None, middle), slice(middle, None)
-        gain = 0.0
-        for one, other in ((early, late), (late, early)):
-            size = float(np.sum(along[one])) / max(float(np.sum(square[one])), 1e-300)
-            gain += size * (2.0 * float(np.sum(along[other])) - size * float(np.sum(square[other])))
-        return self._held_out_agrees(gain, 0.0)
-
-    def _held_out_agrees(self, before: float, after: float) -> bool:
-        """Whether a fall of the sum of squares is beyond chance.
-
-        The whitened noise has variance 1, so the standard error of a gain is 2·√gain.
-        """
-        gain = before - after
-        return gain > 0.0 and gain > _HELD_OUT_ERRORS * 2.0 * float(np.sqrt(max(gain, 0.0)))
-
-    def _ranked(self, offered: CandidateSet, residual: Array, own: Array, most: int | None = None) -> list[list[Term]]:
-        """Candidates, and pairs, that promise most; with start values.
-
-        residual: raw (signals, n); own: raw columns (J, signals, n) of the terms that are there; most: so many single
-        ones. By default a few, of those that promise the same the first: what these data can't tell apart at all would
-        fill all seats, and is looked at among the alternatives.
-        """
-        problem, groups = self._linear(offered, residual, own)
-        mine = list(range(len(own)))
-        base = problem.gain(mine)[0]
-        singles = []
-        for k in range(len(groups)):
-            started = self._started(offered, problem, mine, [k], groups)
-            if started is not None:
-                gain, terms = started
-                singles.append((gain - base - price(terms, self._samples), k, terms))
-        singles.sort(key=lambda item: -item[0])
-        chosen: list[list[Term]] = []
-        places: set[Place] = set()
-        promised: list[float] = []
-        for score, _, terms in singles:
-            if score <= -5.0 or len(chosen) >= (_CONTENDERS if most is None else most):
-                break
-            place = terms[0].place
-            alike = most is None and any(abs(score - other) < _SAME_PROMISE for other in promised)
-            if place not in places and not alike:  # variants of one effect at one place would fill all seats
-                places.add(place)
-                promised.append(score)
-                chosen.append(terms)
-        # Two effects that only together explain anything (friction against an offset) are never found one by one.
-        pairs = []
-        for a, b in combinations([k for _, k, _ in singles[:_PAIRED_FROM]], 2):
-            if offered.candidates[a].key != offered.candidates[b].key:
-                started = self._started(offered, problem, mine, [a, b], groups)
-                if started is not None:
-                    gain, terms = started
-                    pairs.append((gain - base - price(terms, self._samples), terms))
-        pairs.sort(key=lambda item: -item[0])
-        best = max((score for score, _, _ in singles), default=0.0)
-        chosen += [terms for score, terms in pairs[:_PAIRS] if score > max(best, 0.0) + _TIED]
-        return chosen
-
-    def _started(
-        self, offered: CandidateSet, problem: Linear, mine: list[int], members: list[int], groups: list[list[int]]
-    ) -> tuple[float, list[Term]] | None:
-        """Gain and start values of some candidates together; None where a bound forbids their sign.
-
-        mine: columns of the terms that are there; members: candidates that are added, by number; groups: columns of
-        each candidate.
-        """
-        columns = [c for k in members for c in groups[k]]
-        if any(problem.information(c) < _LEAST_INFORMATION for c in columns):
-            return None
-        if len(members) > 1 and any(
-            problem.own_share(c, [*mine, *(other for other in columns if other not in groups[k])]) < _OWN_SHARE
-            for k in members
-            for c in groups[k]
-        ):
-            return None
-        _, theta = problem.gain([*mine, *columns])
-        at, terms = len(mine), []
-        for k in members:
-            candidate = offered.candidates[k]
-            here = candidate.neutral().coordinates()
-            if candidate.probe is not None:
-                # Its response was looked at with one strength, and speaks for others near it only.
-                theta[at] = np.clip(theta[at], candidate.probe / _TRUSTED, candidate.probe * _TRUSTED)
-            strength = here[: candidate.linear] + theta[at : at + candidate.linear]
-            at += candidate.linear
-            if not candidate.allowed(float(strength[0])):
-                return None
-            terms.append(candidate.at(np.concatenate([strength, here[candidate.linear :]])))
-        return problem.gain_at([*mine, *columns], theta), terms
-
-    # -- earlier choices ---------------------------------------------------------------------------------
-
-    def _pruned(self, current: Fit, white: Whitening) -> Fit:
-        """The fit without the terms that the others have made superfluous, one by one, the worst first."""
-        while len(current.terms) > 1:
-            here = current.train + price(current.terms, self._samples)
-            fewer = []
-            for k in range(len(current.terms)):
-                rest = current.terms[:k] + current.terms[k + 1 :]
-                if self._removable(current, k):
-                    found = fit(self._space, white, rest, worth=here - price(rest, self._samples))
-                    fewer.append((found.train + price(rest, self._samples), found))
-            better = min(fewer, key=lambda item: item[0], default=None)
-            if better is None or better[0] > here:
-                break
-            current = better[1]
-        return current
-
-    def _spares_a_term(self, found: Fit, white: Whitening) -> bool:
-        """Whether beside an explanation that is as good another term is superfluous: two effects in the place of three
-        of which one stands for the wrong choice of another."""
-        return len(self._pruned(found, white).terms) < len(found.terms)
-
-    def _removable(self, current: Fit, k: int) -> bool:
-        """Whether term k may be superfluous, by Wald's statistic: only then a fit without it is worth its time.
-
-        The statistic is that of the linearized model, so it is believed with a factor of four to spare.
-        """
-        at = sum(len(t.coordinates()) for t in current.terms[:k])
-        term = current.terms[k]
-        part = slice(at, at + term.linear)
-        moved = term.coordinates()[: term.linear] - term.neutral().coordinates()[: term.linear]
-        wald = float(moved @ np.linalg.pinv(current.covariance[part, part]) @ moved)
-        return wald < 4.0 * price([term], self._samples)
-
-    def _alternatives_tested(
-        self, current: Fit, offered: CandidateSet
-    ) -> tuple[
-        Fit,
-        dict[Key, list[Place]],
-        dict[Key, dict[str, float]],
-    ]:
-        """Each term against what could stand in its place: the fit, what is tied with each term, and the evidence.
-
-        When a term turns out to be superfluous, or something else explains more, everything is tested again from
-        there: the evidence of each term is that beside the others.
-        """
-        tied: dict[Key, list[Place]] = {}
-        evidence: dict[Key, dict[str, float]] = {}
-        fine = finest(self._space) or offered.whitening
-        close = fit(self._space, fine, current.terms)
-        for k in range(len(current.terms)):
-            term = current.terms[k]
-            rest = current.terms[:k] + current.terms[k + 1 :]
-            here = current.train + price(current.terms, self._samples)
-            without = fit(self._space, offered.whitening, rest)
-            evidence[term.key] = {
-                "likelihood_ratio": without.train - current.train,
-                "criterion_gain": without.train + price(rest, self._samples) - here,
-                "held_out_gain": without.test - current.test,
-            }
-            if evidence[term.key]["criterion_gain"] <= 0.0:
-                offered = self._candidates(without)
-                return self._alternatives_tested(self._again(without, offered.whitening), offered)
-            # The others as they are: fitted without the term they may have run far off.
-            left = self._space.residual(rest)
-            others = self._ranked(offered, left, self._own_without(offered, current.terms, k), _ALTERNATIVES)
-            tied[term.key] = []
-            # What was proposed beside a gradual change says nothing of a sudden one in its middle.
-            sudden = [[other] for other in self._proposer.at_once(term, rest)]
-            alike = [self._acting_alike(offered, current.terms, k, terms) for terms in others]
-            for terms in sudden + alike:
-                if len(terms) > 1 or terms[0].place == term.place:
-                    continue
-                cost = price([*rest, *terms], self._samples) - price(current.terms, self._samples)
-                # With finer tolerances than the search, and on all rows: between good explanations small things decide.
-                found = fit(self._space, fine, [*rest, *terms], worth=close.train + _MARGIN - cost)
-                difference = found.train + found.test + cost - close.train - close.test
-                simpler = abs(difference) <= _TIED and _RANK[terms[0].effect.id] < _RANK[term.effect.id]
-                better = difference < -_TIED or simpler
-                if better or (abs(difference) < _TIED and self._spares_a_term(found, offered.whitening)):
-                    in_place = [*found.terms[:k], found.terms[-1], *found.terms[k:-1]]
-                    current = self._pruned(fit(self._space, offered.whitening, in_place), offered.whitening)
-                    offered = self._candidates(current)
-                    return self._alternatives_tested(fit(self._space, offered.whitening, current.terms), offered)
-                if abs(difference) < _TIED or difference < 0.0:
-                    tied[term.key].append(terms[0].place)
-        return current, tied, evidence
-
-    def _against_forces(self, current: Fit, offered: CandidateSet, tied: dict[Key, list[Place]]) -> Better | None:
-        """Each sudden term against the step of a force that it may be mistaken for; that where it explains more.
-
-        `tied`: gets the force where the two explain as much.
-        """
-        for k, term in enumerate(current.terms):
-            lookalike = term.effect.lookalike
-            if term.duration_s > 2.0 * _FORCE_SEARCH[0]:
-                continue  # no sudden force, nor anything like one
-            if lookalike is None or term.section not in (None, self._space.model.span_count):
-                continue  # a force at the last roller acts behind the last span
-            difference, force_N, time_s = self._as_a_force(current, k, offered.whitening)
-            if difference < -_DECISIVE:
-                detail = f"{force_N:.4g} N from t = {time_s:.3f} s on explain it better than {term.effect.id}"
-                return Better(lookalike.name, detail)
-            if difference < _TIED:
-                tied[term.key].append(Place(lookalike.name))
-        return None
-
-    def _as_a_force(self, current: Fit, k: int, white: Whitening) -> tuple[float, float, float]:
-        """By how much the sum of squares rises when term k is a step of a force instead; the force, N, and its time, s.
-
-        The force is looked for near the time of the term, with the other terms free to adapt to it.
-        """
-        space, rows = self._space, self._space.split.block >= 0
-        term, rest = current.terms[k], [*current.terms[:k], *current.terms[k + 1 :]]
-        point = space.point(rest)
-        own = [white.apply(column)[:, rows].ravel() for column in point.derivatives]
-        residual = white.apply(point.residual)[:, rows].ravel()
-        probe_N = _FORCE_SHARE * self._proposer.sizes(None).force_N
-        best = (float("inf"), 0.0, 0.0)
-        for time_s in around(term.time_s + 0.5 * term.duration_s, *_FORCE_SEARCH):
-            pushed = space.residual_with_force(rest, probe_N, float(time_s))
-            response = white.apply(point.residual - pushed)[:, rows].ravel() / probe_N
-            columns = np.array([*own, response])
-            theta, *_ = np.linalg.lstsq(columns.T, residual, rcond=None)
-            square = float(np.sum((residual - theta @ columns) ** 2))
-            best = min(best, (square, float(theta[-1]), float(time_s)))
-        close = sum(sums(space, white, current.residual))
-        return best[0] - close, best[1], best[2]
-
-    def _acting_alike(self, offered: CandidateSet, terms: list[Term], k: int, others: list[Term]) -> list[Term]:
-        """What is tried in the place of term k, started where it acts as that does if the two act alike at all.
-
-        Where play makes the machine's response rough, what is left without the term promises another strength, from
-        which the fit does not come back.
-        """
-        term, other = terms[k], others[0]
-        if len(others) > 1 or len(term.coordinates()) > 1 or len(other.coordinates()) > 1:
-            return others
-        response = next(r for c, r in zip(offered.candidates, offered.responses, strict=True) if c.key == other.key)
-        mine = sum(len(before.coordinates()) for before in terms[:k])
-        columns = self._trained(offered.whitening.apply(np.stack([offered.own[mine], response[0]])))
-        (own, across), (_, its) = np.tensordot(columns, columns, ((1, 2), (1, 2)))
-        if across**2 < _ACTS_ALIKE * own * its:
-            return others
-        strength = other.neutral().coordinates() + across / its * (term.coordinates() - term.neutral().coordinates())
-        return [other.at(strength)] if other.allowed(float(strength[0])) else others
-
-    @staticmethod
-    def _own_without(offered: CandidateSet, terms: list[Term], k: int) -> Array:
-        """The raw columns (J, signals, n) of the terms without those of term k."""
-        sizes = [len(term.coordinates()) for term in terms]
-        keep = np.ones(sum(sizes), bool)
-        keep[sum(sizes[:k]) : sum(sizes[: k + 1])] = False
-        return offered.own[keep]
+        alternatives = Alternatives(steps)
+        current, tied, evidence = alternatives.tested(current, offered)
+        better = alternatives.against_forces(current, offered, tied)
+        return Selection(current, offered, steps.samples, tied, evidence, better=better)

@@ -37,10 +37,11 @@ from hilbench.diagnosis.offers import (
 )
 from hilbench.diagnosis.proposals import Proposer
 from hilbench.diagnosis.rest import Uncertainty
-from hilbench.diagnosis.select import CandidateSet, Selection
+from hilbench.diagnosis.select import Selection
 from hilbench.diagnosis.side_bands import NEAR, is_near_present, order_of, side_bands, without_side_bands
 from hilbench.diagnosis.space import Space, noise_model
 from hilbench.diagnosis.steadiness import in_both_halves, in_every_band
+from hilbench.diagnosis.steps import CandidateSet
 from hilbench.diagnosis.stretched_problem import StretchedProblem, basis, without
 from hilbench.diagnosis.terms import Key, Place, Term
 

@@ -1,0 +1,175 @@
+"""What could stand in the place of a term that was found: is the model worse without it, does another explain the same?
+
+Such others are tied with it; where one explains more it takes the term's place, and everything is tested again.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilbench.diagnosis.fit import Fit, around, fit, sums
+from hilbench.diagnosis.noise import Whitening
+from hilbench.diagnosis.space import finest
+from hilbench.diagnosis.steps import MARGIN, TIED, CandidateSet, Steps, price
+from hilbench.diagnosis.terms import Key, Place, Term
+from hilbench.plant.effects import EFFECTS
+
+Array = NDArray[np.float64]
+
+#: How many are fitted in the place of a term.
+_ALTERNATIVES: Final = 7
+#: Difference of the criterion up to which a step of E is not given up for what the vocabulary does not have.
+_DECISIVE: Final = 20.0
+#: Among tied explanations the one that stands first in the vocabulary is named.
+_RANK: Final = {effect.id: place for place, effect in enumerate(EFFECTS)}
+#: Share of what one term does that another has to do as well to be started where both do the same.
+_ACTS_ALIKE: Final = 0.98
+#: Share of a usual force with which its response is looked at; how far from a step's time, and in which steps, it is
+#: looked for, s.
+_FORCE_SHARE: Final = 0.05
+_FORCE_SEARCH: Final = (0.02, 0.002)
+
+
+@dataclass(frozen=True)
+class Better:
+    """What the vocabulary does not have, and explains better than a term."""
+
+    name: str
+    detail: str  #: size and time, for a person
+
+
+class Alternatives:
+    """The test of each term against what could stand in its place."""
+
+    def __init__(self, steps: Steps) -> None:
+        self._steps, self._space, self._proposer, self._samples = steps, steps.space, steps.proposer, steps.samples
+
+    def _spares_a_term(self, found: Fit, white: Whitening) -> bool:
+        """Whether beside an explanation that is as good another term is superfluous: two effects in the place of three
+        of which one stands for the wrong choice of another."""
+        return len(self._steps.pruned(found, white).terms) < len(found.terms)
+
+    def tested(
+        self, current: Fit, offered: CandidateSet
+    ) -> tuple[
+        Fit,
+        dict[Key, list[Place]],
+        dict[Key, dict[str, float]],
+    ]:
+        """Each term against what could stand in its place: the fit, what is tied with each term, and the evidence.
+
+        When a term turns out to be superfluous, or something else explains more, everything is tested again from
+        there: the evidence of each term is that beside the others.
+        """
+        tied: dict[Key, list[Place]] = {}
+        evidence: dict[Key, dict[str, float]] = {}
+        fine = finest(self._space) or offered.whitening
+        close = fit(self._space, fine, current.terms)
+        for k in range(len(current.terms)):
+            term = current.terms[k]
+            rest = current.terms[:k] + current.terms[k + 1 :]
+            here = current.train + price(current.terms, self._samples)
+            without = fit(self._space, offered.whitening, rest)
+            evidence[term.key] = {
+                "likelihood_ratio": without.train - current.train,
+                "criterion_gain": without.train + price(rest, self._samples) - here,
+                "held_out_gain": without.test - current.test,
+            }
+            if evidence[term.key]["criterion_gain"] <= 0.0:
+                offered = self._steps.candidates(without)
+                return self.tested(self._steps.again(without, offered.whitening), offered)
+            # The others as they are: fitted without the term they may have run far off.
+            left = self._space.residual(rest)
+            others = self._steps.ranked(offered, left, self._own_without(offered, current.terms, k), _ALTERNATIVES)
+            tied[term.key] = []
+            # What was proposed beside a gradual change says nothing of a sudden one in its middle.
+            sudden = [[other] for other in self._proposer.at_once(term, rest)]
+            alike = [self._acting_alike(offered, current.terms, k, terms) for terms in others]
+            for terms in sudden + alike:
+                if len(terms) > 1 or terms[0].place == term.place:
+                    continue
+                cost = price([*rest, *terms], self._samples) - price(current.terms, self._samples)
+                # With finer tolerances than the search, and on all rows: between good explanations small things decide.
+                found = fit(self._space, fine, [*rest, *terms], worth=close.train + MARGIN - cost)
+                difference = found.train + found.test + cost - close.train - close.test
+                simpler = abs(difference) <= TIED and _RANK[terms[0].effect.id] < _RANK[term.effect.id]
+                better = difference < -TIED or simpler
+                if better or (abs(difference) < TIED and self._spares_a_term(found, offered.whitening)):
+                    in_place = [*found.terms[:k], found.terms[-1], *found.terms[k:-1]]
+                    current = self._steps.pruned(fit(self._space, offered.whitening, in_place), offered.whitening)
+                    offered = self._steps.candidates(current)
+                    return self.tested(fit(self._space, offered.whitening, current.terms), offered)
+                if abs(difference) < TIED or difference < 0.0:
+                    tied[term.key].append(terms[0].place)
+        return current, tied, evidence
+
+    def against_forces(self, current: Fit, offered: CandidateSet, tied: dict[Key, list[Place]]) -> Better | None:
+        """Each sudden term against the step of a force that it may be mistaken for; that where it explains more.
+
+        `tied`: gets the force where the two explain as much.
+        """
+        for k, term in enumerate(current.terms):
+            lookalike = term.effect.lookalike
+            if term.duration_s > 2.0 * _FORCE_SEARCH[0]:
+                continue  # no sudden force, nor anything like one
+            if lookalike is None or term.section not in (None, self._space.model.span_count):
+                continue  # a force at the last roller acts behind the last span
+            difference, force_N, time_s = self._as_a_force(current, k, offered.whitening)
+            if difference < -_DECISIVE:
+                detail = f"{force_N:.4g} N from t = {time_s:.3f} s on explain it better than {term.effect.id}"
+                return Better(lookalike.name, detail)
+            if difference < TIED:
+                tied[term.key].append(Place(lookalike.name))
+        return None
+
+    def _as_a_force(self, current: Fit, k: int, white: Whitening) -> tuple[float, float, float]:
+        """By how much the sum of squares rises when term k is a step of a force instead; the force, N, and its time, s.
+
+        The force is looked for near the time of the term, with the other terms free to adapt to it.
+        """
+        space, rows = self._space, self._space.split.block >= 0
+        term, rest = current.terms[k], [*current.terms[:k], *current.terms[k + 1 :]]
+        point = space.point(rest)
+        own = [white.apply(column)[:, rows].ravel() for column in point.derivatives]
+        residual = white.apply(point.residual)[:, rows].ravel()
+        probe_N = _FORCE_SHARE * self._proposer.sizes(None).force_N
+        best = (float("inf"), 0.0, 0.0)
+        for time_s in around(term.time_s + 0.5 * term.duration_s, *_FORCE_SEARCH):
+            pushed = space.residual_with_force(rest, probe_N, float(time_s))
+            response = white.apply(point.residual - pushed)[:, rows].ravel() / probe_N
+            columns = np.array([*own, response])
+            theta, *_ = np.linalg.lstsq(columns.T, residual, rcond=None)
+            square = float(np.sum((residual - theta @ columns) ** 2))
+            best = min(best, (square, float(theta[-1]), float(time_s)))
+        close = sum(sums(space, white, current.residual))
+        return best[0] - close, best[1], best[2]
+
+    def _acting_alike(self, offered: CandidateSet, terms: list[Term], k: int, others: list[Term]) -> list[Term]:
+        """What is tried in the place of term k, started where it acts as that does if the two act alike at all.
+
+        Where play makes the machine's response rough, what is left without the term promises another strength, from
+        which the fit does not come back.
+        """
+        term, other = terms[k], others[0]
+        if len(others) > 1 or len(term.coordinates()) > 1 or len(other.coordinates()) > 1:
+            return others
+        response = next(r for c, r in zip(offered.candidates, offered.responses, strict=True) if c.key == other.key)
+        mine = sum(len(before.coordinates()) for before in terms[:k])
+        columns = self._steps.trained(offered.whitening.apply(np.stack([offered.own[mine], response[0]])))
+        (own, across), (_, its) = np.tensordot(columns, columns, ((1, 2), (1, 2)))
+        if across**2 < _ACTS_ALIKE * own * its:
+            return others
+        strength = other.neutral().coordinates() + across / its * (term.coordinates() - term.neutral().coordinates())
+        return [other.at(strength)] if other.allowed(float(strength[0])) else others
+
+    @staticmethod
+    def _own_without(offered: CandidateSet, terms: list[Term], k: int) -> Array:
+        """The raw columns (J, signals, n) of the terms without those of term k."""
+        sizes = [len(term.coordinates()) for term in terms]
+        keep = np.ones(sum(sizes), bool)
+        keep[sum(sizes[:k]) : sum(sizes[: k + 1])] = False
+        return offered.own[keep]
