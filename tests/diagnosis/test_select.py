@@ -9,7 +9,8 @@ import pytest
 from tests.diagnosis.analytic import NOISE, Axis, Ringing
 from tests.plant.models import effect
 
-from hilbench.diagnosis.select import Search, Selection, price
+from hilbench.diagnosis.select import Search, Selection
+from hilbench.diagnosis.steps import price
 from hilbench.diagnosis.terms import Place
 
 SMOOTH = ("coulomb_friction", "viscous_friction", "friction_asymmetry", "torque_offset", "inertia_mismatch")
