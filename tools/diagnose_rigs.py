@@ -81,9 +81,10 @@ RIGS = (
         frozenset({"coulomb_friction", "unbalance"}), _SERVO, "Coulomb 0.11 to 0.12, gravity",
     ),
     Rig(
-        "robot joint", "robot_joint/case*", ("time", "q", "tau_J"), 1e-3, _FRICTION,
+        "robot joint", "robot_joint/case*", ("time", "q", "tau_J"), 1e-3, frozenset({"coulomb_friction"}),
         frozenset({"stribeck_friction", "torque_offset", "friction_asymmetry", "inertia_mismatch"}),
-        "presliding friction",
+        "dry friction that falls with the speed (least squares: viscous below 0); a Stribeck fit published with"
+        " case3_middle leaves 0.350, with case4_slow 0.255 N·m",
     ),
 )  # fmt: skip
 

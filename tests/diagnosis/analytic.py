@@ -50,10 +50,21 @@ class Analytic:
 
 
 class Axis:
-    """A lone axis of 3 kg that is known to move to and fro at several speeds: torque equals force."""
+    """A lone axis of 3 kg that is known to move to and fro at several speeds: torque equals force.
 
-    def __init__(self, *effects: dict[str, object], forward: bool = False, seed: int = 0, exact: bool = True) -> None:
+    rough_Nm: a torque of this size that turns with the others, a hundred times a N·m: sums of squares have many minima.
+    """
+
+    def __init__(
+        self,
+        *effects: dict[str, object],
+        forward: bool = False,
+        seed: int = 0,
+        exact: bool = True,
+        rough_Nm: float = 0.0,
+    ) -> None:
         self.model = lone_axis()
+        self._rough_Nm = rough_Nm
         self.t_s = np.arange(round(SECONDS / PERIOD_S)) * PERIOD_S
         phase = np.array([0.0, 0.4, 1.1, 2.0])
         omega = np.array([0.4, 1.3, 2.9, 6.1])
@@ -69,7 +80,7 @@ class Axis:
     def _torque_Nm(self, parameters: Array) -> Array:
         out = np.empty(len(self.t_s))
         required_torque_Nm(parameters, self.x_m, self.v_m_s, self.a_m_s2, PERIOD_S, out)
-        return out
+        return out + self._rough_Nm * np.cos(100.0 * out)
 
     def proposer(self, *vocabulary: str) -> Proposer:
         """Of these effects only, in this order."""

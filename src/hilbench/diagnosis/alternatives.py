@@ -28,6 +28,9 @@ _DECISIVE: Final = 20.0
 _RANK: Final = {effect.id: place for place, effect in enumerate(EFFECTS)}
 #: Share of what one term does that another has to do as well to be started where both do the same.
 _ACTS_ALIKE: Final = 0.98
+#: Where play makes the sum of squares rough the strength is looked for beside the one that acts as strongly: up to
+#: which share of it, in how many steps, and how often ever closer.
+_CLOSEST_SHARE, _CLOSEST_STEPS, _CLOSEST_LEVELS = 0.1, 13, 5
 #: Share of a usual force with which its response is looked at; how far from a step's time, and in which steps, it is
 #: looked for, s.
 _FORCE_SHARE: Final = 0.05
@@ -88,14 +91,18 @@ class Alternatives:
             tied[term.key] = []
             # What was proposed beside a gradual change says nothing of a sudden one in its middle.
             sudden = [[other] for other in self._proposer.at_once(term, rest)]
-            alike = [self._acting_alike(offered, current.terms, k, terms) for terms in others]
-            for terms in sudden + alike:
+            for terms in sudden + others:
                 if len(terms) > 1 or terms[0].place == term.place:
                     continue
                 cost = price([*rest, *terms], self._samples) - price(current.terms, self._samples)
+                alike = None if terms in sudden else self._acting_alike(fine, current, k, terms[0], left)
                 # With finer tolerances than the search, and on all rows: between good explanations small things decide.
-                found = fit(self._space, fine, [*rest, *terms], worth=close.train + MARGIN - cost)
+                found = fit(self._space, fine, [*rest, alike or terms[0]], worth=close.train + MARGIN - cost)
                 difference = found.train + found.test + cost - close.train - close.test
+                if alike is not None and difference > TIED:
+                    found = fit(self._space, fine, self._with_closest_strength(fine, close.terms, k, alike))
+                    # On a rough ground another point that is a little lower is no better explanation.
+                    difference = max(found.train + found.test + cost - close.train - close.test, -TIED)
                 simpler = abs(difference) <= TIED and _RANK[terms[0].effect.id] < _RANK[term.effect.id]
                 better = difference < -TIED or simpler
                 if better or (abs(difference) < TIED and self._spares_a_term(found, offered.whitening)):
@@ -148,23 +155,40 @@ class Alternatives:
         close = sum(sums(space, white, current.residual))
         return best[0] - close, best[1], best[2]
 
-    def _acting_alike(self, offered: CandidateSet, terms: list[Term], k: int, others: list[Term]) -> list[Term]:
-        """What is tried in the place of term k, started where it acts as that does if the two act alike at all.
+    def _acting_alike(self, white: Whitening, current: Fit, k: int, other: Term, left: Array) -> Term | None:
+        """What is tried in the place of term k, as strong as that where the two act alike; None where they do not.
 
-        Where play makes the machine's response rough, what is left without the term promises another strength, from
-        which the fit does not come back.
+        left: raw residual without term k. Where play makes the machine's response rough, that promises another
+        strength, from which the fit does not come back, and what a small step of a strength does says nothing.
         """
-        term, other = terms[k], others[0]
-        if len(others) > 1 or len(term.coordinates()) > 1 or len(other.coordinates()) > 1:
-            return others
-        response = next(r for c, r in zip(offered.candidates, offered.responses, strict=True) if c.key == other.key)
-        mine = sum(len(before.coordinates()) for before in terms[:k])
-        columns = self._steps.trained(offered.whitening.apply(np.stack([offered.own[mine], response[0]])))
-        (own, across), (_, its) = np.tensordot(columns, columns, ((1, 2), (1, 2)))
-        if across**2 < _ACTS_ALIKE * own * its:
-            return others
-        strength = other.neutral().coordinates() + across / its * (term.coordinates() - term.neutral().coordinates())
-        return [other.at(strength)] if other.allowed(float(strength[0])) else others
+        term = current.terms[k]
+        if len(term.coordinates()) > 1 or len(other.coordinates()) > 1:
+            return None
+        without = self._space.residual([*current.terms[:k], *current.terms[k + 1 :], other])
+        acts = self._steps.trained(white.apply(left - np.stack([current.residual, without])))
+        (own, across), (_, its) = np.tensordot(acts, acts, ((1, 2), (1, 2)))
+        if not across**2 > _ACTS_ALIKE * own * its:
+            return None
+        neutral = other.neutral().coordinates()
+        strength = neutral + across / its * (other.coordinates() - neutral)
+        return other.at(strength) if other.allowed(float(strength[0])) else None
+
+    def _with_closest_strength(self, white: Whitening, terms: list[Term], k: int, other: Term) -> list[Term]:
+        """The terms with another in the place of term k, at the strength near its own that leaves least.
+
+        A fit goes downhill, which where play makes the sum of squares rough leads anywhere.
+        """
+        rest = [*terms[:k], *terms[k + 1 :]]
+        (strength,) = other.coordinates()
+        half = _CLOSEST_SHARE * abs(strength)
+        for _ in range(_CLOSEST_LEVELS):
+            tried = [other.at(np.array([at])) for at in strength + half * np.linspace(-1.0, 1.0, _CLOSEST_STEPS)]
+            residuals = self._space.residuals([[*rest, one] for one in tried])
+            best = int(np.argmin([sum(sums(self._space, white, residual)) for residual in residuals]))
+            other = tried[best]
+            (strength,) = other.coordinates()
+            half *= 2.0 / (_CLOSEST_STEPS - 1)
+        return [*rest, other]
 
     @staticmethod
     def _own_without(offered: CandidateSet, terms: list[Term], k: int) -> Array:

@@ -322,7 +322,9 @@ def _check_units(measured: Measured, model: Machine, place: str | Path) -> None:
                     f"{said}, as if {name} were in {unit}, expected SI units: say so with 'hilbench convert --columns'"
                     f" and {name}: {{column: {name}, factor: {factor:.6g}}}",
                 )
-        raise UnusableInputError(place, f"{said}, expected both in the same unit, of the same axis")
+        raise UnusableInputError(
+            place, f"{said}, expected both in the same unit, of the same axis, by the times in t_s"
+        )
 
 
 def _of_the_machine(model: Machine, axis: int) -> Iterator[tuple[float, str, str, float]]:

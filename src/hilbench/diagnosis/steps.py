@@ -260,13 +260,12 @@ class Steps:
         return responses
 
     def _at_whole_orders(self, searched: list[Term]) -> list[Term]:
-        """Of a lone axis the searched orders at the nearest whole ones as well, from where a fit may go on.
+        """The searched orders at the nearest whole ones as well, from where a fit may go on.
 
-        An axis that goes to and fro over the same turns shows an order with side peaks, and its loop answers in another
-        phase at every speed: neither the spectrum nor one response says which of them it is.
+        An axis that goes to and fro over the same turns, and a ripple that shows in a few far apart, have an order with
+        side peaks, and a loop answers in another phase at every speed: neither the spectrum nor one response says which
+        of them it is.
         """
-        if not machines.is_lone(self.space.model):
-            return []
         found: dict[tuple[Key, float], Term] = {}
         for term in searched:
             for whole in self.proposer.at_whole_orders(term):

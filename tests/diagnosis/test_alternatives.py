@@ -1,0 +1,45 @@
+"""What is tried in the place of a term, and from where."""
+
+from __future__ import annotations
+
+import pytest
+from tests.diagnosis.analytic import Axis
+from tests.plant.models import effect, model
+
+from hilbench.diagnosis.alternatives import Alternatives
+from hilbench.diagnosis.fit import fit
+from hilbench.diagnosis.measured import measured_from
+from hilbench.diagnosis.proposals import Proposer
+from hilbench.diagnosis.space import Space
+from hilbench.diagnosis.steps import Steps
+from hilbench.diagnosis.terms import Place
+from hilbench.diagnosis.web_line.free_run import FreeRun
+from hilbench.diagnosis.web_line.synthetic import hidden_recording
+from hilbench.plant.parameters import EffectEntry
+
+
+@pytest.mark.parametrize(("rough_Nm", "difference"), [(0.05, 0.4), (0.1, 2.0)])
+def test_what_acts_the_same_is_found_though_the_sum_of_squares_is_rough(rough_Nm: float, difference: float) -> None:
+    """Forward only, b·v and d·|v| are one; a fit that goes downhill from a strength beside the right one gets stuck."""
+    hidden = effect("friction_asymmetry", 1, viscous_difference_N_s_per_m=difference)
+    axis = Axis(hidden, forward=True, rough_Nm=rough_Nm)
+    steps = Steps(axis.space, axis.proposer("friction_asymmetry", "viscous_friction", "torque_offset"))
+    terms = [axis.term("friction_asymmetry", viscous_difference_N_s_per_m=difference)]
+    offered = steps.candidates(steps.fit_of(terms))
+    found, tied, _ = Alternatives(steps).tested(fit(axis.space, offered.whitening, terms), offered)
+    (term,) = found.terms
+    assert term.place == Place("viscous_friction", 1)
+    assert term.coordinates() == pytest.approx([difference], rel=1e-3)
+    assert tied[term.key] == [Place("friction_asymmetry", 1)]
+
+
+def test_orders_of_a_web_are_tried_at_the_nearest_whole_number_as_well() -> None:
+    """A ripple that shows in a few turns far apart has side peaks, from which no fit comes to the right one."""
+    ripple = EffectEntry.model_validate(effect("torque_ripple", 1, amplitude_Nm=0.1, order=6.0, phase_rad=0.4))
+    data = measured_from(hidden_recording(model(), [ripple], duration_s=12.0, seed=3), model(), "blind")
+    predictor = FreeRun(model(), data)
+    steps = Steps(Space(model(), predictor, data.period_s), Proposer(model(), data), predictor.every)
+    candidates = steps.candidates(steps.fit_of([])).candidates
+    orders = [term.values["order"] for term in candidates if term.place == Place("torque_ripple", 1)]
+    assert 6.0 in orders
+    assert any(0.0 < abs(order - 6.0) < 0.1 for order in orders)
