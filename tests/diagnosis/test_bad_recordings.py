@@ -84,6 +84,7 @@ def quiet(c: Channels) -> Channels:
     [
         (both(without("v1_cmd_m_s"), both(without("x2_m"), without("v2_m_s"))), "v1_cmd_m_s, v2_m_s missing"),
         (without("strain_prev"), "channel strain_prev missing"),
+        (without("t_s"), "say which columns are which channels with 'hilbench convert --columns'"),
         (mostly_no_number, "channel tau2_Nm has 3000 value(s) that are no finite number"),
         (twice, "t_s starts over in sample 6001 (from 11.998 to 0.001 s)"),
         (scaled("v2_m_s", 60.0 / (2.0 * np.pi)), "v2_m_s is 9.549 times the rate of x2_m, as if v2_m_s were in rpm"),

@@ -23,6 +23,7 @@ from hilbench.plant.model_file import Machine
 from hilbench.plant.web_line.laws import FRICTION_WIDTH_M_S
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.results.recording import Recording
+from hilbench.topology.signal_kinds import TIME
 
 Array = NDArray[np.float64]
 
@@ -70,6 +71,7 @@ _BOUNDARY = ("strain_prev", "F_next_N")
 #: by which it may differ from the model's all the same.
 _OTHER_UNITS: Final = {"strain_prev": ((100.0, "%", "a strain (1)"),), "F_next_N": ((1e-3, "kN", "N"),)}
 _SAME_SIZE: Final = 2.5
+_MAPPED: Final = "say which columns are which channels with 'hilbench convert --columns'"
 #: Only a bench has it: who records a web that is there has no load motor.
 _LOAD_MOTOR: Final = re.compile(r"tau_\w+_cmd_Nm")
 
@@ -125,6 +127,10 @@ def measured_from(recording: Recording, model: Machine, place: str | Path) -> Me
     commands = [machines.speed_channel(model, axis, "_cmd") for axis in range(1, model.axis_count + 1)]
     imitated = any(_LOAD_MOTOR.fullmatch(name) and bool(np.any(v)) for name, v in recording.channels.items())
     free = web or (imitated and model.drives is not None)  # run with the drives' loops, which know their limits
+    if TIME not in recording:
+        raise UnusableInputError(
+            place, f"channel {TIME} missing, expected beside {', '.join(recording.channels)}: {_MAPPED}"
+        )
     found = mended(
         recording,
         place,
@@ -206,7 +212,9 @@ def _check_lone(recording: Recording, model: Machine, place: str | Path) -> None
                 f" {model.kind} moves in {model.position_unit}",
             )
         raise UnusableInputError(
-            place, f"channels {position}, {speed} missing, expected one of them beside {', '.join(recording.channels)}"
+            place,
+            f"channels {position}, {speed} missing, expected one of them beside {', '.join(recording.channels)}:"
+            f" {_MAPPED}",
         )
     recording.require(["tau1_Nm"], place)
 
