@@ -107,6 +107,10 @@ class Measured:
     integrated: bool = False  #: the position is that of a lone axis' speed, added up
     #: What was before the first row; None: nobody knows.
     before: Before | None = None
+    #: Way by which commands that drives may have taken too late have put off the motion of all axes, at most.
+    put_off_m: float = 0.0
+    #: Rows at which something beyond machine and commands has pushed the axes.
+    pushed: tuple[int, ...] = ()
 
     @property
     def duration_s(self) -> float:

@@ -46,11 +46,13 @@ _NEWEST: Final = 0.3
 class PlantRows:
     """Rows (n, signals) of the plant's cycles from `first` on, one each.
 
-    `known` (n,): whether the plant was measured in that cycle, or nearly; `syncs` (n,): the last SYNC until then.
+    `measured` (n,): whether the plant was measured in that cycle, in time; `known` (n,): that, or nearly; `syncs` (n,):
+    the last SYNC until then.
     """
 
     first: int
     rows: Array
+    measured: Rows
     known: Rows
     syncs: NDArray[np.int64]
 
@@ -127,8 +129,8 @@ class OnPlantTime:
         cycle, at, measured = (np.array(each) for each in zip(*placed, strict=True))
         begin = int(self._kept_cycles[-1]) + 1 if len(self._kept) else int(cycle[measured][0])
         cycles = np.arange(begin, int(cycle[measured][-1]) + 1)
-        known = np.zeros(len(cycles), bool)
-        known[cycle[measured] - begin] = True
+        in_time = np.zeros(len(cycles), bool)
+        in_time[cycle[measured] - begin] = True
         given_cycles = np.concatenate([self._kept_cycles, cycle[measured]])
         given = np.vstack([self._kept, rows[at[measured]]])
         said = rows[at]
@@ -137,20 +139,19 @@ class OnPlantTime:
         # What the bench said last, in whichever row.
         held = np.searchsorted(np.maximum.accumulate(cycle), cycles, side="right") - 1
         result, syncs = said[held], first_sync + at[held]
-        if not np.all(known):
-            lacking = ~known
+        if not np.all(in_time):
+            lacking = ~in_time
             for column in self._of_drives:
                 # A curve through the noise of a torque would make more of it.
                 curve = _curve if column in self._positions else _straight
                 result[lacking, column] = curve(given_cycles, given[:, column])(cycles[lacking])
-                result[known, column] = given[len(self._kept) :, column]
-            known = _nearly(known)
+                result[in_time, column] = given[len(self._kept) :, column]
         missed = cycles - syncs
         if np.any(missed):
             result[:, self._time] += self._cycle_s * missed
         self._said = rows[-1].copy()
         self._kept, self._kept_cycles = given[-_BEFORE:].copy(), given_cycles[-_BEFORE:]
-        return PlantRows(begin, result, known, syncs)
+        return PlantRows(begin, result, in_time, _nearly(in_time), syncs)
 
 
 def _straight(at: Cycles, values: Array) -> Callable[[Cycles], Array]:

@@ -54,7 +54,13 @@ class Window:
 
     def known(self, first: int, end: int) -> Rows:
         """(n,): whether the plant was measured in these cycles, or nearly; what the rows of others say is a guess."""
-        kept = [each.known for each in self._chunks]
+        return self._flags([each.known for each in self._chunks], first, end)
+
+    def measured(self, first: int, end: int) -> Rows:
+        """(n,): whether the plant was measured in these cycles, by answers that came in time."""
+        return self._flags([each.measured for each in self._chunks], first, end)
+
+    def _flags(self, kept: Sequence[Rows], first: int, end: int) -> Rows:
         return (np.concatenate(kept) if kept else np.empty(0, bool))[self._at(first, end)]
 
     def sync(self, cycle: int) -> int:

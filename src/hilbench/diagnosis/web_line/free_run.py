@@ -51,6 +51,8 @@ _CREEP_STEP: Final = 5e-8
 _CREEP: Final = lay.place("web_slip", "creep_per_N")
 #: A change of a torque by which its response is looked at, N·m.
 _A_TORQUE_NM: Final = 0.01
+#: The same of a position, m.
+_A_WAY_M: Final = 1e-5
 #: Share of a corner's bend by which the slopes of one side of it may differ.
 _STRAIGHT: Final = 0.25
 
@@ -107,11 +109,15 @@ class FreeRun:
         unrounded = imitation is not None and imitation.resolution_m_s is None
         believed = _UNROUNDED_TOLERANCE if unrounded else _TOLERANCE
         self.tolerances = np.array([believed * self._stretch_m(name) for name in names])
+        if self._all:  # what is late is late for all axes, and their differences do not show it
+            mean = len(data.tau_Nm) + model.axis_count - 1
+            self.tolerances[mean] = np.hypot(self.tolerances[mean], data.put_off_m)
         self.every = 1
         self.exact = True
         self.narrower = None
         self._start = self._start_state(data)
         self._before, self._more_Nm = data.before, 0.0
+        self._pushed = data.pushed
         self._slow: dict[int, tuple[Array, Array]] = {}  # by creep, in steps
         if data.period_s > 1.5 * self._cycle_s:
             self._choose_hold(data)
@@ -227,16 +233,18 @@ class FreeRun:
         self._commands = options[int(np.argmin(errors))]
 
     def predict(self, parameters: Array) -> Array:
-        """(B, P) to (B, signals, n), on all cores; begun under way with the slow mode that suits it best."""
+        """(B, P) to (B, signals, n), on all cores; with the slow modes that suit it best: of a begin under way, and of
+        each push."""
         predicted = self._predicted(parameters)
-        if self._before is not None:
+        if self._before is not None or self._pushed:
             for one, found in zip(parameters, predicted, strict=True):
-                mode, along = self._slow_mode(one)
-                found += float(np.sum(along * (self.measured - found))) * mode
+                modes, along = self._slow_modes(one)
+                found += np.tensordot(np.tensordot(along, self.measured - found, 2), modes, 1)
         return predicted
 
-    def _slow_mode(self, parameters: Array) -> tuple[Array, Array]:
-        """(signals, n) each: what another integral of the loop of axis 2 at the start does, and what tells how much.
+    def _slow_modes(self, parameters: Array) -> tuple[Array, Array]:
+        """(modes, signals, n) each: what another integral of the loop of axis 2 does, at the start and from each push
+        on, and what tells how much.
 
         With a stiff web behind it the loop forgets that only over E·S/(v·ki·(i/r)²), which is seconds; and nobody knows
         it to better than what the torque swings by. Of what a model may lack only creep makes it much quicker.
@@ -244,16 +252,32 @@ class FreeRun:
         creep = parameters.item(lay.Layout.of(parameters).first_span + _CREEP)
         key = round(creep / _CREEP_STEP)
         if key not in self._slow:
-            self._more_Nm = _A_TORQUE_NM
-            try:
-                mode = self._predicted(parameters[None])[0]
-            finally:
-                self._more_Nm = 0.0
-            mode = (mode - self._predicted(parameters[None])[0]) / _A_TORQUE_NM
+            changed = [self._begun_with(_A_TORQUE_NM, parameters)] if self._before is not None else []
+            changed += [self._moved_on_at(row, parameters) for row in self._pushed]
+            modes = np.array(changed) - self._predicted(parameters[None])
             floors = np.array([self.floor(k) for k in range(len(self.names))])
-            along = np.where(self.rows, mode, 0.0) / np.hypot(floors, self.tolerances)[:, None] ** 2
-            self._slow[key] = mode, along / max(float(np.sum(along * mode)), 1e-300)
+            weighted = np.where(self.rows, modes, 0.0) / np.hypot(floors, self.tolerances)[:, None] ** 2
+            gram = np.tensordot(weighted, modes, ([1, 2], [1, 2]))
+            self._slow[key] = modes, np.tensordot(np.linalg.pinv(gram, hermitian=True), weighted, 1)
         return self._slow[key]
+
+    def _begun_with(self, more_Nm: float, parameters: Array) -> Array:
+        """(signals, n): with another integral of the loop of axis 2 at the start."""
+        self._more_Nm = more_Nm
+        try:
+            return np.asarray(self._predicted(parameters[None])[0])
+        finally:
+            self._more_Nm = 0.0
+
+    def _moved_on_at(self, row: int, parameters: Array) -> Array:
+        """(signals, n): axis 2 commanded to be somewhat further from a row on, by which its integral differs."""
+        commands = self._commands
+        self._commands = [commands[0].copy(), *commands[1:]]
+        self._commands[0][row, 1] += _A_WAY_M / self._period_s
+        try:
+            return np.asarray(self._predicted(parameters[None])[0])
+        finally:
+            self._commands = commands
 
     def _predicted(self, parameters: Array) -> Array:
         run = self._run(np.atleast_2d(parameters))

@@ -9,6 +9,7 @@ included. What is left is looked at as means over `SHORT` cycles, whose accelera
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +27,14 @@ Rows = NDArray[np.bool_]
 SHORT = 10
 #: Cycles after one in which the plant was not measured in which what is imitated still catches up.
 _CATCHES_UP = 4
+#: Lengths of the longest span after which the web that was found in it, of unknown strain, has left: exp(-5) of it is
+#: less than what a level may be off by.
+_EXCHANGED: Final = 5.0
+
+
+def exchanged_m(model: ModelParameters) -> float:
+    """Way of the web after which nothing is left of that which was in the spans."""
+    return _EXCHANGED * max(model.span_length_m(span) for span in range(1, model.span_count + 1))
 
 
 class ModelGap:
@@ -45,12 +54,14 @@ class ModelGap:
         self._axis_at = [lay.W_SIZE + k * lay.A_SIZE for k in range(self._axes)]
         self._motor_at = [lay.W_SIZE + self._axes * lay.A_SIZE + k * lay.M_SIZE for k in range(self._axes)]
         self._follower = SpanFollower(model)
+        self._exchanged_m = exchanged_m(model)
         self.restart()
 
     def restart(self) -> None:
         """The next rows are not those that follow the last."""
         self._last: Array | None = None
         self._last_known = np.empty(0, bool)
+        self._came_m = 0.0  # of web, since then
 
     def use_modulus(self, youngs_modulus_Pa: float) -> None:
         """E of the web from now on."""
@@ -59,7 +70,8 @@ class ModelGap:
     def follow(self, channels: Mapping[str, Array], known: Rows) -> Array:
         """(n // SHORT, N): of the next rows (n,) of x{k}_m, tau{k}_Nm, strain_prev and F_next_N; n a multiple.
 
-        NaN where a row is not known, or follows one."""
+        NaN where a row is not known, or follows one; and until the web has left that was found at the first row: of its
+        strain nobody knows."""
         axes = range(1, self._axes + 1)
         x = np.column_stack([channels[f"x{k}_m"] for k in axes])
         torque = np.column_stack([channels[f"tau{k}_Nm"] for k in axes])
@@ -75,7 +87,8 @@ class ModelGap:
         for j in range(count):
             part = slice(j * SHORT, (j + 1) * SHORT)
             end = lead + (j + 1) * SHORT - 1
-            if not np.all(known[max(end - SHORT - _CATCHES_UP, 0) : end + 1]):
+            self._came_m += abs(float(positions[end, -1] - positions[max(end - SHORT, 0), -1]))
+            if self._came_m < self._exchanged_m or not np.all(known[max(end - SHORT - _CATCHES_UP, 0) : end + 1]):
                 result[j] = np.nan
                 continue
             result[j] = self._of(positions, end, torque[part].mean(0), tensions[part].mean(0), around[part].mean(0))

@@ -9,6 +9,7 @@ What is decided depends on the samples alone, not on how long anything took.
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final, Literal
@@ -16,7 +17,7 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.bench.reports.found import FoundEffect, FoundGap, GapRow, News, Samples, Told, Watched
+from hilbench.bench.reports.found import CHUNK_CYCLES, FoundEffect, FoundGap, GapRow, News, Samples, Told, Watched
 from hilbench.diagnosis.diagnosis import Diagnosis, diagnosed
 from hilbench.diagnosis.misfit import largest_ratio, misfits, ratios
 from hilbench.diagnosis.noise import floor, rms
@@ -40,6 +41,8 @@ _NEEDED: Final = ("x1_m", "x2_m", "v1_m_s", "v2_m_s", "tau1_Nm", "tau2_Nm", "str
 _SETTLED_S: Final = 1.0
 #: How much less a sum of squares has to be for a model to be better, beside its price: far beyond chance.
 _DECISIVE: Final = 40.0
+#: Pieces in a row that part, behind others that did not, from which on it is they that are looked into.
+_LASTING: Final = 2 * ROW
 #: Times the configured window after which nothing more is hoped for from more of it, and lengths of a trial.
 _LONGEST, _TRIALS = 4, 3
 #: E that the model goes by is the twin's, as it was between these times before now, s.
@@ -93,6 +96,7 @@ class Session:
         self._modulus_Pa = model.youngs_modulus_Pa(1)
         self._state: Literal["watching", "naming", "trial", "waiting"] = "watching"
         self._case: _Case | None = None
+        self._pieces: deque[Piece] = deque(maxlen=round(config.memory_s / (CHUNK_CYCLES * cycle_s)))
         self._pieces_calm = 0  # while waiting
         self._seen_until = 0  # cycle of the plant
         self._news: list[News] = []
@@ -130,6 +134,8 @@ class Session:
         channels = {name: window.column(rows, name) for name in _NEEDED}
         self._seen_until = end
         piece, original = (watch.update(end - 1, channels, known) for watch in watches)
+        if piece is not None:
+            self._pieces.append(piece)
         return piece, original
 
     def told(self, told: Told) -> None:
@@ -191,9 +197,16 @@ class Session:
     def _name(self) -> None:
         case = self._case
         assert case is not None
+        if self._is_another(case):
+            case = self._case = _Case(self._watch.begun_cycle, self._cycles(self._config.window_s))
+            self._say("seen", case.begun, "model and measurement part again")
         earliest, end = case.begun + self._cycles(_SETTLED_S), self._window.end
         first = quiet_cycle(self._window, earliest, end, self._cycle_s)
         if first is None or end - first < case.lacking:
+            return
+        if sum(piece.parts for piece in self._pieces if piece.cycle >= first) < ROW:
+            self._say("ended", case.begun, "it has passed by itself: the model stays as it is")
+            self._state, self._case = "watching", None
             return
         before = models.with_modulus(self._in_use, self._modulus_Pa)
         try:
@@ -202,13 +215,21 @@ class Session:
                 gone = [e for e in self._in_use.effects if e not in simpler.effects]
                 self._found(replace(case, candidate=simpler, gone=tuple(map(models.of_entry, gone)), trial=end))
                 return
-            data = data_of(self._window, before, first, end, self._cycle_s)
+            data = data_of(self._window, before, self._imitation, first, end, self._cycle_s)
             found = diagnosed(data, before, imitation=self._imitation)
         except UnusableInputError as error:
             self._say("ended", case.begun, f"can't be diagnosed: {error}")
             self._rest_until_it_ends()
             return
         self._judge(found, case, end)
+
+    def _is_another(self, case: _Case) -> bool:
+        """Whether what a case began with had passed before that began which is there now."""
+        begun = self._watch.begun_cycle
+        if begun <= case.begun or self._watch.in_a_row < _LASTING:
+            return False
+        between = [piece.parts for piece in self._pieces if case.begun <= piece.cycle < begun]
+        return 2 * sum(between) < len(between)
 
     def _explained_without(self, before: ModelParameters, first: int, end: int) -> ModelParameters | None:
         """The model in use without what has been added to it, where that explains these data as well as any."""
@@ -309,7 +330,7 @@ class Session:
     def _gap(self, candidate: ModelParameters, first: int, end: int) -> FoundGap:
         """Of the models in use and changed, from cycle `first` to before `end`, as the watch sees it."""
         lead = self._cycles(_FOLLOWED_S)
-        rows, known = self._window.rows(first - lead, end), self._window.known(first - lead, end)
+        rows, known = self._window.rows(first - lead, end), self._window.measured(first - lead, end)
         counted = len(rows) // SHORT * SHORT
         channels = {name: self._window.column(rows, name)[-counted:] for name in _NEEDED}
         seen = []
@@ -318,8 +339,12 @@ class Session:
             gap.use_modulus(self._modulus_Pa)
             seen.append(gap.follow(channels, known[-counted:])[-((end - first) // SHORT) :])
         before, after = (each[np.all(np.isfinite(each), axis=1)] for each in seen)
-        learned = self._watch.noise_Nm
-        floors = np.array([floor(column) for column in after.T]) if learned is None else learned
+        floors = np.array([floor(column) for column in after.T])
+        if (learned := self._watch.noise_Nm) is not None:
+            # Of few means by chance less than the noise of the torques alone makes of them.
+            floors = np.maximum(
+                learned, [floor(channels[f"tau{k + 1}_Nm"]) / np.sqrt(SHORT) for k in range(len(learned))]
+            )
         worst = int(np.argmax(np.sqrt(np.mean(before**2, axis=0)) / floors))
         size_before, size_after = (rms(each[:, worst]) for each in (before, after))
         return FoundGap(f"tau{worst + 1}_Nm", "N·m", size_before, size_after, float(floors[worst]))

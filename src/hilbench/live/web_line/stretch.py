@@ -17,6 +17,7 @@ from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.span import follow_on
 
 Array = NDArray[np.float64]
+Rows = NDArray[np.bool_]
 
 #: How long before a start a candidate follows the web, and for how long before that the model, s.
 _SHOWN_S, _KNOWN_S = 3.0, 5.0
@@ -28,6 +29,11 @@ _QUIET_S, _QUIET_M_S = 0.5, 0.01
 _MOVES_M_S = 0.05
 #: The same of the mean tension, from that time to the one before, as a share of it.
 _QUIET_SHARE = 0.006
+#: Signal that shows how far the web is stretched.
+_AWAY = "x1_m - x2_m"
+#: Rows over which a way bends that is left at once, and behind a late one within which it does; how far, in deviations
+#: of what a right model leaves.
+_PUSH, _PUSH_AFTER, _PUSHED = 10, 60, 3.0
 #: Share of its noise by which the gap of a torque is smaller, at least, with a changed model.
 _SHOWS = 0.02
 
@@ -66,7 +72,7 @@ class Stretch:
         cycle_s: float,
     ) -> Stretch:
         """The cycles from `first` to before `end`. Raises UnusableInputError for what can't be diagnosed."""
-        data = data_of(window, model, first, end, cycle_s)
+        data = data_of(window, model, imitation, first, end, cycle_s)
         return cls(data, choice(model, data, imitation).predictor)
 
     @property
@@ -85,13 +91,54 @@ class Stretch:
         return float(np.sum((residual / self.deviations[:, None])[:, self.predictor.rows] ** 2))
 
 
-def data_of(window: Window, model: ModelParameters, first: int, end: int, cycle_s: float) -> Measured:
+def data_of(
+    window: Window, model: ModelParameters, imitation: Imitation | None, first: int, end: int, cycle_s: float
+) -> Measured:
     """What a diagnosis takes from these cycles. Raises UnusableInputError for what can't be diagnosed."""
     data = measured_from(window.recording(first, end), model, "the running bench")
-    left_out = ~window.known(first, end)
-    if len(left_out) != len(data.t_s):
+    measured, known = window.measured(first, end), window.known(first, end)
+    if len(known) != len(data.t_s):
         raise UnusableInputError("the running bench", "rows could not be placed in time, expected one each cycle")
-    return replace(data, before=_before(window, model, first, cycle_s), left_out=left_out | data.left_out)
+    data = replace(
+        data,
+        before=_before(window, model, first, cycle_s),
+        left_out=~known | data.left_out,
+        put_off_m=_put_off_m(data.commands_m_s, measured, cycle_s),
+    )
+    if np.all(measured):
+        return data
+    pushed = _pushed(data, model, imitation, measured)
+    left_out = data.left_out.copy()
+    left_out[list(pushed)] = True
+    return replace(data, pushed=pushed, left_out=left_out)
+
+
+def _pushed(data: Measured, model: ModelParameters, imitation: Imitation | None, measured: Rows) -> tuple[int, ...]:
+    """Rows at which rollers have left their way at once, behind rows that were not `measured` in time (n,): a load
+    motor goes on with the torque that it has as long as the bench does not hear from it, and that pushes the rollers.
+    """
+    predictor = choice(model, data, imitation).predictor
+    if _AWAY not in predictor.names:  # on measured motion: whatever made the rollers move so
+        return ()
+    away = predictor.names.index(_AWAY)
+    residual = predictor.measured[away] - predictor.predict(packed(model)[None])[0, away]
+    bend = np.abs(residual[2 * _PUSH :] - 2.0 * residual[_PUSH:-_PUSH] + residual[: -2 * _PUSH])
+    late = np.convolve(~measured, np.ones(_PUSH_AFTER), "full")[: len(residual)] > 0.5
+    odd = np.flatnonzero(
+        (bend > _PUSHED * np.hypot(predictor.tolerances[away], predictor.floor(away))) & late[_PUSH:-_PUSH]
+    )
+    if not len(odd):
+        return ()
+    begins = np.concatenate([[True], np.diff(odd) > _PUSH_AFTER])
+    return tuple(int(row) + _PUSH for row in odd[begins])
+
+
+def _put_off_m(commands_m_s: Array, measured: Rows, cycle_s: float) -> float:
+    """How far from its way a line may be that takes each command (n, axes) a cycle late with which a row comes that was
+    not `measured` in time (n,), or one behind it: where drives answer late, the next commands leave late."""
+    doubted = ~measured[1:] | ~measured[:-1]
+    changes_m_s = np.abs(np.diff(commands_m_s, axis=0))[doubted]
+    return cycle_s * float(np.max(np.sum(changes_m_s, axis=0)))
 
 
 def _before(window: Window, model: ModelParameters, cycle: int, cycle_s: float) -> Before:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from hilbench.bench.reports.found import CHUNK_CYCLES, Samples
 from hilbench.diagnosis.measured import SHORTEST_S
 from hilbench.errors import UnusableInputError
+from hilbench.live.web_line.gap import exchanged_m
 from hilbench.live.web_line.session import Session
 from hilbench.live.web_line.stretch import Stretch, packed
 from hilbench.live.web_line.watch import ROW
@@ -21,8 +22,8 @@ from hilbench.topology.live_config import LiveDiagnosisConfig
 
 Array = NDArray[np.float64]
 
-#: Speed of the line, m/s, and noise of its torques, N·m.
-_SPEED_M_S, _NOISE_Nm = 1.0, 0.05
+#: Noise of its torques, N·m.
+_NOISE_Nm = 0.05
 #: What the line did before the stretch that is diagnosed, and that, s.
 _BEFORE_S, _STRETCH_S = 2.0, SHORTEST_S + 0.5
 
@@ -37,12 +38,14 @@ def warm_up(
     """As `Session` is given; nothing is left of it but what is compiled."""
     first, count = round(_BEFORE_S / cycle_s), round((_BEFORE_S + _STRETCH_S) / cycle_s)
     noise = np.random.default_rng(0)
+    # All of its web is another one with the second chunk: only then the watch looks at anything.
+    speed_m_s = exchanged_m(model) / (CHUNK_CYCLES * cycle_s)
     channels: dict[str, Array] = {name: np.zeros(count) for name in names}
     for name in names:
         if name.startswith("x"):
-            channels[name] += _SPEED_M_S * cycle_s * np.arange(count)
+            channels[name] += speed_m_s * cycle_s * np.arange(count)
         elif name.startswith("v"):
-            channels[name] += _SPEED_M_S
+            channels[name] += speed_m_s
         elif name.startswith("tau"):
             channels[name] += _NOISE_Nm * noise.standard_normal(count)
     channels["t_s"] += cycle_s * np.arange(count)

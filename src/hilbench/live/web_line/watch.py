@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,11 +33,15 @@ _MOVES_M_S = 0.05
 
 @dataclass(frozen=True)
 class Piece:
-    """The gap over one chunk, N·m at each motor (N,): its level, and what is about it."""
+    """The gap over one chunk, N·m at each motor (N,): its level, and what is about it; whether that is more than noise.
+
+    cycle: the last one of the chunk.
+    """
 
     cycle: int
     level: Array
     rest: Array
+    parts: bool = False
 
     @property
     def size(self) -> Array:
@@ -91,7 +95,8 @@ class Watch:
         white = (
             np.array([floor(channels[f"tau{k}_Nm"][known]) for k in range(1, len(level) + 1)]) * _MORE / np.sqrt(SHORT)
         )
-        if self._parts(piece, len(values), white):
+        piece = replace(piece, parts=self._parts(piece, len(values), white))
+        if piece.parts:
             self.begun_cycle = self.begun_cycle if self.in_a_row else last_cycle + 1 - cycles
             self.in_a_row += 1
         else:
