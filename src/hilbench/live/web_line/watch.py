@@ -66,7 +66,7 @@ class Watch:
     @property
     def noise_Nm(self) -> Array | None:
         """(N,): what is about the level of a piece while nothing parts; None before the first."""
-        return np.median(np.array(self._rests), axis=0) if self._rests else None
+        return np.mean(np.array(self._rests), axis=0) if self._rests else None
 
     def use_modulus(self, youngs_modulus_Pa: float) -> None:
         """E of the web from now on."""
