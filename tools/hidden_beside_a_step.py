@@ -30,11 +30,15 @@ def run(name: str) -> Outcome:
 
 def table(outcomes: dict[str, Outcome]) -> str:
     """In Markdown."""
-    lines = ["| hidden beside the step | to 1 % in s | end of run | 95 % holds in % |", "|---|--:|--:|--:|"]
+    lines = [
+        "| hidden beside the step | to 1 % in s | overshoot in % | end of run | 95 % holds in % |",
+        "|---|--:|--:|--:|--:|",
+    ]
     for name, found in outcomes.items():
         time_s = "–" if found.time_to_1pct_s is None else f"{found.time_to_1pct_s:.3g}"
+        over = "–" if found.overshoot_pct is None else f"{found.overshoot_pct:.2g}"
         end = f"{found.end_pct:.2f} % ± {found.stated_pct:.1f}".replace("-", "−")
-        lines.append(f"| {name} | {time_s} | {end} | {100.0 * found.covered:.1f} |")
+        lines.append(f"| {name} | {time_s} | {over} | {end} | {100.0 * found.covered:.1f} |")
     return "\n".join(lines)
 
 

@@ -14,7 +14,7 @@ from hilbench.estimation.web_line.config import SynchronizerConfig
 from hilbench.estimation.web_line.offline import run_offline
 from hilbench.plant.web_line.parameters import load_model
 from hilbench.results.recording import Recording
-from hilbench.runs.figures import ESTIMATE_BAND, time_to_stay
+from hilbench.runs.figures import ESTIMATE_BAND, overshoot_pct, time_to_stay
 
 #: The line as the twin believes it.
 MODEL = Path(__file__).parents[1] / "recordings" / "model.yaml"
@@ -52,6 +52,7 @@ class Outcome:
     stated_pct: float  #: deviation that the twin states then
     covered: float  #: share of cycles in which ±1.96 stated deviations hold the true E
     time_to_1pct_s: float | None
+    overshoot_pct: float | None  #: of the step, beyond the new E
 
     @property
     def right(self) -> bool:
@@ -74,4 +75,5 @@ def outcome(name: str, method: SynchronizerConfig, *, seed: int = 0, duration_s:
         100.0 * float(track.E_sd_Pa[-1] / true[-1]),
         float(np.mean(inside[scored])),
         time_to_stay(data.t_s, error, ESTIMATE_BAND, step),
+        overshoot_pct(track.E_Pa, true, step),
     )
