@@ -295,6 +295,8 @@ DRIVE_OBJECTS = (
 
 #: Spans of the longest line whose twin the virtual I/O has objects for.
 MOST_SPANS = 16
+#: Dancers, accumulators and reels, each with a sensor.
+MOST_STATIONS = 6
 
 
 def servo() -> DeviceDescription:
@@ -329,11 +331,20 @@ def virtual_io(kind: MachineKind) -> DeviceDescription:
     name, product, device_type = "hilbench virtual I/O", 0x0401, 0x000C_0191
     smallest = process_data(kind, SMALLEST[kind])
     signals = {signal.sub: signal for signal in smallest.published}
+    told = {signal.sub: signal for signal in smallest.told}
     tpdos = {number: Pdo() for number in range(1, 5)}
     if kind is MachineKind.WEB_LINE:
         spans = tuple(range(1, MOST_SPANS + 1))
         for signal in process_data(kind, Shape(MOST_SPANS + 1, (), MOST_SPANS, spans, spans)).published:
             signals.setdefault(signal.sub, signal)
+        names = tuple(f"{number}" for number in range(1, MOST_STATIONS + 1))
+        with_stations = process_data(kind, Shape(2, (), 1, (), (), carriages=names, measured=names))
+        signals |= {
+            signal.sub: replace(signal, text=signal.text.replace("position", "position or radius"))
+            for signal in with_stations.published
+            if signal.sub not in signals
+        }
+        told = {signal.sub: signal for signal in with_stations.told}
         longest = process_data(kind, Shape(MOST_SPANS + 1, (), MOST_SPANS, (1,), spans))
         tpdos |= {pdo.number: Pdo() for pdo in longest.sent}
     tpdos |= {
@@ -355,7 +366,7 @@ def virtual_io(kind: MachineKind) -> DeviceDescription:
         2: Entry("Largest step of a tension in the last change [N]", "REAL32", "ro", 0.0),
     }
     found = {1: Entry("Errors of the model that were found, as JSON", "STRING", "ro")}
-    outputs = {signal.sub: Entry(signal.text, "REAL32", "rww", 0.0, True) for signal in smallest.told}
+    outputs = {signal.sub: Entry(signal.text, "REAL32", "rww", 0.0, True) for signal in told.values()}
     file_name, description = VIRTUAL_IO_FILES[kind]
     return DeviceDescription(
         file_name,

@@ -132,9 +132,9 @@ def test_an_operator_may_change_speed_inertia_and_friction_up_to_the_warnings() 
 def test_process_data_of_the_shaft_are_its_own_signals_and_nothing_is_sent_of_a_boundary() -> None:
     nodes = Nodes(load_with_overrides(CONFIG).config)
     assert [variable.subindex for variable in nodes.io.sent[0].variables] == [1, 2]
-    assert nodes.io.boundary is None
+    assert nodes.io.boundary == ()
     assert len(nodes.pdo_maps("virtual_io")) == 3
-    assert Nodes(load_with_overrides(WEB).config).io.boundary is not None
+    assert len(Nodes(load_with_overrides(WEB).config).io.boundary) == 1
 
 
 @pytest.mark.slow

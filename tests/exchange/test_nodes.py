@@ -64,8 +64,8 @@ def test_set_points_go_out_in_the_units_of_each_drive() -> None:
     assert set_point(found, "axis1", frames) == pytest.approx(1.0 * RAD_PER_M / one.units.velocity_rad_s, abs=1)
     assert set_point(found, "axis2", frames) == pytest.approx(1.25 * RAD_PER_M / two.units.velocity_rad_s, abs=1)
     assert set_point(found, "load", frames) == pytest.approx(0.5 / load.units.torque_Nm, abs=1)
-    (boundary,) = [frame.data for frame in frames if frame.can_id == found.io.boundary.cob_id]
-    assert found.io.boundary.unpack(boundary) == pytest.approx((2.8e-4, 70.0))
+    (boundary,) = [frame.data for frame in frames if frame.can_id == found.io.boundary[0].cob_id]
+    assert found.io.boundary[0].unpack(boundary) == pytest.approx((2.8e-4, 70.0))
 
 
 def test_a_drive_without_a_set_point_gets_zero() -> None:

@@ -45,7 +45,7 @@ def measure(config: BenchConfig) -> Section:
     nodes = _nodes(config)
     tpdos = [pdo for part in (*_PARTS, "virtual_io") for pdo in nodes.pdo_maps(part) if pdo.cob_id in _answers(nodes)]
     tpdos = [pdo for pdo in tpdos if pdo.period == 1]
-    rpdos = [nodes.pdo_maps(part)[0] for part in _PARTS] + [pdo for pdo in [nodes.io.boundary] if pdo is not None]
+    rpdos = [*(nodes.pdo_maps(part)[0] for part in _PARTS), *nodes.io.boundary]
     frames = [Frame(pdo.cob_id, _data(pdo)) for pdo in tpdos]
     decoders = {pdo.cob_id: pdo.unpack for pdo in tpdos}
     values = [pdo.unpack(bytes(pdo.size)) for pdo in rpdos]

@@ -188,13 +188,13 @@ class _Run:
                 copied = slots.new(False)
                 frames.add(copy.cob_id, lay.BEFORE_SYNC, rpdo, (controlword, copied))
                 self._targets.append((1.0, drive.most_raw, copied, target, copy.factor))
-        boundary = nodes.io.boundary
         self._told: list[int] = []
-        if boundary is not None:
+        for boundary in nodes.io.boundary:
             if not all(kind.is_float for kind in boundary.kinds):
                 raise NotPlainError
-            self._told = new_slots(slots, boundary)
-            frames.add(boundary.cob_id, lay.BEFORE_SYNC, boundary, self._told)
+            told = new_slots(slots, boundary)
+            frames.add(boundary.cob_id, lay.BEFORE_SYNC, boundary, told)
+            self._told += told
         heartbeat, every = self._sync.heartbeat
         self._own_heartbeat = -1
         if every:

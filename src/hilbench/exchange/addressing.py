@@ -15,7 +15,7 @@ from hilbench.cia402.units import DriveUnits
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.parts import Part, Role
 from hilbench.topology.process_data.of_kind import process_data
-from hilbench.topology.process_data.table import STATUS_TPDO, IoPdo, ProcessData
+from hilbench.topology.process_data.table import PER_PDO, STATUS_TPDO, IoPdo, ProcessData
 
 _ABORT_BY_QUICK_STOP = 3
 _QUICK_STOP_RAMP = 2
@@ -28,7 +28,7 @@ class IoMaps:
     data: ProcessData
     sent: tuple[PdoMap, ...]  #: what is simulated and estimated, and how sure that is, in the order of `data.sent`
     status: PdoMap  #: TPDO3: SYNC that the data are of, age, status bits
-    boundary: PdoMap | None  #: RPDO1: what the twin is told; None for a machine with nothing around it
+    boundary: tuple[PdoMap, ...]  #: RPDO1 and following: what the twin is told, in the order of `data.told`
 
     @classmethod
     def of(cls, config: BenchConfig, od: canopen.ObjectDictionary) -> IoMaps:
@@ -39,15 +39,17 @@ class IoMaps:
             names = [f"0x{signal.index:04X}sub{signal.sub:X}" for signal in pdo.signals]
             return PdoMap.from_names(od, cob_id, pdo.every, names)
 
-        boundary, node_id = data.boundary, config.twin.node.node_id
+        node_id = config.twin.node.node_id
         for pdo in data.sent:
             if 0x1800 + pdo.number - 1 not in od:
                 raise KeyError(f"the virtual I/O has no TPDO{pdo.number} (object {0x1800 + pdo.number - 1:04X}h)")
+        if len(data.boundary) > len(RPDOS):
+            raise ValueError(f"{len(data.told)} values for the twin, expected at most {PER_PDO * len(RPDOS)}")
         return cls(
             data,
             tuple(pdo_map(_tpdo_id(config, pdo.number), pdo) for pdo in data.sent),
             PdoMap.from_names(od, _tpdo_id(config, STATUS_TPDO), 1, [f"0x2100sub{n}" for n in (1, 2, 3)]),
-            pdo_map(RPDOS[0] + node_id, boundary) if boundary is not None else None,
+            tuple(pdo_map(RPDOS[pdo.number - 1] + node_id, pdo) for pdo in data.boundary),
         )
 
     @property
@@ -59,8 +61,7 @@ class IoMaps:
     @property
     def all(self) -> list[PdoMap]:
         """Every one that there is."""
-        tpdos = [pdo for _, pdo in self.tpdos]
-        return tpdos if self.boundary is None else [*tpdos, self.boundary]
+        return [*(pdo for _, pdo in self.tpdos), *self.boundary]
 
 
 def _tpdo_id(config: BenchConfig, number: int) -> int:

@@ -54,6 +54,10 @@ class Nodes:
         self._drives = (*self.axes, *self.load_motors)
         self.io = IoMaps.of(config, self._ods["virtual_io"])
         self._boundary_names = tuple(signal.name for signal in self.io.data.told)
+        self._told = [
+            (pdo, tuple(signal.name for signal in content.signals))
+            for pdo, content in zip(self.io.boundary, self.io.data.boundary, strict=True)
+        ]
         self._said = [
             (pdo, tuple(signal.name for signal in content.signals))
             for pdo, content in zip(self.io.sent, self.io.data.sent, strict=True)
@@ -163,8 +167,7 @@ class Nodes:
     def _owned(self) -> Owned:
         """Whose frames belong on the bus."""
         rpdos = {cob_id: self.sender(drive) for drive in self.drives for cob_id in drive.rpdo_cob_ids}
-        if self.io.boundary is not None:
-            rpdos[self.io.boundary.cob_id] = self.twin_name
+        rpdos |= {pdo.cob_id: self.twin_name for pdo in self.io.boundary}
         dictionaries = {part.node.node_id: self._ods[part.name] for part in self.config.parts}
         return Owned(self.config.master.node_id, self._known, dictionaries, rpdos)
 
@@ -189,8 +192,8 @@ class Nodes:
 
     def _configure_io(self, master: Master) -> None:
         node_id = self.config.twin.node.node_id
-        if self.io.boundary is not None:
-            master.write_rpdo(node_id, 1, self.io.boundary)
+        for number, pdo in enumerate(self.io.boundary, 1):
+            master.write_rpdo(node_id, number, pdo)
         for number, pdo in self.io.tpdos:
             master.write_tpdo(node_id, number, pdo)
         master.configure(node_id, {(0x1017, 0): self.config.master.node_heartbeat_ms})
@@ -289,9 +292,9 @@ class Nodes:
                 frames += [CyclicFrame(f"{name} RPDO", cob_id, pdos.rpdo.size) for cob_id in drive.rpdo_cob_ids]
             frames += [CyclicFrame(f"{name} TPDO", pdo.cob_id, pdo.size, 1 / pdo.period) for _, pdo, _ in pdos.tpdos]
         named = [(f"TPDO{number}", pdo) for number, pdo in self.io.tpdos]
-        for name, pdo in [*named, ("boundary", self.io.boundary)]:
-            if pdo is not None:
-                frames.append(CyclicFrame(f"virtual io {name}", pdo.cob_id, pdo.size, 1 / pdo.period))
+        named += zip(("boundary", "sensors", "further sensors", "last sensors"), self.io.boundary, strict=False)
+        for name, pdo in named:
+            frames.append(CyclicFrame(f"virtual io {name}", pdo.cob_id, pdo.size, 1 / pdo.period))
         periods_ms = [self.config.master.heartbeat_ms, *[self.config.master.node_heartbeat_ms] * len(self._known)]
         per_cycle = sum(1000.0 * self.config.cycle_time_s / period for period in periods_ms if period)
         return [*frames, CyclicFrame("heartbeats", HEARTBEAT + 1, 1, per_cycle)]
@@ -308,9 +311,8 @@ class Nodes:
         for drive, name, per_unit in self._set_points:
             drive.setpoint = outputs.get(name, 0.0) * per_unit
             frames += drive.encode()
-        pdo = self.io.boundary
-        if pdo is not None:
-            frames.append(Frame(pdo.cob_id, pdo.pack([outputs[name] for name in self._boundary_names])))
+        for pdo, names in self._told:
+            frames.append(Frame(pdo.cob_id, pdo.pack([outputs[name] for name in names])))
         return frames
 
     def decode(self, frames: Sequence[Frame], before_sync: int = 0) -> None:
@@ -403,7 +405,7 @@ class Nodes:
 
     @property
     def boundary_names(self) -> Sequence[str]:
-        """What the twin is told, in the order of its RPDO."""
+        """What the twin is told, in the order of its RPDOs."""
         return self._boundary_names
 
     @property

@@ -217,8 +217,7 @@ def _complete(cycles: Iterator[CycleFrames], nodes: Nodes) -> Iterator[CycleFram
 def _own_frames(nodes: Nodes) -> Iterator[tuple[int, str]]:
     for drive in nodes.drives:
         yield from ((cob_id, drive.settings.name) for cob_id in drive.rpdo_cob_ids)
-    if nodes.io.boundary is not None:
-        yield nodes.io.boundary.cob_id, nodes.twin_name
+    yield from ((pdo.cob_id, nodes.twin_name) for pdo in nodes.io.boundary)
 
 
 def take_units(nodes: Nodes, frames: Iterable[Frame]) -> None:

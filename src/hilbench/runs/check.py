@@ -190,7 +190,7 @@ def _check_web(
     if stations:
         notes.append(
             "how stable the tension loops are is not looked at: idlers, dancers and accumulators swing beside the "
-            "driven rollers; the twin does not estimate E of such a line, it has the model's"
+            "driven rollers"
         )
     if reserve < 1.0:
         notes.append(

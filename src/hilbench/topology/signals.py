@@ -81,10 +81,18 @@ class Shape:
         return self.spans > max(self.axes - 1, 0)
 
     @property
-    def modulus_in_twin(self) -> str:
-        """What the E that the twin tells is, as a legend says it: beside dancers, accumulators and reels it estimates
-        none."""
-        return "of the model" if self.has_stations else "estimated"
+    def stations(self) -> tuple[str, ...]:
+        """Names of carriages, then of reels."""
+        return (*self.carriages, *self.reels)
+
+    @property
+    def sensors(self) -> tuple[tuple[str, str], ...]:
+        """Each station with a sensor, and the signal of that: carriages, then reels."""
+        return tuple(
+            (name, f"{'x' if name in self.carriages else 'r'}_{name}_meas_m")
+            for name in self.stations
+            if name in self.measured
+        )
 
     def axis_before(self, number: int) -> int:
         """Number of the driven axis before the span of that number; the one behind it is the next."""

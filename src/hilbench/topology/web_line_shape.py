@@ -29,6 +29,15 @@ def web_line_shape(
     return _with_stations(machine, load_motors, controlled, positioned, measured)
 
 
+def sensors_at_start(machine: ModelParameters, shape: Shape) -> dict[str, float]:
+    """What the sensors of carriages and reels say while these stand as at the start, m, by signal."""
+    found = {carriage.station.name: carriage.station.position_m for carriage in machine.carriages}
+    for roller in machine.line_rollers:
+        if isinstance(roller.station, Reel) and roller.axis is not None:
+            found[reel_name(roller.station)] = machine.radius_m(roller.axis)
+    return {signal: found[name] for name, signal in shape.sensors}
+
+
 def _with_stations(
     machine: ModelParameters,
     load_motors: tuple[str, ...],

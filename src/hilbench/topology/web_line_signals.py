@@ -38,6 +38,24 @@ WEB_LINE: Final = (
         Per.ESTIMATED,
     ),
     SignalKind(
+        "x_{carriage}_sim_m",
+        "m",
+        "position of the carriage of {carriage}, as the twin has it (virtual sensor)",
+        "twin",
+        Per.CARRIAGE,
+    ),
+    SignalKind(
+        "x_{carriage}_sd_m",
+        "m",
+        "standard deviation of the position of {carriage}, as the twin states it",
+        "twin",
+        Per.CARRIAGE,
+    ),
+    SignalKind("r_{reel}_sim_m", "m", "radius of the reel {reel} found by the twin (virtual sensor)", "twin", Per.REEL),
+    SignalKind(
+        "r_{reel}_sd_m", "m", "standard deviation of the radius of {reel}, as the twin states it", "twin", Per.REEL
+    ),
+    SignalKind(
         "tau{next}_sim_Nm",
         "N·m",
         "torque of axis {next} simulated by the twin, motor side",

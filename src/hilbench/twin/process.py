@@ -431,7 +431,7 @@ def twin(setup: TwinSetup) -> HostedDevices:
     devices = [Device(load_eds(node.eds, node.node_id), node.node_id, setup.clock) for node in setup.virtual_axes]
     io_node = setup.virtual_io
     io_device = Device(load_eds(io_node.eds, io_node.node_id), io_node.node_id, setup.clock)
-    virtual_io = VirtualIo(io_device, process_data(model.machine_kind, setup.shape), boundary(model))
+    virtual_io = VirtualIo(io_device, process_data(model.machine_kind, setup.shape), boundary(model, setup.shape))
 
     def make(effects: str) -> TwinMachine:
         return new_machine(with_effects(model, effects), setup.twin, setup.shape, setup.cycle_s, virtual_io.told)

@@ -36,6 +36,7 @@ from hilbench.topology.quantities import LINE_SPEED
 from hilbench.topology.sample import CycleSample
 from hilbench.topology.signals import Shape
 from hilbench.topology.web_line_config import ProbingConfig, TensionControlConfig
+from hilbench.topology.web_line_shape import sensors_at_start
 from hilbench.topology.web_line_signals import LINE_SPEED_SIGNAL
 
 
@@ -79,7 +80,8 @@ def tasks(config: BenchConfig, state: BenchState) -> MachineTasks:
         loops[axis] = _tension_task(config, state, control, names, axes[-1], trusts[-1], ahead)
         axes.append(loops[axis])
     probing = _probing(config, state, {loop.span: loop for loop in loops.values()}, line_speed)
-    boundary = BoundaryTask(model.upstream_strain, model.boundary.downstream_tension_N)
+    sensors = sensors_at_start(model, config.shape)
+    boundary = BoundaryTask(model.upstream_strain, model.boundary.downstream_tension_N, sensors)
     load = WebLoadTask(config, partial(reports.note, "load model"))
     limit_watch = LimitWatch(limits, model, cycle_s, config.shape)
     return MachineTasks(
@@ -201,19 +203,29 @@ def entering_strain(config: BenchConfig, twin: TwinState, axis: int) -> Entering
 
 
 class BoundaryTask(CyclicTask):
-    """What the twin gets to know of the web outside the span, whether the drives are enabled or not."""
+    """What the twin gets to know beside the axes, whether the drives are enabled or not: of the web outside the line,
+    and what sensors of stations say; until they have said something where these stand at the start."""
 
-    def __init__(self, strain_prev: float, tension_next_N: float) -> None:
+    def __init__(self, strain_prev: float, tension_next_N: float, sensors: Mapping[str, float]) -> None:
         self._strain_prev = strain_prev
         self._tension_next_N = tension_next_N
+        self._at_start = dict(sensors)
+        self._moved = False
 
     def before(self, sample: CycleSample, outputs: Outputs) -> None:
-        """Strain upstream of the span, tension downstream of it."""
+        """Strain upstream of the line, tension downstream of it, positions and radii."""
         sample.strain_prev = outputs["strain_prev"] = self._strain_prev
         sample.F_next_N = outputs["F_next_N"] = self._tension_next_N
+        for signal, value_m in self._at_start.items():
+            outputs[signal] = getattr(sample, signal) if self._moved else value_m
+
+    def after(self, sample: CycleSample, inputs: Inputs) -> None:
+        """Sensors have said something."""
+        self._moved = True
 
     def rest(self, sample: CycleSample, outputs: Outputs) -> None:
-        """The same."""
+        """The same; stations are as at the start when the drives are enabled again."""
+        self._moved = False
         self.before(sample, outputs)
 
 

@@ -19,7 +19,7 @@ def shown(shape: Shape) -> Shown:
         live.append(LiveRow(title, signals, "N", ".1f"))
     for span in shape.estimated:
         k = shape.numbered(span)
-        title = f"E{k} true / {shape.modulus_in_twin}"
+        title = f"E{k} true / estimated"
         live.append(LiveRow(title, (f"E{k}_true_Pa", f"E{k}_sim_Pa"), "N/mm²", ".0f", 1e6))
     of_steps = []
     for span in shape.estimated:

@@ -118,6 +118,20 @@ class LineFollower(Line):
             y[row] = y[2 * n + row] = position  # exactly: no drift from adding up
         self._observe()
 
+    @property
+    def motion(self) -> Vector:
+        """View of what is integrated (`Layout.y`): a change acts at once, `set_state` brings outputs up to it."""
+        return self._layout.y(self._state)
+
+    @motion.setter
+    def motion(self, values: Vector) -> None:
+        self._layout.y(self._state)[:] = values
+
+    def radius_ratio(self, axis: int) -> float:
+        """Radius of a reel, of a driven axis from 1, over that at the start; 1 of another roller."""
+        row = self._driven[axis - 1]
+        return float(_radius_ratio(self._p, row, self._layout.y(self._state).item(row)))
+
     def predicted_tension_N(self, lead_s: float) -> Vector:
         """The tensions (K,) `lead_s` later if the driven rollers go on as in the last cycle; changes nothing."""
         if not lead_s > 0.0:

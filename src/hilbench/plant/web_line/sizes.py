@@ -8,6 +8,7 @@ from typing import Final
 from hilbench.plant.effects import MachineSizes
 from hilbench.plant.parameters import per_item
 from hilbench.plant.web_line.parameters import ModelParameters
+from hilbench.plant.web_line.stations import Reel
 
 #: Share of a roller's radius by which positions may differ that are of one instant: encoders, and what slips.
 _ALIKE_SHARE: Final = 5e-4
@@ -16,9 +17,9 @@ _ALIKE_SHARE: Final = 5e-4
 def least_way_m(model: ModelParameters) -> float:
     """Way at the web that is measured well enough to tell cycles by it: a share of the smallest roller.
 
-    inf where a dancer or an accumulator lets the rollers turn at speeds of their own: no way tells anything.
+    inf where a dancer, an accumulator or a reel lets the rollers turn at speeds of their own: no way tells anything.
     """
-    if model.carriages:
+    if model.carriages or any(isinstance(roller.station, Reel) for roller in model.line_rollers):
         return inf
     return _ALIKE_SHARE * min(model.radius_m(axis) for axis in range(1, model.axis_count + 1))
 

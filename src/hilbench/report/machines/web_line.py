@@ -143,14 +143,14 @@ def _torques(axis: int) -> RunPicture:
     )
 
 
-def _elasticity(number: str, in_twin: str) -> RunPicture:
-    """`number`: of the span whose E the twin tells, as names have it; `in_twin`: see `Shape.modulus_in_twin`."""
+def _elasticity(number: str) -> RunPicture:
+    """`number`: of the span whose E the twin tells, as names have it."""
     return RunPicture(
         f"elasticity{number}",
         f"Young’s modulus in span {number}" if number else "Young’s modulus",
         f"Young’s modulus of the imitated web with a band of ±{100 * ESTIMATE_BAND:g} % (grey), and the "
-        f"twin’s, {in_twin}, with a band of ±2 standard deviations where the twin states one.",
-        (estimate(modulus(number), f"E{number}_sd_Pa", in_twin),),
+        "twin’s, estimated, with a band of ±2 standard deviations where the twin states one.",
+        (estimate(modulus(number), f"E{number}_sd_Pa", "estimated"),),
         with_reference="PID: what the published tracking simulation makes of the same measurements.",
         zoomed=True,
     )
@@ -186,12 +186,14 @@ def _stations(shape: Shape) -> list[RunPicture]:
         true = [
             Line(f"{symbol}_{name}_true_m", name, colour) for name, colour in zip(names, cycle(_COLOURS), strict=False)
         ]
+        simulated = [Line(f"{symbol}_{name}_sim_m", "simulated", VERMILLION, 1.2) for name in names]
         wanted = [Line(f"{symbol}_{name}_ref_m", "set-point", INK, 0.9, (4.0, 2.0)) for name in names]
         text = (
-            f"{title} of the imitated line{', and set-points where a controller keeps them' if symbol == 'x' else ''}."
+            f"{title} of the imitated line, as the twin has them without or with a sensor"
+            f"{', and set-points where a controller keeps them' if symbol == 'x' else ''}."
         )
         if names:
-            found.append(RunPicture(key, title, text, (lines(label, *true, *wanted, least=0.01),)))
+            found.append(RunPicture(key, title, text, (lines(label, *true, *simulated, *wanted, least=0.01),)))
     return found
 
 
@@ -208,7 +210,7 @@ def pictures_of(shape: Shape) -> MachinePictures:
         (
             _velocities(shape),
             *(_torques(behind) for behind in behind_estimated),
-            *(_elasticity(number, shape.modulus_in_twin) for _, number in estimated),
+            *(_elasticity(number) for _, number in estimated),
             *map(_tension, numbers),
             *_stations(shape),
         ),
@@ -216,7 +218,7 @@ def pictures_of(shape: Shape) -> MachinePictures:
             *(
                 ComparedSignal(
                     f"elasticity{number}",
-                    f"Young’s modulus{f' in span {number}' if number else ''}, {shape.modulus_in_twin}",
+                    f"Young’s modulus{f' in span {number}' if number else ''}, estimated",
                     "E in N/mm²",
                     (f"E{number}_sim_Pa",),
                     1e6,

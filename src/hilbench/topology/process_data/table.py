@@ -12,6 +12,8 @@ INPUTS: Final = 0x6403
 OUTPUTS: Final = 0x6413
 #: Number of the TPDO that says of which SYNC the data are, and whether they can be trusted (2100h).
 STATUS_TPDO: Final = 3
+#: REAL32 that a PDO holds.
+PER_PDO: Final = 2
 #: SYNCs between two PDOs that say how sure an estimate is.
 QUALITY_EVERY: Final = 10
 
@@ -61,9 +63,10 @@ class ProcessData:
     torques: tuple[SimulatedTorque, ...]
 
     @property
-    def boundary(self) -> IoPdo | None:
-        """The RPDO with what the twin is told."""
-        return IoPdo(1, self.told) if self.told else None
+    def boundary(self) -> tuple[IoPdo, ...]:
+        """The RPDOs with what the twin is told, in its order; none where that is nothing."""
+        pairs = [self.told[at : at + PER_PDO] for at in range(0, len(self.told), PER_PDO)]
+        return tuple(IoPdo(number, pair) for number, pair in enumerate(pairs, 1))
 
     @property
     def state(self) -> Iterator[IoSignal]:

@@ -1,6 +1,7 @@
 """A web line: the tensions of its spans, what is estimated at some, and what is around the line.
 
-Sub-indices are given once and for all: span k has the five of 6403h from 5·(k - 1) + 1 on.
+Sub-indices are given once and for all: span k has the five of 6403h from 5·(k - 1) + 1 on, of dancers, accumulators and
+reels station k the two from 81 + 2·(k - 1) on; sensors of these have those of 6413h from 3 on.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from typing import Final
 from hilbench.topology.process_data.table import (
     INPUTS,
     OUTPUTS,
+    PER_PDO,
     QUALITY_EVERY,
     STATUS_TPDO,
     IoPdo,
@@ -20,10 +22,11 @@ from hilbench.topology.process_data.table import (
 )
 from hilbench.topology.signals import Shape
 
-#: REAL32 that a PDO holds.
-_PER_PDO: Final = 2
 #: Sub-indices of 6403h that each span has.
 _PER_SPAN: Final = 5
+#: The first of stations in 6403h, and in 6413h.
+_FIRST_OF_STATIONS: Final = 81
+_FIRST_OF_SENSORS: Final = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,15 +52,38 @@ def _span(shape: Shape, number: int) -> _Span:
     )
 
 
+def _stations(shape: Shape) -> list[tuple[IoSignal, IoSignal]]:
+    """What is found of each dancer, accumulator and reel, and its deviation."""
+    found = []
+    for at, name in enumerate(shape.stations):
+        letter, what = ("x", "position") if name in shape.carriages else ("r", "radius")
+        first, of = _FIRST_OF_STATIONS + 2 * at, f"{what} of station {at + 1}"
+        found.append(
+            (
+                IoSignal(f"{letter}_{name}_sim_m", INPUTS, first, f"Simulated {of} [m]"),
+                IoSignal(f"{letter}_{name}_sd_m", INPUTS, first + 1, f"Standard deviation of the {of} [m]"),
+            )
+        )
+    return found
+
+
 def process_data(shape: Shape) -> ProcessData:
     """Of a line with so many spans."""
+    stations = _stations(shape)
+    sensors = (
+        IoSignal(signal, OUTPUTS, sub, f"Sensor {sub - _FIRST_OF_SENSORS + 1} of a dancer, accumulator or reel [m]")
+        for sub, (_, signal) in enumerate(shape.sensors, _FIRST_OF_SENSORS)
+    )
     spans = {number: _span(shape, number) for number in shape.simulated}
     estimated = [spans[number] for number in shape.estimated]
     others = [span.tension for number, span in spans.items() if number not in shape.estimated]
     contents: list[tuple[tuple[IoSignal, ...], int]] = []
     for span in estimated:
         contents += [((span.tension, span.modulus), 1), ((span.deviation, span.residual), QUALITY_EVERY)]
-    contents += [(tuple(others[at : at + _PER_PDO]), 1) for at in range(0, len(others), _PER_PDO)]
+    contents += [(tuple(others[at : at + PER_PDO]), 1) for at in range(0, len(others), PER_PDO)]
+    # A radius changes slowly, a carriage may not.
+    slow = [1] * len(shape.carriages) + [QUALITY_EVERY] * len(shape.reels)
+    contents += zip(stations, slow, strict=True)
     numbers = (number for number in range(1, len(contents) + 2) if number != STATUS_TPDO)
     published = [
         signal
@@ -69,10 +95,11 @@ def process_data(shape: Shape) -> ProcessData:
         )
     ]
     return ProcessData(
-        published=tuple(published),
+        published=(*published, *(signal for pair in stations for signal in pair)),
         told=(
             IoSignal("strain_prev", OUTPUTS, 1, "Upstream strain [1]"),
             IoSignal("F_next_N", OUTPUTS, 2, "Downstream tension [N]"),
+            *sensors,
         ),
         sent=tuple(IoPdo(number, signals, every) for number, (signals, every) in zip(numbers, contents, strict=False)),
         torques=tuple(

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from hilbench.plant.servo_axis.parameters import ServoAxisParameters
 from hilbench.topology.blocks import MachineParameters, TwinConfig
 from hilbench.topology.signals import Shape
+from hilbench.topology.web_line_shape import sensors_at_start
 from hilbench.twin.machines import web_line
 from hilbench.twin.machines.machine import Told, TwinMachine
 from hilbench.twin.machines.servo_axis import ServoAxisTwin
@@ -24,14 +25,16 @@ def new_machine(model: MachineParameters, config: TwinConfig, shape: Shape, cycl
     return web_line.WebLineTwin(model, config, cycle_s, told)
 
 
-def boundary(model: MachineParameters) -> Mapping[str, float]:
+def boundary(model: MachineParameters, shape: Shape) -> Mapping[str, float]:
     """What 6413h holds before the bench writes it, by signal."""
-    return {} if isinstance(model, ServoAxisParameters) else web_line.boundary(model)
+    if isinstance(model, ServoAxisParameters):
+        return {}
+    return web_line.boundary(model) | sensors_at_start(model, shape)
 
 
 def warm_up(model: MachineParameters, config: TwinConfig, shape: Shape, cycle_s: float) -> None:
     """Compile (or load) what a cycle runs on scratch objects, so that it is over before the devices boot."""
-    machine = new_machine(model, config, shape, cycle_s, boundary(model).__getitem__)
+    machine = new_machine(model, config, shape, cycle_s, boundary(model, shape).__getitem__)
     axes = range(model.axis_count)
     for k in range(_WARM_UP_CYCLES):
         machine.compare(k * cycle_s, [(0.0, 0.1 + 0.01 * (k % 7)) for _ in axes])

@@ -1,25 +1,31 @@
 """The twin of a line with idlers, dancers, accumulators or reels: it follows them on the driven rollers' motion.
 
-What the axes measure moves the twin's own dancers and accumulators (`hilbench.plant.web_line.line_follower`): tension
-of each section, carriages and radii are virtual sensors, with E as the model has it. E is not estimated: the balances
-that show it know driven rollers alone.
+What the axes measure moves the twin's own dancers and accumulators (`hilbench.plant.web_line.line_follower`); what
+their torques, and sensors of stations, say otherwise corrects carriages, radii of reels, and E of the sections where it
+shows (`web_line_unknowns`). Where a carriage keeps the tension E changes no force, but the strain that the web has in
+the next section: it is told as far as all of the line is one web. Beside a reel without a sensor of its radius the
+tension tells the radius, and E is that of the model; so it is on a line that is joined under way, whose strain is not
+known.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from math import inf
+
+import numpy as np
 
 from hilbench.estimation.plausibility import Problem
 from hilbench.plant.motor_port import MotorPort
 from hilbench.plant.pairing import Pairing
 from hilbench.plant.web_line.line import Line
-from hilbench.plant.web_line.line_follower import LineFollower
 from hilbench.plant.web_line.parameters import ModelParameters
+from hilbench.plant.web_line.sections import axes_before_spans
 from hilbench.plant.web_line.sizes import least_way_m
+from hilbench.plant.web_line.stations import Reel
 from hilbench.topology.signals import Shape
 from hilbench.twin.found import FoundBeside
 from hilbench.twin.machines.machine import Measured, Told
+from hilbench.twin.machines.web_line_unknowns import Found, LineUnknowns
 
 _OF_AN_AXIS = (("x", "m"), ("v", "m_s"), ("tau", "Nm"))
 
@@ -39,19 +45,21 @@ class LineWithStationsTwin:
         self.problems: Mapping[int, Problem | None] = {0: None}
         self.shift_span = 0
         self.refused, self.synchronized = False, False
-        self.separable = False  #: nothing is estimated
         self.torque_shift_Nm, self.torque_undecided = 0.0, False
-        self._follower = LineFollower(model)
+        self._unknowns = LineUnknowns(model, cycle_s, shape.measured)
+        self._model = model
         self._shape = shape
         self._told = told
         self._cycle_s = cycle_s
         self._per_rad = [1.0 / model.motor_rad_per_m(axis) for axis in axes]
         self._pairing = Pairing(least_way_m(model))
         self._web_m = sum(model.span_length_m(span) for span in range(1, model.span_count + 1))
+        self._before = axes_before_spans(model)
         self._unknown_m = 0.0  # so much web that could not be known is still in the line
         self._missed = 0
         self._residuals_Nm = [0.0] * model.axis_count
         self._positions_m: list[float] | None = None
+        self._reels = [roller.axis for roller in model.line_rollers if isinstance(roller.station, Reel) and roller.axis]
         self._of_axes = {f"{name}{axis}_{unit}" for axis in axes for name, unit in _OF_AN_AXIS}
 
     def reset(self) -> None:
@@ -63,7 +71,6 @@ class LineWithStationsTwin:
     def release(self, before: Sequence[Measured], now: Sequence[Measured]) -> None:
         """Let the web go, with the axes' motion and torque."""
         last, positions = self._at_web(before), self._at_web(now)
-        self._follower.reset(positions)
         self._pairing.reset()
         self._pairing.update(*positions)
         self._positions_m, self._missed = positions, 0
@@ -71,6 +78,10 @@ class LineWithStationsTwin:
         self._unknown_m = self._web_m if moves else 0.0
         self.synchronized = not moves
         speeds = [(x - then) / self._cycle_s if moves else 0.0 for x, then in zip(positions, last, strict=True)]
+        # Reels turn at what their radius makes of the speed of the web, by which the others turn.
+        of_rollers = [v for axis, v in enumerate(speeds, 1) if axis not in self._reels] or speeds
+        # From where they were a cycle before: the same measurement is compared next.
+        self._unknowns.begin(last, sum(of_rollers) / len(of_rollers))
         states: dict[str, float] = {}
         for axis, (x, v, (_, torque)) in enumerate(zip(positions, speeds, now, strict=True), 1):
             states |= {f"x{axis}_m": x, f"v{axis}_m_s": v, f"tau{axis}_Nm": torque if moves else 0.0}
@@ -85,20 +96,41 @@ class LineWithStationsTwin:
         if not self._pairing.update(*positions):
             self.miss()
             return False
-        self._follower.set_input("strain_prev", self._told("strain_prev"))
-        self._follower.set_input("F_next_N", self._told("F_next_N"))
-        self._follower.follow(positions, (self._missed + 1) * self._cycle_s)
-        self._unknown_m = max(self._unknown_m - abs(positions[0] - self._positions_m[0]), 0.0)
-        self.synchronized = self._unknown_m == 0.0
+        if not self._missed:
+            self._unknowns.sense({name: self._told(signal) for name, signal in self._shape.sensors})
+        self._unknowns.varied.set_boundary(self._told("strain_prev"), self._told("F_next_N"))
+        self._unknowns.follow(positions, (self._missed + 1) * self._cycle_s)
+        self._let_out(abs(positions[-1] - self._positions_m[-1]))
         self._positions_m, self._missed = positions, 0
-        torques = [torque for _, torque in measured]
-        self._residuals_Nm = [torque - port.torque_Nm for torque, port in zip(torques, self.ports, strict=True)]
+        left = np.array([torque - port.torque_Nm for (_, torque), port in zip(measured, self.ports, strict=True)])
+        self._residuals_Nm = (left - self._unknowns.torques_missing_Nm).tolist()
+        if self._unknowns.compare(left, limited=any(port.torque_limited for port in self.ports)):
+            self._take_moduli()
         self._transfer()
         return True
 
+    def _let_out(self, way_m: float) -> None:
+        """So much more web has left the line."""
+        self._unknown_m = max(self._unknown_m - way_m, 0.0)
+        self.synchronized = self._unknown_m == 0.0
+
+    def _take_moduli(self) -> None:
+        """Let the closed line have E as it was found."""
+        for span, axis in enumerate(self._before, 1):
+            name = f"span{span}.youngs_modulus_Pa" if len(self._before) > 1 else "youngs_modulus_Pa"
+            self.plant.set_parameter(name, self._modulus(span, axis).value)
+
+    def _modulus(self, span: int, axis: int) -> Found:
+        return self._unknowns.modulus(axis, self._model.youngs_modulus_Pa(span))
+
+    @property
+    def separable(self) -> bool:
+        """Whether E is told apart wherever the twin tells it."""
+        return all(self._unknowns.separable(self._before[span - 1]) for span in self._shape.estimated)
+
     def _transfer(self) -> None:
         """Let the closed line go on with the web, and all that no motor drives, as they were followed."""
-        found = self._follower.get_state().values
+        found = self._unknowns.varied.line.get_state().values
         self.plant.set_state({name: value for name, value in found.items() if name not in self._of_axes})
 
     def _at_web(self, measured: Sequence[Measured]) -> list[float]:
@@ -115,23 +147,27 @@ class LineWithStationsTwin:
         self.plant.set_input("F_next_N", self._told("F_next_N"))
 
     def found(self) -> Sequence[FoundBeside]:
-        """No errors of the model are looked for."""
+        """What is found is told as signals of its own."""
         return ()
 
     def use_method(self, number: int) -> None:
         """There is none to choose. Raises ValueError."""
         if number:
-            raise ValueError(f"method {number}, expected 0: E of a line with stations is not estimated")
+            raise ValueError(f"method {number}, expected 0: E of a line with stations is found in one way")
 
     def published(self) -> tuple[float, ...]:
-        """Of each section its tension; where E would be found E as the model has it, with no deviation that is known,
-        the simulated torque of the axis behind it, and the residual."""
-        shape, tensions = self._shape, self.plant.tension_N.tolist()
+        """Of each section its tension; where E is told E with its deviation, inf where nothing tells it, the
+        simulated torque of the axis behind it, and the residual; position of each carriage, radius of each reel, with
+        their deviations."""
+        shape, tensions, missing = self._shape, self.plant.tension_N.tolist(), self._unknowns.torques_missing_Nm
         values: list[float] = []
         for span in shape.simulated:
             values.append(tensions[span - 1])
             if span in shape.estimated:
                 axis = shape.axis_before(span)
-                modulus_Pa = self.plant.parameter(f"span{span}.youngs_modulus_Pa")
-                values += [modulus_Pa, inf, self.ports[axis].torque_Nm, self._residuals_Nm[axis]]
-        return tuple(values)
+                modulus = self._modulus(span, self._before[span - 1])
+                torque_Nm = self.ports[axis].torque_Nm + missing.item(axis)
+                values += [modulus.value, modulus.deviation, torque_Nm, self._residuals_Nm[axis]]
+        stations = [self._unknowns.carriage(number) for number in range(1, len(self._model.carriages) + 1)]
+        stations += [self._unknowns.radius(axis) for axis in self._reels]
+        return (*values, *(number for found in stations for number in (found.value, found.deviation)))

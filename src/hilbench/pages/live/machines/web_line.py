@@ -61,7 +61,7 @@ def _moduli(config: BenchConfig) -> Iterator[Plot]:
             f"modulus{shape.numbered(span)}",
             f"Young’s modulus in span {span}" if shape.spans > 1 else "Young’s modulus",
             quantity.in_unit,
-            (Trace(quantity.signal, "true", INK, 1.1), Trace(quantity.twin_signal, shape.modulus_in_twin, VERMILLION)),
+            (Trace(quantity.signal, "true", INK, 1.1), Trace(quantity.twin_signal, "estimated", VERMILLION)),
             (Spread(quantity.twin_signal, f"E{shape.numbered(span)}_sd_Pa", VERMILLION),),
             si_per_unit=quantity.si_per_shown,
             least=100.0,

@@ -1,0 +1,67 @@
+"""What is unknown of a line, from what it does: a Kalman filter on corrections of a model that is corrected with them.
+
+Innovations are linear in the unknowns (n,) by slopes that the model tells of itself. After each update the model is
+corrected, so that the filter's own mean is always 0, but for the constant errors of the measurements (m,), which
+nobody else knows.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Vector = NDArray[np.float64]
+
+#: Innovations that are so many deviations off, twice running, are no chance: something has changed.
+_FAR_OFF = 5.0
+_TWICE = 2
+
+
+class Unknowns:
+    """`start` (n, n): covariance of the unknowns at the start; `jumps` (n, n): that of a sudden change of them;
+    `offsets` (m,): deviations of the constant errors of the measurements."""
+
+    def __init__(self, start: Vector, jumps: Vector, offsets: Vector) -> None:
+        self._count = len(start)
+        size = self._count + len(offsets)
+        self.covariance, self._jumps = np.zeros((size, size)), np.zeros((size, size))
+        self.covariance[: self._count, : self._count] = start
+        self.covariance[self._count :, self._count :] = np.diag(offsets**2)
+        self._jumps[: self._count, : self._count] = jumps
+        self._offsets = np.zeros(len(offsets))
+        self._far_off = 0
+
+    @property
+    def deviations(self) -> Vector:
+        """Standard deviations of the unknowns (n,)."""
+        found: Vector = np.sqrt(np.diag(self.covariance)[: self._count])
+        return found
+
+    def grow(self, variances: Vector, of_offsets: Vector) -> None:
+        """What unknowns (n,) and offsets (m,) may have changed by in the meantime, as variances."""
+        places = np.arange(len(self.covariance))
+        self.covariance[places, places] += np.concatenate([variances, of_offsets])
+
+    def turn(self, matrix: Vector) -> None:
+        """The unknowns are others now, `matrix` (n, n) times those of before."""
+        whole = np.eye(len(self.covariance))
+        whole[: self._count, : self._count] = matrix
+        self.covariance = whole @ self.covariance @ whole.T
+
+    def update(self, innovations: Vector, slopes: Vector, variances: Vector) -> Vector:
+        """Changes of the unknowns (n,) by innovations (m,) with slopes (m, n) and variances (m,)."""
+        known = np.hstack([slopes, np.eye(len(innovations))])
+        left = innovations - self._offsets
+        spread = known @ self.covariance @ known.T + np.diag(variances)
+        off = bool(np.any(np.abs(left) > _FAR_OFF * np.sqrt(np.diag(spread))))
+        self._far_off = self._far_off + 1 if off else 0
+        if self._far_off == _TWICE:
+            self.covariance = self.covariance + self._jumps
+            spread = known @ self.covariance @ known.T + np.diag(variances)
+            self._far_off = 0
+        gain = np.linalg.solve(spread, known @ self.covariance).T
+        changes: Vector = gain @ left
+        rest = np.eye(len(self.covariance)) - gain @ known
+        self.covariance = rest @ self.covariance @ rest.T + (gain * variances) @ gain.T
+        self._offsets += changes[self._count :]
+        return changes[: self._count]

@@ -1,0 +1,289 @@
+"""What a twin of a line with stations finds: carriages, radii of reels, E of the sections where it shows.
+
+A line follows the measured motion; what its torques, and the sensors of stations, say otherwise is put down to the
+unknowns by how the line itself says that it depends on them (`hilbench.plant.web_line.varied_line`). So the radius of a
+reel is found by v·dt = r·dphi with the strain in it, from the tension that a wrong radius would make, or from the
+carriage that it would move.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from math import exp, hypot, inf, sqrt
+from typing import Final
+
+import numpy as np
+
+from hilbench.estimation.noise_level import NoiseLevel
+from hilbench.estimation.web_line.unknowns import Unknowns
+from hilbench.plant.parameters import per_item
+from hilbench.plant.web_line.drive_response import DriveResponse
+from hilbench.plant.web_line.layout import Vector
+from hilbench.plant.web_line.parameters import ModelParameters
+from hilbench.plant.web_line.stations import Reel, reel_name
+from hilbench.plant.web_line.varied_line import Kind, Unknown, VariedLine
+
+_WINDOW_S: Final = 0.03  #: of which the means are looked at
+# What is believed at the start, as standard deviations.
+_RADIUS_SHARE: Final = 0.02
+_MODULUS_SHARE: Final = 0.2
+_SECTION_SHARE: Final = 0.03  #: by which E of a section is another than that of the whole web
+_STRAIN_AT_REST, _STRAIN_UNDER_WAY = 0.02, 0.5  #: of the strain with which the web comes in
+#: Of its way. Of one that is under way nothing is believed but its stops, nor of one whose spring will tell.
+_CARRIAGE_AT_REST: Final = 0.01
+_USUAL_WAY_M: Final = 1.0  #: of a carriage without stops
+_MODEL_SHARE: Final = 0.01  #: of E, that no model of a line is surer of
+# What changes meanwhile.
+_CARRIAGE_M_PER_SQRT_M: Final = 1e-4  #: of web
+_THICKNESS_SHARE: Final = 0.1  #: error of the thickness by which a reel's radius changes
+_RADIUS_PER_SQRT_M: Final = 2e-5  #: what else
+_STRAIN_PER_SQRT_S: Final = 1e-3  #: of that with which the web comes in
+_MODULUS_PER_SQRT_S: Final = 3e-3
+# How wrong measurements are.
+_OFFSET_SHARE: Final = 0.002  #: constant error of a torque: friction, offset; of the drive's limit
+_OFFSET_SHARE_PER_SQRT_S: Final = 5e-4  #: by which that changes
+_LEAST_NOISE_SHARE: Final = 2e-3  #: of a window: idlers swing, by which it is no white noise
+#: Of a limit, at first: the line is let go in another state than it is in, and swings; and for how long.
+_SWING_SHARE, _SWING_S = 0.2, 0.05
+_INERTIA_SHARE: Final = 0.05  #: of the torque that accelerates
+_SENSOR_M: Final = 2e-4  #: of a carriage
+_SENSOR_SHARE: Final = 2e-4  #: of a radius
+#: Corrections stay within these.
+_LEAST_MODULUS, _MOST_MODULUS, _MOST_RADIUS = -0.8, 4.0, 0.3
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """A value and its standard deviation."""
+
+    value: float
+    deviation: float
+
+
+class LineUnknowns:
+    """Of a line with stations, whose axes answer once a cycle; `measured`: names of stations with a sensor."""
+
+    def __init__(self, model: ModelParameters, cycle_s: float, measured: Sequence[str]) -> None:
+        self.varied = VariedLine(model, measured)
+        self._model, self._cycle_s = model, cycle_s
+        self._axes = [axis for axis in range(1, model.axis_count + 1) if model.carries_web_load(axis)]
+        self._rows = np.array(self._axes, int) - 1
+        self._sensors = [(name, unknown) for name, unknown in _stations(model).items() if name in measured]
+        loops, axes = model.drives, range(1, model.axis_count + 1)
+        assert loops is not None, "a twin's model has drives"
+        self._limits_Nm = [per_item(loops.torque_limit_Nm, axis) for axis in self._axes]
+        offsets = [_OFFSET_SHARE * limit_Nm for limit_Nm in self._limits_Nm] + [0.0] * len(self._sensors)
+        self._offsets = np.array(offsets)
+        self._shows = np.array([self._shows_in_torques(each) for each in self.varied.unknowns], float)
+        self._offset_growth = np.array(
+            [(_OFFSET_SHARE_PER_SQRT_S * limit_Nm) ** 2 for limit_Nm in self._limits_Nm] + [0.0] * len(self._sensors)
+        )
+        self._window = max(round(_WINDOW_S / cycle_s), 1)
+        self._response = DriveResponse(
+            [per_item(loops.velocity_kp_Nm_s_per_rad, axis) for axis in axes],
+            [per_item(loops.velocity_ki_Nm_per_rad, axis) for axis in axes],
+            len(self.varied.unknowns) + 1,
+            cycle_s,
+        )
+        self._loads = np.zeros((model.axis_count, len(self.varied.unknowns) + 1))
+        self.begin([0.0] * model.axis_count, 0.0)
+
+    def begin(self, positions_m: Sequence[float], speed_m_s: float) -> None:
+        """The web is let go with the driven rollers (N,) there; it has this speed, 0 at rest."""
+        self.varied.reset(positions_m, speed_m_s)
+        under_way = speed_m_s != 0.0
+        believed = np.diag([self._believed(each, under_way) ** 2 for each in self.varied.unknowns])
+        # Which of E and strain makes the tension of a line that is joined under way is not known.
+        self._tells_moduli = not under_way and any(each.kind is Kind.MODULUS for each in self.varied.unknowns)
+        moduli = self._moduli_apart() if self._tells_moduli else np.zeros_like(believed)
+        self._filter = Unknowns(believed + moduli, moduli, self._offsets)
+        self._noise = [NoiseLevel(0.01 * limit_Nm, 1e-4 * limit_Nm) for limit_Nm in self._limits_Nm]
+        self._positions_m, self._way_m, self._window_way_m = list(positions_m), 0.0, 0.0
+        self._time_s = 0.0
+        self._speeds_m_s: Vector | None = None
+        self._loads[:] = 0.0
+        self._response.reset()
+        self._set_inertia()
+        self._begin_window()
+
+    def _believed(self, unknown: Unknown, under_way: bool) -> float:
+        if unknown.kind is Kind.CARRIAGE:
+            station = self._model.carriages[unknown.number - 1].station
+            ends = (station.lower_stop_m, station.upper_stop_m)
+            way_m = _USUAL_WAY_M if ends[0] is None or ends[1] is None else ends[1] - ends[0]
+            known = not under_way and not self._shows_in_torques(unknown)
+            return _CARRIAGE_AT_REST * way_m if known else way_m / sqrt(12.0)
+        if unknown.kind is Kind.STRAIN:
+            return self._model.upstream_strain * (_STRAIN_UNDER_WAY if under_way else _STRAIN_AT_REST)
+        return _RADIUS_SHARE if unknown.kind is Kind.RADIUS else 0.0
+
+    def _moduli_apart(self) -> Vector:
+        """Covariance of E of the sections: it is one web."""
+        moduli = np.array([each.kind is Kind.MODULUS for each in self.varied.unknowns], float)
+        common = _MODULUS_SHARE**2 - _SECTION_SHARE**2
+        return common * np.outer(moduli, moduli) + _SECTION_SHARE**2 * np.diag(moduli)
+
+    def _shows_in_torques(self, unknown: Unknown) -> bool:
+        """Where a carriage stands no tension tells, but against a spring or on an arm: that a longer web yields more is
+        less than any model is sure of."""
+        if unknown.kind is not Kind.CARRIAGE:
+            return True
+        station = self._model.carriages[unknown.number - 1].station
+        return station.spring_N_per_m > 0.0 or station.arm_length_m > 0.0
+
+    def _set_inertia(self) -> None:
+        """Reels by what is on them now."""
+        found = []
+        for axis in range(1, self._model.axis_count + 1):
+            wound_kg_m2 = self._model.wound_inertia_kg_m2(axis) * self.varied.ratio(axis) ** 4
+            own_kg = self._model.roller_mass_kg(axis) + self._model.motor_mass_kg(axis)
+            per_m, ratio = self._model.motor_rad_per_m(axis), self._model.gear_ratio(axis)
+            found.append(own_kg / per_m**2 + wound_kg_m2 / ratio**2)
+        self._inertia_kg_m2 = np.array(found)
+        self._response.set_inertia(found)
+
+    def _begin_window(self) -> None:
+        self._cycles = 0
+        self._sum = np.zeros(len(self._axes) + len(self._sensors))
+        self._slopes = np.zeros((len(self._sum), len(self.varied.unknowns)))
+
+    # -- each cycle --------------------------------------------------------------------------------------
+
+    def sense(self, told: Mapping[str, float]) -> None:
+        """What the sensors of stations said of the motion that was followed last, m, by name."""
+        first = len(self._axes)
+        for at, (name, unknown) in enumerate(self._sensors, first):
+            if unknown.kind is Kind.CARRIAGE:
+                self._sum[at] += told[name] - self.varied.carriage_m(unknown.number)
+                self._slopes[at] += self.varied.carriage_slopes(unknown.number)
+            else:
+                self._sum[at] += told[name] / self._model.radius_m(unknown.number) - self.varied.ratio(unknown.number)
+                self._slopes[at, self.varied.unknowns.index(unknown)] += 1.0
+
+    def follow(self, positions_m: Sequence[float], duration_s: float) -> None:
+        """The driven rollers (N,) are there now."""
+        self.varied.follow(positions_m, duration_s)
+        way_m = abs(positions_m[-1] - self._positions_m[-1])
+        self._way_m += way_m
+        self._window_way_m += way_m
+        self._positions_m = list(positions_m)
+
+    @property
+    def torques_missing_Nm(self) -> Vector:
+        """What the torques (N,) of the closed line have not answered yet to what was corrected."""
+        return self._response.torques_Nm[:, -1]
+
+    def compare(self, residuals_Nm: Vector, *, limited: bool) -> bool:
+        """Torques (N,), measured less those of the closed line; whether something was corrected. `limited`: a torque is
+        at its limit, and says nothing."""
+        answered = self._response.torques_Nm
+        left = (residuals_Nm - answered[:, -1])[self._rows]
+        for noise, value in zip(self._noise, left.tolist(), strict=True):
+            noise.update(value)
+        self._sum[: len(left)] += left
+        self._slopes[: len(left)] += answered[self._rows, :-1] * self._shows
+        self._cycles += 1
+        self._loads[:, :-1] = self.varied.load_slopes()
+        self._loads[:, -1] = self.varied.loads_Nm() - self.varied.loads_without_turn_Nm()
+        corrected = False
+        if self._cycles >= self._window:
+            corrected = not limited and self._correct()
+            self._begin_window()
+        self._response.step(self._loads)
+        return corrected
+
+    def miss(self) -> None:
+        """A cycle without measurement."""
+        self._response.step(self._loads)
+        for noise in self._noise:
+            noise.interrupt()
+        self._begin_window()
+
+    def _correct(self) -> bool:
+        count, unknowns = self._cycles, self.varied.unknowns
+        time_s = count * self._cycle_s
+        self._time_s += time_s
+        self._filter.grow(self._growth(time_s), self._offset_growth * time_s)
+        changes = self._filter.update(self._sum / count, self._slopes / count, self._variances(count))
+        changes = np.array([self._bounded(each, float(change)) for each, change in zip(unknowns, changes, strict=True)])
+        self.varied.correct(changes)
+        self._response.states[:, :, -1] += self._response.states[:, :, :-1] @ changes
+        turned = self.varied.renew()
+        self._filter.turn(turned)
+        self._response.states[:, :, :-1] = self._response.states[:, :, :-1] @ np.linalg.inv(turned)
+        self._loads[:, :-1] = self.varied.load_slopes()
+        self._loads[:, -1] = self.varied.loads_Nm() - self.varied.loads_without_turn_Nm()
+        self._set_inertia()
+        return True
+
+    def _bounded(self, unknown: Unknown, change: float) -> float:
+        if unknown.kind is Kind.MODULUS:
+            at = self.varied.modulus_factor(unknown.number) - 1.0
+            return min(max(change, _LEAST_MODULUS - at), _MOST_MODULUS - at)
+        return min(max(change, -_MOST_RADIUS), _MOST_RADIUS) if unknown.kind is Kind.RADIUS else change
+
+    def _growth(self, time_s: float) -> Vector:
+        way_m, self._window_way_m = self._window_way_m, 0.0
+        found = []
+        for unknown in self.varied.unknowns:
+            if unknown.kind is Kind.CARRIAGE:
+                found.append(_CARRIAGE_M_PER_SQRT_M**2 * way_m)
+            elif unknown.kind is Kind.RADIUS:
+                # A thickness that is wrong goes on adding up: its share of the way, squared.
+                thickness = (_THICKNESS_SHARE * self.varied.slope_per_m(unknown.number)) ** 2
+                found.append((2.0 * thickness * self._way_m + _RADIUS_PER_SQRT_M**2) * way_m)
+            elif unknown.kind is Kind.MODULUS:
+                found.append(_MODULUS_PER_SQRT_S**2 * time_s if self._tells_moduli else 0.0)
+            else:
+                found.append((_STRAIN_PER_SQRT_S * self._model.upstream_strain) ** 2 * time_s)
+        return np.array(found)
+
+    def _variances(self, count: int) -> Vector:
+        speeds_m_s = self.varied.line.v_m_s[self._rows]
+        before, self._speeds_m_s = self._speeds_m_s, speeds_m_s
+        rates = np.abs(speeds_m_s - (speeds_m_s if before is None else before)) / (count * self._cycle_s)
+        per_m = np.array([self._model.motor_rad_per_m(axis) for axis in self._axes])
+        accelerating_Nm = self._inertia_kg_m2[self._rows] * per_m * rates
+        noise = np.array([noise.variance / count for noise in self._noise])
+        noise += (_LEAST_NOISE_SHARE * np.array(self._limits_Nm)) ** 2
+        noise += (_SWING_SHARE * np.array(self._limits_Nm) * exp(-self._time_s / _SWING_S)) ** 2
+        sensors = [_SENSOR_M**2 if unknown.kind is Kind.CARRIAGE else _SENSOR_SHARE**2 for _, unknown in self._sensors]
+        return np.concatenate([noise + (_INERTIA_SHARE * accelerating_Nm) ** 2, sensors])
+
+    # -- what is found -----------------------------------------------------------------------------------
+
+    def carriage(self, number: int) -> Found:
+        """Position of a carriage, m; from 1."""
+        return Found(self.varied.carriage_m(number), self._deviation(Unknown(Kind.CARRIAGE, number)))
+
+    def radius(self, axis: int) -> Found:
+        """Of a reel, m."""
+        radius_m = self._model.radius_m(axis)
+        return Found(radius_m * self.varied.ratio(axis), radius_m * self._deviation(Unknown(Kind.RADIUS, axis)))
+
+    def separable(self, axis: int) -> bool:
+        """Whether anything has told E of the section behind an axis."""
+        if not self._tells_moduli:
+            return False
+        return self._deviation(Unknown(Kind.MODULUS, axis)) < 0.5 * _MODULUS_SHARE * self.varied.modulus_factor(axis)
+
+    def modulus(self, axis: int, modulus_Pa: float) -> Found:
+        """E in the section behind an axis, Pa, of which the model says `modulus_Pa`; inf where nothing tells it."""
+        factor = self.varied.modulus_factor(axis)
+        if not self._tells_moduli:
+            return Found(modulus_Pa, inf)
+        deviation = self._deviation(Unknown(Kind.MODULUS, axis))
+        return Found(modulus_Pa * factor, modulus_Pa * hypot(deviation, _MODEL_SHARE))
+
+    def _deviation(self, unknown: Unknown) -> float:
+        return float(self._filter.deviations[self.varied.unknowns.index(unknown)])
+
+
+def _stations(model: ModelParameters) -> dict[str, Unknown]:
+    """Those that may have a sensor, by name, and what it measures."""
+    found = {each.station.name: Unknown(Kind.CARRIAGE, at) for at, each in enumerate(model.carriages, 1)}
+    for roller in model.line_rollers:
+        if isinstance(roller.station, Reel) and roller.axis is not None:
+            found[reel_name(roller.station)] = Unknown(Kind.RADIUS, roller.axis)
+    return found

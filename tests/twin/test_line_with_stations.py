@@ -1,0 +1,111 @@
+"""The twin of a line with dancers and reels finds where they stand, what they have on them, and E where it shows."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from tests.twin.beside_stations import Array, BesideStations, beside, dancer_line, winding_line
+from tests.twin.independent_winding import IndependentWinding
+
+SPRUNG = {"spring_N_per_m": 800.0, "spring_rest_m": 0.1}
+#: Of the web beside the dancer, two strands.
+BESIDE_THE_DANCER_M = 4.0
+
+
+def after(found: dict[str, Array], time_s: float) -> np.ndarray:
+    """Rows from so long after the first on."""
+    return found["t_s"] >= found["t_s"][0] + time_s
+
+
+def off_by(found: dict[str, Array], name: str) -> Array:
+    """What the twin has more than what is true."""
+    return found[f"{name}_sim_m"] - found[f"{name}_true_m"]
+
+
+def web_within_1_percent(found: dict[str, Array]) -> bool:
+    """Whether from 0.5 s on the length beside the dancer is known so well."""
+    return bool(np.all(2.0 * np.abs(off_by(found, "x_dancer")[after(found, 0.5)]) <= 0.01 * BESIDE_THE_DANCER_M))
+
+
+def honest(found: dict[str, Array], name: str, deviations: float = 4.0) -> bool:
+    """Whether what is off stays within so many stated deviations, from 1 s on."""
+    rows = after(found, 1.0)
+    return bool(np.all(np.abs(off_by(found, name)[rows]) <= deviations * found[f"{name}_sd_m"][rows]))
+
+
+def test_a_sprung_dancer_that_stands_elsewhere_than_believed_is_found_by_the_tension() -> None:
+    line = beside(dancer_line(position_m=0.1, **SPRUNG), dancer_line(position_m=0.05, **SPRUNG))
+    line.go(1.0, 1.0, 1.0, 1.0, ramp_s=1.0)
+    line.go(2.5, 1.01, 1.0, 1.0002)
+    found = line.table()
+    assert abs(off_by(found, "x_dancer")[0]) > 0.02
+    assert web_within_1_percent(found)
+    assert honest(found, "x_dancer")
+    assert found["x_dancer_sd_m"][-1] < 0.003
+
+
+def test_a_twin_that_joins_under_way_finds_a_sprung_dancer() -> None:
+    line = beside(dancer_line(spring_N_per_m=800.0), dancer_line(spring_N_per_m=800.0))
+    line.go(1.0, 1.0, 1.0, 1.0, ramp_s=1.0, with_twin=False)
+    line.go(2.0, 1.1, 1.0, 1.0002, with_twin=False)
+    line.go(4.0, 1.0, 1.0, 1.0002)
+    found = line.table()
+    assert abs(off_by(found, "x_dancer")[0]) > 0.02
+    assert web_within_1_percent(found)
+    assert honest(found, "x_dancer")
+    assert not line.twin.separable
+    assert np.all(np.isinf(found["E4_sd_Pa"]))
+    settled = after(found, 1.0)
+    for span in (1, 4):
+        assert np.max(np.abs(found[f"F{span}_sim_N"] - found[f"F{span}_true_N"])[settled]) < 1.5
+
+
+def test_of_a_dancer_with_a_constant_force_that_is_joined_the_twin_says_that_it_knows_no_place() -> None:
+    line = beside(dancer_line(), dancer_line())
+    line.go(1.0, 1.0, 1.0, 1.0, ramp_s=1.0, with_twin=False)
+    line.go(2.0, 1.1, 1.0, 1.0, with_twin=False)
+    line.go(3.0, 1.0, 1.0, 1.0)
+    found = line.table()
+    assert off_by(found, "x_dancer")[-1] == pytest.approx(-0.05, abs=0.01)
+    assert found["x_dancer_sd_m"][-1] == pytest.approx(0.4 / np.sqrt(12.0), rel=0.05)
+
+
+def test_a_measured_dancer_is_where_its_sensor_says() -> None:
+    line = beside(dancer_line(position_m=0.1), dancer_line(), measured=("dancer",))
+    line.go(1.0, 1.0, 1.0, 1.0, ramp_s=1.0)
+    line.go(2.0, 1.05, 1.0, 1.0)
+    found = line.table()
+    assert np.ptp(found["x_dancer_true_m"]) > 0.02
+    assert np.max(np.abs(off_by(found, "x_dancer")[after(found, 0.5)])) < 5e-4
+    assert honest(found, "x_dancer")
+
+
+def test_a_wrong_E_is_found_behind_a_dancer_with_its_deviation() -> None:
+    true_Pa = 1.2 * 8.7e9
+    balanced = {"force_N": 192.0, "next_N": 96.0}
+    line = beside(dancer_line(true_Pa, **balanced), dancer_line(**balanced))
+    line.go(1.0, 1.0, 1.0, 1.0, ramp_s=1.0)
+    line.go(4.0, 1.0, 1.0, 1.0001)
+    found = line.table()
+    error, deviation = found["E4_sim_Pa"] - true_Pa, found["E4_sd_Pa"]
+    assert abs(error[0]) > 0.1 * true_Pa
+    settled = after(found, 0.5)
+    assert np.max(np.abs(error[settled])) < 0.03 * true_Pa
+    assert np.all(np.abs(error[settled]) < 3.0 * deviation[settled])
+    assert line.twin.separable
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_radii_without_a_sensor_are_found_over_the_whole_reel(seed: int) -> None:
+    """Unwound from 120 to 61 mm, with a web 3 % thicker than believed, both reels 1.5 and 1 % other than believed."""
+    true = IndependentWinding((0.12 * 1.015, 0.15, 0.1 * 0.99), thickness_m=1.03e-3, modulus_Pa=2e8 / 1.03)
+    line = BesideStations(true, winding_line((0.1218, 0.099)), winding_line((0.12, 0.1)), seed=seed)
+    line.go(2.0, 2.0, 2.0, 2.0, ramp_s=2.0)
+    line.go(18.0, 2.0, 2.0003, 2.0006)
+    found = line.table()
+    assert found["r_unwinder_true_m"][-1] < 0.5 * found["r_unwinder_true_m"][0]
+    for reel in ("r_unwinder", "r_rewinder"):
+        assert abs(off_by(found, reel)[0]) > 0.005 * found[f"{reel}_true_m"][0]
+        rows = after(found, 1.0)
+        assert np.max(np.abs(off_by(found, reel) / found[f"{reel}_true_m"])[rows]) < 0.002
+        assert honest(found, reel)
