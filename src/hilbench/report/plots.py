@@ -14,6 +14,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from html import escape
 from itertools import pairwise
+from math import ceil
 from typing import Any, Final, Literal
 
 import numpy as np
@@ -48,6 +49,8 @@ _CUT_BEYOND: Final = 4.0
 _ZOOM_BEFORE_S: Final = 0.1
 ZOOM_AFTER_S: Final = 1.2
 _MOST_ZOOMS: Final = 6
+#: Axes beside each other.
+_MOST_ACROSS: Final = 3
 #: Steps up to this number have their text beside them, more their numbers.
 _MOST_TEXTS: Final = 3
 #: Texts above the axes that are nearer than this share of their width would overlap.
@@ -244,12 +247,12 @@ def zooms(pictures: Sequence[Picture], marks: Sequence[Mark]) -> list[Picture]:
         until_s = step.end_s + ZOOM_AFTER_S
         if following is not None:
             until_s = max(min(until_s, following.start_s), step.end_s + 0.1)
-        charts = [picture.charts[0].part(step.start_s - _ZOOM_BEFORE_S, until_s) for picture in wanted]
-        charts = [chart for chart in charts if chart.curves]
-        if charts:
+        parts = {each.title: each.charts[0].part(step.start_s - _ZOOM_BEFORE_S, until_s) for each in wanted}
+        parts = {title: chart for title, chart in parts.items() if chart.curves}
+        if parts:
             title = f"Step {step.number}: {step.text}"
-            picture = Picture(f"zoom{step.number}", title, "", charts)
-            found.append(drawn(picture, [step], side_by_side=True))
+            picture = Picture(f"zoom{step.number}", title, "", list(parts.values()))
+            found.append(drawn(picture, [step], side_by_side=list(parts)))
     return found
 
 
@@ -274,26 +277,34 @@ def draw_histogram(histogram: Histogram) -> Picture:
 # -- drawing ---------------------------------------------------------------------------------------------------------
 
 
-def drawn(picture: Picture, marks: Sequence[Mark] = (), *, side_by_side: bool = False) -> Picture:
-    """The picture with its SVG: its axes one below the other, or side by side."""
+def drawn(picture: Picture, marks: Sequence[Mark] = (), *, side_by_side: Sequence[str] = ()) -> Picture:
+    """The picture with its SVG: its axes one below the other, or `side_by_side`, in rows where they are many, with
+    these titles then."""
     if not picture.charts:
         return picture
     count = len(picture.charts)
+    across = min(count, _MOST_ACROSS) if side_by_side else 1
+    down = ceil(count / across)
 
     def draw(figure: Any) -> list[Panel]:
         if side_by_side:
-            figure.subplots_adjust(wspace=0.5)
-            rows = np.atleast_1d(figure.subplots(1, count))
-        else:
-            rows = np.atleast_1d(figure.subplots(count, 1, sharex=True))
-        columns = _COLUMNS // count if side_by_side else _COLUMNS
-        panels = [_draw_chart(axes, chart, columns, marks) for axes, chart in zip(rows, picture.charts, strict=True)]
+            figure.subplots_adjust(wspace=0.5 if across < _MOST_ACROSS else 1.0, hspace=0.5)
+        grid = np.ravel(figure.subplots(down, across, sharex=not side_by_side))
+        for unused in grid[count:]:
+            unused.remove()
+        columns = _COLUMNS // across
+        panels = [
+            _draw_chart(axes, chart, columns, marks) for axes, chart in zip(grid[:count], picture.charts, strict=True)
+        ]
         for panel in panels if side_by_side else panels[-1:]:
             panel.axes.set_xlabel("time in s")
+        if down > 1:
+            for panel, title in zip(panels, side_by_side, strict=False):
+                panel.axes.set_title(title, fontsize=9)
         _draw_marks(marks, panels, texts=not side_by_side)
         return panels
 
-    height_in = 2.5 if side_by_side else 0.9 + 2.0 * count
+    height_in = 2.5 * down if side_by_side else 0.9 + 2.0 * count
     return replace(picture, drawing=Drawing(draw, height_in, picture.name, picture.title))
 
 
