@@ -24,7 +24,7 @@ from hilbench.plant.web_line.laws import FRICTION_WIDTH_M_S
 from hilbench.plant.web_line.offline import Simulation, simulate, start_state
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.sizes import machine_sizes
-from hilbench.plant.web_line.span import follow_on
+from hilbench.plant.web_line.span import SpanFollower
 
 Array = NDArray[np.float64]
 
@@ -117,6 +117,7 @@ class FreeRun:
         self.narrower = None
         self._start = self._start_state(data)
         self._before, self._more_Nm = data.before, 0.0
+        self._web_before = None if data.before is None else SpanFollower(model)
         self._pushed = data.pushed
         self._slow: dict[int, tuple[Array, Array]] = {}  # by creep, in steps
         if data.period_s > 1.5 * self._cycle_s:
@@ -199,8 +200,9 @@ class FreeRun:
         layout = lay.Layout.of(parameters)
         y, n = layout.y(state), layout.axes
         x2, v2, F_next_N = y.item(1), y.item(n + 1), self._boundary.item(0, 1)
-        tension_N, strain = follow_on(
-            parameters, self._model, before.x_m, before.boundary, self._period_s, before.strain
+        assert self._web_before is not None, "there are rows before the first one"
+        tension_N, strain = self._web_before.follow_on(
+            parameters, before.x_m, before.boundary, self._period_s, before.strain
         )
         lay.set_strain(parameters, state, strain)
         turn_m = 2.0 * np.pi * self._model.radius_m(2)

@@ -14,7 +14,7 @@ from hilbench.live.window import Window
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.imitation import Imitation
 from hilbench.plant.web_line.parameters import ModelParameters
-from hilbench.plant.web_line.span import follow_on
+from hilbench.plant.web_line.span import SpanFollower
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.bool_]
@@ -151,7 +151,7 @@ def _before(window: Window, model: ModelParameters, cycle: int, cycle_s: float) 
     split = max(len(rows) - shown, 0)
     strain = model.upstream_strain
     if split > 1:
-        _, at_split = follow_on(packed(model), model, x[:split], boundary[:split], cycle_s, strain)
+        _, at_split = SpanFollower(model).follow_on(packed(model), x[:split], boundary[:split], cycle_s, strain)
         strain = float(at_split[0])
     return Before(x[max(split - 1, 0) :], boundary[max(split - 1, 0) :], strain)
 

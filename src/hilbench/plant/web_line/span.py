@@ -114,6 +114,25 @@ class SpanFollower:
         )
         self._stale = False
 
+    def follow_on(
+        self, p: Vector, x_m: NDArray[np.float64], boundary: NDArray[np.float64], dt_s: float, strain: float
+    ) -> tuple[Vector, Vector]:
+        """Tensions (n, K) on positions (n, N) as `follow`, from spans that are strained by `strain` on; and the strains
+        (K,) at the end.
+
+        From now on the web is that of a parameter vector `p` (P,): the model's with other effects.
+        """
+        self._p[:] = p
+        self._state[:] = 0.0
+        self.reset(x_m[0], np.full(self._layout.spans, strain))
+        return self._follow_rows(x_m, boundary, dt_s), self.strain
+
+    def _follow_rows(self, x_m: NDArray[np.float64], boundary: NDArray[np.float64], dt_s: float) -> Vector:
+        out = np.empty((len(x_m), self._layout.spans))
+        x, limits = np.ascontiguousarray(x_m, dtype=float), np.ascontiguousarray(boundary, dtype=float)
+        span_kernel.follow_rows(self._p, self._state, self._work, x, limits, dt_s, self._v, out)
+        return out
+
     def predicted_tension_N(self, lead_s: float) -> Vector:
         """The tensions (K,) `lead_s` later if the rollers go on as in the last cycle; changes nothing.
 
@@ -342,29 +361,7 @@ def follow(parameters: ModelParameters, x_m: NDArray[np.float64], boundary: NDAr
     Raises ValueError for a model without a web or shapes that do not fit.
     """
     start = SpanFollower(parameters, x_m[0])
-    n, k = start._layout.axes, start._layout.spans
+    n = start._layout.axes
     if x_m.shape != (len(x_m), n) or boundary.shape != (len(x_m), 2):
         raise ValueError(f"positions {x_m.shape}, boundary {boundary.shape}, expected (n, {n}) and (n, 2)")
-    out = np.empty((len(x_m), k))
-    x, limits = np.ascontiguousarray(x_m, dtype=float), np.ascontiguousarray(boundary, dtype=float)
-    span_kernel.follow_rows(start._p, start._state, start._work, x, limits, dt_s, start._v, out)
-    return out
-
-
-def follow_on(
-    p: Vector,
-    model: ModelParameters,
-    x_m: NDArray[np.float64],
-    boundary: NDArray[np.float64],
-    dt_s: float,
-    strain: float,
-) -> tuple[Vector, Vector]:
-    """Tensions (n, K) on positions as `follow`, by a parameter vector (P,) of the model with other effects, from spans
-    that are strained by `strain` on; and the strains (K,) at the end."""
-    web = SpanFollower(model)
-    web._p[:] = p
-    web.reset(x_m[0], np.full(web._layout.spans, strain))
-    out = np.empty((len(x_m), web._layout.spans))
-    x, limits = np.ascontiguousarray(x_m, dtype=float), np.ascontiguousarray(boundary, dtype=float)
-    span_kernel.follow_rows(web._p, web._state, web._work, x, limits, dt_s, web._v, out)
-    return out, web.strain
+    return start._follow_rows(x_m, boundary, dt_s)
