@@ -61,7 +61,7 @@ def spindle(monkeypatch: pytest.MonkeyPatch) -> list[Spindle]:
             machine_tasks(config, state),
             reference=reference,
             quantities=(reference,),
-            control=(BoundaryTask(0.0, 0.0), made[-1]),
+            control=(BoundaryTask(0.0, 0.0, {}), made[-1]),
             watches=(Watch("spindle", too_fast, state.reports),),
         )
 
