@@ -336,11 +336,12 @@ def _jumps(t_s: Array, x: Array) -> tuple[NDArray[np.intp], Array]:
     period_s = float(np.median(np.diff(t_s)))
     rate = steps / np.maximum(np.round(np.diff(t_s) / period_s), 1.0)
     size = np.abs(rate)
-    beside = np.zeros(len(size))
+    near = np.full((2 * _BESIDE, len(size)), np.nan)
     for shift in range(1, _BESIDE + 1):
-        beside[shift:] = np.maximum(beside[shift:], size[:-shift])
-        beside[:-shift] = np.maximum(beside[:-shift], size[shift:])
-    sudden = size > _WRAP * beside
+        near[shift - 1, shift:] = size[:-shift]
+        near[-shift, :-shift] = size[shift:]
+    # Not the largest of them: an axis that turns round at a wrap passes it twice.
+    sudden = size > _WRAP * np.nanmedian(near, axis=0)
     if not np.any(sudden):
         return np.empty(0, np.intp), np.empty(0)
     sudden &= size > _LARGEST_STEP * float(np.max(size[~sudden], initial=0.0))
