@@ -11,6 +11,7 @@ from tests.machine_words import elsewhere, found_in, is_its_own
 CEILING = 395
 
 
+@pytest.mark.slow
 def test_no_more_words_of_the_web_line_stand_where_they_do_not_belong() -> None:
     found = elsewhere()
     said = ", ".join(f"{path} {words.total()}" for path, words in found.items())

@@ -57,6 +57,7 @@ def test_the_shipped_dancer_passes_its_criteria() -> None:
     assert len(result.criteria) == 3
 
 
+@pytest.mark.slow
 def test_the_dancer_keeps_the_tension_before_the_press_and_its_position_is_recorded() -> None:
     found = channels(shipped())
     steady = (found["t_s"] > 6.0) & (found["t_s"] < 7.9)
@@ -247,6 +248,7 @@ def test_a_reel_change_at_full_speed_leaves_all_tensions_within_3_percent() -> N
     assert found["x_store_ref_m"][end] == 0.65
 
 
+@pytest.mark.slow
 def test_the_web_on_a_reel_has_the_speed_of_the_line_whatever_its_radius() -> None:
     found = channels(wound())
     steady = (found["t_s"] > 4.5) & (found["t_s"] < 6.0)

@@ -44,6 +44,7 @@ def test_of_two_runs_that_start_in_the_same_moment_one_runs_and_one_is_refused(t
     assert gone(path)
 
 
+@pytest.mark.slow
 def test_nodes_that_run_already_are_named_with_how_to_use_them(tmp_path: Path) -> None:
     path = config(tmp_path)
     hardware = subprocess.Popen([sys.executable, "-m", "hilbench.cli", "simulate-hardware", str(path)])

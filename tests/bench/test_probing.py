@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from tests.bench.whole_runs import config, run_folders, run_here
-from tests.tiers import slow
 
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.errors import EXIT_PASSED
@@ -60,7 +59,8 @@ def test_the_shipped_experiment_finds_E_beside_ten_newtons_of_friction(tmp_path:
     assert outcome.exit_code == EXIT_PASSED, [each for each in outcome.result.criteria if not each.passed]
 
 
-@pytest.mark.parametrize("friction_N", [*slow(5.0), 20.0])
+@pytest.mark.slow
+@pytest.mark.parametrize("friction_N", [5.0, 20.0])
 def test_a_probe_tells_E_from_hidden_friction_within_five_seconds(tmp_path: Path, friction_N: float) -> None:
     recording, journal, said = ran(tmp_path, [RAMP, hold(8.5)], "on", friction_N)
     probe = shifted(recording)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
+
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.results.run import run_experiment
 from hilbench.runs.config import load_with_overrides
@@ -11,6 +13,7 @@ from hilbench.runs.config import load_with_overrides
 CONFIGS = Path(__file__).resolve().parents[2] / "bench_configs"
 
 
+@pytest.mark.slow
 def test_Giannoccaros_tensions_stay_within_3_percent_as_the_speed_doubles(tmp_path: Path) -> None:
     given = load_with_overrides(CONFIGS / "giannoccaro_2016.yaml", bus=f"embedded:{tmp_path.name}")
     result = run_experiment(given, tmp_path / "run", participants=Participants.IN_PROCESS).result

@@ -54,7 +54,8 @@ def test_a_run_with_hardly_any_file_handle_is_one_line(tmp_path: Path) -> None:
     assert "Too many open files" in ended.stderr
 
 
-@pytest.mark.parametrize("name", ["{channel}.sock", *slow(".lock", "{channel}.log")])
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["{channel}.sock", ".lock", "{channel}.log"])
 def test_a_directory_where_a_file_of_the_bus_should_be_is_named(tmp_path: Path, name: str) -> None:
     path = config(tmp_path, bus={"address": "embedded:values-taken"})
     taken = tmp_path / "run" / "hilbench" / name.format(channel="values-taken")

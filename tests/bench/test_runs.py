@@ -24,7 +24,6 @@ from tests.bench.whole_runs import (
     start,
     wait_for_frames,
 )
-from tests.tiers import slow
 
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.errors import UnusableInputError
@@ -33,7 +32,8 @@ from hilbench.results.run import run_experiment
 from hilbench.runs.config import load_with_overrides
 
 
-@pytest.mark.parametrize("again", [run_here, *slow(run)], ids=["in one process", "in processes"])
+@pytest.mark.slow
+@pytest.mark.parametrize("again", [run_here, run], ids=["in one process", "in processes"])
 def test_one_seed_gives_one_recording_and_the_same_frames_in_every_cycle(tmp_path, again):
     path = config(tmp_path)
     assert [run(path, "--no-report")[0], again(path, "--no-report")[0]] == [0, 0]

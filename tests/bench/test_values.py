@@ -13,7 +13,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from tests.bench.whole_runs import config
 from tests.cli.in_process import hilbench
-from tests.tiers import slow
 
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.errors import BenchFaultError, UnusableInputError, UnusableValueError
@@ -229,16 +228,15 @@ def test_the_shipped_configs_ask_for_nothing_that_can_not_be() -> None:
         load(path)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "path",
     [
         "hardware.effects.friction_asymmetry.axis2.viscous_difference_N_s_per_m",  # drives itself on, beyond all bounds
-        *slow(
-            *plain_paths(MachineKind.WEB_LINE, SMALLEST["web_line"]),
-            "hardware.effects.torque_scale.axis1.relative_change",
-            "load.effects.span_length_error.relative_change",
-            "load.effects.strain_offset.strain",
-        ),
+        *plain_paths(MachineKind.WEB_LINE, SMALLEST["web_line"]),
+        "hardware.effects.torque_scale.axis1.relative_change",
+        "load.effects.span_length_error.relative_change",
+        "load.effects.strain_offset.strain",
     ],
 )
 def test_a_running_bench_at_the_ends_of_a_range_ends_well_or_by_a_fault(tmp_path: Path, path: str) -> None:

@@ -69,6 +69,7 @@ def test_without_an_optional_node_the_others_start(bus: str, network: Network) -
     assert states(bus)[5] == "OPERATIONAL"
 
 
+@pytest.mark.slow
 def test_without_a_mandatory_one_none_does(bus: str, network: Network) -> None:
     file = network((5, False, 5500), (7, True, 7700))
     assert booted(file, bus, "--timeout", "0.5") == (3, {5: None, 7: "B"}, False)

@@ -16,6 +16,7 @@ from xml.etree import ElementTree
 import pytest
 from tests.cia402.every_mode import eds_file
 from tests.cli.in_process import hilbench
+from tests.tiers import slow
 
 from hilbench.can.open import BusAddress, open_link
 from hilbench.canopen.listening import present, receive_for
@@ -113,7 +114,7 @@ def eventually(condition: Callable[[], bool]) -> None:
         time.sleep(0.05)
 
 
-@pytest.mark.parametrize(("end", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 130), (signal.SIGKILL, -9)])
+@pytest.mark.parametrize(("end", "code"), [(signal.SIGKILL, -9), *slow((signal.SIGINT, 130), (signal.SIGTERM, 130))])
 def test_however_it_ends_the_motor_is_at_rest_without_torque(bus: Bus, end: signal.Signals, code: int) -> None:
     link = open_link(BusAddress.parse(str(bus.servo[1])))
     command = [*HILBENCH, "drive", "1", "velocity", "60 rpm", *map(str, bus.servo)]
@@ -136,6 +137,7 @@ def test_however_it_ends_the_motor_is_at_rest_without_torque(bus: Bus, end: sign
 # -- conformance -----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_device_is_examined_and_left_as_it_was(bus: Bus, tmp_path: Path) -> None:
     address, eds = bus.servo[1], bus.servo[3]
     there = ("--bus", address, "--node", "1", "--eds", eds)

@@ -133,6 +133,7 @@ def test_a_run_passes_on_a_terminal_without_utf_8(tmp_path: Path, encoding: str,
         assert "passed" in text
 
 
+@pytest.mark.slow
 def test_standard_output_on_a_full_disk_is_one_line_and_exit_code_3(
     usual: list[tuple[list[object], int, str]],
 ) -> None:
@@ -166,7 +167,8 @@ def test_a_run_whose_output_fails_on_the_way_stops_its_drives_and_writes_its_res
     assert (folder / "recording.mf4").exists()
 
 
-@pytest.mark.parametrize("closed", ["<&- >&- 2>&-", *slow("<&-", ">&-", "2>&-")])
+@pytest.mark.slow
+@pytest.mark.parametrize("closed", ["<&- >&- 2>&-", "<&-", ">&-", "2>&-"])
 def test_a_command_with_a_standard_stream_closed_does_its_work(tmp_path: Path, closed: str) -> None:
     path = config(tmp_path, steps=SHORT)
     line = f"{sys.executable} -m hilbench.cli run {path} --in-process --no-report --out {tmp_path}/runs {closed}"

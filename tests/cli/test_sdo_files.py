@@ -12,6 +12,7 @@ from canopen.objectdictionary import import_od
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from tests.cli.drives import bus, sdo
+from tests.tiers import slow
 
 from hilbench.canopen import concise_dcf
 from hilbench.canopen.concise_dcf import Write
@@ -19,7 +20,7 @@ from hilbench.canopen.concise_dcf import Write
 __all__ = ["bus"]
 
 
-@pytest.mark.parametrize("name", ["drive.dcf", "drive.bin"])
+@pytest.mark.parametrize("name", ["drive.dcf", *slow("drive.bin")])
 def test_a_changed_setting_is_shown_and_put_back_from_the_file(bus: str, tmp_path: Path, name: str) -> None:
     file = tmp_path / name
     assert sdo(bus, "dump", 5, file).returncode == 0

@@ -123,9 +123,10 @@ def test_the_same_recording_gives_the_same_answer() -> None:
     assert np.array_equal(one.after, two.after)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name",
-    ["web_slip", *slow("nominal", "elasticity_shift", "coulomb_friction", "roller_eccentricity", "inertia_and_step")],
+    ["web_slip", "nominal", "elasticity_shift", "coulomb_friction", "roller_eccentricity", "inertia_and_step"],
 )
 def test_recordings_of_an_independent_simulator(name: str) -> None:
     path, labels = independent.recording(name), independent.hidden_in(name)

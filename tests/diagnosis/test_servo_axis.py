@@ -117,6 +117,7 @@ def test_a_recording_of_a_rotary_rig_is_diagnosed_with_a_servo_axis() -> None:
     }
 
 
+@pytest.mark.slow
 def test_speeds_serve_where_a_rotary_recording_has_no_positions() -> None:
     whole = rotary()
     x = np.asarray(whole["x1_rad"])

@@ -15,7 +15,6 @@ import pytest
 import yaml
 from tests.cli.in_process import hilbench
 from tests.independent_line import Line, Loops, effect
-from tests.tiers import slow
 
 from hilbench.diagnosis.diagnosis import Diagnosis, concluded, diagnose
 from hilbench.diagnosis.fit import fit
@@ -62,22 +61,21 @@ def assert_only(found: Diagnosis, item: Mapping[str, Any]) -> None:
             assert low - 0.5 * (high - low) < value < high + 0.5 * (high - low)  # four standard errors
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("condition", "item"),
     [
         ({"loops": OTHER_GAINS}, effect("coulomb_friction", 2, force_N=4.2)),
-        *slow(
-            (
-                {"loops": Loops(lag_s=(0.003, 0.003))},
-                effect("roller_eccentricity", 2, amplitude_m=2.5e-5, phase_rad=0.3),
-            ),
-            ({"without": COMMANDS}, effect("elasticity_shift", relative_change=0.15)),
-            ({"row_s": 0.01}, effect("viscous_friction", 1, coefficient_N_s_per_m=2.0)),
-            ({"row_s": 0.02}, effect("inertia_mismatch", 2, relative_change=0.15)),
-            ({"without": ("x1_m", "x2_m")}, effect("web_slip", creep_per_N=2.2e-6)),
-            ({"without": ("tau1_Nm",)}, effect("torque_offset", 2, offset_Nm=0.04)),
-            ({"profile": "production"}, effect("coulomb_friction", 2, force_N=4.2)),
+        (
+            {"loops": Loops(lag_s=(0.003, 0.003))},
+            effect("roller_eccentricity", 2, amplitude_m=2.5e-5, phase_rad=0.3),
         ),
+        ({"without": COMMANDS}, effect("elasticity_shift", relative_change=0.15)),
+        ({"row_s": 0.01}, effect("viscous_friction", 1, coefficient_N_s_per_m=2.0)),
+        ({"row_s": 0.02}, effect("inertia_mismatch", 2, relative_change=0.15)),
+        ({"without": ("x1_m", "x2_m")}, effect("web_slip", creep_per_N=2.2e-6)),
+        ({"without": ("tau1_Nm",)}, effect("torque_offset", 2, offset_Nm=0.04)),
+        ({"profile": "production"}, effect("coulomb_friction", 2, force_N=4.2)),
     ],
     ids=["gains", "lag", "no commands", "10 ms", "20 ms", "speeds", "a torque", "production"],
 )

@@ -48,6 +48,7 @@ def edited(path: Path, change: dict[str, Any]) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_a_simulated_bench_is_started_asked_and_ended(tmp_path: Path) -> None:
     path = config(tmp_path)
     done = doctor(str(path), "--json")

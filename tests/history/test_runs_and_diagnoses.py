@@ -82,6 +82,7 @@ def test_a_run_adds_errors_of_the_model_that_its_twin_could_tell(stand: Path) ->
     )
 
 
+@pytest.mark.slow
 def test_friction_that_is_there_is_in_the_history_of_a_plain_run(tmp_path: Path) -> None:
     friction = {"path": "load.effects.viscous_friction.axis2.coefficient_N_s_per_m", "to": 3.0}
     steps = [

@@ -100,6 +100,7 @@ def test_what_it_can_not_hide_it_says() -> None:
         Line(hidden=[effect("magic", 1)]).record("production", duration_s=2.0)
 
 
+@pytest.mark.slow
 def test_of_one_span_the_line_of_several_is_the_same_machine() -> None:
     several = LineOfSpans(lengths_m=(1.0,), loops=Loops()).record("production", seed=2, duration_s=5.0)
     one = replace(QUIET, noise=1.0).record("production", seed=2, duration_s=5.0)

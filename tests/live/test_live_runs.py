@@ -156,6 +156,7 @@ def test_a_change_that_is_announced_is_no_anomaly(tmp_path: Path) -> None:
     assert max(gap for gap in history.configured if gap) > 0.2
 
 
+@pytest.mark.slow
 def test_a_twin_that_is_reset_gets_the_changed_model_once_more(tmp_path: Path) -> None:
     loaded = load_with_overrides(CONFIGS / "live_friction.yaml")
     data = loaded.config.model_dump()

@@ -58,6 +58,7 @@ def priority_is_permitted() -> bool:
     return subprocess.run([sys.executable, "-c", asked], capture_output=True, check=False).returncode == 0
 
 
+@pytest.mark.slow
 def test_a_bench_boots_its_nodes_only_when_the_diagnosis_is_ready(monkeypatch: pytest.MonkeyPatch) -> None:
     said: list[str] = []
     ready = LiveProcess.wait_until_ready

@@ -12,6 +12,7 @@ from typing import cast
 
 import pytest
 from tests.bench.whole_runs import config
+from tests.tiers import slow
 from textual.widgets import DataTable, Log, Static
 from textual.widgets._footer import FooterKey
 
@@ -205,6 +206,7 @@ YES_NO = {
 }
 
 
+@pytest.mark.slow
 def test_a_probe_and_a_proposed_model_are_allowed_or_refused_by_two_keys() -> None:
     changes = ["twin.live_diagnosis={}", "controllers.tension_control.probing=ask", "pace=realtime"]
     bench = load_with_overrides(SHIPPED, changes=changes).config
@@ -330,7 +332,11 @@ def test_nothing_is_foreseen_of_a_bench_that_is_not_heard(bench: BenchConfig) ->
 
 @pytest.mark.parametrize(
     "opened",
-    [["t"], ["v", "2"], ["t", "9", "5", "enter"], ["m", "9", "0", "0", "0", "enter"], ["w"], ["w", "v", "5"], []],
+    [
+        ["t"],
+        *slow(["v", "2"], ["t", "9", "5", "enter"], ["m", "9", "0", "0", "0", "enter"], ["w"], ["w", "v", "5"]),
+        [],
+    ],
 )
 @pytest.mark.parametrize("confirmed", ["y", "e"])
 def test_the_emergency_stop_works_in_every_dialogue(bench: BenchConfig, opened: list[str], confirmed: str) -> None:

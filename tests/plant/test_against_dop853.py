@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from tests import independent
+from tests.tiers import slow
 
 from hilbench.plant.motor_port import MotorMode
 from hilbench.plant.web_line import layout as lay
@@ -124,11 +125,11 @@ def reference(
     [
         (2, [], 0.0),
         (2, SMOOTH, 0.0),
-        (2, SMOOTH + DAMPED + SLIPPING, 0.0),
         (2, SLIPPING, 0.05),
-        (3, SMOOTH + SLIPPING, 0.0),
         (3, DAMPED, 0.01),
-        (5, SMOOTH + DAMPED + SLIPPING, 0.002),
+        *slow(
+            (2, SMOOTH + DAMPED + SLIPPING, 0.0), (3, SMOOTH + SLIPPING, 0.0), (5, SMOOTH + DAMPED + SLIPPING, 0.002)
+        ),
     ],
 )
 def test_kernel_solves_the_equations_of_the_design(axes: int, entries: list[dict[str, Any]], rate: float) -> None:

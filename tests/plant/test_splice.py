@@ -6,6 +6,7 @@ from collections import deque
 
 import numpy as np
 import pytest
+from tests.tiers import slow
 
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line import offline
@@ -51,7 +52,7 @@ def pieces(splices: list[tuple[float, float]], steps: int) -> np.ndarray:
     return tensions
 
 
-@pytest.mark.parametrize("change", [1.0, -0.4])
+@pytest.mark.parametrize("change", [1.0, *slow(-0.4)])
 def test_a_splice_is_a_spring_in_series_with_the_web_around_it_in_one_span_after_the_other(change: float) -> None:
     line = line_of(3, effect("splice", time_s=COMES_S, relative_change=change, length_m=LENGTH_M))
     steps = 3600
@@ -115,6 +116,7 @@ def test_a_line_from_which_a_splice_is_taken_is_as_it_was() -> None:
     assert line.outputs() == plain.outputs()
 
 
+@pytest.mark.slow
 def test_a_second_splice_leaves_the_first_on_its_way_through_the_spans() -> None:
     follower, rows, second_s = SpanFollower(line_of(3)), 3600, 0.5
     found, plain = np.empty((rows, 2)), np.empty((rows, 2))

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from tests.cli.in_process import hilbench
+from tests.tiers import slow
 
 from hilbench.bench.bench import Bench
 from hilbench.bench.lifecycle.participants import Participants
@@ -156,8 +157,10 @@ def test_a_bus_that_is_not_there_is_refused_in_one_line() -> None:
     [
         ["cycle_time_s=0.004"],
         ["machine.web.span_length_m=0.05", "machine.web.youngs_modulus_Pa=1.1e9"],
-        ["machine.web.span_length_m=0.05", "machine.web.youngs_modulus_Pa=1e8"],
-        ["controllers.tension_control.bandwidth_rad_per_s=10"],
+        *slow(
+            ["machine.web.span_length_m=0.05", "machine.web.youngs_modulus_Pa=1e8"],
+            ["controllers.tension_control.bandwidth_rad_per_s=10"],
+        ),
     ],
 )
 def test_what_check_calls_usable_runs_through_a_step_of_e(changes: list[str]) -> None:

@@ -13,6 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from tests.bench.whole_runs import config
 from tests.cli.in_process import hilbench
+from tests.tiers import slow
 
 from hilbench import strict_yaml
 from hilbench.bench.check import check_bench
@@ -133,10 +134,12 @@ def test_values_that_do_not_go_together_are_refused_by_check_and_run(tmp_path: P
         "machine.drives.velocity_ki_Nm_per_rad=0",
         "machine.web.thickness_m=1e-6",
         "hardware.sensors.position_noise_rad=1e6",
-        "hardware.sensors.torque_noise_Nm=1e6",
-        "load.web.span_length_m=1e4",
-        "twin.unmodelled_torque_Nm=0",
-        "twin.youngs_modulus_Pa=1e13",
+        *slow(
+            "hardware.sensors.torque_noise_Nm=1e6",
+            "load.web.span_length_m=1e4",
+            "twin.unmodelled_torque_Nm=0",
+            "twin.youngs_modulus_Pa=1e13",
+        ),
     ],
 )
 def test_a_bench_with_a_value_at_the_edge_runs_or_ends_by_a_fault_that_is_known(tmp_path: Path, change: str) -> None:

@@ -30,6 +30,7 @@ def test_the_package_itself_imports_nothing_heavy():
     assert done.stdout.strip() == "set()"
 
 
+@pytest.mark.slow
 def test_the_script_of_the_page_finds_the_step_and_its_recording_is_a_data_frame(capsys: pytest.CaptureFixture[str]):
     script = SCRIPT.replace("embedded:script", f"embedded:t{uuid.uuid4().hex[:10]}")
     names: dict[str, Any] = {}

@@ -78,6 +78,7 @@ def test_a_failed_run_leaves_its_row_and_what_is_done_is_not_done_again(tmp_path
         Sweep(path, (), cycles[:1], out)
 
 
+@pytest.mark.slow
 def test_a_cluster_does_the_runs_and_one_that_is_not_there_is_said(tmp_path: Path) -> None:
     path = config(tmp_path, steps=[{"hold": {"duration_s": 0.1}}])
     made = Sweep(path, (), [{"cycle_time_s": "0.001"}], tmp_path / "sweep")

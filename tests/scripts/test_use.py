@@ -17,7 +17,6 @@ import numpy as np
 import pytest
 from tests.bench.whole_runs import config as bench_config
 from tests.cli.in_process import hilbench
-from tests.tiers import slow
 
 from hilbench.bench import bench as library
 from hilbench.bench.lifecycle.participants import Participants
@@ -124,6 +123,7 @@ def test_a_process_that_is_stopped_in_a_pause_has_its_drives_stopped() -> None:
     assert "emergency stop (COB-ID 001h) on the bus" in paused.end().splitlines()[-1]
 
 
+@pytest.mark.slow
 def test_a_process_that_is_killed_in_a_pause_has_its_drives_stopped() -> None:
     paused = Paused()
     paused.process.kill()
@@ -261,9 +261,8 @@ if len(sys.argv) > 4:
 """
 
 
-@pytest.mark.parametrize(
-    ("participants", "words"), [*slow(("STARTED", ["fails"])), ("IN_PROCESS", [])], ids=["fails", "ends"]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize(("participants", "words"), [("STARTED", ["fails"]), ("IN_PROCESS", [])], ids=["fails", "ends"])
 def test_a_bench_that_is_never_left_is_stopped_and_said_in_a_line(participants: str, words: list[str]) -> None:
     name = bus()
     command = [sys.executable, "-c", FORGETFUL_SCRIPT, str(CONFIG), name, participants, *words]

@@ -147,6 +147,7 @@ def feed(stream: Stream, bench: BenchConfig, cycles: int) -> None:
         stream.sample(sample)
 
 
+@pytest.mark.slow
 def test_a_stream_that_hangs_drops_and_the_bench_goes_on(bench: BenchConfig, tmp_path: Path) -> None:
     listener = Listener()
     stream = Stream(parse_target(f"plotjuggler:{listener.port}"), bench, tmp_path)

@@ -54,6 +54,7 @@ def stepped(span: int) -> list[float]:
     return [at_s for at_s, of, _ in STEPS if of in (span, 0)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("span", SPANS)
 def test_a_step_of_e_in_one_span_or_all_at_once_is_found_within_300_ms(span: int) -> None:
     values = found()

@@ -95,6 +95,7 @@ def test_a_wrong_E_is_found_behind_a_dancer_with_its_deviation() -> None:
     assert line.twin.separable
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2])
 def test_radii_without_a_sensor_are_found_over_the_whole_reel(seed: int) -> None:
     """Unwound from 120 to 61 mm, with a web 3 % thicker than believed, both reels 1.5 and 1 % other than believed."""
