@@ -159,6 +159,8 @@ class TwinApplication:
             return
         first = self._sync_time.at_ns is None
         skipped = self._sync_time.heard(self._now_ns(), behind) - 1
+        if skipped:
+            self._measured_before = None
         self._skipped = 0 if first or not self._released else self._skipped + skipped
 
     def _catch_up(self) -> bool:
@@ -258,6 +260,7 @@ class TwinApplication:
         self._pending = False
         if self._behind and self._hold_when_behind:
             self._machine.miss()
+            self._measured_before = None
         elif all(port.mode is not MotorMode.OFF for port in self._ports):
             if self._released or self._release():
                 new = self._sync_time is None or self._catch_up()
@@ -282,12 +285,10 @@ class TwinApplication:
         return found if len(found) == len(self._measured) else None
 
     def _release(self) -> bool:
-        """Take the axes over from their first two measurements; whether both are there."""
-        measured = self._complete()
-        if measured is None:
-            return False
-        before, self._measured_before = self._measured_before, measured
-        if before is None:
+        """Take the axes over from their first measurements in two cycles in a row; whether both are there."""
+        before, self._measured_before = self._measured_before, self._complete()
+        measured = self._measured_before
+        if before is None or measured is None:
             return False
         self._machine.release(before, measured)
         self._released = True
