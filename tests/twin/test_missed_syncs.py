@@ -97,17 +97,33 @@ class OnTheBus:
         self._listeners = [AxisListener(axis, CYCLE_S) for axis in setup.real_axes]
         monkeypatch.setattr(AxisListener, "decode", lambda listener, data: self.measured[listener.cob_id])
 
-    def sync(self, time_s: float, read_at_s: float, tension_N: float = TENSION_N) -> None:
-        """The SYNC at a time of the line, read at one of the twin's clock."""
+    def sync(self, time_s: float, read_at_s: float, tension_N: float = TENSION_N, answers: int = 2) -> None:
+        """The SYNC at a time of the line, read at one of the twin's clock; so many axes answer."""
         self.clock.time_ns = round(read_at_s * 1e9)
         for port in self.machine.ports:
             port.mode, port.torque_limit_Nm = MotorMode.VELOCITY, 9.0
             port.setpoint = ACCELERATION_M_S2 * time_s * MODEL.motor_rad_per_m(1)
         self._application.before_sync(0)
         self._application.after_sync()
-        for listener, values in zip(self._listeners, motion(time_s, tension_N), strict=True):
+        for listener, values in zip(self._listeners[:answers], motion(time_s, tension_N), strict=False):
             self.measured[listener.cob_id] = values
             self._application.on_frame(Frame(listener.cob_id, bytes(listener.size)))
+
+
+def test_a_twin_joins_by_measurements_of_two_cycles_in_a_row(monkeypatch: pytest.MonkeyPatch) -> None:
+    bus, released = OnTheBus(monkeypatch), list[float]()
+    release = bus.machine.release
+
+    def note(before: list[tuple[float, float]], now: list[tuple[float, float]]) -> None:
+        released.extend(after[0] - earlier[0] for earlier, after in zip(before, now, strict=True))
+        release(before, now)
+
+    monkeypatch.setattr(bus.machine, "release", note)
+    for k, answers in enumerate((2, 1, 2, 2), 500):
+        assert not released
+        bus.sync(k * CYCLE_S, k * CYCLE_S, answers=answers)
+    way_m = motion(503 * CYCLE_S)[0][0] - motion(502 * CYCLE_S)[0][0]
+    assert released == pytest.approx([way_m, way_m])
 
     @property
     def shown(self) -> tuple[float, float]:
