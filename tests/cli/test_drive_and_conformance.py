@@ -137,7 +137,6 @@ def test_however_it_ends_the_motor_is_at_rest_without_torque(bus: Bus, end: sign
 # -- conformance -----------------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
 def test_a_device_is_examined_and_left_as_it_was(bus: Bus, tmp_path: Path) -> None:
     address, eds = bus.servo[1], bus.servo[3]
     there = ("--bus", address, "--node", "1", "--eds", eds)

@@ -109,22 +109,6 @@ class OnTheBus:
             self.measured[listener.cob_id] = values
             self._application.on_frame(Frame(listener.cob_id, bytes(listener.size)))
 
-
-def test_a_twin_joins_by_measurements_of_two_cycles_in_a_row(monkeypatch: pytest.MonkeyPatch) -> None:
-    bus, released = OnTheBus(monkeypatch), list[float]()
-    release = bus.machine.release
-
-    def note(before: list[tuple[float, float]], now: list[tuple[float, float]]) -> None:
-        released.extend(after[0] - earlier[0] for earlier, after in zip(before, now, strict=True))
-        release(before, now)
-
-    monkeypatch.setattr(bus.machine, "release", note)
-    for k, answers in enumerate((2, 1, 2, 2), 500):
-        assert not released
-        bus.sync(k * CYCLE_S, k * CYCLE_S, answers=answers)
-    way_m = motion(503 * CYCLE_S)[0][0] - motion(502 * CYCLE_S)[0][0]
-    assert released == pytest.approx([way_m, way_m])
-
     @property
     def shown(self) -> tuple[float, float]:
         """Simulated position of axis 2 (m at the web) and tension (N)."""
@@ -211,3 +195,19 @@ def test_cycles_that_the_bench_has_missed_are_made_up_for_by_a_twin_whose_clock_
     late_s, off_N = apart(twin, in_step, time_s)
     assert late_s < 1e-4
     assert off_N < 0.1
+
+
+def test_a_twin_joins_by_measurements_of_two_cycles_in_a_row(monkeypatch: pytest.MonkeyPatch) -> None:
+    bus, released = OnTheBus(monkeypatch), list[float]()
+    release = bus.machine.release
+
+    def note(before: list[tuple[float, float]], now: list[tuple[float, float]]) -> None:
+        released.extend(after[0] - earlier[0] for earlier, after in zip(before, now, strict=True))
+        release(before, now)
+
+    monkeypatch.setattr(bus.machine, "release", note)
+    for k, answers in enumerate((2, 1, 2, 2), 500):
+        assert not released
+        bus.sync(k * CYCLE_S, k * CYCLE_S, answers=answers)
+    way_m = motion(503 * CYCLE_S)[0][0] - motion(502 * CYCLE_S)[0][0]
+    assert released == pytest.approx([way_m, way_m])
