@@ -10,6 +10,7 @@ from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+from tests.plant.models import DEMONSTRATOR
 
 from hilbench.estimation.web_line.config import EstimationConfig
 from hilbench.plant.motor_port import MotorMode, MotorPort
@@ -24,24 +25,11 @@ Array = NDArray[np.float64]
 CYCLE_S = 0.003
 _TORQUE_NOISE_NM, _POSITION_NOISE_RAD = 0.02, 2e-6
 
-PAPER: dict[str, Any] = {
-    "rollers": {"radius_m": 0.2, "inertia_kg_m2": 1.167, "gear_ratio": 5.0},
-    "motors": {"inertia_kg_m2": 0.001},
+#: The demonstrator's rollers, motors and drives, with longer spans between them.
+PAPER: dict[str, Any] = DEMONSTRATOR | {
     "web_load": [False, True, True],
-    "drives": {
-        "velocity_kp_Nm_s_per_rad": 1.5,
-        "velocity_ki_Nm_per_rad": 30.0,
-        "torque_limit_Nm": 9.0,
-        "current_loop_time_constant_s": 0.001,
-        "sample_time_s": 0.001,
-    },
     "boundary": {"upstream_strain": 2.829e-4, "downstream_tension_N": 70.0},
-    "web": {
-        "youngs_modulus_Pa": 8.7e9,
-        "width_m": 0.5,
-        "thickness_m": 65e-6,
-        "span_length_m": [1.5, 2.5, 2.0, 3.0],
-    },
+    "web": DEMONSTRATOR["web"] | {"span_length_m": [1.5, 2.5, 2.0, 3.0]},
 }
 
 
