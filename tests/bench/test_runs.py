@@ -49,10 +49,21 @@ def test_one_seed_gives_one_recording_and_the_same_frames_in_every_cycle(tmp_pat
     assert gone(path)
 
 
+def test_in_one_process_real_time_is_lockstep_by_the_clock(tmp_path):
+    path = config(tmp_path, steps=[{"ramp": {"path": "line_speed_m_s", "to": 1.0, "duration_s": 1.0}}], criteria=[])
+    assert run_here(path, "--no-report")[0] == run_here(path, "--no-report", "--pace", "realtime")[0] == 0
+    lockstep, by_clock = run_folders(path)
+    one, other = (read_recording(folder / "recording.mf4") for folder in (lockstep, by_clock))
+    for name in one.channels:
+        assert np.array_equal(one[name], other[name]), name
+    timing = json.loads((by_clock / "result.json").read_text())["timing"]
+    assert (timing["pace"], timing["missed"], len(timing["late"])) == ("realtime", 0, 0)
+    assert timing["realtime_factor"] < 1.01, "no SYNC before its time"
+
+
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ({"pace": "realtime"}, "found pace realtime, expected lockstep"),
         ({"bus": {"address": "socketcan:vcan0"}}, "found bus socketcan:vcan0, expected the embedded bus"),
     ],
 )

@@ -159,7 +159,6 @@ class Bench:
     def _run_on(self, started: StartedBench) -> Drives:
         """Put the cycle together for nodes that are operational."""
         config, state, nodes, exchange = self.config, self._state, started.nodes, started.exchange
-        lockstep = config.pace == "lockstep"
         self.nodes, self.children = nodes, started.children
         state.exchange, state.phase = exchange, "running"
         participants = (*map(nodes.sender, nodes.drives), nodes.twin_name)
@@ -170,7 +169,7 @@ class Bench:
             nodes,
             exchange,
             next((child for child in started.children if child.name == TWIN), None),
-            lockstep=lockstep,
+            lockstep=exchange.in_step,
             age_limit_cycles=self._machine.twin_age_limit_cycles,
         )
         self.model_changes = self._diagnosis_beside(nodes, exchange)
@@ -195,7 +194,9 @@ class Bench:
             observers=self._observers,
             stop_on_unexpected_frames=config.safety.on_foreign_frames == "stop",
         )
-        self._drives = Drives(state, nodes, exchange, self._cycle, lockstep=lockstep, unexpected=self._unexpected)
+        self._drives = Drives(
+            state, nodes, exchange, self._cycle, lockstep=exchange.in_step, unexpected=self._unexpected
+        )
         for warning in started.warnings:
             state.reports.note("realtime", warning)
         return self._drives

@@ -92,7 +92,9 @@ def run(
     in_process: Annotated[
         bool,
         typer.Option(
-            "--in-process", help="simulated hardware and twin in this process: the same frames and recording, faster"
+            "--in-process",
+            help="simulated hardware and twin in this process: the same frames and recording, faster; in real time "
+            "they wait for SYNC, and nothing comes late",
         ),
     ] = False,
     report: Annotated[

@@ -52,19 +52,30 @@ class PlainCycles(Protocol):
 class Exchange:
     """The cyclic exchange of one bench whose nodes are operational.
 
-    `objects`: what others may read and write of the bench's own node; `tap` sees every frame. What a cycle raises,
-    and when: `SyncCycle`, `Nodes.decode`.
+    `objects`: what others may read and write of the bench's own node; `tap` sees every frame; `in_process`: simulated
+    hardware and twin are in this process, and wait for SYNC at any pace. What a cycle raises, and when: `SyncCycle`,
+    `Nodes.decode`.
     """
 
-    def __init__(self, nodes: Nodes, link: Link, objects: ObjectStore, *, tap: FrameTap | None = None) -> None:
+    def __init__(
+        self,
+        nodes: Nodes,
+        link: Link,
+        objects: ObjectStore,
+        *,
+        tap: FrameTap | None = None,
+        in_process: bool = False,
+    ) -> None:
         config = nodes.config
+        self.in_step = in_process or config.pace == "lockstep"  #: everybody waits for SYNC, and SYNC for everybody
+        self._by_clock = in_process and config.pace == "realtime"
         self._nodes = nodes
         self._own = OwnNode(config.master.node_id, objects)
         self._sync = sync = SyncCycle(
             link,
             cycle_ns=config.cycle_ns,
             bitrate=config.bus.bitrate,
-            lockstep=config.pace == "lockstep",
+            lockstep=self.in_step,
             expected=nodes.expected_pdos(),
             timeout_s=config.safety.cycle_timeout_s,
             missing_limit=config.safety.missing_cycles,
@@ -85,6 +96,8 @@ class Exchange:
         """Outputs and SYNC onto the bus, then what the nodes answer. `outputs` as in `Nodes.encode`."""
         nodes, sync, own = self._nodes, self._sync, self._own
         self.unexpected = ()
+        if self._by_clock:
+            sync.wait_for_turn()
         if self._plain is not None and self._plain.cycle(outputs):
             return nodes
         received = sync.exchange([*nodes.encode(outputs), *own.answers()])

@@ -1,7 +1,8 @@
 """Pacing of SYNC by the wall clock: absolute deadlines, missed cycles counted, jitter kept.
 
 Functions on a small state, so that each can be tested without a bus. `lockstep` needs none of it: there the next
-SYNC goes out as soon as every participant has answered.
+SYNC goes out as soon as every participant has answered. Where participants go by SYNC and SYNC by the clock
+(`advance_in_step`), nobody runs ahead of a SYNC that is late.
 """
 
 from __future__ import annotations
@@ -38,6 +39,16 @@ def advance(pacing: Pacing, sent_ns: int) -> None:
     skipped = max(0, late_ns // pacing.period_ns)
     pacing.missed += skipped
     pacing.deadline_ns += (1 + skipped) * pacing.period_ns
+
+
+def advance_in_step(pacing: Pacing, sent_ns: int) -> None:
+    """The same beside participants that wait for SYNC: no cycle of theirs is missed, and the deadlines move on.
+
+    What is made up for is less than a period.
+    """
+    late_ns = sent_ns - pacing.deadline_ns
+    pacing.lateness_ns.append(late_ns)
+    pacing.deadline_ns += pacing.period_ns + (late_ns if late_ns >= pacing.period_ns else 0)
 
 
 def bare_loop(period_ns: int, cycles: int) -> Pacing:

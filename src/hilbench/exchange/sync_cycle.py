@@ -120,6 +120,12 @@ class SyncCycle:
         self._heartbeat = Frame(HEARTBEAT + node_id, _OPERATIONAL)
         self._heartbeat_cycles = max(1, period_ms * 1_000_000 // cycle_ns) if period_ms else 0
 
+    def wait_for_turn(self) -> None:
+        """In step and by the clock: the next SYNC is not sent before it is due."""
+        if self.pacing.deadline_ns == 0:
+            pacing.start(self.pacing, time.monotonic_ns())
+        pacing.advance_in_step(self.pacing, pacing.sleep_until(self.pacing.deadline_ns))
+
     def exchange(self, outgoing: Sequence[Frame]) -> list[Frame]:
         """Run one cycle: `outgoing` and SYNC onto the bus, then the frames that came until all have answered.
 
@@ -136,7 +142,8 @@ class SyncCycle:
         if timing.cycles == 0:
             timing.started_ns = time.monotonic_ns()
             self._epoch_ns = time.time_ns()
-            pacing.start(self.pacing, timing.started_ns)
+            if not self._lockstep:
+                pacing.start(self.pacing, timing.started_ns)
         if self._heartbeat_is_due():
             outgoing = [*outgoing, self._heartbeat]
             self._alive_s = time.monotonic()

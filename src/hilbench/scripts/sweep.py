@@ -178,7 +178,8 @@ class Sweep:
         self.alone = loaded.config.bus_address.interface != "embedded" or loaded.config.pace == "realtime"
         self._bus, self._master_id = loaded.config.bus_address, loaded.config.master.node_id
         self._embedded = self._bus.interface == "embedded"
-        self._in_process = can_be_in_process(loaded.config)
+        # In real time what comes late is a part of what a run shows, and nothing does in one process.
+        self._in_process = loaded.config.pace == "lockstep" and can_be_in_process(loaded.config)
         self._stopped = threading.Event()
         self.rows = self._resume()
 

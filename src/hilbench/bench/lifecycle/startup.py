@@ -129,7 +129,7 @@ def bring_up(
             master.receive_only_answers()
         warnings: list[str] = []
         resources.enter_context(kept_ready(config.process_settings("bench"), warnings.append))
-        exchange = Exchange(nodes, link, objects, tap=tap)
+        exchange = Exchange(nodes, link, objects, tap=tap, in_process=here is not None)
         if here and inside:
             exchange.use(here.plain_cycles(inside, nodes, tap))
         resources.callback(_release_nodes, master, exchange)
