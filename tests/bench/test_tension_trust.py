@@ -63,6 +63,16 @@ def test_a_doubt_opens_the_loop_and_is_named(changes: dict[str, float], why: str
     assert why in trust.doubt
 
 
+def test_a_twin_that_refuses_what_is_measured_is_doubted_when_that_lasts() -> None:
+    refuses = sample(twin_status=SYNCHRONIZED | int(TwinStatus.TRANSFER_REFUSED))
+    trust = trusting()
+    for _ in range(CONFIG.twin_age_limit_cycles):
+        assert trust.update(refuses)
+    assert trust.update(sample()), "a jump of an encoder"
+    assert [trust.update(refuses) for _ in range(CONFIG.twin_age_limit_cycles + 1)][-1] is False
+    assert "not what the twin simulates" in trust.doubt
+
+
 def test_after_a_doubt_the_loop_closes_only_on_a_twin_that_is_synchronized_again() -> None:
     trust = trusting()
     trust.update(sample(twin_age_cycles=11))

@@ -97,15 +97,19 @@ class OnTheBus:
         self._listeners = [AxisListener(axis, CYCLE_S) for axis in setup.real_axes]
         monkeypatch.setattr(AxisListener, "decode", lambda listener, data: self.measured[listener.cob_id])
 
-    def sync(self, time_s: float, read_at_s: float, tension_N: float = TENSION_N, answers: int = 2) -> None:
-        """The SYNC at a time of the line, read at one of the twin's clock; so many axes answer."""
+    def sync(
+        self, time_s: float, read_at_s: float, tension_N: float = TENSION_N, answers: int = 2, late_s: float = 0.0
+    ) -> None:
+        """The SYNC at a time of the line, read at one of the twin's clock; so many axes answer, the first with what it
+        was so long before."""
         self.clock.time_ns = round(read_at_s * 1e9)
         for port in self.machine.ports:
             port.mode, port.torque_limit_Nm = MotorMode.VELOCITY, 9.0
             port.setpoint = ACCELERATION_M_S2 * time_s * MODEL.motor_rad_per_m(1)
         self._application.before_sync(0)
         self._application.after_sync()
-        for listener, values in zip(self._listeners[:answers], motion(time_s, tension_N), strict=False):
+        measured = [motion(time_s - late_s, tension_N)[0], motion(time_s, tension_N)[1]]
+        for listener, values in zip(self._listeners[:answers], measured, strict=False):
             self.measured[listener.cob_id] = values
             self._application.on_frame(Frame(listener.cob_id, bytes(listener.size)))
 
@@ -201,9 +205,9 @@ def test_a_twin_joins_by_measurements_of_two_cycles_in_a_row(monkeypatch: pytest
     bus, released = OnTheBus(monkeypatch), list[float]()
     release = bus.machine.release
 
-    def note(before: list[tuple[float, float]], now: list[tuple[float, float]]) -> None:
+    def note(before: list[tuple[float, float]], now: list[tuple[float, float]]) -> bool:
         released.extend(after[0] - earlier[0] for earlier, after in zip(before, now, strict=True))
-        release(before, now)
+        return release(before, now)
 
     monkeypatch.setattr(bus.machine, "release", note)
     for k, answers in enumerate((2, 1, 2, 2), 500):
@@ -211,3 +215,49 @@ def test_a_twin_joins_by_measurements_of_two_cycles_in_a_row(monkeypatch: pytest
         bus.sync(k * CYCLE_S, k * CYCLE_S, answers=answers)
     way_m = motion(503 * CYCLE_S)[0][0] - motion(502 * CYCLE_S)[0][0]
     assert released == pytest.approx([way_m, way_m])
+
+
+@pytest.mark.parametrize("late_at", [0, *slow(1, 2)])
+def test_a_changed_model_is_not_released_by_positions_of_two_instants(
+    late_at: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bus, off_N = OnTheBus(monkeypatch), list[float]()
+    for k in range(500, 3500):
+        if k == 1500:
+            bus.machine.change("[]")
+        noise_N = 0.1 if k % 2 else -0.1
+        bus.sync(k * CYCLE_S, k * CYCLE_S, TENSION_N + noise_N, late_s=CYCLE_S if k == 1500 + late_at else 0.0)
+        if k >= 1000:
+            off_N.append(abs(bus.shown[1] - TENSION_N))
+    assert not bus.machine.changing, "it is taken over"
+    assert max(off_N) < 1.0
+
+
+@pytest.mark.parametrize("late_at", [0, *slow(1, 2)])
+def test_a_twin_does_not_join_by_positions_of_two_instants(late_at: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    bus, off_N = OnTheBus(monkeypatch), list[float]()
+    for k in range(500, 1500):
+        noise_N = 0.1 if k % 2 else -0.1
+        bus.sync(k * CYCLE_S, k * CYCLE_S, TENSION_N + noise_N, late_s=CYCLE_S if k == 500 + late_at else 0.0)
+        off_N.append(abs(bus.shown[1] - TENSION_N) if bus.machine.synchronized else 0.0)
+    assert bus.machine.synchronized
+    assert max(off_N) < 1.0
+
+
+@pytest.mark.slow
+def test_a_simulation_that_went_astray_is_not_called_synchronized_and_goes_on_from_where_the_line_is(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    bus, off_N, in_step = OnTheBus(monkeypatch), list[float](), list[bool]()
+    for k in range(500, 3000):
+        if k == 1000:
+            bus.machine.in_use.plant.set_state({"v2_m_s": 0.0})
+        noise_N = 0.1 if k % 2 else -0.1
+        bus.sync(k * CYCLE_S, k * CYCLE_S, TENSION_N + noise_N)
+        off_N.append(abs(bus.shown[1] - TENSION_N))
+        in_step.append(bus.machine.synchronized)
+    astray = np.array(off_N) > 10.0
+    assert np.count_nonzero(astray) > 100
+    assert np.count_nonzero(astray & in_step) <= 0.02 / CYCLE_S + 1
+    assert in_step[-1]
+    assert off_N[-1] < 1.0

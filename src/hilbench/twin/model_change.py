@@ -139,25 +139,27 @@ class ChangeableMachine:
         self._effects = ""
         self._configured.reset()
 
-    def release(self, before: Sequence[Measured], now: Sequence[Measured]) -> None:
-        """The drives have been enabled."""
+    def release(self, before: Sequence[Measured], now: Sequence[Measured]) -> bool:
+        """The drives have been enabled; False where these measurements are of several instants."""
         if self._candidate is not None and self._share > 0.0:
             self._take_over(self._candidate)
         self._pass_set_points(self._current)
-        self._current.release(before, now)
         self._before, self._released = None, False
+        return self._current.release(before, now)
 
     def compare(self, time_s: float, measured: Sequence[Measured]) -> bool:
-        """Take what the axes (N,) measured."""
+        """Take what the axes (N,) measured.
+
+        A candidate is released by two measurements in a row, each of one instant as the model in use has found.
+        """
+        self._fresh = self._current.compare(time_s, measured)
         candidate = self._candidate
         if candidate is not None:
             if self._released:
                 candidate.compare(time_s, measured)
-            elif self._before is not None:
-                candidate.release(self._before, measured)
-                self._released = True
-            self._before = measured
-        self._fresh = self._current.compare(time_s, measured)
+            elif self._fresh and self._before is not None:
+                self._released = candidate.release(self._before, measured)
+            self._before = measured if self._fresh else None
         return self._fresh
 
     def miss(self) -> None:

@@ -285,12 +285,12 @@ class TwinApplication:
         return found if len(found) == len(self._measured) else None
 
     def _release(self) -> bool:
-        """Take the axes over from their first measurements in two cycles in a row; whether both are there."""
+        """Take the axes over from their first measurements in two cycles in a row; whether both are there, and of one
+        instant each."""
         before, self._measured_before = self._measured_before, self._complete()
         measured = self._measured_before
-        if before is None or measured is None:
+        if before is None or measured is None or not self._machine.release(before, measured):
             return False
-        self._machine.release(before, measured)
         self._released = True
         self._time_s = 0.0
         return True

@@ -47,6 +47,10 @@ from hilbench.plant.web_line.splices import Piece
 MOVES_M_S = 1e-3
 #: How far off the upstream strain may be as a guess of the strain of a web that is found under way.
 UNKNOWN_STRAIN = 0.3
+#: Spans of web after which a strain that was wrong when they began to pass is none any more (exp(-5) of it is left).
+PASSED_SPANS = 5.0
+#: A measured state that is refused for longer is no jump of an encoder: the simulation is not what was measured, s.
+_ASTRAY_S = 0.02
 #: Least deviation with which a method takes over the estimate of the one before.
 _LEAST_PRIOR_PCT = 0.1
 #: What is left of a shift of the torque that has gone again, as a share of it.
@@ -215,7 +219,7 @@ class Tracking:
         t[c.MODULUS_PA], t[c.WEB_PER_PA] = self._initial_Pa, self._balance.section_m2 * self._strain_prev
         self._begin(self.config.synchronizer, self._initial_Pa)
         t[c.DELAY_S] = self._model_delay_s
-        t[c.RESIDUAL_NM] = t[c.USED] = t[c.SPLICED] = t[c.OTHER_WEB] = t[c.PROBLEM] = t[c.REFUSED] = 0.0
+        t[c.RESIDUAL_NM] = t[c.USED] = t[c.SPLICED] = t[c.OTHER_WEB] = t[c.PROBLEM] = 0.0
         t[c.SERIES_FACTOR] = t[c.END_FACTOR] = 1.0
         t[c.SHIFT_NM] = 0.0
         self._state(Estimate(self._initial_Pa, inf))
@@ -226,7 +230,7 @@ class Tracking:
         t, c = self._t, cycle
         self._balance.reset()
         self._forget(c.NEW_WEB)
-        t[c.MISSED_S] = t[c.MEASURED] = t[c.RUNS] = 0.0
+        t[c.MISSED_S] = t[c.MEASURED] = t[c.RUNS] = t[c.REFUSED] = t[c.REFUSED_M] = 0.0
         if self._known_change is not None:
             self._known_change.reset()
         if self._errors is not None:
@@ -322,6 +326,12 @@ class Tracking:
         return self._t.item(cycle.REFUSED) != 0.0
 
     @property
+    def astray(self) -> bool:
+        """Whether it is the simulation that is not plausible: measured states were refused until the web that was in
+        the span had left it, and nothing that was measured wrongly then is in it any more."""
+        return self._t.item(cycle.REFUSED_M) > PASSED_SPANS * self._balance.span_length_m
+
+    @property
     def used(self) -> BalanceSample | None:
         """What E was found from in the last cycle, with what is no tension."""
         if not self._t[cycle.USED]:
@@ -339,8 +349,11 @@ class Tracking:
 
     @property
     def synchronized(self) -> bool:
-        """Whether E is known as well as the config asks for, and the web in the span is the one that was measured."""
+        """Whether E is known as well as the config asks for, the web in the span is the one that was measured, and the
+        simulation has its strain."""
         t = self._t
+        if t.item(cycle.REFUSED) * self._cycle_s > _ASTRAY_S:
+            return False
         limit = 0.01 * self.config.synchronized_pct * t.item(cycle.MODULUS_PA)
         return t.item(cycle.PROBLEM) == 0.0 and self.web_is_known and t.item(cycle.OWN_DEVIATION_PA) <= limit
 

@@ -81,7 +81,8 @@ COMPARE, HOLD, FOUND_WEB, UPDATE, LOOK_FOR_SHIFT, SHIFT, TRANSFER, DONE = range(
     POSITION_2_M,
     RESIDUAL_NM,
     PROBLEM,
-    REFUSED,
+    REFUSED,  # cycles in a row in which a measured state was not taken over
+    REFUSED_M,  # web that has passed meanwhile
     SPLICED,
     SERIES_FACTOR,
     END_FACTOR,
@@ -95,8 +96,8 @@ COMPARE, HOLD, FOUND_WEB, UPDATE, LOOK_FOR_SHIFT, SHIFT, TRANSFER, DONE = range(
     CORRECTED_N,  # the same force without that
     REBASED_PA,  # by which E is another one, as more is known to be no tension
     MOVED,  # what the motors show is another one
-) = range(47)
-SIZE = 47
+) = range(48)
+SIZE = 48
 
 
 class TrackingVectors(NamedTuple):
@@ -321,7 +322,7 @@ def look_for_shift(v: TrackingVectors) -> int:
 @compiled
 def transfer(v: TrackingVectors) -> None:
     """Give the line its E, and put measured states in the place of simulated ones, unless they are too far off to be
-    believed."""
+    believed: how long that lasts is counted."""
     t, line, web = v.t, v.line, v.balance.web
     t[MOVED] = 0.0
     if t[BLACK_BOX] == 0.0:
@@ -330,8 +331,7 @@ def transfer(v: TrackingVectors) -> None:
     if t[RUNS] == 0.0:
         t[RUNS] = 1.0
         return
-    at, changed = int(t[SPAN]), False
-    t[REFUSED] = 0.0
+    at, changed, refused = int(t[SPAN]), False, False
     if t[TRANSFERS_STRAIN] != 0.0 and t[BLACK_BOX] == 0.0:
         measured = span_kernel.first_strain(web)
         # Beyond any web: speeds that are no line's bring encoders there, and -1 would be a web of no length.
@@ -340,7 +340,7 @@ def transfer(v: TrackingVectors) -> None:
             line_vectors.put_strain(line, at, measured)
             changed = True
         else:
-            t[REFUSED] = 1.0
+            refused = True
     if t[TRANSFERS_AXES] != 0.0 or t[BLACK_BOX] != 0.0:
         if line_vectors.is_near(line, at, t[POSITION_1_M], t[POSITION_2_M], t[POSITION_LIMIT_M]) and (
             line_vectors.is_as_fast(line, at, web.v[0], web.v[1], t[VELOCITY_LIMIT_M_S])
@@ -350,7 +350,9 @@ def transfer(v: TrackingVectors) -> None:
             changed = True
             t[MOVED] = 1.0
         else:
-            t[REFUSED] = 1.0
+            refused = True
+    t[REFUSED] = t[REFUSED] + 1.0 if refused else 0.0
+    t[REFUSED_M] = t[REFUSED_M] + abs(web.v[0]) * t[CYCLE_S] if refused else 0.0
     if changed:
         line_vectors.show(line)
         if line_vectors.reports(line):

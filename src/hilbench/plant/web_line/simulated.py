@@ -15,6 +15,7 @@ from typing import Literal
 
 import numpy as np
 
+from hilbench.plant.drive_loops import OFF
 from hilbench.plant.effects import Effect, MachineKind, find_effect
 from hilbench.plant.interface import Motor, PlantDescription, PlantState, Quantity, checked_name
 from hilbench.plant.motor_port import MotorPort
@@ -296,8 +297,8 @@ class SimulatedLine:
     def set_state(self, state: PlantState | Mapping[str, float]) -> None:
         """Go on from a state of an equal machine; or transfer states by name, the others stay.
 
-        A position or speed is that of an axis with its motor; a control loop that is entered next goes on from the
-        torque. Raises ValueError for an unknown name, or a state of another machine.
+        A position or speed is that of an axis with its motor; a control loop goes on from the torque that is given, as
+        one that is entered. Raises ValueError for an unknown name, or a state of another machine.
         """
         if not isinstance(state, PlantState):
             self._transfer(state)
@@ -324,7 +325,9 @@ class SimulatedLine:
                 at = lay.S_Y + self._driven[place % driven] + (n if place >= driven else 0)
                 state[at] = state[at + 2 * n] = value / self._per_m[place % driven]
             elif place < 2 * driven + motors:
-                state[first_torque + self._motors[place - 2 * driven] * lay.SM_SIZE] = value
+                torque = first_torque + self._motors[place - 2 * driven] * lay.SM_SIZE
+                state[torque] = value
+                state[torque - lay.SM_TORQUE_NM + lay.SM_MODE] = OFF
             elif place < 2 * driven + motors + k:
                 span = place - 2 * driven - motors
                 material = lay.S_Y + 4 * n + span

@@ -62,8 +62,11 @@ class TwinMachine(Protocol):
     def reset(self) -> None:
         """Start anew with what is assumed at the start, at rest."""
 
-    def release(self, before: Sequence[Measured], now: Sequence[Measured]) -> None:
-        """The drives have been enabled: take motion and torque of the axes (N,) over, from two cycles in a row."""
+    def release(self, before: Sequence[Measured], now: Sequence[Measured]) -> bool:
+        """The drives have been enabled: take motion and torque of the axes (N,) over, from two cycles in a row.
+
+        False where either is of several instants: nothing is taken over.
+        """
 
     def compare(self, time_s: float, measured: Sequence[Measured]) -> bool:
         """Take what the axes (N,) measured at the instant that the model has been simulated to.

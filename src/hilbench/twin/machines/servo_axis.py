@@ -78,7 +78,7 @@ class ServoAxisTwin:
         self._residual_Nm = 0.0
         self._torque_before_Nm: float | None = None  # simulated
 
-    def release(self, before: Sequence[Measured], now: Sequence[Measured]) -> None:
+    def release(self, before: Sequence[Measured], now: Sequence[Measured]) -> bool:
         """Let the shaft go where the real one is."""
         ((then_rad, _),), ((position_rad, torque_Nm),) = before, now
         speed_rad_s = (position_rad - then_rad) / self._cycle_s
@@ -91,6 +91,7 @@ class ServoAxisTwin:
             }
         )
         self._torque_before_Nm = None
+        return True
 
     def compare(self, time_s: float, measured: Sequence[Measured]) -> bool:
         """Let the estimator compare; the model has its inertia and friction from now on."""

@@ -15,7 +15,7 @@ from hilbench.estimation.web_line.config import (
 )
 from hilbench.estimation.web_line.rollers import Rollers
 from hilbench.estimation.web_line.synchronizers.create import METHODS
-from hilbench.estimation.web_line.tracking import MOVES_M_S, UNKNOWN_STRAIN, Tracking
+from hilbench.estimation.web_line.tracking import MOVES_M_S, PASSED_SPANS, UNKNOWN_STRAIN, Tracking
 from hilbench.plant.motor_port import MotorPort
 from hilbench.plant.pairing import Pairing, SteadyWay
 from hilbench.plant.web_line.line import Line
@@ -161,10 +161,14 @@ class WebLineTwin:
             self._passage.reset()
         if self._others is not None:
             self._others.reset()
+        self._refused_at: tuple[float, Sequence[float]] | None = None
 
-    def release(self, before: Sequence[Measured], now: Sequence[Measured]) -> None:
+    def release(self, before: Sequence[Measured], now: Sequence[Measured]) -> bool:
         """Let the web go, with the axes' motion and torque."""
         last, positions = self._positions_m(before), self._positions_m(now)
+        self._pairing.reset()
+        if not (self._pairing.update(*last) and self._pairing.update(*positions)):
+            return False
         speeds = [(x - then) / self._cycle_s for x, then in zip(positions, last, strict=True)]
         moves = max(map(abs, speeds)) > MOVES_M_S
         at_rest = [0.0] * len(self.ports)
@@ -176,8 +180,8 @@ class WebLineTwin:
             each.tracking.release(UNKNOWN_STRAIN if moves else 0.0)
             each.waiting = moves and each.span - 1 in self._estimated
         self._start_anew()
-        self._pairing.reset()
         self._steady.reset()
+        return True
 
     def compare(self, time_s: float, measured: Sequence[Measured]) -> bool:
         """Let the synchronizers compare; False where the positions are not of one instant."""
@@ -209,7 +213,24 @@ class WebLineTwin:
             self._passage.update(positions_m[self._all[0].span - 1 :])
         if others is not None and self._transfer.strain:
             others.transfer(self.plant)
+        if self.refused:
+            self._bring_back(time_s, positions_m, measured_Nm)
+        else:
+            self._refused_at = None
         return True
+
+    def _bring_back(self, time_s: float, positions_m: Sequence[float], torques_Nm: Sequence[float]) -> None:
+        """Let a simulation that went astray go on from where the machine is."""
+        last, self._refused_at = self._refused_at, (time_s, positions_m)
+        others = self._others
+        if last is None or not (any(each.tracking.astray for each in self._all) or (others and others.astray)):
+            return
+        speeds = [(x - then) / (time_s - last[0]) for x, then in zip(positions_m, last[1], strict=True)]
+        states = _states(self._told("strain_prev"), positions_m, speeds, torques_Nm)
+        strains = {each.span: each.tracking.measured_strain for each in self._all}
+        if others is not None:
+            strains |= others.strains
+        self.plant.set_state(states | {f"strain{span}": strain for span, strain in strains.items()})
 
     def _strain_before(self, span: int, strain_prev: float) -> float:
         """Strain of the web that enters a span, as measured."""
@@ -314,13 +335,16 @@ class _OtherSpans:
         self._web = SpanFollower(model)
         self._spans = tuple(spans)
         self._limit = strain_limit
+        self._passed_m = PASSED_SPANS * max(model.span_length_m(span) for span in range(1, model.span_count + 1))
         self._moduli = [f"span{span}.youngs_modulus_Pa" for span in range(1, model.span_count + 1)]
         self.reset()
 
     def reset(self) -> None:
         """The next positions are the first."""
         self.refused = False
+        self._refused_m = 0.0  # web that has passed while states were refused
         self._running = False
+        self._last_m = 0.0
 
     def follow(self, positions_m: Sequence[float], strain_prev: float, F_next_N: float, cycle_s: float) -> None:
         """The rollers are at these positions (N,) a cycle after the last; around the line is what is told."""
@@ -331,11 +355,24 @@ class _OtherSpans:
             web.follow(positions_m, cycle_s)
         else:
             web.reset(positions_m, strain=[strain_prev] * (len(positions_m) - 1))
+        way_m = abs(positions_m[0] - self._last_m) if self._running else 0.0
+        self._refused_m = self._refused_m + way_m if self.refused else 0.0
+        self._last_m = positions_m[0]
         self._running = True
+
+    @property
+    def astray(self) -> bool:
+        """As `Tracking.astray`."""
+        return self._refused_m > self._passed_m
 
     def strain(self, span: int) -> float:
         """Of the web in one of these spans, as measured."""
         return float(self._web.strain[span - 1])
+
+    @property
+    def strains(self) -> dict[int, float]:
+        """The same of all of them, by span."""
+        return {span: self.strain(span) for span in self._spans}
 
     def transfer(self, line: Line) -> None:
         """Put the measured strains in the place of the simulated ones, unless they are too far off to be believed."""

@@ -68,11 +68,12 @@ class LineWithStationsTwin:
         self._positions_m = None
         self._residuals_Nm = [0.0] * len(self.ports)
 
-    def release(self, before: Sequence[Measured], now: Sequence[Measured]) -> None:
+    def release(self, before: Sequence[Measured], now: Sequence[Measured]) -> bool:
         """Let the web go, with the axes' motion and torque."""
         last, positions = self._at_web(before), self._at_web(now)
         self._pairing.reset()
-        self._pairing.update(*positions)
+        if not (self._pairing.update(*last) and self._pairing.update(*positions)):
+            return False
         self._positions_m, self._missed = positions, 0
         moves = max(abs(x - then) for x, then in zip(positions, last, strict=True)) > 1e-3 * self._cycle_s
         self._unknown_m = self._web_m if moves else 0.0
@@ -87,6 +88,7 @@ class LineWithStationsTwin:
             states |= {f"x{axis}_m": x, f"v{axis}_m_s": v, f"tau{axis}_Nm": torque if moves else 0.0}
         self.plant.set_state(states)
         self._transfer()
+        return True
 
     def compare(self, time_s: float, measured: Sequence[Measured]) -> bool:
         """Follow what was measured; False where the positions are not of one instant."""
