@@ -5,15 +5,14 @@ heartbeats. Then nothing of its course is decided in Python: `kernel` does it on
 NMT, EMCY, another state, a fault, a timer that runs out, a frame of somebody else) is for the interpreted cycle, which
 is the reference: before it, and before anybody uses the bus, objects get back what the arrays have.
 
-The twin's machine and what the twin says are objects all the time; of its virtual I/O only the PDOs are in the arrays.
+The twin's machine is in vectors as well where it can be (`twin.machines.machine.VectorMachine`); where not, it and what
+the twin says are objects all the time, and of its virtual I/O only the PDOs are in the arrays.
 """
 
 from __future__ import annotations
 
-import threading
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -23,62 +22,27 @@ from hilbench.batch import kernel
 from hilbench.batch import layout as lay
 from hilbench.batch.motors import Motors
 from hilbench.batch.tables import (
-    Frames,
     NotPlainError,
-    Slots,
-    cell_slots,
     drive_row,
-    heard_row,
-    new_slots,
-    seen_row,
     table,
 )
+from hilbench.batch.wiring import InOneProcess, Wiring
 from hilbench.can.frame import Frame
-from hilbench.can.memory import MemoryBus, MemoryLink
-from hilbench.canopen.clock import SyncClock
-from hilbench.canopen.device import Device
-from hilbench.canopen.device_pdo import Rpdo, Tpdo
-from hilbench.canopen.host import DeviceHost
-from hilbench.canopen.identifiers import HEARTBEAT, SYNC, NmtState
-from hilbench.canopen.pdo import PdoMap
-from hilbench.cia402.simulated import SimulatedDrive
+from hilbench.canopen.identifiers import HEARTBEAT
+from hilbench.canopen.object_store import Cell
 from hilbench.cia402.state_machine import Command
 from hilbench.errors import BenchFaultError
 from hilbench.exchange.frame_tap import FrameTap, LineTap
 from hilbench.exchange.nodes import Nodes
 from hilbench.exchange.own_node import OwnNode
-from hilbench.exchange.sync_cycle import ExpectedPdo, SyncCycle
-from hilbench.hardware.simulation import RigApplication
-from hilbench.twin.process import TwinApplication
+from hilbench.exchange.sync_cycle import SyncCycle
+from hilbench.twin.machines.machine import MachineVectors
 
 #: Cycles after which it is looked anew whether cycles are plain, when they were not.
 _LOOK_AGAIN = 8
 #: Cycles whose lines of the trace are handed over together: some milliseconds of a run's own time.
 _TRACED_TOGETHER = 32
 _ENABLED = Command.ENABLE_OPERATION.value
-
-
-@dataclass(frozen=True)
-class Served:
-    """The devices of one host, as they are on the bus of a process."""
-
-    host: DeviceHost
-    link: MemoryLink
-    devices: Sequence[Device]
-    clock: SyncClock
-
-
-@dataclass(frozen=True)
-class InOneProcess:
-    """What is on the bus, and who has it: `link` is the bench's."""
-
-    bus: MemoryBus
-    link: MemoryLink
-    lock: threading.RLock
-    hardware: Served
-    rig: RigApplication
-    twin: Served
-    machine: TwinApplication
 
 
 class PlainCycles:
@@ -144,10 +108,6 @@ class _Run:
         self._here, self._nodes, self._sync, self._tap = here, nodes, sync, tap
         self._cycles = 0
         self._devices = (*here.hardware.devices, *here.twin.devices)
-        self._slots, self._frames = Slots(), Frames()
-        self._taken: list[tuple[Device, Rpdo, int]] = []
-        self._answering: list[tuple[Device, Tpdo, int]] = []
-        self._heartbeats: list[tuple[Device, int]] = []
         step_s = here.rig.plain_step_s()
         if step_s is None:
             raise NotPlainError
@@ -155,16 +115,9 @@ class _Run:
         drives = (*here.rig.drives, *here.machine.drives)
         if not all(drive.follows(_ENABLED) for drive in drives) or not here.machine.is_plain:
             raise NotPlainError
-        self._bench_frames()
-        self._check_listeners()
-        for self._slots.side, served in enumerate((here.hardware, here.twin)):
-            for device in served.devices:
-                self._receive(device, drives)
-        for self._slots.side, served in enumerate((here.hardware, here.twin)):
-            for device in served.devices:
-                self._answer(device, self._slots.side)
-        self._see()
-        self._check_phases()
+        self._wiring = wiring = Wiring(here, nodes, sync)
+        self._frames, self._slots = wiring.frames, wiring.slots
+        self._told, self._own_heartbeat, self._heartbeats = wiring.told, wiring.own_heartbeat, wiring.heartbeats
         self._arrays()
         self._deadlines()
         fault = sync.write_last_answers()
@@ -174,159 +127,18 @@ class _Run:
 
     # -- from the objects ------------------------------------------------------------------------------------
 
-    def _bench_frames(self) -> None:
-        """What the bench sends, in its order, and the set points in it."""
-        frames, slots, nodes = self._frames, self._slots, self._nodes
-        self._targets: list[tuple[float, int, int, int, float]] = []
-        for drive, _, _ in nodes.set_points:
-            rpdo = drive.pdos.rpdo
-            controlword, target = new_slots(slots, rpdo)
-            slots.whole[controlword] = drive.controlword
-            frames.add(rpdo.cob_id, lay.BEFORE_SYNC, rpdo, (controlword, target))
-            self._targets.append((drive.set_point_unit, drive.most_raw, target, -1, 1.0))
-            for copy in drive.settings.copies:
-                copied = slots.new(False)
-                frames.add(copy.cob_id, lay.BEFORE_SYNC, rpdo, (controlword, copied))
-                self._targets.append((1.0, drive.most_raw, copied, target, copy.factor))
-        self._told: list[int] = []
-        for boundary in nodes.io.boundary:
-            if not all(kind.is_float for kind in boundary.kinds):
-                raise NotPlainError
-            told = new_slots(slots, boundary)
-            frames.add(boundary.cob_id, lay.BEFORE_SYNC, boundary, told)
-            self._told += told
-        heartbeat, every = self._sync.heartbeat
-        self._own_heartbeat = -1
-        if every:
-            count = (self._sync.timing.cycles - 1) % every
-            self._own_heartbeat = frames.add(
-                heartbeat.can_id, lay.BEFORE_SYNC, bytes(heartbeat.data), every=every, count=count
-            )
-        self._behind_sync = 1 + frames.add(SYNC, lay.SYNC, b"")
-
-    def _check_listeners(self) -> None:
-        """What the bench sends is heard by the hosts alone."""
-        hosts = (self._here.hardware, self._here.twin)
-        for cob_id in self._frames.cob_ids:
-            links = self._here.bus.hear(cob_id)
-            if any(link not in (self._here.link, hosts[0].link, hosts[1].link) for link in links):
-                raise NotPlainError
-        if any(device.sync_cob_id != SYNC for served in hosts for device in served.devices):
-            raise NotPlainError
-
-    def _receive(self, device: Device, drives: Sequence[SimulatedDrive]) -> None:
-        """RPDOs of a device. Each value of a drive but its controlword has to be one that just stands there."""
-        cycle_ns = self._nodes.config.cycle_ns
-        controlwords = [drive.firmware.controlword for drive in drives]
-        for cob_id, rpdo in device.receive_pdos.items():
-            if cob_id not in self._frames.cob_ids:
-                if not rpdo.idle:
-                    raise NotPlainError
-                continue
-            if not rpdo.is_plain(cycle_ns) or rpdo.map is None:
-                raise NotPlainError
-            if any(cell.on_write is not None and cell not in controlwords for cell in rpdo.cells):
-                raise NotPlainError
-            row = self._frames.row_of(cob_id)
-            self._frames.take(row, rpdo.map, cell_slots(self._slots, rpdo.map, rpdo.cells))
-            self._taken.append((device, rpdo, row))
-
-    def _answer(self, device: Device, clock: int) -> None:
-        """Heartbeat and TPDOs of a device; nobody but the bench, and the twin's application, hears them."""
-        frames, here, node_id = self._frames, self._here, device.node_id
-        producer = device.producer
-        if producer.period_ns:
-            data = NmtState.OPERATIONAL.heartbeat
-            row = frames.add(
-                HEARTBEAT + node_id,
-                lay.ANSWER,
-                data,
-                period_ns=producer.period_ns,
-                next_ns=producer.next_ns,
-                clock=clock,
-            )
-            self._heartbeats.append((device, row))
-        for tpdo in device.synchronous_pdos:
-            if tpdo.map is None:
-                raise NotPlainError
-            slots = cell_slots(self._slots, tpdo.map, tpdo.cells)
-            row = frames.add(tpdo.cob_id, lay.ANSWER, tpdo.map, slots, every=tpdo.transmission_type, count=tpdo.syncs)
-            self._answering.append((device, tpdo, row))
-        for row in range(self._behind_sync, len(frames.rows)):
-            cob_id = frames.cob_ids[row]
-            links = here.bus.hear(cob_id)
-            known = (here.link, here.hardware.link, here.twin.link)
-            if here.link not in links or any(link not in known for link in links):
-                raise NotPlainError
-            if here.hardware.host.addressees(cob_id) or here.twin.host.addressees(cob_id):
-                raise NotPlainError
-
-    def _see(self) -> None:
-        """What the bench takes from the answers of the drives, and the twin from those of the axes."""
-        frames, slots = self._frames, self._slots
-        self._seen, self._raw = [], []
-        for drive in self._nodes.drives:
-            raw: dict[int, int] = {}
-            for _, pdo, indices in drive.pdos.tpdos:
-                if pdo.period != 1 or any(kind.is_float for kind in pdo.kinds):
-                    raise NotPlainError
-                taken = new_slots(slots, pdo)
-                frames.take(frames.row_of(pdo.cob_id), pdo, taken)
-                raw.update(zip(indices, taken, strict=True))
-            self._seen.append(seen_row(drive, raw))
-            self._raw.append((drive, raw))
-        self._said_rows = [self._hear_of(pdo) for _, pdo in self._nodes.io.tpdos]
-        self._heard_axes: list[int] = []  # where their feedback is
-        for listener in self._here.machine.listeners:
-            row, taken = frames.row_of(listener.cob_id), new_slots(slots, listener.pdo)
-            if row < self._behind_sync or frames.rows[row][4] != 1:
-                raise NotPlainError
-            frames.take(row, listener.pdo, taken)
-            self._heard_axes.append(4 * len(self._seen))
-            self._seen.append(heard_row(listener, taken))
-
-    def _hear_of(self, pdo: PdoMap) -> tuple[int, int, int, int, bool]:
-        """What the bench takes from a TPDO of the virtual I/O: identifier, row, slots, and whether they are real."""
-        real, row = pdo.kinds[0].is_float, self._frames.row_of(pdo.cob_id)
-        if any(kind.is_float is not real for kind in pdo.kinds):
-            raise NotPlainError
-        taken = new_slots(self._slots, pdo)
-        self._frames.take(row, pdo, taken)
-        return pdo.cob_id, row, taken[0], taken[-1] + 1, real
-
-    def _check_phases(self) -> None:
-        """What the bench expects of the nodes is what they send."""
-        cycles, frames = self._sync.timing.cycles, self._frames
-        sent = {frames.cob_ids[row]: (row, tpdo) for _, tpdo, row in self._answering}
-        expected: list[ExpectedPdo] = [*self._sync.due_always.values(), *self._sync.due_at_times]
-        for pdo in expected:
-            if pdo.cob_id not in sent:
-                raise NotPlainError
-            row, tpdo = sent[pdo.cob_id]
-            if tpdo.transmission_type != pdo.every or pdo.size not in (None, frames.sizes[row]):
-                raise NotPlainError
-            if (cycles + pdo.every - tpdo.syncs - pdo.since) % pdo.every:
-                raise NotPlainError
-        if {pdo.cob_id for pdo in expected} != set(self._nodes.answers):
-            raise NotPlainError
-        for cob_id, answer in self._nodes.answers.items():
-            row, tpdo = sent[cob_id]
-            if answer.size != frames.sizes[row] or answer.every != tpdo.transmission_type:
-                raise NotPlainError
-            if answer.every != 1 and answer.since != tpdo.syncs and answer.since < answer.every:
-                raise NotPlainError
-
     def _arrays(self) -> None:
         frames, slots, here = self._frames, self._slots, self._here
         self._rows = table(frames.rows, lay.FRAME)
         self._sent = table(frames.sent, lay.FIELD)
         self._received = table(sorted(frames.received), lay.FIELD)
-        self._target_rows = table(self._targets, lay.TARGET)
+        self._target_rows = table(self._wiring.targets, lay.TARGET)
         drives: list[tuple[Any, ...]] = []
         for slots.side, of_side in enumerate((here.rig.drives, here.machine.drives)):
             drives += [drive_row(drive, slots) for drive in of_side]
         self._drives = table(drives, lay.DRIVE)
-        self._seen_rows = table(self._seen, lay.SEEN)
+        self._seen_rows = table(self._wiring.seen, lay.SEEN)
+        self._in_vectors = here.machine.goes_in_vectors
         self._of_twin()
         self._whole, self._real = np.array(slots.whole, np.int64), np.array(slots.real, np.float64)
         self._real = self._real if len(self._real) else np.zeros(1)
@@ -342,51 +154,71 @@ class _Run:
             np.zeros(lay.O_SIZE + len(frames.rows), np.int64),
         )
         self._given_at = self._given.data
-        self._feedback = np.zeros(4 * len(self._seen))
-        self._set_points = np.zeros(len(self._targets))
+        self._feedback = np.zeros(4 * len(self._wiring.seen))
+        self._asked, self._shown = np.zeros(len(drives)), np.zeros(lay.PORT_SIZE * len(drives))
+        self._set_points = np.zeros(len(self._target_rows))
         self._set_points_at = _reals(self._set_points)
+        given = np.flatnonzero(self._target_rows["source"] < 0).tolist()
         self._names = [
-            (at, name, per_unit)
-            for at, (_, name, per_unit) in zip(
-                [at for at, target in enumerate(self._targets) if target[3] < 0], self._nodes.set_points, strict=True
-            )
+            (at, name, per_unit) for at, (_, name, per_unit) in zip(given, self._nodes.set_points, strict=True)
         ]
         self._join_motors()
         self._trace()
         vectors = self._whole, self._real
-        self._encode_all = partial(
-            kernel.encode, self._target_rows, self._sent, self._set_points, *vectors, self._single
-        )
         self._exchange_all = partial(
             kernel.exchange,
-            *(self._rows, self._sent, self._received, self._drives, self._seen_rows, *vectors),
-            *(self._given, self._left, self._data, self._heads, self._text, self._scratch),
-            *(self._single, self._double, self._feedback, self._nodes.config.bus.bitrate),
+            *(self._target_rows, self._set_points, self._rows, self._sent, self._received, self._drives),
+            *(self._seen_rows, *vectors, self._given, self._left, self._data, self._heads, self._text),
+            *(self._scratch, self._single, self._double, self._feedback, self._asked),
+            self._nodes.config.bus.bitrate,
         )
+        self._publish_all = partial(kernel.publish, self._drives, self._shown, self._whole)
 
     def _join_motors(self) -> None:
         """The drives on both sides, with what they turn."""
-        here, vectors, count = self._here, (self._whole, self._real), len(self._here.rig.drives)
+        here, count = self._here, len(self._here.rig.drives)
         of_hardware, of_twin = self._slots.cells
+        vectors = self._whole, self._real
         self._hardware = Motors(
             here.rig.drives,
             self._drives[:count],
-            *vectors,
+            *(*vectors, self._asked[:count], self._shown[: lay.PORT_SIZE * count]),
             here.rig.rig,
             self._step_s,
             of_hardware,
             alone=count == len(here.rig.ports),
             shows_ports=False,
         )
+        asked, shown = self._asked[count:], self._shown[lay.PORT_SIZE * count :]
         self._twin = Motors(
             here.machine.drives,
             self._drives[count:],
-            *vectors,
-            here.machine.turned,
+            *(*vectors, asked, shown),
+            None if self._in_vectors else here.machine.turned,
             here.machine.cycle_s,
             [each for each in of_twin if id(each[0]) not in self._of_io],
             alone=True,
             shows_ports=True,
+        )
+        if self._in_vectors:
+            self._begin_machine(asked, shown)
+
+    def _begin_machine(self, asked: lay.Real, shown: lay.Real) -> None:
+        """The twin's machine goes on in the arrays."""
+        io, place = self._here.machine.io, self._slots.of_cells
+        number, _, status = io.status_cells
+        self._here.machine.begin_in_vectors(
+            MachineVectors(
+                measured=self._feedback[self._wiring.heard_axes[0] :],
+                asked=asked,
+                shown=shown,
+                values=self._real,
+                told={name: place[id(cell)] for name, cell in io.told_cells.items()},
+                published=[place[id(cell)] for cell in io.published_cells],
+                whole=self._whole,
+                number=place[id(number)],
+                status=place[id(status)],
+            )
         )
 
     def _trace(self) -> None:
@@ -404,11 +236,24 @@ class _Run:
         self._waiting = self._waiting_frames = 0  # cycles and frames whose lines are in the text
 
     def _of_twin(self) -> None:
-        """The objects of the virtual I/O that its PDOs read and write: they hold their values themselves."""
+        """The objects of the virtual I/O that its PDOs read and write: they hold their values themselves, unless the
+        machine is in vectors."""
         slots, io = self._slots, self._here.machine.device
-        known = {id(cell): (cell, slot, is_float) for cell, slot, is_float in slots.cells[1]}
-        read = [known[id(cell)] for device, tpdo, _ in self._answering if device is io for cell in tpdo.cells]
-        written = [known[id(cell)] for device, rpdo, _ in self._taken if device is io for cell in rpdo.cells]
+        self._read_real: list[tuple[Cell, int]] = []
+        self._read_whole: list[tuple[Cell, int]] = []
+        self._written: list[tuple[Cell, int]] = []
+        self._of_io: set[int] = set()
+        if self._in_vectors:
+            shown = self._here.machine.io
+            real = [slots.of(cell, is_float=True) for cell in (*shown.published_cells, *shown.told_cells.values())]
+            whole = [slots.of(cell) for cell in shown.status_cells]
+            known = {(slot, is_float) for _, slot, is_float in slots.cells[1]}
+            if not {(slot, True) for slot in real} | {(slot, False) for slot in whole} <= known:
+                raise NotPlainError  # of another type than what a twin says and hears
+            return
+        places = {id(cell): (cell, slot, is_float) for cell, slot, is_float in slots.cells[1]}
+        read = [places[id(cell)] for device, tpdo, _ in self._wiring.answering if device is io for cell in tpdo.cells]
+        written = [places[id(cell)] for device, rpdo, _ in self._wiring.taken if device is io for cell in rpdo.cells]
         self._read_real = [(cell, slot) for cell, slot, is_float in read if is_float]
         self._read_whole = [(cell, slot) for cell, slot, is_float in read if not is_float]
         if not all(is_float for _, _, is_float in written):
@@ -429,18 +274,23 @@ class _Run:
         """Run one; False where it is not plain, and nothing was done. Raises as `SyncCycle` and `Nodes.decode`."""
         here, sync, nodes = self._here, self._sync, self._nodes
         begun_ns = time.monotonic_ns()
-        if not self._still_plain(begun_ns) or not self._encode(outputs):
+        if not self._still_plain(begun_ns) or not self._exchange(outputs):
             return False
-        fault, self._fault = self._fault or self._write_waiting(), None
-        here.machine.begin_plain()
-        said_alive = self._exchange()
+        said_alive = self._count_frames()
         here.hardware.clock.tick_at(begun_ns)
         here.twin.clock.tick_at(begun_ns)
-        self._hardware.move()
-        self._move_twin()
+        self._hardware.step()
+        if self._in_vectors:
+            here.machine.go_on_in_vectors()
+        else:
+            self._move_twin()
+        if not self._publish_all():
+            self._hardware.publish_by_objects()
+            self._twin.publish_by_objects()
         left = self._left_now
         sync.count(left[lay.O_BITS], begun_ns, time.monotonic_ns(), said_alive=said_alive)
         self._cycles += 1
+        fault, self._fault = self._fault or self._write_waiting(), None
         if fault is not None:
             raise fault
         nodes.take_plain(self._feedback_now, self._said(), self._heard() if left[lay.O_TIMED] else ())
@@ -448,7 +298,7 @@ class _Run:
 
     def _still_plain(self, now_ns: int) -> bool:
         here, nodes, sync = self._here, self._nodes, self._sync
-        if self._hardware.over or self._twin.over or here.bus.waiting:
+        if self._hardware.over or self._twin.over or here.bus.waiting or here.machine.leaves_vectors:
             return False
         if sync.due_always is not self._due or nodes.supervised != self._supervised:
             return False
@@ -463,24 +313,27 @@ class _Run:
                 return False
         return not sync.is_slow(now_ns * 1e-9)
 
-    def _encode(self, outputs: Mapping[str, float]) -> bool:
-        set_points, real = self._set_points_at, self._real_at
+    def _exchange(self, outputs: Mapping[str, float]) -> bool:
+        """The frames of the cycle; False, and nothing done, where a value does not fit."""
+        here, given, set_points, real = self._here, self._given_at, self._set_points_at, self._real_at
         for at, name, per_unit in self._names:
             set_points[at] = outputs.get(name, 0.0) * per_unit
         for slot, name in zip(self._told, self._nodes.boundary_names, strict=True):
             real[slot] = outputs[name]
-        for cell, slot in self._read_real:
-            real[slot] = cell.value
-        return self._encode_all()
-
-    def _exchange(self) -> bool:
-        """The frames of the cycle; whether the bench's heartbeat was among them."""
-        here, given, whole = self._here, self._given_at, self._whole_at
-        for cell, slot in self._read_whole:
-            whole[slot] = cell.value
+        if not self._in_vectors:
+            here.machine.begin_plain()
+            for cell, slot in self._read_real:
+                real[slot] = cell.value
+            for cell, slot in self._read_whole:
+                self._whole_at[slot] = cell.value
         given[lay.I_START_NS] = self._sync.next_sync_ns
         given[lay.I_CLOCKS], given[lay.I_CLOCKS + 1] = here.hardware.clock.next_ns, here.twin.clock.next_ns
-        self._exchange_all()
+        done: bool = self._exchange_all()
+        return done
+
+    def _count_frames(self) -> bool:
+        """What the frames were; whether the bench's heartbeat was among them."""
+        here, given = self._here, self._given_at
         self._left_now = left = self._left.tolist()
         self._feedback_now = self._feedback.tolist()
         here.bus.account(left[lay.O_FRAMES], left[lay.O_BITS], left[lay.O_DURATION_NS])
@@ -514,15 +367,15 @@ class _Run:
         real, feedback = self._real_at, self._feedback_now
         for cell, slot in self._written:
             cell.value = real[slot]
-        measured = [(feedback[at], feedback[at + 2]) for at in self._heard_axes]
-        self._here.machine.go_on(measured, self._twin.move)
+        measured = [(feedback[at], feedback[at + 2]) for at in self._wiring.heard_axes]
+        self._here.machine.go_on(measured, self._twin.step)
 
     def _said(self) -> dict[int, Sequence[float]]:
         """What the twin's TPDOs of this cycle bring."""
         left, values = self._left_now, self._real.tolist()
         return {
             cob_id: values[first:last] if real else self._whole[first:last].tolist()
-            for cob_id, row, first, last, real in self._said_rows
+            for cob_id, row, first, last, real in self._wiring.said
             if left[lay.O_SIZE + row]
         }
 
@@ -555,6 +408,7 @@ class _Run:
             return
         self._hardware.give()
         self._twin.give()
+        self._here.machine.end_in_vectors()
         self._give_bench()
         now_s = time.monotonic()
         for served in (self._here.hardware, self._here.twin):
@@ -565,13 +419,13 @@ class _Run:
         here, rows, cycles = self._here, self._rows, self._cycles
         for served in (here.hardware, here.twin):
             received_ns = served.clock.next_ns - 2 * self._nodes.config.cycle_ns
-            for device, rpdo, _ in self._taken:
+            for device, rpdo, _ in self._wiring.taken:
                 if device in served.devices:
                     rpdo.received_until(received_ns)
         for device, row in self._heartbeats:
             device.producer.said_until(int(rows[row]["next_ns"]))
         last: dict[int, tuple[int, bytes | None]] = {}
-        for _, tpdo, row in self._answering:
+        for _, tpdo, row in self._wiring.answering:
             count = int(rows[row]["count"])
             data = self._data[row].tobytes()[: self._frames.sizes[row]] if count < cycles else None
             tpdo.sent_until(count, data)
@@ -581,9 +435,9 @@ class _Run:
             answer.answered_until(cycles, data, count)
         whole = self._whole.tolist()
         listeners = self._here.machine.listeners
-        for listener, seen in zip(listeners, self._seen_rows[len(self._raw) :], strict=True):
+        for listener, seen in zip(listeners, self._seen_rows[len(self._wiring.raw) :], strict=True):
             listener.counter.counted_until(int(seen["value"]), int(seen["last"]))
-        for (drive, raw), seen in zip(self._raw, self._seen_rows[: len(self._raw)], strict=True):
+        for (drive, raw), seen in zip(self._wiring.raw, self._seen_rows[: len(self._wiring.raw)], strict=True):
             drive.counter.counted_until(int(seen["value"]), int(seen["last"]))
             drive.decoded_until({index: whole[slot] for index, slot in raw.items()})
         for (drive, _, _), (at, _, _) in zip(self._nodes.set_points, self._names, strict=True):

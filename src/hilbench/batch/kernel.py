@@ -41,10 +41,7 @@ _DIGITS = np.frombuffer(b"0123456789ABCDEF", np.uint8).copy()
 FRAMES, FIELDS, TARGETS, DRIVES, SEEN = (
     of_records(kind) for kind in (lay.FRAME, lay.FIELD, lay.TARGET, lay.DRIVE, lay.SEEN)
 )
-Encode = Callable[[Rows, Rows, Real, Whole, Real, Single], bool]
-Exchange = Callable[
-    [Rows, Rows, Rows, Rows, Rows, Whole, Real, Whole, Whole, Bytes, Bytes, Bytes, Bytes, Single, Real, Real, int], None
-]
+Exchange = Callable[..., bool]
 Publish = Callable[[Rows, Real, Whole], bool]
 
 
@@ -200,28 +197,31 @@ def _follow(drive: Row, whole: Whole) -> None:
     drive.set_point = max(-drive.limit, min(drive.limit, set_point)) if drive.limited else set_point
 
 
-def _entry_points(sources: int) -> tuple[Encode, Exchange, Publish]:
+@compiled
+def _encode(targets: Rows, sent: Rows, set_points: Real, whole: Whole, real: Real, single: Single) -> bool:
+    """`exchange.nodes.Nodes.encode`: raw set points into their slots; False where one does not fit, or another value
+    that is to be sent does not."""
+    for k in range(len(targets)):
+        target = targets[k]
+        if target.source < 0:
+            value = set_points[k] / target.unit
+        elif target.factor == 1.0:
+            value = float(whole[target.source])
+        else:
+            value = whole[target.source] * target.factor
+        number = np.rint(value)
+        if not -target.most <= number <= target.most:
+            return False
+        whole[target.slot] = int(number)
+    return _all_fit(sent, whole, real, single)
+
+
+def _entry_points(sources: int) -> tuple[Exchange, Publish]:
     """The compiled functions that Python calls; `sources` as in `compiled.number_of_sources`."""
 
-    @entry_point(TARGETS, FIELDS, VECTOR, INDICES, VECTOR, SINGLES)
-    def encode(targets: Rows, sent: Rows, set_points: Real, whole: Whole, real: Real, single: Single) -> bool:
-        if sources < 0:
-            return False
-        for k in range(len(targets)):
-            target = targets[k]
-            if target.source < 0:
-                value = set_points[k] / target.unit
-            elif target.factor == 1.0:
-                value = float(whole[target.source])
-            else:
-                value = whole[target.source] * target.factor
-            number = np.rint(value)
-            if not -target.most <= number <= target.most:
-                return False
-            whole[target.slot] = int(number)
-        return _all_fit(sent, whole, real, single)
-
     @entry_point(
+        TARGETS,
+        VECTOR,
         FRAMES,
         FIELDS,
         FIELDS,
@@ -234,11 +234,12 @@ def _entry_points(sources: int) -> tuple[Encode, Exchange, Publish]:
         FRAME_DATA,
         *[OCTETS] * 3,
         SINGLES,
-        VECTOR,
-        VECTOR,
+        *[VECTOR] * 3,
         COUNT,
     )
     def exchange(
+        targets: Rows,
+        set_points: Real,
         frames: Rows,
         sent: Rows,
         received: Rows,
@@ -255,10 +256,11 @@ def _entry_points(sources: int) -> tuple[Encode, Exchange, Publish]:
         single: Single,
         double: Real,
         feedback: Real,
+        asked: Real,
         bitrate: int,
-    ) -> None:
-        if sources < 0:
-            return
+    ) -> bool:
+        if sources < 0 or not _encode(targets, sent, set_points, whole, real, single):
+            return False
         bits_of = left[_O_SIZE:]
         left[:] = 0
         taken = 0
@@ -280,6 +282,7 @@ def _entry_points(sources: int) -> tuple[Encode, Exchange, Publish]:
             left[_O_TIMED] += frame.timing == _BY_TIME
         for k in range(len(drives)):
             _follow(drives[k], whole)
+            asked[k] = drives[k].set_point
         for k in range(len(seen)):
             _see(seen[k], whole, feedback[4 * k : 4 * k + 4])
         _set_times(frames, bits_of, given[_I_START_NS], 1e9 / bitrate)
@@ -289,6 +292,7 @@ def _entry_points(sources: int) -> tuple[Encode, Exchange, Publish]:
                 if bits_of[k]:
                     at = _line(frames[k], heads, data[k], text, at)
             left[_O_TEXT] = at
+        return True
 
     @entry_point(DRIVES, VECTOR, INDICES)
     def publish(drives: Rows, ports: Real, whole: Whole) -> bool:
@@ -308,7 +312,7 @@ def _entry_points(sources: int) -> tuple[Encode, Exchange, Publish]:
             _show(drives[k], ports[k * _PORT_SIZE : (k + 1) * _PORT_SIZE], whole)
         return True
 
-    return encode, exchange, publish
+    return exchange, publish
 
 
 @compiled
@@ -334,14 +338,11 @@ def _show(drive: Row, port: Real, whole: Whole) -> None:
     whole[drive.statusword] = bits
 
 
-#: encode(targets, sent, set points by target, whole, real, single): raw set points into their slots; False where one
-#: does not fit, or another value that is to be sent does not.
-#: exchange(frames, sent, received, drives, seen, whole, real, given, left, data (F, 8), heads, text, scratch, single,
-#: double, feedback, bitrate): the frames of a cycle over the wire; `text` of length 0: no trace.
+#: exchange(targets, set points by target, frames, sent, received, drives, seen, whole, real, given, left, data (F, 8),
+#: heads, text, scratch, single, double, feedback, set points that the drives follow, bitrate): the frames of a cycle
+#: over the wire; False, and nothing done, where a value does not fit. `text` of length 0: no trace.
 #: publish(drives, ports, whole): feedback into the objects; False, and nothing done, where a fault would follow.
-encode, exchange, publish = _entry_points(
-    number_of_sources(__file__, lay.__file__, compiled_wire.__file__, wire.__file__)
-)
+exchange, publish = _entry_points(number_of_sources(__file__, lay.__file__, compiled_wire.__file__, wire.__file__))
 
 
 def warm_up() -> None:
@@ -349,10 +350,9 @@ def warm_up() -> None:
     rows = {kind: np.zeros(0, kind) for kind in (lay.FRAME, lay.FIELD, lay.TARGET, lay.DRIVE, lay.SEEN)}
     whole, real, octets, single = np.zeros(8, np.int64), np.zeros(8), np.zeros(8, np.uint8), np.zeros(1, np.float32)
     frames, fields, drives, seen = rows[lay.FRAME], rows[lay.FIELD], rows[lay.DRIVE], rows[lay.SEEN]
-    encode(rows[lay.TARGET], fields, real, whole, real, single)
     data = octets.reshape(1, 8)
     exchange(
-        *(frames, fields, fields, drives, seen, whole, real, whole, whole.copy(), data, octets, octets, octets),
-        *(single, real, real, 1_000_000),
+        *(rows[lay.TARGET], real, frames, fields, fields, drives, seen, whole, real, whole, whole.copy(), data),
+        *(octets, octets, octets, single, real, real, real, 1_000_000),
     )
     publish(drives, real, whole)

@@ -4,9 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-import numpy as np
-
-from hilbench.batch import kernel
 from hilbench.batch import layout as lay
 from hilbench.canopen.object_store import Cell
 from hilbench.cia402.simulated import SimulatedDrive
@@ -16,9 +13,10 @@ from hilbench.plant.interface import Steps, StepsInModes
 class Motors:
     """Drives by their rows (D,) of `layout.DRIVE`, whose objects are in the slots of `whole` and `real`.
 
-    `turned`: what their motors turn, so far with each cycle (`step_s`); `alone`: it has no other motors; `cells`: the
-    drives' objects, each with its slot and whether that is a real one; `shows_ports`: somebody looks at the ports in
-    every cycle.
+    `asked` (D,): the set points that they follow; `shown`, (D · PORT_SIZE,): what their ports show; `turned`: what
+    their motors turn, so far with each cycle (`step_s`); None where somebody else lets it go on by these; `alone`: it
+    has no other motors; `cells`: the drives' objects, each with its slot and whether that is a real one; `shows_ports`:
+    somebody looks at the ports in every cycle.
     """
 
     def __init__(
@@ -27,7 +25,9 @@ class Motors:
         rows: lay.Rows,
         whole: lay.Whole,
         real: lay.Real,
-        turned: Steps,
+        asked: lay.Real,
+        shown: lay.Real,
+        turned: Steps | None,
         step_s: float,
         cells: Sequence[tuple[Cell, int, bool]],
         *,
@@ -37,40 +37,35 @@ class Motors:
         self.over = False  #: the objects know more than the arrays
         self._drives, self._rows, self._cells = drives, rows, cells
         self._whole, self._real = whole, real
-        self._turned = turned
+        self._asked, self._shown = asked, shown
         self._step_s = step_s
         self._ports = [drive.firmware.port for drive in drives]
-        self._shows_ports = shows_ports
-        self._set_points = rows["set_point"]
-        self._asked = np.zeros(len(drives))
-        self._shown = np.zeros(lay.PORT_SIZE * len(drives))
-        self._step: Callable[[], None] | None = None
-        if alone and isinstance(turned, StepsInModes):
-            self._step = turned.steps_in_modes(self._asked, step_s, self._shown)
+        self._asked[:] = rows["set_point"]
+        self._shown[:] = self._of_ports()
+        self._turned = turned
+        self._keeps_ports = turned is not None
+        self.step: Callable[[], None] = self._step_by_ports  #: take the set points, and go on
+        if turned is not None and alone and isinstance(turned, StepsInModes):
+            self._keeps_ports = False
+            self._step = turned.steps_in_modes(asked, step_s, shown)
+            self.step = self._step_and_show if shows_ports else self._step
 
-    def move(self) -> None:
-        """Take the set points, go on, and show the feedback."""
-        if self._step is not None:
-            self._asked[:] = self._set_points
-            self._step()
-            if self._shows_ports:
-                self._give_ports()
-        else:
-            self._move_by_ports()
-        if not kernel.publish(self._rows, self._shown, self._whole):
-            self.give()
-            self.over = True
-            for drive in self._drives:
-                drive.publish()
+    def _step_and_show(self) -> None:
+        self._step()
+        self._give_ports()
 
-    def _move_by_ports(self) -> None:
-        for port, set_point in zip(self._ports, self._set_points.tolist(), strict=True):
+    def _step_by_ports(self) -> None:
+        assert self._turned is not None, "somebody else's"
+        for port, set_point in zip(self._ports, self._asked.tolist(), strict=True):
             port.setpoint = set_point
         self._turned.step(self._step_s)
+        self._shown[:] = self._of_ports()
+
+    def _of_ports(self) -> list[float]:
         values: list[float] = []
         for port in self._ports:
             values += (port.position_rad, port.velocity_rad_s, port.torque_Nm, port.reference, port.torque_limited)
-        self._shown[:] = values
+        return values
 
     def _give_ports(self) -> None:
         values = self._shown.tolist()
@@ -80,12 +75,18 @@ class Motors:
             port.position_rad, port.velocity_rad_s, port.torque_Nm, port.reference, limited = shown
             port.torque_limited = limited != 0.0
 
+    def publish_by_objects(self) -> None:
+        """A drive can't go on as it did: from here on it is for the objects."""
+        self.give()
+        self.over = True
+        for drive in self._drives:
+            drive.publish()
+
     def give(self) -> None:
         """The objects, the drives and their ports get what the arrays have."""
         if self.over:
             return
-        if self._step is not None:
-            self._asked[:] = self._set_points
+        if not self._keeps_ports:
             self._give_ports()
         whole, real = self._whole.tolist(), self._real.tolist()
         for cell, slot, is_float in self._cells:

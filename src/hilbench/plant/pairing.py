@@ -67,17 +67,44 @@ def paired(state: Vector, positions: Vector, least_way: float) -> bool:
     return True
 
 
-def _entry_point(sources: int) -> Callable[[Vector, Vector, float], bool]:
+#: What `comes_steadily` remembers: how much further than before it may have come in a cycle, m; the last position and
+#: whether there is one; the way of a cycle and whether it is known; cycles since without a position.
+_MOST_M, _LAST_M, _HAS_LAST, _WAY_M, _HAS_WAY, STEADY_MISSED, _STEADY_SIZE = range(7)
+
+
+@compiled
+def comes_steadily(state: Vector, x_m: float) -> bool:
+    """Whether a position is one cycle after the last, and after those missed since; see `SteadyWay`."""
+    cycles, last_m, before_m = state[STEADY_MISSED] + 1.0, state[_LAST_M], state[_WAY_M]
+    had_last, had_way = state[_HAS_LAST] != 0.0, state[_HAS_WAY] != 0.0
+    state[_LAST_M], state[_HAS_LAST], state[STEADY_MISSED] = x_m, 1.0, 0.0
+    if not had_last:
+        return True
+    state[_WAY_M], state[_HAS_WAY] = (x_m - last_m) / cycles, 1.0
+    return bool(not had_way or abs(state[_WAY_M] - before_m) <= state[_MOST_M] * cycles + _ALIKE * abs(before_m))
+
+
+@compiled
+def miss(state: Vector) -> None:
+    """A cycle without positions of its own."""
+    state[_CYCLES] += 1.0
+
+
+def _entry_points(sources: int) -> tuple[Callable[[Vector, Vector, float], bool], Callable[[Vector, float], bool]]:
     """For Python; `sources` as in `compiled.number_of_sources`."""
 
     @entry_point(VECTOR, VECTOR, REAL)
     def paired_once(state: Vector, positions: Vector, least_way: float) -> bool:
         return paired(state, positions, least_way) if sources >= 0 else False
 
-    return paired_once
+    @entry_point(VECTOR, REAL)
+    def comes_once(state: Vector, x_m: float) -> bool:
+        return comes_steadily(state, x_m) if sources >= 0 else False
+
+    return paired_once, comes_once
 
 
-_paired = _entry_point(number_of_sources(__file__))
+_paired, _comes_steadily = _entry_points(number_of_sources(__file__))
 
 
 class Pairing:
@@ -105,11 +132,16 @@ class Pairing:
         """A cycle without positions of its own."""
         self._state[_CYCLES] += 1.0
 
+    def vectors(self, rollers: int) -> tuple[Vector, Vector]:
+        """What `paired` remembers of so many rollers, and their positions (N,): for compiled callers."""
+        if rollers != len(self._positions):
+            self._format = f"={rollers}d"
+            self._state, self._positions = pairing_state(rollers), np.zeros(rollers)
+        return self._state, self._positions
+
     def update(self, *positions_m: float) -> bool:
         """Whether this cycle's positions of all rollers, in m at the web, are of one instant."""
-        if len(positions_m) != len(self._positions):
-            self._format = f"={len(positions_m)}d"
-            self._state, self._positions = pairing_state(len(positions_m)), np.zeros(len(positions_m))
+        self.vectors(len(positions_m))
         pack_into(self._format, self._positions.data, 0, *positions_m)
         return _paired(self._state, self._positions, self._least_way)
 
@@ -122,27 +154,20 @@ class SteadyWay:
     """
 
     def __init__(self, cycle_s: float) -> None:
-        self._most_m = _FASTEST_M_S2 * cycle_s**2
-        self.reset()
+        self.state: Vector = np.zeros(_STEADY_SIZE)  #: that of `comes_steadily`
+        self.state[_MOST_M] = _FASTEST_M_S2 * cycle_s**2
 
     def reset(self) -> None:
         """The next positions are taken as they are."""
-        self._last_m: float | None = None
-        self._way_m: float | None = None  # of a cycle
-        self._cycles = 0
+        self.state[_HAS_LAST] = self.state[_HAS_WAY] = self.state[STEADY_MISSED] = 0.0
 
     def miss(self) -> None:
         """A cycle without a position of its own."""
-        self._cycles += 1
+        self.state[STEADY_MISSED] += 1.0
 
     def update(self, x_m: float) -> bool:
         """Whether this cycle's position, in m at the web, is one cycle after the last, and after those missed since."""
-        last_m, before_m, cycles = self._last_m, self._way_m, self._cycles + 1
-        self._last_m, self._cycles = x_m, 0
-        if last_m is None:
-            return True
-        self._way_m = (x_m - last_m) / cycles
-        return before_m is None or abs(self._way_m - before_m) <= self._most_m * cycles + _ALIKE * abs(before_m)
+        return _comes_steadily(self.state, x_m)
 
 
 def play(position_unit: str, cycle_s: float) -> float:

@@ -30,7 +30,15 @@ from hilbench.twin.alarms import Alarms
 from hilbench.twin.axis_listener import AxisListener, RealAxis, TwinNode
 from hilbench.twin.found import as_text
 from hilbench.twin.machines.kinds import boundary, new_machine, warm_up
-from hilbench.twin.machines.machine import Measured, TwinMachine
+from hilbench.twin.machines.machine import (
+    LOOK,
+    MISSED,
+    InVectors,
+    MachineVectors,
+    Measured,
+    TwinMachine,
+    VectorMachine,
+)
 from hilbench.twin.model_change import ChangeableMachine, with_effects
 from hilbench.twin.virtual_io import TwinStatus, VirtualIo
 
@@ -111,6 +119,8 @@ class TwinApplication:
         self._sync_time = None if isinstance(setup.clock, SyncClock) else SyncTime(round(setup.cycle_s * 1e9))
         self._skipped = 0  # cycles that by the clock the axes have gone, less the SYNCs that came
         self._ways = _Ways(setup)
+        self._in_vectors: InVectors | None = None
+        self.leaves_vectors = False  #: what is in vectors has to go on in objects
         virtual_io.on_method(self._use_method)
         virtual_io.on_found(lambda: as_text(machine.found()))
         virtual_io.on_model(self._use_model, lambda: machine.largest_steps)
@@ -235,20 +245,57 @@ class TwinApplication:
         """How far the machine goes with each SYNC."""
         return self._cycle_s
 
-    def begin_plain(self) -> None:
-        """`before_sync` of a cycle in which all that is asked for comes in time: nothing is owed behind it."""
-        self._sync_number += 1
-        self._behind = 0
-        self._io.publish_status(self._sync_number, 0, self._status())
+    @property
+    def io(self) -> VirtualIo:
+        """What it shows and hears."""
+        return self._io
 
-    def go_on(self, measured: list[Measured], move: Callable[[], None]) -> None:
-        """After `begin_plain`: what the axes (N,) have measured at SYNC. `move`: what lets the virtual axes go on with
-        what they turn, in the place of their `sync`, the machine's `step` and `publish`."""
+    def begin_plain(self) -> None:
+        """`before_sync` of a cycle in which all that is asked for comes in time, as far as it shows: nothing is owed
+        behind it."""
+        self._behind = 0
+        self._io.publish_status(self._sync_number + 1, 0, self._status())
+
+    def go_on(self, measured: list[Measured], step: Callable[[], None]) -> None:
+        """The rest of a cycle after `begin_plain`: what the axes (N,) have measured at SYNC. `step`: what lets the
+        virtual axes go on with what they turn, in the place of their `sync` and the machine's `step`."""
+        self._sync_number += 1
         self._compare(measured)
         self._machine.listen()
-        move()
+        step()
         self._time_s += self._cycle_s
         self._publish()
+
+    @property
+    def goes_in_vectors(self) -> bool:
+        """Whether the machine may be in vectors from now on."""
+        machine = self._machine.in_use
+        return self._machine.only_plant is not None and isinstance(machine, VectorMachine) and machine.goes_in_vectors
+
+    def begin_in_vectors(self, vectors: MachineVectors) -> None:
+        """The machine is in these vectors until `end_in_vectors`; number and status of the next SYNC are put there."""
+        machine = self._machine.in_use
+        assert isinstance(machine, VectorMachine), "asked for before"
+        self._behind = 0
+        vectors.whole[vectors.number], vectors.whole[vectors.status] = (self._sync_number + 1) & 0xFFFF, self._status()
+        self._in_vectors, self.leaves_vectors = machine.in_vectors(vectors), False
+
+    def go_on_in_vectors(self) -> None:
+        """`begin_plain` and `go_on`."""
+        assert self._in_vectors is not None, "begun"
+        self._sync_number += 1
+        went = self._in_vectors.go_on(self._time_s)
+        if went == LOOK or (went != MISSED and not self._quiet):
+            self._report_problem()
+            self._report_shift()
+            self.leaves_vectors = self._machine.refused
+        self._time_s += self._cycle_s
+
+    def end_in_vectors(self) -> None:
+        """The machine is in its objects again."""
+        if self._in_vectors is not None:
+            self._io.publish_status(self._sync_number, 0, self._in_vectors.give())
+            self._in_vectors = None
 
     def tick(self, duration_s: float) -> None:
         """Without SYNC the virtual drives still follow their state machines."""

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from enum import IntFlag
 
 from hilbench.canopen.device import Device
+from hilbench.canopen.object_store import Cell
 from hilbench.topology.process_data.table import ProcessData
 
 _STATUS = 0x2100  #: manufacturer specific: of which SYNC the process data are, and whether they can be trusted
@@ -46,6 +47,21 @@ class VirtualIo:
         self._names = [signal.name for signal in data.published]
         for name, value in boundary.items():
             self._told[name].value = value
+
+    @property
+    def published_cells(self) -> Sequence[Cell]:
+        """What is published: the objects of 6403h, in the order of `ProcessData.published`."""
+        return self._published
+
+    @property
+    def told_cells(self) -> Mapping[str, Cell]:
+        """What the bench says: the objects of 6413h by signal."""
+        return self._told
+
+    @property
+    def status_cells(self) -> tuple[Cell, Cell, Cell]:
+        """Number of the SYNC, age and status (2100h)."""
+        return self._sync_number, self._age, self._status
 
     def publish(self, values: Sequence[float]) -> None:
         """Set what the next TPDOs carry: a value for each signal of 6403h, in the order of `ProcessData.published`."""

@@ -13,7 +13,8 @@ from collections.abc import Callable
 
 import can
 from hilbench.batch import kernel
-from hilbench.batch.cycles import InOneProcess, PlainCycles, Served
+from hilbench.batch.cycles import PlainCycles
+from hilbench.batch.wiring import InOneProcess, Served
 from hilbench.can.confinement import ControllerState
 from hilbench.can.frame import Frame
 from hilbench.can.memory import MemoryBus, MemoryCanBus
@@ -26,6 +27,7 @@ from hilbench.exchange.own_node import OwnNode
 from hilbench.exchange.sync_cycle import SyncCycle
 from hilbench.hardware.simulation import RigApplication, hardware, warm_up_in_modes
 from hilbench.topology.config import BenchConfig
+from hilbench.twin.machines.kinds import warm_up_in_vectors
 from hilbench.twin.process import TwinApplication, twin
 from hilbench.twin.setup import twin_setup
 
@@ -63,7 +65,9 @@ class InProcess:
         kernel.warm_up()
         warm_up_in_modes(config)
         by_sync = config.model_copy(update={"pace": "lockstep"})
-        self._hosted = hardware(by_sync), twin(twin_setup(by_sync))
+        setup = twin_setup(by_sync)
+        warm_up_in_vectors(setup.model, setup.twin, setup.shape, setup.cycle_s)
+        self._hosted = hardware(by_sync), twin(setup)
         self._links = [self.bus.open_link() for _ in self._hosted]
         self._own_hosts = [DeviceHost(link, *hosted) for link, hosted in zip(self._links, self._hosted, strict=True)]
         self._hosts = list(self._own_hosts)

@@ -177,6 +177,11 @@ class MeasuredBalance:
         """The last one."""
         return BalanceSample(*self.state[X2_M:].tolist())
 
+    @property
+    def is_followed(self) -> bool:
+        """Whether the web stands where the rollers are."""
+        return self.state.item(STARTED) != _NOT_STARTED
+
     def reset(self) -> None:
         """The next update starts anew, with the web strained as upstream."""
         self.state[STARTED] = _NOT_STARTED

@@ -217,8 +217,17 @@ def _free(s: Array) -> float:
     return float(s_ff - s_fh * s_fh / s_hh if s_hh > 0.0 else s_ff)
 
 
-def _compiled_look(sources: int) -> Callable[[Array, float, float, float, float, bool, float], bool]:
-    """The function that is called from Python; `sources` as in `number_of_sources`."""
+@compiled
+def undecided(s: Array) -> bool:
+    """Whether a change has been open for long, and may as well be the one as the other."""
+    return bool(s[_OPEN] != 0.0 and s[_COUNT] >= _LONG and s[_LEANS_TO_MODULUS] == 0.0)
+
+
+Look = Callable[[Array, float, float, float, float, bool, float], bool]
+
+
+def _entry_points(sources: int) -> tuple[Look, Callable[[Array], bool]]:
+    """The functions that are called from Python; `sources` as in `number_of_sources`."""
 
     @entry_point(VECTOR, REAL, REAL, REAL, REAL, FLAG, REAL)
     def look_once(
@@ -226,10 +235,14 @@ def _compiled_look(sources: int) -> Callable[[Array, float, float, float, float,
     ) -> bool:
         return look(s, force_N, web_per_Pa, velocity_m_s, told_Pa, may, deviation_N) if sources >= 0 else False
 
-    return look_once
+    @entry_point(VECTOR)
+    def undecided_now(s: Array) -> bool:
+        return undecided(s) if sources >= 0 else False
+
+    return look_once, undecided_now
 
 
-_look = _compiled_look(number_of_sources(ring.__file__, __file__))
+_look, _undecided = _entry_points(number_of_sources(ring.__file__, __file__))
 
 
 class TorqueShiftFinder:
@@ -245,8 +258,7 @@ class TorqueShiftFinder:
     @property
     def undecided(self) -> bool:
         """Whether a change has been open for long, and may as well be the one as the other."""
-        s = self.state
-        return s.item(_OPEN) != 0.0 and s.item(_COUNT) >= _LONG and s.item(_LEANS_TO_MODULUS) == 0.0
+        return _undecided(self.state)
 
     def update(
         self, block: BalanceSample, told_Pa: float, *, may_decide: bool = True, deviation_N: float = 0.0

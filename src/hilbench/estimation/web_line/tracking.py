@@ -12,6 +12,7 @@ from math import inf, nan
 from typing import NamedTuple, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hilbench.compiled import table_of
 from hilbench.estimation.nuisance import Nuisance
@@ -49,8 +50,6 @@ MOVES_M_S = 1e-3
 UNKNOWN_STRAIN = 0.3
 #: Spans of web after which a strain that was wrong when they began to pass is none any more (exp(-5) of it is left).
 PASSED_SPANS = 5.0
-#: A measured state that is refused for longer is no jump of an encoder: the simulation is not what was measured, s.
-_ASTRAY_S = 0.02
 #: Least deviation with which a method takes over the estimate of the one before.
 _LEAST_PRIOR_PCT = 0.1
 #: What is left of a shift of the torque that has gone again, as a share of it.
@@ -203,6 +202,26 @@ class Tracking:
         `believe` and a known change."""
         return self._vectors
 
+    @property
+    def table(self) -> NDArray[np.int64]:
+        """Where they stand, as `tracking_cycle.run_vectors` takes them; another one whenever they are."""
+        return self._table
+
+    @property
+    def in_vectors(self) -> bool:
+        """Whether all of it stands in them: a measurement has been compared, and no known change is looked for."""
+        return self._balance.is_followed and self._known_change is None
+
+    @property
+    def input_strain(self) -> float:
+        """What a method that finds no E takes the strain upstream for, beyond what is told."""
+        return self._input_strain or 0.0
+
+    def has_gone_on(self) -> None:
+        """Compiled callers have run cycles in which nothing was left to Python."""
+        if self._t[cycle.BANK]:
+            self._nuisances = None
+
     def reset(self) -> None:
         """Start anew, with E as assumed at the start."""
         t, c = self._t, cycle
@@ -351,11 +370,7 @@ class Tracking:
     def synchronized(self) -> bool:
         """Whether E is known as well as the config asks for, the web in the span is the one that was measured, and the
         simulation has its strain."""
-        t = self._t
-        if t.item(cycle.REFUSED) * self._cycle_s > _ASTRAY_S:
-            return False
-        limit = 0.01 * self.config.synchronized_pct * t.item(cycle.MODULUS_PA)
-        return t.item(cycle.PROBLEM) == 0.0 and self.web_is_known and t.item(cycle.OWN_DEVIATION_PA) <= limit
+        return cycle.synchronized(self._t, self.config.synchronized_pct)
 
     @property
     def web_is_known(self) -> bool:
@@ -458,15 +473,15 @@ class Tracking:
         centre_m = nan if centre_m is None else centre_m
         values = (x1_m, x2_m, torque_Nm, self._axis2.torque_Nm, strain_prev, F_next_N, centre_m)
         stage = cycle.run_vectors(cycle.COMPARE, tuple(map(float, values)), self._table)
-        if stage != cycle.DONE:
-            self._go_on(stage, time_s, strain_prev)
-        elif self._t[cycle.BANK]:
-            self._nuisances = None
+        if stage == cycle.DONE:
+            self.has_gone_on()
+        else:
+            self.go_on_from(stage, time_s, strain_prev)
         if self._t[cycle.MOVED]:
             self._line.show()
 
-    def _go_on(self, stage: int, time_s: float, strain_prev: float) -> None:
-        """What is Python's part of a cycle, from this stage on."""
+    def go_on_from(self, stage: int, time_s: float, strain_prev: float) -> None:
+        """What is Python's part of a cycle, from this stage on; a compiled caller that was left with it has it done."""
         t, c = self._t, cycle
         if stage == c.UPDATE:
             self._update(time_s, strain_prev)
@@ -559,7 +574,7 @@ class Tracking:
 
     def upstream_strain(self, told: float) -> float:
         """The strain of the web that enters the simulation; `told` is what the real web's is said to be."""
-        return told + (self._input_strain or 0.0)
+        return told + self.input_strain
 
     def _take_out_shift(self) -> None:
         """A shift is taken out of the torque from the next cycle on, and E goes on from what it was before it."""

@@ -40,6 +40,8 @@ _KNOWN_STRAIN = 0.003
 _ALL_AT_ONCE = 0.002
 #: Largest strain, either way, of a measured state that is taken over: no web has more.
 _LARGEST_STRAIN = 0.5
+#: A measured state that is refused for longer is no jump of an encoder: the simulation is not what was measured, s.
+_ASTRAY_S = 0.02
 
 # Stages of a cycle; what `run` returns is the stage at which Python has to do something, or DONE.
 COMPARE, HOLD, FOUND_WEB, UPDATE, LOOK_FOR_SHIFT, SHIFT, TRANSFER, DONE = range(8)
@@ -386,6 +388,21 @@ def run(
     return stage
 
 
+@compiled
+def is_synchronized(t: Vector, most_pct: float) -> bool:
+    """Whether E is known as well as `most_pct`, the web in the span is the one that was measured, and the simulation has
+    its strain."""
+    known = t[PROBLEM] == 0.0 and t[STRAIN_UNCERTAINTY] == 0.0 and t[REFUSED] * t[CYCLE_S] <= _ASTRAY_S
+    return bool(known and t[OWN_DEVIATION_PA] <= 0.01 * most_pct * t[MODULUS_PA])
+
+
+#: Rows in the table of `flat`: the state; that of what looks for shifts of the torque; parameters, state, inputs,
+#: scratch space and outputs of the line, one behind the other; how many there are, behind which a caller's own may
+#: stand. Inputs, places and mixture of the bank.
+STATE_ROW, SHIFT_ROW, LINE_ROW, ROWS = 0, 3, 46, 52
+BANK_INPUTS_ROW, BANK_PLACES_ROW, BANK_OUT_ROW = 33, 41, 43
+
+
 def flat(v: TrackingVectors) -> tuple[Array | Places, ...]:
     """The vectors one behind the other, as `run_vectors` takes them in a table."""
     balance_p, web, balance_s = v.balance
@@ -396,7 +413,9 @@ def flat(v: TrackingVectors) -> tuple[Array | Places, ...]:
 INTERRUPT, SUSPEND, NEW_WEB = range(3)
 
 
-def _entry_points(sources: int) -> tuple[Callable[..., int], Callable[..., None], Callable[..., None]]:
+def _entry_points(
+    sources: int,
+) -> tuple[Callable[..., int], Callable[..., None], Callable[..., None], Callable[[Vector, float], bool]]:
     """Compiled functions that are called from Python; `sources` as in the kernel."""
 
     @entry_point(COUNT, reals(7), TABLE)
@@ -491,34 +510,38 @@ def _entry_points(sources: int) -> tuple[Callable[..., int], Callable[..., None]
         if sources >= 0:
             state_modulus(t, errors, modulus_Pa, deviation_Pa)
 
-    return run_vectors, forget, state
+    @entry_point(VECTOR, REAL)
+    def synchronized(t: Vector, most_pct: float) -> bool:
+        return is_synchronized(t, most_pct) if sources >= 0 else False
+
+    return run_vectors, forget, state, synchronized
 
 
-run_vectors, forget, state = _entry_points(
-    kernel.source_number(
-        *(
-            str(module.__file__)
-            for module in (
-                anomalies,
-                balance,
-                bank,
-                blocks,
-                changepoint,
-                correction,
-                delay,
-                kalman,
-                line_vectors,
-                model_errors,
-                model_errors_filter,
-                noise_level,
-                plant,
-                plausibility,
-                ring,
-                ripples,
-                span_kernel,
-                torque_shift,
-            )
-        ),
-        __file__,
-    )
+#: The files of what is compiled here, beside those of the kernel.
+SOURCES = (
+    *(
+        str(module.__file__)
+        for module in (
+            anomalies,
+            balance,
+            bank,
+            blocks,
+            changepoint,
+            correction,
+            delay,
+            kalman,
+            line_vectors,
+            model_errors,
+            model_errors_filter,
+            noise_level,
+            plant,
+            plausibility,
+            ring,
+            ripples,
+            span_kernel,
+            torque_shift,
+        )
+    ),
+    __file__,
 )
+run_vectors, forget, state, synchronized = _entry_points(kernel.source_number(*SOURCES))

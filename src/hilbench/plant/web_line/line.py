@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +31,15 @@ from hilbench.plant.web_line.simulated import (
 )
 from hilbench.plant.web_line.splices import has_pieces, spliced_spans
 from hilbench.plant.web_line.stations import Reel, reel_name
+
+
+class LineStep(NamedTuple):
+    """What `rig_cycle.step` takes beside the vectors of a line."""
+
+    samples: int  #: of the drives
+    motors: NDArray[np.int64]  #: rows of those with ports
+    sensors: Vector
+    silence: Vector  #: in the place of noise
 
 
 class Line(SimulatedLine):
@@ -77,6 +87,11 @@ class Line(SimulatedLine):
         """What it consists of, for compiled callers; `show` after they have changed it."""
         return LineVectors(self._p, self._state, self._inputs, self._work, self._out)
 
+    def step_in_vectors(self, duration_s: float) -> LineStep:
+        """For compiled callers that go on by so long. Raises ValueError as `step`."""
+        samples = samples_per(duration_s, self._p.item(lay.W_SAMPLE_TIME_S))
+        return LineStep(samples, self._places_of_motors, self._figures, self._silence)
+
     @property
     def moduli(self) -> Vector:
         """(2, K): where E of each span stands in the parameters, and 1 for each."""
@@ -113,6 +128,11 @@ class Line(SimulatedLine):
         """Give an effect these parameters from now on; strain and motion stay. Raises as `SimulatedLine`."""
         super().set_effect(effect_id, axis, section=section, slot=slot, **parameters)
         self._elastic |= _acts_on_elasticity(effect_id)
+
+    @property
+    def changes_elasticity(self) -> bool:
+        """Whether it may have effects on E."""
+        return self._elastic
 
     def elasticity_factor(self, span: int) -> float:
         """What the effects on E make of it now in a span (counted from 1), of web with a splice in it that of the

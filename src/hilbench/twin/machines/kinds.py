@@ -9,7 +9,7 @@ from hilbench.topology.blocks import MachineParameters, TwinConfig
 from hilbench.topology.signals import Shape
 from hilbench.topology.web_line_shape import sensors_at_start
 from hilbench.twin.machines import web_line
-from hilbench.twin.machines.machine import Told, TwinMachine
+from hilbench.twin.machines.machine import Told, TwinMachine, VectorMachine
 from hilbench.twin.machines.servo_axis import ServoAxisTwin
 from hilbench.twin.machines.web_line_with_stations import LineWithStationsTwin
 
@@ -41,3 +41,10 @@ def warm_up(model: MachineParameters, config: TwinConfig, shape: Shape, cycle_s:
         machine.listen()
         machine.plant.step(cycle_s)
         machine.published()
+
+
+def warm_up_in_vectors(model: MachineParameters, config: TwinConfig, shape: Shape, cycle_s: float) -> None:
+    """The same of what a machine in vectors runs on."""
+    machine = new_machine(model, config, shape, cycle_s, boundary(model, shape).__getitem__)
+    if isinstance(machine, VectorMachine):
+        machine.warm_up_in_vectors()

@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Protocol
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
 
 from hilbench.estimation.plausibility import Problem
 from hilbench.plant.interface import Plant
@@ -91,3 +95,55 @@ class TwinMachine(Protocol):
 
     def published(self) -> Sequence[float]:
         """What the virtual I/O shows now: one value for each signal of 6403h (`ProcessData.published`)."""
+
+
+#: What a machine in vectors has done in a cycle: gone on; the same, and what it reports may be another; gone on without
+#: a measurement, as they were not of one instant.
+WENT_ON, LOOK, MISSED = range(3)
+
+
+@dataclass(frozen=True)
+class MachineVectors:
+    """Where a machine in vectors finds what it takes, and leaves what it shows; of N axes.
+
+    `measured` (4 N,): position and torque of an axis in the first and third of its four; `asked` (N,), `shown` (5 N,):
+    set points and feedback of the motors as of `hilbench.plant.interface.StepsInModes`. `values`: with what the bench
+    says of the boundary at the places `told`, by signal, and what is published at `published`; `whole`: with number and
+    status of the next SYNC at these places.
+    """
+
+    measured: NDArray[np.float64]
+    asked: NDArray[np.float64]
+    shown: NDArray[np.float64]
+    values: NDArray[np.float64]
+    told: Mapping[str, int]
+    published: Sequence[int]
+    whole: NDArray[np.int64]
+    number: int
+    status: int
+
+
+class InVectors(Protocol):
+    """A released machine, with the model that it was configured with, while it goes on in vectors."""
+
+    def go_on(self, time_s: float) -> int:
+        """`compare`, `listen`, a step of the plant, `published`, and the status for the next SYNC: WENT_ON, LOOK or
+        MISSED."""
+
+    def give(self) -> int:
+        """The objects get what the vectors have; returns the status that was said at the last SYNC."""
+
+
+@runtime_checkable
+class VectorMachine(Protocol):
+    """A machine that may go on in vectors."""
+
+    @property
+    def goes_in_vectors(self) -> bool:
+        """Whether it does so as it is now."""
+
+    def warm_up_in_vectors(self) -> None:
+        """Compile, or load, what it runs on then."""
+
+    def in_vectors(self, vectors: MachineVectors) -> InVectors:
+        """The machine in vectors; its objects are to be left alone until it gives."""

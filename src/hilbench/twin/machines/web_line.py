@@ -24,7 +24,9 @@ from hilbench.plant.web_line.sizes import least_way_m
 from hilbench.plant.web_line.span import SpanFollower
 from hilbench.topology.signals import Shape
 from hilbench.twin.found import FoundBeside
-from hilbench.twin.machines.machine import Measured, Told
+from hilbench.twin.machines import web_line_cycle
+from hilbench.twin.machines.machine import MachineVectors, Measured, Told
+from hilbench.twin.machines.web_line_cycle import SpanInVectors
 from hilbench.twin.machines.web_line_errors import as_effects
 from hilbench.twin.machines.web_passage import Passage
 from hilbench.twin.machines.web_section import WebSection
@@ -290,6 +292,34 @@ class WebLineTwin:
     def found(self) -> Sequence[FoundBeside]:
         """What the methods of all spans know of errors of the model."""
         return [found for each in self._all for found in as_effects(each.tracking.errors, self._model, each.span)]
+
+    @property
+    def goes_in_vectors(self) -> bool:
+        """Whether `in_vectors` does all that is done in a cycle: with one span and no effects on E in the model."""
+        only = self._only
+        if only is None or self._several or self._passage is not None:
+            return False
+        tracking = only.tracking  # while it refuses what is measured, the simulation may have to be brought back
+        return tracking.in_vectors and not (only.waiting or tracking.refused or self.plant.changes_elasticity)
+
+    def warm_up_in_vectors(self) -> None:
+        """Compile, or load, what it runs on then."""
+        if self._only is not None and not self._several:
+            web_line_cycle.warm_up()
+
+    def in_vectors(self, vectors: MachineVectors) -> SpanInVectors:
+        """While this goes on in vectors; see `VectorMachine`."""
+        assert self._only is not None, "a line of one span"
+        return SpanInVectors(
+            self._only.tracking,
+            self._pairing,
+            self._steady,
+            self.plant.step_in_vectors(self._cycle_s),
+            self._metres_per_rad,
+            least_way_m(self._model),
+            self._only,
+            vectors,
+        )
 
     def use_method(self, number: int) -> None:
         """Go on with another synchronizer, by its number in the vocabulary, from the present E."""

@@ -105,11 +105,21 @@ def rebase(b: BankVectors, change_Pa: float) -> None:
     b.s[_TOLD] += change
 
 
+@compiled
+def separable(u: Array, places: Places, out: Array) -> bool:
+    """Whether the data tell all that is estimated beside E from it; by these of a bank's vectors."""
+    for i in range(kalman.OFFSET, len(places)):
+        place = places[i]
+        if not out[1, place] < SEPARABLE * u[kalman.PRIORS + place - kalman.OFFSET]:
+            return False
+    return True
+
+
 _NOTHING, _STEP, _TELL, _REBASE = range(4)
 
 
-def _compiled_entry(sources: int) -> Callable[..., tuple[bool, float, float]]:
-    """The function that is called from Python; `sources` as in `number_of_sources`."""
+def _entry_points(sources: int) -> tuple[Callable[..., tuple[bool, float, float]], Callable[..., bool]]:
+    """The functions that are called from Python; `sources` as in `number_of_sources`."""
 
     @entry_point(COUNT, *[VECTOR] * 4, MATRIX, CUBE, MATRIX, VECTOR, INDICES, *[MATRIX] * 3, VECTOR, reals(6))
     def act(
@@ -141,10 +151,14 @@ def _compiled_entry(sources: int) -> Callable[..., tuple[bool, float, float]]:
         modulus_Pa, deviation_Pa = told(b)
         return done, modulus_Pa, deviation_Pa
 
-    return act
+    @entry_point(VECTOR, INDICES, MATRIX)
+    def separable_now(u: Array, places: Places, out: Array) -> bool:
+        return separable(u, places, out) if sources >= 0 else False
+
+    return act, separable_now
 
 
-_act = _compiled_entry(
+_act, _separable = _entry_points(
     number_of_sources(
         noise_level.__file__, plant.__file__, kalman.__file__, correction.__file__, bank.__file__, __file__
     )
@@ -159,7 +173,6 @@ class ChangepointSynchronizer:
         self._also = tuple(config.also)
         self._inputs = FilterInputs(of, config)
         self._places = kalman.places_of(self._inputs.priors)
-        self._beside_it = self._places[kalman.OFFSET :].tolist()
         self._z = np.zeros((kalman.SIZE, bank.CAPACITY))
         self._p = np.zeros((kalman.SIZE, kalman.SIZE, bank.CAPACITY))
         self._records = np.zeros((bank.CAPACITY, bank.RECORD))
@@ -261,7 +274,4 @@ class ChangepointSynchronizer:
     @property
     def separable(self) -> bool:
         """Whether the data tell all of that from E."""
-        if not self._beside_it:
-            return True
-        out, priors = self._out, self._inputs.priors
-        return all(out.item(1, place) < SEPARABLE * priors.item(place - kalman.OFFSET) for place in self._beside_it)
+        return _separable(self._inputs.u, self._places, self._out)

@@ -1,0 +1,220 @@
+"""The frames of a plain cycle, made from the objects that bench and devices go by: who sends them, what is in them, who
+takes what out of them."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from hilbench.batch import layout as lay
+from hilbench.batch.tables import Frames, NotPlainError, Slots, cell_slots, heard_row, new_slots, seen_row
+from hilbench.can.memory import MemoryBus, MemoryLink
+from hilbench.canopen.clock import SyncClock
+from hilbench.canopen.device import Device
+from hilbench.canopen.device_pdo import Rpdo, Tpdo
+from hilbench.canopen.host import DeviceHost
+from hilbench.canopen.identifiers import HEARTBEAT, SYNC, NmtState
+from hilbench.canopen.pdo import PdoMap
+from hilbench.cia402.drive import Drive
+from hilbench.cia402.simulated import SimulatedDrive
+from hilbench.exchange.nodes import Nodes
+from hilbench.exchange.sync_cycle import ExpectedPdo, SyncCycle
+from hilbench.hardware.simulation import RigApplication
+from hilbench.twin.process import TwinApplication
+
+
+@dataclass(frozen=True)
+class Served:
+    """The devices of one host, as they are on the bus of a process."""
+
+    host: DeviceHost
+    link: MemoryLink
+    devices: Sequence[Device]
+    clock: SyncClock
+
+
+@dataclass(frozen=True)
+class InOneProcess:
+    """What is on the bus, and who has it: `link` is the bench's."""
+
+    bus: MemoryBus
+    link: MemoryLink
+    lock: threading.RLock
+    hardware: Served
+    rig: RigApplication
+    twin: Served
+    machine: TwinApplication
+
+
+class Wiring:
+    """What goes over the wire in each plain cycle, and where its values are."""
+
+    def __init__(self, here: InOneProcess, nodes: Nodes, sync: SyncCycle) -> None:
+        """Raises NotPlainError where cycles are not plain."""
+        self._here, self._nodes, self._sync = here, nodes, sync
+        self.slots, self.frames = Slots(), Frames()
+        #: Of the bench's set points: rows of `layout.TARGET`; slots of what the twin is told.
+        self.targets: list[tuple[float, int, int, int, float]] = []
+        self.told: list[int] = []
+        self.own_heartbeat = -1  #: its row; -1: there is none
+        #: What devices take, answer, and say of themselves, each with its row.
+        self.taken: list[tuple[Device, Rpdo, int]] = []
+        self.answering: list[tuple[Device, Tpdo, int]] = []
+        self.heartbeats: list[tuple[Device, int]] = []
+        #: What the bench sees of each drive, then the twin of each axis: rows of `layout.SEEN`. The slots of what the
+        #: bench gets, by the index of the object; where the feedback of the axes is that the twin hears.
+        self.seen: list[tuple[Any, ...]] = []
+        self.raw: list[tuple[Drive, dict[int, int]]] = []
+        self.heard_axes: list[int] = []
+        #: What the bench takes from the TPDOs of the virtual I/O: identifier, row, slots, and whether they are real.
+        self.said: list[tuple[int, int, int, int, bool]] = []
+        self._bench_frames()
+        self._check_listeners()
+        drives = (*here.rig.drives, *here.machine.drives)
+        for self.slots.side, served in enumerate((here.hardware, here.twin)):
+            for device in served.devices:
+                self._receive(device, drives)
+        for self.slots.side, served in enumerate((here.hardware, here.twin)):
+            for device in served.devices:
+                self._answer(device, self.slots.side)
+        self._see()
+        self._check_phases()
+
+    def _bench_frames(self) -> None:
+        """What the bench sends, in its order, and the set points in it."""
+        frames, slots, nodes = self.frames, self.slots, self._nodes
+        for drive, _, _ in nodes.set_points:
+            rpdo = drive.pdos.rpdo
+            controlword, target = new_slots(slots, rpdo)
+            slots.whole[controlword] = drive.controlword
+            frames.add(rpdo.cob_id, lay.BEFORE_SYNC, rpdo, (controlword, target))
+            self.targets.append((drive.set_point_unit, drive.most_raw, target, -1, 1.0))
+            for copy in drive.settings.copies:
+                copied = slots.new(False)
+                frames.add(copy.cob_id, lay.BEFORE_SYNC, rpdo, (controlword, copied))
+                self.targets.append((1.0, drive.most_raw, copied, target, copy.factor))
+        for boundary in nodes.io.boundary:
+            if not all(kind.is_float for kind in boundary.kinds):
+                raise NotPlainError
+            told = new_slots(slots, boundary)
+            frames.add(boundary.cob_id, lay.BEFORE_SYNC, boundary, told)
+            self.told += told
+        heartbeat, every = self._sync.heartbeat
+        if every:
+            count = (self._sync.timing.cycles - 1) % every
+            self.own_heartbeat = frames.add(
+                heartbeat.can_id, lay.BEFORE_SYNC, bytes(heartbeat.data), every=every, count=count
+            )
+        self._behind_sync = 1 + frames.add(SYNC, lay.SYNC, b"")
+
+    def _check_listeners(self) -> None:
+        """What the bench sends is heard by the hosts alone."""
+        hosts = (self._here.hardware, self._here.twin)
+        for cob_id in self.frames.cob_ids:
+            links = self._here.bus.hear(cob_id)
+            if any(link not in (self._here.link, hosts[0].link, hosts[1].link) for link in links):
+                raise NotPlainError
+        if any(device.sync_cob_id != SYNC for served in hosts for device in served.devices):
+            raise NotPlainError
+
+    def _receive(self, device: Device, drives: Sequence[SimulatedDrive]) -> None:
+        """RPDOs of a device. Each value of a drive but its controlword has to be one that just stands there."""
+        cycle_ns = self._nodes.config.cycle_ns
+        controlwords = [drive.firmware.controlword for drive in drives]
+        for cob_id, rpdo in device.receive_pdos.items():
+            if cob_id not in self.frames.cob_ids:
+                if not rpdo.idle:
+                    raise NotPlainError
+                continue
+            if not rpdo.is_plain(cycle_ns) or rpdo.map is None:
+                raise NotPlainError
+            if any(cell.on_write is not None and cell not in controlwords for cell in rpdo.cells):
+                raise NotPlainError
+            row = self.frames.row_of(cob_id)
+            self.frames.take(row, rpdo.map, cell_slots(self.slots, rpdo.map, rpdo.cells))
+            self.taken.append((device, rpdo, row))
+
+    def _answer(self, device: Device, clock: int) -> None:
+        """Heartbeat and TPDOs of a device; nobody but the bench, and the twin's application, hears them."""
+        frames, here, node_id = self.frames, self._here, device.node_id
+        producer = device.producer
+        if producer.period_ns:
+            data = NmtState.OPERATIONAL.heartbeat
+            row = frames.add(
+                HEARTBEAT + node_id,
+                lay.ANSWER,
+                data,
+                period_ns=producer.period_ns,
+                next_ns=producer.next_ns,
+                clock=clock,
+            )
+            self.heartbeats.append((device, row))
+        for tpdo in device.synchronous_pdos:
+            if tpdo.map is None:
+                raise NotPlainError
+            slots = cell_slots(self.slots, tpdo.map, tpdo.cells)
+            row = frames.add(tpdo.cob_id, lay.ANSWER, tpdo.map, slots, every=tpdo.transmission_type, count=tpdo.syncs)
+            self.answering.append((device, tpdo, row))
+        for row in range(self._behind_sync, len(frames.rows)):
+            cob_id = frames.cob_ids[row]
+            links = here.bus.hear(cob_id)
+            known = (here.link, here.hardware.link, here.twin.link)
+            if here.link not in links or any(link not in known for link in links):
+                raise NotPlainError
+            if here.hardware.host.addressees(cob_id) or here.twin.host.addressees(cob_id):
+                raise NotPlainError
+
+    def _see(self) -> None:
+        """What the bench takes from the answers of the drives, and the twin from those of the axes."""
+        frames, slots = self.frames, self.slots
+        for drive in self._nodes.drives:
+            raw: dict[int, int] = {}
+            for _, pdo, indices in drive.pdos.tpdos:
+                if pdo.period != 1 or any(kind.is_float for kind in pdo.kinds):
+                    raise NotPlainError
+                taken = new_slots(slots, pdo)
+                frames.take(frames.row_of(pdo.cob_id), pdo, taken)
+                raw.update(zip(indices, taken, strict=True))
+            self.seen.append(seen_row(drive, raw))
+            self.raw.append((drive, raw))
+        self.said += [self._hear_of(pdo) for _, pdo in self._nodes.io.tpdos]
+        for listener in self._here.machine.listeners:
+            row, taken = frames.row_of(listener.cob_id), new_slots(slots, listener.pdo)
+            if row < self._behind_sync or frames.rows[row][4] != 1:
+                raise NotPlainError
+            frames.take(row, listener.pdo, taken)
+            self.heard_axes.append(4 * len(self.seen))
+            self.seen.append(heard_row(listener, taken))
+
+    def _hear_of(self, pdo: PdoMap) -> tuple[int, int, int, int, bool]:
+        """What the bench takes from a TPDO of the virtual I/O: identifier, row, slots, and whether they are real."""
+        real, row = pdo.kinds[0].is_float, self.frames.row_of(pdo.cob_id)
+        if any(kind.is_float is not real for kind in pdo.kinds):
+            raise NotPlainError
+        taken = new_slots(self.slots, pdo)
+        self.frames.take(row, pdo, taken)
+        return pdo.cob_id, row, taken[0], taken[-1] + 1, real
+
+    def _check_phases(self) -> None:
+        """What the bench expects of the nodes is what they send."""
+        cycles, frames = self._sync.timing.cycles, self.frames
+        sent = {frames.cob_ids[row]: (row, tpdo) for _, tpdo, row in self.answering}
+        expected: list[ExpectedPdo] = [*self._sync.due_always.values(), *self._sync.due_at_times]
+        for pdo in expected:
+            if pdo.cob_id not in sent:
+                raise NotPlainError
+            row, tpdo = sent[pdo.cob_id]
+            if tpdo.transmission_type != pdo.every or pdo.size not in (None, frames.sizes[row]):
+                raise NotPlainError
+            if (cycles + pdo.every - tpdo.syncs - pdo.since) % pdo.every:
+                raise NotPlainError
+        if {pdo.cob_id for pdo in expected} != set(self._nodes.answers):
+            raise NotPlainError
+        for cob_id, answer in self._nodes.answers.items():
+            row, tpdo = sent[cob_id]
+            if answer.size != frames.sizes[row] or answer.every != tpdo.transmission_type:
+                raise NotPlainError
+            if answer.every != 1 and answer.since != tpdo.syncs and answer.since < answer.every:
+                raise NotPlainError
