@@ -290,7 +290,7 @@ class WebLoadTask(LoadTask):
         axes = range(1, shape.axes + 1)
         self._positions = attrgetter(*(f"x{k}_m" for k in axes))
         self._speeds = attrgetter(*(f"v{k}_m_s" for k in axes))
-        self._truth = [
+        truth = [
             (f"{signal}{shape.numbered(span)}_true{unit}", output)
             for span in range(1, shape.spans + 1)
             for signal, unit, output in (
@@ -299,16 +299,19 @@ class WebLoadTask(LoadTask):
                 ("E", "_Pa", f"E{span}_Pa"),
             )
         ]
-        self._truth += [(f"{x}_{name}_true_{unit}", f"{x}_{name}_{unit}") for x, unit, name in _of_stations(shape)]
+        truth += [(f"{x}_{name}_true_{unit}", f"{x}_{name}_{unit}") for x, unit, name in _of_stations(shape)]
         measured = [each for each in _of_stations(shape) if each[0] != "v" and each[2] in shape.measured]
-        self._truth += [(f"{x}_{name}_meas_{unit}", f"{x}_{name}_{unit}") for x, unit, name in measured]
+        truth += [(f"{x}_{name}_meas_{unit}", f"{x}_{name}_{unit}") for x, unit, name in measured]
+        names = [quantity.name for quantity in self.model.machine.describe().outputs]
+        #: Of the signals among what the model's machine is.
+        self._places = [(signal, names.index(output)) for signal, output in truth]
 
     def after(self, sample: CycleSample, inputs: Inputs) -> None:
         """Let the web follow the measured motion; the truth of the run is recorded."""
         self.follow(sample, self._positions(sample), self._speeds(sample), late=inputs.axes_late)
-        true = self.model.machine.outputs()
-        for signal, output in self._truth:
-            setattr(sample, signal, true[output])
+        true = self.model.outputs()
+        for signal, place in self._places:
+            setattr(sample, signal, true[place])
 
 
 def _of_stations(shape: Shape) -> list[tuple[str, str, str]]:

@@ -8,18 +8,12 @@ stand's flywheel), because imitating an inertia by torque over a sampled bus is 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from math import isfinite
 
 from hilbench.plant.effects import MachineKind, find_effect
 from hilbench.plant.interface import Follower
-from hilbench.plant.pairing import Pairing
+from hilbench.plant.measured_motion import FollowsInStep, MeasuredMotion
 from hilbench.plant.parameters import EffectEntry
 from hilbench.topology.quantities import EffectPath, is_plain, parse_effect_path
-
-#: So many cycles that a sample is late by are made good by prediction; an older one has too little in it.
-_MOST_PREDICTED_CYCLES = 3
-#: A sample that is not whole cycles after the last one is so many parts of a cycle after it.
-_PARTS = 1000
 
 
 class LoadModel:
@@ -47,17 +41,16 @@ class LoadModel:
         effects: Iterable[EffectEntry] = (),
     ) -> None:
         self.machine = machine
-        self._kind = MachineKind(machine.describe().kind)
+        description = machine.describe()
+        self._kind = MachineKind(description.kind)
+        self._names = [quantity.name for quantity in description.outputs]
         self._load_axes = tuple(load_axes)
-        self._cycle_s = cycle_s
-        self._lead_s = lead_s
         self._running = False
-        self._least_way = least_way
-        self._pairing = Pairing(least_way)
+        counted = self._load_axes[0] - 1 if self._load_axes else 0
+        self._motion = MeasuredMotion(description.axes, counted, cycle_s, lead_s, least_way)
+        self._in_step = machine.in_step(self._motion, self._load_axes) if isinstance(machine, FollowsInStep) else None
+        self._has_followed = False  # so in the last cycle
         self._torques_Nm = [0.0] * len(self._load_axes)
-        self._behind_cycles = 0  # since the instant of the positions that the machine is at
-        self._counted = self._load_axes[0] - 1 if self._load_axes else 0  # the axis whose way counts cycles
-        self._position, self._speed = 0.0, 0.0
         self._effects = {(entry.effect, entry.axis, entry.section): dict(entry.parameters) for entry in effects}
 
     def warm_up(self) -> None:
@@ -78,47 +71,31 @@ class LoadModel:
         `positions` (N,) and `speeds` (N,) are measured ones of the driven axes, in the machine's unit; `late`: one of
         them is of an earlier cycle.
         """
+        self._has_followed = False
         if not self._running:
             self.machine.reset(positions)
-            self._pairing.reset()
-            self._pairing.update(*positions)
+            self._motion.begin(positions, speeds)
             self._running = True
-            self._behind_cycles = 0
-            self._position, self._speed = positions[self._counted], speeds[self._counted]
+        elif self._in_step is not None and self._in_step.usable:
+            self._motion.put(positions, speeds)
+            torques_Nm = self._in_step.follow(late=late)
+            self._has_followed = torques_Nm is not None
+            self._torques_Nm = torques_Nm or self._torques_Nm
+            return self._torques_Nm
         else:
-            self._behind_cycles += 1
-            if late:
-                self._pairing.miss()
-            if late or not self._pairing.update(*positions):
+            duration_s = self._motion.gone_s(positions, speeds, late=late)
+            if not duration_s > 0.0:
                 return self._torques_Nm
-            if not self._follow(positions, speeds[self._counted]):
-                return self._torques_Nm
-        lead_s = self._lead_s + min(max(self._behind_cycles, 0), _MOST_PREDICTED_CYCLES) * self._cycle_s
-        self._torques_Nm = self.machine.load_torques_Nm(self._load_axes, speeds, lead_s)
+            self.machine.follow(positions, duration_s)
+        self._torques_Nm = self.machine.load_torques_Nm(self._load_axes, speeds, self._motion.ahead_s)
         return self._torques_Nm
 
-    def _follow(self, positions: Sequence[float], speed: float) -> bool:
-        """Let the machine follow; False for a sample of the instant at which it is already."""
-        cycles, duration_s = self._gone(positions[self._counted], speed)
-        if cycles:
-            self.machine.follow(positions, duration_s)
-            self._position = positions[self._counted]
-        self._speed = speed
-        # One cycle ahead of the bench's count there may be: a SYNC that was sent late, and the next one on time.
-        ahead = -1 if cycles != 1 else 0
-        self._behind_cycles = max(self._behind_cycles - cycles, ahead)
-        return cycles > 0
-
-    def _gone(self, position: float, speed: float) -> tuple[int, float]:
-        """Cycles, and time in s, since the sample that the machine is at: by way and mean speed of the counted axis."""
-        way, way_of_a_cycle = position - self._position, 0.5 * (speed + self._speed) * self._cycle_s
-        if abs(way_of_a_cycle) <= self._least_way:
-            cycles = max(self._behind_cycles, 1)
-            return cycles, cycles * self._cycle_s
-        parts = max(round(_PARTS * way / way_of_a_cycle), 0) if isfinite(way / way_of_a_cycle) else _PARTS
-        cycles = round(parts / _PARTS)
-        whole = not cycles or abs(way - cycles * way_of_a_cycle) <= self._least_way
-        return cycles, (cycles if whole else parts / _PARTS) * self._cycle_s
+    def outputs(self) -> Sequence[float]:
+        """The truth after a cycle, in the order of the machine's description."""
+        if self._has_followed and self._in_step is not None:
+            return self._in_step.outputs()
+        true = self.machine.outputs()
+        return [true[name] for name in self._names]
 
     def value(self, path: str) -> float:
         """Present value of a quantity of the imitated mechanics. Raises ValueError for an unknown path."""

@@ -8,9 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from hilbench.compiled import table_of
 from hilbench.plant.effects import EffectPlace, effects_of
 from hilbench.plant.interface import PlantDescription, PlantState, Quantity, checked_name
-from hilbench.plant.web_line import laws, span_kernel
+from hilbench.plant.measured_motion import MeasuredMotion
+from hilbench.plant.web_line import follower_cycle, laws, span_kernel
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.layout import Layout, Vector
 from hilbench.plant.web_line.offline import start_state
@@ -163,8 +165,7 @@ class SpanFollower:
     def _pull(self, axes: Sequence[int], lead_s: float | None) -> list[float]:
         """Torques on these axes of the web ahead, whose tensions are in `_tension_ahead` then; None: of that of now."""
         if self._pulled != axes:
-            pulled = [(axis - 1, self._rad_per_m[axis - 1], self.parameters.carries_web_load(axis)) for axis in axes]
-            self._pulled, self._loads = axes, np.array(pulled, float).reshape(-1, 3)
+            self._pulled, self._loads = axes, self._pulled_by(axes)
             self._torques = np.zeros(len(axes))
         if self._broken or lead_s is None:
             self._tension_ahead[:] = self.tension_N
@@ -174,6 +175,15 @@ class SpanFollower:
             *(self._loads, self._speeds, self._torques),
         )
         return self._torques.tolist()
+
+    def _pulled_by(self, axes: Sequence[int]) -> Vector:
+        """Rows of `span_kernel.pull` for load motors on these axes."""
+        pulled = [(axis - 1, self._rad_per_m[axis - 1], self.parameters.carries_web_load(axis)) for axis in axes]
+        return np.array(pulled, float).reshape(-1, 3)
+
+    def in_step(self, motion: MeasuredMotion, axes: Sequence[int]) -> SpansInStep:
+        """With measured motion, and load motors on `axes`; see `hilbench.plant.measured_motion.FollowsInStep`."""
+        return SpansInStep(self, motion, axes)
 
     @property
     def time_s(self) -> float:
@@ -332,6 +342,37 @@ class SpanFollower:
     ) -> None:
         """Make an effect neutral from now on. Raises as `set_effect`."""
         self.set_effect(effect_id, axis, section=section, slot=slot, **known_effect(effect_id).filled({}))
+
+
+class SpansInStep:
+    """A `SpanFollower` on measured motion, in one call a cycle; see `hilbench.plant.measured_motion.InStep`."""
+
+    def __init__(self, web: SpanFollower, motion: MeasuredMotion, axes: Sequence[int]) -> None:
+        self._web, self._shown, self._torques = web, web._shown, np.zeros(len(axes))
+        of_web = web._p, web._state, web._ahead, web._work, web._v, web._boundary, web._tension, web._tension_ahead
+        of_motion = motion.state, motion.ways, motion.positions, motion.speeds
+        self._kept = *of_web, web._pulled_by(axes), self._torques, self._shown, *of_motion
+        self._table = table_of(self._kept)
+
+    @property
+    def usable(self) -> bool:
+        """Whether the web is whole."""
+        return not self._web._broken
+
+    def follow(self, *, late: bool) -> list[float] | None:
+        """Torques; None, and it is as it was, where there is nothing to follow."""
+        if not follower_cycle.follow(self._table, late):
+            return None
+        self._web._stale = False
+        torques_Nm: list[float] = self._torques.tolist()
+        return torques_Nm
+
+    def outputs(self) -> list[float]:
+        """As `SpanFollower.outputs`, after it has followed."""
+        if has_pieces(self._web._state):
+            return list(self._web.outputs().values())
+        shown: list[float] = self._shown.tolist()
+        return shown
 
 
 def _description(parameters: ModelParameters) -> PlantDescription:

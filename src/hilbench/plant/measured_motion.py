@@ -1,0 +1,140 @@
+"""How far a machine has to follow measured axes: cycles are counted by way and speed, where the axes turn.
+
+Of a drive that has missed a SYNC, or of a SYNC that was sent late, no frame says so.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from struct import pack_into
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+
+from hilbench.compiled import FLAG, VECTOR, compiled, entry_point, number_of_sources
+from hilbench.plant import pairing
+from hilbench.plant.pairing import Pairing, Vector, paired
+
+#: So many cycles that a sample is late by are made good by prediction; an older one has too little in it.
+_MOST_PREDICTED_CYCLES = 3.0
+#: A sample that is not whole cycles after the last one is so many parts of a cycle after it.
+_PARTS = 1000.0
+#: What `gone_s` goes by: which way tells cycles, in the unit of the positions; a cycle, s; the axis that is counted by,
+#: from 0; cycles since the instant of the positions that the machine is at; that axis' position and speed there; how
+#: much later torques act, s.
+_LEAST_WAY, _CYCLE_S, _AXIS, _BEHIND, _POSITION, _SPEED, _LEAD_S, _SIZE = range(8)
+
+
+@compiled
+def gone_s(m: Vector, ways: Vector, positions: Vector, speeds: Vector, late: bool) -> float:
+    """A cycle on, with these positions and speeds (N,): the time in s by which the machine has to follow; 0 where they
+    are not of one instant (`ways`: of `paired`), `late`, or of the instant at which it is already."""
+    m[_BEHIND] += 1.0
+    if late:
+        pairing.miss(ways)
+        return 0.0
+    if not paired(ways, positions, m[_LEAST_WAY]):
+        return 0.0
+    axis, cycle_s = int(m[_AXIS]), m[_CYCLE_S]
+    way, of_a_cycle = positions[axis] - m[_POSITION], 0.5 * (speeds[axis] + m[_SPEED]) * cycle_s
+    if abs(of_a_cycle) <= m[_LEAST_WAY]:
+        cycles = max(m[_BEHIND], 1.0)
+        duration_s = cycles * cycle_s
+    else:
+        parts = max(np.rint(_PARTS * way / of_a_cycle), 0.0) if np.isfinite(way / of_a_cycle) else _PARTS
+        cycles = np.rint(parts / _PARTS)
+        whole = cycles == 0.0 or abs(way - cycles * of_a_cycle) <= m[_LEAST_WAY]
+        duration_s = (cycles if whole else parts / _PARTS) * cycle_s
+    m[_SPEED] = speeds[axis]
+    # One cycle ahead of what is counted there may be: a SYNC that was sent late, and the next one on time.
+    m[_BEHIND] = max(m[_BEHIND] - cycles, 0.0 if cycles == 1.0 else -1.0)
+    if cycles == 0.0:
+        return 0.0
+    m[_POSITION] = positions[axis]
+    return float(duration_s)
+
+
+@compiled
+def ahead_s(m: Vector) -> float:
+    """By how much the machine is to be predicted: until torques act, and over what the sample is late by."""
+    return float(m[_LEAD_S] + min(max(m[_BEHIND], 0.0), _MOST_PREDICTED_CYCLES) * m[_CYCLE_S])
+
+
+def _entry_points(
+    sources: int,
+) -> tuple[Callable[[Vector, Vector, Vector, Vector, bool], float], Callable[[Vector], float]]:
+    """For Python; `sources` as in `compiled.number_of_sources`."""
+
+    @entry_point(VECTOR, VECTOR, VECTOR, VECTOR, FLAG)
+    def gone(m: Vector, ways: Vector, positions: Vector, speeds: Vector, late: bool) -> float:
+        return gone_s(m, ways, positions, speeds, late) if sources >= 0 else 0.0
+
+    @entry_point(VECTOR)
+    def ahead(m: Vector) -> float:
+        return ahead_s(m) if sources >= 0 else 0.0
+
+    return gone, ahead
+
+
+_gone, _ahead = _entry_points(number_of_sources(pairing.__file__, __file__))
+
+
+class MeasuredMotion:
+    """The motion of N axes, from cycle to cycle.
+
+    `counted`: the axis, from 0, whose way counts cycles; `lead_s`: how much later than it was measured what follows
+    from it acts; `least_way`, in the unit of the positions: what is measured well enough to count cycles by it.
+    """
+
+    def __init__(self, axes: int, counted: int, cycle_s: float, lead_s: float, least_way: float) -> None:
+        self.state = np.zeros(_SIZE)  #: of `gone_s`
+        self.state[[_LEAST_WAY, _CYCLE_S, _AXIS, _LEAD_S]] = least_way, cycle_s, counted, lead_s
+        self._pairing = Pairing(least_way)
+        self.ways, self.positions = self._pairing.vectors(axes)
+        self.speeds = np.zeros(axes)
+        self._format = f"={axes}d"
+
+    def begin(self, positions: Sequence[float], speeds: Sequence[float]) -> None:
+        """The machine is at these positions."""
+        self._pairing.reset()
+        self._pairing.update(*positions)
+        axis = int(self.state[_AXIS])
+        self.state[[_BEHIND, _POSITION, _SPEED]] = 0.0, positions[axis], speeds[axis]
+
+    def put(self, positions: Sequence[float], speeds: Sequence[float]) -> None:
+        """These are measured now; compiled callers of `gone_s` go on with them."""
+        pack_into(self._format, self.positions.data, 0, *positions)
+        pack_into(self._format, self.speeds.data, 0, *speeds)
+
+    def gone_s(self, positions: Sequence[float], speeds: Sequence[float], *, late: bool) -> float:
+        """`gone_s` with these."""
+        self.put(positions, speeds)
+        return _gone(self.state, self.ways, self.positions, self.speeds, late)
+
+    @property
+    def ahead_s(self) -> float:
+        """By how much the machine is to be predicted."""
+        return _ahead(self.state)
+
+
+class InStep(Protocol):
+    """A follower with what counts its cycles: all of a cycle in one call."""
+
+    @property
+    def usable(self) -> bool:
+        """Whether it goes on so as it is now."""
+
+    def follow(self, *, late: bool) -> list[float] | None:
+        """Let it follow what was `put` into the motion by `gone_s`: torques of the load motors, N·m, predicted by
+        `ahead_s`; None, and it is as it was, where there is nothing to follow."""
+
+    def outputs(self) -> list[float]:
+        """After it has followed: what it is now, in the order of its description."""
+
+
+@runtime_checkable
+class FollowsInStep(Protocol):
+    """A `hilbench.plant.interface.Follower` that can do so."""
+
+    def in_step(self, motion: MeasuredMotion, axes: Sequence[int]) -> InStep:
+        """With this motion, and load motors on `axes`, counted from 1."""

@@ -1,0 +1,70 @@
+"""A cycle of a web that load motors imitate, compiled: how far it has to follow, the web there, the torques of the web
+ahead, and what is true."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilbench.compiled import FLAG, TABLE, entry_point, floats
+from hilbench.plant import measured_motion, pairing
+from hilbench.plant.measured_motion import ahead_s, gone_s
+from hilbench.plant.web_line import kernel, span_kernel
+
+Table = NDArray[np.int64]
+
+# Rows of the table: those of a `SpanFollower`, in whose `pull` torques are the last, then those of the measured motion.
+(
+    _P,
+    _STATE,
+    _AHEAD,
+    _WORK,
+    _SPEEDS,
+    _BOUNDARY,
+    _TENSION,
+    _TENSION_AHEAD,
+    _LOADS,
+    _TORQUES,
+    _SHOWN,
+    _MOTION,
+    _WAYS,
+    _POSITIONS,
+    _MEASURED_SPEEDS,
+) = range(15)
+
+
+def _entry_point(sources: int) -> Callable[[Table, bool], bool]:
+    """For Python; `sources` as in the kernel."""
+
+    @entry_point(TABLE, FLAG)
+    def follow(table: Table, late: bool) -> bool:
+        """Whether the web has followed: else all is as it was."""
+        if sources < 0:
+            return False
+        motion, ways, x = floats(table, _MOTION, (1,)), floats(table, _WAYS, (1,)), floats(table, _POSITIONS, (1,))
+        speeds = floats(table, _MEASURED_SPEEDS, (1,))
+        duration_s = gone_s(motion, ways, x, speeds, late)
+        if not duration_s > 0.0:
+            return False
+        p, s, w = floats(table, _P, (1,)), floats(table, _STATE, (1,)), floats(table, _WORK, (1,))
+        v, boundary, tension = (
+            floats(table, _SPEEDS, (1,)),
+            floats(table, _BOUNDARY, (1,)),
+            floats(table, _TENSION, (1,)),
+        )
+        span_kernel.follow(p, s, w, v, boundary, x, duration_s, tension)
+        ahead, tension_ahead = floats(table, _AHEAD, (1,)), floats(table, _TENSION_AHEAD, (1,))
+        loads, torques = floats(table, _LOADS, (1, 2)), floats(table, _TORQUES, (1,))
+        span_kernel.pull(p, s, ahead, w, v, boundary, ahead_s(motion), tension_ahead, loads, speeds, torques)
+        span_kernel.show(p, s, v, tension, floats(table, _SHOWN, (1,)))
+        return True
+
+    return follow
+
+
+#: follow(table of the vectors in the order of these rows, whether a sample is late)
+follow = _entry_point(
+    kernel.source_number(*(str(module.__file__) for module in (measured_motion, pairing, span_kernel)), __file__)
+)
