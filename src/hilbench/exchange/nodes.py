@@ -45,6 +45,8 @@ class Nodes:
 
     def __init__(self, config: BenchConfig) -> None:
         self.config = config
+        #: Who the virtual I/O is, in messages and in `expected_pdos`.
+        self.twin_name = f"virtual io (node {config.twin.node.node_id})"
         parts = config.parts
         self._ods = {part.name: load_eds(part.node.eds, part.node.node_id) for part in parts}
         self.axes, self.load_motors, self.virtual_axes = (
@@ -68,16 +70,19 @@ class Nodes:
             *((drive, name, 1.0) for drive, name in zip(self.load_motors, config.load_motors, strict=True)),
         ]
         self._fills = self._filled_signals()
+        #: Position, velocity, torque (SI) and statusword of each drive, in this order.
+        self._measured: Sequence[float] = [0.0] * (4 * len(self._drives))
         self._known = {part.node.node_id: part.label for part in parts}
         self._master: Master | None = None
         self._twin_values = {name: 0.0 for _, names in self._said for name in names}
         said_in = {name: pdo.cob_id for pdo, names in self._said for name in names}
         self._torques = [
-            (self.axes[torque.axis - 1], torque.name, torque.residual, said_in[torque.residual])
+            (4 * (torque.axis - 1) + 2, torque.name, torque.residual, said_in[torque.residual])
             for torque in self.io.data.torques
         ]
         self._torques_before_Nm = [0.0] * len(self._torques)
         self._twin_values |= {name: 0.0 for _, name, _, _ in self._torques}
+        self._status_cob_id = self.io.status.cob_id
         self._twin_sync, self.twin_status = 0, 0  #: status: bits of `TwinStatus`
         self.twin_reported_cycle = 0  #: cycle, counted by `decode`, in which the twin last reported its status
         self._twin_ids = dict.fromkeys(config.virtual_nodes)  # in the order of the config
@@ -102,23 +107,17 @@ class Nodes:
         self._silence_cycles = round(_HEARTBEATS_MISSED * config.master.node_heartbeat_ms * 1e-3 / config.cycle_time_s)
         self._expected_boots: set[int] = set()
 
-    def _filled_signals(self) -> list[tuple[Drive, float, str, str, str, str]]:
-        """Each drive with what turns rad at its shaft into the machine's unit, and the signals that it fills."""
-        unit = self.config.machine.position_unit
+    def _filled_signals(self) -> list[tuple[int, float, str, str, str, str]]:
+        """Where each drive begins in what is measured, what turns rad at its shaft into the machine's unit, and the
+        signals that it fills."""
+        unit, ratios = self.config.machine.position_unit, self._rad_per_unit
         axes = [
-            (drive, ratio, f"x{k}_{unit}", f"v{k}_{unit}_s", f"tau{k}_Nm", f"statusword{k}")
-            for k, (drive, ratio) in enumerate(zip(self.axes, self._rad_per_unit, strict=True), 1)
+            (4 * (k - 1), ratio, f"x{k}_{unit}", f"v{k}_{unit}_s", f"tau{k}_Nm", f"statusword{k}")
+            for k, ratio in enumerate(ratios, 1)
         ]
         loads = [
-            (
-                drive,
-                self._rad_per_unit[(part.axis or 1) - 1],
-                f"x_{name}_{unit}",
-                "",
-                f"tau_{name}_Nm",
-                f"statusword_{name}",
-            )
-            for drive, part in zip(self.load_motors, self.config.parts_of(Role.LOAD_MOTOR), strict=True)
+            (4 * at, ratios[(part.axis or 1) - 1], f"x_{name}_{unit}", "", f"tau_{name}_Nm", f"statusword_{name}")
+            for at, part in enumerate(self.config.parts_of(Role.LOAD_MOTOR), len(axes))
             for name in (part.name,)
         ]
         return axes + loads
@@ -127,11 +126,6 @@ class Nodes:
     def filled(self) -> frozenset[str]:
         """The signals of the drives that `fill` puts into a sample."""
         return frozenset(name for fill in self._fills for name in fill[2:] if name)
-
-    @property
-    def twin_name(self) -> str:
-        """Who the virtual I/O is, in messages and in `expected_pdos`."""
-        return f"virtual io (node {self.config.twin.node.node_id})"
 
     @property
     def drives(self) -> Sequence[Drive]:
@@ -331,13 +325,16 @@ class Nodes:
                 self._emergency(can_id - EMERGENCY, content)
         if self._cycle % _HEARTBEAT_LOOK_CYCLES == 0:
             self._look_for_silent_nodes()
+        measured: list[float] = []
         for drive in self.drives:
-            drive.decode(data)
+            shown = drive.decode(data)
+            measured += (shown.position_rad, shown.velocity_rad_s, shown.torque_Nm, shown.statusword)
+        self._measured = measured
         self._take_twin({pdo.cob_id: pdo.unpack(data[pdo.cob_id]) for _, pdo in self.io.tpdos if pdo.cob_id in data})
 
     def _take_twin(self, data: Mapping[int, Sequence[Any]]) -> None:
         """What the twin says, simulates and estimates, by the values of its answers to this SYNC."""
-        status = data.get(self.io.status.cob_id)
+        status = data.get(self._status_cob_id)
         if status is not None:
             self._twin_sync, _, self.twin_status = status
             self.twin_reported_cycle = self._cycle
@@ -346,11 +343,11 @@ class Nodes:
             content = data.get(pdo.cob_id)
             if content is not None:
                 values.update(zip(names, content, strict=True))
-        for at, (axis, torque, residual, cob_id) in enumerate(self._torques):
+        for at, (place, torque, residual, cob_id) in enumerate(self._torques):
             if cob_id in data:
                 # The residual is that of the cycle before: the twin compared after this cycle's TPDO was due.
                 values[torque] = self._torques_before_Nm[at] - values[residual]
-            self._torques_before_Nm[at] = axis.feedback.torque_Nm
+            self._torques_before_Nm[at] = self._measured[place]
 
     def _answers(self, frames: Sequence[Frame], before_sync: int) -> dict[int, bytes]:
         """The answers to this SYNC by COB-ID; what is beside them is counted, and in `unexpected`."""
@@ -420,24 +417,26 @@ class Nodes:
         self._ages_cycles = self._in_time
 
     def take_plain(
-        self, feedback: Sequence[float], said: Mapping[int, Sequence[Any]], heartbeats: Iterable[int]
+        self, measured: Sequence[float], said: Mapping[int, Sequence[Any]], heartbeats: Iterable[int]
     ) -> None:
-        """A cycle with nothing but answers: position, velocity, torque (SI) and statusword of each drive; values of the
-        twin's TPDOs by COB-ID; node ids of heartbeats that came. Raises as `decode`."""
+        """A cycle with nothing but answers: position, velocity, torque (SI) and statusword of each drive, which these
+        get with `end_plain`; values of the twin's TPDOs by COB-ID; node ids of heartbeats that came. Raises as
+        `decode`."""
         self._cycle += 1
         for node_id in heartbeats:
             self._heartbeat(node_id, NmtState.OPERATIONAL.heartbeat)
         if self._cycle % _HEARTBEAT_LOOK_CYCLES == 0:
             self._look_for_silent_nodes()
-        for at, drive in enumerate(self._drives):
-            shown = drive.feedback
-            of_drive = feedback[4 * at : 4 * at + 4]
-            shown.position_rad, shown.velocity_rad_s, shown.torque_Nm, statusword = of_drive
-            shown.statusword = int(statusword)
+        self._measured = measured
         self._take_twin(said)
 
     def end_plain(self, cycles: int) -> None:
         """So many cycles were plain."""
+        for at, drive in enumerate(self._drives):
+            shown = drive.feedback
+            of_drive = self._measured[4 * at : 4 * at + 4]
+            shown.position_rad, shown.velocity_rad_s, shown.torque_Nm, statusword = of_drive
+            shown.statusword = int(statusword)
         if self._watch is not None:
             self._watch.pass_over(cycles)
 
@@ -475,13 +474,13 @@ class Nodes:
 
     def fill(self, sample: CycleSample) -> None:
         """Put the measurements of this cycle into a sample; SI, positions and velocities in the machine's unit."""
-        for drive, rad_per_unit, position, velocity, torque, statusword in self._fills:
-            feedback = drive.feedback
-            setattr(sample, position, feedback.position_rad / rad_per_unit)
+        measured = self._measured
+        for at, rad_per_unit, position, velocity, torque, statusword in self._fills:
+            setattr(sample, position, measured[at] / rad_per_unit)
             if velocity:
-                setattr(sample, velocity, feedback.velocity_rad_s / rad_per_unit)
-            setattr(sample, torque, feedback.torque_Nm)
-            setattr(sample, statusword, feedback.statusword)
+                setattr(sample, velocity, measured[at + 1] / rad_per_unit)
+            setattr(sample, torque, measured[at + 2])
+            setattr(sample, statusword, int(measured[at + 3]))
         for name, value in self._twin_values.items():
             setattr(sample, name, value)
         sample.twin_status = self.twin_status

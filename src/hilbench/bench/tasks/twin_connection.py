@@ -90,7 +90,7 @@ class TwinConnection(CyclicTask):
         elif self._twin.away:
             if self._is_due():
                 self._begin_return()
-        elif nodes.twin_name in self._exchange.silent:
+        elif self._exchange.silent and nodes.twin_name in self._exchange.silent:
             self._lose("the twin does not answer SYNC")
         elif nodes.twin_problem:
             self._lose(nodes.twin_problem)

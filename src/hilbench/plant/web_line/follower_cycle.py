@@ -12,6 +12,7 @@ from hilbench.compiled import FLAG, TABLE, entry_point, floats
 from hilbench.plant import measured_motion, pairing
 from hilbench.plant.measured_motion import ahead_s, gone_s
 from hilbench.plant.web_line import kernel, span_kernel
+from hilbench.plant.web_line import layout as lay
 
 Table = NDArray[np.int64]
 
@@ -35,19 +36,22 @@ Table = NDArray[np.int64]
 ) = range(15)
 
 
-def _entry_point(sources: int) -> Callable[[Table, bool], bool]:
+#: What `follow` has done: nothing, as there is nothing to follow; followed; the same, of a web with pieces of another.
+NOTHING, FOLLOWED, WITH_PIECES = range(3)
+
+
+def _entry_point(sources: int) -> Callable[[Table, bool], int]:
     """For Python; `sources` as in the kernel."""
 
     @entry_point(TABLE, FLAG)
-    def follow(table: Table, late: bool) -> bool:
-        """Whether the web has followed: else all is as it was."""
+    def follow(table: Table, late: bool) -> int:
         if sources < 0:
-            return False
+            return NOTHING
         motion, ways, x = floats(table, _MOTION, (1,)), floats(table, _WAYS, (1,)), floats(table, _POSITIONS, (1,))
         speeds = floats(table, _MEASURED_SPEEDS, (1,))
         duration_s = gone_s(motion, ways, x, speeds, late)
         if not duration_s > 0.0:
-            return False
+            return NOTHING
         p, s, w = floats(table, _P, (1,)), floats(table, _STATE, (1,)), floats(table, _WORK, (1,))
         v, boundary, tension = (
             floats(table, _SPEEDS, (1,)),
@@ -59,7 +63,7 @@ def _entry_point(sources: int) -> Callable[[Table, bool], bool]:
         loads, torques = floats(table, _LOADS, (1, 2)), floats(table, _TORQUES, (1,))
         span_kernel.pull(p, s, ahead, w, v, boundary, ahead_s(motion), tension_ahead, loads, speeds, torques)
         span_kernel.show(p, s, v, tension, floats(table, _SHOWN, (1,)))
-        return True
+        return WITH_PIECES if s[len(s) - lay.PIECES_SIZE + lay.PIECES_COUNT] > 0.0 else FOLLOWED
 
     return follow
 

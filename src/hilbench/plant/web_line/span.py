@@ -353,6 +353,7 @@ class SpansInStep:
         of_motion = motion.state, motion.ways, motion.positions, motion.speeds
         self._kept = *of_web, web._pulled_by(axes), self._torques, self._shown, *of_motion
         self._table = table_of(self._kept)
+        self._has_pieces = False
 
     @property
     def usable(self) -> bool:
@@ -361,15 +362,17 @@ class SpansInStep:
 
     def follow(self, *, late: bool) -> list[float] | None:
         """Torques; None, and it is as it was, where there is nothing to follow."""
-        if not follower_cycle.follow(self._table, late):
+        done = follower_cycle.follow(self._table, late)
+        if done == follower_cycle.NOTHING:
             return None
+        self._has_pieces = done == follower_cycle.WITH_PIECES
         self._web._stale = False
         torques_Nm: list[float] = self._torques.tolist()
         return torques_Nm
 
     def outputs(self) -> list[float]:
         """As `SpanFollower.outputs`, after it has followed."""
-        if has_pieces(self._web._state):
+        if self._has_pieces:
             return list(self._web.outputs().values())
         shown: list[float] = self._shown.tolist()
         return shown
