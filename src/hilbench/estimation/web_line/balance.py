@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hilbench.compiled import REAL, VECTOR, compiled, entry_point
+from hilbench.plant.motor_laws import measured_direction
 from hilbench.plant.web_line import kernel, laws, span_kernel
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.layout import Layout, Vector
@@ -61,7 +62,7 @@ def measured_force_N(p: Vector, torque_Nm: float, x_m: float, v_m_s: float, f_ne
     motor = lay.W_SIZE + n * lay.A_SIZE + _AXIS * lay.M_SIZE
     ratio = p[motor + lay.M_RAD_PER_M]
     torque = laws.shaft_torque_Nm(p, motor, laws.true_torque_Nm(p, motor, torque_Nm), x_m * ratio)
-    direction = laws.measured_direction(v_m_s, laws.FRICTION_WIDTH_M_S)
+    direction = measured_direction(v_m_s, laws.FRICTION_WIDTH_M_S)
     resistance = laws.measured_resistance_N(p, axis, x_m, v_m_s, direction)
     return float(laws.passed_on_N(p, axis, ratio * torque, direction) + f_next_N - resistance)
 

@@ -14,6 +14,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from hilbench.plant.motor_laws import measured_direction
 from hilbench.plant.web_line import laws
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.layout import Layout
@@ -124,7 +125,7 @@ class ModelGap:
             at, motor, per_m = self._axis_at[k], self._motor_at[k], float(self._per_m[k])
             true_Nm = laws.true_torque_Nm(self._p, motor, float(torque_Nm[k]))
             drive_Nm = laws.shaft_torque_Nm(self._p, motor, true_Nm, place * per_m)
-            direction = laws.measured_direction(v, laws.FRICTION_WIDTH_M_S)
+            direction = measured_direction(v, laws.FRICTION_WIDTH_M_S)
             resistance_N = laws.measured_resistance_N(self._p, at, place, v, direction)
             passed_N = laws.passed_on_N(self._p, at, per_m * drive_Nm, direction)
             web_N = self._web_load[k] * (tension_N[k + 1] - tension_N[k])

@@ -9,6 +9,7 @@ import numpy as np
 from hilbench.compiled import REAL, VECTOR, entry_point, inlined
 from hilbench.plant import hysteresis
 from hilbench.plant.hysteresis import friction_direction, wound
+from hilbench.plant.motor_laws import measured_direction, value_at
 from hilbench.plant.servo_axis import kernel, laws
 from hilbench.plant.servo_axis.layout import Vector
 
@@ -48,14 +49,10 @@ def _required_torque(sources: int) -> RequiredTorque:
         deflection, before = 0.0, x_rad[0]
         for k in range(len(x_rad)):
             at = min(max(k - late, 0.0), len(x_rad) - 1.0)
-            first = min(int(at), len(x_rad) - 2)
-            share = at - first
-            x = x_rad[first] + share * (x_rad[first + 1] - x_rad[first])
-            v = v_rad_s[first] + share * (v_rad_s[first + 1] - v_rad_s[first])
-            a = a_rad_s2[first] + share * (a_rad_s2[first + 1] - a_rad_s2[first])
+            x, v, a = value_at(x_rad, at), value_at(v_rad_s, at), value_at(a_rad_s2, at)
             if laws.has_encoder_error(p):
                 x, v, a = laws.true_motion(p, x, v, a)
-            direction = min(max(v / DIRECTION_WIDTH_RAD_S, -1.0), 1.0)
+            direction = measured_direction(v, DIRECTION_WIDTH_RAD_S)
             if presliding_rad > 0.0:
                 deflection, before = wound(deflection, x - before, 0.0, presliding_rad), x
                 direction = friction_direction(deflection, 0.0, presliding_rad)

@@ -29,6 +29,7 @@ from hilbench.compiled import (
     number_of_sources,
 )
 from hilbench.plant import drive_loops as loops
+from hilbench.plant import motor_laws
 from hilbench.plant.servo_axis import laws
 from hilbench.plant.servo_axis import layout as lay
 from hilbench.plant.servo_axis.layout import Vector
@@ -258,7 +259,7 @@ def source_number(*further: str) -> int:
     """A number that changes with the source of what is compiled here, and with `further` files."""
     rows = (str(Path(__file__).parents[1] / "effects.py"), str(Path(__file__).parent / "effects.py"))
     return number_of_sources(
-        decorators.__file__, loops.__file__, laws.__file__, lay.__file__, __file__, *rows, *further
+        decorators.__file__, loops.__file__, motor_laws.__file__, laws.__file__, lay.__file__, __file__, *rows, *further
     )
 
 

@@ -6,10 +6,11 @@ Every effect is skipped, or multiplies by exactly 1, while its parameters are ne
 
 from __future__ import annotations
 
-from math import cos, exp, sin
+from math import exp, sin
 
 from hilbench.compiled import compiled, inlined, noinline
 from hilbench.plant import drive_loops as loops
+from hilbench.plant import motor_laws as motors
 from hilbench.plant.servo_axis import layout as lay
 from hilbench.plant.servo_axis.effects import find
 from hilbench.plant.servo_axis.layout import Vector, place
@@ -43,8 +44,6 @@ _ENCODER_PHASE = place("encoder_error", 1)
 _KP = place("drive_gain", 0)
 _KI = place("drive_gain", 1)
 _LAG = place("drive_lag")
-#: Newton's steps from a measured angle to the true one.
-_ANGLE_PASSES = 3
 
 
 @inlined
@@ -54,10 +53,7 @@ def inertia_factor(p: Vector, time_s: float) -> float:
     A step grows within the sample of the drive before its time, so that a fit can find the time.
     """
     factor = 1.0 + p[_INERTIA]
-    found = False
-    for slot in range(_STEPS):
-        found |= p[_STEP + _STEP_SIZE * slot] != 0.0
-    return factor * _step_factor(p, time_s) if found else factor
+    return factor * _step_factor(p, time_s) if motors.is_any(p, _STEP, _STEP_SIZE, _STEPS) else factor
 
 
 @compiled
@@ -126,63 +122,33 @@ def unbalance_Nm(p: Vector, x_rad: float) -> float:
 
 @inlined
 def ripple_Nm(p: Vector, x_rad: float) -> float:
-    """Ripple of the motor over its angle: sum of A·sin(n·x + phi0)."""
-    found = False
-    for slot in range(_RIPPLES):
-        found |= p[_RIPPLE + 3 * slot] != 0.0
-    return _ripple_Nm(p, x_rad) if found else 0.0
-
-
-@compiled
-def _ripple_Nm(p: Vector, x_rad: float) -> float:
-    noinline()
-    torque = 0.0
-    for slot in range(_RIPPLES):
-        at = _RIPPLE + 3 * slot
-        if p[at] != 0.0:
-            torque += p[at] * sin(p[at + 1] * x_rad + p[at + 2])
-    return torque
+    """Ripple of the motor over its angle."""
+    return motors.wave_sum(p, _RIPPLE, _RIPPLES, x_rad, 0.0)
 
 
 @inlined
 def shaft_torque_Nm(p: Vector, torque_Nm: float, x_rad: float) -> float:
     """What the motor turns with when its drive knows of a torque: ripple in proportion to it, scale, ripple of its
     own."""
-    found = False
-    for slot in range(_LOAD_RIPPLES):
-        found |= p[_LOAD_RIPPLE + 3 * slot] != 0.0
-    if found:
-        torque_Nm *= _load_ripple_factor(p, x_rad)
-    return (1.0 + p[_SCALE]) * torque_Nm + ripple_Nm(p, x_rad)
+    return (1.0 + p[_SCALE]) * (torque_Nm * _load_ripple_factor(p, x_rad)) + ripple_Nm(p, x_rad)
 
 
-@compiled
+@inlined
 def _load_ripple_factor(p: Vector, x_rad: float) -> float:
-    noinline()
-    factor = 1.0
-    for slot in range(_LOAD_RIPPLES):
-        at = _LOAD_RIPPLE + 3 * slot
-        if p[at] != 0.0:
-            factor += p[at] * sin(p[at + 1] * x_rad + p[at + 2])
-    return factor
+    return motors.wave_sum(p, _LOAD_RIPPLE, _LOAD_RIPPLES, x_rad, 1.0)
 
 
 @inlined
 def turned_with_Nm(p: Vector, passed_Nm: float, direction: float) -> float:
     """What the motor turns with when, beside the friction that goes with it, so much turns the shaft; `direction` -1 to
     1."""
-    sign = 1.0 if passed_Nm > 0.0 else -1.0
-    return passed_Nm / (1.0 - sign * direction * p[_LOAD_SHARE])
+    return motors.before_load_friction(p[_LOAD_SHARE], passed_Nm, direction)
 
 
 @inlined
 def motor_torque_Nm(p: Vector, turned_with: float, x_rad: float) -> float:
     """The torque the drive must know of to turn with so much: the inverse of `shaft_torque_Nm`."""
-    torque = (turned_with - ripple_Nm(p, x_rad)) / (1.0 + p[_SCALE])
-    found = False
-    for slot in range(_LOAD_RIPPLES):
-        found |= p[_LOAD_RIPPLE + 3 * slot] != 0.0
-    return torque / _load_ripple_factor(p, x_rad) if found else torque
+    return (turned_with - ripple_Nm(p, x_rad)) / (1.0 + p[_SCALE]) / _load_ripple_factor(p, x_rad)
 
 
 @inlined
@@ -207,26 +173,16 @@ def has_encoder_error(p: Vector) -> bool:
     return p[_ENCODER] != 0.0
 
 
-@compiled
+@inlined
 def measured_motion(p: Vector, x_rad: float, v_rad_s: float) -> tuple[float, float]:
-    """Angle and speed as the drive's encoder has them: x + A·sin(x + phi0)."""
-    noinline()
-    at = x_rad + p[_ENCODER_PHASE]
-    return x_rad + p[_ENCODER] * sin(at), v_rad_s * (1.0 + p[_ENCODER] * cos(at))
+    """Angle and speed as the drive's encoder has them."""
+    return motors.measured_motion(p[_ENCODER], p[_ENCODER_PHASE], x_rad, v_rad_s)
 
 
-@compiled
+@inlined
 def true_motion(p: Vector, x_rad: float, v_rad_s: float, a_rad_s2: float) -> tuple[float, float, float]:
     """Angle, speed and acceleration that were measured so: the inverse of `measured_motion`."""
-    noinline()
-    amplitude, phase = p[_ENCODER], p[_ENCODER_PHASE]
-    angle = x_rad
-    for _ in range(_ANGLE_PASSES):
-        error = angle + amplitude * sin(angle + phase) - x_rad
-        angle -= error / (1.0 + amplitude * cos(angle + phase))
-    slope = 1.0 + amplitude * cos(angle + phase)
-    speed = v_rad_s / slope
-    return angle, speed, (a_rad_s2 + amplitude * sin(angle + phase) * speed**2) / slope
+    return motors.true_motion(p[_ENCODER], p[_ENCODER_PHASE], x_rad, v_rad_s, a_rad_s2)
 
 
 @inlined
@@ -270,8 +226,5 @@ def reported_torque_Nm(p: Vector, torque_Nm: float, s: Vector) -> float:
     """
     delay = p[_DELAY] / p[lay.P_SAMPLE_TIME_S]
     if delay > 0.0 or has_feed_forward(p):
-        count, whole = int(s[lay.S_COUNT]), int(delay)
-        newer = s[lay.S_PAST + max(count - whole, 0) % lay.RING]
-        older = s[lay.S_PAST + max(count - whole - 1, 0) % lay.RING]
-        torque_Nm = newer + (older - newer) * (delay - whole)
+        torque_Nm = motors.past_torque_Nm(s, lay.S_PAST, lay.RING, int(s[lay.S_COUNT]), delay)
     return torque_Nm + p[_OFFSET]

@@ -9,6 +9,7 @@ import numpy as np
 from hilbench.compiled import REAL, VECTOR, entry_point, inlined
 from hilbench.plant import hysteresis
 from hilbench.plant.hysteresis import LEAST_PRESLIDING, friction_direction, wound
+from hilbench.plant.motor_laws import measured_direction, value_at
 from hilbench.plant.web_line import kernel, laws
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.layout import Vector
@@ -75,12 +76,7 @@ def _required_torque(sources: int) -> RequiredTorque:
         presliding, deflection, before = max(presliding_m, LEAST_PRESLIDING), 0.0, x_m[0]
         for k in range(len(x_m)):
             at = min(max(k - late, 0.0), len(x_m) - 1.0)
-            first = min(int(at), len(x_m) - 2)
-            share = at - first
-            x = x_m[first] + share * (x_m[first + 1] - x_m[first])
-            v = v_m_s[first] + share * (v_m_s[first + 1] - v_m_s[first])
-            a = a_m_s2[first] + share * (a_m_s2[first + 1] - a_m_s2[first])
-            x, v, a = true_motion(p, motor, x, v, a)
+            x, v, a = true_motion(p, motor, value_at(x_m, at), value_at(v_m_s, at), value_at(a_m_s2, at))
             carried = 1.0
             if turns_over:
                 deflection, before = wound(deflection, x - before, half_play, presliding), x
@@ -88,7 +84,7 @@ def _required_torque(sources: int) -> RequiredTorque:
                 if half_play > 0.0:
                     carried = abs(direction)
             else:
-                direction = laws.measured_direction(v, laws.FRICTION_WIDTH_M_S)
+                direction = measured_direction(v, laws.FRICTION_WIDTH_M_S)
             out_Nm[k] = reported_torque_Nm(p, axis, motor, x, v, a, 0.0, direction, carried)
 
     return required

@@ -36,7 +36,8 @@ from hilbench.compiled import (
     number_of_sources,
 )
 from hilbench.plant import drive_loops as loops
-from hilbench.plant.web_line import carriages, events, laws, motion, places, reels
+from hilbench.plant import motor_laws
+from hilbench.plant.web_line import carriages, events, laws, motion, places, reels, splice_laws
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.layout import Vector
 
@@ -119,7 +120,7 @@ def _advance_line(
     period = p[lay.W_SAMPLE_TIME_S]
     h = period / substeps
     pace, reports = w[places.part(n, m, k, lay.PACE)], w[places.part(n, m, k, lay.REPORTS)] != 0.0
-    spliced = k > 0 and laws.has_splice(p, s, places.pieces(n, m, k))
+    spliced = k > 0 and splice_laws.has_splice(p, s, places.pieces(n, m, k))
     for _ in range(samples):
         if reports:
             _sample_erring_drives(p, s, u, w)
@@ -176,11 +177,11 @@ def _follow_pieces(p: Vector, s: Vector, u: Vector, w: Vector, t: float, h: floa
     n, m, k = places.counts(p)
     pieces, strain_prev = places.pieces(n, m, k), laws.upstream_strain(p, u[lay.U_STRAIN_PREV], t)
     way = motion.web_way_m(p, w[0])
-    laws.let_splice_in(p, s, pieces, t, h, way, w[n], strain_prev)
+    splice_laws.let_splice_in(p, s, pieces, t, h, way, w[n], strain_prev)
     web_m = 0.0
     for j in range(k):
         web_m += w[4 * n + j]
-    laws.forget_passed(s, pieces, way, strain_prev, web_m)
+    splice_laws.forget_passed(s, pieces, way, strain_prev, web_m)
     _set_blur(w, n, m, k, h)
 
 
@@ -242,7 +243,7 @@ def enter(p: Vector, s: Vector, u: Vector, w: Vector) -> None:
             pace = max(pace, lay.RARE)
     if k > 0 and (n > k + 1 or reels.is_reel(p, places.axis(0)) or reels.is_reel(p, places.axis(k))):
         pace = max(pace, lay.RARE)
-    if k > 0 and laws.has_splice(p, s, places.pieces(n, m, k)):
+    if k > 0 and splice_laws.has_splice(p, s, places.pieces(n, m, k)):
         pace = max(pace, lay.RARE)
         _set_blur(w, n, m, k, p[lay.W_SAMPLE_TIME_S] / p[lay.W_SUBSTEPS])
     w[places.part(n, m, k, lay.PACE)] = pace
@@ -339,7 +340,7 @@ Simulate = Callable[[Vector, Vector, Vector, Vector, Vector, Vector, int, Vector
 def source_number(*further: str) -> int:
     """A number that changes with the source of what is compiled here, and with `further` files."""
     table = str(Path(__file__).parents[1] / "effects.py")
-    modules = (decorators, loops, laws, lay, places, carriages, reels, motion, events)
+    modules = (decorators, loops, motor_laws, laws, splice_laws, lay, places, carriages, reels, motion, events)
     names = (*(str(module.__file__) for module in modules), __file__, table, *further)
     return number_of_sources(*names)
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 from math import cos, exp, pi, sin
 
 from hilbench.compiled import compiled, inlined, noinline
+from hilbench.plant import motor_laws as motors
 from hilbench.plant.effects import find_effect
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.layout import Vector, place
@@ -53,9 +54,6 @@ _STRAIN_OFFSET = place("strain_offset", "strain")
 _DISTURBANCE = place("upstream_disturbance", "amplitude_N")
 _DISTURBANCES = find_effect("upstream_disturbance").slots
 _LENGTH = place("span_length_error", "relative_change")
-_SPLICE_S = place("splice", "time_s")
-_SPLICE = place("splice", "relative_change")
-_SPLICE_M = place("splice", "length_m")
 
 #: Width of the change of dry friction around standstill, m/s, where motion is measured: a force that is worked out of
 #: it must not flip with the noise of v.
@@ -63,8 +61,6 @@ FRICTION_WIDTH_M_S = 1e-3
 #: Tension change (N) at which the iteration for damping with creep stops.
 _TENSION_TOLERANCE_N = 1e-10
 _MOST_PASSES = 100
-#: Steps of Newton's method from a measured angle to the true one; an error of 0.5 rad needs five.
-_ANGLE_PASSES = 6
 
 
 @inlined
@@ -127,21 +123,15 @@ def has_rare_force(p: Vector, axis: int, motor: int) -> bool:
         has_unbalance(p, axis)
         or p[axis + _DRAG] != 0.0
         or p[axis + _LOAD_SHARE] != 0.0
-        or _is_any(p, motor + _LOAD_RIPPLE, 3, _LOAD_RIPPLES)
+        or motors.is_any(p, motor + _LOAD_RIPPLE, 3, _LOAD_RIPPLES)
     )
-
-
-@inlined
-def measured_direction(v_m_s: float, width_m_s: float) -> float:
-    """Sign of a measured speed, which turns over linearly within ±`width_m_s`: -1 to 1."""
-    return min(max(v_m_s / width_m_s, -1.0), 1.0)
 
 
 @inlined
 def measured_resistance_N(p: Vector, axis: int, x_m: float, v_m_s: float, direction: float) -> float:
     """Force against a roller of which motion is measured: position x, speed v; dry friction, that a simulation takes as
-    an event at standstill, acts in a `direction` from -1 to 1 (`measured_direction`), and unbalance is a resistance by
-    the angle. That of a load is the gear's: see `passed_on_N`."""
+    an event at standstill, acts in a `direction` from -1 to 1 (`motor_laws.measured_direction`), and unbalance is a
+    resistance by the angle. That of a load is the gear's: see `passed_on_N`."""
     resistance = smooth_resistance_N(p, axis, v_m_s) + direction * dry_friction_N(p, axis, v_m_s)
     resistance += drag_N(p, axis, v_m_s)
     if has_unbalance(p, axis):
@@ -158,8 +148,7 @@ def passed_on_N(p: Vector, axis: int, force_N: float, direction: float) -> float
 @inlined
 def pushed_with_N(p: Vector, axis: int, passed_N: float, direction: float) -> float:
     """The motor's force of which so much is passed on: the inverse of `passed_on_N`."""
-    sign = 1.0 if passed_N > 0.0 else -1.0
-    return passed_N / (1.0 - sign * direction * p[axis + _LOAD_SHARE])
+    return motors.before_load_friction(p[axis + _LOAD_SHARE], passed_N, direction)
 
 
 @inlined
@@ -207,47 +196,18 @@ def shaft_torque_Nm(p: Vector, motor: int, torque_Nm: float, angle_rad: float) -
 @inlined
 def usual_shaft_torque_Nm(p: Vector, motor: int, torque_Nm: float, angle_rad: float) -> float:
     """The same of a motor without ripple in proportion to its torque."""
-    torque = (1.0 + p[motor + _SCALE]) * torque_Nm
-    if _is_any(p, motor + _RIPPLE, 3, _RIPPLES):
-        torque += _ripple_Nm(p, motor, angle_rad)
-    return torque
+    return (1.0 + p[motor + _SCALE]) * torque_Nm + _ripple_Nm(p, motor, angle_rad)
 
 
-@compiled
+@inlined
 def _ripple_Nm(p: Vector, motor: int, angle_rad: float) -> float:
-    noinline()
-    torque = 0.0
-    for slot in range(_RIPPLES):
-        at = motor + _RIPPLE + 3 * slot
-        if p[at] != 0.0:
-            torque += p[at] * sin(p[at + 1] * angle_rad + p[at + 2])
-    return torque
+    return motors.wave_sum(p, motor + _RIPPLE, _RIPPLES, angle_rad, 0.0)
 
 
 @inlined
 def load_ripple_factor(p: Vector, motor: int, angle_rad: float) -> float:
     """Factor on a torque of ripple in proportion to it: 1 + sum of A·sin(n·phi_motor + phi0)."""
-    return _load_ripple_factor(p, motor, angle_rad) if _is_any(p, motor + _LOAD_RIPPLE, 3, _LOAD_RIPPLES) else 1.0
-
-
-@compiled
-def _load_ripple_factor(p: Vector, motor: int, angle_rad: float) -> float:
-    noinline()
-    factor = 1.0
-    for slot in range(_LOAD_RIPPLES):
-        at = motor + _LOAD_RIPPLE + 3 * slot
-        if p[at] != 0.0:
-            factor += p[at] * sin(p[at + 1] * angle_rad + p[at + 2])
-    return factor
-
-
-@inlined
-def _is_any(p: Vector, first: int, size: int, slots: int) -> bool:
-    """Whether any slot of an effect is taken: the strength of the first stands at `first`."""
-    found = False
-    for slot in range(slots):
-        found |= p[first + slot * size] != 0.0
-    return found
+    return motors.wave_sum(p, motor + _LOAD_RIPPLE, _LOAD_RIPPLES, angle_rad, 1.0)
 
 
 @inlined
@@ -281,28 +241,19 @@ def has_encoder_error(p: Vector, motor: int) -> bool:
     return p[motor + _ENCODER_RAD] != 0.0
 
 
-@compiled
+@inlined
 def measured_motion(p: Vector, motor: int, angle_rad: float, speed_rad_s: float) -> tuple[float, float]:
-    """Angle and speed of a motor as its encoder has them: phi + A·sin(phi + phi0)."""
-    noinline()
-    amplitude, at = p[motor + _ENCODER_RAD], angle_rad + p[motor + _ENCODER_PHASE]
-    return angle_rad + amplitude * sin(at), speed_rad_s * (1.0 + amplitude * cos(at))
+    """Angle and speed of a motor as its encoder has them."""
+    return motors.measured_motion(p[motor + _ENCODER_RAD], p[motor + _ENCODER_PHASE], angle_rad, speed_rad_s)
 
 
-@compiled
+@inlined
 def true_motion(
     p: Vector, motor: int, angle_rad: float, speed_rad_s: float, acceleration_rad_s2: float
 ) -> tuple[float, float, float]:
     """Angle, speed and acceleration of a motor that were measured so: the inverse of `measured_motion`."""
-    noinline()
     amplitude, phase = p[motor + _ENCODER_RAD], p[motor + _ENCODER_PHASE]
-    angle = angle_rad
-    for _ in range(_ANGLE_PASSES):
-        error = angle + amplitude * sin(angle + phase) - angle_rad
-        angle -= error / (1.0 + amplitude * cos(angle + phase))
-    slope = 1.0 + amplitude * cos(angle + phase)
-    speed = speed_rad_s / slope
-    return angle, speed, (acceleration_rad_s2 + amplitude * sin(angle + phase) * speed**2) / slope
+    return motors.true_motion(amplitude, phase, angle_rad, speed_rad_s, acceleration_rad_s2)
 
 
 @inlined
@@ -340,10 +291,7 @@ def measured_torque_Nm(p: Vector, motor: int, torque_Nm: float, s: Vector, past:
     """Torque as the drive reports it: `s` holds the torque of sample k at `past` + k % RING; linear between."""
     delay = p[motor + _DELAY_S] / p[lay.W_SAMPLE_TIME_S]
     if delay > 0.0:
-        whole = int(delay)
-        newer = s[past + max(count - whole, 0) % lay.RING]
-        older = s[past + max(count - whole - 1, 0) % lay.RING]
-        torque_Nm = newer + (older - newer) * (delay - whole)
+        torque_Nm = motors.past_torque_Nm(s, past, lay.RING, count, delay)
     return torque_Nm + p[motor + _OFFSET_NM]
 
 
@@ -356,7 +304,7 @@ def true_torque_Nm(p: Vector, motor: int, measured_Nm: float) -> float:
 @inlined
 def step_factor(p: Vector, span: int, t_s: float, duration_s: float) -> float:
     """Factor of the steps and ramps of E, averaged over [t, t + duration]: continuous in the time of a step."""
-    if not (_is_any(p, span + _STEP + 1, 2, _STEPS) or _is_any(p, span + _RAMP + 2, 3, _RAMPS)):
+    if not (motors.is_any(p, span + _STEP + 1, 2, _STEPS) or motors.is_any(p, span + _RAMP + 2, 3, _RAMPS)):
         return 1.0
     return _step_factor(p, span, t_s, duration_s)
 
@@ -400,7 +348,7 @@ def elasticity_factor(p: Vector, span: int, t_s: float, factor_of_steps: float) 
 @inlined
 def upstream_strain(p: Vector, strain_prev: float, t_s: float) -> float:
     """Strain of the web that enters, with the disturbance; F_prev is it times W_UPSTREAM_STIFFNESS_N."""
-    if _is_any(p, _DISTURBANCE, 3, _DISTURBANCES):
+    if motors.is_any(p, _DISTURBANCE, 3, _DISTURBANCES):
         return strain_prev + _disturbance_N(p, t_s) / p[lay.W_UPSTREAM_STIFFNESS_N]
     return strain_prev
 
@@ -466,152 +414,6 @@ def span_rates(
     _flows(p, first, spans, strain_prev, f_next_N, w, speed, material, tension, rate)
     if _any_in_spans(p, first, spans, _DAMPING_S):
         _damped(p, first, spans, t_s, strain_prev, f_next_N, w, steps, speed, material, length_rate, tension, rate)
-
-
-@inlined
-def has_splice(p: Vector, s: Vector, pieces: int) -> bool:
-    """Whether a piece of other web is to come, or is in the line; `pieces`: where what has come in stands in `s`."""
-    return p[_SPLICE] != 0.0 or s[pieces + lay.PIECES_COUNT] > 0.0
-
-
-@compiled
-def let_splice_in(
-    p: Vector, s: Vector, pieces: int, t_s: float, duration_s: float, x_m: float, v_m_s: float, strain_prev: float
-) -> None:
-    """Let the splice come in, if that is in [t, t + duration]; one that should have come in before comes now.
-
-    `x_m`, `v_m_s`: way and speed of the web at roller 1 at t. What came in before stays; where the new piece comes in
-    before the last one is all in, it takes the place of the rest. Of more than `layout.PIECES` in the line the oldest
-    is forgotten.
-    """
-    noinline()
-    if p[_SPLICE] == 0.0 or s[pieces + lay.PIECES_CAME] != 0.0 or t_s + duration_s <= p[_SPLICE_S]:
-        return
-    front = x_m + v_m_s * max(p[_SPLICE_S] - t_s, 0.0)
-    count = int(s[pieces + lay.PIECES_COUNT])
-    if count > 0:
-        last = _piece(pieces, count - 1)
-        rest = (front - s[last + lay.PIECE_FRONT_M]) / (1.0 + strain_prev)
-        s[last + lay.PIECE_LENGTH_M] = min(s[last + lay.PIECE_LENGTH_M], max(rest, 0.0))
-    at = _piece(pieces, count)
-    s[at + lay.PIECE_FRONT_M] = front
-    s[at + lay.PIECE_LENGTH_M] = p[_SPLICE_M]
-    s[at + lay.PIECE_CHANGE] = p[_SPLICE]
-    s[pieces + lay.PIECES_COUNT] = count + 1.0
-    s[pieces + lay.PIECES_CAME] = 1.0
-
-
-@inlined
-def _piece(pieces: int, number: int) -> int:
-    """Where the piece that came in as `number` (from 0) stands in the ring."""
-    return pieces + lay.PIECES_FIRST + number % lay.PIECES * lay.PIECE_SIZE
-
-
-@inlined
-def _oldest(s: Vector, pieces: int) -> int:
-    """Number of the oldest piece that is kept."""
-    return max(int(s[pieces + lay.PIECES_COUNT]) - lay.PIECES, 0)
-
-
-@compiled
-def forget_passed(s: Vector, pieces: int, x_m: float, strain_prev: float, web_m: float) -> None:
-    """Forget all pieces when the last of them has left the line, which holds `web_m` of web, unstretched."""
-    noinline()
-    for number in range(_oldest(s, pieces), int(s[pieces + lay.PIECES_COUNT])):
-        at = _piece(pieces, number)
-        tail = (x_m - s[at + lay.PIECE_FRONT_M]) / (1.0 + strain_prev) - s[at + lay.PIECE_LENGTH_M]
-        if tail <= web_m + lay.FORGOTTEN_BEHIND_M:
-            return
-    s[pieces + lay.PIECES_COUNT] = 0.0
-
-
-@inlined
-def change_at(s: Vector, pieces: int, x_m: float, at_m: float, stretch: float, blur_m: float) -> float:
-    """Relative change of E·S of the web `at_m` behind roller 1: that of the piece there, with ends that are not sharp.
-
-    Arguments as in `series_factor` and `spliced_span_rates`.
-    """
-    change = 0.0
-    for number in range(_oldest(s, pieces), int(s[pieces + lay.PIECES_COUNT])):
-        piece = _piece(pieces, number)
-        beyond = (x_m - s[piece + lay.PIECE_FRONT_M]) / stretch - at_m
-        share = min(max(beyond / blur_m + 0.5, 0.0), 1.0)
-        share -= min(max((beyond - s[piece + lay.PIECE_LENGTH_M]) / blur_m + 0.5, 0.0), 1.0)
-        change += share * s[piece + lay.PIECE_CHANGE]
-    return change
-
-
-@inlined
-def series_factor(s: Vector, pieces: int, x_m: float, first_m: float, length_m: float, stretch: float) -> float:
-    """Factor on E·S of a span that begins at `first_m` and holds `length_m` of web: springs in series.
-
-    Lengths unstretched, from roller 1, whose web has gone `x_m` at the `stretch` of what enters:
-    L/(E·S) = sum of l_j/(E_j·S_j) over what lies in the span.
-    """
-    compliance = 1.0
-    for number in range(_oldest(s, pieces), int(s[pieces + lay.PIECES_COUNT])):
-        piece = _piece(pieces, number)
-        front = (x_m - s[piece + lay.PIECE_FRONT_M]) / stretch
-        inside = min(front, first_m + length_m) - max(front - s[piece + lay.PIECE_LENGTH_M], first_m)
-        compliance += max(inside, 0.0) / length_m * (1.0 / (1.0 + s[piece + lay.PIECE_CHANGE]) - 1.0)
-    return 1.0 / compliance
-
-
-@compiled
-def spliced_span_rates(
-    p: Vector,
-    s: Vector,
-    pieces: int,
-    first: int,
-    spans: int,
-    t_s: float,
-    strain_prev: float,
-    f_next_N: float,
-    w: Vector,
-    steps: int,
-    speed: int,
-    material: int,
-    length_rate: int,
-    tension: int,
-    rate: int,
-    x_m: float,
-    blur_m: float,
-) -> None:
-    """As `span_rates`, with pieces of other web on their way, which stand from place `pieces` of the state `s` on.
-
-    In every span one tension, F = (L - m)/sum of m_j/(E_j·S_j), and at its end the strain of the piece that is there.
-    What comes in has the strain of the web that enters, as when E of the span steps. Places of pieces are counted
-    unstretched from roller 1, whose web has gone `x_m`. `blur_m`: way over which the ends of a piece are not sharp
-    where it leaves a span, so that rates do not jump within a step. Damping beside creep takes the rates at the tension
-    without it.
-    """
-    noinline()
-    stretch_prev = 1.0 + strain_prev
-    begin = 0.0
-    for k in range(spans):
-        row, length = first + k * lay.SP_SIZE, w[material + k]
-        factor = series_factor(s, pieces, x_m, begin, length, stretch_prev)
-        strain = w[material + spans + k] * length_factor(p, row) / length - 1.0
-        w[tension + k] = max(stiffness_N(p, row, t_s, w[steps + k]) * factor * (strain - p[row + _STRAIN_OFFSET]), 0.0)
-        begin += length
-    inflow = w[speed] / stretch_prev
-    begin = 0.0
-    for k in range(spans):
-        row, length = first + k * lay.SP_SIZE, w[material + k]
-        factor = series_factor(s, pieces, x_m, begin, length, stretch_prev)
-        stretch = w[material + spans + k] * length_factor(p, row) / length
-        begin += length
-        at_end = 1.0 + change_at(s, pieces, x_m, begin, stretch_prev, blur_m)
-        outflow = w[speed + k + 1] / (1.0 + (stretch - 1.0) * factor / at_end)
-        if p[row + _CREEP] != 0.0:
-            behind = w[tension + k + 1] if k + 1 < spans else f_next_N
-            outflow *= 1.0 - p[row + _CREEP] * (w[tension + k] - behind)
-        w[rate + k] = inflow - outflow
-        inflow = outflow
-        if p[row + _DAMPING_S] > 0.0:
-            growth = (w[length_rate + k] * length_factor(p, row) - stretch * w[rate + k]) / length
-            strain = stretch - 1.0 - p[row + _STRAIN_OFFSET] + p[row + _DAMPING_S] * growth
-            w[tension + k] = max(stiffness_N(p, row, t_s, w[steps + k]) * factor * strain, 0.0)
 
 
 @inlined

@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.compiled import MATRIX, REAL, VECTOR, entry_point, inlined
+from hilbench.plant.motor_laws import measured_direction
 from hilbench.plant.sampling import on_all_cores
-from hilbench.plant.web_line import inverse, kernel, laws
+from hilbench.plant.web_line import inverse, kernel, laws, splice_laws
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.inverse import reported_torque_Nm, true_motion
 from hilbench.plant.web_line.layout import Layout, Vector
@@ -47,8 +48,8 @@ def _rates(
     """Tensions and rates of the spans, in the scratch space `w`; `s`: pieces of other web."""
     speed, tension, rate, length_rate, material, steps = _parts(n)
     k, first = n - 1, lay.W_SIZE + n * (lay.A_SIZE + lay.M_SIZE)
-    if laws.has_splice(p, s, 0):
-        laws.spliced_span_rates(
+    if splice_laws.has_splice(p, s, 0):
+        splice_laws.spliced_span_rates(
             p, s, 0, first, k, t, strain_prev, next_N, w, steps, speed, material, length_rate, tension, rate, way_m,
             blur_m,
         )  # fmt: skip
@@ -99,9 +100,9 @@ def _required(sources: int) -> Required:
             for i in range(n):
                 w[speed + i] = laws.web_speed_m_s(p, lay.W_SIZE + i * lay.A_SIZE, xs[row, i], vs[row, i])
             way = xs[row, 0]
-            if laws.has_splice(p, s, 0):
+            if splice_laws.has_splice(p, s, 0):
                 blur = max(abs(vs[row, 0]) * period_s, lay.LEAST_BLUR_M)
-                laws.let_splice_in(p, s, 0, t, period_s, way, vs[row, 0], strain_prev)
+                splice_laws.let_splice_in(p, s, 0, t, period_s, way, vs[row, 0], strain_prev)
             _rates(p, s, n, t, strain_prev, downstream, w, way, blur)
             for j in range(k):
                 F_N[row, j] = w[tension + j]
@@ -112,7 +113,7 @@ def _required(sources: int) -> Required:
                 axis, motor = lay.W_SIZE + i * lay.A_SIZE, lay.W_SIZE + n * lay.A_SIZE + i * lay.M_SIZE
                 pull = _pull_N(p, w, tension, i, n, upstream, downstream)
                 x, v, a = xs[row, i], vs[row, i], accelerations[row, i]
-                direction = laws.measured_direction(v, laws.FRICTION_WIDTH_M_S)
+                direction = measured_direction(v, laws.FRICTION_WIDTH_M_S)
                 tau_Nm[row, i] = reported_torque_Nm(p, axis, motor, x, v, a, pull, direction, 1.0)
             if row + 1 == x_m.shape[0]:
                 break

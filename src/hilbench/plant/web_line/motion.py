@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from hilbench.compiled import compiled, inlined, merged, noinline
 from hilbench.plant import drive_loops as loops
-from hilbench.plant.web_line import carriages, laws, places, reels
+from hilbench.plant.web_line import carriages, laws, places, reels, splice_laws
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.layout import Vector
 
@@ -43,9 +43,9 @@ def web(
         if not slides:
             _put_rates_of_stations(p, u, w, n, m, k, y)
         f_next, material = u[lay.U_F_NEXT_N], y + 4 * n
-        if not slides and laws.has_splice(p, s, pieces):
+        if not slides and splice_laws.has_splice(p, s, pieces):
             blur = w[places.part(n, m, k, lay.SPLICE_BLUR)]
-            laws.spliced_span_rates(
+            splice_laws.spliced_span_rates(
                 p, s, pieces, first, k, t, strain_prev, f_next, w, steps, speed, material, length_rate, tension, rate,
                 web_way_m(p, w[y]), blur,
             )  # fmt: skip

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.compiled import COUNT, MATRIX, REAL, VECTOR, compiled, entry_point, inlined
-from hilbench.plant.web_line import laws
+from hilbench.plant.motor_laws import measured_direction
+from hilbench.plant.web_line import laws, splice_laws
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.kernel import source_number
 from hilbench.plant.web_line.layout import Layout, Vector
@@ -52,7 +53,7 @@ def _span_rates(
     p (P,): parameters of the line. s: state of `roll_on`, for the pieces of other web. w: positions (n,), m, and speeds
     (n,), m/s, at its start; behind them room for the web's speeds (n,), then rates of the nominal lengths (k,), and the
     tensions (k,), N, that come with it; factors (k,) of the steps of E at `steps`. t: s since the start. strain_prev:
-    of the web that enters; f_next: tension behind the line, N; blur_m: way in a step (`laws.spliced_span_rates`).
+    of the web that enters; f_next: tension behind the line, N; blur_m: way in a step (see `spliced_span_rates`).
     """
     speed, length_rate, tension = 2 * n, 3 * n, 3 * n + k
     first, pieces = _first_span(p), POSITIONS + n + 2 * k
@@ -60,8 +61,8 @@ def _span_rates(
         axis = lay.W_SIZE + i * lay.A_SIZE
         w[speed + i] = laws.web_speed_m_s(p, axis, w[i], w[n + i])
     strain = laws.upstream_strain(p, strain_prev, t)
-    if laws.has_splice(p, s, pieces):
-        laws.spliced_span_rates(
+    if splice_laws.has_splice(p, s, pieces):
+        splice_laws.spliced_span_rates(
             p, s, pieces, first, k, t, strain, f_next, w, steps, speed, at, length_rate, tension, rate, w[0], blur_m
         )
     else:
@@ -99,13 +100,13 @@ def roll_on(
         w[now + j] = s[1 + n + j]
     t0, pieces, first, steps = s[0], POSITIONS + n + size, _first_span(p), now + 6 * size
     blur = max(abs(v[0]) * (h if duration > 0.0 else LONGEST_STEP_S), lay.LEAST_BLUR_M)
-    if laws.has_splice(p, s, pieces):
+    if splice_laws.has_splice(p, s, pieces):
         strain = laws.upstream_strain(p, strain_prev, t0)
-        laws.let_splice_in(p, s, pieces, t0, duration, s[1], v[0], strain)
+        splice_laws.let_splice_in(p, s, pieces, t0, duration, s[1], v[0], strain)
         web_m = 0.0
         for j in range(k):
             web_m += s[1 + n + j]
-        laws.forget_passed(s, pieces, s[1], strain, web_m)
+        splice_laws.forget_passed(s, pieces, s[1], strain, web_m)
     for step in range(count if duration > 0.0 else 0):
         t = t0 + step * h
         laws.put_step_factors(p, first, k, t, h, w, steps)
@@ -155,7 +156,7 @@ def _web_torque_Nm(p: Vector, s: Vector, boundary: Vector, tension: Vector, load
     if load[2] != 0.0:
         behind = _tension_around_N(p, s[0], boundary, tension, roller)
         force = behind - _tension_around_N(p, s[0], boundary, tension, roller - 1)
-    direction = laws.measured_direction(v, laws.FRICTION_WIDTH_M_S)
+    direction = measured_direction(v, laws.FRICTION_WIDTH_M_S)
     force -= laws.measured_resistance_N(p, lay.W_SIZE + roller * lay.A_SIZE, s[POSITIONS + roller], v, direction)
     return float(force / load[1])
 
@@ -237,7 +238,7 @@ def _entry_points(sources: int) -> tuple[Follow, FollowRows, Pull, Show, Resista
     def resistance(p: Vector, row: int, x_m: float, v_m_s: float, width_m_s: float) -> float:
         if sources < 0:
             return 0.0
-        direction = laws.measured_direction(v_m_s, width_m_s)
+        direction = measured_direction(v_m_s, width_m_s)
         return laws.measured_resistance_N(p, lay.W_SIZE + row * lay.A_SIZE, x_m, v_m_s, direction)
 
     @entry_point(VECTOR, COUNT, REAL)
@@ -302,8 +303,8 @@ def first_spliced(web: SpanVectors) -> tuple[bool, float, float]:
         return False, 1.0, 1.0
     stretch = 1.0 + laws.upstream_strain(web.p, web.boundary[0], web.s[0])
     way_m, unstretched_m = web.s[POSITIONS], web.s[POSITIONS + 2]
-    factor = laws.series_factor(web.s, pieces, way_m, 0.0, unstretched_m, stretch)
-    at_end = 1.0 + laws.change_at(web.s, pieces, way_m, unstretched_m, stretch, lay.LEAST_BLUR_M)
+    factor = splice_laws.series_factor(web.s, pieces, way_m, 0.0, unstretched_m, stretch)
+    at_end = 1.0 + splice_laws.change_at(web.s, pieces, way_m, unstretched_m, stretch, lay.LEAST_BLUR_M)
     return True, factor, at_end
 
 

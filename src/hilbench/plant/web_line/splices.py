@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hilbench.compiled import REAL, VECTOR, entry_point, number_of_sources
-from hilbench.plant.web_line import laws
+from hilbench.plant.web_line import laws, splice_laws
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.layout import Vector
 
@@ -44,14 +44,14 @@ def _compiled_factors(sources: int) -> _PutFactors:
         1, m; stretch: 1 + strain of what enters; unstretched_m (K,): web in the spans."""
         begin = 0.0
         for k in range(len(unstretched_m) if sources >= 0 else 0):
-            out[2 * k] = laws.series_factor(s, 0, x_m, begin, unstretched_m[k], stretch)
+            out[2 * k] = splice_laws.series_factor(s, 0, x_m, begin, unstretched_m[k], stretch)
             begin += unstretched_m[k]
-            out[2 * k + 1] = 1.0 + laws.change_at(s, 0, x_m, begin, stretch, lay.LEAST_BLUR_M)
+            out[2 * k + 1] = 1.0 + splice_laws.change_at(s, 0, x_m, begin, stretch, lay.LEAST_BLUR_M)
 
     return put_factors
 
 
-_put_factors = _compiled_factors(number_of_sources(laws.__file__, lay.__file__, __file__))
+_put_factors = _compiled_factors(number_of_sources(splice_laws.__file__, laws.__file__, lay.__file__, __file__))
 
 
 def has_pieces(state: Vector) -> bool:

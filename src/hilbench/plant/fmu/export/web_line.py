@@ -20,6 +20,7 @@ from hilbench.plant.fmu.export.machine import (
     parameter,
 )
 from hilbench.plant.interface import Quantity
+from hilbench.plant.motor_laws import measured_direction
 from hilbench.plant.motor_port import MotorMode
 from hilbench.plant.web_line import kernel, laws, places, span_kernel
 from hilbench.plant.web_line import layout as lay
@@ -62,7 +63,7 @@ def _go_web(p: Vector, s: Vector, u: Vector, w: Vector, out: Vector, samples: in
             before = out[i - 1] if i > 0 else upstream
             behind = out[i] if i < k else f_next
             force = behind - before
-        direction = laws.measured_direction(u[i], laws.FRICTION_WIDTH_M_S)
+        direction = measured_direction(u[i], laws.FRICTION_WIDTH_M_S)
         force -= laws.measured_resistance_N(p, place, s[1 + i], u[i], direction)
         out[3 * k + i] = force / p[places.motor(n, i) + lay.M_RAD_PER_M]
 
