@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from hilbench.estimation.web_line import blocks
 from hilbench.estimation.web_line.balance import BalanceSample
 from hilbench.estimation.web_line.blocks import Blocks
 
@@ -43,3 +44,17 @@ def test_a_block_is_the_force_without_what_accelerates_the_roller(accel: float, 
 def test_a_position_of_another_instant_hardly_shows(strange: int) -> None:
     forces = [block.force_N for block in blocks_of(0.0, 80.0, strange)]
     assert forces == pytest.approx([80.0] * 5, abs=1e-6)
+
+
+@pytest.mark.parametrize("collected", [0, 4])
+def test_a_block_that_begins_behind_a_gap_lasts_since_then(collected: int) -> None:
+    """By its duration the way of the web is counted: what is missing before it began is no part of it."""
+    finder, now = Blocks(MASS_KG, CYCLE_S), BalanceSample(0.0, 80.0, WEB, 3.0)
+    for _ in range(collected):
+        finder.update(now)
+    blocks.begin_behind_gap(finder.state)
+    cycles = 1
+    while finder.update(now) is None:
+        cycles += 1
+    assert cycles == 1 + round(blocks.BLOCK_S / CYCLE_S)  # the first speed is one across the gap
+    assert finder.state[blocks.DURATION_S] == pytest.approx(cycles * CYCLE_S)

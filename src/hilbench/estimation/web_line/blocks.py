@@ -55,6 +55,13 @@ def begin(s: Array) -> None:
 
 
 @compiled
+def begin_behind_gap(s: Array) -> None:
+    """The same, where the next cycle can't be compared with this one: it counts in the block's duration alone."""
+    begin(s)
+    s[_AFTER_GAP] = 1.0
+
+
+@compiled
 def miss(s: Array) -> None:
     """A cycle is missing: what is measured next is not one cycle after the last."""
     s[_LASTED] += 1.0

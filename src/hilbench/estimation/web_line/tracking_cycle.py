@@ -210,8 +210,7 @@ def compare(
 @compiled
 def _see_no_change_across(v: TrackingVectors) -> None:
     """What is measured from now on says nothing of a change against what was before."""
-    blocks.begin(v.blocks)
-    blocks.miss(v.blocks)
+    blocks.begin_behind_gap(v.blocks)
     anomalies.suspend(v.anomalies)
 
 
@@ -493,15 +492,15 @@ def _entry_points(
     def forget(what: int, block: Vector, of_anomalies: Vector, shift: Vector, delay_line: Vector) -> None:
         if sources < 0:
             return
-        if what != NEW_WEB:
-            blocks.miss(block)
         if what == INTERRUPT:
+            blocks.miss(block)
             return
-        blocks.begin(block)
         torque_shift.reset(shift)
         if what == SUSPEND:
+            blocks.begin_behind_gap(block)
             anomalies.suspend(of_anomalies)
         else:
+            blocks.begin(block)
             anomalies.reset(of_anomalies)
             delay.forget(delay_line)
 
