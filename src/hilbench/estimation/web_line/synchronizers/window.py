@@ -1,11 +1,13 @@
-"""The last rows of the filtered balance, and how far a set of parameters is from them."""
+"""The last rows of the filtered balance, how far a set of parameters is from them, and what methods that fit them do
+alike."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from hilbench.estimation.web_line.synchronizers.base import SyncSample
-from hilbench.estimation.web_line.synchronizers.plant import Plant
+from hilbench.estimation.web_line.config import GlobalConfig, LmConfig
+from hilbench.estimation.web_line.synchronizers.base import Estimate, SyncSample
+from hilbench.estimation.web_line.synchronizers.plant import Plant, held, nuisances, prior_deviations
 from hilbench.estimation.web_line.synchronizers.regression import PARAMETERS, Array, RegressionRows, noise_gain
 
 
@@ -54,18 +56,21 @@ class RowWindow:
 
     def residuals(self, rows: Array, theta: Array) -> Array:
         """Whitened-equivalent residuals of the rows and of the priors; `theta` of the active parameters."""
-        full = np.zeros(PARAMETERS)
-        full[self._active] = theta
+        full = self.full(theta)
         error = (rows[:, PARAMETERS] - rows[:, :PARAMETERS] @ full) / self._noise_N
         held = self._active[1:]
         return np.concatenate([error, full[1:][held] / self._priors[held]])
 
     def scatter_N(self, rows: Array, theta: Array) -> float:
         """Deviation of the noise before the filter that the residuals show."""
+        error = rows[:, PARAMETERS] - rows[:, :PARAMETERS] @ self.full(theta)
+        return float(np.sqrt(np.mean(error**2) / self._noise_gain))
+
+    def full(self, theta: Array) -> Array:
+        """All parameters (5,) of those that are estimated; 0 for the others."""
         full = np.zeros(PARAMETERS)
         full[self._active] = theta
-        error = rows[:, PARAMETERS] - rows[:, :PARAMETERS] @ full
-        return float(np.sqrt(np.mean(error**2) / self._noise_gain))
+        return full
 
     def deviations(self, rows: Array, theta: Array) -> Array:
         """Standard deviations (5,) by the information of rows and priors; 0 for what is not estimated."""
@@ -76,3 +81,33 @@ class RowWindow:
         result = np.zeros(PARAMETERS)
         result[self._active] = np.sqrt(np.diag(np.linalg.pinv(information)))
         return result
+
+
+class FittedToWindow:
+    """An estimate that is fitted to the rows of a window now and then."""
+
+    def __init__(self, config: LmConfig | GlobalConfig, plant: Plant) -> None:
+        self._also = tuple(config.also)
+        self._growth_pct_per_s = config.hold_growth_pct_per_s
+        self._reference_Pa = plant.youngs_modulus_Pa
+        self._window = RowWindow(plant, config.window_s, config.torque_noise_Nm, prior_deviations(config.also))
+        deviation_Pa = 0.01 * config.initial_deviation_pct * plant.youngs_modulus_Pa
+        self._estimate = Estimate(plant.youngs_modulus_Pa, deviation_Pa)
+
+    def rebase(self, change_Pa: float) -> None:
+        """Move the rows of the window."""
+        self._window.rebase(change_Pa)
+
+    def hold(self, duration_s: float) -> Estimate:
+        """Keep the last result."""
+        self._window.interrupt()
+        self._estimate = held(self._estimate, self._growth_pct_per_s, duration_s)
+        return self._estimate
+
+    def _take(self, theta: Array, deviations: Array) -> None:
+        """Parameters (5,) as `RowWindow` has them, and their deviations (5,), are the estimate now."""
+        self._estimate = Estimate(
+            float(theta[0]) * self._reference_Pa,
+            float(deviations[0]) * self._reference_Pa,
+            nuisances(self._also, theta[1:].tolist(), deviations[1:].tolist()),
+        )
