@@ -135,12 +135,12 @@ def test_a_mode_that_6502h_lacks_is_said() -> None:
         by_hand.move(1.0, 1.0)
 
 
-def test_a_fault_on_the_way_is_told_with_its_code(eds: Path) -> None:
+def test_a_fault_on_the_way_is_told_with_its_code() -> None:
     begun = threading.Event()
-    with set_up(eds, alive=begun.set) as (drive, by_hand):
+    with set_up(SERVO, alive=begun.set) as (drive, by_hand):
         failing = threading.Thread(target=lambda: (begun.wait(30.0), drive.fault(0x7310)))
         failing.start()
-        with pytest.raises(BenchFaultError, match=r"OPERATION ENABLED|FAULT"):
+        with pytest.raises(BenchFaultError, match=r"OPERATION ENABLED.* 7310h$"):
             by_hand.turn(10.0, 60.0)
         failing.join()
         by_hand.drive.reset()

@@ -151,7 +151,7 @@ class ManualDrive:
             return
         for controlword in (Command.DISABLE_VOLTAGE.value, CONTROLWORD_FAULT_RESET, Command.DISABLE_VOLTAGE.value):
             self._master.sdo_write(self._node_id, objects.CONTROLWORD, controlword)
-        self._go(lambda state: Command.DISABLE_VOLTAGE.value, State.SWITCH_ON_DISABLED)
+        self._go(lambda state: Command.DISABLE_VOLTAGE.value, State.SWITCH_ON_DISABLED, from_fault=True)
 
     @contextmanager
     def watching(self, master_id: int, time_out_ms: int) -> Iterator[None]:
@@ -175,11 +175,19 @@ class ManualDrive:
         """Ramp to a velocity of the motor (6083h, 6084h). Raises BenchFaultError when its units are not known."""
         if self._units is None:
             raise self._fault("does not tell its velocity unit (60A9h), expected it: give units in --config")
-        if self._state() is not State.OPERATION_ENABLED:
-            raise self._fault(f"left OPERATION ENABLED, statusword {self._statusword():04X}h")
+        self.enabled_statusword()
         self._master.sdo_write(
             self._node_id, objects.TARGET_VELOCITY, round(velocity_rad_s / self._units.velocity_rad_s)
         )
+
+    def enabled_statusword(self) -> int:
+        """The statusword of a drive that is still in OPERATION ENABLED. Raises BenchFaultError, with its error code."""
+        statusword = self._statusword()
+        state = decode_statusword(statusword)
+        if state is not State.OPERATION_ENABLED:
+            label = "no state of CiA 402" if state is None else state.label
+            raise self._fault(f"left OPERATION ENABLED, is in {label}, {self._error_code()}")
+        return statusword
 
     def stop(self) -> None:
         """Velocity 0, and wait until it stands still or the time is out."""
@@ -188,9 +196,11 @@ class ManualDrive:
         while abs(self.status().velocity_rad_s or 0.0) > _STOPPED_RAD_S and time.monotonic() < deadline_s:
             self._pause()
 
-    def _go(self, controlword: Callable[[State], int], goal: State) -> None:
+    def _go(self, controlword: Callable[[State], int], goal: State, *, from_fault: bool = False) -> None:
         deadline_s = time.monotonic() + self._time_out_s
         while (state := self._state()) is not goal:
+            if state is State.FAULT and not from_fault:
+                raise self._fault(f"went into FAULT on its way to {goal.label}, {self._error_code()}")
             if time.monotonic() > deadline_s:
                 raise self._fault(f"hung in {state.label} for {self._time_out_s:g} s, wanted {goal.label}")
             self._master.sdo_write(self._node_id, objects.CONTROLWORD, controlword(state))
@@ -209,6 +219,10 @@ class ManualDrive:
         if state is None:
             raise self._fault(f"statusword {statusword:04X}h shows no state that CiA 402 knows")
         return state
+
+    def _error_code(self) -> str:
+        code = self._read(objects.ERROR_CODE)
+        return "603Fh is not in its EDS" if code is None else f"error code (603Fh) {code:04X}h"
 
     def _read(self, index: int) -> int | None:
         return int(self._master.sdo_read(self._node_id, index)) if self._master.has(self._node_id, index) else None

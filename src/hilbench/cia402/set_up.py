@@ -235,13 +235,7 @@ class SetUpDrive:
     def _look(self) -> int:
         """The statusword of a drive that is still in OPERATION ENABLED."""
         self.drive.alive()
-        word = self.drive.read(objects.STATUSWORD)
-        state = decode_statusword(word)
-        if state is not State.OPERATION_ENABLED:
-            code = self.drive.read(objects.ERROR_CODE) if self.drive.has(objects.ERROR_CODE) else 0
-            label = "no state of CiA 402" if state is None else state.label
-            raise self._fault(f"left OPERATION ENABLED, is in {label}, error code (603Fh) {code:04X}h")
-        return word
+        return self.drive.enabled_statusword()
 
     def _until(self, reached: Callable[[int], bool], what: str, *, moving: bool = False) -> int:
         """The statusword with which it is so. A time-out is only for a drive that does not move."""
