@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import os
+import signal
 from collections.abc import Iterator
 
 import pytest
@@ -11,6 +12,11 @@ import pytest
 # As `hilbench diagnose` calculates, too: each of several processes with threads for all cores hold one another up.
 # The library reads it once, when numpy is imported.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+# A shell without job control starts what goes on in the background with Ctrl-C ignored, and so would be all that the
+# tests start.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 from tests.bench.whole_runs import STARTED
 from tests.buses import Bus, KernelBus

@@ -159,7 +159,8 @@ def test_what_the_bench_itself_does_by_sdo_and_nmt_is_its_own(tmp_path: Path) ->
 
 
 def test_a_fault_names_the_foreign_frames_that_came_before_it(tmp_path: Path) -> None:
-    code, result, _ = run(tmp_path, from_sync(200, Frame(0x000, b"\x81\1"), until=201))
+    reset = from_sync(200, Frame(0x000, b"\x81\1"), until=201)
+    code, result, _ = run(tmp_path, reset, safety={"cycle_timeout_s": 0.5})
     assert code == 3
     fault, cause = result.faults[0].text.split("; before that, ")
     assert "axis1 (node 1)" in fault

@@ -26,6 +26,15 @@ from hilbench.topology.signals import shape_of
 CONFIG = Path(__file__).resolve().parents[2] / "bench_configs" / "line_with_dancer.yaml"
 WINDING = CONFIG.with_name("winding_line.yaml")
 SHORTER = ("steps.0.ramp.duration_s=1.0", "steps.1.hold.until_s=2.0", "steps.3.hold.duration_s=1.0", "criteria=[]")
+#: At speed for three seconds, without what comes then.
+STEADY = (
+    "steps.0.ramp.duration_s=2.0",
+    "steps.1.hold.until_s=5.0",
+    "steps.2.step.to=80.0",
+    "steps.3.hold.duration_s=0.1",
+    "steps.4.ramp.duration_s=1.0",
+    "criteria=[]",
+)
 #: The first two steps of the winding line alone.
 _ONLY_THESE = ("steps.2.step.to=1.0", "steps.3.hold.duration_s=0.1", "steps.5.hold.duration_s=0.1", "criteria=[]")
 
@@ -42,6 +51,14 @@ def run(given: LoadedConfig, folder: Path, how: Participants = Participants.IN_P
 def shipped() -> RunOutcome:
     folder = Path(mkdtemp())
     return run(dancer(folder), folder)
+
+
+@cache
+def steady() -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """What the line with a dancer records, and which rows are of steady speed."""
+    folder = Path(mkdtemp())
+    found = channels(run(dancer(folder, *STEADY), folder))
+    return found, (found["t_s"] > 4.0) & (found["t_s"] < 4.9)
 
 
 def channels(outcome: RunOutcome) -> dict[str, np.ndarray]:
@@ -69,17 +86,15 @@ def test_the_dancer_keeps_the_tension_before_the_press_and_its_position_is_recor
 
 
 def test_the_twin_follows_the_dancer_and_tells_each_section_once() -> None:
-    found = channels(shipped())
+    found, rows = steady()
     assert {name for name in found if name.endswith("_sim_N")} == {"F1_sim_N", "F3_sim_N"}
-    steady = (found["t_s"] > 6.0) & (found["t_s"] < 7.9)
     for span in (1, 3):
-        assert np.mean((found[f"F{span}_sim_N"] - found[f"F{span}_true_N"])[steady]) == pytest.approx(0.0, abs=0.2)
+        assert np.mean((found[f"F{span}_sim_N"] - found[f"F{span}_true_N"])[rows]) == pytest.approx(0.0, abs=0.2)
 
 
 def test_each_load_motor_pulls_by_the_spans_beside_its_roller() -> None:
-    found = channels(shipped())
-    steady = (found["t_s"] > 6.0) & (found["t_s"] < 7.9)
-    mean = {name: float(np.mean(values[steady])) for name, values in found.items()}
+    found, rows = steady()
+    mean = {name: float(np.mean(values[rows])) for name, values in found.items()}
     for motor, pull_N in (
         ("press", mean["F3_true_N"] - mean["F2_true_N"]),
         ("outfeed", 70.0 - mean["F4_true_N"]),
@@ -261,8 +276,11 @@ def test_the_web_on_a_reel_has_the_speed_of_the_line_whatever_its_radius() -> No
         assert np.mean(found["v2_m_s"][part]) == pytest.approx(1.2, rel=2e-3)
 
 
-def test_the_report_shows_where_carriages_are_and_how_large_reels_are() -> None:
-    shape = shape_of(channels(wound()))
+def test_the_report_shows_where_carriages_are_and_how_large_reels_are(tmp_path: Path) -> None:
+    changes = ("steps.0.ramp={path: line_speed_m_s, to: 0.2, duration_s: 0.2}", "steps.1.hold.until_s=0.3")
+    ended = ("steps.6.ramp.duration_s=0.2", *_ONLY_THESE)
+    given = load_with_overrides(WINDING, bus=f"embedded:{tmp_path.name}", changes=(*changes, *ended))
+    shape = shape_of(channels(run(given, tmp_path)))
     assert (shape.carriages, shape.reels) == (("store",), ("unwinder", "rewinder"))
     titles = [picture.title for picture in pictures_of(shape).pictures]
     assert titles[-2:] == ["Positions of the carriages", "Radii of the reels"]

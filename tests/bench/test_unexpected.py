@@ -146,7 +146,10 @@ def test_whatever_breaks_in_mid_run_the_drives_stop_and_the_result_says_what(
 
 @pytest.mark.parametrize(
     "error",
-    [MemoryError(), RecursionError("too deep"), OSError(24, "Too many open files"), ZeroDivisionError("x"), EOFError()],
+    [
+        MemoryError(),
+        *slow(RecursionError("too deep"), OSError(24, "Too many open files"), ZeroDivisionError("x"), EOFError()),
+    ],
     ids=lambda error: type(error).__name__,
 )
 def test_whatever_kind_of_exception_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: Exception) -> None:
@@ -231,7 +234,7 @@ def test_the_result_of_what_nobody_foresaw_is_plain_json(tmp_path: Path, monkeyp
     json.loads((run_folders(tmp_path / "bench.yaml")[0] / "result.json").read_text())
 
 
-@pytest.mark.parametrize("signal", ["E_sim_Pa", "F_sim_N", "x2_m", "tau2_Nm"])
+@pytest.mark.parametrize("signal", ["E_sim_Pa", "x2_m", *slow("F_sim_N", "tau2_Nm")])
 @pytest.mark.parametrize("value", [float("nan"), *slow(0.0, 1e-45, float("inf"))])
 def test_whatever_number_a_node_says_the_run_goes_on_or_ends_by_a_fault_that_is_known(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, signal: str, value: float

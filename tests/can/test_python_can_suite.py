@@ -48,6 +48,7 @@ if suite is not None:
         INTERFACE_1 = INTERFACE_2 = "hilbench"
         CHANNEL_1 = CHANNEL_2 = "suite"
 
+    @pytest.mark.slow  # the same by the same interface, with a lock around it
     @pytest.mark.usefixtures("runtime")
     class TestThreadSafe(suite.TestThreadSafeBus):
         INTERFACE_1 = INTERFACE_2 = "hilbench"

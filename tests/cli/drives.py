@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from tests.cli.in_process import hilbench
+from tests.cli.in_process import hilbench, nobody_else
 
 from hilbench.can.open import BusAddress, open_link
 from hilbench.canopen.listening import present
@@ -26,7 +26,8 @@ def bus() -> Iterator[str]:
     link = open_link(BusAddress.parse(name))
     assert any(len(present(link, [5, 6], 0.2)) == 2 for _ in range(300)), "the drives do not answer"
     link.close()
-    yield name
+    with nobody_else():
+        yield name
     running.terminate()
     running.wait(timeout=20)
 

@@ -5,9 +5,11 @@ from __future__ import annotations
 import io
 import subprocess
 import sys
-from contextlib import redirect_stderr, redirect_stdout
+from collections.abc import Iterator
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from unittest.mock import patch
 
+from hilbench.canopen import mastery
 from hilbench.cli.main import main
 
 
@@ -26,3 +28,10 @@ def hilbench(*arguments: object, typed: str = "") -> subprocess.CompletedProcess
         except SystemExit as end:
             code = end.code
     return subprocess.CompletedProcess(words, int(code or 0), out.getvalue(), err.getvalue())
+
+
+@contextmanager
+def nobody_else() -> Iterator[None]:
+    """On a bus that nobody else uses: who writes to it listens for another master less long than over a second."""
+    with patch.object(mastery, "LISTEN_S", 0.05):
+        yield

@@ -17,7 +17,7 @@ from pathlib import Path
 import pytest
 import yaml
 from tests.bench.whole_runs import config
-from tests.cli.in_process import hilbench
+from tests.cli.in_process import hilbench, nobody_else
 
 from hilbench.can.frame import Frame
 from hilbench.can.link import Link
@@ -37,7 +37,8 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     link = open_link(load(path)[0].bus_address)
     assert any(present(link, [1], 0.2) for _ in range(300)), "the simulated hardware does not answer"
     link.close()
-    yield path
+    with nobody_else():
+        yield path
     running.terminate()
     running.communicate(timeout=20)
 

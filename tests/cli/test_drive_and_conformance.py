@@ -15,7 +15,7 @@ from xml.etree import ElementTree
 
 import pytest
 from tests.cia402.every_mode import eds_file
-from tests.cli.in_process import hilbench
+from tests.cli.in_process import hilbench, nobody_else
 from tests.tiers import slow
 
 from hilbench.can.open import BusAddress, open_link
@@ -49,7 +49,8 @@ def bus(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bus]:
             assert any(present(link, [node], 0.2) for _ in range(300)), "the drive does not answer"
             link.close()
         servo, every_mode = (("--bus", buses[node], "--eds", eds) for node, eds in files.items())
-        yield Bus(servo, every_mode)
+        with nobody_else():
+            yield Bus(servo, every_mode)
     finally:
         for process in running:
             process.send_signal(signal.SIGINT)

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 from tests.cia402.every_mode import INCREMENTS, eds_file
-from tests.cli.in_process import hilbench
+from tests.cli.in_process import hilbench, nobody_else
 
 from hilbench.can.open import BusAddress, open_link
 from hilbench.canopen.listening import present
@@ -35,7 +35,8 @@ def drives(eds: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[tupl
     link = open_link(BusAddress.parse(bus))
     assert any(len(present(link, [5, 6], 0.2)) == 2 for _ in range(300)), "the drives do not answer"
     link.close()
-    yield bus, running
+    with nobody_else():
+        yield bus, running
     running.send_signal(signal.SIGINT)
     running.communicate(timeout=20)
 

@@ -16,6 +16,7 @@ import yaml
 from tests.bench.whole_runs import SHORT, config, gone, start, wait_for_frames
 from tests.cli.in_process import hilbench
 
+from hilbench.doctor import examination
 from hilbench.doctor.findings import Check
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -140,7 +141,10 @@ def test_an_interface_that_is_not_there_and_no_config() -> None:
     assert ("socketcan:nocan99", "warning") in of_check(found, "bus")
 
 
-def test_an_examination_that_could_ask_nobody_does_not_say_that_all_is_well(tmp_path: Path) -> None:
+def test_an_examination_that_could_ask_nobody_does_not_say_that_all_is_well(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(examination, "_LISTEN_S", 0.1)  # there is nobody
     hub = f"embedded:{yaml.safe_load(config(tmp_path).read_text())['bus']['address'].partition(':')[2]}"
     done = doctor("--bus", hub)
     assert done.returncode == 0

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from tests.cli.in_process import hilbench
+from tests.cli.in_process import hilbench, nobody_else
 
 from canopen import LocalNode, Network
 from hilbench.can.python_can import can
@@ -25,7 +25,8 @@ def node() -> Iterator[LocalNode]:
         network.add_node(local)
         local.nmt.state = "PRE-OPERATIONAL"
         local.nmt.start_heartbeat(100)
-        yield local
+        with nobody_else():
+            yield local
         local.nmt.stop_heartbeat()
         network.disconnect()
 

@@ -416,8 +416,9 @@ ENDS = [
 
 def running(bench: BenchConfig) -> BusPicture:
     picture = BusPicture(bench)
+    frames = [*cycles(bench, 50, 80.0)[:-1], Frame(0x7A0, b"\5"), Frame(0x77F, b"\5")]
     for k in range(20):
-        picture.take([*cycles(bench, 50, 80.0)[:-1], Frame(0x7A0, b"\5"), Frame(0x77F, b"\5")], 0.1 * k)
+        picture.take(frames, 0.1 * k)
     data = picture.as_data()
     assert (data["condition"], data["nodes"][0]["drive_state"]) == ("running", "OPERATION ENABLED")
     assert data["F_sim_N"] is not None
@@ -456,8 +457,9 @@ def test_a_script_that_pauses_is_told_from_a_bench_that_is_gone(bench: BenchConf
 
 def test_of_a_node_that_falls_silent_nothing_old_is_shown(bench: BenchConfig) -> None:
     picture = running(bench)
-    for k in range(20, 60):  # the twin is gone, the bench goes on without it
-        others = [frame for frame in cycles(bench, 50, 80.0) if frame.can_id < 0x1A0 or frame.can_id == 0x701]
+    # The twin is gone, the bench goes on without it.
+    others = [frame for frame in cycles(bench, 50, 80.0) if frame.can_id < 0x1A0 or frame.can_id == 0x701]
+    for k in range(20, 60):
         picture.take(others, 0.1 * k)
     data = picture.as_data()
     assert (data["condition"], data["F_sim_N"]) == ("running", None)
@@ -468,9 +470,10 @@ def test_of_a_node_that_falls_silent_nothing_old_is_shown(bench: BenchConfig) ->
 
 def test_a_slow_bench_in_lockstep_is_not_stale_while_it_answers(bench: BenchConfig) -> None:
     picture = BusPicture(bench.model_copy(update={"pace": "lockstep"}))
+    cycle = cycles(bench, 1, 80.0)[:-2]
     for k in range(40):  # heartbeats come with every 50th cycle: two cycles a second here
         beat = [Frame(0x701, b"\5")] if k % 20 == 0 else []
-        picture.take([*cycles(bench, 1, 80.0)[:-2], *beat], 0.5 * k)
+        picture.take([*cycle, *beat], 0.5 * k)
     nodes = picture.as_data()["nodes"]
     assert (nodes[0]["nmt_state"], nodes[0]["stale"]) == ("OPERATIONAL", False)
 

@@ -210,7 +210,8 @@ def test_foxglove_is_shown_channels_with_schemas_and_may_send_nothing(bench: Ben
         port = free.getsockname()[1]
     stream = Stream(parse_target(f"foxglove:{port}"), bench, tmp_path)
     try:
-        with client.connect(f"ws://127.0.0.1:{port}", subprotocols=["foxglove.sdk.v1"]) as connection:
+        # With a queue that can be full it would not hear that the connection is closed, behind what it has not taken.
+        with client.connect(f"ws://127.0.0.1:{port}", subprotocols=["foxglove.sdk.v1"], max_queue=None) as connection:
             told: dict[str, Any] = {}
             while "advertise" not in told:
                 message = json.loads(connection.recv(timeout=30))

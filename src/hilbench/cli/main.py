@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Callable
+from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Any
@@ -472,6 +474,12 @@ app.command("compile")(compile.compile_entry_points)
 app.command()(convert.dbc)
 
 
+@cache
+def _command() -> Callable[[], object]:
+    """All commands, made from their signatures once in a process: that takes longer than many a command."""
+    return typer.main.get_command(app)
+
+
 def main() -> None:
     """Entry point: errors meant for a person become one line on standard error and the exit code of their kind."""
-    sys.exit(ended(app))
+    sys.exit(ended(lambda: _command()()))
