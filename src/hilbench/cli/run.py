@@ -171,7 +171,7 @@ class Progress:
         return [
             ("t", f"{sample.t_s:6.2f} s ({factor:.1f} x real time)"),
             ("cycle", f"{sample.cycle:.0f}"),
-            *((row.title, row.text(sample)) for row in self._shown.live),
+            *((row.heading(sample), row.text(sample)) for row in self._shown.live),
             ("bus load", f"{100 * sample.bus_bits / self._bits_per_cycle:.0f} %"),
         ]
 

@@ -311,7 +311,7 @@ class Dashboard(App[None]):
             now = f"{number(values[-1])} {trend.unit}  ({number(least)} to {number(max(values))})"
         else:
             now = (Condition.STALE if picture.condition is Condition.RUNNING else picture.condition).value
-        self.query_one(f"#{trend.signal}-value", Static).update(f"{trend.title}: {now}")
+        self.query_one(f"#{trend.signal}-value", Static).update(f"{trend.heading}: {now}")
 
 
 def _digits(largest: float) -> int:

@@ -95,6 +95,13 @@ class BusPicture:
         nodes = Nodes(self.config)
         self.trends = trends_of(self.config.machine_kind, self.config.shape)  #: what the twin says
         self._states = {pdo.cob_id: pdo for pdo in nodes.io.sent if pdo.period == 1}
+        contents = zip(nodes.io.sent, nodes.io.data.sent, strict=True)
+        #: How sure that is: PDOs that come seldom, and the names of what they carry.
+        self._quality = {
+            pdo.cob_id: (pdo, [signal.name for signal in content.signals])
+            for pdo, content in contents
+            if pdo.period != 1
+        }
         #: Their last frames; a batch of frames may end between them and the SYNC after them.
         self._state_data = dict.fromkeys(self._states, b"")
         self._tpdos: dict[int, tuple[NodePicture, Any, tuple[int, ...], DriveUnits]] = {}
@@ -149,6 +156,7 @@ class BusPicture:
                 if frame.can_id in self._state_data:
                     self._state_data[frame.can_id] = frame.data
         self._decode(last)
+        self._look_at_quality(last)
         status = last.get(self._status.cob_id, b"")
         if len(status) == self._status.size:
             self._look_at_model(int(self._status.unpack(status)[2]))
@@ -158,6 +166,16 @@ class BusPicture:
             self._hear(node_id, "heartbeat", _HEARTBEATS_MISSED * self._heartbeat_cycles)
             self._nmt(node_id, state)
         self._look_for_silence()
+
+    def _look_at_quality(self, last: dict[int, bytes]) -> None:
+        """What the twin states of its estimates."""
+        for cob_id, (pdo, names) in self._quality.items():
+            data = last.get(cob_id, b"")
+            if len(data) == pdo.size:
+                stated = dict(zip(names, pdo.unpack(data), strict=True))
+                for trend in self.trends:
+                    if trend.deviation in stated:
+                        trend.stated = float(stated[trend.deviation])
 
     def _look_at_model(self, status: int) -> None:
         """What the twin says of its model (2100h sub 3)."""
@@ -299,6 +317,7 @@ class BusPicture:
             "jitter_max_us": jitter and jitter[1],
             "late_samples_pct": self.late_pct(),
             "model": self.model or "as configured",
+            "of_the_model": [trend.signal for trend in self.trends if trend.is_of_the_model],
             **{
                 trend.signal: trend.values[-1] if trend.values and self.twin_is_heard else None for trend in self.trends
             },

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass, field
+from math import isinf, nan
 
 from hilbench.plant.effects import MachineKind
 from hilbench.topology.main_quantities.of_kind import main_quantities
+from hilbench.topology.main_quantities.quantity import OF_THE_MODEL
 from hilbench.topology.process_data.of_kind import process_data
 from hilbench.topology.signals import Shape, unit_of
 
@@ -21,7 +23,19 @@ class Trend:
     title: str
     unit: str
     si_per_unit: float = 1.0
+    deviation: str = ""  #: the signal of its standard deviation, of an estimate
+    stated: float = nan  #: that, as the twin last stated it, SI
     values: deque[float] = field(default_factory=lambda: deque(maxlen=_POINTS))  #: SI
+
+    @property
+    def is_of_the_model(self) -> bool:
+        """Whether it is no estimate, as nothing tells it."""
+        return isinf(self.stated)
+
+    @property
+    def heading(self) -> str:
+        """The title with what it is, where it is no estimate."""
+        return f"{self.title} {OF_THE_MODEL}" if self.is_of_the_model else self.title
 
     @property
     def shown(self) -> list[float]:
@@ -38,5 +52,6 @@ def trends_of(kind: MachineKind, shape: Shape) -> list[Trend]:
         if quantity is None:
             trends.append(Trend(name, name, unit_of(name)))
         else:
-            trends.append(Trend(name, quantity.of or quantity.short, quantity.in_unit, quantity.si_per_shown))
+            title, unit = quantity.of or quantity.short, quantity.in_unit
+            trends.append(Trend(name, title, unit, quantity.si_per_shown, quantity.twin_deviation))
     return trends

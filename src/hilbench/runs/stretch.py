@@ -73,6 +73,11 @@ class Stretch:
         first = self._part.start or 0
         return float(self._all[name][first - 1]) if first and name in self._all else float(self.get(name)[0])
 
+    def last(self, name: str) -> float:
+        """The last value of a signal, NaN of one that is not recorded."""
+        values = self._channels.get(name)
+        return float("nan") if values is None else float(values[-1])
+
     def error(self, name: str, goal: str) -> Array:
         """A signal less another."""
         return self.get(name) - self.get(goal)

@@ -5,18 +5,25 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from hilbench.topology.main_quantities.quantity import told_as
 from hilbench.topology.sample import CycleSample
 
 
 @dataclass(frozen=True)
 class LiveRow:
-    """A line of the live table: signals beside each other, in one unit that is so many SI units."""
+    """A line of the live table: signals beside each other, in one unit that is so many SI units. `deviation`: signal of
+    the standard deviation of the last of them, where the title has to say what that is."""
 
     title: str
     signals: Sequence[str]
     unit: str
     form: str  #: format of each number
     si_per_unit: float = 1.0
+    deviation: str = ""
+
+    def heading(self, sample: CycleSample) -> str:
+        """The title beside the values of a sample."""
+        return f"{self.title} / {told_as(getattr(sample, self.deviation))}" if self.deviation else self.title
 
     def text(self, sample: CycleSample) -> str:
         """The values of a sample."""

@@ -9,7 +9,7 @@ from hilbench.cli.shown.machine import LiveRow, Shown
 SHOWN: Final = Shown(
     live=(
         LiveRow("speed of the shaft", ("v1_rad_s",), "rad/s", ".1f"),
-        LiveRow("inertia true / estimated", ("J_true_kg_m2", "J_sim_kg_m2"), "kg·cm²", ".2f", 1e-4),
+        LiveRow("inertia true", ("J_true_kg_m2", "J_sim_kg_m2"), "kg·cm²", ".2f", 1e-4, deviation="J_sd_kg_m2"),
         LiveRow("dry friction true / estimated", ("coulomb_true_Nm", "coulomb_sim_Nm"), "N·m", ".3f"),
     ),
     of_steps=(

@@ -19,8 +19,8 @@ def shown(shape: Shape) -> Shown:
         live.append(LiveRow(title, signals, "N", ".1f"))
     for span in shape.estimated:
         k = shape.numbered(span)
-        title = f"E{k} true / estimated"
-        live.append(LiveRow(title, (f"E{k}_true_Pa", f"E{k}_sim_Pa"), "N/mm²", ".0f", 1e6))
+        signals = (f"E{k}_true_Pa", f"E{k}_sim_Pa")
+        live.append(LiveRow(f"E{k} true", signals, "N/mm²", ".0f", 1e6, deviation=f"E{k}_sd_Pa"))
     of_steps = []
     for span in shape.estimated:
         k = shape.numbered(span)

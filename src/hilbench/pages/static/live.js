@@ -111,8 +111,8 @@ window.session.then((known) => {
       const middle = 0.5 * (a + b);
       if (middle < before) [a, b] = [b, a];
       before = middle;
-      y[2 * (k - first)] = Number.isNaN(a) ? null : a / scale;
-      y[2 * (k - first) + 1] = Number.isNaN(b) ? null : b / scale;
+      y[2 * (k - first)] = Number.isFinite(a) ? a / scale : null;
+      y[2 * (k - first) + 1] = Number.isFinite(b) ? b / scale : null;
     }
     return y;
   };
@@ -234,7 +234,11 @@ window.session.then((known) => {
       for (const spread of u.plot.spreads)
         for (const side of [1, -1]) data.push(curve(store, first, last, at(spread.signal), u.plot.scale, at(spread.deviation), side));
       u.extent = extent(data.slice(1));
-      for (const trace of u.plot.traces) data.push(curve(store, first, last, at(trace.signal), u.plot.scale));
+      for (const trace of u.plot.traces) {
+        const y = curve(store, first, last, at(trace.signal), u.plot.scale);
+        const stated = trace.deviation ? store.high[at(trace.deviation)] : null;
+        data.push(stated ? y.map((v, k) => ((stated[first + (k >> 1)] === Infinity) === trace.told ? null : v)) : y);
+      }
       u.setData(data, true);
       if (x.length && (u.cursor.left === undefined || u.cursor.left < 0)) u.setLegend({ idx: x.length - 1 }, false);
     }

@@ -14,9 +14,11 @@ from hilbench.report.chart import INK, SKY, VERMILLION, Band, Chart, Curve
 from hilbench.report.reduce import mean_velocity, moving_average
 from hilbench.results.recording import Recording
 from hilbench.runs.figures import ESTIMATE_BAND
-from hilbench.topology.main_quantities.quantity import MainQuantity
+from hilbench.topology.main_quantities.quantity import ESTIMATED, OF_THE_MODEL, MainQuantity
 
 Array = NDArray[np.float64]
+
+_OF_MODEL: Final = (4.0, 2.0)  #: dashes of what is not estimated
 
 #: Time over which velocities and torques are averaged for the eye, s (the publication: 20 values, 20 ms apart).
 SMOOTHING_S: Final = 0.4
@@ -109,27 +111,31 @@ def lines(label: str, *shown: Line, si_per_unit: float = 1.0, least: float = 0.0
     return make
 
 
-def estimate(quantity: MainQuantity, deviation: str = "", in_twin: str = "estimated") -> MakeChart:
+def estimate(quantity: MainQuantity) -> MakeChart:
     """Axes with what the twin estimates of a quantity of the imitated machine, its truth with the band that a criterion
-    goes by, and two standard deviations where the twin states one; at least as high as that band. `in_twin`: what the
-    twin tells, for the legend."""
-    scale, signal = quantity.si_per_shown, quantity.twin_signal
+    goes by, and two standard deviations where the twin states one; at least as high as that band. Where nothing tells
+    it, the legend says that it is the model's."""
+    scale, signal, deviation = quantity.si_per_shown, quantity.twin_signal, quantity.twin_deviation
 
     def make(run: ShownRun) -> Chart | None:
         if signal not in run:
             return None
         estimated = run.get(signal) / scale
         curves, bands = [], []
+        told = ~np.isinf(run.get(deviation)) if deviation in run else np.full(len(estimated), True)
         if quantity.signal in run:
             true = run.get(quantity.signal) / scale
             bands.append(Band(run.t_s, true * (1 - ESTIMATE_BAND), true * (1 + ESTIMATE_BAND), INK, 0.16))
             curves.append(Curve("true", run.t_s, true, INK, 1.1))
         if deviation in run:
-            spread = run.get(deviation) / scale
+            spread = np.where(told, run.get(deviation), np.nan) / scale
             bands.append(Band(run.t_s, estimated - 2 * spread, estimated + 2 * spread, VERMILLION, 0.25))
         if run.reference is not None:
             curves.append(Curve("PID", run.t_s, run.reference / scale, SKY))
-        curves.append(Curve(in_twin, run.t_s, estimated, VERMILLION))
+        if told.any():
+            curves.append(Curve(ESTIMATED, run.t_s, np.where(told, estimated, np.nan), VERMILLION))
+        if not told.all():
+            curves.append(Curve(OF_THE_MODEL, run.t_s, np.where(told, np.nan, estimated), VERMILLION, dash=_OF_MODEL))
         least = 2 * ESTIMATE_BAND * float(np.max(np.abs(estimated), initial=0.0, where=np.isfinite(estimated)))
         return Chart(f"{quantity.short} in {quantity.in_unit}", curves, bands, least=least)
 

@@ -64,7 +64,7 @@ _PICTURES: Final = (
         "Inertia of the shaft",
         f"Inertia of the imitated shaft {_BAND}, and the twin’s estimate with a band of ±2 standard deviations where "
         "the twin states one.",
-        (estimate(INERTIA, "J_sd_kg_m2"),),
+        (estimate(INERTIA),),
         zoomed=True,
     ),
     RunPicture(

@@ -149,8 +149,8 @@ def _elasticity(number: str) -> RunPicture:
         f"elasticity{number}",
         f"Young’s modulus in span {number}" if number else "Young’s modulus",
         f"Young’s modulus of the imitated web with a band of ±{100 * ESTIMATE_BAND:g} % (grey), and the "
-        "twin’s, estimated, with a band of ±2 standard deviations where the twin states one.",
-        (estimate(modulus(number), f"E{number}_sd_Pa", "estimated"),),
+        "twin’s, with a band of ±2 standard deviations where the twin states one.",
+        (estimate(modulus(number)),),
         with_reference="PID: what the published tracking simulation makes of the same measurements.",
         zoomed=True,
     )
@@ -218,7 +218,7 @@ def pictures_of(shape: Shape) -> MachinePictures:
             *(
                 ComparedSignal(
                     f"elasticity{number}",
-                    f"Young’s modulus{f' in span {number}' if number else ''}, estimated",
+                    f"Young’s modulus{f' in span {number}' if number else ''}, of the twin",
                     "E in N/mm²",
                     (f"E{number}_sim_Pa",),
                     1e6,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from math import isinf
 
 import numpy as np
 
@@ -86,6 +87,8 @@ class Estimate:
 
     def _error(self, stretch: Stretch) -> Array:
         """Relative."""
+        if isinf(stretch.last(self.quantity.twin_deviation)):
+            raise UnknownFigureError(f"nothing tells {self.quantity.short}: the twin’s is that of its model")
         estimate, true = stretch.get(self.signal), stretch.get(self.quantity.signal)
         if not true.all():
             raise UnknownFigureError(f"the true {self.quantity.short} is 0")

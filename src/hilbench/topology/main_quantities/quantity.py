@@ -3,6 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import isinf
+from typing import Final
+
+#: What a twin's value is, for a legend or a heading.
+ESTIMATED: Final = "estimated"
+OF_THE_MODEL: Final = "of the model"
+
+
+def told_as(deviation: float) -> str:
+    """What a twin's value with this standard deviation is: its model's where that is inf, as nothing tells it."""
+    return OF_THE_MODEL if isinf(deviation) else ESTIMATED
 
 
 @dataclass(frozen=True)
@@ -16,6 +27,7 @@ class MainQuantity:
     signal: str  #: the signal of a recording that shows what was set
     key: str  #: what asks for it in the monitor
     twin_signal: str = ""  #: the same as the twin simulates or estimates it
+    twin_deviation: str = ""  #: standard deviation of that, as the twin states it; inf: it is its model's value
     of: str = ""  #: what it is a set-point of; "" for what is meant itself
     shown_unit: str = ""  #: in which a person gives it; the SI unit if not given
     si_per_shown: float = 1.0

@@ -15,6 +15,7 @@ INERTIA: Final = MainQuantity(
     "J_true_kg_m2",
     "m",
     "J_sim_kg_m2",
+    "J_sd_kg_m2",
     shown_unit="kg·cm²",
     si_per_shown=1e-4,
     imitated=True,

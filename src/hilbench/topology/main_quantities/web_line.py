@@ -28,7 +28,7 @@ def set_point(number: str = "") -> MainQuantity:
         f"F{number}_ref_N",
         number or "t",
         f"F{number}_sim_N",
-        f"tension {number}".strip(),
+        of=f"tension {number}".strip(),
     )
 
 
@@ -43,6 +43,7 @@ def modulus(number: str = "") -> MainQuantity:
         f"E{number}_true_Pa",
         f"f{number}" if number else "m",
         f"E{number}_sim_Pa",
+        f"E{number}_sd_Pa",
         shown_unit="N/mm²",
         si_per_shown=1e6,
         imitated=True,

@@ -12,13 +12,19 @@ from hilbench.topology.safety import Limit
 
 @dataclass(frozen=True)
 class Trace:
-    """One signal in a plot: its name beside it, and how it is drawn; of a noisy one the area between its extremes."""
+    """One signal in a plot: its name beside it, and how it is drawn; of a noisy one the area between its extremes.
+
+    `deviation`: the signal of its standard deviation where it is shown only while that is a number (`told`), or only
+    while it is infinite.
+    """
 
     signal: str
     name: str
     colour: str
     width: float = 1.4
     dash: tuple[float, ...] = ()
+    deviation: str = ""
+    told: bool = True
 
 
 @dataclass(frozen=True)
@@ -47,6 +53,7 @@ class Plot:
     def signals(self) -> Iterator[str]:
         """All that it needs."""
         yield from (trace.signal for trace in self.traces)
+        yield from (trace.deviation for trace in self.traces if trace.deviation)
         yield from (spread.deviation for spread in self.spreads)
 
     def as_data(self) -> dict[str, Any]:
@@ -66,6 +73,8 @@ class Plot:
                     "colour": VARIABLES[trace.colour],
                     "width": trace.width,
                     "dash": list(trace.dash),
+                    "deviation": trace.deviation,
+                    "told": trace.told,
                 }
                 for trace in self.traces
             ],

@@ -13,6 +13,7 @@ from hilbench.plant.web_line.stations import CarriageStation, Reel
 from hilbench.report.chart import BLUE, BROWN, GREEN, INK, ORANGE, PURPLE, SKY, VERMILLION
 from hilbench.report.web_line_drawing import DrawnRoller, contact_points, placed_rollers
 from hilbench.topology.config import BenchConfig
+from hilbench.topology.main_quantities.quantity import ESTIMATED, OF_THE_MODEL, MainQuantity
 from hilbench.topology.main_quantities.web_line import modulus
 
 #: Where a point of the drawing is, in pixels.
@@ -61,11 +62,21 @@ def _moduli(config: BenchConfig) -> Iterator[Plot]:
             f"modulus{shape.numbered(span)}",
             f"Young’s modulus in span {span}" if shape.spans > 1 else "Young’s modulus",
             quantity.in_unit,
-            (Trace(quantity.signal, "true", INK, 1.1), Trace(quantity.twin_signal, "estimated", VERMILLION)),
-            (Spread(quantity.twin_signal, f"E{shape.numbered(span)}_sd_Pa", VERMILLION),),
+            (Trace(quantity.signal, "true", INK, 1.1), *_of_twin(quantity, shape.has_stations)),
+            (Spread(quantity.twin_signal, quantity.twin_deviation, VERMILLION),),
             si_per_unit=quantity.si_per_shown,
             least=100.0,
         )
+
+
+def _of_twin(quantity: MainQuantity, may_be_untold: bool) -> Iterator[Trace]:
+    """What the twin has of a quantity: estimated, and its model's where nothing tells it."""
+    if not may_be_untold:
+        yield Trace(quantity.twin_signal, ESTIMATED, VERMILLION)
+        return
+    for name, told in ((ESTIMATED, True), (OF_THE_MODEL, False)):
+        dash = () if told else _DASHED
+        yield Trace(quantity.twin_signal, name, VERMILLION, dash=dash, deviation=quantity.twin_deviation, told=told)
 
 
 def _torques(config: BenchConfig) -> Plot:
