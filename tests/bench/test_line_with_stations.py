@@ -92,6 +92,13 @@ def test_the_twin_follows_the_dancer_and_tells_each_section_once() -> None:
         assert np.mean((found[f"F{span}_sim_N"] - found[f"F{span}_true_N"])[rows]) == pytest.approx(0.0, abs=0.2)
 
 
+def test_E_that_was_right_stays_so_as_the_line_speeds_up_and_its_tension_steps() -> None:
+    found = channels(shipped())
+    error = np.convolve(found["E3_sim_Pa"] / found["E3_true_Pa"] - 1.0, np.full(66, 1.0 / 66), "valid")  # over 0.2 s
+    assert np.all(np.isfinite(found["E3_sd_Pa"][200:]))
+    assert np.max(np.abs(error[167:])) < 0.01
+
+
 def test_each_load_motor_pulls_by_the_spans_beside_its_roller() -> None:
     found, rows = steady()
     mean = {name: float(np.mean(values[rows])) for name, values in found.items()}

@@ -75,6 +75,21 @@ def test_of_driven_rollers_alone_it_is_the_web() -> None:
     assert isinstance(follower_of(web.parameters), SpanFollower)
 
 
+@pytest.mark.parametrize("lead_s", [0.0, 0.0045])
+def test_a_guide_roller_takes_the_force_that_speeds_it_up(lead_s: float) -> None:
+    """m·a, in what is told of the present as in what load motors pull by, however the cycle lies to its own swing."""
+    light = {"type": "idler", "name": "guide", "radius_m": 0.05, "inertia_kg_m2": 0.0025}
+    model, m_s2 = line_with(DRIVEN, light, DRIVEN, lengths=[2.0, 3.0]), 0.7
+    follower, found = LineFollower(model), []
+    follower.reset([0.0, 0.0])
+    for cycle in range(1, 601):
+        x = 0.5 * m_s2 * (3.0e-3 * cycle) ** 2
+        follower.follow([x, x], 3.0e-3)
+        tensions_N = follower.predicted_tension_N(lead_s)
+        found.append(float(tensions_N[1] - tensions_N[0]))
+    assert np.mean(found[-300:]) == pytest.approx(0.0025 / 0.05**2 * m_s2, rel=0.05)
+
+
 def test_to_look_ahead_changes_nothing() -> None:
     _, follower = driven(LINES["dancer"], 0.5, 2e-5)
     before = follower.outputs()

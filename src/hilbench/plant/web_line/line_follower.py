@@ -1,8 +1,9 @@
 """A line with idlers, dancers, accumulators and reels on measured motion of its driven rollers: for load models.
 
 What no motor drives has a motion of its own, which nobody measures: it is simulated by the kernel of the closed line,
-with the driven rollers held to their measured motion. A driven roller turns at constant speed within a cycle; it is so
-heavy that nothing moves it, and no web loads it.
+with the driven rollers held to their measured motion. A driven roller turns at constant speed within a cycle, or where
+the line speeds up in steps along a parabola: what has no motor needs tension for its acceleration, all the time. It is
+so heavy that nothing moves it, and no web loads it.
 """
 
 from __future__ import annotations
@@ -33,6 +34,10 @@ _HELD_KG: Final = 1e12
 _TORN: Final = 1e-12
 #: Longest integration step where no roller asks for a shorter one, as of a web on driven rollers alone.
 _LONGEST_STEP_S: Final = 0.001
+#: Over which the acceleration of driven rollers is averaged: positions are counted, and load motors must not chase
+#: their own swings with it. Less acceleration is none, m/s².
+_ACCELERATION_S: Final = 0.05
+_LEAST_M_S2: Final = 0.02
 
 RadiusRatio = Callable[[Vector, int, float], float]
 
@@ -79,7 +84,14 @@ class LineFollower(Line):
         self._rad_per_m = [parameters.motor_rad_per_m(axis) for axis in range(1, parameters.axis_count + 1)]
         self._described = _description(self._description)
         self._guess = self._state.copy()
+        self._forget_motion()
         self._observe()
+
+    def _forget_motion(self) -> None:
+        """Nothing is known of what the driven rollers did."""
+        self._mean_m_s: Vector | None = None  # speeds in the last cycle (N,), and its duration
+        self._duration_s = 0.0
+        self._m_s2 = np.zeros(len(self._driven))
 
     def describe(self) -> PlantDescription:
         """What it is; see `hilbench.plant.interface.Machine`."""
@@ -101,6 +113,7 @@ class LineFollower(Line):
         for row, position in zip(self._driven, np.atleast_1d(np.asarray(positions, dtype=float)), strict=True):
             y[row] = y[2 * n + row] = position
         lay.forget_pieces(self._state)
+        self._forget_motion()
         self._observe()
 
     def follow(self, positions: Sequence[float] | Vector, duration_s: float) -> None:
@@ -110,13 +123,35 @@ class LineFollower(Line):
         """
         if not duration_s > 0.0:
             raise ValueError(f"duration {duration_s!r} s, expected more than 0")
-        n, y = self._layout.axes, self._layout.y(self._state)
-        for row, position in zip(self._driven, positions, strict=True):
-            y[n + row] = y[3 * n + row] = (position - y[row]) / duration_s
-        self._go_on(self._state, duration_s)
-        for row, position in zip(self._driven, positions, strict=True):
-            y[row] = y[2 * n + row] = position  # exactly: no drift from adding up
+        y, rows = self._layout.y(self._state), list(self._driven)
+        mean_m_s = (np.asarray(positions, dtype=float) - y[rows]) / duration_s
+        self._see_acceleration(mean_m_s, duration_s)
+        gained_m_s = self._gained_m_s(duration_s)
+        self._turn(self._state, mean_m_s - 0.5 * gained_m_s, gained_m_s, duration_s)
+        y[rows] = y[[2 * self._layout.axes + row for row in rows]] = positions  # exactly: no drift from adding up
         self._observe()
+
+    def _see_acceleration(self, mean_m_s: Vector, duration_s: float) -> None:
+        """Take the mean speeds of the driven rollers (N,) over the time since the last call."""
+        if self._mean_m_s is not None:
+            apart_s = 0.5 * (duration_s + self._duration_s)
+            share = duration_s / (duration_s + _ACCELERATION_S)
+            self._m_s2 += share * ((mean_m_s - self._mean_m_s) / apart_s - self._m_s2)
+        self._mean_m_s, self._duration_s = mean_m_s, duration_s
+
+    def _gained_m_s(self, duration_s: float) -> Vector:
+        """What the driven rollers (N,) gain of speed in that time, as they go on."""
+        return np.where(np.abs(self._m_s2) < _LEAST_M_S2, 0.0, self._m_s2) * duration_s
+
+    def _turn(self, state: Vector, speeds_m_s: Vector, gained_m_s: Vector, duration_s: float) -> None:
+        """Let the line run with driven rollers that begin with these speeds (N,) and gain so much, by as many steps as
+        their drives have samples; they have the speeds of the end then."""
+        n, y, rows = self._layout.axes, self._layout.y(state), np.array(self._driven)
+        steps = max(round(duration_s / self._sample_s), 1) if gained_m_s.any() else 1
+        for step in range(steps):
+            y[n + rows] = y[3 * n + rows] = speeds_m_s + (step + 0.5) / steps * gained_m_s
+            self._go_on(state, duration_s / steps)
+        y[n + rows] = y[3 * n + rows] = speeds_m_s + gained_m_s
 
     @property
     def motion(self) -> Vector:
@@ -133,11 +168,12 @@ class LineFollower(Line):
         return float(_radius_ratio(self._p, row, self._layout.y(self._state).item(row)))
 
     def predicted_tension_N(self, lead_s: float) -> Vector:
-        """The tensions (K,) `lead_s` later if the driven rollers go on as in the last cycle; changes nothing."""
+        """The tensions (K,) `lead_s` later if the driven rollers go on as until now; changes nothing."""
         if not lead_s > 0.0:
             return self.tension_N
         self._guess[:] = self._state
-        self._go_on(self._guess, lead_s)
+        speeds_m_s = self._layout.y(self._guess)[self._layout.axes + np.array(self._driven)]
+        self._turn(self._guess, speeds_m_s, self._gained_m_s(lead_s), lead_s)
         out = np.empty_like(self._out)
         kernel.observe(self._p, self._guess, self._inputs, self._work, out)
         tension: Vector = out[self._layout.columns["F_N"]]
