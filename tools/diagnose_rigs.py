@@ -78,7 +78,8 @@ RIGS = (
     ),
     Rig(
         "pendulum, joint 2", "double_pendulum/*", ("time", "pos_meas2", "tau_meas2"), 1e-2,
-        frozenset({"coulomb_friction", "unbalance"}), _SERVO, "Coulomb 0.11 to 0.12, gravity",
+        frozenset({"coulomb_friction", "unbalance"}), _SERVO,
+        "Coulomb 0.17 to 0.19 (published 0.11 to 0.12 times arctan(100·v)), gravity",
     ),
     Rig(
         "robot joint", "robot_joint/case*", ("time", "q", "tau_J"), 1e-3, frozenset({"coulomb_friction"}),
