@@ -1,5 +1,6 @@
 """A servo axis on a stand, simulated with other equations than the product's: LuGre friction, loops that nobody has
-told of, an encoder's counts, torque with noise and a friction that wanders. All repeats at once."""
+told of, an encoder's counts, torque with noise, a friction that wanders, and a shaft that twists. All repeats at
+once."""
 
 from __future__ import annotations
 
@@ -33,25 +34,35 @@ class Rig:
     wander_Nm: float = 2e-4  #: of the friction
     noise_Nm: float = 1e-3
     seconds: float = 10.0
+    behind_kg_m2: float = 0.0  #: of the inertia, behind a torsional shaft
+    shaft_Nm_per_rad: float = 0.0  #: its stiffness
+    shaft_Nm_s_per_rad: float = 0.0  #: its damping
+    stepped: bool = False  #: steps of the speed both ways in place of triangles
 
     def recordings(self, repeats: int, seed: int = 0) -> list[Recording]:
-        """Triangles of speed in both directions at 1 kHz, as often."""
+        """Triangles of speed in both directions at 1 kHz, or steps of it, as often."""
         rng = np.random.default_rng(seed)
         steps = round(self.seconds / _STEP_S)
-        x, v, z, integral, wander = (np.zeros(repeats) for _ in range(5))
+        x, v, z, integral, wander, twist, speed_behind = (np.zeros(repeats) for _ in range(7))
         forget = _STEP_S / 0.5
         rows = []
         for k in range(steps):
             t = k * _STEP_S
-            speed = _triangle(t)
+            speed = _stepped(t) if self.stepped else _triangle(t)
             error = speed - v
             integral += 0.4 * error * _STEP_S
             torque = np.clip(0.02 * error + integral, -0.3, 0.3)
             z = np.clip(z + v * _STEP_S, -self.coulomb_Nm / _BRISTLE, self.coulomb_Nm / _BRISTLE)
             wander += -forget * wander + self.wander_Nm * np.sqrt(2.0 * forget) * rng.standard_normal(repeats)
             friction = _BRISTLE * z + self.viscous_Nm_s * v + wander + self.spring_Nm * (x / 60.0) ** 4
-            v = v + _STEP_S * (torque + self.ripple_Nm * np.sin(5.0 * x + 0.7) - friction) / self.inertia_kg_m2
+            shaft = 0.0
+            if self.behind_kg_m2:
+                shaft = self.shaft_Nm_per_rad * twist + self.shaft_Nm_s_per_rad * (v - speed_behind)
+                speed_behind = speed_behind + _STEP_S * shaft / self.behind_kg_m2
+            turning = torque + self.ripple_Nm * np.sin(5.0 * x + 0.7) - friction - shaft
+            v = v + _STEP_S * turning / (self.inertia_kg_m2 - self.behind_kg_m2)
             x = x + _STEP_S * v
+            twist = twist + _STEP_S * (v - speed_behind)
             if k % _EVERY == 0:
                 rows.append((x.copy(), torque + self.offset_Nm + self.noise_Nm * rng.standard_normal(repeats)))
         count = _TURN / self.counts_per_turn
@@ -71,6 +82,11 @@ class Rig:
 def _triangle(t_s: float) -> float:
     """Up to 60 rad/s and back in 4 s, then the other way, then standstill."""
     return 30.0 * (2.0 - abs(t_s % 4.0 - 2.0)) * (1.0 if t_s < 4.0 else -1.0) if t_s < 8.0 else 0.0
+
+
+def _stepped(t_s: float) -> float:
+    """A speed for 0.4 s, then another, in both directions, none of them for long."""
+    return 50.0 * float(np.sin(1.0 + 2.4 * (t_s // 0.4) ** 1.5))
 
 
 def axis_model(inertia_kg_m2: float) -> ModelParameters:

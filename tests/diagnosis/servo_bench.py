@@ -29,6 +29,7 @@ IN_THE_STAND = frozenset(
         "inertia_mismatch",
         "inertia_step",
         "load_dependent_friction",
+        "resonance",
     }
 )
 

@@ -22,6 +22,8 @@ Array = NDArray[np.float64]
 _PEAKS: Final = 2
 #: Lowest order or frequency that is looked for, in cycles over the recording; highest and lowest order of a turn.
 _LEAST_CYCLES: Final = 4.0
+#: Highest frequency that is looked for, as a share of the rows'.
+_OF_THE_ROWS: Final = 0.4
 _HIGHEST_ORDER: Final = 64.0
 _LEAST_SHARE_OF_A_TURN: Final = 0.5  #: of the roller's
 _HIGHEST_ORDER_OF_A_SCREW: Final = 1e4
@@ -156,6 +158,9 @@ class Proposer:
         if probe.over is ProbeOver.SHARES_OF_TOP_SPEED:
             speeds = [share * self._top_m_s for share in probe.tried]
             return [self._term(effect, axis, {probe.parameter: v}, multiplicity=count, section=section) for v in speeds]
+        if probe.over is ProbeOver.FREQUENCIES:
+            shown = [f for f in probe.tried if f * self._data.duration_s > _LEAST_CYCLES and f < self._highest_Hz()]
+            return [self._term(effect, axis, {probe.parameter: f}, multiplicity=count, section=section) for f in shown]
         plain = self._term(effect, axis, {}, section=section)
         return [replace(plain, probe=times * plain.size, multiplicity=count) for times in probe.tried]
 
@@ -361,11 +366,15 @@ class Proposer:
         )
         return [self._term(effect, axis, {effect.probe.parameter: order}, slot, count) for order in orders]
 
+    def _highest_Hz(self) -> float:
+        """Highest frequency that is looked for in the rows of the recording."""
+        return _OF_THE_ROWS / self._data.period_s
+
     def _frequencies(self, effect: Effect, whitened: dict[str, Array], present: list[Term], every: int) -> list[Term]:
         slot = self._slot(effect, None, present)
         if slot is None or effect.probe is None:
             return []
-        highest = min(0.4 / (self._data.period_s * every), 100.0)
+        highest = min(self._highest_Hz() / every, 100.0)
         torques = [name for name in whitened if name.startswith("tau")]
         lowest = _LEAST_CYCLES / self._data.duration_s
         frequencies, count = self._peaks(self._data.t_s[::every], whitened, torques, lowest, highest)

@@ -26,7 +26,8 @@ def in_every_band(space: Space, current: Fit) -> Fit:
     """The fit without the terms of which a narrower band finds another size, one by one, the worst first.
 
     An effect has one size; what stands for something else (a delay for a loop's answer to a ripple) changes with
-    the frequencies that are looked at. A wave shows in a narrower band at lower speeds only, and is not judged.
+    the frequencies that are looked at. A wave shows in a narrower band at lower speeds only, a resonance below its
+    frequency hardly: neither is judged.
     """
     if space.predictor.narrower is None:
         return current
@@ -68,11 +69,11 @@ def in_both_halves(space: Space, current: Fit) -> Fit:
 
 def _apart(one: Fit, other: Fit, sure: Uncertainty, other_sure: Uncertainty) -> list[float]:
     """By how many standard deviations two fits of the same terms differ in the strength of each, beyond a share of it
-    that makes no other effect of it; 0 of a wave."""
+    that makes no other effect of it; 0 of a wave, or what swings at a frequency of its own."""
     deviations = np.maximum(np.hypot(sure.deviations, other_sure.deviations), 1e-300)
     found = []
     for a, b, k in zip(one.terms, other.terms, firsts(one.terms), strict=True):
         here, there, neutral = (float(term.coordinates()[0]) for term in (a, b, a.neutral()))
         beyond = abs(here - there) - _SAME_SIZE * abs(here - neutral)
-        found.append(0.0 if a.has_phase else max(beyond, 0.0) / float(deviations[k]))
+        found.append(0.0 if a.is_of_a_frequency else max(beyond, 0.0) / float(deviations[k]))
     return found

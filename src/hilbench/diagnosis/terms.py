@@ -141,6 +141,11 @@ class Term:
         return any(p.name == _PHASE for p in self.effect.parameters)
 
     @property
+    def is_of_a_frequency(self) -> bool:
+        """Whether it shows near a frequency of its own, and not in a band without that."""
+        return self.has_phase or (self.effect.probe is not None and self.effect.probe.over is ProbeOver.FREQUENCIES)
+
+    @property
     def _strength(self) -> str:
         return self.part or self.effect.strength[0]
 

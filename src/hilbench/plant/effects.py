@@ -125,6 +125,7 @@ class ProbeOver(StrEnum):
     TIME = "time"  #: a frequency: peaks of the residual's spectrum over time
     ONSET = "onset"  #: the time from which it acts: looked for ever closer
     ONSET_AND_DURATION = "onset and duration"  #: the time from which it grows, and for how long
+    FREQUENCIES = "frequencies"  #: a frequency of the law: looked at with several
     PASSAGE = "passage"  #: the time at which it comes, and goes again: where the residual is largest for a while
 
 
@@ -135,7 +136,8 @@ class Probe:
     over: ProbeOver
     parameter: str  #: what is searched for
     duration: str = ""  #: ONSET_AND_DURATION: the parameter that is the duration
-    tried: tuple[float, ...] = ()  #: SHARES_OF_TOP_SPEED: the shares; STRENGTHS: in sizes of the parameter
+    #: SHARES_OF_TOP_SPEED: the shares; STRENGTHS: in sizes of the parameter; FREQUENCIES: in Hz.
+    tried: tuple[float, ...] = ()
     by_torque: bool = False  #: MOTOR_ANGLE: the residual counts by the torque that it grows with
 
 
@@ -316,6 +318,8 @@ _PER_SQUARE, _PER_ANGULAR_SQUARE = Size(0.2, force=1, speed=-2), Size(0.2, force
 _MOTOR_TORQUE = Size(1.0 / 64.0, force=1, radius=1, gear=-1)
 #: Of the highest speed, at which a law with a speed of its own is looked at.
 _SHARES = (0.01, 0.04, 0.15)
+#: Frequencies at which a resonance is looked at: close enough that a fit finds it from the nearest.
+_FREQUENCIES_HZ = (5.0, 6.5, 8.5, 11.0, 14.0, 18.0, 24.0, 31.0, 40.0, 52.0)
 
 #: What looks like a web of another E that comes at once.
 _FORCE_STEP = Lookalike(
@@ -735,6 +739,28 @@ EFFECTS: tuple[Effect, ...] = (
         kinds=_EVERY_KIND,
         nuisance=True,
         alike=(("torque_delay", "step the speed: a torque that is reported late moves nothing"),),
+    ),
+    # Two masses (Schröder, *Elektrische Antriebe - Regelung von Antriebssystemen*), all friction at the motor. From its
+    # torque to its speed there are zeros where what is behind the shaft swings against a motor that is held, and poles
+    # above them where both swing.
+    Effect(
+        id="resonance",
+        per_axis=True,
+        law=(
+            "inertia_share of the inertia is behind a shaft that twists, and swings at frequency_Hz while the motor is "
+            "held (antiresonance); with the motor, at frequency_Hz/sqrt(1 - inertia_share) (resonance)"
+        ),
+        domain=Domain.INERTIA,
+        parameters=(
+            Parameter("inertia_share", "1", 0.0, 0.0, 0.95, Size(0.2)),
+            Parameter("frequency_Hz", "Hz", 30.0, 0.5, 400.0, Size(1.0)),
+            Parameter("damping", "1", 0.05, 1e-3, 2.0, Size(0.05), required=False),
+        ),
+        strength=("inertia_share",),
+        object_index=0x221D,
+        shown_by="step the speed as steeply as the drive can",
+        kinds=frozenset({MachineKind.SERVO_AXIS}),
+        probe=Probe(ProbeOver.FREQUENCIES, "frequency_Hz", tried=_FREQUENCIES_HZ),
     ),
     # Springs in series: one tension in a span, a strain in each piece. It comes in with the strain of the web that
     # enters, as for the step of E (Brandenburg 1973; its tension upstream is another then). A splice is twice as

@@ -24,7 +24,7 @@ from hilbench.plant.servo_axis.shaft import Shaft
 from .models import axis, effect
 
 CYCLE_S = 0.002
-SIZES = {"torque_delay": (0.003,)}
+SIZES = {"torque_delay": (0.003,), "resonance": (0.3, 25.0)}
 NOISY = SensorParameters(torque_noise_Nm=0.05, velocity_noise_rad_s=0.0025, encoder_rad_per_count=2 * np.pi / 2**20)
 
 

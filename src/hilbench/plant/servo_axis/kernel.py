@@ -7,6 +7,9 @@ turns back; nothing is smoothed, nothing chatters.
     J·v' = τ_m + τ_load + τ_outside + A_u·sin(x/i + φ_u) − b·v − d·|v| − c·v·|v|
            − (Tc + Ts·e^{−(v/vs)²} + k·|τ_m|)·sign(v),   τ_m = (1 + s)·τ·(1 + Σ B·sin(n·x + φ)) + Σ A·sin(n·x + φ)
 
+With a resonance a share μ of J is behind a shaft that is twisted by q, and swings at ω with the motor held: μ·J·a₂ is
+taken off the torques, (1 − μ)·J is left at the motor, a₂ = −ω²·q − 2ζω·q', q'' = a₂ − v'.
+
 Vectors as in `hilbench.plant.servo_axis.layout`.
 """
 
@@ -64,46 +67,107 @@ def _net_Nm(p: Vector, motor_Nm: float, others_Nm: float, x: float, v: float) ->
 
 @inlined
 def _acceleration(
-    p: Vector, time_s: float, torques_Nm: tuple[float, float], x: float, v: float, direction: float
+    p: Vector, time_s: float, torques_Nm: tuple[float, float], x: float, v: float, direction: float, behind: float
 ) -> float:
-    """Of a shaft that turns in `direction`, rad/s², at a time; torques as `_torques_Nm` has them."""
+    """Of a shaft that turns in `direction`, rad/s², at a time; torques as `_torques_Nm` has them.
+
+    behind: acceleration of what is behind a shaft that twists; without one nothing depends on it.
+    """
     motor = laws.shaft_torque_Nm(p, torques_Nm[0], x)
     net = _net_Nm(p, motor, torques_Nm[1], x, v)
     if laws.is_dry(p):
         net -= direction * (laws.dry_friction_Nm(p, v) + laws.load_friction_Nm(p, motor))
+    if laws.twists(p):
+        share = laws.share_behind(p)
+        return (net / laws.inertia_kg_m2(p, time_s) - share * behind) / (1.0 - share)
     return net / laws.inertia_kg_m2(p, time_s)
 
 
 @inlined
-def _held_Nm(p: Vector, torques_Nm: tuple[float, float], x: float) -> tuple[float, float]:
-    """Of a shaft that stands: all torques on it but dry friction, and the torque from which it turns."""
+def _held_Nm(p: Vector, time_s: float, torques_Nm: tuple[float, float], x: float, behind: float) -> tuple[float, float]:
+    """Of a shaft that stands: all torques on it but dry friction, and the torque from which it turns.
+
+    behind: as in `_acceleration`.
+    """
     motor = laws.shaft_torque_Nm(p, torques_Nm[0], x)
-    return _net_Nm(p, motor, torques_Nm[1], x, 0.0), laws.breakaway_Nm(p) + laws.load_friction_Nm(p, motor)
+    net = _net_Nm(p, motor, torques_Nm[1], x, 0.0)
+    if laws.twists(p):
+        net -= laws.share_behind(p) * laws.inertia_kg_m2(p, time_s) * behind
+    return net, laws.breakaway_Nm(p) + laws.load_friction_Nm(p, motor)
+
+
+@inlined
+def _behind(p: Vector, s: Vector) -> float:
+    """Acceleration of what is behind a shaft that twists, now; 0 without one."""
+    return laws.acceleration_behind(p, s[lay.S_TWIST], s[lay.S_TWIST_RATE]) if laws.twists(p) else 0.0
+
+
+@inlined
+def _time_s(p: Vector, s: Vector) -> float:
+    """Since the start, at the last sample of the drive."""
+    return s[lay.S_COUNT] * p[lay.P_SAMPLE_TIME_S]
 
 
 @compiled
-def _attempt(p: Vector, s: Vector, u: Vector, h: float) -> tuple[float, float, float]:
-    """Position and speed after h in the present mode, and how far the shaft has left it then (0 or less: not at all).
+def _attempt(p: Vector, s: Vector, u: Vector, h: float) -> tuple[float, float, float, float, float]:
+    """Position and speed after h in the present mode, how far the shaft has left it then (0 or less: not at all), twist
+    and its rate.
 
     A shaft that turns leaves its mode by a speed against its direction, one that sticks by a torque beyond breakaway.
     """
+    if laws.twists(p):
+        return _attempt_twisted(p, s, u, h)
     x, v, direction = s[lay.S_X], s[lay.S_V], s[lay.S_DIRECTION]
-    last, dry = _torques_Nm(p, s, u, h), laws.is_dry(p)
+    last, dry, time_s = _torques_Nm(p, s, u, h), laws.is_dry(p), _time_s(p, s)
     if direction == 0.0 and dry:
-        net, breakaway = _held_Nm(p, last, x)
-        return x, 0.0, abs(net) - breakaway
+        net, breakaway = _held_Nm(p, time_s, last, x, 0.0)
+        return x, 0.0, abs(net) - breakaway, 0.0, 0.0
     middle = _torques_Nm(p, s, u, 0.5 * h)
-    time_s = s[lay.S_COUNT] * p[lay.P_SAMPLE_TIME_S]
-    a1 = _acceleration(p, time_s, _torques_Nm(p, s, u, 0.0), x, v, direction)
+    a1 = _acceleration(p, time_s, _torques_Nm(p, s, u, 0.0), x, v, direction, 0.0)
     v2 = v + 0.5 * h * a1
-    a2 = _acceleration(p, time_s, middle, x + 0.5 * h * v, v2, direction)
+    a2 = _acceleration(p, time_s, middle, x + 0.5 * h * v, v2, direction, 0.0)
     v3 = v + 0.5 * h * a2
-    a3 = _acceleration(p, time_s, middle, x + 0.5 * h * v2, v3, direction)
+    a3 = _acceleration(p, time_s, middle, x + 0.5 * h * v2, v3, direction, 0.0)
     v4 = v + h * a3
-    a4 = _acceleration(p, time_s, last, x + h * v3, v4, direction)
+    a4 = _acceleration(p, time_s, last, x + h * v3, v4, direction, 0.0)
     x += h / 6.0 * (v + 2.0 * v2 + 2.0 * v3 + v4)
     v += h / 6.0 * (a1 + 2.0 * a2 + 2.0 * a3 + a4)
-    return x, v, -v * direction if dry else 0.0
+    return x, v, -v * direction if dry else 0.0, 0.0, 0.0
+
+
+@compiled
+def _attempt_twisted(p: Vector, s: Vector, u: Vector, h: float) -> tuple[float, float, float, float, float]:
+    """The same of a shaft with a resonance; what is behind it swings on while the motor sticks."""
+    noinline()
+    x, v, q, w = s[lay.S_X], s[lay.S_V], s[lay.S_TWIST], s[lay.S_TWIST_RATE]
+    last, dry, direction = _torques_Nm(p, s, u, h), laws.is_dry(p), s[lay.S_DIRECTION]
+    first, middle = _torques_Nm(p, s, u, 0.0), _torques_Nm(p, s, u, 0.5 * h)
+    sticks, half = direction == 0.0 and dry, 0.5 * h
+    a1, b1 = _slopes(p, s, first, x, v, q, w, sticks)
+    v2, w2 = v + half * a1, w + half * b1
+    a2, b2 = _slopes(p, s, middle, x + half * v, v2, q + half * w, w2, sticks)
+    v3, w3 = v + half * a2, w + half * b2
+    a3, b3 = _slopes(p, s, middle, x + half * v2, v3, q + half * w2, w3, sticks)
+    v4, w4 = v + h * a3, w + h * b3
+    a4, b4 = _slopes(p, s, last, x + h * v3, v4, q + h * w3, w4, sticks)
+    x += h / 6.0 * (v + 2.0 * v2 + 2.0 * v3 + v4)
+    v += h / 6.0 * (a1 + 2.0 * a2 + 2.0 * a3 + a4)
+    q += h / 6.0 * (w + 2.0 * w2 + 2.0 * w3 + w4)
+    w += h / 6.0 * (b1 + 2.0 * b2 + 2.0 * b3 + b4)
+    if sticks:
+        net, breakaway = _held_Nm(p, _time_s(p, s), last, x, laws.acceleration_behind(p, q, w))
+        return x, 0.0, abs(net) - breakaway, q, w
+    return x, v, -v * direction if dry else 0.0, q, w
+
+
+@inlined
+def _slopes(
+    p: Vector, s: Vector, torques_Nm: tuple[float, float], x: float, v: float, q: float, w: float, sticks: bool
+) -> tuple[float, float]:
+    """Accelerations of a shaft that twists, and of its twist, rad/s²."""
+    behind = laws.acceleration_behind(p, q, w)
+    a = 0.0 if sticks else _acceleration(p, _time_s(p, s), torques_Nm, x, v, s[lay.S_DIRECTION], behind)
+    return a, behind - a
 
 
 @compiled
@@ -119,7 +183,7 @@ def _settle(p: Vector, s: Vector, u: Vector) -> None:
         s[lay.S_DIRECTION] = 0.0
         s[lay.S_V] = 0.0
     if s[lay.S_DIRECTION] == 0.0:
-        net, breakaway = _held_Nm(p, _torques_Nm(p, s, u, 0.0), s[lay.S_X])
+        net, breakaway = _held_Nm(p, _time_s(p, s), _torques_Nm(p, s, u, 0.0), s[lay.S_X], _behind(p, s))
         if abs(net) > breakaway + _EVENT_TOLERANCE:
             s[lay.S_DIRECTION] = 1.0 if net > 0.0 else -1.0
 
@@ -170,11 +234,12 @@ def _step(p: Vector, s: Vector, u: Vector, h: float) -> None:
     left = h
     for event in range(_MOST_EVENTS + 1):
         _settle(p, s, u)
-        x, v, violation = _attempt(p, s, u, left)
+        x, v, violation, twist, twist_rate = _attempt(p, s, u, left)
         done = left
         if violation > _EVENT_TOLERANCE and event < _MOST_EVENTS:
             done = _until_event(p, s, u, left)
-            x, v, violation = _attempt(p, s, u, done)
+            x, v, violation, twist, twist_rate = _attempt(p, s, u, done)
+        s[lay.S_TWIST], s[lay.S_TWIST_RATE] = twist, twist_rate
         _accept(p, s, x, v, done)
         left -= done
         if left <= 1e-12 * h:
@@ -188,21 +253,22 @@ def acceleration_rad_s2(p: Vector, s: Vector, u: Vector) -> float:
     direction = s[lay.S_DIRECTION]
     if direction == 0.0 and laws.is_dry(p):
         return 0.0
-    time_s = s[lay.S_COUNT] * p[lay.P_SAMPLE_TIME_S]
-    return _acceleration(p, time_s, _torques_Nm(p, s, u, 0.0), s[lay.S_X], s[lay.S_V], direction)
+    torques = _torques_Nm(p, s, u, 0.0)
+    return _acceleration(p, _time_s(p, s), torques, s[lay.S_X], s[lay.S_V], direction, _behind(p, s))
 
 
 @inlined
 def _fed_forward_Nm(p: Vector, s: Vector, u: Vector) -> float:
     """Torque of the drive now that its record leaves out."""
-    time_s = s[lay.S_COUNT] * p[lay.P_SAMPLE_TIME_S]
-    return laws.fed_forward_Nm(p, time_s, s[lay.S_V], acceleration_rad_s2(p, s, u), s[lay.S_DIRECTION])
+    return laws.fed_forward_Nm(p, _time_s(p, s), s[lay.S_V], acceleration_rad_s2(p, s, u), s[lay.S_DIRECTION])
 
 
 @compiled
 def go_on(p: Vector, s: Vector, u: Vector, samples: int) -> None:
     """`samples` drive sample times onwards, the state changed in place."""
     period, substeps = p[lay.P_SAMPLE_TIME_S], int(p[lay.P_SUBSTEPS])
+    if laws.twists(p):
+        substeps = max(substeps, laws.swing_steps(p, period))
     fed, first_x, first_v = laws.has_feed_forward(p), s[lay.S_X], s[lay.S_V]
     s[lay.S_MEAN] = 0.0
     for _ in range(samples):

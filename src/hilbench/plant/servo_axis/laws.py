@@ -6,7 +6,7 @@ Every effect is skipped, or multiplies by exactly 1, while its parameters are ne
 
 from __future__ import annotations
 
-from math import exp, sin
+from math import exp, pi, sin, sqrt
 
 from hilbench.compiled import compiled, inlined, noinline
 from hilbench.plant import drive_loops as loops
@@ -44,6 +44,11 @@ _ENCODER_PHASE = place("encoder_error", 1)
 _KP = place("drive_gain", 0)
 _KI = place("drive_gain", 1)
 _LAG = place("drive_lag")
+_BEHIND = place("resonance", 0)
+_FREQUENCY = place("resonance", 1)
+_DAMPING = place("resonance", 2)
+#: Radians of a swing in a step of its integration.
+_SWING_STEP = 0.2
 
 
 @inlined
@@ -71,6 +76,44 @@ def _step_factor(p: Vector, time_s: float) -> float:
 def inertia_kg_m2(p: Vector, time_s: float) -> float:
     """All that turns."""
     return p[lay.P_INERTIA] * inertia_factor(p, time_s)
+
+
+@inlined
+def twists(p: Vector) -> bool:
+    """Whether a part of the inertia is behind a shaft that twists."""
+    return p[_BEHIND] != 0.0
+
+
+@inlined
+def share_behind(p: Vector) -> float:
+    """Of the inertia, what is behind the shaft that twists."""
+    return p[_BEHIND]
+
+
+@inlined
+def acceleration_behind(p: Vector, twist_rad: float, twist_rad_s: float) -> float:
+    """Of what is behind a shaft that is twisted so, rad/s²: the spring's and damper's torque by its inertia."""
+    omega = 2.0 * pi * p[_FREQUENCY]
+    return -omega * (omega * twist_rad + 2.0 * p[_DAMPING] * twist_rad_s)
+
+
+@inlined
+def twist_under(p: Vector, a_rad_s2: float) -> float:
+    """Twist of a shaft that has been accelerated evenly for long, rad."""
+    return -a_rad_s2 / (2.0 * pi * p[_FREQUENCY]) ** 2
+
+
+@inlined
+def mean_acceleration(p: Vector, a_rad_s2: float, behind_rad_s2: float) -> float:
+    """Of all that turns, from the motor's and that of what is behind the shaft that twists."""
+    return a_rad_s2 + p[_BEHIND] * (behind_rad_s2 - a_rad_s2)
+
+
+@inlined
+def swing_steps(p: Vector, period_s: float) -> int:
+    """Into how many steps of integration a time is cut for both sides of the shaft to swing as they do."""
+    omega = 2.0 * pi * p[_FREQUENCY] / sqrt(1.0 - p[_BEHIND])
+    return 1 + int(omega * period_s / _SWING_STEP)
 
 
 @inlined

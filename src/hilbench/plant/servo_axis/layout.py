@@ -3,8 +3,8 @@
 Three vectors of float64 describe a shaft with M motors (the drive's, and a load motor where there is one), SI:
 
 - parameters: counts and the shaft, effects, M rows of drive loops (`drive_loops`);
-- state: sample counter, position, speed, direction of the dry friction, mean and past torques of the drive, M rows of
-  drive states;
+- state: sample counter, position, speed, direction of the dry friction, mean torque of the drive, twist of a shaft with
+  a resonance, past torques of the drive, M rows of drive states;
 - inputs: torque from outside, M rows of drive inputs.
 """
 
@@ -45,7 +45,9 @@ S_X: Final = 1
 S_V: Final = 2
 S_DIRECTION: Final = 3  #: of the dry friction: -1, 1, or 0 (sticks)
 S_MEAN: Final = 4  #: N·m, mean torque of the drive in the last step
-S_PAST: Final = 5
+S_TWIST: Final = 5  #: rad, of what is behind a shaft that twists, less the motor's
+S_TWIST_RATE: Final = 6  #: rad/s
+S_PAST: Final = 7
 RING: Final = 128  #: past torques of the drive, one per sample time
 S_MOTORS: Final = S_PAST + RING
 

@@ -1,0 +1,90 @@
+"""A torsional shaft of a machine of other equations is named, with its size; one that is stiff is not."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from tests.diagnosis.axis_rig import Rig
+from tests.diagnosis.servo_bench import HIDDEN, diagnosed, hiding
+from tests.independent import real
+from tests.tiers import slow
+
+from hilbench.diagnosis.diagnosis import Diagnosis, diagnose
+from hilbench.plant.servo_axis.parameters import ServoAxisParameters, ShaftParameters
+from hilbench.results.recording import Recording, read_recording
+
+STIFF = Rig(stepped=True)
+
+
+def twisting(share: float, frequency_Hz: float, damping: float) -> Rig:
+    """The rig with so much of its inertia behind a shaft; the antiresonance."""
+    behind, omega = share * STIFF.inertia_kg_m2, 2.0 * math.pi * frequency_Hz
+    return Rig(
+        stepped=True,
+        behind_kg_m2=behind,
+        shaft_Nm_per_rad=behind * omega**2,
+        shaft_Nm_s_per_rad=2.0 * damping * omega * behind,
+    )
+
+
+def examined(recording: Recording, inertia_kg_m2: float = 2e-4) -> Diagnosis:
+    rotary = Recording(
+        {"t_s": recording.time_s, "x1_rad": recording["x1_m"], "tau1_Nm": recording["tau1_Nm"]},
+    )
+    model = ServoAxisParameters(shaft=ShaftParameters(inertia_kg_m2=inertia_kg_m2))
+    return diagnose(rotary, model, "blind")
+
+
+def names(found: Diagnosis) -> set[str]:
+    return {item.effect for item in found.effects}
+
+
+KNOWN = {"coulomb_friction", "viscous_friction", "torque_offset", "torque_ripple"}
+
+
+@pytest.mark.parametrize(
+    ("share", "frequency_Hz", "damping"), [(0.4, 20.0, 0.05), *slow((0.25, 12.0, 0.1), (0.6, 20.0, 0.03))]
+)
+def test_a_torsional_shaft_is_named_with_its_share_and_frequency(
+    share: float, frequency_Hz: float, damping: float
+) -> None:
+    (recording,) = twisting(share, frequency_Hz, damping).recordings(1, seed=3)
+    found = examined(recording)
+    (named,) = (item for item in found.effects if item.effect == "resonance")
+    assert named.parameters["inertia_share"].value == pytest.approx(share, rel=0.1)
+    assert named.parameters["frequency_Hz"].value == pytest.approx(frequency_Hz, rel=0.03)
+    assert named.parameters["damping"].value == pytest.approx(damping, rel=0.5)
+    assert names(found) - {"resonance"} <= KNOWN
+    assert "coulomb_friction" in names(found)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [3, 4, 5])
+def test_no_resonance_is_named_on_a_stiff_shaft(seed: int) -> None:
+    (recording,) = STIFF.recordings(1, seed=seed)
+    assert names(examined(recording)) <= KNOWN
+
+
+@pytest.mark.slow
+def test_a_resonance_hidden_in_the_hardware_of_a_bench_is_named_where_the_speed_is_stepped() -> None:
+    steps: list[dict[str, dict[str, object]]] = [{"ramp": {"path": "speed_rad_s", "to": 5.0, "duration_s": 0.5}}]
+    for speed in (9.0, 5.0, 10.0, 4.0, 9.0, -5.0, -9.0, -4.0, -10.0, -5.0, 6.0, 10.0, 5.0, 9.0, 4.0):
+        steps.append({"ramp": {"path": "speed_rad_s", "to": speed, "duration_s": 0.05}})
+        steps.append({"hold": {"duration_s": 0.6}})
+    hidden = {"inertia_share": 0.3, "frequency_Hz": 25.0, "damping": 0.05}
+    found = diagnosed(hiding(HIDDEN, ("resonance", hidden), steps=steps))
+    assert found.verdict == "named"
+    (named,) = found.effects
+    assert named.effect == "resonance"
+    for name, value in hidden.items():
+        low, high = named.parameters[name].ci95
+        assert low <= value <= high
+    assert diagnosed(hiding(HIDDEN, steps=steps)).verdict == "complete"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["Jm", "Bm", "Fc"])
+def test_no_resonance_is_named_on_a_real_servo_axis(kind: str) -> None:
+    recording = read_recording(real(f"servo/{kind}_01"))
+    assert "resonance" not in names(examined(recording, 1.6588e-4))
