@@ -389,8 +389,8 @@ def run(
 
 @compiled
 def is_synchronized(t: Vector, most_pct: float) -> bool:
-    """Whether E is known as well as `most_pct`, the web in the span is the one that was measured, and the simulation has
-    its strain."""
+    """Whether E is known as well as `most_pct`, the web in the span is the one that was measured, and the simulated web
+    is strained as that."""
     known = t[PROBLEM] == 0.0 and t[STRAIN_UNCERTAINTY] == 0.0 and t[REFUSED] * t[CYCLE_S] <= _ASTRAY_S
     return bool(known and t[OWN_DEVIATION_PA] <= 0.01 * most_pct * t[MODULUS_PA])
 
