@@ -12,7 +12,7 @@ import threading
 import time
 import uuid
 from collections.abc import Callable, Iterator
-from contextlib import closing
+from contextlib import closing, suppress
 from pathlib import Path
 from typing import Any
 
@@ -380,7 +380,34 @@ REFUSED = [
     b'{"request": "set_errors", "lost": "often"}',
     b'{"request": "set_errors", "seed": 1e999}',
     b'{"request": "set_errors", "unknown": 2}',
+    b'{"request": "set_priority", "priority": 0}',
+    b'{"request": "set_priority", "priority": 100}',
+    b'{"request": "set_priority"}',
 ]
+
+
+def test_the_wire_takes_a_priority_or_says_that_it_may_not(runtime: Any) -> None:
+    link = open_link(VIRTUAL)
+    assert policies(runtime.folder) == [os.SCHED_OTHER]
+    said, wanted = "", os.SCHED_FIFO
+    try:
+        hub_client.set_priority(VIRTUAL.channel, 7)
+    except BusError as refused:
+        said, wanted = str(refused), os.SCHED_OTHER
+    assert policies(runtime.folder) == [wanted]
+    assert ("SCHED_FIFO is not permitted" in said) is bool(said)
+    link.close()
+
+
+def policies(folder: Path) -> list[int]:
+    """Of the hubs in this runtime directory, how they are scheduled."""
+    found = []
+    for entry in Path("/proc").iterdir():
+        with suppress(OSError, ValueError):
+            words = (entry / "cmdline").read_bytes().decode(errors="replace").split("\0")
+            if "hilbench.can.hub" in words and str(folder) in words:
+                found.append(os.sched_getscheduler(int(entry.name)))
+    return found
 
 
 def test_requests_that_cannot_be_carried_out_are_answered(runtime: Any) -> None:

@@ -338,6 +338,12 @@ class Hub:
         if isinstance(request, requests.SetErrors):
             self._medium.disturber = Disturber(request.injection)
             return {}
+        if isinstance(request, requests.SetPriority):
+            try:
+                os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(request.priority))
+            except PermissionError:
+                raise requests.RefusedError("SCHED_FIFO is not permitted to its hub") from None
+            return {}
         return self._statistics()
 
     def _station(self, identity: int) -> Client:

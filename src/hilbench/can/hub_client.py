@@ -108,6 +108,12 @@ def inject_errors(channel: str, injection: ErrorInjection) -> None:
     _request(channel, {"request": "set_errors", **asdict(injection)})
 
 
+def set_priority(channel: str, priority: int) -> None:
+    """Let the hub of `channel` run with this priority of SCHED_FIFO, 1 to 99, for as long as it is there: whoever has
+    one on the bus waits for it. Raises BusError where that is not permitted, or nobody is on the bus."""
+    _request(channel, {"request": "set_priority", "priority": priority})
+
+
 def statistics(channel: str) -> BusStatistics:
     """The counters of the embedded bus `channel`. Raises BusError if nobody has it open."""
     return BusStatistics(**_request(channel, {"request": "statistics"}))

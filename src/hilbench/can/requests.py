@@ -74,11 +74,18 @@ class SetErrors:
 
 
 @dataclass(frozen=True)
+class SetPriority:
+    """Run with this priority of SCHED_FIFO from now on: frames wait for nobody who waits for them."""
+
+    priority: int
+
+
+@dataclass(frozen=True)
 class GetStatistics:
     """Ask for the counters."""
 
 
-Request: TypeAlias = Join | SetFilters | SetErrors | GetStatistics
+Request: TypeAlias = Join | SetFilters | SetErrors | SetPriority | GetStatistics
 
 
 def parse(packet: bytes) -> Request:
@@ -96,6 +103,8 @@ def parse(packet: bytes) -> Request:
         return SetFilters(_integer(content, "station", 1), _filters(content.get("filters")))
     if kind == "set_errors":
         return SetErrors(_injection(content))
+    if kind == "set_priority":
+        return SetPriority(_integer(content, "priority", 1, 99))
     if kind == "statistics":
         return GetStatistics()
     raise RefusedError(f"request {kind!r}: unknown")

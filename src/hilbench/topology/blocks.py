@@ -165,7 +165,10 @@ class RealtimeConfig(Block):
     """What the processes ask of the operating system at pace `realtime`; what is not permitted is a warning."""
 
     priority: int | None = Field(
-        default=None, ge=2, le=99, description="SCHED_FIFO priority of the bench, simulated hardware and twin one below"
+        default=None,
+        ge=2,
+        le=99,
+        description="SCHED_FIFO priority of the bench; simulated hardware, twin one below, an embedded bus one above",
     )
     lock_memory: bool | None = Field(
         default=None, description="keep memory from being paged out; null: where permitted"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import tempfile
 import threading
 import time
@@ -13,6 +14,7 @@ from pathlib import Path
 from hilbench.bench.lifecycle.in_process import InProcess
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.bench.lifecycle.supervisor import Watch
+from hilbench.can import hub_client
 from hilbench.can.link import Link
 from hilbench.can.open import open_link, open_python_can
 from hilbench.canopen.emergency_stop import EMERGENCY_STOP_COB_ID
@@ -129,11 +131,26 @@ def bring_up(
             master.receive_only_answers()
         warnings: list[str] = []
         resources.enter_context(kept_ready(config.process_settings("bench"), warnings.append))
+        if not here:
+            warnings += _wire_first(config)
         exchange = Exchange(nodes, link, objects, tap=tap, in_process=here is not None)
         if here and inside:
             exchange.use(here.plain_cycles(inside, nodes, tap))
         resources.callback(_release_nodes, master, exchange)
         yield StartedBench(nodes, exchange, children, supervisor, warnings)
+
+
+def _wire_first(config: BenchConfig) -> list[str]:
+    """Let the hub of an embedded bus come before those who wait for its frames, where these have a priority; what there
+    is to say against it."""
+    settings, bus = config.process_settings("bench"), config.bus_address
+    if settings is None or settings.priority is None or bus.interface != "embedded":
+        return []
+    try:
+        hub_client.set_priority(bus.channel, min(settings.priority + 1, os.sched_get_priority_max(os.SCHED_FIFO)))
+    except BusError as error:
+        return [str(error)]
+    return []
 
 
 def _check_timing(config: BenchConfig) -> None:
