@@ -64,11 +64,13 @@ def test_a_doubt_opens_the_loop_and_is_named(changes: dict[str, float], why: str
 
 
 def test_a_twin_that_refuses_what_is_measured_is_doubted_when_that_lasts() -> None:
-    refuses = sample(twin_status=SYNCHRONIZED | int(TwinStatus.TRANSFER_REFUSED))
+    refuses = sample(twin_status=int(TwinStatus.RUNNING | TwinStatus.TRANSFER_REFUSED))
     trust = trusting()
     for _ in range(CONFIG.twin_age_limit_cycles):
         assert trust.update(refuses)
-    assert trust.update(sample()), "a jump of an encoder"
+    assert trust.update(sample())
+    still_sure = sample(twin_status=SYNCHRONIZED | int(TwinStatus.TRANSFER_REFUSED))
+    assert all(trust.update(still_sure) for _ in range(2 * CONFIG.twin_age_limit_cycles)), "a jump of an encoder"
     assert [trust.update(refuses) for _ in range(CONFIG.twin_age_limit_cycles + 1)][-1] is False
     assert "not what the twin simulates" in trust.doubt
 

@@ -42,7 +42,7 @@ class TwinTrust:
         self._values = attrgetter(signals.tension, signals.modulus, signals.deviation)
         self._highest_tension_N = highest_tension_N
         self._synchronized = False
-        self._refused_cycles = 0  # in a row
+        self._astray_cycles = 0  # in a row
         self.doubt = "not synchronized yet"  #: why the loop is open; "" while it may be closed
 
     def forget(self, reason: str) -> None:
@@ -64,8 +64,9 @@ class TwinTrust:
         config = self._config
         if sample.twin_age_cycles > config.twin_age_limit_cycles:
             return f"the twin's data are more than {config.twin_age_limit_cycles} cycles old"
-        self._refused_cycles = self._refused_cycles + 1 if sample.twin_status & _REFUSED else 0
-        if self._refused_cycles > config.twin_age_limit_cycles:
+        astray = sample.twin_status & _REFUSED and not sample.twin_status & _SYNCHRONIZED
+        self._astray_cycles = self._astray_cycles + 1 if astray else 0
+        if self._astray_cycles > config.twin_age_limit_cycles:
             return f"what was measured is not what the twin simulates, for {config.twin_age_limit_cycles} cycles now"
         tension_N, modulus_Pa, deviation_Pa = self._values(sample)
         if not (isfinite(tension_N) and LEAST_MODULUS_Pa <= modulus_Pa <= LARGEST_MODULUS_Pa):

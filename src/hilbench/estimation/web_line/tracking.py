@@ -346,9 +346,11 @@ class Tracking:
 
     @property
     def astray(self) -> bool:
-        """Whether it is the simulation that is not plausible: measured states were refused until the web that was in
-        the span had left it, and nothing that was measured wrongly then is in it any more."""
-        return self._t.item(cycle.REFUSED_M) > PASSED_SPANS * self._balance.span_length_m
+        """Whether it is the simulation that is not plausible: measured states were refused for long, and until the web
+        that was in the span had left it: nothing that was measured wrongly then is in it any more."""
+        t = self._t
+        lasts = t.item(cycle.REFUSED) * self._cycle_s > cycle.ASTRAY_S
+        return lasts and t.item(cycle.REFUSED_M) > PASSED_SPANS * self._balance.span_length_m
 
     @property
     def used(self) -> BalanceSample | None:

@@ -40,8 +40,9 @@ _KNOWN_STRAIN = 0.003
 _ALL_AT_ONCE = 0.002
 #: Largest strain, either way, of a measured state that is taken over: no web has more.
 _LARGEST_STRAIN = 0.5
-#: A measured state that is refused for longer is no jump of an encoder: the simulation is not what was measured, s.
-_ASTRAY_S = 0.02
+#: A measured state that is refused for longer is no jump of an encoder, nor a web whose new E is not found yet: the
+#: simulation is not what was measured, s.
+ASTRAY_S = 0.25
 
 # Stages of a cycle; what `run` returns is the stage at which Python has to do something, or DONE.
 COMPARE, HOLD, FOUND_WEB, UPDATE, LOOK_FOR_SHIFT, SHIFT, TRANSFER, DONE = range(8)
@@ -391,7 +392,7 @@ def run(
 def is_synchronized(t: Vector, most_pct: float) -> bool:
     """Whether E is known as well as `most_pct`, the web in the span is the one that was measured, and the simulated web
     is strained as that."""
-    known = t[PROBLEM] == 0.0 and t[STRAIN_UNCERTAINTY] == 0.0 and t[REFUSED] * t[CYCLE_S] <= _ASTRAY_S
+    known = t[PROBLEM] == 0.0 and t[STRAIN_UNCERTAINTY] == 0.0 and t[REFUSED] * t[CYCLE_S] <= ASTRAY_S
     return bool(known and t[OWN_DEVIATION_PA] <= 0.01 * most_pct * t[MODULUS_PA])
 
 
