@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 import yaml
 from tests.bench.test_runs import config
+from tests.tiers import slow
 
 from hilbench.runs.config import load
 from hilbench.topology.resolved import read_resolved, write_resolved
@@ -19,7 +20,7 @@ def ended(program: str, *words: object) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
 
 
-@pytest.mark.parametrize("program", ["hilbench.hardware", "hilbench.twin"])
+@pytest.mark.parametrize("program", ["hilbench.twin", *slow("hilbench.hardware")])
 def test_a_child_that_can_not_use_its_config_says_why_in_one_line(tmp_path: Path, program: str) -> None:
     missing = ended(program, tmp_path / "config.yaml", "--pace", "lockstep")
     assert missing.returncode == 2

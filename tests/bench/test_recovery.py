@@ -6,10 +6,11 @@ import random
 from pathlib import Path
 
 import numpy as np
+import pytest
 from tests.bench.whole_runs import SHORT, config, gone, recover, run_folders, run_here, start, wait_for_frames
 
 from hilbench.bench.lifecycle.participants import Participants
-from hilbench.results.recording import read_recording
+from hilbench.results.recording import Recording, read_recording
 from hilbench.results.recover import recover_run
 from hilbench.results.result import Result
 from hilbench.results.run import run_experiment
@@ -20,6 +21,40 @@ COMMANDED = ("v1_cmd_m_s", "v2_cmd_m_s")
 RESOLUTION_M_S = 0.0001 / 60.0 * 2.0 * np.pi * 0.2 / 5.0
 
 
+def same(whole: Recording, found: Recording, rows: int) -> None:
+    """So many rows from the start are; commands are told to the drives in whole units."""
+    for name in whole.channels:
+        one, two = np.asarray(whole[name])[:rows], np.asarray(found[name])[:rows]
+        if name in COMMANDED:
+            assert np.max(np.abs(one - two)) <= RESOLUTION_M_S, name
+        else:
+            assert np.array_equal(one, two), name
+
+
+def test_a_run_whose_trace_breaks_off_in_mid_line_is_recovered_as_far_as_it_goes(tmp_path: Path) -> None:
+    loaded = load_with_overrides(config(tmp_path, steps=[*SHORT[:3], {"hold": {"duration_s": 0.4}}]))
+    folder = run_experiment(loaded, tmp_path / "runs", participants=Participants.IN_PROCESS).folder
+    whole = read_recording(folder.recording)
+    for path in (folder.recording, folder.result):
+        path.unlink()
+    lines = folder.trace.read_bytes().splitlines(keepends=True)
+    syncs = [number for number, line in enumerate(lines) if b" 080#" in line]
+    folder.trace.write_bytes(b"".join(lines[: syncs[400]]) + lines[syncs[400]][:20])
+    done = recover(folder.path)
+    assert done.returncode == 0, done.stderr
+    found = read_recording(folder.recording)
+    assert 300 < len(found) <= 400
+    assert np.ptp(np.asarray(found["E_true_Pa"])) > 1e9
+    same(whole, found, len(found) - 1)  # the last cycle is cut off, too
+    result = Result.read(folder.result)
+    assert not result.passed
+    assert "cut off" in result.faults[0].text
+    again = recover(folder.path)
+    assert again.returncode == 2
+    assert "there already" in again.stderr
+
+
+@pytest.mark.slow
 def test_a_killed_run_is_recovered_as_it_would_have_been_recorded(tmp_path: Path) -> None:
     path = config(tmp_path, steps=[*SHORT[:3], {"hold": {"duration_s": 1.0}}])
     assert run_here(path, "--no-report")[0] == 0
@@ -42,12 +77,7 @@ def test_a_killed_run_is_recovered_as_it_would_have_been_recorded(tmp_path: Path
     rows = min(len(found), len(whole))
     assert rows > 500
     assert np.ptp(np.asarray(found["E_true_Pa"])[:rows]) > 1e9
-    for name in whole.channels:
-        one, two = np.asarray(whole[name])[:rows], np.asarray(found[name])[:rows]
-        if name in COMMANDED:
-            assert np.max(np.abs(one - two)) <= RESOLUTION_M_S, name
-        else:
-            assert np.array_equal(one, two), name
+    same(whole, found, rows)
     result = Result.read(folder / "result.json")
     assert not result.passed
     assert "cut off" in result.faults[0].text

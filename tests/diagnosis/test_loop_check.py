@@ -19,7 +19,7 @@ from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.results.recording import Recording
 
 
-def loops_of(line: Line, duration_s: float = 30.0) -> dict[int, Loop]:
+def loops_of(line: Line, duration_s: float = 16.0) -> dict[int, Loop]:
     plain = ModelParameters.model_validate(line.model)
     recording = Recording(line.record("identification", seed=2, duration_s=duration_s).channels)
     return {loop.axis: loop for loop in LineOnMeasuredMotion(plain, measured_from(recording, plain, "stand")).loops()}
@@ -29,7 +29,7 @@ def loops_of(line: Line, duration_s: float = 30.0) -> dict[int, Loop]:
 @pytest.mark.parametrize(("kp", "ki", "lag_s"), [(1.3, 0.8, 0.001), (0.7, 1.3, 0.0), (1.0, 1.0, 0.004)])
 def test_gains_and_lag_of_a_drive_are_found(kp: float, ki: float, lag_s: float) -> None:
     line = Line(loops=Loops(kp=(1.0, kp), ki=(1.0, ki), lag_s=(0.001, lag_s)))
-    of = loops_of(line)
+    of = loops_of(line, 30.0)
     assert of[1].is_known
     assert not of[2].is_known
     assert of[2].kp_Nm_s_per_rad == pytest.approx(1.5 * kp, abs=5.0 * of[2].kp_deviation)

@@ -74,6 +74,7 @@ def start() -> Iterator[Started]:
     yield started
     for process in running:
         process.terminate()
+    for process in running:
         assert process.wait(timeout=20) == 0
 
 

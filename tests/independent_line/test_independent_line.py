@@ -107,6 +107,7 @@ def test_of_one_span_the_line_of_several_is_the_same_machine() -> None:
     assert several.truth["F1_true_N"] == pytest.approx(one.truth["F_true_N"], abs=1e-8)
 
 
+@pytest.mark.slow
 def test_a_splice_passes_the_spans_one_after_the_other_as_a_spring_in_series() -> None:
     lengths = (2.5, 4.0, 3.0)
     splice = effect("splice", time_s=8.0, relative_change=1.0, length_m=0.5)

@@ -6,7 +6,7 @@ import subprocess
 import zipfile
 from functools import cache
 from pathlib import Path
-from tempfile import mkdtemp
+from tempfile import TemporaryDirectory
 
 import pytest
 
@@ -44,9 +44,10 @@ _UNITS = """  <UnitDefinitions>
 def _library(fmi: int) -> bytes:
     found = compiler()
     assert found is not None
-    out = Path(mkdtemp(prefix="hilbench-mass-")) / "mass.so"
-    subprocess.run([found, "-shared", "-fPIC", "-O1", "-w", f"-DFMI={fmi}", "-o", out, _SOURCE, "-lm"], check=True)
-    return out.read_bytes()
+    with TemporaryDirectory() as folder:
+        out = Path(folder) / "mass.so"
+        subprocess.run([found, "-shared", "-fPIC", "-O1", "-w", f"-DFMI={fmi}", "-o", out, _SOURCE, "-lm"], check=True)
+        return out.read_bytes()
 
 
 def build_fmu(
