@@ -159,7 +159,8 @@ class AnswersAgain(LssSlave):
 
 
 def test_a_device_that_answers_each_scan_is_found_once_and_takes_its_node_id() -> None:
-    slave = AnswersAgain(IDENTITY, UNCONFIGURED)
+    identity = (1, 0, 0, 8)  # a scan waits for nobody's answer at each bit that is 1
+    slave = AnswersAgain(identity, UNCONFIGURED)
     stop = threading.Event()
     with can.Bus(interface="virtual", channel="lss-again") as theirs:
 
@@ -174,8 +175,8 @@ def test_a_device_that_answers_each_scan_is_found_once_and_takes_its_node_id() -
         thread.start()
         try:
             with OurMaster(can.Bus(interface="virtual", channel="lss-again"), timeout_s=0.2) as lss:
-                assert lss.find_unconfigured() == [Identity(*IDENTITY)]
-                lss.select(Identity(*IDENTITY))
+                assert lss.find_unconfigured() == [Identity(*identity)]
+                lss.select(Identity(*identity))
                 lss.give_node_id(5)
                 lss.store()
         finally:

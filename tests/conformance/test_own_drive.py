@@ -9,6 +9,7 @@ from tests.canopen.device_under_test import SECTIONS as PLAIN
 from tests.canopen.device_under_test import U8, U16, eds_text, var
 from tests.cia402.every_mode import eds_file
 from tests.conformance.virtual_bus import SERVO_EDS, VirtualBus, under_test
+from tests.tiers import slow
 
 from hilbench.conformance.examine import CASES, examine
 from hilbench.conformance.listing import listed_cases
@@ -99,7 +100,7 @@ def test_nothing_moves_and_nothing_is_stored_without_being_allowed() -> None:
     assert {"SDO 5", "PDO 4", "Drive states 2", "Drive states 3", "Modes 1"} <= names(results, Verdict.PASSED)
 
 
-@pytest.mark.parametrize("allowed", [False, True])
+@pytest.mark.parametrize("allowed", [True, *slow(False)])
 def test_everything_is_as_it_was_afterwards(allowed: bool) -> None:
     bus = VirtualBus()
     device = bus.device

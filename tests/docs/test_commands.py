@@ -11,6 +11,7 @@ from tests.docs.shown import NOT_RUN, ROOT, Shown, shown
 from hilbench.cli.main import app
 
 LINES = shown()
+HILBENCH = typer.main.get_command(app)
 
 
 def test_the_pages_show_commands() -> None:
@@ -20,7 +21,7 @@ def test_the_pages_show_commands() -> None:
 
 @pytest.mark.parametrize("line", [line for line in LINES if line.words], ids=lambda line: line.place)
 def test_it_has_the_arguments_and_options_that_are_shown(line: Shown) -> None:
-    command, words = typer.main.get_command(app), list(line.words)
+    command, words = HILBENCH, list(line.words)
     while hasattr(command, "commands") and words and not words[0].startswith("-"):
         assert words[0] in command.commands, f"{line.place}: no command {words[0]}"
         command = command.commands[words.pop(0)]

@@ -17,6 +17,7 @@ from tests.estimation.runs import (
     tracked,
 )
 from tests.plant.models import effect, model
+from tests.tiers import slow
 
 from hilbench.estimation.web_line.bound import least_deviation_Pa
 from hilbench.estimation.web_line.config import (
@@ -48,7 +49,7 @@ def settled(track: Track) -> slice:
 
 
 @pytest.mark.parametrize("name", ON_BALANCE)
-@pytest.mark.parametrize("to_Pa", [NEW_PA, OLD_PA**2 / NEW_PA])
+@pytest.mark.parametrize("to_Pa", [NEW_PA, *slow(OLD_PA**2 / NEW_PA)])
 def test_every_method_finds_a_step_in_a_time_that_goes_with_the_bound(name: str, to_Pa: float) -> None:
     true = stepped(to_Pa=to_Pa)
     data = measured(true, seed=3)

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from tests.plant.models import model
+from tests.tiers import slow
 from tests.twin.beside_a_line import Array, BesideALine, line_model
 
 from hilbench.errors import UnusableInputError
@@ -61,7 +62,7 @@ def test_e_of_a_span_with_a_joint_in_it_is_that_of_springs_in_series() -> None:
     assert web.outputs()["E1_Pa"] == pytest.approx(OLD_PA / (0.75 + 0.25 / 1.25), rel=1e-3)
 
 
-@pytest.mark.parametrize("change", [0.12, -0.08, -0.15])
+@pytest.mark.parametrize("change", [0.12, *slow(-0.08, -0.15)])
 def test_a_web_of_another_e_is_followed_while_it_comes_in_and_when_it_is_there(change: float) -> None:
     told = passage(change, ENDLESS_M)
     assert error(told, 1, 3.85, 8.0) < 0.01
@@ -71,7 +72,7 @@ def test_a_web_of_another_e_is_followed_while_it_comes_in_and_when_it_is_there(c
         assert np.max(np.abs(told[f"F{span}_sim_N"] - told[f"F{span}_true_N"])[late]) < 1.0
 
 
-@pytest.mark.parametrize("change", [0.12, -0.08, -0.15])
+@pytest.mark.parametrize("change", [0.12, *slow(-0.08, -0.15)])
 def test_in_the_next_span_it_is_expected_and_not_found_anew(change: float) -> None:
     told = passage(change, ENDLESS_M)
     assert error(told, 2, LEAVES_S[0], 8.0) < 0.012
@@ -83,8 +84,8 @@ def test_in_the_next_span_it_is_expected_and_not_found_anew(change: float) -> No
     assert slope == pytest.approx(slope_true, rel=0.15)
 
 
-@pytest.mark.parametrize("then_m_s", [1.4, 2.5])
-@pytest.mark.parametrize("change", [0.12, -0.15])
+@pytest.mark.parametrize("then_m_s", [1.4, *slow(2.5)])
+@pytest.mark.parametrize("change", [-0.15, *slow(0.12)])
 def test_it_is_followed_and_expected_while_the_speed_changes(change: float, then_m_s: float) -> None:
     told = passage(change, ENDLESS_M, then_m_s=then_m_s)
     assert error(told, 1, ENTERS_S + 1.0, 8.0) < 0.016
@@ -94,8 +95,8 @@ def test_it_is_followed_and_expected_while_the_speed_changes(change: float, then
         assert np.max(np.abs(told[f"F{span}_sim_N"] - told[f"F{span}_true_N"])[late]) < 1.0
 
 
-@pytest.mark.parametrize("then_m_s", [SPEED_M_S, 1.4])
-@pytest.mark.parametrize("change", [0.12, -0.15])
+@pytest.mark.parametrize("then_m_s", [SPEED_M_S, *slow(1.4)])
+@pytest.mark.parametrize("change", [-0.15, *slow(0.12)])
 def test_a_line_of_one_span_follows_it_where_it_is_told_to_look(change: float, then_m_s: float) -> None:
     told = passage(change, ENDLESS_M, then_m_s=then_m_s, lengths_m=LENGTHS_M[:1])
     assert error(told, 1, ENTERS_S + 1.0, 8.0) < 0.016
