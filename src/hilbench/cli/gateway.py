@@ -18,13 +18,17 @@ if TYPE_CHECKING:
     from hilbench.gateway.session import Session
 
 
+#: Port of a CiA 309 gateway in CANopenNode's and others' examples; no number is assigned.
+_PORT = 60000
+
+
 def gateway(
     config: ConfigOption = None,
     bus: BusOption = None,
     host: Annotated[
         str, typer.Option("--host", help="address that it serves; whoever reaches it may do what it may")
     ] = "127.0.0.1",
-    port: Annotated[int, typer.Option("--port", min=0, max=65535, help="0: a free one")] = 60000,
+    port: Annotated[int, typer.Option("--port", min=0, max=65535, help="0: a free one")] = _PORT,
     read_only: Annotated[bool, typer.Option("--read-only", help="clients may read, and change nothing")] = False,
     force: ForceOption = False,
 ) -> None:

@@ -28,8 +28,6 @@ Array = NDArray[np.float64]
 
 #: Share of a cycle by which a row of a bench's recording may be off the cycles.
 _UNEVEN_CYCLES: Final = 1e-6
-#: How far a row that is not as it was measured reaches through the filter of the motion, s.
-_FILTERED_S: Final = 0.1
 
 
 class Predictor(Protocol):

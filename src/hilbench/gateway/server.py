@@ -15,9 +15,6 @@ from hilbench.canopen.identifiers import EMERGENCY, FUNCTION_CODE, HEARTBEAT, Nm
 from hilbench.errors import BusError
 from hilbench.gateway.session import NET, Session
 
-#: Port of a CiA 309 gateway in CANopenNode's and others' examples; no number is assigned.
-DEFAULT_PORT: Final = 60000
-
 _LONGEST_LINE: Final = 1 << 16
 _MOST_CLIENTS: Final = 16
 _POLL_S: Final = 0.1

@@ -122,9 +122,7 @@ class Timing(_WithOptions):
             "realtime_factor": self.realtime_factor,
             "bus_load_pct": self.bus_load_pct,
             "lost_frames": None if self.lost_frames is None else float(self.lost_frames),
-            "late_samples_pct": None
-            if self.late is None
-            else max((each.share_pct for each in self.late.values()), default=0.0),
+            "late_samples_pct": self._late_pct(),
         }
 
     def _late_pct(self) -> float | None:

@@ -166,51 +166,60 @@ def _step(machine: ExportedMachine) -> str:
     return f' stepSize="{machine.sample_s!r}"' if machine.sample_s else ""
 
 
-def _description_2(machine: ExportedMachine, token: str) -> str:
-    outputs = [at for at, each in enumerate(machine.variables, 1) if each.causality == "output"]
+def _described(head: str, state: str, machine: ExportedMachine, variables: list[str], structure: list[str]) -> str:
+    """The model description; `state`: how this version of FMI spells that the state can be taken and given back."""
     lines = [
         '<?xml version="1.0" encoding="UTF-8"?>',
-        f'{_head(machine, "2.0", token)} numberOfEventIndicators="0">',
+        head,
         f'  <CoSimulation modelIdentifier="{machine.name}" canHandleVariableCommunicationStepSize="true" '
-        'canGetAndSetFMUstate="true" canSerializeFMUstate="true"/>',
+        f'canGetAndSet{state}="true" canSerialize{state}="true"/>',
         *_unit_definitions(machine),
         '  <LogCategories><Category name="logStatusError"/></LogCategories>',
         f'  <DefaultExperiment startTime="0" stopTime="1"{_step(machine)}/>',
         "  <ModelVariables>",
+        *variables,
+        "  </ModelVariables>",
+        "  <ModelStructure>",
+        *structure,
+        "  </ModelStructure>",
+        "</fmiModelDescription>",
+        "",
     ]
+    return "\n".join(lines)
+
+
+def _outputs(machine: ExportedMachine) -> list[int]:
+    """Value references."""
+    return [at for at, each in enumerate(machine.variables, 1) if each.causality == "output"]
+
+
+def _description_2(machine: ExportedMachine, token: str) -> str:
+    variables, structure = [], []
     for reference, variable in enumerate(machine.variables, 1):
         kinds, start = _attributes(machine, variable)
-        lines.append(
+        variables.append(
             f'    <ScalarVariable name="{variable.quantity.name}" valueReference="{reference}" {kinds} '
             f"description={quoteattr(variable.quantity.meaning)}><Real{_unit(variable.quantity.unit)}{start}/>"
             "</ScalarVariable>"
         )
-    lines += ["  </ModelVariables>", "  <ModelStructure>"]
     for name in ("Outputs", "InitialUnknowns"):
-        lines += [f"    <{name}>", *(f'      <Unknown index="{at}"/>' for at in outputs), f"    </{name}>"]
-    return "\n".join([*lines, "  </ModelStructure>", "</fmiModelDescription>", ""])
+        unknown = [f'      <Unknown index="{at}"/>' for at in _outputs(machine)]
+        structure += [f"    <{name}>", *unknown, f"    </{name}>"]
+    head = f'{_head(machine, "2.0", token)} numberOfEventIndicators="0">'
+    return _described(head, "FMUstate", machine, variables, structure)
 
 
 def _description_3(machine: ExportedMachine, token: str) -> str:
-    outputs = [at for at, each in enumerate(machine.variables, 1) if each.causality == "output"]
-    lines = [
-        '<?xml version="1.0" encoding="UTF-8"?>',
-        f"{_head(machine, '3.0', token)}>",
-        f'  <CoSimulation modelIdentifier="{machine.name}" canHandleVariableCommunicationStepSize="true" '
-        'canGetAndSetFMUState="true" canSerializeFMUState="true"/>',
-        *_unit_definitions(machine),
-        '  <LogCategories><Category name="logStatusError"/></LogCategories>',
-        f'  <DefaultExperiment startTime="0" stopTime="1"{_step(machine)}/>',
-        "  <ModelVariables>",
-        '    <Float64 name="time" valueReference="0" causality="independent" variability="continuous" unit="s"/>',
+    variables = [
+        '    <Float64 name="time" valueReference="0" causality="independent" variability="continuous" unit="s"/>'
     ]
     for reference, variable in enumerate(machine.variables, 1):
         kinds, start = _attributes(machine, variable)
-        lines.append(
+        variables.append(
             f'    <Float64 name="{variable.quantity.name}" valueReference="{reference}" {kinds}'
             f"{_unit(variable.quantity.unit)}{start} description={quoteattr(variable.quantity.meaning)}/>"
         )
-    lines += ["  </ModelVariables>", "  <ModelStructure>"]
-    for name in ("Output", "InitialUnknown"):
-        lines += [f'    <{name} valueReference="{at}"/>' for at in outputs]
-    return "\n".join([*lines, "  </ModelStructure>", "</fmiModelDescription>", ""])
+    structure = [
+        f'    <{name} valueReference="{at}"/>' for name in ("Output", "InitialUnknown") for at in _outputs(machine)
+    ]
+    return _described(f"{_head(machine, '3.0', token)}>", "FMUState", machine, variables, structure)
