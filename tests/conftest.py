@@ -21,7 +21,11 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 from tests.bench.whole_runs import STARTED
 from tests.buses import Bus, KernelBus
 
+import canopen
 from hilbench.can.memory import MemoryBus
+
+# Who leaves a bus waits for canopen's thread there: a second, unless told otherwise.
+canopen.Network.NOTIFIER_CYCLE = 0.05
 
 
 @pytest.fixture(params=["memory", pytest.param("kernel", marks=pytest.mark.vcan)])

@@ -106,7 +106,7 @@ def test_periodic_sends(runtime: Any) -> None:
 def test_notifier(runtime: Any) -> None:
     with open_bus() as sender, open_bus() as bus:
         reader = can.BufferedReader()
-        notifier = can.Notifier(bus, [reader])
+        notifier = can.Notifier(bus, [reader], timeout=0.05)
         sender.send(message(0x55))
         received = reader.get_message(20)
         notifier.stop()

@@ -81,6 +81,8 @@ NO_STATUS, _TIMED_OUT = 125, 124
 #: The guest writes its time into `alive` so often (s of its time); that long on the host without it is a guest that
 #: hangs, on a host with ten times the work that it has cores for as well.
 ALIVE_EVERY_S, SILENT_S = 5, 1800.0
+#: How often the host looks.
+LOOK_S = 1.0
 #: After so long without a word on the console the host says how far the guest is.
 WORDS_EVERY_S = 60.0
 #: What a BIOS and a coloured output tell a terminal.
@@ -233,7 +235,7 @@ class Watch:
         """Until `over`."""
         start_s = heard_s = time.monotonic()
         own_s = 0.0
-        while not self.over.wait(1.0):
+        while not self.over.wait(LOOK_S):
             now_s = time.monotonic()
             before_s, own_s = own_s, self._own_time_s(own_s)
             if own_s != before_s:

@@ -19,7 +19,7 @@ from hilbench.errors import BusError
 SDO_ANSWERS: Final[can.typechecking.CanFilters] = [{"can_id": SDO_ANSWER, "can_mask": FUNCTION_CODE, "extended": False}]
 
 #: How long canopen's thread may go on after `close`.
-_NOTIFIER_CYCLE_S = 0.1
+NOTIFIER_CYCLE_S = 0.1
 #: Of so many contents what was sent and not heard yet is kept, and for so long: a bus in lockstep may stand still.
 _SENT_KEPT, _SENT_KNOWN_S = 256, 60.0
 
@@ -101,7 +101,7 @@ class SdoClient:
     def __init__(self, bus: can.BusABC, timeout_s: float) -> None:
         self.sent = SentFrames()
         self._network = _Network(bus, self.sent)
-        self._network.NOTIFIER_CYCLE = _NOTIFIER_CYCLE_S
+        self._network.NOTIFIER_CYCLE = NOTIFIER_CYCLE_S
         self._network.listeners.append(_LossIsKnown())  # type: ignore[arg-type] # any listener will do
         self._network.connect()
         self._timeout_s = timeout_s
