@@ -10,12 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from typer.testing import CliRunner
+from tests.cli.in_process import hilbench
 
 from hilbench.bench.lifecycle.in_process import InProcess
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.canopen.sdo_client import SdoClient
-from hilbench.cli.main import app
 from hilbench.doctor.asked import LastRun, last_run
 from hilbench.doctor.drift import Drift, Said, drifts
 from hilbench.exchange.node_data import ask_all
@@ -208,11 +207,9 @@ def test_without_a_run_drives_are_compared_with_their_files(folder: Path, tmp_pa
 
 
 def drift(folder: Path, *words: str, code: int) -> str:
-    result = CliRunner().invoke(
-        app, ["drift", str(folder / "line.yaml"), "--in-process", "--runs", str(folder / "runs"), *words]
-    )
-    assert result.exit_code == code, f"{result.output}\n{result.exception!r}"
-    return result.output
+    done = hilbench("drift", folder / "line.yaml", "--in-process", "--runs", folder / "runs", *words)
+    assert done.returncode == code, done
+    return done.stdout + done.stderr
 
 
 def test_the_command_says_with_its_exit_code_whether_something_has_drifted(folder: Path, last: LastRun) -> None:
@@ -224,11 +221,8 @@ def test_the_command_says_with_its_exit_code_whether_something_has_drifted(folde
 
 
 def test_what_can_not_be_written_is_refused(folder: Path, last: LastRun) -> None:
-    result = CliRunner().invoke(
-        app,
-        ["drift", str(folder / "line.yaml"), "--in-process", "--runs", str(folder / "runs"), "--write", "axis1.100Ah"],
-    )
-    assert "'axis1.100Ah' is nothing that can be written, expected one of: none, all" in str(result.exception)
+    refused = drift(folder, "--write", "axis1.100Ah", code=2)
+    assert "'axis1.100Ah' is nothing that can be written, expected one of: none, all" in refused
 
 
 def test_what_a_node_says_is_written_into_the_config_on_request(

@@ -9,9 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from typer.testing import CliRunner
+from tests.cli import in_process
 
-from hilbench.cli.main import app
 from hilbench.diagnosis.web_line.synthetic import hidden_recording
 from hilbench.history.store import History, Row
 from hilbench.plant.parameters import EffectEntry
@@ -27,10 +26,10 @@ STEPS = [
 ]
 
 
-def hilbench(*words: str, code: int = 0) -> str:
-    result = CliRunner().invoke(app, list(words))
-    assert result.exit_code == code, f"{result.output}\n{result.exception!r}"
-    return result.output
+def hilbench(*words: str) -> str:
+    done = in_process.hilbench(*words)
+    assert done.returncode == 0, done
+    return done.stdout + done.stderr
 
 
 def bench(folder: Path, name: str = "line", **more: object) -> Path:
@@ -187,9 +186,9 @@ def test_what_can_not_be_used_is_told(
     stand: Path, monkeypatch: pytest.MonkeyPatch, words: tuple[str, ...], said: str
 ) -> None:
     monkeypatch.chdir(stand)
-    result = CliRunner().invoke(app, ["history", *words])
-    assert result.exception is not None
-    assert said in str(result.exception)
+    done = in_process.hilbench("history", *words)
+    assert done.returncode == 2
+    assert said in done.stderr
 
 
 def test_a_run_whose_history_can_not_be_written_is_no_worse_for_it(tmp_path: Path) -> None:
