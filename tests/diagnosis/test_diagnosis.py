@@ -23,7 +23,7 @@ from hilbench.diagnosis.web_line.synthetic import UNKNOWNS, hidden_recording
 from hilbench.plant.effects import find_effect
 from hilbench.plant.parameters import EffectEntry
 from hilbench.plant.web_line.parameters import load_model
-from hilbench.results.recording import read_recording, write_recording
+from hilbench.results.recording import Recording, read_recording, write_recording
 from hilbench.results.run import run_experiment
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -105,6 +105,21 @@ def test_what_no_effect_explains_is_called_unknown(name: str) -> None:
     assert found.effects == []
     assert found.unexplained or found.gap.after > 1.05 * found.gap.noise_floor
     assert found.model.effects == ()
+
+
+@pytest.mark.slow
+def test_positions_that_are_not_where_a_model_has_them_are_not_called_explained_by_what_moves_no_torque() -> None:
+    """Two encoders that jitter together for two seconds: as a disturbance it would be too small for the torques."""
+    recording = hidden_recording(model(), [], duration_s=12.0, seed=3)
+    rows = len(recording.time_s)
+    jitter_m = 1e-5 * np.random.default_rng(0).standard_normal(rows)
+    jitter_m[(recording.time_s <= 6.0) | (recording.time_s >= 8.0)] = 0.0
+    shaken = {name: np.asarray(values) for name, values in recording.channels.items()}
+    shaken |= {name: shaken[name] + jitter_m for name in ("x1_m", "x2_m")}
+    found = diagnose(Recording(shaken), model(), "blind")
+    assert found.verdict == "unknown"
+    assert found.effects == []
+    assert [one.signal for one in found.unexplained if "x1_m" in one.signal]
 
 
 @pytest.mark.slow

@@ -16,7 +16,7 @@ from hilbench.diagnosis.fit_beside_rest import uncertainty_of, weights
 from hilbench.diagnosis.machines import AnyImitation
 from hilbench.diagnosis.measured import Measured, measured_from
 from hilbench.diagnosis.measured_motion import OnMeasuredMotion
-from hilbench.diagnosis.misfit import Condition, Misfit, largest_ratio, located, misfits, ratios
+from hilbench.diagnosis.misfit import Condition, Misfit, astray, largest_ratio, located, misfits, ratios
 from hilbench.diagnosis.noise import NORMAL_95, Whitening, floor, rms
 from hilbench.diagnosis.predictor import Choice, choice
 from hilbench.diagnosis.proposals import Proposer
@@ -234,6 +234,7 @@ def concluded(space: Space, chosen: Choice, data: Measured, selection: Selection
     unexplained = [m for m in after if m.significant]
     found = misfits(names, before[torques] / scale, rows, conditions)
     if predictor.exact:
+        unexplained += _astray(space, final)
         unknown = bool(unexplained) or max(ratios(final.residual, rows, floors).values()) > largest_ratio(rows)
     else:
         left = max(rms(final.residual[k, rows]) / rms(predictor.measured[k, rows]) for k in torques)
@@ -275,6 +276,15 @@ def concluded(space: Space, chosen: Choice, data: Measured, selection: Selection
         laws=_laws(space, names, final.residual[torques], conditions) if unexplained else [],
         repairs=data.repairs,
     )
+
+
+def _astray(space: Space, final: Fit) -> list[Misfit]:
+    """The signals beside the torques (positions, speeds, tensions) that are not where the model has them."""
+    predictor = space.predictor
+    others = [k for k, name in enumerate(predictor.names) if not name.startswith("tau")]
+    floors = np.array([predictor.floor(k) for k in range(len(predictor.names))])
+    believed = np.hypot(floors, predictor.tolerances)
+    return astray(predictor.names, final.residual, predictor.rows, believed, others)
 
 
 def _nuisance(model: Machine, chosen: Choice, effects: list[NamedEffect]) -> list[NamedEffect]:

@@ -8,7 +8,7 @@ How often that is right: tools/diagnose_scoreboard.py, docs/diagnosis.md.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -28,6 +28,8 @@ _WINDOW_S, _BURST = 0.5, 7.0
 #: Rms over the floor from which more than noise is left even if no condition explains it, and standard errors of an rms
 #: of few rows from which it is.
 _LARGEST_RATIO, _OF_FEW = 1.05, 4.0
+#: Times what a signal that is no torque is believed to from which its prediction is wrong.
+_MOST_ASTRAY: Final = 2.0
 #: Highest frequency in Hz, or order of a turn, of a peak; the lowest order (what takes more than two turns does not
 #: come from the turning); and the lowest of both in cycles over the recording.
 _HIGHEST: Final = 64.0
@@ -186,6 +188,22 @@ def largest_ratio(rows: NDArray[np.bool_]) -> float:
     """Of the rms of a signal's residual on these rows (n,) to its floor, as far as noise alone may make it."""
     count = max(int(np.count_nonzero(rows)), 1)
     return max(_LARGEST_RATIO, 1.0 + _OF_FEW / float(np.sqrt(2.0 * count)))
+
+
+def astray(
+    names: Sequence[str], residual: Array, rows: NDArray[np.bool_], believed: Array, signals: Sequence[int]
+) -> list[Misfit]:
+    """Signals, by their numbers, whose residual (signals, n) is more than they are believed to (signals,), as an rms.
+
+    believed: standard deviation of their noise, and of what a right prediction may be off by; in the signals' units.
+    """
+    found = []
+    for k in signals:
+        left = float(np.sqrt(np.mean(residual[k, rows] ** 2)))
+        ratio = left / max(float(believed[k]), 1e-300)
+        detail = f"rms {left:.2g}, {ratio:.2g} times what it is known to"
+        found.append(Misfit(names[k], "in all", detail, ratio, _MOST_ASTRAY, "always"))
+    return [one for one in found if one.significant]
 
 
 def ratios(residual: Array, rows: NDArray[np.bool_], floors: Mapping[int, float]) -> dict[int, float]:
