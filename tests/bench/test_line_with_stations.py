@@ -35,6 +35,7 @@ STEADY = (
     "steps.4.ramp.duration_s=1.0",
     "criteria=[]",
 )
+TORN = "steps.2.step={path: load.web.broken, to: 1.0}"
 #: The first two steps of the winding line alone.
 _ONLY_THESE = ("steps.2.step.to=1.0", "steps.3.hold.duration_s=0.1", "steps.5.hold.duration_s=0.1", "criteria=[]")
 
@@ -126,9 +127,20 @@ def test_processes_record_the_bits_of_one_process_and_frames_recover_them(tmp_pa
 
 
 @pytest.mark.slow
+def test_the_twin_tells_a_web_that_tears_and_where_before_the_dancer_is_at_its_stop(tmp_path: Path) -> None:
+    outcome = run(dancer(tmp_path, *SHORTER, TORN), tmp_path)
+    assert outcome.exit_code == 3
+    (fault,) = outcome.result.faults
+    assert "reports a web break in span 1" in str(fault)
+    found = channels(outcome)
+    assert found["t_s"][-1] < 2.0 + 0.1
+    assert np.max(found["x_dancer_true_m"]) < 0.05
+
+
+@pytest.mark.slow
 def test_a_web_that_tears_lets_the_dancer_go_to_its_stop_and_ends_the_run(tmp_path: Path) -> None:
-    torn = "steps.2.step={path: load.web.broken, to: 1.0}"
-    outcome = run(dancer(tmp_path, *SHORTER, torn), tmp_path)
+    changes = (*SHORTER, TORN, "safety={on_web_break: warn}")
+    outcome = run(dancer(tmp_path, *changes), tmp_path)
     assert outcome.exit_code == 3
     (fault,) = outcome.result.faults
     assert "the carriage of dancer is at its stop, 0.2 m: the web has torn, or more comes in" in str(fault)

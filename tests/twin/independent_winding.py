@@ -25,7 +25,7 @@ class IndependentWinding:
     radii_m: tuple[float, float, float]
     inertia_kg_m2: tuple[float, float, float] = (0.6, 0.7, 0.6)
     lengths_m: tuple[float, float] = (2.0, 3.0)
-    modulus_Pa: float = 2e8
+    modulus_Pa: float | Array = 2e8
     thickness_m: float = 1e-3
     width_m: float = 0.5
     density_kg_m3: float = 300.0

@@ -12,24 +12,29 @@ from numpy.typing import NDArray
 
 Vector = NDArray[np.float64]
 
-#: Innovations that are so many deviations off, twice running, are no chance: something has changed.
+#: Innovations that are so many deviations off, twice running, are no chance: something has changed. Nothing is made of
+#: the first of them: what has changed is not known, and small corrections of all would hide it.
 _FAR_OFF = 5.0
 _TWICE = 2
 
 
 class Unknowns:
-    """`start` (n, n): covariance of the unknowns at the start; `jumps` (n, n): that of a sudden change of them;
-    `offsets` (m,): deviations of the constant errors of the measurements."""
+    """`start` (n, n): covariance of the unknowns at the start; `offsets` (m,): deviations of the constant errors of the
+    measurements."""
 
-    def __init__(self, start: Vector, jumps: Vector, offsets: Vector) -> None:
+    def __init__(self, start: Vector, offsets: Vector) -> None:
         self._count = len(start)
         size = self._count + len(offsets)
-        self.covariance, self._jumps = np.zeros((size, size)), np.zeros((size, size))
+        self.covariance = np.zeros((size, size))
         self.covariance[: self._count, : self._count] = start
         self.covariance[self._count :, self._count :] = np.diag(offsets**2)
-        self._jumps[: self._count, : self._count] = jumps
         self._offsets = np.zeros(len(offsets))
         self._far_off = 0
+
+    @property
+    def has_begun_to_change(self) -> bool:
+        """Whether the last innovations were far off for the first time, and nothing was made of them."""
+        return self._far_off == 1
 
     @property
     def deviations(self) -> Vector:
@@ -48,15 +53,18 @@ class Unknowns:
         whole[: self._count, : self._count] = matrix
         self.covariance = whole @ self.covariance @ whole.T
 
-    def update(self, innovations: Vector, slopes: Vector, variances: Vector) -> Vector:
-        """Changes of the unknowns (n,) by innovations (m,) with slopes (m, n) and variances (m,)."""
+    def update(self, innovations: Vector, slopes: Vector, variances: Vector, jumps: Vector) -> Vector:
+        """Changes of the unknowns (n,) by innovations (m,) with slopes (m, n) and variances (m,); `jumps` (n, n):
+        covariance of a sudden change of the unknowns."""
         known = np.hstack([slopes, np.eye(len(innovations))])
         left = innovations - self._offsets
         spread = known @ self.covariance @ known.T + np.diag(variances)
         off = bool(np.any(np.abs(left) > _FAR_OFF * np.sqrt(np.diag(spread))))
         self._far_off = self._far_off + 1 if off else 0
+        if self.has_begun_to_change:
+            return np.zeros(self._count)
         if self._far_off == _TWICE:
-            self.covariance = self.covariance + self._jumps
+            self.covariance[: self._count, : self._count] += jumps
             spread = known @ self.covariance @ known.T + np.diag(variances)
             self._far_off = 0
         gain = np.linalg.solve(spread, known @ self.covariance).T

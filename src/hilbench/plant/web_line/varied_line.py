@@ -209,10 +209,18 @@ class VariedLine:
     def correct(self, changes: Vector) -> None:
         """Go on as if the unknowns (n,) had been so much larger from the start."""
         differences = [copy.motion - self.line.motion for copy in self._copies]
+        strains = {c: self._slopes_seen(each) for c, each in enumerate(self.unknowns) if each.kind is Kind.STRAIN}
+        wanted = {c: self._seen(self.unknowns[c], self.line) + slopes @ changes for c, slopes in strains.items()}
         for i, unknown in enumerate(self.unknowns):
             if unknown.kind in (Kind.RADIUS, Kind.MODULUS):
                 self._errors[i] += changes[i]
             self.line.motion = self.line.motion + changes[i] / unknown.step * differences[i]
+        # Of another E the differences are no more those that they were: the tensions are to be right all the same.
+        self._put_moduli(self.line, None)
+        for c, slopes in strains.items():
+            left = wanted[c] - self._seen(self.unknowns[c], self.line)
+            if slopes[c] > _LEAST_LEFT:
+                self.line.motion = self.line.motion + left / (slopes[c] * self.unknowns[c].step) * differences[c]
         for copy, difference in zip(self._copies, differences, strict=True):
             copy.motion = self.line.motion + difference
         for varied, follower in zip((None, *self.unknowns), (self.line, *self._copies), strict=True):
@@ -240,13 +248,7 @@ class VariedLine:
         for c, unknown in enumerate(self.unknowns):
             if unknown.kind not in (Kind.CARRIAGE, Kind.STRAIN):
                 continue
-            seen = self._seen(unknown, self.line)
-            slopes = np.array(
-                [
-                    (self._seen(unknown, copy) - seen) / each.step
-                    for each, copy in zip(self.unknowns, self._copies, strict=True)
-                ]
-            )
+            slopes = self._slopes_seen(unknown)
             if not slopes[c] > _LEAST_LEFT:  # a slack web, or a carriage at its stop
                 continue
             own = (self._copies[c].motion - self.line.motion) / (slopes[c] * unknown.step)
@@ -260,6 +262,27 @@ class VariedLine:
             step[c] = slopes
             turned = step @ turned
         return turned
+
+    def web_changed(self) -> Vector:
+        """What unknowns become of others, (n, n), where web suddenly has another E with the strain that it has: its
+        tension is another one at once."""
+        turned = np.eye(len(self.unknowns))
+        for c, unknown in enumerate(self.unknowns):
+            modulus = Unknown(Kind.MODULUS, unknown.number)
+            if unknown.kind is Kind.STRAIN and modulus in self.unknowns:
+                strain = self._seen(unknown, self.line) / self.modulus_factor(unknown.number)
+                turned[c, self.unknowns.index(modulus)] = strain
+        return turned
+
+    def _slopes_seen(self, unknown: Unknown) -> Vector:
+        """How a carriage or strain depends on each unknown (n,)."""
+        seen = self._seen(unknown, self.line)
+        return np.array(
+            [
+                (self._seen(unknown, copy) - seen) / each.step
+                for each, copy in zip(self.unknowns, self._copies, strict=True)
+            ]
+        )
 
     def _seen(self, unknown: Unknown, follower: LineFollower) -> float:
         """Position of a carriage, or strain times relative E of a section, which is its tension. The strain is that of

@@ -96,8 +96,8 @@ class LineUnknowns:
         believed = np.diag([self._believed(each, under_way) ** 2 for each in self.varied.unknowns])
         # Which of E and strain makes the tension of a line that is joined under way is not known.
         self._tells_moduli = not under_way and any(each.kind is Kind.MODULUS for each in self.varied.unknowns)
-        moduli = self._moduli_apart() if self._tells_moduli else np.zeros_like(believed)
-        self._filter = Unknowns(believed + moduli, moduli, self._offsets)
+        self._moduli = self._moduli_apart() if self._tells_moduli else np.zeros_like(believed)
+        self._filter = Unknowns(believed + self._moduli, self._offsets)
         self._noise = [NoiseLevel(0.01 * limit_Nm, 1e-4 * limit_Nm) for limit_Nm in self._limits_Nm]
         self._positions_m, self._way_m, self._window_way_m = list(positions_m), 0.0, 0.0
         self._time_s = 0.0
@@ -142,6 +142,11 @@ class LineUnknowns:
             found.append(own_kg / per_m**2 + wound_kg_m2 / ratio**2)
         self._inertia_kg_m2 = np.array(found)
         self._response.set_inertia(found)
+
+    @property
+    def inertia_kg_m2(self) -> Vector:
+        """Of each driven roller (N,) with what is on it now, at the motor."""
+        return self._inertia_kg_m2
 
     def _begin_window(self) -> None:
         self._cycles = 0
@@ -205,7 +210,12 @@ class LineUnknowns:
         time_s = count * self._cycle_s
         self._time_s += time_s
         self._filter.grow(self._growth(time_s), self._offset_growth * time_s)
-        changes = self._filter.update(self._sum / count, self._slopes / count, self._variances(count))
+        turned = self.varied.web_changed()
+        jumps = turned @ self._moduli @ turned.T
+        changes = self._filter.update(self._sum / count, self._slopes / count, self._variances(count), jumps)
+        if self._filter.has_begun_to_change:
+            self._answer_from_now(count // 2)
+            return False
         changes = np.array([self._bounded(each, float(change)) for each, change in zip(unknowns, changes, strict=True)])
         self.varied.correct(changes)
         self._response.states[:, :, -1] += self._response.states[:, :, :-1] @ changes
@@ -216,6 +226,16 @@ class LineUnknowns:
         self._loads[:, -1] = self.varied.loads_Nm() - self.varied.loads_without_turn_Nm()
         self._set_inertia()
         return True
+
+    def _answer_from_now(self, cycles: int) -> None:
+        """What has changed in the web changed so many cycles ago: until then no drive had to answer to it."""
+        web = [i for i, each in enumerate(self.varied.unknowns) if each.kind in (Kind.MODULUS, Kind.STRAIN)]
+        response, before = self._response, self._response.states.copy()
+        response.states[:, :, web] = 0.0
+        for _ in range(cycles):
+            response.step(self._loads)
+        before[:, :, web] = response.states[:, :, web]
+        response.states = before
 
     def _bounded(self, unknown: Unknown, change: float) -> float:
         if unknown.kind is Kind.MODULUS:

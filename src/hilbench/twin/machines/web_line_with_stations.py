@@ -25,6 +25,7 @@ from hilbench.plant.web_line.stations import Reel
 from hilbench.topology.signals import Shape
 from hilbench.twin.found import FoundBeside
 from hilbench.twin.machines.machine import Measured, Told
+from hilbench.twin.machines.web_line_breaks import SectionWatch
 from hilbench.twin.machines.web_line_unknowns import Found, LineUnknowns
 
 _OF_AN_AXIS = (("x", "m"), ("v", "m_s"), ("tau", "Nm"))
@@ -41,8 +42,6 @@ class LineWithStationsTwin:
         axes = range(1, model.axis_count + 1)
         self.ports = tuple(MotorPort() for _ in axes)
         self.plant = Line(model, self.ports)
-        self.problem: Problem | None = None
-        self.problems: Mapping[int, Problem | None] = {0: None}
         self.shift_span = 0
         self.refused, self.synchronized = False, False
         self.torque_shift_Nm, self.torque_undecided = 0.0, False
@@ -55,6 +54,8 @@ class LineWithStationsTwin:
         self._pairing = Pairing(least_way_m(model))
         self._web_m = sum(model.span_length_m(span) for span in range(1, model.span_count + 1))
         self._before = axes_before_spans(model)
+        self._watch = SectionWatch(model, cycle_s, {self._before[span - 1]: span for span in shape.simulated})
+        self._limited = False
         self._unknown_m = 0.0  # so much web that could not be known is still in the line
         self._missed = 0
         self._residuals_Nm = [0.0] * model.axis_count
@@ -62,9 +63,20 @@ class LineWithStationsTwin:
         self._reels = [roller.axis for roller in model.line_rollers if isinstance(roller.station, Reel) and roller.axis]
         self._of_axes = {f"{name}{axis}_{unit}" for axis in axes for name, unit in _OF_AN_AXIS}
 
+    @property
+    def problems(self) -> Mapping[int, Problem | None]:
+        """What is wrong with the web of each section, by the span whose tension is told of it."""
+        return self._watch.problems
+
+    @property
+    def problem(self) -> Problem | None:
+        """The first of them."""
+        return next((problem for problem in self.problems.values() if problem is not None), None)
+
     def reset(self) -> None:
         """Start anew, at rest."""
         self.synchronized = False
+        self._watch.reset()
         self._positions_m = None
         self._residuals_Nm = [0.0] * len(self.ports)
 
@@ -75,6 +87,7 @@ class LineWithStationsTwin:
         if not (self._pairing.update(*last) and self._pairing.update(*positions)):
             return False
         self._positions_m, self._missed = positions, 0
+        self._watch.reset()
         moves = max(abs(x - then) for x, then in zip(positions, last, strict=True)) > 1e-3 * self._cycle_s
         self._unknown_m = self._web_m if moves else 0.0
         self.synchronized = not moves
@@ -104,12 +117,22 @@ class LineWithStationsTwin:
         self._unknowns.follow(positions, (self._missed + 1) * self._cycle_s)
         self._let_out(abs(positions[-1] - self._positions_m[-1]))
         self._positions_m, self._missed = positions, 0
+        self._look_for_breaks(positions, [torque for _, torque in measured])
         left = np.array([torque - port.torque_Nm for (_, torque), port in zip(measured, self.ports, strict=True)])
         self._residuals_Nm = (left - self._unknowns.torques_missing_Nm).tolist()
-        if self._unknowns.compare(left, limited=any(port.torque_limited for port in self.ports)):
+        if self._unknowns.compare(left, limited=self._limited or self._watch.doubtful):
             self._take_moduli()
         self._transfer()
         return True
+
+    def _look_for_breaks(self, positions_m: Sequence[float], torques_Nm: Sequence[float]) -> None:
+        """What has torn, or is slack."""
+        self._limited = any(port.torque_limited for port in self.ports)
+        if self._limited:
+            self._watch.interrupt()
+        else:
+            unknowns = self._unknowns
+            self._watch.look(positions_m, torques_Nm, unknowns.varied.line, unknowns.inertia_kg_m2)
 
     def _let_out(self, way_m: float) -> None:
         """So much more web has left the line."""
@@ -141,6 +164,7 @@ class LineWithStationsTwin:
     def miss(self) -> None:
         """A cycle without measurement."""
         self._missed += 1
+        self._watch.interrupt()
         self._pairing.miss()
 
     def listen(self) -> None:

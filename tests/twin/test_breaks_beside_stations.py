@@ -1,0 +1,78 @@
+"""A web that tears, or hangs slack, in one section of a line with dancers or reels is told there, and nowhere else."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from tests.twin.beside_stations import BesideStations, beside, dancer_line, winding_line
+from tests.twin.independent_winding import IndependentWinding
+
+from hilbench.estimation.plausibility import Problem
+
+#: Until a break is to be told: two blocks of 20 ms, and what of a third has begun before.
+WITHIN_S = 0.08
+
+
+def told(line: BesideStations) -> dict[int, Problem]:
+    """What the twin says is wrong, by span."""
+    return {span: problem for span, problem in line.twin.problems.items() if problem is not None}
+
+
+def first_told(line: BesideStations, until_s: float, *speeds_m_s: float) -> tuple[float, dict[int, Problem]]:
+    """After how long the twin says first that something is wrong, and what; inf and nothing if it does not."""
+    begin_s = line.time_s
+    while line.time_s < until_s:
+        line.go(line.time_s + 0.002, *speeds_m_s)
+        if found := told(line):
+            return line.time_s - begin_s, found
+    return np.inf, {}
+
+
+@pytest.mark.parametrize("section", [1, 2])
+def test_a_web_that_tears_between_reels_is_told_in_its_section(section: int) -> None:
+    true = IndependentWinding((0.25, 0.15, 0.12))
+    line = BesideStations(true, winding_line(), winding_line(), measured=("unwinder", "rewinder"))
+    line.go(1.0, 1.0, 1.0, 1.0, ramp_s=0.8)
+    assert first_told(line, 1.3, 1.0, 1.0, 1.0) == (np.inf, {})
+    true.modulus_Pa = np.where(np.arange(1, 3) == section, 0.0, 2e8)
+    after_s, found = first_told(line, 1.6, 1.0, 1.0, 1.0)
+    assert found == {section: Problem.WEB_BREAK}
+    assert after_s <= WITHIN_S
+    line.go(line.time_s + 0.2, 1.0, 1.0, 1.0)
+    assert told(line) == found
+
+
+def test_a_web_that_tears_beside_a_dancer_is_told_there() -> None:
+    line = beside(dancer_line(), dancer_line())
+    line.go(1.0, 1.0, 1.0, 1.0, ramp_s=0.8)
+    assert told(line) == {}
+    line.line.set_parameter("span2.youngs_modulus_Pa", 1.0)
+    after_s, found = first_told(line, 1.3, 1.0, 1.0, 1.0)
+    (span,) = found
+    assert found == {span: Problem.WEB_BREAK}
+    assert span <= 2
+    assert after_s <= WITHIN_S
+
+
+@pytest.mark.parametrize("factor", [0.65, 1.5])
+def test_another_web_is_no_torn_one_and_its_tension_is_found(factor: float) -> None:
+    line = beside(dancer_line(), dancer_line())
+    line.go(1.0, 1.0, 1.0, 1.0, ramp_s=0.8)
+    for span in (3, 4):
+        line.line.set_parameter(f"span{span}.youngs_modulus_Pa", factor * 8.7e9)
+    assert first_told(line, 1.8, 1.0, 1.0, 1.0) == (np.inf, {})
+    found = line.table()
+    assert found["E4_sim_Pa"][-1] == pytest.approx(factor * 8.7e9, rel=0.15)
+    late = found["t_s"] > 1.4
+    assert np.max(np.abs(found["F4_sim_N"] - found["F4_true_N"])[late]) < 2.0
+
+
+def test_a_section_whose_rollers_push_its_web_hangs_slack() -> None:
+    line = beside(dancer_line(), dancer_line())
+    line.go(1.0, 1.0, 1.0, 1.0, ramp_s=0.8)
+    after_s, found = first_told(line, 3.0, 1.0, 1.0, 0.99)
+    assert found == {4: Problem.SLACK}
+    assert line.line.outputs()["F4_N"] < 5.0
+    line.go(line.time_s + 1.0, 1.0, 1.0, 1.01)
+    assert told(line) == {}
+    assert after_s > 0.1
