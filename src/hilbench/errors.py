@@ -57,6 +57,10 @@ class BenchFaultError(HilbenchError):
         """Say in the same line what came before it."""
         self.args = (f"{self}; before that, {text}",)
 
+    def add_consequence(self, text: str) -> None:
+        """Say in the same line what comes of it."""
+        self.args = (f"{self}; {text}",)
+
 
 class UnusableValueError(BenchFaultError, ValueError):
     """A running bench was asked for a value that a quantity can't have; the bench is not changed."""

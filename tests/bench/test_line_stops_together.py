@@ -150,6 +150,25 @@ def test_a_load_motor_that_is_lost_stops_all_rollers_in_ratio(tmp_path: Path, st
 
 
 @pytest.mark.slow
+def test_an_axis_that_coasts_is_told_with_the_spans_that_it_held(tmp_path: Path, stand: Stand) -> None:
+    given = line(tmp_path)
+    bench = Bench(given.config, participants=Participants.IN_PROCESS)
+
+    def switched_off() -> None:
+        with bench:
+            bench.ramp("line_speed_m_s", LINE_SPEED_M_S, duration_s=1.5)
+            stand.send(0x000, bytes((0x81, 2)))  # NMT: reset node 2, which lets its motor go
+            bench.run(1.0)
+
+    with pytest.raises(BenchFaultError, match="node 2") as fault:
+        switched_off()
+    second = list(given.config.drives)[1].replace("_", " ")
+    assert f"; {second} does not answer, and coasts" in str(fault.value)
+    assert str(fault.value).endswith("nothing holds the tensions of spans 1 and 2")
+    assert str(fault.value).count("coasts") == 1
+
+
+@pytest.mark.slow
 def test_an_operator_who_interrupts_stops_all_rollers_in_ratio(tmp_path: Path, stand: Stand) -> None:
     given = line(tmp_path)
 

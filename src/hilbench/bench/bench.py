@@ -265,6 +265,14 @@ class Bench:
         self._state.end(reason)
         if self._drives is not None:
             self._drives.stop(reason)
+            self._say_what_coasts(self._drives, reason)
+
+    def _say_what_coasts(self, drives: Drives, reason: BaseException | None) -> None:
+        """A fault has it as its consequence."""
+        if isinstance(reason, BenchFaultError):
+            for name, what in drives.coasting.items():
+                held = self._machine.holds.get(name, "")
+                reason.add_consequence(f"{what}{f': nothing holds {held}' if held else ''}")
 
     def _leave(self) -> None:
         self._state.phase = "ended"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from math import ceil
 
@@ -43,6 +43,8 @@ class Drives:
         self._lockstep = lockstep
         self._unexpected = unexpected
         self._was_enabled = False
+        #: Axes that their drives did not hold any more as the others were brought to rest, with what is known of it.
+        self.coasting: dict[str, str] = {}
 
     def enable(self) -> None:
         """Enable all; the experiment's time begins. Raises BenchFaultError when one does not come up."""
@@ -121,11 +123,14 @@ class Drives:
         if not (config.stops_together and self._was_enabled and fastest_m_s > 0.0):
             return
         self._expect_whoever_answers()
+        by_node = {config.drives[name].node_id: name for name, speed in commands.items() if speed}
+        moving = {by_node[node]: drive for drive in self._nodes.drives if (node := drive.settings.node_id) in by_node}
         timing = self._exchange.timing
         cycles = ceil(fastest_m_s / (config.quick_stop_per_s2 * state.cycle_s))
         state.enabled = True
         try:
             for left in range(cycles - 1, -1, -1):
+                self._look_who_coasts(moving)
                 before = timing.cycles
                 try:
                     self._cycle.exchange({name: speed * left / cycles for name, speed in commands.items()})
@@ -140,6 +145,13 @@ class Drives:
             state.safe_state_problems.append(self._unexpected(error))
         finally:
             state.enabled = False
+
+    def _look_who_coasts(self, moving: Mapping[str, Drive]) -> None:
+        for name, drive in moving.items():
+            if self._nodes.sender(drive) in self._exchange.silent:
+                self.coasting[name] = f"{drive.settings.name} does not answer, and coasts or stops by itself"
+            elif not drive.feedback.powered:
+                self.coasting[name] = f"{drive.settings.name} coasts, as its drive is off"
 
     def _expect_whoever_answers(self) -> None:
         """No drive is vital any more: who does not answer must not keep the others from being stopped."""

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 
 from hilbench.bench.tasks.reference import Reference
 from hilbench.bench.tasks.task import CyclicTask, SettableQuantity
@@ -19,3 +19,5 @@ class MachineTasks:
     watches: Sequence[CyclicTask]  #: in each cycle of the experiment: what must not be, and what is to be reported
     twin_age_limit_cycles: int  #: up to which the controllers ride out that the twin's data are old
     warm_up: Callable[[], None]  #: compiles what a cycle runs, before one has to wait for it
+    #: What an axis holds that no other holds in its place, by its drive: it is lost when the axis coasts.
+    holds: Mapping[str, str] = field(default_factory=dict)

@@ -102,7 +102,17 @@ def tasks(config: BenchConfig, state: BenchState) -> MachineTasks:
         ),
         twin_age_limit_cycles=max(control.twin_age_limit_cycles for control in controls.values()),
         warm_up=load.model.warm_up,
+        holds={drive: _spans_beside(config.shape, axis) for axis, drive in enumerate(drives, 1)},
     )
+
+
+def _spans_beside(shape: Shape, axis: int) -> str:
+    """The spans whose tension a driven axis holds, up to the next driven one on either side, in words."""
+    spans = [span for span in range(1, shape.spans + 1) if shape.axis_before(span) in (axis - 1, axis)]
+    if len(spans) == 1:
+        return f"the tension of span {spans[0]}"
+    between = "and" if len(spans) == 2 else "to"
+    return f"the tensions of spans {spans[0]} {between} {spans[-1]}"
 
 
 def _probing(
