@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from hilbench.bench.lifecycle.participants import Participants
+from hilbench.results.recording import read_recording
 from hilbench.results.run import run_experiment
 from hilbench.runs.config import load_with_overrides
 
@@ -20,3 +22,31 @@ def test_Giannoccaros_tensions_stay_within_3_percent_as_the_speed_doubles(tmp_pa
     assert result.faults == []
     assert [row.verdict for row in result.criteria] == ["passed"] * 3
     assert max(row.value or 0.0 for row in result.criteria) < 0.03 * 14.0
+
+
+@pytest.mark.slow
+def test_Kocs_tensions_stay_within_2_percent_as_the_speed_changes_and_its_twin_finds_E(tmp_path: Path) -> None:
+    given = load_with_overrides(CONFIGS / "koc_2002.yaml", bus=f"embedded:{tmp_path.name}")
+    outcome = run_experiment(given, tmp_path / "run", participants=Participants.IN_PROCESS)
+    result = outcome.result
+    assert result.faults == []
+    assert [row.verdict for row in result.criteria] == ["passed"] * 2
+    assert max(row.value or 1.0 for row in result.criteria) < 0.02 * 15.0
+    found = read_recording(outcome.folder.recording)
+    running = np.asarray(found["t_s"]) > 3.0
+    for span in (1, 4):
+        error = np.asarray(found[f"E{span}_sim_Pa"]) / np.asarray(found[f"E{span}_true_Pa"]) - 1.0
+        assert np.max(np.abs(error[running])) < 0.02
+
+
+@pytest.mark.slow
+def test_nothing_is_noticed_behind_Kuhms_accumulator_of_a_reel_change(tmp_path: Path) -> None:
+    given = load_with_overrides(CONFIGS / "kuhm_2012.yaml", bus=f"embedded:{tmp_path.name}")
+    outcome = run_experiment(given, tmp_path / "run", participants=Participants.IN_PROCESS)
+    result = outcome.result
+    assert result.faults == []
+    assert [row.verdict for row in result.criteria] == ["passed"] * 2
+    found = read_recording(outcome.folder.recording)
+    assert np.min(np.asarray(found["v1_m_s"])[np.asarray(found["t_s"]) > 12.0]) < 0.01
+    # Of 4.2 m/s what did not come in while the infeed stopped, stood and started again, over 18 strands.
+    assert np.ptp(found["x_store_true_m"]) == pytest.approx(4.2 * 8.0 / 18.0, rel=0.02)

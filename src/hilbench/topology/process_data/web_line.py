@@ -1,6 +1,7 @@
 """A web line: the tensions of its spans, what is estimated at some, and what is around the line.
 
-Sub-indices are given once and for all: span k has the five of 6403h from 5·(k - 1) + 1 on, of dancers, accumulators and
+Sub-indices are given once and for all: span k, of a line with more than driven rollers the section behind driven
+roller k, has the five of 6403h from 5·(k - 1) + 1 on, of dancers, accumulators and
 reels station k the two from 81 + 2·(k - 1) on; sensors of these have those of 6413h from 3 on.
 """
 
@@ -42,7 +43,10 @@ class _Span:
 
 def _span(shape: Shape, number: int) -> _Span:
     k, of = shape.numbered(number), f" of span {number}" if shape.spans > 1 else ""
-    first, axis = _PER_SPAN * (number - 1) + 1, shape.axis_before(number) + 1
+    before = shape.axis_before(number)
+    # Of a line with more than driven rollers a section is told once, and may have any number of spans.
+    place, axis = before if shape.has_stations else number, before + 1
+    first = _PER_SPAN * (place - 1) + 1
     return _Span(
         IoSignal(f"F{k}_sim_N", INPUTS, first, f"Simulated tension{of} [N]"),
         IoSignal(f"E{k}_sim_Pa", INPUTS, first + 1, f"Estimated Young's modulus{of} [Pa]"),
