@@ -20,7 +20,8 @@ _STEPS = 2  # of Runge and Kutta in a sample
 
 @dataclass
 class IndependentWinding:
-    """`radii_m` (3,): at the start; `inertia_kg_m2` (3,) of the empty rollers."""
+    """`radii_m` (3,): at the start; `inertia_kg_m2` (3,) of the empty rollers; `held`: the drives hold the web from the
+    start, and do not give way to it at first."""
 
     radii_m: tuple[float, float, float]
     inertia_kg_m2: tuple[float, float, float] = (0.6, 0.7, 0.6)
@@ -35,6 +36,7 @@ class IndependentWinding:
     rotor_kg_m2: float = 0.001
     kp: float = 1.5
     ki: float = 30.0
+    held: bool = False
     ports: list[MotorPort] = field(default_factory=lambda: [MotorPort() for _ in range(3)])
 
     def __post_init__(self) -> None:
@@ -42,6 +44,11 @@ class IndependentWinding:
         self._y = np.concatenate([np.zeros(6), unstretched])  # angles, speeds, unstretched lengths
         self._integral = np.zeros(3)
         self._torque = np.zeros(3)
+        if self.held:
+            pulls = np.concatenate([[0.0], self._tensions(unstretched), [0.0]])
+            self._integral = -np.asarray(self.radii_m) * (pulls[1:] - pulls[:-1]) / self.gear
+            self._torque = self._integral.copy()
+        self._show()
 
     def _radii(self, angles: Array) -> Array:
         grow = np.array([-1.0, 0.0, 1.0]) * self.thickness_m * angles / (2.0 * pi)
@@ -74,6 +81,9 @@ class IndependentWinding:
                 c = self._rates(self._y + 0.5 * h * b)
                 d = self._rates(self._y + h * c)
                 self._y = self._y + h / 6.0 * (a + 2.0 * b + 2.0 * c + d)
+        self._show()
+
+    def _show(self) -> None:
         for axis, port in enumerate(self.ports):
             port.position_rad = float(self.gear * self._y[axis])
             port.velocity_rad_s = float(self.gear * self._y[3 + axis])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from tests.tiers import slow
 from tests.twin.beside_stations import BesideStations, beside, dancer_line, winding_line
 from tests.twin.independent_winding import IndependentWinding
 
@@ -54,7 +55,7 @@ def test_a_web_that_tears_beside_a_dancer_is_told_there() -> None:
     assert after_s <= WITHIN_S
 
 
-@pytest.mark.parametrize("factor", [0.65, 1.5])
+@pytest.mark.parametrize("factor", [0.65, 1.5, *slow(0.85, 1.2)])
 def test_another_web_is_no_torn_one_and_its_tension_is_found(factor: float) -> None:
     line = beside(dancer_line(), dancer_line())
     line.go(1.0, 1.0, 1.0, 1.0, ramp_s=0.8)

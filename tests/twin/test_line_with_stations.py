@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from tests.tiers import slow
 from tests.twin.beside_stations import Array, BesideStations, beside, dancer_line, winding_line
 from tests.twin.independent_winding import IndependentWinding
 
@@ -93,6 +94,22 @@ def test_a_wrong_E_is_found_behind_a_dancer_with_its_deviation() -> None:
     assert np.max(np.abs(error[settled])) < 0.03 * true_Pa
     assert np.all(np.abs(error[settled]) < 3.0 * deviation[settled])
     assert line.twin.separable
+
+
+@pytest.mark.parametrize(("factor", "duration_s"), [(1.2, 2.6), *slow((1.2, 10.0), (0.85, 10.0), (1.0, 10.0))])
+def test_E_of_a_line_that_a_twin_joins_at_rest_is_found_and_does_not_drift_as_the_speed_changes(
+    factor: float, duration_s: float
+) -> None:
+    true = IndependentWinding((0.25, 0.15, 0.12), modulus_Pa=factor * 2e8, held=True)
+    line = BesideStations(true, winding_line(), winding_line(), measured=("unwinder", "rewinder"))
+    line.go(0.3, 0.0, 0.0, 0.0)
+    line.go(1.3, 2.0, 2.0006, 2.0012, ramp_s=1.0)
+    line.go(duration_s - 1.0, 2.0, 2.0006, 2.0012)
+    line.go(duration_s, 1.0, 1.0003, 1.0006, ramp_s=0.7)
+    found = line.table()
+    error = found["E2_sim_Pa"] / (factor * 2e8) - 1.0
+    assert np.max(np.abs(error[after(found, 0.2)])) < 0.01
+    assert np.all(found["E2_sd_Pa"][after(found, 0.2)] < 0.03 * factor * 2e8)
 
 
 @pytest.mark.slow

@@ -98,7 +98,7 @@ class LineWithStationsTwin:
         self._unknowns.begin(last, sum(of_rollers) / len(of_rollers))
         states: dict[str, float] = {}
         for axis, (x, v, (_, torque)) in enumerate(zip(positions, speeds, now, strict=True), 1):
-            states |= {f"x{axis}_m": x, f"v{axis}_m_s": v, f"tau{axis}_Nm": torque if moves else 0.0}
+            states |= {f"x{axis}_m": x, f"v{axis}_m_s": v, f"tau{axis}_Nm": torque}
         self.plant.set_state(states)
         self._transfer()
         return True
