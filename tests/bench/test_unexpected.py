@@ -16,7 +16,7 @@ from hilbench.bench.lifecycle import in_process
 from hilbench.bench.operator.operator import Operator
 from hilbench.bench.operator.operator_objects import OperatorObjects
 from hilbench.bench.tasks.load_model import LoadModel
-from hilbench.bench.tasks.tension_control import TensionController
+from hilbench.bench.tasks.tension_trust import TwinTrust
 from hilbench.bench.tasks.twin_connection import TwinConnection
 from hilbench.bench.tasks.web_limits import LimitWatch
 from hilbench.cia402.state_machine import State
@@ -31,6 +31,7 @@ from hilbench.results.journal import JournalWriter
 from hilbench.results.result import Result
 from hilbench.results.trace import TraceWriter
 from hilbench.topology.sample import CycleSample
+from hilbench.twin.process import TwinApplication
 
 MOVING = [{"ramp": {"path": "line_speed_m_s", "to": 0.5, "duration_s": 0.2}}, {"hold": {"duration_s": 1.0}}]
 #: So many calls of the experiment's 0.2 s ramp are past that all of them happen while the line moves.
@@ -44,6 +45,7 @@ OF_INTERPRETED_CYCLES = {
     (OwnNode, "handle"),
     (TraceWriter, "write"),
     (SyncCycle, "exchange"),
+    (Tracking, "compare"),
 }
 
 
@@ -99,7 +101,7 @@ def ended(path: Path, folder: Path) -> tuple[Result, str, str]:
 @pytest.mark.parametrize(
     ("owner", "name"),
     [
-        (TensionController, "velocity"),
+        (TwinTrust, "update"),
         (LoadModel, "update"),
         (PlainCycles, "cycle"),
         (SyncCycle, "exchange"),
@@ -118,6 +120,7 @@ def ended(path: Path, folder: Path) -> tuple[Result, str, str]:
             (Exchange, "cycle"),
             (SyncCycle, "count"),
             (Tracking, "compare"),
+            (TwinApplication, "go_on_in_vectors"),
             (Operator, "set"),
         ),
     ],
@@ -129,7 +132,7 @@ def test_whatever_breaks_in_mid_run_the_drives_stop_and_the_result_says_what(
     if (owner, name) in OF_INTERPRETED_CYCLES:
         monkeypatch.setattr(PlainCycles, "cycle", lambda self, outputs: False)
     # Plain cycles hand their lines over by 32.
-    after = {"set": 50, "velocity": 50, "write": 4 * CALLS, "write_lines": CALLS // 32}.get(name, CALLS)
+    after = {"set": 50, "write": 4 * CALLS, "write_lines": CALLS // 32}.get(name, CALLS)
     breaks(monkeypatch, owner, name, KeyError("nobody foresaw"), after=after, for_good=for_good)
     result, kept, said = ended(config(tmp_path, steps=MOVING), tmp_path / "runs")
     assert result.faults[0].source == "bench"

@@ -231,6 +231,11 @@ class SwingDamping:
         self.velocity(0.0, 0.0)  # compiled, or loaded, before anybody waits for a cycle
         self.reset()
 
+    @property
+    def vectors(self) -> tuple[Vector, Vector, Vector, Vector, Vector]:
+        """Those of `damp`, for compiled callers."""
+        return self._figures, self._gains, self._ways, self._state, self._positions_m
+
     def reset(self) -> None:
         """The web is strained as upstream, and at rest (drives off)."""
         self._ways[:] = pairing_state(2)

@@ -16,9 +16,18 @@ a slower pole would be cancelled for the set point only, and a disturbance would
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from math import nan
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilbench.compiled import FLAG, REAL, VECTOR, compiled, entry_point, number_of_sources, reals
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.web_line_config import TensionControlConfig
+
+Vector = NDArray[np.float64]
 
 #: Longest integral time, times the bandwidth.
 _LONGEST_INTEGRAL = 4.0
@@ -33,6 +42,90 @@ def strain_before(config: BenchConfig, span: int) -> float:
     model = config.web_line
     before = [control for number, control in config.tension_controls.items() if number < span]
     return before[-1].set_point_N / model.stiffness_N(before[-1].span) if before else model.upstream_strain
+
+
+#: Of the vectors of `control`. Figures: bandwidth, limit of the correction, span and section, what holds the roller
+#: behind it, strain upstream; state: integral in m/s, ratio of speeds, E as it was known (0: before the loop was
+#: closed), whether it is open.
+_BANDWIDTH, _LIMIT_M_S, _LENGTH_M, _AREA_M2, _ROLLER_N_PER_M, _UPSTREAM, _FIGURES = range(7)
+_INTEGRAL_M_S, _RATIO, _MODULUS_PA, _OPEN, _STATE = range(5)
+
+
+@compiled
+def _schedule(figures: Vector, modulus_Pa: float) -> tuple[float, float, float]:
+    """See `TensionController.schedule`."""
+    stiffness_N = modulus_Pa * figures[_AREA_M2]
+    gives_way = stiffness_N / (figures[_LENGTH_M] * figures[_ROLLER_N_PER_M])
+    kp = figures[_BANDWIDTH] * (1.0 + gives_way) * figures[_LENGTH_M] / stiffness_N
+    return kp, (1.0 + gives_way) * figures[_LENGTH_M], figures[_BANDWIDTH] / _LONGEST_INTEGRAL
+
+
+@compiled
+def _hold(figures: Vector, s: Vector, line_m_s: float, set_point_N: float, cycle_s: float, around_m_s: float) -> float:
+    s[_OPEN] = 1.0
+    if not np.isnan(around_m_s):
+        s[_RATIO] -= cycle_s / (_HOLD_S + cycle_s) * s[_RATIO]
+        return float(around_m_s - line_m_s * s[_RATIO])
+    if s[_MODULUS_PA] != 0.0:
+        strain = set_point_N / (s[_MODULUS_PA] * figures[_AREA_M2])
+        wanted = 1.0 - (1.0 + figures[_UPSTREAM]) / (1.0 + strain)
+        s[_RATIO] += cycle_s / (_HOLD_S + cycle_s) * (wanted - s[_RATIO])
+    return float(line_m_s * (1.0 - s[_RATIO]))
+
+
+@compiled
+def control(
+    figures: Vector,
+    s: Vector,
+    closed: bool,
+    line_m_s: float,
+    set_point_N: float,
+    tension_N: float,
+    modulus_Pa: float,
+    cycle_s: float,
+    around_m_s: float,
+) -> float:
+    """`TensionController.velocity`, or `hold` where it is not `closed`; `around_m_s` is NaN where nothing is known."""
+    if not closed:
+        return _hold(figures, s, line_m_s, set_point_N, cycle_s, around_m_s)
+    limit, error_N = figures[_LIMIT_M_S], set_point_N - tension_N
+    kp, length_m, least_per_s = _schedule(figures, modulus_Pa)
+    ki = kp * max(abs(line_m_s) / length_m, least_per_s)
+    known_Pa = s[_MODULUS_PA] if s[_MODULUS_PA] != 0.0 else modulus_Pa
+    s[_MODULUS_PA] = known_Pa + cycle_s / (_KNOWN_S + cycle_s) * (modulus_Pa - known_Pa)
+    if s[_OPEN] != 0.0:
+        s[_INTEGRAL_M_S] = s[_RATIO] * line_m_s - kp * error_N
+        s[_OPEN] = 0.0
+    integral = s[_INTEGRAL_M_S] + ki * error_N * cycle_s
+    correction = kp * error_N + integral
+    if abs(correction) <= limit:
+        s[_INTEGRAL_M_S] = integral
+    else:  # hold the integral while the limit is reached
+        correction = limit if correction > 0.0 else -limit
+    s[_RATIO] = correction / line_m_s if line_m_s != 0.0 else 0.0
+    return float((line_m_s if np.isnan(around_m_s) else around_m_s) - correction)
+
+
+Control = Callable[[Vector, Vector, bool, tuple[float, float, float, float, float, float]], float]
+
+
+def _entry_points(sources: int) -> tuple[Callable[[Vector, float], tuple[float, float, float]], Control]:
+    """For Python; `sources` as in `compiled.number_of_sources`."""
+
+    @entry_point(VECTOR, REAL)
+    def schedule(figures: Vector, modulus_Pa: float) -> tuple[float, float, float]:
+        return _schedule(figures, modulus_Pa) if sources >= 0 else (0.0, 0.0, 0.0)
+
+    @entry_point(VECTOR, VECTOR, FLAG, reals(6))
+    def control_once(
+        figures: Vector, s: Vector, closed: bool, now: tuple[float, float, float, float, float, float]
+    ) -> float:
+        return control(figures, s, closed, now[0], now[1], now[2], now[3], now[4], now[5]) if sources >= 0 else 0.0
+
+    return schedule, control_once
+
+
+_schedule_once, _control_once = _entry_points(number_of_sources(__file__))
 
 
 class TensionController:
@@ -51,11 +144,12 @@ class TensionController:
         roller_stiffness_N_per_m: float,
         upstream_strain: float,
     ) -> None:
-        self._config = config
-        self._length_m = span_length_m
-        self._area_m2 = section_m2
-        self._roller_stiffness_N_per_m = roller_stiffness_N_per_m
-        self._upstream_strain = upstream_strain
+        #: Those of `control`.
+        self.figures, self.state = np.zeros(_FIGURES), np.zeros(_STATE)
+        self.figures[:] = (
+            *(config.bandwidth_rad_per_s, config.correction_limit_m_s, span_length_m, section_m2),
+            *(roller_stiffness_N_per_m, upstream_strain),
+        )
         self.reset()
 
     @classmethod
@@ -69,10 +163,7 @@ class TensionController:
     def schedule(self, modulus_Pa: float) -> tuple[float, float, float]:
         """At this E: Kp in m/s per N; a length in m, and a rate in 1/s. Ki is Kp times the line speed over that length,
         at least times that rate."""
-        stiffness_N = modulus_Pa * self._area_m2
-        gives_way = stiffness_N / (self._length_m * self._roller_stiffness_N_per_m)
-        kp = self._config.bandwidth_rad_per_s * (1.0 + gives_way) * self._length_m / stiffness_N
-        return kp, (1.0 + gives_way) * self._length_m, self._config.bandwidth_rad_per_s / _LONGEST_INTEGRAL
+        return _schedule_once(self.figures, float(modulus_Pa))
 
     def gains(self, line_speed_m_s: float, modulus_Pa: float) -> tuple[float, float]:
         """Kp in m/s per N and Ki in m/s per N·s at this speed and E."""
@@ -81,25 +172,16 @@ class TensionController:
 
     def reset(self) -> None:
         """Forget the integral (drives off)."""
-        self._integral_m_s = 0.0
-        self._ratio = 0.0
-        self._modulus_Pa: float | None = None  # None before the loop was closed
-        self._closed = True
+        self.state[:] = 0.0
 
     def hold(
         self, line_speed_m_s: float, set_point_N: float, cycle_s: float, *, around_m_s: float | None = None
     ) -> float:
         """Velocity set point of the axis before the span while the loop is open, without a jump from what it was;
         `line_speed_m_s`: that of the axis behind it, `around_m_s`: what is known to be right already."""
-        self._closed = False
-        if around_m_s is not None:
-            self._ratio -= cycle_s / (_HOLD_S + cycle_s) * self._ratio
-            return around_m_s - line_speed_m_s * self._ratio
-        if self._modulus_Pa is not None:
-            strain = set_point_N / (self._modulus_Pa * self._area_m2)
-            wanted = 1.0 - (1.0 + self._upstream_strain) / (1.0 + strain)
-            self._ratio += cycle_s / (_HOLD_S + cycle_s) * (wanted - self._ratio)
-        return line_speed_m_s * (1.0 - self._ratio)
+        around_m_s = nan if around_m_s is None else around_m_s
+        now = line_speed_m_s, set_point_N, 0.0, 0.0, cycle_s, around_m_s
+        return _control_once(self.figures, self.state, False, tuple(map(float, now)))  # type: ignore[arg-type]  # of six
 
     def velocity(
         self,
@@ -116,19 +198,6 @@ class TensionController:
 
         After `hold` it goes on from the held ratio, without a jump.
         """
-        limit = self._config.correction_limit_m_s
-        error_N = set_point_N - tension_N
-        kp, ki = self.gains(line_speed_m_s, modulus_Pa)
-        known_Pa = self._modulus_Pa or modulus_Pa
-        self._modulus_Pa = known_Pa + cycle_s / (_KNOWN_S + cycle_s) * (modulus_Pa - known_Pa)
-        if not self._closed:
-            self._integral_m_s = self._ratio * line_speed_m_s - kp * error_N
-            self._closed = True
-        integral = self._integral_m_s + ki * error_N * cycle_s
-        correction = kp * error_N + integral
-        if abs(correction) <= limit:
-            self._integral_m_s = integral
-        else:  # hold the integral while the limit is reached
-            correction = limit if correction > 0 else -limit
-        self._ratio = correction / line_speed_m_s if line_speed_m_s else 0.0
-        return (line_speed_m_s if around_m_s is None else around_m_s) - correction
+        around_m_s = nan if around_m_s is None else around_m_s
+        now = line_speed_m_s, set_point_N, tension_N, modulus_Pa, cycle_s, around_m_s
+        return _control_once(self.figures, self.state, True, tuple(map(float, now)))  # type: ignore[arg-type]  # of six

@@ -5,10 +5,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from math import nan
 from operator import attrgetter
 from typing import Protocol
 
 from hilbench.bench.state import Reports, TwinState
+from hilbench.bench.tasks import tension_cycle
 from hilbench.bench.tasks.swing_damping import SwingDamping
 from hilbench.bench.tasks.task import CyclicTask, Outputs
 from hilbench.bench.tasks.tension_control import TensionController
@@ -114,8 +116,9 @@ class TensionTask(CyclicTask):
         self._leader = leader
         self._set_point_N = set_point_N
         self.set_point_shift_N = 0.0  #: of a probe
-        self._controller = controller
+        self._controller = controller  # keeps its vectors, as the next
         self._damping = damping
+        self._table = tension_cycle.table(controller, damping)
         self._trust = trust
         self._twin = twin
         self._reports = reports
@@ -183,26 +186,23 @@ class TensionTask(CyclicTask):
         names = self._names
         closed = self._is_closed(sample)
         setattr(sample, names.closed, int(closed))
-        speed_m_s, since_s = self._leader.speed_m_s, self._since_controlled_s(sample)
-        ahead, set_point_N, around_m_s = self._ahead, self.goal_N, None
+        speed_m_s, since_s = float(self._leader.speed_m_s), self._since_controlled_s(sample)
+        ahead, set_point_N, around_m_s = self._ahead, float(self.goal_N), nan
         if closed:
-            self._modulus_Pa = modulus_Pa = getattr(sample, names.twin.modulus)
+            self._modulus_Pa = getattr(sample, names.twin.modulus)
         if ahead is not None:
             set_point_N = ahead.way.tension_N(self._modulus_Pa)
             around_m_s = ahead.way.velocity(self._leader.damped_m_s, ahead.entering_strain(sample))
+        tension_N = modulus_Pa = 0.0
         if closed:
-            tension_N = getattr(sample, names.twin.tension)
-            velocity_m_s = self._controller.velocity(
-                speed_m_s, set_point_N, tension_N, modulus_Pa, since_s, around_m_s=around_m_s
-            )
+            tension_N, modulus_Pa = getattr(sample, names.twin.tension), self._modulus_Pa
             self._damping.use_modulus(modulus_Pa)
         else:
-            velocity_m_s = self._controller.hold(speed_m_s, set_point_N, self._cycle_s, around_m_s=around_m_s)
-        self._speed_m_s = velocity_m_s
+            since_s = self._cycle_s
         planned_m_s = ahead.way.shown_m_s if ahead is not None else 0.0
-        before_m, behind_m = self._ways(sample)
-        velocity_m_s += self._damping.velocity(before_m, behind_m, planned_m_s)
-        self._damped_m_s = velocity_m_s
+        now = speed_m_s, set_point_N, tension_N, modulus_Pa, since_s, around_m_s, *self._ways(sample), planned_m_s
+        self._speed_m_s, damping_m_s = tension_cycle.step(closed, now, self._table)
+        self._damped_m_s = velocity_m_s = self._speed_m_s + damping_m_s
         if ahead is not None:
             velocity_m_s += ahead.leads.lead_m_s(names.axis)
         outputs[names.drive] = velocity_m_s
@@ -237,5 +237,7 @@ class TensionTask(CyclicTask):
         """The time that the twin's data have gone on since the controller's last step: none while they are repeated."""
         reported_cycle, before = sample.cycle - sample.twin_age_cycles, self._controlled_cycle
         self._controlled_cycle = reported_cycle
-        cycles = 1 if before is None else min(max(reported_cycle - before, 0), _MOST_CYCLES_AT_ONCE)
-        return cycles * self._cycle_s
+        cycles = 1 if before is None else reported_cycle - before
+        if cycles == 1:  # nearly always
+            return self._cycle_s
+        return min(max(cycles, 0), _MOST_CYCLES_AT_ONCE) * self._cycle_s

@@ -7,15 +7,23 @@ stay so: a twin is synchronized when the noise is small, however much of E may b
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from math import inf, isfinite
 from operator import attrgetter
+from struct import Struct
 
+import numpy as np
+from numpy.typing import NDArray
+
+from hilbench.compiled import VECTOR, entry_point, number_of_sources
 from hilbench.plant.web_line.parameters import LARGEST_MODULUS_Pa, LEAST_MODULUS_Pa
 from hilbench.topology.sample import CycleSample
 from hilbench.topology.web_line_config import TensionControlConfig
 from hilbench.twin.virtual_io import TwinStatus
 
+Vector = NDArray[np.float64]
+
+_ROW = Struct("=5d")
 _SYNCHRONIZED, _REFUSED = int(TwinStatus.SYNCHRONIZED), int(TwinStatus.TRANSFER_REFUSED)
 #: Share of the set-point by which a simulated tension may be below zero: rounding of REAL32.
 _BELOW_ZERO = 0.0125
@@ -32,6 +40,50 @@ class TwinSignals:
     deviation: str = "E_sd_Pa"
 
 
+#: Of the vectors of `judge`. Figures: the age of the data in cycles, tensions in N and deviation of E in % up to which
+#: they are believed; state: whether the twin has called itself synchronized and not been in doubt since, and for how many
+#: cycles in a row it has refused what was measured and not called itself that.
+_AGE_LIMIT, _LOWEST_N, _HIGHEST_N, _DEVIATION_PCT, _FIGURES = range(5)
+#: Values: age in cycles, status, tension in N, E and its deviation in Pa.
+_AGE, _STATUS, _TENSION_N, _MODULUS_PA, _DEVIATION_PA, _VALUES = range(6)
+_TOLD, _ASTRAY_CYCLES, _STATE = range(3)
+#: What `judge` says.
+_TRUSTED, _OLD, _ASTRAY, _NO_WEB, _OUTSIDE, _UNSURE = range(6)
+
+
+def _entry_point(sources: int) -> Callable[[Vector, Vector, Vector], int]:
+    """For Python; `sources` as in `compiled.number_of_sources`."""
+
+    @entry_point(VECTOR, VECTOR, VECTOR)
+    def judge(figures: Vector, state: Vector, values: Vector) -> int:
+        tension_N, modulus_Pa, deviation_Pa = values[_TENSION_N], values[_MODULUS_PA], values[_DEVIATION_PA]
+        if sources < 0 or values[_AGE] > figures[_AGE_LIMIT]:
+            return _OLD
+        status = int(values[_STATUS])
+        synchronized = status & _SYNCHRONIZED != 0
+        astray = status & _REFUSED != 0 and not synchronized
+        state[_ASTRAY_CYCLES] = state[_ASTRAY_CYCLES] + 1.0 if astray else 0.0
+        if state[_ASTRAY_CYCLES] > figures[_AGE_LIMIT]:
+            return _ASTRAY
+        if not (np.isfinite(tension_N) and LEAST_MODULUS_Pa <= modulus_Pa <= LARGEST_MODULUS_Pa):
+            return _NO_WEB
+        if not figures[_LOWEST_N] <= tension_N <= figures[_HIGHEST_N]:
+            return _OUTSIDE
+        # A twin that is starting knows nothing yet; an infinite deviation is that of a method which has none.
+        if state[_TOLD] != 0.0 or synchronized:
+            limit_pct = figures[_DEVIATION_PCT] * (1.0 if state[_TOLD] != 0.0 else _CLOSES_AT)
+            if 0.01 * limit_pct * modulus_Pa < deviation_Pa < np.inf:
+                return _UNSURE
+        if synchronized:
+            state[_TOLD] = 1.0
+        return _TRUSTED
+
+    return judge
+
+
+_judge = _entry_point(number_of_sources(__file__))
+
+
 class TwinTrust:
     """Checks the twin cycle by cycle. `highest_tension_N`: what a simulated tension may reach and be believed."""
 
@@ -39,43 +91,43 @@ class TwinTrust:
         self, config: TensionControlConfig, highest_tension_N: float, signals: TwinSignals = TwinSignals()
     ) -> None:
         self._config = config
-        self._values = attrgetter(signals.tension, signals.modulus, signals.deviation)
-        self._highest_tension_N = highest_tension_N
-        self._synchronized = False
-        self._astray_cycles = 0  # in a row
-        self.doubt = "not synchronized yet"  #: why the loop is open; "" while it may be closed
+        self._read = attrgetter("twin_age_cycles", "twin_status", signals.tension, signals.modulus, signals.deviation)
+        figures = np.zeros(_FIGURES)
+        figures[_AGE_LIMIT], figures[_DEVIATION_PCT] = config.twin_age_limit_cycles, config.twin_deviation_limit_pct
+        figures[_LOWEST_N], figures[_HIGHEST_N] = -_BELOW_ZERO * config.set_point_N, highest_tension_N
+        self._figures, self._state, self._values = figures, np.zeros(_STATE), np.zeros(_VALUES)
+        self._synchronized = self._state.data.cast("B").cast("d")  # quicker than the vector
+        self._why = "not synchronized yet"
+        _judge(figures, self._state.copy(), self._values)  # compiled, or loaded, before anybody waits for a cycle
+
+    @property
+    def doubt(self) -> str:
+        """Why the loop is open; "" while it may be closed."""
+        return "" if self._synchronized[_TOLD] else self._why
 
     def forget(self, reason: str) -> None:
         """Open the loop until the twin is synchronized anew."""
-        self._synchronized = False
-        self.doubt = reason
+        self._synchronized[_TOLD] = 0.0
+        self._why = reason
 
     def update(self, sample: CycleSample) -> bool:
         """Whether the loop may be closed on the twin's data in `sample`."""
-        doubt = self._doubt(sample)
-        if doubt:
-            self.forget(doubt)
-        elif sample.twin_status & _SYNCHRONIZED:
-            self._synchronized = True
-            self.doubt = ""
-        return self._synchronized
+        _ROW.pack_into(self._values.data, 0, *self._read(sample))
+        found = _judge(self._figures, self._state, self._values)
+        if found != _TRUSTED:
+            self.forget(self._doubt(found))
+        return self._synchronized[_TOLD] != 0.0
 
-    def _doubt(self, sample: CycleSample) -> str:
-        config = self._config
-        if sample.twin_age_cycles > config.twin_age_limit_cycles:
+    def _doubt(self, found: int) -> str:
+        config, (_, _, tension_N, modulus_Pa, _) = self._config, self._values.tolist()
+        if found == _OLD:
             return f"the twin's data are more than {config.twin_age_limit_cycles} cycles old"
-        astray = sample.twin_status & _REFUSED and not sample.twin_status & _SYNCHRONIZED
-        self._astray_cycles = self._astray_cycles + 1 if astray else 0
-        if self._astray_cycles > config.twin_age_limit_cycles:
+        if found == _ASTRAY:
             return f"what was measured is not what the twin simulates, for {config.twin_age_limit_cycles} cycles now"
-        tension_N, modulus_Pa, deviation_Pa = self._values(sample)
-        if not (isfinite(tension_N) and LEAST_MODULUS_Pa <= modulus_Pa <= LARGEST_MODULUS_Pa):
+        if found == _NO_WEB:
             return f"the twin's data are no web's: tension {tension_N:g} N, E {modulus_Pa:g} Pa"
-        if not -_BELOW_ZERO * config.set_point_N <= tension_N <= self._highest_tension_N:
-            return f"simulated tension {tension_N:.1f} N is outside 0 to {self._highest_tension_N:g} N"
-        # An infinite deviation is that of a method which has none.
-        limit_pct = config.twin_deviation_limit_pct * (1.0 if self._synchronized else _CLOSES_AT)
-        told = self._synchronized or sample.twin_status & _SYNCHRONIZED  # a twin that is starting knows nothing yet
-        if told and 0.01 * limit_pct * modulus_Pa < deviation_Pa < inf:
-            return f"the deviation of E is above {limit_pct:g} %"
-        return ""
+        if found == _OUTSIDE:
+            highest_N = self._figures.item(_HIGHEST_N)
+            return f"simulated tension {tension_N:.1f} N is outside 0 to {highest_N:g} N"
+        limit_pct = config.twin_deviation_limit_pct * (1.0 if self._synchronized[_TOLD] else _CLOSES_AT)
+        return f"the deviation of E is above {limit_pct:g} %"
