@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -147,8 +146,6 @@ class _Run:
         self._data = np.zeros((len(frames.rows), 8), np.uint8)
         for row, content in frames.constants.items():
             self._data[row, : len(content)] = np.frombuffer(content, np.uint8)
-        self._scratch = np.zeros(8, np.uint8)
-        self._single, self._double = self._scratch[:4].view(np.float32), self._scratch.view(np.float64)
         self._given, self._left = (
             np.zeros(lay.I_SIZE, np.int64),
             np.zeros(lay.O_SIZE + len(frames.rows), np.int64),
@@ -164,15 +161,27 @@ class _Run:
         ]
         self._join_motors()
         self._trace()
-        vectors = self._whole, self._real
-        self._exchange_all = partial(
-            kernel.exchange,
-            *(self._target_rows, self._set_points, self._rows, self._sent, self._received, self._drives),
-            *(self._seen_rows, *vectors, self._given, self._left, self._data, self._heads, self._text),
-            *(self._scratch, self._single, self._double, self._feedback, self._asked),
-            self._nodes.config.bus.bitrate,
+        self._vectors = kernel.Vectors(
+            self._target_rows,
+            self._set_points,
+            self._rows,
+            self._sent,
+            self._received,
+            self._drives,
+            self._seen_rows,
+            self._whole,
+            self._real,
+            self._given,
+            self._left,
+            self._data.reshape(-1),
+            self._heads,
+            self._text,
+            np.zeros(8, np.uint8),
+            self._feedback,
+            self._asked,
+            self._shown,
         )
-        self._publish_all = partial(kernel.publish, self._drives, self._shown, self._whole)
+        self._table, self._bitrate = self._vectors.table(), self._nodes.config.bus.bitrate
 
     def _join_motors(self) -> None:
         """The drives on both sides, with what they turn."""
@@ -231,8 +240,9 @@ class _Run:
                 head = self._lines.head(cob_id).encode("ascii", "backslashreplace")
                 self._rows[row]["head"], self._rows[row]["head_end"] = len(heads), len(heads) + len(head)
                 heads += head
-            self._text = np.zeros(_TRACED_TOGETHER * (len(frames.rows) * lay.LINE + len(heads)), np.uint8)
-        self._heads = np.frombuffer(heads or b"\0", np.uint8).copy()
+            self._text = _octets(_TRACED_TOGETHER * (len(frames.rows) * lay.LINE + len(heads)))
+        self._heads = _octets(len(heads))
+        self._heads[: len(heads)] = np.frombuffer(heads, np.uint8)
         self._waiting = self._waiting_frames = 0  # cycles and frames whose lines are in the text
 
     def _of_twin(self) -> None:
@@ -284,7 +294,7 @@ class _Run:
             here.machine.go_on_in_vectors()
         else:
             self._move_twin()
-        if not self._publish_all():
+        if not kernel.publish(self._table):
             self._hardware.publish_by_objects()
             self._twin.publish_by_objects()
         left = self._left_now
@@ -328,8 +338,7 @@ class _Run:
                 self._whole_at[slot] = cell.value
         given[lay.I_START_NS] = self._sync.next_sync_ns
         given[lay.I_CLOCKS], given[lay.I_CLOCKS + 1] = here.hardware.clock.next_ns, here.twin.clock.next_ns
-        done: bool = self._exchange_all()
-        return done
+        return kernel.exchange(self._table, self._bitrate)
 
     def _count_frames(self) -> bool:
         """What the frames were; whether the bench's heartbeat was among them."""
@@ -447,3 +456,8 @@ class _Run:
 
 def _reals(vector: lay.Real) -> memoryview[float]:
     return vector.data.cast("B").cast("d")
+
+
+def _octets(least: int) -> lay.Bytes:
+    """At least so many, whole eights."""
+    return np.zeros(-(-least // 8) * 8, np.uint8)

@@ -4,8 +4,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass, fields
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hilbench.batch import layout as lay
 from hilbench.batch.layout import Bytes, Real, Row, Rows, Single, Whole
@@ -14,15 +16,14 @@ from hilbench.can.compiled_wire import bits_on_wire
 from hilbench.cia402.state_machine import STATUS_INTERNAL_LIMIT
 from hilbench.compiled import (
     COUNT,
-    FRAME_DATA,
-    INDICES,
-    OCTETS,
-    SINGLES,
-    VECTOR,
+    TABLE,
+    TABLE_WIDTH,
     compiled,
     entry_point,
+    floats,
+    integers,
     number_of_sources,
-    of_records,
+    table_of,
 )
 
 _SIGNED, _FLOAT = lay.SIGNED, lay.FLOAT
@@ -38,11 +39,61 @@ _LARGEST = 2.0**53  # whole numbers up to here are exact
 _SECOND_NS = 1_000_000_000
 _DIGITS = np.frombuffer(b"0123456789ABCDEF", np.uint8).copy()
 
-FRAMES, FIELDS, TARGETS, DRIVES, SEEN = (
-    of_records(kind) for kind in (lay.FRAME, lay.FIELD, lay.TARGET, lay.DRIVE, lay.SEEN)
-)
-Exchange = Callable[..., bool]
-Publish = Callable[[Rows, Real, Whole], bool]
+Table = NDArray[np.int64]
+_FRAME, _FIELD, _TARGET, _DRIVE, _SEEN_BY = lay.FRAME, lay.FIELD, lay.TARGET, lay.DRIVE, lay.SEEN
+_OCTET, _SINGLE = np.dtype(np.uint8), np.dtype(np.float32)
+# Rows of the table: as `vectors` has them.
+(
+    _TARGETS,
+    _ASKING,
+    _FRAMES,
+    _SENT,
+    _RECEIVED,
+    _DRIVES,
+    _SEEN,
+    _WHOLE,
+    _REAL,
+    _GIVEN,
+    _LEFT,
+    _DATA,
+    _HEADS,
+    _TEXT,
+    _SCRATCH,
+    _FEEDBACK,
+    _ASKED,
+    _SHOWN,
+) = range(18)
+Exchange = Callable[[Table, int], bool]
+Publish = Callable[[Table], bool]
+
+
+@dataclass(frozen=True)
+class Vectors:
+    """All that a plain cycle works on, in the order of the table: rows of `layout`, values, bytes."""
+
+    targets: Rows
+    set_points: Real  #: by target
+    frames: Rows
+    sent: Rows  #: fields
+    received: Rows
+    drives: Rows
+    seen: Rows
+    whole: Whole
+    real: Real
+    given: Whole
+    left: Whole
+    data: Bytes  #: (8 F,)
+    heads: Bytes  #: of the trace's lines
+    text: Bytes  #: of length 0: no trace
+    scratch: Bytes  #: (8,)
+    feedback: Real
+    asked: Real  #: set points that the drives follow
+    shown: Real  #: by their ports
+
+    def table(self) -> Table:
+        """Where they stand; they are to be kept. Lengths in bytes are whole eights."""
+        vectors = [getattr(self, each.name) for each in fields(self)]
+        return table_of([each if each.dtype == np.float64 else each.view(np.int64) for each in vectors])
 
 
 @compiled
@@ -219,47 +270,25 @@ def _encode(targets: Rows, sent: Rows, set_points: Real, whole: Whole, real: Rea
 def _entry_points(sources: int) -> tuple[Exchange, Publish]:
     """The compiled functions that Python calls; `sources` as in `compiled.number_of_sources`."""
 
-    @entry_point(
-        TARGETS,
-        VECTOR,
-        FRAMES,
-        FIELDS,
-        FIELDS,
-        DRIVES,
-        SEEN,
-        INDICES,
-        VECTOR,
-        INDICES,
-        INDICES,
-        FRAME_DATA,
-        *[OCTETS] * 3,
-        SINGLES,
-        *[VECTOR] * 3,
-        COUNT,
-    )
-    def exchange(
-        targets: Rows,
-        set_points: Real,
-        frames: Rows,
-        sent: Rows,
-        received: Rows,
-        drives: Rows,
-        seen: Rows,
-        whole: Whole,
-        real: Real,
-        given: Whole,
-        left: Whole,
-        data: Bytes,
-        heads: Bytes,
-        text: Bytes,
-        scratch: Bytes,
-        single: Single,
-        double: Real,
-        feedback: Real,
-        asked: Real,
-        bitrate: int,
-    ) -> bool:
-        if sources < 0 or not _encode(targets, sent, set_points, whole, real, single):
+    @entry_point(TABLE, COUNT)
+    def exchange(table: Table, bitrate: int) -> bool:
+        if sources < 0 or len(table) == 0:
+            return False
+        targets, frames = integers(table, _TARGETS, (1,)).view(_TARGET), integers(table, _FRAMES, (1,)).view(_FRAME)
+        sent, received = integers(table, _SENT, (1,)).view(_FIELD), integers(table, _RECEIVED, (1,)).view(_FIELD)
+        drives, seen = integers(table, _DRIVES, (1,)).view(_DRIVE), integers(table, _SEEN, (1,)).view(_SEEN_BY)
+        whole, real, set_points = (
+            integers(table, _WHOLE, (1,)),
+            floats(table, _REAL, (1,)),
+            floats(table, _ASKING, (1,)),
+        )
+        given, left = integers(table, _GIVEN, (1,)), integers(table, _LEFT, (1,))
+        all_data, heads = integers(table, _DATA, (1,)).view(_OCTET), integers(table, _HEADS, (1,)).view(_OCTET)
+        text, scratch = integers(table, _TEXT, (1,)).view(_OCTET), integers(table, _SCRATCH, (1,)).view(_OCTET)
+        single, double = scratch[:4].view(_SINGLE), floats(table, _SCRATCH, (1,))
+        feedback, asked = floats(table, _FEEDBACK, (1,)), floats(table, _ASKED, (1,))
+        data = all_data.reshape((len(frames), 8))
+        if not _encode(targets, sent, set_points, whole, real, single):
             return False
         bits_of = left[_O_SIZE:]
         left[:] = 0
@@ -294,10 +323,12 @@ def _entry_points(sources: int) -> tuple[Exchange, Publish]:
             left[_O_TEXT] = at
         return True
 
-    @entry_point(DRIVES, VECTOR, INDICES)
-    def publish(drives: Rows, ports: Real, whole: Whole) -> bool:
-        if sources < 0:
+    @entry_point(TABLE)
+    def publish(table: Table) -> bool:
+        if sources < 0 or len(table) == 0:
             return False
+        drives = integers(table, _DRIVES, (1,)).view(_DRIVE)
+        ports, whole = floats(table, _SHOWN, (1,)), integers(table, _WHOLE, (1,))
         for k in range(len(drives)):
             drive, port = drives[k], ports[k * _PORT_SIZE : (k + 1) * _PORT_SIZE]
             if not abs(port[1]) <= drive.overspeed_rad_s:
@@ -338,21 +369,14 @@ def _show(drive: Row, port: Real, whole: Whole) -> None:
     whole[drive.statusword] = bits
 
 
-#: exchange(targets, set points by target, frames, sent, received, drives, seen, whole, real, given, left, data (F, 8),
-#: heads, text, scratch, single, double, feedback, set points that the drives follow, bitrate): the frames of a cycle
-#: over the wire; False, and nothing done, where a value does not fit. `text` of length 0: no trace.
-#: publish(drives, ports, whole): feedback into the objects; False, and nothing done, where a fault would follow.
+#: exchange(table of `Vectors`, bitrate): the frames of a cycle over the wire; False, and nothing done, where a value
+#: does not fit.
+#: publish(table): feedback into the objects; False, and nothing done, where a fault would follow.
 exchange, publish = _entry_points(number_of_sources(__file__, lay.__file__, compiled_wire.__file__, wire.__file__))
 
 
 def warm_up() -> None:
     """Compile, or load from the cache, before anybody waits for a cycle."""
-    rows = {kind: np.zeros(0, kind) for kind in (lay.FRAME, lay.FIELD, lay.TARGET, lay.DRIVE, lay.SEEN)}
-    whole, real, octets, single = np.zeros(8, np.int64), np.zeros(8), np.zeros(8, np.uint8), np.zeros(1, np.float32)
-    frames, fields, drives, seen = rows[lay.FRAME], rows[lay.FIELD], rows[lay.DRIVE], rows[lay.SEEN]
-    data = octets.reshape(1, 8)
-    exchange(
-        *(rows[lay.TARGET], real, frames, fields, fields, drives, seen, whole, real, whole, whole.copy(), data),
-        *(octets, octets, octets, single, real, real, real, 1_000_000),
-    )
-    publish(drives, real, whole)
+    nothing = np.zeros((0, TABLE_WIDTH), np.int64)
+    exchange(nothing, 1_000_000)
+    publish(nothing)
