@@ -27,6 +27,7 @@ from hilbench.batch.tables import (
 )
 from hilbench.batch.wiring import InOneProcess, Wiring
 from hilbench.can.frame import Frame
+from hilbench.canopen.clock import SyncClock
 from hilbench.canopen.identifiers import HEARTBEAT
 from hilbench.canopen.object_store import Cell
 from hilbench.cia402.state_machine import Command
@@ -106,6 +107,7 @@ class _Run:
         """Raises NotPlainError where cycles are not plain."""
         self._here, self._nodes, self._sync, self._tap = here, nodes, sync, tap
         self._cycles = 0
+        self._bench_drives = nodes.drives
         self._devices = (*here.hardware.devices, *here.twin.devices)
         step_s = here.rig.plain_step_s()
         if step_s is None:
@@ -273,10 +275,10 @@ class _Run:
 
     def _deadlines(self) -> None:
         """Until when, by each host's clock, no device has to notice that a heartbeat stays away."""
-        self._until_ns = []
+        self._until_ns: list[tuple[SyncClock, int]] = []
         for served in (self._here.hardware, self._here.twin):
             ends = [device.consumer.quiet_until_ns() for device in served.devices]
-            self._until_ns.append(min((end for end in ends if end is not None), default=1 << 62))
+            self._until_ns.append((served.clock, min((end for end in ends if end is not None), default=1 << 62)))
 
     # -- cycle by cycle --------------------------------------------------------------------------------------
 
@@ -312,14 +314,14 @@ class _Run:
             return False
         if sync.due_always is not self._due or nodes.supervised != self._supervised:
             return False
-        for drive in nodes.drives:
+        for drive in self._bench_drives:
             if drive.controlword != _ENABLED or not drive.reached:
                 return False
         for device in self._devices:
             if device.outbox:
                 return False
-        for served, until_ns in zip((here.hardware, here.twin), self._until_ns, strict=True):
-            if not served.clock.runs_until(now_ns, until_ns):
+        for clock, until_ns in self._until_ns:
+            if not clock.runs_until(now_ns, until_ns):
                 return False
         return not sync.is_slow(now_ns * 1e-9)
 

@@ -7,12 +7,13 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.compiled import COUNT, INDICES, VECTOR, entry_point
+from hilbench.compiled import COUNT, INDICES, TABLE, VECTOR, entry_point, floats, integers
 from hilbench.plant.web_line import kernel
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.kernel import advance, observe
 from hilbench.plant.web_line.layout import Vector
 
+Table = NDArray[np.int64]
 Step = Callable[[Vector, Vector, Vector, Vector, Vector, NDArray[np.int64], Vector, int, Vector, Vector, Vector], None]
 #: What a motor shows, in the order of `hilbench.plant.motor_port.MotorPort`: position, velocity, torque, reference,
 #: whether the torque was limited (1) or not (0).
@@ -21,7 +22,7 @@ SHOWN = 5
 SENSOR = 4
 
 
-def _entry_point(sources: int) -> Step:
+def _entry_points(sources: int) -> tuple[Step, Callable[[Table, int, Vector], None]]:
     @entry_point(VECTOR, VECTOR, VECTOR, VECTOR, VECTOR, INDICES, VECTOR, COUNT, VECTOR, VECTOR, VECTOR)
     def step(
         p: Vector,
@@ -59,9 +60,19 @@ def _entry_point(sources: int) -> Step:
             shown[at + 3] = s[state + lay.SM_REFERENCE]
             shown[at + 4] = s[state + lay.SM_LIMITED] != 0.0
 
-    return step
+    @entry_point(TABLE, COUNT, VECTOR)
+    def step_by(table: Table, samples: int, noise: Vector) -> None:
+        if sources < 0:
+            return
+        p, s, u = floats(table, 0, (1,)), floats(table, 1, (1,)), floats(table, 2, (1,))
+        work, out, motors = floats(table, 3, (1,)), floats(table, 4, (1,)), integers(table, 5, (1,))
+        set_points, sensors, shown = floats(table, 6, (1,)), floats(table, 7, (1,)), floats(table, 8, (1,))
+        step(p, s, u, work, out, motors, set_points, samples, sensors, noise, shown)
+
+    return step, step_by
 
 
 #: step(parameters, state, inputs, work, out, motors (M,), set points (M,), samples, sensors (M · SENSOR,), normal
 #: numbers (3 · M,), shown (M · SHOWN,)): `read_ports`, `kernel.advance`, `kernel.observe`, `write_ports` and `Sensors`.
-step = _entry_point(kernel.source_number(__file__))
+#: step_by(table of the vectors in this order, samples, normal numbers): the same.
+step, step_by = _entry_points(kernel.source_number(__file__))

@@ -9,12 +9,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass
-from functools import partial
 from types import MappingProxyType
 from typing import Literal
 
 import numpy as np
 
+from hilbench.compiled import table_of
 from hilbench.plant.drive_loops import OFF
 from hilbench.plant.effects import Effect, MachineKind, find_effect
 from hilbench.plant.interface import Motor, PlantDescription, PlantState, Quantity, checked_name
@@ -248,14 +248,17 @@ class SimulatedLine:
         """`step` with set points (M,) in place of those of the ports, whose modes and limits stay what they are; what
         the ports would show goes into `shown`, (5 M,): position, velocity, torque, reference, torque limited.
 
-        The ports do not learn of it. Raises ValueError as `step`.
+        The ports do not learn of it; who calls it keeps the vectors. Raises ValueError as `step`.
         """
         samples = samples_per(duration_s, self._p.item(lay.W_SAMPLE_TIME_S))
-        vectors = self._p, self._state, self._inputs, self._work, self._out, self._places_of_motors
-        step = partial(rig_cycle.step, *vectors, set_points, samples, self._figures)
-        if self._noise is None:
-            return partial(step, self._silence, shown)
-        return lambda: step(self._noise.row(), shown)  # type: ignore[union-attr]  # one with sensors has them always
+        own = self._p, self._state, self._inputs, self._work, self._out, self._places_of_motors
+        table = table_of((*own, set_points, self._figures, shown))
+
+        def step() -> None:
+            noise = self._silence if self._noise is None else self._noise.row()
+            rig_cycle.step_by(table, samples, noise)
+
+        return step
 
     def _observe(self) -> None:
         """Bring `_out` up to the state, and the feedback to the ports."""
