@@ -41,7 +41,7 @@ class TwinSignals:
 
 
 #: Of the vectors of `judge`. Figures: the age of the data in cycles, tensions in N and deviation of E in % up to which
-#: they are believed; state: whether the twin has called itself synchronized and not been in doubt since, and for how many
+#: they are believed; state: whether the twin has called itself synchronized and not been in doubt since, and how many
 #: cycles in a row it has refused what was measured and not called itself that.
 _AGE_LIMIT, _LOWEST_N, _HIGHEST_N, _DEVIATION_PCT, _FIGURES = range(5)
 #: Values: age in cycles, status, tension in N, E and its deviation in Pa.
