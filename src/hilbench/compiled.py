@@ -30,12 +30,10 @@ arraymath._HAVE_BLAS = True
 Function = TypeVar("Function", bound=Callable[..., object])
 
 #: Types of arguments of an entry point: a float, an int, a bool; arrays of float64 with one to three dimensions and of
-#: int64 with one and two, in one piece; bytes, eight bytes a frame, float32; tuples of so many floats.
+#: int64 with one and two, in one piece; tuples of so many floats.
 REAL, COUNT, FLAG = types.float64, types.int64, types.boolean
 VECTOR, MATRIX, CUBE = (types.Array(types.float64, dimensions, "C") for dimensions in (1, 2, 3))
 INDICES, TABLE = (types.Array(types.int64, dimensions, "C") for dimensions in (1, 2))
-OCTETS, FRAME_DATA = (types.Array(types.uint8, dimensions, "C") for dimensions in (1, 2))
-SINGLES = types.Array(types.float32, 1, "C")
 
 
 def reals(count: int) -> Any:
@@ -115,12 +113,10 @@ if TYPE_CHECKING:
         """
         return lambda function: function
 
-    def of_records(dtype: np.dtype[Any]) -> Any:
-        """Type of a vector of such records."""
-
     def floats(table: NDArray[np.int64], row: int, dimensions: tuple[int, ...]) -> NDArray[np.float64]:
         """In the body of an entry point: the array of a row of a `table_of`, which has so many `dimensions` (each named
-        by its number: (1,), (1, 2), (1, 2, 3)). It is the caller's who made the table to keep the array alive."""
+        by its number: (1,), (1, 2), (1, 2, 3)). It is the caller's who made the table to keep the array alive. Arrays
+        of other types are given as those of eight bytes, and taken by their `view`."""
         raise NotImplementedError
 
     def integers(table: NDArray[np.int64], row: int, dimensions: tuple[int, ...]) -> NDArray[np.int64]:
@@ -145,9 +141,6 @@ else:
             return dispatcher
 
         return decorate
-
-    def of_records(dtype):
-        return numba.typeof(np.zeros(0, dtype))
 
     @intrinsic
     def noinline(typing_context):

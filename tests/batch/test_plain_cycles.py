@@ -22,9 +22,11 @@ from hilbench.bench.lifecycle.participants import Participants
 from hilbench.can.frame import Frame
 from hilbench.canopen.host import HostedDevices
 from hilbench.errors import HilbenchError
+from hilbench.estimation.web_line import tracking_cycle
 from hilbench.results.trace import TraceWriter
 from hilbench.runs.config import load_with_overrides
 from hilbench.topology.sample import CycleSample
+from hilbench.twin.machines.web_line_cycle import SpanInVectors
 
 CONFIGS = Path(__file__).resolve().parents[2] / "bench_configs"
 #: The time of the first SYNC: traces have the same times.
@@ -255,3 +257,31 @@ def test_who_reads_and_finds_nothing_ends_no_plain_cycles(tmp_path: Path) -> Non
         left = run(tmp_path, loaded, [(20, opens), (60, reads)], 80, compiled=True)
     assert left.plain >= 40
     assert left.ending == ""
+
+
+def counts_stages(made: list[int]) -> Callable[..., int]:
+    """`SpanInVectors._go_on_by_objects` that keeps the stages at which it was called."""
+    original = SpanInVectors._go_on_by_objects
+
+    def counted(self: SpanInVectors, stage: int, time_s: float) -> int:
+        made.append(stage)
+        return original(self, stage, time_s)
+
+    return counted
+
+
+@pytest.mark.slow
+def test_what_a_twin_has_python_do_now_and_then_is_alike(tmp_path: Path) -> None:
+    """A standstill, a start, a twin that joins under way, another E, a web that tears."""
+    stages = list[int]()
+    changes = [
+        (20, sets("line_speed_m_s", 0.3)),
+        (300, restarts_the_twin),
+        (500, sets("line_speed_m_s", 1.0)),
+        (900, sets("load.web.youngs_modulus_Pa", 10.5e9)),
+        (1300, sets("load.web.broken", 1.0)),
+    ]
+    loaded = load_with_overrides(CONFIGS / "web_section_step.yaml")
+    with patch.object(SpanInVectors, "_go_on_by_objects", counts_stages(stages)):
+        check(tmp_path, loaded, changes, cycles=1600, least=1000)
+    assert {tracking_cycle.HOLD, tracking_cycle.FOUND_WEB} <= set(stages)

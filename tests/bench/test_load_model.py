@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+from random import Random
+from typing import Any
+
 import pytest
 from tests.bench.bench_nodes import shipped
 
 from hilbench.bench.tasks.imitated_web import web_load_model
+from hilbench.bench.tasks.load_model import LoadModel
+from hilbench.plant.web_line.imitation import lead_s
+from hilbench.plant.web_line.sizes import least_way_m
 from hilbench.topology.blocks import LoadConfig
 from hilbench.topology.quantities import WEB_BROKEN
 from hilbench.topology.web_line_quantities import YOUNGS_MODULUS
@@ -159,3 +165,37 @@ def test_what_the_load_hides_is_no_part_of_what_the_twin_believes() -> None:
     assert line.model.value(YOUNGS_MODULUS) == 9.5e9
     assert line.tension_N == pytest.approx(UPSTREAM_N * 9.5 / 8.7, rel=1e-6)
     assert line.config.machine.required_web.youngs_modulus_Pa == 8.7e9
+
+
+class ByItsParts:
+    """A follower that is asked one thing after the other."""
+
+    def __init__(self, web: Any) -> None:
+        for name in ("describe", "reset", "follow", "load_torques_Nm", "outputs", "set_parameter"):
+            setattr(self, name, getattr(web, name))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_in_one_call_the_web_does_what_it_does_by_its_parts(seed: int) -> None:
+    """Positions of one instant and not, late ones, cycles that are missing, another E, a web that tears."""
+    whole, parts = Line(), Line()
+    config, web = parts.config, parts.model.machine
+    least_m = least_way_m(config.web_line)
+    lead = lead_s(config.web_line, CYCLE_S)
+    parts.model = LoadModel(ByItsParts(web), config.loaded_axes, CYCLE_S, lead, least_m)  # type: ignore[arg-type]
+    random = Random(seed)
+    for cycle in range(400):
+        for line in (whole, parts):
+            if cycle in (150, 300):
+                line.model.machine.set_parameter(*(("youngs_modulus_Pa", 9e9) if cycle == 150 else ("broken", 1.0)))
+        odd, draw = random.random(), random.gauss(0.0, 1e-5)
+        for line in (whole, parts):
+            line.advance(draw)
+            line.x1_m += (odd < 0.03) * 3e-3  # of another SYNC than roller 2
+            if odd > 0.97:
+                line.advance(draw)
+        torques = [line.update(SPEED_M_S, late=0.5 < odd < 0.55) for line in (whole, parts)]
+        assert torques[0] == torques[1]
+        assert list(whole.model.outputs()) == list(parts.model.outputs())
+        for line in (whole, parts):
+            line.x1_m -= (odd < 0.03) * 3e-3

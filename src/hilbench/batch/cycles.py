@@ -145,6 +145,10 @@ class _Run:
         self._real = self._real if len(self._real) else np.zeros(1)
         # One value goes faster through these than through the array.
         self._whole_at, self._real_at = self._whole.data, _reals(self._real)
+        self._said_values: list[tuple[int, int, memoryview[Any]]] = [
+            (cob_id, lay.O_SIZE + row, (self._real_at if real else self._whole_at)[first:last])
+            for cob_id, row, first, last, real in self._wiring.said
+        ]
         self._data = np.zeros((len(frames.rows), 8), np.uint8)
         for row, content in frames.constants.items():
             self._data[row, : len(content)] = np.frombuffer(content, np.uint8)
@@ -383,12 +387,8 @@ class _Run:
 
     def _said(self) -> dict[int, Sequence[float]]:
         """What the twin's TPDOs of this cycle bring."""
-        left, values = self._left_now, self._real.tolist()
-        return {
-            cob_id: values[first:last] if real else self._whole[first:last].tolist()
-            for cob_id, row, first, last, real in self._wiring.said
-            if left[lay.O_SIZE + row]
-        }
+        left = self._left_now
+        return {cob_id: values.tolist() for cob_id, sent, values in self._said_values if left[sent]}
 
     def _heard(self) -> list[int]:
         return [device.node_id for device, row in self._heartbeats if self._left_now[lay.O_SIZE + row]]
