@@ -15,6 +15,7 @@ from hilbench.twin.virtual_io import TwinStatus
 
 SYNCHRONIZED = int(TwinStatus.RUNNING | TwinStatus.SYNCHRONIZED)
 HIGHEST_N = 300.0
+CYCLE_S = 0.002
 CONFIG = TensionControlConfig(twin_age_limit_cycles=10, twin_deviation_limit_pct=30.0)
 
 
@@ -24,13 +25,13 @@ def sample(**changes: Any) -> CycleSample:
 
 
 def trusting() -> TwinTrust:
-    trust = TwinTrust(CONFIG, HIGHEST_N)
+    trust = TwinTrust(CONFIG, HIGHEST_N, CYCLE_S)
     assert trust.update(sample())
     return trust
 
 
 def test_the_loop_stays_open_until_the_twin_calls_itself_synchronized() -> None:
-    trust = TwinTrust(CONFIG, HIGHEST_N)
+    trust = TwinTrust(CONFIG, HIGHEST_N, CYCLE_S)
     assert not trust.update(sample(twin_status=int(TwinStatus.RUNNING)))
     assert trust.doubt == "not synchronized yet"
     assert trust.update(sample())
@@ -65,13 +66,12 @@ def test_a_doubt_opens_the_loop_and_is_named(changes: dict[str, float], why: str
 
 def test_a_twin_that_refuses_what_is_measured_is_doubted_when_that_lasts() -> None:
     refuses = sample(twin_status=int(TwinStatus.RUNNING | TwinStatus.TRANSFER_REFUSED))
-    trust = trusting()
-    for _ in range(CONFIG.twin_age_limit_cycles):
+    sure = sample(twin_status=SYNCHRONIZED | int(TwinStatus.TRANSFER_REFUSED))
+    trust, cycles = trusting(), 125
+    for _ in range(cycles):
         assert trust.update(refuses)
-    assert trust.update(sample())
-    still_sure = sample(twin_status=SYNCHRONIZED | int(TwinStatus.TRANSFER_REFUSED))
-    assert all(trust.update(still_sure) for _ in range(2 * CONFIG.twin_age_limit_cycles)), "a jump of an encoder"
-    assert [trust.update(refuses) for _ in range(CONFIG.twin_age_limit_cycles + 1)][-1] is False
+    assert all(trust.update(sure) for _ in range(2 * cycles)), "a jump of an encoder"
+    assert [trust.update(refuses) for _ in range(cycles + 1)][-1] is False
     assert "not what the twin simulates" in trust.doubt
 
 

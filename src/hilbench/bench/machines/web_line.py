@@ -73,7 +73,7 @@ def tasks(config: BenchConfig, state: BenchState) -> MachineTasks:
             axes.append(FollowingAxis(drives[axis - 1], axis, axes[-1], plan))
             continue
         names = LoopNames.of(drives[axis - 1], control.span, config.shape)
-        trusts.append(TwinTrust(control, limits.tension_N.trip or inf, names.twin))
+        trusts.append(TwinTrust(control, limits.tension_N.trip or inf, cycle_s, names.twin))
         ahead = None
         if plan is not None and axis in ways:
             ahead = FeedForward(ways[axis], entering_strain(config, state.twin, axis), plan)

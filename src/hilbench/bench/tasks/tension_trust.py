@@ -27,6 +27,8 @@ _ROW = Struct("=5d")
 _SYNCHRONIZED, _REFUSED = int(TwinStatus.SYNCHRONIZED), int(TwinStatus.TRANSFER_REFUSED)
 #: Share of the set-point by which a simulated tension may be below zero: rounding of REAL32.
 _BELOW_ZERO = 0.0125
+#: So long a twin may refuse what is measured, s: where a span is short it does until a new E of the web is found.
+_REFUSES_S = 0.25
 #: Share of the deviation at which a loop opens that it closes at.
 _CLOSES_AT = 0.8
 
@@ -40,10 +42,10 @@ class TwinSignals:
     deviation: str = "E_sd_Pa"
 
 
-#: Of the vectors of `judge`. Figures: the age of the data in cycles, tensions in N and deviation of E in % up to which
+#: Of the vectors of `judge`. Figures: cycles of age, and of refusing, tensions in N and deviation of E in % up to which
 #: they are believed; state: whether the twin has called itself synchronized and not been in doubt since, and how many
 #: cycles in a row it has refused what was measured and not called itself that.
-_AGE_LIMIT, _LOWEST_N, _HIGHEST_N, _DEVIATION_PCT, _FIGURES = range(5)
+_AGE_LIMIT, _REFUSES_CYCLES, _LOWEST_N, _HIGHEST_N, _DEVIATION_PCT, _FIGURES = range(6)
 #: Values: age in cycles, status, tension in N, E and its deviation in Pa.
 _AGE, _STATUS, _TENSION_N, _MODULUS_PA, _DEVIATION_PA, _VALUES = range(6)
 _TOLD, _ASTRAY_CYCLES, _STATE = range(3)
@@ -63,7 +65,7 @@ def _entry_point(sources: int) -> Callable[[Vector, Vector, Vector], int]:
         synchronized = status & _SYNCHRONIZED != 0
         astray = status & _REFUSED != 0 and not synchronized
         state[_ASTRAY_CYCLES] = state[_ASTRAY_CYCLES] + 1.0 if astray else 0.0
-        if state[_ASTRAY_CYCLES] > figures[_AGE_LIMIT]:
+        if state[_ASTRAY_CYCLES] > figures[_REFUSES_CYCLES]:
             return _ASTRAY
         if not (np.isfinite(tension_N) and LEAST_MODULUS_Pa <= modulus_Pa <= LARGEST_MODULUS_Pa):
             return _NO_WEB
@@ -88,12 +90,17 @@ class TwinTrust:
     """Checks the twin cycle by cycle. `highest_tension_N`: what a simulated tension may reach and be believed."""
 
     def __init__(
-        self, config: TensionControlConfig, highest_tension_N: float, signals: TwinSignals = TwinSignals()
+        self,
+        config: TensionControlConfig,
+        highest_tension_N: float,
+        cycle_s: float,
+        signals: TwinSignals = TwinSignals(),
     ) -> None:
         self._config = config
         self._read = attrgetter("twin_age_cycles", "twin_status", signals.tension, signals.modulus, signals.deviation)
         figures = np.zeros(_FIGURES)
         figures[_AGE_LIMIT], figures[_DEVIATION_PCT] = config.twin_age_limit_cycles, config.twin_deviation_limit_pct
+        figures[_REFUSES_CYCLES] = _REFUSES_S / cycle_s
         figures[_LOWEST_N], figures[_HIGHEST_N] = -_BELOW_ZERO * config.set_point_N, highest_tension_N
         self._figures, self._state, self._values = figures, np.zeros(_STATE), np.zeros(_VALUES)
         self._synchronized = self._state.data.cast("B").cast("d")  # quicker than the vector
@@ -123,7 +130,7 @@ class TwinTrust:
         if found == _OLD:
             return f"the twin's data are more than {config.twin_age_limit_cycles} cycles old"
         if found == _ASTRAY:
-            return f"what was measured is not what the twin simulates, for {config.twin_age_limit_cycles} cycles now"
+            return f"what was measured is not what the twin simulates, for {_REFUSES_S:g} s now"
         if found == _NO_WEB:
             return f"the twin's data are no web's: tension {tension_N:g} N, E {modulus_Pa:g} Pa"
         if found == _OUTSIDE:
