@@ -22,7 +22,7 @@ SHOWN = 5
 SENSOR = 4
 
 
-def _entry_points(sources: int) -> tuple[Step, Callable[[Table, int, Vector], None]]:
+def _entry_point(sources: int) -> Step:
     @entry_point(VECTOR, VECTOR, VECTOR, VECTOR, VECTOR, INDICES, VECTOR, COUNT, VECTOR, VECTOR, VECTOR)
     def step(
         p: Vector,
@@ -60,6 +60,15 @@ def _entry_points(sources: int) -> tuple[Step, Callable[[Table, int, Vector], No
             shown[at + 3] = s[state + lay.SM_REFERENCE]
             shown[at + 4] = s[state + lay.SM_LIMITED] != 0.0
 
+    return step
+
+
+#: step(parameters, state, inputs, work, out, motors (M,), set points (M,), samples, sensors (M · SENSOR,), normal
+#: numbers (3 · M,), shown (M · SHOWN,)): `read_ports`, `kernel.advance`, `kernel.observe`, `write_ports` and `Sensors`.
+step = _entry_point(kernel.source_number(__file__))
+
+
+def _by_table(sources: int) -> Callable[[Table, int, Vector], None]:
     @entry_point(TABLE, COUNT, VECTOR)
     def step_by(table: Table, samples: int, noise: Vector) -> None:
         if sources < 0:
@@ -69,10 +78,8 @@ def _entry_points(sources: int) -> tuple[Step, Callable[[Table, int, Vector], No
         set_points, sensors, shown = floats(table, 6, (1,)), floats(table, 7, (1,)), floats(table, 8, (1,))
         step(p, s, u, work, out, motors, set_points, samples, sensors, noise, shown)
 
-    return step, step_by
+    return step_by
 
 
-#: step(parameters, state, inputs, work, out, motors (M,), set points (M,), samples, sensors (M · SENSOR,), normal
-#: numbers (3 · M,), shown (M · SHOWN,)): `read_ports`, `kernel.advance`, `kernel.observe`, `write_ports` and `Sensors`.
 #: step_by(table of the vectors in this order, samples, normal numbers): the same.
-step, step_by = _entry_points(kernel.source_number(__file__))
+step_by = _by_table(kernel.source_number(__file__))
