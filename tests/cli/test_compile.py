@@ -88,3 +88,13 @@ def test_a_bench_knows_whether_what_it_has_imported_is_compiled() -> None:
     """
     ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=300, check=False)
     assert ended.returncode == 0, ended.stderr
+
+
+def test_an_entry_point_closes_over_numbers_alone() -> None:
+    """What else a closure holds is another one in each process, and its machine code is never found again."""
+    points = [each.py_func for name in _MODULES for each in entry_points(import_module(name))]
+    held = {
+        (each.__module__, each.__qualname__): [cell.cell_contents for cell in each.__closure__ or ()] for each in points
+    }
+    assert len(held) > 50
+    assert {name: values for name, values in held.items() if not all(isinstance(one, int) for one in values)} == {}
