@@ -105,19 +105,22 @@ def _locked(wanted: bool | None, report: Callable[[str], None]) -> Iterator[None
 
 
 def give_way(taken: Collection[int] = (), *, before: int | None = None) -> None:
-    """For a process that may wait, of one core, if there is one on none of those that are `taken`: from here on it gets
-    what nobody else wants.
+    """For a process that may wait: from here on it gets what nobody else wants of one core, if there is one on none of
+    those that are `taken`.
 
     before: SCHED_FIFO priority of those that it gives way to. Where they have it they come first in any case, and it
-    has its share of what they leave, as others have: on a machine with other work what nobody wants may be nothing.
+    has its share of what they leave on all of these cores, as others have: on a machine with other work what nobody
+    wants may be nothing.
     """
+    permitted = os.sched_getaffinity(0)
+    cores = permitted - set(taken) or permitted
     if before is None or not _may_have(before):
         os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
         # A process that has a session of its own is in a group of its own, which is as good as any other.
         with suppress(OSError):
             _AUTOGROUP.write_text(str(_LOWEST), encoding="ascii")
-    permitted = os.sched_getaffinity(0)
-    os.sched_setaffinity(0, {max(permitted - set(taken) or permitted)})
+        cores = {max(cores)}
+    os.sched_setaffinity(0, cores)
 
 
 def _may_have(priority: int) -> bool:

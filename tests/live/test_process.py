@@ -24,7 +24,7 @@ CONFIG = Path(__file__).resolve().parents[2] / "bench_configs" / "live_friction.
 
 @pytest.mark.slow
 def test_in_real_time_it_is_ready_before_a_cycle_and_gets_only_what_nobody_else_wants(tmp_path: Path) -> None:
-    config = load_with_overrides(CONFIG, changes=["pace=realtime"]).config
+    config = load_with_overrides(CONFIG, changes=["pace=realtime", "realtime.priority=null"]).config
     process = LiveProcess(config, tmp_path)
     try:
         process.wait_until_ready()
