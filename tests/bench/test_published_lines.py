@@ -9,29 +9,31 @@ import pytest
 
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.results.recording import read_recording
-from hilbench.results.run import run_experiment
+from hilbench.results.run import RunOutcome, run_experiment
 from hilbench.runs.config import load_with_overrides
 
 CONFIGS = Path(__file__).resolve().parents[2] / "bench_configs"
 
 
+def passed(name: str, folder: Path, criteria: int) -> RunOutcome:
+    """A shipped config has run without a fault, and all its criteria hold."""
+    given = load_with_overrides(CONFIGS / f"{name}.yaml", bus=f"embedded:{folder.name}")
+    outcome = run_experiment(given, folder / "run", participants=Participants.IN_PROCESS)
+    assert outcome.result.faults == []
+    assert [row.verdict for row in outcome.result.criteria] == ["passed"] * criteria
+    return outcome
+
+
 @pytest.mark.slow
 def test_Giannoccaros_tensions_stay_within_3_percent_as_the_speed_doubles(tmp_path: Path) -> None:
-    given = load_with_overrides(CONFIGS / "giannoccaro_2016.yaml", bus=f"embedded:{tmp_path.name}")
-    result = run_experiment(given, tmp_path / "run", participants=Participants.IN_PROCESS).result
-    assert result.faults == []
-    assert [row.verdict for row in result.criteria] == ["passed"] * 3
+    result = passed("giannoccaro_2016", tmp_path, criteria=3).result
     assert max(row.value or 0.0 for row in result.criteria) < 0.03 * 14.0
 
 
 @pytest.mark.slow
 def test_Kocs_tensions_stay_within_2_percent_as_the_speed_changes_and_its_twin_finds_E(tmp_path: Path) -> None:
-    given = load_with_overrides(CONFIGS / "koc_2002.yaml", bus=f"embedded:{tmp_path.name}")
-    outcome = run_experiment(given, tmp_path / "run", participants=Participants.IN_PROCESS)
-    result = outcome.result
-    assert result.faults == []
-    assert [row.verdict for row in result.criteria] == ["passed"] * 2
-    assert max(row.value or 1.0 for row in result.criteria) < 0.02 * 15.0
+    outcome = passed("koc_2002", tmp_path, criteria=2)
+    assert max(row.value or 1.0 for row in outcome.result.criteria) < 0.02 * 15.0
     found = read_recording(outcome.folder.recording)
     running = np.asarray(found["t_s"]) > 3.0
     for span in (1, 4):
@@ -41,11 +43,7 @@ def test_Kocs_tensions_stay_within_2_percent_as_the_speed_changes_and_its_twin_f
 
 @pytest.mark.slow
 def test_nothing_is_noticed_behind_Kuhms_accumulator_of_a_reel_change(tmp_path: Path) -> None:
-    given = load_with_overrides(CONFIGS / "kuhm_2012.yaml", bus=f"embedded:{tmp_path.name}")
-    outcome = run_experiment(given, tmp_path / "run", participants=Participants.IN_PROCESS)
-    result = outcome.result
-    assert result.faults == []
-    assert [row.verdict for row in result.criteria] == ["passed"] * 2
+    outcome = passed("kuhm_2012", tmp_path, criteria=2)
     found = read_recording(outcome.folder.recording)
     assert np.min(np.asarray(found["v1_m_s"])[np.asarray(found["t_s"]) > 12.0]) < 0.01
     # Of 4.2 m/s what did not come in while the infeed stopped, stood and started again, over 18 strands.
