@@ -100,7 +100,9 @@ def test_it_drives_a_drive_of_another_maker(eds: Path, tmp_path: Path) -> None:
             master.disable()
         by_pdo(station, drive)
         master.write(0x1017, 20, 2)
-        station.event("heartbeat", state=5)
+        for service, state in (("stopNode", 4), ("startNode", 5)):  # changes of state are told, and 5 may be known
+            station.nmt(service)
+            station.event("heartbeat", state=state)
         drive.fault(0x8611)
         assert station.event("emergency", code=0x8611)["register"] & 0x01
         until(lambda: master.status & 0x4F == 0x08)
