@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from hilbench.cli.columns import report_unknown
-from hilbench.cli.model_option import config_from, model_from
+from hilbench.cli.model_option import any_model_from, config_from
 from hilbench.cli.progress import ProgressDisplay
 from hilbench.diagnosis import axis_next_experiment, machines, web_next_experiment
 from hilbench.diagnosis.comparison import Run, compared
@@ -24,6 +24,7 @@ from hilbench.diagnosis.next_experiment import NextExperiment, Step, write_steps
 from hilbench.errors import BenchFaultError, UnusableInputError
 from hilbench.files import make_folder
 from hilbench.history.entries import keep_diagnosis
+from hilbench.plant.effects import Section
 from hilbench.plant.model_file import write_model
 from hilbench.report.diagnosis_page import write_diagnosis_page
 from hilbench.results.recording import Recording, read_recording, read_rows
@@ -110,7 +111,7 @@ def diagnose_command(
                 raise UnusableInputError(
                     "--model", "missing, expected the model file that the recording is compared with"
                 )
-            config, model = config_from(model_path), model_from(model_path)
+            config, model = config_from(model_path), any_model_from(model_path)
             progress.announce("read the recording", 0.0)
             recording = read_rows(source)
             report_unknown(recording, source)
@@ -156,6 +157,8 @@ def _proposed(diagnosis: Diagnosis, recording: Recording, place: Path) -> NextEx
     if machines.is_lone(diagnosis.model):
         data = measured_from(recording, diagnosis.model, place)
         return axis_next_experiment.propose(diagnosis, axis_next_experiment.AxisReach.of(data))
+    if machines.has_stations(diagnosis.model):  # of which no move of the library is known to be one
+        return None
     axes = diagnosis.model.axis_count
     if f"v{axes}_cmd_m_s" not in recording:
         return None
@@ -165,7 +168,7 @@ def _proposed(diagnosis: Diagnosis, recording: Recording, place: Path) -> NextEx
 def _against(source: Path, before: Path, model_path: Path | None, progress: ProgressDisplay) -> _Found:
     """What changed from one recording to another."""
     config = None if model_path is None else config_from(model_path)
-    model = None if model_path is None else model_from(model_path)
+    model = None if model_path is None else any_model_from(model_path)
     runs = []
     for path in (source, before):
         progress.announce(f"read {path}", 0.0)
@@ -189,7 +192,7 @@ def _on_the_bench(
     """
     runs = (out or Path()) / "runs"
     loaded = load_with_overrides(config)
-    model = loaded.config.machine if model_path is None else model_from(model_path)
+    model = loaded.config.machine if model_path is None else any_model_from(model_path)
     observer, announce = progress.of_run("run the bench", 0.0)
     first = run_bench(loaded, model, runs, observers=[observer], announce=announce)
     before = live_gap(first)
@@ -300,7 +303,7 @@ def as_data(shown: _Found, files: _Files | None, next_experiment: Path | None = 
             {
                 "effect": b.effect,
                 "axis": b.axis,
-                "span": b.section,
+                **_section(b.section),
                 "order": b.order,
                 "smallest_visible": b.smallest_visible,
                 "unit": b.unit,
@@ -324,11 +327,17 @@ def as_data(shown: _Found, files: _Files | None, next_experiment: Path | None = 
     }
 
 
+def _section(section: Section | None) -> dict[str, Section | None]:
+    """Where an effect is that has no axis: a span by its number, or a station by its name."""
+    named = isinstance(section, str)
+    return {"span": None if named else section} | ({"station": section} if named else {})
+
+
 def _effect(effect: NamedEffect) -> dict[str, Any]:
     return {
         "effect": effect.effect,
         "axis": effect.axis,
-        "span": effect.section,
+        **_section(effect.section),
         "parameters": {
             name: {"value": value.value, "ci95": list(value.ci95), "unit": value.unit}
             | ({} if value.before is None else {"before": value.before})

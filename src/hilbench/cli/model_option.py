@@ -13,10 +13,15 @@ from hilbench.plant.web_line.stations import ONLY_DRIVEN
 from hilbench.runs.config import ExperimentConfig, is_model, load
 
 
-def model_from(path: Path) -> Machine:
+def any_model_from(path: Path) -> Machine:
     """Read it. Raises UnusableInputError (file, line, key, found, expected)."""
     config = config_from(path)
-    machine = load_machine(path) if config is None else config.machine
+    return load_machine(path) if config is None else config.machine
+
+
+def model_from(path: Path) -> Machine:
+    """The same for what knows no idlers, dancers, accumulators or reels. Raises UnusableInputError."""
+    machine = any_model_from(path)
     if isinstance(machine, ModelParameters) and machine.stations is not None:
         found = "a line with idlers, dancers, accumulators or reels"
         raise UnusableInputError(strict_yaml.load(path).place(("stations",)), f"{found}, expected {ONLY_DRIVEN}")

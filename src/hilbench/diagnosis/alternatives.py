@@ -16,7 +16,7 @@ from hilbench.diagnosis.noise import Whitening
 from hilbench.diagnosis.space import finest
 from hilbench.diagnosis.steps import MARGIN, TIED, CandidateSet, Steps, price
 from hilbench.diagnosis.terms import Key, Place, Term
-from hilbench.plant.effects import EFFECTS
+from hilbench.plant.effects import EFFECTS, STATION_EFFECTS
 
 Array = NDArray[np.float64]
 
@@ -25,7 +25,7 @@ _ALTERNATIVES: Final = 7
 #: Difference of the criterion up to which a step of E is not given up for what the vocabulary does not have.
 _DECISIVE: Final = 20.0
 #: Among tied explanations the one that stands first in the vocabulary is named.
-_RANK: Final = {effect.id: place for place, effect in enumerate(EFFECTS)}
+_RANK: Final = {effect.id: place for place, effect in enumerate(EFFECTS + STATION_EFFECTS)}
 #: Share of what one term does that another has to do as well to be started where both do the same.
 _ACTS_ALIKE: Final = 0.98
 #: Where play makes the sum of squares rough the strength is looked for beside the one that acts as strongly: up to

@@ -27,7 +27,7 @@ from hilbench.diagnosis.space import Space
 from hilbench.diagnosis.sparse_law import SparseLaw, law
 from hilbench.diagnosis.terms import Place, Term, extended, pack_with
 from hilbench.diagnosis.web_line.loop_check import nuisance_of
-from hilbench.plant.effects import Effect, find_effect
+from hilbench.plant.effects import Effect, Section, find_effect
 from hilbench.plant.model_file import Machine
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.results.recording import Recording
@@ -79,7 +79,7 @@ class NamedEffect:
     evidence: dict[str, float]
     tied_with: list[str]
     told_apart_by: str | None
-    section: int | None = None  #: the span of several; None: in all of them
+    section: Section | None = None  #: the span of several; None: in all of them
 
     @property
     def place(self) -> Place:
@@ -129,7 +129,7 @@ class Unobservable:
     smallest_visible: float | None
     unit: str
     experiment: str
-    section: int | None = None
+    section: Section | None = None
     order: float | None = None  #: of a wave, the lowest of those that were looked at from which on it can't be seen
 
     @property

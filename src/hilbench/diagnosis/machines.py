@@ -8,7 +8,16 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.plant.effects import Domain, Effect, MachineKind, MachineSizes, find_effect
+from hilbench.plant.effects import (
+    STATION_EFFECTS,
+    Domain,
+    Effect,
+    MachineKind,
+    MachineSizes,
+    Section,
+    effects_of,
+    find_effect,
+)
 from hilbench.plant.model_file import Machine
 from hilbench.plant.parameters import EffectEntry
 from hilbench.plant.servo_axis import layout as shaft_layout
@@ -20,7 +29,9 @@ from hilbench.plant.servo_axis.parameters import ServoAxisParameters
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.imitation import Imitation
 from hilbench.plant.web_line.inverse import required_torque_Nm
+from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.sizes import machine_sizes
+from hilbench.plant.web_line.stations import types_by_name
 
 Array = NDArray[np.float64]
 #: How a bench imitated a machine with its load motors.
@@ -38,6 +49,16 @@ def is_lone(model: Machine) -> bool:
 def kind_of(model: Machine) -> MachineKind:
     """By whose rows its effects are."""
     return model.machine_kind
+
+
+def vocabulary(model: Machine) -> tuple[Effect, ...]:
+    """What it may lack."""
+    return effects_of(kind_of(model)) + (STATION_EFFECTS if has_stations(model) else ())
+
+
+def has_stations(model: Machine) -> bool:
+    """Whether it is more than driven axes and what is between them."""
+    return isinstance(model, ModelParameters) and model.stations is not None
 
 
 def position_channel(model: Machine, axis: int) -> str:
@@ -68,18 +89,21 @@ def write_effect(
     slot: int,
     values: dict[str, float],
     *,
-    section: int | None = None,
+    section: Section | None = None,
 ) -> None:
     """Write an effect's values, by name, into a parameter vector of the machine's kernel; others stay.
 
-    span: None for all of them.
+    section: None for all of them.
     """
     if isinstance(model, ServoAxisParameters):
         for number, parameter in enumerate(effect.parameters):
             if parameter.name in values:
                 parameters[shaft_layout.place(effect.id, number, slot)] = values[parameter.name]
         return
-    lay.write_effect(parameters, effect.id, axis, slot, values, span=section)
+    if isinstance(section, str):
+        lay.write_station_effect(parameters, model, effect.id, section, values)
+    else:
+        lay.write_effect(parameters, effect.id, axis, slot, values, span=section)
 
 
 def with_effects(model: Machine, entries: Sequence[EffectEntry]) -> Machine:
@@ -90,28 +114,33 @@ def with_effects(model: Machine, entries: Sequence[EffectEntry]) -> Machine:
 
 
 def entry(
-    model: Machine, effect_id: str, axis: int | None, parameters: Mapping[str, float], section: int | None = None
+    model: Machine, effect_id: str, axis: int | None, parameters: Mapping[str, float], section: Section | None = None
 ) -> EffectEntry:
     """An effect as it stands in the model's file."""
     made = ShaftEffect if isinstance(model, ServoAxisParameters) else EffectEntry
+    if isinstance(section, str):
+        return made(effect=effect_id, station=section, parameters=dict(parameters))
     return made(effect=effect_id, axis=axis, span=section, parameters=dict(parameters))
 
 
-def places(model: Machine, effect: Effect) -> list[tuple[int | None, int | None]]:
-    """Axes and spans at which a model may have an effect.
+def places(model: Machine, effect: Effect) -> list[tuple[int | None, Section | None]]:
+    """Axes, spans and stations at which a model may have an effect.
 
     What a span has by itself is in each of several; of the web it may as well be in all of them (None), as a property
     of what runs through. In the only span it has no number.
     """
     if effect.per_axis:
         return [(axis, None) for axis in range(1, model.axis_count + 1)]
+    if effect.stations:
+        stations = types_by_name(model.stations) if isinstance(model, ModelParameters) else {}
+        return [(None, name) for name, kind in stations.items() if kind in effect.stations]
     if not effect.per_section or model.span_count < 2:
         return [(None, None)]
-    single: list[tuple[int | None, int | None]] = [(None, section) for section in range(1, model.span_count + 1)]
+    single: list[tuple[int | None, Section | None]] = [(None, section) for section in range(1, model.span_count + 1)]
     return [*single, (None, None)] if effect.domain is Domain.ELASTICITY else single
 
 
-def entries_at(model: Machine, effect: Effect, axis: int | None, section: int | None) -> list[EffectEntry]:
+def entries_at(model: Machine, effect: Effect, axis: int | None, section: Section | None) -> list[EffectEntry]:
     """What a model has of an effect at a place, in the order of its slots."""
     return [
         one

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from hilbench.diagnosis.terms import Term
-from hilbench.plant.effects import EFFECTS
+from hilbench.plant.effects import EFFECTS, STATION_EFFECTS
 
 #: Share of the sum of squares that is left without a term by which the term has to lower it, half of it on stretches
 #: that no fit has seen; the same of a simple effect, without which no other is read aright.
@@ -19,7 +19,7 @@ TIED: Final = 0.03
 _CLEARLY: Final = 1.5
 #: Share of what any order explains from which a whole one is named instead.
 WHOLE: Final = 0.75
-RANK: Final = {effect.id: place for place, effect in enumerate(EFFECTS)}
+RANK: Final = {effect.id: place for place, effect in enumerate(EFFECTS + STATION_EFFECTS)}
 
 
 @dataclass(frozen=True)

@@ -111,10 +111,17 @@ def _is_cycle(cycles: float) -> bool:
     return cycles > 0.5 and abs(cycles - round(cycles)) <= _UNEVEN_CYCLES
 
 
+def _usual_load_motors(model: ModelParameters) -> tuple[CoupledMotor, ...]:
+    """Those of a bench of which nothing is known: at the last roller or, with stations, wherever the web pulls."""
+    if model.stations is None:
+        return (CoupledMotor(axis=model.axis_count),)
+    return tuple(CoupledMotor(axis=axis) for axis in range(1, model.axis_count + 1) if model.carries_web_load(axis))
+
+
 def _web_choice(model: ModelParameters, data: Measured, imitation: Imitation | None) -> Choice:
     commands = "the recorded commands"
     if data.imitated:
-        imitation = imitation or Imitation(data.period_s, (CoupledMotor(axis=model.axis_count),))
+        imitation = imitation or Imitation(data.period_s, _usual_load_motors(model))
         if not _is_cycle(data.period_s / imitation.cycle_s):
             return Choice(FreeRun(model, data), commands)
         return Choice(FreeRun(model, data, imitation), commands)

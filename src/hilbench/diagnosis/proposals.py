@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from hilbench.diagnosis import machines
 from hilbench.diagnosis.measured import Measured
 from hilbench.diagnosis.terms import Place, Term
-from hilbench.plant.effects import Domain, Effect, MachineSizes, ProbeOver, effects_of
+from hilbench.plant.effects import Domain, Effect, MachineSizes, ProbeOver, Section
 from hilbench.plant.model_file import Machine
 from hilbench.plant.web_line.parameters import ModelParameters
 
@@ -60,8 +60,8 @@ class Proposer:
     """Makes terms for one model and recording, of the effects that its kind of machine has."""
 
     def __init__(self, model: Machine, data: Measured, vocabulary: Sequence[Effect] | None = None) -> None:
-        """`vocabulary`: by default that of the machine's kind."""
-        known = effects_of(machines.kind_of(model)) if vocabulary is None else vocabulary
+        """`vocabulary`: by default that of the machine."""
+        known = machines.vocabulary(model) if vocabulary is None else vocabulary
         self._model = model
         self._data = data
         # What a drive's loops are is found from its commands, motion and torque, not by what it does to a machine.
@@ -101,7 +101,7 @@ class Proposer:
         slot: int = 0,
         multiplicity: float = 1.0,
         part: str | None = None,
-        section: int | None = None,
+        section: Section | None = None,
     ) -> Term:
         base, entries = effect.filled({}), machines.entries_at(self._model, effect, axis, section)
         if slot < len(entries):
@@ -146,7 +146,7 @@ class Proposer:
                     terms += self._looks(effect, axis, section)
         return terms
 
-    def _looks(self, effect: Effect, axis: int | None, section: int | None) -> list[Term]:
+    def _looks(self, effect: Effect, axis: int | None, section: Section | None) -> list[Term]:
         """The terms with which an effect is looked at at one place; none of one that is searched for."""
         probe = effect.probe
         if probe is None:
@@ -176,7 +176,7 @@ class Proposer:
             return True
         return machines.turns_apart(self._model, axis)
 
-    def _differs(self, effect: Effect, section: int | None) -> bool:
+    def _differs(self, effect: Effect, section: Section | None) -> bool:
         """Whether an effect of all spans is one that the model has in some of them already."""
         return (
             effect.per_section
@@ -313,7 +313,7 @@ class Proposer:
             mean[max(at - 2 * window, 0) : at + 2 * window] = 0.0
         return np.unique([time for time in times if time > 0.0]), step_s
 
-    def onsets(self, effect: Effect, times_s: Array, present: list[Term], section: int | None = None) -> list[Term]:
+    def onsets(self, effect: Effect, times_s: Array, present: list[Term], section: Section | None = None) -> list[Term]:
         """A sudden effect at each of these times (n,), if the model can have another one there."""
         axis = self._axes[0] if effect.per_axis else None  # only a lone axis has one of its own
         slot = self._slot(effect, axis, present, section)
@@ -323,7 +323,7 @@ class Proposer:
         return [self._term(effect, axis, {name: float(t)}, slot, _TIMES, section=section) for t in times_s]
 
     def gradual(
-        self, effect: Effect, time_s: float, duration_s: float, present: list[Term], section: int | None = None
+        self, effect: Effect, time_s: float, duration_s: float, present: list[Term], section: Section | None = None
     ) -> list[Term]:
         """What grows over a time into what the sudden `effect` is at once, if the model can have another one there."""
         terms = []
@@ -344,7 +344,9 @@ class Proposer:
         strength = float(term.coordinates()[0])
         return [sudden.at(np.concatenate([[strength], sudden.coordinates()[1:]])) for sudden in found]
 
-    def _slot(self, effect: Effect, axis: int | None, present: list[Term], section: int | None = None) -> int | None:
+    def _slot(
+        self, effect: Effect, axis: int | None, present: list[Term], section: Section | None = None
+    ) -> int | None:
         """That of another one at a place; one of all spans takes one of each."""
         entries = machines.entries_at(self._model, effect, axis, section)
         there = [term for term in present if (term.effect.id, term.axis) == (effect.id, axis)]

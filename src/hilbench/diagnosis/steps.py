@@ -22,7 +22,7 @@ from hilbench.diagnosis.noise import Whitening
 from hilbench.diagnosis.proposals import Proposer
 from hilbench.diagnosis.space import Linear, Space, noise_model
 from hilbench.diagnosis.terms import Key, Place, Term
-from hilbench.plant.effects import Effect
+from hilbench.plant.effects import Effect, Section
 
 Array = NDArray[np.float64]
 
@@ -186,7 +186,13 @@ class Steps:
         return [term for effect in effects for term in self._changes_by(effect, current, white, times, apart_s)]
 
     def _changes_by(
-        self, effect: Effect, current: Fit, white: Whitening, times: Array, apart_s: float, section: int | None = None
+        self,
+        effect: Effect,
+        current: Fit,
+        white: Whitening,
+        times: Array,
+        apart_s: float,
+        section: Section | None = None,
     ) -> list[Term]:
         """One sudden effect: a coarse grid of times, then ever closer ones around the best.
 
@@ -219,7 +225,7 @@ class Steps:
         times_s: Array,
         responses: Array,
         along: Array,
-        section: int | None,
+        section: Section | None,
     ) -> list[Term]:
         """What grows between two of the times (T,), those that would explain most; then between closer ones.
 

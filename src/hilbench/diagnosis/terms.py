@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.diagnosis import machines
-from hilbench.plant.effects import Effect, ProbeOver
+from hilbench.plant.effects import Effect, ProbeOver, Section
 from hilbench.plant.model_file import Machine
 from hilbench.plant.parameters import EffectEntry
 
@@ -29,7 +29,7 @@ class Place(NamedTuple):
 
     effect: str
     axis: int | None = None
-    section: int | None = None
+    section: Section | None = None
 
     @classmethod
     def of(cls, entry: EffectEntry) -> Place:
@@ -44,6 +44,8 @@ class Place(NamedTuple):
     @property
     def where(self) -> str:
         """The part of the machine; "" for all of it."""
+        if isinstance(self.section, str):
+            return self.section
         return f"axis {self.axis}" if self.axis else f"span {self.section}" if self.section else ""
 
     def beside(self, other: Place) -> str:
@@ -60,8 +62,8 @@ class Term:
     """One effect at one place, with values.
 
     `axis` counts from 1 and is None for the web; `section`, the number of a span, as well, and is None for all spans,
-    or the only one; `slot` counts what the place has of the effect, from 0. `values` and `base` have every parameter of
-    the effect by name, in its unit.
+    or the only one; of an effect of a station it is the station's name; `slot` counts what the place has of the effect,
+    from 0. `values` and `base` have every parameter of the effect by name, in its unit.
     """
 
     effect: Effect
@@ -77,7 +79,7 @@ class Term:
     least: Mapping[str, float] = field(default_factory=dict)  #: below which a shape can't be known from a recording
     part: str | None = None  #: of an effect with several strengths the one that this term is; the others are not its
     held: frozenset[str] = frozenset()  #: shapes that are known and not fitted
-    section: int | None = None
+    section: Section | None = None
 
     @property
     def key(self) -> Key:
@@ -234,7 +236,7 @@ def extended(model: Machine, terms: list[Term]) -> Machine:
     """The model with the terms in its effects; a term at a place where the model has the effect replaces its values."""
     entries: list[EffectEntry] = list(model.effects)
     for term in sorted(terms, key=_of_all_first):
-        if term.section is not None:
+        if isinstance(term.section, int):
             entries = _by_section(entries, term.effect.id, model.span_count)
         positions = [k for k, e in enumerate(entries) if Place.of(e) == term.place]
         if term.slot < len(positions):

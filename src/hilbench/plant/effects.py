@@ -35,6 +35,7 @@ class Domain(StrEnum):
     GEOMETRY = "geometry"  #: length of the span
     INERTIA = "inertia"  #: moving mass
     GEAR = "gear"  #: between motor and roller
+    STATION = "station"  #: what runs without a motor, and reels
 
 
 class EffectPlace(StrEnum):
@@ -43,6 +44,9 @@ class EffectPlace(StrEnum):
     HARDWARE = "hardware"  #: in the simulated drives, shafts and gears
     LOAD = "load"  #: in what a load motor imitates: the machine, and what acts on a roller from outside
 
+
+#: Where in a machine an effect is: number of a section between two axes, or name of a station.
+Section = int | str
 
 #: What acts on a roller: the simulated hardware can have it, and a load motor on the roller's shaft can imitate it.
 _AT_A_ROLLER = frozenset({Domain.ROLLER_RESISTANCE, Domain.ROLLER_TORQUE})
@@ -56,7 +60,8 @@ _DOMAINS: Mapping[EffectPlace, frozenset[Domain]] = {
         Domain.INERTIA,
         Domain.GEAR,
     },
-    EffectPlace.LOAD: _AT_A_ROLLER | {Domain.WEB_KINEMATICS, Domain.ELASTICITY, Domain.BOUNDARY, Domain.GEOMETRY},
+    EffectPlace.LOAD: _AT_A_ROLLER
+    | {Domain.WEB_KINEMATICS, Domain.ELASTICITY, Domain.BOUNDARY, Domain.GEOMETRY, Domain.STATION},
 }
 
 
@@ -189,6 +194,8 @@ class Effect:
     implied_axis: int | None = None
     #: Whether each section between two axes (the span of a web) can have it by itself; else it is in all of them.
     per_section: bool = False
+    #: Types of the stations of which each can have it by itself; none: it is no effect of a station.
+    stations: frozenset[str] = frozenset()
     kinds: frozenset[MachineKind] = field(default=_WEB_ONLY)
     rotary: Rotary | None = None
     #: How a search probes it; None: one look at its response, at a strength of its usual size.
@@ -241,15 +248,27 @@ class Effect:
             return f"effect '{self.id}' with axis {axis}, expected 1 to {axes if axes is not None else 'N'}"
         return None
 
-    def section_problem(self, section: int | None, sections: int | None = None) -> str | None:
+    def section_problem(self, section: Section | None, sections: int | None = None) -> str | None:
         """What is wrong with the section given for it (of a machine with `sections`), in one line, or None."""
-        if section is None:
+        if self.stations and not isinstance(section, str):
+            return f"effect '{self.id}' lacks its station, expected the name of one: {', '.join(sorted(self.stations))}"
+        if section is None or self.stations:
             return None
+        if isinstance(section, str):
+            return f"effect '{self.id}' with station {section}, expected none: it is no effect of one"
         if not self.per_section:
             return f"effect '{self.id}' with span {section}, expected none: it is no effect of one"
         if section < 1 or (sections is not None and section > sections):
             return f"effect '{self.id}' with span {section}, expected 1 to {sections if sections is not None else 'K'}"
         return None
+
+    def station_problem(self, section: Section | None, stations: Mapping[str, str]) -> str | None:
+        """The same of a station, of a machine with `stations` (type by name)."""
+        if not self.stations or (isinstance(section, str) and stations.get(section) in self.stations):
+            return None
+        able = [name for name, kind in stations.items() if kind in self.stations]
+        expected = f"expected {' or '.join(able)}" if able else f"expected a {' or '.join(sorted(self.stations))} there"
+        return f"effect '{self.id}' of station {section}, {expected}"
 
     @property
     def part(self) -> str:
@@ -778,19 +797,104 @@ EFFECTS: tuple[Effect, ...] = (
     ),
 )
 
+#: Least and most by which a value of a station may differ from the model's.
+_MOST = 1e6
+_CARRIAGES, _ROLLERS = frozenset({"dancer", "accumulator"}), frozenset({"idler", "dancer", "accumulator"})
+
+
+def _of_a_station(
+    effect_id: str, law: str, parameter: Parameter, stations: frozenset[str], index: int, shown_by: str
+) -> Effect:
+    return Effect(
+        id=effect_id,
+        per_axis=False,
+        law=law,
+        domain=Domain.STATION,
+        parameters=(parameter,),
+        strength=(parameter.name,),
+        object_index=index,
+        shown_by=shown_by,
+        stations=stations,
+    )
+
+
+#: Of dancers, accumulators, idlers and reels, where a machine has them: by what they differ from the model's. What a
+#: friction or a spring is less than none is none.
+STATION_EFFECTS: tuple[Effect, ...] = (
+    _of_a_station(
+        "carriage_coulomb_friction",
+        "friction of the carriage += Fc·sign(v), sticks at v = 0",
+        Parameter("force_N", "N", 0.0, -_MOST, _MOST, _FORCE),
+        _CARRIAGES,
+        0x2240,
+        "move the carriage to and fro",
+    ),
+    _of_a_station(
+        "carriage_viscous_friction",
+        "friction of the carriage += b·v",
+        Parameter("coefficient_N_s_per_m", "N·s/m", 0.0, -_MOST, _MOST, Size(5.0, force=1, speed=-1)),
+        _CARRIAGES,
+        0x2241,
+        "move the carriage to and fro, fast and slowly",
+    ),
+    _of_a_station(
+        "carriage_force",
+        "what pushes the carriage += F",
+        Parameter("force_N", "N", 0.0, -_MOST, _MOST, _FORCE),
+        _CARRIAGES,
+        0x2242,
+        "run at a steady speed",
+    ),
+    _of_a_station(
+        "carriage_spring",
+        "spring of the carriage += k",
+        Parameter("stiffness_N_per_m", "N/m", 0.0, -_MOST, _MOST, Size(0.1, force=1, radius=-1)),
+        _CARRIAGES,
+        0x2243,
+        "hold several positions of the carriage",
+    ),
+    _of_a_station(
+        "idler_coulomb_friction",
+        "friction of each roller without a motor += Fc·sign(v), sticks at v = 0",
+        Parameter("force_N", "N", 0.0, -_MOST, _MOST, Size(0.02, force=1)),
+        _ROLLERS,
+        0x2244,
+        "stop, start and reverse the line",
+    ),
+    _of_a_station(
+        "idler_viscous_friction",
+        "friction of each roller without a motor += b·v",
+        Parameter("coefficient_N_s_per_m", "N·s/m", 0.0, -_MOST, _MOST, Size(0.02, force=1, speed=-1)),
+        _ROLLERS,
+        0x2245,
+        "hold several speeds",
+    ),
+    _of_a_station(
+        "reel_radius",
+        "radius at the start = r·(1+s)",
+        Parameter("relative_change", "1", 0.0, -0.3, 0.3, Size(0.005)),
+        frozenset({"unwinder", "rewinder"}),
+        0x2246,
+        "wind for a while at several speeds",
+    ),
+)
+
 _OF_KIND: Mapping[MachineKind, Mapping[str, Effect]] = {
     kind: {effect.id: effect.in_kind(kind) for effect in EFFECTS if kind in effect.kinds} for kind in MachineKind
 }
+_OF_STATIONS: Mapping[str, Effect] = {effect.id: effect for effect in STATION_EFFECTS}
 
 
 def effects_of(kind: MachineKind) -> tuple[Effect, ...]:
-    """The vocabulary of a kind of machine, with the units that it has there."""
+    """The vocabulary of a kind of machine, with the units that it has there; without what only stations have."""
     return tuple(_OF_KIND[kind].values())
 
 
 def find_effect(effect_id: str, kind: MachineKind = MachineKind.WEB_LINE) -> Effect:
     """The effect with this id. Raises KeyError with a message that lists the ids a machine of that kind knows."""
     known = _OF_KIND[kind]
+    if kind is MachineKind.WEB_LINE and effect_id in _OF_STATIONS:
+        return _OF_STATIONS[effect_id]
     try:
         return known[effect_id]
     except KeyError:
@@ -809,13 +913,13 @@ def effect_problem(
     loaded: Collection[int] | None = (),
     kind: MachineKind = MachineKind.WEB_LINE,
     *,
-    section: int | None = None,
+    section: Section | None = None,
     sections: int | None = None,
 ) -> str | None:
     """Why an effect can't be hidden at a place, in one line, or None.
 
-    axis, section: those given for it, from 1 (None: none). axes, sections: how many the machine has. loaded: axes on
-    whose shaft a load motor is. What the machine has is None where that is not known yet.
+    axis, section: those given for it, from 1, or a station's name (None: none). axes, sections: how many the machine
+    has. loaded: axes on whose shaft a load motor is. What the machine has is None where that is not known yet.
     """
     try:
         effect = find_effect(effect_id, kind)

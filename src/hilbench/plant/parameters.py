@@ -10,7 +10,7 @@ from typing import Annotated, ClassVar, Self, TypeVar
 from pydantic import BeforeValidator, Field, FiniteFloat, model_validator
 
 from hilbench.block import Block
-from hilbench.plant.effects import MachineKind, find_effect
+from hilbench.plant.effects import MachineKind, Section, find_effect
 
 Positive = Annotated[FiniteFloat, Field(gt=0.0)]
 NotNegative = Annotated[FiniteFloat, Field(ge=0.0)]
@@ -70,12 +70,15 @@ class EffectEntry(Block):
         default=None,
         description="1 is behind the first roller; for effects of what is there, which are else everywhere",
     )
+    station: str | None = Field(
+        default=None, description="for effects of a dancer, accumulator, idler or reel: its name"
+    )
     parameters: dict[str, FiniteFloat] = Field(default_factory=dict, description="its values, by name")
 
     @property
-    def section(self) -> int | None:
-        """Between which axes it is: behind which, from 1; None: of an axis, or everywhere."""
-        return self.span
+    def section(self) -> Section | None:
+        """Between which axes it is: behind which, from 1, or the name of a station; None: of an axis, or everywhere."""
+        return self.span if self.station is None else self.station
 
     @model_validator(mode="after")
     def _known(self) -> Self:

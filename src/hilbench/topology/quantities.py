@@ -173,6 +173,8 @@ def _parsed(text: str, kind: MachineKind) -> EffectPath:
     except KeyError:
         meant = did_you_mean(name, (effect.id for effect in effects_of(kind)))
         raise ValueError(f"an effect of the vocabulary, '{name}' is none{meant}") from None
+    if effect.stations:
+        raise ValueError(f"a quantity that changes while a bench runs: '{name}' is there from the start on")
     at = _PART.fullmatch(part[0]) if part else None
     number = int(at[2]) if at and at[1] == effect.part else None
     axis, section = (number, None) if effect.per_axis else (None, number)

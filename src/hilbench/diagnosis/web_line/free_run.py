@@ -21,8 +21,10 @@ from hilbench.plant.web_line import laws
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.imitation import Imitation, simulate_imitated
 from hilbench.plant.web_line.laws import FRICTION_WIDTH_M_S
+from hilbench.plant.web_line.line_imitation import simulate_imitated_line
 from hilbench.plant.web_line.offline import Simulation, simulate, start_state
 from hilbench.plant.web_line.parameters import ModelParameters
+from hilbench.plant.web_line.sections import section_model
 from hilbench.plant.web_line.sizes import machine_sizes
 from hilbench.plant.web_line.span import SpanFollower
 
@@ -104,11 +106,16 @@ class FreeRun:
         self._tensions = sorted(data.F_N)
         names += tension_names(data.F_N)
         rows += [data.F_N[span] for span in self._tensions]
+        self._sensors = sorted(data.sensors_m)
+        names += [data.sensors_m[name].channel for name in self._sensors]
+        rows += [data.sensors_m[name].measured_m for name in self._sensors]
         self._torques = sorted(data.tau_Nm)
         self.names, self.measured = tuple(names), np.array(rows)
         unrounded = imitation is not None and imitation.resolution_m_s is None
         believed = _UNROUNDED_TOLERANCE if unrounded else _TOLERANCE
         self.tolerances = np.array([believed * self._stretch_m(name) for name in names])
+        if self._sensors:
+            self.tolerances[-len(self._sensors) :] = [data.sensors_m[name].known_to_m for name in self._sensors]
         if self._all:  # what is late is late for all axes, and their differences do not show it
             mean = len(data.tau_Nm) + model.axis_count - 1
             self.tolerances[mean] = np.hypot(self.tolerances[mean], data.put_off_m)
@@ -288,6 +295,8 @@ class FreeRun:
         rows += self._position_rows({axis: x[..., axis - 1] for axis in self._positions})
         rows += [v[..., axis - 1] for axis in self._speeds]
         rows += [run.F_N[..., span - 1] for span in self._tensions]
+        if run.sensors_m is not None:
+            rows += list(np.moveaxis(run.sensors_m, -1, 0))
         return np.stack(rows, axis=1)
 
     def _position_rows(self, x_m: dict[int, Array]) -> list[Array]:
@@ -314,10 +323,11 @@ class FreeRun:
     def _stretch_m(self, name: str) -> float:
         """Of a row of positions what the web is usually longer by than it would be at rest, in the span that it is the
         difference of; 0 of other rows."""
-        if "x" not in name:
+        if not name.startswith(("x", "(")):
             return 0.0
         strain = machine_sizes(self._model, 1).strain
-        lengths = [self._model.span_length_m(span) for span in range(1, self._model.span_count + 1)]
+        model = section_model(self._model)
+        lengths = [model.span_length_m(span) for span in range(1, model.span_count + 1)]
         first = self.names.index("x1_m - x2_m") if self._all else 0
         span = self.names.index(name) - first
         return strain * (lengths[span] if self._all and span < len(lengths) else max(lengths))
@@ -325,6 +335,26 @@ class FreeRun:
     def _run(self, parameters: Array) -> Simulation:
         """Of one parameter vector, or of (B, P)."""
         parameters = self._with_loops(parameters)
+        whole = len(self._commands)
+        commands, boundary = self._commands[0], self._boundary
+        if whole > 1:
+            commands = np.stack(self._commands, axis=1).reshape(-1, commands.shape[1])
+            boundary = np.repeat(boundary, whole, axis=0)
+        if self.imitation is None:
+            run = simulate(parameters, self._starts(parameters), commands, boundary, self._period_s / whole)
+        elif self._model.stations is None:
+            start = self._starts(parameters)
+            run = simulate_imitated(self.imitation, self._model, parameters, start, commands, boundary)
+        else:
+            run = simulate_imitated_line(self.imitation, self._model, parameters, commands, boundary, self._sensors)
+        if whole == 1:
+            return run
+        rows = {name: getattr(run, name)[..., ::whole, :] for name in ("x_m", "v_m_s", "tau_Nm", "F_N", "strain")}
+        sensors_m = None if run.sensors_m is None else run.sensors_m[..., ::whole, :]
+        return Simulation(**rows, state=run.state, sensors_m=sensors_m)
+
+    def _starts(self, parameters: Array) -> Array:
+        """States with which the parameters, (P,) or (B, P), begin."""
         state = np.broadcast_to(self._start, (*parameters.shape[:-1], len(self._start))).copy()
         for one, start in zip(np.atleast_2d(parameters), np.atleast_2d(state), strict=True):
             if self._before is None:
@@ -332,19 +362,7 @@ class FreeRun:
             else:
                 self._begin_after(self._before, one, start)
             lay.refresh_modes(one, start)
-        whole = len(self._commands)
-        commands, boundary = self._commands[0], self._boundary
-        if whole > 1:
-            commands = np.stack(self._commands, axis=1).reshape(-1, commands.shape[1])
-            boundary = np.repeat(boundary, whole, axis=0)
-        if self.imitation is None:
-            run = simulate(parameters, state, commands, boundary, self._period_s / whole)
-        else:
-            run = simulate_imitated(self.imitation, self._model, parameters, state, commands, boundary)
-        if whole == 1:
-            return run
-        rows = {name: getattr(run, name)[..., ::whole, :] for name in ("x_m", "v_m_s", "tau_Nm", "F_N", "strain")}
-        return Simulation(**rows, state=run.state)
+        return state
 
 
 def of_span(model: ModelParameters, span: int) -> str:

@@ -191,7 +191,7 @@ def simulate_imitated(
     n = model.axis_count
     if commands.ndim != 2 or commands.shape[1] != n or np.shape(boundary) != (len(commands), 2):
         raise ValueError(f"commands {commands.shape}, boundary {np.shape(boundary)}, expected (n, {n}) and (n, 2)")
-    stands = _stands(imitation, model, many)
+    stands = stands_of(imitation, model, many)
     layout = Layout.of(stands[0])
     starts, followers = _start(layout, stands, many, states, boundary[0])
     inputs = layout.new_inputs()
@@ -221,7 +221,7 @@ def simulate_imitated(
     return Simulation(x_m=x, v_m_s=v, tau_Nm=tau, F_N=tension, strain=strain, state=np.asarray(state))
 
 
-def _stands(imitation: Imitation, model: ModelParameters, many: Vector) -> Vector:
+def stands_of(imitation: Imitation, model: ModelParameters, many: Vector) -> Vector:
     """(B, P): the stands of models (B, P), with what the models' effects make of axes and drives."""
     plain = model.model_copy(update={"effects": ()})
     # Their rotors are part of the inertia that the model gives the rollers.
@@ -231,10 +231,12 @@ def _stands(imitation: Imitation, model: ModelParameters, many: Vector) -> Vecto
     ]
     template = pack_rig(RigParameters.matching(plain, load_motors))
     stands = np.tile(template, (len(many), 1))
-    layout, of_model = Layout.of(template), Layout.of(many[0])
+    layout, of_model, driven = Layout.of(template), Layout.of(many[0]), list(lay.driven_rows(many[0]))
     for stand, parameters in zip(stands, many, strict=True):
-        layout.axis_rows(stand)[:, lay.A_FIXED :] = of_model.axis_rows(parameters)[:, lay.A_FIXED :]
-        layout.motor_rows(stand)[: layout.axes] = of_model.motor_rows(parameters)
+        layout.axis_rows(stand)[:, lay.A_FIXED :] = of_model.axis_rows(parameters)[driven, lay.A_FIXED :]
+        motors = layout.motor_rows(stand)[: layout.axes]
+        motors[:] = of_model.motor_rows(parameters)[driven]
+        motors[:, lay.M_AXIS] = np.arange(layout.axes)
     return stands
 
 

@@ -27,11 +27,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hilbench.plant import drive_loops as loops
-from hilbench.plant.effects import Domain, Effect, MachineKind, effects_of, find_effect
+from hilbench.plant.effects import Domain, Effect, MachineKind, Section, effects_of, find_effect
 from hilbench.plant.motor_port import MotorMode
 from hilbench.plant.parameters import DriveParameters, EffectEntry, per_item
 from hilbench.plant.web_line.parameters import ModelParameters, places_of
-from hilbench.plant.web_line.stations import IdlerRollers, LineCarriage, Reel, Station
+from hilbench.plant.web_line.stations import IdlerRollers, LineCarriage, Reel, Station, station_name
 
 Vector = NDArray[np.float64]
 
@@ -61,7 +61,8 @@ A_LOWER_STOP_M: Final = 12
 A_UPPER_STOP_M: Final = 13
 A_FIRST_SPAN: Final = 14  #: that its way lengthens, from 0
 A_LAST_SPAN: Final = 15
-A_FIXED: Final = 16  #: effects from here on
+A_RADIUS_SHARE: Final = 16  #: of a reel: by what share its radius at the start is larger than that it is counted by
+A_FIXED: Final = 17  #: effects from here on
 # Motor rows.
 M_RAD_PER_M: Final = 0  #: i/r
 M_LOOPS: Final = 1  #: from here on as `drive_loops` has them
@@ -185,6 +186,23 @@ def place(effect_id: str, parameter: str, slot: int = 0) -> int:
     return _FIRST[effect_id] + slot * len(names) + names.index(parameter)
 
 
+#: Column that an effect of a carriage or idler changes, and what the station's block calls it.
+_CHANGED: Final = MappingProxyType(
+    {
+        "carriage_coulomb_friction": (place("coulomb_friction", "force_N"), "coulomb_friction_N"),
+        "carriage_viscous_friction": (
+            place("viscous_friction", "coefficient_N_s_per_m"),
+            "viscous_friction_N_s_per_m",
+        ),
+        "carriage_force": (A_FORCE_N, "force_N"),
+        "carriage_spring": (A_SPRING_N_PER_M, "spring_N_per_m"),
+        "idler_coulomb_friction": (place("coulomb_friction", "force_N"), "roller_coulomb_friction_N"),
+        "idler_viscous_friction": (
+            place("viscous_friction", "coefficient_N_s_per_m"),
+            "roller_viscous_friction_N_s_per_m",
+        ),
+    }
+)
 _LENGTH_ERROR: Final = place("span_length_error", "relative_change")
 
 
@@ -388,8 +406,35 @@ def pack(model: ModelParameters, substeps: int = 1) -> Vector:
                 _write_reel(row, model, roller.station)
     for row, motor, carriage in zip(rows[len(rollers) :], motors[len(rollers) :], carriages, strict=True):
         _write_carriage(row, motor, carriage)
-    write_entries(parameters, model.effects)
+    write_entries(parameters, [entry for entry in model.effects if entry.station is None])
+    for entry in model.effects:
+        if entry.station is not None:
+            values = find_effect(entry.effect).filled(entry.parameters)
+            write_station_effect(parameters, model, entry.effect, entry.station, values)
     return parameters
+
+
+def write_station_effect(
+    parameters: Vector, model: ModelParameters, effect_id: str, name: str, values: Mapping[str, float]
+) -> None:
+    """Write a (checked, complete) effect of a station of the model, by its name, into a parameter vector (P,).
+
+    Raises ValueError for a station that the model does not have.
+    """
+    rows, rollers = Layout.of(parameters).axis_rows(parameters), model.line_rollers
+    (change,) = values.values()
+    at = [row for row, roller in enumerate(rollers) if station_name(roller.station) == name]
+    carried = [row for row, each in enumerate(model.carriages, len(rollers)) if each.station.name == name]
+    if not at:
+        raise ValueError(f"effect '{effect_id}' of station {name}, expected one of the line")
+    station = rollers[at[0]].station
+    if isinstance(station, Reel):
+        rows[at, A_RADIUS_SHARE] = change
+        return
+    column, known = _CHANGED[effect_id]
+    base: float = getattr(station, known)
+    value = base + change if effect_id == "carriage_force" else max(base + change, 0.0)
+    rows[carried if effect_id.startswith("carriage_") else at, column] = value
 
 
 def _write_driven(row: Vector, motor: Vector, model: ModelParameters, axis: int) -> None:
@@ -441,7 +486,7 @@ def write_entries(parameters: Vector, entries: Iterable[EffectEntry]) -> None:
 
     Raises ValueError as `check_effects`, and when there are more than slots.
     """
-    used: Counter[tuple[str, int | None]] = Counter()
+    used: Counter[tuple[str, Section | None]] = Counter()
     spans = Layout.of(parameters).spans
     for entry in entries:
         effect = find_effect(entry.effect)
@@ -451,7 +496,14 @@ def write_entries(parameters: Vector, entries: Iterable[EffectEntry]) -> None:
             if slot >= effect.slots:
                 raise ValueError(f"effect '{effect.id}' is given more than {effect.slots} times at one place")
             values = effect.filled(entry.parameters)
-            write_effect(parameters, effect.id, entry.axis, slot, values, span=at if effect.per_section else None)
+            write_effect(
+                parameters,
+                effect.id,
+                entry.axis,
+                slot,
+                values,
+                span=at if isinstance(at, int) and effect.per_section else None,
+            )
     check_effects(parameters)
 
 

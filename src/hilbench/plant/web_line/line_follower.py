@@ -21,6 +21,7 @@ from hilbench.plant.web_line import kernel, laws, reels
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.layout import Vector
 from hilbench.plant.web_line.line import Line
+from hilbench.plant.web_line.modes import needed_substeps
 from hilbench.plant.web_line.offline import start_state
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.simulated import KIND
@@ -33,11 +34,11 @@ _HELD_KG: Final = 1e12
 #: E·S of a web that has torn, as a share of what it was: nothing pulls.
 _TORN: Final = 1e-12
 #: Longest integration step where no roller asks for a shorter one, as of a web on driven rollers alone.
-_LONGEST_STEP_S: Final = 0.001
+LONGEST_STEP_S: Final = 0.001
 #: Over which the acceleration of driven rollers is averaged: positions are counted, and load motors must not chase
 #: their own swings with it. Less acceleration is none, m/s².
-_ACCELERATION_S: Final = 0.05
-_LEAST_M_S2: Final = 0.02
+ACCELERATION_S: Final = 0.05
+LEAST_M_S2: Final = 0.02
 
 RadiusRatio = Callable[[Vector, int, float], float]
 
@@ -65,6 +66,20 @@ def follower_of(parameters: ModelParameters) -> SpanFollower | LineFollower:
     return SpanFollower(parameters) if parameters.stations is None else LineFollower(parameters)
 
 
+def hold(p: Vector) -> None:
+    """Let nothing move the driven rollers of a line, by its parameters (P,), but what is measured."""
+    for row in lay.driven_rows(p):
+        axis = lay.Layout.of(p).axis_rows(p)[row]
+        axis[lay.A_MOTOR_MASS_KG], axis[lay.A_ROLLER_MASS_KG] = 0.0, _HELD_KG
+        axis[lay.A_WOUND_KG] = axis[lay.A_WEB_LOAD] = 0.0
+
+
+def step_s(parameters: ModelParameters) -> float:
+    """Longest integration step of a line on measured motion."""
+    sample_s = float(lay.pack(parameters)[lay.W_SAMPLE_TIME_S])
+    return min(sample_s / needed_substeps(parameters), LONGEST_STEP_S)
+
+
 class LineFollower(Line):
     """All that the web of a model runs over, on measured positions (N,) of its driven rollers, at the web.
 
@@ -77,9 +92,8 @@ class LineFollower(Line):
         self._torn_Pa: Vector | None = None
         super().__init__(self.parameters)
         self._sample_s = float(self._p[lay.W_SAMPLE_TIME_S])
-        substep_s = self._sample_s / float(self._p[lay.W_SUBSTEPS])
-        self._step_s = min(substep_s, _LONGEST_STEP_S)
-        self._hold()
+        self._step_s = step_s(self.parameters)
+        hold(self._p)
         self._carries = [parameters.carries_web_load(axis) for axis in range(1, parameters.axis_count + 1)]
         self._rad_per_m = [parameters.motor_rad_per_m(axis) for axis in range(1, parameters.axis_count + 1)]
         self._described = _description(self._description)
@@ -96,13 +110,6 @@ class LineFollower(Line):
     def describe(self) -> PlantDescription:
         """What it is; see `hilbench.plant.interface.Machine`."""
         return self._described
-
-    def _hold(self) -> None:
-        """Nothing moves a driven roller but what is measured."""
-        for row in self._driven:
-            axis = self._layout.axis_rows(self._p)[row]
-            axis[lay.A_MOTOR_MASS_KG], axis[lay.A_ROLLER_MASS_KG] = 0.0, _HELD_KG
-            axis[lay.A_WOUND_KG] = axis[lay.A_WEB_LOAD] = 0.0
 
     def reset(self, positions: ArrayLike, strain: ArrayLike | None = None) -> None:
         """Start again at these positions (N,) and strains (K,), at rest, carriages as at the start; time goes on."""
@@ -135,13 +142,13 @@ class LineFollower(Line):
         """Take the mean speeds of the driven rollers (N,) over the time since the last call."""
         if self._mean_m_s is not None:
             apart_s = 0.5 * (duration_s + self._duration_s)
-            share = duration_s / (duration_s + _ACCELERATION_S)
+            share = duration_s / (duration_s + ACCELERATION_S)
             self._m_s2 += share * ((mean_m_s - self._mean_m_s) / apart_s - self._m_s2)
         self._mean_m_s, self._duration_s = mean_m_s, duration_s
 
     def _gained_m_s(self, duration_s: float) -> Vector:
         """What the driven rollers (N,) gain of speed in that time, as they go on."""
-        return np.where(np.abs(self._m_s2) < _LEAST_M_S2, 0.0, self._m_s2) * duration_s
+        return np.where(np.abs(self._m_s2) < LEAST_M_S2, 0.0, self._m_s2) * duration_s
 
     def _turn(self, state: Vector, speeds_m_s: Vector, gained_m_s: Vector, duration_s: float) -> None:
         """Let the line run with driven rollers that begin with these speeds (N,) and gain so much, by as many steps as

@@ -25,6 +25,8 @@ class Simulation:
     F_N: Vector
     strain: Vector
     state: Vector  #: at the end, to go on from
+    #: What sensors of stations would say, (…, n, stations): positions of carriages, radii of reels, m.
+    sensors_m: Vector | None = None
 
 
 def start_state(parameters: Vector, model: ModelParameters, strain: ArrayLike | None = None) -> Vector:

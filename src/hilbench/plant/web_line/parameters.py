@@ -17,7 +17,7 @@ from pydantic import BaseModel, Field, FiniteFloat, ValidationInfo, field_valida
 from hilbench import strict_yaml
 from hilbench.block import Block
 from hilbench.errors import UnusableInputError
-from hilbench.plant.effects import Effect, MachineKind, find_effect
+from hilbench.plant.effects import Effect, MachineKind, Section, find_effect
 from hilbench.plant.parameters import (
     NOTHING_IS_NO_EFFECT,
     DriveParameters,
@@ -34,6 +34,7 @@ from hilbench.plant.web_line.stations import (
     carriages_of,
     rollers_of,
     stations_problem,
+    types_by_name,
 )
 
 #: Young's moduli with a meaning: from the softest gel to beyond diamond.
@@ -169,14 +170,15 @@ class ModelParameters(Block):
             return entries  # the rollers' own error is the one to report
         of = {name: info.data.get(name) for name in ("stations", "web", "rollers", "motors", "drives")}
         axes, spans = _axis_count(**of), _span_count(**of)
-        used: Counter[tuple[str, int | None]] = Counter()
+        used: Counter[tuple[str, Section | None]] = Counter()
         for position, entry in enumerate(entries):
             effect = find_effect(entry.effect)
             problem = effect.axis_problem(entry.axis, axes if effect.per_axis else None)
-            problem = problem or effect.section_problem(entry.span, spans)
+            problem = problem or effect.section_problem(entry.section, spans)
+            problem = problem or effect.station_problem(entry.section, types_by_name(of["stations"]))
             if problem is None and info.data.get("web") is None and not effect.per_axis:
                 problem = f"effect '{effect.id}' in a model without a web"
-            places = places_of(effect, entry.axis, entry.span, spans)
+            places = places_of(effect, entry.axis, entry.section, spans)
             used.update((effect.id, place) for place in places)
             if problem is None and any(used[effect.id, place] > effect.slots for place in places):
                 problem = f"effect '{effect.id}' is given more than {effect.slots} times at one place"
@@ -300,8 +302,9 @@ class ModelParameters(Block):
         return ModelParameters.model_validate(data)
 
 
-def places_of(effect: Effect, axis: int | None, span: int | None, spans: int) -> tuple[int | None, ...]:
-    """Where of a line with `spans` an effect is that is given so: its axis, its spans, or (None,) for all of the line.
+def places_of(effect: Effect, axis: int | None, span: Section | None, spans: int) -> tuple[Section | None, ...]:
+    """Where of a line with `spans` an effect is that is given so: its axis, its spans, its station, or (None,) for all
+    of the line.
 
     One of a span without the span is in all of them.
     """
@@ -309,7 +312,7 @@ def places_of(effect: Effect, axis: int | None, span: int | None, spans: int) ->
         return (axis,)
     if effect.per_section:
         return tuple(range(1, spans + 1)) if span is None else (span,)
-    return (None,)
+    return (span,) if effect.stations else (None,)
 
 
 def _axis_count(

@@ -22,13 +22,13 @@ def is_reel(p: Vector, axis: int) -> bool:
 @inlined
 def radius_ratio(p: Vector, axis: int, x_m: float) -> float:
     """Radius over that at the start, at x; not below that of the core."""
-    return max(1.0 + p[axis + lay.A_REEL_SLOPE_PER_M] * x_m, p[axis + lay.A_CORE_RATIO])
+    return max(1.0 + p[axis + lay.A_RADIUS_SHARE] + p[axis + lay.A_REEL_SLOPE_PER_M] * x_m, p[axis + lay.A_CORE_RATIO])
 
 
 @inlined
 def web_way_m(p: Vector, axis: int, x_m: float) -> float:
     """Way of the web since the start, m, of a reel at x: its radius over the way, summed up."""
-    return x_m * (1.0 + 0.5 * p[axis + lay.A_REEL_SLOPE_PER_M] * x_m)
+    return x_m * (1.0 + p[axis + lay.A_RADIUS_SHARE] + 0.5 * p[axis + lay.A_REEL_SLOPE_PER_M] * x_m)
 
 
 @inlined

@@ -195,3 +195,15 @@ def stations_problem(stations: Sequence[Station]) -> str | None:
 def reel_name(reel: Reel) -> str:
     """In names of its quantities."""
     return reel.name or reel.type
+
+
+def station_name(station: Station | None) -> str | None:
+    """In names of its quantities and effects; None of a driven roller, which has a number."""
+    if isinstance(station, Reel):
+        return reel_name(station)
+    return None if station is None or isinstance(station, DrivenRoller) else station.name
+
+
+def types_by_name(stations: Sequence[Station] | None) -> dict[str, str]:
+    """Types of those that have a name."""
+    return {name: each.type for each in stations or () if (name := station_name(each)) is not None}

@@ -1,0 +1,251 @@
+"""A line with idlers, dancers, accumulators and reels that load motors imitate, whole recordings in one compiled call.
+
+As `imitation`, with the line of `line_follower` in the place of the web: its driven rollers are held to the motion that
+the rig shows at each SYNC, what has no motor moves by itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilbench.compiled import COUNT, CUBE, INDICES, MATRIX, REAL, VECTOR, compiled, entry_point, inlined
+from hilbench.plant.motor_port import MotorMode
+from hilbench.plant.sampling import on_all_cores, samples_per
+from hilbench.plant.web_line import kernel, laws, line_follower, places, reels
+from hilbench.plant.web_line import layout as lay
+from hilbench.plant.web_line.imitation import Imitation, lead_s, stands_of
+from hilbench.plant.web_line.layout import Layout, Vector
+from hilbench.plant.web_line.line_follower import ACCELERATION_S, LEAST_M_S2
+from hilbench.plant.web_line.offline import Simulation, start_state
+from hilbench.plant.web_line.parameters import ModelParameters
+from hilbench.plant.web_line.stations import station_name
+
+Rows = NDArray[np.int64]
+
+
+@inlined
+def _gained_m_s(a_m_s2: float, duration_s: float) -> float:
+    """What a driven roller gains of speed; see `LineFollower`."""
+    return 0.0 if abs(a_m_s2) < LEAST_M_S2 else a_m_s2 * duration_s
+
+
+@compiled
+def _turn(
+    p: Vector, s: Vector, u: Vector, w: Vector, rows: Rows, v: Vector, a: Vector, duration_s: float, sample_s: float,
+    step_s: float,
+) -> None:  # fmt: skip
+    """Let the line `p`, `s`, `u`, `w` run: its driven rollers, at `rows` (N,), begin with speeds `v` (N,) m/s and
+    accelerate by `a` (N,) m/s². `sample_s`: in which its time is counted; `step_s`: longest of a step of integration.
+    """
+    n, _, k = places.counts(p)
+    gains = False
+    for i in range(len(rows)):
+        gains |= _gained_m_s(a[i], duration_s) != 0.0
+    steps = max(round(duration_s / sample_s), 1) if gains else 1
+    part_s = duration_s / steps
+    samples = max(round(part_s / sample_s), 1)
+    time_s = s[lay.S_COUNT] * sample_s
+    p[lay.W_SAMPLE_TIME_S] = part_s / samples
+    p[lay.W_SUBSTEPS] = np.ceil(part_s / samples / step_s - 1e-9)
+    s[lay.S_COUNT] = time_s / p[lay.W_SAMPLE_TIME_S]
+    for step in range(steps):
+        for i in range(len(rows)):
+            speed = v[i] + (step + 0.5) / steps * _gained_m_s(a[i], duration_s)
+            s[lay.S_Y + n + rows[i]] = speed
+            s[lay.S_Y + 3 * n + rows[i]] = speed
+            direction = 1.0 if speed > 0.0 else -1.0 if speed < 0.0 else 0.0
+            s[places.axis_state(n, k, rows[i]) + lay.SA_DIRECTION] = direction
+        kernel.enter(p, s, u, w)
+        kernel.go_on(p, s, u, w, samples)
+        kernel.leave(s, w, places.block(n, k, 1))
+    s[lay.S_COUNT] = (time_s + duration_s) / sample_s
+    p[lay.W_SAMPLE_TIME_S] = sample_s
+    for i in range(len(rows)):
+        speed = v[i] + _gained_m_s(a[i], duration_s)
+        s[lay.S_Y + n + rows[i]] = speed
+        s[lay.S_Y + 3 * n + rows[i]] = speed
+
+
+@inlined
+def _show(p: Vector, s: Vector, sensors: Rows, out: Vector, at: int) -> None:
+    """What sensors at `sensors`, rows of the line, say, from place `at` of `out` on, m."""
+    for j in range(len(sensors)):
+        axis, x = places.axis(sensors[j]), s[lay.S_Y + sensors[j]]
+        out[at + j] = p[axis + lay.A_RADIUS_M] * reels.radius_ratio(p, axis, x) if reels.is_reel(p, axis) else x
+
+
+@compiled
+def _pull(
+    p: Vector, s: Vector, boundary: Vector, row: int, rows: Rows, pulls: Vector, seen: Vector, loads: Vector
+) -> None:
+    """Torque at the motor of each driven axis, `loads` (N,) N·m, by the line's tensions in `seen`; `pulls` (N,): N·m
+    per N, with reels as at the start."""
+    _, m, k = places.counts(p)
+    for i in range(len(rows)):
+        at, x = rows[i], s[lay.S_Y + rows[i]]
+        reel = reels.is_reel(p, places.axis(at))
+        before, behind = 0.0, 0.0
+        if at > 0:
+            before = seen[3 * m + at - 1]
+        elif not reel:
+            upstream = laws.upstream_strain(p, boundary[row, 0], s[lay.S_COUNT] * p[lay.W_SAMPLE_TIME_S])
+            before = upstream * p[lay.W_UPSTREAM_STIFFNESS_N]
+        if at < k:
+            behind = seen[3 * m + at]
+        elif not reel:
+            behind = boundary[row, 1]
+        ratio = reels.radius_ratio(p, places.axis(at), x) if reel else 1.0
+        loads[i] = (behind - before) * ratio * pulls[i]
+
+
+@compiled
+def _run(
+    p: Vector, s: Vector, u: Vector, w: Vector, web: Vector, line: Vector, line_u: Vector, line_w: Vector, rows: Rows,
+    sensors: Rows, pulls: Vector, guess: Vector, room: Vector, seen: Vector, commands: Vector, boundary: Vector,
+    samples: int, cycle_s: float, lead_s: float, step_s: float, out: Vector, at: int,
+) -> None:  # fmt: skip
+    """Row by row observe the rig, follow the line on it, and advance; as `imitation._rows`.
+
+    The rig of N axes: `p`, `s`, `u`, `w`; the line: parameters `web`, state `line`, `line_u`, `line_w`, its driven
+    rollers at `rows` (N,). Room for a `guess` of its state, for mean speeds, speeds, accelerations and loads (4, N),
+    and for what is `seen` of it.
+    """
+    n, m, k, axes = int(p[lay.W_AXES]), int(p[lay.W_MOTORS]), int(web[lay.W_SPANS]), int(web[lay.W_AXES])
+    columns, load = 3 * m + 2 * k + len(sensors), lay.U_MOTORS + n * lay.UM_SIZE + lay.UM_SETPOINT
+    mean, v, a, loads = room[0], room[1], room[2], room[3]
+    sample_s = web[lay.W_SAMPLE_TIME_S]
+    for i in range(n):
+        mean[i] = v[i] = a[i] = loads[i] = 0.0
+    kernel.enter(p, s, u, w)
+    for row in range(commands.shape[0]):
+        place = at + row * columns
+        kernel.report(p, s, u, w, out, place)
+        line_u[lay.U_STRAIN_PREV], line_u[lay.U_F_NEXT_N] = boundary[row, 0], boundary[row, 1]
+        if row > 0:
+            for i in range(n):
+                gone = (out[place + i] - line[lay.S_Y + rows[i]]) / cycle_s
+                if row > 1:
+                    a[i] += cycle_s / (cycle_s + ACCELERATION_S) * ((gone - mean[i]) / cycle_s - a[i])
+                mean[i] = gone
+                v[i] = gone - 0.5 * _gained_m_s(a[i], cycle_s)
+            _turn(web, line, line_u, line_w, rows, v, a, cycle_s, sample_s, step_s)
+            for i in range(n):
+                line[lay.S_Y + rows[i]] = out[place + i]
+                line[lay.S_Y + 2 * axes + rows[i]] = out[place + i]
+        kernel.enter(web, line, line_u, line_w)
+        kernel.report(web, line, line_u, line_w, seen, 0)
+        for j in range(2 * k):
+            out[place + 3 * m + j] = seen[3 * int(web[lay.W_MOTORS]) + j]
+        _show(web, line, sensors, out, place + 3 * m + 2 * k)
+        for j in range(len(line)):
+            guess[j] = line[j]
+        for i in range(n):
+            v[i] = line[lay.S_Y + axes + rows[i]]
+        _turn(web, guess, line_u, line_w, rows, v, a, lead_s, sample_s, step_s)
+        kernel.enter(web, guess, line_u, line_w)
+        kernel.report(web, guess, line_u, line_w, seen, 0)
+        for j in range(n):
+            u[lay.U_MOTORS + j * lay.UM_SIZE + lay.UM_SETPOINT] = commands[row, j]
+        for j in range(m - n):  # the torque of what was measured at the SYNC before
+            u[load + j * lay.UM_SIZE] = loads[int(p[places.motor(n, n + j) + lay.M_AXIS])]
+        kernel.go_on(p, s, u, w, samples)
+        _pull(web, line, boundary, row, rows, pulls, seen, loads)
+
+
+def _entry_point(sources: int) -> Callable[..., None]:
+    """The compiled function; `sources` as in the kernel."""
+
+    @entry_point(
+        MATRIX, MATRIX, VECTOR, VECTOR, MATRIX, MATRIX, VECTOR, VECTOR, INDICES, INDICES, VECTOR, MATRIX, MATRIX, COUNT,
+        REAL, REAL, REAL, CUBE,
+    )  # fmt: skip
+    def runs(
+        p: Vector, s: Vector, u: Vector, w: Vector, web: Vector, line: Vector, line_u: Vector, line_w: Vector,
+        rows: Rows, sensors: Rows, pulls: Vector, commands: Vector, boundary: Vector, samples: int, cycle_s: float,
+        lead_s: float, step_s: float, out: Vector,
+    ) -> None:  # fmt: skip
+        flat, size = out.reshape(-1), out.shape[1] * out.shape[2]
+        guess, room = np.zeros(line.shape[1]), np.zeros((4, len(rows)))
+        seen = np.zeros(3 * int(web[0, lay.W_MOTORS]) + 2 * int(web[0, lay.W_SPANS]))
+        first = u.copy()
+        for b in range(p.shape[0] if sources >= 0 else 0):
+            u[:] = first
+            _run(
+                p[b], s[b], u, w, web[b], line[b], line_u, line_w, rows, sensors, pulls, guess, room, seen, commands,
+                boundary, samples, cycle_s, lead_s, step_s, flat, b * size,
+            )  # fmt: skip
+
+    return runs
+
+
+_simulate = _entry_point(kernel.source_number(line_follower.__file__, __file__))
+
+
+def simulate_imitated_line(
+    imitation: Imitation,
+    model: ModelParameters,
+    parameters: Vector,
+    commands: NDArray[np.float64],
+    boundary: NDArray[np.float64],
+    sensors: Sequence[str] = (),
+) -> Simulation:
+    """Simulate recorded velocity commands, from rest, on the rig of a model with stations that load motors imitate.
+
+    parameters: (P,) or (B, P) of the model from `layout.pack`, with effects: those of the axes are in the mechanics,
+    others in what is imitated. commands (n, N) m/s at the web, boundary (n, 2) upstream strain and downstream tension
+    (N), a row each cycle; `sensors`: stations by name. Motion and torques of the result are those of the axes.
+    Raises ValueError for a cycle that is no multiple of the drives' sample time.
+    """
+    many = np.array(np.atleast_2d(parameters))
+    stands = stands_of(imitation, model, many)
+    layout, of_line = Layout.of(stands[0]), Layout.of(many[0])
+    starts = np.zeros((len(many), layout.state_size))
+    lines = np.array([start_state(one, model) for one in many])
+    for stand, start, one, line in zip(stands, starts, many, lines, strict=True):
+        line_follower.hold(one)
+        of_line.axis_rows(one)[:, lay.place("backlash", "gap_rad")] = 0.0  # gears are the rig's
+        lay.refresh_modes(stand, start)
+        lay.refresh_modes(one, line)
+    inputs = layout.new_inputs()
+    motors, n = layout.motor_inputs(inputs), model.axis_count
+    motors[:n, lay.UM_MODE] = MotorMode.VELOCITY
+    motors[n:, lay.UM_MODE] = MotorMode.TORQUE
+    motors[n:, lay.UM_SETPOINT] = 0.0
+    axes = range(1, n + 1)
+    per_m = np.array([model.motor_rad_per_m(axis) for axis in axes])
+    pulls = np.array([float(model.carries_web_load(axis)) for axis in axes]) / per_m
+    rows = np.array(lay.driven_rows(many[0]), np.int64)
+    told, samples = np.array(_rows_of(model, sensors), np.int64), samples_per(imitation.cycle_s, _sample_s(many))
+    out = np.empty((len(many), len(commands), layout.output_size + 2 * of_line.spans + len(told)))
+    at_motors, limits = np.ascontiguousarray(commands * per_m), np.ascontiguousarray(boundary, dtype=np.float64)
+    lead, longest_s = lead_s(model, imitation.cycle_s), line_follower.step_s(model)
+
+    def run(share: slice) -> None:
+        _simulate(
+            stands[share], starts[share], inputs.copy(), layout.new_work(), many[share], lines[share],
+            of_line.new_inputs(), of_line.new_work(), rows, told, pulls, at_motors, limits, samples, imitation.cycle_s,
+            lead, longest_s, out[share],
+        )  # fmt: skip
+
+    on_all_cores(run, len(many))
+    if np.ndim(parameters) == 1:
+        out, lines = out[0], lines[0]
+    columns, of_rig, k = layout.columns, layout.output_size, of_line.spans
+    x, v, tau = (out[..., columns[name]][..., :n] for name in ("x_m", "v_m_s", "tau_Nm"))
+    tension, strain = out[..., of_rig : of_rig + k], out[..., of_rig + k : of_rig + 2 * k]
+    return Simulation(x, v, tau, tension, strain, lines, out[..., of_rig + 2 * k :])
+
+
+def _sample_s(many: Vector) -> float:
+    return many.item(0, lay.W_SAMPLE_TIME_S)
+
+
+def _rows_of(model: ModelParameters, names: Sequence[str]) -> list[int]:
+    """Where carriages and reels stand among the axes of a line, by name."""
+    rollers = model.line_rollers
+    rows = {station_name(roller.station): row for row, roller in enumerate(rollers)}
+    rows |= {each.station.name: row for row, each in enumerate(model.carriages, len(rollers))}
+    return [rows[name] for name in names]
