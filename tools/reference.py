@@ -19,7 +19,7 @@ from hilbench.canopen.eds import all_variables, load_eds
 from hilbench.canopen.eds import variable as find_variable
 from hilbench.cia402.object_units import has_drive_unit, si_unit
 from hilbench.cli.main import app
-from hilbench.plant.effects import EFFECTS, Effect, EffectPlace, MachineKind, Parameter
+from hilbench.plant.effects import EFFECTS, STATION_EFFECTS, Effect, EffectPlace, MachineKind, Parameter
 from hilbench.runs import found
 from hilbench.runs.config import ExperimentConfig
 from hilbench.runs.config_text import json_schema
@@ -42,6 +42,8 @@ _UNITS: Final = {
 }  # fmt: skip
 #: A velocity is written `m_s`, without the `per` of other quotients.
 _QUOTIENTS: Final = (("m", "s"), ("m", "s2"), ("rad", "s"))
+#: All that a reference page has, those of stations behind the others.
+_ALL_EFFECTS: Final = EFFECTS + STATION_EFFECTS
 
 
 def pages() -> dict[str, str]:
@@ -292,10 +294,10 @@ def effects_page() -> str:
         "",
         *_table(
             ("effect", "law", "of", "enters", "hidden in"),
-            ((f"[`{e.id}`](#{e.id})", e.law, _place(e), _domain(e), _hidden_in(e)) for e in EFFECTS),
+            ((f"[`{e.id}`](#{e.id})", e.law, _place(e), _domain(e), _hidden_in(e)) for e in _ALL_EFFECTS),
         ),
     ]
-    for effect in EFFECTS:
+    for effect in _ALL_EFFECTS:
         several = f" Up to {effect.slots} at one place." if effect.slots > 1 else ""
         lines += [f"## {effect.id}", "", f"{effect.law}. Of {_place(effect)}; enters: {_domain(effect)}.{several}", ""]
         kinds = " and ".join(f"`{kind}`" for kind in MachineKind if kind in effect.kinds)
@@ -324,6 +326,8 @@ def _parameters(effect: Effect) -> Iterator[str]:
 def _place(effect: Effect) -> str:
     if effect.per_axis:
         return "an axis"
+    if effect.stations:
+        return f"a station ({', '.join(sorted(effect.stations))})"
     return "a span, or of every one" if effect.per_section else "the web"
 
 

@@ -29,9 +29,7 @@ from hilbench.plant.servo_axis.parameters import ServoAxisParameters
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.imitation import Imitation
 from hilbench.plant.web_line.inverse import required_torque_Nm
-from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.sizes import machine_sizes
-from hilbench.plant.web_line.stations import types_by_name
 
 Array = NDArray[np.float64]
 #: How a bench imitated a machine with its load motors.
@@ -58,7 +56,7 @@ def vocabulary(model: Machine) -> tuple[Effect, ...]:
 
 def has_stations(model: Machine) -> bool:
     """Whether it is more than driven axes and what is between them."""
-    return isinstance(model, ModelParameters) and model.stations is not None
+    return not isinstance(model, ServoAxisParameters) and model.stations is not None
 
 
 def position_channel(model: Machine, axis: int) -> str:
@@ -132,7 +130,7 @@ def places(model: Machine, effect: Effect) -> list[tuple[int | None, Section | N
     if effect.per_axis:
         return [(axis, None) for axis in range(1, model.axis_count + 1)]
     if effect.stations:
-        stations = types_by_name(model.stations) if isinstance(model, ModelParameters) else {}
+        stations = {} if isinstance(model, ServoAxisParameters) else model.station_types
         return [(None, name) for name, kind in stations.items() if kind in effect.stations]
     if not effect.per_section or model.span_count < 2:
         return [(None, None)]

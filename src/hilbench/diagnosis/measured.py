@@ -17,12 +17,11 @@ from hilbench.diagnosis import machines
 from hilbench.diagnosis import web_torque_checks as torque_checks
 from hilbench.diagnosis.noise import floor
 from hilbench.diagnosis.repairs import Repair, mended
-from hilbench.diagnosis.web_tensions import tension_channels
+from hilbench.diagnosis.web_tensions import StationSensor, station_sensors, tension_channels
 from hilbench.errors import UnusableInputError
 from hilbench.plant.model_file import Machine
 from hilbench.plant.web_line.laws import FRICTION_WIDTH_M_S
 from hilbench.plant.web_line.parameters import ModelParameters
-from hilbench.plant.web_line.stations import Reel, reel_name
 from hilbench.results.recording import Recording
 from hilbench.topology.signal_kinds import TIME
 
@@ -73,8 +72,6 @@ _BOUNDARY = ("strain_prev", "F_next_N")
 _OTHER_UNITS: Final = {"strain_prev": ((100.0, "%", "a strain (1)"),), "F_next_N": ((1e-3, "kN", "N"),)}
 _SAME_SIZE: Final = 2.5
 _MAPPED: Final = "say which columns are which channels with 'hilbench convert --columns'"
-#: To which the position of a carriage is believed, m, and the radius of a reel, a share of that at the start.
-_CARRIAGE_M, _RADIUS_SHARE = 2e-4, 2e-4
 #: Only a bench has it: who records a web that is there has no load motor.
 _LOAD_MOTOR: Final = re.compile(r"tau_\w+_cmd_Nm")
 
@@ -86,15 +83,6 @@ class Before:
     x_m: Array  #: (m, axes)
     boundary: Array  #: (m, 2) upstream strain, downstream tension (N)
     strain: float  #: of the web at the first of these rows
-
-
-@dataclass(frozen=True)
-class StationSensor:
-    """What the sensor of a carriage's position or a reel's radius said."""
-
-    channel: str
-    measured_m: Array  #: (n,)
-    known_to_m: float  #: by how much a right prediction may be off
 
 
 @dataclass(frozen=True)
@@ -213,28 +201,12 @@ def measured_from(recording: Recording, model: Machine, place: str | Path) -> Me
         repairs=found.repairs,
         F_N=channels(tensions),
         integrated=integrated,
-        sensors_m=_sensors_m(recording, model),
+        sensors_m=station_sensors(recording, model),
     )
     if machines.has_stations(model) and abs(float(measured.commands_m_s[0, -1])) > STANDSTILL_M_S:
         raise UnusableInputError(place, "a line with 'stations' under way at the first row, expected it at rest there")
     _check_plausible(measured, model, place)
     return measured
-
-
-def _sensors_m(recording: Recording, model: Machine) -> dict[str, StationSensor]:
-    """What sensors of stations said, where they are recorded."""
-    if not isinstance(model, ModelParameters):
-        return {}
-    known = {each.station.name: (f"x_{each.station.name}_meas_m", _CARRIAGE_M) for each in model.carriages}
-    for roller in model.line_rollers:
-        if isinstance(roller.station, Reel) and roller.axis is not None:
-            name = reel_name(roller.station)
-            known[name] = (f"r_{name}_meas_m", _RADIUS_SHARE * model.radius_m(roller.axis))
-    return {
-        name: StationSensor(channel, np.asarray(recording[channel], np.float64), known_to_m)
-        for name, (channel, known_to_m) in known.items()
-        if channel in recording
-    }
 
 
 def _check_lone(recording: Recording, model: Machine, place: str | Path) -> None:

@@ -22,7 +22,6 @@ from hilbench.plant.servo_axis.parameters import ServoAxisParameters
 from hilbench.plant.servo_axis.rig import ServoRigParameters
 from hilbench.plant.web_line.imitation import Imitation
 from hilbench.plant.web_line.parameters import ModelParameters
-from hilbench.plant.web_line.rig import CoupledMotor
 
 Array = NDArray[np.float64]
 
@@ -111,17 +110,10 @@ def _is_cycle(cycles: float) -> bool:
     return cycles > 0.5 and abs(cycles - round(cycles)) <= _UNEVEN_CYCLES
 
 
-def _usual_load_motors(model: ModelParameters) -> tuple[CoupledMotor, ...]:
-    """Those of a bench of which nothing is known: at the last roller or, with stations, wherever the web pulls."""
-    if model.stations is None:
-        return (CoupledMotor(axis=model.axis_count),)
-    return tuple(CoupledMotor(axis=axis) for axis in range(1, model.axis_count + 1) if model.carries_web_load(axis))
-
-
 def _web_choice(model: ModelParameters, data: Measured, imitation: Imitation | None) -> Choice:
     commands = "the recorded commands"
     if data.imitated:
-        imitation = imitation or Imitation(data.period_s, _usual_load_motors(model))
+        imitation = imitation or Imitation.usual(model, data.period_s)
         if not _is_cycle(data.period_s / imitation.cycle_s):
             return Choice(FreeRun(model, data), commands)
         return Choice(FreeRun(model, data, imitation), commands)

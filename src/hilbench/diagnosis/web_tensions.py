@@ -1,13 +1,47 @@
-"""Channels of measured web tensions."""
+"""What is measured of a web beside its driven rollers: tensions, positions of carriages, radii of reels."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 from typing import Final
 
+import numpy as np
+from numpy.typing import NDArray
+
+from hilbench.plant.model_file import Machine
+from hilbench.plant.web_line.parameters import ModelParameters
+from hilbench.plant.web_line.stations import Reel, reel_name
 from hilbench.results.recording import Recording
 
 _TENSION: Final = "F_meas_N"
+#: To which the position of a carriage is believed, m, and the radius of a reel, a share of that at the start.
+_CARRIAGE_M, _RADIUS_SHARE = 2e-4, 2e-4
+
+
+@dataclass(frozen=True)
+class StationSensor:
+    """What the sensor of a carriage's position or a reel's radius said."""
+
+    channel: str
+    measured_m: NDArray[np.float64]  #: (n,)
+    known_to_m: float  #: by how much a right prediction may be off
+
+
+def station_sensors(recording: Recording, model: Machine) -> dict[str, StationSensor]:
+    """What sensors of stations said, where they are recorded, by the station's name."""
+    if not isinstance(model, ModelParameters):
+        return {}
+    known = {each.station.name: (f"x_{each.station.name}_meas_m", _CARRIAGE_M) for each in model.carriages}
+    for roller in model.line_rollers:
+        if isinstance(roller.station, Reel) and roller.axis is not None:
+            name = reel_name(roller.station)
+            known[name] = (f"r_{name}_meas_m", _RADIUS_SHARE * model.radius_m(roller.axis))
+    return {
+        name: StationSensor(channel, np.asarray(recording[channel], np.float64), known_to_m)
+        for name, (channel, known_to_m) in known.items()
+        if channel in recording
+    }
 
 
 def tension_channels(recording: Recording, spans: int) -> dict[int, str]:

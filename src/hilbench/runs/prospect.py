@@ -79,8 +79,9 @@ def start_of(config: ExperimentConfig) -> State:
     others: list[EffectEntry] = []
     for number, entry in enumerate(config.load.effects):
         place = (entry.effect, entry.axis, entry.section)
-        if any((later.effect, later.axis, later.section) == place for later in config.load.effects[number + 1 :]):
-            others.append(entry)  # a path changes the last one of a kind
+        again = any((later.effect, later.axis, later.section) == place for later in config.load.effects[number + 1 :])
+        if again or entry.station is not None:  # a path changes the last one of a kind, and none of a station
+            others.append(entry)
             continue
         known = find_effect(entry.effect, config.machine_kind)
         at = entry.axis if known.per_axis else entry.section

@@ -8,7 +8,6 @@ from typing import Any
 from hilbench.plant.effects import EffectPlace, MachineKind, effect_problem, find_effect
 from hilbench.plant.fmu.axis import FmuAxisParameters
 from hilbench.plant.web_line.parameters import ModelParameters
-from hilbench.plant.web_line.stations import types_by_name
 from hilbench.topology.blocks import LoadConfig, LoadShaftConfig, MachineParameters, TwinConfig
 from hilbench.topology.parts import LoadMotorConfig
 from hilbench.topology.web_line_config import (
@@ -59,7 +58,7 @@ def misfits(key: str, value: Any, machine: Any, loaded: Collection[int] | None) 
                 entry.effect, entry.axis, EffectPlace(key), machine.axis_count, loaded, kind,
                 section=entry.section, sections=sections,
             )  # fmt: skip
-            stations = {} if of_servo else types_by_name(machine.stations)
+            stations = {} if of_servo else machine.station_types
             of_station = find_effect(entry.effect, kind).station_problem(entry.section, stations) if not place else None
             yield from filter(None, [entry.problem(kind), place, of_station])
 

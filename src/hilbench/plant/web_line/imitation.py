@@ -40,6 +40,14 @@ class Imitation:
     #: What the drive of each axis rounds a velocity command to, m/s at the web; None if that is not known.
     resolution_m_s: tuple[float, ...] | None = None
 
+    @classmethod
+    def usual(cls, model: ModelParameters, cycle_s: float) -> Imitation:
+        """Of a bench of which nothing is known: a load motor at the last roller or, with stations, wherever the web
+        pulls."""
+        axes = range(1, model.axis_count + 1)
+        loaded = axes[-1:] if model.stations is None else [axis for axis in axes if model.carries_web_load(axis)]
+        return cls(cycle_s, tuple(CoupledMotor(axis=axis) for axis in loaded))
+
     def as_taken(self, commands_m_s: NDArray[np.float64]) -> NDArray[np.float64]:
         """Velocity commands (n, N), m/s, in the drives' whole units."""
         if self.resolution_m_s is None:

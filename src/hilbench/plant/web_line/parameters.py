@@ -208,6 +208,11 @@ class ModelParameters(Block):
         """Those of dancers and accumulators, in the direction of the web."""
         return () if self.stations is None else carriages_of(self.stations)
 
+    @property
+    def station_types(self) -> dict[str, str]:
+        """Types of the stations that have a name."""
+        return types_by_name(self.stations)
+
     def radius_m(self, axis: int) -> float:
         """Nominal radius of the roller of `axis` (counted from 1)."""
         return per_item(self.rollers.radius_m, axis)

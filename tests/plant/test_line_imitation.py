@@ -1,0 +1,105 @@
+"""A whole recording of an imitated line with stations in one call, against the rig and the line cycle by cycle."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hilbench.plant.motor_port import MotorMode, MotorPort
+from hilbench.plant.parameters import EffectEntry
+from hilbench.plant.web_line import layout as lay
+from hilbench.plant.web_line.imitation import Imitation, lead_s
+from hilbench.plant.web_line.line_follower import LineFollower
+from hilbench.plant.web_line.line_imitation import simulate_imitated_line
+from hilbench.plant.web_line.parameters import ModelParameters
+from hilbench.plant.web_line.rig import CoupledMotor, RigParameters, TestRig
+from hilbench.runs.config import load
+
+CONFIGS = Path(__file__).resolve().parents[2] / "bench_configs"
+CYCLE_S = 0.003
+
+
+def of_a_bench(name: str, *effects: EffectEntry) -> ModelParameters:
+    """The machine of a shipped config, with effects."""
+    return load(CONFIGS / name)[0].web_line.with_effects(*effects)
+
+
+def of_station(effect: str, station: str, **parameters: float) -> EffectEntry:
+    return EffectEntry(effect=effect, station=station, parameters=parameters)
+
+
+def speeds(rows: int, axes: int) -> np.ndarray:
+    """The line comes to speed, its tensions and carriages are pulled to and fro; (rows, axes) m/s."""
+    t = np.arange(rows) * CYCLE_S
+    line = np.minimum(1.2 * t, 0.6)
+    return np.column_stack([line * (1.0 + 2e-3 * (axes - k) * np.sin(4.0 * t + k)) for k in range(axes)])
+
+
+def cycle_by_cycle(
+    parameters: ModelParameters, load_axes: tuple[int, ...], commands: np.ndarray, sensors: tuple[str, ...]
+) -> np.ndarray:
+    """Positions, torques, tensions, what sensors say: the torque of what was measured goes out with the next SYNC."""
+    n = parameters.axis_count
+    ports = [MotorPort(mode=MotorMode.VELOCITY) for _ in range(n)]
+    ports += [MotorPort(mode=MotorMode.TORQUE) for _ in load_axes]
+    of_axes = [entry for entry in parameters.effects if entry.axis is not None]
+    of_line = [entry for entry in parameters.effects if entry.axis is None]
+    stand = RigParameters.matching(parameters, [CoupledMotor(axis=axis) for axis in load_axes], effects=of_axes)
+    rig, torques, rows = TestRig(stand, ports), [0.0] * len(load_axes), []
+    line = LineFollower(parameters.model_copy(update={"effects": tuple(of_line)}))
+    per_m = [parameters.motor_rad_per_m(axis) for axis in range(1, n + 1)]
+    for number, command in enumerate(commands):
+        outputs = rig.outputs()
+        x = [outputs[f"x{axis}_rad"] / per_m[axis - 1] for axis in range(1, n + 1)]
+        if number:
+            line.follow(x, CYCLE_S)
+        true = line.outputs()
+        rows.append([*x, *(port.torque_Nm for port in ports[:n]), *line.tension_N, *(true[name] for name in sensors)])
+        for port, v, scale in zip(ports, command, per_m, strict=False):
+            port.setpoint = v * scale
+        for port, torque in zip(ports[n:], torques, strict=True):
+            port.setpoint = torque
+        rig.step(CYCLE_S)
+        torques = line.load_torques_Nm(load_axes, [0.0] * n, lead_s(parameters, CYCLE_S))
+    return np.array(rows)
+
+
+@pytest.mark.parametrize(
+    ("name", "load_axes", "sensors", "effects"),
+    [
+        (
+            "line_with_dancer.yaml",
+            (2, 3),
+            {"dancer": "x_dancer_m"},
+            (
+                of_station("carriage_coulomb_friction", "dancer", force_N=6.0),
+                EffectEntry(effect="coulomb_friction", axis=2, parameters={"force_N": 4.0}),
+            ),
+        ),
+        (
+            "winding_line.yaml",
+            (1, 2, 3),
+            {"store": "x_store_m", "unwinder": "r_unwinder_m"},
+            (of_station("reel_radius", "unwinder", relative_change=0.01),),
+        ),
+    ],
+)
+def test_recording_in_one_call_is_what_the_bench_does_cycle_by_cycle(
+    name: str, load_axes: tuple[int, ...], sensors: dict[str, str], effects: tuple[EffectEntry, ...]
+) -> None:
+    parameters, rows = of_a_bench(name, *effects), 300
+    n, k = parameters.axis_count, parameters.span_count
+    commands = speeds(rows, n)
+    boundary = np.tile([parameters.upstream_strain, parameters.boundary.downstream_tension_N], (rows, 1))
+    imitation = Imitation(CYCLE_S, tuple(CoupledMotor(axis=axis) for axis in load_axes))
+    found = simulate_imitated_line(imitation, parameters, lay.pack(parameters), commands, boundary, list(sensors))
+    expected = cycle_by_cycle(parameters, load_axes, commands, tuple(sensors.values()))
+    assert found.sensors_m is not None
+    np.testing.assert_allclose(found.x_m, expected[:, :n], rtol=0, atol=1e-8)
+    np.testing.assert_allclose(found.tau_Nm, expected[:, n : 2 * n], rtol=0, atol=1e-3)
+    np.testing.assert_allclose(found.F_N, expected[:, 2 * n : 2 * n + k], rtol=0, atol=1e-2)
+    np.testing.assert_allclose(found.sensors_m, expected[:, 2 * n + k :], rtol=0, atol=1e-7)
+    assert np.ptp(expected[:, 2 * n : 2 * n + k], axis=0).min() > 0.3
+    assert np.ptp(expected[:, 2 * n + k]) > 5e-4
