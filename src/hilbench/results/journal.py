@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-from dataclasses import asdict
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -15,6 +14,7 @@ from hilbench.bench.reports.change import Change
 from hilbench.errors import BenchFaultError, UnusableInputError
 
 _CHANGE = TypeAdapter(Change)
+_ENCODER = json.JSONEncoder(separators=(",", ":"))
 _LONGEST_LINE = 512
 
 
@@ -115,10 +115,8 @@ def read_journal(path: Path) -> list[Change]:
 
 
 def _line(change: Change) -> bytes:
-    said = asdict(change)
-    if change.who is None:
-        del said["who"]
-    return (json.dumps(said, separators=(",", ":")) + "\n").encode()
+    said = {name: value for name, value in vars(change).items() if name != "who" or value is not None}
+    return (_ENCODER.encode(said) + "\n").encode()
 
 
 def _change(line: bytes, place: str) -> Change:

@@ -10,8 +10,10 @@ from __future__ import annotations
 
 import csv
 import math
+from bisect import bisect_right
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -101,8 +103,8 @@ class _Watched:
 
 
 def _between(points: list[tuple[float, float]], t_s: float) -> float:
-    before = max((point for point in points if point[0] <= t_s), default=points[0])
-    after = min((point for point in points if point[0] > t_s), default=points[-1])
+    behind = bisect_right(points, t_s, key=itemgetter(0))
+    before, after = points[max(behind - 1, 0)], points[min(behind, len(points) - 1)]
     if after[0] <= before[0]:
         return before[1]
     return before[1] + (after[1] - before[1]) * (t_s - before[0]) / (after[0] - before[0])
