@@ -1,7 +1,6 @@
 """The sample of a cycle has the signals of its bench."""
 
-from dataclasses import fields
-
+import pytest
 from tests.bench.samples import SIGNALS, sample_of_two_axes
 
 from hilbench.topology.sample import sample_type
@@ -9,13 +8,24 @@ from hilbench.topology.signals import SMALLEST, Shape, signals_of
 
 
 def test_a_sample_has_exactly_the_recorded_signals_and_the_cycle():
-    assert [field.name for field in fields(sample_of_two_axes)] == ["cycle", *(signal.name for signal in SIGNALS)]
+    assert sample_of_two_axes.names() == [*(signal.name for signal in SIGNALS), "cycle"]
+    with pytest.raises(AttributeError):
+        sample_of_two_axes().F2_sim_N = 1.0
 
 
 def test_integers_in_the_registry_are_integers_in_the_sample():
     sample = sample_of_two_axes()
-    whole = {field.name for field in fields(sample) if isinstance(getattr(sample, field.name), int)} - {"cycle"}
+    whole = {name for name in sample.names() if isinstance(getattr(sample, name), int)} - {"cycle"}
     assert whole == {signal.name for signal in SIGNALS if signal.integer}
+
+
+def test_the_vectors_of_a_sample_are_its_signals():
+    sample = sample_of_two_axes(F_sim_N=80.5, twin_status=3)
+    assert sample.reals[sample.place("F_sim_N")] == 80.5
+    assert sample.wholes[sample.places(["twin_status", "cycle"])].tolist() == [3, 0]
+    sample.reals[sample.place("x1_m")] = 0.25
+    sample.wholes[sample.place("cycle")] = 7
+    assert (sample.x1_m, sample.cycle, sample_of_two_axes().x1_m) == (0.25, 7, 0.0)
 
 
 def test_benches_with_the_same_signals_share_a_class_and_others_have_their_own():

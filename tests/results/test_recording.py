@@ -90,6 +90,23 @@ def test_builder_grows_past_what_was_expected() -> None:
     np.testing.assert_array_equal(recording["x1_m"], -np.arange(20_000))
 
 
+def test_builder_takes_rows_as_they_stand_in_memory() -> None:
+    builder = RecordingBuilder(("t_s", "x1_m", "statusword1"), expected_rows=2, whole={"statusword1"})
+    row = bytearray(24)
+    for k in range(5):
+        if k == 3:
+            builder.append((k, 0.5 * k, k))
+        else:
+            struct.pack_into("=ddq", row, 0, k, 0.5 * k, k)
+            builder.append_packed(memoryview(row))
+    recording = builder.build()
+    assert recording["x1_m"].tolist() == [0.0, 0.5, 1.0, 1.5, 2.0]
+    assert (recording["statusword1"].dtype, recording["statusword1"].tolist()) == (np.uint32, [0, 1, 2, 3, 4])
+    with pytest.raises(ValueError, match="different structures"):
+        builder.append_packed(memoryview(row)[:16])
+    assert len(builder) == 5
+
+
 def test_builder_refuses_a_row_of_another_length() -> None:
     builder = RecordingBuilder(("t_s", "x1_m"))
     with pytest.raises(struct.error):

@@ -12,7 +12,7 @@ the twin says are objects all the time, and of its virtual I/O only the PDOs are
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -145,10 +145,8 @@ class _Run:
         self._real = self._real if len(self._real) else np.zeros(1)
         # One value goes faster through these than through the array.
         self._whole_at, self._real_at = self._whole.data, _reals(self._real)
-        self._said_values: list[tuple[int, int, memoryview[Any]]] = [
-            (cob_id, lay.O_SIZE + row, (self._real_at if real else self._whole_at)[first:last])
-            for cob_id, row, first, last, real in self._wiring.said
-        ]
+        row, of_status = self._wiring.status
+        self._status_sent, self._status_at = lay.O_SIZE + row, self._whole_at[of_status]
         self._data = np.zeros((len(frames.rows), 8), np.uint8)
         for row, content in frames.constants.items():
             self._data[row, : len(content)] = np.frombuffer(content, np.uint8)
@@ -167,6 +165,7 @@ class _Run:
         ]
         self._join_motors()
         self._trace()
+        measured = self._nodes.measured
         self._vectors = kernel.Vectors(
             self._target_rows,
             self._set_points,
@@ -186,6 +185,8 @@ class _Run:
             self._feedback,
             self._asked,
             self._shown,
+            table(self._wiring.said, lay.SAID),
+            *(measured.came, measured.torques, measured.before_Nm, measured.of_drives, measured.said),
         )
         self._table, self._bitrate = self._vectors.table(), self._nodes.config.bus.bitrate
 
@@ -309,7 +310,8 @@ class _Run:
         fault, self._fault = self._fault or self._write_waiting(), None
         if fault is not None:
             raise fault
-        nodes.take_plain(self._feedback_now, self._said(), self._heard() if left[lay.O_TIMED] else ())
+        status = self._status_at.tolist() if left[self._status_sent] else None
+        nodes.take_plain(status, self._heard() if left[lay.O_TIMED] else ())
         return True
 
     def _still_plain(self, now_ns: int) -> bool:
@@ -350,7 +352,6 @@ class _Run:
         """What the frames were; whether the bench's heartbeat was among them."""
         here, given = self._here, self._given_at
         self._left_now = left = self._left.tolist()
-        self._feedback_now = self._feedback.tolist()
         here.bus.account(left[lay.O_FRAMES], left[lay.O_BITS], left[lay.O_DURATION_NS])
         if self._lines is not None:
             given[lay.I_TEXT] = left[lay.O_TEXT]
@@ -379,16 +380,11 @@ class _Run:
         ]
 
     def _move_twin(self) -> None:
-        real, feedback = self._real_at, self._feedback_now
+        real, feedback = self._real_at, self._feedback.tolist()
         for cell, slot in self._written:
             cell.value = real[slot]
         measured = [(feedback[at], feedback[at + 2]) for at in self._wiring.heard_axes]
         self._here.machine.go_on(measured, self._twin.step)
-
-    def _said(self) -> dict[int, Sequence[float]]:
-        """What the twin's TPDOs of this cycle bring."""
-        left = self._left_now
-        return {cob_id: values.tolist() for cob_id, sent, values in self._said_values if left[sent]}
 
     def _heard(self) -> list[int]:
         return [device.node_id for device, row in self._heartbeats if self._left_now[lay.O_SIZE + row]]

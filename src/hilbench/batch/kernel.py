@@ -25,6 +25,8 @@ from hilbench.compiled import (
     number_of_sources,
     table_of,
 )
+from hilbench.exchange import measured
+from hilbench.exchange.measured import take_twin
 
 _SIGNED, _FLOAT = lay.SIGNED, lay.FLOAT
 _BEFORE_SYNC, _SYNC, _BY_TIME = lay.BEFORE_SYNC, lay.SYNC, lay.BY_TIME
@@ -41,6 +43,7 @@ _DIGITS = np.frombuffer(b"0123456789ABCDEF", np.uint8).copy()
 
 Table = NDArray[np.int64]
 _FRAME, _FIELD, _TARGET, _DRIVE, _SEEN_BY = lay.FRAME, lay.FIELD, lay.TARGET, lay.DRIVE, lay.SEEN
+_SAID_BY = lay.SAID
 _OCTET, _SINGLE = np.dtype(np.uint8), np.dtype(np.float32)
 # Rows of the table: as `vectors` has them.
 (
@@ -62,7 +65,13 @@ _OCTET, _SINGLE = np.dtype(np.uint8), np.dtype(np.float32)
     _FEEDBACK,
     _ASKED,
     _SHOWN,
-) = range(18)
+    _SAID_ROWS,
+    _CAME,
+    _TORQUES,
+    _BEFORE_NM,
+    _OF_DRIVES,
+    _SAID,
+) = range(24)
 Exchange = Callable[[Table, int], bool]
 Publish = Callable[[Table], bool]
 
@@ -89,6 +98,12 @@ class Vectors:
     feedback: Real
     asked: Real  #: set points that the drives follow
     shown: Real  #: by their ports
+    said_rows: Rows
+    came: Whole  #: this and what follows: as of `exchange.measured`
+    torques: Whole
+    before_Nm: Real
+    of_drives: Real
+    said: Real
 
     def table(self) -> Table:
         """Where they stand; they are to be kept. Lengths in bytes are whole eights."""
@@ -241,6 +256,17 @@ def _see(seen: Row, whole: Whole, feedback: Real) -> None:
 
 
 @compiled
+def _hear(rows: Rows, bits_of: Whole, real: Real, came: Whole, said: Real) -> None:
+    """`exchange.nodes.Nodes` with what the twin's TPDOs bring."""
+    for k in range(len(rows)):
+        row = rows[k]
+        came[k] = bits_of[row.frame] != 0
+        if came[k]:
+            for slot in range(row.first, row.last):
+                said[row.place + slot - row.first] = real[slot]
+
+
+@compiled
 def _follow(drive: Row, whole: Whole) -> None:
     """`cia402.modes.CyclicSynchronousVelocity` and `CyclicSynchronousTorque` with their set point."""
     set_point = (whole[drive.target] + whole[drive.offset]) * drive.set_point_unit
@@ -314,6 +340,14 @@ def _entry_points(sources: int) -> tuple[Exchange, Publish]:
             asked[k] = drives[k].set_point
         for k in range(len(seen)):
             _see(seen[k], whole, feedback[4 * k : 4 * k + 4])
+        of_drives, said, came = (
+            floats(table, _OF_DRIVES, (1,)),
+            floats(table, _SAID, (1,)),
+            integers(table, _CAME, (1,)),
+        )
+        of_drives[:] = feedback[: len(of_drives)]
+        _hear(integers(table, _SAID_ROWS, (1,)).view(_SAID_BY), bits_of, real, came, said)
+        take_twin(came, integers(table, _TORQUES, (1,)), floats(table, _BEFORE_NM, (1,)), of_drives, said)
         _set_times(frames, bits_of, given[_I_START_NS], 1e9 / bitrate)
         if len(text) > 0:
             at = given[_I_TEXT]
@@ -372,7 +406,9 @@ def _show(drive: Row, port: Real, whole: Whole) -> None:
 #: exchange(table of `Vectors`, bitrate): the frames of a cycle over the wire; False, and nothing done, where a value
 #: does not fit.
 #: publish(table): feedback into the objects; False, and nothing done, where a fault would follow.
-exchange, publish = _entry_points(number_of_sources(__file__, lay.__file__, compiled_wire.__file__, wire.__file__))
+exchange, publish = _entry_points(
+    number_of_sources(__file__, *(str(module.__file__) for module in (lay, compiled_wire, wire, measured)))
+)
 
 
 def warm_up() -> None:

@@ -96,6 +96,9 @@ SEEN = np.dtype(
         ("by_difference", "i8"),  # whether its velocity is that of its positions
     ]
 )
+#: What the bench takes from a TPDO of the virtual I/O: its frame, its slots among the real ones, and where they begin
+#: in what the twin says (`exchange.measured`).
+SAID = np.dtype([("frame", "i8"), ("first", "i8"), ("last", "i8"), ("place", "i8")])
 #: What a port has beside its mode: position, velocity, torque, reference, whether the torque was limited.
 PORT_SIZE = 5
 #: Whole numbers that a cycle takes: start in ns, then the time after SYNC by the clock of each host, in ns; where its

@@ -68,8 +68,10 @@ class Wiring:
         self.seen: list[tuple[Any, ...]] = []
         self.raw: list[tuple[Drive, dict[int, int]]] = []
         self.heard_axes: list[int] = []
-        #: What the bench takes from the TPDOs of the virtual I/O: identifier, row, slots, and whether they are real.
-        self.said: list[tuple[int, int, int, int, bool]] = []
+        #: What the bench takes from the TPDOs of the virtual I/O: rows of `layout.SAID`; the row of its status, and
+        #: where that is among the whole numbers.
+        self.said: list[tuple[int, int, int, int]] = []
+        self.status: tuple[int, slice] = (-1, slice(0))
         self._bench_frames()
         self._check_listeners()
         drives = (*here.rig.drives, *here.machine.drives)
@@ -179,7 +181,10 @@ class Wiring:
                 raw.update(zip(indices, taken, strict=True))
             self.seen.append(seen_row(drive, raw))
             self.raw.append((drive, raw))
-        self.said += [self._hear_of(pdo) for _, pdo in self._nodes.io.tpdos]
+        row, first, last = self._hear_of(self._nodes.io.status, is_float=False)
+        self.status = row, slice(first, last)
+        for pdo, part in zip(self._nodes.io.sent, self._nodes.measured.parts, strict=True):
+            self.said.append((*self._hear_of(pdo, is_float=True), part.start))
         for listener in self._here.machine.listeners:
             row, taken = frames.row_of(listener.cob_id), new_slots(slots, listener.pdo)
             if row < self._behind_sync or frames.rows[row][4] != 1:
@@ -188,14 +193,13 @@ class Wiring:
             self.heard_axes.append(4 * len(self.seen))
             self.seen.append(heard_row(listener, taken))
 
-    def _hear_of(self, pdo: PdoMap) -> tuple[int, int, int, int, bool]:
-        """What the bench takes from a TPDO of the virtual I/O: identifier, row, slots, and whether they are real."""
-        real, row = pdo.kinds[0].is_float, self.frames.row_of(pdo.cob_id)
-        if any(kind.is_float is not real for kind in pdo.kinds):
+    def _hear_of(self, pdo: PdoMap, *, is_float: bool) -> tuple[int, int, int]:
+        """What the bench takes from a TPDO of the virtual I/O: row, and slots."""
+        if any(kind.is_float is not is_float for kind in pdo.kinds):
             raise NotPlainError
-        taken = new_slots(self.slots, pdo)
+        row, taken = self.frames.row_of(pdo.cob_id), new_slots(self.slots, pdo)
         self.frames.take(row, pdo, taken)
-        return pdo.cob_id, row, taken[0], taken[-1] + 1, real
+        return row, taken[0], taken[-1] + 1
 
     def _check_phases(self) -> None:
         """What the bench expects of the nodes is what they send."""

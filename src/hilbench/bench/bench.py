@@ -29,6 +29,7 @@ from hilbench.bench.tasks.twin_connection import TwinConnection
 from hilbench.bench.tasks.watches import ControllerWatch, EmergencyWatch, LatenessWatch, SupervisorWatch
 from hilbench.errors import BenchFaultError, NoAnswerError, UnusableValueError
 from hilbench.estimation.web_line.synchronizers.create import METHODS
+from hilbench.exchange import measured
 from hilbench.exchange.exchange import Exchange
 from hilbench.exchange.frame_tap import FrameTap
 from hilbench.exchange.nodes import Nodes
@@ -124,6 +125,7 @@ class Bench:
             self._start_diagnosis()
             self._announce("prepare the model (compiled on first use)")
             self._machine.warm_up()
+            measured.warm_up()
             if self.prediction is not None:
                 self.prediction.warm_up()
                 self._resources.callback(self.prediction.close)

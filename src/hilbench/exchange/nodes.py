@@ -22,12 +22,13 @@ from hilbench.exchange.addressing import IoMaps, declared_units, drive_settings
 from hilbench.exchange.answers import Tpdo
 from hilbench.exchange.effect_objects import effect_object
 from hilbench.exchange.emergencies import Emergency, EmergencyInbox
+from hilbench.exchange.measured import OF_DRIVE, Measured, ShownBy, SimulatedTorque
 from hilbench.exchange.sync_cycle import ExpectedPdo
 from hilbench.exchange.unexpected_senders import Owned, Unexpected, UnexpectedSenders
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.parts import Part, Role
 from hilbench.topology.quantities import EffectPath
-from hilbench.topology.sample import CycleSample
+from hilbench.topology.sample import CycleSample, sample_type
 
 #: Heartbeats that may stay away before a node counts as lost (lost frames are no lost node).
 _HEARTBEATS_MISSED = 4
@@ -69,19 +70,14 @@ class Nodes:
             *zip(self.axes, (part.name for part in config.parts_of(Role.AXIS)), self._rad_per_unit, strict=True),
             *((drive, name, 1.0) for drive, name in zip(self.load_motors, config.load_motors, strict=True)),
         ]
-        self._fills = self._filled_signals()
-        #: Position, velocity, torque (SI) and statusword of each drive, in this order.
-        self._measured: Sequence[float] = [0.0] * (4 * len(self._drives))
         self._known = {part.node.node_id: part.label for part in parts}
         self._master: Master | None = None
-        self._twin_values = {name: 0.0 for _, names in self._said for name in names}
-        said_in = {name: pdo.cob_id for pdo, names in self._said for name in names}
-        self._torques = [
-            (4 * (torque.axis - 1) + 2, torque.name, torque.residual, said_in[torque.residual])
-            for torque in self.io.data.torques
-        ]
-        self._torques_before_Nm = [0.0] * len(self._torques)
-        self._twin_values |= {name: 0.0 for _, name, _, _ in self._torques}
+        torques = [SimulatedTorque(each.axis, each.name, each.residual) for each in self.io.data.torques]
+        self._shown_by = self._drive_signals()
+        #: What drives and twin have answered.
+        self.measured = Measured(
+            sample_type(config.signals), self._shown_by, [names for _, names in self._said], torques
+        )
         self._status_cob_id = self.io.status.cob_id
         self._twin_sync, self.twin_status = 0, 0  #: status: bits of `TwinStatus`
         self.twin_reported_cycle = 0  #: cycle, counted by `decode`, in which the twin last reported its status
@@ -107,25 +103,29 @@ class Nodes:
         self._silence_cycles = round(_HEARTBEATS_MISSED * config.master.node_heartbeat_ms * 1e-3 / config.cycle_time_s)
         self._expected_boots: set[int] = set()
 
-    def _filled_signals(self) -> list[tuple[int, float, str, str, str, str]]:
-        """Where each drive begins in what is measured, what turns rad at its shaft into the machine's unit, and the
-        signals that it fills."""
+    def _drive_signals(self) -> list[ShownBy]:
+        """What each drive fills, in the order of `drives`."""
         unit, ratios = self.config.machine.position_unit, self._rad_per_unit
         axes = [
-            (4 * (k - 1), ratio, f"x{k}_{unit}", f"v{k}_{unit}_s", f"tau{k}_Nm", f"statusword{k}")
+            ShownBy(ratio, f"x{k}_{unit}", f"v{k}_{unit}_s", f"tau{k}_Nm", f"statusword{k}")
             for k, ratio in enumerate(ratios, 1)
         ]
         loads = [
-            (4 * at, ratios[(part.axis or 1) - 1], f"x_{name}_{unit}", "", f"tau_{name}_Nm", f"statusword_{name}")
-            for at, part in enumerate(self.config.parts_of(Role.LOAD_MOTOR), len(axes))
-            for name in (part.name,)
+            ShownBy(
+                ratios[(part.axis or 1) - 1],
+                f"x_{part.name}_{unit}",
+                "",
+                f"tau_{part.name}_Nm",
+                f"statusword_{part.name}",
+            )
+            for part in self.config.parts_of(Role.LOAD_MOTOR)
         ]
         return axes + loads
 
     @property
     def filled(self) -> frozenset[str]:
         """The signals of the drives that `fill` puts into a sample."""
-        return frozenset(name for fill in self._fills for name in fill[2:] if name)
+        return frozenset(name for shown in self._shown_by for name in shown.signals if name)
 
     @property
     def drives(self) -> Sequence[Drive]:
@@ -329,25 +329,24 @@ class Nodes:
         for drive in self.drives:
             shown = drive.decode(data)
             measured += (shown.position_rad, shown.velocity_rad_s, shown.torque_Nm, shown.statusword)
-        self._measured = measured
+        self.measured.of_drives[:] = measured
         self._take_twin({pdo.cob_id: pdo.unpack(data[pdo.cob_id]) for _, pdo in self.io.tpdos if pdo.cob_id in data})
 
     def _take_twin(self, data: Mapping[int, Sequence[Any]]) -> None:
         """What the twin says, simulates and estimates, by the values of its answers to this SYNC."""
-        status = data.get(self._status_cob_id)
+        measured = self.measured
+        self._take_status(data.get(self._status_cob_id))
+        for at, ((pdo, _), part) in enumerate(zip(self._said, measured.parts, strict=True)):
+            content = data.get(pdo.cob_id)
+            measured.came[at] = content is not None
+            if content is not None:
+                measured.said[part] = content
+        measured.take_twin()
+
+    def _take_status(self, status: Sequence[Any] | None) -> None:
         if status is not None:
             self._twin_sync, _, self.twin_status = status
             self.twin_reported_cycle = self._cycle
-        values = self._twin_values
-        for pdo, names in self._said:
-            content = data.get(pdo.cob_id)
-            if content is not None:
-                values.update(zip(names, content, strict=True))
-        for at, (place, torque, residual, cob_id) in enumerate(self._torques):
-            if cob_id in data:
-                # The residual is that of the cycle before: the twin compared after this cycle's TPDO was due.
-                values[torque] = self._torques_before_Nm[at] - values[residual]
-            self._torques_before_Nm[at] = self._measured[place]
 
     def _answers(self, frames: Sequence[Frame], before_sync: int) -> dict[int, bytes]:
         """The answers to this SYNC by COB-ID; what is beside them is counted, and in `unexpected`."""
@@ -377,7 +376,7 @@ class Nodes:
     @property
     def axes_late(self) -> bool:
         """Whether the positions of the axes are not those of this SYNC."""
-        return any(self.ages_cycles()[: len(self.axes)])
+        return self._ages_cycles is not self._in_time and any(self._ages_cycles[: len(self.axes)])
 
     def twin_age(self, syncs: int) -> int:
         """How many cycles old the twin's last answer is, `syncs` after the twin was started."""
@@ -416,25 +415,21 @@ class Nodes:
         self.unexpected = []
         self._ages_cycles = self._in_time
 
-    def take_plain(
-        self, measured: Sequence[float], said: Mapping[int, Sequence[Any]], heartbeats: Iterable[int]
-    ) -> None:
-        """A cycle with nothing but answers: position, velocity, torque (SI) and statusword of each drive, which these
-        get with `end_plain`; values of the twin's TPDOs by COB-ID; node ids of heartbeats that came. Raises as
-        `decode`."""
+    def take_plain(self, status: Sequence[int] | None, heartbeats: Iterable[int]) -> None:
+        """A cycle with nothing but answers, which are in `measured` already: values of the twin's status, if that came,
+        and node ids of heartbeats. The drives get theirs with `end_plain`. Raises as `decode`."""
         self._cycle += 1
         for node_id in heartbeats:
             self._heartbeat(node_id, NmtState.OPERATIONAL.heartbeat)
         if self._cycle % _HEARTBEAT_LOOK_CYCLES == 0:
             self._look_for_silent_nodes()
-        self._measured = measured
-        self._take_twin(said)
+        self._take_status(status)
 
     def end_plain(self, cycles: int) -> None:
         """So many cycles were plain."""
-        for at, drive in enumerate(self._drives):
+        measured = self.measured.of_drives.reshape(-1, OF_DRIVE).tolist()
+        for drive, of_drive in zip(self._drives, measured, strict=True):
             shown = drive.feedback
-            of_drive = self._measured[4 * at : 4 * at + 4]
             shown.position_rad, shown.velocity_rad_s, shown.torque_Nm, statusword = of_drive
             shown.statusword = int(statusword)
         if self._watch is not None:
@@ -474,15 +469,7 @@ class Nodes:
 
     def fill(self, sample: CycleSample) -> None:
         """Put the measurements of this cycle into a sample; SI, positions and velocities in the machine's unit."""
-        measured = self._measured
-        for at, rad_per_unit, position, velocity, torque, statusword in self._fills:
-            setattr(sample, position, measured[at] / rad_per_unit)
-            if velocity:
-                setattr(sample, velocity, measured[at + 1] / rad_per_unit)
-            setattr(sample, torque, measured[at + 2])
-            setattr(sample, statusword, int(measured[at + 3]))
-        for name, value in self._twin_values.items():
-            setattr(sample, name, value)
+        self.measured.fill(sample)
         sample.twin_status = self.twin_status
 
     # -- effects in the simulated hardware ---------------------------------------------------------------

@@ -6,10 +6,12 @@ Of a drive that has missed a SYNC, or of a SYNC that was sent late, no frame say
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from enum import Enum
 from struct import pack_into
 from typing import Protocol, runtime_checkable
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hilbench.compiled import FLAG, VECTOR, compiled, entry_point, number_of_sources
 from hilbench.plant import pairing
@@ -101,20 +103,24 @@ class MeasuredMotion:
         axis = int(self.state[_AXIS])
         self.state[[_BEHIND, _POSITION, _SPEED]] = 0.0, positions[axis], speeds[axis]
 
-    def put(self, positions: Sequence[float], speeds: Sequence[float]) -> None:
-        """These are measured now; compiled callers of `gone_s` go on with them."""
+    def gone_s(self, positions: Sequence[float], speeds: Sequence[float], *, late: bool) -> float:
+        """`gone_s` with these, which are measured now."""
         pack_into(self._format, self.positions.data, 0, *positions)
         pack_into(self._format, self.speeds.data, 0, *speeds)
-
-    def gone_s(self, positions: Sequence[float], speeds: Sequence[float], *, late: bool) -> float:
-        """`gone_s` with these."""
-        self.put(positions, speeds)
         return _gone(self.state, self.ways, self.positions, self.speeds, late)
 
     @property
     def ahead_s(self) -> float:
         """By how much the machine is to be predicted."""
         return _ahead(self.state)
+
+
+class HasFollowed(Enum):
+    """What a follower has done of a cycle."""
+
+    NOT = 0  #: it is as it was, as there is nothing to follow
+    TORQUES = 1  #: followed, and told torques alone
+    ALL = 2
 
 
 class InStep(Protocol):
@@ -124,12 +130,14 @@ class InStep(Protocol):
     def usable(self) -> bool:
         """Whether it goes on so as it is now."""
 
-    def follow(self, *, late: bool) -> list[float] | None:
-        """Let it follow what was `put` into the motion by `gone_s`: torques of the load motors, N·m, predicted by
-        `ahead_s`; None, and it is as it was, where there is nothing to follow."""
+    @property
+    def torques_Nm(self) -> list[float]:
+        """Of the load motors (M,), as it has followed last."""
 
-    def outputs(self) -> list[float]:
-        """After it has followed: what it is now, in the order of its description."""
+    def follow(self, values: Vector, places: NDArray[np.int64], *, late: bool) -> HasFollowed:
+        """Let it follow, by `gone_s`, positions (N,) and speeds (N,) at the first places of `values`, and put there
+        torques of the load motors (M,), N·m, predicted by `ahead_s`, at the next ones, then what it is now: a place,
+        and which output of its description, of each that is asked for."""
 
 
 @runtime_checkable

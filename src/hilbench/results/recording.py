@@ -16,7 +16,7 @@ import struct
 import sys
 import warnings
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Container, Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stdout
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -121,39 +121,59 @@ class Recording:
 class RecordingBuilder:
     """Collects one row a cycle, cheaply and without ever copying what is there.
 
-    `names` are the channels in the order of a row; the first must be ``t_s``. `expected_rows` are allocated and
-    touched at once, so that a run of that length allocates nothing; a longer run goes on in further blocks.
+    `names` are the channels in the order of a row; the first must be ``t_s``. Those that are `whole` are int64 in a
+    row, the others binary64. `expected_rows` are allocated and touched at once, so that a run of that length allocates
+    nothing; a longer run goes on in further blocks.
     """
 
-    def __init__(self, names: Sequence[str], expected_rows: int = _BLOCK_ROWS) -> None:
+    def __init__(self, names: Sequence[str], expected_rows: int = _BLOCK_ROWS, whole: Container[str] = ()) -> None:
         if not names or names[0] != TIME or len(set(names)) != len(names):
             raise ValueError(f"channels {list(names)}: expected distinct names, {TIME} first")
         self.names = tuple(names)
-        self._row = struct.Struct(f"={len(names)}d")
+        self._whole = [name in whole for name in names]
+        self._row = struct.Struct("=" + "".join("q" if is_whole else "d" for is_whole in self._whole))
+        self._row_size = self._row.size
         self._full: list[NDArray[np.float64]] = []
         self._open_block(max(expected_rows, 1))
 
     def _open_block(self, rows: int) -> None:
         self._block = np.full((rows, len(self.names)), np.nan)
         self._bytes = self._block.data.cast("B")
-        self._offset = 0
+        self._offset, self._end = 0, len(self._bytes)
 
     def append(self, row: Sequence[float]) -> None:
         """Add one sample: a value per channel. Raises struct.error if the row has another length."""
-        if self._offset == len(self._bytes):
-            self._full.append(self._block)
-            self._open_block(_BLOCK_ROWS)
+        if self._offset == self._end:
+            self._next_block()
         self._row.pack_into(self._bytes, self._offset, *row)
-        self._offset += self._row.size
+        self._offset += self._row_size
+
+    def append_packed(self, row: memoryview) -> None:
+        """The same of a row that is in memory already, as bytes. Raises ValueError if it has another length."""
+        at = self._offset
+        if at == self._end:
+            self._next_block()
+            at = 0
+        end = at + self._row_size
+        self._bytes[at:end] = row
+        self._offset = end
+
+    def _next_block(self) -> None:
+        self._full.append(self._block)
+        self._open_block(_BLOCK_ROWS)
 
     def __len__(self) -> int:
         """Number of samples so far."""
-        return sum(map(len, self._full)) + self._offset // self._row.size
+        return sum(map(len, self._full)) + self._offset // self._row_size
 
     def build(self, start_time: datetime | None = None, comment: str = "") -> Recording:
         """What was recorded so far, as a copy; counts and bit fields become integers where every sample is one."""
-        rows = np.concatenate([*self._full, self._block[: self._offset // self._row.size]])
-        channels = {name: _typed(name, np.ascontiguousarray(rows[:, column])) for column, name in enumerate(self.names)}
+        rows = np.concatenate([*self._full, self._block[: self._offset // self._row_size]])
+        whole = rows.view(np.int64)
+        channels = {
+            name: _typed(name, np.ascontiguousarray((whole if is_whole else rows)[:, column], np.float64))
+            for column, (name, is_whole) in enumerate(zip(self.names, self._whole, strict=True))
+        }
         return Recording(channels, start_time, comment)
 
 

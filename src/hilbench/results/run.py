@@ -9,7 +9,6 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from operator import attrgetter
 from pathlib import Path
 from types import FrameType
 from typing import Any, Literal, Protocol
@@ -117,12 +116,14 @@ class Recorder:
 
     def __init__(self, signals: Sequence[Signal]) -> None:
         names = [signal.name for signal in signals]
-        self._builder = RecordingBuilder(names)
-        self._row = attrgetter(*names)
+        self._builder = RecordingBuilder(names, whole={signal.name for signal in signals if signal.integer})
+        self._of: CycleSample | None = None
 
     def sample(self, sample: CycleSample) -> None:
         """Keep one cycle."""
-        self._builder.append(self._row(sample))
+        if sample is not self._of:
+            self._of, self._row = sample, sample.reals.data[: len(self._builder.names)].cast("B")
+        self._builder.append_packed(self._row)
 
     def recording(self, started: datetime, comment: str) -> Recording:
         """What was kept so far."""

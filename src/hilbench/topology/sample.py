@@ -1,11 +1,18 @@
-"""One cycle of a running bench, as the bench, its observers and conditions see it."""
+"""One cycle of a running bench, as the bench, its observers and conditions see it.
+
+A sample stands in memory as its signals do one behind the other, each in eight bytes: compiled functions read and write
+it as a vector, everybody else by the names of the signals.
+"""
 
 from __future__ import annotations
 
+import ctypes
 from collections.abc import Sequence
-from dataclasses import field, make_dataclass
 from functools import cache
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Any, Self, cast
+
+import numpy as np
+from numpy.typing import NDArray
 
 from hilbench.topology.signal_kinds import Signal
 
@@ -13,7 +20,8 @@ from hilbench.topology.signal_kinds import Signal
 class CycleSample:
     """The signals of a bench (`BenchConfig.signals`: units and meaning there), and the number of the cycle.
 
-    Every bench has a class of its own, with its signals as attributes (`sample_type`).
+    Every bench has a class of its own, with its signals as attributes (`sample_type`). `reals` and `wholes`: all of it
+    as binary64 and as int64, each signal at its `place`; those of one kind say nothing as the other.
     """
 
     __slots__ = ()
@@ -25,10 +33,42 @@ class CycleSample:
         twin_status: int
         loop_closed: int
         bus_bits: int
+        reals: NDArray[np.float64]
+        wholes: NDArray[np.int64]
 
         def __init__(self, **values: float) -> None: ...
         def __getattr__(self, name: str) -> float: ...
         def __setattr__(self, name: str, value: float) -> None: ...
+
+    @classmethod
+    def names(cls) -> list[str]:
+        """The signals in their order, the number of the cycle behind them."""
+        return [name for name, _ in cast("Any", cls)._fields_]
+
+    @classmethod
+    def place(cls, signal: str) -> int:
+        """Where it stands in the vectors. Raises AttributeError for a signal that this bench does not have."""
+        return int(cast("Any", getattr(cls, signal)).offset // 8)
+
+    @classmethod
+    def places(cls, signals: Sequence[str]) -> NDArray[np.int64]:
+        """The same of each of them."""
+        return np.array([cls.place(signal) for signal in signals], np.int64)
+
+
+class PlacesIn:
+    """Where signals stand in the vectors of samples, for who gets these one by one: mostly the same object."""
+
+    def __init__(self, signals: Sequence[str]) -> None:
+        self._signals = list(signals)
+        self._sample: CycleSample | None = None
+        self._places = np.zeros(0, np.int64)
+
+    def of(self, sample: CycleSample) -> NDArray[np.int64]:
+        """In this one. Raises AttributeError for a signal that it does not have."""
+        if sample is not self._sample:
+            self._places, self._sample = type(sample).places(self._signals), sample
+        return self._places
 
 
 def sample_type(signals: Sequence[Signal]) -> type[CycleSample]:
@@ -36,9 +76,24 @@ def sample_type(signals: Sequence[Signal]) -> type[CycleSample]:
     return _sample_type(tuple((signal.name, signal.integer) for signal in signals))
 
 
+class _Structure(ctypes.Structure):
+    """What has vectors of all that is in it."""
+
+    __slots__ = ("reals", "wholes")
+    reals: NDArray[np.float64]
+    wholes: NDArray[np.int64]
+
+    def __new__(cls, **values: float) -> Self:
+        reals = np.zeros(ctypes.sizeof(cls) // 8)
+        made = cls.from_buffer(reals.data)
+        made.reals, made.wholes = reals, reals.view(np.int64)
+        return made
+
+
 @cache
 def _sample_type(signals: tuple[tuple[str, bool], ...]) -> type[CycleSample]:
-    named = (("cycle", True), *signals)
-    fields = [(name, int if whole else float, field(default=0 if whole else 0.0)) for name, whole in named]
-    made = make_dataclass("CycleSample", fields, bases=(CycleSample,), slots=True)
-    return cast("type[CycleSample]", made)
+    named = [(name, ctypes.c_int64 if whole else ctypes.c_double) for name, whole in (*signals, ("cycle", True))]
+    make = cast("Any", type(_Structure))
+    return cast(
+        "type[CycleSample]", make("CycleSample", (CycleSample, _Structure), {"_fields_": named, "__slots__": ()})
+    )

@@ -8,6 +8,8 @@ from functools import partial
 from math import inf
 from operator import attrgetter
 
+import numpy as np
+
 from hilbench.bench.machines.machine import MachineTasks
 from hilbench.bench.state import BenchState, TwinState
 from hilbench.bench.tasks.imitated_web import web_load_model
@@ -29,11 +31,12 @@ from hilbench.bench.tasks.web_winding_control import DancerPosition
 from hilbench.errors import BenchFaultError
 from hilbench.estimation.plausibility import Problem
 from hilbench.exchange.exchange import Inputs
+from hilbench.plant.measured_motion import HasFollowed
 from hilbench.plant.web_line.sections import section_model
 from hilbench.plant.web_line.stations import LineCarriage, Reel, reel_name
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.quantities import LINE_SPEED
-from hilbench.topology.sample import CycleSample
+from hilbench.topology.sample import CycleSample, sample_type
 from hilbench.topology.signals import Shape
 from hilbench.topology.web_line_config import ProbingConfig, TensionControlConfig
 from hilbench.topology.web_line_shape import sensors_at_start
@@ -298,8 +301,8 @@ class WebLoadTask(LoadTask):
         super().__init__(list(config.load_motors), web_load_model(config, report))
         shape = config.shape
         axes = range(1, shape.axes + 1)
-        self._positions = attrgetter(*(f"x{k}_m" for k in axes))
-        self._speeds = attrgetter(*(f"v{k}_m_s" for k in axes))
+        positions, speeds = [f"x{k}_m" for k in axes], [f"v{k}_m_s" for k in axes]
+        self._positions, self._speeds = attrgetter(*positions), attrgetter(*speeds)
         truth = [
             (f"{signal}{shape.numbered(span)}_true{unit}", output)
             for span in range(1, shape.spans + 1)
@@ -315,10 +318,19 @@ class WebLoadTask(LoadTask):
         names = [quantity.name for quantity in self.model.machine.describe().outputs]
         #: Of the signals among what the model's machine is.
         self._places = [(signal, names.index(output)) for signal, output in truth]
+        kind = sample_type(config.signals)
+        followed = kind.places([*positions, *speeds, *(f"tau_{name}_cmd_Nm" for name in config.load_motors)])
+        shown = [each for signal, place in self._places for each in (kind.place(signal), place)]
+        self._at = np.array([*followed, *shown], np.int64)  # as of `InStep.follow`
 
     def after(self, sample: CycleSample, inputs: Inputs) -> None:
         """Let the web follow the measured motion; the truth of the run is recorded."""
-        self.follow(sample, self._positions(sample), self._speeds(sample), late=inputs.axes_late)
+        late = inputs.axes_late
+        followed = self.model.follow_in(sample.reals, self._at, late=late)
+        if followed is HasFollowed.ALL:
+            return
+        if followed is None:
+            self.follow(sample, self._positions(sample), self._speeds(sample), late=late)
         true = self.model.outputs()
         for signal, place in self._places:
             setattr(sample, signal, true[place])

@@ -9,11 +9,17 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
+import numpy as np
+from numpy.typing import NDArray
+
 from hilbench.plant.effects import MachineKind, find_effect
 from hilbench.plant.interface import Follower
-from hilbench.plant.measured_motion import FollowsInStep, MeasuredMotion
+from hilbench.plant.measured_motion import FollowsInStep, HasFollowed, MeasuredMotion
 from hilbench.plant.parameters import EffectEntry
 from hilbench.topology.quantities import EffectPath, is_plain, parse_effect_path
+
+Vector = NDArray[np.float64]
+Places = NDArray[np.int64]
 
 
 class LoadModel:
@@ -49,14 +55,15 @@ class LoadModel:
         counted = self._load_axes[0] - 1 if self._load_axes else 0
         self._motion = MeasuredMotion(description.axes, counted, cycle_s, lead_s, least_way)
         self._in_step = machine.in_step(self._motion, self._load_axes) if isinstance(machine, FollowsInStep) else None
-        self._has_followed = False  # so in the last cycle
         self._torques_Nm = [0.0] * len(self._load_axes)
+        self._is_ahead = False  # `_in_step`, of these torques
         self._effects = {(entry.effect, entry.axis, entry.section): dict(entry.parameters) for entry in effects}
 
     def warm_up(self) -> None:
         """Compile (or load from the cache) what each cycle runs, before one has to wait for it."""
         at_rest = [0.0] * self.machine.describe().axes
         self.update(at_rest, at_rest)
+        self.follow_in(np.zeros(2 * len(at_rest)), np.arange(2 * len(at_rest)), late=True)
         self.update(at_rest, at_rest)
         self.machine.outputs()
         self.stop()
@@ -71,18 +78,13 @@ class LoadModel:
         `positions` (N,) and `speeds` (N,) are measured ones of the driven axes, in the machine's unit; `late`: one of
         them is of an earlier cycle.
         """
-        self._has_followed = False
         if not self._running:
             self.machine.reset(positions)
             self._motion.begin(positions, speeds)
             self._running = True
-        elif self._in_step is not None and self._in_step.usable:
-            self._motion.put(positions, speeds)
-            torques_Nm = self._in_step.follow(late=late)
-            self._has_followed = torques_Nm is not None
-            self._torques_Nm = torques_Nm or self._torques_Nm
-            return self._torques_Nm
         else:
+            if self._is_ahead and self._in_step is not None:
+                self._torques_Nm, self._is_ahead = self._in_step.torques_Nm, False
             duration_s = self._motion.gone_s(positions, speeds, late=late)
             if not duration_s > 0.0:
                 return self._torques_Nm
@@ -90,10 +92,17 @@ class LoadModel:
         self._torques_Nm = self.machine.load_torques_Nm(self._load_axes, speeds, self._motion.ahead_s)
         return self._torques_Nm
 
+    def follow_in(self, values: Vector, places: Places, *, late: bool) -> HasFollowed | None:
+        """The same in a vector, in one call, with what else is asked for: `hilbench.plant.measured_motion.InStep`. None
+        where this machine does not follow so as it is now: nothing was done."""
+        if not self._running or self._in_step is None or not self._in_step.usable:
+            return None
+        followed = self._in_step.follow(values, places, late=late)
+        self._is_ahead = self._is_ahead or followed is not HasFollowed.NOT
+        return followed
+
     def outputs(self) -> Sequence[float]:
         """The truth after a cycle, in the order of the machine's description."""
-        if self._has_followed and self._in_step is not None:
-            return self._in_step.outputs()
         true = self.machine.outputs()
         return [true[name] for name in self._names]
 

@@ -5,15 +5,19 @@ The drive reports it (statusword 6041h bit 11, internal limit active), or its to
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from operator import attrgetter
+
+import numpy as np
+from numpy.typing import NDArray
 
 from hilbench.bench.tasks.limits import load_motor_labels
 from hilbench.cia402.state_machine import STATUS_INTERNAL_LIMIT
+from hilbench.compiled import INDICES, VECTOR, entry_point, number_of_sources
 from hilbench.plant.parameters import per_item
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.parts import Role
-from hilbench.topology.sample import CycleSample
+from hilbench.topology.sample import CycleSample, PlacesIn
 
 #: Share of the limit from which a measured torque is at it.
 _AT_LIMIT = 0.98
@@ -30,6 +34,29 @@ class _Limited:
     total_s: float = 0.0
 
 
+Vector = NDArray[np.float64]
+Places = NDArray[np.int64]
+
+
+def _entry_point(sources: int) -> Callable[[Vector, Places, Places, Places, Vector], bool]:
+    """For Python; `sources` as in `compiled.number_of_sources`."""
+
+    @entry_point(VECTOR, INDICES, INDICES, INDICES, VECTOR)
+    def is_quiet(values: Vector, words: Places, torques: Places, statuswords: Places, at_limit_Nm: Vector) -> bool:
+        """Whether no drive is at its limit, as in nearly every cycle; `torques` and `statuswords` (D,): where they are
+        in `values` and `words`."""
+        limited = 0 if sources >= 0 else 1
+        for k in range(len(at_limit_Nm)):
+            limited += abs(values[torques[k]]) >= at_limit_Nm[k] or words[statuswords[k]] & _LIMITED != 0
+        return limited == 0
+
+    return is_quiet
+
+
+_LIMITED = int(STATUS_INTERNAL_LIMIT)
+_is_quiet = _entry_point(number_of_sources(__file__))
+
+
 class SaturationWatch:
     """Watches the samples of one run."""
 
@@ -43,9 +70,11 @@ class SaturationWatch:
         self._signals = [(f"axis {k}", f"tau{k}_Nm", f"statusword{k}") for k in range(1, len(axes) + 1)]
         self._signals += [(label, f"tau_{name}_Nm", f"statusword_{name}") for name, label in labels.items()]
         self._limited: dict[str, _Limited] = {}
-        self._torques = attrgetter(*(torque for _, torque, _ in self._signals))
-        self._statuswords = attrgetter(*(status for _, _, status in self._signals))
-        self._at_limit_Nm = [_AT_LIMIT * self._limits_Nm[drive] for drive, _, _ in self._signals]
+        self._torques = PlacesIn([torque for _, torque, _ in self._signals])
+        self._statuswords = PlacesIn([status for _, _, status in self._signals])
+        self._at_limit_Nm = np.array([_AT_LIMIT * self._limits_Nm[drive] for drive, _, _ in self._signals])
+        # Compiled, or loaded, before anybody waits for a cycle.
+        _is_quiet(np.zeros(0), np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0))
 
     def update(self, sample: CycleSample) -> list[tuple[str, str]]:
         """What begins or ends in this cycle, as text for the operator, with the kind of notice that it is."""
@@ -74,9 +103,5 @@ class SaturationWatch:
         return found
 
     def _is_quiet(self, sample: CycleSample) -> bool:
-        """Whether no drive is at its limit, as in nearly every cycle."""
-        torques, statuswords = self._torques(sample), self._statuswords(sample)
-        for torque_Nm, statusword, at_limit_Nm in zip(torques, statuswords, self._at_limit_Nm, strict=True):
-            if abs(torque_Nm) >= at_limit_Nm or statusword & STATUS_INTERNAL_LIMIT:
-                return False
-        return True
+        torques, statuswords = self._torques.of(sample), self._statuswords.of(sample)
+        return _is_quiet(sample.reals, sample.wholes, torques, statuswords, self._at_limit_Nm)

@@ -9,21 +9,19 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from operator import attrgetter
-from struct import Struct
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.compiled import VECTOR, entry_point, number_of_sources
+from hilbench.compiled import INDICES, VECTOR, entry_point, number_of_sources
 from hilbench.plant.web_line.parameters import LARGEST_MODULUS_Pa, LEAST_MODULUS_Pa
-from hilbench.topology.sample import CycleSample
+from hilbench.topology.sample import CycleSample, PlacesIn
 from hilbench.topology.web_line_config import TensionControlConfig
 from hilbench.twin.virtual_io import TwinStatus
 
 Vector = NDArray[np.float64]
+Places = NDArray[np.int64]
 
-_ROW = Struct("=5d")
 _SYNCHRONIZED, _REFUSED = int(TwinStatus.SYNCHRONIZED), int(TwinStatus.TRANSFER_REFUSED)
 #: Share of the set-point by which a simulated tension may be below zero: rounding of REAL32.
 _BELOW_ZERO = 0.0125
@@ -46,22 +44,23 @@ class TwinSignals:
 #: they are believed; state: whether the twin has called itself synchronized and not been in doubt since, and how many
 #: cycles in a row it has refused what was measured and not called itself that.
 _AGE_LIMIT, _REFUSES_CYCLES, _LOWEST_N, _HIGHEST_N, _DEVIATION_PCT, _FIGURES = range(6)
-#: Values: age in cycles, status, tension in N, E and its deviation in Pa.
-_AGE, _STATUS, _TENSION_N, _MODULUS_PA, _DEVIATION_PA, _VALUES = range(6)
+#: Places in a sample: age in cycles, status, tension in N, E and its deviation in Pa.
+_AGE, _STATUS, _TENSION_N, _MODULUS_PA, _DEVIATION_PA, _PLACES = range(6)
 _TOLD, _ASTRAY_CYCLES, _STATE = range(3)
 #: What `judge` says.
 _TRUSTED, _OLD, _ASTRAY, _NO_WEB, _OUTSIDE, _UNSURE = range(6)
 
 
-def _entry_point(sources: int) -> Callable[[Vector, Vector, Vector], int]:
+def _entry_point(sources: int) -> Callable[[Vector, Vector, Vector, Places, Places], int]:
     """For Python; `sources` as in `compiled.number_of_sources`."""
 
-    @entry_point(VECTOR, VECTOR, VECTOR)
-    def judge(figures: Vector, state: Vector, values: Vector) -> int:
-        tension_N, modulus_Pa, deviation_Pa = values[_TENSION_N], values[_MODULUS_PA], values[_DEVIATION_PA]
-        if sources < 0 or values[_AGE] > figures[_AGE_LIMIT]:
+    @entry_point(VECTOR, VECTOR, VECTOR, INDICES, INDICES)
+    def judge(figures: Vector, state: Vector, values: Vector, words: Places, at: Places) -> int:
+        tension_N, modulus_Pa = values[at[_TENSION_N]], values[at[_MODULUS_PA]]
+        deviation_Pa = values[at[_DEVIATION_PA]]
+        if sources < 0 or words[at[_AGE]] > figures[_AGE_LIMIT]:
             return _OLD
-        status = int(values[_STATUS])
+        status = words[at[_STATUS]]
         synchronized = status & _SYNCHRONIZED != 0
         astray = status & _REFUSED != 0 and not synchronized
         state[_ASTRAY_CYCLES] = state[_ASTRAY_CYCLES] + 1.0 if astray else 0.0
@@ -97,15 +96,17 @@ class TwinTrust:
         signals: TwinSignals = TwinSignals(),
     ) -> None:
         self._config = config
-        self._read = attrgetter("twin_age_cycles", "twin_status", signals.tension, signals.modulus, signals.deviation)
+        self._signals = signals
+        self._at = PlacesIn(["twin_age_cycles", "twin_status", signals.tension, signals.modulus, signals.deviation])
         figures = np.zeros(_FIGURES)
         figures[_AGE_LIMIT], figures[_DEVIATION_PCT] = config.twin_age_limit_cycles, config.twin_deviation_limit_pct
         figures[_REFUSES_CYCLES] = _REFUSES_S / cycle_s
         figures[_LOWEST_N], figures[_HIGHEST_N] = -_BELOW_ZERO * config.set_point_N, highest_tension_N
-        self._figures, self._state, self._values = figures, np.zeros(_STATE), np.zeros(_VALUES)
+        self._figures, self._state = figures, np.zeros(_STATE)
         self._synchronized = self._state.data.cast("B").cast("d")  # quicker than the vector
         self._why = "not synchronized yet"
-        _judge(figures, self._state.copy(), self._values)  # compiled, or loaded, before anybody waits for a cycle
+        # Compiled, or loaded, before anybody waits for a cycle.
+        _judge(figures, self._state.copy(), np.zeros(_PLACES), np.zeros(_PLACES, np.int64), np.arange(_PLACES))
 
     @property
     def doubt(self) -> str:
@@ -119,14 +120,14 @@ class TwinTrust:
 
     def update(self, sample: CycleSample) -> bool:
         """Whether the loop may be closed on the twin's data in `sample`."""
-        _ROW.pack_into(self._values.data, 0, *self._read(sample))
-        found = _judge(self._figures, self._state, self._values)
+        found = _judge(self._figures, self._state, sample.reals, sample.wholes, self._at.of(sample))
         if found != _TRUSTED:
-            self.forget(self._doubt(found))
+            self.forget(self._doubt(found, sample))
         return self._synchronized[_TOLD] != 0.0
 
-    def _doubt(self, found: int) -> str:
-        config, (_, _, tension_N, modulus_Pa, _) = self._config, self._values.tolist()
+    def _doubt(self, found: int, sample: CycleSample) -> str:
+        config = self._config
+        tension_N, modulus_Pa = getattr(sample, self._signals.tension), getattr(sample, self._signals.modulus)
         if found == _OLD:
             return f"the twin's data are more than {config.twin_age_limit_cycles} cycles old"
         if found == _ASTRAY:

@@ -4,20 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from operator import attrgetter
-from struct import Struct
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.bench.tasks.limits import Levels, Watched, apart, is_synchronized, least_told, load_motor_labels
-from hilbench.compiled import FLAG, MATRIX, VECTOR, entry_point, number_of_sources
+from hilbench.compiled import FLAG, INDICES, MATRIX, VECTOR, entry_point, number_of_sources
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.topology.safety import Limit, LimitsConfig
-from hilbench.topology.sample import CycleSample
+from hilbench.topology.sample import CycleSample, PlacesIn
 from hilbench.topology.signals import Shape
 
 Vector = NDArray[np.float64]
+Places = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,16 +59,22 @@ _CYCLE_S, _APART_M, _RATIO, _STARTED = range(4)
 _AT_START_M, _COMMANDED_M, _SIZE_M, _APART_ROWS = range(4)
 
 
-def _entry_point(sources: int) -> Callable[[Vector, Vector, Vector, Vector, Vector, bool], bool]:
+def _entry_point(sources: int) -> Callable[[Vector, Places, Vector, Vector, Vector, Vector, bool], bool]:
     """For Python; `sources` as in `compiled.number_of_sources`."""
 
-    @entry_point(VECTOR, VECTOR, VECTOR, VECTOR, MATRIX, FLAG)
+    @entry_point(VECTOR, INDICES, VECTOR, VECTOR, VECTOR, MATRIX, FLAG)
     def is_quiet(
-        values: Vector, told_from: Vector, figures: Vector, models_Pa: Vector, off_m: Vector, knows_modulus: bool
+        values: Vector,
+        at: Places,
+        told_from: Vector,
+        figures: Vector,
+        models_Pa: Vector,
+        off_m: Vector,
+        knows_modulus: bool,
     ) -> bool:
         """Whether everything is so small that there is nothing to say, as in nearly every cycle.
 
-        `values`: sizes (of `told_from`), then positions and set points of the axes, and E of `models_Pa`.
+        `at`, in `values`: sizes (of `told_from`), then positions and set points of the axes, and E of `models_Pa`.
         """
         if sources < 0:
             return False
@@ -77,17 +82,17 @@ def _entry_point(sources: int) -> Callable[[Vector, Vector, Vector, Vector, Vect
         position, command, modulus = sizes, sizes + pairs + 1, sizes + 2 * (pairs + 1)
         loud = 0
         for k in range(pairs):
-            apart_m = values[position + k] - values[position + k + 1]
+            apart_m = values[at[position + k]] - values[at[position + k + 1]]
             if figures[_STARTED] == 0.0:
                 off_m[_AT_START_M, k] = apart_m
-            off_m[_COMMANDED_M, k] += (values[command + k] - values[command + k + 1]) * figures[_CYCLE_S]
+            off_m[_COMMANDED_M, k] += (values[at[command + k]] - values[at[command + k + 1]]) * figures[_CYCLE_S]
             off_m[_SIZE_M, k] = abs(apart_m - off_m[_AT_START_M, k] - off_m[_COMMANDED_M, k])
             loud += not off_m[_SIZE_M, k] < figures[_APART_M]
         figures[_STARTED] = 1.0
         for k in range(sizes):
-            loud += not -told_from[k] < values[k] < told_from[k]
+            loud += not -told_from[k] < values[at[k]] < told_from[k]
         for k in range(len(models_Pa) if knows_modulus else 0):
-            ratio = values[modulus + k] / models_Pa[k]
+            ratio = values[at[modulus + k]] / models_Pa[k]
             loud += not (ratio > 0.0 and max(ratio, 1.0 / ratio) < figures[_RATIO])
         return loud == 0
 
@@ -115,21 +120,27 @@ class LimitWatch:
         signals = [each.signal for each in watched]
         signals += [f"x{axis}_m" for axis in axes] + [f"v{axis}_cmd_m_s" for axis in axes]
         signals += [name for name, _ in self._moduli]
-        self._read, self._row = attrgetter(*signals), Struct(f"={len(signals)}d")
-        self._values = np.zeros(len(signals))
+        self._at = PlacesIn(signals)
         self._told_from = np.array([least_told(each.limit) for each in watched])
         figures = cycle_s, least_told(limits.position_difference_m), least_told(limits.estimate_ratio), 0.0
         self._figures = np.array(figures)
         self._models_Pa = np.array([modulus_Pa for _, modulus_Pa in self._moduli])
         self._apart = np.zeros((_APART_ROWS, len(self._differences)))
         # Compiled, or loaded, before anybody waits for a cycle.
-        _is_quiet(self._values, self._told_from, self._figures.copy(), self._models_Pa, self._apart.copy(), True)
+        values, at = np.zeros(len(signals)), np.arange(len(signals))
+        _is_quiet(values, at, self._told_from, self._figures.copy(), self._models_Pa, self._apart.copy(), True)
 
     def update(self, sample: CycleSample) -> list[tuple[str, str]]:
         """The warnings that begin in this cycle, each after its quantity. Raises LimitTripError."""
-        self._row.pack_into(self._values.data, 0, *self._read(sample))
+        knows_modulus = is_synchronized(sample)
         quiet = _is_quiet(
-            self._values, self._told_from, self._figures, self._models_Pa, self._apart, is_synchronized(sample)
+            sample.reals,
+            self._at.of(sample),
+            self._told_from,
+            self._figures,
+            self._models_Pa,
+            self._apart,
+            knows_modulus,
         )
         if quiet and self._levels.quiet:
             return []

@@ -8,13 +8,15 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.compiled import FLAG, TABLE, entry_point, floats
+from hilbench.compiled import FLAG, INDICES, TABLE, VECTOR, compiled, entry_point, floats
 from hilbench.plant import measured_motion, pairing
 from hilbench.plant.measured_motion import ahead_s, gone_s
 from hilbench.plant.web_line import kernel, span_kernel
 from hilbench.plant.web_line import layout as lay
 
 Table = NDArray[np.int64]
+Places = NDArray[np.int64]
+Vector = NDArray[np.float64]
 
 # Rows of the table: those of a `SpanFollower`, in whose `pull` torques are the last, then those of the measured motion.
 (
@@ -40,15 +42,27 @@ Table = NDArray[np.int64]
 NOTHING, FOLLOWED, WITH_PIECES = range(3)
 
 
-def _entry_point(sources: int) -> Callable[[Table, bool], int]:
+@compiled
+def _show(at: Places, torques: Vector, shown: Vector, values: Vector) -> None:
+    """What is asked for into `values`: torques (M,), then pairs of a place there and one of those shown."""
+    for k in range(len(torques)):
+        values[at[k]] = torques[k]
+    for k in range(len(torques), len(at), 2):
+        values[at[k]] = shown[at[k + 1]]
+
+
+def _entry_point(sources: int) -> Callable[[Table, Vector, Places, bool], int]:
     """For Python; `sources` as in the kernel."""
 
-    @entry_point(TABLE, FLAG)
-    def follow(table: Table, late: bool) -> int:
+    @entry_point(TABLE, VECTOR, INDICES, FLAG)
+    def follow(table: Table, values: Vector, at: Places, late: bool) -> int:
         if sources < 0:
             return NOTHING
         motion, ways, x = floats(table, _MOTION, (1,)), floats(table, _WAYS, (1,)), floats(table, _POSITIONS, (1,))
         speeds = floats(table, _MEASURED_SPEEDS, (1,))
+        axes = len(x)
+        for k in range(axes):
+            x[k], speeds[k] = values[at[k]], values[at[axes + k]]
         duration_s = gone_s(motion, ways, x, speeds, late)
         if not duration_s > 0.0:
             return NOTHING
@@ -62,13 +76,16 @@ def _entry_point(sources: int) -> Callable[[Table, bool], int]:
         ahead, tension_ahead = floats(table, _AHEAD, (1,)), floats(table, _TENSION_AHEAD, (1,))
         loads, torques = floats(table, _LOADS, (1, 2)), floats(table, _TORQUES, (1,))
         span_kernel.pull(p, s, ahead, w, v, boundary, ahead_s(motion), tension_ahead, loads, speeds, torques)
-        span_kernel.show(p, s, v, tension, floats(table, _SHOWN, (1,)))
+        shown = floats(table, _SHOWN, (1,))
+        span_kernel.show(p, s, v, tension, shown)
+        _show(at[2 * axes :], torques, shown, values)
         return WITH_PIECES if s[len(s) - lay.PIECES_SIZE + lay.PIECES_COUNT] > 0.0 else FOLLOWED
 
     return follow
 
 
-#: follow(table of the vectors in the order of these rows, whether a sample is late)
+#: follow(table of the vectors in the order of these rows, values, places in these, whether a sample is late): as of
+#: `measured_motion.InStep`.
 follow = _entry_point(
     kernel.source_number(*(str(module.__file__) for module in (measured_motion, pairing, span_kernel)), __file__)
 )

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from hilbench.compiled import table_of
 from hilbench.plant.effects import EffectPlace, effects_of
 from hilbench.plant.interface import PlantDescription, PlantState, Quantity, checked_name
-from hilbench.plant.measured_motion import MeasuredMotion
+from hilbench.plant.measured_motion import HasFollowed, MeasuredMotion
 from hilbench.plant.web_line import follower_cycle, laws, span_kernel
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.layout import Layout, Vector
@@ -348,34 +348,30 @@ class SpansInStep:
     """A `SpanFollower` on measured motion, in one call a cycle; see `hilbench.plant.measured_motion.InStep`."""
 
     def __init__(self, web: SpanFollower, motion: MeasuredMotion, axes: Sequence[int]) -> None:
-        self._web, self._shown, self._torques = web, web._shown, np.zeros(len(axes))
+        self._web, self._torques = web, np.zeros(len(axes))
         of_web = web._p, web._state, web._ahead, web._work, web._v, web._boundary, web._tension, web._tension_ahead
         of_motion = motion.state, motion.ways, motion.positions, motion.speeds
-        self._kept = *of_web, web._pulled_by(axes), self._torques, self._shown, *of_motion
+        self._kept = *of_web, web._pulled_by(axes), self._torques, web._shown, *of_motion
         self._table = table_of(self._kept)
-        self._has_pieces = False
+
+    @property
+    def torques_Nm(self) -> list[float]:
+        """See there."""
+        torques_Nm: list[float] = self._torques.tolist()
+        return torques_Nm
 
     @property
     def usable(self) -> bool:
         """Whether the web is whole."""
         return not self._web._broken
 
-    def follow(self, *, late: bool) -> list[float] | None:
-        """Torques; None, and it is as it was, where there is nothing to follow."""
-        done = follower_cycle.follow(self._table, late)
+    def follow(self, values: Vector, places: NDArray[np.int64], *, late: bool) -> HasFollowed:
+        """See there."""
+        done = follower_cycle.follow(self._table, values, places, late)
         if done == follower_cycle.NOTHING:
-            return None
-        self._has_pieces = done == follower_cycle.WITH_PIECES
+            return HasFollowed.NOT
         self._web._stale = False
-        torques_Nm: list[float] = self._torques.tolist()
-        return torques_Nm
-
-    def outputs(self) -> list[float]:
-        """As `SpanFollower.outputs`, after it has followed."""
-        if self._has_pieces:
-            return list(self._web.outputs().values())
-        shown: list[float] = self._shown.tolist()
-        return shown
+        return HasFollowed.TORQUES if done == follower_cycle.WITH_PIECES else HasFollowed.ALL
 
 
 def _description(parameters: ModelParameters) -> PlantDescription:

@@ -1,0 +1,161 @@
+"""What drives and twin have answered, from cycle to cycle, and how it goes into a sample: compiled, on vectors."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilbench.compiled import (
+    INDICES,
+    TABLE,
+    TABLE_WIDTH,
+    VECTOR,
+    compiled,
+    entry_point,
+    floats,
+    integers,
+    number_of_sources,
+    table_of,
+)
+from hilbench.topology.sample import CycleSample
+
+Vector = NDArray[np.float64]
+Whole = NDArray[np.int64]
+
+#: Of a drive in what is measured: position, velocity, torque (SI), statusword.
+POSITION, VELOCITY, TORQUE, STATUSWORD, OF_DRIVE = range(5)
+#: Of a torque that is simulated: where the measured one is, its own place and that of its residual in what is said, and
+#: the TPDO that brings it.
+_MEASURED, _SIMULATED, _RESIDUAL, _BROUGHT_BY, _OF_TORQUE = range(5)
+_NOWHERE = -1
+
+
+@compiled
+def take_twin(came: Whole, torques: Whole, before_Nm: Vector, of_drives: Vector, said: Vector) -> None:
+    """A cycle on, in which these TPDOs of the twin `came` (P,): simulated torques from their residuals.
+
+    The residual is that of the cycle before: the twin compared after this cycle's TPDO was due.
+    """
+    for k in range(len(before_Nm)):
+        row = torques[k * _OF_TORQUE : (k + 1) * _OF_TORQUE]
+        if came[row[_BROUGHT_BY]] != 0:
+            said[row[_SIMULATED]] = before_Nm[k] - said[row[_RESIDUAL]]
+        before_Nm[k] = of_drives[row[_MEASURED]]
+
+
+Fill = Callable[[NDArray[np.int64], Vector, Whole], None]
+Take = Callable[[NDArray[np.int64]], None]
+
+
+def _entry_points(sources: int) -> tuple[Take, Fill]:
+    """For Python; `sources` as in `compiled.number_of_sources`."""
+
+    @entry_point(TABLE)
+    def take(table: NDArray[np.int64]) -> None:
+        if sources >= 0 and len(table) > 0:
+            came, torques, before_Nm = integers(table, 0, (1,)), integers(table, 1, (1,)), floats(table, 2, (1,))
+            take_twin(came, torques, before_Nm, floats(table, 3, (1,)), floats(table, 4, (1,)))
+
+    @entry_point(TABLE, VECTOR, INDICES)
+    def fill(table: NDArray[np.int64], reals: Vector, wholes: Whole) -> None:
+        if sources < 0 or len(table) == 0:
+            return
+        of_drives, said = floats(table, 3, (1,)), floats(table, 4, (1,))
+        places, of_said, rad_per_unit = integers(table, 5, (1,)), integers(table, 6, (1,)), floats(table, 7, (1,))
+        for k in range(len(rad_per_unit)):
+            place, shown = places[k * OF_DRIVE : (k + 1) * OF_DRIVE], of_drives[k * OF_DRIVE : (k + 1) * OF_DRIVE]
+            reals[place[POSITION]] = shown[POSITION] / rad_per_unit[k]
+            if place[VELOCITY] != _NOWHERE:
+                reals[place[VELOCITY]] = shown[VELOCITY] / rad_per_unit[k]
+            reals[place[TORQUE]] = shown[TORQUE]
+            wholes[place[STATUSWORD]] = int(shown[STATUSWORD])
+        for k in range(len(said)):
+            reals[of_said[k]] = said[k]
+
+    return take, fill
+
+
+_take, _fill = _entry_points(number_of_sources(__file__))
+
+
+@dataclass(frozen=True)
+class ShownBy:
+    """The signals that a drive fills, and what turns rad at its shaft into the machine's unit; "": none."""
+
+    rad_per_unit: float
+    position: str
+    velocity: str
+    torque: str
+    statusword: str
+
+    @property
+    def signals(self) -> tuple[str, str, str, str]:
+        """In the order of what is measured."""
+        return self.position, self.velocity, self.torque, self.statusword
+
+
+@dataclass(frozen=True)
+class SimulatedTorque:
+    """A torque of an axis (from 1) that the twin tells by its residual, as a signal too."""
+
+    axis: int
+    signal: str
+    residual: str
+
+
+class Measured:
+    """Vectors of what has been answered. `of_drives` (4 D,); `said` (S,): the twin's signals, TPDO by TPDO, then the
+    torques that follow from residuals; `came` (P,): which of these TPDOs brought something in this cycle.
+
+    `said_by`: the signals of each TPDO of the twin.
+    """
+
+    def __init__(
+        self,
+        kind: type[CycleSample],
+        drives: Sequence[ShownBy],
+        said_by: Sequence[Sequence[str]],
+        torques: Sequence[SimulatedTorque],
+    ) -> None:
+        names = [name for content in said_by for name in content]
+        ends = np.cumsum([len(content) for content in said_by]).tolist()
+        #: Where the signals of each TPDO are in `said`.
+        self.parts = [slice(end - len(content), end) for end, content in zip(ends, said_by, strict=True)]
+        brought_by = {name: at for at, content in enumerate(said_by) for name in content}
+        rows = [
+            (
+                OF_DRIVE * (each.axis - 1) + TORQUE,
+                len(names) + at,
+                names.index(each.residual),
+                brought_by[each.residual],
+            )
+            for at, each in enumerate(torques)
+        ]
+        names += [each.signal for each in torques]
+        self.of_drives, self.said = np.zeros(OF_DRIVE * len(drives)), np.zeros(len(names))
+        self.came = np.zeros(len(said_by), np.int64)
+        self.torques, self.before_Nm = np.array(rows, np.int64).reshape(-1), np.zeros(len(torques))
+        places = [kind.place(name) if name else _NOWHERE for drive in drives for name in drive.signals]
+        self._kept = (
+            *(self.came, self.torques, self.before_Nm, self.of_drives, self.said),
+            *(np.array(places, np.int64), kind.places(names), np.array([each.rad_per_unit for each in drives])),
+        )
+        self._table = table_of(self._kept)
+
+    def take_twin(self) -> None:
+        """All of a cycle is here: what follows from it."""
+        _take(self._table)
+
+    def fill(self, sample: CycleSample) -> None:
+        """Into a sample; SI, positions and velocities in the machine's unit."""
+        _fill(self._table, sample.reals, sample.wholes)
+
+
+def warm_up() -> None:
+    """Compile, or load from the cache, before anybody waits for a cycle."""
+    nothing = np.zeros((0, TABLE_WIDTH), np.int64)
+    _take(nothing)
+    _fill(nothing, np.zeros(0), np.zeros(0, np.int64))
