@@ -16,6 +16,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from types import MappingProxyType
 
+from hilbench.copies import Copy
 from hilbench.errors import BenchFaultError
 from hilbench.unexpected import TRACEBACK_FOLDER
 
@@ -26,7 +27,8 @@ class ChildProcess:
     """One process beside the bench, by its arguments after ``python -m``; what it says goes to a log file.
 
     `pass_fds`: open files that it gets beside its standard ones, by the same numbers; it can't be started again then.
-    `environment`: variables that it gets beside those of this process.
+    `environment`: variables that it gets beside those of this process. `copy`: becomes it, in place of a new
+    interpreter; one that is started again is a new one.
     Raises BenchFaultError when the system refuses to start it.
     """
 
@@ -37,6 +39,7 @@ class ChildProcess:
         log_path: Path,
         pass_fds: Sequence[int] = (),
         environment: Mapping[str, str] = MappingProxyType({}),
+        copy: Copy | None = None,
     ) -> None:
         self.name = name
         #: Frames it lost because it did not read in time; None: it has not ended in order, or its bus cannot tell.
@@ -44,23 +47,25 @@ class ChildProcess:
         self._log_path = log_path
         self._arguments = list(arguments)
         self._pass_fds = tuple(pass_fds)
-        self._environment = environment
-        self._process = self._start()
+        self._environment = {
+            **environment,
+            FOLLOW_PARENT: "1",
+            TRACEBACK_FOLDER: str(self._log_path.parent),
+        }
+        self._process = self._start(copy)
 
-    def _start(self) -> subprocess.Popen[bytes]:
+    def _start(self, copy: Copy | None = None) -> subprocess.Popen[bytes] | Copy:
         try:
             with self._log_path.open("ab") as log:
+                if copy is not None:
+                    copy.become(self._arguments, self._log_path, self._environment)
+                    return copy
                 return subprocess.Popen(
                     [sys.executable, "-m", *self._arguments],
                     stdin=subprocess.PIPE,
                     stdout=log,
                     stderr=subprocess.STDOUT,
-                    env={
-                        **os.environ,
-                        **self._environment,
-                        FOLLOW_PARENT: "1",
-                        TRACEBACK_FOLDER: str(self._log_path.parent),
-                    },
+                    env={**os.environ, **self._environment},
                     # Ctrl-C at the terminal is the bench's to handle: it needs the drives to stop them.
                     start_new_session=True,
                     pass_fds=self._pass_fds,

@@ -27,6 +27,7 @@ from hilbench.bench.state import BenchState
 from hilbench.bench.tasks.hardware_effects import HardwareEffects
 from hilbench.bench.tasks.twin_connection import TwinConnection
 from hilbench.bench.tasks.watches import ControllerWatch, EmergencyWatch, LatenessWatch, SupervisorWatch
+from hilbench.copies import Copy
 from hilbench.errors import BenchFaultError, NoAnswerError, UnusableValueError
 from hilbench.estimation.web_line.synchronizers.create import METHODS
 from hilbench.exchange import measured
@@ -68,7 +69,7 @@ class Bench:
     with simulated nodes any time may pass between two cycles (`hilbench.bench.lifecycle.idle`).
     A bench is the only master of its bus: one that has another is refused (UnusableInputError), with `force` only where
     a program of this machine claims to be the master. `bus_is_held`: whoever made this bench is inside
-    `startup.held_bus` already.
+    `startup.held_bus` already. `copies`: of this process, for those that it starts.
 
     What an operator must know of a run that goes on collects in `notices`, counted by source and kind: warnings of the
     limits, EMCY messages, a tension loop that opens or closes. A twin that is lost ends no run: the loop holds, and the
@@ -88,6 +89,7 @@ class Bench:
         may_idle: bool = False,
         force: bool = False,
         bus_is_held: bool = False,
+        copies: list[Copy] | None = None,
     ) -> None:
         self.config = config
         self.timeliness = Timeliness((), config.cycle_time_s)  #: whose answers came late, since the drives were enabled
@@ -100,6 +102,7 @@ class Bench:
         self._participants = participants
         self._force = force
         self._bus_is_held = bus_is_held
+        self._copies = [] if copies is None else copies
         self._announce = announce
         self._may_idle = may_idle and idle.may_idle(config)
         self._resources = ExitStack()
@@ -141,6 +144,7 @@ class Bench:
                     work_folder=self._work_folder,
                     participants=self._participants,
                     announce=self._announce,
+                    copies=self._copies,
                 )
             )
             drives = self._run_on(started)

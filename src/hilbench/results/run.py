@@ -18,9 +18,10 @@ import numpy as np
 from hilbench.bench.bench import Bench, CycleObserver, InterruptedByOperatorError
 from hilbench.bench.lifecycle.in_process import check_in_process
 from hilbench.bench.lifecycle.participants import Participants
-from hilbench.bench.lifecycle.startup import held_bus
+from hilbench.bench.lifecycle.startup import held_bus, processes_beside
 from hilbench.bench.reports.change import Change
 from hilbench.bench.reports.notice import Notice
+from hilbench.copies import copies
 from hilbench.errors import (
     EXIT_BENCH_FAULT,
     EXIT_CRITERION_FAILED,
@@ -153,7 +154,8 @@ def run_experiment(
         check_in_process(config)
     if participants is not Participants.IN_PROCESS:
         announce(f"look who is on {config.bus_address}")
-    with held_bus(config, participants, force=force):
+    beside = processes_beside(config, participants)
+    with copies(beside) as waiting, held_bus(config, participants, force=force):
         record = RunRecord(loaded, out, participants, announce=announce)
         bench = Bench(
             config,
@@ -164,6 +166,7 @@ def run_experiment(
             announce=announce,
             journal=record.note,
             bus_is_held=True,
+            copies=waiting,
         )
         kept = record.ending.kept("bench", lambda: bench.fault_time_s)
         with record.journal, kept, record.trace, stop_on_signals(bench), bench:

@@ -24,6 +24,7 @@ from hilbench.canopen.mastery import mastery
 from hilbench.canopen.object_store import ObjectStore
 from hilbench.canopen.sdo_client import SentFrames
 from hilbench.compiled import all_compiled
+from hilbench.copies import Copy
 from hilbench.errors import BusError, EmergencyStopError, UnusableInputError
 from hilbench.exchange.exchange import Exchange
 from hilbench.exchange.frame_tap import FrameTap
@@ -82,11 +83,12 @@ def bring_up(
     work_folder: Path | None,
     participants: Participants,
     announce: Callable[[str], None],
+    copies: list[Copy],
 ) -> Iterator[StartedBench]:
     """Start the simulated hardware and the twin (unless they run already), configure the nodes, start them (NMT).
 
-    `objects`: those of the bench's own node. Everything is ended again on leaving. Raises BenchFaultError when a
-    process ends, a node does not answer, or refuses what it is sent.
+    `objects`: those of the bench's own node. `copies`: taken for processes, as far as they go. All is ended again
+    on leaving. Raises BenchFaultError when a process ends, a node does not answer, or refuses what it is sent.
     """
     with ExitStack() as resources:
         folder = work_folder or Path(resources.enter_context(tempfile.TemporaryDirectory(prefix="hilbench-")))
@@ -109,13 +111,13 @@ def bring_up(
                 here.boot()
             elif participants is Participants.STARTED:
                 announce("start simulated hardware and twin")
-                children = start_children(config, folder)
+                children = start_children(config, folder, copies)
             else:
                 announce("look for simulated hardware and twin")
             for child in children:
                 resources.callback(child.end)
             if not here:  # whoever ends this process ends the devices with it
-                supervisor = _start_supervisor(config, folder)
+                supervisor = _start_supervisor(config, folder, copies)
             if supervisor is not None:
                 resources.callback(supervisor.end)
             _wait_for_nodes(config, master, children, participants)
@@ -194,7 +196,15 @@ def _release_nodes(master: Master, exchange: Exchange) -> None:
         exchange.discard_waiting(_LAST_FRAME_S)
 
 
-def start_children(config: BenchConfig, folder: Path) -> list[ChildProcess]:
+def processes_beside(config: BenchConfig, participants: Participants) -> int:
+    """How many `bring_up` starts."""
+    if participants is Participants.IN_PROCESS:
+        return 0
+    devices = 1 + bool(config.simulated_drives) if participants is Participants.STARTED else 0
+    return devices + bool(config.master.heartbeat_ms)
+
+
+def start_children(config: BenchConfig, folder: Path, copies: list[Copy] | None = None) -> list[ChildProcess]:
     """Start the simulated hardware, where a node is simulated, and the twin; their logs go to `folder`."""
     if not all_compiled():
         # Once, into the cache on disk: compiling takes longer than a process has to show itself on the bus.
@@ -205,18 +215,22 @@ def start_children(config: BenchConfig, folder: Path) -> list[ChildProcess]:
     children = []
     if config.simulated_drives:
         hardware = ["hilbench.hardware", *arguments]
-        children.append(ChildProcess("simulated hardware", hardware, folder / "hardware.log"))
-    children.append(ChildProcess(TWIN, ["hilbench.twin", *arguments], folder / "twin.log"))
+        children.append(ChildProcess("simulated hardware", hardware, folder / "hardware.log", copy=_one_of(copies)))
+    children.append(ChildProcess(TWIN, ["hilbench.twin", *arguments], folder / "twin.log", copy=_one_of(copies)))
     return children
 
 
-def _start_supervisor(config: BenchConfig, folder: Path) -> ChildProcess | None:
+def _one_of(copies: list[Copy] | None) -> Copy | None:
+    return copies.pop() if copies else None
+
+
+def _start_supervisor(config: BenchConfig, folder: Path, copies: list[Copy]) -> ChildProcess | None:
     if not config.master.heartbeat_ms:
         return None
     # In lockstep the bench waits for its participants, and no heartbeat comes meanwhile.
     patience_s = config.safety.cycle_timeout_s if config.pace == "lockstep" else 0.0
     watch = Watch(config.bus_address, config.master.node_id, patience_s + config.safety.supervisor_timeout_s)
-    return ChildProcess("supervisor", watch.arguments(), folder / "supervisor.log")
+    return ChildProcess("supervisor", watch.arguments(), folder / "supervisor.log", copy=_one_of(copies))
 
 
 def _wait_for_nodes(
