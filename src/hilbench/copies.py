@@ -62,7 +62,7 @@ class Copy:
     def wait(self, timeout: float | None = None) -> int:
         """Wait for its end. Raises TimeoutExpired after `timeout` s."""
         if self.returncode is None:
-            if timeout is not None and not select.select([self._end], [], [], timeout)[0]:
+            if timeout is not None and not _readable(self._end, timeout):
                 raise TimeoutExpired(str(self.pid), timeout)
             self._ended(os.waitpid(self.pid, 0)[1])
         assert self.returncode is not None
@@ -84,6 +84,12 @@ class Copy:
     def _ended(self, status: int) -> None:
         self.returncode = os.waitstatus_to_exitcode(status)
         os.close(self._end)
+
+
+def _readable(descriptor: int, timeout_s: float) -> bool:
+    poll = select.poll()  # takes any number, as `select` does not
+    poll.register(descriptor, select.POLLIN)
+    return bool(poll.poll(1e3 * timeout_s))
 
 
 @contextmanager
@@ -127,11 +133,12 @@ def _fork() -> Copy:
 
 def _wait_for_order(receives: int, signals: Iterable[int]) -> NoReturn:
     """The life of a copy: nothing of it goes back to who called `_fork`."""
-    code = EXIT_BENCH_FAULT
+    code, has_left = EXIT_BENCH_FAULT, False
     try:
         os.setsid()  # Ctrl-C at the terminal is the bench's to handle
         gc.freeze()  # what was there before stays: whatever it would do at its end is the other process' to do
         _leave_files(receives)
+        has_left = True
         _leave_handlers()
         signal.pthread_sigmask(signal.SIG_SETMASK, signals)
         order = _read_order()
@@ -140,7 +147,8 @@ def _wait_for_order(receives: int, signals: Iterable[int]) -> NoReturn:
         code = EXIT_INTERRUPTED
     except BaseException as error:
         with suppress(BaseException):
-            print(f"hilbench: {error!r}", file=sys.stderr, flush=True)
+            if has_left:  # else standard error is not its own
+                print(f"hilbench: {error!r}", file=sys.stderr, flush=True)
     finally:
         os._exit(code)
 

@@ -12,7 +12,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import MappingProxyType
 
@@ -58,8 +58,11 @@ class ChildProcess:
         try:
             with self._log_path.open("ab") as log:
                 if copy is not None:
-                    copy.become(self._arguments, self._log_path, self._environment)
-                    return copy
+                    with suppress(BrokenPipeError):  # it is gone
+                        copy.become(self._arguments, self._log_path, self._environment)
+                        return copy
+                    copy.stdin.close()
+                    copy.wait()
                 return subprocess.Popen(
                     [sys.executable, "-m", *self._arguments],
                     stdin=subprocess.PIPE,

@@ -19,6 +19,20 @@ _LOWEST = 19
 _MCL_CURRENT, _MCL_ONFAULT = 1, 4
 
 
+@contextmanager
+def for_good() -> Iterator[None]:
+    """What is imported and made inside stays as long as the process: the garbage collector neither looks for what of it
+    could go meanwhile, nor looks through it ever again."""
+    collects = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.freeze()
+        if collects:
+            gc.enable()
+
+
 @dataclass(frozen=True)
 class ProcessSettings:
     """What one process asks for; None: nothing (`lock_memory`: where it is permitted)."""

@@ -8,7 +8,9 @@ import sys
 from pathlib import Path
 
 import pytest
+from tests.tiers import slow
 
+_CONFIGS = Path(__file__).resolve().parents[2] / "bench_configs"
 _PROGRAM = """if True:
     import sys
     import hilbench.bench.lifecycle.supervisor, hilbench.hardware.simulation, hilbench.twin.run, hilbench.cli.run
@@ -21,6 +23,20 @@ _PROGRAM = """if True:
 
 def test_a_bench_starts_without_the_libraries_of_recordings_and_of_its_check() -> None:
     ended = subprocess.run([sys.executable, "-c", _PROGRAM], capture_output=True, text=True, timeout=300, check=False)
+    assert ended.returncode == 0, ended.stderr
+
+
+@pytest.mark.parametrize("name", ["web_section_step", *slow("servo_axis")])
+def test_the_check_before_a_run_imports_no_scipy(name: str) -> None:
+    program = f"""if True:
+        import sys
+        from pathlib import Path
+        from hilbench.runs.check import check_experiment
+        from hilbench.runs.config import load_with_overrides
+        check_experiment(load_with_overrides(Path({str(_CONFIGS)!r}) / "{name}.yaml"))
+        assert "scipy.linalg" not in sys.modules
+    """
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=300, check=False)
     assert ended.returncode == 0, ended.stderr
 
 

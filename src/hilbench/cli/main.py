@@ -45,6 +45,7 @@ from hilbench.cli.options import (
 )
 from hilbench.ending import ended
 from hilbench.errors import UnusableInputError
+from hilbench.real_time import for_good
 
 app = typer.Typer(
     name="hilbench",
@@ -133,10 +134,11 @@ def run(
 
     Example: hilbench run bench_configs/web_section_step.yaml --stream run.mcap --stream plotjuggler
     """
-    from hilbench.bench.lifecycle.participants import Participants
-    from hilbench.cli.run import run_command
+    with for_good():
+        from hilbench.bench.lifecycle.participants import Participants
+        from hilbench.cli.run import run_command
 
-    loaded = _load(config, bus=bus, pace=pace, seed=seed, changes=changes or ())
+        loaded = _load(config, bus=bus, pace=pace, seed=seed, changes=changes or ())
     if in_process and not start:
         raise typer.BadParameter("--in-process and --no-start exclude each other")
     participants = Participants.IN_PROCESS if in_process else Participants.STARTED if start else Participants.PRESENT

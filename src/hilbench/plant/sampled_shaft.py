@@ -16,6 +16,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from hilbench.plant.matrix_exponential import matrix_exponential
+
 Matrix = NDArray[np.float64]
 
 #: A current loop is never faster than this in the model (an ideal one would make the matrices singular).
@@ -99,9 +101,7 @@ def _continuous(shaft: SampledShaft, size: int) -> Matrix:
     ):
         a[torque, torque] = -1.0 / max(time_constant, _FASTEST_S)
         a[torque, command] = 1.0 / max(time_constant, _FASTEST_S)
-    from scipy.linalg import expm  # not with the module: the processes of a bench start without scipy
-
-    return np.asarray(expm(a * shaft.sample_time_s))
+    return matrix_exponential(a * shaft.sample_time_s)
 
 
 def _velocity_loop(shaft: SampledShaft, size: int) -> Matrix:

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from hilbench.bench.tasks.imitated_web import imitated_web
 from hilbench.bench.tasks.swing_damping import DampingGains, SwingPlant, damping_gains
 from hilbench.bench.tasks.tension_control import TensionController, strain_before
+from hilbench.plant.matrix_exponential import matrix_exponential
 from hilbench.plant.parameters import per_item
 from hilbench.plant.web_line.imitation import lead_s
 from hilbench.plant.web_line.parameters import ModelParameters
@@ -204,9 +205,7 @@ class TensionLoop:
             rates[at[f"way{k}"], at[f"v{k}"]] = 1.0
         self._add_simulated_web(rates, axes)
         held[:size] = loops
-        from scipy.linalg import expm  # not with the module: the processes of a bench start without scipy
-
-        return np.asarray((expm(rates * sample_s) @ held)[:size])
+        return np.asarray((matrix_exponential(rates * sample_s) @ held)[:size])
 
     def _add_simulated_web(self, rates: Matrix, axes: Mapping[int, _Axis]) -> None:
         """The twin's spans: what they pull by, and what stretches them; strain comes with the web."""
