@@ -45,10 +45,11 @@ class Motors:
         self._turned = turned
         self._keeps_ports = turned is not None
         self.step: Callable[[], None] = self._step_by_ports  #: take the set points, and go on
-        if turned is not None and alone and isinstance(turned, StepsInModes):
+        step = turned.steps_in_modes(asked, step_s, shown) if alone and isinstance(turned, StepsInModes) else None
+        if step is not None:
             self._keeps_ports = False
-            self._step = turned.steps_in_modes(asked, step_s, shown)
-            self.step = self._step_and_show if shows_ports else self._step
+            self._step: Callable[[], None] = step
+            self.step = self._step_and_show if shows_ports else step
 
     def _step_and_show(self) -> None:
         self._step()

@@ -161,7 +161,9 @@ def warm_up_in_modes(config: BenchConfig) -> None:
     ports = [MotorPort() for _ in (*config.parts_of(Role.AXIS), *config.parts_of(Role.LOAD_MOTOR))]
     rig = new_rig(config, ports)
     if isinstance(rig, StepsInModes):
-        rig.steps_in_modes(np.zeros(len(ports)), config.cycle_time_s, np.zeros(5 * len(ports)))()
+        step = rig.steps_in_modes(np.zeros(len(ports)), config.cycle_time_s, np.zeros(5 * len(ports)))
+        if step is not None:
+            step()
 
 
 def _time_base(config: BenchConfig) -> tuple[Clock, PlantTime]:

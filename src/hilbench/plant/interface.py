@@ -129,9 +129,9 @@ class StepsInModes(Protocol):
 
     def steps_in_modes(
         self, set_points: NDArray[np.float64], duration_s: float, shown: NDArray[np.float64]
-    ) -> Callable[[], None]:
+    ) -> Callable[[], None] | None:
         """What lets it go on with set points (M,); `shown`, (5 M,): position, velocity, torque, reference, torque
-        limited."""
+        limited. None for a machine that can't."""
 
 
 class Plant(Machine, Protocol):

@@ -8,7 +8,7 @@ from math import nan
 
 from hilbench.bench.machines.machine import MachineTasks
 from hilbench.bench.state import BenchState
-from hilbench.bench.tasks.limits import Levels, Watched, apart, is_synchronized
+from hilbench.bench.tasks.limits import Levels, Watched, apart, is_synchronized, least_told
 from hilbench.bench.tasks.load_model import LoadModel
 from hilbench.bench.tasks.load_task import LoadTask
 from hilbench.bench.tasks.reference import Reference
@@ -101,10 +101,24 @@ class ShaftLimitWatch:
         self._inertia_kg_m2 = config.servo_axis.inertia_kg_m2
         self._load_torque = f"tau_{motor}_Nm"
         self._levels = Levels()
+        limits = self._limits
+        self._told_from = tuple(map(least_told, (limits.torque_Nm, limits.speed_rad_s, limits.estimate_ratio)))
 
     def update(self, sample: CycleSample) -> list[tuple[str, str]]:
         """The warnings that begin in this cycle, each after its quantity. Raises LimitTripError."""
+        if self._levels.quiet and self._is_quiet(sample):
+            return []
         return self._levels.check(sample.t_s, self._quantities(sample))
+
+    def _is_quiet(self, sample: CycleSample) -> bool:
+        """Whether everything is so small that there is nothing to say, as in nearly every cycle."""
+        torque_Nm, speed_rad_s, ratio = self._told_from
+        return (
+            abs(sample.tau1_Nm) < torque_Nm
+            and abs(getattr(sample, self._load_torque)) < torque_Nm
+            and abs(sample.v1_rad_s) < speed_rad_s
+            and not (is_synchronized(sample) and not apart(sample.J_sim_kg_m2, self._inertia_kg_m2) < ratio)
+        )
 
     def _quantities(self, sample: CycleSample) -> Iterator[Watched]:
         limits = self._limits

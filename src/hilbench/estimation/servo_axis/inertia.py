@@ -77,6 +77,7 @@ class InertiaEstimator:
     def __init__(self, config: InertiaConfig, model: ServoAxisParameters) -> None:
         self._config = config
         self._inputs = FilterInputs(model, config)
+        self._priors: list[float] = self._inputs.priors.tolist()
         p = lay.pack(model)
         self._of_model = np.zeros(kalman.TERMS)
         self._of_model[1] = model.shaft.viscous_friction_Nm_s_per_rad
@@ -143,10 +144,11 @@ class InertiaEstimator:
         mean, deviation = self._out
         inertia = self._inputs.inertia_kg_m2 / mean.item(kalman.BETA)
         share = deviation.item(kalman.BETA) / mean.item(kalman.BETA)
-        rows = zip(_NAMES, mean[kalman.Q :] + self._of_model, deviation[kalman.Q :], self._inputs.priors, strict=True)
+        values, deviations = (mean[kalman.Q :] + self._of_model).tolist(), deviation[kalman.Q :].tolist()
+        rows = zip(_NAMES, values, deviations, self._priors, strict=True)
         return ShaftEstimate(
             inertia,
             inertia * hypot(share, 0.01 * self._config.unmodelled_pct),
             share < _FOUND * 0.01 * self._config.initial_deviation_pct,
-            tuple(Nuisance(n, float(v), float(d), bool(d < _FOUND * prior)) for n, v, d, prior in rows if prior > 0.0),
+            tuple([Nuisance(n, v, d, d < _FOUND * prior) for n, v, d, prior in rows if prior > 0.0]),
         )

@@ -16,6 +16,7 @@ from hilbench.plant.interface import PlantState
 from hilbench.plant.motor_port import MotorPort
 from hilbench.plant.servo_axis import layout as lay
 from hilbench.plant.servo_axis.axis import ServoAxis
+from hilbench.plant.servo_axis.layout import Vector
 from hilbench.plant.servo_axis.rig import ServoRig, ServoRigParameters
 from hilbench.plant.servo_axis.shaft import PARAMETERS, Shaft
 
@@ -52,6 +53,9 @@ class FmuMechanics(WithoutEffects, Shaft):
             state[lay.S_X] = position + self._offset_rad + speed * self._model.behind_s
             state[lay.S_V] = speed
         state[lay.S_MEAN] /= samples
+
+    def steps_in_modes(self, set_points: Vector, duration_s: float, shown: Vector) -> None:
+        """What an FMU does is its own code's."""
 
     def set_parameter(self, name: str, value: float) -> None:
         """Give a parameter a value from now on. Raises ValueError for an unknown name or an impossible value."""

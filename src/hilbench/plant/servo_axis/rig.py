@@ -78,8 +78,9 @@ class ServoRig(Shaft):
     ) -> None:
         if len(ports) != 2 or parameters.axis.drives is None:
             raise ValueError(f"{len(ports)} ports, expected those of the axis and the load motor, and drives")
-        self._noise = SensorNoise(np.random.SeedSequence(seed).spawn(len(ports)))
+        self._noise: SensorNoise = SensorNoise(np.random.SeedSequence(seed).spawn(len(ports)))
         self._sensors = [Sensors(kind) for kind in (parameters.sensors, parameters.load_sensors)]
+        self._sensor_figures = np.array([each.figures for each in self._sensors]).reshape(-1)
         super().__init__(parameters.axis, parameters.load_motor, ports, substeps)
 
     def _observe(self) -> None:

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from math import isfinite
 from typing import Final
 
 import numpy as np
 
+from hilbench.compiled import table_of
 from hilbench.plant import drive_loops as loops
 from hilbench.plant.interface import Motor, PlantDescription, PlantState, Quantity, checked_name
 from hilbench.plant.motor_port import MotorPort
 from hilbench.plant.parameters import LoadMotorParameters
 from hilbench.plant.sampling import samples_per
-from hilbench.plant.servo_axis import kernel
+from hilbench.plant.sensors import SensorNoise
+from hilbench.plant.servo_axis import kernel, rig_cycle
 from hilbench.plant.servo_axis import layout as lay
 from hilbench.plant.servo_axis.effects import IDS, KIND, find
 from hilbench.plant.servo_axis.layout import Vector
@@ -34,12 +37,18 @@ _TORQUE = Quantity("external_torque_Nm", "N·m", "torque on the shaft from outsi
 
 def checked_parameter(name: str, value: float) -> float:
     """A value that a parameter may have. Raises ValueError."""
-    quantity = PARAMETERS[checked_name("parameter", name, (q for q, _ in PARAMETERS.values()))][0]
+    quantity = PARAMETERS[_known(name)][0]
     positive, any_sign = name == "inertia_kg_m2", quantity.unit == "rad"
-    if not np.isfinite(value) or (value <= 0.0 if positive else value < 0.0 and not any_sign):
+    if not isfinite(value) or (value <= 0.0 if positive else value < 0.0 and not any_sign):
         expected = "more than 0" if positive else "a finite number" if any_sign else "0 or more"
         raise ValueError(f"{name} = {value!r} {quantity.unit}, expected {expected}")
     return value
+
+
+def _known(name: str) -> str:
+    if name in PARAMETERS:  # every cycle
+        return name
+    return checked_name("parameter", name, (quantity for quantity, _ in PARAMETERS.values()))
 
 
 class Shaft:
@@ -47,6 +56,9 @@ class Shaft:
 
     `step` takes the set points from the ports and writes the feedback to them; without ports every motor is off.
     """
+
+    _noise: SensorNoise | None = None  # of one with sensors, and what these are (`rig_cycle`):
+    _sensor_figures: Vector
 
     def __init__(
         self,
@@ -99,13 +111,34 @@ class Shaft:
         Raises ValueError for another duration.
         """
         samples = samples_per(duration_s, self._p.item(lay.P_SAMPLE_TIME_S))
-        for row, state, port in zip(
-            lay.motor_inputs(self._inputs), lay.motor_states(self._state), self._ports, strict=False
-        ):
-            row[:] = port.mode, port.setpoint, port.slope, port.torque_limit_Nm
+        self._read_ports()
+        for state, _ in zip(lay.motor_states(self._state), self._ports, strict=False):
             state[loops.LIMITED] = 0.0
         self._go(samples)
         self._observe()
+
+    def _read_ports(self) -> None:
+        for row, port in zip(lay.motor_inputs(self._inputs), self._ports, strict=False):
+            row[:] = port.mode, port.setpoint, port.slope, port.torque_limit_Nm
+
+    def steps_in_modes(self, set_points: Vector, duration_s: float, shown: Vector) -> Callable[[], None] | None:
+        """`step` with set points (M,) in place of those of the ports, whose modes and limits stay what they are; what
+        the ports would show goes into `shown`, (5 M,): position, velocity, torque, reference, torque limited.
+
+        The ports do not learn of it; who calls it keeps the vectors. Raises ValueError as `step`.
+        """
+        samples = samples_per(duration_s, self._p.item(lay.P_SAMPLE_TIME_S))
+        self._read_ports()
+        motors = len(self._ports)
+        sensors = np.zeros(rig_cycle.SENSOR * motors) if self._noise is None else self._sensor_figures
+        silence = np.full(3 * motors, -0.0)  # what -0.0 is added to keeps its sign
+        kept = self._p, self._state, self._inputs, self._out, set_points, sensors, shown
+        table = table_of(kept)
+
+        def step() -> None:
+            rig_cycle.step(table, samples, silence if self._noise is None else self._noise.row())
+
+        return step
 
     def _go(self, samples: int) -> None:
         kernel.advance(self._p, self._state, self._inputs, samples)
@@ -162,12 +195,12 @@ class Shaft:
             motor[[loops.TORQUE_NM, loops.COMMAND_NM, loops.INTEGRAL_NM]] = value
 
     def _refresh_direction(self) -> None:
-        self._state[lay.S_DIRECTION] = np.sign(self._state[lay.S_V])
+        speed = self._state.item(lay.S_V)
+        self._state[lay.S_DIRECTION] = (speed > 0.0) - (speed < 0.0)
 
     def parameter(self, name: str) -> float:
         """Present value, without what effects make of it. Raises ValueError for an unknown name."""
-        known = (quantity for quantity, _ in PARAMETERS.values())
-        return self._p.item(PARAMETERS[checked_name("parameter", name, known)][1])
+        return self._p.item(PARAMETERS[_known(name)][1])
 
     def set_parameter(self, name: str, value: float) -> None:
         """Give a parameter a value from now on. Raises ValueError for an unknown name or an impossible value."""

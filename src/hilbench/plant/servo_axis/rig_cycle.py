@@ -1,0 +1,53 @@
+"""A step of a shaft whose motors stay in their modes, compiled: set points in, what the sensors show out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilbench.compiled import COUNT, TABLE, VECTOR, entry_point, floats
+from hilbench.plant import drive_loops as loops
+from hilbench.plant.servo_axis import kernel
+from hilbench.plant.servo_axis import layout as lay
+from hilbench.plant.servo_axis.layout import Vector
+
+Table = NDArray[np.int64]
+#: What a motor shows, in the order of `hilbench.plant.motor_port.MotorPort`: position, velocity, torque, reference,
+#: whether the torque was limited (1) or not (0).
+SHOWN = 5
+#: Of each motor: standard deviations of position, velocity and torque, and what the encoder counts.
+SENSOR = 4
+
+
+def _entry_point(sources: int) -> Callable[[Table, int, Vector], None]:
+    """For Python; `sources` as in the kernel."""
+
+    @entry_point(TABLE, COUNT, VECTOR)
+    def step(table: Table, samples: int, noise: Vector) -> None:
+        if sources < 0 or len(table) == 0:
+            return
+        p, s, u, out = floats(table, 0, (1,)), floats(table, 1, (1,)), floats(table, 2, (1,)), floats(table, 3, (1,))
+        set_points, sensors, shown = floats(table, 4, (1,)), floats(table, 5, (1,)), floats(table, 6, (1,))
+        for k in range(len(set_points)):
+            u[lay.U_MOTORS + k * loops.IN_SIZE + loops.IN_SETPOINT] = set_points[k]
+            s[lay.S_MOTORS + k * loops.STATE_SIZE + loops.LIMITED] = 0.0
+        kernel.go_on(p, s, u, samples)
+        kernel.report(p, s, out, 0)
+        for k in range(len(set_points)):
+            at, of, state = k * SHOWN, k * SENSOR, lay.S_MOTORS + k * loops.STATE_SIZE
+            position, counts = out[lay.O_X] + sensors[of] * noise[3 * k], sensors[of + 3]
+            # A count is a whole number, which has no -0.0.
+            shown[at] = (np.rint(position / counts) + 0.0) * counts if counts > 0.0 else position
+            shown[at + 1] = out[lay.O_V] + sensors[of + 1] * noise[3 * k + 1]
+            shown[at + 2] = out[lay.O_TORQUE + k] + sensors[of + 2] * noise[3 * k + 2]
+            shown[at + 3] = s[state + loops.REFERENCE]
+            shown[at + 4] = s[state + loops.LIMITED] != 0.0
+
+    return step
+
+
+#: step(table of parameters, state, inputs, out, set points (M,), sensors (M · SENSOR,), shown (M · SHOWN,); samples,
+#: normal numbers (3 · M,)): `kernel.advance` and `kernel.observe`, with ports that stay as they are, and `Sensors`.
+step = _entry_point(kernel.source_number(__file__))
