@@ -10,6 +10,7 @@ from tests.cli.in_process import hilbench
 from hilbench.bench.bus_options import bus_options
 from hilbench.bench.schedule import schedule
 from hilbench.can.load import CyclicFrame
+from hilbench.can.wire import worst_case_fd_bits
 from hilbench.errors import UnusableInputError
 from hilbench.exchange.nodes import Nodes
 from hilbench.runs.check import check_experiment
@@ -20,14 +21,15 @@ LINE = CONFIGS / "line_three_spans.yaml"
 
 
 def test_a_line_that_does_not_fit_is_told_what_would() -> None:
-    with pytest.raises(UnusableInputError, match=r"a cycle of 3 ms or more \(on two wires, .*, 2 ms\)"):
+    with pytest.raises(UnusableInputError, match=r"a cycle of 3 ms or more \(on two wires 2 ms, .*yet\)"):
         check_experiment(load_with_overrides(LINE, changes=["cycle_time_s=0.002"]))
 
 
 def test_every_frame_is_on_a_wire_and_sync_and_heartbeats_on_both() -> None:
     config = load_with_overrides(LINE).config
     nodes = Nodes(config)
-    one, two = bus_options(config, nodes)
+    options = bus_options(config, nodes)
+    one, two = options.one_wire, options.two_wires
     [whole], on_both = one.bits, sum(frame.worst_case_bits for frame in nodes.cyclic_frames() if frame.name in _BOTH)
     assert sum(two.bits) == pytest.approx(whole + on_both)
     assert max(two.bits) < 0.6 * whole
@@ -35,6 +37,30 @@ def test_every_frame_is_on_a_wire_and_sync_and_heartbeats_on_both() -> None:
 
 
 _BOTH = ("SYNC", "heartbeats")
+
+
+def test_the_twin_on_a_wire_of_its_own_takes_from_the_other_what_it_says_and_is_told() -> None:
+    config = load_with_overrides(CONFIGS / "web_section_step.yaml").config
+    nodes = Nodes(config)
+    frames, apart = nodes.cyclic_frames(), bus_options(config, nodes).twin_apart
+    virtual = {node.node_id for node in (config.twin.node, *(drive.virtual for drive in config.drives.values()))}
+    own = sum(frame.worst_case_bits for frame in frames if frame.can_id % 128 in virtual)
+    of_all = sum(frame.worst_case_bits for frame in frames)
+    on_both = sum(frame.worst_case_bits for frame in frames if frame.name in _BOTH)
+    assert apart.bits == pytest.approx((of_all - own, own + on_both))
+    assert own > 300.0
+
+
+def test_can_fd_sends_the_same_frames_with_fast_data() -> None:
+    config = load_with_overrides(LINE).config
+    nodes = Nodes(config)
+    options = bus_options(config, nodes)
+    bits = 0.0
+    for frame in nodes.cyclic_frames():
+        slow, fast = worst_case_fd_bits(frame.data_bytes)
+        bits += frame.per_cycle * (slow + 0.2 * fast)
+    assert options.can_fd.bits == (pytest.approx(bits),)
+    assert options.can_fd.least_lockstep_s < options.one_wire.least_lockstep_s
 
 
 def test_a_cycle_that_fits_lockstep_alone_is_noted_in_real_time() -> None:
@@ -47,11 +73,13 @@ def test_a_cycle_that_fits_lockstep_alone_is_noted_in_real_time() -> None:
     assert not [note for note in in_lockstep.notes if "real time" in note]
 
 
-def test_the_command_shows_both() -> None:
+def test_the_command_shows_all() -> None:
     said = hilbench("check", LINE).stdout
     assert "on one wire of 1000000 bit/s: at worst" in said
     assert "fits cycles from 3 ms in lockstep" in said
-    assert "on two wires (a bench can't use them yet): at worst" in said
+    assert "on two wires (a bench can't use that yet): at worst" in said
+    assert "on two wires, one of them the twin's (a bench can't use that yet): at worst" in said
+    assert "on one wire with CAN FD at 5000000 bit/s (a bench can't use that yet): at worst" in said
 
 
 def test_the_check_says_when_each_frame_of_a_cycle_is_over_at_worst() -> None:

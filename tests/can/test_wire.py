@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hilbench.can.frame import EXTENDED_FLAG, REMOTE_FLAG, Frame
-from hilbench.can.wire import FD_LENGTHS, fd_bits_on_wire, frame_bits, least_bits, worst_case_bits
+from hilbench.can.wire import FD_LENGTHS, fd_bits_on_wire, frame_bits, least_bits, worst_case_bits, worst_case_fd_bits
 
 
 def binary(value: int, width: int) -> str:
@@ -125,3 +125,19 @@ def test_fd_bits(can_id: int, data: bytes, switch: bool) -> None:
     nominal, fast = fd_bits_on_wire(can_id, data, switch)
     assert nominal + fast == fd_bits_by_hand(can_id, data, switch)
     assert (fast == 0) is (not switch)
+    if switch:
+        most = worst_case_fd_bits(len(data), bool(can_id & EXTENDED_FLAG))
+        for slower in (1, 2, 8):
+            assert slower * nominal + fast <= slower * most[0] + most[1]
+
+
+@pytest.mark.parametrize(("can_id", "data"), [(120, b""), (120, bytes.fromhex("f878787878787878"))])
+def test_the_worst_case_of_an_fd_frame_is_hardly_more_than_there_is(can_id: int, data: bytes) -> None:
+    """FDF, BRS and ESI are given, and keep three stuff bits from standing where they might."""
+    assert sum(worst_case_fd_bits(len(data))) - sum(fd_bits_on_wire(can_id, data, True)) in (2, 3)
+
+
+def test_lengths_no_fd_frame_has() -> None:
+    for data_bytes in (-1, 9, 65):
+        with pytest.raises(ValueError, match="CAN FD"):
+            worst_case_fd_bits(data_bytes)

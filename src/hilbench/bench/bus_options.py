@@ -1,42 +1,93 @@
-"""Which cycles the PDO set of a bench fits: on its one wire, and what it would be on two.
+"""Which cycles the PDO set of a bench fits: on its one wire, and what it would be on others.
 
 Lockstep needs a wire that is not full. In real time the set points go out in the part of the cycle that the exchange
 keeps for them at its end, and the answers come in the rest. On two wires, each with a SYNC, every axis is with its load
-motor and its virtual axis on one of them: a virtual axis still hears what its axis is told. The twin is on both.
+motor and its virtual axis on one of them: a virtual axis still hears what its axis is told. The twin is on both. With
+the twin on a wire of its own it hears the other one as well; what it says and what it is told is not there. As CAN FD
+frames the same PDOs go out at another bit rate from the data length on.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from math import ceil
 
+from hilbench.can.frame import EXTENDED_FLAG
 from hilbench.can.load import CyclicFrame
+from hilbench.can.wire import worst_case_fd_bits
 from hilbench.canopen.identifiers import FUNCTION_CODE, HEARTBEAT, RPDOS, SYNC
 from hilbench.exchange.nodes import Nodes
 from hilbench.exchange.sync_cycle import GUARD_FRACTION
 from hilbench.topology.config import BenchConfig
 
+BitsOf = Callable[[CyclicFrame], float]
+#: Data bit rate of CAN FD that common transceivers are specified for (ISO 11898-2), bit/s.
+FD_BITRATE = 5_000_000
+
 
 @dataclass(frozen=True)
 class BusOption:
-    """One way to lay the wires: bit times of a cycle at worst on each, and the least cycle that it fits, s."""
+    """One way to lay the wires: bit times (of the nominal bit rate) of a cycle at worst on each, and the least cycle
+    that it fits, s. `usable`: a bench can be run on it."""
 
+    layout: str
     wires: tuple[str, ...]
     bits: tuple[float, ...]
     least_lockstep_s: float
     least_realtime_s: float
+    usable: bool = False
 
 
-def bus_options(config: BenchConfig, nodes: Nodes) -> tuple[BusOption, BusOption]:
-    """On one wire, and on two. Cycles are whole multiples of the drives' sample time."""
+@dataclass(frozen=True)
+class BusOptions:
+    """The one that the bench has, and others. Cycles are whole multiples of the drives' sample time."""
+
+    one_wire: BusOption
+    two_wires: BusOption
+    twin_apart: BusOption
+    can_fd: BusOption
+
+    def __iter__(self) -> Iterator[BusOption]:
+        return iter((self.one_wire, self.two_wires, self.twin_apart, self.can_fd))
+
+
+def bus_options(config: BenchConfig, nodes: Nodes) -> BusOptions:
+    """What the PDO set takes on each."""
     frames = nodes.cyclic_frames()
-    return _option(config, {"one wire": frames}), _option(config, _shared(config, frames))
+    one = _option(config, f"one wire of {config.bus.bitrate} bit/s", {"one wire": frames})
+    return BusOptions(
+        replace(one, usable=True),
+        _option(config, "two wires", _shared(config, frames)),
+        _option(config, "two wires, one of them the twin's", _twin_apart(config, frames)),
+        _option(config, f"one wire with CAN FD at {FD_BITRATE} bit/s", {"one wire": frames}, _fd_bits(config)),
+    )
+
+
+def _everywhere(frames: Sequence[CyclicFrame]) -> list[CyclicFrame]:
+    return [frame for frame in frames if frame.can_id in (SYNC, HEARTBEAT + 1)]
+
+
+def _twin_apart(config: BenchConfig, frames: Sequence[CyclicFrame]) -> dict[str, Sequence[CyclicFrame]]:
+    """The virtual nodes' frames on a wire of their own; a virtual axis is told nothing but what its axis is."""
+    everywhere = _everywhere(frames)
+    theirs = [f for f in frames if f not in everywhere and f.can_id & ~FUNCTION_CODE in config.virtual_nodes]
+    return {"drives": [frame for frame in frames if frame not in theirs], "twin": [*everywhere, *theirs]}
+
+
+def _fd_bits(config: BenchConfig) -> BitsOf:
+    """Of a frame in a cycle, if it were one of CAN FD."""
+
+    def bits(frame: CyclicFrame) -> float:
+        slow, fast = worst_case_fd_bits(frame.data_bytes, bool(frame.can_id & EXTENDED_FLAG))
+        return frame.per_cycle * (slow + fast * config.bus.bitrate / FD_BITRATE)
+
+    return bits
 
 
 def _shared(config: BenchConfig, frames: Sequence[CyclicFrame]) -> dict[str, Sequence[CyclicFrame]]:
     """The frames of two wires: axis by axis onto the one that has less."""
-    everywhere = [frame for frame in frames if frame.can_id in (SYNC, HEARTBEAT + 1)]
+    everywhere = _everywhere(frames)
     of_axis: dict[int | None, set[int]] = {}
     for part in config.parts:
         of_axis.setdefault(part.axis, set()).add(part.node.node_id)
@@ -47,11 +98,17 @@ def _shared(config: BenchConfig, frames: Sequence[CyclicFrame]) -> dict[str, Seq
     return {"wire 1": wires[0], "wire 2": wires[1]}
 
 
-def _bits(frames: Sequence[CyclicFrame]) -> float:
-    return sum(frame.worst_case_bits for frame in frames)
+def _classical_bits(frame: CyclicFrame) -> float:
+    return frame.worst_case_bits
 
 
-def _option(config: BenchConfig, wires: dict[str, Sequence[CyclicFrame]]) -> BusOption:
+def _bits(frames: Sequence[CyclicFrame], bits_of: BitsOf = _classical_bits) -> float:
+    return sum(map(bits_of, frames))
+
+
+def _option(
+    config: BenchConfig, layout: str, wires: dict[str, Sequence[CyclicFrame]], bits_of: BitsOf = _classical_bits
+) -> BusOption:
     sample_s, bit_s = config.drive_parameters.sample_time_s, 1.0 / config.bus.bitrate
 
     def least_s(needed_s: float) -> float:
@@ -59,8 +116,8 @@ def _option(config: BenchConfig, wires: dict[str, Sequence[CyclicFrame]]) -> Bus
 
     bits, in_real_time = [], []
     for frames in wires.values():
-        total = _bits(frames)
-        told = _bits([frame for frame in frames if frame.can_id & FUNCTION_CODE in RPDOS])
+        total = _bits(frames, bits_of)
+        told = _bits([frame for frame in frames if frame.can_id & FUNCTION_CODE in RPDOS], bits_of)
         bits.append(total)
         in_real_time.append(max(told / GUARD_FRACTION, (total - told) / (1.0 - GUARD_FRACTION)))
-    return BusOption(tuple(wires), tuple(bits), least_s(max(bits) * bit_s), least_s(max(in_real_time) * bit_s))
+    return BusOption(layout, tuple(wires), tuple(bits), least_s(max(bits) * bit_s), least_s(max(in_real_time) * bit_s))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import isclose
 
-from hilbench.bench.bus_options import BusOption, bus_options
+from hilbench.bench.bus_options import BusOptions, bus_options
 from hilbench.bench.fmu_check import fmu_findings
 from hilbench.bench.schedule import Slot, schedule
 from hilbench.bench.web_line_check import check_web_line
@@ -29,7 +29,7 @@ class CheckedBench:
     load: BusLoad
     frames_per_cycle: float
     notes: list[str]  #: what can be run, and will not be good
-    options: tuple[BusOption, ...]  #: what the PDO set takes on one wire, and on two
+    options: BusOptions  #: what the PDO set takes on the bench's wire, and on others
     fmus: list[str]  #: what was found in FMUs
     schedule: list[Slot]  #: who sends when in a cycle, at worst
 
@@ -62,16 +62,17 @@ def check_bench(config: BenchConfig, document: Document) -> CheckedBench:
     load = cycle_load(frames, config.cycle_time_s, config.bus.bitrate)
     options = bus_options(config, nodes)
     if load.fraction > 1.0:
-        one, two = (f"{option.least_lockstep_s * 1e3:g} ms" for option in options)
+        one, *others = options
+        elsewhere = ", ".join(f"on {option.layout} {option.least_lockstep_s * 1e3:g} ms" for option in others)
         raise UnusableInputError(
             document.place(("bus", "bitrate")),
             f"the PDO set takes {load.bits:.0f} bit times of the {load.capacity_bits:.0f} in a cycle of "
             f"{config.cycle_time_s * 1e3:g} ms at {config.bus.bitrate} bit/s ({100 * load.fraction:.0f} %), "
-            f"expected at most 100 %: a cycle of {one} or more (on two wires, which a bench can't use yet, {two}), a "
-            f"higher bit rate or fewer PDOs",
+            f"expected at most 100 %: a cycle of {one.least_lockstep_s * 1e3:g} ms or more ({elsewhere}, which a bench "
+            f"can't use yet), a higher bit rate or fewer PDOs",
         )
     notes: list[str] = []
-    least_s = options[0].least_realtime_s
+    least_s = options.one_wire.least_realtime_s
     if config.pace == "realtime" and config.cycle_time_s < least_s:
         notes.append(
             f"the PDO set takes {100 * load.fraction:.0f} % of a cycle at worst: set points or answers may come too "

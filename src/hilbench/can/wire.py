@@ -181,6 +181,21 @@ def fd_bits_on_wire(can_id: int, data: bytes, bit_rate_switch: bool) -> tuple[in
     return (nominal, fast) if bit_rate_switch else (nominal + fast, 0)
 
 
+def worst_case_fd_bits(data_bytes: int, extended: bool = False) -> tuple[int, int]:
+    """Most (bit times at the nominal bit rate, at the data bit rate) of a CAN FD frame with bit rate switch.
+
+    `data_bytes`: one of `FD_LENGTHS`. As `worst_case_bits` up to the end of the data; stuff bits stand where they cost
+    most, in the slow part, as far as there may be any.
+    """
+    if data_bytes not in FD_LENGTHS:
+        raise ValueError(f"a CAN FD frame has one of {FD_LENGTHS} data bytes, not {data_bytes}")
+    head = 35 if extended else 16
+    body = 5 + 8 * data_bytes
+    slow_stuffed, stuffed = head // 4, (head + body) // 4
+    crc_field = 4 + 17 + 6 if data_bytes <= 16 else 4 + 21 + 7
+    return 1 + head + slow_stuffed + TRAILER_BITS - 1, body + stuffed - slow_stuffed + crc_field + 1
+
+
 def _ends_on_stuff_bit(head: int, count: int, dlc: int, data: bytes) -> int:
     """1 if the last bit before the stuff count calls for a stuff bit: the fixed one there takes its place."""
     stream = int.from_bytes(data, "big") | (head << 5 | dlc) << 8 * len(data)

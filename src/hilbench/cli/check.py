@@ -30,7 +30,7 @@ def check_command(loaded: LoadedConfig, *, as_json: bool) -> None:
         f"bit times ({100 * load.fraction:.0f} %)"
     )
     for option in bench.options:
-        print(_fits(option, config.bus.bitrate))
+        print(_fits(option))
     print(_over(bench.schedule))
     for line in bench.fmus:
         print(line)
@@ -52,11 +52,10 @@ def check_command(loaded: LoadedConfig, *, as_json: bool) -> None:
     print(f"{len(config.steps)} steps, {len(config.criteria)} criteria")
 
 
-def _fits(option: BusOption, bitrate: int) -> str:
+def _fits(option: BusOption) -> str:
     """What a way to lay the wires fits, as a line."""
-    several = len(option.wires) > 1
     loads = " and ".join(f"{bits:.0f}" for bits in option.bits)
-    where = "on two wires (a bench can't use them yet)" if several else f"on one wire of {bitrate} bit/s"
+    where = f"on {option.layout}" + ("" if option.usable else " (a bench can't use that yet)")
     return (
         f"{where}: at worst {loads} bit times; fits cycles from {option.least_lockstep_s * 1e3:g} ms in lockstep, "
         f"{option.least_realtime_s * 1e3:g} ms in real time"
@@ -100,10 +99,12 @@ def _summary(config: ExperimentConfig, checked: CheckedExperiment) -> dict[str, 
         "bus_load_pct": 100 * load.fraction,
         "fits": [
             {
+                "layout": option.layout,
                 "wires": list(option.wires),
                 "bits": list(option.bits),
                 "least_lockstep_s": option.least_lockstep_s,
                 "least_realtime_s": option.least_realtime_s,
+                "usable": option.usable,
             }
             for option in checked.bench.options
         ],
