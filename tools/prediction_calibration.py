@@ -134,7 +134,8 @@ def run(seed: int) -> Case:
         probability, level = float(outlook.probability[place, 0]), outlook.watched[place].warning
 
         largest.size = 0.0
-        for number, step in enumerate(config.steps[1:], 1):
+        config.steps[1].run(bench, [])
+        for number, step in enumerate(config.steps[2:], 2):
             bench.foresee(foresight.plan(number, bench.time_s))
             step.run(bench, [])
     assert level is not None, "it was drawn"

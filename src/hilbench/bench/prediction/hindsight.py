@@ -14,6 +14,8 @@ Array = NDArray[np.float64]
 
 #: How far ahead a prediction is compared with what came, s.
 _LEAD_S: Final = 0.5
+#: By how much a prediction may be early or late: what it is off by then at the end of a ramp is nothing lasting, s.
+_EARLY_OR_LATE_S: Final = 0.1
 #: Weight of the latest comparison in the lasting difference, and in its mean square.
 _NEW: Final = 0.1
 
@@ -24,7 +26,7 @@ class Hindsight:
     def __init__(self, quantities: int) -> None:
         self.lasting = np.zeros(quantities)
         self._square = np.zeros(quantities)
-        self._due: deque[tuple[float, Array]] = deque()
+        self._due: deque[tuple[float, Outlook, Array]] = deque()  # when, what, and what was added to it as lasting
         self._compared = 0
 
     @property
@@ -33,17 +35,19 @@ class Hindsight:
         return np.sqrt(self._square)
 
     def expect(self, outlook: Outlook) -> None:
-        """What was predicted, without what was added as lasting."""
-        row = int(np.searchsorted(outlook.times_s, outlook.now_s + _LEAD_S))
-        if row < len(outlook.times_s):
-            median = np.median(outlook.rows[row], axis=0) - self.lasting
-            self._due.append((float(outlook.times_s[row]), median))
+        """What was predicted, with what is lasting now."""
+        self._due.append((outlook.now_s + _LEAD_S, outlook, self.lasting.copy()))
 
     def compare(self, now_s: float, measured: Array, places: Array) -> None:
         """What has come, of the quantities at `places`: with the predictions for now, as soon as it is their time."""
         while self._due and self._due[0][0] <= now_s:
-            _, predicted = self._due.popleft()
-            difference = measured[places] - predicted[places]
+            _, outlook, lasting = self._due.popleft()
+            near = np.abs(outlook.times_s - now_s) <= _EARLY_OR_LATE_S
+            if not near.any():
+                continue
+            predicted = np.median(outlook.rows[near], axis=1)[:, places]
+            came = measured[places] + lasting[places]
+            difference = came - np.clip(came, predicted.min(axis=0), predicted.max(axis=0))
             self._compared += 1
             new = max(_NEW, 1.0 / self._compared)
             self.lasting[places] += new * (difference - self.lasting[places])
