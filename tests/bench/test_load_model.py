@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from random import Random
 from typing import Any
 
@@ -14,10 +15,12 @@ from hilbench.bench.tasks.load_model import LoadModel
 from hilbench.plant.measured_motion import HasFollowed
 from hilbench.plant.web_line.imitation import lead_s
 from hilbench.plant.web_line.sizes import least_way_m
+from hilbench.runs.config import load
 from hilbench.topology.blocks import LoadConfig
 from hilbench.topology.quantities import WEB_BROKEN
 from hilbench.topology.web_line_quantities import YOUNGS_MODULUS
 
+DANCER = Path(__file__).resolve().parents[2] / "bench_configs" / "line_with_dancer.yaml"
 CYCLE_S = 0.002
 SPEED_M_S = 1.0
 RATIO = 5.0 / 0.2  #: motor shaft in rad per metre of the web
@@ -225,3 +228,34 @@ def test_in_one_call_the_web_does_what_it_does_by_its_parts(seed: int) -> None:
         for line in (whole, parts):
             line.x1_m -= (odd < 0.03) * 3e-3
     assert {HasFollowed.ALL, HasFollowed.NOT, None} == set(whole.followed)
+
+
+def test_axes_of_a_dancer_are_of_one_instant_or_nothing_is_followed() -> None:
+    """In real time a SYNC is missed, one answer is of the cycle before: the line goes on as if nothing had been."""
+    config = load(DANCER)[0]
+    model, cycle_s = web_load_model(config), config.cycle_time_s
+    speed_m_s, x_m = 0.0, 0.0
+
+    def advance(cycles: int = 1) -> None:
+        nonlocal speed_m_s, x_m
+        for _ in range(cycles):
+            before, speed_m_s = speed_m_s, min(speed_m_s + 1.0 * cycle_s, 1.0)
+            x_m += 0.5 * (before + speed_m_s) * cycle_s
+
+    def tensions() -> list[float]:
+        names = [quantity.name for quantity in model.machine.describe().outputs]
+        found = dict(zip(names, model.outputs(), strict=True))
+        return [found[f"F{span}_N"] for span in range(1, 5)]
+
+    for _ in range(500):
+        model.update([x_m] * 3, [speed_m_s] * 3)
+        advance()
+    steady = tensions()
+    model.update([x_m] * 3, [speed_m_s] * 3, late=True)
+    advance(2)  # one that the bench did not count
+    model.update([x_m, x_m, x_m - speed_m_s * cycle_s], [speed_m_s] * 3)
+    assert tensions() == steady
+    for _ in range(20):
+        advance()
+        model.update([x_m] * 3, [speed_m_s] * 3)
+        assert tensions() == pytest.approx(steady, abs=2.0)

@@ -141,7 +141,7 @@ def test_recordings_that_no_bench_has_made_are_refused_in_one_line() -> None:
     without = Recording({name: values for name, values in recording.channels.items() if name != "tau_load_cmd_Nm"})
     with pytest.raises(UnusableInputError, match="expected a recording of a bench that imitates it"):
         measured_from(without, machine(DANCER), "a stand")
-    under_way = Recording({name: values[700:] for name, values in recording.channels.items()})
+    under_way = Recording({name: values[400:] for name, values in recording.channels.items()})
     with pytest.raises(UnusableInputError, match="under way at the first row"):
         measured_from(under_way, machine(DANCER), "a bench")
 

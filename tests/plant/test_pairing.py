@@ -6,7 +6,7 @@ from math import nan
 
 import pytest
 
-from hilbench.plant.pairing import Pairing
+from hilbench.plant.pairing import OwnWays, Pairing
 
 WAY_M = 0.006  #: of a cycle, 2 ms at 3 m/s
 
@@ -51,3 +51,47 @@ def test_a_line_that_speeds_up_from_rest_is_followed() -> None:
     pairing = Pairing(1e-5)
     ways = [5.0 * (0.002 * cycle) ** 2 / 2.0 for cycle in range(400)]
     assert all(pairing.update(way, 1.0005 * way) for way in ways)
+
+
+CYCLE_S = 0.003
+#: Ways of a cycle of axes with a dancer and an accumulator between them: one of them stands.
+OWN_M = (0.006, 0.0, 0.0035)
+
+
+def under_way() -> OwnWays:
+    """Two cycles on, with these ways."""
+    axes = OwnWays("m", CYCLE_S)
+    for cycles in range(3):
+        assert axes.update(*(cycles * way for way in OWN_M))
+    return axes
+
+
+def test_axes_with_speeds_of_their_own_are_of_one_instant_when_all_have_gone_as_many_cycles() -> None:
+    axes = under_way()
+    assert not axes.update(3.0 * OWN_M[0], 0.0, 2.0 * OWN_M[2])
+    assert axes.behind == 1
+    assert axes.update(*(4.0 * way for way in OWN_M))
+    assert (axes.gone, axes.behind) == (2, 0)
+
+
+@pytest.mark.parametrize(("gone", "behind"), [(0, 1), (1, 0), (2, -1), (3, -1)])
+def test_ways_say_how_many_cycles_have_gone_by_whatever_was_counted(gone: int, behind: int) -> None:
+    axes = under_way()
+    assert axes.update(*((2.0 + gone) * way for way in OWN_M))
+    assert (axes.gone, axes.behind) == (gone, behind)
+
+
+def test_a_sample_that_is_late_is_made_good_by_the_next() -> None:
+    axes = under_way()
+    axes.miss()
+    assert axes.behind == 1
+    assert axes.update(*(4.0 * way for way in OWN_M))
+    assert (axes.gone, axes.behind) == (2, 0)
+
+
+def test_axes_that_never_agree_are_believed_after_some_cycles() -> None:
+    axes, taken = under_way(), []
+    for cycles in range(3, 12):
+        taken.append(axes.update(cycles * OWN_M[0], 0.0, cycles * 0.5 * OWN_M[2]))
+    assert True in taken
+    assert not all(taken)

@@ -18,7 +18,7 @@ from hilbench.plant import pairing
 from hilbench.plant.pairing import Pairing, Vector, paired
 
 #: So many cycles that a sample is late by are made good by prediction; an older one has too little in it.
-_MOST_PREDICTED_CYCLES = 3.0
+MOST_PREDICTED_CYCLES = 3.0
 #: A sample that is not whole cycles after the last one is so many parts of a cycle after it.
 _PARTS = 1000.0
 #: What `gone_s` goes by: which way tells cycles, in the unit of the positions; a cycle, s; the axis that is counted by,
@@ -59,7 +59,7 @@ def gone_s(m: Vector, ways: Vector, positions: Vector, speeds: Vector, late: boo
 @compiled
 def ahead_s(m: Vector) -> float:
     """By how much the machine is to be predicted: until torques act, and over what the sample is late by."""
-    return float(m[_LEAD_S] + min(max(m[_BEHIND], 0.0), _MOST_PREDICTED_CYCLES) * m[_CYCLE_S])
+    return float(m[_LEAD_S] + min(max(m[_BEHIND], 0.0), MOST_PREDICTED_CYCLES) * m[_CYCLE_S])
 
 
 def _entry_points(

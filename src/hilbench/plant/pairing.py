@@ -28,6 +28,9 @@ _APART = 0.5
 _ON_ITS_WAY = {"m": 20.0, "rad": 2e3}
 
 
+#: So many cycles one after the other are refused for ways that say different numbers of cycles.
+_MOST_REFUSED = 5
+
 #: What `paired` remembers (4 + N,): cycles since the positions were last of one instant, the way of a cycle (below 0:
 #: not known), cycles whose positions were not, whether there are any; then the positions.
 _CYCLES, _WAY, _UNPAIRED, _STARTED, _LAST = range(5)
@@ -168,6 +171,52 @@ class SteadyWay:
     def update(self, x_m: float) -> bool:
         """Whether this cycle's position, in m at the web, is one cycle after the last, and after those missed since."""
         return _comes_steadily(self.state, x_m)
+
+
+class OwnWays:
+    """`Pairing` of axes that turn at speeds of their own, as dancers, accumulators and reels let them: each is compared
+    with its own way of a cycle, which must say the same number of cycles of all.
+
+    What does not for long is taken all the same: a machine may do what none was thought to do.
+    """
+
+    def __init__(self, position_unit: str, cycle_s: float) -> None:
+        self._play = play(position_unit, cycle_s)
+        self.reset()
+
+    def reset(self) -> None:
+        """The next positions are taken as they are."""
+        self._last: list[float] | None = None
+        self._usual: list[float] | None = None
+        self._cycles, self._refused = 0, 0
+        #: Cycles between the last two positions that were taken, and those since for which there are none yet.
+        self.gone, self.behind = 0, 0
+
+    def miss(self) -> None:
+        """A cycle without positions of its own."""
+        self._cycles += 1
+        self.behind += 1
+
+    def update(self, *positions: float) -> bool:
+        """Whether this cycle's positions of all axes, in the machine's unit, are of one instant."""
+        self.miss()
+        if self._last is not None:
+            ways = [now - last for now, last in zip(positions, self._last, strict=True)]
+            gone: int | None = self._cycles
+            if self._usual is not None:
+                gone = cycles_gone(ways, self._usual, [self._play] * len(ways), self._cycles)
+            if gone is None and self._refused < _MOST_REFUSED:
+                self._refused += 1
+                return False
+            self.gone = self._cycles if gone is None else gone
+            # One cycle ahead of what is counted there may be: a SYNC that was sent late, and the next one on time.
+            self.behind = max(self.behind - self.gone, 0 if self.gone == 1 else -1)
+            if self.gone:
+                self._usual = [way / self.gone for way in ways]
+        else:
+            self.behind = 0
+        self._last, self._cycles, self._refused = list(positions), 0, 0
+        return True
 
 
 def play(position_unit: str, cycle_s: float) -> float:

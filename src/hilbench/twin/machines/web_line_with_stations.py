@@ -11,12 +11,13 @@ known.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from math import isfinite
 
 import numpy as np
 
 from hilbench.estimation.plausibility import Problem
 from hilbench.plant.motor_port import MotorPort
-from hilbench.plant.pairing import Pairing
+from hilbench.plant.pairing import OwnWays, Pairing
 from hilbench.plant.web_line.line import Line
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.sections import axes_before_spans
@@ -51,7 +52,8 @@ class LineWithStationsTwin:
         self._told = told
         self._cycle_s = cycle_s
         self._per_rad = [1.0 / model.motor_rad_per_m(axis) for axis in axes]
-        self._pairing = Pairing(least_way_m(model))
+        least_m = least_way_m(model)
+        self._pairing = Pairing(least_m) if isfinite(least_m) else OwnWays(model.position_unit, cycle_s)
         self._web_m = sum(model.span_length_m(span) for span in range(1, model.span_count + 1))
         self._before = axes_before_spans(model)
         self._watch = SectionWatch(model, cycle_s, {self._before[span - 1]: span for span in shape.simulated})
@@ -108,13 +110,13 @@ class LineWithStationsTwin:
         positions = self._at_web(measured)
         if self._positions_m is None:
             return False
-        if not self._pairing.update(*positions):
-            self.miss()
+        if not self._pairing.update(*positions) or not self._gone:
+            self._go_on_without()
             return False
         if not self._missed:
             self._unknowns.sense({name: self._told(signal) for name, signal in self._shape.sensors})
         self._unknowns.varied.set_boundary(self._told("strain_prev"), self._told("F_next_N"))
-        self._unknowns.follow(positions, (self._missed + 1) * self._cycle_s)
+        self._unknowns.follow(positions, self._gone * self._cycle_s)
         self._let_out(abs(positions[-1] - self._positions_m[-1]))
         self._positions_m, self._missed = positions, 0
         self._look_for_breaks(positions, [torque for _, torque in measured])
@@ -161,11 +163,20 @@ class LineWithStationsTwin:
     def _at_web(self, measured: Sequence[Measured]) -> list[float]:
         return [position * metres for (position, _), metres in zip(measured, self._per_rad, strict=True)]
 
+    @property
+    def _gone(self) -> int:
+        """Cycles from the motion that was followed last to the one that was measured now."""
+        return self._pairing.gone if isinstance(self._pairing, OwnWays) else self._missed + 1
+
     def miss(self) -> None:
         """A cycle without measurement."""
+        self._pairing.miss()
+        self._go_on_without()
+
+    def _go_on_without(self) -> None:
+        """A cycle of which no measurement is believed."""
         self._missed += 1
         self._watch.interrupt()
-        self._pairing.miss()
 
     def listen(self) -> None:
         """Take over what is around the web now."""
