@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import dataclass
-from math import copysign, cos, inf, pi
+from math import copysign, cos, inf, nan, pi
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.bench.tasks.reference import Reference
-from hilbench.bench.tasks.tension_control import TensionController
+from hilbench.bench.tasks.tension_control import TensionController, control
 from hilbench.bench.tasks.tension_feed_forward import FeedForwardTask, StrainWay
 from hilbench.bench.tasks.web_winding_control import CarriageForce, ReelMechanics, ReelTension
 from hilbench.plant.motor_port import MotorMode, MotorPort
@@ -265,11 +265,10 @@ def film(duration_s: float = 2.0, *, feed_forward: bool = True, modulus_error: f
         commands = {model.axis_count: speed_m_s + leads[model.axis_count]}
         for span in reversed(spans):
             entering = model.upstream_strain if span == 1 else now[f"strain{span - 1}"]
-            around = ways[span].velocity(speed_m_s, entering) if feed_forward else None
+            around = ways[span].velocity(speed_m_s, entering) if feed_forward else nan
             tension_N = now[f"F{span}_N"] * (1.0 + modulus_error)
-            speed_m_s = controllers[span].velocity(
-                speed_m_s, FILM_N, tension_N, moduli[span], FILM_CYCLE_S, around_m_s=around
-            )
+            of_loop = controllers[span].figures, controllers[span].state
+            speed_m_s = control(*of_loop, True, speed_m_s, FILM_N, tension_N, moduli[span], FILM_CYCLE_S, around)
             commands[span] = speed_m_s + leads[span]
         stand.step()
     return stand.course()

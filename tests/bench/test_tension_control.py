@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from hilbench.bench.tasks.tension_control import TensionController
+from hilbench.bench.tasks.tension_control import TensionController, control
 from hilbench.topology.web_line_config import TensionControlConfig
 
 STIFFNESS_N = 8.7e9 * 0.5 * 65e-6
@@ -17,12 +17,24 @@ def controller_of(config: TensionControlConfig, roller_stiffness_N_per_m: float 
     return TensionController(config, LENGTH_M, 0.5 * 65e-6, roller_stiffness_N_per_m, STRAIN_PREV)
 
 
+def velocity(controller: TensionController, line_m_s: float, set_point_N: float, tension_N: float) -> float:
+    """A cycle of the closed loop."""
+    now = line_m_s, set_point_N, tension_N, 8.7e9, CYCLE_S, math.nan
+    return control(controller.figures, controller.state, True, *now)
+
+
+def hold(controller: TensionController, line_m_s: float, set_point_N: float) -> float:
+    """A cycle of the open loop."""
+    now = line_m_s, set_point_N, 0.0, 0.0, CYCLE_S, math.nan
+    return control(controller.figures, controller.state, False, *now)
+
+
 def run(speed_m_s: float, set_point_N: float, duration_s: float, bandwidth: float = 3.0) -> list[float]:
     controller = controller_of(TensionControlConfig(bandwidth_rad_per_s=bandwidth))
     strain, tensions = STRAIN_PREV, []
     for _ in range(round(duration_s / CYCLE_S)):
         tension_N = STIFFNESS_N * strain
-        v1 = controller.velocity(speed_m_s, set_point_N, tension_N, 8.7e9, CYCLE_S)
+        v1 = velocity(controller, speed_m_s, set_point_N, tension_N)
         strain += CYCLE_S * (1 + strain) / LENGTH_M * (speed_m_s - v1 * (1 + strain) / (1 + STRAIN_PREV))
         tensions.append(tension_N)
     return tensions
@@ -52,7 +64,7 @@ def test_a_roller_that_gives_way_is_driven_harder_by_what_it_gives():
     controller = controller_of(TensionControlConfig(bandwidth_rad_per_s=6.0), stiffness_N_per_m)
     deviation_N, course = 16.0, []
     for _ in range(round(3.0 / CYCLE_S)):
-        v1 = controller.velocity(3.0, 80.0, 80.0 + deviation_N, 8.7e9, CYCLE_S)
+        v1 = velocity(controller, 3.0, 80.0, 80.0 + deviation_N)
         rate = STIFFNESS_N / LENGTH_M * (3.0 - v1) - 3.0 / LENGTH_M * deviation_N
         deviation_N += CYCLE_S * rate / (1 + kappa)
         course.append(deviation_N)
@@ -63,21 +75,30 @@ def test_a_roller_that_gives_way_is_driven_harder_by_what_it_gives():
 def test_the_correction_is_limited_and_does_not_wind_up():
     controller = controller_of(TensionControlConfig(correction_limit_m_s=0.001))
     for _ in range(5000):
-        assert controller.velocity(3.0, 500.0, 80.0, 8.7e9, CYCLE_S) == pytest.approx(3.0 - 0.001)
+        assert velocity(controller, 3.0, 500.0, 80.0) == pytest.approx(3.0 - 0.001)
     for _ in range(3):
-        v1 = controller.velocity(3.0, 80.0, 90.0, 8.7e9, CYCLE_S)
+        v1 = velocity(controller, 3.0, 80.0, 90.0)
     assert v1 > 3.0 - 0.001
 
 
 def test_an_open_loop_goes_without_a_bump_to_the_ratio_of_the_set_point_and_closes_without_one():
     controller = controller_of(TensionControlConfig(bandwidth_rad_per_s=3.0))
     for _ in range(2000):
-        before = controller.velocity(3.0, 95.0, 60.0, 8.7e9, CYCLE_S)
-    held = controller.hold(3.0, 95.0, CYCLE_S)
+        before = velocity(controller, 3.0, 95.0, 60.0)
+    held = hold(controller, 3.0, 95.0)
     assert held == pytest.approx(before, abs=5e-5)
     assert abs(before - 3.0) > 1e-3  # where it came from is far from where it goes
     for _ in range(3000):
-        held = controller.hold(3.0, 95.0, CYCLE_S)
+        held = hold(controller, 3.0, 95.0)
     assert held == pytest.approx(3.0 * (1 + STRAIN_PREV) / (1 + 95.0 / STIFFNESS_N), abs=1e-7)
-    assert controller.hold(1.5, 95.0, CYCLE_S) == pytest.approx(0.5 * held, abs=1e-7)
-    assert controller.velocity(3.0, 95.0, 60.0, 8.7e9, CYCLE_S) == pytest.approx(held, abs=1e-5)
+    assert hold(controller, 1.5, 95.0) == pytest.approx(0.5 * held, abs=1e-7)
+    assert velocity(controller, 3.0, 95.0, 60.0) == pytest.approx(held, abs=1e-5)
+
+
+@pytest.mark.parametrize("speed_m_s", [0.05, 3.0, -3.0])
+def test_gains_are_those_that_the_loop_goes_by(speed_m_s):
+    controller = controller_of(TensionControlConfig(correction_limit_m_s=1.0), 18750.0)
+    kp, ki = controller.gains(speed_m_s, 8.7e9)
+    velocity(controller, speed_m_s, 80.0, 80.0)
+    corrections = [speed_m_s - velocity(controller, speed_m_s, 80.0, 79.0) for _ in range(3)]
+    assert corrections == pytest.approx([kp + k * ki * CYCLE_S for k in (1, 2, 3)], rel=1e-9)

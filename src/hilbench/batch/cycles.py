@@ -118,7 +118,8 @@ class _Run:
             raise NotPlainError
         self._wiring = wiring = Wiring(here, nodes, sync)
         self._frames, self._slots = wiring.frames, wiring.slots
-        self._told, self._own_heartbeat, self._heartbeats = wiring.told, wiring.own_heartbeat, wiring.heartbeats
+        self._told = list(zip(wiring.told, nodes.boundary_names, strict=True))
+        self._own_heartbeat, self._heartbeats = wiring.own_heartbeat, wiring.heartbeats
         self._arrays()
         self._deadlines()
         fault = sync.write_last_answers()
@@ -336,7 +337,7 @@ class _Run:
         here, given, set_points, real = self._here, self._given_at, self._set_points_at, self._real_at
         for at, name, per_unit in self._names:
             set_points[at] = outputs.get(name, 0.0) * per_unit
-        for slot, name in zip(self._told, self._nodes.boundary_names, strict=True):
+        for slot, name in self._told:
             real[slot] = outputs[name]
         if not self._in_vectors:
             here.machine.begin_plain()

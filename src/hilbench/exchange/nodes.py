@@ -381,7 +381,8 @@ class Nodes:
     def twin_age(self, syncs: int) -> int:
         """How many cycles old the twin's last answer is, `syncs` after the twin was started."""
         # Started beside running SYNCs it may have counted one or two more than the bench.
-        return max(0, ((syncs - self._twin_sync + 0x8000) & 0xFFFF) - 0x8000)
+        age = ((syncs - self._twin_sync + 0x8000) & 0xFFFF) - 0x8000
+        return age if age > 0 else 0
 
     def twin_started(self, syncs: int) -> int:
         """The SYNC before that which the twin counts as its first, where its last answer was one to SYNC `syncs`."""

@@ -212,7 +212,7 @@ class SyncCycle:
         waiting = came + self._link.receive(timeout_s)
         if waiting and self._tap is not None:
             bits = [frame_bits(frame) for frame in waiting]
-            self._tap.write(self._timed(waiting, bits, self._next_sync_ns - int(sum(bits) * self._bit_ns)))
+            self._tap.write(self._timed(waiting, bits, self.next_sync_ns - int(sum(bits) * self._bit_ns)))
             self._tap.end_cycle()
         if trace_fault is not None:
             raise trace_fault
@@ -265,10 +265,11 @@ class SyncCycle:
             self._alive_s = time.monotonic()
             self._link.send([self._heartbeat])
             if self._tap is not None:
-                self._tap.write([self._heartbeat._replace(time_ns=self._next_sync_ns)])
+                self._tap.write([self._heartbeat._replace(time_ns=self.next_sync_ns)])
 
     @property
-    def _next_sync_ns(self) -> int:
+    def next_sync_ns(self) -> int:
+        """When the next SYNC begins, as the trace has it."""
         return self._epoch_ns + self.timing.cycles * self._cycle_ns
 
     @property
@@ -308,11 +309,6 @@ class SyncCycle:
     def heartbeat(self) -> tuple[Frame, int]:
         """The bench's own, and with every how many SYNCs it is said (0: never)."""
         return self._heartbeat, self._heartbeat_cycles
-
-    @property
-    def next_sync_ns(self) -> int:
-        """When the next SYNC begins, as the trace has it."""
-        return self._next_sync_ns
 
     def is_slow(self, now_s: float) -> bool:
         """Whether a heartbeat is due because cycles take so long."""

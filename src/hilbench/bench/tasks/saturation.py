@@ -38,16 +38,16 @@ Vector = NDArray[np.float64]
 Places = NDArray[np.int64]
 
 
-def _entry_point(sources: int) -> Callable[[Vector, Places, Places, Places, Vector], bool]:
+def _entry_point(sources: int) -> Callable[[Vector, Places, Places, Vector], bool]:
     """For Python; `sources` as in `compiled.number_of_sources`."""
 
-    @entry_point(VECTOR, INDICES, INDICES, INDICES, VECTOR)
-    def is_quiet(values: Vector, words: Places, torques: Places, statuswords: Places, at_limit_Nm: Vector) -> bool:
-        """Whether no drive is at its limit, as in nearly every cycle; `torques` and `statuswords` (D,): where they are
-        in `values` and `words`."""
+    @entry_point(VECTOR, INDICES, INDICES, VECTOR)
+    def is_quiet(values: Vector, words: Places, at: Places, at_limit_Nm: Vector) -> bool:
+        """Whether no drive is at its limit, as in nearly every cycle; `at` (2 D,): where of each torque and statusword
+        are, in `values` and `words`."""
         limited = 0 if sources >= 0 else 1
         for k in range(len(at_limit_Nm)):
-            limited += abs(values[torques[k]]) >= at_limit_Nm[k] or words[statuswords[k]] & _LIMITED != 0
+            limited += abs(values[at[2 * k]]) >= at_limit_Nm[k] or words[at[2 * k + 1]] & _LIMITED != 0
         return limited == 0
 
     return is_quiet
@@ -70,11 +70,10 @@ class SaturationWatch:
         self._signals = [(f"axis {k}", f"tau{k}_Nm", f"statusword{k}") for k in range(1, len(axes) + 1)]
         self._signals += [(label, f"tau_{name}_Nm", f"statusword_{name}") for name, label in labels.items()]
         self._limited: dict[str, _Limited] = {}
-        self._torques = PlacesIn([torque for _, torque, _ in self._signals])
-        self._statuswords = PlacesIn([status for _, _, status in self._signals])
+        self._at = PlacesIn([name for _, torque, status in self._signals for name in (torque, status)])
         self._at_limit_Nm = np.array([_AT_LIMIT * self._limits_Nm[drive] for drive, _, _ in self._signals])
         # Compiled, or loaded, before anybody waits for a cycle.
-        _is_quiet(np.zeros(0), np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0))
+        _is_quiet(np.zeros(0), np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0))
 
     def update(self, sample: CycleSample) -> list[tuple[str, str]]:
         """What begins or ends in this cycle, as text for the operator, with the kind of notice that it is."""
@@ -103,5 +102,4 @@ class SaturationWatch:
         return found
 
     def _is_quiet(self, sample: CycleSample) -> bool:
-        torques, statuswords = self._torques.of(sample), self._statuswords.of(sample)
-        return _is_quiet(sample.reals, sample.wholes, torques, statuswords, self._at_limit_Nm)
+        return _is_quiet(sample.reals, sample.wholes, self._at.of(sample), self._at_limit_Nm)

@@ -17,12 +17,11 @@ a slower pole would be cancelled for the set point only, and a disturbance would
 from __future__ import annotations
 
 from collections.abc import Callable
-from math import nan
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.compiled import FLAG, REAL, VECTOR, compiled, entry_point, number_of_sources, reals
+from hilbench.compiled import REAL, VECTOR, compiled, entry_point, number_of_sources
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.web_line_config import TensionControlConfig
@@ -61,6 +60,13 @@ def _schedule(figures: Vector, modulus_Pa: float) -> tuple[float, float, float]:
 
 
 @compiled
+def _gains(figures: Vector, line_m_s: float, modulus_Pa: float) -> tuple[float, float]:
+    """See `TensionController.gains`."""
+    kp, length_m, least_per_s = _schedule(figures, modulus_Pa)
+    return kp, kp * max(abs(line_m_s) / length_m, least_per_s)
+
+
+@compiled
 def _hold(figures: Vector, s: Vector, line_m_s: float, set_point_N: float, cycle_s: float, around_m_s: float) -> float:
     s[_OPEN] = 1.0
     if not np.isnan(around_m_s):
@@ -85,12 +91,13 @@ def control(
     cycle_s: float,
     around_m_s: float,
 ) -> float:
-    """`TensionController.velocity`, or `hold` where it is not `closed`; `around_m_s` is NaN where nothing is known."""
+    """A cycle on: velocity set point of the axis before the span in m/s, from tension and E where the loop is `closed`,
+    after an open one without a jump; else without a jump from what it was. `line_m_s`: velocity of the axis behind the
+    span, which it corrects, or `around_m_s` in its place: what is known to be right already, NaN where nothing is."""
     if not closed:
         return _hold(figures, s, line_m_s, set_point_N, cycle_s, around_m_s)
     limit, error_N = figures[_LIMIT_M_S], set_point_N - tension_N
-    kp, length_m, least_per_s = _schedule(figures, modulus_Pa)
-    ki = kp * max(abs(line_m_s) / length_m, least_per_s)
+    kp, ki = _gains(figures, line_m_s, modulus_Pa)
     known_Pa = s[_MODULUS_PA] if s[_MODULUS_PA] != 0.0 else modulus_Pa
     s[_MODULUS_PA] = known_Pa + cycle_s / (_KNOWN_S + cycle_s) * (modulus_Pa - known_Pa)
     if s[_OPEN] != 0.0:
@@ -106,30 +113,29 @@ def control(
     return float((line_m_s if np.isnan(around_m_s) else around_m_s) - correction)
 
 
-Control = Callable[[Vector, Vector, bool, tuple[float, float, float, float, float, float]], float]
+Schedule = Callable[[Vector, float], tuple[float, float, float]]
+Gains = Callable[[Vector, float, float], tuple[float, float]]
 
 
-def _entry_points(sources: int) -> tuple[Callable[[Vector, float], tuple[float, float, float]], Control]:
+def _entry_points(sources: int) -> tuple[Schedule, Gains]:
     """For Python; `sources` as in `compiled.number_of_sources`."""
 
     @entry_point(VECTOR, REAL)
     def schedule(figures: Vector, modulus_Pa: float) -> tuple[float, float, float]:
         return _schedule(figures, modulus_Pa) if sources >= 0 else (0.0, 0.0, 0.0)
 
-    @entry_point(VECTOR, VECTOR, FLAG, reals(6))
-    def control_once(
-        figures: Vector, s: Vector, closed: bool, now: tuple[float, float, float, float, float, float]
-    ) -> float:
-        return control(figures, s, closed, now[0], now[1], now[2], now[3], now[4], now[5]) if sources >= 0 else 0.0
+    @entry_point(VECTOR, REAL, REAL)
+    def gains(figures: Vector, line_m_s: float, modulus_Pa: float) -> tuple[float, float]:
+        return _gains(figures, line_m_s, modulus_Pa) if sources >= 0 else (0.0, 0.0)
 
-    return schedule, control_once
+    return schedule, gains
 
 
-_schedule_once, _control_once = _entry_points(number_of_sources(__file__))
+_schedule_once, _gains_once = _entry_points(number_of_sources(__file__))
 
 
 class TensionController:
-    """PI controller with its gains scheduled on line speed and stiffness; velocities at the web, m/s.
+    """PI controller with its gains scheduled on line speed and stiffness: the vectors of `control`.
 
     `roller_stiffness_N_per_m`: what holds the roller behind the span against the web at low frequency; inf for one that
     does not yield.
@@ -167,37 +173,8 @@ class TensionController:
 
     def gains(self, line_speed_m_s: float, modulus_Pa: float) -> tuple[float, float]:
         """Kp in m/s per N and Ki in m/s per N·s at this speed and E."""
-        kp, length_m, least_per_s = self.schedule(modulus_Pa)
-        return kp, kp * max(abs(line_speed_m_s) / length_m, least_per_s)
+        return _gains_once(self.figures, float(line_speed_m_s), float(modulus_Pa))
 
     def reset(self) -> None:
         """Forget the integral (drives off)."""
         self.state[:] = 0.0
-
-    def hold(
-        self, line_speed_m_s: float, set_point_N: float, cycle_s: float, *, around_m_s: float | None = None
-    ) -> float:
-        """Velocity set point of the axis before the span while the loop is open, without a jump from what it was;
-        `line_speed_m_s`: that of the axis behind it, `around_m_s`: what is known to be right already."""
-        around_m_s = nan if around_m_s is None else around_m_s
-        now = line_speed_m_s, set_point_N, 0.0, 0.0, cycle_s, around_m_s
-        return _control_once(self.figures, self.state, False, tuple(map(float, now)))  # type: ignore[arg-type]  # of six
-
-    def velocity(
-        self,
-        line_speed_m_s: float,
-        set_point_N: float,
-        tension_N: float,
-        modulus_Pa: float,
-        cycle_s: float,
-        *,
-        around_m_s: float | None = None,
-    ) -> float:
-        """Velocity set point of the axis before the span in m/s from the (simulated) tension and Young's modulus;
-        `line_speed_m_s`: that of the axis behind it, which it corrects, or `around_m_s` in its place.
-
-        After `hold` it goes on from the held ratio, without a jump.
-        """
-        around_m_s = nan if around_m_s is None else around_m_s
-        now = line_speed_m_s, set_point_N, tension_N, modulus_Pa, cycle_s, around_m_s
-        return _control_once(self.figures, self.state, True, tuple(map(float, now)))  # type: ignore[arg-type]  # of six

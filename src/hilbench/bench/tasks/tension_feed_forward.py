@@ -195,10 +195,9 @@ class FeedForwardTask(CyclicTask):
         for axis, roller in self._rollers.items():
             if axis in self._ways:
                 acceleration_m_s2 -= self._ways[axis].lengthening_m_s2
-            pull_N = sum(
-                sign * self._ways[span].tension_N(self._loops[span].modulus_Pa)
-                for span, sign in self._pulled.get(axis, ())
-            )
+            pull_N = 0.0
+            for span, sign in self._pulled.get(axis, ()):
+                pull_N += sign * self._ways[span].tension_N(self._loops[span].modulus_Pa)
             self._leads_m_s[axis] = roller.lead_m_s(acceleration_m_s2, pull_N)
         leading_m_s = next(iter(self._leads_m_s.values()))
         for axis in self._leads_m_s:

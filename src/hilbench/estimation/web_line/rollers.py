@@ -67,9 +67,11 @@ class Rollers:
     def centre_m(self, axis: int) -> float:
         """Position of the centre of mass of the roller of `axis`, from 2, and all behind it, at the web."""
         assert self._positions_m is not None, "asked for before the first positions"
-        rollers, positions_m = self._rollers[axis - 2 :], self._positions_m[axis - 2 :]
-        total_kg = sum(roller.mass_kg for roller in rollers)
-        return sum(roller.mass_kg * x for roller, x in zip(rollers, positions_m, strict=True)) / total_kg
+        moments, total_kg = 0.0, 0.0
+        for roller, x_m in zip(self._rollers[axis - 2 :], self._positions_m[axis - 2 :], strict=True):
+            moments += roller.mass_kg * x_m
+            total_kg += roller.mass_kg
+        return moments / total_kg
 
 
 def two_rollers(model: ModelParameters, span: int, masses_behind_kg: Sequence[float] = ()) -> ModelParameters:

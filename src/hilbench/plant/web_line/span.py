@@ -210,7 +210,10 @@ class SpanFollower:
     @property
     def first_strain(self) -> float:
         """Of the first span."""
-        return 0.0 if self._broken else self._strain_of_lengths()[0]
+        if self._broken:
+            return 0.0
+        first, state = POSITIONS + self._layout.axes, self._state  # in plain Python: of one span, several times a cycle
+        return state.item(first + self._layout.spans) * self._length_factor(1) / state.item(first) - 1.0
 
     def _strain_of_lengths(self) -> list[float]:
         n, k = self._layout.axes, self._layout.spans

@@ -96,7 +96,11 @@ class WebLineTwin:
         """Why the last measurement could not be used; of several spans at the first that has a problem."""
         if self._only is not None:
             return self._only.tracking.problem
-        return next((problem for each in self._all if (problem := each.tracking.problem) is not None), None)
+        for each in self._all:
+            problem = each.tracking.problem
+            if problem is not None:
+                return problem
+        return None
 
     @property
     def problems(self) -> Mapping[int, Problem | None]:
@@ -138,7 +142,7 @@ class WebLineTwin:
         """What the measured torque has shifted by, and is corrected for; of several spans the largest."""
         if self._only is not None:
             return self._only.tracking.torque_shift_Nm
-        return max((each.tracking.torque_shift_Nm for each in self._all), key=abs)
+        return max([each.tracking.torque_shift_Nm for each in self._all], key=abs)
 
     @property
     def torque_undecided(self) -> bool:
