@@ -32,7 +32,7 @@ class Tpdo:
     age_cycles: int = 0  #: of the data last used: 0 where this SYNC was answered in time
     surplus: int = 0  #: frames of this cycle that nobody was owed, but for one that says what is used again
     wrong_size: int = 0  #: frames of this cycle
-    _owed: int = 0
+    _owed: int = 0  # answers; cycles where they come every few SYNCs
     _steady: int = 0
     _since: int = 1 << 30  # cycles since the last that was used
     _used: bytes = b""
@@ -118,12 +118,20 @@ class Tpdo:
         self._owed = min(owed, _MOST_OWED)
 
     def _end_of_some(self) -> None:
-        """Its phase may move when a SYNC is heard twice, or not at all; it does not come twice as often."""
+        """Its phase may move when a SYNC is heard twice, or not at all; it does not come twice as often. Behind one
+        that is late the next comes as much sooner (`_owed`, here in cycles)."""
         taken = self._before + self._behind
-        if taken and self._since > self.every // 2:
-            self._use(taken[0], in_time=True)
+        while taken and self._since + self._owed > self.every // 2:
+            self._use(taken.pop(0), in_time=True)
+            late = self._since - self.every
+            silent = late > _MOST_OWED * self.every
+            if late > 0:
+                self._steady = 0
+            self._owed = 0 if silent else max(0, self._owed + late)
             self._since = 0
-            del taken[0]
+        self._steady = self._steady + 1 if self._owed else 0
+        if self._steady >= _LOST_CYCLES:
+            self._owed = self._steady = 0
         self.surplus = _others(taken, self._used)
 
     def _use(self, data: bytes | None, *, in_time: bool) -> None:
