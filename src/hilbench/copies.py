@@ -96,11 +96,12 @@ def _readable(descriptor: int, timeout_s: float) -> bool:
 def copies(count: int) -> Iterator[list[Copy]]:
     """So many copies of this process as it is now; take them from the list. What is left in it ends on leaving.
 
-    None where other threads run: what they have locked would stay locked in a copy.
+    None where other threads run (what they have locked would stay locked in a copy), and none where this process has
+    its modules from an importer of its own that nothing can be run by, as under pytest.
     """
     made: list[Copy] = []
     try:
-        if threading.active_count() == 1:
+        if threading.active_count() == 1 and hasattr(__spec__.loader, "get_code"):
             with suppress(OSError):  # the system has no room for one: who starts a new interpreter is told that
                 for _ in range(count):
                     made.append(_fork())
