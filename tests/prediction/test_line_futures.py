@@ -42,6 +42,7 @@ def at_work(speed_m_s: float = 3.0, tension_N: float = 80.0, **changes: object) 
         upstream_strain=tension_N / (8.7e9 * 0.5 * 65e-6),
         downstream_tension_N=70.0,
         line_speed_m_s=speed_m_s,
+        line_speed_before_m_s=speed_m_s,
     )
     return replace(present, **changes)  # type: ignore[arg-type]
 
@@ -107,6 +108,31 @@ def test_noise_of_the_measurement_crosses_a_limit_as_often_as_it_is_asked() -> N
     outlook = futures.look(at_work(), steady(futures), offsets, 1)
     below = 0.5 * (1.0 + erf(3.0 / sqrt(2.0)))
     assert outlook.probability[place, 0] == pytest.approx(1.0 - below**1000, abs=0.03)
+
+
+def test_with_feed_forward_a_set_point_goes_its_way_on_three_equal_poles() -> None:
+    rise_s = 0.4
+    changes = [f"controllers.tension_control.{each}" for each in ("feed_forward=twin", f"set_point_rise_s={rise_s}")]
+    futures, plain = futures_of(*changes), futures_of()
+    courses = steady(futures)
+    courses.set_points_N[futures.times_s(10.0) >= 10.5] = 90.0
+    outlook = futures.look(at_work(), courses, futures.no_offsets(), 1)
+    since_s = np.maximum(outlook.times_s - 10.5, 0.0) * 7.5 / rise_s
+    wanted_N = 90.0 - 10.0 * (1.0 + since_s + 0.5 * since_s**2) * np.exp(-since_s)
+    found_N = np.median(outlook.rows[:, :, 0], axis=1)
+    without_N = np.median(plain.look(at_work(), courses, plain.no_offsets(), 1).rows[:, :, 0], axis=1)
+    assert np.max(np.abs(found_N - wanted_N)) < 0.5
+    assert np.max(np.abs(without_N - wanted_N)) > 1.0
+
+
+def test_with_feed_forward_a_ramp_moves_the_tension_by_much_less() -> None:
+    """A roller that has its torque in time does not lag behind the others."""
+    unequal = "machine.rollers.inertia_kg_m2=[1.167,1.5]"
+    ahead, plain = futures_of(unequal, "controllers.tension_control.feed_forward=twin"), futures_of(unequal)
+    courses = replace(steady(ahead), line_speed_m_s=3.0 + np.clip(ahead.times_s(10.0) - 10.5, 0.0, 1.0))
+    off_N = [np.ptp(each.look(at_work(), courses, each.no_offsets(), 1).rows[:, :, 0]) for each in (ahead, plain)]
+    assert off_N[1] > 5.0
+    assert off_N[0] < 0.5 * off_N[1]
 
 
 def test_the_coarse_step_changes_a_ramp_by_less_than_two_hundredths_of_what_is_steered() -> None:

@@ -16,6 +16,7 @@ from hilbench.bench.prediction.window import Reading, Window
 from hilbench.bench.tasks.limits import is_synchronized
 from hilbench.bench.tasks.swing_damping import SwingPlant, damping_gains
 from hilbench.bench.tasks.tension_control import TensionController, strain_before
+from hilbench.bench.tasks.tension_feed_forward import RollerForces, way_per_s
 from hilbench.bench.tasks.web_limits import limited
 from hilbench.prediction.config import PredictionConfig
 from hilbench.prediction.outlook import Outlook, Watched
@@ -99,6 +100,7 @@ class LineLook:
             cycle_s=config.cycle_time_s,
             horizon_s=prediction.horizon_s,
             futures=prediction.futures,
+            leads=partial(_leads, config),
         )
         self._controllers = {
             span: TensionController.of_model(control, model, strain_before(config, span))
@@ -141,6 +143,8 @@ class LineLook:
         for span, signal in self._set_points.items():
             set_points[span - 1] = reading.last(signal)[0]
         line_speed = float(reading.last(self._commands[-1])[0])
+        commands_before = reading.before(*self._commands)
+        rise_m_s = float(commands[-1] - commands_before[-1]) * self.futures.step_s / self._config.cycle_time_s
         commands[-1] = line_speed
         return LinePresent(
             now_s=now_s,
@@ -148,7 +152,7 @@ class LineLook:
             speeds_sd_m_s=reading.noise(*self._speeds) * fit_noise,
             torques_Nm=reading.fitted(*self._torques),
             commands_m_s=commands,
-            commands_before_m_s=reading.before(*self._commands),
+            commands_before_m_s=commands_before,
             tensions_N=tensions,
             set_points_N=set_points,
             modulus_Pa=modulus_Pa,
@@ -158,6 +162,7 @@ class LineLook:
             upstream_strain=strain,
             downstream_tension_N=behind_N,
             line_speed_m_s=line_speed,
+            line_speed_before_m_s=line_speed - rise_m_s,
         )
 
     def _courses(self, present: LinePresent, asked: Asked) -> LineCourses:
@@ -191,6 +196,20 @@ class LineLook:
                 row[kernel.G_FADES] = exp(-damping.washout_per_s * step_s)
                 row[kernel.G_SENT] = sum(damping.pending)
                 row[kernel.G_DAMPING_LIMIT_M_S] = plant.limit_m_s
+                row[kernel.G_LENGTH_M] = model.span_length_m(span)
+                if control.feed_forward == "twin":
+                    row[kernel.G_WAY_PER_S] = way_per_s(control.set_point_rise_s)
             return found
 
         return gains
+
+
+def _leads(config: BenchConfig, step_s: float) -> Array:
+    """What leads the rollers (N, `kernel.LEAD_SIZE`), as `FeedForwardTask` has it; 0 where nothing does."""
+    model = config.web_line
+    leads = np.zeros((model.axis_count, kernel.LEAD_SIZE))
+    if any(control.feed_forward == "twin" for control in config.tension_controls.values()):
+        for axis in range(1, model.axis_count + 1):
+            pulled = float(model.carries_web_load(axis))
+            leads[axis - 1] = (*RollerForces.of_model(model, axis, step_s).figures, pulled)
+    return leads

@@ -37,6 +37,11 @@ _TORQUE_SHARE = 0.5
 _SHOWN_CYCLES = 2
 
 
+def way_per_s(rise_s: float) -> float:
+    """Rate of the three equal poles of a way, of which 98 % are made in `rise_s`."""
+    return _POLES / rise_s
+
+
 class StrainWay:
     """The strain wanted in a span, on its smooth way to what the set-point asks for at the present E.
 
@@ -45,7 +50,7 @@ class StrainWay:
     """
 
     def __init__(self, rise_s: float, cycle_s: float, length_m: float, section_m2: float) -> None:
-        self._per_s = _POLES / rise_s
+        self._per_s = way_per_s(rise_s)
         self._cycle_s = cycle_s
         self._left = exp(-self._per_s * cycle_s)
         self._length_m = length_m
@@ -122,6 +127,12 @@ class RollerForces:
         ki = per_item(model.drives.velocity_ki_Nm_per_rad, axis) * ratio**2
         limit_N = _TORQUE_SHARE * per_item(model.drives.torque_limit_Nm, axis) * ratio
         return cls(model.mass_kg(axis), kp, ki, limit_N, cycle_s)
+
+    @property
+    def figures(self) -> tuple[float, float, float, float]:
+        """Mass, kg, and kp, N·s/m, at the web; share of what the drive does not have yet that it takes up in a cycle;
+        the most that is asked ahead, N."""
+        return self._mass_kg, self._kp_N_s_per_m, self._share, self._limit_N
 
     def reset(self) -> None:
         """The drive's integral has what is there (drives off)."""

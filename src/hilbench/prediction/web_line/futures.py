@@ -56,6 +56,7 @@ class LinePresent:
     upstream_strain: float
     downstream_tension_N: float
     line_speed_m_s: float
+    line_speed_before_m_s: float
 
 
 @dataclass(frozen=True)
@@ -101,6 +102,7 @@ def step_s(model: ModelParameters, horizon_s: float) -> float:
 class LineFutures:
     """Draws and runs the futures of one line.
 
+    `leads` (N, `kernel.LEAD_SIZE`) at a step, s: what leads the rollers ahead of the controllers, None for nothing;
     `watched`: its quantities in the kernel's order; `load_axes`: axis (from 1) of each load motor; `span`: at which
     the twin finds E, that of the others goes with it by the model; `cycle_s`: between two measurements. What `prepare`
     returns may be run by any thread, one at a time.
@@ -117,6 +119,7 @@ class LineFutures:
         cycle_s: float,
         horizon_s: float,
         futures: int,
+        leads: Callable[[float], Array] | None = None,
     ) -> None:
         self.watched = tuple(watched)
         self.step_s = step_s(model, horizon_s)
@@ -130,6 +133,7 @@ class LineFutures:
         self._sections_m2 = rows[:, lay.SP_SECTION_M2].copy()
         self._load_axes = np.array([axis - 1 for axis in load_axes], np.int64)
         self._samples = self.step_s / cycle_s
+        self._leads = np.zeros((model.axis_count, kernel.LEAD_SIZE)) if leads is None else leads(self.step_s)
         self._every = max(1, round(_ROW_S / self.step_s))
         levels = [(each.warning or np.inf, each.trip or np.inf) for each in watched]
         self._levels = np.array(levels, float).reshape(-1, 2)
@@ -173,10 +177,11 @@ class LineFutures:
         def run() -> None:
             kernel.run_futures(
                 self._p.copy(), start, moduli, scale, self._state, u, self._work, controllers,
-                np.zeros(4 * k), np.zeros(q),
+                np.zeros(controllers.shape[1]), np.zeros(q),
                 np.ascontiguousarray(courses.line_speed_m_s), np.ascontiguousarray(courses.set_points_N),
                 np.ascontiguousarray(courses.modulus_factor), known, gains, row_of.astype(np.int64),
-                self._load_axes, offset, np.ascontiguousarray(offsets.noise), self._levels, self._samples, self._every,
+                self._leads, present.line_speed_before_m_s, np.zeros(k + 1), self._load_axes, offset,
+                np.ascontiguousarray(offsets.noise), self._levels, self._samples, self._every,
                 survival, first, largest, rows,
             )  # fmt: skip
 
@@ -227,6 +232,7 @@ class LineFutures:
             upstream_strain=self._model.upstream_strain,
             downstream_tension_N=self._model.boundary.downstream_tension_N,
             line_speed_m_s=0.0,
+            line_speed_before_m_s=0.0,
         )
         return present, LineCourses(np.zeros(steps), np.tile(tension_N, (steps, 1)), np.ones((steps, k)))
 
@@ -252,12 +258,19 @@ class LineFutures:
 
     def _controllers(self, present: LinePresent, gains: Array) -> Array:
         """What the controllers keep (B, 4·K): their integrals are those that led to the present commands."""
-        kept = np.zeros((self._layout.spans, 4))
-        error_N = present.set_points_N - present.tensions_N
+        k = self._layout.spans
+        kept = np.zeros((k, kernel.C_SIZE))
+        error_N, strains = present.set_points_N - present.tensions_N, self._strains(present)
         commands = np.append(present.commands_m_s[:-1], present.line_speed_m_s)
-        kept[:, 0] = commands[1:] - commands[:-1] - gains[:, kernel.G_KP] * error_N
-        kept[:, 2] = self._strains(present)
-        return np.tile(kept.reshape(-1), (self._futures, 1))
+        around = commands[1:].copy()
+        ahead = gains[:, kernel.G_WAY_PER_S] > 0.0
+        # On the way of a set-point it is where the web is: how far it has come is told by nothing else.
+        error_N[ahead] = 0.0
+        entering = np.concatenate(([present.upstream_strain], strains[:-1]))
+        around[ahead] *= ((1.0 + entering) / (1.0 + strains))[ahead]
+        kept[:, kernel.C_INTEGRAL_M_S] = around - commands[:-1] - gains[:, kernel.G_KP] * error_N
+        kept[:, kernel.C_STRAIN] = kept[:, kernel.C_WAY_STRAIN] = strains
+        return np.tile(np.append(kept.reshape(-1), np.full(k + 1, np.nan)), (self._futures, 1))
 
     def _strains(self, present: LinePresent) -> Array:
         """Of the spans (K,), which the twin takes over from the axes."""

@@ -12,7 +12,7 @@ speeds of the axes at the web (m/s).
 from __future__ import annotations
 
 from collections.abc import Callable
-from math import erfc, sqrt
+from math import erfc, exp, isnan, sqrt
 from typing import Final
 
 import numpy as np
@@ -37,7 +37,29 @@ G_ELONGATION_PER_S: Final = 5
 G_FADES: Final = 6  #: what is left of the elongation after a step
 G_SENT: Final = 7  #: of the damping's last command
 G_DAMPING_LIMIT_M_S: Final = 8
-G_SIZE: Final = 9
+G_WAY_PER_S: Final = 9  #: rate of the poles on which a set-point goes its way (feed-forward); 0: there is none
+G_LENGTH_M: Final = 10  #: of the span
+G_SIZE: Final = 11
+
+# What the controller of a span keeps, from C_SIZE times its number (from 0) on; behind those of all spans stands what
+# each driven roller's drive has taken up of what pulls it, N (NaN: not known yet).
+C_INTEGRAL_M_S: Final = 0
+C_ELONGATION_M: Final = 1
+C_STRAIN: Final = 2  #: in the last step
+C_DAMPING_M_S: Final = 3  #: last command of the damping
+C_WAY_STRAIN: Final = 4  #: on the way of the set-point, with its rate and that one's
+C_WAY_PER_S: Final = 5
+C_WAY_PER_S2: Final = 6
+C_SHOWN_M_S: Final = 7  #: by how much the span was to lengthen in the last step
+C_SIZE: Final = 8
+
+# Columns of what leads a roller (N, `LEAD_SIZE`): at the web.
+LEAD_MASS_KG: Final = 0
+LEAD_KP_N_S_PER_M: Final = 1  #: 0: no lead
+LEAD_SHARE: Final = 2  #: of what is not yet taken up, that a step takes up
+LEAD_LIMIT_N: Final = 3
+LEAD_PULLED: Final = 4  #: 1: the web pulls the roller
+LEAD_SIZE: Final = 5
 
 #: Noise further from a level than so many standard deviations never carries a quantity beyond it.
 _FARTHEST: Final = 6.0
@@ -54,12 +76,82 @@ def _strain(p: Vector, w: Vector, n: int, m: int, k: int, j: int) -> float:
 
 
 @inlined
+def _go_way(c: Vector, at: int, rate_per_s: float, goal: float, h: float) -> None:
+    """The strain that is wanted in a span, a step further on its way to `goal`: three equal poles."""
+    off = c[at + C_WAY_STRAIN] - goal
+    slope = c[at + C_WAY_PER_S] + rate_per_s * off
+    bend = 0.5 * (c[at + C_WAY_PER_S2] + 2.0 * rate_per_s * c[at + C_WAY_PER_S] + rate_per_s * rate_per_s * off)
+    left = exp(-rate_per_s * h)
+    off = (off + (slope + bend * h) * h) * left
+    sloping = (slope + 2.0 * bend * h) * left
+    c[at + C_WAY_STRAIN] = goal + off
+    c[at + C_WAY_PER_S] = sloping - rate_per_s * off
+    c[at + C_WAY_PER_S2] = 2.0 * bend * left - 2.0 * rate_per_s * sloping + rate_per_s * rate_per_s * off
+
+
+@inlined
+def _lead(leads: Matrix, i: int, c: Vector, held: int, acceleration: float, pull_N: float) -> float:
+    """By how much the command of roller i leads its planned speed, m/s; c[held]: what its drive has taken up, N."""
+    kp = leads[i, LEAD_KP_N_S_PER_M]
+    if kp <= 0.0:
+        return 0.0
+    wanted_N = leads[i, LEAD_MASS_KG] * acceleration + leads[i, LEAD_PULLED] * pull_N
+    held_N = wanted_N if isnan(c[held]) else c[held]
+    ahead_N = loops.clip(wanted_N - held_N, leads[i, LEAD_LIMIT_N])
+    c[held] = held_N + leads[i, LEAD_SHARE] * (wanted_N - held_N)
+    return ahead_N / kp
+
+
+@compiled
+def _plan(
+    c: Vector,
+    g: Matrix,
+    row: int,
+    acceleration: float,
+    set_point: Matrix,
+    i: int,
+    known: Matrix,
+    leads: Matrix,
+    h: float,
+    ahead: Vector,
+) -> None:
+    """Ways of the set-points in step i, and what leads each roller into `ahead` (K + 1,), m/s.
+
+    `acceleration`: of the line, m/s². As `hilbench.bench.tasks.tension_feed_forward`.
+    """
+    k = set_point.shape[1]
+    pull_N = 0.0  # of the web behind a roller
+    for j in range(k, -1, -1):
+        here_N = 0.0  # of the web before it
+        if j < k and g[row * k + j, G_WAY_PER_S] > 0.0:
+            acceleration -= g[row * k + j, G_LENGTH_M] * c[C_SIZE * j + C_WAY_PER_S2]
+        if j > 0 and g[row * k + j - 1, G_WAY_PER_S] > 0.0:
+            at = C_SIZE * (j - 1)
+            _go_way(c, at, g[row * k + j - 1, G_WAY_PER_S], set_point[i, j - 1] / known[i, j - 1], h)
+            here_N = c[at + C_WAY_STRAIN] * known[i, j - 1]
+        ahead[j] = _lead(leads, j, c, C_SIZE * k + j, acceleration, here_N - pull_N)
+        pull_N = here_N
+    for j in range(k + 1):
+        ahead[j] -= ahead[k] if j < k else 0.0
+    ahead[k] = 0.0
+
+
+@inlined
 def _command(
-    c: Vector, at: int, g: Matrix, row: int, lead: float, error_N: float, strain: float, length_m: float, h: float
+    c: Vector,
+    at: int,
+    g: Matrix,
+    row: int,
+    lead: float,
+    around: float,
+    error_N: float,
+    strain: float,
+    length_m: float,
+    h: float,
 ) -> tuple[float, float]:
     """Speed of the axis before a span, m/s, without and with the damping.
 
-    c: from `at` on what the controller keeps: integral, elongation, last strain, last command of the damping.
+    c: from `at` on what the controller keeps; `lead`: speed of the axis behind the span, `around` what is corrected.
     """
     kp = g[row, G_KP]
     ki = kp * max(abs(lead) / g[row, G_POLE_LENGTH_M], g[row, G_LEAST_PER_S])
@@ -68,12 +160,13 @@ def _command(
     if abs(correction) <= limit:
         c[at] = integral
     correction = loops.clip(correction, limit)
-    rate = length_m * (strain - c[at + 2]) / h
-    c[at + 1] = c[at + 1] * g[row, G_FADES] + rate * h
-    damping = g[row, G_RATE] * rate + g[row, G_ELONGATION_PER_S] * c[at + 1] + g[row, G_SENT] * c[at + 3]
+    rate = length_m * (strain - c[at + C_STRAIN]) / h - c[at + C_SHOWN_M_S]
+    elongation_m = c[at + C_ELONGATION_M] * g[row, G_FADES] + rate * h
+    c[at + C_ELONGATION_M] = elongation_m
+    damping = g[row, G_RATE] * rate + g[row, G_ELONGATION_PER_S] * elongation_m + g[row, G_SENT] * c[at + C_DAMPING_M_S]
     damping = loops.clip(damping, g[row, G_DAMPING_LIMIT_M_S])
-    c[at + 2], c[at + 3] = strain, damping
-    return lead - correction, lead - correction + damping
+    c[at + C_STRAIN], c[at + C_DAMPING_M_S] = strain, damping
+    return around - correction, around - correction + damping
 
 
 @compiled
@@ -88,19 +181,28 @@ def _set_points(
     set_point: Matrix,
     i: int,
     known: Matrix,
+    ahead: Vector,
 ) -> None:
-    """Velocities of all axes for step i, from the last one on; `known` (T, K): E·S as the twin has it, N."""
+    """Velocities of all axes for step i, from the last one on; `known` (T, K): E·S as the twin has it, N; `ahead`
+    (K + 1,): what leads each roller, m/s."""
     n, m, k = places.counts(p)
     h = p[lay.W_SAMPLE_TIME_S]
     speed = command = lead
     for j in range(k, -1, -1):
         if j < k and g[row * k + j, G_KP] != 0.0:
-            strain = _strain(p, w, n, m, k, j)
-            error_N = set_point[i, j] - known[i, j] * strain
-            without, command = _command(c, 4 * j, g, row * k + j, speed, error_N, strain, w[4 * n + k + j], h)
-            speed = without
+            at = C_SIZE * j
+            strain, around, goal_N = _strain(p, w, n, m, k, j), speed, set_point[i, j]
+            if g[row * k + j, G_WAY_PER_S] > 0.0:
+                wanted, goal_N = 1.0 + c[at + C_WAY_STRAIN], c[at + C_WAY_STRAIN] * known[i, j]
+                entering = _strain(p, w, n, m, k, j - 1) if j > 0 else u[lay.U_STRAIN_PREV]
+                lengthening = g[row * k + j, G_LENGTH_M] * c[at + C_WAY_PER_S]
+                around = (command - lengthening / wanted) * (1.0 + entering) / wanted
+            error_N = goal_N - known[i, j] * strain
+            speed, command = _command(c, at, g, row * k + j, speed, around, error_N, strain, w[4 * n + k + j], h)
+            if g[row * k + j, G_WAY_PER_S] > 0.0:
+                c[at + C_SHOWN_M_S] = g[row * k + j, G_LENGTH_M] * c[at + C_WAY_PER_S]
         ratio = p[places.motor(n, j) + lay.M_RAD_PER_M]
-        u[lay.U_MOTORS + j * lay.UM_SIZE + lay.UM_SETPOINT] = command * ratio
+        u[lay.U_MOTORS + j * lay.UM_SIZE + lay.UM_SETPOINT] = (command + ahead[j]) * ratio
 
 
 @compiled
@@ -193,6 +295,9 @@ def _run(
     known: Matrix,
     g: Matrix,
     row_of: Indices,
+    leads: Matrix,
+    before: float,
+    ahead: Vector,
     load_axes: Indices,
     offset: Matrix,
     sigma: Vector,
@@ -205,12 +310,15 @@ def _run(
     worst: Matrix,
     rows: NDArray[np.float64],
 ) -> None:
-    """Future b, to its end."""
+    """Future b, to its end; `before`: the line speed until now, m/s."""
+    leading, h = leads[0, LEAD_KP_N_S_PER_M] > 0.0, p[lay.W_SAMPLE_TIME_S]
     _change_moduli(p, moduli, scale, factor, 0)
     kernel.enter(p, s, u, w)
     for i in range(lead.shape[0]):
         changed = i > 0 and _change_moduli(p, moduli, scale, factor, i)
-        _set_points(p, u, w, c, g, row_of[i], lead[i], set_point, i, known)
+        if leading:
+            _plan(c, g, row_of[i], (lead[i] - (lead[i - 1] if i else before)) / h, set_point, i, known, leads, h, ahead)
+        _set_points(p, u, w, c, g, row_of[i], lead[i], set_point, i, known, ahead)
         if changed:  # the tension jumps with E, and the rollers give way within a step
             _watched(p, s, u, w, load_axes, q)
             _see(q, offset, sigma, levels, 1.0, b, i - 1, survival, first, worst)
@@ -234,6 +342,9 @@ def _entry_point(sources: int) -> Run:
         *[VECTOR] * 3,
         *[MATRIX] * 4,
         INDICES,
+        MATRIX,
+        REAL,
+        VECTOR,
         INDICES,
         MATRIX,
         VECTOR,
@@ -262,6 +373,9 @@ def _entry_point(sources: int) -> Run:
         known: Matrix,
         g: Matrix,
         row_of: Indices,
+        leads: Matrix,
+        before: float,
+        ahead: Vector,
         load_axes: Indices,
         offset: Matrix,
         sigma: Vector,
@@ -277,8 +391,8 @@ def _entry_point(sources: int) -> Run:
             s[:] = start[b]
             c[:] = integrals[b]
             _run(
-                p, s, u, w, c, q, moduli, scale[b], lead, set_point, factor, known, g, row_of, load_axes, offset, sigma,
-                levels, samples, every, b, survival, first, worst, rows,
+                p, s, u, w, c, q, moduli, scale[b], lead, set_point, factor, known, g, row_of, leads, before, ahead,
+                load_axes, offset, sigma, levels, samples, every, b, survival, first, worst, rows,
             )  # fmt: skip
 
     return futures
