@@ -8,7 +8,7 @@ import pytest
 from tools.docs_hook import on_page_content
 from tools.reference import pages, unit_of_key
 
-from hilbench.plant.effects import EFFECTS
+from hilbench.plant.effects import EFFECTS, STATION_EFFECTS
 from hilbench.runs.config import ExperimentConfig
 from hilbench.runs.metrics import METRICS
 from hilbench.topology.signals import SMALLEST, signals_of
@@ -62,10 +62,11 @@ def test_the_unit_of_a_key_is_read_from_its_end(key: str, unit: str) -> None:
 
 def test_effects_metrics_signals_and_objects_are_all_there(made: dict[str, str]) -> None:
     effects = made["reference/effects.md"]
-    for effect in EFFECTS:
+    for effect in EFFECTS + STATION_EFFECTS:
         assert f"## {effect.id}" in effects
         assert {parameter.name for parameter in effect.parameters} <= rows(effects).keys()
-    assert rows(effects)["relative_change"][2:5] == ["0", "-0.95", "10"]
+    shift = effects.partition("## elasticity_shift")[2].partition("## ")[0]
+    assert rows(shift)["relative_change"][2:5] == ["0", "-0.95", "10"]
     assert set(METRICS) <= rows(made["reference/metrics.md"]).keys()
     for kind, shape in SMALLEST.items():
         assert {signal.name for signal in signals_of(kind, shape)} <= rows(made["reference/signals.md"]).keys()
