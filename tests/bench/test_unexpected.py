@@ -102,7 +102,7 @@ def ended(path: Path, folder: Path) -> tuple[Result, str, str]:
     ("owner", "name"),
     [
         (TwinTrust, "update"),
-        (LoadModel, "update"),
+        (LoadModel, "follow_in"),
         (PlainCycles, "cycle"),
         (SyncCycle, "exchange"),
         (runs.Recorder, "sample"),

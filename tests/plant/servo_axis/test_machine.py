@@ -207,3 +207,32 @@ def test_impossible_shafts_are_refused() -> None:
         axis({"effect": "web_slip", "parameters": {"creep_per_N": 1e-6}})
     with pytest.raises(ValidationError, match="given more than 1 times"):
         axis(effect("torque_offset", 0.1), effect("torque_offset", 0.2))
+
+
+@pytest.mark.parametrize("build", [closed, hardware])
+def test_a_shaft_goes_on_alike_with_its_ports_and_by_set_points_alone(build: Any) -> None:
+    """Signs of zeros, limits and sensors, too: bit by bit."""
+    shown: list[list[tuple[float, ...]]] = [[], []]
+    outputs: list[dict[str, float]] = []
+    for way, kept in enumerate(shown):
+        machine, ports = build()
+        ports[0].torque_limit_Nm = 1.5
+        set_points, numbers = np.zeros(len(ports)), np.zeros(5 * len(ports))
+        step = machine.steps_in_modes(set_points, CYCLE_S, numbers)
+        assert step is not None
+        for row in range(60):
+            set_points[:] = 0.0 if row < 5 else [0.1 * row * (-1) ** (row // 20), 0.2][: len(ports)]
+            for port, value in zip(ports, set_points.tolist(), strict=True):
+                port.setpoint = value
+            if way:
+                step()
+                kept += [tuple(numbers[at : at + 5]) for at in range(0, len(numbers), 5)]
+            else:
+                machine.step(CYCLE_S)
+                kept += [(p.position_rad, p.velocity_rad_s, p.torque_Nm, p.reference, p.torque_limited) for p in ports]
+        outputs.append(machine.outputs())
+    by_ports, in_modes = (np.array(kept, float) for kept in shown)
+    assert by_ports.tobytes() == in_modes.tobytes()
+    assert outputs[0] == outputs[1]
+    assert by_ports[:, 4].any()
+    assert not by_ports[:, 4].all()
