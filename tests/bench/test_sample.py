@@ -1,5 +1,7 @@
 """The sample of a cycle has the signals of its bench."""
 
+from copy import copy, deepcopy
+
 import pytest
 from tests.bench.samples import SIGNALS, sample_of_two_axes
 
@@ -26,6 +28,15 @@ def test_the_vectors_of_a_sample_are_its_signals():
     sample.reals[sample.place("x1_m")] = 0.25
     sample.wholes[sample.place("cycle")] = 7
     assert (sample.x1_m, sample.cycle, sample_of_two_axes().x1_m) == (0.25, 7, 0.0)
+
+
+@pytest.mark.parametrize("made", [copy, deepcopy])
+def test_a_copy_stays_what_it_was(made):
+    sample = sample_of_two_axes(F_sim_N=80.5, twin_status=3, cycle=7)
+    kept = made(sample)
+    sample.F_sim_N, sample.twin_status = 1.0, 0
+    assert (kept.F_sim_N, kept.twin_status, kept.cycle) == (80.5, 3, 7)
+    assert "F_sim_N=80.5" in repr(kept)
 
 
 def test_benches_with_the_same_signals_share_a_class_and_others_have_their_own():

@@ -89,6 +89,17 @@ class _Structure(ctypes.Structure):
         made.reals, made.wholes = reals, reals.view(np.int64)
         return made
 
+    def __copy__(self) -> Self:
+        made = type(self)()
+        made.wholes[:] = self.wholes  # of both kinds, bit by bit
+        return made
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Self:
+        return self.__copy__()
+
+    def __repr__(self) -> str:
+        return f"CycleSample({', '.join(f'{name}={getattr(self, name)!r}' for name, *_ in self._fields_)})"
+
 
 @cache
 def _sample_type(signals: tuple[tuple[str, bool], ...]) -> type[CycleSample]:
