@@ -17,6 +17,7 @@ from hilbench.diagnosis.proposals import Proposer
 from hilbench.diagnosis.select import Search, Selection
 from hilbench.diagnosis.space import Space
 from hilbench.diagnosis.terms import Place
+from hilbench.diagnosis.web_line.bench_figures import figures_of_line
 from hilbench.errors import UnusableInputError
 from hilbench.plant.effects import STATION_EFFECTS, find_effect
 from hilbench.plant.parameters import EffectEntry
@@ -163,3 +164,16 @@ def test_the_command_names_what_a_shipped_config_hides(tmp_path: Path) -> None:
     assert (found["effect"], found["station"], found["axis"]) == ("carriage_coulomb_friction", "dancer", None)
     low, high = found["parameters"]["force_N"]["ci95"]
     assert low <= 6.0 <= high
+
+
+def test_a_run_is_judged_by_what_the_twin_tells_of_each_section() -> None:
+    t = np.linspace(0.0, 1.0, 100)
+    channels = {f"F{span}_true_N": 80.0 + 0.0 * t for span in (1, 2, 3)} | {"t_s": t, "v1_cmd_m_s": 1.0 + t}
+    channels |= {"F1_sim_N": 81.0 + 0.0 * t, "F3_sim_N": 79.5 + 0.0 * t, "v2_cmd_m_s": 1.0 + t}
+    channels["tau2_residual_Nm"] = np.where(np.arange(100) % 2, 0.1, -0.1)
+    found = {figure.name: figure.value for figure in figures_of_line(Recording(channels))}
+    assert found == {
+        "torque_residual_axis2_rms_Nm": pytest.approx(0.1),
+        "tension1_deviation_mean_N": pytest.approx(1.0),
+        "tension3_deviation_mean_N": pytest.approx(-0.5),
+    }

@@ -14,7 +14,26 @@ def figures_of_line(recording: Recording) -> tuple[LiveFigure, ...]:
     if "F_true_N" in recording:
         return _of_a_span(recording, 1, "")
     spans = [span for span in range(1, len(recording.channels)) if f"F{span}_true_N" in recording]
+    if any(f"F{span}_sim_N" not in recording for span in spans):
+        return _with_stations(recording, [span for span in spans if f"F{span}_sim_N" in recording])
     return tuple(figure for span in spans for figure in _of_a_span(recording, span, str(span)))
+
+
+def _with_stations(recording: Recording, spans: list[int]) -> tuple[LiveFigure, ...]:
+    """Of a line of which the twin tells one span of each section between two axes: `spans`."""
+    axes = [axis for axis in range(1, len(recording.channels)) if f"v{axis}_cmd_m_s" in recording]
+    speed = signal(recording, f"v{axes[-1]}_cmd_m_s")
+    works, figures = speed > WORKS * speed.max(), []
+    for axis in axes:
+        if f"tau{axis}_residual_Nm" in recording:
+            residual_Nm = rms(signal(recording, f"tau{axis}_residual_Nm")[works])
+            name = f"torque_residual_axis{axis}_rms_Nm"
+            figures.append(LiveFigure(name, f"torque residual of axis {axis}, rms, N·m", residual_Nm))
+    for span in spans:
+        off_N = signal(recording, f"F{span}_sim_N") - signal(recording, f"F{span}_true_N")
+        text = f"simulated less true tension of span {span}, mean, N"
+        figures.append(LiveFigure(f"tension{span}_deviation_mean_N", text, float(np.mean(off_N[works]))))
+    return tuple(figures)
 
 
 def _of_a_span(recording: Recording, span: int, number: str) -> tuple[LiveFigure, ...]:
