@@ -215,6 +215,6 @@ def test_a_terminal_that_closes_stops_the_drives_as_sigterm_does(tmp_path: Path)
 
 def test_a_run_under_nohup_outlives_its_terminal() -> None:
     asks = "import signal; from hilbench.processes import end_signals; print(signal.SIGHUP in end_signals())"
-    for before, expected in (("nohup", "False"), ("env", "True")):
-        done = subprocess.run([before, sys.executable, "-c", asks], capture_output=True, text=True, check=True)
+    for before, expected in ((["nohup"], "False"), (["env", "--default-signal=HUP"], "True")):
+        done = subprocess.run([*before, sys.executable, "-c", asks], capture_output=True, text=True, check=True)
         assert done.stdout.strip() == expected

@@ -17,7 +17,6 @@ from hilbench.report.chart import BLUE, BROWN, GREEN, INK, ORANGE, PURPLE, SKY, 
 from hilbench.report.machines.picture import (
     AVERAGED,
     SMOOTHING_S,
-    VELOCITY,
     Array,
     ComparedSignal,
     Line,
@@ -39,23 +38,49 @@ def _command(run: ShownRun) -> str:
     return line_speed(shape_of(run.recording.channels)).signal
 
 
+def _surface_velocity(run: ShownRun, position: str) -> Array:
+    """Velocity of the web at an axis, m/s, by a position."""
+    return run.velocity(position) * _radius_ratio(run, position)
+
+
+def _surface_command(run: ShownRun, command: str) -> Array:
+    """The same by a command of a velocity."""
+    return run.get(command) * _radius_ratio(run, command)
+
+
+def _radius_ratio(run: ShownRun, of_axis: str) -> Array:
+    """Radius of the roller that a signal is of by that which its metres are counted at: a reel's at the start."""
+    shape = shape_of(run.recording.channels)
+    reels = dict(zip((shape.axes, 1) if shape.winds else (1,), reversed(shape.reels), strict=False))
+    radius = f"r_{reels.get(int(of_axis[1 : of_axis.index('_')]), '')}_true_m"
+    if radius not in run:
+        return np.ones(len(run.recording))
+    return run.get(radius) / float(run.get(radius)[0])
+
+
+def _span_behind(shape: Shape, axis: int) -> str | None:
+    """The number of the span behind a driven axis, as names have it; None where a recording does not tell it."""
+    numbers = [span for span in range(1, shape.spans + 1) if shape.axis_before(span) == axis]
+    return shape.numbered(numbers[0]) if numbers else None
+
+
 def _beyond_the_line(run: ShownRun) -> Chart:
     """A thousand times finer than the velocities: what each axis runs faster than the one behind it."""
     shape, steady = shape_of(run.recording.channels), _steady(run)
-    fine = []
-    for span, colour in zip(range(1, shape.axes), cycle(_COLOURS), strict=False):
-        before, behind = f"x{span}_m", f"x{span + 1}_m"
-        if before not in run or behind not in run:
-            continue
-        v_before, v_behind, k = run.velocity(before), run.velocity(behind), shape.numbered(span)
-        name = "axis 1 − line" if shape.axes == 2 else f"axis {span} − axis {span + 1}"
-        fine.append(Curve(name, run.t_s, np.where(steady, 1e3 * (v_before - v_behind), np.nan), colour))
-        entering, strain = "strain_prev" if span == 1 else f"strain{shape.numbered(span - 1)}_true", f"strain{k}_true"
-        if entering in run and strain in run:
-            came = run.get(entering) if span == 1 else run.averaged(entering)
-            asked = 1e3 * (expected_v1_m_s(v_behind, came, run.averaged(strain)) - v_behind)
-            label = "mass balance" if span == shape.axes - 1 else ""
-            fine.append(Curve(label, run.t_s, np.where(steady, asked, np.nan), INK, 0.9, (4, 2)))
+    fine, entering = [], "strain_prev"
+    for axis, colour in zip(range(1, shape.axes), cycle(_COLOURS), strict=False):
+        span = _span_behind(shape, axis)
+        before, behind, strain = f"x{axis}_m", f"x{axis + 1}_m", f"strain{span}_true"
+        if before in run and behind in run:
+            v_before, v_behind = _surface_velocity(run, before), _surface_velocity(run, behind)
+            name = "axis 1 − line" if shape.axes == 2 else f"axis {axis} − axis {axis + 1}"
+            fine.append(Curve(name, run.t_s, np.where(steady, 1e3 * (v_before - v_behind), np.nan), colour))
+            if entering in run and strain in run:
+                came = run.get(entering) if axis == 1 else run.averaged(entering)
+                asked = 1e3 * (expected_v1_m_s(v_behind, came, run.averaged(strain)) - v_behind)
+                label = "mass balance" if axis == shape.axes - 1 else ""
+                fine.append(Curve(label, run.t_s, np.where(steady, asked, np.nan), INK, 0.9, (4, 2)))
+        entering = strain
     label = "v1 − line in mm/s" if shape.axes == 2 else "difference in mm/s"
     return Chart(label, fine, least=0.05)
 
@@ -81,7 +106,7 @@ def _working_velocity(run: ShownRun, position: str) -> Array | None:
     difference = np.full(len(run.recording), np.nan)
     part = working_window(run.t_s, run.get(_command(run))) if _command(run) in run else None
     part = part or slice(None)
-    difference[part] = (run.velocity(position) - run.velocity(behind))[part]
+    difference[part] = (_surface_velocity(run, position) - _surface_velocity(run, behind))[part]
     return difference
 
 
@@ -99,13 +124,14 @@ _COLOURS: Final = (BLUE, GREEN, ORANGE, PURPLE, BROWN, SKY)
 
 def _velocities(shape: Shape) -> RunPicture:
     last = shape.axes
-    behind = [Line(f"x{last}_m", f"axis {last}", VERMILLION, 2.6, alpha=0.8, values=VELOCITY)]
+    behind = [Line(f"x{last}_m", f"axis {last}", VERMILLION, 2.6, alpha=0.8, values=_surface_velocity)]
     others = [
-        Line(f"x{axis}_m", f"axis {axis}", colour, 1.3, values=VELOCITY)
+        Line(f"x{axis}_m", f"axis {axis}", colour, 1.3, values=_surface_velocity)
         for axis, colour in zip(range(1, last), cycle(_COLOURS), strict=False)
     ]
     commands = [
-        Line(f"v{axis}_cmd_m_s", "commands" if axis == last else "", INK, 0.8, (4, 4)) for axis in range(last, 0, -1)
+        Line(f"v{axis}_cmd_m_s", "commands" if axis == last else "", INK, 0.8, (4, 4), values=_surface_command)
+        for axis in range(last, 0, -1)
     ]
     fine = (
         "velocity of axis 1 minus line speed (axis 2), and what mass conservation asks for at the strain of the "
