@@ -66,8 +66,6 @@ class ShownRun:
 Values = Callable[[ShownRun, str], Array]
 AS_RECORDED: Final[Values] = ShownRun.get
 AVERAGED: Final[Values] = ShownRun.averaged
-#: Of a position.
-VELOCITY: Final[Values] = ShownRun.velocity
 
 
 @dataclass(frozen=True)
