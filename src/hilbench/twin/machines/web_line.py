@@ -16,6 +16,7 @@ from hilbench.estimation.web_line.config import (
 from hilbench.estimation.web_line.rollers import Rollers
 from hilbench.estimation.web_line.synchronizers.create import METHODS
 from hilbench.estimation.web_line.tracking import MOVES_M_S, PASSED_SPANS, UNKNOWN_STRAIN, Tracking
+from hilbench.estimation.web_line.tracking_cycle import ASTRAY_S
 from hilbench.plant.motor_port import MotorPort
 from hilbench.plant.pairing import Pairing, SteadyWay
 from hilbench.plant.web_line.line import Line
@@ -376,7 +377,7 @@ class _OtherSpans:
     def reset(self) -> None:
         """The next positions are the first."""
         self.refused = False
-        self._refused_m = 0.0  # web that has passed while states were refused
+        self._refused_m = self._refused_s = 0.0  # web that has passed, and time, while states were refused
         self._running = False
         self._last_m = 0.0
 
@@ -391,13 +392,14 @@ class _OtherSpans:
             web.reset(positions_m, strain=[strain_prev] * (len(positions_m) - 1))
         way_m = abs(positions_m[0] - self._last_m) if self._running else 0.0
         self._refused_m = self._refused_m + way_m if self.refused else 0.0
+        self._refused_s = self._refused_s + cycle_s if self.refused else 0.0
         self._last_m = positions_m[0]
         self._running = True
 
     @property
     def astray(self) -> bool:
         """As `Tracking.astray`."""
-        return self._refused_m > self._passed_m
+        return self._refused_s > ASTRAY_S and self._refused_m > self._passed_m
 
     def strain(self, span: int) -> float:
         """Of the web in one of these spans, as measured."""
