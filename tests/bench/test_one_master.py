@@ -31,6 +31,8 @@ EDS = Path(__file__).resolve().parents[2] / "eds" / "hilbench_servo.eds"
 
 #: Long enough to be there.
 BRIEF = [{"hold": {"duration_s": 0.2}}]
+#: A command that hears that its terminal closes, also where the tests run under nohup.
+_HEARS_THE_END = ["env", "--default-signal=HUP"]
 
 
 @pytest.mark.slow
@@ -197,7 +199,7 @@ def test_a_terminal_that_closes_stops_the_drives_as_sigterm_does(tmp_path: Path)
     command = [sys.executable, "-m", "hilbench.cli", "run", str(path), "--out", str(tmp_path / "runs"), "--no-report"]
     with terminal() as theirs:
         process = subprocess.Popen(
-            command,
+            [*_HEARS_THE_END, *command],
             stdin=theirs,
             stdout=theirs,
             stderr=theirs,
@@ -215,6 +217,6 @@ def test_a_terminal_that_closes_stops_the_drives_as_sigterm_does(tmp_path: Path)
 
 def test_a_run_under_nohup_outlives_its_terminal() -> None:
     asks = "import signal; from hilbench.processes import end_signals; print(signal.SIGHUP in end_signals())"
-    for before, expected in ((["nohup"], "False"), (["env", "--default-signal=HUP"], "True")):
+    for before, expected in ((["nohup"], "False"), (_HEARS_THE_END, "True")):
         done = subprocess.run([*before, sys.executable, "-c", asks], capture_output=True, text=True, check=True)
         assert done.stdout.strip() == expected
