@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import yaml
 
+from hilbench.bench.bench import Bench
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.bench.web_line_check import start_point, stiffness_reserves
 from hilbench.errors import UnusableInputError
@@ -135,6 +136,20 @@ def test_the_twin_tells_a_web_that_tears_and_where_before_the_dancer_is_at_its_s
     found = channels(outcome)
     assert found["t_s"][-1] < 2.0 + 0.1
     assert np.max(found["x_dancer_true_m"]) < 0.05
+
+
+@pytest.mark.slow
+def test_a_slip_behind_the_guide_roller_is_told_there_and_nothing_before(tmp_path: Path) -> None:
+    with Bench(dancer(tmp_path).config, participants=Participants.IN_PROCESS) as bench:
+        bench.ramp("line_speed_m_s", 2.0, 2.0)
+        bench.run(4.0)
+        bench.set("tension_control.span3.set_point_N", 100.0)
+        bench.run(4.0)
+        assert not bench.notices
+        bench.set("load.effects.web_slip.span4.creep_per_N", 1e-5)
+        bench.run(5.0)
+        (notice,) = bench.notices
+        assert "FF16h: slip in span 3" in notice.text
 
 
 @pytest.mark.slow

@@ -21,7 +21,7 @@ _STEPS = 2  # of Runge and Kutta in a sample
 @dataclass
 class IndependentWinding:
     """`radii_m` (3,): at the start; `inertia_kg_m2` (3,) of the empty rollers; `held`: the drives hold the web from the
-    start, and do not give way to it at first."""
+    start, and do not give way to it at first; `slip` (3,): share by which the web is slower than what it runs over."""
 
     radii_m: tuple[float, float, float]
     inertia_kg_m2: tuple[float, float, float] = (0.6, 0.7, 0.6)
@@ -37,6 +37,7 @@ class IndependentWinding:
     kp: float = 1.5
     ki: float = 30.0
     held: bool = False
+    slip: Array = field(default_factory=lambda: np.zeros(3))
     ports: list[MotorPort] = field(default_factory=lambda: [MotorPort() for _ in range(3)])
 
     def __post_init__(self) -> None:
@@ -64,7 +65,7 @@ class IndependentWinding:
         inertia = np.asarray(self.inertia_kg_m2) + self.gear**2 * self.rotor_kg_m2 + wound
         turned = (self.gear * self._torque + radii * (pulls[1:] - pulls[:-1])) / inertia
         strains = np.concatenate([[self.wound_strain], np.array(self.lengths_m) / unstretched - 1.0])
-        carried = radii * speeds / (1.0 + strains)
+        carried = radii * speeds * (1.0 - self.slip) / (1.0 + strains)
         return np.concatenate([speeds, turned, carried[:-1] - carried[1:]])
 
     def step(self, duration_s: float) -> None:

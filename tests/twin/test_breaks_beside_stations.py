@@ -1,4 +1,4 @@
-"""A web that tears, or hangs slack, in one section of a line with dancers or reels is told there, and nowhere else."""
+"""A web that tears, slips or hangs slack in one section of a line with dancers or reels is told there, nowhere else."""
 
 from __future__ import annotations
 
@@ -77,3 +77,53 @@ def test_a_section_whose_rollers_push_its_web_hangs_slack() -> None:
     line.go(line.time_s + 1.0, 1.0, 1.0, 1.01)
     assert told(line) == {}
     assert after_s > 0.1
+
+
+#: Way of the web, in lengths of the section, within which a slip is to be told: one to judge it, and what it takes to
+#: see that something changes.
+_SLIP_WITHIN = 1.5
+
+
+def test_a_web_that_slips_behind_a_guide_roller_is_told_in_its_section() -> None:
+    line = beside(dancer_line(), dancer_line())
+    line.go(1.0, 2.0, 2.0, 2.0, ramp_s=0.8)
+    assert first_told(line, 2.5, 2.0, 2.0, 2.0) == (np.inf, {})
+    line.line.set_effect("web_slip", section=4, creep_per_N=2e-5)
+    after_s, found = first_told(line, 7.0, 2.0, 2.0, 2.0)
+    assert found == {4: Problem.SLIP}
+    assert 1.0 < after_s * 2.0 / (2.0 + 3.0) < _SLIP_WITHIN
+    modulus_Pa = line.table()["E4_sim_Pa"][-1]
+    line.go(line.time_s + 1.0, 2.0, 2.0, 2.0)
+    assert told(line) == found
+    assert line.table()["E4_sim_Pa"][-1] == modulus_Pa  # what the torques say is not E
+
+
+def test_a_press_over_which_the_web_slips_is_told_by_the_section_before_it() -> None:
+    true = IndependentWinding((0.25, 0.15, 0.12), held=True)
+    line = BesideStations(true, winding_line(), winding_line(), measured=("unwinder", "rewinder"))
+    line.go(1.0, 1.0, 1.0, 1.0, ramp_s=0.8)
+    assert first_told(line, 2.5, 1.0, 1.0, 1.0) == (np.inf, {})
+    true.slip = np.array([0.0, 6e-4, 0.0])
+    after_s, found = first_told(line, 6.0, 1.0, 1.0, 1.0)
+    assert found == {1: Problem.SLIP}
+    assert 1.0 < after_s * 1.0 / 2.0 < _SLIP_WITHIN
+
+
+@pytest.mark.parametrize("factor", [0.7, *slow(0.85, 1.4)])
+def test_another_web_is_no_slip_as_it_goes_through(factor: float) -> None:
+    line = beside(dancer_line(), dancer_line())
+    line.go(1.0, 2.0, 2.0, 2.0, ramp_s=0.8)
+    for span in (3, 4):
+        line.line.set_parameter(f"span{span}.youngs_modulus_Pa", factor * 8.7e9)
+    assert first_told(line, 5.0, 2.0, 2.0, 2.0) == (np.inf, {})
+
+
+@pytest.mark.slow
+def test_speeds_and_tensions_that_change_are_no_slip() -> None:
+    line = beside(dancer_line(0.9 * 8.7e9), dancer_line())
+    line.go(1.0, 1.0, 1.0, 1.0, ramp_s=0.8)
+    for speeds in ((1.0, 1.0, 1.0002), (2.0, 2.0, 2.0004), (2.0, 2.0, 2.0), (1.0, 1.0, 1.0)):
+        begin_s = line.time_s
+        while line.time_s < begin_s + 3.0:
+            line.go(min(line.time_s + 1.0, begin_s + 3.0), *speeds, ramp_s=0.8)
+            assert told(line) == {}

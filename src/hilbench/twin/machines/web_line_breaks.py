@@ -1,8 +1,10 @@
-"""A web that has torn, or is slack, in a section of a line with idlers, dancers, accumulators or reels.
+"""A web that has torn, slips or is slack, in a section of a line with idlers, dancers, accumulators or reels.
 
 All driven rollers behind a section together carry the difference of its tension and that behind the line, whatever is
 between them. So what their torques and speeds say, beside what the line that is followed has, is the tension that the
-section has in truth: where almost nothing is left of it, in two blocks running, the web has torn.
+section has in truth: where almost nothing is left of it, in two blocks running, the web has torn. Where the roller
+behind it slips, more and more is lost of what the encoders promise (`hilbench.estimation.web_line.section_slip`); a
+carriage would give way to that and keep the tension, and beside a reel without a sensor nobody knows what they promise.
 """
 
 from __future__ import annotations
@@ -14,10 +16,12 @@ import numpy as np
 
 from hilbench.estimation.plausibility import Problem
 from hilbench.estimation.web_line.blocks import BLOCK_S
+from hilbench.estimation.web_line.section_slip import SectionSlip
 from hilbench.plant.web_line.layout import Vector
 from hilbench.plant.web_line.line_follower import LineFollower
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.sections import axes_before_spans
+from hilbench.plant.web_line.varied_line import Kind, Unknown, VariedLine
 
 #: Share of the tension below which a web has torn, and above which it is whole again.
 _TORN, _WHOLE = 0.15, 0.3
@@ -27,15 +31,19 @@ _DOUBTFUL, _DOUBT_S = 0.5, 0.15
 _LEAST, _SLACK = 0.125, 0.02
 #: Speeds at either end of a block, of which the middle one counts: cycles are not of one length where time is real.
 _ENDS: Final = 3
+#: Share of the usual tension that may accelerate the rollers while slip is looked for: of more the model is not sure.
+_ACCELERATES: Final = 0.2
 #: From when on: until then the line that is followed comes to the tensions that there are.
 _SETTLED_S: Final = 0.5
 
 
 class SectionWatch:
     """Of a line whose N driven rollers answer once a cycle. `told`: the span by whose number each section is told, by
-    the axis before it."""
+    the axis before it; `unknowns`: what the line that is followed is corrected by."""
 
-    def __init__(self, model: ModelParameters, cycle_s: float, told: Mapping[int, int]) -> None:
+    def __init__(
+        self, model: ModelParameters, cycle_s: float, told: Mapping[int, int], unknowns: Sequence[Unknown]
+    ) -> None:
         before = axes_before_spans(model)
         self._model, self._cycle_s = model, cycle_s
         self._cycles = max(round(BLOCK_S / cycle_s), 2 * _ENDS)
@@ -47,22 +55,37 @@ class SectionWatch:
         self._told = told
         self._per_m = np.array([model.motor_rad_per_m(axis) for axis in axes])
         self._usual_N = [model.upstream_strain * model.stiffness_N(spans[-1] + 1) for spans in self._spans.values()]
-        self.reset()
+        self._slips = {
+            axis: SectionSlip(usual_N, sum(model.span_length_m(k + 1) for k in self._spans[axis]))
+            for axis, usual_N in zip(self._spans, self._usual_N, strict=True)
+            if axis in self._seen and {Unknown(Kind.STRAIN, axis), Unknown(Kind.MODULUS, axis)} <= set(unknowns)
+        }
+        self.reset(under_way=False)
 
-    def reset(self) -> None:
-        """The web is let go."""
+    def reset(self, *, under_way: bool) -> None:
+        """The web is let go, at rest or under way."""
         self._time_s = 0.0
         self._low = dict.fromkeys(self._seen, False)  # in the block before
         self._torn = dict.fromkeys(self._seen, False)
         self._doubt_s = dict.fromkeys(self._seen, 0.0)
         self._slack = dict.fromkeys(self._told, False)
+        for slip in self._slips.values():
+            slip.reset(under_way=under_way)
+        self._judged_m: Vector | None = None  # where the driven rollers were then
+        self.interrupt()
+
+    def suspend(self) -> None:
+        """The torques say nothing: nothing is judged across that."""
+        for slip in self._slips.values():
+            slip.suspend()
         self.interrupt()
 
     def interrupt(self) -> None:
-        """A cycle is missing, or a torque says nothing: a new block begins."""
+        """A cycle is missing: a new block begins."""
         self._collected = 0
         self._differences_Nm = np.zeros(len(self._per_m))
         self._promised_N = np.zeros(len(self._spans))
+        self._followed_N = dict.fromkeys(self._slips, 0.0)
         self._tightest_N = np.zeros(len(self._spans))
         self._way_m: list[Vector] = []
 
@@ -74,19 +97,27 @@ class SectionWatch:
             found[span] = Problem.SLACK if self._slack[axis] else None
             if self._torn.get(axis, False):
                 found[span] = Problem.WEB_BREAK
+            elif not self._slack[axis] and axis in self._slips and self._slips[axis].slips:
+                found[span] = Problem.SLIP
         return found
 
     @property
     def doubtful(self) -> bool:
-        """Whether something may be torn: what the torques say is nothing to learn from."""
-        return any(self._torn.values()) or any(0.0 < doubt_s <= _DOUBT_S for doubt_s in self._doubt_s.values())
+        """Whether something slips or may be torn: what the torques say is nothing to learn from."""
+        if any(self._torn.values()) or any(slip.slips for slip in self._slips.values()):
+            return True
+        return any(0.0 < doubt_s <= _DOUBT_S for doubt_s in self._doubt_s.values())
 
     def look(
-        self, positions_m: Sequence[float], torques_Nm: Sequence[float], line: LineFollower, inertia_kg_m2: Vector
+        self, positions_m: Sequence[float], torques_Nm: Sequence[float], followed: VariedLine, inertia_kg_m2: Vector
     ) -> None:
         """One cycle: of the driven rollers positions (N,) at the web and torques, beside the line that follows them;
         `inertia_kg_m2` (N,): at the motors."""
+        line = followed.line
         self._time_s += self._cycle_s
+        self._now_N = self._by_model_N(followed)
+        for axis, now_N in self._now_N.items():
+            self._followed_N[axis] += now_N
         tensions_N = line.tension_N
         self._promised_N += [tensions_N[spans[-1]] for spans in self._spans.values()]
         self._tightest_N = np.maximum(self._tightest_N, [np.min(tensions_N[spans]) for spans in self._spans.values()])
@@ -99,6 +130,16 @@ class SectionWatch:
             self._judge(line, inertia_kg_m2)
             self.interrupt()
 
+    def corrected(self, followed: VariedLine) -> None:
+        """The line that is followed was corrected since the last look."""
+        for axis, after_N in self._by_model_N(followed).items():
+            self._slips[axis].correct(after_N - self._now_N[axis])
+
+    def _by_model_N(self, followed: VariedLine) -> dict[int, float]:
+        """Tension of the sections that may slip, by the axis before, with the model's E."""
+        tensions_N = followed.line.tension_N
+        return {axis: tensions_N.item(self._spans[axis][-1]) / followed.modulus_factor(axis) for axis in self._slips}
+
     def _judge(self, line: LineFollower, inertia_kg_m2: Vector) -> None:
         """A block is complete."""
         for axis, tightest_N, usual_N in zip(self._spans, self._tightest_N.tolist(), self._usual_N, strict=True):
@@ -106,14 +147,25 @@ class SectionWatch:
         speeds = np.diff(np.array(self._way_m), axis=0) / self._cycle_s
         gained_m_s = np.median(speeds[-_ENDS:], axis=0) - np.median(speeds[:_ENDS], axis=0)
         gained_m_s2 = gained_m_s / ((len(speeds) - _ENDS) * self._cycle_s)
-        more_Nm = self._differences_Nm / self._collected + inertia_kg_m2 * self._per_m * gained_m_s2
-        ratios = np.array([line.radius_ratio(axis) for axis in range(1, len(more_Nm) + 1)])
-        more_N = more_Nm * self._per_m / ratios
+        ratios = np.array([line.radius_ratio(axis) for axis in range(1, len(gained_m_s2) + 1)])
+        accelerates_N = inertia_kg_m2 * self._per_m * gained_m_s2 * self._per_m / ratios
+        more_N = self._differences_Nm / self._collected * self._per_m / ratios + accelerates_N
         promises_N = (self._promised_N / self._collected).tolist()
         for axis, usual_N, promised_N in zip(self._spans, self._usual_N, promises_N, strict=True):
             if axis in self._seen:
                 is_N = promised_N - float(np.sum(more_N[axis:]))
                 self._take(axis, is_N / promised_N if promised_N > _LEAST * usual_N else 1.0)
+                steady = abs(np.sum(accelerates_N[axis:])) < _ACCELERATES * usual_N
+                self._look_for_slip(axis, is_N, ratios.item(axis), steady=bool(steady))
+        self._judged_m = self._way_m[-1]
+
+    def _look_for_slip(self, axis: int, is_N: float, ratio: float, *, steady: bool) -> None:
+        """In a block; `ratio`: radius of the roller behind the section over that at the start."""
+        if axis not in self._slips or self._judged_m is None or self._time_s < _SETTLED_S:
+            return
+        way_m = float(self._way_m[-1][axis] - self._judged_m[axis]) * ratio
+        followed_N, lasted_s = self._followed_N[axis] / self._collected, self._collected * self._cycle_s
+        self._slips[axis].take(is_N, followed_N, way_m, lasted_s, steady=steady)
 
     def _take(self, axis: int, share: float) -> None:
         """What is left of a section's tension, in a block."""

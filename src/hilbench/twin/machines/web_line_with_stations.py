@@ -56,7 +56,8 @@ class LineWithStationsTwin:
         self._pairing = Pairing(least_m) if isfinite(least_m) else OwnWays(model.position_unit, cycle_s)
         self._web_m = sum(model.span_length_m(span) for span in range(1, model.span_count + 1))
         self._before = axes_before_spans(model)
-        self._watch = SectionWatch(model, cycle_s, {self._before[span - 1]: span for span in shape.simulated})
+        told_by = {self._before[span - 1]: span for span in shape.simulated}
+        self._watch = SectionWatch(model, cycle_s, told_by, self._unknowns.varied.unknowns)
         self._limited = False
         self._unknown_m = 0.0  # so much web that could not be known is still in the line
         self._missed = 0
@@ -78,7 +79,7 @@ class LineWithStationsTwin:
     def reset(self) -> None:
         """Start anew, at rest."""
         self.synchronized = False
-        self._watch.reset()
+        self._watch.reset(under_way=False)
         self._positions_m = None
         self._residuals_Nm = [0.0] * len(self.ports)
 
@@ -89,8 +90,8 @@ class LineWithStationsTwin:
         if not (self._pairing.update(*last) and self._pairing.update(*positions)):
             return False
         self._positions_m, self._missed = positions, 0
-        self._watch.reset()
         moves = max(abs(x - then) for x, then in zip(positions, last, strict=True)) > 1e-3 * self._cycle_s
+        self._watch.reset(under_way=moves)
         self._unknown_m = self._web_m if moves else 0.0
         self.synchronized = not moves
         speeds = [(x - then) / self._cycle_s if moves else 0.0 for x, then in zip(positions, last, strict=True)]
@@ -123,18 +124,18 @@ class LineWithStationsTwin:
         left = np.array([torque - port.torque_Nm for (_, torque), port in zip(measured, self.ports, strict=True)])
         self._residuals_Nm = (left - self._unknowns.torques_missing_Nm).tolist()
         if self._unknowns.compare(left, limited=self._limited or self._watch.doubtful):
+            self._watch.corrected(self._unknowns.varied)
             self._take_moduli()
         self._transfer()
         return True
 
     def _look_for_breaks(self, positions_m: Sequence[float], torques_Nm: Sequence[float]) -> None:
-        """What has torn, or is slack."""
+        """What has torn, slips, or is slack."""
         self._limited = any(port.torque_limited for port in self.ports)
         if self._limited:
-            self._watch.interrupt()
+            self._watch.suspend()
         else:
-            unknowns = self._unknowns
-            self._watch.look(positions_m, torques_Nm, unknowns.varied.line, unknowns.inertia_kg_m2)
+            self._watch.look(positions_m, torques_Nm, self._unknowns.varied, self._unknowns.inertia_kg_m2)
 
     def _let_out(self, way_m: float) -> None:
         """So much more web has left the line."""

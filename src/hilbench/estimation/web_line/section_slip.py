@@ -1,0 +1,97 @@
+"""Slip of a web at the driven roller behind a section of a line with stations, by the detector of every span.
+
+A section is longer than a span, and its web may be slower: what the detector looks at are blocks of so much web that
+has gone through, and not of time. The strain that it compares with is that which the encoders show with nothing
+corrected: what was corrected is web that the section has in truth, until it has left.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from math import exp
+from typing import Final
+
+import numpy as np
+
+from hilbench.compiled import COUNT, VECTOR, entry_point, number_of_sources
+from hilbench.estimation import ring
+from hilbench.estimation.bank import Array
+from hilbench.estimation.plausibility import Problem
+from hilbench.estimation.web_line import anomalies, blocks
+
+#: Way of a block, as a share of the section's length: that of a block of 20 ms on a span of 1 m at 3 m/s.
+_BLOCK_SHARE: Final = 0.06
+_SLIP: Final = int(Problem.SLIP)
+#: What the detector is told.
+_BLOCK, _SUSPEND, _RESET = range(3)
+
+
+def _compiled_look(sources: int) -> Callable[[Array, Array, int], bool]:
+    """The function that is called from Python; `sources` as in `number_of_sources`."""
+
+    @entry_point(VECTOR, VECTOR, COUNT)
+    def look(s: Array, block: Array, what: int) -> bool:
+        if sources < 0:
+            return False
+        if what == _BLOCK:
+            anomalies.look(s, block)
+        elif what == _SUSPEND:
+            anomalies.suspend(s)
+        else:
+            anomalies.reset(s)
+        return anomalies.found(s) == _SLIP
+
+    return look
+
+
+_look = _compiled_look(number_of_sources(__file__, anomalies.__file__, blocks.__file__, ring.__file__))
+
+
+class SectionSlip:
+    """Of a section of this length whose web usually has this tension."""
+
+    def __init__(self, usual_N: float, length_m: float) -> None:
+        self._usual_N, self._length_m = usual_N, length_m
+        self.reset(under_way=False)
+
+    def reset(self, *, under_way: bool) -> None:
+        """The web is let go; of one that is under way nobody knows the strain until it has left."""
+        # Promised are tensions, by the model's E: what is left for the detector to multiply with is 1.
+        self._detector = anomalies.new_state(1.0, self._usual_N, self._length_m)
+        self._block = np.zeros(blocks.DURATION_S + 1)
+        self._corrected_N = 0.0
+        self._begin()
+        self.slips = _look(self._detector, self._block, _RESET if under_way else _SUSPEND)
+
+    def _begin(self) -> None:
+        """A new block."""
+        self._count, self._sums_N = 0, np.zeros(2)
+        self._way_m = self._lasted_s = 0.0
+
+    def suspend(self) -> None:
+        """The measurement can't be used: what was before says nothing any more."""
+        self._begin()
+        self.slips = _look(self._detector, self._block, _SUSPEND)
+
+    def correct(self, change_N: float) -> None:
+        """The tension that the followed line has by the model's E was corrected by so much."""
+        self._corrected_N += change_N
+
+    def take(self, tension_N: float, followed_N: float, way_m: float, duration_s: float, *, steady: bool) -> None:
+        """Means since the last call: the tension that the torques show, and that of the followed line by the model's E;
+        the way of the web meanwhile. Nothing is judged across what is not `steady`."""
+        self._corrected_N *= exp(-abs(way_m) / self._length_m)
+        if not steady:
+            self.suspend()
+            return
+        self._count += 1
+        self._sums_N += (tension_N, followed_N - self._corrected_N)
+        self._way_m += way_m
+        self._lasted_s += duration_s
+        if abs(self._way_m) < _BLOCK_SHARE * self._length_m:
+            return
+        block = self._block
+        block[blocks.FORCE_N], block[blocks.WEB_PER_PA] = self._sums_N / self._count
+        block[blocks.VELOCITY_M_S], block[blocks.DURATION_S] = self._way_m / self._lasted_s, self._lasted_s
+        self.slips = _look(self._detector, block, _BLOCK)
+        self._begin()
