@@ -131,6 +131,17 @@ def test_an_effect_that_an_axis_could_not_show_is_asked_by_a_move_that_shows_it(
     assert "steep ramps" in proposed.moves
 
 
+@pytest.mark.parametrize(("frequency_Hz", "shows"), [(5.0, True), (20.0, False)])
+def test_a_resonance_that_an_axis_could_not_show_is_asked_at_its_frequency(frequency_Hz: float, shows: bool) -> None:
+    """As steep as this axis is, nothing it may be asked tells of a higher one."""
+    shown_by = find_effect("resonance", MachineKind.SERVO_AXIS).shown_by
+    unseen = Unobservable("resonance", 1, None, "1", shown_by, frequency_Hz=frequency_Hz)
+    found = replace(left_open(shaft("coulomb_friction", torque_Nm=0.1)), unobservable=[unseen])
+    proposed = axis_next_experiment.propose(found, AXIS_REACH)
+    reasons = [] if proposed is None else proposed.reasons
+    assert any("whether there is resonance of axis 1" in reason for reason in reasons) == shows
+
+
 def test_every_effect_that_a_rotary_axis_described_in_metres_did_not_show_can_be_asked() -> None:
     """Of a radius of 1 m a usual eccentricity would be larger than any may be."""
     machine = lone_axis(effect("coulomb_friction", 1, force_N=1.0))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import pytest
 from tests.diagnosis.axis_rig import Rig
@@ -10,7 +11,7 @@ from tests.diagnosis.servo_bench import HIDDEN, diagnosed, hiding
 from tests.independent import real
 from tests.tiers import slow
 
-from hilbench.diagnosis.diagnosis import Diagnosis, diagnose
+from hilbench.diagnosis.diagnosis import Diagnosis, Unobservable, diagnose
 from hilbench.plant.servo_axis.parameters import ServoAxisParameters, ShaftParameters
 from hilbench.results.recording import Recording, read_recording
 
@@ -64,6 +65,47 @@ def test_a_torsional_shaft_is_named_with_its_share_and_frequency(
 def test_no_resonance_is_named_on_a_stiff_shaft(seed: int) -> None:
     (recording,) = STIFF.recordings(1, seed=seed)
     assert names(examined(recording)) <= KNOWN
+
+
+def unseen(found: Diagnosis) -> list[Unobservable]:
+    return [blind for blind in found.unobservable if blind.effect == "resonance"]
+
+
+@pytest.mark.parametrize("rig", [replace(STIFF, stepped=False, ripple_Nm=0.0), *slow(replace(STIFF, stepped=False))])
+def test_from_which_frequency_on_smooth_motion_could_not_show_a_resonance_is_said(rig: Rig) -> None:
+    (recording,) = rig.recordings(1, seed=3)
+    (blind,) = unseen(examined(recording))
+    assert blind.axis == 1
+    assert blind.frequency_Hz is not None
+    assert blind.frequency_Hz < 20.0
+    assert blind.smallest_visible is None or blind.smallest_visible > 0.2
+    assert "step the speed" in blind.experiment
+    assert f"{blind.frequency_Hz:g} Hz" in blind.experiment
+
+
+def test_steps_of_the_speed_could_have_shown_a_resonance_at_every_frequency() -> None:
+    (recording,) = STIFF.recordings(1, seed=3)
+    assert unseen(examined(recording)) == []
+
+
+@pytest.mark.slow
+def test_a_resonance_that_triangles_do_not_show_is_above_the_frequency_that_is_said() -> None:
+    (recording,) = replace(twisting(0.4, 20.0, 0.05), stepped=False).recordings(1, seed=3)
+    found = examined(recording)
+    assert "resonance" not in names(found)
+    (blind,) = unseen(found)
+    assert blind.frequency_Hz is not None
+    assert blind.frequency_Hz <= 20.0
+
+
+@pytest.mark.slow
+def test_smooth_swings_of_a_bench_show_a_resonance_up_to_the_frequency_that_is_said() -> None:
+    (blind,) = unseen(diagnosed(hiding(HIDDEN)))
+    assert blind.frequency_Hz is not None
+    for frequency_Hz in (0.6 * blind.frequency_Hz, 1.6 * blind.frequency_Hz):
+        hidden = {"inertia_share": 0.3, "frequency_Hz": frequency_Hz, "damping": 0.05}
+        found = diagnosed(hiding(HIDDEN, ("resonance", hidden)))
+        assert ("resonance" in names(found)) == (frequency_Hz < blind.frequency_Hz)
 
 
 @pytest.mark.slow

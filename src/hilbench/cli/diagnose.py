@@ -305,6 +305,7 @@ def as_data(shown: _Found, files: _Files | None, next_experiment: Path | None = 
                 "axis": b.axis,
                 **_section(b.section),
                 "order": b.order,
+                "frequency_Hz": b.frequency_Hz,
                 "smallest_visible": b.smallest_visible,
                 "unit": b.unit,
                 "experiment": b.experiment,

@@ -26,6 +26,7 @@ from hilbench.diagnosis.select_measured import MeasuredSearch
 from hilbench.diagnosis.space import Space
 from hilbench.diagnosis.sparse_law import SparseLaw, law
 from hilbench.diagnosis.terms import Place, Term, extended, pack_with
+from hilbench.diagnosis.unseen_resonance import first_unseen
 from hilbench.diagnosis.web_line.loop_check import nuisance_of
 from hilbench.plant.effects import Effect, Section, find_effect
 from hilbench.plant.model_file import Machine
@@ -131,11 +132,18 @@ class Unobservable:
     experiment: str
     section: Section | None = None
     order: float | None = None  #: of a wave, the lowest of those that were looked at from which on it can't be seen
+    frequency_Hz: float | None = None  #: the same of a resonance
 
     @property
     def place(self) -> Place:
         """Where it would be."""
         return Place(self.effect, self.axis, self.section)
+
+    @property
+    def shape(self) -> dict[str, float]:
+        """What is known of its parameters beside its size."""
+        values = {"order": self.order, "frequency_Hz": self.frequency_Hz}
+        return {name: value for name, value in values.items() if value is not None}
 
 
 @dataclass(frozen=True)
@@ -261,7 +269,7 @@ def concluded(space: Space, chosen: Choice, data: Measured, selection: Selection
         where=_where(where),
         profiles=_profiles(found, after, floor_of, max(gaps, key=_size).signal),
         unexplained=unexplained,
-        unobservable=_unobservable(selection) + _waves_too_fast(space, Proposer(space.model, data), selection),
+        unobservable=_all_unobservable(space, Proposer(space.model, data), selection),
         missing_channels=data.missing,
         model=extended(space.model, certain),
         names=predictor.names,
@@ -488,6 +496,11 @@ def _profiles(before: list[Misfit], after: list[Misfit], floors: dict[str, float
     return result
 
 
+def _all_unobservable(space: Space, proposer: Proposer, selection: Selection) -> list[Unobservable]:
+    found = _unobservable(selection) + _waves_too_fast(space, proposer, selection)
+    return found + _unseen_resonances(space, proposer, selection)
+
+
 def _unobservable(selection: Selection) -> list[Unobservable]:
     """Effects of which a change of the usual size would drown in the noise of these data."""
     offered, result = selection.candidates, []
@@ -523,4 +536,15 @@ def _waves_too_fast(space: Space, proposer: Proposer, selection: Selection) -> l
             advice = f"{effect.shown_by}, for orders from {order:g} on slower than this"
             result.append(Unobservable(effect.id, wave.axis, visible, unit, advice, order=float(order)))
             break
+    return result
+
+
+def _unseen_resonances(space: Space, proposer: Proposer, selection: Selection) -> list[Unobservable]:
+    """Effects with a frequency that these data could show at low frequencies alone, or at none."""
+    result = []
+    for unseen in first_unseen(space, proposer, selection, _VISIBLE):
+        effect, first_Hz = unseen.term.effect, float(f"{unseen.frequency_Hz:.3g}")
+        visible = rounded(unseen.smallest) if np.isfinite(unseen.smallest) else None
+        unit, advice = effect.parameter(effect.strength[0]).unit, f"{effect.shown_by}, for {first_Hz:g} Hz and above"
+        result.append(Unobservable(effect.id, unseen.term.axis, visible, unit, advice, frequency_Hz=first_Hz))
     return result

@@ -173,8 +173,8 @@ def questions_of(found: Diagnosis, sizes: Callable[[int | None], MachineSizes]) 
             yield Question(f"whether it is {effect.effect} or {name}", model, without, instead, _APART, _TIE)
     for blind in found.unobservable:
         unseen, like = machines.effect_of(model, blind.effect), None
-        if blind.order is not None:
-            like = machines.entry(model, unseen.id, blind.axis, unseen.filled({"order": blind.order}))
+        if blind.shape:
+            like = machines.entry(model, unseen.id, blind.axis, unseen.filled(blind.shape))
         for one in _tries(blind.place, model, sizes, like)[:1]:
             with_it = machines.with_effects(model, [*model.effects, one])
             yield Question(f"whether there is {blind.place.text}", with_it, model, [], _VISIBLE, 1.0)

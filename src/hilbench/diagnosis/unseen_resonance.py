@@ -1,0 +1,99 @@
+"""From which frequency on a recording could hardly show a resonance: what a search would see of one, wherever it is.
+
+A resonance is looked at with some frequencies; of one between them the search sees what the nearest explains, beside
+all that was found and another inertia. Smooth motion hardly twists a shaft, and where it twists it slowly the twist
+goes with the acceleration, as an inertia does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import groupby, pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilbench.diagnosis.offers import least_share
+from hilbench.diagnosis.proposals import Proposer
+from hilbench.diagnosis.select import Selection
+from hilbench.diagnosis.space import Space
+from hilbench.diagnosis.stretched_problem import basis, without
+from hilbench.diagnosis.terms import Place, Term
+from hilbench.plant.effects import Domain, ProbeOver
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Unseen:
+    """An effect at the lowest frequency at which its usual size could not be seen."""
+
+    term: Term
+    frequency_Hz: float
+    smallest: float  #: strength that could be seen there; inf: none
+
+
+def first_unseen(space: Space, proposer: Proposer, selection: Selection, deviations: float) -> Iterator[Unseen]:
+    """Of each effect with a frequency that neither model nor selection has; nothing of one that would be seen at all
+    frequencies that are looked at.
+
+    deviations: of the noise, from how many on something is seen.
+    """
+    known = {Place.of(entry) for entry in space.model.effects} | {term.place for term in selection.fit.terms}
+    plain = proposer.plain()
+    tried = [term for term in plain if _frequency(term) is not None and term.place not in known]
+    for _, group in groupby(tried, lambda term: term.place):
+        looked_at = sorted(group, key=_Hz)
+        between = [_between(low, high) for low, high in pairwise(looked_at)]
+        smallest = _smallest(space, selection, plain, looked_at, between, deviations)
+        found = sorted(zip([*looked_at, *between], smallest, strict=True), key=lambda one: _Hz(one[0]))
+        yield from [Unseen(term, _Hz(term), float(s)) for term, s in found if not s <= term.size][:1]
+
+
+def _frequency(term: Term) -> str | None:
+    """Name of the parameter that is the frequency with which a term is looked at."""
+    probe = term.effect.probe
+    return probe.parameter if probe is not None and probe.over is ProbeOver.FREQUENCIES else None
+
+
+def _Hz(term: Term) -> float:
+    return term.values[_frequency(term) or ""]
+
+
+def _between(low: Term, high: Term) -> Term:
+    """The same at the geometric mean of two frequencies."""
+    return replace(low, values={**low.values, _frequency(low) or "": float(np.sqrt(_Hz(low) * _Hz(high)))})
+
+
+def _smallest(
+    space: Space, selection: Selection, plain: list[Term], looked_at: list[Term], between: list[Term], deviations: float
+) -> Array:
+    """(looked at + between,): smallest strengths that a search sees, inf where it sees none.
+
+    On measured motion they have to explain a share of what they leave unexplained, however large they are.
+    """
+    fit, rows, white = selection.fit, space.predictor.rows, selection.candidates.whitening
+    others = [t for t in plain if t.effect.domain is Domain.INERTIA and _frequency(t) is None]
+    heavy = [t for t in others if not any(map(t.overlaps, fit.terms))]
+    own = [space.point(fit.terms, fit.residual).derivatives, *space.strengths(fit.terms, fit.residual, heavy)]
+    responses = np.concatenate(space.strengths(fit.terms, fit.residual, [*looked_at, *between]))
+    beside, count = np.concatenate(own), len(looked_at)
+    _, seen = _squares(white.apply(responses)[..., rows], white.apply(beside)[..., rows], count)
+    smallest = deviations / np.sqrt(np.maximum(seen, 1e-300))
+    if not space.predictor.exact:
+        whole, seen = _squares(responses[..., rows], beside[..., rows], count)
+        share = least_share(looked_at[0])
+        left = share * float(np.sum(fit.residual[..., rows] ** 2))
+        smallest = np.maximum(smallest, np.sqrt(left / np.maximum(seen - share * whole, 1e-300)))
+    upper = looked_at[0].effect.parameter(looked_at[0].effect.strength[0]).upper
+    return np.where(smallest > upper, np.inf, smallest)
+
+
+def _squares(responses: Array, beside: Array, tried: int) -> tuple[Array, Array]:
+    """(J,) twice: squares of responses (J, signals, n) without what others have of them, and how much of those the best
+    of the first so many explains."""
+    flat = without(responses, basis(beside.reshape(len(beside), -1))).reshape(len(responses), -1)
+    whole = np.maximum(np.sum(flat**2, axis=1), 1e-300)
+    along = flat @ flat[:tried].T
+    return whole, np.max(along**2 / whole[:tried], axis=1)
