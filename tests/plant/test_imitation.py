@@ -5,40 +5,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hilbench.plant.motor_port import MotorMode, MotorPort
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line import offline
-from hilbench.plant.web_line.imitation import Imitation, lead_s, simulate_imitated
+from hilbench.plant.web_line.imitation import Imitation, simulate_imitated
 from hilbench.plant.web_line.parameters import ModelParameters
-from hilbench.plant.web_line.rig import CoupledMotor, RigParameters, TestRig
+from hilbench.plant.web_line.rig import CoupledMotor
 from hilbench.plant.web_line.span import SpanFollower
 
+from .cycles import cycle_by_cycle
 from .models import effect, line_of, model
 
 CYCLE_S = 0.002
-
-
-def cycle_by_cycle(parameters: ModelParameters, load_axes: tuple[int, ...], commands: np.ndarray) -> np.ndarray:
-    """Positions, torques, tensions of a bench's cycles: the torque of what was measured goes out with the next SYNC."""
-    n = parameters.axis_count
-    ports = [MotorPort(mode=MotorMode.VELOCITY) for _ in range(n)]
-    ports += [MotorPort(mode=MotorMode.TORQUE) for _ in load_axes]
-    rig = TestRig(RigParameters.matching(parameters, [CoupledMotor(axis=axis) for axis in load_axes]), ports)
-    web, torques, rows = SpanFollower(parameters), [0.0] * len(load_axes), []
-    per_m = [parameters.motor_rad_per_m(axis) for axis in range(1, n + 1)]
-    for number, command in enumerate(commands):
-        outputs = rig.outputs()
-        x = [outputs[f"x{axis}_rad"] / per_m[axis - 1] for axis in range(1, n + 1)]
-        if number:
-            web.follow(x, CYCLE_S)
-        rows.append([*x, *(port.torque_Nm for port in ports[:n]), *web.tension_N])
-        for port, v, scale in zip(ports, command, per_m, strict=False):
-            port.setpoint = v * scale
-        for port, torque in zip(ports[n:], torques, strict=True):
-            port.setpoint = torque
-        rig.step(CYCLE_S)
-        torques = web.load_torques_Nm(load_axes, [0.0] * n, lead_s(parameters, CYCLE_S))
-    return np.array(rows)
 
 
 @pytest.mark.parametrize(
@@ -60,7 +37,7 @@ def test_recording_in_one_call_is_what_the_bench_does_cycle_by_cycle(
     p = lay.pack(parameters)
     imitation = Imitation(CYCLE_S, tuple(CoupledMotor(axis=axis) for axis in load_axes))
     found = simulate_imitated(imitation, parameters, p, offline.start_state(p, parameters), commands, boundary)
-    expected = cycle_by_cycle(parameters, load_axes, commands)
+    expected = cycle_by_cycle(SpanFollower(parameters), parameters, load_axes, commands, CYCLE_S)
     # Positions to rounding; a tension is E·S/L of that.
     np.testing.assert_allclose(found.x_m, expected[:, :n], rtol=0, atol=1e-9)
     np.testing.assert_allclose(found.tau_Nm, expected[:, n : 2 * n], rtol=0, atol=1e-4)

@@ -7,15 +7,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hilbench.plant.motor_port import MotorMode, MotorPort
 from hilbench.plant.parameters import EffectEntry
 from hilbench.plant.web_line import layout as lay
-from hilbench.plant.web_line.imitation import Imitation, lead_s
+from hilbench.plant.web_line.imitation import Imitation
 from hilbench.plant.web_line.line_follower import LineFollower
 from hilbench.plant.web_line.line_imitation import simulate_imitated_line
 from hilbench.plant.web_line.parameters import ModelParameters
-from hilbench.plant.web_line.rig import CoupledMotor, RigParameters, TestRig
+from hilbench.plant.web_line.rig import CoupledMotor
 from hilbench.runs.config import load
+
+from .cycles import cycle_by_cycle
 
 CONFIGS = Path(__file__).resolve().parents[2] / "bench_configs"
 CYCLE_S = 0.003
@@ -35,35 +36,6 @@ def speeds(rows: int, axes: int) -> np.ndarray:
     t = np.arange(rows) * CYCLE_S
     line = np.minimum(1.2 * t, 0.6)
     return np.column_stack([line * (1.0 + 2e-3 * (axes - k) * np.sin(4.0 * t + k)) for k in range(axes)])
-
-
-def cycle_by_cycle(
-    parameters: ModelParameters, load_axes: tuple[int, ...], commands: np.ndarray, sensors: tuple[str, ...]
-) -> np.ndarray:
-    """Positions, torques, tensions, what sensors say: the torque of what was measured goes out with the next SYNC."""
-    n = parameters.axis_count
-    ports = [MotorPort(mode=MotorMode.VELOCITY) for _ in range(n)]
-    ports += [MotorPort(mode=MotorMode.TORQUE) for _ in load_axes]
-    of_axes = [entry for entry in parameters.effects if entry.axis is not None]
-    of_line = [entry for entry in parameters.effects if entry.axis is None]
-    stand = RigParameters.matching(parameters, [CoupledMotor(axis=axis) for axis in load_axes], effects=of_axes)
-    rig, torques, rows = TestRig(stand, ports), [0.0] * len(load_axes), []
-    line = LineFollower(parameters.model_copy(update={"effects": tuple(of_line)}))
-    per_m = [parameters.motor_rad_per_m(axis) for axis in range(1, n + 1)]
-    for number, command in enumerate(commands):
-        outputs = rig.outputs()
-        x = [outputs[f"x{axis}_rad"] / per_m[axis - 1] for axis in range(1, n + 1)]
-        if number:
-            line.follow(x, CYCLE_S)
-        true = line.outputs()
-        rows.append([*x, *(port.torque_Nm for port in ports[:n]), *line.tension_N, *(true[name] for name in sensors)])
-        for port, v, scale in zip(ports, command, per_m, strict=False):
-            port.setpoint = v * scale
-        for port, torque in zip(ports[n:], torques, strict=True):
-            port.setpoint = torque
-        rig.step(CYCLE_S)
-        torques = line.load_torques_Nm(load_axes, [0.0] * n, lead_s(parameters, CYCLE_S))
-    return np.array(rows)
 
 
 @pytest.mark.parametrize(
@@ -95,7 +67,11 @@ def test_recording_in_one_call_is_what_the_bench_does_cycle_by_cycle(
     boundary = np.tile([parameters.upstream_strain, parameters.boundary.downstream_tension_N], (rows, 1))
     imitation = Imitation(CYCLE_S, tuple(CoupledMotor(axis=axis) for axis in load_axes))
     found = simulate_imitated_line(imitation, parameters, lay.pack(parameters), commands, boundary, list(sensors))
-    expected = cycle_by_cycle(parameters, load_axes, commands, tuple(sensors.values()))
+    of_axes = [entry for entry in parameters.effects if entry.axis is not None]
+    of_line = [entry for entry in parameters.effects if entry.axis is None]
+    line = LineFollower(parameters.model_copy(update={"effects": tuple(of_line)}))
+    seen = tuple(sensors.values())
+    expected = cycle_by_cycle(line, parameters, load_axes, commands, CYCLE_S, effects=of_axes, sensors=seen)
     assert found.sensors_m is not None
     np.testing.assert_allclose(found.x_m, expected[:, :n], rtol=0, atol=1e-8)
     np.testing.assert_allclose(found.tau_Nm, expected[:, n : 2 * n], rtol=0, atol=1e-3)
