@@ -30,7 +30,8 @@ from hilbench.diagnosis.diagnosis import Value, diagnose
 from hilbench.diagnosis.measured import measured_from
 from hilbench.diagnosis.web_line.free_run import FreeRun
 from hilbench.diagnosis.web_line.synthetic import UNKNOWNS, hidden_recording
-from hilbench.plant.effects import Effect, MachineKind, effects_of, find_effect
+from hilbench.plant.effect import Effect, MachineKind
+from hilbench.plant.effects import effects_of, find_effect
 from hilbench.plant.parameters import EffectEntry
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.parameters import ModelParameters

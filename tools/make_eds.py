@@ -14,7 +14,8 @@ from pathlib import Path
 from canopen.objectdictionary import ODRecord, ODVariable
 
 from hilbench.bench.operator import operator_objects
-from hilbench.plant.effects import Effect, EffectPlace, MachineKind, effects_of
+from hilbench.plant.effect import Effect, EffectPlace, MachineKind
+from hilbench.plant.effects import effects_of
 from hilbench.topology.process_data.of_kind import process_data
 from hilbench.topology.process_data.table import STATUS_TPDO
 from hilbench.topology.signals import SMALLEST, Shape

@@ -19,7 +19,8 @@ from hilbench.canopen.eds import all_variables, load_eds
 from hilbench.canopen.eds import variable as find_variable
 from hilbench.cia402.object_units import has_drive_unit, si_unit
 from hilbench.cli.main import app
-from hilbench.plant.effects import EFFECTS, STATION_EFFECTS, Effect, EffectPlace, MachineKind, Parameter
+from hilbench.plant.effect import Effect, EffectPlace, MachineKind, Parameter
+from hilbench.plant.effects import EFFECTS, STATION_EFFECTS
 from hilbench.runs import found
 from hilbench.runs.config import ExperimentConfig
 from hilbench.runs.config_text import json_schema

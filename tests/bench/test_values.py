@@ -16,7 +16,8 @@ from tests.cli.in_process import hilbench
 
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.errors import BenchFaultError, UnusableInputError, UnusableValueError
-from hilbench.plant.effects import MachineKind, effects_of
+from hilbench.plant.effect import MachineKind
+from hilbench.plant.effects import effects_of
 from hilbench.runs.config import load
 from hilbench.runs.scenario import read_scenario
 from hilbench.scripts.bench import Bench

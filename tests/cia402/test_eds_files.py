@@ -18,7 +18,8 @@ from hilbench.canopen.eds import load_eds
 from hilbench.cia402.configuration import default_reader
 from hilbench.cia402.units import DriveUnits
 from hilbench.exchange.effect_objects import bind_effect_objects, effect_object
-from hilbench.plant.effects import EffectPlace, MachineKind, effects_of
+from hilbench.plant.effect import EffectPlace, MachineKind
+from hilbench.plant.effects import effects_of
 
 ROOT = Path(__file__).parents[2]
 FILES = ("hilbench_servo.eds", "hilbench_virtual_io.eds", "hilbench_virtual_io_servo_axis.eds", "hilbench_bench.eds")

@@ -18,7 +18,8 @@ from hilbench.diagnosis.diagnosis import Diagnosis, Gap, NamedEffect, Unobservab
 from hilbench.diagnosis.imitated import imitation_of
 from hilbench.diagnosis.next_experiment import LONGEST_S, duration_s, write_steps
 from hilbench.diagnosis.web_next_experiment import Reach, moves, propose
-from hilbench.plant.effects import MachineKind, effects_of, find_effect
+from hilbench.plant.effect import MachineKind
+from hilbench.plant.effects import effects_of, find_effect
 from hilbench.plant.model_file import Machine
 from hilbench.plant.servo_axis.parameters import ServoAxisParameters
 from hilbench.runs.check import check_experiment

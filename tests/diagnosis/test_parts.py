@@ -18,7 +18,8 @@ from hilbench.diagnosis.space import Linear, Split
 from hilbench.diagnosis.terms import Term, extended, pack_with
 from hilbench.diagnosis.web_line.free_run import FreeRun, between
 from hilbench.diagnosis.web_line.synthetic import hidden_recording
-from hilbench.plant.effects import MachineKind, effects_of, find_effect
+from hilbench.plant.effect import MachineKind
+from hilbench.plant.effects import effects_of, find_effect
 from hilbench.plant.model_file import write_model
 from hilbench.plant.parameters import EffectEntry
 from hilbench.plant.web_line import layout as lay

@@ -30,7 +30,7 @@ from hilbench.monitor.dashboard import Dashboard
 from hilbench.monitor.deeds import Deeds
 from hilbench.monitor.picture import BusPicture
 from hilbench.monitor.trends import trends_of
-from hilbench.plant.effects import MachineKind
+from hilbench.plant.effect import MachineKind
 from hilbench.results.journal import read_journal
 from hilbench.results.run import run_experiment
 from hilbench.results.run_folder import RunFolder

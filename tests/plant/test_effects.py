@@ -10,15 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from hilbench.plant.effects import (
-    EFFECTS,
-    Effect,
-    EffectPlace,
-    MachineKind,
-    effect_problem,
-    effects_of,
-    find_effect,
-)
+from hilbench.plant.effect import Effect, EffectPlace, MachineKind
+from hilbench.plant.effects import EFFECTS, effect_problem, effects_of, find_effect
 from hilbench.plant.motor_port import MotorMode, MotorPort
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line import offline
@@ -341,6 +334,14 @@ def test_a_machine_that_turns_has_frictions_in_newton_metres_and_no_web() -> Non
     assert find_effect("coulomb_friction", MachineKind.SERVO_AXIS).parameters[0].name == "torque_Nm"
     with pytest.raises(KeyError, match="unknown effect 'web_slip'"):
         find_effect("web_slip", MachineKind.SERVO_AXIS)
+
+
+@pytest.mark.parametrize(
+    ("misspelt", "meant"), [("carriage_sprung", "carriage_spring"), ("coulomb_frction", "coulomb_friction")]
+)
+def test_who_misspells_an_effect_is_told_what_is_meant(misspelt: str, meant: str) -> None:
+    with pytest.raises(KeyError, match=rf"expected one of .*reel_radius, did you mean '{meant}'\?"):
+        find_effect(misspelt)
 
 
 @pytest.mark.parametrize("item", EFFECTS, ids=lambda e: e.id)

@@ -11,7 +11,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hilbench.plant.effects import MachineKind, find_effect
+from hilbench.plant.effect import MachineKind
+from hilbench.plant.effects import find_effect
 from hilbench.plant.interface import Follower, Machine, Plant, Quantity, checked_name
 from hilbench.plant.motor_port import MotorMode, MotorPort
 from hilbench.plant.sensors import SensorParameters

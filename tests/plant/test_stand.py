@@ -10,17 +10,17 @@ from pydantic import ValidationError
 
 from hilbench.plant.motor_port import MotorMode, MotorPort
 from hilbench.plant.parameters import EffectEntry, LoadMotorParameters
-from hilbench.plant.sampled_shaft import SampledShaft, imitation_delay_s
+from hilbench.plant.sampled_shaft import (
+    LinearLaw,
+    SampledShaft,
+    imitation_delay_s,
+    largest_stable,
+    spectral_radius_under,
+)
 from hilbench.plant.sensors import SensorNoise, SensorParameters
 from hilbench.plant.web_line.rig import CoupledMotor, RigParameters, TestRig
 from hilbench.plant.web_line.span import SpanFollower
-from hilbench.plant.web_line.stability import (
-    largest_inertia_ratio,
-    largest_stiffness_Nm_per_rad,
-    sampled_shaft,
-    spectral_radius,
-    web_stiffness_Nm_per_rad,
-)
+from hilbench.plant.web_line.stability import largest_stiffness_Nm_per_rad, sampled_shaft, spectral_radius
 
 from .models import model
 
@@ -103,6 +103,17 @@ def test_noise_does_not_depend_on_the_block_size() -> None:
     assert np.abs(np.corrcoef(rows.T) - np.eye(6)).max() < 0.2  # every quantity has its own stream
 
 
+def largest_inertia_ratio(shaft: SampledShaft) -> float:
+    """Largest stable imitated over real inertia, by tau = -J_e·(v_k - v_{k-1})/T."""
+
+    def radius(ratio: float) -> float:
+        per_rate = np.array([ratio * shaft.inertia_kg_m2 / shaft.cycle_s])
+        law = LinearLaw(np.zeros((1, 1)), np.array([[0.0, 1.0]]), per_rate, np.array([0.0, -per_rate[0]]))
+        return spectral_radius_under(shaft, law)
+
+    return largest_stable(radius, 100.0)
+
+
 def imitate_inertia(ratio: float) -> np.ndarray:
     """Speed of shaft 2 after a nudge, with inertia imitated over the bus: set points act one cycle later."""
     bench, ports = stand()
@@ -127,6 +138,7 @@ def test_inertia_can_be_imitated_up_to_the_computed_limit_and_not_beyond() -> No
 
 @pytest.mark.parametrize("delay", [1, 2, 5])
 def test_without_control_loops_only_as_much_inertia_as_there_is(delay: int) -> None:
+    # d_{k+1} = -(J_e/J)·d_{k-delay} of the changes of speed d.
     shaft = SampledShaft(0.05, 0.0, 0.0, 0.0, 0.0, delay_cycles=delay)
     assert largest_inertia_ratio(shaft) == pytest.approx(1.0, rel=2e-3)
 
@@ -150,10 +162,11 @@ def imitate_web(lead_s: float) -> np.ndarray:
 
 def test_the_web_can_be_imitated_only_with_the_delay_made_good() -> None:
     parameters = model()
-    shaft, web = sampled_shaft(parameters), web_stiffness_Nm_per_rad(parameters)
+    shaft = sampled_shaft(parameters)
+    web = parameters.youngs_modulus_Pa(1) * parameters.section_m2(1) / parameters.span_length_m(1) / RAD_PER_M**2
     lead = imitation_delay_s(shaft)
-    assert spectral_radius(shaft, stiffness_Nm_per_rad=web) > 1.0
-    assert spectral_radius(shaft, stiffness_Nm_per_rad=web, lead_s=lead) < 1.0
+    assert spectral_radius(shaft, web) > 1.0
+    assert spectral_radius(shaft, web, lead) < 1.0
     assert largest_stiffness_Nm_per_rad(shaft) < web < 0.5 * largest_stiffness_Nm_per_rad(shaft, lead)
     assert np.ptp(imitate_web(0.0)[-300:]) > 50.0
     assert np.ptp(imitate_web(lead)[-300:]) < 5.0

@@ -16,7 +16,7 @@ from hilbench.canopen.device import Device
 from hilbench.canopen.eds import load_eds
 from hilbench.estimation.plausibility import Problem
 from hilbench.estimation.web_line.balance import MeasuredBalance
-from hilbench.plant.effects import MachineKind
+from hilbench.plant.effect import MachineKind
 from hilbench.plant.motor_port import MotorMode
 from hilbench.runs.config import load_with_overrides
 from hilbench.topology.process_data.of_kind import process_data

@@ -35,7 +35,7 @@ from hilbench.exchange.exchange import Exchange
 from hilbench.exchange.frame_tap import FrameTap
 from hilbench.exchange.nodes import Nodes
 from hilbench.exchange.timeliness import Timeliness
-from hilbench.plant.effects import MachineKind
+from hilbench.plant.effect import MachineKind
 from hilbench.prediction.plan import Asked, Move, Plan
 from hilbench.processes import ChildProcess
 from hilbench.suggest import did_you_mean

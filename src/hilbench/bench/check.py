@@ -14,7 +14,7 @@ from hilbench.cia402.configuration import lacking
 from hilbench.errors import UnusableInputError
 from hilbench.exchange.addressing import declared_units, drive_settings
 from hilbench.exchange.nodes import Nodes
-from hilbench.plant.effects import MachineKind
+from hilbench.plant.effect import MachineKind
 from hilbench.plant.servo_axis.stability import imitable_inertia_kg_m2
 from hilbench.plant.servo_axis.stability import sampled_shaft as shaft_on_bus
 from hilbench.strict_yaml import Document, Location

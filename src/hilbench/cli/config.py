@@ -12,7 +12,7 @@ from hilbench.cli.new_bench import servo_axis, web_line
 from hilbench.cli.new_bench.machine import NewBench, Place
 from hilbench.errors import UnusableInputError
 from hilbench.files import writing
-from hilbench.plant.effects import MachineKind
+from hilbench.plant.effect import MachineKind
 
 if TYPE_CHECKING:
     from hilbench.strict_yaml import Document

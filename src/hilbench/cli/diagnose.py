@@ -24,7 +24,7 @@ from hilbench.diagnosis.next_experiment import NextExperiment, Step, write_steps
 from hilbench.errors import BenchFaultError, UnusableInputError
 from hilbench.files import make_folder
 from hilbench.history.entries import keep_diagnosis
-from hilbench.plant.effects import Section
+from hilbench.plant.effect import Section
 from hilbench.plant.model_file import write_model
 from hilbench.report.diagnosis_page import write_diagnosis_page
 from hilbench.results.recording import Recording, read_recording, read_rows

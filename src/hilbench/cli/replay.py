@@ -73,7 +73,7 @@ def _trace(run: Path, bus: str | None, speed: float, *, commands: bool, force: b
 def _twin(run: Path, method: str | None, out: Path | None) -> dict[str, Any]:
     import numpy as np
 
-    from hilbench.plant.effects import MachineKind
+    from hilbench.plant.effect import MachineKind
     from hilbench.results.journal import read_journal
     from hilbench.results.recording import Recording, read_recording, write_recording
     from hilbench.results.run_folder import RunFolder

@@ -24,7 +24,8 @@ from hilbench.diagnosis.predictor import Predictor, predictor_for
 from hilbench.diagnosis.proposals import Proposer
 from hilbench.diagnosis.space import Space
 from hilbench.diagnosis.terms import Term, extended, pack_with
-from hilbench.plant.effects import EFFECTS, Domain, find_effect
+from hilbench.plant.effect import Domain
+from hilbench.plant.effects import EFFECTS, find_effect
 from hilbench.plant.model_file import Machine
 
 Array = NDArray[np.float64]

@@ -28,7 +28,8 @@ from hilbench.diagnosis.sparse_law import SparseLaw, law
 from hilbench.diagnosis.terms import Place, Term, extended, pack_with
 from hilbench.diagnosis.unseen_resonance import first_unseen
 from hilbench.diagnosis.web_line.loop_check import nuisance_of
-from hilbench.plant.effects import Effect, Section, find_effect
+from hilbench.plant.effect import Effect, Section
+from hilbench.plant.effects import find_effect
 from hilbench.plant.model_file import Machine
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.results.recording import Recording

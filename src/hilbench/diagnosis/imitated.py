@@ -9,7 +9,7 @@ from hilbench.canopen.eds import load_eds
 from hilbench.diagnosis.machines import AnyImitation
 from hilbench.errors import UnusableInputError
 from hilbench.exchange.addressing import declared_units
-from hilbench.plant.effects import MachineKind
+from hilbench.plant.effect import MachineKind
 from hilbench.plant.servo_axis.imitated_run import ShaftImitation
 from hilbench.plant.web_line.imitation import Imitation
 from hilbench.results.run_folder import RunFolder

@@ -8,16 +8,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.plant.effects import (
-    STATION_EFFECTS,
-    Domain,
-    Effect,
-    MachineKind,
-    MachineSizes,
-    Section,
-    effects_of,
-    find_effect,
-)
+from hilbench.plant.effect import Domain, Effect, MachineKind, MachineSizes, Section
+from hilbench.plant.effects import STATION_EFFECTS, effects_of, find_effect
 from hilbench.plant.model_file import Machine
 from hilbench.plant.parameters import EffectEntry
 from hilbench.plant.servo_axis import layout as shaft_layout

@@ -21,7 +21,8 @@ from hilbench.diagnosis import machines
 from hilbench.diagnosis.diagnosis import Diagnosis, NamedEffect
 from hilbench.diagnosis.terms import Place
 from hilbench.files import writing
-from hilbench.plant.effects import EFFECTS, MachineSizes
+from hilbench.plant.effect import MachineSizes
+from hilbench.plant.effects import EFFECTS
 from hilbench.plant.model_file import Machine
 from hilbench.plant.parameters import EffectEntry
 

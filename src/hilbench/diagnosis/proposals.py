@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from hilbench.diagnosis import machines
 from hilbench.diagnosis.measured import Measured
 from hilbench.diagnosis.terms import Place, Term
-from hilbench.plant.effects import Domain, Effect, MachineSizes, ProbeOver, Section
+from hilbench.plant.effect import Domain, Effect, MachineSizes, ProbeOver, Section
 from hilbench.plant.model_file import Machine
 from hilbench.plant.web_line.parameters import ModelParameters
 

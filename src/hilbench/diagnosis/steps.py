@@ -22,7 +22,7 @@ from hilbench.diagnosis.noise import Whitening
 from hilbench.diagnosis.proposals import Proposer
 from hilbench.diagnosis.space import Linear, Space, noise_model
 from hilbench.diagnosis.terms import Key, Place, Term
-from hilbench.plant.effects import Effect, Section
+from hilbench.plant.effect import Effect, Section
 
 Array = NDArray[np.float64]
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.diagnosis import machines
-from hilbench.plant.effects import Effect, ProbeOver, Section
+from hilbench.plant.effect import Effect, ProbeOver, Section
 from hilbench.plant.model_file import Machine
 from hilbench.plant.parameters import EffectEntry
 

@@ -20,7 +20,7 @@ from hilbench.diagnosis.select import Selection
 from hilbench.diagnosis.space import Space
 from hilbench.diagnosis.stretched_problem import basis, without
 from hilbench.diagnosis.terms import Place, Term
-from hilbench.plant.effects import Domain, ProbeOver
+from hilbench.plant.effect import Domain, ProbeOver
 
 Array = NDArray[np.float64]
 

@@ -22,7 +22,7 @@ from hilbench.diagnosis.proposals import Proposer
 from hilbench.diagnosis.select import Search, Selection
 from hilbench.diagnosis.space import Space
 from hilbench.diagnosis.terms import Key, Term, extended
-from hilbench.plant.effects import ProbeOver
+from hilbench.plant.effect import ProbeOver
 from hilbench.plant.model_file import Machine
 
 Array = NDArray[np.float64]

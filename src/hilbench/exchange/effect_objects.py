@@ -9,7 +9,8 @@ from collections.abc import Callable
 from functools import partial
 
 from hilbench.canopen.device import Cell, Device
-from hilbench.plant.effects import EffectPlace, MachineKind, effects_of, find_effect
+from hilbench.plant.effect import EffectPlace, MachineKind
+from hilbench.plant.effects import effects_of, find_effect
 
 
 def effect_object(effect_id: str, parameter: str, kind: MachineKind = MachineKind.WEB_LINE) -> tuple[int, int]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from hilbench.plant.effects import MachineKind
+from hilbench.plant.effect import MachineKind
 from hilbench.plant.fmu.axis import FmuAxisParameters
 from hilbench.plant.fmu.shaft import FmuRig
 from hilbench.plant.interface import Plant

@@ -6,7 +6,7 @@ from collections import deque
 from dataclasses import dataclass, field
 from math import isinf, nan
 
-from hilbench.plant.effects import MachineKind
+from hilbench.plant.effect import MachineKind
 from hilbench.topology.main_quantities.of_kind import main_quantities
 from hilbench.topology.main_quantities.quantity import OF_THE_MODEL
 from hilbench.topology.process_data.of_kind import process_data

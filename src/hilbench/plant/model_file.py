@@ -11,7 +11,7 @@ import yaml
 from hilbench import strict_yaml
 from hilbench.errors import UnusableInputError
 from hilbench.files import writing
-from hilbench.plant.effects import MachineKind
+from hilbench.plant.effect import MachineKind
 from hilbench.plant.fmu.axis import FmuAxisParameters
 from hilbench.plant.servo_axis.parameters import ServoAxisParameters
 from hilbench.plant.web_line.parameters import ModelParameters, load_model

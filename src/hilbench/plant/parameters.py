@@ -10,7 +10,8 @@ from typing import Annotated, ClassVar, Self, TypeVar
 from pydantic import BeforeValidator, Field, FiniteFloat, model_validator
 
 from hilbench.block import Block
-from hilbench.plant.effects import MachineKind, Section, find_effect
+from hilbench.plant.effect import MachineKind, Section
+from hilbench.plant.effects import find_effect
 
 Positive = Annotated[FiniteFloat, Field(gt=0.0)]
 NotNegative = Annotated[FiniteFloat, Field(ge=0.0)]

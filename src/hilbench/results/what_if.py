@@ -15,7 +15,7 @@ from hilbench.bench.prediction.hindsight import Hindsight
 from hilbench.bench.prediction.web_line import LineLook, foreseen
 from hilbench.bench.prediction.window import CYCLES, Window
 from hilbench.errors import UnusableInputError
-from hilbench.plant.effects import MachineKind
+from hilbench.plant.effect import MachineKind
 from hilbench.prediction.config import PredictionConfig
 from hilbench.prediction.outlook import Outlook
 from hilbench.prediction.plan import Asked, Move, Plan

@@ -11,7 +11,7 @@ from hilbench.bench.prediction.web_line import foreseen
 from hilbench.bench.tasks.tension_loop import Margins, OperatingPoint, TensionLoop
 from hilbench.bench.web_line_check import check_stability, operating_point_text, stiffness_reserves
 from hilbench.errors import UnusableInputError
-from hilbench.plant.effects import MachineKind
+from hilbench.plant.effect import MachineKind
 from hilbench.plant.parameters import per_item
 from hilbench.runs.config import ExperimentConfig, LoadedConfig
 from hilbench.runs.found import find_metric as find_found_metric

@@ -6,7 +6,8 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
-from hilbench.plant.effects import MachineKind, find_effect
+from hilbench.plant.effect import MachineKind
+from hilbench.plant.effects import find_effect
 from hilbench.plant.parameters import EffectEntry
 from hilbench.runs import web_line_values
 from hilbench.runs.config import ExperimentConfig

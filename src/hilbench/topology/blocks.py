@@ -12,7 +12,8 @@ from hilbench.can.open import BusAddress
 from hilbench.errors import UnusableInputError
 from hilbench.estimation.servo_axis.config import InertiaConfig
 from hilbench.estimation.web_line.config import EstimationConfig
-from hilbench.plant.effects import EffectPlace, MachineKind, effect_problem, find_effect
+from hilbench.plant.effect import EffectPlace, MachineKind
+from hilbench.plant.effects import effect_problem, find_effect
 from hilbench.plant.fmu.axis import FmuAxisParameters
 from hilbench.plant.fmu.config import FmuLoadConfig
 from hilbench.plant.parameters import EffectEntry, NotNegative, Positive

@@ -14,7 +14,7 @@ from pydantic import Field, FiniteFloat, ValidationInfo, field_validator, model_
 from hilbench.block import Block
 from hilbench.can.open import BusAddress
 from hilbench.errors import UnusableInputError
-from hilbench.plant.effects import MachineKind
+from hilbench.plant.effect import MachineKind
 from hilbench.plant.parameters import DriveParameters, EffectEntry, per_item
 from hilbench.plant.sampling import samples_per
 from hilbench.plant.servo_axis.effects import ShaftEffect

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator, Mapping
 from typing import Any
 
-from hilbench.plant.effects import EffectPlace, MachineKind, effect_problem, find_effect
+from hilbench.plant.effect import EffectPlace, MachineKind
+from hilbench.plant.effects import effect_problem, find_effect
 from hilbench.plant.fmu.axis import FmuAxisParameters
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.topology.blocks import LoadConfig, LoadShaftConfig, MachineParameters, TwinConfig

@@ -27,7 +27,8 @@ from math import isfinite
 from numbers import Real
 
 from hilbench.errors import UnusableValueError
-from hilbench.plant.effects import EffectPlace, MachineKind, effect_problem, effects_of, find_effect
+from hilbench.plant.effect import EffectPlace, MachineKind
+from hilbench.plant.effects import effect_problem, effects_of, find_effect
 from hilbench.plant.web_line.parameters import LARGEST_MODULUS_Pa, LEAST_MODULUS_Pa
 from hilbench.suggest import closest, did_you_mean
 from hilbench.topology import web_line_quantities as numbered

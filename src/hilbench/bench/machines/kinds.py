@@ -5,7 +5,7 @@ from __future__ import annotations
 from hilbench.bench.machines import servo_axis, web_line
 from hilbench.bench.machines.machine import MachineTasks
 from hilbench.bench.state import BenchState
-from hilbench.plant.effects import MachineKind
+from hilbench.plant.effect import MachineKind
 from hilbench.topology.config import BenchConfig
 
 

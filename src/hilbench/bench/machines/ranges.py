@@ -6,7 +6,7 @@ from math import inf
 from typing import Final
 
 from hilbench.bench.machines import web_line_ranges
-from hilbench.plant.effects import MachineKind
+from hilbench.plant.effect import MachineKind
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.quantities import (
     LINE_SPEED,

@@ -33,7 +33,8 @@ from hilbench.bench.tasks.task import CyclicTask, Outputs
 from hilbench.errors import BenchFaultError
 from hilbench.exchange.exchange import Exchange, Inputs
 from hilbench.exchange.nodes import Nodes
-from hilbench.plant.effects import MachineKind, find_effect
+from hilbench.plant.effect import MachineKind
+from hilbench.plant.effects import find_effect
 from hilbench.plant.parameters import EffectEntry
 from hilbench.real_time import leave_the_cycle
 from hilbench.topology.quantities import MODEL_CHANGE, parse_effect_path

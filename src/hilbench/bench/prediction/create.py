@@ -8,7 +8,7 @@ from hilbench.bench.prediction.task import Prediction
 from hilbench.bench.prediction.web_line import LineLook, foreseen
 from hilbench.bench.state import BenchState
 from hilbench.bench.tasks.reference import Reference
-from hilbench.plant.effects import MachineKind
+from hilbench.plant.effect import MachineKind
 from hilbench.prediction.plan import Asked
 from hilbench.topology.config import BenchConfig
 

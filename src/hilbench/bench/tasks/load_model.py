@@ -12,7 +12,8 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.plant.effects import MachineKind, find_effect
+from hilbench.plant.effect import MachineKind
+from hilbench.plant.effects import find_effect
 from hilbench.plant.interface import Follower
 from hilbench.plant.measured_motion import MOST_PREDICTED_CYCLES, FollowsInStep, HasFollowed, MeasuredMotion
 from hilbench.plant.pairing import OwnWays

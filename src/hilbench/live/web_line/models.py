@@ -7,7 +7,8 @@ from collections.abc import Sequence
 
 from hilbench.bench.reports.found import FoundEffect, FoundValue
 from hilbench.diagnosis.diagnosis import NamedEffect
-from hilbench.plant.effects import Domain, ProbeOver, find_effect
+from hilbench.plant.effect import Domain, ProbeOver
+from hilbench.plant.effects import find_effect
 from hilbench.plant.model_file import Machine
 from hilbench.plant.parameters import EffectEntry
 from hilbench.plant.web_line import laws

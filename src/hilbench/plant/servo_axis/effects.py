@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from typing import ClassVar
 
 from hilbench.plant import effects as vocabulary
-from hilbench.plant.effects import Effect, EffectPlace, MachineKind, effects_of, find_effect
+from hilbench.plant.effect import Effect, EffectPlace, MachineKind
+from hilbench.plant.effects import effects_of, find_effect
 from hilbench.plant.parameters import EffectEntry
 
 KIND = MachineKind.SERVO_AXIS

@@ -12,7 +12,7 @@ from typing import Annotated, ClassVar, Literal, Self
 from pydantic import Field, FiniteFloat, field_validator, model_validator
 
 from hilbench.block import Block
-from hilbench.plant.effects import MachineKind
+from hilbench.plant.effect import MachineKind
 from hilbench.plant.parameters import NOTHING_IS_NO_EFFECT, DriveParameters, GearRatio, NotNegative
 from hilbench.plant.servo_axis.effects import ShaftEffect, effects_problem
 

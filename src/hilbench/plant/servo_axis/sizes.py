@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hilbench.plant.effects import MachineSizes
+from hilbench.plant.effect import MachineSizes
 from hilbench.plant.parameters import per_item
 from hilbench.plant.servo_axis.parameters import ServoAxisParameters
 

@@ -202,11 +202,7 @@ def simulate_imitated(
     stands = stands_of(imitation, model, many)
     layout = Layout.of(stands[0])
     starts, followers = _start(layout, stands, many, states, boundary[0])
-    inputs = layout.new_inputs()
-    motors = layout.motor_inputs(inputs)
-    motors[:n, lay.UM_MODE] = MotorMode.VELOCITY
-    motors[n:, lay.UM_MODE] = MotorMode.TORQUE
-    motors[n:, lay.UM_SETPOINT] = layout.motor_states(starts[0])[n:, lay.SM_TORQUE_NM]
+    inputs = rig_inputs(layout, n, layout.motor_states(starts[0])[n:, lay.SM_TORQUE_NM])
     rows = np.ascontiguousarray(commands * layout.motor_rows(stands[0])[:n, lay.M_RAD_PER_M])
     limits = np.ascontiguousarray(boundary, dtype=np.float64)
     samples = samples_per(imitation.cycle_s, many[0, lay.W_SAMPLE_TIME_S])
@@ -223,10 +219,25 @@ def simulate_imitated(
     on_all_cores(run, len(many))
     if np.ndim(parameters) == 1:
         out = out[0]
-    columns = layout.columns
-    x, v, tau = (out[..., columns[name]][..., :n] for name in ("x_m", "v_m_s", "tau_Nm"))
+    x, v, tau = of_axes(layout, n, out)
     tension, strain = out[..., of_rig : of_rig + k], out[..., of_rig + k :]
     return Simulation(x_m=x, v_m_s=v, tau_Nm=tau, F_N=tension, strain=strain, state=np.asarray(state))
+
+
+def rig_inputs(layout: Layout, axes: int, load_Nm: Vector | float) -> Vector:
+    """Inputs of a rig: its `axes` by speed, its load motors by torque, at first `load_Nm`."""
+    inputs = layout.new_inputs()
+    motors = layout.motor_inputs(inputs)
+    motors[:axes, lay.UM_MODE] = MotorMode.VELOCITY
+    motors[axes:, lay.UM_MODE] = MotorMode.TORQUE
+    motors[axes:, lay.UM_SETPOINT] = load_Nm
+    return inputs
+
+
+def of_axes(layout: Layout, axes: int, out: Vector) -> tuple[Vector, Vector, Vector]:
+    """Ways (m), speeds (m/s) and torques (N·m) of a rig's axes, (..., N) each, from rows of outputs."""
+    x, v, tau = (out[..., layout.columns[name]][..., :axes] for name in ("x_m", "v_m_s", "tau_Nm"))
+    return x, v, tau
 
 
 def stands_of(imitation: Imitation, model: ModelParameters, many: Vector) -> Vector:

@@ -27,7 +27,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hilbench.plant import drive_loops as loops
-from hilbench.plant.effects import Domain, Effect, MachineKind, Section, effects_of, find_effect
+from hilbench.plant.effect import Domain, Effect, MachineKind, Section
+from hilbench.plant.effects import effects_of, find_effect
 from hilbench.plant.motor_port import MotorMode
 from hilbench.plant.parameters import DriveParameters, EffectEntry, per_item
 from hilbench.plant.web_line.parameters import ModelParameters, places_of
@@ -266,11 +267,6 @@ class Layout:
     def y(self, state: Vector) -> Vector:
         """View of the integrated quantities."""
         return state[S_Y : S_Y + self.y_size]
-
-    def axis_states(self, state: Vector) -> Vector:
-        """View (N, SA_SIZE)."""
-        start = S_Y + self.y_size
-        return state[start : start + self.axes * SA_SIZE].reshape(self.axes, SA_SIZE)
 
     def motor_states(self, state: Vector) -> Vector:
         """View (M, SM_SIZE)."""

@@ -9,7 +9,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.plant.effects import Domain, effects_of, find_effect
+from hilbench.plant.effect import Domain
+from hilbench.plant.effects import effects_of, find_effect
 from hilbench.plant.interface import Quantity, checked_name
 from hilbench.plant.motor_port import MotorPort
 from hilbench.plant.parameters import per_item

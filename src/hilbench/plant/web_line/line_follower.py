@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hilbench.compiled import COUNT, REAL, VECTOR, entry_point
-from hilbench.plant.effects import EffectPlace, effects_of
+from hilbench.plant.effect import EffectPlace
+from hilbench.plant.effects import effects_of
 from hilbench.plant.interface import PlantDescription, Quantity, checked_name
 from hilbench.plant.web_line import kernel, laws, reels
 from hilbench.plant.web_line import layout as lay

@@ -12,11 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilbench.compiled import COUNT, CUBE, INDICES, MATRIX, REAL, VECTOR, compiled, entry_point, inlined
-from hilbench.plant.motor_port import MotorMode
 from hilbench.plant.sampling import on_all_cores, samples_per
 from hilbench.plant.web_line import kernel, laws, line_follower, places, reels
 from hilbench.plant.web_line import layout as lay
-from hilbench.plant.web_line.imitation import Imitation, lead_s, stands_of
+from hilbench.plant.web_line.imitation import Imitation, lead_s, of_axes, rig_inputs, stands_of
 from hilbench.plant.web_line.layout import Layout, Vector
 from hilbench.plant.web_line.line_follower import ACCELERATION_S, LEAST_M_S2
 from hilbench.plant.web_line.offline import Simulation, start_state
@@ -209,12 +208,8 @@ def simulate_imitated_line(
         of_line.axis_rows(one)[:, lay.place("backlash", "gap_rad")] = 0.0  # gears are the rig's
         lay.refresh_modes(stand, start)
         lay.refresh_modes(one, line)
-    inputs = layout.new_inputs()
-    motors, n = layout.motor_inputs(inputs), model.axis_count
-    motors[:n, lay.UM_MODE] = MotorMode.VELOCITY
-    motors[n:, lay.UM_MODE] = MotorMode.TORQUE
-    motors[n:, lay.UM_SETPOINT] = 0.0
-    axes = range(1, n + 1)
+    n = model.axis_count
+    inputs, axes = rig_inputs(layout, n, 0.0), range(1, n + 1)
     per_m = np.array([model.motor_rad_per_m(axis) for axis in axes])
     pulls = np.array([float(model.carries_web_load(axis)) for axis in axes]) / per_m
     rows = np.array(lay.driven_rows(many[0]), np.int64)
@@ -233,8 +228,8 @@ def simulate_imitated_line(
     on_all_cores(run, len(many))
     if np.ndim(parameters) == 1:
         out, lines = out[0], lines[0]
-    columns, of_rig, k = layout.columns, layout.output_size, of_line.spans
-    x, v, tau = (out[..., columns[name]][..., :n] for name in ("x_m", "v_m_s", "tau_Nm"))
+    of_rig, k = layout.output_size, of_line.spans
+    x, v, tau = of_axes(layout, n, out)
     tension, strain = out[..., of_rig : of_rig + k], out[..., of_rig + k : of_rig + 2 * k]
     return Simulation(x, v, tau, tension, strain, lines, out[..., of_rig + 2 * k :])
 

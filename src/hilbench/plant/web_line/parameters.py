@@ -17,7 +17,8 @@ from pydantic import BaseModel, Field, FiniteFloat, ValidationInfo, field_valida
 from hilbench import strict_yaml
 from hilbench.block import Block
 from hilbench.errors import UnusableInputError
-from hilbench.plant.effects import Effect, MachineKind, Section, find_effect
+from hilbench.plant.effect import Effect, MachineKind, Section
+from hilbench.plant.effects import find_effect
 from hilbench.plant.parameters import (
     NOTHING_IS_NO_EFFECT,
     DriveParameters,

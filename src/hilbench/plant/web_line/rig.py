@@ -14,7 +14,8 @@ import numpy as np
 from pydantic import Field, FiniteFloat, model_validator
 
 from hilbench.block import Block
-from hilbench.plant.effects import EffectPlace, effect_problem, effects_of
+from hilbench.plant.effect import EffectPlace
+from hilbench.plant.effects import effect_problem, effects_of
 from hilbench.plant.interface import Quantity, checked_name
 from hilbench.plant.motor_port import MotorPort
 from hilbench.plant.parameters import DriveParameters, EffectEntry, LoadMotorParameters, per_item

@@ -16,7 +16,8 @@ import numpy as np
 
 from hilbench.compiled import table_of
 from hilbench.plant.drive_loops import OFF
-from hilbench.plant.effects import Effect, MachineKind, find_effect
+from hilbench.plant.effect import Effect, MachineKind
+from hilbench.plant.effects import find_effect
 from hilbench.plant.interface import Motor, PlantDescription, PlantState, Quantity, checked_name
 from hilbench.plant.motor_port import MotorPort
 from hilbench.plant.sampling import samples_per

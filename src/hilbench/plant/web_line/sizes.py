@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import inf
 from typing import Final
 
-from hilbench.plant.effects import MachineSizes
+from hilbench.plant.effect import MachineSizes
 from hilbench.plant.parameters import per_item
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.plant.web_line.stations import Reel

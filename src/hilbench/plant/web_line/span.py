@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hilbench.compiled import table_of
-from hilbench.plant.effects import EffectPlace, effects_of
+from hilbench.plant.effect import EffectPlace
+from hilbench.plant.effects import effects_of
 from hilbench.plant.interface import PlantDescription, PlantState, Quantity, checked_name
 from hilbench.plant.measured_motion import HasFollowed, MeasuredMotion
 from hilbench.plant.web_line import follower_cycle, laws, span_kernel

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hilbench.plant.effects import MachineKind
+from hilbench.plant.effect import MachineKind
 from hilbench.topology.process_data import servo_axis, web_line
 from hilbench.topology.process_data.table import ProcessData
 from hilbench.topology.signals import Shape

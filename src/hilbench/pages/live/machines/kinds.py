@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from hilbench.pages.live.history import Array
 from hilbench.pages.live.machines import servo_axis, web_line
 from hilbench.pages.live.machines.panel import Panel
-from hilbench.plant.effects import MachineKind
+from hilbench.plant.effect import MachineKind
 from hilbench.topology.config import BenchConfig
 
 

@@ -1,0 +1,307 @@
+"""What an effect is: a named group of parameters that a model may lack, neutral until they are given."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+from math import isfinite
+
+
+class MachineKind(StrEnum):
+    """Kinds of machine, as `kind:` of a config's machine names them."""
+
+    WEB_LINE = "web_line"  #: driven rollers with a web between them; forces in N at the web
+    SERVO_AXIS = "servo_axis"  #: one shaft; torques in N·m at the shaft
+
+
+class Domain(StrEnum):
+    """Where an effect enters the model."""
+
+    ROLLER_RESISTANCE = "roller_resistance"  #: force against the roller's motion, at the web
+    ROLLER_TORQUE = "roller_torque"  #: torque that acts on the roller, by its angle
+    MOTOR_TORQUE = "motor_torque"  #: torque that acts on the shaft
+    TORQUE_MEASUREMENT = "torque_measurement"  #: torque as the drive reports it
+    POSITION_MEASUREMENT = "position_measurement"  #: motion as the encoder reports it, to the drive's loops as well
+    DRIVE = "drive"  #: control loops of the drive
+    WEB_KINEMATICS = "web_kinematics"  #: speed of the web at a roller
+    ELASTICITY = "elasticity"  #: tension from strain
+    BOUNDARY = "boundary"  #: what comes from the neighbouring sections
+    GEOMETRY = "geometry"  #: length of the span
+    INERTIA = "inertia"  #: moving mass
+    GEAR = "gear"  #: between motor and roller
+    STATION = "station"  #: what runs without a motor, and reels
+
+
+class EffectPlace(StrEnum):
+    """Where an effect can be hidden, by the config's key for it."""
+
+    HARDWARE = "hardware"  #: in the simulated drives, shafts and gears
+    LOAD = "load"  #: in what a load motor imitates: the machine, and what acts on a roller from outside
+
+
+#: Where in a machine an effect is: number of a section between two axes, or name of a station.
+Section = int | str
+
+#: What acts on a roller: the simulated hardware can have it, and a load motor on the roller's shaft can imitate it.
+AT_A_ROLLER = frozenset({Domain.ROLLER_RESISTANCE, Domain.ROLLER_TORQUE})
+_DOMAINS: Mapping[EffectPlace, frozenset[Domain]] = {
+    EffectPlace.HARDWARE: AT_A_ROLLER
+    | {
+        Domain.MOTOR_TORQUE,
+        Domain.TORQUE_MEASUREMENT,
+        Domain.POSITION_MEASUREMENT,
+        Domain.DRIVE,
+        Domain.INERTIA,
+        Domain.GEAR,
+    },
+    EffectPlace.LOAD: AT_A_ROLLER
+    | {Domain.WEB_KINEMATICS, Domain.ELASTICITY, Domain.BOUNDARY, Domain.GEOMETRY, Domain.STATION},
+}
+
+
+@dataclass(frozen=True, slots=True)
+class MachineSizes:
+    """What is usual on one machine, at one of its axes; sizes of effects are shares of it."""
+
+    force_N: float  #: at the web: its tension, or what the drive pushes with
+    speed_m_s: float  #: highest, at the web
+    radius_m: float  #: of the roller
+    gear_ratio: float  #: motor turns per roller turn
+    strain: float  #: of the web, 1
+    sample_time_s: float  #: of the drives
+
+
+@dataclass(frozen=True, slots=True)
+class Size:
+    """A share of what is usual on a machine: `share` times the machine's sizes to these powers."""
+
+    share: float
+    force: int = 0
+    speed: int = 0
+    radius: int = 0
+    gear: int = 0
+    strain: int = 0
+    sample_time: int = 0
+
+    def on(self, machine: MachineSizes) -> float:
+        """The size on one machine, in the unit of the parameter that has it."""
+        return (
+            self.share
+            * machine.force_N**self.force
+            * machine.speed_m_s**self.speed
+            * machine.radius_m**self.radius
+            * machine.gear_ratio**self.gear
+            * machine.strain**self.strain
+            * machine.sample_time_s**self.sample_time
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """One parameter of an effect. `unit` is as in a recording ("1" for a ratio)."""
+
+    name: str
+    unit: str
+    neutral: float  #: value in a model without the effect
+    lower: float  #: least value with a meaning (inclusive)
+    upper: float  #: greatest value with a meaning (inclusive)
+    size: Size  #: a change that shows clearly on a machine: step size and start value of a fit
+    required: bool = True  #: must be given with the effect (phases need not)
+
+    def problem(self, value: float) -> str | None:
+        """What is wrong with a value, or None."""
+        if not isfinite(value) or not self.lower <= value <= self.upper:
+            return f"{self.name} = {value!r} {self.unit}, expected {self.lower:g} to {self.upper:g}"
+        return None
+
+
+class ProbeOver(StrEnum):
+    """Over what a search looks for a parameter of an effect before a fit starts from there."""
+
+    SHARES_OF_TOP_SPEED = "shares of top speed"  #: a speed of the law: tried at some shares of the highest
+    STRENGTHS = "strengths"  #: a law far from linear in its strength: looked at with several
+    MOTOR_ANGLE = "motor angle"  #: an order of the motor's turn: peaks of the residual's spectrum over the angle
+    TIME = "time"  #: a frequency: peaks of the residual's spectrum over time
+    ONSET = "onset"  #: the time from which it acts: looked for ever closer
+    ONSET_AND_DURATION = "onset and duration"  #: the time from which it grows, and for how long
+    FREQUENCIES = "frequencies"  #: a frequency of the law: looked at with several
+    PASSAGE = "passage"  #: the time at which it comes, and goes again: where the residual is largest for a while
+
+
+@dataclass(frozen=True, slots=True)
+class Probe:
+    """How a search looks for an effect that one look at its response does not show."""
+
+    over: ProbeOver
+    parameter: str  #: what is searched for
+    duration: str = ""  #: ONSET_AND_DURATION: the parameter that is the duration
+    #: SHARES_OF_TOP_SPEED: the shares; STRENGTHS: in sizes of the parameter; FREQUENCIES: in Hz.
+    tried: tuple[float, ...] = ()
+    by_torque: bool = False  #: MOTOR_ANGLE: the residual counts by the torque that it grows with
+
+
+@dataclass(frozen=True, slots=True)
+class Lookalike:
+    """What the vocabulary does not have and an effect may be mistaken for: said beside it, never named."""
+
+    name: str
+    told_apart_by: str  #: the experiment that separates the two
+
+
+@dataclass(frozen=True, slots=True)
+class Rotary:
+    """What of a row is different on a machine that turns and transports nothing: its parameters' units, at the shaft.
+
+    It has an object index of its own, so that an object on the bus has one unit.
+    """
+
+    law: str
+    parameters: tuple[Parameter, ...]
+    strength: tuple[str, ...]
+    object_index: int
+    probe: Probe | None = None  #: where the one of the row is by a parameter of another name
+
+
+_WEB_ONLY = frozenset({MachineKind.WEB_LINE})
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Effect:
+    """One effect: id, law, parameters, where it enters, and how it is found and shown."""
+
+    id: str
+    per_axis: bool
+    law: str
+    domain: Domain
+    parameters: tuple[Parameter, ...]
+    #: Parameters that make the effect vanish when all are neutral; the others only shape it. Several are looked for one
+    #: by one, each a term of its own: a part of the effect that nothing speaks for is not named with the others.
+    strength: tuple[str, ...]
+    #: CANopen object of it; its parameters are the sub-indices in order, from 1. Never given again to another effect.
+    object_index: int
+    #: The experiment that shows it best.
+    shown_by: str
+    #: How many of it a model can hold at one place (several ripple orders, several steps).
+    slots: int = 1
+    #: Axis that may be named although the effect has no choice of axis: the one at which its law acts.
+    implied_axis: int | None = None
+    #: Whether each section between two axes (the span of a web) can have it by itself; else it is in all of them.
+    per_section: bool = False
+    #: Types of the stations of which each can have it by itself; none: it is no effect of a station.
+    stations: frozenset[str] = frozenset()
+    kinds: frozenset[MachineKind] = field(default=_WEB_ONLY)
+    rotary: Rotary | None = None
+    #: How a search probes it; None: one look at its response, at a strength of its usual size.
+    probe: Probe | None = None
+    #: Whether a search may drop it again where residuals are never noise alone. The simple effects are kept, and
+    #: looked for first: |v| is the product of v and sign(v), and a term of higher order is read beside those that it
+    #: is made of, the constant included (marginality, Nelder 1977).
+    removable: bool = True
+    #: Whether it needs inertia on both sides of a gear.
+    needs_gear: bool = False
+    #: The effect that it is when it takes no time.
+    at_once: str | None = None
+    lookalike: Lookalike | None = None
+    #: Whether it is no missing mechanics but what a stand does beside them: found, corrected for, and told apart from
+    #: what is named (the drives' loops).
+    nuisance: bool = False
+    #: Effects that some recordings can't tell it from (ids), and the experiment that does, where it is another than
+    #: those that show the two best.
+    alike: tuple[tuple[str, str], ...] = ()
+
+    def parameter(self, name: str) -> Parameter:
+        """The parameter `name`. Raises KeyError."""
+        for parameter in self.parameters:
+            if parameter.name == name:
+                return parameter
+        raise KeyError(name)
+
+    def problem(self, parameters: Mapping[str, float]) -> str | None:
+        """What is wrong with a set of parameter values, in one line, or None."""
+        names = [parameter.name for parameter in self.parameters]
+        for name in parameters:
+            if name not in names:
+                return f"effect '{self.id}' has no parameter '{name}', expected {', '.join(names)}"
+        for parameter in self.parameters:
+            if parameter.name in parameters:
+                problem = parameter.problem(parameters[parameter.name])
+                if problem:
+                    return f"effect '{self.id}': {problem}"
+            elif parameter.required:
+                return f"effect '{self.id}' lacks its parameter '{parameter.name}' ({parameter.unit})"
+        return None
+
+    def axis_problem(self, axis: int | None, axes: int | None = None) -> str | None:
+        """What is wrong with the axis given for it (of a machine with `axes`), in one line, or None."""
+        if self.per_axis and axis is None:
+            return f"effect '{self.id}' lacks its axis, expected one of the axes 1, 2, ..."
+        if not self.per_axis and axis not in (None, self.implied_axis):
+            return f"effect '{self.id}' with axis {axis}, expected none: it is an effect of the web"
+        if axis is not None and (axis < 1 or (axes is not None and axis > axes)):
+            return f"effect '{self.id}' with axis {axis}, expected 1 to {axes if axes is not None else 'N'}"
+        return None
+
+    def section_problem(self, section: Section | None, sections: int | None = None) -> str | None:
+        """What is wrong with the section given for it (of a machine with `sections`), in one line, or None."""
+        if self.stations and not isinstance(section, str):
+            return f"effect '{self.id}' lacks its station, expected the name of one: {', '.join(sorted(self.stations))}"
+        if section is None or self.stations:
+            return None
+        if isinstance(section, str):
+            return f"effect '{self.id}' with station {section}, expected none: it is no effect of one"
+        if not self.per_section:
+            return f"effect '{self.id}' with span {section}, expected none: it is no effect of one"
+        if section < 1 or (sections is not None and section > sections):
+            return f"effect '{self.id}' with span {section}, expected 1 to {sections if sections is not None else 'K'}"
+        return None
+
+    def station_problem(self, section: Section | None, stations: Mapping[str, str]) -> str | None:
+        """The same of a station, of a machine with `stations` (type by name)."""
+        if not self.stations or (isinstance(section, str) and stations.get(section) in self.stations):
+            return None
+        able = [name for name, kind in stations.items() if kind in self.stations]
+        expected = f"expected {' or '.join(able)}" if able else f"expected a {' or '.join(sorted(self.stations))} there"
+        return f"effect '{self.id}' of station {section}, {expected}"
+
+    @property
+    def part(self) -> str:
+        """What of a machine it can be given for, as paths and entries have it; none where it is of the whole."""
+        return "axis" if self.per_axis else "span" if self.per_section else ""
+
+    def enters(self, place: EffectPlace) -> bool:
+        """Whether it can be hidden at a place."""
+        return self.domain in _DOMAINS[place]
+
+    def filled(self, parameters: Mapping[str, float]) -> dict[str, float]:
+        """All parameters, with the neutral value of those not given."""
+        return {p.name: float(parameters.get(p.name, p.neutral)) for p in self.parameters}
+
+    def told_apart_from(self, other: Effect) -> str:
+        """The experiment that separates it from another effect that a recording can't tell it from."""
+        for one, two in ((self, other), (other, self)):
+            for effect_id, experiment in one.alike:
+                if effect_id == two.id:
+                    return experiment
+        return self.shown_by if self.shown_by == other.shown_by else f"{self.shown_by}; {other.shown_by}"
+
+    def is_alike(self, other: Effect) -> bool:
+        """Whether some recordings can't tell it from another effect."""
+        return other.id in dict(self.alike) or self.id in dict(other.alike)
+
+    def in_kind(self, kind: MachineKind) -> Effect:
+        """The row as a kind of machine has it. Raises ValueError for a kind that does not have the effect."""
+        if kind not in self.kinds:
+            raise ValueError(f"effect '{self.id}' of a {kind}, expected one of {', '.join(sorted(self.kinds))}")
+        if kind is MachineKind.WEB_LINE or self.rotary is None:
+            return self
+        of = self.rotary
+        return replace(
+            self,
+            law=of.law,
+            parameters=of.parameters,
+            strength=of.strength,
+            object_index=of.object_index,
+            probe=of.probe or self.probe,
+            rotary=None,
+        )
