@@ -19,6 +19,8 @@ import os, signal, subprocess, sys, threading, time
 from pathlib import Path
 from hilbench.copies import copies
 folder = Path(sys.argv[1])
+def so_many(count):
+    return dict.fromkeys(range(count), lambda: None)
 """
 
 
@@ -69,8 +71,8 @@ def test_a_copy_is_what_a_new_interpreter_would_be(tmp_path: Path) -> None:
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGUSR1):
             signal.signal(number, lambda *_: None)
         signal.signal(signal.SIGHUP, signal.SIG_IGN)
-        with copies(1) as waiting:
-            copy = waiting.pop()
+        with copies(so_many(1)) as waiting:
+            copy = waiting.popitem()[1]
             copy.become(["told", "a b", "c"], folder / "copy.log", {"ADDED": "added"})
             copy.stdin.close()
             assert copy.wait(30.0) == 7
@@ -104,10 +106,10 @@ def test_a_copy_has_no_file_of_who_made_it_and_takes_its_numbers_for_nothing_els
         tmp_path,
         """if True:
         receives, sends = os.pipe()
-        with copies(2) as waiting:
+        with copies(so_many(2)) as waiting:
             os.close(sends)
             assert os.read(receives, 1) == b""  # nobody has the other end, while both wait
-            copy = waiting.pop()
+            copy = waiting.popitem()[1]
             copy.become(["told"], folder / "copy.log", {})
             assert copy.wait(30.0) == 0
             number, pipes = (folder / "copy.log").read_text().split()
@@ -121,8 +123,8 @@ def test_copies_that_are_not_needed_end_with_the_block_and_with_the_process(tmp_
     done(
         tmp_path,
         """if True:
-        with copies(2) as waiting:
-            kept = list(waiting)
+        with copies(so_many(2)) as waiting:
+            kept = list(waiting.values())
             assert [copy.poll() for copy in kept] == [None, None]
         assert [copy.returncode for copy in kept] == [0, 0]
     """,
@@ -130,8 +132,8 @@ def test_copies_that_are_not_needed_end_with_the_block_and_with_the_process(tmp_
     process = program(
         tmp_path,
         """if True:
-        with copies(2) as waiting:
-            print(*(copy.pid for copy in waiting), flush=True)
+        with copies(so_many(2)) as waiting:
+            print(*(copy.pid for copy in waiting.values()), flush=True)
             time.sleep(60)
     """,
     )
@@ -151,6 +153,28 @@ def test_copies_that_are_not_needed_end_with_the_block_and_with_the_process(tmp_
         each.communicate()
 
 
+def test_a_copy_prepares_itself_while_the_other_process_goes_on_and_what_fails_then_is_nobodys(tmp_path: Path) -> None:
+    (tmp_path / "told.py").write_text("import copies_know; print(copies_know.prepared)")
+    done(
+        tmp_path,
+        """if True:
+        import types
+        def prepare(name):
+            sys.modules["copies_know"] = known = types.ModuleType("copies_know")
+            known.prepared = name
+            if name == "fails":
+                raise RuntimeError("nobody hears it")
+        with copies({name: lambda name=name: prepare(name) for name in ("one", "fails")}) as waiting:
+            assert "copies_know" not in sys.modules
+            for name in list(waiting):
+                copy = waiting.pop(name)
+                copy.become(["told"], folder / f"{name}.log", {})
+                assert copy.wait(30.0) == 0
+                assert (folder / f"{name}.log").read_text() == name + "\\n"
+    """,
+    )
+
+
 def test_nothing_is_copied_beside_other_threads(tmp_path: Path) -> None:
     done(
         tmp_path,
@@ -158,11 +182,11 @@ def test_nothing_is_copied_beside_other_threads(tmp_path: Path) -> None:
         left = threading.Event()
         thread = threading.Thread(target=left.wait)
         thread.start()
-        with copies(2) as waiting:
-            assert waiting == []
+        with copies(so_many(2)) as waiting:
+            assert waiting == {}
         left.set()
         thread.join()
-        with copies(2) as waiting:
+        with copies(so_many(2)) as waiting:
             assert len(waiting) == 2
     """,
     )
@@ -174,15 +198,15 @@ def test_what_nobody_foresaw_in_a_copy_is_a_line_in_its_log_and_one_that_is_gone
         tmp_path,
         """if True:
         from hilbench.processes import ChildProcess
-        with copies(3) as waiting:
-            child = ChildProcess("it", ["told"], folder / "copy.log", copy=waiting.pop())
+        with copies(so_many(3)) as waiting:
+            child = ChildProcess("it", ["told"], folder / "copy.log", copy=waiting.popitem()[1])
             assert child._process.wait(30.0) == 3 and child.ended
             line, = (folder / "copy.log").read_text().splitlines()
             assert line.startswith("hilbench: unexpected ZeroDivisionError in copies.py:") and "unforeseen; tr" in line
             child.restart()  # a new interpreter
             assert child._process.wait(30.0) == 1
             child.end()
-            copy = waiting.pop()
+            copy = waiting.popitem()[1]
             os.kill(copy.pid, signal.SIGKILL)
             assert copy.wait(30.0) == -signal.SIGKILL
             in_its_place = ChildProcess("it", ["told"], folder / "copy.log", copy=copy)

@@ -1,8 +1,9 @@
 """Copies of this process that become the processes beside a bench: what it has imported they need not import again.
 
 They are forked while nothing else runs in this process, have nothing of it but its memory (a session of their own, no
-open file, no handler of a signal), and wait. What becomes one then runs as ``python -m`` would: the same words in its
-command line, the same streams, the same exit code. One that is not needed ends, also when this process is killed.
+open file, no handler of a signal), prepare themselves while it goes on, and wait. What becomes one then runs as
+``python -m`` would: the same words in its command line, the same streams, the same exit code. One that is not needed
+ends, also when this process is killed.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ import select
 import signal
 import sys
 import threading
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from subprocess import TimeoutExpired
@@ -93,27 +94,29 @@ def _readable(descriptor: int, timeout_s: float) -> bool:
 
 
 @contextmanager
-def copies(count: int) -> Iterator[list[Copy]]:
-    """So many copies of this process as it is now; take them from the list. What is left in it ends on leaving.
+def copies(preparations: Mapping[str, Callable[[], object]]) -> Iterator[dict[str, Copy]]:
+    """Copies of this process as it is now, by name; take them from the dictionary. What is left in it ends on leaving.
 
+    Each calls what stands beside its name before it waits: what it will need has to be loaded then. It must change
+    nothing outside of the process; what it raises is left to whatever the copy becomes.
     None where other threads run (what they have locked would stay locked in a copy), and none where this process has
     its modules from an importer of its own that nothing can be run by, as under pytest.
     """
-    made: list[Copy] = []
+    made: dict[str, Copy] = {}
     try:
         if threading.active_count() == 1 and hasattr(__spec__.loader, "get_code"):
             with suppress(OSError):  # the system has no room for one: who starts a new interpreter is told that
-                for _ in range(count):
-                    made.append(_fork())
+                for name, prepare in preparations.items():
+                    made[name] = _fork(prepare)
         yield made
     finally:
-        for copy in made:
+        for copy in made.values():
             copy.stdin.close()
-        for copy in made:
+        for copy in made.values():
             copy.wait()
 
 
-def _fork() -> Copy:
+def _fork(prepare: Callable[[], object]) -> Copy:
     receives, sends = os.pipe2(os.O_CLOEXEC)
     try:
         # A signal in between would be handled by this process' handlers in both.
@@ -121,7 +124,7 @@ def _fork() -> Copy:
         try:
             pid = os.fork()
             if pid == 0:
-                _wait_for_order(receives, before)
+                _wait_for_order(receives, before, prepare)
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, before)
     except OSError:
@@ -132,7 +135,7 @@ def _fork() -> Copy:
     return Copy(pid, os.fdopen(sends, "wb", buffering=0))
 
 
-def _wait_for_order(receives: int, signals: Iterable[int]) -> NoReturn:
+def _wait_for_order(receives: int, signals: Iterable[int], prepare: Callable[[], object]) -> NoReturn:
     """The life of a copy: nothing of it goes back to who called `_fork`."""
     code, has_left = EXIT_BENCH_FAULT, False
     try:
@@ -142,6 +145,8 @@ def _wait_for_order(receives: int, signals: Iterable[int]) -> NoReturn:
         has_left = True
         _leave_handlers()
         signal.pthread_sigmask(signal.SIG_SETMASK, signals)
+        with suppress(Exception):
+            prepare()
         order = _read_order()
         code = 0 if order is None else _become(*json.loads(order))
     except KeyboardInterrupt:

@@ -26,6 +26,17 @@ def test_a_bench_starts_without_the_libraries_of_recordings_and_of_its_check() -
     assert ended.returncode == 0, ended.stderr
 
 
+def test_a_command_that_runs_a_bench_with_processes_loads_neither_hardware_nor_what_one_process_runs_on() -> None:
+    program = """if True:
+        import sys
+        import hilbench.cli.run
+        early = sorted(name for name in sys.modules if name.startswith(("hilbench.batch", "hilbench.hardware.")))
+        assert not early, early
+    """
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=300, check=False)
+    assert ended.returncode == 0, ended.stderr
+
+
 @pytest.mark.parametrize("name", ["web_section_step", *slow("servo_axis")])
 def test_the_check_before_a_run_imports_no_scipy(name: str) -> None:
     program = f"""if True:

@@ -69,7 +69,8 @@ class Bench:
     with simulated nodes any time may pass between two cycles (`hilbench.bench.lifecycle.idle`).
     A bench is the only master of its bus: one that has another is refused (UnusableInputError), with `force` only where
     a program of this machine claims to be the master. `bus_is_held`: whoever made this bench is inside
-    `startup.held_bus` already. `copies`: of this process, for those that it starts.
+    `startup.held_bus` already. `copies`: of this process, by the names of those that it starts
+    (`startup.processes_beside`).
 
     What an operator must know of a run that goes on collects in `notices`, counted by source and kind: warnings of the
     limits, EMCY messages, a tension loop that opens or closes. A twin that is lost ends no run: the loop holds, and the
@@ -89,7 +90,7 @@ class Bench:
         may_idle: bool = False,
         force: bool = False,
         bus_is_held: bool = False,
-        copies: list[Copy] | None = None,
+        copies: dict[str, Copy] | None = None,
     ) -> None:
         self.config = config
         self.timeliness = Timeliness((), config.cycle_time_s)  #: whose answers came late, since the drives were enabled
@@ -102,7 +103,7 @@ class Bench:
         self._participants = participants
         self._force = force
         self._bus_is_held = bus_is_held
-        self._copies = [] if copies is None else copies
+        self._copies = {} if copies is None else copies
         self._announce = announce
         self._may_idle = may_idle and idle.may_idle(config)
         self._resources = ExitStack()

@@ -9,7 +9,8 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
-from hilbench.bench.lifecycle.in_process import InProcess, check_in_process
+from hilbench.bench.lifecycle.in_process import InProcess
+from hilbench.bench.lifecycle.participants import check_in_process
 from hilbench.bench.lifecycle.startup import start_children
 from hilbench.can.open import open_link, open_python_can
 from hilbench.canopen.listening import listen, master_at_work, present

@@ -139,8 +139,7 @@ def hardware(config: BenchConfig) -> HostedDevices:
     clock, time = _time_base(config)
     parts = (*config.parts_of(Role.AXIS), *config.parts_of(Role.LOAD_MOTOR))
     ports = tuple(MotorPort() for _ in parts)
-    # A scratch rig runs first, so that compiling is over before the devices boot.
-    new_rig(config, [MotorPort() for _ in ports]).step(config.cycle_time_s)
+    warm_up(config)
     rig = new_rig(config, ports, config.seed)
     devices, drives = [], []
     for part, port in zip(parts, ports, strict=True):
@@ -154,6 +153,12 @@ def hardware(config: BenchConfig) -> HostedDevices:
             bind_effect_objects(device, _effect_setter(rig, part.axis), config.machine_kind)
     sample_s = config.drive_parameters.sample_time_s
     return HostedDevices(devices, clock, RigApplication(drives, ports, rig, time, config.cycle_time_s, sample_s))
+
+
+def warm_up(config: BenchConfig) -> None:
+    """Compile, or load, what a rig runs on, on a scratch rig: it is over before the devices boot."""
+    ports = [MotorPort() for _ in (*config.parts_of(Role.AXIS), *config.parts_of(Role.LOAD_MOTOR))]
+    new_rig(config, ports).step(config.cycle_time_s)
 
 
 def warm_up_in_modes(config: BenchConfig) -> None:

@@ -16,8 +16,7 @@ from typing import Any, Literal, Protocol
 import numpy as np
 
 from hilbench.bench.bench import Bench, CycleObserver, InterruptedByOperatorError
-from hilbench.bench.lifecycle.in_process import check_in_process
-from hilbench.bench.lifecycle.participants import Participants
+from hilbench.bench.lifecycle.participants import Participants, check_in_process
 from hilbench.bench.lifecycle.startup import held_bus, processes_beside
 from hilbench.bench.reports.change import Change
 from hilbench.bench.reports.notice import Notice
@@ -154,8 +153,7 @@ def run_experiment(
         check_in_process(config)
     if participants is not Participants.IN_PROCESS:
         announce(f"look who is on {config.bus_address}")
-    beside = processes_beside(config, participants)
-    with copies(beside) as waiting, held_bus(config, participants, force=force):
+    with copies(processes_beside(config, participants)) as waiting, held_bus(config, participants, force=force):
         record = RunRecord(loaded, out, participants, announce=announce)
         bench = Bench(
             config,

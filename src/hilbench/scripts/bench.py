@@ -15,8 +15,7 @@ from typing import Self
 from hilbench.bench import bench
 from hilbench.bench.bench import InterruptedByOperatorError
 from hilbench.bench.check import check_bench
-from hilbench.bench.lifecycle.in_process import check_in_process
-from hilbench.bench.lifecycle.participants import Participants
+from hilbench.bench.lifecycle.participants import Participants, check_in_process
 from hilbench.bench.lifecycle.startup import held_bus
 from hilbench.bench.reports.change import Change
 from hilbench.errors import UnusableInputError

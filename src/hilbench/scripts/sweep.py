@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from hilbench.bench.lifecycle.in_process import can_be_in_process
+from hilbench.bench.lifecycle.participants import can_be_in_process
 from hilbench.canopen.mastery import mastery
 from hilbench.errors import (
     EXIT_BENCH_FAULT,

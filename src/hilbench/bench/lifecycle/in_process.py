@@ -20,7 +20,6 @@ from hilbench.can.frame import Frame
 from hilbench.can.memory import MemoryBus, MemoryCanBus
 from hilbench.canopen.clock import SyncClock
 from hilbench.canopen.host import DeviceHost
-from hilbench.errors import UnusableInputError
 from hilbench.exchange.frame_tap import FrameTap
 from hilbench.exchange.nodes import Nodes
 from hilbench.exchange.own_node import OwnNode
@@ -34,26 +33,6 @@ from hilbench.twin.setup import twin_setup
 MakePlainCycles = Callable[[SyncCycle, OwnNode], PlainCycles | None]
 #: While nobody sends anything the devices are served so often: their timers go by the wall clock then.
 _IDLE_S = 0.001
-
-
-def can_be_in_process(config: BenchConfig) -> bool:
-    """Whether `check_in_process` finds nothing."""
-    try:
-        check_in_process(config)
-    except UnusableInputError:
-        return False
-    return True
-
-
-def check_in_process(config: BenchConfig) -> None:
-    """Raise UnusableInputError for a config whose participants cannot live in the bench's process."""
-    real = [part.name for part in config.parts if not (part.is_simulated or part.is_virtual)]
-    for found, expected in (
-        (f"bus {config.bus_address}" if config.bus_address.interface != "embedded" else "", "the embedded bus"),
-        (f"{', '.join(real)} not simulated" if real else "", "all nodes simulated"),
-    ):
-        if found:
-            raise UnusableInputError("in-process", f"found {found}, expected {expected}")
 
 
 class InProcess:

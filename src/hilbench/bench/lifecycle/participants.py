@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from enum import Enum
 
+from hilbench.errors import UnusableInputError
+from hilbench.topology.config import BenchConfig
+
 
 class Participants(Enum):
     """Who brings the simulated hardware and the twin; the value is how a message names it."""
@@ -11,3 +14,23 @@ class Participants(Enum):
     STARTED = "started"  #: by the bench, as processes of their own
     PRESENT = "present"  #: by somebody else, on the bus already
     IN_PROCESS = "in process"  #: inside the bench's process (lockstep on the embedded bus; `bench.in_process`)
+
+
+def can_be_in_process(config: BenchConfig) -> bool:
+    """Whether `check_in_process` finds nothing."""
+    try:
+        check_in_process(config)
+    except UnusableInputError:
+        return False
+    return True
+
+
+def check_in_process(config: BenchConfig) -> None:
+    """Raise UnusableInputError for a config whose participants cannot live in the bench's process."""
+    real = [part.name for part in config.parts if not (part.is_simulated or part.is_virtual)]
+    for found, expected in (
+        (f"bus {config.bus_address}" if config.bus_address.interface != "embedded" else "", "the embedded bus"),
+        (f"{', '.join(real)} not simulated" if real else "", "all nodes simulated"),
+    ):
+        if found:
+            raise UnusableInputError("in-process", f"found {found}, expected {expected}")

@@ -9,9 +9,10 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from hilbench.bench.lifecycle.in_process import InProcess
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.bench.lifecycle.supervisor import Watch
 from hilbench.can import hub_client
@@ -36,16 +37,16 @@ from hilbench.topology.config import BenchConfig
 from hilbench.topology.resolved import write_resolved
 from hilbench.twin.machines.kinds import warm_up
 
-#: After the start command the nodes' clocks stand still until SYNC; what they sent just before it must not arrive as
-#: part of the first cycle.
-_AFTER_START_S = 0.1
+if TYPE_CHECKING:
+    from hilbench.bench.lifecycle.in_process import InProcess
+
 #: Of a node that does not wait for SYNC one comes for certain.
 _HEARTBEATS_TO_WAIT = 1.5
 #: For the last command to come back from the bus: it belongs in the trace.
 _LAST_FRAME_S = 0.1
 _EXPECTED = "expected simulate-hardware and twin that were started with --pace "
-#: Name of the twin's process.
-TWIN = "twin"
+#: Names of the processes beside a bench.
+TWIN, _HARDWARE, _SUPERVISOR = "twin", "simulated hardware", "supervisor"
 
 
 @dataclass
@@ -83,7 +84,7 @@ def bring_up(
     work_folder: Path | None,
     participants: Participants,
     announce: Callable[[str], None],
-    copies: list[Copy],
+    copies: dict[str, Copy],
 ) -> Iterator[StartedBench]:
     """Start the simulated hardware and the twin (unless they run already), configure the nodes, start them (NMT).
 
@@ -95,7 +96,7 @@ def bring_up(
         nodes = Nodes(config)
         if participants is Participants.PRESENT:
             _check_timing(config)
-        here = InProcess(config) if participants is Participants.IN_PROCESS else None
+        here = _in_process(config) if participants is Participants.IN_PROCESS else None
         inside = here.open_link() if here else None
         link = inside or open_link(config.bus_address)
         resources.callback(link.close)
@@ -127,7 +128,7 @@ def bring_up(
             brought = {} if participants is Participants.PRESENT else config.simulated_drives
             stand_data(config, found, master.written, started=brought).write(folder / FILE)
             master.nmt(NmtCommand.START)
-            time.sleep(_AFTER_START_S)
+            _wait_until_started(config, master)
             if participants is Participants.PRESENT:
                 check_that_they_wait(config, master)
             master.receive_only_answers()
@@ -196,15 +197,38 @@ def _release_nodes(master: Master, exchange: Exchange) -> None:
         exchange.discard_waiting(_LAST_FRAME_S)
 
 
-def processes_beside(config: BenchConfig, participants: Participants) -> int:
-    """How many `bring_up` starts."""
-    if participants is Participants.IN_PROCESS:
-        return 0
-    devices = 1 + bool(config.simulated_drives) if participants is Participants.STARTED else 0
-    return devices + bool(config.master.heartbeat_ms)
+def _in_process(config: BenchConfig) -> InProcess:
+    from hilbench.bench.lifecycle.in_process import InProcess  # what a bench with processes need not load
+
+    return InProcess(config)
 
 
-def start_children(config: BenchConfig, folder: Path, copies: list[Copy] | None = None) -> list[ChildProcess]:
+def processes_beside(config: BenchConfig, participants: Participants) -> dict[str, Callable[[], None]]:
+    """What `bring_up` starts, by name, and what a copy of this process does meanwhile to become it sooner."""
+    beside: dict[str, Callable[[], None]] = {}
+    if participants is Participants.STARTED:
+        if config.simulated_drives:
+            beside[_HARDWARE] = partial(_load_hardware, config)
+        beside[TWIN] = partial(_load_twin, config)
+    if participants is not Participants.IN_PROCESS and config.master.heartbeat_ms:
+        beside[_SUPERVISOR] = lambda: None
+    return beside
+
+
+def _load_hardware(config: BenchConfig) -> None:
+    from hilbench.hardware.simulation import warm_up as load  # the bench itself need not load it
+
+    if all_compiled():  # else it would compile what the others do
+        load(config)
+
+
+def _load_twin(config: BenchConfig) -> None:
+
+    if all_compiled():
+        warm_up(config.machine, config.twin, config.shape, config.cycle_time_s)
+
+
+def start_children(config: BenchConfig, folder: Path, copies: dict[str, Copy] | None = None) -> list[ChildProcess]:
     """Start the simulated hardware, where a node is simulated, and the twin; their logs go to `folder`."""
     if not all_compiled():
         # Once, into the cache on disk: compiling takes longer than a process has to show itself on the bus.
@@ -212,25 +236,24 @@ def start_children(config: BenchConfig, folder: Path, copies: list[Copy] | None 
     path = folder / "config.yaml"
     write_resolved(config, path)
     arguments = [str(path), "--pace", config.pace]
+    waiting = {} if copies is None else copies
     children = []
     if config.simulated_drives:
         hardware = ["hilbench.hardware", *arguments]
-        children.append(ChildProcess("simulated hardware", hardware, folder / "hardware.log", copy=_one_of(copies)))
-    children.append(ChildProcess(TWIN, ["hilbench.twin", *arguments], folder / "twin.log", copy=_one_of(copies)))
+        copy = waiting.pop(_HARDWARE, None)
+        children.append(ChildProcess(_HARDWARE, hardware, folder / "hardware.log", copy=copy))
+    twin = ["hilbench.twin", *arguments]
+    children.append(ChildProcess(TWIN, twin, folder / "twin.log", copy=waiting.pop(TWIN, None)))
     return children
 
 
-def _one_of(copies: list[Copy] | None) -> Copy | None:
-    return copies.pop() if copies else None
-
-
-def _start_supervisor(config: BenchConfig, folder: Path, copies: list[Copy]) -> ChildProcess | None:
+def _start_supervisor(config: BenchConfig, folder: Path, copies: dict[str, Copy]) -> ChildProcess | None:
     if not config.master.heartbeat_ms:
         return None
     # In lockstep the bench waits for its participants, and no heartbeat comes meanwhile.
     patience_s = config.safety.cycle_timeout_s if config.pace == "lockstep" else 0.0
     watch = Watch(config.bus_address, config.master.node_id, patience_s + config.safety.supervisor_timeout_s)
-    return ChildProcess("supervisor", watch.arguments(), folder / "supervisor.log", copy=_one_of(copies))
+    return ChildProcess(_SUPERVISOR, watch.arguments(), folder / "supervisor.log", copy=copies.pop(_SUPERVISOR, None))
 
 
 def _wait_for_nodes(
@@ -246,6 +269,16 @@ def _wait_for_nodes(
             child.check()
 
     master.wait_for_boot([part.node.node_id for part in config.parts], config.master.boot_timeout_s, check)
+
+
+def _wait_until_started(config: BenchConfig, master: Master) -> None:
+    """Until each node has taken the start command, and all that it had sent before has come: its clock stands still then
+    until SYNC, and none of that becomes part of the first cycle.
+
+    One that does not answer is found out by the cycles.
+    """
+    for part in config.parts:
+        master.read(part.node.node_id, 0x1000)
 
 
 @contextmanager
