@@ -84,6 +84,9 @@ class EmbeddedLink:
             packet = _HEADER + b"".join(records[start : start + protocol.MAX_RECORDS])
             send_packet(self._connection, self.channel, packet)
 
+    def packet(self, frame: Frame) -> bytes:
+        return _HEADER + can_record(frame.can_id, frame.data)
+
     def receive(self, timeout_s: float) -> list[Frame]:
         frames = self._waiting(timeout_s)
         if self.controller is ControllerState.BUS_OFF:

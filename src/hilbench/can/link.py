@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from hilbench.can.confinement import ControllerState
 from hilbench.can.frame import Frame
@@ -40,3 +40,11 @@ class Link(Protocol):
 
     def close(self) -> None:
         """Leave the bus. Calling it twice is no error."""
+
+
+@runtime_checkable
+class PacketLink(Link, Protocol):
+    """A link onto whose bus a frame can be put without the interpreter: by send(2) to its `fileno`."""
+
+    def packet(self, frame: Frame) -> bytes:
+        """What is to be sent there, in one piece. Raises ValueError for a frame that cannot be on a wire."""

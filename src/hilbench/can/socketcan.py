@@ -60,6 +60,9 @@ class SocketCanLink:
         for frame in frames:
             self._send(can_record(frame.can_id, frame.data))
 
+    def packet(self, frame: Frame) -> bytes:
+        return can_record(frame.can_id, frame.data)
+
     def _send(self, record: bytes) -> None:
         deadline = time.monotonic() + _SEND_TIMEOUT_S
         while True:

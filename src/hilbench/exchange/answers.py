@@ -82,20 +82,20 @@ class Tpdo:
         self.supervised = supervised
         self._owed = self._steady = 0
 
-    def end(self, foreign_syncs: int) -> None:
-        """All frames of the cycle are in; `foreign_syncs` others than the bench's SYNC were on the bus."""
-        self._since += 1
+    def end(self, other_syncs: int) -> None:
+        """All frames of the cycle are in; `other_syncs` were on the bus beside that of the cycle."""
+        self._since += 1 + other_syncs
         if not self.supervised:
             taken = self._before + self._behind
             self._use(taken[-1] if taken else None, in_time=bool(self._behind))
         elif self.every == 1:
-            self._end_of_each(foreign_syncs)
+            self._end_of_each(other_syncs)
         else:
             self._end_of_some()
 
-    def _end_of_each(self, foreign_syncs: int) -> None:
+    def _end_of_each(self, other_syncs: int) -> None:
         before, behind = self._before, self._behind
-        owed = self._owed + foreign_syncs
+        owed = self._owed + other_syncs
         if not owed and not before and len(behind) == 1:  # as a rule
             self._use(behind[0], in_time=True)
             self._steady = 0

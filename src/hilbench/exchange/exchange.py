@@ -17,6 +17,7 @@ from hilbench.exchange.frame_tap import FrameTap
 from hilbench.exchange.nodes import Nodes
 from hilbench.exchange.own_node import OwnNode
 from hilbench.exchange.sync_cycle import SyncCycle
+from hilbench.exchange.sync_producer import SyncProducer
 from hilbench.exchange.unexpected_senders import Unexpected
 from hilbench.topology.sample import CycleSample
 
@@ -53,8 +54,8 @@ class Exchange:
     """The cyclic exchange of one bench whose nodes are operational.
 
     `objects`: what others may read and write of the bench's own node; `tap` sees every frame; `in_process`: simulated
-    hardware and twin are in this process, and wait for SYNC at any pace. What a cycle raises, and when: `SyncCycle`,
-    `Nodes.decode`.
+    hardware and twin are in this process, and wait for SYNC at any pace; `producer`: sends SYNC by the clock. What a
+    cycle raises, and when: `SyncCycle`, `Nodes.decode`.
     """
 
     def __init__(
@@ -65,6 +66,7 @@ class Exchange:
         *,
         tap: FrameTap | None = None,
         in_process: bool = False,
+        producer: SyncProducer | None = None,
     ) -> None:
         config = nodes.config
         self.in_step = in_process or config.pace == "lockstep"  #: everybody waits for SYNC, and SYNC for everybody
@@ -81,6 +83,7 @@ class Exchange:
             missing_limit=config.safety.missing_cycles,
             heartbeat=(config.master.node_id, config.master.heartbeat_ms),
             tap=tap,
+            producer=producer,
         )
         self._plain: PlainCycles | None = None
         self.unexpected: Sequence[Unexpected] = ()  #: what came in the last cycle, and is not of the bench or its nodes
@@ -103,7 +106,7 @@ class Exchange:
         received = sync.exchange([*nodes.encode(outputs), *own.answers()])
         own.handle(received)
         try:
-            nodes.decode(received, sync.before_sync)
+            nodes.decode(received, sync.before_sync, sync.gone_by)
         finally:  # a fault of a drive, too, may be a stranger's doing
             self.unexpected = nodes.unexpected
         return nodes

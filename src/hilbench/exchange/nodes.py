@@ -98,6 +98,7 @@ class Nodes:
         self._watch: UnexpectedSenders | None = None  # from when the master is known
         self.unexpected: list[Unexpected] = []  #: what came in this cycle and is not of the bench or its nodes
         self._cycle = 0
+        self._gone_by = 0
         self._heartbeat_cycle: dict[int, int] = {}
         self.supervised = 0  #: how often it has changed whether the twin is counted on
         self._silence_cycles = round(_HEARTBEATS_MISSED * config.master.node_heartbeat_ms * 1e-3 / config.cycle_time_s)
@@ -309,12 +310,14 @@ class Nodes:
             frames.append(Frame(pdo.cob_id, pdo.pack([outputs[name] for name in names])))
         return frames
 
-    def decode(self, frames: Sequence[Frame], before_sync: int = 0) -> None:
-        """Take what came in this cycle, the first `before_sync` frames of it before its SYNC. Raises BenchFaultError
-        when a drive has a fault, has left OPERATIONAL, or is silent; the twin's nodes only get a `twin_problem`."""
+    def decode(self, frames: Sequence[Frame], before_sync: int = 0, gone_by: int = 0) -> None:
+        """Take what came in this cycle, the first `before_sync` frames of it before its SYNC. `gone_by`: so many SYNCs
+        of ours were on the bus for which there was no cycle, in all. Raises BenchFaultError when a drive has a fault,
+        has left OPERATIONAL, or is silent; the twin's nodes only get a `twin_problem`."""
         self._cycle += 1
         self._inbox.clear()
-        data = self._answers(frames, before_sync)
+        data = self._answers(frames, before_sync, gone_by - self._gone_by)
+        self._gone_by = gone_by
         for can_id, content, _ in frames:
             if can_id in self._tpdos:
                 continue
@@ -345,23 +348,24 @@ class Nodes:
 
     def _take_status(self, status: Sequence[Any] | None) -> None:
         if status is not None:
-            self._twin_sync, _, self.twin_status = status
+            counted, _, self.twin_status = status
+            self._twin_sync = counted - self._gone_by  # it has counted those, too
             self.twin_reported_cycle = self._cycle
 
-    def _answers(self, frames: Sequence[Frame], before_sync: int) -> dict[int, bytes]:
+    def _answers(self, frames: Sequence[Frame], before_sync: int, gone_by: int) -> dict[int, bytes]:
         """The answers to this SYNC by COB-ID; what is beside them is counted, and in `unexpected`."""
         tpdos = self._tpdos
         for tpdo in tpdos.values():
             tpdo.begin()
-        foreign_syncs = 0
+        other_syncs = gone_by
         for at, (can_id, content, _) in enumerate(frames):
             if can_id in tpdos:
                 tpdos[can_id].add(content, before_sync=at < before_sync)
             elif can_id == SYNC:
-                foreign_syncs += 1
+                other_syncs += 1
         data: dict[int, bytes] = {}
         for cob_id, tpdo in tpdos.items():
-            tpdo.end(foreign_syncs)
+            tpdo.end(other_syncs)
             self.malformed += tpdo.wrong_size
             if tpdo.data is not None:
                 data[cob_id] = tpdo.data

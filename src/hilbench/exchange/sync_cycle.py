@@ -22,6 +22,8 @@ from hilbench.canopen.identifiers import HEARTBEAT, SYNC, NmtState
 from hilbench.errors import BenchFaultError, EmergencyStopError, NoAnswerError
 from hilbench.exchange import pacing
 from hilbench.exchange.frame_tap import FrameTap
+from hilbench.exchange.sync_marks import Met, SyncMarks
+from hilbench.exchange.sync_producer import SyncProducer
 
 #: Part of the cycle, at its end, that is kept for computing and sending the next set points (realtime pace):
 #: answers that are not there by then count as missing.
@@ -69,7 +71,8 @@ class CycleTiming:
 
 
 class SyncCycle:
-    """One SYNC after the other, paced in lockstep or by the wall clock.
+    """One SYNC after the other, paced in lockstep or by the wall clock: SYNC goes out by the `producer`, without
+    us, or where there is none (on other interfaces of python-can) from this thread.
 
     `exchange` sends frames and SYNC and returns the frames that answered. In lockstep it waits until every
     expected TPDO is there and raises NoAnswerError, naming who is missing, after `timeout_s` of wall time (2 s at most
@@ -91,9 +94,11 @@ class SyncCycle:
         missing_limit: int,
         heartbeat: tuple[int, int] = (127, 0),
         tap: FrameTap | None = None,
+        producer: SyncProducer | None = None,
     ) -> None:
         self.timing = CycleTiming()
         self.pacing = pacing.Pacing(period_ns=cycle_ns)
+        self._marks = None if producer is None else SyncMarks(link, producer, self.pacing)
         self._link = link
         self._cycle_ns = cycle_ns
         self._bit_ns = 1e9 / bitrate
@@ -142,29 +147,36 @@ class SyncCycle:
         if timing.cycles == 0:
             timing.started_ns = time.monotonic_ns()
             self._epoch_ns = time.time_ns()
-            if not self._lockstep:
+            if not self._lockstep and self._marks is None:
                 pacing.start(self.pacing, timing.started_ns)
         if self._heartbeat_is_due():
             outgoing = [*outgoing, self._heartbeat]
             self._alive_s = time.monotonic()
         # Late answers (lockstep: those to a SYNC that was there twice) are no answers to this SYNC: counted as such
         # they would push the true ones to the next.
+        trace_fault, met = None, None
         if self._lockstep:
             late = self._take_waiting()
             self._link.send([*outgoing, self._sync])
             trace_fault = self._write_last_answers()
         else:
-            trace_fault = None
             if outgoing:
                 self._link.send(outgoing)
-            now_ns = pacing.sleep_until(self.pacing.deadline_ns)
-            late = self._link.receive(0.0)
-            self._link.send([self._sync])
-            pacing.advance(self.pacing, now_ns)
+            if self._marks is not None:
+                met = self._marks.meet()
+                late = met.before
+            else:
+                now_ns = pacing.sleep_until(self.pacing.deadline_ns)
+                late = self._link.receive(0.0)
+                self._link.send([self._sync])
+                pacing.advance(self.pacing, now_ns)
         timing.cycles += 1
         before_ns = time.monotonic_ns()
-        self._account_before_sync(outgoing, late)
-        answers, failure = self._collect(self._due())
+        if met is not None:
+            self._account_met(outgoing, met)
+        else:
+            self._account_before_sync(outgoing, late)
+        answers, failure = self._collect(self._due(), met.behind if met is not None else [])
         received, self.before_sync = late + answers, len(late)
         timing.ended_ns = time.monotonic_ns()
         timing.wait_ns += timing.ended_ns - before_ns
@@ -209,7 +221,7 @@ class SyncCycle:
     def _discard_waiting(self, timeout_s: float) -> None:
         trace_fault = self._write_last_answers()
         came, self._came_between = self._came_between, []
-        waiting = came + self._link.receive(timeout_s)
+        waiting = came + (self._link.receive if self._marks is None else self._marks.discard)(timeout_s)
         if waiting and self._tap is not None:
             bits = [frame_bits(frame) for frame in waiting]
             self._tap.write(self._timed(waiting, bits, self.next_sync_ns - int(sum(bits) * self._bit_ns)))
@@ -266,6 +278,11 @@ class SyncCycle:
             self._link.send([self._heartbeat])
             if self._tap is not None:
                 self._tap.write([self._heartbeat._replace(time_ns=self.next_sync_ns)])
+
+    @property
+    def gone_by(self) -> int:
+        """So many SYNCs were on the bus that no cycle was run for."""
+        return self._marks.gone_by if self._marks is not None else 0
 
     @property
     def next_sync_ns(self) -> int:
@@ -331,21 +348,24 @@ class SyncCycle:
             self._alive_s = begun_ns * 1e-9
 
     def _due(self) -> dict[int, ExpectedPdo]:
-        cycle, silent = self.timing.cycles, self.silent
+        cycle, silent = self.timing.cycles + self.gone_by, self.silent
         due = self._due_always.copy()
         for pdo in self._due_at_times:
             if (cycle - pdo.since) % pdo.every == 0 and pdo.cob_id not in self._out_of_phase:
                 due[pdo.cob_id] = pdo
         return {cob_id: pdo for cob_id, pdo in due.items() if pdo.sender not in silent} if silent else due
 
-    def _collect(self, due: dict[int, ExpectedPdo]) -> tuple[list[Frame], NoAnswerError | None]:
-        """What came until nothing more is due, and what to raise once that is in the trace."""
+    def _collect(self, due: dict[int, ExpectedPdo], came: list[Frame]) -> tuple[list[Frame], NoAnswerError | None]:
+        """What came until nothing more is due, `came` first, and what to raise once that is in the trace."""
         received: list[Frame] = []
         failure = None
+        receive = self._link.receive if self._marks is None else self._marks.answers
         remaining_s = self._remaining_s if not self._lockstep else self._lockstep_remaining(due)
-        while due:
+        while due or came:
             left_s = max(0.0, remaining_s())
-            batch = self._link.receive(min(left_s, _ALIVE * self._timeout_s) if self._lockstep else left_s)
+            batch, came = came, []
+            if not batch:
+                batch = receive(min(left_s, _ALIVE * self._timeout_s) if self._lockstep else left_s)
             if not batch:
                 if remaining_s() <= 0.0:
                     failure = self._missing(due)
@@ -382,7 +402,7 @@ class SyncCycle:
     def _look_at_phase(self, cob_id: int) -> None:
         """A PDO of every n-th SYNC that comes between: its sender has heard a SYNC twice, or missed one, or it is none
         of the sender's. It is not waited for until one comes when it was due, or n SYNCs after the one between."""
-        cycle, doubt = self.timing.cycles, self._out_of_phase
+        cycle, doubt = self.timing.cycles + self.gone_by, self._out_of_phase
         for at, pdo in enumerate(self._due_at_times):
             if pdo.cob_id != cob_id:
                 continue
@@ -442,6 +462,20 @@ class SyncCycle:
                 timed[len(outgoing) :] = late
             timed.append(Frame(SYNC, b"", start_ns + int(self._sync_bits * self._bit_ns)))
             self._tap.write(timed)
+
+    def _account_met(self, outgoing: Sequence[Frame], met: Met) -> None:
+        """The same where each SYNC has come in its place. What we have sent behind it stands behind it in the trace."""
+        sent_bits = [frame_bits(frame) for frame in outgoing]
+        self._since_sync_bits = self._sync_bits
+        self.last_bits = sum(sent_bits) + sum(frame_bits(frame) for frame in met.on_wire) + self._sync_bits
+        if self._tap is not None:
+            start_ns = met.sync.time_ns - int(self._sync_bits * self._bit_ns)
+            if met.joined:
+                ours = self._timed(outgoing, sent_bits, met.sync.time_ns)
+                self._tap.write([*met.on_wire, met.sync, *ours])
+            else:
+                ours = self._timed(outgoing, sent_bits, start_ns - int(sum(sent_bits) * self._bit_ns))
+                self._tap.write([*met.on_wire, *ours, met.sync])
 
     def _account_received(self, frames: Sequence[Frame], *, last: bool = False) -> None:
         """The same for answers, as they come; in real time each has its own time. The last ones of a cycle are what

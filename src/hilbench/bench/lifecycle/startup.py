@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.bench.lifecycle.supervisor import Watch
 from hilbench.can import hub_client
-from hilbench.can.link import Link
+from hilbench.can.link import Link, PacketLink
 from hilbench.can.open import open_link, open_python_can
 from hilbench.canopen.emergency_stop import EMERGENCY_STOP_COB_ID
 from hilbench.canopen.identifiers import NmtCommand
@@ -31,6 +31,7 @@ from hilbench.exchange.exchange import Exchange
 from hilbench.exchange.frame_tap import FrameTap
 from hilbench.exchange.node_data import FILE, ask_all, stand_data
 from hilbench.exchange.nodes import Nodes
+from hilbench.exchange.sync_producer import SyncProducer
 from hilbench.processes import ChildProcess
 from hilbench.real_time import kept_ready
 from hilbench.topology.config import BenchConfig
@@ -136,10 +137,13 @@ def bring_up(
         resources.enter_context(kept_ready(config.process_settings("bench"), warnings.append))
         if not here:
             warnings += _wire_first(config)
-        exchange = Exchange(nodes, link, objects, tap=tap, in_process=here is not None)
+        producer = None if here else _sync_producer(config, link)
+        exchange = Exchange(nodes, link, objects, tap=tap, in_process=here is not None, producer=producer)
         if here and inside:
             exchange.use(here.plain_cycles(inside, nodes, tap))
         resources.callback(_release_nodes, master, exchange)
+        if producer is not None:
+            resources.callback(producer.close)
         yield StartedBench(nodes, exchange, children, supervisor, warnings)
 
 
@@ -154,6 +158,16 @@ def _wire_first(config: BenchConfig) -> list[str]:
     except BusError as error:
         return [str(error)]
     return []
+
+
+def _sync_producer(config: BenchConfig, link: Link) -> SyncProducer | None:
+    """Who sends SYNC by the clock, over a connection of its own; None: nobody, in lockstep or on an interface that
+    takes frames through Python only."""
+    if config.pace == "lockstep" or not isinstance(link, PacketLink):
+        return None
+    own = open_link(config.bus_address)
+    assert isinstance(own, PacketLink)
+    return SyncProducer(own, config.cycle_ns)
 
 
 def _check_timing(config: BenchConfig) -> None:
@@ -272,8 +286,8 @@ def _wait_for_nodes(
 
 
 def _wait_until_started(config: BenchConfig, master: Master) -> None:
-    """Until each node has taken the start command, and all that it had sent before has come: its clock stands still then
-    until SYNC, and none of that becomes part of the first cycle.
+    """Until each node has taken the start command, and all that it had sent before has come: its clock then stands
+    still until SYNC, and none of that becomes part of the first cycle.
 
     One that does not answer is found out by the cycles.
     """

@@ -1,0 +1,133 @@
+"""SYNC by the wall clock from a thread that needs no interpreter: a bench that is held up delays no SYNC.
+
+It has a connection to the bus of its own, so that the bench receives each SYNC in its place between the others' frames:
+what is before it and what is behind. Where the bench does not come for `LONGEST_ALONE_S` no SYNC goes out any more,
+until it comes again: nodes without set points go into their safe state by the time-outs that they have, as they do when
+the bench's process has ended.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import threading
+import time
+from array import array
+from contextlib import suppress
+from functools import partial
+
+import numpy as np
+
+from hilbench.can.frame import Frame
+from hilbench.can.link import PacketLink
+from hilbench.canopen.identifiers import SYNC
+from hilbench.errors import BusError
+from hilbench.exchange.sync_kernel import (
+    DEADLINE_NS,
+    END,
+    LAST,
+    PLACES,
+    REMEMBERED,
+    SENT,
+    WITHOUT,
+    produce,
+)
+
+#: So long SYNC goes on without the bench: some of its garbage collections, but less than nodes wait for a heartbeat.
+LONGEST_ALONE_S = 0.1
+#: A bus that takes no SYNC for so long is lost.
+_LOST_S = 1.0
+_PR_SET_TIMERSLACK = 29  # <linux/prctl.h>
+
+
+class SyncProducer:
+    """Sends SYNC every `period_ns` over `link`, which is its own, from `start` to `close`.
+
+    `sent` counts them.
+    """
+
+    def __init__(self, link: PacketLink, period_ns: int) -> None:
+        self.period_ns = period_ns
+        self._link = link
+        link.set_filters([])
+        packet = link.packet(Frame(SYNC, b""))
+        self._packet = np.frombuffer(packet.ljust(-(-len(packet) // 8) * 8, b"\0"), np.int64).copy()
+        self._shared = np.zeros(PLACES, np.int64)
+        self._lateness_ns = np.zeros(REMEMBERED, np.int64)
+        self._alone = max(1, min(REMEMBERED // 2, round(LONGEST_ALONE_S * 1e9 / period_ns)))
+        self._told = 0  # so many of them `tell_lateness` has told
+        self._loop = partial(
+            produce,
+            self._shared,
+            self._lateness_ns,
+            np.zeros(2, np.int64),
+            period_ns,
+            link.fileno(),
+            self._packet,
+            len(packet),
+        )
+        self._shared[END] = 1
+        self._loop()  # loads the machine code
+        self._shared[END] = 0
+        self._thread: threading.Thread | None = None
+
+    def start(self) -> None:
+        """The first SYNC goes out one period from now. In the thread that it is to come before."""
+        self._shared[DEADLINE_NS] = time.monotonic_ns() + self.period_ns
+        self._shared[LAST] = self._alone
+        self._thread = threading.Thread(target=self._run, name="sync", daemon=True)
+        self._thread.start()
+
+    def _run(self) -> None:
+        ctypes.CDLL(None).prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)  # else the kernel may be 50 µs late to save energy
+        policy, priority = os.sched_getscheduler(0), os.sched_getparam(0).sched_priority
+        if policy == os.SCHED_FIFO:  # the bench's, which would keep it waiting on the same core
+            highest = os.sched_get_priority_max(policy)
+            with suppress(PermissionError):
+                os.sched_setscheduler(0, policy, os.sched_param(min(priority + 1, highest)))
+        self._loop()
+
+    @property
+    def is_running(self) -> bool:
+        """Whether it was started."""
+        return self._thread is not None
+
+    @property
+    def sent(self) -> int:
+        """How many SYNCs are out."""
+        return int(self._shared[SENT])
+
+    @property
+    def next_ns(self) -> int:
+        """When the next is due, monotonic clock."""
+        return int(self._shared[DEADLINE_NS])
+
+    @property
+    def without(self) -> int:
+        """Periods without SYNC: the machine did not wake the thread, the bus took none, or the bench was not there."""
+        return int(self._shared[WITHOUT])
+
+    def go_on(self) -> None:
+        """The bench is there: SYNC goes on for `LONGEST_ALONE_S` from now."""
+        self._shared[LAST] = self._shared[SENT] + self._alone
+
+    def tell_lateness(self, to: array[int]) -> None:
+        """Append how late each SYNC was (ns) of those that were sent since the last call."""
+        sent = self.sent
+        for number in range(max(self._told, sent - REMEMBERED), sent):
+            to.append(int(self._lateness_ns[number % REMEMBERED]))
+        self._told = sent
+
+    def check(self, waited_s: float) -> None:
+        """Raise BusError when a SYNC that is due for so long has not gone out, or its controller is off the bus."""
+        self._link.receive(0.0)
+        if waited_s > _LOST_S:
+            raise BusError(f"{self._link.channel}: took no SYNC for {_LOST_S:g} s")
+
+    def close(self) -> None:
+        """No SYNC goes out any more. Calling it twice is no error."""
+        self._shared[END] = 1
+        if self._thread is not None:
+            self._thread.join()
+            self._thread = None
+        self._link.close()
