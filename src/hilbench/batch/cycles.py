@@ -17,14 +17,6 @@ from typing import Any
 
 import numpy as np
 
-from hilbench.batch import kernel
-from hilbench.batch import layout as lay
-from hilbench.batch.motors import Motors
-from hilbench.batch.tables import (
-    NotPlainError,
-    drive_row,
-    table,
-)
 from hilbench.batch.wiring import InOneProcess, Wiring
 from hilbench.can.frame import Frame
 from hilbench.canopen.clock import SyncClock
@@ -36,6 +28,14 @@ from hilbench.exchange.frame_tap import FrameTap, LineTap
 from hilbench.exchange.nodes import Nodes
 from hilbench.exchange.own_node import OwnNode
 from hilbench.exchange.sync_cycle import SyncCycle
+from hilbench.plain import kernel
+from hilbench.plain import layout as lay
+from hilbench.plain.motors import Motors
+from hilbench.plain.tables import (
+    NotPlainError,
+    drive_row,
+    table,
+)
 from hilbench.twin.machines.machine import MachineVectors
 
 #: Cycles after which it is looked anew whether cycles are plain, when they were not.
@@ -119,7 +119,8 @@ class _Run:
         self._wiring = wiring = Wiring(here, nodes, sync)
         self._frames, self._slots = wiring.frames, wiring.slots
         self._told = list(zip(wiring.told, nodes.boundary_names, strict=True))
-        self._own_heartbeat, self._heartbeats = wiring.own_heartbeat, wiring.heartbeats
+        self._own_heartbeat = wiring.own_heartbeat
+        self._heartbeats = [each for host in wiring.hosts for each in host.heartbeats]
         self._arrays()
         self._deadlines()
         fault = sync.write_last_answers()
@@ -270,8 +271,9 @@ class _Run:
                 raise NotPlainError  # of another type than what a twin says and hears
             return
         places = {id(cell): (cell, slot, is_float) for cell, slot, is_float in slots.cells[1]}
-        read = [places[id(cell)] for device, tpdo, _ in self._wiring.answering if device is io for cell in tpdo.cells]
-        written = [places[id(cell)] for device, rpdo, _ in self._wiring.taken if device is io for cell in rpdo.cells]
+        of_twin = self._wiring.hosts[1]
+        read = [places[id(cell)] for device, tpdo, _ in of_twin.answering if device is io for cell in tpdo.cells]
+        written = [places[id(cell)] for device, rpdo, _ in of_twin.taken if device is io for cell in rpdo.cells]
         self._read_real = [(cell, slot) for cell, slot, is_float in read if is_float]
         self._read_whole = [(cell, slot) for cell, slot, is_float in read if not is_float]
         if not all(is_float for _, _, is_float in written):
@@ -282,9 +284,8 @@ class _Run:
     def _deadlines(self) -> None:
         """Until when, by each host's clock, no device has to notice that a heartbeat stays away."""
         self._until_ns: list[tuple[SyncClock, int]] = []
-        for served in (self._here.hardware, self._here.twin):
-            ends = [device.consumer.quiet_until_ns() for device in served.devices]
-            self._until_ns.append((served.clock, min((end for end in ends if end is not None), default=1 << 62)))
+        for served, host in zip((self._here.hardware, self._here.twin), self._wiring.hosts, strict=True):
+            self._until_ns.append((served.clock, host.quiet_until_ns()))
 
     # -- cycle by cycle --------------------------------------------------------------------------------------
 
@@ -425,19 +426,10 @@ class _Run:
     def _give_bench(self) -> None:
         """What the last PDOs and heartbeats leave behind on both sides."""
         here, rows, cycles = self._here, self._rows, self._cycles
-        for served in (here.hardware, here.twin):
-            received_ns = served.clock.next_ns - 2 * self._nodes.config.cycle_ns
-            for device, rpdo, _ in self._wiring.taken:
-                if device in served.devices:
-                    rpdo.received_until(received_ns)
-        for device, row in self._heartbeats:
-            device.producer.said_until(int(rows[row]["next_ns"]))
         last: dict[int, tuple[int, bytes | None]] = {}
-        for _, tpdo, row in self._wiring.answering:
-            count = int(rows[row]["count"])
-            data = self._data[row].tobytes()[: self._frames.sizes[row]] if count < cycles else None
-            tpdo.sent_until(count, data)
-            last[self._frames.cob_ids[row]] = count, data
+        for served, host in zip((here.hardware, here.twin), self._wiring.hosts, strict=True):
+            received_ns = served.clock.next_ns - 2 * self._nodes.config.cycle_ns
+            last |= host.give(rows, self._data, cycles, received_ns)
         for cob_id, answer in self._nodes.answers.items():
             count, data = last[cob_id]
             answer.answered_until(cycles, data, count)

@@ -8,20 +8,20 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from hilbench.batch import layout as lay
-from hilbench.batch.tables import Frames, NotPlainError, Slots, cell_slots, heard_row, new_slots, seen_row
 from hilbench.can.memory import MemoryBus, MemoryLink
 from hilbench.canopen.clock import SyncClock
 from hilbench.canopen.device import Device
-from hilbench.canopen.device_pdo import Rpdo, Tpdo
 from hilbench.canopen.host import DeviceHost
-from hilbench.canopen.identifiers import HEARTBEAT, SYNC, NmtState
+from hilbench.canopen.identifiers import SYNC
 from hilbench.canopen.pdo import PdoMap
 from hilbench.cia402.drive import Drive
-from hilbench.cia402.simulated import SimulatedDrive
 from hilbench.exchange.nodes import Nodes
 from hilbench.exchange.sync_cycle import ExpectedPdo, SyncCycle
 from hilbench.hardware.simulation import RigApplication
+from hilbench.plain import layout as lay
+from hilbench.plain.devices import HostFrames
+from hilbench.plain.tables import NO_SLOT, Frames, NotPlainError, Slots, new_slots, seen_row
+from hilbench.twin.axis_listener import AxisListener
 from hilbench.twin.process import TwinApplication
 
 
@@ -59,10 +59,6 @@ class Wiring:
         self.targets: list[tuple[float, int, int, int, float]] = []
         self.told: list[int] = []
         self.own_heartbeat = -1  #: its row; -1: there is none
-        #: What devices take, answer, and say of themselves, each with its row.
-        self.taken: list[tuple[Device, Rpdo, int]] = []
-        self.answering: list[tuple[Device, Tpdo, int]] = []
-        self.heartbeats: list[tuple[Device, int]] = []
         #: What the bench sees of each drive, then the twin of each axis: rows of `layout.SEEN`. The slots of what the
         #: bench gets, by the index of the object; where the feedback of the axes is that the twin hears.
         self.seen: list[tuple[Any, ...]] = []
@@ -75,12 +71,17 @@ class Wiring:
         self._bench_frames()
         self._check_listeners()
         drives = (*here.rig.drives, *here.machine.drives)
-        for self.slots.side, served in enumerate((here.hardware, here.twin)):
-            for device in served.devices:
-                self._receive(device, drives)
-        for self.slots.side, served in enumerate((here.hardware, here.twin)):
-            for device in served.devices:
-                self._answer(device, self.slots.side)
+        cycle_ns = nodes.config.cycle_ns
+        #: Of the hardware and of the twin: what their devices take, answer, and say of themselves.
+        self.hosts = [
+            HostFrames(side, served.devices, drives, self.frames, self.slots, cycle_ns)
+            for side, served in enumerate((here.hardware, here.twin))
+        ]
+        for host in self.hosts:
+            host.receive()
+        for host in self.hosts:
+            host.answer()
+        self._check_answers()
         self._see()
         self._check_phases()
 
@@ -121,44 +122,9 @@ class Wiring:
         if any(device.sync_cob_id != SYNC for served in hosts for device in served.devices):
             raise NotPlainError
 
-    def _receive(self, device: Device, drives: Sequence[SimulatedDrive]) -> None:
-        """RPDOs of a device. Each value of a drive but its controlword has to be one that just stands there."""
-        cycle_ns = self._nodes.config.cycle_ns
-        controlwords = [drive.firmware.controlword for drive in drives]
-        for cob_id, rpdo in device.receive_pdos.items():
-            if cob_id not in self.frames.cob_ids:
-                if not rpdo.idle:
-                    raise NotPlainError
-                continue
-            if not rpdo.is_plain(cycle_ns) or rpdo.map is None:
-                raise NotPlainError
-            if any(cell.on_write is not None and cell not in controlwords for cell in rpdo.cells):
-                raise NotPlainError
-            row = self.frames.row_of(cob_id)
-            self.frames.take(row, rpdo.map, cell_slots(self.slots, rpdo.map, rpdo.cells))
-            self.taken.append((device, rpdo, row))
-
-    def _answer(self, device: Device, clock: int) -> None:
-        """Heartbeat and TPDOs of a device; nobody but the bench, and the twin's application, hears them."""
-        frames, here, node_id = self.frames, self._here, device.node_id
-        producer = device.producer
-        if producer.period_ns:
-            data = NmtState.OPERATIONAL.heartbeat
-            row = frames.add(
-                HEARTBEAT + node_id,
-                lay.ANSWER,
-                data,
-                period_ns=producer.period_ns,
-                next_ns=producer.next_ns,
-                clock=clock,
-            )
-            self.heartbeats.append((device, row))
-        for tpdo in device.synchronous_pdos:
-            if tpdo.map is None:
-                raise NotPlainError
-            slots = cell_slots(self.slots, tpdo.map, tpdo.cells)
-            row = frames.add(tpdo.cob_id, lay.ANSWER, tpdo.map, slots, every=tpdo.transmission_type, count=tpdo.syncs)
-            self.answering.append((device, tpdo, row))
+    def _check_answers(self) -> None:
+        """Nobody but the bench, and the twin's application, hears what is answered."""
+        frames, here = self.frames, self._here
         for row in range(self._behind_sync, len(frames.rows)):
             cob_id = frames.cob_ids[row]
             links = here.bus.hear(cob_id)
@@ -191,7 +157,7 @@ class Wiring:
                 raise NotPlainError
             frames.take(row, listener.pdo, taken)
             self.heard_axes.append(4 * len(self.seen))
-            self.seen.append(heard_row(listener, taken))
+            self.seen.append(_heard_row(listener, taken))
 
     def _hear_of(self, pdo: PdoMap, *, is_float: bool) -> tuple[int, int, int]:
         """What the bench takes from a TPDO of the virtual I/O: row, and slots."""
@@ -204,7 +170,7 @@ class Wiring:
     def _check_phases(self) -> None:
         """What the bench expects of the nodes is what they send."""
         cycles, frames = self._sync.timing.cycles, self.frames
-        sent = {frames.cob_ids[row]: (row, tpdo) for _, tpdo, row in self.answering}
+        sent = {frames.cob_ids[row]: (row, tpdo) for host in self.hosts for _, tpdo, row in host.answering}
         expected: list[ExpectedPdo] = [*self._sync.due_always.values(), *self._sync.due_at_times]
         for pdo in expected:
             if pdo.cob_id not in sent:
@@ -222,3 +188,16 @@ class Wiring:
                 raise NotPlainError
             if answer.every != 1 and answer.since != tpdo.syncs and answer.since < answer.every:
                 raise NotPlainError
+
+
+def _heard_row(listener: AxisListener, taken: Sequence[int]) -> tuple[Any, ...]:
+    """An axis as the twin hears it; `taken`: slots of what its PDO brings. Raises NotPlainError."""
+    counter, units = listener.counter, listener.units
+    if counter.value is None:
+        raise NotPlainError
+    position, torque = taken[listener.position], taken[listener.torque]
+    return (
+        *(position, NO_SLOT, torque, position),  # a state is not looked for
+        *(counter.value, counter.last, units.position_rad, 0.0, units.torque_Nm),
+        *(0.0, 1.0, 0),
+    )

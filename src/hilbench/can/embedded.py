@@ -81,20 +81,20 @@ class EmbeddedLink:
     def send(self, frames: Sequence[Frame]) -> None:
         records = [can_record(can_id, data) for can_id, data, _ in frames]
         for start in range(0, len(records), protocol.MAX_RECORDS):
-            packet = _HEADER + b"".join(records[start : start + protocol.MAX_RECORDS])
-            send_packet(self._connection, self.channel, packet)
+            self.send_records(b"".join(records[start : start + protocol.MAX_RECORDS]))
+
+    def send_records(self, records: bytes) -> None:
+        """`protocol.CAN_RECORD`s of frames that can be on a wire, up to `protocol.MAX_RECORDS`."""
+        send_packet(self._connection, self.channel, _HEADER + records)
 
     def packet(self, frame: Frame) -> bytes:
         return _HEADER + can_record(frame.can_id, frame.data)
 
     def receive(self, timeout_s: float) -> list[Frame]:
-        frames = self._waiting(timeout_s)
-        if self.controller is ControllerState.BUS_OFF:
-            raise bus_off(f"embedded bus {self.channel}")
-        return frames
+        return self.frames_from(self.receive_packet(timeout_s))
 
-    def _waiting(self, timeout_s: float) -> list[Frame]:
-        packet = self._first_packet(timeout_s)
+    def frames_from(self, packet: bytes | None) -> list[Frame]:
+        """The frames of a packet that was received, and of those that wait behind it. Raises BusError."""
         frames: list[Frame] = []
         while packet is not None:
             body = memoryview(packet)[protocol.HEADER.size :]
@@ -105,10 +105,13 @@ class EmbeddedLink:
                     frames.append(Frame(can_id, data[:length], time_ns))
             _, self.dropped = protocol.HEADER.unpack_from(packet)
             packet = receive_packet(self._connection, self.channel)
+        if self.controller is ControllerState.BUS_OFF:
+            raise bus_off(f"embedded bus {self.channel}")
         return frames
 
-    def _first_packet(self, timeout_s: float) -> bytes | None:
-        """A packet that waits, or comes within the time."""
+    def receive_packet(self, timeout_s: float) -> bytes | None:
+        """A packet that waits, or comes within the time: `protocol.HEADER` and `protocol.STAMPED_CAN_RECORD`s; for
+        `frames_from`, or who knows what is in it. Raises BusError when the bus is lost."""
         if self._waits_in_ticks and timeout_s > 0.0:
             self._set_tick_timeout(timeout_s)
             return receive_packet(self._connection, self.channel, flags=0)

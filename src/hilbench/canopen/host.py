@@ -72,11 +72,15 @@ class DeviceHost:
         self._ticked_s = time.monotonic()
         self._passive = False
 
-    def run(self, stop: Callable[[], bool]) -> None:
-        """Boot the devices and serve until `stop()`. Raises BusError when the bus is lost."""
+    def run(self, stop: Callable[[], bool], serve: Callable[[float], None] | None = None) -> None:
+        """Boot the devices and serve until `stop()`. Raises BusError when the bus is lost.
+
+        `serve`: does so in the place of this host's, which it may ask.
+        """
+        serve = self.serve if serve is None else serve
         self.boot()
         while not stop():
-            self.serve(_POLL_S if self._sync_running else _TICK_S)
+            serve(_POLL_S if self._sync_running else _TICK_S)
 
     def boot(self) -> None:
         """Let the devices say boot-up."""
@@ -87,7 +91,10 @@ class DeviceHost:
 
     def serve(self, timeout_s: float) -> None:
         """Handle what comes within `timeout_s`, and what time has made due."""
-        frames = self._link.receive(timeout_s)
+        self.handle(self._link.receive(timeout_s))
+
+    def handle(self, frames: Sequence[Frame]) -> None:
+        """Handle all that has come, and what time has made due."""
         self._look_at_controller()
         sync_cob_id = self._devices[0].sync_cob_id
         behind = [frame.can_id for frame in frames].count(sync_cob_id)

@@ -6,9 +6,11 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from hilbench.can.embedded import EmbeddedLink
 from hilbench.can.frame import Frame
+from hilbench.can.link import Link
 from hilbench.can.open import open_link
-from hilbench.canopen.clock import Clock, MonotonicClock
+from hilbench.canopen.clock import Clock, MonotonicClock, SyncClock
 from hilbench.canopen.device import Device
 from hilbench.canopen.eds import load_eds
 from hilbench.canopen.host import DeviceHost, HostedDevices
@@ -20,6 +22,7 @@ from hilbench.exchange.device_clock import device_clock
 from hilbench.exchange.effect_objects import bind_effect_objects
 from hilbench.hardware.plant_time import ByClock, BySync, PlantTime
 from hilbench.hardware.rigs import new_rig
+from hilbench.plain.host import PlainHost
 from hilbench.plant.interface import Plant, Steps, StepsInModes
 from hilbench.plant.motor_port import MotorMode, MotorPort
 from hilbench.processes import log, started_by_bench, stop_request
@@ -127,11 +130,22 @@ def simulate(config: BenchConfig) -> int | None:
         hosted = hardware(config)
         link = open_link(bus)
         try:
+            host = DeviceHost(link, *hosted)
+            plain = _plain_host(host, link, hosted, config)
             with kept_ready(config.process_settings("hardware"), log):
-                DeviceHost(link, *hosted).run(stop)
+                host.run(stop, None if plain is None else plain.serve)
         finally:
             link.close()
     return link.dropped
+
+
+def _plain_host(host: DeviceHost, link: Link, hosted: HostedDevices, config: BenchConfig) -> PlainHost | None:
+    """Who serves the host's devices where SYNC is all the time that there is."""
+    if not (isinstance(link, EmbeddedLink) and isinstance(hosted.clock, SyncClock)):
+        return None
+    assert isinstance(hosted.application, RigApplication), "as `hardware` makes it"
+    warm_up_in_modes(config)
+    return PlainHost(host, link, hosted.devices, hosted.clock, hosted.application, config.cycle_ns)
 
 
 def hardware(config: BenchConfig) -> HostedDevices:

@@ -12,7 +12,6 @@ import time
 from collections.abc import Callable
 
 import can
-from hilbench.batch import kernel
 from hilbench.batch.cycles import PlainCycles
 from hilbench.batch.wiring import InOneProcess, Served
 from hilbench.can.confinement import ControllerState
@@ -25,6 +24,7 @@ from hilbench.exchange.nodes import Nodes
 from hilbench.exchange.own_node import OwnNode
 from hilbench.exchange.sync_cycle import SyncCycle
 from hilbench.hardware.simulation import RigApplication, hardware, warm_up_in_modes
+from hilbench.plain import kernel
 from hilbench.topology.config import BenchConfig
 from hilbench.twin.machines.kinds import warm_up_in_vectors
 from hilbench.twin.process import TwinApplication, twin

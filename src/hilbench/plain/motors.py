@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from hilbench.batch import layout as lay
 from hilbench.canopen.object_store import Cell
 from hilbench.cia402.simulated import SimulatedDrive
+from hilbench.plain import layout as lay
 from hilbench.plant.interface import Steps, StepsInModes
 
 

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from hilbench.batch import layout as lay
 from hilbench.can import wire
 from hilbench.canopen.object_store import Cell
 from hilbench.canopen.pdo import PdoMap
@@ -16,8 +15,8 @@ from hilbench.cia402 import objects
 from hilbench.cia402.drive import Drive
 from hilbench.cia402.simulated import SimulatedDrive
 from hilbench.cia402.units import RPM
+from hilbench.plain import layout as lay
 from hilbench.plant.motor_port import MotorMode
-from hilbench.twin.axis_listener import AxisListener
 
 NO_SLOT = -1
 
@@ -188,19 +187,6 @@ def seen_row(drive: Drive, raw: dict[int, int]) -> tuple[Any, ...]:
         feedback.position_rad,
         drive.tpdo_period_s,
         int(not drive.settings.has_velocity),
-    )
-
-
-def heard_row(listener: AxisListener, taken: Sequence[int]) -> tuple[Any, ...]:
-    """An axis as the twin hears it; `taken`: slots of what its PDO brings. Raises NotPlainError."""
-    counter, units = listener.counter, listener.units
-    if counter.value is None:
-        raise NotPlainError
-    position, torque = taken[listener.position], taken[listener.torque]
-    return (
-        *(position, NO_SLOT, torque, position),  # a state is not looked for
-        *(counter.value, counter.last, units.position_rad, 0.0, units.torque_Nm),
-        *(0.0, 1.0, 0),
     )
 
 

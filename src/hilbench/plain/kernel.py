@@ -9,8 +9,6 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.batch import layout as lay
-from hilbench.batch.layout import Bytes, Real, Row, Rows, Single, Whole
 from hilbench.can import compiled_wire, wire
 from hilbench.can.compiled_wire import bits_on_wire
 from hilbench.cia402.state_machine import STATUS_INTERNAL_LIMIT
@@ -27,6 +25,8 @@ from hilbench.compiled import (
 )
 from hilbench.exchange import measured
 from hilbench.exchange.measured import take_twin
+from hilbench.plain import layout as lay
+from hilbench.plain.layout import Bytes, Real, Row, Rows, Single, Whole
 
 _SIGNED, _FLOAT = lay.SIGNED, lay.FLOAT
 _BEFORE_SYNC, _SYNC, _BY_TIME = lay.BEFORE_SYNC, lay.SYNC, lay.BY_TIME
