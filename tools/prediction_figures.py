@@ -1,10 +1,11 @@
-"""What docs/prediction.md shows of the demonstrator: how near its predictions come, what they cost, and a picture.
+"""What docs/prediction.md shows of the shipped benches: how near predictions come, what they cost, and a picture.
 
     python tools/prediction_figures.py                                          print the tables
     python tools/prediction_figures.py --write docs/prediction.md               write them into the page
     python tools/prediction_figures.py --picture docs/images/prediction.svg     draw the picture
 
-The run is bench_configs/predicted_limit.yaml in one process; the outlooks are compared with what was recorded later.
+The runs are those of bench_configs/predicted_limit.yaml and servo_predicted_limit.yaml in one process; the outlooks are
+compared with what was recorded later.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from __future__ import annotations
 import argparse
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -21,6 +22,8 @@ import numpy as np
 
 from hilbench.bench.bench import Bench
 from hilbench.bench.lifecycle.participants import Participants
+from hilbench.bench.prediction.create import look_of
+from hilbench.bench.prediction.servo_axis import ShaftLook
 from hilbench.bench.prediction.web_line import LineLook
 from hilbench.prediction.config import PredictionConfig
 from hilbench.prediction.outlook import Outlook
@@ -34,6 +37,7 @@ from hilbench.topology.sample import CycleSample
 
 CONFIGS = Path(__file__).resolve().parents[1] / "bench_configs"
 CONFIG = CONFIGS / "predicted_limit.yaml"
+SERVO = CONFIGS / "servo_predicted_limit.yaml"
 
 
 class Outlooks:
@@ -52,9 +56,9 @@ class Outlooks:
             self.found.append(outlook)
 
 
-def run() -> tuple[Recording, list[Outlook]]:
-    """The shipped experiment."""
-    config = load_with_overrides(CONFIG, bus="embedded").config
+def run(path: Path) -> tuple[Recording, list[Outlook]]:
+    """A shipped experiment."""
+    config = load_with_overrides(path, bus="embedded").config
     recorder, outlooks, foresight = Recorder(config.signals), Outlooks(), Foresight(config)
     with tempfile.TemporaryDirectory() as folder:
         bench = Bench(
@@ -97,17 +101,25 @@ def errors(recording: Recording, outlooks: Sequence[Outlook]) -> str:
     return "\n".join(lines)
 
 
+def look_at_rest(look: LineLook | ShaftLook) -> tuple[Callable[[], None], Callable[[], Outlook]]:
+    """As `Look.prepare`, of a machine that stands."""
+    if isinstance(look, LineLook):
+        return look.futures.prepare(*look.futures.at_rest(), look.futures.no_offsets(), 1)
+    return look.futures.prepare(*look.futures.at_rest(), look.futures.no_offsets(), 1)
+
+
 def cost() -> str:
     """A table: time of 64 futures of 5 s on one core, of the compiled part and of all of it, the least of ten."""
     lines = ["| bench | step | 64 futures of 5 s, compiled | all of a look |", "|---|---|---|---|"]
-    for name in ("web_section_step.yaml", "line_two_spans.yaml"):
-        look = LineLook(load_with_overrides(CONFIGS / name).config, PredictionConfig())
+    for name in ("web_section_step.yaml", "line_two_spans.yaml", "servo_axis.yaml"):
+        look = look_of(load_with_overrides(CONFIGS / name).config, PredictionConfig())
+        assert isinstance(look, LineLook | ShaftLook)
         futures = look.futures
         futures.warm_up()
         whole, compiled = [], []
         for _ in range(10):
             begin = time.thread_time()
-            run_them, outlook = futures.prepare(*futures.at_rest(), futures.no_offsets(), 1)
+            run_them, outlook = look_at_rest(look)
             prepared = time.thread_time()
             run_them()
             compiled.append(time.thread_time() - prepared)
@@ -145,8 +157,8 @@ def main() -> None:
     parser.add_argument("--write", type=Path, metavar="PAGE", help="put the tables there")
     parser.add_argument("--picture", type=Path, metavar="FILE", help="draw the picture there (SVG)")
     options = parser.parse_args()
-    recording, outlooks = run()
-    tables = {"errors": errors(recording, outlooks), "cost": cost()}
+    recording, outlooks = run(CONFIG)
+    tables = {"errors": errors(recording, outlooks), "servo_errors": errors(*run(SERVO)), "cost": cost()}
     for name, text in tables.items():
         if options.write:
             docs_page.put(options.write, name, text)

@@ -189,6 +189,12 @@ def test_a_machine_that_does_not_fit_its_fmu_is_one_line(tmp_path: Path, change:
     assert re.search(told, ended.stderr), ended.stderr
 
 
+def test_a_machine_that_is_an_fmu_has_no_futures(tmp_path: Path) -> None:
+    ended = hilbench("check", carriage(tmp_path), "--set", "twin.prediction={}")
+    assert ended.returncode == 2
+    assert "no 'prediction:', which is of a twin of another kind of machine (this one is a servo_axis)" in ended.stderr
+
+
 @pytest.mark.slow
 def test_a_stand_whose_fmu_crashes_ends_in_the_safe_state(tmp_path: Path) -> None:
     path = carriage(tmp_path)

@@ -11,11 +11,11 @@ from typing import Final, cast
 
 import numpy as np
 
+from hilbench.bench.prediction.create import foreseeable, look_of
 from hilbench.bench.prediction.hindsight import Hindsight
-from hilbench.bench.prediction.web_line import LineLook, foreseen
+from hilbench.bench.prediction.task import Look
 from hilbench.bench.prediction.window import CYCLES, Window
 from hilbench.errors import UnusableInputError
-from hilbench.plant.effect import MachineKind
 from hilbench.prediction.config import PredictionConfig
 from hilbench.prediction.outlook import Outlook
 from hilbench.prediction.plan import Asked, Move, Plan
@@ -66,13 +66,13 @@ def what_if(config: BenchConfig, recording: Recording, question: Question, place
     require_predictable(config, place)
     for path, value in question.values.items():
         check_asked(config, path, value)
-    look = LineLook(config, PredictionConfig(horizon_s=question.horizon_s, futures=question.futures))
+    look = look_of(config, PredictionConfig(horizon_s=question.horizon_s, futures=question.futures))
     row = _row(look, recording, question.at_s, place)
     window = Window(look.signals)
     for at in range(row - CYCLES, row + 1):
         window.add(_sample(recording, at))
     now_s = float(recording.time_s[row])
-    before = {path: float(recording[signal][row]) for path, signal in foreseen(config).items()}
+    before = {path: float(recording[signal][row]) for path, signal in foreseeable(config).items()}
     unknown = [path for path, value in before.items() if not isfinite(value) and path in question.values]
     if unknown:
         raise UnusableInputError(place, f"nothing says what {unknown[0]} is now, expected the journal of the run")
@@ -89,13 +89,13 @@ def what_if(config: BenchConfig, recording: Recording, question: Question, place
 
 def require_predictable(config: BenchConfig, place: str) -> None:
     """Raise UnusableInputError for a machine whose futures nobody can run."""
-    if config.machine_kind is not MachineKind.WEB_LINE:
-        raise UnusableInputError(place, f"a bench with a {config.machine_kind}, expected one with a web_line")
+    if not foreseeable(config):
+        raise UnusableInputError(place, "a bench whose machine is an FMU, expected one of another kind")
 
 
 def check_asked(config: BenchConfig, path: str, value: float) -> None:
     """Raise UnusableInputError for what is no quantity whose future is known, or a value that it can't have."""
-    known = foreseen(config)
+    known = foreseeable(config)
     if path not in known:
         raise UnusableInputError("--set", f"'{path}', expected one of {', '.join(known)}")
     allowed = quantities.permitted(path)
@@ -106,7 +106,7 @@ def check_asked(config: BenchConfig, path: str, value: float) -> None:
 def _lasts_s(config: BenchConfig, path: str, before: float, to: float, over_s: float | None) -> float:
     if over_s is not None:
         return over_s
-    return abs(to - before) / config.quick_stop_per_s2 if path == quantities.LINE_SPEED else 0.0
+    return abs(to - before) / config.quick_stop_per_s2 if path in (quantities.LINE_SPEED, quantities.SPEED) else 0.0
 
 
 def _sample(recording: Recording, row: int) -> CycleSample:
@@ -118,7 +118,7 @@ def _sample(recording: Recording, row: int) -> CycleSample:
 _MOST_BACK: Final = 30_000
 
 
-def _row(look: LineLook, recording: Recording, at_s: float | None, place: str) -> int:
+def _row(look: Look, recording: Recording, at_s: float | None, place: str) -> int:
     """The cycle to look ahead from: the one at a time, or the last one possible."""
     time_s = recording.time_s
     if at_s is not None and not time_s[0] <= at_s <= time_s[-1]:
@@ -129,4 +129,4 @@ def _row(look: LineLook, recording: Recording, at_s: float | None, place: str) -
         if all(look.ready(_sample(recording, at)) for at in (row, row - CYCLES)):
             return row
     when = "in this run" if at_s is None else f"at t = {at_s:g} s"
-    raise UnusableInputError(place, f"the twin is not synchronized, or a tension loop is open, {when}: expected both")
+    raise UnusableInputError(place, f"{look.unready} {when}, expected a time at which the present is known")

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from math import inf, isfinite
 
 from hilbench.bench.check import CheckedBench, check_bench, check_imitated_inertia, imitable_inertias_kg_m2
-from hilbench.bench.prediction.web_line import foreseen
+from hilbench.bench.prediction.create import foreseeable
 from hilbench.bench.tasks.tension_loop import Margins, OperatingPoint, TensionLoop
 from hilbench.bench.web_line_check import check_stability, operating_point_text, stiffness_reserves
 from hilbench.errors import UnusableInputError
@@ -113,11 +113,11 @@ def _check_predictions(loaded: LoadedConfig) -> None:
                 place(("steps", number, step.kind, "check")),
                 "'predicted' in a bench that does not look ahead, expected 'prediction: {}' in 'twin:'",
             )
-        if move.path not in foreseen(config):
+        if move.path not in foreseeable(config):
             raise UnusableInputError(
                 place(("steps", number, step.kind, "check")),
                 f"'predicted' for {move.path}, whose effect no prediction knows, expected it for one of "
-                f"{', '.join(foreseen(config))}",
+                f"{', '.join(foreseeable(config))}",
             )
 
 

@@ -19,8 +19,10 @@ from hilbench.topology.web_line_config import (
     line_misfits,
 )
 
-#: Keys of `twin:` that every kind of machine has; the others say how one kind finds what it estimates.
+#: Keys of `twin:` that every kind of machine has, and those of machines whose equations are known; the others say how
+#: one kind finds what it estimates.
 _OF_EVERY_TWIN = {"node", "synchronized_pct", "behind", "virtual_tpdo_every"}
+_OF_EQUATIONS = {"prediction"}
 _OF_THE_SHAFT = {"inertia"}
 
 
@@ -48,6 +50,7 @@ def misfits(key: str, value: Any, machine: Any, loaded: Collection[int] | None) 
         yield "no 'shaft:', which is of a servo axis (machine: {kind: servo_axis})"
     if key == "twin":
         default, names = TwinConfig(node=value.node), set(TwinConfig.model_fields) - _OF_EVERY_TWIN
+        names -= set() if isinstance(machine, FmuAxisParameters) else _OF_EQUATIONS
         for name in sorted(names - _OF_THE_SHAFT if of_servo else _OF_THE_SHAFT):
             if getattr(value, name) != getattr(default, name):
                 yield f"no '{name}:', which is of a twin of another kind of machine (this one is a {kind})"

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from math import nan
 
 from hilbench.bench.machines.machine import MachineTasks
 from hilbench.bench.state import BenchState
-from hilbench.bench.tasks.limits import Levels, Watched, apart, is_synchronized, least_told
 from hilbench.bench.tasks.load_model import LoadModel
 from hilbench.bench.tasks.load_task import LoadTask
 from hilbench.bench.tasks.reference import Reference
 from hilbench.bench.tasks.saturation import SaturationWatch
+from hilbench.bench.tasks.shaft_limits import ShaftLimitWatch
 from hilbench.bench.tasks.task import CyclicTask, Outputs
 from hilbench.bench.tasks.watches import Watch
 from hilbench.exchange.exchange import Inputs
@@ -91,40 +91,3 @@ class ShaftLoadTask(LoadTask):
         machine = self.model.machine
         sample.J_true_kg_m2 = machine.parameter("inertia_kg_m2") if self._has_inertia else nan
         sample.coulomb_true_Nm = machine.parameter("coulomb_friction_Nm") if self._has_friction else nan
-
-
-class ShaftLimitWatch:
-    """Watches the samples of one run."""
-
-    def __init__(self, config: BenchConfig, motor: str) -> None:
-        self._limits = config.safety.limits
-        self._inertia_kg_m2 = config.servo_axis.inertia_kg_m2
-        self._load_torque = f"tau_{motor}_Nm"
-        self._levels = Levels()
-        limits = self._limits
-        self._told_from = tuple(map(least_told, (limits.torque_Nm, limits.speed_rad_s, limits.estimate_ratio)))
-
-    def update(self, sample: CycleSample) -> list[tuple[str, str]]:
-        """The warnings that begin in this cycle, each after its quantity. Raises LimitTripError."""
-        if self._levels.quiet and self._is_quiet(sample):
-            return []
-        return self._levels.check(sample.t_s, self._quantities(sample))
-
-    def _is_quiet(self, sample: CycleSample) -> bool:
-        """Whether everything is so small that there is nothing to say, as in nearly every cycle."""
-        torque_Nm, speed_rad_s, ratio = self._told_from
-        return (
-            abs(sample.tau1_Nm) < torque_Nm
-            and abs(getattr(sample, self._load_torque)) < torque_Nm
-            and abs(sample.v1_rad_s) < speed_rad_s
-            and not (is_synchronized(sample) and not apart(sample.J_sim_kg_m2, self._inertia_kg_m2) < ratio)
-        )
-
-    def _quantities(self, sample: CycleSample) -> Iterator[Watched]:
-        limits = self._limits
-        yield "torque of axis 1", abs(sample.tau1_Nm), " N·m", limits.torque_Nm
-        yield "torque of the load motor", abs(getattr(sample, self._load_torque)), " N·m", limits.torque_Nm
-        yield "speed of axis 1", abs(sample.v1_rad_s), " rad/s", limits.speed_rad_s
-        if is_synchronized(sample):
-            ratio = apart(sample.J_sim_kg_m2, self._inertia_kg_m2)
-            yield "estimate of the inertia over the model's", ratio, "", limits.estimate_ratio

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
-from hilbench.bench.prediction.task import Prediction
+from hilbench.bench.prediction.servo_axis import FORESEEN, ShaftLook
+from hilbench.bench.prediction.task import Look, Prediction
 from hilbench.bench.prediction.web_line import LineLook, foreseen
 from hilbench.bench.state import BenchState
 from hilbench.bench.tasks.reference import Reference
-from hilbench.plant.effect import MachineKind
+from hilbench.plant.fmu.axis import FmuAxisParameters
+from hilbench.plant.servo_axis.parameters import ServoAxisParameters
+from hilbench.prediction.config import PredictionConfig
 from hilbench.prediction.plan import Asked
 from hilbench.topology.config import BenchConfig
 
@@ -21,7 +24,7 @@ def prediction_task(
     if wanted is None:
         return None
     return Prediction(
-        LineLook(config, wanted),
+        look_of(config, wanted),
         wanted,
         state,
         asked,
@@ -32,7 +35,16 @@ def prediction_task(
     )
 
 
+def look_of(config: BenchConfig, prediction: PredictionConfig) -> Look:
+    """How the machine of a config looks ahead. Its futures can be run (`foreseeable`)."""
+    if isinstance(config.machine, ServoAxisParameters):
+        return ShaftLook(config, prediction)
+    return LineLook(config, prediction)
+
+
 def foreseeable(config: BenchConfig) -> Mapping[str, str]:
     """The quantities whose courses futures follow, by path, each with the signal that shows it; none of a machine whose
     futures nobody can run."""
-    return foreseen(config) if config.machine_kind is MachineKind.WEB_LINE else {}
+    if isinstance(config.machine, FmuAxisParameters):
+        return {}
+    return FORESEEN if isinstance(config.machine, ServoAxisParameters) else foreseen(config)

@@ -42,6 +42,7 @@ class Look(Protocol):
 
     watched: tuple[Watched, ...]
     signals: tuple[str, ...]  #: that a look goes by
+    unready: str  #: what is the matter where the present is not known
 
     def warm_up(self) -> None:
         """Compile, or load, what a look runs."""
@@ -137,9 +138,7 @@ class Prediction(CyclicTask):
         while self._running is not None:
             cycle()
         if not self._window.full:
-            raise BenchFaultError(
-                f"t = {sample.t_s:.3f} s: {step} can't be checked: the twin is not synchronized, or a loop is open"
-            )
+            raise BenchFaultError(f"t = {sample.t_s:.3f} s: {step} can't be checked: {self._look.unready}")
         asked = self._asked()
         plan = asked.plan.with_moves(self._look.moves_of(Move(path, sample.t_s, sample.t_s + duration_s, to)))
         outlook = self._looked(replace(asked, plan=plan), sample, cycle)

@@ -21,8 +21,9 @@ from hilbench.bench.tasks.web_limits import limited
 from hilbench.prediction.config import PredictionConfig
 from hilbench.prediction.outlook import Outlook, Watched
 from hilbench.prediction.plan import Asked, Move
+from hilbench.prediction.tally import Offsets
 from hilbench.prediction.web_line import kernel
-from hilbench.prediction.web_line.futures import LineCourses, LineFutures, LinePresent, Offsets
+from hilbench.prediction.web_line.futures import LineCourses, LineFutures, LinePresent
 from hilbench.topology.config import BenchConfig
 from hilbench.topology.quantities import LINE_SPEED, tension_set_point
 from hilbench.topology.sample import CycleSample
@@ -52,6 +53,8 @@ def moves_of(config: BenchConfig, move: Move) -> tuple[Move, ...]:
 
 class LineLook:
     """Looks ahead from the samples of one run."""
+
+    unready = "the twin is not synchronized, or a tension loop is open"
 
     def __init__(self, config: BenchConfig, prediction: PredictionConfig) -> None:
         shape, model = config.shape, config.web_line

@@ -54,7 +54,7 @@ class Window:
         self._variance = found if self._variance is None else self._variance + _NEW * (found - self._variance)
         return Reading(
             self._places,
-            rows[-1].copy(),
+            rows,
             self._weights @ rows[1:],
             self._weights @ rows[:-1],
             np.sqrt(self._variance),
@@ -69,13 +69,17 @@ class Window:
 class Reading:
     """Signals at one time, by name."""
 
-    def __init__(self, places: dict[str, int], last: Array, fitted: Array, before: Array, noise: Array) -> None:
+    def __init__(self, places: dict[str, int], rows: Array, fitted: Array, before: Array, noise: Array) -> None:
         self._places = places
-        self._last, self._fitted, self._before, self._noise = last, fitted, before, noise
+        self._rows, self._fitted, self._before, self._noise = rows, fitted, before, noise
 
     def last(self, *signals: str) -> Array:
         """As sampled in the last cycle."""
-        return self._last[[self._places[signal] for signal in signals]]
+        return self.ago(0, *signals)
+
+    def ago(self, cycles: int, *signals: str) -> Array:
+        """As sampled so many cycles (up to `CYCLES`) before the last."""
+        return self._rows[-1 - cycles, [self._places[signal] for signal in signals]]
 
     def fitted(self, *signals: str) -> Array:
         """In the last cycle by a straight line through the last `CYCLES`."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from math import inf
 
 from hilbench.errors import BenchFaultError
@@ -21,6 +22,16 @@ class LimitTripError(BenchFaultError):
 
 #: What is watched in a cycle: its name, its value (a size), its unit with a space before it, and its levels.
 Watched = tuple[str, float, str, Limit]
+
+
+@dataclass(frozen=True, slots=True)
+class Limited:
+    """A quantity whose size a signal shows: what messages call it, its unit, and its levels."""
+
+    name: str
+    signal: str
+    unit: str
+    limit: Limit
 
 
 class Levels:

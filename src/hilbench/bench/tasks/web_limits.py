@@ -3,30 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hilbench.bench.tasks.limits import Levels, Watched, apart, is_synchronized, least_told, load_motor_labels
+from hilbench.bench.tasks.limits import Levels, Limited, Watched, apart, is_synchronized, least_told, load_motor_labels
 from hilbench.compiled import FLAG, INDICES, MATRIX, VECTOR, entry_point, number_of_sources
 from hilbench.plant.web_line.parameters import ModelParameters
-from hilbench.topology.safety import Limit, LimitsConfig
+from hilbench.topology.safety import LimitsConfig
 from hilbench.topology.sample import CycleSample, PlacesIn
 from hilbench.topology.signals import Shape
 
 Vector = NDArray[np.float64]
 Places = NDArray[np.int64]
-
-
-@dataclass(frozen=True, slots=True)
-class Limited:
-    """A quantity whose size a signal shows: what messages call it, its unit, and its levels."""
-
-    name: str
-    signal: str
-    unit: str
-    limit: Limit
 
 
 def limited(limits: LimitsConfig, shape: Shape) -> list[Limited]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from math import ceil, sqrt
+from math import sqrt
 from typing import Final
 
 import numpy as np
@@ -17,21 +17,17 @@ from hilbench.plant.web_line.offline import start_state
 from hilbench.plant.web_line.parameters import ModelParameters
 from hilbench.prediction.draws import normal_draws
 from hilbench.prediction.outlook import Outlook, Watched
+from hilbench.prediction.tally import Offsets, Tally, levels_of, row_every, whole_step_s
 from hilbench.prediction.web_line import kernel
 
 Array = NDArray[np.float64]
 #: Gains (K, `kernel.G_SIZE`) of the controllers at an E (Pa) as the twin has it.
 Gains = Callable[[float], Array]
 
-#: Longest step of a future, s, and the largest share of the fastest motion's time (1/ω) that one may be.
-_LONGEST_STEP_S: Final = 0.00625
-_SHARE_OF_FASTEST: Final = 0.6
 #: How long the twin takes to find another E: so long after a step of E the controllers still go by the old one.
 _FOUND_AFTER_S: Final = 0.1
 #: E of a future is at least this share of the estimate.
 _LEAST_MODULUS_SHARE: Final = 0.05
-#: A row of a course is kept every so often, s.
-_ROW_S: Final = 0.05
 
 
 @dataclass(frozen=True)
@@ -69,16 +65,6 @@ class LineCourses:
     modulus_factor: Array
 
 
-@dataclass(frozen=True)
-class Offsets:
-    """How what is measured differs from what the futures say, by quantity (Q,): lastingly, with the deviation of that,
-    and the noise of one measured sample; in the unit of the quantity."""
-
-    lasting: Array
-    lasting_sd: Array
-    noise: Array
-
-
 def step_s(model: ModelParameters, horizon_s: float) -> float:
     """The step of futures: as long as the fastest motion of the line allows, and a whole part of the horizon.
 
@@ -95,8 +81,7 @@ def step_s(model: ModelParameters, horizon_s: float) -> float:
         loop = per_item(model.drives.velocity_kp_Nm_s_per_rad, axis) * model.motor_rad_per_m(axis) ** 2
         mass_kg = model.mass_kg(axis)
         fastest_per_s = max(fastest_per_s, sqrt(carried / mass_kg), loop / mass_kg)
-    longest_s = min(_LONGEST_STEP_S, _SHARE_OF_FASTEST / fastest_per_s if fastest_per_s else _LONGEST_STEP_S)
-    return horizon_s / ceil(horizon_s / longest_s)
+    return whole_step_s(fastest_per_s, horizon_s)
 
 
 class LineFutures:
@@ -134,9 +119,7 @@ class LineFutures:
         self._load_axes = np.array([axis - 1 for axis in load_axes], np.int64)
         self._samples = self.step_s / cycle_s
         self._leads = np.zeros((model.axis_count, kernel.LEAD_SIZE)) if leads is None else leads(self.step_s)
-        self._every = max(1, round(_ROW_S / self.step_s))
-        levels = [(each.warning or np.inf, each.trip or np.inf) for each in watched]
-        self._levels = np.array(levels, float).reshape(-1, 2)
+        self._every, self._levels = row_every(self.step_s), levels_of(watched)
         self._work, self._state = self._layout.new_work(), np.zeros(self._layout.state_size)
         self._inputs = self._layout.new_inputs()
         self._layout.motor_inputs(self._inputs)[:, lay.UM_MODE] = MotorMode.VELOCITY
@@ -169,8 +152,7 @@ class LineFutures:
         seen, row_of = np.unique(present.modulus_Pa * factor[:, self._span - 1], return_inverse=True)
         gains = np.concatenate([self._gains(float(modulus)) for modulus in seen])
         controllers = self._controllers(present, gains[row_of[0] * k : (row_of[0] + 1) * k])
-        survival, first = np.ones((b, 2 * q)), np.full((b, 2 * q), kernel.NEVER, np.int64)
-        largest, rows = np.zeros((b, q)), np.zeros((self.steps // self._every, b, q))
+        tally = Tally.of(self.watched, b, self.steps // self._every)
         u = self._inputs.copy()
         u[lay.U_STRAIN_PREV], u[lay.U_F_NEXT_N] = present.upstream_strain, present.downstream_tension_N
 
@@ -182,22 +164,10 @@ class LineFutures:
                 np.ascontiguousarray(courses.modulus_factor), known, gains, row_of.astype(np.int64),
                 self._leads, present.line_speed_before_m_s, np.zeros(k + 1), self._load_axes, offset,
                 np.ascontiguousarray(offsets.noise), self._levels, self._samples, self._every,
-                survival, first, largest, rows,
+                tally.survival, tally.first, tally.largest, tally.rows,
             )  # fmt: skip
 
-        def outlook() -> Outlook:
-            crossed: Array = np.where(first > kernel.NEVER, present.now_s + (first + 1) * self.step_s, np.nan)
-            return Outlook(
-                present.now_s,
-                self.watched,
-                np.asarray(present.now_s + self.step_s * self._every * np.arange(1, len(rows) + 1), np.float64),
-                rows,
-                largest,
-                (1.0 - survival.mean(axis=0)).reshape(q, 2),
-                crossed.reshape(b, q, 2),
-            )
-
-        return run, outlook
+        return run, lambda: tally.outlook(present.now_s, self.step_s, self._every)
 
     def look(self, present: LinePresent, courses: LineCourses, offsets: Offsets, *key: int) -> Outlook:
         """Both at once."""
@@ -207,7 +177,7 @@ class LineFutures:
 
     def no_offsets(self) -> Offsets:
         """Measured without noise, and as the futures say."""
-        return Offsets(np.zeros(self.quantities), np.zeros(self.quantities), np.zeros(self.quantities))
+        return Offsets.none(self.quantities)
 
     def warm_up(self) -> None:
         """Compile, or load, what a look runs."""

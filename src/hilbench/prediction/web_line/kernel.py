@@ -12,7 +12,7 @@ speeds of the axes at the web (m/s).
 from __future__ import annotations
 
 from collections.abc import Callable
-from math import erfc, exp, isnan, sqrt
+from math import exp, isnan
 from typing import Final
 
 import numpy as np
@@ -23,6 +23,8 @@ from hilbench.plant import drive_loops as loops
 from hilbench.plant.web_line import kernel, laws, places
 from hilbench.plant.web_line import layout as lay
 from hilbench.plant.web_line.layout import Vector
+from hilbench.prediction import judging
+from hilbench.prediction.judging import see
 
 Matrix = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -60,12 +62,6 @@ LEAD_SHARE: Final = 2  #: of what is not yet taken up, that a step takes up
 LEAD_LIMIT_N: Final = 3
 LEAD_PULLED: Final = 4  #: 1: the web pulls the roller
 LEAD_SIZE: Final = 5
-
-#: Noise further from a level than so many standard deviations never carries a quantity beyond it.
-_FARTHEST: Final = 6.0
-#: The step of a crossing that does not come.
-NEVER: Final = -2
-_ROOT_2: Final = sqrt(2.0)
 
 
 @inlined
@@ -226,47 +222,6 @@ def _watched(p: Vector, s: Vector, u: Vector, w: Vector, load_axes: Indices, q: 
 
 
 @inlined
-def _judge(
-    size: float, level: float, sigma: float, samples: float, survival: Matrix, first: Indices, b: int, at: int, i: int
-) -> None:
-    """What a step with a quantity of this size does to the probability that it stayed below a level.
-
-    sigma: of the noise with which it is measured, `samples` times in a step.
-    """
-    if sigma == 0.0:
-        if size > level:
-            survival[b, at] = 0.0
-    else:
-        away = (level - size) / sigma
-        if away < _FARTHEST:
-            survival[b, at] *= (1.0 - 0.5 * erfc(away / _ROOT_2)) ** samples
-    if survival[b, at] < 0.5 and first[b, at] == NEVER:
-        first[b, at] = i
-
-
-@compiled
-def _see(
-    q: Vector,
-    offset: Matrix,
-    sigma: Vector,
-    levels: Matrix,
-    samples: float,
-    b: int,
-    i: int,
-    survival: Matrix,
-    first: Indices,
-    worst: Matrix,
-) -> None:
-    """What future b is at the end of step i: its largest sizes, and whether it stays below the levels."""
-    for j in range(q.shape[0]):
-        size = abs(q[j] + offset[b, j])
-        worst[b, j] = max(worst[b, j], size)
-        for level in range(2):
-            if levels[j, level] < np.inf:
-                _judge(size, levels[j, level], sigma[j], samples, survival, first, b, 2 * j + level, i)
-
-
-@inlined
 def _change_moduli(p: Vector, moduli: Vector, scale: float, factor: Matrix, i: int) -> bool:
     """E of all spans in step i; whether that is another than before."""
     n, m, k = places.counts(p)
@@ -321,10 +276,10 @@ def _run(
         _set_points(p, u, w, c, g, row_of[i], lead[i], set_point, i, known, ahead)
         if changed:  # the tension jumps with E, and the rollers give way within a step
             _watched(p, s, u, w, load_axes, q)
-            _see(q, offset, sigma, levels, 1.0, b, i - 1, survival, first, worst)
+            see(q, offset, sigma, levels, 1.0, b, i - 1, survival, first, worst)
         kernel.go_on(p, s, u, w, 1)
         _watched(p, s, u, w, load_axes, q)
-        _see(q, offset, sigma, levels, samples, b, i, survival, first, worst)
+        see(q, offset, sigma, levels, samples, b, i, survival, first, worst)
         if (i + 1) % every == 0:
             for j in range(q.shape[0]):
                 rows[(i + 1) // every - 1, b, j] = q[j] + offset[b, j]
@@ -398,4 +353,4 @@ def _entry_point(sources: int) -> Run:
     return futures
 
 
-run_futures = _entry_point(kernel.source_number(__file__))
+run_futures = _entry_point(kernel.source_number(judging.__file__, __file__))

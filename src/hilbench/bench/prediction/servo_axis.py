@@ -1,0 +1,139 @@
+"""A servo axis of a config, as it looks ahead: its model behind the set points to come, from the bench's signals."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilbench.bench.prediction.hindsight import Hindsight
+from hilbench.bench.prediction.window import Reading, Window
+from hilbench.bench.tasks.limits import is_synchronized
+from hilbench.bench.tasks.shaft_limits import limited
+from hilbench.prediction.config import PredictionConfig
+from hilbench.prediction.outlook import Outlook, Watched
+from hilbench.prediction.plan import Asked, Move
+from hilbench.prediction.servo_axis.futures import ShaftCourses, ShaftFutures, ShaftPresent
+from hilbench.prediction.tally import Offsets
+from hilbench.topology.config import BenchConfig
+from hilbench.topology.quantities import SHAFT_COULOMB_FRICTION, SHAFT_INERTIA, SPEED
+from hilbench.topology.sample import CycleSample
+
+Array = NDArray[np.float64]
+
+_COMMAND = "v1_cmd_rad_s"
+#: So many of its stated deviations away an inertia is another one.
+_ANOTHER = 3.0
+#: The quantities whose courses futures follow. When the twin finds another inertia plays no part: no controller goes by
+#: it.
+FORESEEN = {SPEED: _COMMAND, SHAFT_INERTIA: "J_true_kg_m2", SHAFT_COULOMB_FRICTION: "coulomb_true_Nm"}
+
+
+class ShaftLook:
+    """Looks ahead from the samples of one run."""
+
+    unready = "the twin is not synchronized"
+
+    def __init__(self, config: BenchConfig, prediction: PredictionConfig) -> None:
+        (motor,) = config.load_motors
+        self.watched = tuple(
+            Watched(each.name, each.signal, each.unit, each.limit.warning, each.limit.trip)
+            for each in limited(config.safety.limits, motor)
+        )
+        self._quantities = tuple(each.signal for each in self.watched)
+        self.signals = (*self._quantities, "x1_rad", _COMMAND, "J_sim_kg_m2", "J_sd_kg_m2", "coulomb_sim_Nm")
+        self._compared = np.array([k for k, each in enumerate(self.watched) if each.unit == "N·m"])
+        self._believed = 0.0, 0.0  # inertia and its deviation
+        self._found = _FoundInertia()
+        drives = config.servo_axis.drives
+        self._looks = drives.sample_time_s / config.cycle_time_s if drives else 0.0  # of the drive's loop, in cycles
+        self.futures = ShaftFutures(
+            config.servo_axis,
+            config.servo_rig_parameters(effects=()),
+            self.watched,
+            cycle_s=config.cycle_time_s,
+            horizon_s=prediction.horizon_s,
+            futures=prediction.futures,
+        )
+
+    def warm_up(self) -> None:
+        """Compile, or load, what a look runs."""
+        self.futures.warm_up()
+
+    def ready(self, sample: CycleSample) -> bool:
+        """Whether the present is known: the twin is synchronized."""
+        return is_synchronized(sample) and sample.J_sim_kg_m2 > 0.0
+
+    def moves_of(self, move: Move) -> tuple[Move, ...]:
+        """Each quantity is one of its own."""
+        return (move,)
+
+    def prepare(
+        self, now_s: float, window: Window, hindsight: Hindsight, asked: Asked, *key: int
+    ) -> tuple[Callable[[], None], Callable[[], Outlook]]:
+        """As `ShaftFutures.prepare`, from the last samples and what is going to be asked for."""
+        reading = window.read()
+        measured = np.zeros(len(self.watched))
+        measured[self._compared] = reading.fitted(*(self._quantities[k] for k in self._compared))
+        present = self._present(now_s, reading, window.fit_noise)
+        if abs(present.inertia_kg_m2 - self._believed[0]) > _ANOTHER * self._believed[1]:
+            # What was predicted with an inertia that has turned out otherwise is off by nothing lasting.
+            hindsight.clear()
+            self._believed = present.inertia_kg_m2, present.inertia_sd_kg_m2
+        to_find = self._found.share_to_find(present.inertia_kg_m2, asked.present.get(SHAFT_INERTIA))
+        hindsight.compare(now_s, measured, self._compared)
+        offsets = Offsets(hindsight.lasting.copy(), hindsight.deviation, reading.noise(*self._quantities))
+        asked_now = float(reading.last(_COMMAND)[0])
+        return self.futures.prepare(present, partial(_courses, asked_now, to_find, present, asked), offsets, *key)
+
+    def _present(self, now_s: float, reading: Reading, fit_noise: float) -> ShaftPresent:
+        inertia, deviation, dry = reading.last("J_sim_kg_m2", "J_sd_kg_m2", "coulomb_sim_Nm").tolist()
+        position, speed, torque = reading.fitted("x1_rad", "v1_rad_s", "tau1_Nm").tolist()
+        # A set point acts a cycle after it was asked for; the drive has last looked a sample time ago.
+        (command,), (followed,) = reading.ago(1, _COMMAND).tolist(), reading.ago(2, _COMMAND).tolist()
+        since_then = (speed - float(reading.before("v1_rad_s")[0])) * self._looks
+        return ShaftPresent(
+            now_s=now_s,
+            position_rad=position,
+            speed_rad_s=speed,
+            speed_sd_rad_s=float(reading.noise("v1_rad_s")[0]) * fit_noise,
+            torque_Nm=torque,
+            command_rad_s=command,
+            error_rad_s=followed - (speed - since_then),
+            inertia_kg_m2=inertia,
+            inertia_sd_kg_m2=deviation,
+            dry_friction_Nm=dry,
+            dry_friction_sd_Nm=0.0,
+        )
+
+
+class _FoundInertia:
+    """Of which imitated inertia the estimate is: at an even speed the twin can't find one that was changed."""
+
+    def __init__(self) -> None:
+        self._estimate_kg_m2 = self._of_kg_m2 = 0.0
+
+    def share_to_find(self, estimate_kg_m2: float, imitated_kg_m2: float | None) -> float:
+        """How many times the estimate the inertia is that the bench has the load motor imitate now; None: not known."""
+        if imitated_kg_m2 is None:
+            return 1.0
+        share = imitated_kg_m2 / self._of_kg_m2 if self._of_kg_m2 else 1.0
+        changed_kg_m2 = self._estimate_kg_m2 * share
+        if abs(estimate_kg_m2 - changed_kg_m2) <= abs(estimate_kg_m2 - self._estimate_kg_m2):
+            self._estimate_kg_m2, self._of_kg_m2 = estimate_kg_m2, imitated_kg_m2
+            return 1.0
+        return share
+
+
+def _courses(speed_rad_s: float, to_find: float, present: ShaftPresent, asked: Asked, times_s: Array) -> ShaftCourses:
+    """At times; `speed_rad_s`: as it is asked for now; `to_find`: see `_FoundInertia`."""
+    course = partial(asked.course, now_s=present.now_s, times_s=times_s)
+    inertia = course(SHAFT_INERTIA, present.inertia_kg_m2)
+    dry = course(SHAFT_COULOMB_FRICTION, present.dry_friction_Nm)
+    return ShaftCourses(
+        course(SPEED, speed_rad_s),
+        to_find * inertia / asked.present.get(SHAFT_INERTIA, present.inertia_kg_m2),
+        dry - asked.present.get(SHAFT_COULOMB_FRICTION, present.dry_friction_Nm),
+    )

@@ -1,0 +1,209 @@
+"""Futures of a servo axis from what is known of it now."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilbench.plant import drive_loops as loops
+from hilbench.plant.motor_port import MotorMode
+from hilbench.plant.parameters import per_item
+from hilbench.plant.sampled_shaft import imitation_delay_s
+from hilbench.plant.servo_axis import layout as lay
+from hilbench.plant.servo_axis.imitation import steepest_Nm_s_per_rad
+from hilbench.plant.servo_axis.kernel import look as look_at
+from hilbench.plant.servo_axis.parameters import ServoAxisParameters
+from hilbench.plant.servo_axis.rig import ServoRigParameters
+from hilbench.plant.servo_axis.stability import sampled_shaft
+from hilbench.prediction.draws import normal_draws
+from hilbench.prediction.outlook import Outlook, Watched
+from hilbench.prediction.servo_axis import kernel
+from hilbench.prediction.tally import Offsets, Tally, levels_of, row_every, whole_step_s
+
+Array = NDArray[np.float64]
+
+#: Inertia of a future is at least this share of the estimate.
+_LEAST_INERTIA_SHARE: Final = 0.05
+#: So many deviations of its speed within zero a shaft is taken to stand.
+_STANDS: Final = 3.0
+
+
+@dataclass(frozen=True)
+class ShaftPresent:
+    """What is known of a servo axis now, at the motor shaft, SI.
+
+    `speed_sd_rad_s`: what the speed may be off by. Inertia and dry friction as the twin has them, with their stated
+    deviations; `command_rad_s`: as the drive follows it from now on; `error_rad_s`: how far the speed was off what it
+    followed when its velocity loop last looked.
+    """
+
+    now_s: float
+    position_rad: float
+    speed_rad_s: float
+    speed_sd_rad_s: float
+    torque_Nm: float
+    command_rad_s: float
+    error_rad_s: float
+    inertia_kg_m2: float
+    inertia_sd_kg_m2: float
+    dry_friction_Nm: float
+    dry_friction_sd_Nm: float
+
+
+@dataclass(frozen=True)
+class ShaftCourses:
+    """What is asked for at each of T times (T,): speed, rad/s; inertia of the imitated shaft over the
+    present one; its dry friction beyond the present one, N·m."""
+
+    speed_rad_s: Array
+    inertia_factor: Array
+    dry_friction_Nm: Array
+
+
+#: Courses at times (T,), s of experiment time; what is asked for acts a cycle later.
+CoursesAt = Callable[[Array], ShaftCourses]
+
+
+class ShaftFutures:
+    """Draws and runs the futures of one servo axis.
+
+    `watched`: its quantities in the kernel's order; `real`: the stand as it is believed to be, beside which the load
+    motor imitates; `cycle_s`: between two measurements. What `prepare` returns may be run by any thread. Raises
+    ValueError for a model without drives.
+    """
+
+    def __init__(
+        self,
+        model: ServoAxisParameters,
+        real: ServoRigParameters,
+        watched: Sequence[Watched],
+        *,
+        cycle_s: float,
+        horizon_s: float,
+        futures: int,
+    ) -> None:
+        if model.drives is None:
+            raise ValueError("the model has no drives, expected 'drives'")
+        self.watched = tuple(watched)
+        self._futures, self._horizon_s, self._cycle_s = futures, horizon_s, cycle_s
+        self._p, self._levels = lay.pack(model), levels_of(watched)
+        kp = per_item(model.drives.velocity_kp_Nm_s_per_rad, 1)
+        self._kp = kp * (1.0 + self._p.item(lay.place("drive_gain")))
+        self._real = lay.pack(real.axis, real.load_motor)
+        self._steepest = steepest_Nm_s_per_rad(self._real, imitation_delay_s(sampled_shaft(real, cycle_s)))
+        self._inputs = lay.new_inputs(self._p)
+        lay.motor_inputs(self._inputs)[:, loops.IN_MODE] = MotorMode.VELOCITY
+
+    @property
+    def quantities(self) -> int:
+        """Q."""
+        return len(self.watched)
+
+    def prepare(
+        self, present: ShaftPresent, courses_at: CoursesAt, offsets: Offsets, *key: int
+    ) -> tuple[Callable[[], None], Callable[[], Outlook]]:
+        """Two parts of a look ahead: what takes its time and lets other threads run, and what says what came out.
+
+        `key`: numbers from which all is drawn; the same look has the same outlook.
+        """
+        step_s, courses = self._courses(present, courses_at)
+        z = normal_draws(self._futures, 3 + self.quantities, *key)
+        p = self._p.copy()
+        p[lay.P_SAMPLE_TIME_S] = step_s
+        shaft = self._drawn(p, present, z)
+        start = self._start(p, present, z[:, 2])
+        offset = offsets.lasting + offsets.lasting_sd * z[:, 3:]
+        every = row_every(step_s)
+        tally = Tally.of(self.watched, self._futures, len(courses) // every)
+
+        def run() -> None:
+            kernel.run_futures(
+                p, self._real, self._steepest, start, shaft, courses, lay.new_state(p), self._inputs.copy(),
+                np.zeros(lay.output_size(p)), np.zeros(self.quantities), offset,
+                np.ascontiguousarray(offsets.noise), self._levels, step_s / self._cycle_s, every,
+                tally.survival, tally.first, tally.largest, tally.rows,
+            )  # fmt: skip
+
+        return run, lambda: tally.outlook(present.now_s, step_s, every)
+
+    def look(self, present: ShaftPresent, courses_at: CoursesAt, offsets: Offsets, *key: int) -> Outlook:
+        """Both at once."""
+        run, outlook = self.prepare(present, courses_at, offsets, *key)
+        run()
+        return outlook()
+
+    def no_offsets(self) -> Offsets:
+        """Measured without noise, and as the futures say."""
+        return Offsets.none(self.quantities)
+
+    def warm_up(self) -> None:
+        """Compile, or load, what a look runs."""
+        self.look(*self.at_rest(), self.no_offsets())
+
+    def at_rest(self) -> tuple[ShaftPresent, CoursesAt]:
+        """A shaft that stands and is to stand."""
+        inertia = self._p.item(lay.P_INERTIA)
+        return (
+            ShaftPresent(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, inertia, 0.0, self._p.item(lay.P_COULOMB), 0.0),
+            lambda times_s: ShaftCourses(np.zeros(len(times_s)), np.ones(len(times_s)), np.zeros(len(times_s))),
+        )
+
+    @property
+    def step_s(self) -> float:
+        """Of futures with the model's inertia."""
+        return self._step_s(self._p.item(lay.P_INERTIA))
+
+    def _step_s(self, inertia_kg_m2: float) -> float:
+        """As long as the drive's velocity loop on so much inertia allows; a twist of the shaft has steps of its own."""
+        return whole_step_s(self._kp / inertia_kg_m2, self._horizon_s)
+
+    def _courses(self, present: ShaftPresent, courses_at: CoursesAt) -> tuple[float, Array]:
+        """The step that the lightest shaft to come allows, and the courses in it, (T, `kernel.COURSES`)."""
+        lightest = max(
+            present.inertia_kg_m2 - 3.0 * present.inertia_sd_kg_m2, _LEAST_INERTIA_SHARE * present.inertia_kg_m2
+        )
+        step_s = self._step_s(lightest)
+        times_s = self._times_s(present.now_s, step_s)
+        found = courses_at(times_s)
+        least = float(np.min(found.inertia_factor))
+        if least < 1.0:
+            step_s = self._step_s(least * lightest)
+            times_s = self._times_s(present.now_s, step_s)
+            found = courses_at(times_s)
+        speed_rad_s = np.where(times_s < present.now_s, present.command_rad_s, found.speed_rad_s)
+        columns = (speed_rad_s, found.inertia_factor, found.dry_friction_Nm)
+        return step_s, np.ascontiguousarray(np.stack(columns, axis=1))
+
+    def _times_s(self, now_s: float, step_s: float) -> Array:
+        """When that is asked for which the drive follows in each step: a cycle before."""
+        steps = round(self._horizon_s / step_s)
+        return np.asarray(now_s - self._cycle_s + step_s * np.arange(steps), np.float64)
+
+    def _drawn(self, p: Array, present: ShaftPresent, z: Array) -> Array:
+        """Inertia and dry friction of each future (B, `kernel.DRAWN`), both without the model's effects."""
+        share = present.inertia_sd_kg_m2 / present.inertia_kg_m2
+        inertia = present.inertia_kg_m2 * np.maximum(1.0 + share * z[:, 0], _LEAST_INERTIA_SHARE)
+        dry = present.dry_friction_Nm + present.dry_friction_sd_Nm * z[:, 1]
+        # What was found has what the model's effects make of the inertia.
+        return np.ascontiguousarray(np.stack((inertia / look_at(p, present.now_s)[0], dry), axis=1))
+
+    def _start(self, p: Array, present: ShaftPresent, z: Array) -> Array:
+        """States (B, S): the shaft at its speed in the drive's loop; z (B,) of the speed."""
+        state = lay.new_state(p)
+        state[lay.S_COUNT] = round(present.now_s / p[lay.P_SAMPLE_TIME_S])  # effects go by the experiment's time
+        state[lay.S_X] = present.position_rad
+        state[lay.S_PAST : lay.S_PAST + lay.RING] = present.torque_Nm
+        (motor,) = lay.motor_states(state)
+        motor[loops.MODE], motor[loops.REFERENCE] = MotorMode.VELOCITY, present.command_rad_s
+        motor[loops.TORQUE_NM] = motor[loops.COMMAND_NM] = present.torque_Nm
+        motor[loops.INTEGRAL_NM] = present.torque_Nm - self._kp * present.error_rad_s
+        states = np.tile(state, (self._futures, 1))
+        stands = abs(present.speed_rad_s) <= _STANDS * present.speed_sd_rad_s
+        speeds = present.speed_rad_s + present.speed_sd_rad_s * z
+        states[:, lay.S_V] = 0.0 if stands else speeds
+        states[:, lay.S_DIRECTION] = np.sign(states[:, lay.S_V])
+        return states

@@ -1,0 +1,151 @@
+"""Futures of a servo axis: the plant's kernel behind the set points to come, compiled.
+
+The closed loop of shaft and drive at one coarse step: the drive's loop samples once per step, the mechanics are
+integrated by the plant's own kernel, with every effect that the model has; what the load motor then has to imitate is
+the law of `hilbench.plant.servo_axis.imitation`.
+
+Vectors as in `hilbench.plant.servo_axis.layout`. B futures, T steps; the quantities that are watched, Q = 3, in this
+order: torques of the axis' motor as its drive reports it and of the load motor (N·m), speed of the axis (rad/s).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilbench.compiled import COUNT, CUBE, MATRIX, REAL, TABLE, VECTOR, compiled, entry_point, inlined
+from hilbench.plant import drive_loops as loops
+from hilbench.plant.servo_axis import imitation, kernel
+from hilbench.plant.servo_axis import layout as lay
+from hilbench.plant.servo_axis.imitation import load_torque_Nm
+from hilbench.plant.servo_axis.layout import Vector
+from hilbench.prediction import judging
+from hilbench.prediction.judging import see
+
+Matrix = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+# Quantities that are watched.
+Q_TORQUE: Final = 0
+Q_LOAD_TORQUE: Final = 1
+Q_SPEED: Final = 2
+QUANTITIES: Final = 3
+# Columns of what is asked for at the start of each step.
+C_COMMAND: Final = 0  #: rad/s
+C_INERTIA: Final = 1  #: as a share of the present one
+C_DRY: Final = 2  #: dry friction beyond the present one, N·m
+COURSES: Final = 3
+# Columns of what a future has drawn of its shaft.
+D_INERTIA: Final = 0  #: kg·m², without the model's effects
+D_DRY: Final = 1  #: dry friction, N·m, without the model's effects
+DRAWN: Final = 2
+
+
+@inlined
+def _change_shaft(p: Vector, shaft: Matrix, b: int, courses: Matrix, i: int) -> None:
+    """Inertia and dry friction of future b in step i."""
+    p[lay.P_INERTIA] = shaft[b, D_INERTIA] * courses[i, C_INERTIA]
+    p[lay.P_COULOMB] = max(shaft[b, D_DRY] + courses[i, C_DRY], 0.0)
+
+
+@inlined
+def _watched(p: Vector, real: Vector, steepest: float, s: Vector, u: Vector, out: Vector, q: Vector) -> None:
+    """The quantities now into q (Q,); out: scratch for what is observed."""
+    kernel.report(p, s, out, 0)
+    q[Q_TORQUE], q[Q_SPEED] = out[lay.O_TORQUE], out[lay.O_V]
+    now_s, a = s[lay.S_COUNT] * p[lay.P_SAMPLE_TIME_S], kernel.acceleration_rad_s2(p, s, u)
+    imitated = load_torque_Nm(p, real, now_s, s[lay.S_X], s[lay.S_V], a, steepest)
+    q[Q_LOAD_TORQUE] = loops.clip(imitated, real[lay.P_LOOPS + loops.LOOPS_SIZE + loops.LIMIT_NM])
+
+
+@compiled
+def _run(
+    p: Vector,
+    real: Vector,
+    steepest: float,
+    shaft: Matrix,
+    courses: Matrix,
+    s: Vector,
+    u: Vector,
+    out: Vector,
+    q: Vector,
+    offset: Matrix,
+    sigma: Vector,
+    levels: Matrix,
+    samples: float,
+    every: int,
+    b: int,
+    survival: Matrix,
+    first: Indices,
+    largest: Matrix,
+    rows: NDArray[np.float64],
+) -> None:
+    """Future b, to its end."""
+    for i in range(courses.shape[0]):
+        _change_shaft(p, shaft, b, courses, i)
+        u[lay.U_MOTORS + loops.IN_SETPOINT] = courses[i, C_COMMAND]
+        kernel.go_on(p, s, u, 1)
+        _watched(p, real, steepest, s, u, out, q)
+        see(q, offset, sigma, levels, samples, b, i, survival, first, largest)
+        if (i + 1) % every == 0:
+            for j in range(QUANTITIES):
+                rows[(i + 1) // every - 1, b, j] = q[j] + offset[b, j]
+
+
+Run = Callable[..., None]
+
+
+def _entry_point(sources: int) -> Run:
+    @entry_point(
+        *[VECTOR] * 2,
+        REAL,
+        *[MATRIX] * 3,
+        *[VECTOR] * 4,
+        MATRIX,
+        VECTOR,
+        MATRIX,
+        REAL,
+        COUNT,
+        MATRIX,
+        TABLE,
+        MATRIX,
+        CUBE,
+    )
+    def futures(
+        p: Vector,
+        real: Vector,
+        steepest: float,
+        start: Matrix,
+        shaft: Matrix,
+        courses: Matrix,
+        s: Vector,
+        u: Vector,
+        out: Vector,
+        q: Vector,
+        offset: Matrix,
+        sigma: Vector,
+        levels: Matrix,
+        samples: float,
+        every: int,
+        survival: Matrix,
+        first: Indices,
+        largest: Matrix,
+        rows: NDArray[np.float64],
+    ) -> None:
+        for b in range(start.shape[0] if sources >= 0 else 0):
+            s[:] = start[b]
+            _run(
+                p, real, steepest, shaft, courses, s, u, out, q, offset, sigma, levels, samples, every, b,
+                survival, first, largest, rows,
+            )  # fmt: skip
+
+    return futures
+
+
+#: run_futures(parameters, those of the stand as it is believed to be, slope of the imitated dry friction at standstill,
+#: states (B, S), drawn (B, DRAWN), courses (T, COURSES), state, inputs, observed, quantities, offset (B, Q), noise
+#: (Q,), levels (Q, 2), measurements in a step, steps in a row, and what is filled: `hilbench.prediction.tally`).
+run_futures = _entry_point(kernel.source_number(imitation.__file__, judging.__file__, __file__))
