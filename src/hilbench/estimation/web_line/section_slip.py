@@ -7,8 +7,9 @@ corrected: what was corrected is web that the section has in truth, until it has
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
-from math import exp
+from math import exp, inf
 from typing import Final
 
 import numpy as np
@@ -22,24 +23,32 @@ from hilbench.estimation.web_line import anomalies, blocks
 #: Way of a block, as a share of the section's length: that of a block of 20 ms on a span of 1 m at 3 m/s.
 _BLOCK_SHARE: Final = 0.06
 _SLIP: Final = int(Problem.SLIP)
+#: So many blocks before a change that the detector sees it had not begun: those that it compares, and their means.
+_BEFORE: Final = 12
 #: What the detector is told.
 _BLOCK, _SUSPEND, _RESET = range(3)
 
 
-def _compiled_look(sources: int) -> Callable[[Array, Array, int], bool]:
+#: What it says.
+_NOTHING, _CHANGES, _SLIPS = range(3)
+
+
+def _compiled_look(sources: int) -> Callable[[Array, Array, int], int]:
     """The function that is called from Python; `sources` as in `number_of_sources`."""
 
     @entry_point(VECTOR, VECTOR, COUNT)
-    def look(s: Array, block: Array, what: int) -> bool:
+    def look(s: Array, block: Array, what: int) -> int:
         if sources < 0:
-            return False
+            return _NOTHING
         if what == _BLOCK:
             anomalies.look(s, block)
         elif what == _SUSPEND:
             anomalies.suspend(s)
         else:
             anomalies.reset(s)
-        return anomalies.found(s) == _SLIP
+        if anomalies.found(s) == _SLIP:
+            return _SLIPS
+        return _CHANGES if anomalies.is_judging(s) else _NOTHING
 
     return look
 
@@ -61,7 +70,25 @@ class SectionSlip:
         self._block = np.zeros(blocks.DURATION_S + 1)
         self._corrected_N = 0.0
         self._begin()
-        self.slips = _look(self._detector, self._block, _RESET if under_way else _SUSPEND)
+        self._begins_s: deque[float] = deque(maxlen=_BEFORE)  # of the last blocks
+        self._since_s = inf
+        self._said = _NOTHING
+        self._say(_RESET if under_way else _SUSPEND)
+
+    @property
+    def slips(self) -> bool:
+        """Whether the web slips."""
+        return self._said == _SLIPS
+
+    @property
+    def since_s(self) -> float:
+        """When it had not begun yet, at the latest, where it `slips`."""
+        return self._since_s
+
+    def _say(self, what: int) -> None:
+        before, self._said = self._said, _look(self._detector, self._block, what)
+        if before == _NOTHING and self._said == _CHANGES:
+            self._since_s = self._begins_s[0]
 
     def _begin(self) -> None:
         """A new block."""
@@ -71,13 +98,16 @@ class SectionSlip:
     def suspend(self) -> None:
         """The measurement can't be used: what was before says nothing any more."""
         self._begin()
-        self.slips = _look(self._detector, self._block, _SUSPEND)
+        self._begins_s.clear()
+        self._say(_SUSPEND)
 
     def correct(self, change_N: float) -> None:
         """The tension that the followed line has by the model's E was corrected by so much."""
         self._corrected_N += change_N
 
-    def take(self, tension_N: float, followed_N: float, way_m: float, duration_s: float, *, steady: bool) -> None:
+    def take(
+        self, time_s: float, tension_N: float, followed_N: float, way_m: float, duration_s: float, *, steady: bool
+    ) -> None:
         """Means since the last call: the tension that the torques show, and that of the followed line by the model's E;
         the way of the web meanwhile. Nothing is judged across what is not `steady`."""
         self._corrected_N *= exp(-abs(way_m) / self._length_m)
@@ -93,5 +123,6 @@ class SectionSlip:
         block = self._block
         block[blocks.FORCE_N], block[blocks.WEB_PER_PA] = self._sums_N / self._count
         block[blocks.VELOCITY_M_S], block[blocks.DURATION_S] = self._way_m / self._lasted_s, self._lasted_s
-        self.slips = _look(self._detector, block, _BLOCK)
+        self._begins_s.append(time_s - self._lasted_s)
+        self._say(_BLOCK)
         self._begin()

@@ -7,6 +7,8 @@ nobody else knows.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,6 +18,14 @@ Vector = NDArray[np.float64]
 #: the first of them: what has changed is not known, and small corrections of all would hide it.
 _FAR_OFF = 5.0
 _TWICE = 2
+
+
+@dataclass(frozen=True, slots=True)
+class Belief:
+    """What was known once: covariance of unknowns and offsets, and the offsets (m,)."""
+
+    covariance: Vector
+    offsets: Vector
 
 
 class Unknowns:
@@ -42,6 +52,21 @@ class Unknowns:
         found: Vector = np.sqrt(np.diag(self.covariance)[: self._count])
         return found
 
+    @property
+    def belief(self) -> Belief:
+        """What is known now, for `put_back`."""
+        return Belief(self.covariance.copy(), self._offsets.copy())
+
+    def put_back(self, earlier: Belief, taken: NDArray[np.bool_], variances: Vector) -> None:
+        """Of the offsets, and of the unknowns that are `taken` (n,), is known what was known earlier, no more and no
+        less; of the others these variances (n,)."""
+        back = np.concatenate([taken, np.ones(len(self._offsets), bool)])
+        self.covariance = np.where(np.outer(back, back), earlier.covariance, 0.0)
+        others = np.flatnonzero(~taken)
+        self.covariance[others, others] = variances[others]
+        self._offsets = earlier.offsets.copy()
+        self._far_off = 0
+
     def grow(self, variances: Vector, of_offsets: Vector) -> None:
         """What unknowns (n,) and offsets (m,) may have changed by in the meantime, as variances."""
         places = np.arange(len(self.covariance))
@@ -53,9 +78,17 @@ class Unknowns:
         whole[: self._count, : self._count] = matrix
         self.covariance = whole @ self.covariance @ whole.T
 
-    def update(self, innovations: Vector, slopes: Vector, variances: Vector, jumps: Vector) -> Vector:
+    def update(
+        self,
+        innovations: Vector,
+        slopes: Vector,
+        variances: Vector,
+        jumps: Vector,
+        learns: NDArray[np.bool_] | None = None,
+    ) -> Vector:
         """Changes of the unknowns (n,) by innovations (m,) with slopes (m, n) and variances (m,); `jumps` (n, n):
-        covariance of a sudden change of the unknowns."""
+        covariance of a sudden change of the unknowns; `learns` (n, m): which unknown is learned from which innovation,
+        and no offset from any then: how little is known of the rest is reckoned with all the same. None: all."""
         known = np.hstack([slopes, np.eye(len(innovations))])
         left = innovations - self._offsets
         spread = known @ self.covariance @ known.T + np.diag(variances)
@@ -68,6 +101,8 @@ class Unknowns:
             spread = known @ self.covariance @ known.T + np.diag(variances)
             self._far_off = 0
         gain = np.linalg.solve(spread, known @ self.covariance).T
+        if learns is not None:
+            gain = gain * np.vstack([learns, np.zeros((len(left), len(left)), bool)])
         changes: Vector = gain @ left
         rest = np.eye(len(self.covariance)) - gain @ known
         self.covariance = rest @ self.covariance @ rest.T + (gain * variances) @ gain.T

@@ -10,6 +10,7 @@ carriage would give way to that and keep the tension, and beside a reel without 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from math import inf
 from typing import Final
 
 import numpy as np
@@ -103,13 +104,21 @@ class SectionWatch:
 
     @property
     def doubtful(self) -> bool:
-        """Whether something slips or may be torn: what the torques say is nothing to learn from."""
-        if any(self._torn.values()) or any(slip.slips for slip in self._slips.values()):
-            return True
-        return any(0.0 < doubt_s <= _DOUBT_S for doubt_s in self._doubt_s.values())
+        """Whether something may be torn: what the torques say is nothing to learn from."""
+        return any(self._torn.values()) or any(0.0 < doubt_s <= _DOUBT_S for doubt_s in self._doubt_s.values())
+
+    @property
+    def slips_since_s(self) -> float:
+        """When no web slipped yet; inf where none does."""
+        return min((slip.since_s for slip in self._slips.values() if slip.slips), default=inf)
 
     def look(
-        self, positions_m: Sequence[float], torques_Nm: Sequence[float], followed: VariedLine, inertia_kg_m2: Vector
+        self,
+        time_s: float,
+        positions_m: Sequence[float],
+        torques_Nm: Sequence[float],
+        followed: VariedLine,
+        inertia_kg_m2: Vector,
     ) -> None:
         """One cycle: of the driven rollers positions (N,) at the web and torques, beside the line that follows them;
         `inertia_kg_m2` (N,): at the motors."""
@@ -127,7 +136,7 @@ class SectionWatch:
             self._differences_Nm[axis - 1] -= torque_Nm + line.web_torque_Nm(axis, speeds.item(axis - 1))
         self._collected += 1
         if self._collected > self._cycles:
-            self._judge(line, inertia_kg_m2)
+            self._judge(time_s, line, inertia_kg_m2)
             self.interrupt()
 
     def corrected(self, followed: VariedLine) -> None:
@@ -140,7 +149,7 @@ class SectionWatch:
         tensions_N = followed.line.tension_N
         return {axis: tensions_N.item(self._spans[axis][-1]) / followed.modulus_factor(axis) for axis in self._slips}
 
-    def _judge(self, line: LineFollower, inertia_kg_m2: Vector) -> None:
+    def _judge(self, time_s: float, line: LineFollower, inertia_kg_m2: Vector) -> None:
         """A block is complete."""
         for axis, tightest_N, usual_N in zip(self._spans, self._tightest_N.tolist(), self._usual_N, strict=True):
             self._slack[axis] = tightest_N <= _SLACK * usual_N
@@ -156,16 +165,16 @@ class SectionWatch:
                 is_N = promised_N - float(np.sum(more_N[axis:]))
                 self._take(axis, is_N / promised_N if promised_N > _LEAST * usual_N else 1.0)
                 steady = abs(np.sum(accelerates_N[axis:])) < _ACCELERATES * usual_N
-                self._look_for_slip(axis, is_N, ratios.item(axis), steady=bool(steady))
+                self._look_for_slip(time_s, axis, is_N, ratios.item(axis), steady=bool(steady))
         self._judged_m = self._way_m[-1]
 
-    def _look_for_slip(self, axis: int, is_N: float, ratio: float, *, steady: bool) -> None:
+    def _look_for_slip(self, time_s: float, axis: int, is_N: float, ratio: float, *, steady: bool) -> None:
         """In a block; `ratio`: radius of the roller behind the section over that at the start."""
         if axis not in self._slips or self._judged_m is None or self._time_s < _SETTLED_S:
             return
         way_m = float(self._way_m[-1][axis] - self._judged_m[axis]) * ratio
         followed_N, lasted_s = self._followed_N[axis] / self._collected, self._collected * self._cycle_s
-        self._slips[axis].take(is_N, followed_N, way_m, lasted_s, steady=steady)
+        self._slips[axis].take(time_s, is_N, followed_N, way_m, lasted_s, steady=steady)
 
     def _take(self, axis: int, share: float) -> None:
         """What is left of a section's tension, in a block."""

@@ -8,6 +8,7 @@ carriage that it would move.
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import exp, hypot, inf, sqrt
@@ -16,11 +17,12 @@ from typing import Final
 import numpy as np
 
 from hilbench.estimation.noise_level import NoiseLevel
-from hilbench.estimation.web_line.unknowns import Unknowns
+from hilbench.estimation.web_line.unknowns import Belief, Unknowns
 from hilbench.plant.parameters import per_item
 from hilbench.plant.web_line.drive_response import DriveResponse
 from hilbench.plant.web_line.layout import Vector
 from hilbench.plant.web_line.parameters import ModelParameters
+from hilbench.plant.web_line.sections import axes_before_spans
 from hilbench.plant.web_line.stations import Reel, reel_name
 from hilbench.plant.web_line.varied_line import Kind, Unknown, VariedLine
 
@@ -49,8 +51,23 @@ _SWING_SHARE, _SWING_S = 0.2, 0.05
 _INERTIA_SHARE: Final = 0.05  #: of the torque that accelerates
 _SENSOR_M: Final = 2e-4  #: of a carriage
 _SENSOR_SHARE: Final = 2e-4  #: of a radius
+#: By which the strain of a section may change while a web slips somewhere, of that with which the web comes in.
+_SLIPPING_PER_SQRT_S: Final = 0.2
+#: Way of the web, as a share of the shortest section, from which to which what is known is kept; and for how many
+#: lengths of the longest one.
+_KEPT_EVERY, _KEPT_LENGTHS = 0.1, 3.0
 #: Corrections stay within these.
 _LEAST_MODULUS, _MOST_MODULUS, _MOST_RADIUS = -0.8, 4.0, 0.3
+
+
+@dataclass(frozen=True, slots=True)
+class _Kept:
+    """What was known at a time: by the filter, and what the unknowns (n,) had been corrected by."""
+
+    time_s: float
+    way_m: float
+    belief: Belief
+    corrected: Vector
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,6 +104,17 @@ class LineUnknowns:
             cycle_s,
         )
         self._loads = np.zeros((model.axis_count, len(self.varied.unknowns) + 1))
+        kinds = np.array([each.kind for each in self.varied.unknowns])
+        self._is_strain = kinds == Kind.STRAIN
+        sensed = np.array([each in [unknown for _, unknown in self._sensors] for each in self.varied.unknowns], bool)
+        #: What nothing but torques and tensions tells.
+        self._by_torque = ~self._is_strain & ~sensed
+        #: From what each unknown is learned while a web slips: torques tell tensions then, sensors what they sense.
+        self._learns_slipping = np.zeros((len(kinds), len(offsets)), bool)
+        self._learns_slipping[self._is_strain, : len(self._axes)] = True
+        self._learns_slipping[~self._by_torque, len(self._axes) :] = True
+        lengths_m = [sum(model.span_length_m(k + 1) for k in spans) for spans in _sections(model)]
+        self._keep_every_m, self._keep_m = _KEPT_EVERY * min(lengths_m), _KEPT_LENGTHS * max(lengths_m)
         self.begin([0.0] * model.axis_count, 0.0)
 
     def begin(self, positions_m: Sequence[float], speed_m_s: float) -> None:
@@ -105,6 +133,9 @@ class LineUnknowns:
         self._loads[:] = 0.0
         self._response.reset()
         self._set_inertia()
+        self._slips = False
+        self._corrected = np.zeros(len(self.varied.unknowns))
+        self._kept = deque([_Kept(-inf, 0.0, self._filter.belief, self._corrected)])
         self._begin_window()
 
     def _believed(self, unknown: Unknown, under_way: bool) -> float:
@@ -179,9 +210,16 @@ class LineUnknowns:
         """What the torques (N,) of the closed line have not answered yet to what was corrected."""
         return self._response.torques_Nm[:, -1]
 
-    def compare(self, residuals_Nm: Vector, *, limited: bool) -> bool:
+    def compare(self, time_s: float, residuals_Nm: Vector, *, limited: bool, slips_since_s: float = inf) -> bool:
         """Torques (N,), measured less those of the closed line; whether something was corrected. `limited`: a torque is
-        at its limit, and says nothing."""
+        at its limit, and says nothing; `slips_since_s`: when no web slipped yet, inf where none does: what was booked
+        since then is taken back, and of the torques nothing but tensions is learned."""
+        began, self._slips = not self._slips and slips_since_s < inf, slips_since_s < inf
+        if began:
+            self._take_back(slips_since_s)
+            self._response.step(self._loads)
+            self._begin_window()
+            return True
         answered = self._response.torques_Nm
         left = (residuals_Nm - answered[:, -1])[self._rows]
         for noise, value in zip(self._noise, left.tolist(), strict=True):
@@ -194,6 +232,7 @@ class LineUnknowns:
         corrected = False
         if self._cycles >= self._window:
             corrected = not limited and self._correct()
+            self._keep(time_s)
             self._begin_window()
         self._response.step(self._loads)
         return corrected
@@ -212,11 +251,19 @@ class LineUnknowns:
         self._filter.grow(self._growth(time_s), self._offset_growth * time_s)
         turned = self.varied.web_changed()
         jumps = turned @ self._moduli @ turned.T
-        changes = self._filter.update(self._sum / count, self._slopes / count, self._variances(count), jumps)
+        learns = self._learns_slipping if self._slips else None
+        innovations, slopes = self._sum / count, self._slopes / count
+        changes = self._filter.update(innovations, slopes, self._variances(count), jumps, learns)
         if self._filter.has_begun_to_change:
             self._answer_from_now(count // 2)
             return False
         changes = np.array([self._bounded(each, float(change)) for each, change in zip(unknowns, changes, strict=True)])
+        self._apply(changes)
+        return True
+
+    def _apply(self, changes: Vector) -> None:
+        """Correct the line by these of its unknowns (n,), and let them be those of now."""
+        self._corrected = self._corrected + changes
         self.varied.correct(changes)
         self._response.states[:, :, -1] += self._response.states[:, :, :-1] @ changes
         turned = self.varied.renew()
@@ -225,7 +272,24 @@ class LineUnknowns:
         self._loads[:, :-1] = self.varied.load_slopes()
         self._loads[:, -1] = self.varied.loads_Nm() - self.varied.loads_without_turn_Nm()
         self._set_inertia()
-        return True
+
+    def _keep(self, time_s: float) -> None:
+        """Keep what is known, for `_take_back`."""
+        kept = self._kept
+        if self._slips or self._way_m - kept[-1].way_m < self._keep_every_m:
+            return
+        kept.append(_Kept(time_s, self._way_m, self._filter.belief, self._corrected))
+        while len(kept) > 1 and kept[1].way_m < self._way_m - self._keep_m:
+            kept.popleft()
+
+    def _take_back(self, since_s: float) -> None:
+        """What torques have told since then of E, and where carriages without a sensor stand, was the slip; tensions
+        stay, and are the torques' to tell from now on."""
+        earlier = next((kept for kept in reversed(self._kept) if kept.time_s <= since_s), self._kept[0])
+        strains = np.where(self._is_strain, (_STRAIN_AT_REST * self._model.upstream_strain) ** 2, 0.0)
+        variances = np.maximum(strains, self._filter.deviations**2)
+        self._filter.put_back(earlier.belief, self._by_torque, variances)
+        self._apply(np.where(self._by_torque, earlier.corrected - self._corrected, 0.0))
 
     def _answer_from_now(self, cycles: int) -> None:
         """What has changed in the web changed so many cycles ago: until then no drive had to answer to it."""
@@ -256,7 +320,8 @@ class LineUnknowns:
             elif unknown.kind is Kind.MODULUS:
                 found.append(_MODULUS_PER_SQRT_S**2 * time_s if self._tells_moduli else 0.0)
             else:
-                found.append((_STRAIN_PER_SQRT_S * self._model.upstream_strain) ** 2 * time_s)
+                per_sqrt_s = _SLIPPING_PER_SQRT_S if self._slips else _STRAIN_PER_SQRT_S
+                found.append((per_sqrt_s * self._model.upstream_strain) ** 2 * time_s)
         return np.array(found)
 
     def _variances(self, count: int) -> Vector:
@@ -298,6 +363,12 @@ class LineUnknowns:
 
     def _deviation(self, unknown: Unknown) -> float:
         return float(self._filter.deviations[self.varied.unknowns.index(unknown)])
+
+
+def _sections(model: ModelParameters) -> list[list[int]]:
+    """Numbers of the spans of each section, from 0."""
+    before = axes_before_spans(model)
+    return [[k for k, of in enumerate(before) if of == axis] for axis in range(1, model.axis_count)]
 
 
 def _stations(model: ModelParameters) -> dict[str, Unknown]:

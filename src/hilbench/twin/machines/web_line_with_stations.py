@@ -120,22 +120,24 @@ class LineWithStationsTwin:
         self._unknowns.follow(positions, self._gone * self._cycle_s)
         self._let_out(abs(positions[-1] - self._positions_m[-1]))
         self._positions_m, self._missed = positions, 0
-        self._look_for_breaks(positions, [torque for _, torque in measured])
+        self._look_for_breaks(time_s, positions, [torque for _, torque in measured])
         left = np.array([torque - port.torque_Nm for (_, torque), port in zip(measured, self.ports, strict=True)])
         self._residuals_Nm = (left - self._unknowns.torques_missing_Nm).tolist()
-        if self._unknowns.compare(left, limited=self._limited or self._watch.doubtful):
+        limited, since_s = self._limited or self._watch.doubtful, self._watch.slips_since_s
+        if self._unknowns.compare(time_s, left, limited=limited, slips_since_s=since_s):
             self._watch.corrected(self._unknowns.varied)
             self._take_moduli()
         self._transfer()
         return True
 
-    def _look_for_breaks(self, positions_m: Sequence[float], torques_Nm: Sequence[float]) -> None:
+    def _look_for_breaks(self, time_s: float, positions_m: Sequence[float], torques_Nm: Sequence[float]) -> None:
         """What has torn, slips, or is slack."""
         self._limited = any(port.torque_limited for port in self.ports)
         if self._limited:
             self._watch.suspend()
         else:
-            self._watch.look(positions_m, torques_Nm, self._unknowns.varied, self._unknowns.inertia_kg_m2)
+            unknowns = self._unknowns
+            self._watch.look(time_s, positions_m, torques_Nm, unknowns.varied, unknowns.inertia_kg_m2)
 
     def _let_out(self, way_m: float) -> None:
         """So much more web has left the line."""
