@@ -1,7 +1,6 @@
 """SYNC goes out by the clock whatever the bench's interpreter does; what it then does with what has gone by.
 
-Counts, and spacings in periods: how fast the machine is plays no part. The hardware is a station that answers each
-SYNC.
+Counts, and spacings in periods: how fast the machine is plays no part. The drive is a station that answers each SYNC.
 """
 
 from __future__ import annotations
@@ -9,14 +8,19 @@ from __future__ import annotations
 import ctypes
 import os
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from itertools import pairwise
+
+import pytest
 
 from hilbench.can.embedded import EmbeddedLink
 from hilbench.can.frame import Frame
 from hilbench.canopen.identifiers import SYNC
+from hilbench.exchange.answers import Tpdo
 from hilbench.exchange.sync_cycle import ExpectedPdo, SyncCycle
-from hilbench.exchange.sync_producer import SyncProducer
+from hilbench.exchange.sync_producer import LONGEST_ALONE_S, SyncProducer
 
 PERIOD_NS = 20_000_000
 RPDO, TPDO = 0x201, 0x181
@@ -106,5 +110,105 @@ def hold_the_interpreter(duration_s: float) -> None:
     ctypes.PyDLL(None).usleep(round(1e6 * duration_s))
 
 
-def numbers(bench: Bench) -> list[int]:
-    return [int.from_bytes(frame.data, "little") for frame in bench.trace.frames if frame.can_id == TPDO]
+def counted(bench: Bench) -> bool:
+    """Whether what the bench counts as missed is what went by, and no more than that and what was never sent."""
+    missed, gone_by = bench.cycle.pacing.missed, bench.cycle.gone_by
+    return gone_by <= missed <= gone_by + bench.producer.without
+
+
+def test_a_bench_whose_interpreter_is_held_for_three_periods_shifts_no_sync_and_counts_what_went_by() -> None:
+    with running() as bench:
+        bench.run(10)
+        before = bench.producer.sent + bench.producer.without
+        hold_the_interpreter(3.5 * PERIOD_NS * 1e-9)
+        assert bench.producer.sent + bench.producer.without >= before + 3
+        bench.run(10)
+        assert bench.cycle.pacing.missed >= 2
+        assert counted(bench)
+        assert bench.cycle.timing.cycles == 20
+        marks = [frame.time_ns for frame in bench.trace.frames if frame.can_id == SYNC]
+        assert len(marks) == 20 + bench.cycle.gone_by, "each is in the trace, once"
+        while len(bench.drive.syncs_ns) < len(marks):
+            time.sleep(1e-3)
+        assert bench.drive.syncs_ns[: len(marks)] == marks, "and on the bus"
+        without = bench.producer.without
+    # The hold of three periods has moved nothing: as many deadlines as SYNCs, but for those the machine slept over.
+    spacings = sorted((later - earlier) / PERIOD_NS for earlier, later in pairwise(marks))
+    assert spacings[len(spacings) // 2] == pytest.approx(1.0, rel=0.1)
+    assert -1 <= round(sum(spacings)) - len(spacings) <= without + 1
+
+
+def cycle_of(bench: Bench, read: Tpdo) -> None:
+    """One more, of which the bench reads this TPDO."""
+    gone_by = bench.cycle.gone_by
+    [received] = bench.run(1)
+    read.begin()
+    for at, frame in enumerate(received):
+        if frame.can_id == TPDO:
+            read.add(frame.data, before_sync=at < bench.cycle.before_sync)
+    read.end(bench.cycle.gone_by - gone_by)
+
+
+def test_answers_are_those_to_the_sync_of_their_cycle_also_behind_ones_that_went_by() -> None:
+    with running() as bench:
+        bench.run(5)
+        read = Tpdo(TPDO, 4, 1, "drive")
+        for cycle in range(3):
+            hold_the_interpreter((0.5 + 2 * cycle) * PERIOD_NS * 1e-9)
+            cycle_of(bench, read)
+            assert read.surplus == 0, "what came for SYNCs that went by is no second sender's"
+        while not read.is_plain:  # until the drive, which was held as well, has caught up
+            cycle_of(bench, read)
+        assert read.data is not None
+        assert int.from_bytes(read.data, "little") == bench.cycle.timing.cycles + bench.cycle.gone_by
+
+
+def test_set_points_that_come_behind_their_sync_are_counted_and_its_answers_taken() -> None:
+    with running(5 * PERIOD_NS) as bench:
+        bench.run(3)
+        while bench.producer.sent == 3:
+            time.sleep(1e-4)
+        bench.run(1)
+        pacing = bench.cycle.pacing
+        assert (pacing.late_set_points, pacing.missed, bench.cycle.gone_by) == (1, 0, 0)
+        bench.run(1)
+        assert pacing.late_set_points == 1
+    kinds = ["SYNC" if frame.can_id == SYNC else "set points" for frame in bench.trace.frames if frame.can_id != TPDO]
+    assert kinds == ["set points", "SYNC"] * 3 + ["SYNC", "set points"] + ["set points", "SYNC"]
+
+
+def test_a_bench_that_does_not_come_any_more_gets_no_more_sync_until_it_comes_again() -> None:
+    with running() as bench:
+        bench.run(5)
+        alone = round(LONGEST_ALONE_S * 1e9 / PERIOD_NS)
+        while bench.producer.without < 3:
+            time.sleep(PERIOD_NS * 1e-9)
+        assert bench.producer.sent - 5 <= alone + 1
+        bench.run(5)
+        assert bench.cycle.timing.cycles == 10
+        assert counted(bench)
+        assert bench.cycle.pacing.missed >= 3
+
+
+def test_a_sync_of_somebody_else_is_told_apart_by_its_being_one_too_many() -> None:
+    with running() as bench:
+        stranger = EmbeddedLink(bench.link.channel, 1_000_000, "real")
+        try:
+            bench.run(3)
+            stranger.send([Frame(SYNC, b"")])
+            received = [frame for frames in bench.run(5) for frame in frames]
+        finally:
+            stranger.close()
+        assert sum(frame.can_id == SYNC for frame in received) == 1
+        assert counted(bench)
+
+
+def test_after_its_end_no_sync_goes_out() -> None:
+    with running() as bench:
+        bench.run(3)
+        bench.producer.close()
+        bench.producer.close()
+        sent = len(bench.drive.syncs_ns), bench.producer.sent
+        time.sleep(3 * PERIOD_NS * 1e-9)
+        assert (len(bench.drive.syncs_ns), bench.producer.sent) == sent
+        assert "sync" not in [thread.name for thread in threading.enumerate()]

@@ -19,6 +19,7 @@ from lockstep_profile import cpu_s, pids_of
 from hilbench.bench.bench import Bench
 from hilbench.bench.lifecycle.startup import start_children
 from hilbench.can.frame import Frame
+from hilbench.can.link import PacketLink
 from hilbench.can.load import cycle_load
 from hilbench.can.open import open_link
 from hilbench.canopen.identifiers import HEARTBEAT, NMT, NmtCommand
@@ -26,6 +27,7 @@ from hilbench.errors import BenchFaultError
 from hilbench.exchange.nodes import Nodes
 from hilbench.exchange.pacing import Pacing
 from hilbench.exchange.sync_cycle import SyncCycle
+from hilbench.exchange.sync_producer import SyncProducer
 from hilbench.runs.config import load_with_overrides
 from hilbench.topology.config import BenchConfig
 from performance.table import Section
@@ -94,6 +96,10 @@ def _three_drives(config: BenchConfig, seconds: float) -> Section:
     with tempfile.TemporaryDirectory() as folder, ExitStack() as resources:
         link = open_link(config.bus_address)
         resources.callback(link.close)
+        own = open_link(config.bus_address)
+        assert isinstance(own, PacketLink)
+        producer = SyncProducer(own, config.cycle_ns)
+        resources.callback(producer.close)
         for child in start_children(config, Path(folder)):
             resources.callback(child.end)
         ids = [drive.settings.node_id for drive in nodes.drives]
@@ -107,12 +113,13 @@ def _three_drives(config: BenchConfig, seconds: float) -> Section:
             expected=[pdo for pdo in nodes.expected_pdos() if pdo.sender in drives],
             timeout_s=config.safety.cycle_timeout_s,
             missing_limit=_PATIENCE_CYCLES,
+            producer=producer,
         )
 
         def run(duration_s: float = seconds) -> None:
             for _ in range(round(duration_s / _FAST_S)):
                 setpoints = [frame for drive in nodes.drives for frame in drive.encode()]
-                nodes.decode(exchange.exchange(setpoints), exchange.before_sync)
+                nodes.decode(exchange.exchange(setpoints), exchange.before_sync, exchange.gone_by)
 
         run(1.0)
         late = exchange.timing.missing_pdos

@@ -247,6 +247,8 @@ def _timing_line(timing: Timing) -> str:
         parts.append(f"{timing.realtime_factor:.1f} x real time")
     if timing.jitter_us is not None:
         jitter = timing.jitter_us
+        if timing.late_set_points:
+            parts.append(f"{timing.late_set_points} with late set points")
         parts.append(f"{timing.missed} missed, SYNC late by {jitter.p50:.0f} µs (p50), {jitter.p99:.0f} µs (p99)")
     if timing.bus_load_pct is not None:
         parts.append(f"bus load {timing.bus_load_pct:.0f} %")

@@ -475,7 +475,9 @@ class SyncCycle:
                 self._tap.write([*met.on_wire, met.sync, *ours])
             else:
                 ours = self._timed(outgoing, sent_bits, start_ns - int(sum(sent_bits) * self._bit_ns))
-                self._tap.write([*met.on_wire, *ours, met.sync])
+                # Behind the last SYNC that went by; what came late stands behind ours, as ever.
+                at = max((at for at, frame in enumerate(met.on_wire, 1) if frame.can_id == SYNC), default=0)
+                self._tap.write([*met.on_wire[:at], *ours, *met.on_wire[at:], met.sync])
 
     def _account_received(self, frames: Sequence[Frame], *, last: bool = False) -> None:
         """The same for answers, as they come; in real time each has its own time. The last ones of a cycle are what

@@ -13,8 +13,9 @@ from hilbench.canopen.identifiers import SYNC
 from hilbench.exchange.pacing import Pacing
 from hilbench.exchange.sync_producer import SyncProducer
 
-#: Part of the cycle, from SYNC on, in which a bench that comes too late for it may still take its answers.
-_JOIN_FRACTION = 0.5
+#: Part of the cycle, from SYNC on, in which a bench that comes too late for it still takes its answers: as long as it
+#: would wait for them.
+_JOIN_FRACTION = 0.7
 
 
 class _Whose(Enum):

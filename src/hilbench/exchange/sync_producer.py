@@ -54,7 +54,8 @@ class SyncProducer:
         self._packet = np.frombuffer(packet.ljust(-(-len(packet) // 8) * 8, b"\0"), np.int64).copy()
         self._shared = np.zeros(PLACES, np.int64)
         self._lateness_ns = np.zeros(REMEMBERED, np.int64)
-        self._alone = max(1, min(REMEMBERED // 2, round(LONGEST_ALONE_S * 1e9 / period_ns)))
+        #: SYNCs that go out behind a `go_on`: the one that the bench then waits for, and those without it.
+        self._alone = 1 + max(1, min(REMEMBERED // 2, round(LONGEST_ALONE_S * 1e9 / period_ns)))
         self._told = 0  # so many of them `tell_lateness` has told
         self._loop = partial(
             produce,

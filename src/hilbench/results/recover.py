@@ -54,6 +54,7 @@ class CycleFrames:
     late: list[Frame] = field(default_factory=list)
     sync: Frame | None = None
     received: list[Frame] = field(default_factory=list)
+    gone_by: int = 0  #: SYNCs until then for which there was no cycle
 
 
 @dataclass
@@ -143,6 +144,8 @@ def replay_frames(
     nodes = Nodes(config)
     cycles = _cycles(frames, nodes)
     configuration = next(cycles, CycleFrames())
+    if config.pace == "realtime":
+        cycles = _run_by_the_bench(cycles, nodes)
     take_units(nodes, configuration.received)
     rows = RecordingBuilder([signal.name for signal in config.signals])
     decoder = Decoder(config, nodes, changes, rows.append, under_way=under_way)
@@ -200,6 +203,21 @@ def _cycles(frames: Iterable[Frame], nodes: Nodes) -> Iterator[CycleFrames]:
     splitter = CycleSplitter(nodes)
     yield from (cycle for frame in frames if (cycle := splitter.take(frame)) is not None)
     yield splitter.current
+
+
+def _run_by_the_bench(cycles: Iterator[CycleFrames], nodes: Nodes) -> Iterator[CycleFrames]:
+    """By the clock SYNC goes out without the bench, too. It sends set points with each that it runs a cycle for; what
+    came at the others it has read as late in its next cycle."""
+    set_points = nodes.axes[0].pdos.rpdo.cob_id
+    late: list[Frame] = []
+    gone_by = 0
+    for cycle in cycles:
+        if cycle.sent or any(frame.can_id == set_points for frame in cycle.received):
+            cycle.late[:0], late, cycle.gone_by = late, [], gone_by
+            yield cycle
+        else:
+            late += [*cycle.late, *cycle.received]
+            gone_by += 1
 
 
 def _complete(cycles: Iterator[CycleFrames], nodes: Nodes) -> Iterator[CycleFrames]:
@@ -297,7 +315,7 @@ class Decoder:
         if self._first is not None:
             self._take_commands(cycle.sent)
         sample.cycle += 1
-        nodes.decode([*cycle.late, *cycle.received], len(cycle.late))
+        nodes.decode([*cycle.late, *cycle.received], len(cycle.late), cycle.gone_by)
         nodes.fill(sample)
         if self._joins_twin and nodes.twin_reported_cycle:
             state.twin.started_cycle, self._joins_twin = nodes.twin_started(nodes.twin_reported_cycle), False

@@ -98,12 +98,15 @@ class Timing(_WithOptions):
     `lost_frames` were received for the bench and not read in time (None: the bus interface does not count them),
     `first_loss_s` is when the first was noticed, in experiment time; `lost_frames_of` has the same count of the
     processes that the bench started. `late` has who answered late in any cycle (None: nobody looked).
+    By the clock SYNC goes out without the bench: `missed` cycles were not run, and in `late_set_points` cycles set points
+    were sent behind their SYNC and acted with the next.
     """
 
     pace: Literal["realtime", "lockstep"]
     cycle_us: float = Field(gt=0)
     cycles: Count
     missed: Count
+    late_set_points: Count = 0
     jitter_us: Jitter | None
     realtime_factor: float | None
     bus_load_pct: float | None
