@@ -7,7 +7,7 @@ from contextlib import contextmanager
 
 import pytest
 
-from hilbench.bench.lifecycle import startup
+from hilbench.bench.lifecycle import in_process
 from hilbench.bench.lifecycle.in_process import InProcess
 from hilbench.can.frame import Frame
 from hilbench.can.memory import MemoryLink
@@ -51,7 +51,7 @@ def on_the_bus(*plans: Plan) -> Iterator[None]:
             self._hosts += [Stranger(self.bus.open_link(), plan) for plan in plans]  # type: ignore[list-item]
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(startup, "InProcess", Infested)
+        patch.setattr(in_process, "InProcess", Infested)
         yield
 
 

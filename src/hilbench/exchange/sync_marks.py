@@ -113,14 +113,18 @@ class SyncMarks:
                 elif whose is _Whose.OTHERS:
                     others.append(frame)
                 wire.append(frame)
+            if split is not None and self._come >= wanted:
+                break
             now_ns = time.monotonic_ns()
             if out_ns is None and producer.sent >= wanted:
                 out_ns = now_ns
-            if self._come < wanted and out_ns is not None and now_ns - out_ns > producer.period_ns:
+            if now_ns - begun_ns > 2 * producer.period_ns:
+                producer.check((now_ns - begun_ns) * 1e-9)
+            if out_ns is not None and now_ns - out_ns > producer.period_ns:
                 self._lost += wanted - self._come
                 self._come = wanted
-                met.sync, met.on_wire, split = Frame(SYNC, b"", time.time_ns()), [], 0
-            producer.check((now_ns - begun_ns) * 1e-9)
+                if split is None:
+                    met.sync, split = Frame(SYNC, b"", time.time_ns()), 0
         met.before, met.behind = others[:split], others[split:]
         return met
 

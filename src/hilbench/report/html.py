@@ -216,7 +216,7 @@ def _timing(timing: Timing) -> list[tuple[str, str, str]]:
         ("cycle", number(timing.cycle_us), "µs"),
         ("cycles", number(timing.cycles, 12), ""),
         ("cycles missed", number(timing.missed, 12), ""),
-        ("cycles with late set points", number(timing.late_set_points, 12), ""),
+        *([("cycles with late set points", number(timing.late_set_points, 12), "")] if timing.late_set_points else []),
         ("bus time over wall time", number(timing.realtime_factor), ""),
         ("bus load, mean", number(timing.bus_load_pct), "%"),
         ("frames lost by the bench", _count(timing.lost_frames), ""),

@@ -106,10 +106,10 @@ class Timing(_WithOptions):
     cycle_us: float = Field(gt=0)
     cycles: Count
     missed: Count
-    late_set_points: Count = 0
     jitter_us: Jitter | None
     realtime_factor: float | None
     bus_load_pct: float | None
+    late_set_points: Count | None = None
     lost_frames: Count | None = None
     first_loss_s: float | None = None
     lost_frames_of: dict[str, Count | None] | None = None

@@ -343,7 +343,7 @@ def measure_timing(bench: Bench) -> Timing:
         cycle_us=config.cycle_time_s * 1e6,
         cycles=timing.cycles,
         missed=exchange.pacing.missed,
-        late_set_points=exchange.pacing.late_set_points,
+        late_set_points=exchange.pacing.late_set_points if config.pace == "realtime" else None,
         jitter_us=percentiles,
         realtime_factor=bus_s / wall_s if wall_s > 0 else None,
         bus_load_pct=100.0 * timing.bits / (config.bus.bitrate * bus_s) if bus_s else None,
