@@ -34,6 +34,8 @@ from hilbench.plain.motors import Motors
 from hilbench.plain.tables import (
     NotPlainError,
     drive_row,
+    octets,
+    reals,
     table,
 )
 from hilbench.twin.machines.machine import MachineVectors
@@ -118,8 +120,8 @@ class _Run:
             raise NotPlainError
         self._wiring = wiring = Wiring(here, nodes, sync)
         self._frames, self._slots = wiring.frames, wiring.slots
-        self._told = list(zip(wiring.told, nodes.boundary_names, strict=True))
-        self._own_heartbeat = wiring.own_heartbeat
+        self._told = list(zip(wiring.bench.told, nodes.boundary_names, strict=True))
+        self._own_heartbeat = wiring.bench.own_heartbeat
         self._heartbeats = [each for host in wiring.hosts for each in host.heartbeats]
         self._arrays()
         self._deadlines()
@@ -135,18 +137,18 @@ class _Run:
         self._rows = table(frames.rows, lay.FRAME)
         self._sent = table(frames.sent, lay.FIELD)
         self._received = table(sorted(frames.received), lay.FIELD)
-        self._target_rows = table(self._wiring.targets, lay.TARGET)
+        self._target_rows = table(self._wiring.bench.targets, lay.TARGET)
         drives: list[tuple[Any, ...]] = []
         for slots.side, of_side in enumerate((here.rig.drives, here.machine.drives)):
             drives += [drive_row(drive, slots) for drive in of_side]
         self._drives = table(drives, lay.DRIVE)
-        self._seen_rows = table(self._wiring.seen, lay.SEEN)
+        self._seen_rows = table([*self._wiring.seen.rows, *self._wiring.heard], lay.SEEN)
         self._in_vectors = here.machine.goes_in_vectors
         self._of_twin()
         self._whole, self._real = np.array(slots.whole, np.int64), np.array(slots.real, np.float64)
         self._real = self._real if len(self._real) else np.zeros(1)
         # One value goes faster through these than through the array.
-        self._whole_at, self._real_at = self._whole.data, _reals(self._real)
+        self._whole_at, self._real_at = self._whole.data, reals(self._real)
         row, of_status = self._wiring.status
         self._status_sent, self._status_at = lay.O_SIZE + row, self._whole_at[of_status]
         self._data = np.zeros((len(frames.rows), 8), np.uint8)
@@ -157,10 +159,10 @@ class _Run:
             np.zeros(lay.O_SIZE + len(frames.rows), np.int64),
         )
         self._given_at = self._given.data
-        self._feedback = np.zeros(4 * len(self._wiring.seen))
+        self._feedback = np.zeros(4 * len(self._seen_rows))
         self._asked, self._shown = np.zeros(len(drives)), np.zeros(lay.PORT_SIZE * len(drives))
         self._set_points = np.zeros(len(self._target_rows))
-        self._set_points_at = _reals(self._set_points)
+        self._set_points_at = reals(self._set_points)
         given = np.flatnonzero(self._target_rows["source"] < 0).tolist()
         self._names = [
             (at, name, per_unit) for at, (_, name, per_unit) in zip(given, self._nodes.set_points, strict=True)
@@ -249,8 +251,8 @@ class _Run:
                 head = self._lines.head(cob_id).encode("ascii", "backslashreplace")
                 self._rows[row]["head"], self._rows[row]["head_end"] = len(heads), len(heads) + len(head)
                 heads += head
-            self._text = _octets(_TRACED_TOGETHER * (len(frames.rows) * lay.LINE + len(heads)))
-        self._heads = _octets(len(heads))
+            self._text = octets(_TRACED_TOGETHER * (len(frames.rows) * lay.LINE + len(heads)))
+        self._heads = octets(len(heads))
         self._heads[: len(heads)] = np.frombuffer(heads, np.uint8)
         self._waiting = self._waiting_frames = 0  # cycles and frames whose lines are in the text
 
@@ -433,22 +435,10 @@ class _Run:
         for cob_id, answer in self._nodes.answers.items():
             count, data = last[cob_id]
             answer.answered_until(cycles, data, count)
-        whole = self._whole.tolist()
-        listeners = self._here.machine.listeners
-        for listener, seen in zip(listeners, self._seen_rows[len(self._wiring.raw) :], strict=True):
+        of_drives = len(self._wiring.seen.rows)
+        for listener, seen in zip(here.machine.listeners, self._seen_rows[of_drives:], strict=True):
             listener.counter.counted_until(int(seen["value"]), int(seen["last"]))
-        for (drive, raw), seen in zip(self._wiring.raw, self._seen_rows[: len(self._wiring.raw)], strict=True):
-            drive.counter.counted_until(int(seen["value"]), int(seen["last"]))
-            drive.decoded_until({index: whole[slot] for index, slot in raw.items()})
+        self._wiring.seen.give(self._seen_rows[:of_drives], self._whole)
         for (drive, _, _), (at, _, _) in zip(self._nodes.set_points, self._names, strict=True):
             drive.setpoint = float(self._set_points[at])
         self._nodes.end_plain(cycles)
-
-
-def _reals(vector: lay.Real) -> memoryview[float]:
-    return vector.data.cast("B").cast("d")
-
-
-def _octets(least: int) -> lay.Bytes:
-    """At least so many, whole eights."""
-    return np.zeros(-(-least // 8) * 8, np.uint8)

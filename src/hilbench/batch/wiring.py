@@ -14,13 +14,12 @@ from hilbench.canopen.device import Device
 from hilbench.canopen.host import DeviceHost
 from hilbench.canopen.identifiers import SYNC
 from hilbench.canopen.pdo import PdoMap
-from hilbench.cia402.drive import Drive
 from hilbench.exchange.nodes import Nodes
 from hilbench.exchange.sync_cycle import ExpectedPdo, SyncCycle
 from hilbench.hardware.simulation import RigApplication
-from hilbench.plain import layout as lay
+from hilbench.plain.bench import BenchFrames, SeenDrives, told_slots
 from hilbench.plain.devices import HostFrames
-from hilbench.plain.tables import NO_SLOT, Frames, NotPlainError, Slots, new_slots, seen_row
+from hilbench.plain.tables import NO_SLOT, Frames, NotPlainError, Slots, new_slots
 from hilbench.twin.axis_listener import AxisListener
 from hilbench.twin.process import TwinApplication
 
@@ -55,20 +54,17 @@ class Wiring:
         """Raises NotPlainError where cycles are not plain."""
         self._here, self._nodes, self._sync = here, nodes, sync
         self.slots, self.frames = Slots(), Frames()
-        #: Of the bench's set points: rows of `layout.TARGET`; slots of what the twin is told.
-        self.targets: list[tuple[float, int, int, int, float]] = []
-        self.told: list[int] = []
-        self.own_heartbeat = -1  #: its row; -1: there is none
-        #: What the bench sees of each drive, then the twin of each axis: rows of `layout.SEEN`. The slots of what the
-        #: bench gets, by the index of the object; where the feedback of the axes is that the twin hears.
-        self.seen: list[tuple[Any, ...]] = []
-        self.raw: list[tuple[Drive, dict[int, int]]] = []
+        #: What the bench sends.
+        self.bench = BenchFrames(nodes, sync, self.frames, self.slots)
+        self._behind_sync = len(self.frames.rows)
+        #: What the twin hears of each axis: rows of `layout.SEEN`, and where the feedback of it is behind that of the
+        #: drives that the bench sees.
+        self.heard: list[tuple[Any, ...]] = []
         self.heard_axes: list[int] = []
         #: What the bench takes from the TPDOs of the virtual I/O: rows of `layout.SAID`; the row of its status, and
         #: where that is among the whole numbers.
         self.said: list[tuple[int, int, int, int]] = []
         self.status: tuple[int, slice] = (-1, slice(0))
-        self._bench_frames()
         self._check_listeners()
         drives = (*here.rig.drives, *here.machine.drives)
         cycle_ns = nodes.config.cycle_ns
@@ -84,33 +80,6 @@ class Wiring:
         self._check_answers()
         self._see()
         self._check_phases()
-
-    def _bench_frames(self) -> None:
-        """What the bench sends, in its order, and the set points in it."""
-        frames, slots, nodes = self.frames, self.slots, self._nodes
-        for drive, _, _ in nodes.set_points:
-            rpdo = drive.pdos.rpdo
-            controlword, target = new_slots(slots, rpdo)
-            slots.whole[controlword] = drive.controlword
-            frames.add(rpdo.cob_id, lay.BEFORE_SYNC, rpdo, (controlword, target))
-            self.targets.append((drive.set_point_unit, drive.most_raw, target, -1, 1.0))
-            for copy in drive.settings.copies:
-                copied = slots.new(False)
-                frames.add(copy.cob_id, lay.BEFORE_SYNC, rpdo, (controlword, copied))
-                self.targets.append((1.0, drive.most_raw, copied, target, copy.factor))
-        for boundary in nodes.io.boundary:
-            if not all(kind.is_float for kind in boundary.kinds):
-                raise NotPlainError
-            told = new_slots(slots, boundary)
-            frames.add(boundary.cob_id, lay.BEFORE_SYNC, boundary, told)
-            self.told += told
-        heartbeat, every = self._sync.heartbeat
-        if every:
-            count = (self._sync.timing.cycles - 1) % every
-            self.own_heartbeat = frames.add(
-                heartbeat.can_id, lay.BEFORE_SYNC, bytes(heartbeat.data), every=every, count=count
-            )
-        self._behind_sync = 1 + frames.add(SYNC, lay.SYNC, b"")
 
     def _check_listeners(self) -> None:
         """What the bench sends is heard by the hosts alone."""
@@ -137,16 +106,10 @@ class Wiring:
     def _see(self) -> None:
         """What the bench takes from the answers of the drives, and the twin from those of the axes."""
         frames, slots = self.frames, self.slots
-        for drive in self._nodes.drives:
-            raw: dict[int, int] = {}
-            for _, pdo, indices in drive.pdos.tpdos:
-                if pdo.period != 1 or any(kind.is_float for kind in pdo.kinds):
-                    raise NotPlainError
-                taken = new_slots(slots, pdo)
-                frames.take(frames.row_of(pdo.cob_id), pdo, taken)
-                raw.update(zip(indices, taken, strict=True))
-            self.seen.append(seen_row(drive, raw))
-            self.raw.append((drive, raw))
+        #: What the bench sees of each drive.
+        self.seen = SeenDrives(self._nodes, slots)
+        for pdo, taken in self.seen.taken:
+            frames.take(frames.row_of(pdo.cob_id), pdo, taken)
         row, first, last = self._hear_of(self._nodes.io.status, is_float=False)
         self.status = row, slice(first, last)
         for pdo, part in zip(self._nodes.io.sent, self._nodes.measured.parts, strict=True):
@@ -156,14 +119,12 @@ class Wiring:
             if row < self._behind_sync or frames.rows[row][4] != 1:
                 raise NotPlainError
             frames.take(row, listener.pdo, taken)
-            self.heard_axes.append(4 * len(self.seen))
-            self.seen.append(_heard_row(listener, taken))
+            self.heard_axes.append(4 * (len(self.seen.rows) + len(self.heard)))
+            self.heard.append(_heard_row(listener, taken))
 
     def _hear_of(self, pdo: PdoMap, *, is_float: bool) -> tuple[int, int, int]:
         """What the bench takes from a TPDO of the virtual I/O: row, and slots."""
-        if any(kind.is_float is not is_float for kind in pdo.kinds):
-            raise NotPlainError
-        row, taken = self.frames.row_of(pdo.cob_id), new_slots(self.slots, pdo)
+        row, taken = self.frames.row_of(pdo.cob_id), told_slots(pdo, self.slots, is_float=is_float)
         self.frames.take(row, pdo, taken)
         return row, taken[0], taken[-1] + 1
 

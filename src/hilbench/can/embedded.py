@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import socket
 import struct
+from collections import deque
 from collections.abc import Sequence
 from math import ceil
 
@@ -93,10 +94,13 @@ class EmbeddedLink:
     def receive(self, timeout_s: float) -> list[Frame]:
         return self.frames_from(self.receive_packet(timeout_s))
 
-    def frames_from(self, packet: bytes | None) -> list[Frame]:
-        """The frames of a packet that was received, and of those that wait behind it. Raises BusError."""
+    def frames_from(self, *received: bytes | None) -> list[Frame]:
+        """The frames of packets that were received (None: nothing was), and of those that wait behind them. Raises
+        BusError."""
         frames: list[Frame] = []
-        while packet is not None:
+        packets = deque(packet for packet in received if packet is not None)
+        while packets:
+            packet = packets.popleft()
             body = memoryview(packet)[protocol.HEADER.size :]
             for can_id, length, _, data, time_ns in protocol.STAMPED_CAN_RECORD.iter_unpack(body):
                 if can_id & ERROR_FLAG:
@@ -104,7 +108,8 @@ class EmbeddedLink:
                 else:
                     frames.append(Frame(can_id, data[:length], time_ns))
             _, self.dropped = protocol.HEADER.unpack_from(packet)
-            packet = receive_packet(self._connection, self.channel)
+            if not packets and (following := receive_packet(self._connection, self.channel)) is not None:
+                packets.append(following)
         if self.controller is ControllerState.BUS_OFF:
             raise bus_off(f"embedded bus {self.channel}")
         return frames

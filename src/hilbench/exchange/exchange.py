@@ -86,7 +86,6 @@ class Exchange:
             producer=producer,
         )
         self._plain: PlainCycles | None = None
-        self.unexpected: Sequence[Unexpected] = ()  #: what came in the last cycle, and is not of the bench or its nodes
         self.timing = sync.timing
         self.pacing = sync.pacing
         self.silent = sync.silent  #: who does not answer, and is not waited for any longer
@@ -98,18 +97,21 @@ class Exchange:
     def cycle(self, outputs: Mapping[str, float]) -> Inputs:
         """Outputs and SYNC onto the bus, then what the nodes answer. `outputs` as in `Nodes.encode`."""
         nodes, sync, own = self._nodes, self._sync, self._own
-        self.unexpected = ()
+        nodes.unexpected = []
         if self._by_clock:
             sync.wait_for_turn()
         if self._plain is not None and self._plain.cycle(outputs):
             return nodes
         received = sync.exchange([*nodes.encode(outputs), *own.answers()])
         own.handle(received)
-        try:
-            nodes.decode(received, sync.before_sync, sync.gone_by)
-        finally:  # a fault of a drive, too, may be a stranger's doing
-            self.unexpected = nodes.unexpected
+        nodes.decode(received, sync.before_sync, sync.gone_by)
         return nodes
+
+    @property
+    def unexpected(self) -> Sequence[Unexpected]:
+        """What came in the last cycle, and is not of the bench or its nodes; also where a fault of a drive has ended
+        it, which may be a stranger's doing."""
+        return self._nodes.unexpected
 
     def use(self, made: Callable[[SyncCycle, OwnNode], PlainCycles | None]) -> None:
         """Let cycles that are plain be run by what `made` makes."""

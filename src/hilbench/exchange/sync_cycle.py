@@ -70,6 +70,10 @@ class CycleTiming:
     ended_ns: int = 0
 
 
+def _nobody() -> None:
+    """Nobody runs cycles in the place of this one."""
+
+
 class SyncCycle:
     """One SYNC after the other, paced in lockstep or by the wall clock: SYNC goes out by the `producer`, without
     us, or where there is none (on other interfaces of python-can) from this thread.
@@ -114,6 +118,8 @@ class SyncCycle:
         self._alive_s = 0.0  #: when the last heartbeat was sent, monotonic clock
         self._tap = tap
         self.lock = threading.Lock()  #: who has it uses the link: a cycle, or between two of them `stay_alive`
+        #: Told before the link is used for anything that is no cycle of somebody else's: by who has run the last ones.
+        self.before_use: Callable[[], None] = _nobody
         self._came_between: list[Frame] = []
         self._fault_between: Exception | None = None
         self._epoch_ns = 0
@@ -137,7 +143,13 @@ class SyncCycle:
         `outgoing` is sent before the SYNC that makes it act.
         """
         with self.lock:
+            self.before_use()
             return self._exchange(outgoing)
+
+    def finish(self, outgoing: Sequence[Frame], came: list[Frame], fault: BenchFaultError | None) -> list[Frame]:
+        """The rest of a cycle that somebody else has begun, who has the lock: `outgoing` and SYNC are sent, `came` is
+        what has answered so far, `fault` what the trace has to say."""
+        return self._finish(outgoing, [], came, fault)
 
     def _exchange(self, outgoing: Sequence[Frame]) -> list[Frame]:
         between, self._fault_between = self._fault_between, None
@@ -170,13 +182,25 @@ class SyncCycle:
                 late = self._link.receive(0.0)
                 self._link.send([self._sync])
                 pacing.advance(self.pacing, now_ns)
+        return self._finish(outgoing, late, met.behind if met is not None else [], trace_fault, met)
+
+    def _finish(
+        self,
+        outgoing: Sequence[Frame],
+        late: list[Frame],
+        came: list[Frame],
+        trace_fault: BenchFaultError | None,
+        met: Met | None = None,
+    ) -> list[Frame]:
+        """The rest of a cycle: `late` came before its SYNC, `came` behind it so far; `met`: the producer's SYNC."""
+        timing = self.timing
         timing.cycles += 1
         before_ns = time.monotonic_ns()
         if met is not None:
             self._account_met(outgoing, met)
         else:
             self._account_before_sync(outgoing, late)
-        answers, failure = self._collect(self._due(), met.behind if met is not None else [])
+        answers, failure = self._collect(self._due(), came)
         received, self.before_sync = late + answers, len(late)
         timing.ended_ns = time.monotonic_ns()
         timing.wait_ns += timing.ended_ns - before_ns
@@ -216,6 +240,7 @@ class SyncCycle:
     def discard_waiting(self, timeout_s: float = 0.0) -> None:
         """Put what waits to be read, or comes within `timeout_s`, into the trace only: no answer to the last SYNC."""
         with self.lock:
+            self.before_use()
             self._discard_waiting(timeout_s)
 
     def _discard_waiting(self, timeout_s: float) -> None:
@@ -231,12 +256,14 @@ class SyncCycle:
 
     def emergency_stop(self) -> None:
         """Stop everything on the bus at once. Raises BusError when it can't be sent."""
+        self.before_use()
         self._heartbeat = self._heartbeat._replace(data=_PRE_OPERATIONAL)
         send_emergency_stop(self._link)
 
     def stand_still(self, done: Future[Any], longest_s: float) -> None:
         """Lockstep: no cycle until `done`, or for `longest_s` of wall time: the nodes wait for SYNC meanwhile."""
         with self.lock:
+            self.before_use()
             trace_fault = self._write_last_answers()
             if trace_fault is not None:
                 raise trace_fault
@@ -258,6 +285,7 @@ class SyncCycle:
         if time.monotonic() - self._alive_s < silence_s or not self.lock.acquire(blocking=False):
             return
         try:
+            self.before_use()
             if self._fault_between is None:
                 self._fault_between = self._write_last_answers()
                 self._say_alive()
@@ -312,6 +340,10 @@ class SyncCycle:
             and self._heartbeat.data == _OPERATIONAL
         )
 
+    def came_between(self, frames: Sequence[Frame]) -> None:
+        """What somebody else has received before SYNC."""
+        self._came_between += frames
+
     @property
     def due_always(self) -> Mapping[int, ExpectedPdo]:
         """What answers each SYNC; another object after `expect`."""
@@ -363,9 +395,8 @@ class SyncCycle:
         remaining_s = self._remaining_s if not self._lockstep else self._lockstep_remaining(due)
         while due or came:
             left_s = max(0.0, remaining_s())
-            batch, came = came, []
-            if not batch:
-                batch = receive(min(left_s, _ALIVE * self._timeout_s) if self._lockstep else left_s)
+            wait_s = min(left_s, _ALIVE * self._timeout_s) if self._lockstep else left_s
+            batch, came = came or receive(wait_s), []
             if not batch:
                 if remaining_s() <= 0.0:
                     failure = self._missing(due)

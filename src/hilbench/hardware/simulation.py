@@ -131,7 +131,7 @@ def simulate(config: BenchConfig) -> int | None:
         link = open_link(bus)
         try:
             host = DeviceHost(link, *hosted)
-            plain = _plain_host(host, link, hosted, config)
+            plain = plain_host(host, link, hosted, config)
             with kept_ready(config.process_settings("hardware"), log):
                 host.run(stop, None if plain is None else plain.serve)
         finally:
@@ -139,7 +139,7 @@ def simulate(config: BenchConfig) -> int | None:
     return link.dropped
 
 
-def _plain_host(host: DeviceHost, link: Link, hosted: HostedDevices, config: BenchConfig) -> PlainHost | None:
+def plain_host(host: DeviceHost, link: Link, hosted: HostedDevices, config: BenchConfig) -> PlainHost | None:
     """Who serves the host's devices where SYNC is all the time that there is."""
     if not (isinstance(link, EmbeddedLink) and isinstance(hosted.clock, SyncClock)):
         return None

@@ -7,14 +7,12 @@ comes, or is due, is for the host, which is the reference: before it the objects
 
 from __future__ import annotations
 
-import struct
 import time
 from collections.abc import Sequence
 from typing import Any, Protocol
 
 import numpy as np
 
-from hilbench.can import protocol
 from hilbench.can.embedded import EmbeddedLink
 from hilbench.can.frame import Frame
 from hilbench.canopen.clock import SyncClock
@@ -27,6 +25,7 @@ from hilbench.plain import kernel
 from hilbench.plain import layout as lay
 from hilbench.plain.devices import HostFrames
 from hilbench.plain.motors import Motors
+from hilbench.plain.packets import RECORD, Packets
 from hilbench.plain.tables import Frames, NotPlainError, Slots, drive_row, table
 from hilbench.plant.interface import Steps
 
@@ -36,11 +35,6 @@ _ENABLED = Command.ENABLE_OPERATION.value
 _OPERATIONAL = NmtState.OPERATIONAL.heartbeat
 #: Bus time is the hub's: what the kernel makes of it here nobody asks for.
 _BITRATE = 1_000_000
-#: `protocol.CAN_RECORD`.
-_RECORD = np.dtype([("can_id", "u4"), ("size", "u1"), ("flags", "u1"), ("_", "u2"), ("data", "u1", (8,))])
-_BODY = protocol.HEADER.size
-_STAMPED = "IBB2x8sq"  # protocol.STAMPED_CAN_RECORD
-_FIELDS = 5
 
 
 class Rig(Protocol):
@@ -166,13 +160,11 @@ class _Run:
         self._until_ns = self._host.quiet_until_ns()
 
     def _expects(self, expected: Sequence[Frame]) -> None:
-        """How the packet of a cycle is read, without the bench's heartbeat and with it, which comes before SYNC."""
+        """What is in the packet of a cycle, but for the bench's heartbeat, which comes before SYNC."""
         self._count = len(expected)
-        self._header = protocol.HEADER.pack(protocol.KIND_CLASSICAL, self._link.dropped & 0xFFFFFFFF)
         self._cob_ids = tuple(frame.can_id for frame in expected)
         self._sizes = tuple(len(frame.data) for frame in expected)
-        self._layouts = [struct.Struct("=" + count * _STAMPED) for count in (self._count, self._count + 1)]
-        self._lengths = [_BODY + layout.size for layout in self._layouts]
+        self._packets = Packets(self._link.dropped)
 
     def _find_controlwords(self, drives: Sequence[SimulatedDrive]) -> None:
         """Where they are in the data of a cycle's frames."""
@@ -196,7 +188,7 @@ class _Run:
         self._sent = self._left[lay.O_SIZE + self._count :]  # bits of each answer; 0: not its turn
         self._asked, self._shown = np.zeros(len(drives)), np.zeros(lay.PORT_SIZE * len(drives))
         answers = len(frames.rows) - self._count
-        self._records = np.zeros(answers, _RECORD)
+        self._records = np.zeros(answers, RECORD)
         self._records["can_id"], self._records["size"] = frames.cob_ids[self._count :], frames.sizes[self._count :]
         none, no_octets, no_real = np.zeros(0, np.int64), np.zeros(0, np.uint8), np.zeros(0)
         self._vectors = kernel.Vectors(
@@ -246,22 +238,20 @@ class _Run:
 
     def _take(self, packet: bytes) -> bool:
         """Data of the frames that are expected; False where the packet has others."""
-        if not packet.startswith(self._header):  # frames were lost
+        packets = self._packets
+        packets.begin()
+        if not packets.take(packet):
             return False
-        if len(packet) == self._lengths[0]:
-            values = self._layouts[0].unpack_from(packet, _BODY)
-        elif len(packet) == self._lengths[1]:
-            values = self._layouts[1].unpack_from(packet, _BODY)
-            heartbeat, data = values[-2 * _FIELDS], values[-2 * _FIELDS + 3]
-            if not _is_heartbeat(heartbeat) or values[-2 * _FIELDS + 1] != 1 or data[:1] != _OPERATIONAL:
+        cob_ids, sizes, data = packets.cob_ids, packets.sizes, packets.data
+        if len(cob_ids) == self._count + 1:
+            heartbeat = cob_ids[-2]
+            if not _is_heartbeat(heartbeat) or sizes[-2] != 1 or data[-16:-15] != _OPERATIONAL:
                 return False
             self._hear(heartbeat)
-            values = values[: -2 * _FIELDS] + values[-_FIELDS:]
-        else:
+            cob_ids, sizes = cob_ids[:-2] + cob_ids[-1:], sizes[:-2] + sizes[-1:]
+            data = data[:-16] + data[-8:]
+        if cob_ids != self._cob_ids or sizes != self._sizes:
             return False
-        if values[::_FIELDS] != self._cob_ids or values[1::_FIELDS] != self._sizes:
-            return False
-        data = b"".join(values[3::_FIELDS])
         for begin, end in self._controlwords:
             if int.from_bytes(data[begin:end], "little") != _ENABLED:
                 return False

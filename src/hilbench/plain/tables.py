@@ -193,3 +193,13 @@ def seen_row(drive: Drive, raw: dict[int, int]) -> tuple[Any, ...]:
 def table(rows: Sequence[tuple[Any, ...]], kind: np.dtype[Any]) -> lay.Rows:
     """An array of rows."""
     return np.array(list(rows), kind)
+
+
+def reals(vector: lay.Real) -> memoryview[float]:
+    """The same numbers: one at a time goes faster through these than through the array."""
+    return vector.data.cast("B").cast("d")
+
+
+def octets(least: int) -> lay.Bytes:
+    """At least so many, whole eights."""
+    return np.zeros(-(-least // 8) * 8, np.uint8)

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 from hilbench.bench.lifecycle.participants import Participants
 from hilbench.bench.lifecycle.supervisor import Watch
 from hilbench.can import hub_client
+from hilbench.can.embedded import EmbeddedLink
 from hilbench.can.link import Link, PacketLink
 from hilbench.can.open import open_link, open_python_can
 from hilbench.canopen.emergency_stop import EMERGENCY_STOP_COB_ID
@@ -28,10 +29,11 @@ from hilbench.compiled import all_compiled
 from hilbench.copies import Copy
 from hilbench.errors import BusError, EmergencyStopError, UnusableInputError
 from hilbench.exchange.exchange import Exchange
-from hilbench.exchange.frame_tap import FrameTap
+from hilbench.exchange.frame_tap import FrameTap, LineTap
 from hilbench.exchange.node_data import FILE, ask_all, stand_data
 from hilbench.exchange.nodes import Nodes
 from hilbench.exchange.sync_producer import SyncProducer
+from hilbench.plain.exchange import PlainExchange
 from hilbench.processes import ChildProcess
 from hilbench.real_time import kept_ready
 from hilbench.topology.config import BenchConfig
@@ -141,6 +143,8 @@ def bring_up(
         exchange = Exchange(nodes, link, objects, tap=tap, in_process=here is not None, producer=producer)
         if here and inside:
             exchange.use(here.plain_cycles(inside, nodes, tap))
+        elif exchange.in_step and isinstance(link, EmbeddedLink) and (tap is None or isinstance(tap, LineTap)):
+            exchange.use(partial(PlainExchange, link, nodes, tap=tap))
         resources.callback(_release_nodes, master, exchange)
         if producer is not None:
             resources.callback(producer.close)

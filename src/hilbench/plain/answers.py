@@ -1,0 +1,142 @@
+"""The answers to a SYNC, as they have come in packets: the tables for an order of frames, made once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hilbench.canopen.identifiers import HEARTBEAT, LAST_NODE, NmtState
+from hilbench.canopen.pdo import PdoMap
+from hilbench.cia402 import objects
+from hilbench.cia402.state_machine import State, decode_statusword
+from hilbench.exchange.nodes import Nodes
+from hilbench.plain import layout as lay
+from hilbench.plain.bench import SeenDrives, told_slots
+from hilbench.plain.kernel import Table
+from hilbench.plain.tables import Frames, NotPlainError, Slots
+
+#: Orders of frames that are kept; heartbeats make some of each.
+_MOST_ORDERS = 256
+_OPERATIONAL = NmtState.OPERATIONAL.heartbeat
+_NEVER_NS = 1 << 62
+
+Octets = tuple[int, int]
+
+
+@dataclass(frozen=True)
+class Order:
+    """The frames that answer a SYNC, in the order in which they come.
+
+    `data`: (F, 8) with a last row for what does not come; `left`: as of `kernel.exchange`; `statuswords`: where they
+    are among the octets of the frames; `heartbeats`: nodes, and where the octet of each is; `rare`: row by COB-ID of
+    the PDOs that don't answer each SYNC; `has_status`: whether the status of the twin is among them.
+    """
+
+    cob_ids: tuple[int, ...]
+    sizes: tuple[int, ...]
+    table: Table
+    data: lay.Bytes
+    left: lay.Whole
+    statuswords: Sequence[Octets]
+    heartbeats: Sequence[tuple[int, int]]
+    rare: dict[int, int]
+    has_status: bool
+
+    def is_plain(self, data: bytes) -> bool:
+        """Whether what came, eight octets a frame, leaves all as it was: drives enabled, nodes operational."""
+        for begin, end in self.statuswords:
+            if decode_statusword(int.from_bytes(data[begin:end], "little")) is not State.OPERATION_ENABLED:
+                return False
+        return all(data[at] == _OPERATIONAL[0] for _, at in self.heartbeats)
+
+
+class Orders:
+    """Those that were met. `make`: the table of `kernel.Vectors` with these frames, fields, rows of `layout.SAID`, data
+    and `left`, the rest shared by all."""
+
+    def __init__(
+        self,
+        nodes: Nodes,
+        seen: SeenDrives,
+        slots: Slots,
+        make: Callable[[Frames, lay.Rows, lay.Bytes, lay.Whole], Table],
+    ) -> None:
+        """Raises NotPlainError where answers are of a kind that only the interpreted cycle knows."""
+        self._make = make
+        self._known: dict[tuple[int, ...], Order | None] = {}
+        self._taken: dict[int, tuple[PdoMap, list[int]]] = {pdo.cob_id: (pdo, slots) for pdo, slots in seen.taken}
+        self._statuswords = self._of_statuswords(nodes)
+        status = nodes.io.status
+        self._status = status.cob_id
+        taken = told_slots(status, slots, is_float=False)
+        self.status = slice(taken[0], taken[-1] + 1)  #: where the values of the twin's status are
+        self._taken[status.cob_id] = status, taken
+        self._said: list[tuple[int, int, int, int]] = []
+        for pdo, part in zip(nodes.io.sent, nodes.measured.parts, strict=True):
+            told = told_slots(pdo, slots, is_float=True)
+            self._taken[pdo.cob_id] = pdo, told
+            self._said.append((pdo.cob_id, told[0], told[-1] + 1, part.start))
+        self._every = {cob_id: answer.every for cob_id, answer in nodes.answers.items()}
+        if set(self._every) != set(self._taken):
+            raise NotPlainError
+        self._heartbeats = {HEARTBEAT + part.node.node_id for part in nodes.config.parts}
+
+    @staticmethod
+    def _of_statuswords(nodes: Nodes) -> dict[int, Octets]:
+        found: dict[int, Octets] = {}
+        for drive in nodes.drives:
+            for _, pdo, indices in drive.pdos.tpdos:
+                offset = 0
+                for index, kind in zip(indices, pdo.kinds, strict=True):
+                    width = kind.width or 0
+                    if index == objects.STATUSWORD:
+                        found[pdo.cob_id] = offset, offset + width
+                    offset += width
+        return found
+
+    @property
+    def cob_ids(self) -> list[int]:
+        """All that may come."""
+        return [*self._taken, *self._heartbeats]
+
+    def find(self, cob_ids: tuple[int, ...]) -> Order | None:
+        """That of these frames; None: more has to come. Raises NotPlainError where one of them is no answer to SYNC, or
+        came twice."""
+        if cob_ids in self._known:
+            return self._known[cob_ids]
+        came = set(cob_ids)
+        if len(came) != len(cob_ids) or not came <= {*self._taken, *self._heartbeats}:
+            raise NotPlainError
+        if len(self._known) >= _MOST_ORDERS:
+            self._known.clear()
+        is_all = all(cob_id in came for cob_id, every in self._every.items() if every == 1)
+        order = self._known[cob_ids] = self._new(cob_ids) if is_all else None
+        return order
+
+    def _new(self, cob_ids: tuple[int, ...]) -> Order:
+        frames = Frames()
+        statuswords, heartbeats, rare = [], [], {}
+        for row, cob_id in enumerate(cob_ids):
+            if cob_id in self._heartbeats:
+                frames.add(cob_id, lay.ANSWER, _OPERATIONAL)
+                heartbeats.append((cob_id - HEARTBEAT, 8 * row))
+                continue
+            pdo, taken = self._taken[cob_id]
+            frames.add(cob_id, lay.ANSWER, bytes(pdo.size))
+            frames.take(row, pdo, taken)
+            if cob_id in self._statuswords:
+                begin, end = self._statuswords[cob_id]
+                statuswords.append((8 * row + begin, 8 * row + end))
+            if self._every[cob_id] != 1:
+                rare[cob_id] = row
+        sizes = tuple(frames.sizes)
+        missing = frames.add(HEARTBEAT + LAST_NODE, lay.ANSWER, b"", period_ns=1, next_ns=_NEVER_NS)
+        rows = [(cob_ids.index(cob_id) if cob_id in cob_ids else missing, *rest) for cob_id, *rest in self._said]
+        data = np.zeros((len(frames.rows), 8), np.uint8)
+        left = np.zeros(lay.O_SIZE + len(frames.rows), np.int64)
+        table = self._make(frames, np.array(rows, lay.SAID), data, left)
+        return Order(
+            cob_ids, sizes, table, data, left, statuswords, heartbeats, rare, has_status=self._status in cob_ids
+        )

@@ -1,0 +1,247 @@
+"""Plain cycles of bench and hardware on the embedded bus (`hilbench.plain`) against the interpreted ones: the same
+samples, frames, objects and endings, bit by bit, whatever comes between."""
+
+from __future__ import annotations
+
+import threading
+import time
+import uuid
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing, contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+from unittest.mock import patch
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from tests.bench.whole_runs import frames_by_cycle
+
+from hilbench.bench.bench import Bench
+from hilbench.bench.lifecycle.participants import Participants
+from hilbench.can import hub_client
+from hilbench.can.frame import Frame
+from hilbench.can.open import open_link
+from hilbench.canopen.host import DeviceHost, HostedDevices
+from hilbench.errors import HilbenchError
+from hilbench.hardware.simulation import hardware, plain_host
+from hilbench.plain.exchange import PlainExchange
+from hilbench.plain.host import PlainHost
+from hilbench.results.trace import TraceWriter
+from hilbench.runs.config import load_with_overrides
+from hilbench.topology.sample import CycleSample
+from hilbench.twin.process import twin
+from hilbench.twin.setup import twin_setup
+
+CONFIGS = Path(__file__).resolve().parents[2] / "bench_configs"
+NMT, SDO = 0x000, 0x600
+#: Until what somebody has sent is answered, and the answer is there.
+A_MOMENT_S = 0.05
+
+Change = Callable[[Bench], None]
+
+
+@dataclass
+class Left:
+    """What a run left behind."""
+
+    plain: int = 0  #: cycles of the bench
+    packets: int = 0  #: that the hardware has answered on arrays
+    samples: list[bytes] = field(default_factory=list)
+    notices: list[tuple[float, str, str, int]] = field(default_factory=list)
+    trace: list[Counter[str]] = field(default_factory=list)
+    objects: list[object] = field(default_factory=list)
+    ending: str = ""
+
+
+class Samples:
+    """Keeps the bits of every sample of a bench."""
+
+    def __init__(self) -> None:
+        self.kept: list[bytes] = []
+
+    def sample(self, sample: CycleSample) -> None:
+        self.kept.append(sample.reals.tobytes() + sample.wholes.tobytes())
+
+
+@contextmanager
+def served(loaded: Any, *, compiled: bool) -> Iterator[list[HostedDevices]]:
+    """Hardware and twin on the embedded bus, each in a thread of its own."""
+    config, stop = loaded.config, threading.Event()
+    all_hosted = [hardware(config), twin(twin_setup(config))]
+    links = [open_link(config.bus_address) for _ in all_hosted]
+    threads = []
+    for hosted, link in zip(all_hosted, links, strict=True):
+        host = DeviceHost(link, *hosted)
+        is_rig = compiled and hosted is all_hosted[0]
+        plain = plain_host(host, link, hosted, config) if is_rig else None
+        arguments = (stop.is_set, None if plain is None else plain.serve)
+        threads.append(threading.Thread(target=host.run, args=arguments, daemon=True))
+    try:
+        for thread in threads:
+            thread.start()
+        yield all_hosted
+    finally:
+        stop.set()
+        for thread in threads:
+            thread.join(10.0)
+        for link in links:
+            link.close()
+
+
+def run(folder: Path, loaded: Any, changes: Sequence[tuple[int, Change]], cycles: int, *, compiled: bool) -> Left:
+    """A bench that runs for so many cycles, with what is done in between, by cycle."""
+    left, samples = Left(), Samples()
+    cycle, serve = PlainExchange.cycle, PlainHost.serve
+
+    def counted(self: PlainExchange, outputs: Any) -> bool:
+        done = compiled and cycle(self, outputs)
+        left.plain += done
+        return done
+
+    def counted_by_host(self: PlainHost, timeout_s: float) -> None:
+        serve(self, timeout_s)
+        left.packets = max(left.packets, 0 if self._run is None else self._run._cycles)
+
+    trace = folder / f"trace-{uuid.uuid4().hex}.log"
+    with (
+        patch.object(PlainExchange, "cycle", counted),
+        patch.object(PlainHost, "serve", counted_by_host),
+        TraceWriter(trace, "can0") as tap,
+        served(loaded, compiled=compiled) as all_hosted,
+    ):
+        bench = Bench(loaded.config, observers=[samples], tap=tap, participants=Participants.PRESENT)
+        try:
+            with bench:
+                for at_cycle in range(cycles):
+                    for at, change in changes:
+                        if at == at_cycle:
+                            change(bench)
+                    bench.cycle()
+        except HilbenchError as error:
+            left.ending = f"{type(error).__name__}: {error}"
+    left.samples = samples.kept
+    left.notices = [(each.time_s, each.source, each.text, each.count) for each in bench.notices]
+    # While the drives are stopped nobody waits for the twin.
+    left.trace = frames_by_cycle(trace)[: len(samples.kept) - 1]
+    left.objects = [
+        (device.node_id, hex(cell.variable.index), cell.variable.subindex, repr(cell.value))
+        for hosted in all_hosted
+        for device in hosted.devices
+        for cell in device._store
+    ]
+    return left
+
+
+def check(folder: Path, options: Sequence[str], changes: Sequence[tuple[int, Change]], **what: Any) -> Left:
+    """Both kinds of cycles make the same; `least`: so many of them are plain at least, on each side."""
+    name, cycles, least = what.get("name", "web_section_step"), what.get("cycles", 150), what.get("least", 60)
+    kinds = []
+    for compiled in (True, False):
+        bus = f"embedded:p{uuid.uuid4().hex[:10]}"
+        loaded = load_with_overrides(CONFIGS / f"{name}.yaml", changes=[f"bus.address={bus}", *options])
+        kinds.append(run(folder, loaded, changes, cycles, compiled=compiled))
+    one, other = kinds
+    assert min(one.plain, one.packets) >= least
+    assert (other.plain, other.packets) == (0, 0)
+    assert one.ending == other.ending
+    assert one.samples == other.samples
+    assert one.notices == other.notices
+    assert one.trace == other.trace
+    assert one.objects == other.objects
+    return one
+
+
+# -- what comes between ----------------------------------------------------------------------------------------------
+
+
+def sends(*frames: Frame) -> Change:
+    """Somebody else on the bus sends something, and goes."""
+
+    def change(bench: Bench) -> None:
+        bus = bench.config.bus_address
+        with closing(open_link(bus)) as link:
+            link.send(frames)
+            hub_client.statistics(bus.channel)  # the hub has read them
+            time.sleep(A_MOMENT_S)
+
+    return change
+
+
+def writes(node_id: int, index: int, value: int, size: int, sub: int = 0) -> Change:
+    head = bytes((0x23 | (4 - size) << 2,)) + index.to_bytes(2, "little") + bytes((sub,))
+    return sends(Frame(SDO + node_id, head + value.to_bytes(4, "little")))
+
+
+def sets(path: str, value: float) -> Change:
+    return lambda bench: bench.set(path, value)
+
+
+LINE = [
+    sets("line_speed_m_s", 0.4),
+    sets("tension_control.set_point_N", 90.0),
+    sets("load.web.youngs_modulus_Pa", 10.5e9),
+    sets("hardware.effects.viscous_friction.axis2.coefficient_N_s_per_m", 3.0),
+    writes(1, 0x2001, 0x7305, 2),  # axis 1 fails
+    writes(18, 0x2001, 0x7305, 2),  # a virtual axis does
+    writes(2, 0x6072, 5, 2),  # hardly any torque
+    writes(2, 0x6080, 1, 4),  # overspeed
+    writes(1, 0x1017, 30, 2),  # heartbeats more often
+    writes(32, 0x1017, 0, 2),  # and none
+    writes(3, 0x60B2, 10, 2),  # torque offset
+    sends(Frame(0x182, bytes(8))),
+    sends(Frame(0x080, b"")),
+    sends(Frame(NMT, bytes((0x80, 1)))),
+    sends(Frame(NMT, bytes((0x82, 17)))),
+    sends(Frame(0x001, b"")),
+    sends(Frame(0x123, b"abc")),
+    sends(Frame(0x67F, bytes((0x40, 0x00, 0x10, 0, 0, 0, 0, 0)))),
+]
+
+
+def test_a_line_runs_alike_with_set_points_an_effect_and_a_fault(tmp_path: Path) -> None:
+    changes = [(10, LINE[0]), (30, LINE[2]), (50, LINE[3]), (120, LINE[10]), (200, LINE[7])]
+    left = check(tmp_path, [], changes, cycles=240, least=50)
+    assert "axis2 (node 2): is in FAULT" in left.ending
+
+
+@pytest.mark.slow
+@given(
+    changes=st.lists(st.tuples(st.integers(5, 140), st.sampled_from(LINE)), max_size=3),
+    seed=st.integers(0, 99),
+    mirroring=st.sampled_from(["listen", "copy"]),
+    heartbeat_ms=st.sampled_from([0, 37, 100]),
+    virtual_tpdo_every=st.sampled_from([0, 1, 3]),
+)
+@settings(max_examples=12, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_a_line_runs_alike_whatever_comes_between(
+    tmp_path: Path,
+    changes: list[tuple[int, Change]],
+    seed: int,
+    mirroring: str,
+    heartbeat_ms: int,
+    virtual_tpdo_every: int,
+) -> None:
+    options = [
+        f"seed={seed}",
+        f"mirroring={mirroring}",
+        f"master.heartbeat_ms={heartbeat_ms}",
+        f"twin.virtual_tpdo_every={virtual_tpdo_every}",
+    ]
+    check(tmp_path, options, changes, least=0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "path"),
+    [
+        ("line_three_spans", "line_speed_m_s"),
+        ("line_with_dancer", "line_speed_m_s"),
+        ("web_section_step_pid", "line_speed_m_s"),
+        ("servo_axis", "speed_rad_s"),
+    ],
+)
+def test_every_kind_of_bench_runs_alike(tmp_path: Path, name: str, path: str) -> None:
+    check(tmp_path, [], [(10, sets(path, 0.05)), (80, sets(path, 0.1))], name=name)
